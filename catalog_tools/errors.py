@@ -1,0 +1,48 @@
+"""The few errors that reach a user: bad input, damaged data, unfinished work."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class NightglassError(Exception):
+    """Base of every error that is shown as one message, never as a traceback."""
+
+
+class BadInput(NightglassError):
+    """Something the user gave is wrong: exit code 2, or HTTP 4xx.
+
+    Parameters
+    ----------
+    field : the name of the field as the user wrote it (dotted for nested keys), or the path.
+    value : what was given; shortened in the message.
+    allowed : what would be accepted, in words.
+    """
+
+    def __init__(self, field: str, value: Any, allowed: str) -> None:
+        self.field, self.value, self.allowed = field, value, allowed
+        super().__init__(field, value, allowed)
+
+    def __str__(self) -> str:
+        return f"{self.field}: {shorten(self.value)} is not accepted; allowed: {self.allowed}"
+
+
+class Damaged(NightglassError):
+    """Stored data does not match its checksum, length or manifest: never rendered silently."""
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path, self.reason = path, reason
+        super().__init__(path, reason)
+
+    def __str__(self) -> str:
+        return f"{self.path}: damaged: {self.reason}"
+
+
+class Incomplete(NightglassError):
+    """Work ended before everything was done; `--resume` goes on from what is stored."""
+
+
+def shorten(value: Any, limit: int = 80) -> str:
+    """`repr` of a value, cut to `limit` characters: values are never echoed whole."""
+    text = repr(value)
+    return text if len(text) <= limit else f"{text[: limit - 1]}…"

@@ -1,0 +1,19 @@
+"""The errors of the pipeline, and the exit code that each one means."""
+
+from __future__ import annotations
+
+from catalog_tools.errors import BadInput, Damaged, Incomplete, NightglassError, shorten
+
+__all__ = ["BadInput", "Damaged", "Incomplete", "NightglassError", "exit_code", "shorten"]
+
+EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
+    (BadInput, 2),
+    (Incomplete, 3),
+    (Damaged, 2),
+    (KeyboardInterrupt, 130),
+)
+
+
+def exit_code(error: BaseException) -> int:
+    """Exit code of the command line for an error (DESIGN section 6); 1 for an internal fault."""
+    return next((code for kind, code in EXIT_CODES if isinstance(error, kind)), 1)
