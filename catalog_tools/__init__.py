@@ -1,1 +1,1 @@
-""
+"""Catalogues of stars: read, partition, store, query; knows nothing of scenes or pixels."""

@@ -24,7 +24,8 @@ def from_angles(lon_rad: NDArray[np.float64], lat_rad: NDArray[np.float64]) -> V
 def to_angles(v: Vectors) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Longitude in [0, 2 pi) and latitude [rad] of vectors of any length: (..., 3)."""
     lon = np.arctan2(v[..., 1], v[..., 0]) % (2 * np.pi)
-    return np.where(lon >= 2 * np.pi, 0.0, lon), np.arctan2(v[..., 2], np.hypot(v[..., 0], v[..., 1]))
+    lat = np.arctan2(v[..., 2], np.hypot(v[..., 0], v[..., 1]))
+    return np.where(lon >= 2 * np.pi, 0.0, lon), lat
 
 
 def separation(a: Vectors, b: Vectors) -> NDArray[np.float64]:
@@ -34,19 +35,27 @@ def separation(a: Vectors, b: Vectors) -> NDArray[np.float64]:
 
 
 def rotate_minimal(a: Vectors, b: Vectors) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) that takes unit vector `a` to unit vector `b` on the shortest way.
+    """Rotation matrices (..., 3, 3) that take unit vectors `a` to `b` on the shortest way.
 
     Rodrigues' formula with 1/(1 + a.b); undefined for opposite vectors, which raises ValueError.
     """
-    c = float(a @ b)
-    if 1.0 + c < 1e-12:
+    c = np.asarray(np.sum(a * b, axis=-1))
+    if np.any(1.0 + c < 1e-12):
         raise ValueError("no shortest rotation between opposite vectors")
-    k = np.cross(a, b)
-    skew = np.array([[0.0, -k[2], k[1]], [k[2], 0.0, -k[0]], [-k[1], k[0], 0.0]])
-    return np.eye(3) + skew + skew @ skew / (1.0 + c)
+    skew = _skew(np.cross(a, b))
+    return np.eye(3) + skew + skew @ skew / (1.0 + c)[..., None, None]
 
 
-def rotate_about(axis: Vectors, angle_rad: float) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) about a unit axis by a right-handed angle [rad] (Rodrigues)."""
-    k = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.eye(3) + np.sin(angle_rad) * k + 2.0 * np.sin(angle_rad / 2) ** 2 * (k @ k)
+def rotate_about(axis: Vectors, angle_rad: float | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrices (..., 3, 3) about unit axes by right-handed angles [rad] (Rodrigues)."""
+    k = _skew(np.asarray(axis, float))
+    angle = np.asarray(angle_rad, float)[..., None, None]
+    return np.eye(3) + np.sin(angle) * k + 2.0 * np.sin(angle / 2) ** 2 * (k @ k)
+
+
+def _skew(v: Vectors) -> NDArray[np.float64]:
+    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    zero = np.zeros_like(x)
+    rows = [zero, -z, y, z, zero, -x, -y, x, zero]
+    return np.stack(rows, axis=-1).reshape(*x.shape, 3, 3)

@@ -1,0 +1,50 @@
+"""The columns of a catalogue: names, types, units, encodings, and the error each type allows.
+
+| column | type | error bound | why |
+| --- | --- | --- | --- |
+| `_healpix_29` | int64 | exact | HATS spatial index, nested, order 29 |
+| source_id | int64 | exact | |
+| ra, dec [deg, ICRS] | float64 | 1e-10 mas | float32 would err by 55 mas |
+| pmra (with cos dec), pmdec [mas/yr] | float32 | 0.6 uas/yr at 10 arcsec/yr | asked: 0.01 mas/yr |
+| parallax [mas] | float32 | 0.05 uas at 768 mas | |
+| radial_velocity [km/s] | float32 | 3e-5 km/s at 500 | |
+| phot_{g,bp,rp}_mean_mag [mag, Vega] | float32 | 1e-6 mag | as published by DR2 |
+
+An absent value is an Arrow null, never NaN and never a number.
+"""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+HEALPIX_COLUMN = "_healpix_29"
+HEALPIX_ORDER = 29
+
+CANONICAL = pa.schema(
+    [
+        pa.field("source_id", pa.int64(), nullable=False),
+        pa.field("ra", pa.float64(), nullable=False),
+        pa.field("dec", pa.float64(), nullable=False),
+        pa.field("pmra", pa.float32()),
+        pa.field("pmdec", pa.float32()),
+        pa.field("parallax", pa.float32()),
+        pa.field("radial_velocity", pa.float32()),
+        pa.field("phot_g_mean_mag", pa.float32(), nullable=False),
+        pa.field("phot_bp_mean_mag", pa.float32()),
+        pa.field("phot_rp_mean_mag", pa.float32()),
+    ]
+)
+NAMES: tuple[str, ...] = tuple(CANONICAL.names)
+REQUIRED: tuple[str, ...] = ("source_id", "ra", "dec", "phot_g_mean_mag")
+
+# What a reader yields: the same columns, any of them may be null until the rows are judged.
+INCOMING = pa.schema([pa.field(f.name, f.type) for f in CANONICAL])
+
+# What a shard holds.
+STORED = CANONICAL.insert(0, pa.field(HEALPIX_COLUMN, pa.int64(), nullable=False))
+
+# Sorted integers shrink as differences; the bytes of floats compress better plane by plane.
+ENCODINGS: dict[str, str] = {
+    field.name: "DELTA_BINARY_PACKED" if pa.types.is_integer(field.type) else "BYTE_STREAM_SPLIT"
+    for field in STORED
+}

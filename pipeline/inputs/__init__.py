@@ -1,0 +1,1 @@
+"""Everything that is read: stars, ephemerides, curves, images, meshes."""

@@ -1,0 +1,307 @@
+"""Spectral curves: the sensor's response, named filters, the Sun, a library of stars."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import hashlib
+import importlib.util
+import itertools
+import math
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import BadInput, Damaged
+from pipeline.inputs.reference import solar_bands, stellar_boxes
+from pipeline.physics.radiometry import (
+    Array,
+    ResponseCurve,
+    box,
+    combine,
+    scale,
+    spectrum_from_box_means,
+)
+
+# Every spectrum here covers these wavelengths, so a response must lie between them.
+SHORTEST_NM, LONGEST_NM = 290.0, 2500.0
+LARGEST_TABLE_BYTES = 4_000_000
+PICKLES_FOLDER = "stellar_spectra/pickles_uvk"
+
+# Filters of speclite that are tabulated as responses to energy: Bessell 1990, PASP 102, 1181, as
+# explained by Bessell & Murphy 2012, PASP 124, 140. All the others count photons.
+ENERGY_GROUPS = frozenset({"bessell"})
+
+Spectrum = tuple[str, Array, Array]
+NumberOrTable = float | str | Path
+
+
+def data_file(relative: str) -> Path | None:
+    """A file or folder of the user's data folder (NIGHTGLASS_DATA), or None where it is absent."""
+    folder = os.environ.get("NIGHTGLASS_DATA")
+    path = Path(folder, relative) if folder else None
+    return path if path is not None and path.exists() else None
+
+
+def resolve_response(
+    bandpass: Mapping[str, Any],
+    transmission: NumberOrTable,
+    quantum_efficiency: NumberOrTable,
+    base: Path | None = None,
+) -> tuple[ResponseCurve, str, str]:
+    """The sensor's response, its band's name and its digest (hexadecimal SHA-256).
+
+    bandpass : {kind: box, short_nm, long_nm}, {kind: named, name} with a name of speclite's
+        filters, or {kind: table, path}
+    transmission, quantum_efficiency : a number in (0, 1], or the path of a table
+    base : folder that relative paths start from
+
+    A table is CSV with the columns wavelength_nm and value (a heading and # comments may come
+    first), ascending, 0 to 1. It must cover the bandpass or end in zero. The Gaia and most
+    survey filters hold optics and detector already; Bessell's are relative to their peak.
+    BadInput names the field, e.g. sensor.bandpass.name.
+    """
+    band, name = _bandpass(bandpass, base)
+    curves, factor = [band], 1.0
+    for field, given in (
+        ("sensor.transmission", transmission),
+        ("sensor.quantum_efficiency", quantum_efficiency),
+    ):
+        if isinstance(given, str | Path):
+            curves.append(_covering_table(field, given, base, band))
+        else:
+            factor *= _fraction(field, given)
+    try:
+        response = scale(combine(*curves), factor)
+    except ValueError as error:
+        raise BadInput("sensor", name, "curves with wavelengths in common") from error
+    if not np.any(response.value > 0.0):
+        raise BadInput("sensor", name, "a response above zero somewhere in the band")
+    content = response.wavelength_m.tobytes() + response.value.tobytes()
+    return response, name, hashlib.sha256(content).hexdigest()
+
+
+def _bandpass(bandpass: Mapping[str, Any], base: Path | None) -> tuple[ResponseCurve, str]:
+    kind = bandpass.get("kind")
+    if kind == "box":
+        short, long = (_number(f"sensor.bandpass.{k}", bandpass.get(k)) for k in
+                       ("short_nm", "long_nm"))  # fmt: skip
+        if not short < long:
+            raise BadInput("sensor.bandpass.long_nm", long, f"more than short_nm ({short:g})")
+        field, curve, name = (
+            "short_nm",
+            box(short * 1e-9, long * 1e-9),
+            f"box {short:g}-{long:g} nm",
+        )
+    elif kind == "named":
+        field, name = "name", str(bandpass.get("name"))
+        curve = _trimmed(named_filter(name))
+    elif kind == "table":
+        field, path = "path", str(bandpass.get("path"))
+        curve = _trimmed(read_table("sensor.bandpass.path", path, base))
+        name = f"table {Path(path).name}"
+    else:
+        raise BadInput("sensor.bandpass.kind", kind, "box, named or table")
+    ends_nm = curve.wavelength_m[[0, -1]] * 1e9
+    if ends_nm[0] < SHORTEST_NM - 1e-6 or ends_nm[1] > LONGEST_NM + 1e-6:
+        span = f"{ends_nm[0]:g} to {ends_nm[1]:g} nm"
+        allowed = f"a band within {SHORTEST_NM:g} to {LONGEST_NM:g} nm"
+        raise BadInput(f"sensor.bandpass.{field}", span, allowed)
+    return curve, name
+
+
+def _number(field: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise BadInput(field, value, "a finite number")
+    return float(value)
+
+
+def _fraction(field: str, value: Any) -> float:
+    number = _number(field, value)
+    if not 0.0 < number <= 1.0:
+        raise BadInput(field, value, "above 0 and at most 1, or the path of a table")
+    return number
+
+
+def _trimmed(curve: ResponseCurve) -> ResponseCurve:
+    """The curve without the zeros beyond the ones that end its band."""
+    lit = np.flatnonzero(curve.value)
+    if lit.size == 0:
+        raise BadInput("sensor.bandpass", "zero everywhere", "a response above zero")
+    keep = slice(max(lit[0] - 1, 0), lit[-1] + 2)
+    return ResponseCurve(curve.wavelength_m[keep], curve.value[keep])
+
+
+def _covering_table(
+    field: str, path: str | Path, base: Path | None, band: ResponseCurve
+) -> ResponseCurve:
+    """A table that reaches over the band, or ends in zero where it does not."""
+    curve = read_table(field, path, base)
+    for end, beyond in (
+        (0, band.wavelength_m[0] < curve.wavelength_m[0] * (1.0 - 1e-9)),
+        (-1, band.wavelength_m[-1] > curve.wavelength_m[-1] * (1.0 + 1e-9)),
+    ):
+        if beyond and curve.value[end] > 0.0:
+            ends = band.wavelength_m[[0, -1]] * 1e9
+            raise BadInput(
+                field,
+                f"{path} ends at {curve.wavelength_m[end] * 1e9:g} nm with {curve.value[end]:g}",
+                f"a table that covers the band ({ends[0]:g} to {ends[1]:g} nm) or ends in 0",
+            )
+    return curve
+
+
+def read_table(field: str, path: str | Path, base: Path | None = None) -> ResponseCurve:
+    """Read a CSV table (wavelength_nm, value): ascending, finite, 0 <= value <= 1."""
+    file = (base or Path()) / path
+    try:
+        if file.stat().st_size > LARGEST_TABLE_BYTES:
+            raise BadInput(field, str(path), f"a table of at most {LARGEST_TABLE_BYTES} bytes")
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise BadInput(field, str(path), "a readable text file") from error
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    rows = list(csv.reader(lines))
+    if rows and not _is_number(rows[0][0]):
+        rows = rows[1:]
+    for row in rows:
+        if len(row) != 2 or not all(map(_is_number, row)):
+            raise BadInput(field, ",".join(row), "rows of two finite numbers: wavelength_nm, value")
+    if len(rows) < 2:
+        raise BadInput(field, str(path), "at least two rows: wavelength_nm, value")
+    table = np.array(rows, dtype=np.float64)
+    for before, row in itertools.pairwise(table):
+        if row[0] <= before[0]:
+            raise BadInput(field, f"{row[0]:g} after {before[0]:g}", "ascending wavelengths")
+    if table[0, 0] < 10.0 or table[-1, 0] > 30_000.0:
+        raise BadInput(field, f"{table[0, 0]:g} to {table[-1, 0]:g}", "wavelengths in nm")
+    wrong = table[(table[:, 1] < 0.0) | (table[:, 1] > 1.0)]
+    if len(wrong):
+        raise BadInput(field, f"{wrong[0, 1]:g} at {wrong[0, 0]:g} nm", "values from 0 to 1")
+    return ResponseCurve(table[:, 0] * 1e-9, table[:, 1])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def filter_folder() -> Path:
+    """The folder of speclite's filter tables; speclite itself (and astropy) is not imported."""
+    spec = importlib.util.find_spec("speclite")
+    if spec is None or spec.origin is None:
+        raise BadInput("sensor.bandpass.name", "speclite", "an installation with speclite")
+    return Path(spec.origin).parent / "data" / "filters"
+
+
+def named_filter(name: str) -> ResponseCurve:
+    """A filter of speclite by name (gaiadr2-G, bessell-V, sdss2010-r...), per photon.
+
+    Responses to energy are divided by the wavelength and scaled back to a peak of one.
+    BadInput with the nearest names where there is none.
+    """
+    folder = filter_folder()
+    names = sorted(path.stem for path in folder.glob("*.ecsv"))
+    if name not in names:
+        near = difflib.get_close_matches(name[:60], names, n=3, cutoff=0.4)
+        allowed = f"a filter of speclite, e.g. {', '.join(near or ['gaiadr2-G', 'bessell-V'])}"
+        raise BadInput("sensor.bandpass.name", name, allowed)
+    text = (folder / f"{name}.ecsv").read_text(encoding="utf-8")
+    head = [line for line in text.splitlines() if line.startswith("#")]
+    body = [line.split() for line in text.splitlines() if line and not line.startswith("#")][1:]
+    unit = re.search(r"unit: ['\"]?(Angstrom|nm|um|micron)\b", "\n".join(head))
+    if unit is None or any(len(row) != 2 for row in body):
+        raise Damaged(str(folder / f"{name}.ecsv"), "no wavelength unit or not two columns")
+    table = np.array(body, dtype=np.float64)
+    metres = {"Angstrom": 1e-10, "nm": 1e-9, "um": 1e-6, "micron": 1e-6}[unit[1]]
+    wavelength, value = table[:, 0] * metres, np.maximum(table[:, 1], 0.0)
+    if name.split("-")[0] in ENERGY_GROUPS:
+        value = value / wavelength
+        value = value / value.max()
+    return ResponseCurve(wavelength, value)
+
+
+def solar_spectrum() -> tuple[Array, Array, str, str]:
+    """The Sun at 1 au: wavelength (n,) m, irradiance (n,) W/m2/m, its source and its error.
+
+    ASTM E490-00a from the user's data folder, else box means of it (`reference.solar_bands`)
+    joined smoothly. The latter, against the whole table, over box bands between 300 and 1200 nm:
+    0.005% for 400 to 900 nm; bands of 50 nm or more 0.13% rms and at most 1.0% (0.4% beyond
+    400 nm); of 100 nm or more at most 0.4%.
+    """
+    path = data_file("solar_spectrum/e490-00a_2014_table3.txt")
+    scale_text = "total 1366.1 W/m2, 0.4% above the nominal 1361 W/m2 (IAU 2015 B3)"
+    if path is None:
+        edges = np.array(solar_bands.EDGES_NM) * 1e-9
+        means = np.array(solar_bands.IRRADIANCE_MW_M2_NM) * 1e6
+        wavelength, irradiance = spectrum_from_box_means(edges, means, 1e-9)
+        error = f"within 1% of the full table for bands of 50 nm or more; {scale_text}"
+        return wavelength, irradiance, "ASTM E490-00a in boxes of 5 to 100 nm", error
+    rows = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        cells = line.split(",")
+        if len(cells) >= 2 and _is_number(cells[0]) and _is_number(cells[1]):
+            rows.append((float(cells[0]) * 1e-6, float(cells[1]) * 1e6))
+    table = np.array(sorted(rows), dtype=np.float64)
+    if len(rows) < 2 or np.any(np.diff(table[:, 0]) <= 0.0) or np.any(table[:, 1] < 0.0):
+        raise Damaged(str(path), "not a table of ascending wavelengths and irradiances")
+    return table[:, 0], table[:, 1], "ASTM E490-00a (2014), table 3", scale_text
+
+
+def stellar_library() -> tuple[list[Spectrum], str]:
+    """Spectra of unreddened stars, A0V among them, and their source.
+
+    Each is (spectral type, wavelength (n,) m, F_lambda (n,) in any unit). From the user's data
+    folder (A. J. Pickles 1998, PASP 110, 863: UVKLIB), else 29 of its stars in 31 boxes
+    (`reference.stellar_boxes`).
+    """
+    folder = data_file(PICKLES_FOLDER)
+    if folder is not None:
+        library = _pickles_library(folder)
+        return library, f"{len(library)} spectra of Pickles 1998 (UVKLIB)"
+    edges = np.array(stellar_boxes.EDGES_NM) * 1e-9
+    library = []
+    for name, mmag in stellar_boxes.RELATIVE_MMAG.items():
+        photons = 10.0 ** (-0.4e-3 * np.array(mmag, dtype=np.float64))
+        wavelength, smooth = spectrum_from_box_means(edges, photons, 2e-9)
+        library.append((name, wavelength, smooth / (wavelength * 1e9)))
+    return library, f"{len(library)} stars of Pickles 1998 in {len(edges) - 1} boxes (embedded)"
+
+
+def stellar_library_digest() -> str:
+    """SHA-256 of what `stellar_library` would read, without parsing it."""
+    digest = hashlib.sha256()
+    folder = data_file(PICKLES_FOLDER)
+    if folder is None:
+        digest.update(repr((stellar_boxes.EDGES_NM, stellar_boxes.RELATIVE_MMAG)).encode())
+        return digest.hexdigest()
+    for path in sorted(folder.glob("*.fits")):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _pickles_library(folder: Path) -> list[Spectrum]:
+    from astropy.io import fits
+
+    library: list[Spectrum] = []
+    path = folder / "pickles_uk.fits"
+    try:
+        index = fits.getdata(path, 1)
+        for file, spectral_type in zip(index["FILENAME"], index["SPTYPE"], strict=True):
+            path = folder / f"{str(file).strip()}.fits"
+            if path.is_file():
+                table = fits.getdata(path, 1)
+                wavelength = np.array(table["WAVELENGTH"], dtype=np.float64) * 1e-10
+                flux = np.array(table["FLUX"], dtype=np.float64)
+                library.append((str(spectral_type).strip(), wavelength, flux))
+    except (OSError, KeyError, ValueError, TypeError, IndexError) as error:
+        raise Damaged(str(path), f"not a table of the Pickles library ({error})") from error
+    if "A0V" not in {name for name, _, _ in library}:
+        raise Damaged(str(folder), "the library's A0V spectrum is missing")
+    return library

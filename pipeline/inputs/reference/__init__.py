@@ -1,0 +1,1 @@
+"""Small published tables as typed-in figures, each with its source."""

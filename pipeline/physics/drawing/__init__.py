@@ -1,0 +1,1 @@
+"""Drawing sources: compact cores as phase-binned stamps, far wings on a coarse grid."""

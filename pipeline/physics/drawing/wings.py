@@ -1,0 +1,200 @@
+"""Wings engine: the far, smooth light of all sources at once, on a coarse grid.
+
+What the compact cores leave out (response - core) is smooth, so it is convolved on a grid of
+`spacing_px` pixels: the sources are spread onto the grid by cubic B-splines, multiplied in
+frequency by the wing's transfer function (corrected for both splines), and read back at the
+pixels by cubic B-splines. The cost does not depend on the number of sources.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numba import njit
+from numpy.typing import NDArray
+
+from pipeline.physics.motion.streak import POINT, Path, transfer
+from pipeline.physics.psf.pupil import Blur
+from pipeline.physics.psf.response import Core, core_spectrum, taper
+
+Array = NDArray[np.float64]
+
+SPLINE_PX = 3  # grid points that the splines need beyond the range they serve
+
+
+@dataclass(frozen=True)
+class WingGrid:
+    """Where the coarse grid of one block of the focal plane stands.
+
+    rows, columns : grid points; spacing_px : pixels between them
+    y0_px, x0_px : frame position of grid point [0, 0]
+    """
+
+    rows: int
+    columns: int
+    spacing_px: int
+    y0_px: float
+    x0_px: float
+
+
+def wing_grid(
+    block_shape: tuple[int, int], origin: tuple[int, int], spacing_px: int, reach_px: float
+) -> WingGrid:
+    """Grid for a block of pixels at `origin` (y, x) that also holds sources up to `reach_px` off it."""
+    pad = int(np.ceil(reach_px / spacing_px)) + SPLINE_PX
+    rows, columns = (
+        scipy.fft.next_fast_len(int(np.ceil(n / spacing_px)) + 2 * pad + 1, real=True)
+        for n in block_shape
+    )
+    return WingGrid(
+        rows, columns, spacing_px, origin[0] - pad * spacing_px, origin[1] - pad * spacing_px
+    )
+
+
+def wing_kernel(blur: Blur, core: Core, grid: WingGrid, reach_px: float) -> Array:
+    """Transfer function of (response - core) on the grid's frequencies, cut off at `reach_px`.
+
+    The cut-off (smooth over the last tenth of the reach) keeps the light of a source from coming
+    back in at the far side of the periodic grid. Complex (rows, columns // 2 + 1).
+    """
+    h = grid.spacing_px
+    fy, fx = grid_frequencies(grid)
+    whole = blur.transfer(fy[:, None], fx[None, :]) - _core_transfer(core, fy, fx)
+    wing = scipy.fft.irfft2(whole, s=(grid.rows, grid.columns))
+    ry = scipy.fft.fftfreq(grid.rows, 1.0 / grid.rows) * h
+    rx = scipy.fft.fftfreq(grid.columns, 1.0 / grid.columns) * h
+    wing *= taper(np.hypot(ry[:, None], rx[None, :]), 0.9 * reach_px, reach_px)
+    spline = np.sinc(fy * h)[:, None] ** 4 * np.sinc(fx * h)[None, :] ** 4
+    return scipy.fft.rfft2(wing) / (spline * spline * h * h)
+
+
+def grid_frequencies(grid: WingGrid) -> tuple[Array, Array]:
+    """Frequencies [cycles/px] of the grid's real FFT."""
+    h = float(grid.spacing_px)
+    return scipy.fft.fftfreq(grid.rows, h), scipy.fft.rfftfreq(grid.columns, h)
+
+
+def spread(grid: WingGrid, x_px: Array, y_px: Array, light_e: Array) -> Array:
+    """Sources onto the grid: (rows, columns) float64, electrons; those off the grid are left out."""
+    out = np.zeros((grid.rows, grid.columns))
+    _spread(out, grid.y0_px, grid.x0_px, float(grid.spacing_px), x_px, y_px, light_e)
+    return out
+
+
+def convolve(spectrum: NDArray[np.complex128], grid: WingGrid) -> Array:
+    """Grid values of a wing field from its spectrum (spline coefficients, electrons per pixel)."""
+    return scipy.fft.irfft2(spectrum, s=(grid.rows, grid.columns))
+
+
+def add_wings(image_e: Array, origin: tuple[int, int], grid: WingGrid, field: Array) -> None:
+    """Add a wing field to image pixels (in place); `origin` (y, x) is the image's first pixel."""
+    _read(image_e, origin[0] - grid.y0_px, origin[1] - grid.x0_px, float(grid.spacing_px), field)
+
+
+def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> float:
+    """Largest error of a pixel of the wing, per unit light, measured against the exact response.
+
+    Draws one source (swept along `path`) at three sub-pixel places with the coarse grid, and
+    compares with the response sampled directly.
+    """
+    os, reach = core.oversampling, 6.0 * core.radius_px
+    sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
+    size = 2 * int(np.ceil(2.0 * core.radius_px + sweep)) + 1
+    grid = wing_grid((size, size), (0, 0), spacing_px, reach)
+    kernel = wing_kernel(blur, core, grid, reach)
+    kernel = kernel * transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+    n = scipy.fft.next_fast_len(2 * size + 2 * int(2.0 * core.radius_px))
+    fy, fx = scipy.fft.fftfreq(n * os, 1.0 / os), scipy.fft.rfftfreq(n * os, 1.0 / os)
+    swept = transfer(fy, fx, path.x_px, path.y_px, path.weight)
+    spectrum = blur.transfer(fy[:, None], fx[None, :]) * os**2 - core_spectrum(core, None, n, n)
+    exact = scipy.fft.irfft2(spectrum * swept, s=(n * os, n * os))
+    worst = 0.0
+    for step in range(3):
+        shift = step * os // 3
+        at = np.full(1, size // 2 + shift / os)
+        image = np.zeros((size, size))
+        light = scipy.fft.rfft2(spread(grid, at, at, np.ones(1)))
+        add_wings(image, (0, 0), grid, convolve(light * kernel, grid))
+        index = (np.arange(size) - size // 2) * os - shift
+        worst = max(worst, float(np.abs(image - exact[np.ix_(index, index)]).max()))
+    return worst
+
+
+def _core_transfer(core: Core, fy: Array, fx: Array) -> NDArray[np.complex128]:
+    """Fourier transform of the core at the frequencies fy (n,), fx (m,) -> (n, m)."""
+    half = core.samples.shape[0] // 2
+    at = np.arange(-half, half + 1) / core.oversampling
+    left = np.exp(-2j * np.pi * fy[:, None] * at[None, :])
+    right = np.exp(-2j * np.pi * at[:, None] * fx[None, :])
+    return _product(_product(left, core.samples.astype(complex)), right) / core.oversampling**2
+
+
+@njit(cache=True, nogil=True)
+def _product(a, b):  # type: ignore[no-untyped-def]
+    """Matrix product in a fixed order of additions (a BLAS may reorder with its thread count)."""
+    out = np.zeros((a.shape[0], b.shape[1]), np.complex128)
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            v = a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += v * b[k, j]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _spline(u, w):  # type: ignore[no-untyped-def]
+    """Cubic B-spline weights of the four grid points around a place at fraction u."""
+    v = 1.0 - u
+    w[0] = v * v * v / 6.0
+    w[1] = 2.0 / 3.0 - u * u * (1.0 + v) / 2.0
+    w[2] = 2.0 / 3.0 - v * v * (1.0 + u) / 2.0
+    w[3] = u * u * u / 6.0
+
+
+@njit(cache=True, nogil=True)
+def _spread(out, y0, x0, h, xs, ys, light):  # type: ignore[no-untyped-def]
+    wy, wx = np.empty(4), np.empty(4)
+    for s in range(xs.size):
+        gy, gx = (ys[s] - y0) / h, (xs[s] - x0) / h
+        iy, ix = int(np.floor(gy)), int(np.floor(gx))
+        if iy < 1 or ix < 1 or iy + 2 >= out.shape[0] or ix + 2 >= out.shape[1]:
+            continue
+        _spline(gy - iy, wy)
+        _spline(gx - ix, wx)
+        for i in range(4):
+            for j in range(4):
+                out[iy - 1 + i, ix - 1 + j] += light[s] * wy[i] * wx[j]
+
+
+@njit(cache=True, nogil=True)
+def _read(image, oy, ox, h, field):  # type: ignore[no-untyped-def]
+    ny, nx = image.shape
+    wy = np.empty(4)
+    wx = np.empty((nx, 4))
+    at = np.empty(nx, np.int64)
+    for c in range(nx):
+        g = (c + ox) / h
+        at[c] = int(np.floor(g))
+        _spline(g - at[c], wx[c])
+    columns = np.empty(field.shape[1])
+    for r in range(ny):
+        g = (r + oy) / h
+        iy = int(np.floor(g))
+        _spline(g - iy, wy)
+        for j in range(field.shape[1]):
+            columns[j] = (
+                wy[0] * field[iy - 1, j]
+                + wy[1] * field[iy, j]
+                + wy[2] * field[iy + 1, j]
+                + wy[3] * field[iy + 2, j]
+            )
+        for c in range(nx):
+            j = at[c]
+            image[r, c] += (
+                wx[c, 0] * columns[j - 1]
+                + wx[c, 1] * columns[j]
+                + wx[c, 2] * columns[j + 1]
+                + wx[c, 3] * columns[j + 2]
+            )

@@ -1,0 +1,1 @@
+"""How the sensor points and how light moves over the focal plane."""

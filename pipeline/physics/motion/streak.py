@@ -1,0 +1,141 @@
+"""Streaks: the path of a source during an exposure, as weighted straight segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LONGEST_PIECE_PX = 96.0
+
+
+@dataclass(frozen=True)
+class Path:
+    """A polyline with the share of the light on each segment.
+
+    x_px, y_px : (n + 1,) nodes relative to a reference point, pixels
+    weight : (n,) share of the source's light on each segment, spread evenly along it
+    """
+
+    x_px: Array
+    y_px: Array
+    weight: Array
+
+    @property
+    def segments(self) -> int:
+        return len(self.weight)
+
+    @property
+    def length_px(self) -> float:
+        return float(np.sum(np.hypot(np.diff(self.x_px), np.diff(self.y_px))))
+
+    @property
+    def key(self) -> tuple[bytes, bytes, bytes]:
+        """What makes two paths the same path (for caching what is computed from them)."""
+        return self.x_px.tobytes(), self.y_px.tobytes(), self.weight.tobytes()
+
+
+POINT = Path(np.zeros(2), np.zeros(2), np.ones(1))
+
+
+def path_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -> Path:
+    """Path through nodes at equal steps of time, with straight uniform runs made one segment.
+
+    x_px, y_px : (n + 1,); weight : (n,) light on each step. The nodes of a run are merged when
+    none of them is farther than `tolerance_px` from the place that uniform motion along the
+    merged segment gives it, so that neither shape nor speed changes by more than that.
+    """
+    x, y, w = (np.asarray(a, float) for a in (x_px, y_px, weight))
+    keep = [0]
+    while keep[-1] < len(w):
+        keep.append(_longest_run(x, y, w, keep[-1], tolerance_px))
+    merged = np.add.reduceat(w, keep[:-1])
+    return Path(x[keep], y[keep], merged)
+
+
+def _longest_run(x: Array, y: Array, w: Array, start: int, tolerance_px: float) -> int:
+    """Last node that one segment from `start` may reach (tried by halving, longest first)."""
+    stop = len(w)
+    while stop > start + 1:
+        light = np.concatenate([[0.0], np.cumsum(w[start:stop])])
+        total = light[-1]
+        share = light / total if total > 0 else np.linspace(0, 1, stop - start + 1)
+        off = np.hypot(
+            x[start] + share * (x[stop] - x[start]) - x[start : stop + 1],
+            y[start] + share * (y[stop] - y[start]) - y[start : stop + 1],
+        )
+        if off.max() <= tolerance_px:
+            return stop
+        stop = start + max(1, (stop - start) // 2)
+    return stop
+
+
+def pieces(path: Path, longest_px: float = LONGEST_PIECE_PX) -> list[tuple[float, float, Path, float]]:
+    """Cut a path into pieces short enough to draw from one small table.
+
+    Returns (x0_px, y0_px, piece, share): the piece is relative to (x0, y0), its weights sum to
+    one, and `share` is its part of the light. A straight uniform streak gives equal pieces, so
+    that one table serves all of them.
+    """
+    out: list[tuple[float, float, Path, float]] = []
+    group: list[int] = []
+    used = 0.0
+    for k in range(path.segments):
+        dx, dy = path.x_px[k + 1] - path.x_px[k], path.y_px[k + 1] - path.y_px[k]
+        length = float(np.hypot(dx, dy))
+        if length > longest_px:
+            out += _flush(path, group)
+            group, used = [], 0.0
+            out += _cut(path, k, int(np.ceil(length / longest_px)))
+            continue
+        if group and used + length > longest_px:
+            out += _flush(path, group)
+            group, used = [], 0.0
+        group.append(k)
+        used += length
+    return out + _flush(path, group)
+
+
+def _cut(path: Path, k: int, count: int) -> list[tuple[float, float, Path, float]]:
+    dx, dy = (path.x_px[k + 1] - path.x_px[k]) / count, (path.y_px[k + 1] - path.y_px[k]) / count
+    piece = Path(np.array([-dx / 2, dx / 2]), np.array([-dy / 2, dy / 2]), np.ones(1))
+    share = float(path.weight[k]) / count
+    return [
+        (path.x_px[k] + (i + 0.5) * dx, path.y_px[k] + (i + 0.5) * dy, piece, share)
+        for i in range(count)
+    ]
+
+
+def _flush(path: Path, group: list[int]) -> list[tuple[float, float, Path, float]]:
+    share = float(np.sum(path.weight[group])) if group else 0.0
+    if share <= 0:
+        return []
+    nodes = slice(group[0], group[-1] + 2)
+    x, y = path.x_px[nodes], path.y_px[nodes]
+    x0, y0 = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
+    return [(float(x0), float(y0), Path(x - x0, y - y0, path.weight[group] / share), share)]
+
+
+@njit(cache=True, nogil=True)
+def transfer(fy: Array, fx: Array, x: Array, y: Array, weight: Array) -> NDArray[np.complex128]:
+    """Transfer function of a path: sum of w sinc(f.d) exp(-2 pi i f.m) over its segments.
+
+    fy (n,), fx (m,) in cycles per pixel; x, y (k + 1,) nodes in pixels; weight (k,).
+    Returns (n, m). Exact for motion that is uniform along each segment: the time average of a
+    uniformly moving point is a box along its segment, whose transform is the sinc.
+    """
+    out = np.zeros((fy.size, fx.size), np.complex128)
+    for k in range(weight.size):
+        dx, dy = x[k + 1] - x[k], y[k + 1] - y[k]
+        mx, my = 0.5 * (x[k + 1] + x[k]), 0.5 * (y[k + 1] + y[k])
+        for i in range(fy.size):
+            for j in range(fx.size):
+                half = np.pi * (fy[i] * dy + fx[j] * dx)
+                sinc = 1.0 - half * half / 6.0 if abs(half) < 1e-4 else np.sin(half) / half
+                turn = -2.0 * np.pi * (fy[i] * my + fx[j] * mx)
+                out[i, j] += weight[k] * sinc * complex(np.cos(turn), np.sin(turn))
+    return out

@@ -1,0 +1,1 @@
+"""Where things are: time scales, the Earth, orbits, apparent places, the focal plane."""

@@ -1,0 +1,1 @@
+"""What a target sends towards the observer: shapes, eclipse, lighting."""

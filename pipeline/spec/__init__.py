@@ -1,0 +1,1 @@
+"""What is asked for: the scene file as frozen, strictly checked models."""

@@ -1,0 +1,210 @@
+"""From YAML, JSON or plain data to a Scene; every mistake named by field, value and remedy."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from pipeline.errors import BadInput, shorten
+from pipeline.spec.scene import Scene
+
+MAX_BYTES = 1 << 20
+MAX_DEPTH = 32
+
+
+class InvalidScene(BadInput):
+    """A scene with mistakes: `mistakes` holds (field, value, allowed) of each, first ones first."""
+
+    def __init__(self, mistakes: list[tuple[str, Any, str]]) -> None:
+        self.mistakes = mistakes
+        super().__init__(*mistakes[0])
+
+    def __str__(self) -> str:
+        lines = [f"{f}: {shorten(v)} is not accepted; {a}" for f, v, a in self.mistakes[:20]]
+        more = len(self.mistakes) - 20
+        return "\n".join(lines + ([f"... and {more} more"] if more > 0 else []))
+
+
+def load_scene(path: Path, overrides: Iterable[str] = ()) -> Scene:
+    """Read a scene file (YAML or JSON), apply `a.b=value` overrides, check it.
+
+    Relative paths inside the scene are taken from the scene file's folder.
+    """
+    if not path.is_file():
+        raise BadInput("SCENE", str(path), "an existing scene file (YAML or JSON)")
+    if path.stat().st_size > MAX_BYTES:
+        raise BadInput("SCENE", str(path), f"a file of at most {MAX_BYTES} bytes")
+    data = parse_text(path.read_bytes(), str(path))
+    for override in overrides:
+        apply_override(data, override)
+    return parse_scene(data, base=path.parent)
+
+
+def parse_text(raw: bytes, name: str = "scene") -> Any:
+    """Plain data from YAML 1.2 or JSON text; duplicates, aliases and deep nesting are refused."""
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise BadInput(name, raw[:20], "UTF-8 text") from error
+    return parse_yaml(text, name)
+
+
+def parse_yaml(text: str, name: str = "scene") -> Any:
+    """YAML 1.2 (a superset of JSON): `1e5` is a number and `12:30:00` is text."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.constructor import SafeConstructor
+    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import AliasEvent, MappingStartEvent, SequenceStartEvent
+
+    class Plain(SafeConstructor):
+        """Timestamps stay text: the epoch is parsed by the product's own clock."""
+
+    Plain.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
+    try:
+        depth = 0
+        for event in YAML(typ="safe", pure=True).parse(text):
+            if isinstance(event, AliasEvent):
+                raise BadInput(name, f"*{event.anchor}", "a file without aliases")
+            if isinstance(event, MappingStartEvent | SequenceStartEvent):
+                depth += 1
+                if depth > 64 * MAX_DEPTH * MAX_DEPTH:
+                    break
+        reader = YAML(typ="safe", pure=True)
+        reader.Constructor = Plain
+        return reader.load(text)
+    except (YAMLError, RecursionError, ValueError) as error:
+        where = getattr(error, "problem_mark", None)
+        place = f"line {where.line + 1}, column {where.column + 1}" if where else "the text"
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise BadInput(name, place, f"YAML or JSON; {problem}") from None
+
+
+def parse_scene(data: Any, base: Path | None = None) -> Scene:
+    """Check plain data against the scene format. Raises InvalidScene with every mistake."""
+    if not isinstance(data, dict):
+        raise BadInput("scene", data, "a mapping of sections (schema, name, epoch, observer, ...)")
+    try:
+        scene = Scene.model_validate(data)
+    except ValidationError as error:
+        raise InvalidScene(_merged([_mistake(e, data) for e in error.errors()])) from None
+    except RecursionError:
+        raise BadInput("scene", "nested too deeply", f"at most {MAX_DEPTH} levels") from None
+    return scene if base is None else resolve_paths(scene, base)
+
+
+PATH_FIELDS = (
+    ("stars", "catalogue"),
+    ("sensor", "transmission"),
+    ("sensor", "quantum_efficiency"),
+    ("sensor", "gain_e_per_dn"),
+    ("sensor", "bias_dn"),
+    ("sensor", "flat"),
+    ("sensor", "dark_e_per_s"),
+    ("sensor", "read_noise_e"),
+    ("sensor", "bandpass", "path"),
+)
+
+
+def resolve_paths(scene: Scene, base: Path) -> Scene:
+    """The scene with the relative paths in it made absolute, from the folder `base`."""
+    data = scene.as_dict()
+    for *sections, key in PATH_FIELDS:
+        holder: Any = data
+        for section in sections:
+            holder = (holder or {}).get(section)
+        value = holder.get(key) if isinstance(holder, dict) else None
+        if isinstance(value, str) and "://" not in value:
+            holder[key] = str((base / Path(value).expanduser()).resolve())
+    return Scene.model_validate(data)
+
+
+def apply_override(data: Any, override: str) -> None:
+    """Set one dotted key: `sensor.read_noise_e=3`, `targets.0.body.albedo=0.3`."""
+    key, sep, text = override.partition("=")
+    if not sep or not re.fullmatch(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*", key):
+        raise BadInput("--set", override, "dotted.key=value")
+    value = parse_yaml(text, f"--set {key}") if text.strip() else None
+    *parents, last = key.split(".")
+    holder = data
+    for part in parents:
+        if isinstance(holder, list) and part.isdigit() and int(part) < len(holder):
+            holder = holder[int(part)]
+        elif isinstance(holder, dict):
+            if holder.get(part) is None:
+                holder[part] = {}
+            holder = holder[part]
+        else:
+            raise BadInput("--set", override, f"a key that exists up to {part!r}")
+    if isinstance(holder, list) and last.isdigit() and int(last) < len(holder):
+        holder[int(last)] = value
+    elif isinstance(holder, dict):
+        holder[last] = value
+    else:
+        raise BadInput("--set", override, f"a key that exists up to {last!r}")
+
+
+def scene_yaml(scene: Scene) -> str:
+    """A scene as YAML text, defaults filled in."""
+    from io import StringIO
+
+    from ruamel.yaml import YAML
+
+    out = StringIO()
+    writer = YAML(typ="safe", pure=True)
+    writer.default_flow_style = False
+    writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    writer.dump(json.loads(json.dumps(scene.as_dict())), out)
+    return out.getvalue()
+
+
+def _mistake(error: Any, data: Any) -> tuple[str, Any, str]:
+    """One mistake as (dotted field, value given, what is allowed), in the user's own names."""
+    names = _names(error["loc"], data, error["type"] == "missing")
+    context = error.get("ctx", {})
+    value = error.get("input")
+    if error["type"] == "unknown_key":
+        names.append(str(context["key"]))
+        value = value.get(context["key"]) if isinstance(value, dict) else value
+        return ".".join(names), value, str(context["allowed"])
+    if error["type"] == "missing":
+        return ".".join(names), None, "it must be given"
+    if "field" in context:
+        names.append(context["field"])
+        for part in context["field"].split("."):
+            value = value.get(part) if isinstance(value, dict) else value
+    message = error["msg"].replace("Input should be", "allowed:", 1)
+    return ".".join(names) or "scene", value, message[:400]
+
+
+def _merged(mistakes: list[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
+    """One mistake per field: the alternatives of a union are joined by "or"."""
+    by_field: dict[str, tuple[str, Any, str]] = {}
+    for field, value, allowed in mistakes:
+        if field in by_field:
+            also = allowed.removeprefix("allowed: ")
+            allowed = f"{by_field[field][2]}, or {also}"
+        by_field[field] = (field, value, allowed)
+    return list(by_field.values())
+
+
+def _names(loc: tuple[int | str, ...], data: Any, missing: bool) -> list[str]:
+    """The path of an error without the tags that pydantic puts in for unions."""
+    names: list[str] = []
+    holder = data
+    for i, part in enumerate(loc):
+        if isinstance(holder, dict):
+            if part in holder:
+                holder = holder[part]
+            elif i < len(loc) - 1 or not missing:
+                continue  # the tag of a union
+        elif isinstance(holder, list | tuple) and isinstance(part, int):
+            holder = holder[part] if part < len(holder) else None
+        else:
+            continue
+        names.append(str(part))
+    return names

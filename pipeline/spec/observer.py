@@ -1,0 +1,37 @@
+"""Who looks: a site on the ground, a satellite, or a fixed place in the solar system."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from pipeline.spec.orbit import StateOrbit, TleOrbit, Vector
+from pipeline.spec.strict import Strict
+
+
+class GroundObserver(Strict):
+    """A geodetic site (WGS 84)."""
+
+    kind: Literal["ground"]
+    latitude_deg: float = Field(ge=-90, le=90)
+    longitude_deg: float = Field(ge=-360, le=360, description="east positive")
+    height_m: float = Field(0.0, ge=-500, le=100_000)
+
+
+class OrbitObserver(Strict):
+    """A satellite on an orbit of its own."""
+
+    kind: Literal["orbit"]
+    orbit: Annotated[TleOrbit | StateOrbit, Field(discriminator="kind")]
+
+
+class FixedObserver(Strict):
+    """A place and velocity relative to the solar-system barycentre, ICRS axes, both constant."""
+
+    kind: Literal["fixed"]
+    position_au: Vector
+    velocity_m_s: Vector = (0.0, 0.0, 0.0)
+
+
+Observer = Annotated[GroundObserver | OrbitObserver | FixedObserver, Field(discriminator="kind")]

@@ -1,0 +1,158 @@
+"""The scene: everything that a product is made from."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from pipeline.spec.observer import Observer
+from pipeline.spec.orbit import Orbit
+from pipeline.spec.pointing import Pointing, TargetPointing
+from pipeline.spec.sensor import Sensor
+from pipeline.spec.strict import Fraction, NotNegative, Positive, Strict
+
+SCHEMA = "nightglass/scene/1"
+LAYERS = ("dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e")
+CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
+
+
+class Accuracy(Strict):
+    """How much error all approximations together may make.
+
+    noise_fraction : per pixel, in units of that pixel's noise sigma
+    flux_fraction : of each source's light, summed over an unbounded focal plane
+    """
+
+    noise_fraction: float = Field(0.05, gt=0, le=1)
+    flux_fraction: float = Field(1e-3, gt=0, le=0.1)
+
+
+class Exposure(Strict):
+    """Integration time and the frames of one dwell; frame k starts at epoch + k cadence."""
+
+    integration_s: float = Field(gt=0, le=1e5)
+    frames: int = Field(1, ge=1, le=100_000)
+    cadence_s: Positive | None = Field(None, description="default: the integration time")
+
+    @model_validator(mode="after")
+    def _cadence_holds_exposure(self) -> Exposure:
+        if self.cadence_s is not None and self.cadence_s < self.integration_s:
+            raise PydanticCustomError(
+                "cadence",
+                "allowed: at least integration_s = {t}",
+                {"t": self.integration_s, "field": "cadence_s"},
+            )
+        return self
+
+    @property
+    def step_s(self) -> float:
+        return self.cadence_s if self.cadence_s is not None else self.integration_s
+
+
+class Stars(Strict):
+    """Stars of a catalogue, and which effects move them."""
+
+    catalogue: str = Field(min_length=1, max_length=1024)
+    faintest_g_mag: float | None = Field(None, ge=-30, le=30)
+    space_motion: bool = True
+    parallax: bool = True
+    aberration: bool = True
+    deflection: bool = True
+
+
+class SphereBody(Strict):
+    """A diffuse (grey Lambertian) sphere."""
+
+    kind: Literal["sphere"]
+    diameter_m: Positive
+    albedo: Fraction
+
+
+class Target(Strict):
+    """One resident space object."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
+    orbit: Orbit
+    body: SphereBody
+    eclipse: bool = Field(True, description="dim it in the Earth's shadow")
+
+
+class Background(Strict):
+    """Light from the sky, the same over the field."""
+
+    uniform_mag_arcsec2: float | None = Field(
+        None, ge=-30, le=40, description="AB magnitude per square arcsecond in the sensor's band"
+    )
+    uniform_e_per_s: NotNegative | None = Field(None, description="electrons per second and pixel")
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Background:
+        if (self.uniform_mag_arcsec2 is None) == (self.uniform_e_per_s is None):
+            raise PydanticCustomError(
+                "one_of", "allowed: exactly one of uniform_mag_arcsec2 and uniform_e_per_s"
+            )
+        return self
+
+
+class Output(Strict):
+    """What is kept, and how."""
+
+    layers: tuple[Literal[LAYERS], ...] = ("dn",)  # type: ignore[valid-type]
+    tile_shape: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = Field(
+        None, description=f"a multiple of {CELL_PX} px on each axis, or the whole axis"
+    )
+    compression: Literal["blosc-zstd", "zstd", "none"] = "blosc-zstd"
+
+
+class Scene(Strict):
+    """A scene file, version 1."""
+
+    schema_: Literal["nightglass/scene/1"] = Field(alias="schema")
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$")
+    epoch: str = Field(max_length=40, description="UTC of the start of the first exposure")
+    seed: int = Field(0, ge=0, lt=2**63)
+    accuracy: Accuracy = Accuracy()
+    observer: Observer
+    sensor: Sensor
+    pointing: Pointing
+    exposure: Exposure
+    stars: Stars | None = None
+    targets: tuple[Target, ...] = Field((), max_length=100_000)
+    background: Background | None = None
+    output: Output = Output()
+
+    @model_validator(mode="after")
+    def _targets_are_known(self) -> Scene:
+        names = [t.name for t in self.targets]
+        twice = sorted({n for n in names if names.count(n) > 1}) if len(names) < 2000 else []
+        if twice or len(set(names)) != len(names):
+            raise PydanticCustomError(
+                "names",
+                "allowed: different names; twice: {twice}",
+                {"twice": ", ".join(twice) or "a name", "field": "targets"},
+            )
+        if isinstance(self.pointing, TargetPointing) and self.pointing.target not in names:
+            raise PydanticCustomError(
+                "target",
+                "allowed: the name of a target: {names}",
+                {"names": ", ".join(names[:10]) or "(there is none)", "field": "pointing.target"},
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _tiles_hold_whole_cells(self) -> Scene:
+        if self.output.tile_shape is not None:
+            for tile, full in zip(self.output.tile_shape, self.sensor.shape, strict=True):
+                if tile != full and (tile % CELL_PX or tile > full):
+                    raise PydanticCustomError(
+                        "tile",
+                        "allowed: on each axis a multiple of {cell} px up to {full}, or {full}",
+                        {"cell": CELL_PX, "full": full, "field": "output.tile_shape"},
+                    )
+        return self
+
+    def as_dict(self) -> dict:
+        """The scene with all defaults filled in, as plain data."""
+        return self.model_dump(mode="json", by_alias=True)

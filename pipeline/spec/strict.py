@@ -1,0 +1,54 @@
+"""The base of all models: frozen, finite, unknown keys refused with the nearest known one."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+# Keys of the scene format that this version does not render yet, and what it says of them.
+NOT_YET = {
+    "cosmic_rays": "cosmic rays are not in this version",
+    "distortion": "optical distortion is not in this version",
+    "pst": "stray light by a point-source transmittance is not in this version",
+    "zodiacal": "zodiacal light is not in this version; use a uniform background",
+    "galactic": "galactic light is not in this version; use a uniform background",
+    "stray_light": "stray light is not in this version; use a uniform background",
+}
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class Strict(BaseModel):
+    """A model that takes no unknown key and no value that is not finite."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, str_strip_whitespace=True
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_unknown_keys(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            known = {f.alias or name for name, f in cls.model_fields.items()}
+            for key in data:
+                if key not in known:
+                    raise unknown_key(str(key), sorted(known))
+        return data
+
+
+def unknown_key(key: str, known: list[str]) -> PydanticCustomError:
+    """The error for a key that is not in the format."""
+    if key in NOT_YET:
+        allowed = NOT_YET[key]
+    else:
+        near = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        allowed = f"{hint}known keys: {', '.join(known)}"
+    return PydanticCustomError(
+        "unknown_key", "unknown key; {allowed}", {"key": key, "allowed": allowed}
+    )

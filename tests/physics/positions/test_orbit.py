@@ -1,0 +1,192 @@
+"""SGP4 against its published verification states, malformed elements, two-body motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from sgp4.api import WGS72, Satrec
+
+from pipeline.errors import BadInput
+from pipeline.physics.constants import EARTH_GM_M3_S2
+from pipeline.physics.positions.earth import teme_to_gcrs
+from pipeline.physics.positions.orbit import (
+    check_above_earth,
+    check_tle,
+    tle_states,
+    tle_states_teme,
+    two_body,
+)
+from pipeline.physics.positions.times import instants, parse_utc
+
+LINE1 = "1 25544U 98067A   19110.12345678  .00001000  00000-0  23000-4 0  9990"
+LINE2 = "2 25544  51.6400 100.0000 0002000  80.0000 280.0000 15.52000000166009"
+
+
+def with_checksum(line: str) -> str:
+    return line[:68] + str(sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10)
+
+
+LINE1, LINE2 = with_checksum(LINE1), with_checksum(LINE2)
+
+
+def verification(folder: Path) -> list[tuple[str, str, np.ndarray]]:
+    """(line 1, line 2, rows of minutes, x y z km, vx vy vz km/s) of every satellite."""
+    lines = [t for t in (folder / "SGP4-VER.TLE").read_text().splitlines() if t[:1] in "12"]
+    states: list[list[list[float]]] = []
+    for row in (folder / "tcppver.out").read_text().splitlines():
+        if row.rstrip().endswith("xx"):
+            states.append([])
+        elif row.strip():
+            states[-1].append([float(x) for x in row.split()[:7]])
+    return [
+        (a, b, np.array(rows))
+        for a, b, rows in zip(lines[::2], lines[1::2], states, strict=True)
+    ]  # fmt: skip
+
+
+def test_against_the_sgp4_verification_set(shared_data: Path) -> None:
+    count, worst_km, worst_km_s = 0, 0.0, 0.0
+    for line1, line2, rows in verification(shared_data / "sgp4_verification"):
+        satellite = Satrec.twoline2rv(line1, line2, WGS72)
+        day = np.full(len(rows), satellite.jdsatepoch)
+        p, v, _ = tle_states_teme(line1, line2, day, satellite.jdsatepochF + rows[:, 0] / 1440)
+        worst_km = max(worst_km, float(np.max(np.abs(p - rows[:, 1:4]))))
+        worst_km_s = max(worst_km_s, float(np.max(np.abs(v - rows[:, 4:7]))))
+        count += len(rows)
+    assert count == 667
+    assert worst_km < 2e-6
+    assert worst_km_s < 2e-8
+
+
+def test_real_elements_are_accepted(shared_data: Path) -> None:
+    for name in ("geo", "visual", "molniya", "analyst"):
+        text = (shared_data / "tle" / f"celestrak_2019-04_{name}.txt").read_text()
+        lines = [t for t in text.splitlines() if t[:2] in ("1 ", "2 ")]
+        for line1, line2 in zip(lines[::2], lines[1::2], strict=True):
+            check_tle(line1, line2)
+
+
+def test_same_states_as_teme_turned() -> None:
+    at = instants(parse_utc("2019-04-21T03:00:00Z"), np.array([0.0, 60.0, 3600.0]))
+    p, v = tle_states(LINE1, LINE2, at)
+    q, w, _ = tle_states_teme(LINE1, LINE2, at.utc1, at.utc2)
+    m = teme_to_gcrs(at)
+    assert np.allclose(p, np.einsum("nij,nj->ni", m, q) * 1e3, atol=1e-2)
+    assert np.allclose(v, np.einsum("nij,nj->ni", m, w) * 1e3, atol=1e-5)
+
+
+def test_velocity_is_the_derivative() -> None:
+    at = instants(parse_utc("2019-04-21T03:00:00Z"), np.array([-0.5, 0.0, 0.5]))
+    p, v = tle_states(LINE1, LINE2, at)
+    assert np.allclose(p[2] - p[0], v[1], atol=0.05)
+
+
+def test_limits_a_leap_second_does_not_move_the_satellite() -> None:
+    line1 = with_checksum(LINE1[:18] + "16366.50000000" + LINE1[32:])
+    at = instants(parse_utc("2016-12-31T23:59:58Z"), np.arange(6.0))
+    p, v = tle_states(line1, LINE2, at)
+    steps = np.linalg.norm(np.diff(p, axis=0), axis=1)
+    assert np.allclose(steps, np.linalg.norm(v[0]), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("line1", "line2", "words"),
+    [
+        (LINE1[:68] + str((int(LINE1[68]) + 1) % 10), LINE2, ["line1", f"checksum {LINE1[68]}"]),
+        (LINE1, LINE2[:30] + "9" + LINE2[31:], ["line2", "checksum"]),
+        (LINE2, LINE1, ["line1", "starting '1 '"]),
+        (LINE1, LINE1, ["line2", "starting '2 '"]),
+        (LINE1, with_checksum(LINE2.replace("25544", "25545")), ["line2", "25544"]),
+        (LINE1[:60], LINE2, ["line1", "69 characters"]),
+        ("", LINE2, ["line1"]),
+        (LINE1.replace(" ", "\u00a0", 1), LINE2, ["line1", "ASCII"]),
+        (LINE1, with_checksum(LINE2[:26] + "zzzzzzz" + LINE2[33:]), ["line2", "eccentricity"]),
+        (with_checksum(LINE1[:18] + "x" + LINE1[19:]), LINE2, ["line1", "epoch"]),
+        (with_checksum(LINE1[:23] + " " + LINE1[24:]), LINE2, ["line1", "epoch"]),
+        (None, LINE2, ["line1"]),
+    ],
+)
+def test_limits_malformed_elements(line1: str, line2: str, words: list[str]) -> None:
+    with pytest.raises(BadInput) as error:
+        check_tle(line1, line2, "targets.0.orbit")
+    assert all(word in str(error.value) for word in words), str(error.value)
+    assert error.value.field.startswith("targets.0.orbit")
+
+
+def test_limits_decayed_orbit_says_so() -> None:
+    low = with_checksum(LINE2[:52] + "16.70000000" + LINE2[63:])
+    drag = with_checksum(LINE1[:53] + " 99999-1" + LINE1[61:])
+    with pytest.raises(BadInput, match="SGP4 code"):
+        tle_states(drag, low, instants(parse_utc("2019-05-20T00:00:00Z"), np.array([0.0])))
+
+
+def test_limits_below_the_ground() -> None:
+    check_above_earth(np.array([[0.0, 0.0, 6.4e6]]), "observer.position")
+    for bad in (6.3e6, 0.0, np.nan):
+        with pytest.raises(BadInput, match="surface"):
+            check_above_earth(np.array([bad, 0.0, 0.0]), "observer.position")
+
+
+def integrate(r: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+    def rate(_: float, y: np.ndarray) -> np.ndarray:
+        return np.concatenate([y[3:], -EARTH_GM_M3_S2 * y[:3] / np.linalg.norm(y[:3]) ** 3])
+
+    y0 = np.concatenate([r, v])
+    scale = np.repeat([1e-6, 1e-9], 3)
+    return solve_ivp(rate, (0, t), y0, method="DOP853", rtol=1e-13, atol=scale).y[:, -1]
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.2, np.sqrt(2) * (1 - 1e-9), np.sqrt(2), 1.4142136, 2.5])
+@pytest.mark.parametrize("inward", [0.0, -0.6, 0.4])
+def test_against_dop853(factor: float, inward: float) -> None:
+    """Circle, ellipse, both sides of the parabola, hyperbola; ahead and back in time."""
+    r = np.array([7.0e6, 1.0e6, -2.0e6])
+    direction = np.cross([0.1, 0.3, 1.0], r)
+    direction = direction / np.linalg.norm(direction) + inward * r / np.linalg.norm(r)
+    speed = factor * np.sqrt(EARTH_GM_M3_S2 / np.linalg.norm(r))
+    v = direction / np.linalg.norm(direction) * speed
+    times = np.array([-5000.0, -10.0, 0.0, 3.0, 20000.0])
+    p, w = two_body(r, v, times)
+    for i in (0, 1, 3, 4):
+        y = integrate(r, v, times[i])
+        size = np.linalg.norm(y[:3])
+        assert np.linalg.norm(p[i] - y[:3]) < 3e-10 * size + 1e-3
+        assert np.linalg.norm(w[i] - y[3:]) < 3e-10 * np.linalg.norm(y[3:]) + 1e-6
+    assert np.allclose(p[2], r, rtol=1e-14)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.floats(0.05, 4.0), st.floats(-1.55, 1.55), st.floats(6.5e6, 4e8), st.floats(-3e6, 3e6)
+)  # fmt: skip
+def test_two_body_keeps_energy_and_momentum(
+    factor: float, angle: float, r0: float, dt: float
+) -> None:
+    r = np.array([r0, 0.0, 0.0])
+    circular = np.sqrt(EARTH_GM_M3_S2 / r0)
+    v = factor * circular * np.array([np.sin(angle), 0.8 * np.cos(angle), 0.6 * np.cos(angle)])
+    p, w = two_body(r, v, np.array([dt]))
+    size, back = np.linalg.norm(p[0]), np.linalg.norm(w[0])
+    kinetic = 0.5 * back**2
+    energy = kinetic - EARTH_GM_M3_S2 / size
+    assert abs(energy - (0.5 * v @ v - EARTH_GM_M3_S2 / r0)) < 1e-10 * (kinetic + circular**2)
+    assert np.linalg.norm(np.cross(p[0], w[0]) - np.cross(r, v)) < 1e-9 * size * back + 1e-3
+    home, _ = two_body(p[0], w[0], np.array([-dt]))
+    assert np.linalg.norm(home[0] - r) < 1e-6 * max(r0, size)
+
+
+def test_limits_whole_periods_and_free_fall() -> None:
+    r, v = np.array([7e6, 0.0, 0.0]), np.array([0.0, 7800.0, 1000.0])
+    a = 1 / (2 / 7e6 - v @ v / EARTH_GM_M3_S2)
+    period = 2 * np.pi * np.sqrt(a**3 / EARTH_GM_M3_S2)
+    p, _ = two_body(r, v, period * np.array([-1.0, 1.0, 1000.0]))
+    assert np.allclose(p, r, atol=1e-2)
+    fall, speed = two_body(np.array([4e7, 0, 0]), np.zeros(3), np.array([100.0, 5000.0]))
+    assert np.allclose(fall[:, 1:], 0)
+    assert fall[0, 0] == pytest.approx(4e7 - 0.5 * EARTH_GM_M3_S2 / 16e14 * 1e4, rel=1e-9)
+    assert np.all(np.isfinite(speed))
