@@ -17,7 +17,7 @@ from .catalogue import Catalogue, Leaf, open_catalogue, write_manifest
 from .columns import STORED
 from .errors import BadInput
 from .judging import DUPLICATE, REJECTS, ROW_COLUMN, rejects
-from .partition import COUNT_ORDER, Cell, Pixels, choose_leaves
+from .partition import COUNT_ORDER, Cell, Pixels, choose_leaves, coarser, healpix_29
 from .pieces import Piece, Source, Split, read_rejects, rows_between, split
 from .publish import publishing
 from .shards import write_shard
@@ -26,6 +26,10 @@ REJECTS_NAME = "rejects.parquet"
 Progress = Callable[[str, int, int], None]  # stage, done, total
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """Tell nobody about progress."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ def build(
     *,
     rows_per_leaf: int,
     workers: int,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     overwrite: bool = False,
 ) -> IngestReport:
     """Write a catalogue from sources; it appears at `destination` whole, or not at all.
@@ -65,15 +69,14 @@ def build(
     """
     if rows_per_leaf < 1:
         raise BadInput("rows_per_leaf", rows_per_leaf, "at least 1")
-    if workers < 1:
-        raise BadInput("workers", workers, "at least 1")
-    tell = progress or (lambda stage, done, total: None)
     with publishing(destination, overwrite=overwrite) as work:
         pieces_folder = work / "pieces"
         pieces_folder.mkdir()
         order = range(len(sources))
         splits = list(
-            in_parallel(lambda i: split(sources[i], i, pieces_folder), order, workers, tell, "read")
+            in_parallel(
+                lambda i: split(sources[i], i, pieces_folder), order, workers, progress, "read"
+            )
         )
         counts = _total_counts(splits)
         pieces = [piece for s in splits for piece in s.pieces]
@@ -82,7 +85,7 @@ def build(
         labels = [source.label for source in sources]
         written = in_parallel(
             lambda cell: _write_leaf(work, cell, pieces, repeated, labels),
-            cells, workers, tell, "write",
+            cells, workers, progress, "write",
         )  # fmt: skip
         leaves, surplus = [], [read_rejects(splits)]
         for leaf, bad in written:
@@ -92,7 +95,7 @@ def build(
         records = [s.record for s in splits]
         catalogue = _describe(about, leaves, records, reasons)
         catalogue = replace(catalogue, digest=write_manifest(work, catalogue))
-        hats.write_hats_files(work, catalogue, _leaf_counts(counts, leaves, surplus), rows_per_leaf)
+        hats.write_hats_files(work, catalogue, _leaf_counts(counts, surplus[1:]), rows_per_leaf)
         _drop_pieces(pieces_folder)
     rows_in = sum(s.rows_in for s in splits)
     return IngestReport(open_catalogue(destination), rows_in, reasons)
@@ -108,6 +111,8 @@ def in_parallel(
     """Results in the items' order, on Dask's threads, a bounded window of tasks at a time."""
     import dask
 
+    if workers < 1:
+        raise BadInput("workers", workers, "at least 1")
     items = list(items)
     waiting, done = iter(items), 0
     task = dask.delayed(function, pure=False)
@@ -164,14 +169,14 @@ def _write_rejects(root: Path, rejected: pa.Table) -> dict[str, int]:
     return {entry["values"]: entry["counts"] for entry in sorted(counts, key=lambda e: e["values"])}
 
 
-def _leaf_counts(counts: Pixels, leaves: Sequence[Leaf], surplus: Sequence[pa.Table]) -> Pixels:
+def _leaf_counts(counts: Pixels, surplus: Sequence[pa.Table]) -> Pixels:
     """Rows by pixel without the surplus duplicates, so that the HATS maps add up to the rows."""
-    from .partition import coarser, healpix_29
-
     left = counts.copy()
-    for table in surplus[1:]:
+    for table in surplus:
         if table.num_rows:
-            pixels = coarser(healpix_29(table["ra"].to_numpy(), table["dec"].to_numpy()), COUNT_ORDER)
+            pixels = coarser(
+                healpix_29(table["ra"].to_numpy(), table["dec"].to_numpy()), COUNT_ORDER
+            )
             np.subtract.at(left, pixels, 1)
     return left
 

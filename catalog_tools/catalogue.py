@@ -21,7 +21,9 @@ from .errors import BadInput, Damaged
 MANIFEST_NAME = "nightglass.json"
 FORMAT = "nightglass/catalogue"
 VERSION = 1
-MAKE_ONE = "a catalogue; make one with `nightglass catalog demo -o PATH` or `nightglass catalog ingest`"
+MAKE_ONE = (
+    "a catalogue; make one with `nightglass catalog demo -o PATH` or `nightglass catalog ingest`"
+)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
@@ -56,7 +57,7 @@ def find(pieces: Sequence[Piece]) -> Duplicated:
         return Duplicated(np.empty(0, np.int64), np.empty(0, np.int64))
     found = []
     edges = _bucket_edges(pieces, total)
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         ids = np.sort(np.concatenate([_between(p, low, high) for p in pieces]))
         found.append(np.unique(ids[1:][ids[1:] == ids[:-1]]))
     repeated = np.concatenate(found)

@@ -40,7 +40,7 @@ def band_slices(g_mag: np.ndarray) -> list[slice]:
     neighbour.
     """
     cuts = [0]
-    for edge in np.searchsorted(g_mag, np.float32(BAND_EDGES_G_MAG), side="right"):
+    for edge in np.searchsorted(g_mag, np.array(BAND_EDGES_G_MAG, np.float32), side="right"):
         if edge - cuts[-1] >= MIN_BAND_ROWS:
             cuts.append(int(edge))
     if g_mag.size - cuts[-1] < MIN_BAND_ROWS and len(cuts) > 1:

@@ -8,7 +8,8 @@ holds the published number of stars:
 
 - Tycho-2 to V = 10 and UCAC4 to 15, as counted in http://hnsky.org/star_count.htm (H. Kleijn);
 - Gaia DR2: 161 million to G = 17 (Andrae et al. 2018, A&A 616, A8), 285 million to G = 18 (Anders
-  et al. 2019, A&A 628, A94), 1,692,919,135 in all (Brown et al. 2018, A&A 616, A1), taken at G = 21.
+  et al. 2019, A&A 628, A94), 1,692,919,135 in all (Brown et al. 2018, A&A 616, A1), taken
+  at G = 21.
 
 Between these, log N is interpolated. V is taken as G + 0.2 (Evans et al. 2018, A&A 616, A4, table
 A.2, at BP-RP = 1). Against a random 1/65536 sample of DR2 the totals agree to 10% and the densities

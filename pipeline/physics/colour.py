@@ -72,7 +72,7 @@ def choose_degree(
 ) -> int:
     """Smallest degree whose cross-validated rms is within 3% of the best one's.
 
-    Degrees above 5 gain under 0.003 mag on the Pickles library and swing at its sparse red end.
+    Degrees above 5 gain under 0.005 mag rms on the Pickles library and swing at its sparse red end.
     """
     rms = [cross_validated_rms_mag(bp_rp, band_minus_g, degree) for degree in degrees]
     return next(d for d, r in zip(degrees, rms, strict=True) if r <= 1.03 * min(rms) + 1e-12)
@@ -94,8 +94,7 @@ def star_electron_rate(
     1 default colour (BP or RP absent), 2 colour clamped to the range of the fit.
     BadInput where a G magnitude is not finite.
 
-    Limits: the fit is of unreddened stars; dust moves a star nearly along the same relation for
-    bands inside G's, and off it for narrow or red ones.
+    Limits: the fit is of unreddened stars; what dust does beyond the change of BP-RP is left out.
     """
     g = np.ascontiguousarray(g_mag, dtype=np.float64)
     bp = np.ascontiguousarray(bp_mag, dtype=np.float64)
@@ -121,7 +120,7 @@ def star_electron_rate(
 
 
 @njit(cache=True, nogil=True)
-def _rates(g, bp, rp, coefficients, low, high, default, zero, rate, flag):  
+def _rates(g, bp, rp, coefficients, low, high, default, zero, rate, flag):
     """Fill `rate` and `flag`; the index of the last star without a finite G, or -1."""
     bad = -1
     for i in range(g.size):

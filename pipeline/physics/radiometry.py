@@ -80,7 +80,7 @@ def _product(first: ResponseCurve, second: ResponseCurve) -> ResponseCurve:
     b = np.interp(grid, second.wavelength_m, second.value)
     bound = COMBINE_TOLERANCE * max(float(np.max(a * b)), np.finfo(float).tiny)
     bend = np.abs(np.diff(a) * np.diff(b)) / 4.0
-    # At most 1000 parts an interval: 1000**2 * COMBINE_TOLERANCE = 1 covers every bend.
+    # At most 1000 parts: curves that barely overlap cannot ask for endless points.
     parts = np.minimum(np.ceil(np.sqrt(bend / bound)), 1000).astype(int).clip(min=1)
     start = np.repeat(grid[:-1], parts)
     step = np.repeat(np.diff(grid) / parts, parts)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from astropy.table import Table
 
 from pipeline.inputs import colour_fit, curves
 from pipeline.physics.colour import ColourFit, colour_correction_mag, star_electron_rate
+from pipeline.physics.radiometry import photon_integral
 
 BOX = {"kind": "box", "short_nm": 400, "long_nm": 900}
 
@@ -47,8 +47,9 @@ def test_against_evans_polynomials(real, band):
     x = np.linspace(-0.5, 2.75, 300)
     published = -np.polynomial.polynomial.polyval(x, coefficients)
     difference = colour_correction_mag(x, fit) - published
-    assert np.sqrt(np.mean(difference**2)) < scatter + 0.02 * (band == "R")
-    assert np.max(np.abs(difference[x < 1.0])) < scatter
+    assert np.sqrt(np.mean(difference[x < 2.0] ** 2)) < 0.6 * scatter
+    # Unreddened dwarfs and giants leave Evans' mean relation for M stars, most so in R.
+    assert np.max(np.abs(difference)) < {"V": 0.06, "R": 0.18, "I": 0.10}[band]
     assert fit.spectra_count == 102
     assert fit.residual_rms_mag < 0.022
 
@@ -81,19 +82,13 @@ def test_limits_a0v_is_zero_and_scaled_to_g(real):
     library, _ = curves.stellar_library()
     _, wavelength, flux = next(star for star in library if star[0] == "A0V")
     g = curves.named_filter("gaiadr2-G")
-    per_unit = curves_rate(wavelength, flux, g)
+    per_unit = photon_integral(wavelength, flux, g)
     at_5556 = np.interp(5556e-10, wavelength, flux) / per_unit
     f5556 = at_5556 * fitted(named("gaiadr2-G")).zero_electrons_s_m2 * 1e-6 * 1e-7
     assert f5556 == pytest.approx(3.587e-15, rel=4e-3)
     assert f5556 * 10 ** (0.4 * (25.6914396869 - 25.6883657251)) == pytest.approx(
         3.587e-15, rel=1e-3
     )
-
-
-def curves_rate(wavelength, flux, response) -> float:
-    from pipeline.physics.radiometry import photon_integral
-
-    return photon_integral(wavelength, flux, response)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +152,6 @@ def test_same_description_carries_every_spectrum(embedded):
     assert len(described["spectra"]) == len(points.names) == fit.spectra_count
     worst = max(abs(row["residual_mag"]) for row in described["spectra"])
     assert worst == pytest.approx(fit.residual_max_mag)
-    assert replace(fit, band_name="x").band_name == "x"
     low = colour_fit.fit_band(points, "two", degree=2)
     assert low.coefficients.size == 3
     assert 0.0 < fit.default_error_mag < 0.05

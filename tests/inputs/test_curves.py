@@ -8,7 +8,13 @@ from astropy.io import fits
 
 from catalog_tools.errors import BadInput, Damaged
 from pipeline.inputs import curves
-from pipeline.physics.radiometry import ab_photon_rate, box, energy_integral, photon_integral
+from pipeline.physics.radiometry import (
+    ResponseCurve,
+    ab_photon_rate,
+    box,
+    energy_integral,
+    photon_integral,
+)
 
 BOX = {"kind": "box", "short_nm": 400, "long_nm": 900}
 
@@ -123,7 +129,8 @@ def test_against_published_gaia_passbands(shared_data):
         expected = np.where(table_nm[:, column] > 99, 0.0, table_nm[:, column])
         curve = curves.named_filter(f"gaiadr2-{band}")
         got = np.interp(table_nm[:, 0] * 1e-9, curve.wavelength_m, curve.value, left=0, right=0)
-        assert np.quantile(np.abs(got - expected), 0.995) < 1e-6
+        # speclite ends G at 1090 nm; the published 0.002 beyond that is left out there.
+        assert np.max(np.abs(got - expected)[table_nm[:, 0] < 1090.0]) < 1e-6
     # PHYSICS f: AB zero points worked out from these bands, pupil 0.7278 m2.
     for band, zero in (("G", 25.7889), ("BP", 25.3830), ("RP", 25.1134)):
         rate = ab_photon_rate(0.0, curves.named_filter(f"gaiadr2-{band}"))
@@ -151,9 +158,20 @@ def test_against_the_sun(real):
     vega_m = np.array(vega["WAVELENGTH"], float) * 1e-10
     vega_flux = np.array(vega["FLUX"], float) * 1e7
     assert np.interp(5556e-10, vega_m, vega_flux) == pytest.approx(3.4434e-2, rel=1e-3)
-    v = curves.named_filter("bessell-V")
-    ratio = photon_integral(wavelength, irradiance, v) / photon_integral(vega_m, vega_flux, v)
-    assert 0.03 - 2.5 * np.log10(ratio) == pytest.approx(-26.755, abs=0.01)
+    sun_v = {}
+    stsci = fits.getdata(real / "passbands" / "johnson_v_004_syn.fits", 1)
+    photon = curves.named_filter("bessell-V")
+    for name, v in (
+        ("photon", photon),
+        ("as tabulated", ResponseCurve(photon.wavelength_m, photon.value * photon.wavelength_m)),
+        ("stsci", ResponseCurve(stsci["WAVELENGTH"] * 1e-10, stsci["THROUGHPUT"])),
+    ):
+        ratio = photon_integral(wavelength, irradiance, v) / photon_integral(vega_m, vega_flux, v)
+        sun_v[name] = 0.03 - 2.5 * np.log10(ratio)
+    # The -26.755 of PHYSICS b counts photons with Bessell's energy responses; by 0.011 too bright.
+    assert sun_v["as tabulated"] == pytest.approx(-26.755, abs=0.001)
+    assert sun_v["photon"] == pytest.approx(sun_v["stsci"], abs=0.001)
+    assert sun_v["photon"] == pytest.approx(-26.76, abs=0.03)
     # Vega's own zero points in the DR2 bands (PHYSICS f).
     for name, zero in (("G", 25.6594), ("BP", 25.3122), ("RP", 24.7384)):
         rate = photon_integral(vega_m, vega_flux, curves.named_filter(f"gaiadr2-{name}"))
@@ -205,7 +223,7 @@ def test_against_pickles_embedded_boxes(real, monkeypatch):
     assert digest != curves.stellar_library_digest()
     bands = [box(a * 1e-9, b * 1e-9) for a, b in ((550, 575), (400, 900), (330, 680), (700, 1000))]
     for name, wavelength, flux in small:
-        assert np.all(flux > 0.0)
+        assert np.all(flux[1:-1] > 0.0)
         mine = np.array([photon_integral(wavelength, flux, band) for band in bands])
         theirs = np.array([photon_integral(*whole[name], band) for band in bands])
         error_mag = -2.5 * np.log10(mine / mine[0] * theirs[0] / theirs)

@@ -29,7 +29,7 @@ def aberrate(u: Array, beta: ArrayLike) -> Array:
     """Directions seen by a moving observer, exactly (special relativity), any |beta| < 1.
 
     u' = [u/g + b + g/(1+g) (u.b) b] / (1 + u.b), g = 1/sqrt(1 - b^2)
-    (Klioner 2003, AJ 125, 1580, eq. 11; Explanatory Supplement 3rd ed. eq. 7.40).
+    (Explanatory Supplement, 3rd ed., 7.40, divided by its length).
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def star_proper(
     beta = np.asarray(observer_velocity_m_s, float) / SPEED_OF_LIGHT_M_S
     u = np.ascontiguousarray(astrometric, dtype=np.float64)
     if deflection:
-        u = era.ldsun(u, unit(to_observer_m), distance_au)
+        u = unit(era.ldsun(u, unit(to_observer_m), distance_au))  # ERFA leaves 1e-10 at the limb
     if aberration:
         speed = float(np.sqrt(np.sum(beta**2)))
         u = era.ab(u, beta, distance_au, np.sqrt((1.0 - speed) * (1.0 + speed)))

@@ -25,7 +25,7 @@ _NUMBER = r"(?=.*\d)[ \d.+-]+"
 _COLUMNS = {
     1: (
         ("satellite number", 3, 7, r" *[0-9A-Z]?\d+"),
-        ("epoch", 19, 32, r"[ \d]\d[ \d]{3}\.[\d ]*"),
+        ("epoch", 19, 32, r"[ \d]\d[ \d]{2}\d\.\d+ *"),
         ("first derivative of the mean motion", 34, 43, _NUMBER),
         ("second derivative of the mean motion", 45, 52, _NUMBER),
         ("drag term", 54, 61, _NUMBER),
@@ -54,7 +54,7 @@ def tle_states(
     Raises BadInput for malformed lines and where SGP4 ends (decayed, eccentricity out of range...).
     """
     check_tle(line1, line2, field)
-    satellite = Satrec.twoline2rv(line1.rstrip(), line2.rstrip(), WGS72)
+    satellite = _satellite(line1.rstrip(), line2.rstrip(), field)
     epoch = (satellite.jdsatepoch, satellite.jdsatepochF)
     days = elapsed_s(epoch, instants.utc1, instants.utc2) / DAY_S
     errors, position_km, velocity_km_s = satellite.sgp4_array(
@@ -92,6 +92,13 @@ def tle_states_teme(
         np.ascontiguousarray(days, float), np.ascontiguousarray(fraction, float)
     )
     return position_km, velocity_km_s, errors
+
+
+def _satellite(line1: str, line2: str, field: str) -> Satrec:
+    try:
+        return Satrec.twoline2rv(line1, line2, WGS72)
+    except ValueError as error:
+        raise BadInput(field, line1, f"two-line elements that can be read ({error})") from error
 
 
 def check_tle(line1: str, line2: str, field: str = "orbit") -> None:
@@ -159,7 +166,7 @@ def two_body(
     if alpha > 0.0:
         period = 2.0 * np.pi / alpha**1.5
         if np.isfinite(period):
-            time = np.remainder(time + 0.5 * period, period) - 0.5 * period
+            time = time - period * np.round(time / period)
     s = _universal_anomaly(time, radial, alpha)
     u0, u1, u2, _ = _universal_functions(s, alpha)
     radius = u0 + radial * u1 + u2

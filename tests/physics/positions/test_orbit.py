@@ -118,6 +118,20 @@ def test_limits_malformed_elements(line1: str, line2: str, words: list[str]) -> 
     assert error.value.field.startswith("targets.0.orbit")
 
 
+@settings(max_examples=300, deadline=None)
+@given(st.integers(1, 2), st.integers(2, 67), st.text(" 0123456789.+-", min_size=1, max_size=9))
+def test_limits_mangled_elements_end_in_one_message(line: int, at: int, text: str) -> None:
+    """Any characters in any column, with a good checksum: states or BadInput, never a crash."""
+    lines = [LINE1, LINE2]
+    old = lines[line - 1]
+    lines[line - 1] = with_checksum((old[:at] + text + old[at + len(text) :])[:68] + "0")
+    try:
+        p, v = tle_states(*lines, instants(parse_utc("2019-04-21T03:00:00Z"), np.array([0.0])))
+    except BadInput:
+        return
+    assert np.all(np.isfinite(np.concatenate([p, v])))
+
+
 def test_limits_decayed_orbit_says_so() -> None:
     low = with_checksum(LINE2[:52] + "16.70000000" + LINE2[63:])
     drag = with_checksum(LINE1[:53] + " 99999-1" + LINE1[61:])

@@ -1,0 +1,139 @@
+"""The arrays that travel between stages: every field with shape and unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Value = float | Array
+
+
+@dataclass(frozen=True)
+class StarTable:
+    """Catalogue rows of n stars with their light; NaN where a quantity is not known.
+
+    source_id : int64; ra_rad, dec_rad : ICRS at the reference epoch
+    pm_ra_cosdec_rad_yr, pm_dec_rad_yr, parallax_rad, radial_velocity_m_s
+    g_mag : Gaia G; rate_e_s : electrons per second in the sensor; colour_flag : uint8, 0 measured
+    colour, 1 default colour, 2 colour clamped to the fitted range
+    """
+
+    source_id: NDArray[np.int64]
+    ra_rad: Array
+    dec_rad: Array
+    pm_ra_cosdec_rad_yr: Array
+    pm_dec_rad_yr: Array
+    parallax_rad: Array
+    radial_velocity_m_s: Array
+    g_mag: Array
+    rate_e_s: Array
+    colour_flag: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.source_id)
+
+
+@dataclass(frozen=True)
+class FrameStars:
+    """Stars of one frame that send light onto the focal plane, in drawing order.
+
+    x_px, y_px : place at mid-exposure; light_e : electrons in the exposure
+    ra_rad, dec_rad : astrometric direction (space motion and parallax applied, no aberration), the
+    coordinates of the product's WCS; the rest as in StarTable
+    """
+
+    source_id: NDArray[np.int64]
+    x_px: Array
+    y_px: Array
+    light_e: Array
+    ra_rad: Array
+    dec_rad: Array
+    g_mag: Array
+    colour_flag: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.source_id)
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Where everything is during F frames, at K equally spaced nodes of each exposure.
+
+    frame : (F,) frame numbers; offset_s : (F, K) seconds after the epoch
+    tt1, tt2, utc1, utc2 : (F, K) two-part Julian dates
+    observer_m, observer_m_s, sun_m : (F, K, 3) barycentric, ICRS axes
+    attitude : (F, K, 3, 3) proper attitude (rows +x, +y, boresight)
+    target_x_px, target_y_px : (T, F, K); target_light : (T, F, K) in-band irradiance at the
+        observer over the solar irradiance at 1 au (dimensionless)
+    target_range_m, target_phase_rad, target_sunlit : (T, F, K)
+    target_direction : (T, F, 3) proper direction at mid-exposure
+    """
+
+    frame: NDArray[np.int64]
+    offset_s: Array
+    tt1: Array
+    tt2: Array
+    utc1: Array
+    utc2: Array
+    observer_m: Array
+    observer_m_s: Array
+    sun_m: Array
+    attitude: Array
+    target_x_px: Array
+    target_y_px: Array
+    target_light: Array
+    target_range_m: Array
+    target_phase_rad: Array
+    target_sunlit: Array
+    target_direction: Array
+
+    @property
+    def nodes(self) -> int:
+        return self.offset_s.shape[1]
+
+    @property
+    def middle(self) -> int:
+        return self.nodes // 2
+
+    def frame_slice(self, index: int) -> Geometry:
+        """The geometry of one of its frames alone (what a task of that frame needs)."""
+        values: dict[str, Any] = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            axis = 1 if f.name.startswith("target_") else 0
+            values[f.name] = value.take([index], axis=axis)
+        return Geometry(**values)
+
+
+@dataclass(frozen=True)
+class SensorMaps:
+    """Each term a number or a (rows, columns) image; units as in the scene's keys."""
+
+    flat: Value
+    dark_e_per_s: Value
+    read_noise_e: Value
+    gain_e_per_dn: Value
+    bias_dn: Value
+
+    def typical(self, name: str) -> float:
+        """The number itself, or the image's median: what the plan reckons with."""
+        return float(np.median(getattr(self, name)))
+
+
+def select(table: Any, index: Any) -> Any:
+    """Rows of a StarTable or FrameStars."""
+    return type(table)(**{f.name: getattr(table, f.name)[index] for f in fields(table)})
+
+
+def concatenate(tables: list[Any], kind: type) -> Any:
+    """Tables of one kind, one after the other."""
+    if not tables:
+        floats = {"source_id": np.int64, "colour_flag": np.uint8}
+        return kind(**{f.name: np.empty(0, floats.get(f.name, float)) for f in fields(kind)})
+    return kind(
+        **{f.name: np.concatenate([getattr(t, f.name) for t in tables]) for f in fields(kind)}
+    )

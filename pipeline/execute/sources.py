@@ -1,0 +1,108 @@
+"""Sources of a frame: where each star and target stands, and how much light it sends."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
+from pipeline.physics.motion.streak import Path
+from pipeline.physics.positions.apparent import star_astrometric, star_proper
+from pipeline.physics.positions.focal_plane import project
+from pipeline.physics.vectors import to_angles
+from pipeline.plan.geometry import star_path
+from pipeline.plan.responses import rounded_path, zone_path
+from pipeline.plan.scene_plan import Plan
+
+STRIP_PX = 64.0  # stars are drawn in strips of rows, so that a stamp's pixels stay in the cache
+
+
+@dataclass(frozen=True)
+class FrameTarget:
+    """One target in one frame: its place at mid-exposure [px], path around it, light [e-]."""
+
+    index: int
+    x_px: float
+    y_px: float
+    path: Path
+    light_e: float
+
+
+def place_stars(plan: Plan, stars: StarTable, g: Geometry, ref_epoch_jyear: float) -> FrameStars:
+    """Stars of a table that send light onto the focal plane in the frame of `g` (one frame)."""
+    wish, middle = plan.scene.stars, g.middle
+    assert wish is not None
+    observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
+    astrometric = star_astrometric(
+        stars.ra_rad, stars.dec_rad, stars.pm_ra_cosdec_rad_yr, stars.pm_dec_rad_yr,
+        stars.parallax_rad if wish.parallax else np.full(len(stars), np.nan),
+        stars.radial_velocity_m_s, ref_epoch_jyear, float(g.tt1[0, middle]),
+        float(g.tt2[0, middle]), observer[0],
+    )  # fmt: skip
+    proper = star_proper(
+        astrometric, *observer, deflection=wish.deflection, aberration=wish.aberration
+    )
+    x, y = project(plan.camera, g.attitude[0, middle], proper)
+    halo = plan.halo_px + excursion_px(plan, g)
+    rows, columns = plan.camera.rows, plan.camera.columns
+    near = (x > -halo) & (x < columns - 1 + halo) & (y > -halo) & (y < rows - 1 + halo)
+    ra, dec = to_angles(astrometric[near])
+    kept = select(stars, near)
+    light = kept.rate_e_s * plan.scene.exposure.integration_s
+    return FrameStars(
+        kept.source_id, x[near], y[near], light, ra, dec, kept.g_mag, kept.colour_flag
+    )
+
+
+def drawing_order(stars: FrameStars) -> FrameStars:
+    """Stars in the one order in which every tile draws them: by strip of rows, then by id."""
+    strip = np.floor(stars.y_px / STRIP_PX)
+    return select(stars, np.lexsort((stars.source_id, strip)))
+
+
+def excursion_px(plan: Plan, g: Geometry) -> float:
+    """Farthest that a star of the frame moves from its place at mid-exposure, in whole 16 px."""
+    aberration = plan.scene.stars is None or plan.scene.stars.aberration
+    columns, rows = plan.camera.columns - 1.0, plan.camera.rows - 1.0
+    worst = 0.0
+    for x, y in ((columns / 2, rows / 2), (0, 0), (columns, 0), (0, rows), (columns, rows)):
+        px, py = star_path(plan.camera, g, x, y, aberration)
+        worst = max(worst, float(np.hypot(px - x, py - y).max()))
+    return 16.0 * math.ceil(worst / 16.0) if worst > 1e-3 else 0.0
+
+
+def streaks(plan: Plan, g: Geometry) -> list[Path]:
+    """The common streak of each zone, row by row."""
+    zones = plan.responses.zones
+    aberration = plan.scene.stars is None or plan.scene.stars.aberration
+    return [
+        zone_path(plan.camera, g, 0, row, column, zones, aberration)
+        for row in range(zones)
+        for column in range(zones)
+    ]
+
+
+def zone_of(plan: Plan, x_px: Array, y_px: Array) -> np.ndarray:
+    """Zone number (n,) of places; those off the frame belong to the nearest zone."""
+    zones = plan.responses.zones
+    row = np.clip(np.floor((y_px + 0.5) * zones / plan.camera.rows), 0, zones - 1)
+    column = np.clip(np.floor((x_px + 0.5) * zones / plan.camera.columns), 0, zones - 1)
+    return (row * zones + column).astype(np.int64)
+
+
+def place_targets(plan: Plan, g: Geometry) -> list[FrameTarget]:
+    """Targets that are in front of the camera and lit, with their light [e-] along their path."""
+    electrons = plan.sun_rate_e_s_m2 * plan.facts.area_m2 * plan.scene.exposure.integration_s
+    out = []
+    for i in range(len(plan.scene.targets)):
+        x, y, light = g.target_x_px[i, 0], g.target_y_px[i, 0], g.target_light[i, 0]
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            continue
+        share = 0.5 * (light[:-1] + light[1:]) / (g.nodes - 1)
+        total = float(share.sum())
+        x0, y0 = float(x[g.middle]), float(y[g.middle])
+        weight = share / total if total > 0 else np.full(g.nodes - 1, 1.0 / (g.nodes - 1))
+        out.append(FrameTarget(i, x0, y0, rounded_path(x - x0, y - y0, weight), total * electrons))
+    return out

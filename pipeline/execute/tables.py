@@ -1,0 +1,117 @@
+"""Response tables of this process: computed once by content, shared by all its tiles."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import numpy as np
+
+from pipeline.physics.drawing.wings import WingGrid, grid_frequencies, wing_kernel
+from pipeline.physics.motion.streak import Path, transfer
+from pipeline.physics.psf.pupil import Blur
+from pipeline.physics.psf.response import (
+    Core,
+    PixelResponse,
+    compact_core,
+    core_spectrum,
+    frequencies,
+    phase_table,
+    window,
+)
+
+KEPT_BYTES = 192e6
+
+
+class ContentCache:
+    """Values by the content that they are made from; the least recently used are dropped.
+
+    Each value is made once, also when several threads ask for it at the same time.
+    """
+
+    def __init__(self, limit_bytes: float) -> None:
+        self._limit = limit_bytes
+        self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._making: dict[Hashable, threading.Lock] = {}
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
+        with self._lock:
+            making = self._making.setdefault(key, threading.Lock())
+        with making:
+            with self._lock:
+                if key in self._values:
+                    self._values.move_to_end(key)
+                    return self._values[key][0]
+            value = make()
+            with self._lock:
+                self._values[key] = (value, size(value))
+                self._shrink()
+                self._making.pop(key, None)
+            return value
+
+    def _shrink(self) -> None:
+        while len(self._values) > 1 and sum(s for _, s in self._values.values()) > self._limit:
+            self._values.popitem(last=False)
+
+
+_CACHE = ContentCache(KEPT_BYTES)
+
+
+def core_of(blur: Blur, radius_px: float) -> Core:
+    """The compact core of a response."""
+    return _CACHE.get(
+        ("core", blur, radius_px),
+        lambda: compact_core(blur, radius_px),
+        lambda core: core.samples.nbytes,
+    )
+
+
+def swept_core(blur: Blur, radius_px: float, piece: Path) -> tuple[Core, np.ndarray, tuple, tuple]:
+    """A core with the spectrum of its streak: (core, spectrum, half window, period)."""
+    core = core_of(blur, radius_px)
+    half_y, half_x, period_y, period_x = window(
+        core, float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max())
+    )
+
+    def make() -> np.ndarray:
+        fy, fx = frequencies(core, period_y, period_x)
+        swept = transfer(fy, fx, piece.x_px, piece.y_px, piece.weight)
+        return core_spectrum(core, swept, period_y, period_x)
+
+    key = ("spectrum", blur, radius_px, piece.key)
+    spectrum = _CACHE.get(key, make, lambda s: s.nbytes)
+    return core, spectrum, (half_y, half_x), (period_y, period_x)
+
+
+def table_of(blur: Blur, radius_px: float, piece: Path, phases: int) -> PixelResponse:
+    """The phase table of a core swept along a piece of a streak."""
+
+    def make() -> PixelResponse:
+        core, spectrum, half, period = swept_core(blur, radius_px, piece)
+        return phase_table(core, spectrum, half, period, phases)
+
+    key = ("table", blur, radius_px, piece.key, phases)
+    return _CACHE.get(key, make, lambda t: t.values.nbytes)
+
+
+def kernel_of(
+    blur: Blur, radius_px: float, grid: WingGrid, reach_px: float, path: Path | None
+) -> np.ndarray:
+    """The wing's transfer function on a grid, with the common streak in it."""
+    shape = (grid.rows, grid.columns, grid.spacing_px)
+
+    def make() -> np.ndarray:
+        return wing_kernel(blur, core_of(blur, radius_px), grid, reach_px)
+
+    still = _CACHE.get(("wing", blur, radius_px, shape, reach_px), make, lambda k: k.nbytes)
+    if path is None:
+        return still
+
+    def sweep() -> np.ndarray:
+        return still * transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+
+    key = ("wing", blur, radius_px, shape, reach_px, path.key)
+    return _CACHE.get(key, sweep, lambda k: k.nbytes)

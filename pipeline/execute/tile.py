@@ -1,0 +1,92 @@
+"""One tile of one frame: light, layers, noise, digital numbers. Pure: same input, same bits."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
+from pipeline.errors import NightglassError
+from pipeline.execute.light import Wings, draw_stars, draw_targets
+from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
+from pipeline.physics.noise.streams import stream_key
+from pipeline.plan.scene_plan import Plan
+from pipeline.plan.tiles import Tile
+
+NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, beyond it is a fault
+
+
+def render_tile(
+    plan: Plan,
+    maps: SensorMaps,
+    g: Geometry,
+    tile: Tile,
+    parts: list[FrameStars],
+    wings: list[Wings],
+) -> dict[str, NDArray]:
+    """The layers of a tile that the scene asks for: `dn`, and the noise-free ones in float32.
+
+    The light layers are what the pixels collect (after the flat), so that with the dark they sum
+    to `mean_e`, the mean of the noisy frame before full well and ADC.
+    """
+    chain = _chain(plan, maps, tile)
+    layers: dict[str, Array] = {}
+    if plan.scene.stars is not None:
+        layers["stars_e"] = draw_stars(plan, g, tile, parts, wings) * chain.flat
+    if plan.scene.targets:
+        layers["targets_e"] = draw_targets(plan, g, tile, wings) * chain.flat
+    shape = (tile.rows, tile.columns)
+    if plan.facts.background_e > 0:
+        layers["background_e"] = np.broadcast_to(plan.facts.background_e * chain.flat, shape)
+    if np.any(chain.dark_e):
+        layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
+    mean = np.zeros(shape)
+    for layer in layers.values():
+        mean += layer
+    mean = _not_negative(plan, mean)
+    place = StreamPlace(
+        tile.y0, tile.x0, int(g.frame[0]), stream_key(plan.scene.seed, "photon_noise"),
+        stream_key(plan.scene.seed, "read_noise"),
+    )  # fmt: skip
+    out: dict[str, NDArray] = {"dn": to_dn(mean, chain, place)}
+    for name in plan.scene.output.layers:
+        if name != "dn":
+            value = mean if name == "mean_e" else layers.get(name, np.zeros(shape))
+            out[name] = value.astype(np.float32)
+    return out
+
+
+def _chain(plan: Plan, maps: SensorMaps, tile: Tile) -> Chain:
+    """The noise chain with the tile's part of each image."""
+    part = np.s_[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
+    s = plan.scene.sensor
+
+    def cut(value: float | Array) -> float | Array:
+        return value[part] if isinstance(value, np.ndarray) else value
+
+    dark = cut(maps.dark_e_per_s) * plan.scene.exposure.integration_s
+    return Chain(
+        flat=cut(maps.flat),
+        dark_e=dark,
+        full_well_e=s.full_well_e,
+        read_noise_e=cut(maps.read_noise_e),
+        gain_e_per_dn=cut(maps.gain_e_per_dn),
+        bias_dn=cut(maps.bias_dn),
+        adc_bits=s.adc_bits,
+        rounding=s.adc_rounding,
+        photon_noise=s.photon_noise,
+    )
+
+
+def _not_negative(plan: Plan, mean_e: Array) -> Array:
+    """The mean with the rounding of the transforms clipped at zero; a larger fault is refused."""
+    low = float(mean_e.min(initial=0.0))
+    if not np.isfinite(low) or not np.isfinite(mean_e).all():
+        raise NightglassError("a pixel's mean is not finite: a source or sensor image is damaged")
+    if low < 0.0:
+        peak = float(mean_e.max())
+        allowed = NEGATIVE_FLOOR * plan.facts.sigma_floor_e + 1e-6 * peak + plan.facts.budget_e
+        if low < -allowed:
+            raise NightglassError(f"a pixel's mean is {low:.3g} e-, below zero by more than rounding")
+        return np.maximum(mean_e, 0.0)
+    return mean_e

@@ -1,0 +1,71 @@
+"""The detector's terms as the scene gives them: numbers, or images from FITS and NPY files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.arrays import Array, SensorMaps, Value
+from pipeline.errors import BadInput
+from pipeline.spec.scene import Scene
+from pipeline.spec.sensor import NumberOrImage
+
+LIMITS = {  # least value allowed, and whether that value itself is
+    "flat": (0.0, True),
+    "dark_e_per_s": (0.0, True),
+    "read_noise_e": (0.0, True),
+    "gain_e_per_dn": (0.0, False),
+    "bias_dn": (-np.inf, True),
+}
+
+
+def gather_sensor_maps(scene: Scene) -> SensorMaps:
+    """Read the images that the sensor names and check shape, finiteness and range."""
+    values = {name: _gather(scene, name) for name in LIMITS}
+    return SensorMaps(**values)
+
+
+def _gather(scene: Scene, name: str) -> Value:
+    given: NumberOrImage = getattr(scene.sensor, name)
+    if not isinstance(given, str):
+        return float(given)
+    field = f"sensor.{name}"
+    image = read_image(Path(given), field)
+    if image.shape != scene.sensor.shape:
+        raise BadInput(
+            field, f"{given} of shape {image.shape}", f"an image of shape {scene.sensor.shape}"
+        )
+    if not np.isfinite(image).all():
+        count = int(np.size(image) - np.isfinite(image).sum())
+        raise BadInput(field, f"{given} with {count} NaN or infinite pixels", "finite pixels only")
+    least, inclusive = LIMITS[name]
+    low = float(image.min())
+    if low < least or (low == least and not inclusive):
+        bound = "at least" if inclusive else "greater than"
+        raise BadInput(field, f"{given} with a pixel of {low:g}", f"pixels {bound} {least:g}")
+    return image
+
+
+def read_image(path: Path, field: str) -> Array:
+    """A 2-D image of a .npy or FITS file as float64. BadInput where it is neither."""
+    if not path.is_file():
+        raise BadInput(field, str(path), "a number, or an existing .npy or .fits image")
+    if path.suffix == ".npy":
+        try:
+            image = np.load(path, allow_pickle=False)
+        except (ValueError, OSError, EOFError) as error:
+            raise BadInput(field, str(path), f"a readable .npy image; {error}") from None
+    elif path.name.endswith((".fits", ".fits.gz", ".fit")):
+        from astropy.io import fits
+
+        try:
+            with fits.open(path) as hdus:
+                image = next((h.data for h in hdus if getattr(h, "data", None) is not None), None)
+        except (OSError, ValueError, TypeError) as error:
+            raise BadInput(field, str(path), f"a readable FITS image; {error}") from None
+    else:
+        raise BadInput(field, str(path), "an image of kind .npy, .fits or .fits.gz")
+    if image is None or np.ndim(image) != 2 or np.asarray(image).dtype.kind not in "fiu":
+        raise BadInput(field, str(path), "a two-dimensional image of numbers")
+    return np.ascontiguousarray(image, dtype=np.float64)

@@ -1,0 +1,76 @@
+"""Stars from the catalogue: which leaves a field needs, and their rows with light attached."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from catalog_tools.catalogue import Catalogue, Leaf, open_catalogue
+from pipeline.arrays import StarTable
+from pipeline.errors import BadInput
+from pipeline.physics.colour import ColourFit, star_electron_rate
+from pipeline.physics.constants import DEG_RAD, MAS_RAD
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+__all__ = ["Catalogue", "Leaf", "gather_leaf", "gather_leaves", "open_catalogue"]
+
+
+def gather_leaves(
+    catalogue: Catalogue, centres: np.ndarray, radii_rad: np.ndarray, epoch_jyear: float
+) -> tuple[Leaf, ...]:
+    """Leaves that hold stars of any of the cones, each once, in catalogue order.
+
+    centres : (n, 3) unit vectors; radii_rad : (n,), already widened by aberration and halo.
+    """
+    from catalog_tools.query import leaves_in_cone
+
+    found = {
+        (leaf.order, leaf.pixel): leaf
+        for centre, radius in zip(centres, radii_rad, strict=True)
+        for leaf in leaves_in_cone(catalogue, centre, float(radius), epoch_jyear)
+    }
+    return tuple(found[key] for key in sorted(found))
+
+
+def gather_leaf(
+    catalogue: Catalogue,
+    leaf: Leaf,
+    faintest_g_mag: float | None,
+    fit: ColourFit,
+    area_m2: float,
+    unmoving: bool = False,
+) -> StarTable:
+    """Rows of a leaf that are bright enough, with their electron rate in the sensor's band.
+
+    area_m2 : collecting area of the pupil. `unmoving` leaves space motion out (the scene's wish).
+    """
+    from catalog_tools.query import read_leaf
+
+    rows = read_leaf(catalogue, leaf, faintest_g_mag)
+    g = _column(rows, "phot_g_mean_mag")
+    if not np.isfinite(g).all():
+        raise BadInput("stars.catalogue", catalogue.path, "stars with a finite G magnitude")
+    rate, flag = star_electron_rate(
+        g, _column(rows, "phot_bp_mean_mag"), _column(rows, "phot_rp_mean_mag"), fit
+    )
+    motion = np.nan if unmoving else 1.0
+    return StarTable(
+        source_id=rows["source_id"].to_numpy().astype(np.int64),
+        ra_rad=_column(rows, "ra") * DEG_RAD,
+        dec_rad=_column(rows, "dec") * DEG_RAD,
+        pm_ra_cosdec_rad_yr=_column(rows, "pmra") * MAS_RAD * motion,
+        pm_dec_rad_yr=_column(rows, "pmdec") * MAS_RAD * motion,
+        parallax_rad=_column(rows, "parallax") * MAS_RAD,
+        radial_velocity_m_s=_column(rows, "radial_velocity") * 1e3 * motion,
+        g_mag=g,
+        rate_e_s=rate * area_m2,
+        colour_flag=flag,
+    )
+
+
+def _column(rows: pa.Table, name: str) -> np.ndarray:
+    """A column as float64, NaN where it is null."""
+    return rows[name].to_numpy(zero_copy_only=False).astype(np.float64)

@@ -1,0 +1,1 @@
+"""What a scene needs: facts, decisions with their bounds, tiles and cost."""

@@ -1,0 +1,112 @@
+"""Facts of a scene: numbers that follow from it at once and on which decisions rest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.physics.psf.pupil import Airy, Blur, Gaussian, Optics
+from pipeline.physics.radiometry import (
+    ResponseCurve,
+    collecting_area_m2,
+    pixel_solid_angle_sr,
+    surface_brightness_electron_rate,
+)
+from pipeline.spec.scene import Scene
+from pipeline.spec.sensor import AiryPsf
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What the plan knows of a scene before any star is read.
+
+    area_m2 : collecting area; ifov_rad : side of a pixel on the sky
+    mean_wavelength_m : of the response, photon-weighted for a flat photon spectrum
+    blur : the response of optics, jitter, diffusion and pixel
+    background_e : sky per pixel and exposure; dark_e, read_noise_e : typical values (medians)
+    sigma_floor_e : noise of a pixel that holds no source: sky, dark, read noise, quantisation
+    budget_e : error that one approximation may make in such a pixel
+    """
+
+    area_m2: float
+    ifov_rad: float
+    mean_wavelength_m: float
+    blur: Blur
+    background_e_s: float
+    background_e: float
+    dark_e: float
+    read_noise_e: float
+    sigma_floor_e: float
+    budget_e: float
+
+
+APPROXIMATIONS = 4  # they share the noise budget equally: interpolation, wings, spans, streaks
+
+
+def gather_facts(
+    scene: Scene,
+    response: ResponseCurve,
+    dark_e_s: float,
+    read_noise_e: float,
+    gain_e_per_dn: float,
+) -> Facts:
+    """Facts from the scene, its response curve and the typical values of its sensor maps."""
+    s, t = scene.sensor, scene.exposure.integration_s
+    pitch = s.pixel_pitch_um * 1e-6
+    area = collecting_area_m2(s.aperture_m, s.obscuration)
+    wavelength = mean_wavelength_m(response)
+    blur = Blur(
+        optics_of(scene, wavelength), s.psf.jitter_px, s.psf.charge_diffusion_px, s.fill_factor
+    )
+    sky = background_rate_e_s(scene, response, area, pitch)
+    dark = dark_e_s * t
+    sigma = math.sqrt(sky * t + dark + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
+    return Facts(
+        area_m2=area,
+        ifov_rad=pitch / s.focal_length_m,
+        mean_wavelength_m=wavelength,
+        blur=blur,
+        background_e_s=sky,
+        background_e=sky * t,
+        dark_e=dark,
+        read_noise_e=read_noise_e,
+        sigma_floor_e=sigma,
+        budget_e=scene.accuracy.noise_fraction * sigma / APPROXIMATIONS,
+    )
+
+
+def mean_wavelength_m(response: ResponseCurve) -> float:
+    """Mean wavelength of the response [m], by the trapezium rule on its own points."""
+    w, v = response.wavelength_m, response.value
+    total = float(np.trapezoid(v, w))
+    return float(np.trapezoid(v * w, w)) / total if total > 0 else float(0.5 * (w[0] + w[-1]))
+
+
+def optics_of(scene: Scene, wavelength_m: float) -> Optics:
+    """The optics' blur: diffraction scale Q = lambda F / (D pitch), or the Gaussian as given."""
+    s = scene.sensor
+    if isinstance(s.psf, AiryPsf):
+        if s.psf.wavelength_nm is not None:
+            wavelength_m = s.psf.wavelength_nm * 1e-9
+        q = wavelength_m * s.focal_length_m / (s.aperture_m * s.pixel_pitch_um * 1e-6)
+        return Airy(q, s.obscuration)
+    return Gaussian(s.psf.sigma_px)
+
+
+def background_rate_e_s(
+    scene: Scene, response: ResponseCurve, area_m2: float, pitch_m: float
+) -> float:
+    """Sky electrons per second and pixel; 0 where the scene has no background."""
+    b = scene.background
+    if b is None:
+        return 0.0
+    if b.uniform_e_per_s is not None:
+        return b.uniform_e_per_s
+    assert b.uniform_mag_arcsec2 is not None
+    solid_angle = pixel_solid_angle_sr(pitch_m, scene.sensor.focal_length_m)
+    rate = surface_brightness_electron_rate(
+        b.uniform_mag_arcsec2, response, area_m2, solid_angle
+    )
+    return rate * scene.sensor.fill_factor

@@ -1,0 +1,300 @@
+"""Where observer, boresight and targets are during each exposure, at as many nodes as needed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Geometry
+from pipeline.errors import BadInput
+from pipeline.physics.constants import (
+    ARCSEC_RAD,
+    ASTRONOMICAL_UNIT_M,
+    DEG_RAD,
+    EARTH_EQUATORIAL_RADIUS_M,
+    SPEED_OF_LIGHT_M_S,
+)
+from pipeline.physics.motion.pointing import attitudes_drift, boresight_frame, proper_attitude
+from pipeline.physics.positions.apparent import (
+    TargetSight,
+    aberrate,
+    apparent_sun_m,
+    proper_to_astrometric,
+    star_proper,
+    target_apparent,
+    unaberrate,
+)
+from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
+from pipeline.physics.positions.focal_plane import Camera, deproject, project
+from pipeline.physics.positions.orbit import check_above_earth, tle_states, two_body
+from pipeline.physics.positions.times import Instants, elapsed_s, instants, parse_utc
+from pipeline.physics.targets.eclipse import sunlit_fraction
+from pipeline.physics.targets.lighting import (
+    phase_angle,
+    photon_rate_at_aperture,
+    sun_distance,
+)
+from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
+from pipeline.physics.vectors import from_angles, separation
+from pipeline.spec.observer import FixedObserver, GroundObserver
+from pipeline.spec.orbit import StateOrbit, TleOrbit
+from pipeline.spec.pointing import RatePointing, SiderealPointing, TargetPointing
+from pipeline.spec.scene import Scene
+
+Array = NDArray[np.float64]
+
+PATH_TOLERANCE_PX = 2e-3  # how far linear motion between nodes may be from the real path
+FEWEST_NODES, MOST_NODES = 9, 1025
+LONGEST_STREAK_PX = 1e5  # a longer one in one exposure is taken for a mistake in the scene
+
+
+def camera_of(scene: Scene) -> Camera:
+    """The focal plane of a scene's sensor."""
+    s = scene.sensor
+    return Camera(s.shape[0], s.shape[1], s.pixel_pitch_um * 1e-6, s.focal_length_m)
+
+
+def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geometry:
+    """Geometry of the given frames; the number of nodes is doubled until paths are straight.
+
+    Each frame stands on its own: the same frame gives the same bits in whatever window it is asked
+    for, because the number of nodes is chosen from the first and last frame of the whole scene.
+    Raises BadInput for a sensor that looks at the Earth, orbits inside it and absurd motion.
+    """
+    ends = np.unique([0, scene.exposure.frames - 1]).astype(np.int64)
+    nodes = FEWEST_NODES
+    while True:
+        geometry = _geometry(scene, ends, nodes, dut1_s)
+        bend = _bend_px(scene, geometry)
+        if bend <= PATH_TOLERANCE_PX:
+            break
+        if nodes >= MOST_NODES:
+            raise BadInput(
+                "exposure.integration_s",
+                scene.exposure.integration_s,
+                f"an exposure whose streaks are smooth; this one bends by {bend:.3g} px between "
+                f"{nodes} nodes (see pointing and orbits)",
+            )
+        nodes = 2 * nodes - 1
+    return geometry if np.array_equal(frames, ends) else _geometry(scene, frames, nodes, dut1_s)
+
+
+def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float) -> Geometry:
+    exposure = scene.exposure
+    within = np.linspace(0.0, 1.0, nodes) * exposure.integration_s
+    offset = frames[:, None] * exposure.step_s + within[None, :]
+    flat = offset.ravel()
+    epoch = parse_utc(scene.epoch)
+    times = instants(epoch, flat, dut1_s)
+    earth = earth_and_sun(times.tt1, times.tt2)
+    geocentric, velocity = _observer(scene, epoch, flat, times, earth)
+    position = earth.position_m + geocentric
+    sun = earth.position_m + earth.sun_from_earth_m
+    sights = [_sight(scene, i, epoch, flat, times, earth, geocentric, velocity, dut1_s)
+              for i in range(len(scene.targets))]  # fmt: skip
+    attitude = _attitudes(scene, flat, position, velocity, sun, sights)
+    _check_view(scene, geocentric, attitude[:, 2])
+    camera = camera_of(scene)
+    shape = (len(sights), len(frames), nodes)
+    x, y = np.full((2, *shape), np.nan)
+    light, phase, lit, distance = np.zeros((4, *shape))
+    direction = np.zeros((len(sights), len(frames), 3))
+    for i, (target, sight) in enumerate(zip(scene.targets, sights, strict=True)):
+        xs, ys = zip(*(project(camera, a, u[None]) for a, u in
+                       zip(attitude, sight.direction_proper, strict=True)), strict=True)  # fmt: skip
+        x[i], y[i] = (np.concatenate(c).reshape(shape[1:]) for c in (xs, ys))
+        apparent_sun = apparent_sun_m(earth)
+        alpha = phase_angle(sight.target_geocentric_m, apparent_sun, geocentric)
+        sunlit = np.ones(len(flat))
+        if target.eclipse:
+            sunlit = sunlit_fraction(sight.target_geocentric_m, apparent_sun)
+        body = target.body
+        ratio = photon_rate_at_aperture(
+            1.0,
+            sun_distance(sight.target_geocentric_m, earth.sun_from_earth_m),
+            sunlit,
+            sphere_intensity_per_irradiance(alpha, body.diameter_m, body.albedo),
+            sight.range_m,
+        )
+        for out, value in ((light, ratio), (phase, alpha), (lit, sunlit), (distance, sight.range_m)):
+            out[i] = np.reshape(value, shape[1:])
+        direction[i] = sight.direction_proper.reshape(*shape[1:], 3)[:, nodes // 2]
+    grid, grid3 = offset.shape, (*offset.shape, 3)
+    return Geometry(
+        frames, offset, times.tt1.reshape(grid), times.tt2.reshape(grid),
+        times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
+        velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
+        x, y, light, distance, phase, lit, direction,
+    )  # fmt: skip
+
+
+def _observer(
+    scene: Scene, epoch: tuple[float, float], offsets: Array, times: Instants, earth: EarthState
+) -> tuple[Array, Array]:
+    """Geocentric place and barycentric velocity of the observer: (n, 3) each."""
+    o = scene.observer
+    if isinstance(o, GroundObserver):
+        place, speed = site_state(
+            o.latitude_deg * DEG_RAD, o.longitude_deg * DEG_RAD, o.height_m, times
+        )
+    elif isinstance(o, FixedObserver):
+        fixed = np.array(o.position_au) * ASTRONOMICAL_UNIT_M
+        velocity = np.array(o.velocity_m_s)
+        if not np.sqrt(velocity @ velocity) < SPEED_OF_LIGHT_M_S:
+            raise BadInput("observer.velocity_m_s", o.velocity_m_s, "a speed below that of light")
+        place = fixed - earth.position_m
+        check_above_earth(place, "observer.position_au")
+        return place, np.broadcast_to(velocity, place.shape)
+    else:
+        place, speed = _orbit_states(o.orbit, "observer.orbit", epoch, offsets, times)
+    return place, speed + earth.velocity_m_s
+
+
+def _orbit_states(
+    orbit: TleOrbit | StateOrbit,
+    field: str,
+    epoch: tuple[float, float],
+    offsets: Array,
+    times: Instants,
+) -> tuple[Array, Array]:
+    """Geocentric GCRS place and velocity (n, 3) along an orbit, refused inside the Earth."""
+    if isinstance(orbit, TleOrbit):
+        place, speed = tle_states(orbit.line1, orbit.line2, times, field)
+    else:
+        since = 0.0
+        if orbit.epoch is not None:
+            since = float(elapsed_s(parse_utc(orbit.epoch, f"{field}.epoch"), *epoch))
+        start = np.array(orbit.position_m, float)
+        check_above_earth(start, f"{field}.position_m")
+        place, speed = two_body(start, np.array(orbit.velocity_m_s, float), offsets + since)
+    check_above_earth(place, field)
+    return place, speed
+
+
+def _sight(
+    scene: Scene,
+    index: int,
+    epoch: tuple[float, float],
+    offsets: Array,
+    times: Instants,
+    earth: EarthState,
+    observer_m: Array,
+    observer_m_s: Array,
+    dut1_s: float,
+) -> TargetSight:
+    """How the observer sees a target at each node."""
+    orbit, field = scene.targets[index].orbit, f"targets.{index}.orbit"
+
+    def places(at_s: Array) -> Array:
+        when = instants(epoch, at_s, dut1_s)
+        return _orbit_states(orbit, field, epoch, at_s, when)[0]
+
+    return target_apparent(places, observer_m, observer_m_s, earth, offsets)
+
+
+def _attitudes(
+    scene: Scene,
+    offsets: Array,
+    position: Array,
+    velocity: Array,
+    sun: Array,
+    sights: list[TargetSight],
+) -> Array:
+    """Proper attitudes (n, 3, 3) of the pointing; stars and boresight share one set of effects."""
+    p, stars = scene.pointing, scene.stars
+    effects = {
+        "deflection": stars is None or stars.deflection,
+        "aberration": stars is None or stars.aberration,
+    }
+    roll = p.roll_deg * DEG_RAD
+    if isinstance(p, TargetPointing):
+        names = [t.name for t in scene.targets]
+        proper = sights[names.index(p.target)].direction_proper
+        astrometric = np.concatenate([
+            proper_to_astrometric(u[None], r, v, s, **effects)
+            for u, r, v, s in zip(proper, position, velocity, sun, strict=True)
+        ])  # fmt: skip
+        return proper_attitude(boresight_frame(astrometric, roll), proper)
+    start = from_angles(
+        np.array(p.boresight_ra_deg * DEG_RAD), np.array(p.boresight_dec_deg * DEG_RAD)
+    )
+    if isinstance(p, RatePointing):
+        rates = (p.rate_ra_arcsec_s * ARCSEC_RAD, p.rate_dec_arcsec_s * ARCSEC_RAD)
+        frames = attitudes_drift(start, roll, *rates, offsets)
+    else:
+        assert isinstance(p, SiderealPointing)
+        frames = np.broadcast_to(boresight_frame(start, roll), (len(offsets), 3, 3))
+    proper = np.concatenate([
+        star_proper(a[2][None], r, v, s, **effects)
+        for a, r, v, s in zip(frames, position, velocity, sun, strict=True)
+    ])  # fmt: skip
+    return proper_attitude(frames, proper)
+
+
+def _check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
+    """Refuse a boresight that ends in the Earth: below the horizon, or inside its disc."""
+    distance = np.sqrt(np.sum(observer_m**2, axis=-1))
+    down = -observer_m / distance[:, None]
+    if isinstance(scene.observer, GroundObserver):
+        elevation = separation(boresight, down) - np.pi / 2
+        if elevation.min() < 0:
+            raise BadInput(
+                "pointing", f"elevation {np.degrees(elevation.min()):.2f} deg",
+                "a boresight above the horizon of the site during all exposures",
+            )  # fmt: skip
+        return
+    disc = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / distance))
+    limb = separation(boresight, down) - disc
+    if limb.min() < 0:
+        raise BadInput(
+            "pointing", f"{-np.degrees(limb.min()):.2f} deg inside the Earth's limb",
+            "a boresight beside the Earth's disc during all exposures",
+        )  # fmt: skip
+
+
+def _bend_px(scene: Scene, g: Geometry) -> float:
+    """How far linear motion between the nodes is from the real one, at the worst place [px].
+
+    Linear interpolation between nodes twice as far apart errs four times as much, so a quarter of
+    what it misses at the nodes between is the error of the nodes themselves.
+    """
+    x, y = [g.target_x_px], [g.target_y_px]
+    camera = camera_of(scene)
+    columns, rows = camera.columns - 1.0, camera.rows - 1.0
+    corners = [(columns / 2, rows / 2), (0.0, 0.0), (columns, 0.0), (0.0, rows), (columns, rows)]
+    for cx, cy in corners:
+        px, py = star_path(camera, g, cx, cy, scene.stars is None or scene.stars.aberration)
+        x.append(px[None])
+        y.append(py[None])
+    xs, ys = np.concatenate(x), np.concatenate(y)
+    seen = np.isfinite(xs).all(axis=-1) & (np.abs(xs).max(axis=-1) < 1e6)
+    xs, ys = xs[seen], ys[seen]
+    if not len(xs):
+        return 0.0
+    length = np.hypot(np.diff(xs, axis=-1), np.diff(ys, axis=-1)).sum(axis=-1)
+    if length.max() > LONGEST_STREAK_PX:
+        raise BadInput(
+            "exposure.integration_s", scene.exposure.integration_s,
+            f"streaks of at most {LONGEST_STREAK_PX:.0f} px; here {length.max():.3g} px in one "
+            "exposure (see pointing rates and orbits)",
+        )  # fmt: skip
+    bend = np.hypot(
+        xs[..., 1:-1:2] - 0.5 * (xs[..., :-2:2] + xs[..., 2::2]),
+        ys[..., 1:-1:2] - 0.5 * (ys[..., :-2:2] + ys[..., 2::2]),
+    )
+    return float(bend.max()) / 4.0
+
+
+def star_path(
+    camera: Camera, g: Geometry, x_px: float, y_px: float, aberration: bool = True
+) -> tuple[Array, Array]:
+    """Pixel places (F, K) of the star that stands at (x, y) at mid-exposure of each frame."""
+    out_x, out_y = np.empty(g.offset_s.shape), np.empty(g.offset_s.shape)
+    beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
+    at = np.array([x_px]), np.array([y_px])
+    for f in range(len(g.frame)):
+        star = unaberrate(deproject(camera, g.attitude[f, g.middle], *at), beta[f, g.middle])
+        for k in range(g.nodes):
+            x, y = project(camera, g.attitude[f, k], aberrate(star, beta[f, k]))
+            out_x[f, k], out_y[f, k] = x[0], y[0]
+    return out_x, out_y

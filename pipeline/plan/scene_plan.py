@@ -1,0 +1,182 @@
+"""The plan: what a scene needs, with predicted time and memory; reads no star."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Geometry
+from pipeline.physics.colour import ColourFit
+from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S
+from pipeline.physics.positions.apparent import unaberrate
+from pipeline.physics.positions.focal_plane import Camera, corner_radius
+from pipeline.physics.vectors import separation
+from pipeline.plan.decisions import Decision, decide
+from pipeline.plan.facts import Facts
+from pipeline.plan.geometry import camera_of
+from pipeline.plan.responses import ResponsePlan, plan_responses
+from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
+from pipeline.spec.scene import Scene
+
+# Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
+NOISE_S_PER_PIXEL = 110e-9
+STAMP_S_PER_PIXEL = 0.8e-9
+PLACE_S_PER_STAR = 0.6e-6
+WING_S_PER_PIXEL = 25e-9
+START_S = 2.0
+FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # differential aberration and deflection over the field
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is rendered and how; a value, made before anything is read or drawn."""
+
+    scene: Scene
+    camera: Camera
+    facts: Facts
+    responses: ResponsePlan
+    colour: ColourFit | None
+    sun_rate_e_s_m2: float
+    tiles: tuple[Tile, ...]
+    decisions: tuple[Decision, ...]
+    remarks: tuple[str, ...]
+    dut1_s: float
+
+    @property
+    def frames(self) -> int:
+        return self.scene.exposure.frames
+
+    @property
+    def halo_px(self) -> float:
+        """How far off the frame a source may be and still send light onto it."""
+        return self.responses.reach_px + 2.0
+
+
+@dataclass(frozen=True)
+class StarForecast:
+    """How many catalogue stars a frame holds, from the shards' row counts alone."""
+
+    shards: int
+    row_groups: int
+    rows_to_read: int
+    bytes_to_read: int
+    stars_per_frame: int
+
+
+def make_plan(
+    scene: Scene,
+    facts: Facts,
+    ends: Geometry,
+    colour: ColourFit | None,
+    sun_rate_e_s_m2: float,
+    remarks: tuple[str, ...],
+    dut1_s: float,
+) -> Plan:
+    """Decide everything from facts and the geometry of the first and last frame."""
+    camera = camera_of(scene)
+    responses = plan_responses(scene, facts, camera, ends)
+    return Plan(
+        scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),
+        decide(scene, facts, responses), remarks, dut1_s,
+    )  # fmt: skip
+
+
+def field_cones(plan: Plan, g: Geometry) -> tuple[np.ndarray, np.ndarray]:
+    """Cones (centres (F, 3), radii (F,) [rad]) that hold every star of each frame.
+
+    The boresight's catalogue direction at mid-exposure, de-aberrated; the radius holds the focal
+    plane's corners, the halo, the boresight's way during the exposure and a margin.
+    """
+    middle = g.middle
+    beta = g.observer_m_s / SPEED_OF_LIGHT_M_S
+    if plan.scene.stars is not None and not plan.scene.stars.aberration:
+        beta = np.zeros_like(beta)
+    boresight = unaberrate(g.attitude[:, :, 2], beta)
+    way = separation(boresight, boresight[:, [middle]]).max(axis=1)
+    halo = plan.halo_px * plan.facts.ifov_rad
+    # An angle off axis is at most halo radians beyond the corner: the projection only shrinks it.
+    radius = corner_radius(plan.camera) + halo + way + FIELD_MARGIN_RAD
+    return boresight[:, middle], np.minimum(radius, math.pi)
+
+
+def field_area_sr(plan: Plan) -> float:
+    """Solid angle of the focal plane and its halo [sr], for forecasts (small-angle)."""
+    sides = (n + 2.0 * plan.halo_px for n in (plan.camera.rows, plan.camera.columns))
+    return min(math.prod(sides) * plan.facts.ifov_rad**2, 4.0 * math.pi)
+
+
+def plan_dict(plan: Plan, forecast: StarForecast | None) -> dict[str, Any]:
+    """The plan as plain data, for plan.json and `nightglass plan`."""
+    f, r = plan.facts, plan.responses
+    needs = predict(plan, forecast)
+    return {
+        "scene": plan.scene.name,
+        "frames": plan.frames,
+        "shape": list(plan.scene.sensor.shape),
+        "tile_shape": list(tile_shape(plan.scene)),
+        "tiles": len(plan.tiles) * plan.frames,
+        "shards": forecast.shards if forecast else 0,
+        "row_groups": forecast.row_groups if forecast else 0,
+        "star_rows_to_read": forecast.rows_to_read if forecast else 0,
+        "bytes_to_read": forecast.bytes_to_read if forecast else 0,
+        "stars_per_frame": forecast.stars_per_frame if forecast else 0,
+        "targets": len(plan.scene.targets),
+        "engine": "stamps + wings" if r.spacing_px else "stamps",
+        "predicted": needs,
+        "noise_floor_e": f.sigma_floor_e,
+        "background_e": f.background_e,
+        "field_deg": [n * math.degrees(f.ifov_rad) for n in plan.scene.sensor.shape],
+        "ifov_arcsec": f.ifov_rad / ARCSEC_RAD,
+        "response": {
+            "optics": asdict(r.blur.optics) | {"kind": type(r.blur.optics).__name__.lower()},
+            "core_classes": [_finite(asdict(c)) for c in r.classes],
+            "wing_grid_px": r.spacing_px,
+            "reach_px": r.reach_px,
+            "light_left_out": r.lost_light,
+            "streak_zones": r.zones,
+            "streak_spread_px": r.spread_px,
+        },
+        "colour_fit": None if plan.colour is None else {
+            "band": plan.colour.band_name,
+            "source": plan.colour.source,
+            "residual_rms_mag": plan.colour.residual_rms_mag,
+            "residual_max_mag": plan.colour.residual_max_mag,
+        },
+        "decisions": [_finite(asdict(d)) for d in plan.decisions],
+        "remarks": list(plan.remarks),
+    }  # fmt: skip
+
+
+def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
+    """Predicted CPU seconds and memory of one worker thread, from measured unit costs."""
+    pixels = math.prod(plan.scene.sensor.shape)
+    stars = forecast.stars_per_frame if forecast else 0
+    core = plan.responses.classes[0]
+    stamp = math.pi * core.radius_px**2
+    frame_s = pixels * NOISE_S_PER_PIXEL + stars * (
+        PLACE_S_PER_STAR + stamp * STAMP_S_PER_PIXEL
+    )
+    if plan.responses.spacing_px:
+        frame_s += pixels * WING_S_PER_PIXEL
+    rows, columns = tile_shape(plan.scene)
+    layers = len(plan.scene.output.layers)
+    grid = 0.0
+    if plan.responses.spacing_px:
+        side = (2048 + 2.0 * plan.halo_px) / plan.responses.spacing_px
+        grid = side * side * 8.0 * (2.0 + len(plan.responses.classes))
+    memory = rows * columns * 8.0 * (8 + layers) + grid + stars * 150.0 + 180e6
+    return {
+        "cpu_s": START_S + plan.frames * frame_s,
+        "worker_memory_mb": memory / 1e6,
+        "product_mb": pixels * plan.frames * (2.0 + 4.0 * (layers - 1)) / 1e6,
+    }
+
+
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    """Infinite numbers as None: plain JSON has none."""
+    return {
+        k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()
+    }

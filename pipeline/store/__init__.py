@@ -1,0 +1,1 @@
+"""The product on disk: Zarr cube, truth tables, markers, completeness."""

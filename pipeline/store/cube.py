@@ -1,0 +1,150 @@
+"""The Zarr cube: metadata made once, whole chunks written by tile tasks, opened when complete."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import google_crc32c
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.physics.noise.chain import dn_type
+from pipeline.plan.scene_plan import Plan
+from pipeline.plan.tiles import Tile, tile_shape
+from pipeline.store.layout import COMPLETE, CUBE, sync_folder
+from pipeline.store.markers import Marker, cell_checksums, write_marker
+
+if TYPE_CHECKING:
+    import xarray as xr
+    import zarr
+
+LONG_NAMES = {
+    "dn": ("raw sensor signal", "DN"),
+    "mean_e": ("mean signal before photon noise", "electron"),
+    "stars_e": ("light of the stars after the flat", "electron"),
+    "targets_e": ("light of the targets after the flat", "electron"),
+    "background_e": ("light of the sky after the flat", "electron"),
+    "dark_e": ("dark signal", "electron"),
+}
+
+
+@dataclass(frozen=True)
+class CubeWriter:
+    """What a tile task needs to store its layers: small, and sent with every task."""
+
+    product: str
+    layers: tuple[str, ...]
+
+    def write(self, frame: int, tile: Tile, values: dict[str, NDArray[Any]]) -> Marker:
+        """Store one tile of one frame as whole chunks, then its marker. Idempotent."""
+        product = Path(self.product)
+        chunks: dict[str, tuple[str, int, int]] = {}
+        cells = {}
+        for name in self.layers:
+            array = _open_array(product / CUBE / name)
+            rows, columns = tile.y0 + tile.rows, tile.x0 + tile.columns
+            array[frame, tile.y0 : rows, tile.x0 : columns] = values[name]
+            relative = f"{name}/c/{frame}/{tile.row}/{tile.column}"
+            content = _synced(product / CUBE / relative)
+            chunks[name] = (relative, len(content), google_crc32c.value(content))
+            cells[name] = cell_checksums(tile, values[name])
+        marker = Marker(frame, tile.row, tile.column, chunks, cells)
+        write_marker(product, marker)
+        return marker
+
+
+def create_arrays(product: Path, plan: Plan) -> CubeWriter:
+    """Make the metadata of all layers. The group itself comes last, in `finish_cube`.
+
+    Until then the cube is no Zarr group, so that no reader takes it for a whole one.
+    """
+    import zarr
+
+    layers = ("dn", *(n for n in plan.scene.output.layers if n != "dn"))
+    rows, columns = plan.scene.sensor.shape
+    for name in layers:
+        long_name, unit = LONG_NAMES[name]
+        zarr.create_array(
+            store=product / CUBE / name,
+            shape=(plan.frames, rows, columns),
+            chunks=(1, *tile_shape(plan.scene)),
+            dtype=dn_type(plan.scene.sensor.adc_bits) if name == "dn" else np.dtype("float32"),
+            fill_value=0,
+            dimension_names=("frame", "y", "x"),
+            compressors=_codecs(plan.scene.output.compression),
+            attributes={"long_name": long_name, "units": unit},
+            config={"write_empty_chunks": True},
+        )
+    return CubeWriter(str(product), layers)
+
+
+def _codecs(compression: str) -> list[Any]:
+    """Compression, then a checksum: without it a flipped bit may read as a wrong number."""
+    from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
+
+    codec = {
+        "blosc-zstd": [BloscCodec(cname="zstd", clevel=1, shuffle="bitshuffle")],
+        "zstd": [ZstdCodec(level=1)],
+        "none": [],
+    }[compression]
+    return [*codec, Crc32cCodec()]
+
+
+def finish_cube(
+    product: Path, coordinates: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]],
+    attributes: dict[str, Any],
+) -> None:  # fmt: skip
+    """Write the coordinates, then the group's own metadata, which makes the cube readable."""
+    import zarr
+
+    for name, (dimensions, values, attrs) in coordinates.items():
+        array = zarr.create_array(
+            store=product / CUBE / name, shape=values.shape, chunks=values.shape,
+            dtype=values.dtype, fill_value=None, dimension_names=dimensions, attributes=attrs,
+            compressors=_codecs("zstd"), config={"write_empty_chunks": True}, overwrite=True,
+        )  # fmt: skip
+        array[...] = values
+    zarr.create_group(store=product / CUBE, attributes=attributes, overwrite=False)
+    sync_folder(product / CUBE)
+
+
+def open_cube(product: Path) -> xr.Dataset:
+    """A complete product's cube as an xarray Dataset. Incomplete for one that is not whole."""
+    import xarray as xr
+
+    if not (product / CUBE).is_dir():
+        raise BadInput("PRODUCT", str(product), "a product directory made by `nightglass render`")
+    if not (product / COMPLETE).is_file():
+        raise Incomplete(
+            f"{product}: this product is not complete; go on with `nightglass render SCENE -o "
+            f"{product} --resume`"
+        )
+    return xr.open_zarr(product / CUBE, consolidated=False, chunks=None)
+
+
+def read_layer(product: Path, name: str, frame: int) -> NDArray[Any]:
+    """One frame of one layer; Damaged where a chunk does not match its checksum."""
+    try:
+        return np.asarray(_open_array(product / CUBE / name)[frame])
+    except FileNotFoundError as error:
+        raise Damaged(f"{CUBE}/{name}", str(error)) from None
+    except (ValueError, RuntimeError) as error:
+        raise Damaged(f"{CUBE}/{name}", f"frame {frame}: {error}") from None
+
+
+def _open_array(path: Path) -> zarr.Array:
+    import zarr
+
+    return zarr.open_array(store=path, mode="r+", config={"write_empty_chunks": True})
+
+
+def _synced(path: Path) -> bytes:
+    """The bytes of a chunk, after they are durable."""
+    import os
+
+    with path.open("rb") as handle:
+        os.fsync(handle.fileno())
+        return handle.read()

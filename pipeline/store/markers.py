@@ -1,0 +1,87 @@
+"""Markers: the durable record that a tile's chunks are whole, with their checksums."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import google_crc32c
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import Damaged
+from pipeline.plan.tiles import Tile
+from pipeline.spec.scene import CELL_PX
+from pipeline.store.layout import CUBE, MARKERS, write_atomically
+
+
+@dataclass(frozen=True)
+class Marker:
+    """What was stored of one tile of one frame.
+
+    chunks : layer -> (path inside the cube, length in bytes, crc32c)
+    cells : layer -> [[row, column, crc32c of the cell's values], ...] for the content digest
+    """
+
+    frame: int
+    row: int
+    column: int
+    chunks: dict[str, tuple[str, int, int]]
+    cells: dict[str, list[list[int]]]
+
+
+def marker_path(product: Path, frame: int, row: int, column: int) -> Path:
+    return product / MARKERS / f"f{frame:06d}_r{row:03d}_c{column:03d}.json"
+
+
+def write_marker(product: Path, marker: Marker) -> None:
+    """Store a marker whole or not at all; its own checksum is in it."""
+    body = json.dumps(marker.__dict__, sort_keys=True)
+    content = {"marker": body, "crc32c": google_crc32c.value(body.encode())}
+    path = marker_path(product, marker.frame, marker.row, marker.column)
+    write_atomically(path, json.dumps(content).encode())
+
+
+def read_marker(path: Path) -> Marker:
+    """A stored marker. Raises Damaged where it is not what was written."""
+    try:
+        content = json.loads(path.read_bytes())
+        body = content["marker"]
+        if google_crc32c.value(body.encode()) != content["crc32c"]:
+            raise ValueError("checksum")
+        return Marker(**json.loads(body))
+    except (ValueError, KeyError, TypeError, UnicodeDecodeError, AttributeError) as error:
+        raise Damaged(str(path), f"the marker is not what was written ({error})") from None
+
+
+def chunk_fault(product: Path, marker: Marker) -> str | None:
+    """What is wrong with a tile's chunks (path and reason), or None where they are whole."""
+    for name, (relative, length, crc) in marker.chunks.items():
+        path = product / CUBE / relative
+        if not path.is_file():
+            return f"{CUBE}/{relative}: the chunk of layer {name} is missing"
+        content = path.read_bytes()
+        if len(content) != length:
+            return f"{CUBE}/{relative}: {len(content)} bytes instead of {length}"
+        if google_crc32c.value(content) != crc:
+            return f"{CUBE}/{relative}: the checksum differs"
+    return None
+
+
+def cell_checksums(tile: Tile, values: NDArray[Any]) -> list[list[int]]:
+    """[cell row, cell column, crc32c] of each cell of a tile: the same for every tile shape."""
+    out = []
+    for y in range(0, tile.rows, CELL_PX):
+        for x in range(0, tile.columns, CELL_PX):
+            cell = np.ascontiguousarray(values[y : y + CELL_PX, x : x + CELL_PX])
+            crc = google_crc32c.value(cell.astype(cell.dtype.newbyteorder("<")).tobytes())
+            out.append([(tile.y0 + y) // CELL_PX, (tile.x0 + x) // CELL_PX, crc])
+    return out
+
+
+def markers_present(product: Path) -> Iterable[Path]:
+    """Paths of all markers of a product, in order."""
+    return sorted((product / MARKERS).glob("f*.json"))

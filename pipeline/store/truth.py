@@ -1,0 +1,82 @@
+"""Truth tables: every source drawn, with the place, path, light and SNR that were used."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.store.layout import PARTS, TRUTH, sync_folder
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+def part_path(product: Path, kind: str, frame: int) -> Path:
+    return product / TRUTH / PARTS / f"{kind}-{frame:06d}.parquet"
+
+
+def write_part(product: Path, kind: str, frame: int, table: pa.Table) -> None:
+    """Store the truth of one frame, whole or not at all."""
+    _write(part_path(product, kind, frame), table)
+
+
+def part_is_whole(product: Path, kind: str, frame: int) -> bool:
+    """Whether the truth of a frame is stored and readable."""
+    import pyarrow.parquet as pq
+    from pyarrow import ArrowException
+
+    path = part_path(product, kind, frame)
+    if not path.is_file():
+        return False
+    try:
+        pq.read_table(path, page_checksum_verification=True)
+    except (ArrowException, OSError):
+        return False
+    return True
+
+
+def join_parts(product: Path, kind: str, frames: int, empty: Any) -> int:
+    """Join the frames' parts into truth/KIND.parquet, a row group a frame; returns the rows."""
+    import pyarrow.parquet as pq
+
+    target = product / TRUTH / f"{kind}.parquet"
+    temporary = target.with_suffix(".tmp")
+    rows = 0
+    with pq.ParquetWriter(temporary, empty.schema, **_OPTIONS) as writer:
+        for frame in range(frames):
+            path = part_path(product, kind, frame)
+            table = pq.read_table(path, page_checksum_verification=True)
+            writer.write_table(table)
+            rows += table.num_rows
+    _rename(temporary, target)
+    return rows
+
+
+def drop_parts(product: Path) -> None:
+    """Remove the parts once the joined tables stand."""
+    import shutil
+
+    shutil.rmtree(product / TRUTH / PARTS, ignore_errors=True)
+
+
+_OPTIONS: dict[str, Any] = {
+    "compression": "zstd",
+    "compression_level": 3,
+    "write_page_checksum": True,
+}
+
+
+def _write(path: Path, table: pa.Table) -> None:
+    import pyarrow.parquet as pq
+
+    temporary = path.with_suffix(f".{os.getpid()}.tmp")
+    pq.write_table(table, temporary, **_OPTIONS)
+    _rename(temporary, path)
+
+
+def _rename(temporary: Path, path: Path) -> None:
+    with temporary.open("rb") as handle:
+        os.fsync(handle.fileno())
+    temporary.replace(path)
+    sync_folder(path.parent)

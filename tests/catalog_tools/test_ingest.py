@@ -1,0 +1,347 @@
+"""Ingest: every row accounted for, the same bits whatever the order, nothing half-visible."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from lsst_refcat import convert
+from star_rows import random_stars, same_rows, write_csv
+
+from catalog_tools import build, pieces
+from catalog_tools.catalogue import open_catalogue
+from catalog_tools.columns import STORED
+from catalog_tools.errors import BadInput, Damaged, Incomplete
+from catalog_tools.info import info
+from catalog_tools.ingest import ingest
+from catalog_tools.partition import choose_leaves, coarser, healpix_29
+from catalog_tools.query import cone
+
+HEAD = "source_id,ra,dec,phot_g_mean_mag"
+
+
+def shard_bits(catalogue):
+    root = Path(catalogue.path)
+    return {
+        leaf.path: hashlib.sha256((root / leaf.path).read_bytes()).hexdigest()
+        for leaf in catalogue.leaves
+    }
+
+
+def left_behind(folder):
+    return sorted(p.name for p in folder.iterdir() if p.name.startswith("."))
+
+
+@pytest.fixture
+def parts(tmp_path):
+    stars = random_stars(6000, 9)
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for i in range(3):
+        write_csv(folder / f"part{i}.csv.gz", stars.slice(2000 * i, 2000))
+    return stars, sorted(folder.iterdir())
+
+
+def test_same_bits_for_any_order_and_workers(tmp_path, parts):
+    stars, files = parts
+    one = ingest(files, tmp_path / "one", rows_per_leaf=800, workers=1)
+    two = ingest(files[::-1], tmp_path / "two", rows_per_leaf=800, workers=2)
+    folder = ingest([files[0].parent], tmp_path / "three", rows_per_leaf=800, workers=3)
+    assert shard_bits(one.catalogue) == shard_bits(two.catalogue) == shard_bits(folder.catalogue)
+    assert one.catalogue.digest == two.catalogue.digest == folder.catalogue.digest
+    assert one.rows_in == one.catalogue.rows == 6000
+    assert same_rows(cone(two.catalogue, 0, 0, 180)[0], stars)
+    assert left_behind(tmp_path) == []
+
+
+def test_same_bits_for_any_piece_size(tmp_path, parts, monkeypatch):
+    stars, files = parts
+    whole = ingest(files, tmp_path / "whole", rows_per_leaf=800, workers=1)
+    monkeypatch.setattr(pieces, "PIECE_ROWS", 333)
+    small = ingest(files, tmp_path / "small", rows_per_leaf=800, workers=1)
+    assert shard_bits(whole.catalogue) == shard_bits(small.catalogue)
+
+
+def test_rows_lie_in_their_leaf_and_band(catalogue):
+    for leaf in catalogue.leaves:
+        file = pq.ParquetFile(catalogue.shard_path(leaf))
+        assert file.schema_arrow.equals(STORED)
+        for band in leaf.bands:
+            rows = file.read_row_group(band.row_group)
+            pixels, g_mag = rows["_healpix_29"].to_numpy(), rows["phot_g_mean_mag"].to_numpy()
+            assert (coarser(pixels, leaf.order) == leaf.pixel).all()
+            assert (np.diff(pixels) >= 0).all()
+            assert (healpix_29(rows["ra"].to_numpy(), rows["dec"].to_numpy()) == pixels).all()
+            assert (g_mag.min(), g_mag.max()) == (band.brightest_g_mag, band.faintest_g_mag)
+        ends = [(b.brightest_g_mag, b.faintest_g_mag) for b in leaf.bands]
+        assert all(a[1] <= b[0] for a, b in zip(ends, ends[1:], strict=False))
+
+
+def test_every_row_is_accounted_for(tmp_path):
+    path = tmp_path / "hard.csv"
+    rows = [
+        "1,10,20,12", ",10,20,12", "3,,20,12", "4,10,NaN,12", "5,inf,20,12", "6,-0.1,20,12",
+        "7,360.0001,20,12", "8,10,90.0001,12", "9,10,-90,12", "10,360,90,12", "11,10,20,",
+        "12,10,20,nan", "13,10,20,inf", "1,10,20,12", "1,200,-20,13", "14,0,0,20", "14,0,0,20",
+    ]  # fmt: skip
+    path.write_text("\n".join([HEAD, *rows]) + "\n")
+    report = ingest([path], tmp_path / "c")
+    assert report.rows_in == 17 == report.catalogue.rows + sum(report.rejected.values())
+    assert report.rejected == {
+        "source_id absent": 1,
+        "position absent or not finite": 3,
+        "ra outside 0 to 360": 2,
+        "dec outside -90 to 90": 1,
+        "G magnitude absent or not finite": 3,
+        "source_id occurs more than once": 3,
+    }
+    rejected = pq.read_table(tmp_path / "c" / "rejects.parquet").to_pylist()
+    assert len(rejected) == 13
+    assert {(r["source"], r["row"]) for r in rejected} >= {("hard.csv", 1), ("hard.csv", 9 + 1)}
+    kept = cone(report.catalogue, 0, 0, 180)[0]
+    assert kept["source_id"].to_pylist() == [1, 9, 10, 14]
+    assert kept["ra"].to_pylist()[2] == 0.0
+    assert info(report.catalogue)["rejected"] == report.rejected
+
+
+def test_same_duplicates_stay_for_any_order_of_files(tmp_path):
+    stars = random_stars(500, 2)
+    write_csv(tmp_path / "a.csv", stars)
+    moved = stars.set_column(1, "ra", pa.array(stars["ra"].to_numpy()[::-1]))
+    write_csv(tmp_path / "b.csv", moved)
+    write_csv(tmp_path / "c.csv", stars.slice(100, 50))
+    names = [tmp_path / f"{x}.csv" for x in "abc"]
+    first = ingest(names, tmp_path / "one", rows_per_leaf=60, workers=1)
+    second = ingest(names[::-1], tmp_path / "two", rows_per_leaf=60, workers=2)
+    assert first.catalogue.rows == 500
+    assert first.rejected == {"source_id occurs more than once": 550}
+    assert shard_bits(first.catalogue) == shard_bits(second.catalogue)
+    assert sorted(cone(first.catalogue, 0, 0, 180)[0]["source_id"].to_pylist()) == sorted(
+        stars["source_id"].to_pylist()
+    )
+
+
+def test_same_duplicates_found_in_many_buckets(tmp_path, parts, monkeypatch):
+    from catalog_tools import duplicates
+
+    stars, files = parts
+    write_csv(tmp_path / "again.csv", stars.slice(5, 1000))
+    monkeypatch.setattr(duplicates, "BUCKET_ROWS", 300)
+    report = ingest([*files, tmp_path / "again.csv"], tmp_path / "c", rows_per_leaf=500)
+    assert report.rejected == {"source_id occurs more than once": 1000}
+    assert same_rows(cone(report.catalogue, 0, 0, 180)[0], stars)
+
+
+def test_real_lsst_refcat_rows(tmp_path, shared_data):
+    source = tmp_path / "refcat.csv.gz"
+    rows = convert(shared_data / "gaia_dr2" / "lsst_refcat_htm7", source)
+    report = ingest([source], tmp_path / "c", rows_per_leaf=1000)
+    assert rows == report.rows_in == report.catalogue.rows == 5834
+    stars, _ = cone(report.catalogue, 0.7, -1.0, 5.0)
+    assert stars.num_rows == 5834
+    assert stars["parallax"].null_count == 1007 == stars["pmra"].null_count
+    assert (stars["phot_bp_mean_mag"].null_count, stars["phot_rp_mean_mag"].null_count) == (
+        481,
+        480,
+    )
+    colour = stars["phot_bp_mean_mag"].to_numpy() - stars["phot_rp_mean_mag"].to_numpy()
+    assert 0.7 < np.nanmedian(colour) < 2.0
+    level_12 = np.mean(
+        coarser(healpix_29(stars["ra"].to_numpy(), stars["dec"].to_numpy()), 12)
+        == stars["source_id"].to_numpy() >> 35
+    )
+    assert level_12 > 0.98
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["full_schema_random/gdr2_sm.fits", "m67_field/M67_data.csv",
+     "nearby_teff/gaia_dr2_result.csv", "ophiuchus/sample_oph_cone_r3.5-result.vot"],
+)  # fmt: skip
+def test_real_dr2_folders(tmp_path, shared_data, name):
+    report = ingest([shared_data / "gaia_dr2" / name], tmp_path / "c", rows_per_leaf=2000)
+    assert report.rows_in == report.catalogue.rows > 900
+    stars, _ = cone(report.catalogue, 0, 0, 180)
+    pixels = coarser(healpix_29(stars["ra"].to_numpy(), stars["dec"].to_numpy()), 12)
+    assert np.mean(pixels == stars["source_id"].to_numpy() >> 35) > 0.98
+
+
+def test_hats_files(catalogue):
+    import healpy
+
+    root = Path(catalogue.path)
+    lines = (root / "hats.properties").read_text().splitlines()
+    properties = dict(line.split("=", 1) for line in lines if not line.startswith("#"))
+    assert properties["hats_nrows"] == str(catalogue.rows)
+    assert properties["hats_col_healpix"] == "_healpix_29"
+    assert properties["dataproduct_type"] == "object"
+    assert (root / "properties").read_text() == (root / "hats.properties").read_text()
+    with (root / "partition_info.csv").open() as file:
+        listed = {(int(r["Norder"]), int(r["Npix"])) for r in csv.DictReader(file)}
+    assert listed == {(leaf.order, leaf.pixel) for leaf in catalogue.leaves}
+    for order, pixel in listed:
+        folder = f"dataset/Norder={order}/Dir={pixel // 10000 * 10000}"
+        assert (root / folder / f"Npix={pixel}.parquet").is_file()
+    assert pq.read_schema(root / "dataset" / "_common_metadata").equals(STORED)
+    for name in ("skymap.fits", "point_map.fits"):
+        rows = healpy.read_map(root / name, nest=True, dtype=np.int64)
+        assert rows.size == 12 * 4 ** int(properties["hats_skymap_order"])
+        assert rows.sum() == catalogue.rows
+
+
+def test_choose_leaves_splits_only_where_dense():
+    counts = np.zeros(12 * 4**3, np.int64)
+    counts[5 * 64 : 5 * 64 + 64] = 10
+    counts[700] = 3
+    cells = choose_leaves(counts, 200)
+    assert [(c.order, c.rows) for c in cells] == [(1, 160)] * 4 + [(0, 3)]
+    assert [c.rows for c in choose_leaves(counts, 5)] == [10] * 64 + [3]
+
+
+def test_destination_that_exists_is_refused(tmp_path, parts):
+    files = parts[1]
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(BadInput, match="taken"):
+        ingest(files, tmp_path / "taken")
+    with pytest.raises(BadInput, match="to be overwritten"):
+        ingest(files, tmp_path / "taken", overwrite=True)
+    first = ingest(files[:1], tmp_path / "c")
+    with pytest.raises(BadInput):
+        ingest(files, tmp_path / "c")
+    assert open_catalogue(tmp_path / "c").digest == first.catalogue.digest
+    assert ingest(files, tmp_path / "c", overwrite=True).catalogue.rows == 6000
+    assert left_behind(tmp_path) == []
+
+
+def test_two_ingests_into_one_place_refuse_each_other(tmp_path, parts):
+    files = parts[1]
+    seen = []
+
+    def meddle(stage, done, total):
+        if stage == "write" and not seen:
+            seen.append(stage)
+            with pytest.raises(BadInput, match="no other process"):
+                ingest(files, tmp_path / "c")
+
+    ingest(files, tmp_path / "c", progress=meddle, workers=1)
+    assert seen == ["write"]
+    assert open_catalogue(tmp_path / "c").rows == 6000
+
+
+@pytest.mark.parametrize("broken", ["split", "write_shard", "write_manifest"])
+def test_failure_leaves_nothing_and_a_rerun_works(tmp_path, parts, monkeypatch, broken):
+    files = parts[1]
+    with monkeypatch.context() as patch:
+        calls, real = [], getattr(build, broken)
+
+        def fails(*arguments, **named):
+            calls.append(1)
+            if len(calls) > (1 if broken == "split" else 0):
+                raise KeyboardInterrupt
+            return real(*arguments, **named)
+
+        patch.setattr(build, broken, fails)
+        with pytest.raises(KeyboardInterrupt):
+            ingest(files, tmp_path / "c", rows_per_leaf=800, workers=1)
+    assert [p.name for p in tmp_path.iterdir()] == ["in"]
+    assert ingest(files, tmp_path / "c", rows_per_leaf=800).catalogue.rows == 6000
+
+
+def test_full_disk_is_told_as_incomplete(tmp_path, parts, monkeypatch):
+    def full(*arguments, **named):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(build, "write_shard", full)
+    with pytest.raises(Incomplete, match="No space left"):
+        ingest(parts[1], tmp_path / "c", workers=1)
+    assert [p.name for p in tmp_path.iterdir()] == ["in"]
+
+
+def test_killed_ingest_leaves_nothing_visible_and_a_rerun_works(tmp_path, parts):
+    stars, files = parts
+    code = (
+        "import sys, time\nfrom catalog_tools.ingest import ingest\n"
+        "def wait(stage, done, total):\n"
+        "    if stage == 'write':\n"
+        "        print('writing', flush=True); time.sleep(60)\n"
+        "ingest(sys.argv[2:], sys.argv[1], progress=wait, workers=1)\n"
+    )
+    root = Path(__file__).resolve().parents[2]
+    command = [sys.executable, "-c", code, str(tmp_path / "c"), *map(str, files)]
+    with subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"writing\n"
+        os.kill(process.pid, signal.SIGKILL)
+    assert not (tmp_path / "c").exists()
+    time.sleep(0.05)
+    report = ingest(files, tmp_path / "c")
+    assert same_rows(cone(report.catalogue, 0, 0, 180)[0], stars)
+    assert left_behind(tmp_path) == []
+
+
+def test_bad_sources(tmp_path, parts):
+    files = parts[1]
+    cases = [
+        ([], "at least one"),
+        ([tmp_path / "absent"], "exists"),
+        ([files[0], files[0]], "once"),
+    ]
+    (tmp_path / "hollow").mkdir()
+    cases.append(([tmp_path / "hollow"], "a folder with"))
+    (tmp_path / "twin.csv.gz").write_bytes(files[1].read_bytes())
+    cases.append(([*files, tmp_path / "twin.csv.gz"], "same content"))
+    for sources, message in cases:
+        with pytest.raises(BadInput, match=message):
+            ingest(sources, tmp_path / "c")
+    with pytest.raises(BadInput, match="workers"):
+        ingest(files, tmp_path / "c", workers=-1)
+    with pytest.raises(BadInput, match="rows_per_leaf"):
+        ingest(files, tmp_path / "c", rows_per_leaf=0)
+    assert not (tmp_path / "c").exists()
+    assert left_behind(tmp_path) == []
+
+
+def test_wrong_schema_among_good_files_leaves_nothing(tmp_path, parts):
+    bad = tmp_path / "in" / "other.csv"
+    bad.write_text("name,flux\nx,1\n")
+    with pytest.raises(BadInput) as caught:
+        ingest([tmp_path / "in"], tmp_path / "c")
+    assert "other.csv" in caught.value.field
+    cut = tmp_path / "in" / "part0.csv.gz"
+    bad.unlink()
+    cut.write_bytes(cut.read_bytes()[:-50])
+    with pytest.raises(Damaged, match=r"part0\.csv\.gz"):
+        ingest([tmp_path / "in"], tmp_path / "c")
+    assert [p.name for p in tmp_path.iterdir()] == ["in"]
+
+
+def test_md5sum_beside_the_inputs_is_verified(tmp_path, parts):
+    folder = parts[1][0].parent
+    sums = [f"{hashlib.md5(p.read_bytes()).hexdigest()}  {p.name}" for p in parts[1]]
+    (folder / "_citation.txt").write_text("cite")
+    listing = folder / "MD5SUM.txt"
+    listing.write_text("\n".join([*sums, "0123 _citation.txt"]) + "\n")
+    report = ingest([folder], tmp_path / "good")
+    assert [s["name"] for s in report.catalogue.sources] == [p.name for p in parts[1]]
+    assert [s["md5"] for s in report.catalogue.sources] == [line.split()[0] for line in sums]
+    listing.write_text("\n".join([sums[0], "0" * 32 + "  part1.csv.gz"]) + "\n")
+    with pytest.raises(Damaged, match=r"part1\.csv\.gz"):
+        ingest([folder], tmp_path / "bad")
+
+
+def test_no_rows_make_an_empty_catalogue(tmp_path):
+    (tmp_path / "none.csv").write_text(HEAD + "\n")
+    report = ingest([tmp_path / "none.csv"], tmp_path / "c")
+    assert (report.rows_in, report.catalogue.rows, report.catalogue.leaves) == (0, 0, ())
+    assert cone(report.catalogue, 0, 0, 180)[0].num_rows == 0
+    assert info(report.catalogue)["bytes_per_row"] is None
