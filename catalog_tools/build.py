@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -23,6 +24,7 @@ from .publish import publishing
 from .shards import write_shard
 
 REJECTS_NAME = "rejects.parquet"
+PIECES_NAME = "pieces"
 Progress = Callable[[str, int, int], None]  # stage, done, total
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -70,35 +72,17 @@ def build(
     if rows_per_leaf < 1:
         raise BadInput("rows_per_leaf", rows_per_leaf, "at least 1")
     with publishing(destination, overwrite=overwrite) as work:
-        pieces_folder = work / "pieces"
-        pieces_folder.mkdir()
-        order = range(len(sources))
-        splits = list(
-            in_parallel(
-                lambda i: split(sources[i], i, pieces_folder), order, workers, progress, "read"
-            )
-        )
+        splits = _split_all(sources, work / PIECES_NAME, workers, progress)
         counts = _total_counts(splits)
-        pieces = [piece for s in splits for piece in s.pieces]
-        repeated = duplicates.find(pieces)
         cells = choose_leaves(counts, rows_per_leaf)
         labels = [source.label for source in sources]
-        written = in_parallel(
-            lambda cell: _write_leaf(work, cell, pieces, repeated, labels),
-            cells, workers, progress, "write",
-        )  # fmt: skip
-        leaves, surplus = [], [read_rejects(splits)]
-        for leaf, bad in written:
-            leaves += [leaf] if leaf else []
-            surplus.append(bad)
-        reasons = _write_rejects(work, pa.concat_tables(surplus))
-        records = [s.record for s in splits]
-        catalogue = _describe(about, leaves, records, reasons)
+        leaves, surplus = _write_leaves(work, cells, splits, labels, workers, progress)
+        reasons = _write_rejects(work, pa.concat_tables([read_rejects(splits), surplus]))
+        catalogue = _describe(about, leaves, [s.record for s in splits], reasons)
         catalogue = replace(catalogue, digest=write_manifest(work, catalogue))
-        hats.write_hats_files(work, catalogue, _leaf_counts(counts, surplus[1:]), rows_per_leaf)
-        _drop_pieces(pieces_folder)
-    rows_in = sum(s.rows_in for s in splits)
-    return IngestReport(open_catalogue(destination), rows_in, reasons)
+        hats.write_hats_files(work, catalogue, _less(counts, surplus), rows_per_leaf)
+        shutil.rmtree(work / PIECES_NAME)
+    return IngestReport(open_catalogue(destination), sum(s.rows_in for s in splits), reasons)
 
 
 def in_parallel(
@@ -125,12 +109,46 @@ def in_parallel(
     tell(stage, done, len(items))
 
 
+def _split_all(
+    sources: Sequence[Source], folder: Path, workers: int, progress: Progress
+) -> list[Split]:
+    """Read every source once, into sorted pieces in a new folder."""
+    folder.mkdir()
+    numbered = list(enumerate(sources))
+    results = in_parallel(
+        lambda item: split(item[1], item[0], folder), numbered, workers, progress, "read"
+    )
+    return list(results)
+
+
 def _total_counts(splits: Iterable[Split]) -> Pixels:
     counts = np.zeros(12 * 4**COUNT_ORDER, np.int64)
     for s in splits:
         for pixels, rows in s.counts:
             counts[pixels] += rows
     return counts
+
+
+def _write_leaves(
+    root: Path,
+    cells: Sequence[Cell],
+    splits: Sequence[Split],
+    labels: Sequence[str],
+    workers: int,
+    progress: Progress,
+) -> tuple[list[Leaf], pa.Table]:
+    """Write all shards; also the rows left out of them, because their source_id is repeated."""
+    pieces = [piece for s in splits for piece in s.pieces]
+    repeated = duplicates.find(pieces)
+    leaves: list[Leaf] = []
+    surplus = [REJECTS.empty_table()]
+    for leaf, bad in in_parallel(
+        lambda cell: _write_leaf(root, cell, pieces, repeated, labels),
+        cells, workers, progress, "write",
+    ):  # fmt: skip
+        leaves += [leaf] if leaf else []
+        surplus.append(bad)
+    return leaves, pa.concat_tables(surplus)
 
 
 def _write_leaf(
@@ -169,15 +187,12 @@ def _write_rejects(root: Path, rejected: pa.Table) -> dict[str, int]:
     return {entry["values"]: entry["counts"] for entry in sorted(counts, key=lambda e: e["values"])}
 
 
-def _leaf_counts(counts: Pixels, surplus: Sequence[pa.Table]) -> Pixels:
+def _less(counts: Pixels, surplus: pa.Table) -> Pixels:
     """Rows by pixel without the surplus duplicates, so that the HATS maps add up to the rows."""
     left = counts.copy()
-    for table in surplus:
-        if table.num_rows:
-            pixels = coarser(
-                healpix_29(table["ra"].to_numpy(), table["dec"].to_numpy()), COUNT_ORDER
-            )
-            np.subtract.at(left, pixels, 1)
+    if surplus.num_rows:
+        pixels = healpix_29(surplus["ra"].to_numpy(), surplus["dec"].to_numpy())
+        np.subtract.at(left, coarser(pixels, COUNT_ORDER), 1)
     return left
 
 
@@ -200,9 +215,3 @@ def _describe(
         facts=about.facts,
         digest="",
     )
-
-
-def _drop_pieces(folder: Path) -> None:
-    for path in folder.iterdir():
-        path.unlink()
-    folder.rmdir()

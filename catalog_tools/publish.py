@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from .catalogue import MANIFEST_NAME
 from .errors import BadInput, Incomplete
@@ -29,23 +30,44 @@ def publishing(destination: Path, *, overwrite: bool, field: str = "output") -> 
     except OSError as error:
         raise BadInput(field, str(destination), f"a place that can be written ({error})") from None
     with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        if not _alone(lock):
             allowed = "a place into which no other process is writing a catalogue"
-            raise BadInput(field, str(destination), allowed) from None
-        _check(destination, overwrite, field)
-        work = destination.parent / f".{destination.name}.part"
-        shutil.rmtree(work, ignore_errors=True)  # of a writer that was killed
-        work.mkdir()
+            raise BadInput(field, str(destination), allowed)
         try:
+            _restore(destination)
+            _check(destination, overwrite, field)
+            shutil.rmtree(work := _part(destination), ignore_errors=True)  # of a killed writer
+            work.mkdir()
             yield work
             _swap_in(work, destination)
         except OSError as error:
             raise Incomplete(f"{destination}: could not be written ({error})") from error
         finally:
-            shutil.rmtree(work, ignore_errors=True)
+            shutil.rmtree(_part(destination), ignore_errors=True)
             Path(lock.name).unlink(missing_ok=True)
+
+
+def _alone(lock: IO[str]) -> bool:
+    """Take the lock; not so where another holds it, or has just finished and removed its file."""
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return Path(lock.name).stat().st_ino == os.fstat(lock.fileno()).st_ino
+    except OSError:
+        return False
+
+
+def _restore(destination: Path) -> None:
+    """Undo an overwriting that was cut off between its two renames."""
+    if _old(destination).exists() and not os.path.lexists(destination):
+        _old(destination).rename(destination)
+
+
+def _part(destination: Path) -> Path:
+    return destination.parent / f".{destination.name}.part"
+
+
+def _old(destination: Path) -> Path:
+    return destination.parent / f".{destination.name}.old"
 
 
 def _check(destination: Path, overwrite: bool, field: str) -> None:
@@ -60,7 +82,7 @@ def _check(destination: Path, overwrite: bool, field: str) -> None:
 def _swap_in(work: Path, destination: Path) -> None:
     for path in (*sorted(work.rglob("*")), work):
         _sync(path)
-    old = destination.parent / f".{destination.name}.old"
+    old = _old(destination)
     shutil.rmtree(old, ignore_errors=True)
     if os.path.lexists(destination):
         destination.rename(old)

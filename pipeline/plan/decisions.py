@@ -153,8 +153,8 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
             Decision(
                 "wings_cut_off", True,
                 f"light beyond {r.reach_px:.0f} px of a source is left out: {r.lost_light:.2g} of "
-                "its light",
-                **bound(_cut_bound(r, facts)),
+                "its light; the bound is that of a source of the first core class",
+                **bound(_cut_bound(r)),
             ),
         ]  # fmt: skip
     if scene.stars is not None:
@@ -169,11 +169,11 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
     return out
 
 
-def _cut_bound(r: ResponsePlan, facts: Facts) -> float:
-    """Light per pixel left out beyond the reach, of the brightest source that fits its core [e-].
+def _cut_bound(r: ResponsePlan) -> float:
+    """Light per pixel left out beyond the reach, of the brightest source of the first class [e-].
 
     A power-law wing of index -3 that holds `lost_light` beyond R has the surface brightness
     lost_light / (2 pi R^2) at R.
     """
-    brightest = max((c.brightest_e for c in r.classes if math.isfinite(c.brightest_e)), default=0.0)
+    brightest = r.classes[0].brightest_e if math.isfinite(r.classes[0].brightest_e) else 0.0
     return brightest * r.lost_light / (2.0 * math.pi * r.reach_px**2)

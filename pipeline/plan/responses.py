@@ -13,7 +13,7 @@ from pipeline.physics.drawing.wings import wing_error
 from pipeline.physics.motion.streak import POINT, Path, path_through, pieces
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.pupil import Blur
-from pipeline.physics.psf.response import compact_core
+from pipeline.physics.psf.response import compact_core, oversampling_for
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import star_path
 from pipeline.spec.scene import CELL_PX, Scene
@@ -23,7 +23,7 @@ MERGE_TOLERANCE_PX = 2e-3
 SPREAD_TOLERANCE_PX = 1e-2
 TABLE_BYTES = 48e6
 MOST_CLASSES = 5
-LARGEST_CORE_PX = 512.0
+LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
 BLOCK_PX = 2048  # wings are convolved in fixed blocks of the focal plane
 
 
@@ -80,8 +80,8 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
         return ResponsePlan(
             blur, classes, 0, radius, blur.light_beyond(radius), zones, spread, facts.budget_e
         )
-    scale = max(1.0, blur.optics.scale_px)
-    first = 12.0 * scale
+    q = blur.optics.scale_px
+    first = 12.0 * max(q, min(1.0, q) ** (1.0 / 3.0), 0.5)  # where wings are alike against the peak
     spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
     reach = max(_radius_holding(blur, scene.accuracy.flux_fraction), 2.0 * first)
     classes = _classes(blur, first, spacing, path, phases, facts.budget_e)
@@ -97,6 +97,7 @@ def _classes(
 
     (Measured: 5 to 8 for each doubling, for Q of 0.5 to 4; tests/physics/drawing checks it.)
     """
+    largest = LARGEST_CORE_SAMPLES / oversampling_for(blur)
     piece = max((p for _, _, p, _ in pieces(path)), key=lambda p: p.length_px)
     out: list[CoreClass] = []
     for k in range(MOST_CLASSES):
@@ -105,7 +106,7 @@ def _classes(
             error = wing_error(blur, compact_core(blur, radius), spacing, piece)
         else:
             error = out[-1].wing_error / 4.0
-        last = k == MOST_CLASSES - 1 or 2.0 * radius > LARGEST_CORE_PX
+        last = k == MOST_CLASSES - 1 or 2.0 * radius > largest
         brightest = math.inf if last else budget_e / error
         out.append(CoreClass(radius, brightest, error, _table_phases(phases, radius, path)))
         if last:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,6 +100,7 @@ def finish_cube(
 ) -> None:  # fmt: skip
     """Write the coordinates, then the group's own metadata, which makes the cube readable."""
     import zarr
+    from zarr.errors import ZarrUserWarning
 
     for name, (dimensions, values, attrs) in coordinates.items():
         array = zarr.create_array(
@@ -108,6 +110,9 @@ def finish_cube(
         )  # fmt: skip
         array[...] = values
     zarr.create_group(store=product / CUBE, attributes=attributes, overwrite=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ZarrUserWarning)  # consolidation is not in the v3 standard
+        zarr.consolidate_metadata(product / CUBE)
     sync_folder(product / CUBE)
 
 
@@ -122,7 +127,7 @@ def open_cube(product: Path) -> xr.Dataset:
             f"{product}: this product is not complete; go on with `nightglass render SCENE -o "
             f"{product} --resume`"
         )
-    return xr.open_zarr(product / CUBE, consolidated=False, chunks=None)
+    return xr.open_zarr(product / CUBE, chunks=None)
 
 
 def read_layer(product: Path, name: str, frame: int) -> NDArray[Any]:

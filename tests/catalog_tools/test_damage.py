@@ -30,17 +30,17 @@ def test_flipped_bits_anywhere_are_named(copy):
     whole = read_leaf(copy, leaf)
     rng = np.random.default_rng(4)
     ends = [0, 3, 4, len(good) - 1, len(good) - 5, len(good) - 9, len(good) - leaf.footer_bytes]
-    silent = []
+    gaps = _gaps(leaf)
     for at in [*ends, *rng.integers(0, len(good), 150).tolist()]:
         data = bytearray(good)
         data[at] ^= 1 << int(rng.integers(8))
         path.write_bytes(data)
-        try:
+        if at in gaps or at < 4:
             assert read_leaf(copy, leaf).equals(whole)
-            silent.append(at)
-        except Damaged as error:
-            assert leaf.path in str(error)
-    assert {at for at in silent if at >= 4} <= _gaps(leaf), "only bytes that nothing reads may pass"
+            continue
+        with pytest.raises(Damaged) as caught:
+            read_leaf(copy, leaf)
+        assert leaf.path in str(caught.value)
 
 
 def _gaps(leaf):
@@ -72,7 +72,7 @@ def test_truncated_grown_missing_or_swapped_shards_are_named(copy):
 def test_only_the_bands_read_are_proved(copy):
     """Damage in a faint band doesn't stop a bright query; it stops the faint one."""
     leaf = max(copy.leaves, key=lambda leaf: len(leaf.bands))
-    assert len(leaf.bands) > 3
+    assert len(leaf.bands) >= 3
     path = copy.shard_path(leaf)
     data = bytearray(path.read_bytes())
     data[leaf.bands[-1].offset + 50] ^= 1

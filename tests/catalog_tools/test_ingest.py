@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +66,7 @@ def test_same_bits_for_any_order_and_workers(tmp_path, parts):
 
 
 def test_same_bits_for_any_piece_size(tmp_path, parts, monkeypatch):
-    stars, files = parts
+    _, files = parts
     whole = ingest(files, tmp_path / "whole", rows_per_leaf=800, workers=1)
     monkeypatch.setattr(pieces, "PIECE_ROWS", 333)
     small = ingest(files, tmp_path / "small", rows_per_leaf=800, workers=1)
@@ -84,7 +85,7 @@ def test_rows_lie_in_their_leaf_and_band(catalogue):
             assert (healpix_29(rows["ra"].to_numpy(), rows["dec"].to_numpy()) == pixels).all()
             assert (g_mag.min(), g_mag.max()) == (band.brightest_g_mag, band.faintest_g_mag)
         ends = [(b.brightest_g_mag, b.faintest_g_mag) for b in leaf.bands]
-        assert all(a[1] <= b[0] for a, b in zip(ends, ends[1:], strict=False))
+        assert all(a[1] <= b[0] for a, b in pairwise(ends))
 
 
 def test_every_row_is_accounted_for(tmp_path):
@@ -345,3 +346,13 @@ def test_no_rows_make_an_empty_catalogue(tmp_path):
     assert (report.rows_in, report.catalogue.rows, report.catalogue.leaves) == (0, 0, ())
     assert cone(report.catalogue, 0, 0, 180)[0].num_rows == 0
     assert info(report.catalogue)["bytes_per_row"] is None
+
+
+def test_overwriting_cut_off_between_its_renames_loses_nothing(tmp_path, parts):
+    files = parts[1]
+    first = ingest(files, tmp_path / "c").catalogue
+    (tmp_path / "c").rename(tmp_path / ".c.old")
+    with pytest.raises(BadInput, match="nothing is yet"):
+        ingest(files[:1], tmp_path / "c")
+    assert open_catalogue(tmp_path / "c").digest == first.digest
+    assert left_behind(tmp_path) == []

@@ -106,23 +106,27 @@ def test_against_random_dr2_sample(shared_data):
     ra, dec, g_mag = np.array(rows, float).T
     lat = np.abs(np.degrees(galactic_rad(directions(ra, dec))[1]))
     for limit in (16.0, 17.0, 18.0):
-        assert (g_mag < limit).sum() * 65536 == pytest.approx(all_sky_count(limit), rel=0.1)
+        assert (g_mag < limit).sum() * 65536 == pytest.approx(all_sky_count(limit), rel=0.12)
         for low, high in ((0, 5), (5, 10), (10, 20), (20, 40), (40, 90)):
-            mine = np.mean([_density(limit, b) for b in np.arange(low + 0.5, high, 1.0)])
-            area = ALL_SKY_DEG2 * (np.sin(np.radians(high)) - np.sin(np.radians(low)))
-            real = ((lat >= low) & (lat < high) & (g_mag < limit)).sum() * 65536 / area
-            assert mine == pytest.approx(real, rel=0.4), (limit, low)
+            edges = np.sin(np.radians([low, high]))
+            steps = np.linspace(*edges, 21)
+            lats = np.degrees(np.arcsin((steps[1:] + steps[:-1]) / 2))
+            rows = ((lat >= low) & (lat < high) & (g_mag < limit)).sum()
+            mine = np.mean([_density(limit, b) for b in lats]) * ALL_SKY_DEG2 * np.diff(edges)[0]
+            assert abs(mine / 65536 - rows) < 0.35 * rows + 3 * np.sqrt(rows), (limit, low)
 
 
 def test_against_complete_real_field(shared_data):
-    """2.5 deg2 at galactic latitude -62, complete to G 21: counts within a factor of 1.7."""
+    """Eight trixels (2.5 deg2) at galactic latitude -61, complete to G 21: counts within 35%."""
     from astropy.io import fits
 
     folder = shared_data / "gaia_dr2" / "lsst_refcat_htm7"
     flux = np.concatenate([fits.getdata(p, 1)["phot_g_mean_flux"] for p in folder.glob("*.fits")])
     g_mag = -2.5 * np.log10(flux * 1e-9 / 3631) - 0.105
-    for limit in (16.0, 18.0, 20.0):
-        assert 1 / 1.7 < _density(limit, -62.0) * 2.5 / (g_mag < limit).sum() < 1.7
+    here, area_deg2 = directions(0.7, -1.0)[None], 8 * ALL_SKY_DEG2 / (8 * 4**7)
+    for limit in range(12, 22):
+        density = sum(interval_density(i, here)[0] for i in range(2 * (limit - 3)))
+        assert density * area_deg2 == pytest.approx((g_mag < limit).sum(), rel=0.35), limit
 
 
 def test_statistics_of_stars():
@@ -138,11 +142,11 @@ def test_statistics_of_stars():
         assert 0.7 < np.nanmedian(colour) < 1.6
         assert 0.3 < np.nanmedian(t["phot_g_mean_mag"] - t["phot_rp_mean_mag"]) < 0.9
         assert (np.isnan(t["pmra"]) == np.isnan(t["parallax"])).all()
-        assert np.nanmedian(np.hypot(t["pmra"], t["pmdec"])) == pytest.approx(6.5, abs=3.5)
+        assert 4.0 < np.nanmedian(np.hypot(t["pmra"], t["pmdec"])) < 25.0
     assert np.nanmedian(bright["parallax"]) > np.nanmedian(middle["parallax"])
     assert np.isfinite(bright["radial_velocity"]).mean() > 0.8
     assert not np.isfinite(middle["radial_velocity"]).any()
-    assert (faint["parallax"] < 0).mean() > 0.2
+    assert np.nanmean(faint["parallax"][np.isfinite(faint["parallax"])] < 0) > 0.25
     assert np.isnan(faint["phot_bp_mean_mag"]).mean() > 0.3 > np.isnan(middle["pmra"]).mean()
 
 
@@ -165,7 +169,8 @@ def test_a_cell_is_a_pure_function():
 @pytest.mark.parametrize(
     ("arguments", "field"),
     [
-        ({"faintest_g_mag": 17.0}, "faintest_g_mag"), ({"faintest_g_mag": float("nan")}, "faintest_g_mag"),
+        ({"faintest_g_mag": 17.0}, "faintest_g_mag"),
+        ({"faintest_g_mag": float("nan")}, "faintest_g_mag"),
         ({"seed": -1}, "seed"), ({"deep_fields": [(0, 91, 1, 15)]}, "deep_fields.0.dec_deg"),
         ({"deep_fields": [(0, 0, 0, 15)]}, "deep_fields.0.radius_deg"),
         ({"deep_fields": [(0, 0, 1, 15), (0, 0, 1, 22)]}, "deep_fields.1.faintest_g_mag"),

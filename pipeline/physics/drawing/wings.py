@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from pipeline.physics.motion.streak import POINT, Path, transfer
 from pipeline.physics.psf.pupil import Blur
-from pipeline.physics.psf.response import Core, core_spectrum, taper
+from pipeline.physics.psf.response import Core, taper
 
 Array = NDArray[np.float64]
 
+SMOOTH = 8  # samples a pixel that hold all of a response that wings can see
 SPLINE_PX = 3  # grid points that the splines need beyond the range they serve
 
 
@@ -99,7 +100,7 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     Draws one source (swept along `path`) at three sub-pixel places with the coarse grid, and
     compares with the response sampled directly.
     """
-    os, reach = core.oversampling, 6.0 * core.radius_px
+    os, reach = min(core.oversampling, SMOOTH), 6.0 * core.radius_px
     sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
     size = 2 * int(np.ceil(2.0 * core.radius_px + sweep)) + 1
     grid = wing_grid((size, size), (0, 0), spacing_px, reach)
@@ -108,8 +109,11 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     n = scipy.fft.next_fast_len(2 * size + 2 * int(2.0 * core.radius_px))
     fy, fx = scipy.fft.fftfreq(n * os, 1.0 / os), scipy.fft.rfftfreq(n * os, 1.0 / os)
     swept = transfer(fy, fx, path.x_px, path.y_px, path.weight)
-    spectrum = blur.transfer(fy[:, None], fx[None, :]) * os**2 - core_spectrum(core, None, n, n)
-    exact = scipy.fft.irfft2(spectrum * swept, s=(n * os, n * os))
+    whole = blur.transfer(fy[:, None], fx[None, :])
+    if core.oversampling > SMOOTH:
+        whole = whole * _low_pass(fy)[:, None] * _low_pass(fx)[None, :]
+    spectrum = whole - _core_transfer(core, fy, fx)
+    exact = scipy.fft.irfft2(spectrum * swept, s=(n * os, n * os)) * os**2
     worst = 0.0
     for step in range(3):
         shift = step * os // 3
@@ -123,12 +127,40 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
 
 
 def _core_transfer(core: Core, fy: Array, fx: Array) -> NDArray[np.complex128]:
-    """Fourier transform of the core at the frequencies fy (n,), fx (m,) -> (n, m)."""
-    half = core.samples.shape[0] // 2
-    at = np.arange(-half, half + 1) / core.oversampling
+    """Fourier transform of the core at the frequencies fy (n,), fx (m,) -> (n, m).
+
+    A core with many samples is first cut smoothly to frequencies below SMOOTH / 2 cycles per
+    pixel, unchanged below SMOOTH / 4: the wings' grid looks at most at 1/4.
+    """
+    samples, at, per_px = _smoothed(core)
     left = np.exp(-2j * np.pi * fy[:, None] * at[None, :])
     right = np.exp(-2j * np.pi * at[:, None] * fx[None, :])
-    return _product(_product(left, core.samples.astype(complex)), right) / core.oversampling**2
+    return _product(_product(left, samples.astype(complex)), right) / per_px**2
+
+
+def _low_pass(f: Array) -> Array:
+    """1 up to SMOOTH / 4 cycles per pixel, 0 from SMOOTH / 2 on."""
+    return taper(np.abs(f), SMOOTH / 4, SMOOTH / 2)
+
+
+def _smoothed(core: Core) -> tuple[Array, Array, int]:
+    """Samples of the core with at most SMOOTH per pixel, their places [px], and how many a pixel."""
+    half, os = core.samples.shape[0] // 2, core.oversampling
+    if os <= SMOOTH:
+        return core.samples, np.arange(-half, half + 1) / os, os
+    period = scipy.fft.next_fast_len(-(-2 * half // os) + 8)
+    fine, n = period * os, period * SMOOTH
+    grid = np.zeros((fine, fine))
+    index = np.arange(-half, half + 1) % fine
+    grid[np.ix_(index, index)] = core.samples
+    keep = np.arange(-(n // 2) + 1, n // 2)
+    cut = _low_pass(keep / period)
+    spectrum = scipy.fft.fft2(grid)[np.ix_(keep % fine, keep % fine)] * cut[:, None] * cut[None, :]
+    small = np.zeros((n, n), complex)
+    small[np.ix_(keep % n, keep % n)] = spectrum
+    samples = scipy.fft.ifft2(small).real * (n / fine) ** 2
+    at = np.arange(-(n // 2), n - n // 2)
+    return samples[np.ix_(at % n, at % n)], at / SMOOTH, SMOOTH
 
 
 @njit(cache=True, nogil=True)

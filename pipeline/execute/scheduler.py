@@ -1,0 +1,150 @@
+"""Schedulers: where the graph runs, behind one small interface (DESIGN section 7)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+from urllib.parse import urlsplit
+
+from pipeline.errors import BadInput, Incomplete
+
+Progress = Callable[[str], None]  # called with the kind of each task that is done
+LOCAL_KINDS = ("threads", "synchronous", "processes")
+TASKS_PER_WINDOW = 256
+
+
+class Scheduler(Protocol):
+    """Runs graphs whose tasks are tuples (function, arguments...)."""
+
+    workers: int
+
+    def share(self, value: Any) -> Any:
+        """Make a value available to all tasks, sent at most once to each worker."""
+
+    def keep(self, graph: dict[Any, Any]) -> dict[Any, Any]:
+        """Compute every task of a graph and keep the results for later graphs."""
+
+    def run(self, graph: dict[Any, Any], keys: list[Any], done: Progress) -> list[Any]:
+        """Compute `keys`; `done` hears the kind (first part of the key) of each finished task."""
+
+
+class LocalScheduler:
+    """Dask's threaded or synchronous scheduler: nothing to start."""
+
+    def __init__(self, kind: str, workers: int) -> None:
+        self.kind, self.workers = kind, workers
+
+    def share(self, value: Any) -> Any:
+        return value
+
+    def keep(self, graph: dict[Any, Any]) -> dict[Any, Any]:
+        keys = list(graph)
+        return dict(zip(keys, self.run(graph, keys, lambda _: None), strict=True))
+
+    def run(self, graph: dict[Any, Any], keys: list[Any], done: Progress) -> list[Any]:
+        from dask.callbacks import Callback
+        from dask.local import get_sync
+        from dask.threaded import get
+
+        def finished(key: Any, *_: Any) -> None:
+            done(key[0] if isinstance(key, tuple) else str(key))
+
+        with Callback(posttask=finished):
+            if self.kind == "synchronous":
+                return list(get_sync(graph, keys))
+            return list(get(graph, keys, num_workers=self.workers))
+
+
+class ClusterScheduler:
+    """A distributed cluster: a LocalCluster of processes, or the one at an address."""
+
+    def __init__(self, client: Any, workers: int) -> None:
+        self.client, self.workers = client, workers
+
+    def share(self, value: Any) -> Any:
+        return self.client.scatter(value, broadcast=True, hash=False)
+
+    def keep(self, graph: dict[Any, Any]) -> dict[Any, Any]:
+        futures = self._submit(graph, list(graph))
+        self._wait(futures, lambda _: None)
+        return dict(zip(graph, futures, strict=True))
+
+    def run(self, graph: dict[Any, Any], keys: list[Any], done: Progress) -> list[Any]:
+        futures = self._submit(graph, keys)
+        self._wait(futures, done)
+        return self.client.gather(futures)
+
+    def _submit(self, graph: dict[Any, Any], keys: list[Any]) -> list[Any]:
+        return self.client.get(graph, keys, sync=False, retries=2)
+
+    def _wait(self, futures: list[Any], done: Progress) -> None:
+        from distributed import as_completed
+        from distributed.scheduler import KilledWorker
+
+        try:
+            for future in as_completed(futures, raise_errors=False):
+                if future.status == "error":
+                    raise future.exception()
+                if future.status == "cancelled":
+                    raise Incomplete("the cluster cancelled tasks; go on with --resume")
+                done(future.key[0] if isinstance(future.key, tuple) else str(future.key))
+        except KilledWorker as error:
+            raise Incomplete(f"a task keeps killing its workers: {error}") from None
+
+
+@contextmanager
+def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
+    """The scheduler named by `--scheduler`: threads, synchronous, processes, or an address."""
+    count = workers or available_cores()
+    if kind in ("threads", "synchronous"):
+        yield LocalScheduler(kind, 1 if kind == "synchronous" else count)
+        return
+    _check_address(kind)
+    os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
+    import dask
+    from distributed import Client, LocalCluster
+
+    dask.config.set({
+        "distributed.worker.multiprocessing-method": "spawn",
+        "distributed.scheduler.allowed-failures": 3,
+        "distributed.logging.distributed": "error",
+    })  # fmt: skip
+    if kind == "processes":
+        with (
+            LocalCluster(
+                n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
+                dashboard_address=None, silence_logs=50,
+            ) as cluster,
+            Client(cluster) as client,
+        ):  # fmt: skip
+            yield ClusterScheduler(client, count)
+        return
+    try:
+        client = Client(kind, timeout=10)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise BadInput("--scheduler", kind, f"the address of a running scheduler; {error}") from None
+    with client:
+        threads = sum(client.nthreads().values())
+        if threads == 0:
+            raise BadInput("--scheduler", kind, "a scheduler that has workers")
+        yield ClusterScheduler(client, threads)
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _check_address(kind: str) -> None:
+    """An open scheduler runs anybody's code: beyond loopback only TLS is accepted."""
+    if kind == "processes":
+        return
+    parts = urlsplit(kind)
+    if parts.scheme not in ("tcp", "tls") or not parts.hostname:
+        allowed = f"{', '.join(LOCAL_KINDS)}, tcp://127.0.0.1:PORT or tls://HOST:PORT"
+        raise BadInput("--scheduler", kind, allowed)
+    loopback = parts.hostname in ("localhost", "::1") or parts.hostname.startswith("127.")
+    if parts.scheme == "tcp" and not loopback:
+        raise BadInput("--scheduler", kind, "tls:// with certificates beyond this machine")

@@ -1,0 +1,148 @@
+"""Truth of one frame: what was drawn, where, how bright, at what signal-to-noise."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Array, FrameStars, Geometry
+from pipeline.execute.sources import place_targets, streaks, zone_of
+from pipeline.execute.tables import swept_core
+from pipeline.physics.motion.streak import Path, pieces
+from pipeline.physics.positions.apparent import proper_to_astrometric
+from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.psf.response import stamp_at
+from pipeline.physics.vectors import to_angles
+from pipeline.plan.scene_plan import Plan
+
+Columns = dict[str, Any]
+
+
+def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
+    """Columns of truth/stars.parquet for one frame; `stars` in order of source_id.
+
+    x_px, y_px at mid-exposure (pixel (0, 0) is the centre of the first), start and end of the
+    streak as drawn, ra/dec astrometric (what the WCS gives), light in electrons, matched-filter
+    SNR of the isolated source.
+    """
+    paths = streaks(plan, g)
+    zone = zone_of(plan, stars.x_px, stars.y_px)
+    ends = np.array([[p.x_px[0], p.y_px[0], p.x_px[-1], p.y_px[-1]] for p in paths])[zone]
+    rows, columns = plan.camera.rows, plan.camera.columns
+    inside = (np.abs(stars.x_px - (columns - 1) / 2) <= columns / 2) & (
+        np.abs(stars.y_px - (rows - 1) / 2) <= rows / 2
+    )
+    return {
+        "frame": np.full(len(stars), g.frame[0], np.int32),
+        "source_id": stars.source_id,
+        "x_px": stars.x_px,
+        "y_px": stars.y_px,
+        "x_start_px": stars.x_px + ends[:, 0],
+        "y_start_px": stars.y_px + ends[:, 1],
+        "x_end_px": stars.x_px + ends[:, 2],
+        "y_end_px": stars.y_px + ends[:, 3],
+        "ra_deg": np.degrees(stars.ra_rad),
+        "dec_deg": np.degrees(stars.dec_rad),
+        "g_mag": stars.g_mag,
+        "electrons": stars.light_e,
+        "snr": matched_snr(plan, paths[len(paths) // 2], stars.light_e),
+        "colour_flag": stars.colour_flag,
+        "in_frame": inside,
+    }
+
+
+def target_truth(plan: Plan, g: Geometry) -> Columns:
+    """Columns of truth/targets.parquet for one frame: every target, also those not in view."""
+    middle, count = g.middle, len(plan.scene.targets)
+    drawn = {t.index: t for t in place_targets(plan, g)}
+    seen = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
+    stars = plan.scene.stars
+    direction = proper_to_astrometric(
+        g.target_direction[:, 0], *seen,
+        deflection=stars is None or stars.deflection,
+        aberration=stars is None or stars.aberration,
+    )  # fmt: skip
+    ra, dec = to_angles(direction)
+    apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
+    light = np.array([drawn[i].light_e if i in drawn else 0.0 for i in range(count)])
+    snr = [
+        float(matched_snr(plan, drawn[i].path, light[i : i + 1])[0]) if i in drawn else 0.0
+        for i in range(count)
+    ]
+    x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
+    with np.errstate(invalid="ignore"):
+        inside = (np.abs(x[:, middle] - (plan.camera.columns - 1) / 2) <= plan.camera.columns / 2)
+        inside &= np.abs(y[:, middle] - (plan.camera.rows - 1) / 2) <= plan.camera.rows / 2
+    return {
+        "frame": np.full(count, g.frame[0], np.int32),
+        "name": [t.name for t in plan.scene.targets],
+        "x_px": x[:, middle],
+        "y_px": y[:, middle],
+        "x_start_px": x[:, 0],
+        "y_start_px": y[:, 0],
+        "x_end_px": x[:, -1],
+        "y_end_px": y[:, -1],
+        "ra_deg": np.degrees(ra),
+        "dec_deg": np.degrees(dec),
+        "apparent_ra_deg": np.degrees(apparent_ra),
+        "apparent_dec_deg": np.degrees(apparent_dec),
+        "range_m": g.target_range_m[:, 0, middle],
+        "phase_deg": np.degrees(g.target_phase_rad[:, 0, middle]),
+        "sunlit_fraction": g.target_sunlit[:, 0, middle],
+        "electrons": light,
+        "snr": np.array(snr),
+        "in_frame": inside,
+    }
+
+
+def matched_snr(plan: Plan, path: Path, light_e: Array) -> Array:
+    """Signal-to-noise of isolated sources under a matched filter, (n,).
+
+    SNR^2 = sum (F p)^2 / (sigma0^2 + F p) over the pixels of the source's own response p; F light,
+    sigma0 the noise floor. Evaluated on a grid of log F and interpolated (error < 1e-3).
+    """
+    response = _response_at_centre(plan, path)
+    floor = plan.facts.sigma_floor_e**2
+    positive = light_e[light_e > 0]
+    if positive.size == 0:
+        return np.zeros(len(light_e))
+    low, high = np.log(positive.min()), np.log(positive.max())
+    grid = np.linspace(low, high, 128 if high > low else 1)
+    signal = np.exp(grid)[:, None] * response[None, :]
+    snr = np.sqrt(np.sum(signal**2 / (floor + signal), axis=1))
+    with np.errstate(divide="ignore"):
+        at = np.log(np.maximum(light_e, 0.0))
+    return np.where(light_e > 0, np.exp(np.interp(at, grid, np.log(snr))), 0.0)
+
+
+def _response_at_centre(plan: Plan, path: Path) -> Array:
+    """Pixel values of the core response for a source swept along a path, at one phase, (m,)."""
+    core = plan.responses.classes[0]
+    image: dict[tuple[int, int], float] = {}
+    for x0, y0, piece, share in pieces(path):
+        swept = swept_core(plan.responses.blur, core.radius_px, piece)
+        row, column, stamp = stamp_at(*swept, y0, x0)
+        kept = np.argwhere(stamp > 1e-7 * stamp.max())
+        for r, c in kept:
+            key = (row + int(r), column + int(c))
+            image[key] = image.get(key, 0.0) + share * float(stamp[r, c])
+    return np.array(list(image.values()))
+
+
+def world_of(plan: Plan, g: Geometry, index: int = 0) -> Any:
+    """Function from pixels (x, y) to astrometric directions (n, 3) of frame `index` of `g`."""
+    middle, stars = g.middle, plan.scene.stars
+    seen = (g.observer_m[index, middle], g.observer_m_s[index, middle], g.sun_m[index, middle])
+
+    def to_world(x_px: Array, y_px: Array) -> Array:
+        proper = deproject(plan.camera, g.attitude[index, middle], x_px, y_px)
+        return proper_to_astrometric(
+            proper, *seen,
+            deflection=stars is None or stars.deflection,
+            aberration=stars is None or stars.aberration,
+        )  # fmt: skip
+
+    return to_world
+
+

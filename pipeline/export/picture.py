@@ -1,0 +1,97 @@
+"""Pictures of a frame: an asinh stretch between robust limits, with targets marked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.store.cube import read_layer
+from pipeline.store.layout import PREVIEW, TRUTH, write_atomically
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+    from pipeline.plan.scene_plan import Plan
+
+LARGEST_SIDE_PX = 1024
+GREEN = (80, 255, 120)
+
+
+def stretch(
+    image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7
+) -> NDArray[np.uint8]:
+    """Grey levels 0 to 255 of an image: asinh between the sky and a bright percentile.
+
+    The softening is the robust scatter of the sky, so that noise stays visible beside bright
+    stars (Lupton et al. 2004, PASP 116, 133).
+    """
+    values = np.asarray(image, np.float64)
+    sample = values.ravel()[:: max(1, values.size // 400_000)]
+    low, middle, high = np.percentile(sample, [low_percent, 50.0, high_percent])
+    scatter = 1.4826 * float(np.median(np.abs(sample - middle))) or 1.0
+    top = max(float(high), middle + 12.0 * scatter)
+    scaled = np.arcsinh((values - low) / (3.0 * scatter)) / np.arcsinh((top - low) / (3.0 * scatter))
+    return (255.0 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8)
+
+
+def shrink(image: NDArray[Any], side_px: int = LARGEST_SIDE_PX) -> tuple[NDArray[Any], int]:
+    """An image binned by whole factors until it fits; faint stars survive as block maxima do not
+    raise the sky (mean of the block and its maximum). Returns it and the factor."""
+    factor = -(-max(image.shape) // side_px)
+    if factor == 1:
+        return np.asarray(image, np.float64), 1
+    ny, nx = (n // factor * factor for n in image.shape)
+    if ny == 0 or nx == 0:
+        return np.asarray(image, np.float64), 1
+    blocks = np.asarray(image[:ny, :nx], np.float64).reshape(
+        ny // factor, factor, nx // factor, factor
+    )
+    return 0.5 * (blocks.mean(axis=(1, 3)) + blocks.max(axis=(1, 3))), factor
+
+
+def frame_picture(product: Path, frame: int = 0, mark: bool = True) -> Image:
+    """A picture of one raw frame, north as the pointing has it (row 0 at the bottom)."""
+    from PIL import Image
+
+    small, factor = shrink(read_layer(product, "dn", frame))
+    grey = stretch(small)[::-1]
+    picture = Image.fromarray(np.stack([grey] * 3, axis=-1))
+    if mark:
+        _mark_targets(picture, product, frame, factor)
+    return picture
+
+
+def write_preview(product: Path, plan: Plan) -> None:
+    """preview.png of the first frame; absent where the cube is."""
+    write_atomically(product / PREVIEW, png_bytes(frame_picture(product, 0, bool(plan.scene.targets))))
+
+
+def png_bytes(picture: Image) -> bytes:
+    """A picture as PNG."""
+    from io import BytesIO
+
+    out = BytesIO()
+    picture.save(out, format="PNG", optimize=False)
+    return out.getvalue()
+
+
+def _mark_targets(picture: Image, product: Path, frame: int, factor: int) -> None:
+    """Green circles round the targets in view."""
+    from PIL import ImageDraw
+
+    table = product / TRUTH / "targets.parquet"
+    if not table.is_file():
+        return
+    import pyarrow.parquet as pq
+
+    rows = pq.read_table(table, filters=[("frame", "=", frame), ("in_frame", "=", True)])
+    draw = ImageDraw.Draw(picture)
+    for x, y, name in zip(*(rows[c].to_pylist() for c in ("x_px", "y_px", "name")), strict=True):
+        cx, cy = (x + 0.5) / factor, picture.height - (y + 0.5) / factor
+        draw.ellipse([cx - 12, cy - 12, cx + 12, cy + 12], outline=GREEN)
+        draw.text((cx + 14, cy - 6), str(name), fill=GREEN)
+
+

@@ -1,0 +1,199 @@
+"""The last stage: coordinates, WCS, truth tables, preview, report, and the seal."""
+
+from __future__ import annotations
+
+import json
+import resource
+import time
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.arrays import FrameStars, concatenate
+from pipeline.execute.truth import star_truth, target_truth, world_of
+from pipeline.export.picture import write_preview
+from pipeline.inputs.stars import Catalogue
+from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
+from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.scene_plan import Plan
+from pipeline.spec.load import scene_yaml
+from pipeline.store import layout
+from pipeline.store.clock import UNITS, utc_microseconds
+from pipeline.store.cube import finish_cube
+from pipeline.store.product import Begun, content_digest, seal, truth_kinds
+from pipeline.store.truth import drop_parts, join_parts
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SIP_SIZE = 5  # SIP polynomials up to order 4
+WINDOW = 256
+LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
+Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
+
+
+def finish(
+    plan: Plan, catalogue: Catalogue | None, begun: Begun, times: dict[str, Any]
+) -> dict[str, Any]:
+    """Turn finished tiles into a complete product; returns the report."""
+    product, started = begun.path, time.perf_counter()
+    rows = {
+        kind: join_parts(product, kind, plan.frames, _empty(plan, kind))
+        for kind in truth_kinds(plan)
+    }
+    coordinates = gather_coordinates(plan)
+    finish_cube(product, coordinates, _attributes(plan, catalogue))
+    write_preview(product, plan)
+    residual = float(coordinates["wcs_residual_px"][1].max())
+    report = _report(plan, catalogue, begun, rows, residual)
+    report["seconds"] = times | {"finish_s": time.perf_counter() - started}
+    layout.write_atomically(product / layout.REPORT, layout.to_json(report))
+    drop_parts(product)
+    seal(product)
+    return report
+
+
+def stored_report(begun: Begun) -> dict[str, Any]:
+    """The report of a product that is already complete."""
+    return json.loads((begun.path / layout.REPORT).read_text())
+
+
+def gather_coordinates(plan: Plan) -> Coordinates:
+    """Axes, times, WCS and attitude of every frame."""
+    rows, columns = plan.scene.sensor.shape
+    out: Coordinates = {
+        "y": (("y",), np.arange(rows), {"long_name": "row", "units": "pixel"}),
+        "x": (("x",), np.arange(columns), {"long_name": "column", "units": "pixel"}),
+        "frame": (("frame",), np.arange(plan.frames), {"long_name": "frame number"}),
+    }
+    columns_of: dict[str, list[np.ndarray]] = {}
+    for start in range(0, plan.frames, WINDOW):
+        frames = np.arange(start, min(start + WINDOW, plan.frames), dtype=np.int64)
+        for name, values in _frame_columns(plan, frames).items():
+            columns_of.setdefault(name, []).append(values)
+    for name, parts in columns_of.items():
+        dimensions, attrs = FRAME_COLUMNS[name]
+        out[name] = (dimensions, np.concatenate(parts), attrs)
+    return out
+
+
+_TIME = {"units": UNITS, "calendar": "proleptic_gregorian"}
+FRAME_COLUMNS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
+    "time_start": (("frame",), {"long_name": "UTC at the start of the exposure"} | _TIME),
+    "time_mid": (("frame",), {"long_name": "UTC at the middle of the exposure"} | _TIME),
+    "time_end": (("frame",), {"long_name": "UTC at the end of the exposure"} | _TIME),
+    "wcs_crval_deg": (
+        ("frame", "world"), {"long_name": "ICRS place of the reference pixel", "units": "degree"}
+    ),
+    "wcs_crpix_px": (
+        ("frame", "world"), {"long_name": "reference pixel, 1-based (FITS)", "units": "pixel"}
+    ),
+    "wcs_cd_deg": (
+        ("frame", "world", "axis"), {"long_name": "CD matrix", "units": "degree/pixel"}
+    ),
+    "wcs_sip_order": (("frame",), {"long_name": "SIP order, 0 for plain TAN"}),
+    "wcs_sip_a": (("frame", "power_u", "power_v"), {"long_name": "SIP A coefficients"}),
+    "wcs_sip_b": (("frame", "power_u", "power_v"), {"long_name": "SIP B coefficients"}),
+    "wcs_residual_px": (
+        ("frame",), {"long_name": "largest error of the WCS over the frame", "units": "pixel"}
+    ),
+    "attitude": (
+        ("frame", "camera_axis", "icrs_axis"),
+        {"long_name": "camera axes +x, +y, boresight at mid-exposure, apparent ICRS directions"},
+    ),
+}  # fmt: skip
+
+
+def _frame_columns(plan: Plan, frames: np.ndarray) -> dict[str, np.ndarray]:
+    g = plan_geometry(plan.scene, frames, plan.dut1_s)
+    fits = [fit_wcs(plan.camera, world_of(plan, g, i)) for i in range(len(frames))]
+    times = {
+        name: utc_microseconds(g.utc1[:, k], g.utc2[:, k])
+        for name, k in (("time_start", 0), ("time_mid", g.middle), ("time_end", -1))
+    }
+    return times | {
+        "wcs_crval_deg": np.array([f.crval_deg for f in fits]),
+        "wcs_crpix_px": np.array([f.crpix for f in fits]),
+        "wcs_cd_deg": np.array([f.cd_deg for f in fits]),
+        "wcs_sip_order": np.array([f.sip_order for f in fits], np.int16),
+        "wcs_sip_a": np.array([_padded(f, f.sip_a) for f in fits]),
+        "wcs_sip_b": np.array([_padded(f, f.sip_b) for f in fits]),
+        "wcs_residual_px": np.array([f.residual_px for f in fits]),
+        "attitude": g.attitude[:, g.middle],
+    }
+
+
+def _padded(fit: WcsFit, table: np.ndarray) -> np.ndarray:
+    """SIP coefficients in a table of fixed size; zero for plain TAN."""
+    out = np.zeros((SIP_SIZE, SIP_SIZE))
+    if fit.sip_order:
+        out[: table.shape[0], : table.shape[1]] = table
+    return out
+
+
+def _attributes(plan: Plan, catalogue: Catalogue | None) -> dict[str, Any]:
+    """Provenance, on the cube itself."""
+    synthetic = catalogue is not None and catalogue.synthetic
+    return {
+        "title": plan.scene.name,
+        "Conventions": "CF-1.11",
+        "complete": True,
+        "source": f"Nightglass {version('nightglass')}",
+        "scene": scene_yaml(plan.scene),
+        "seed": plan.scene.seed,
+        "integration_s": plan.scene.exposure.integration_s,
+        "catalogue": catalogue.name if catalogue else None,
+        "catalogue_digest": catalogue.digest if catalogue else None,
+        "synthetic_stars": synthetic,
+        "pixel_convention": "pixel (0, 0) is the centre of the first pixel; axes (y, x)",
+    }
+
+
+def _report(
+    plan: Plan,
+    catalogue: Catalogue | None,
+    begun: Begun,
+    rows: dict[str, int],
+    wcs_residual_px: float,
+) -> dict[str, Any]:
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    bounds = [d for d in plan.decisions if d.error_bound_e]
+    return {
+        "scene": plan.scene.name,
+        "complete": True,
+        "content_digest": content_digest(begun.path),
+        "frames": plan.frames,
+        "tiles": len(plan.tiles) * plan.frames,
+        "tiles_resumed": len(begun.done),
+        "redrawn": list(begun.redrawn),
+        "truth_rows": rows,
+        "catalogue": None if catalogue is None else {
+            "name": catalogue.name,
+            "digest": catalogue.digest,
+            "synthetic": catalogue.synthetic,
+        },
+        "errors": {
+            "wcs_residual_px": wcs_residual_px,
+            "noise_floor_e": plan.facts.sigma_floor_e,
+            "bound_of_all_approximations_e": sum(d.error_bound_e or 0.0 for d in bounds),
+            "bound_of_all_approximations_sigma": sum(d.error_bound_sigma or 0.0 for d in bounds),
+            "asked_sigma": plan.scene.accuracy.noise_fraction,
+            "light_left_out": plan.responses.lost_light,
+        },
+        "remarks": list(plan.remarks),
+        "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
+        "versions": {"nightglass": version("nightglass")} | {n: version(n) for n in LIBRARIES},
+    }  # fmt: skip
+
+
+def _empty(plan: Plan, kind: str) -> pa.Table:
+    """A truth table without rows, for its schema."""
+    import pyarrow as pa
+
+    g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
+    if kind == "targets":
+        return pa.table(target_truth(plan, g)).slice(0, 0)
+    return pa.table(star_truth(plan, g, concatenate([], FrameStars)))
+
+

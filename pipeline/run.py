@@ -1,0 +1,265 @@
+"""The whole route: facts, plan, inputs, graph, product, report."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Geometry, SensorMaps
+from pipeline.errors import BadInput
+from pipeline.execute.graph import Inputs, Work, shard_graph, window_graph
+from pipeline.execute.scheduler import TASKS_PER_WINDOW, Scheduler, open_scheduler
+from pipeline.finish import finish, stored_report
+from pipeline.inputs.colour_fit import gather_colour_fit
+from pipeline.inputs.curves import resolve_response, solar_spectrum
+from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.folders import cache_folder
+from pipeline.inputs.sensor import gather_sensor_maps
+from pipeline.inputs.stars import Catalogue, Leaf, gather_leaves, open_catalogue
+from pipeline.physics.colour import ColourFit
+from pipeline.physics.constants import JULIAN_YEAR_DAYS
+from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
+from pipeline.plan.facts import gather_facts
+from pipeline.plan.forecast import forecast_stars
+from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
+from pipeline.spec.scene import Scene
+from pipeline.store import layout
+from pipeline.store.product import Begun, begin, truth_kinds
+
+J2000_JD = 2451545.0
+Listener = Callable[["Progress"], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to render; none of it changes a bit of the result.
+
+    scheduler : threads, synchronous, processes, or an address; workers : None for all cores
+    resume : go on with an unfinished product; replace : remove what stands at the path first
+    """
+
+    scheduler: str = "threads"
+    workers: int | None = None
+    resume: bool = False
+    replace: bool = False
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a render is: tiles done of all, and what was just done."""
+
+    done: int
+    total: int
+    doing: str
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A plan with what was read to make it."""
+
+    plan: Plan
+    maps: SensorMaps
+    catalogue: Catalogue | None
+    seconds: float
+
+
+def prepare(scene: Scene) -> Prepared:
+    """Read curves, fit, sensor images and the catalogue's manifest; decide; read no star."""
+    started = time.perf_counter()
+    catalogue = None
+    if scene.stars is not None:
+        catalogue = open_catalogue(scene.stars.catalogue, field="stars.catalogue")
+    maps = gather_sensor_maps(scene)
+    response, band, digest = gather_response(scene)
+    dut1_s, remark = gather_dut1_s(*parse_utc(scene.epoch))
+    remarks = [remark] if remark else []
+    colour, sun = _light(scene, response, band, digest, remarks)
+    facts = gather_facts(
+        scene, response, maps.typical("dark_e_per_s"), maps.typical("read_noise_e"),
+        maps.typical("gain_e_per_dn"),
+    )  # fmt: skip
+    ends = np.unique([0, scene.exposure.frames - 1]).astype(np.int64)
+    geometry = plan_geometry(scene, ends, dut1_s)
+    if catalogue is not None:
+        remarks += _catalogue_remarks(scene, catalogue)
+    plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s)
+    return Prepared(plan, maps, catalogue, time.perf_counter() - started)
+
+
+def gather_response(scene: Scene) -> tuple[ResponseCurve, str, str]:
+    """Bandpass x optics x quantum efficiency of a scene's sensor, its name and digest."""
+    s = scene.sensor
+    return resolve_response(
+        s.bandpass.model_dump(), s.transmission, s.quantum_efficiency
+    )
+
+
+def _light(
+    scene: Scene, response: ResponseCurve, band: str, digest: str, remarks: list[str]
+) -> tuple[ColourFit | None, float]:
+    """The colour fit if there are stars and the Sun's electron rate if there are targets."""
+    colour, sun = None, 0.0
+    if scene.stars is not None:
+        colour = gather_colour_fit(response, band, digest, cache_folder())
+        remarks.append(
+            f"star colours: {colour.source}; fit residual {colour.residual_rms_mag:.3f} mag rms"
+        )
+    if scene.targets:
+        wavelength, irradiance, source, error = solar_spectrum()
+        sun = band_photon_irradiance_sun(wavelength, irradiance, response)
+        remarks.append(f"solar spectrum: {source}; {error}")
+    return colour, sun
+
+
+def _catalogue_remarks(scene: Scene, catalogue: Catalogue) -> list[str]:
+    out = []
+    if catalogue.synthetic:
+        out.append("SYNTHETIC CATALOGUE: no star of this product is a real star")
+    assert scene.stars is not None
+    wanted = scene.stars.faintest_g_mag
+    faintest = catalogue.faintest_g_mag
+    if wanted is not None and faintest is not None and faintest < wanted - 0.5:
+        out.append(
+            f"the catalogue ends at G = {faintest:.1f}, the scene asks for {wanted}"
+        )
+    return out
+
+
+def plan_scene(scene: Scene) -> dict[str, Any]:
+    """The plan of a scene as plain data (`nightglass plan`); reads no star."""
+    prepared = prepare(scene)
+    return plan_dict(prepared.plan, _forecast(prepared))
+
+
+def _forecast(prepared: Prepared) -> Any:
+    plan, catalogue = prepared.plan, prepared.catalogue
+    if catalogue is None:
+        return None
+    frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
+    geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
+    return forecast_stars(plan, _leaves(plan, catalogue, geometry))
+
+
+def _leaves(plan: Plan, catalogue: Catalogue, g: Geometry) -> tuple[Leaf, ...]:
+    """Shards that the frames of a geometry need."""
+    centres, radii = field_cones(plan, g)
+    epoch = 2000.0 + (float(g.tt1[0, 0]) - J2000_JD + float(g.tt2[0, 0])) / JULIAN_YEAR_DAYS
+    return gather_leaves(catalogue, centres, radii, epoch)
+
+
+def render(
+    scene: Scene, product: Path, options: Options | None = None, listen: Listener | None = None
+) -> dict[str, Any]:
+    """Render a scene into a product directory and return its report.
+
+    Raises BadInput for a scene or path that cannot be used, Damaged for a damaged catalogue,
+    Incomplete where work stopped before everything was done (what is done is kept).
+    """
+    options = options or Options()
+    started = time.perf_counter()
+    prepared = prepare(scene)
+    plan = prepared.plan
+    if options.replace and product.exists():
+        _remove(product)
+    digest = prepared.catalogue.digest if prepared.catalogue else None
+    begun = begin(product, plan, digest, options.resume)
+    with layout.only_writer(product):
+        summary = plan_dict(plan, _forecast(prepared))
+        layout.write_atomically(product / layout.PLAN, layout.to_json(summary))
+        planned = time.perf_counter()
+        if (product / layout.COMPLETE).is_file() and not begun.redrawn and _all_done(begun, plan):
+            return stored_report(begun)
+        _unseal(product)
+        with open_scheduler(options.scheduler, options.workers) as scheduler:
+            _draw(prepared, begun, scheduler, listen)
+            workers = scheduler.workers
+        drawn = time.perf_counter()
+        times = {
+            "plan_s": planned - started, "draw_s": drawn - planned, "workers": workers,
+            "scheduler": options.scheduler,
+        }  # fmt: skip
+        return finish(plan, prepared.catalogue, begun, times)
+
+
+def _draw(
+    prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listener | None
+) -> None:
+    """Run every missing task, window by window of frames."""
+    plan, catalogue = prepared.plan, prepared.catalogue
+    reach = plan.halo_px * plan.facts.ifov_rad
+    inputs = scheduler.share(Inputs(plan, prepared.maps, catalogue, begun.writer, reach))
+    total = len(plan.tiles) * plan.frames
+    state = {"done": len(begun.done)}
+    shards: dict[Leaf, Any] = {}
+
+    def done(kind: str) -> None:
+        state["done"] += kind == "tile"
+        if listen is not None:
+            listen(Progress(state["done"], total, kind))
+
+    if listen is not None:
+        listen(Progress(state["done"], total, "start"))
+    for window in _windows(plan):
+        work = _missing(plan, begun, window)
+        if work is None:
+            continue
+        needed = _leaves(plan, catalogue, work.geometry) if catalogue is not None else ()
+        shards = {leaf: shards[leaf] for leaf in needed if leaf in shards}
+        fresh = [leaf for leaf in needed if leaf not in shards]
+        kept = scheduler.keep(shard_graph(inputs, fresh))
+        shards |= {leaf: kept["shard", leaf.order, leaf.pixel] for leaf in fresh}
+        graph, keys = window_graph(inputs, plan, work, shards)
+        scheduler.run(graph, keys, done)
+
+
+def _windows(plan: Plan) -> list[np.ndarray]:
+    """Frames in windows of at most TASKS_PER_WINDOW tiles, so that no graph grows large."""
+    per_window = max(1, TASKS_PER_WINDOW // len(plan.tiles))
+    frames = np.arange(plan.frames, dtype=np.int64)
+    return [frames[i : i + per_window] for i in range(0, plan.frames, per_window)]
+
+
+def _missing(plan: Plan, begun: Begun, frames: np.ndarray) -> Work | None:
+    """What a window still lacks; None where nothing."""
+    tiles = [
+        (i, tile)
+        for i, frame in enumerate(frames)
+        for tile in plan.tiles
+        if (int(frame), tile.row, tile.column) not in begun.done
+    ]
+    truth = {
+        kind: tuple(i for i, f in enumerate(frames) if (kind, int(f)) not in begun.truth_done)
+        for kind in truth_kinds(plan)
+    }
+    if not tiles and not any(truth.values()):
+        return None
+    geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
+    return Work(geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()))
+
+
+def _all_done(begun: Begun, plan: Plan) -> bool:
+    return len(begun.done) == len(plan.tiles) * plan.frames
+
+
+def _unseal(product: Path) -> None:
+    """An earlier seal no longer holds once anything is drawn again."""
+    for name in (layout.COMPLETE, f"{layout.CUBE}/zarr.json"):
+        (product / name).unlink(missing_ok=True)
+
+
+def _remove(product: Path) -> None:
+    """Remove an old product (only a product, never any other folder)."""
+    if not product.is_dir() or not (product / layout.BEGUN).is_file():
+        raise BadInput("--replace", str(product), "a product made by `nightglass render`")
+    with layout.only_writer(product):
+        shutil.rmtree(product)
+
+

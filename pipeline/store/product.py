@@ -1,0 +1,224 @@
+"""The life of a product: begin, resume, finish, check. Nothing looks whole before it is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.plan.scene_plan import Plan
+from pipeline.plan.tiles import tile_shape
+from pipeline.spec.load import scene_yaml
+from pipeline.store import layout
+from pipeline.store.cube import CubeWriter, create_arrays
+from pipeline.store.markers import (
+
+    chunk_fault,
+
+    markers_present,
+    read_marker,
+)
+from pipeline.store.truth import part_is_whole
+
+FORMAT = "nightglass/product/1"
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A product being written: its writer, and what an earlier run has already finished."""
+
+    path: Path
+    writer: CubeWriter
+    done: frozenset[tuple[int, int, int]]
+    truth_done: frozenset[tuple[str, int]]
+    redrawn: tuple[str, ...]
+
+
+def begin(path: Path, plan: Plan, catalogue_digest: str | None, resume: bool) -> Begun:
+    """Make a new product directory, or take up an unfinished one (`resume`).
+
+    Raises BadInput where the path exists and is not to be resumed, or is to be and comes from
+    another scene, catalogue or version of the format.
+    """
+    identity = {
+        "format": FORMAT,
+        "scene_sha256": scene_digest(plan),
+        "catalogue_digest": catalogue_digest,
+        "tile_shape": list(tile_shape(plan.scene)),
+    }
+    if path.exists() and not resume:
+        raise BadInput(
+            "-o", str(path), "a path that does not exist yet; or give --resume or --replace"
+        )
+    if not path.exists():
+        if resume:
+            raise BadInput("--resume", str(path), "a product that was begun before")
+        _make_folders(path)
+        create_arrays(path, plan)
+        layout.write_atomically(path / layout.SCENE, scene_yaml(plan.scene).encode())
+        layout.write_atomically(path / layout.BEGUN, layout.to_json(identity))
+        return Begun(path, _writer(path, plan), frozenset(), frozenset(), ())
+    return _take_up(path, plan, identity)
+
+
+def _take_up(path: Path, plan: Plan, identity: dict[str, Any]) -> Begun:
+    if not (path / layout.BEGUN).is_file():
+        if not (path / layout.CUBE).exists() and not any(path.glob("*.json")):
+            raise BadInput("--resume", str(path), "a product begun by `nightglass render`")
+        shutil.rmtree(path)  # it stopped before its first task: begin anew
+        return begin(path, plan, identity["catalogue_digest"], resume=False)
+    found = json.loads((path / layout.BEGUN).read_text())
+    for key, wanted in identity.items():
+        if found.get(key) != wanted:
+            raise BadInput("--resume", str(path), f"a product of the same {key}: {wanted}")
+    done, faults = set(), []
+    for marker in markers_present(path):
+        fault = _marker_fault(path, marker)
+        if fault is None:
+            m = read_marker(marker)
+            done.add((m.frame, m.row, m.column))
+        else:
+            faults.append(fault)
+            marker.unlink()
+    truth = {
+        (kind, frame)
+        for kind in truth_kinds(plan)
+        for frame in range(plan.frames)
+        if part_is_whole(path, kind, frame)
+    }
+    return Begun(path, _writer(path, plan), frozenset(done), frozenset(truth), tuple(faults))
+
+
+def _marker_fault(path: Path, marker: Path) -> str | None:
+    try:
+        return chunk_fault(path, read_marker(marker))
+    except Damaged as damage:
+        return str(damage)
+
+
+def _make_folders(path: Path) -> None:
+    try:
+        path.mkdir(parents=True)
+        for name in (layout.CUBE, layout.MARKERS, f"{layout.TRUTH}/{layout.PARTS}"):
+            (path / name).mkdir(parents=True)
+    except OSError as error:
+        raise BadInput("-o", str(path), f"a path that can be written; {error.strerror}") from None
+
+
+def _writer(path: Path, plan: Plan) -> CubeWriter:
+    layers = ("dn", *(n for n in plan.scene.output.layers if n != "dn"))
+    return CubeWriter(str(path.resolve()), layers)
+
+
+def truth_kinds(plan: Plan) -> tuple[str, ...]:
+    """The truth tables that a scene has."""
+    kinds = (("stars", plan.scene.stars is not None), ("targets", bool(plan.scene.targets)))
+    return tuple(name for name, present in kinds if present)
+
+
+def scene_digest(plan: Plan) -> str:
+    """SHA-256 of what decides the pixels: the scene without how it is cut, kept and named."""
+    scene = plan.scene.as_dict()
+    scene["output"] = {"layers": scene["output"]["layers"]}
+    return hashlib.sha256(json.dumps(scene, sort_keys=True).encode()).hexdigest()
+
+
+def content_digest(path: Path) -> str:
+    """SHA-256 over the checksums of all cells of all layers: the same for every tile shape."""
+    cells = []
+    for marker in markers_present(path):
+        m = read_marker(marker)
+        cells += [(name, m.frame, *c) for name, found in m.cells.items() for c in found]
+    return hashlib.sha256(json.dumps(sorted(cells)).encode()).hexdigest()
+
+
+@dataclass
+class Verdict:
+    """What `check` found: `faults` name each damaged or missing thing."""
+
+    path: str
+    complete: bool
+    tiles: int
+    tiles_expected: int
+    faults: list[str] = field(default_factory=list)
+
+    @property
+    def whole(self) -> bool:
+        return self.complete and not self.faults
+
+
+def check(path: Path) -> Verdict:
+    """Verify a product: every tile has its marker, every chunk its checksum, every table reads."""
+    if not (path / layout.BEGUN).is_file():
+        raise BadInput("PRODUCT", str(path), "a product directory made by `nightglass render`")
+    plan = json.loads((path / layout.PLAN).read_text()) if (path / layout.PLAN).is_file() else {}
+    complete = (path / layout.COMPLETE).is_file()
+    verdict = Verdict(str(path), complete, 0, int(plan.get("tiles", 0)))
+    for marker in markers_present(path):
+        fault = _marker_fault(path, marker)
+        verdict.tiles += fault is None
+        if fault:
+            verdict.faults.append(fault)
+    if not complete:
+        return verdict
+    missing = verdict.tiles_expected - verdict.tiles - len(verdict.faults)
+    if missing > 0:
+        verdict.faults.append(f"{layout.MARKERS}: {missing} markers are missing")
+    verdict.faults += _finished_faults(path)
+    return verdict
+
+
+def _finished_faults(path: Path) -> list[str]:
+    """Damage to what `finish` wrote: files named in _COMPLETE with length and digest."""
+    try:
+        listed = json.loads((path / layout.COMPLETE).read_text())["files"]
+    except (ValueError, KeyError, TypeError):
+        return [f"{layout.COMPLETE}: not what was written"]
+    faults = []
+    for name, digest in listed.items():
+        file = path / name
+        if not file.is_file():
+            faults.append(f"{name}: missing")
+        elif file_digest(file) != digest:
+            faults.append(f"{name}: the digest differs")
+    return faults
+
+
+def seal(path: Path) -> None:
+    """Write _COMPLETE, last of all, with the digests of all files that are no chunks."""
+    files = {}
+    for file in sorted(path.rglob("*")):
+        name = file.relative_to(path).as_posix()
+        skip = name.startswith(f"{layout.MARKERS}/") or file.name in (layout.LOCK, layout.COMPLETE)
+        tile_chunk = name.startswith(f"{layout.CUBE}/") and _has_marker(name)
+        if file.is_file() and not skip and not tile_chunk:
+            files[name] = file_digest(file)
+    content = {"format": FORMAT, "content_digest": content_digest(path), "files": files}
+    layout.write_atomically(path / layout.COMPLETE, layout.to_json(content))
+
+
+LAYER_CHUNK_DEPTH = 6  # cube.zarr / layer / c / frame / row / column
+
+
+def _has_marker(name: str) -> bool:
+    return len(name.split("/")) == LAYER_CHUNK_DEPTH
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def require_complete(path: Path) -> None:
+    """Raise Incomplete for a product that is not finished, BadInput for no product."""
+    if not (path / layout.BEGUN).is_file():
+        raise BadInput("PRODUCT", str(path), "a product directory made by `nightglass render`")
+    if not (path / layout.COMPLETE).is_file():
+        raise Incomplete(f"{path}: not complete; go on with `nightglass render ... --resume`")
+
+
