@@ -142,6 +142,7 @@ def _attributes(plan: Plan, catalogue: Catalogue | None) -> dict[str, Any]:
         "source": f"Nightglass {version('nightglass')}",
         "scene": scene_yaml(plan.scene),
         "seed": plan.scene.seed,
+        "ifov_rad": plan.facts.ifov_rad,
         "integration_s": plan.scene.exposure.integration_s,
         "catalogue": catalogue.name if catalogue else None,
         "catalogue_digest": catalogue.digest if catalogue else None,

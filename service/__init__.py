@@ -1,1 +1,1 @@
-""
+"""The REST door: durable jobs over HTTP, run by the same engine as the command line."""

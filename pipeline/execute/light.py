@@ -16,12 +16,12 @@ from pipeline.execute.sources import (
     streaks,
     zone_of,
 )
-from pipeline.execute.tables import kernel_of, swept_core, table_of
+from pipeline.execute.tables import kernel_of, streak_of, swept_core, table_of
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import WingGrid, add_wings, convolve, spread, wing_grid
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.response import stamp_at
-from pipeline.plan.responses import BLOCK_PX
+from pipeline.plan.responses import BLOCK_PX, Streak
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 
@@ -62,7 +62,7 @@ def render_wings(plan: Plan, g: Geometry, block: Tile, parts: list[FrameStars]) 
     )
     stars = drawing_order(_around(concatenate(parts, FrameStars), block, reach))
     paths = streaks(plan, g) if len(stars) else []
-    path = paths[_middle_zone(plan, block)] if paths else None
+    path = paths[_middle_zone(plan, block)].path if paths else None
     star_field = _wing_field(plan, grid, stars.x_px, stars.y_px, stars.light_e, stars.light_e, path)
     x, y, light, whole = _target_points(plan, place_targets(plan, g))
     return Wings(block, grid, star_field, _wing_field(plan, grid, x, y, light, whole, None))
@@ -78,10 +78,12 @@ def _wing_field(
     for k, core in enumerate(r.classes):
         mine = classes == k
         if mine.any():
-            kernel = kernel_of(r.blur, core.radius_px, grid, r.reach_px, path)
+            kernel = kernel_of(r.blur, core.radius_px, grid, r.reach_px)
             part = scipy.fft.rfft2(spread(grid, x[mine], y[mine], light[mine])) * kernel
             total = part if total is None else total + part
-    return None if total is None else convolve(total, grid)
+    if total is None:
+        return None
+    return convolve(total if path is None else total * streak_of(grid, path), grid)
 
 
 def _target_points(plan: Plan, targets: list[FrameTarget]) -> tuple[Array, Array, Array, Array]:
@@ -117,8 +119,10 @@ def draw_stars(
     for k in range(len(plan.responses.classes)):
         for zone in np.unique(zones[classes == k]):
             mine = select(stars, (classes == k) & (zones == zone))
-            for x0, y0, piece, share in pieces(paths[zone]):
-                _draw_pieces(plan, image, tile, k, piece, mine, x0, y0, share)
+            streak = paths[zone]
+            for x0, y0, piece, share in pieces(streak.path):
+                x, y = x0 + streak.shift_x_px, y0 + streak.shift_y_px
+                _draw_pieces(plan, image, tile, k, piece, mine, x, y, share)
     for w in wings:
         _add(image, tile, w, w.stars)
     return image
@@ -186,9 +190,9 @@ def _around(stars: FrameStars, tile: Tile, reach: float) -> FrameStars:
     return select(stars, near)
 
 
-def _core_reach(plan: Plan, paths: list[Path]) -> float:
+def _core_reach(plan: Plan, paths: list[Streak]) -> float:
     """Farthest pixel that the largest core of a streaked star touches."""
-    sweep = max(float(np.hypot(p.x_px, p.y_px).max()) for p in paths)
+    sweep = max(float(np.hypot(s.path.x_px, s.path.y_px).max()) for s in paths)
     return plan.responses.classes[-1].radius_px + sweep + 8.0
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
-from pipeline.physics.motion.streak import Path
+from pipeline.physics.motion.streak import Path, path_through
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.geometry import star_path
-from pipeline.plan.responses import rounded_path, zone_path
+from pipeline.plan.responses import MERGE_TOLERANCE_PX, Streak, zone_streak
 from pipeline.plan.scene_plan import Plan
 
 STRIP_PX = 64.0  # stars are drawn in strips of rows, so that a stamp's pixels stay in the cache
@@ -73,12 +73,12 @@ def excursion_px(plan: Plan, g: Geometry) -> float:
     return 16.0 * math.ceil(worst / 16.0) if worst > 1e-3 else 0.0
 
 
-def streaks(plan: Plan, g: Geometry) -> list[Path]:
+def streaks(plan: Plan, g: Geometry) -> list[Streak]:
     """The common streak of each zone, row by row."""
     zones = plan.responses.zones
     aberration = plan.scene.stars is None or plan.scene.stars.aberration
     return [
-        zone_path(plan.camera, g, 0, row, column, zones, aberration)
+        zone_streak(plan.camera, g, 0, row, column, zones, aberration)
         for row in range(zones)
         for column in range(zones)
     ]
@@ -104,5 +104,6 @@ def place_targets(plan: Plan, g: Geometry) -> list[FrameTarget]:
         total = float(share.sum())
         x0, y0 = float(x[g.middle]), float(y[g.middle])
         weight = share / total if total > 0 else np.full(g.nodes - 1, 1.0 / (g.nodes - 1))
-        out.append(FrameTarget(i, x0, y0, rounded_path(x - x0, y - y0, weight), total * electrons))
+        path = path_through(x - x0, y - y0, weight, MERGE_TOLERANCE_PX)
+        out.append(FrameTarget(i, x0, y0, path, total * electrons))
     return out

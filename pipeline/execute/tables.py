@@ -97,21 +97,18 @@ def table_of(blur: Blur, radius_px: float, piece: Path, phases: int) -> PixelRes
     return _CACHE.get(key, make, lambda t: t.values.nbytes)
 
 
-def kernel_of(
-    blur: Blur, radius_px: float, grid: WingGrid, reach_px: float, path: Path | None
-) -> np.ndarray:
-    """The wing's transfer function on a grid, with the common streak in it."""
-    shape = (grid.rows, grid.columns, grid.spacing_px)
+def kernel_of(blur: Blur, radius_px: float, grid: WingGrid, reach_px: float) -> np.ndarray:
+    """The wing's transfer function on a grid."""
+    key = ("wing", blur, radius_px, grid.rows, grid.columns, grid.spacing_px, reach_px)
+    return _CACHE.get(
+        key, lambda: wing_kernel(blur, core_of(blur, radius_px), grid, reach_px), lambda k: k.nbytes
+    )
 
-    def make() -> np.ndarray:
-        return wing_kernel(blur, core_of(blur, radius_px), grid, reach_px)
 
-    still = _CACHE.get(("wing", blur, radius_px, shape, reach_px), make, lambda k: k.nbytes)
-    if path is None:
-        return still
-
-    def sweep() -> np.ndarray:
-        return still * transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
-
-    key = ("wing", blur, radius_px, shape, reach_px, path.key)
-    return _CACHE.get(key, sweep, lambda k: k.nbytes)
+def streak_of(grid: WingGrid, path: Path) -> np.ndarray:
+    """The transfer function of a streak on a grid's frequencies."""
+    return _CACHE.get(
+        ("streak", grid.rows, grid.columns, grid.spacing_px, path.key),
+        lambda: transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight),
+        lambda t: t.nbytes,
+    )

@@ -28,7 +28,11 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
     """
     paths = streaks(plan, g)
     zone = zone_of(plan, stars.x_px, stars.y_px)
-    ends = np.array([[p.x_px[0], p.y_px[0], p.x_px[-1], p.y_px[-1]] for p in paths])[zone]
+    ends = np.array([
+        [s.path.x_px[0], s.path.y_px[0], s.path.x_px[-1], s.path.y_px[-1]] for s in paths
+    ])[zone]
+    shift = np.array([[s.shift_x_px, s.shift_y_px] for s in paths])[zone]
+    ends = ends + np.tile(shift, 2)
     rows, columns = plan.camera.rows, plan.camera.columns
     inside = (np.abs(stars.x_px - (columns - 1) / 2) <= columns / 2) & (
         np.abs(stars.y_px - (rows - 1) / 2) <= rows / 2
@@ -46,7 +50,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "dec_deg": np.degrees(stars.dec_rad),
         "g_mag": stars.g_mag,
         "electrons": stars.light_e,
-        "snr": matched_snr(plan, paths[len(paths) // 2], stars.light_e),
+        "snr": matched_snr(plan, paths[len(paths) // 2].path, stars.light_e),
         "colour_flag": stars.colour_flag,
         "in_frame": inside,
     }

@@ -162,8 +162,9 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
             Decision(
                 "common_streak", True,
                 f"{r.zones} x {r.zones} zone(s), each with one streak for all its stars, which "
-                f"differs from a star's own by at most {r.spread_px:.2g} px, and by "
-                f"{PATH_STEP_PX + MERGE_TOLERANCE_PX:.2g} px from rounding",
+                f"differs from a star's own by at most {r.spread_px:.2g} px at its ends, and by "
+                f"{PATH_STEP_PX / 2 + MERGE_TOLERANCE_PX:.2g} px from rounding: about as much of a "
+                "star's peak at the ends of its streak, none of its centroid from rounding",
             )
         )  # fmt: skip
     return out

@@ -18,12 +18,12 @@ from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import star_path
 from pipeline.spec.scene import CELL_PX, Scene
 
-PATH_STEP_PX = 2.0**-10  # paths are rounded to it, so that equal streaks share their tables
+PATH_STEP_PX = 2.0**-7  # streaks of stars are rounded to it, so that alike ones share their tables
 MERGE_TOLERANCE_PX = 2e-3
 SPREAD_TOLERANCE_PX = 1e-2
 TABLE_BYTES = 48e6
 MOST_CLASSES = 5
-LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
+LARGEST_CORE_SAMPLES = 512  # radius times samples a pixel: what one transform may hold
 BLOCK_PX = 2048  # wings are convolved in fixed blocks of the focal plane
 
 
@@ -70,7 +70,8 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
     path = POINT
     if scene.stars is not None:
         zones, spread = plan_zones(camera, ends, aberration)
-        paths = [zone_path(camera, ends, f, 0, 0, 1, aberration) for f in range(len(ends.frame))]
+        frames = range(len(ends.frame))
+        paths = [zone_streak(camera, ends, f, 0, 0, 1, aberration).path for f in frames]
         path = min(paths, key=lambda p: p.length_px)
     phases = _phases(scene.sensor.psf.oversampling, blur)
     if not blur.has_wings:
@@ -190,21 +191,35 @@ def _offsets(camera: Camera, g: Geometry, x: float, y: float, aberration: bool) 
     return np.stack([px - px[:, [g.middle]], py - py[:, [g.middle]]])
 
 
-def zone_path(
-    camera: Camera, g: Geometry, frame: int, row: int, column: int, zones: int, aberration: bool
-) -> Path:
-    """The common streak of a zone's stars in one frame, relative to mid-exposure.
+@dataclass(frozen=True)
+class Streak:
+    """The common streak of a zone: a path on the PATH_STEP_PX grid, moved by a small shift [px].
 
-    Rounded to PATH_STEP_PX so that frames whose streaks are equal to that step share one table.
+    The shift puts the light's centroid where the exact path has it; the path without it is the
+    same for frames and zones whose streaks differ by less than the step.
     """
+
+    path: Path
+    shift_x_px: float
+    shift_y_px: float
+
+
+def zone_streak(
+    camera: Camera, g: Geometry, frame: int, row: int, column: int, zones: int, aberration: bool
+) -> Streak:
+    """The common streak of a zone's stars in one frame, relative to mid-exposure."""
     y0, y1, x0, x1 = zone_edges(camera, row, column, zones)
     one = g.frame_slice(frame)
     dx, dy = _offsets(camera, one, 0.5 * (x0 + x1), 0.5 * (y0 + y1), aberration)[:, 0]
-    return rounded_path(dx, dy, np.full(g.nodes - 1, 1.0 / (g.nodes - 1)))
-
-
-def rounded_path(dx: Array, dy: Array, weight: Array) -> Path:
-    """A path with merged straight runs and its nodes rounded to PATH_STEP_PX."""
-    path = path_through(dx, dy, weight, MERGE_TOLERANCE_PX)
+    path = path_through(dx, dy, np.full(g.nodes - 1, 1.0 / (g.nodes - 1)), MERGE_TOLERANCE_PX)
     x, y = (np.round(a / PATH_STEP_PX) * PATH_STEP_PX + 0.0 for a in (path.x_px, path.y_px))
-    return Path(x, y, path.weight)
+    rounded = Path(x, y, path.weight)
+    exact, moved = centroid(path), centroid(rounded)
+    return Streak(rounded, exact[0] - moved[0], exact[1] - moved[1])
+
+
+def centroid(path: Path) -> tuple[float, float]:
+    """Mean place of the light of a path (x, y)."""
+    middle_x = 0.5 * (path.x_px[1:] + path.x_px[:-1])
+    middle_y = 0.5 * (path.y_px[1:] + path.y_px[:-1])
+    return float(path.weight @ middle_x), float(path.weight @ middle_y)

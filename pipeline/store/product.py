@@ -16,9 +16,7 @@ from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
 from pipeline.store.cube import CubeWriter, create_arrays
 from pipeline.store.markers import (
-
     chunk_fault,
-
     markers_present,
     read_marker,
 )

@@ -21,7 +21,8 @@ from pipeline.physics.psf.response import Core, taper
 
 Array = NDArray[np.float64]
 
-SMOOTH = 8  # samples a pixel that hold all of a response that wings can see
+GRID_SAMPLES = 2  # samples a pixel of the core that hold what a grid of 2 px or more can see
+TEST_SAMPLES = 8  # and what single pixels can see
 SPLINE_PX = 3  # grid points that the splines need beyond the range they serve
 
 
@@ -62,7 +63,7 @@ def wing_kernel(blur: Blur, core: Core, grid: WingGrid, reach_px: float) -> Arra
     """
     h = grid.spacing_px
     fy, fx = grid_frequencies(grid)
-    whole = blur.transfer(fy[:, None], fx[None, :]) - _core_transfer(core, fy, fx)
+    whole = blur.transfer(fy[:, None], fx[None, :]) - _core_transfer(core, fy, fx, GRID_SAMPLES)
     wing = scipy.fft.irfft2(whole, s=(grid.rows, grid.columns))
     ry = scipy.fft.fftfreq(grid.rows, 1.0 / grid.rows) * h
     rx = scipy.fft.fftfreq(grid.columns, 1.0 / grid.columns) * h
@@ -100,7 +101,7 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     Draws one source (swept along `path`) at three sub-pixel places with the coarse grid, and
     compares with the response sampled directly.
     """
-    os, reach = min(core.oversampling, SMOOTH), 6.0 * core.radius_px
+    os, reach = min(core.oversampling, TEST_SAMPLES), 6.0 * core.radius_px
     sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
     size = 2 * int(np.ceil(2.0 * core.radius_px + sweep)) + 1
     grid = wing_grid((size, size), (0, 0), spacing_px, reach)
@@ -110,9 +111,9 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     fy, fx = scipy.fft.fftfreq(n * os, 1.0 / os), scipy.fft.rfftfreq(n * os, 1.0 / os)
     swept = transfer(fy, fx, path.x_px, path.y_px, path.weight)
     whole = blur.transfer(fy[:, None], fx[None, :])
-    if core.oversampling > SMOOTH:
-        whole = whole * _low_pass(fy)[:, None] * _low_pass(fx)[None, :]
-    spectrum = whole - _core_transfer(core, fy, fx)
+    if core.oversampling > os:
+        whole = whole * _low_pass(fy, os)[:, None] * _low_pass(fx, os)[None, :]
+    spectrum = whole - _core_transfer(core, fy, fx, os)
     exact = scipy.fft.irfft2(spectrum * swept, s=(n * os, n * os)) * os**2
     worst = 0.0
     for step in range(3):
@@ -126,41 +127,41 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     return worst
 
 
-def _core_transfer(core: Core, fy: Array, fx: Array) -> NDArray[np.complex128]:
+def _core_transfer(core: Core, fy: Array, fx: Array, most: int) -> NDArray[np.complex128]:
     """Fourier transform of the core at the frequencies fy (n,), fx (m,) -> (n, m).
 
-    A core with many samples is first cut smoothly to frequencies below SMOOTH / 2 cycles per
-    pixel, unchanged below SMOOTH / 4: the wings' grid looks at most at 1/4.
+    A core with more than `most` samples a pixel is first cut smoothly to the frequencies that so
+    many hold; the transform is then exact below most / 4 cycles per pixel.
     """
-    samples, at, per_px = _smoothed(core)
+    samples, at, per_px = _smoothed(core, most)
     left = np.exp(-2j * np.pi * fy[:, None] * at[None, :])
     right = np.exp(-2j * np.pi * at[:, None] * fx[None, :])
     return _product(_product(left, samples.astype(complex)), right) / per_px**2
 
 
-def _low_pass(f: Array) -> Array:
-    """1 up to SMOOTH / 4 cycles per pixel, 0 from SMOOTH / 2 on."""
-    return taper(np.abs(f), SMOOTH / 4, SMOOTH / 2)
+def _low_pass(f: Array, samples: int) -> Array:
+    """1 up to samples / 4 cycles per pixel, 0 from samples / 2 on."""
+    return taper(np.abs(f), samples / 4, samples / 2)
 
 
-def _smoothed(core: Core) -> tuple[Array, Array, int]:
-    """Samples of the core with at most SMOOTH per pixel, their places [px], and how many a pixel."""
+def _smoothed(core: Core, most: int) -> tuple[Array, Array, int]:
+    """Samples of the core with at most `most` per pixel, their places [px], how many a pixel."""
     half, os = core.samples.shape[0] // 2, core.oversampling
-    if os <= SMOOTH:
+    if os <= most:
         return core.samples, np.arange(-half, half + 1) / os, os
     period = scipy.fft.next_fast_len(-(-2 * half // os) + 8)
-    fine, n = period * os, period * SMOOTH
+    fine, n = period * os, period * most
     grid = np.zeros((fine, fine))
     index = np.arange(-half, half + 1) % fine
     grid[np.ix_(index, index)] = core.samples
     keep = np.arange(-(n // 2) + 1, n // 2)
-    cut = _low_pass(keep / period)
+    cut = _low_pass(keep / period, most)
     spectrum = scipy.fft.fft2(grid)[np.ix_(keep % fine, keep % fine)] * cut[:, None] * cut[None, :]
     small = np.zeros((n, n), complex)
     small[np.ix_(keep % n, keep % n)] = spectrum
     samples = scipy.fft.ifft2(small).real * (n / fine) ** 2
     at = np.arange(-(n // 2), n - n // 2)
-    return samples[np.ix_(at % n, at % n)], at / SMOOTH, SMOOTH
+    return samples[np.ix_(at % n, at % n)], at / most, most
 
 
 @njit(cache=True, nogil=True)

@@ -16,6 +16,7 @@ from pipeline.physics.noise.streams import poisson_image, standard_normals
 Array = NDArray[np.float64]
 Value = float | Array
 
+_INT64 = np.iinfo(np.int64)
 EXACT_BITS = 53  # digital numbers above 2^53 - 1 are counted in integers, not in float64
 
 
@@ -79,19 +80,22 @@ def digitise(
 ) -> NDArray[np.integer]:
     """Add the bias, round and clip to 0 ... 2^N - 1; the smallest unsigned type that holds it.
 
-    Above 53 bits the signal and the bias are rounded apart and added as integers, because float64
-    holds no whole numbers there: 2^63 - 1 would round up to 2^63 and come back negative.
+    Above 53 bits whole parts are added as integers and fractions apart, because float64 holds no
+    whole numbers there: 2^63 - 1 would round up to 2^63 and come back negative.
     """
-    whole = np.rint if rounding == "half_even" else np.floor
     top = (1 << adc_bits) - 1
     if adc_bits <= EXACT_BITS:
+        whole = np.rint if rounding == "half_even" else np.floor
         levels = np.clip(whole(signal_dn + bias_dn), 0.0, float(top))
         return levels.astype(dn_type(adc_bits))
-    bias = np.broadcast_to(_to_integer(whole(np.asarray(bias_dn, float))), signal_dn.shape)
-    total = _to_integer(whole(signal_dn))
-    room = np.int64(np.iinfo(np.int64).max) - np.maximum(bias, 0)
-    total = np.where(total > room, np.iinfo(np.int64).max, np.minimum(total, room) + bias)
-    return np.clip(total, 0, top).astype(dn_type(adc_bits))
+    signal, signal_rest = _whole_and_rest(signal_dn)
+    bias, bias_rest = _whole_and_rest(np.broadcast_to(bias_dn, np.shape(signal_dn)))
+    total, rest = _saturated_sum(signal, bias), signal_rest + bias_rest
+    odd = (total & 1).astype(float)
+    more = np.rint(odd + rest) - odd if rounding == "half_even" else np.floor(rest)
+    total = np.where(total > _INT64.max - 2, total, total + more.astype(np.int64))
+    full = signal_dn + bias_dn >= 2.0**63
+    return np.where(full, top, np.clip(total, 0, top)).astype(dn_type(adc_bits))
 
 
 def dn_type(adc_bits: int) -> np.dtype[np.unsignedinteger]:
@@ -100,8 +104,16 @@ def dn_type(adc_bits: int) -> np.dtype[np.unsignedinteger]:
     return np.dtype(f"uint{size}")
 
 
-def _to_integer(value: Array) -> NDArray[np.int64]:
-    """float64 whole numbers as int64, saturating at both ends instead of wrapping."""
+def _whole_and_rest(value: Array) -> tuple[NDArray[np.int64], Array]:
+    """Largest whole number below, saturating at both ends of int64, and what is above it."""
     limit = 2.0**63
-    inside = np.clip(value, -limit, np.nextafter(limit, 0.0))
-    return np.where(value >= limit, np.iinfo(np.int64).max, inside.astype(np.int64))
+    inside = np.clip(np.asarray(value, float), -limit, limit)
+    whole = np.floor(inside)
+    safe = np.minimum(whole, np.nextafter(limit, 0.0)).astype(np.int64)
+    return np.where(whole >= limit, _INT64.max, safe), inside - whole
+
+
+def _saturated_sum(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    """a + b, held at the ends of int64 instead of wrapping."""
+    low, high = _INT64.min - np.minimum(b, 0), _INT64.max - np.maximum(b, 0)
+    return np.clip(a, low, high) + b

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -48,12 +49,9 @@ class Airy:
 
         fy, fx in cycles per pixel; zero beyond the cut-off 1/q_px.
         """
+        fy, fx = np.broadcast_arrays(np.asarray(fy, float), np.asarray(fx, float))
         distance = 2.0 * self.q_px * np.hypot(fy, fx)
-        e = self.obscuration
-        overlap = _lens(distance, 1.0, 1.0)
-        if e > 0:
-            overlap = overlap + _lens(distance, e, e) - 2.0 * _lens(distance, 1.0, e)
-        return overlap / (np.pi * (1.0 - e * e))
+        return _annulus_overlap(distance.ravel(), self.obscuration).reshape(distance.shape)
 
     def band_limit(self, floor: float) -> float:  # noqa: ARG002 - the cut-off is sharp
         """The cut-off frequency 1/Q [cycles/px]."""
@@ -109,8 +107,18 @@ class Blur:
         return own if spread == 0 else min(own, Gaussian(spread).band_limit(floor))
 
     def light_beyond(self, radius_px: float) -> float:
-        """Fraction of the light that falls farther than `radius_px` (the pixel's own size apart)."""
-        return min(1.0, self.optics.light_beyond(radius_px))
+        """Fraction of the light that falls farther than `radius_px` (the pixel's own size apart).
+
+        Gaussians add in quadrature; beside diffraction wings, whose slope a blur leaves alone, the
+        blur's own tail is added, and `radius_px` must be large against the optics' scale.
+        """
+        spread = float(np.hypot(self.jitter_px, self.diffusion_px))
+        if spread == 0:
+            return min(1.0, self.optics.light_beyond(radius_px))
+        if isinstance(self.optics, Gaussian):
+            return Gaussian(float(np.hypot(self.optics.sigma_px, spread))).light_beyond(radius_px)
+        tail = Gaussian(spread).light_beyond(radius_px)
+        return min(1.0, self.optics.light_beyond(radius_px) + tail)
 
     @property
     def has_wings(self) -> bool:
@@ -118,13 +126,30 @@ class Blur:
         return isinstance(self.optics, Airy)
 
 
-def _lens(d: Array, r1: float, r2: float) -> Array:
+@njit(cache=True, nogil=True)
+def _annulus_overlap(distance, e):  # type: ignore[no-untyped-def]
+    """Common area of two annuli (radii e and 1) whose centres are `distance` apart, over theirs."""
+    out = np.empty(distance.size)
+    for i in range(distance.size):
+        d = distance[i]
+        if d >= 2.0:
+            out[i] = 0.0
+            continue
+        overlap = _lens(d, 1.0, 1.0)
+        if e > 0.0:
+            overlap += _lens(d, e, e) - 2.0 * _lens(d, 1.0, e)
+        out[i] = overlap / (np.pi * (1.0 - e * e))
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _lens(d, r1, r2):  # type: ignore[no-untyped-def]
     """Area common to two circles of radii r1 >= r2 whose centres are `d` apart."""
-    d = np.asarray(d, float)
-    inside, apart = d <= r1 - r2, d >= r1 + r2
-    s = np.where(inside | apart, r1, d)
-    a1 = np.clip((s * s + r1 * r1 - r2 * r2) / (2.0 * s * r1), -1.0, 1.0)
-    a2 = np.clip((s * s + r2 * r2 - r1 * r1) / (2.0 * s * r2), -1.0, 1.0)
-    kite = np.sqrt(np.maximum(0.0, (r1 + r2 - s) * (s + r1 - r2) * (s - r1 + r2) * (s + r1 + r2)))
-    area = r1 * r1 * np.arccos(a1) + r2 * r2 * np.arccos(a2) - 0.5 * kite
-    return np.where(apart, 0.0, np.where(inside, np.pi * r2 * r2, area))
+    if d >= r1 + r2:
+        return 0.0
+    if d <= r1 - r2:
+        return np.pi * r2 * r2
+    a1 = min(1.0, max(-1.0, (d * d + r1 * r1 - r2 * r2) / (2.0 * d * r1)))
+    a2 = min(1.0, max(-1.0, (d * d + r2 * r2 - r1 * r1) / (2.0 * d * r2)))
+    kite = max(0.0, (r1 + r2 - d) * (d + r1 - r2) * (d - r1 + r2) * (d + r1 + r2))
+    return r1 * r1 * np.arccos(a1) + r2 * r2 * np.arccos(a2) - 0.5 * np.sqrt(kite)

@@ -84,7 +84,7 @@ def compact_core(blur: Blur, radius_px: float) -> Core:
     """
     os = oversampling_for(blur)
     half = int(np.ceil(radius_px)) + 2
-    period = scipy.fft.next_fast_len(4 * half + 8)
+    period = scipy.fft.next_fast_len(2 * half + 8)
     n = period * os
     fy, fx = scipy.fft.fftfreq(n, 1.0 / os)[:, None], scipy.fft.rfftfreq(n, 1.0 / os)[None, :]
     at = scipy.fft.fftfreq(n, 1.0 / n) / os
@@ -153,8 +153,8 @@ def phase_table(
     starts, stops = starts[rows], np.maximum(stops[rows], starts[rows])
     offsets = np.concatenate([[0], np.cumsum(stops - starts)]).astype(np.int64)
     values = _gather(fine, phases, rows.start, starts + half[1], stops - starts, offsets)
-    linear = (_difference(fine, 2, 0) + _difference(fine, 2, 1)) / 8.0
-    cubic = (_difference(fine, 4, 0) + _difference(fine, 4, 1)) * 3.0 / 128.0
+    second, fourth = _differences(fine)
+    linear, cubic = second / 8.0, fourth * 3.0 / 128.0
     peak = float(np.abs(fine).max())
     row0 = rows.start - half[0]
     rounding = peak * 2.0**-24
@@ -173,12 +173,22 @@ def stamp_at(
     os = core.oversampling
     iy, ix = int(np.floor(y)), int(np.floor(x))
     fy, fx = frequencies(core, *period)
-    turn_y = np.exp(-2j * np.pi * fy * (y - iy))[:, None]
-    turn_x = np.exp(-2j * np.pi * fx * (x - ix))[None, :]
-    swept = scipy.fft.irfft2(spectrum * turn_y * turn_x, s=(period[0] * os, period[1] * os))
-    rows = (np.arange(-half[0], half[0] + 2) * os) % swept.shape[0]
-    cols = (np.arange(-half[1], half[1] + 2) * os) % swept.shape[1]
-    return iy - half[0], ix - half[1], swept[np.ix_(rows, cols)]
+    turned = spectrum * np.exp(-2j * np.pi * fx * (x - ix))[None, :]
+    rows = _fold(turned * np.exp(-2j * np.pi * fy * (y - iy))[:, None], os)
+    swept = scipy.fft.ifft(rows, axis=0)
+    at_y, at_x = np.arange(-half[0], half[0] + 2), np.arange(-half[1], half[1] + 2)
+    # Along x the half spectrum is inverted whole and every `os`-th sample kept: rows are few now.
+    fine = scipy.fft.irfft(swept[at_y % period[0]], n=period[1] * os, axis=1)
+    return iy - half[0], ix - half[1], fine[:, (at_x * os) % (period[1] * os)]
+
+
+def _fold(spectrum: Array, os: int) -> Array:
+    """Spectrum (rows x os, ...) of the samples at whole pixels: the copies `1 px^-1` apart add up.
+
+    Scaled so that the inverse transform of the folded rows gives the samples themselves.
+    """
+    rows = spectrum.shape[0] // os
+    return spectrum.reshape(os, rows, -1).sum(axis=0) / os
 
 
 def _interpolate(
@@ -204,22 +214,32 @@ def _spans(
     fine: NDArray[np.float32], half: tuple[int, int], phases: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First and last-plus-one column of each stamp row that any phase reaches."""
-    bright = np.abs(fine) > SPAN_FLOOR * np.abs(fine).max()
-    rows, cols = 2 * half[0] + 2, 2 * half[1] + 2
-    # Pixel d at phase k stands at d - k / phases: fine index (d + half + 2) * phases - k.
-    any_row = [bright[(r + 1) * phases - 1 : (r + 2) * phases + 2].any(axis=0) for r in range(rows)]
-    lit = np.array(
-        [
-            [row[(c + 1) * phases - 1 : (c + 2) * phases + 2].any() for c in range(cols)]
-            for row in any_row
-        ]
-    )
+    floor = SPAN_FLOOR * float(np.abs(fine).max())
+    lit = _lit_pixels(fine, 2 * half[0] + 2, 2 * half[1] + 2, phases, floor)
+    some, cols = lit.any(axis=1), lit.shape[1]
     first, last = lit.argmax(axis=1), cols - lit[:, ::-1].argmax(axis=1)
-    some = lit.any(axis=1)
     return (
         np.where(some, first, half[1]).astype(np.int64) - half[1],
         np.where(some, last, half[1]).astype(np.int64) - half[1],
     )
+
+
+@njit(cache=True, nogil=True)
+def _lit_pixels(fine, rows, cols, phases, floor):  # type: ignore[no-untyped-def]
+    """(rows, cols) whether a pixel is above `floor` at any phase from -1 to phases + 1.
+
+    Pixel d at phase k stands at d - k / phases: fine index (d + half + 2) * phases - k.
+    """
+    out = np.zeros((rows, cols), np.bool_)
+    for r in range(rows):
+        for y in range((r + 1) * phases - 1, (r + 2) * phases + 2):
+            for c in range(cols):
+                if not out[r, c]:
+                    for x in range((c + 1) * phases - 1, (c + 2) * phases + 2):
+                        if abs(fine[y, x]) > floor:
+                            out[r, c] = True
+                            break
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -237,6 +257,20 @@ def _gather(fine, phases, row_first, starts, counts, offsets):  # type: ignore[n
     return out
 
 
-def _difference(fine: NDArray[np.float32], order: int, axis: int) -> float:
-    """Largest absolute finite difference of an order along an axis: h^n |f^(n)|."""
-    return float(np.abs(np.diff(fine.astype(np.float64), n=order, axis=axis)).max())
+@njit(cache=True, nogil=True)
+def _differences(fine):  # type: ignore[no-untyped-def]
+    """Largest second and fourth differences, each summed over the axes: h^n |f^(n)|."""
+    ny, nx = fine.shape
+    second, fourth = np.zeros(2), np.zeros(2)
+    for y in range(2, ny - 2):
+        for x in range(2, nx - 2):
+            c = 2.0 * fine[y, x]
+            down = abs(fine[y - 1, x] - c + fine[y + 1, x])
+            along = abs(fine[y, x - 1] - c + fine[y, x + 1])
+            second[0], second[1] = max(second[0], down), max(second[1], along)
+            near = 4.0 * (np.float64(fine[y - 1, x]) + fine[y + 1, x])
+            down = abs(fine[y - 2, x] - near + 3.0 * c + fine[y + 2, x])
+            near = 4.0 * (np.float64(fine[y, x - 1]) + fine[y, x + 1])
+            along = abs(fine[y, x - 2] - near + 3.0 * c + fine[y, x + 2])
+            fourth[0], fourth[1] = max(fourth[0], down), max(fourth[1], along)
+    return second.sum(), fourth.sum()

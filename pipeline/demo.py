@@ -1,0 +1,38 @@
+"""The demo: a synthetic catalogue, a scene that comes with the package, and its product."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import BadInput
+from pipeline.run import Listener, Options, render
+from pipeline.spec.load import load_scene
+
+ALL_SKY_G_MAG = 9.0
+# What the demo scene looks at: right ascension, declination, radius [deg], limiting G magnitude.
+DEEP_FIELD = (276.0, -3.2, 1.2, 16.5)
+
+
+def run_demo(
+    folder: Path, replace: bool, listen: Listener | None, say: Callable[[str], None]
+) -> tuple[Path, dict[str, Any]]:
+    """Make FOLDER/catalogue (kept if it is there) and FOLDER/product; returns product, report."""
+    scene_file = folder / "scene.yaml"
+    if folder.exists() and not scene_file.is_file() and any(folder.iterdir()):
+        raise BadInput("-o", str(folder), "a new folder, or that of an earlier demo")
+    folder.mkdir(parents=True, exist_ok=True)
+    scene_file.write_bytes(files("pipeline").joinpath("scenes/demo.yaml").read_bytes())
+    if not (folder / "catalogue").exists():
+        from catalog_tools.synthetic import make_demo
+
+        say("making the synthetic catalogue (no star of it is real)")
+        made = make_demo(
+            folder / "catalogue", faintest_g_mag=ALL_SKY_G_MAG, deep_fields=[DEEP_FIELD]
+        )
+        say(f"{folder / 'catalogue'}: {made.catalogue.rows} synthetic stars")
+    product = folder / "product"
+    report = render(load_scene(scene_file), product, Options(replace=replace), listen)
+    return product, report

@@ -1,0 +1,121 @@
+"""Request bodies: counted while they stream in, then strict JSON or nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from typing import Any
+
+from starlette.requests import ClientDisconnect, Request
+
+from service.problems import Malformed, TooLarge, TooSlow, WrongMediaType, cut
+
+MAX_DEPTH = 32
+
+
+async def read_body(request: Request, limit_bytes: int, limit_s: float) -> bytes:
+    """The body of a request that says it is JSON, at most `limit_bytes`, chunked or not."""
+    _check_media_type(request)
+    declared = request.headers.get("content-length", "")
+    if declared.isdigit() and (len(declared) > 18 or int(declared) > limit_bytes):
+        raise TooLarge(f"a body of at most {limit_bytes} bytes is taken")
+    body = bytearray()
+    try:
+        async with asyncio.timeout(limit_s):
+            async for piece in request.stream():
+                body += piece
+                if len(body) > limit_bytes:
+                    raise TooLarge(f"a body of at most {limit_bytes} bytes is taken")
+    except TimeoutError:
+        raise TooSlow(f"a body must arrive within {limit_s:g} s") from None
+    except ClientDisconnect:
+        raise Malformed("the body ended before it was whole") from None
+    return bytes(body)
+
+
+def _check_media_type(request: Request) -> None:
+    given = request.headers.get("content-type", "")
+    kind, _, parameters = given.partition(";")
+    charset = parameters.strip().lower().removeprefix("charset=").strip('"')
+    if kind.strip().lower() != "application/json" or charset not in ("", "utf-8"):
+        allowed = "application/json in UTF-8"
+        raise WrongMediaType(f"a body of {allowed} is taken", (("?Content-Type", given, allowed),))
+    encoding = request.headers.get("content-encoding", "identity")
+    if encoding.strip().lower() != "identity":
+        raise WrongMediaType(
+            "compressed bodies are not taken", (("?Content-Encoding", encoding, "identity"),)
+        )
+
+
+def parse_json(body: bytes) -> Any:
+    """Plain data from JSON text. Malformed for everything that RFC 8259 or sense refuses:
+
+    NaN, Infinity and numbers beyond float64, lone surrogates, keys given twice, nesting deeper
+    than 32 levels, integers of thousands of digits, bytes that are not UTF-8.
+    """
+    try:
+        data = json.loads(
+            body.decode("utf-8"), parse_constant=_no_constant, parse_float=_finite,
+            object_pairs_hook=_once,
+        )  # fmt: skip
+    except UnicodeDecodeError as error:
+        raise Malformed(f"the body is not UTF-8 (byte {error.start})") from None
+    except RecursionError:
+        raise Malformed(f"the body is nested deeper than {MAX_DEPTH} levels") from None
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise Malformed(f"the body is not JSON: {cut(error.msg, 80)} at {where}") from None
+    except ValueError:
+        raise Malformed("the body holds a number with too many digits") from None
+    _check_nodes(data)
+    return data
+
+
+def _no_constant(name: str) -> Any:
+    raise Malformed(f"{name} is not JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise Malformed(f"the number {cut(text, 40)} is beyond the range of float64")
+    return value
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise Malformed(f"the key {cut(ascii(twice), 80)} is given twice")
+    return found
+
+
+def _check_nodes(data: Any) -> None:
+    """Depth and text of every node, without recursion."""
+    level = [data]
+    for _ in range(MAX_DEPTH + 1):
+        deeper: list[Any] = []
+        for node in level:
+            if isinstance(node, str):
+                _check_text(node)
+            elif isinstance(node, dict):
+                deeper += node
+                deeper += node.values()
+            elif isinstance(node, list):
+                deeper += node
+        if not deeper:
+            return
+        level = deeper
+    raise Malformed(f"the body is nested deeper than {MAX_DEPTH} levels")
+
+
+def _check_text(text: str) -> None:
+    if not text.isascii():
+        try:
+            text.encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise Malformed(
+                f"text with a lone surrogate (U+{ord(text[error.start]):04X}) is not Unicode"
+            ) from None

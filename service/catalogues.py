@@ -1,0 +1,39 @@
+"""The catalogues that the service offers: folders of its registry, known by their names."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from catalog_tools.catalogue import MANIFEST_NAME, open_catalogue
+from catalog_tools.info import info
+from pipeline.errors import BadInput, Damaged
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+SHOWN = (
+    "description", "synthetic", "ref_epoch_jyear", "rows", "leaves", "bytes", "brightest_g_mag",
+    "faintest_g_mag", "digest",
+)  # fmt: skip
+
+
+def catalogue_names(registry: Path) -> list[str]:
+    """Names of the registered catalogues, in order; no catalogue is opened."""
+    return sorted(
+        entry.name
+        for entry in registry.iterdir()
+        if NAME.fullmatch(entry.name) and (entry / MANIFEST_NAME).is_file()
+    )
+
+
+def catalogue_facts(registry: Path, name: str) -> dict[str, Any]:
+    """What a catalogue holds, from its manifest, without any path of the server."""
+    try:
+        found = info(open_catalogue(registry / name))
+    except (BadInput, Damaged):
+        return {
+            "name": name,
+            "usable": False,
+            "reason": "its manifest is damaged or of another version",
+        }
+    return {"name": name, "usable": True} | {key: found[key] for key in SHOWN}

@@ -1,0 +1,106 @@
+"""Files of a product over HTTP: no path leaves the product, no link is followed, Range works."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
+
+from service.problems import NotThere
+
+PIECE_BYTES = 1 << 18
+TYPES = {".json": "application/json", ".png": "image/png", ".yaml": "text/plain; charset=utf-8"}
+RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
+
+
+def open_inside(folder: Path, relative: str) -> BinaryIO:
+    """Open a regular file below a folder, part by part, without following any link.
+
+    NotThere for what is absent, hidden (a leading dot), a link, or outside.
+    """
+    *folders, name = relative.split("/")
+    if any(not part or part.startswith(".") or "\0" in part for part in (*folders, name)):
+        raise NotThere("there is no such file in the product")
+    handles = []
+    try:
+        handles.append(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW))
+        for part in folders:
+            flags = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
+            handles.append(os.open(part, flags, dir_fd=handles[-1]))
+        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+        file = os.open(name, flags, dir_fd=handles[-1])
+    except (OSError, ValueError):
+        raise NotThere("there is no such file in the product") from None
+    finally:
+        for handle in handles:
+            os.close(handle)
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise NotThere("there is no such file in the product")
+    return os.fdopen(file, "rb")
+
+
+def list_files(folder: Path) -> list[tuple[str, int]]:
+    """(path, bytes) of every file that can be fetched, in order."""
+    found = []
+    for root, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        for name in names:
+            path = Path(root, name)
+            if not name.startswith(".") and not path.is_symlink():
+                found.append((path.relative_to(folder).as_posix(), path.stat().st_size))
+    return sorted(found)
+
+
+def serve_file(request: Request, folder: Path, relative: str) -> Response:
+    """A file as 200, one Range of it as 206, 304 for a known ETag, 416 for an empty range."""
+    file = open_inside(folder, relative)
+    about = os.fstat(file.fileno())
+    size, etag = about.st_size, f'"{about.st_mtime_ns:x}-{about.st_size:x}"'
+    headers = {"ETag": etag, "Accept-Ranges": "bytes", "X-Content-Type-Options": "nosniff"}
+    if request.headers.get("if-none-match") == etag:
+        file.close()
+        return Response(status_code=304, headers=headers)
+    asked = request.headers.get("range")
+    if asked is not None and request.headers.get("if-range") not in (None, etag):
+        asked = None
+    part = _part(asked, size)
+    if part is None:
+        file.close()
+        return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
+    start, stop = part
+    status = 200
+    if asked is not None and RANGE.fullmatch(asked.strip()):
+        status = 206
+        headers["Content-Range"] = f"bytes {start}-{stop - 1}/{size}"
+    headers["Content-Length"] = str(stop - start)
+    kind = TYPES.get(Path(relative).suffix, "application/octet-stream")
+    body = _pieces(file, start, stop)
+    return StreamingResponse(body, status_code=status, headers=headers, media_type=kind)
+
+
+def _part(asked: str | None, size: int) -> tuple[int, int] | None:
+    """[start, stop) of one byte range; the whole for none or several; None for an empty one."""
+    match = RANGE.fullmatch(asked.strip()) if asked else None
+    if match is None or match.group(1, 2) == ("", ""):
+        return 0, size
+    first, last = match.group(1, 2)
+    if not first:
+        start, stop = max(0, size - int(last)), size
+    else:
+        start, stop = int(first), min(size, int(last) + 1) if last else size
+    return (start, stop) if start < stop else None
+
+
+def _pieces(file: BinaryIO, start: int, stop: int) -> Iterator[bytes]:
+    with file:
+        file.seek(start)
+        while start < stop and (piece := file.read(min(PIECE_BYTES, stop - start))):
+            start += len(piece)
+            yield piece

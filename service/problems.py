@@ -1,0 +1,93 @@
+"""The service's own refusals; service/app.py holds the one table that gives each its status."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pipeline.errors import NightglassError, shorten
+
+MAX_TEXT = 400
+MAX_LISTED = 50
+Mistake = tuple[str, Any, str]  # field as the user wrote it (dotted), value, what is allowed
+
+
+class Refusal(NightglassError):
+    """A request that is not served; `errors` say what to change, as problem+json shows it."""
+
+    def __init__(self, message: str, mistakes: tuple[Mistake, ...] = ()) -> None:
+        self.errors = [mistake_dict(mistake) for mistake in mistakes[:MAX_LISTED]]
+        super().__init__(message)
+
+
+class Malformed(Refusal):
+    """The body or a header is not what the protocol allows."""
+
+
+class UnknownHost(Refusal):
+    """The Host header names another machine."""
+
+
+class NotThere(Refusal):
+    """There is no such thing here."""
+
+
+class NotReady(Refusal):
+    """It is there, but not in a state that allows this."""
+
+
+class KeyReused(Refusal):
+    """An Idempotency-Key came again with another body."""
+
+
+class TooLarge(Refusal):
+    """The body is larger than the service takes."""
+
+
+class TooSlow(Refusal):
+    """The body did not arrive in time."""
+
+
+class WrongMediaType(Refusal):
+    """The body is not plain JSON."""
+
+
+class NotAllowed(Refusal):
+    """A well-formed scene that this service does not take: its paths or its size."""
+
+
+class Refused(Refusal):
+    """The engine refused a scene when it planned it; `error` is the worker's description."""
+
+    def __init__(self, error: dict[str, Any]) -> None:
+        super().__init__(error["message"])
+        self.errors = error["errors"]
+
+
+class QueueFull(Refusal):
+    """As many jobs wait as the service takes."""
+
+
+class PlanTooSlow(Refusal):
+    """A dry run that took longer than the service allows."""
+
+
+class EngineFault(Refusal):
+    """The engine stopped without an answer: an internal fault."""
+
+
+def mistake_dict(mistake: Mistake) -> dict[str, Any]:
+    """One mistake as problem+json: pointer (RFC 6901), value and remedy, all cut in length."""
+    field, value, allowed = mistake
+    return {"pointer": pointer(field), "value": shorten(value), "allowed": cut(str(allowed))}
+
+
+def pointer(field: str) -> str:
+    """`sensor.shape` as `/sensor/shape`; query parameters (`?limit`) and headers stay."""
+    if field.startswith("?") or field in ("scene", ""):
+        return field if field.startswith("?") else ""
+    parts = field.replace("~", "~0").replace("/", "~1").split(".")
+    return cut("/" + "/".join(parts), 200)
+
+
+def cut(text: str, limit: int = MAX_TEXT) -> str:
+    return text if len(text) <= limit else f"{text[: limit - 1]}…"

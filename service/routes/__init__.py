@@ -1,0 +1,1 @@
+"""One file a resource: jobs, results, catalogues, schema, health, pages."""

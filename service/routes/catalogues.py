@@ -1,0 +1,19 @@
+"""Catalogues that a scene may name."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+from fastapi.responses import JSONResponse, Response
+
+from service.catalogues import catalogue_facts, catalogue_names
+from service.context import Service
+
+router = APIRouter(prefix="/v1/catalogues", tags=["catalogues"])
+
+
+@router.get("")
+def listing(service: Service) -> Response:
+    """The registered catalogues by name; `stars.catalogue` of a scene takes one of them."""
+    registry = service.settings.catalogues
+    facts = [catalogue_facts(registry, name) for name in catalogue_names(registry)]
+    return JSONResponse({"catalogues": facts})

@@ -1,0 +1,73 @@
+"""Results of a job: the files of its product, its preview, plan and report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+from urllib.parse import quote, urlencode
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import JSONResponse, Response
+
+from pipeline.store import layout
+from service.context import Context, Service
+from service.files import list_files, serve_file
+from service.jobs import Phase
+from service.problems import NotReady
+
+router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
+READ = ["GET", "HEAD"]
+
+
+def _product(service: Context, job_id: str) -> Path:
+    """The product of a job that is complete. NotReady before."""
+    job = service.store.get(job_id)
+    product = service.settings.product(job_id)
+    if job.phase != Phase.COMPLETED or not (product / layout.COMPLETE).is_file():
+        raise NotReady(f"the job is {job.phase}: its product is not complete")
+    return product
+
+
+@router.get("/results")
+def listing(
+    service: Service,
+    job_id: str,
+    after: Annotated[str, Query(max_length=1024, description="cursor")] = "",
+    limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
+) -> Response:
+    """The files of a product; a Zarr reader can open .../results/cube.zarr as it is."""
+    files = [f for f in list_files(_product(service, job_id)) if f[0] > after]
+    here, headers = f"/v1/jobs/{job_id}/results", {}
+    if len(files) > limit:
+        query = urlencode({"after": files[limit - 1][0], "limit": limit})
+        headers["Link"] = f'<{here}?{query}>; rel="next"'
+    shown = [{"path": p, "bytes": n, "href": f"{here}/{quote(p)}"} for p, n in files[:limit]]
+    return JSONResponse({"files": shown}, headers=headers)
+
+
+@router.api_route("/results/{path:path}", methods=READ)
+def result(request: Request, service: Service, job_id: str, path: str) -> Response:
+    """One file of a product (200, or 206 for a Range)."""
+    return serve_file(request, _product(service, job_id), path)
+
+
+@router.api_route("/preview.png", methods=READ)
+def preview(request: Request, service: Service, job_id: str) -> Response:
+    """The first frame, stretched."""
+    return serve_file(request, _product(service, job_id), layout.PREVIEW)
+
+
+@router.get("/report")
+def report(request: Request, service: Service, job_id: str) -> Response:
+    """The report of a complete product."""
+    return serve_file(request, _product(service, job_id), layout.REPORT)
+
+
+@router.get("/plan")
+def plan(request: Request, service: Service, job_id: str) -> Response:
+    """The plan, from the moment that the job has one."""
+    job = service.store.get(job_id)
+    product = service.settings.product(job_id)
+    if not (product / layout.PLAN).is_file():
+        raise NotReady(f"the job is {job.phase}: it has no plan yet")
+    return serve_file(request, product, layout.PLAN)

@@ -1,0 +1,64 @@
+"""What a scene that comes over REST may ask for: registered names only, and bounded size."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pipeline.spec.load import PATH_FIELDS, parse_scene
+from pipeline.spec.scene import Scene
+from service.catalogues import catalogue_names
+from service.problems import Mistake, NotAllowed
+from service.settings import Settings
+
+CATALOGUE_FIELD = ("stars", "catalogue")
+NO_FILES = "a number: over REST a scene names no file of the server"
+
+
+def accept_scene(data: Any, settings: Settings) -> Scene:
+    """The scene of a request body, fit to be run here.
+
+    Raises BadInput or InvalidScene (pipeline.spec) for a scene that is wrong anywhere, NotAllowed
+    for one that only this service refuses. `stars.catalogue` stays the registered name: the
+    engine runs inside the folder of catalogues, so that no path of the server enters a product.
+    """
+    targets = data.get("targets") if isinstance(data, dict) else None
+    if isinstance(targets, list) and len(targets) > settings.targets:
+        _refuse([("targets", len(targets), f"at most {settings.targets} targets")])
+    scene = parse_scene(data)
+    _refuse([*_path_mistakes(scene, settings), *_size_mistakes(scene, settings)])
+    return scene
+
+
+def _refuse(mistakes: list[Mistake]) -> None:
+    if mistakes:
+        field, _, allowed = mistakes[0]
+        raise NotAllowed(f"{field}: allowed: {allowed}", tuple(mistakes))
+
+
+def _path_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
+    """Every field that could name a file, looked at after parsing, so that no spelling escapes."""
+    data = scene.as_dict()
+    mistakes: list[Mistake] = []
+    for field in PATH_FIELDS:
+        value: Any = data
+        for part in field:
+            value = value.get(part) if isinstance(value, dict) else None
+        if not isinstance(value, str):
+            continue
+        if field != CATALOGUE_FIELD:
+            mistakes.append((".".join(field), value, NO_FILES))
+        elif value not in (names := catalogue_names(settings.catalogues)):
+            known = ", ".join(names[:10]) or "(none is registered)"
+            mistakes.append(
+                (".".join(field), value, f"the name of a registered catalogue: {known}")
+            )
+    return mistakes
+
+
+def _size_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
+    rows, columns = scene.sensor.shape
+    pixel_frames = rows * columns * scene.exposure.frames
+    if pixel_frames <= settings.pixel_frames:
+        return []
+    allowed = f"frames x pixels of at most {settings.pixel_frames} (asked: {pixel_frames})"
+    return [("exposure.frames", scene.exposure.frames, allowed)]

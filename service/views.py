@@ -1,0 +1,45 @@
+"""How a job looks to clients: JSON with links, an ETag, times in UTC."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+from service.jobs import FINAL, Job, Phase
+
+
+def job_dict(job: Job) -> dict[str, Any]:
+    """A job as plain data; absent is null."""
+    here = f"/v1/jobs/{job.id}"
+    links = {"self": here, "events": f"{here}/events", "scene": f"{here}/scene"}
+    if job.phase not in FINAL:
+        links["cancel"] = f"{here}/cancel"
+    if job.phase == Phase.COMPLETED:
+        for name in ("results", "preview.png", "plan", "report"):
+            links[name.partition(".")[0]] = f"{here}/{name}"
+    return {
+        "id": job.id,
+        "name": job.name,
+        "phase": job.phase.value,
+        "submitted": utc(job.submitted_s),
+        "started": utc(job.started_s),
+        "ended": utc(job.ended_s),
+        "tiles_done": job.tiles_done,
+        "tiles_total": job.tiles_total,
+        "attempt": job.attempt,
+        "cancel_asked": job.cancel_asked,
+        "error": job.error,
+        "content_digest": job.content_digest,
+        "links": links,
+    }
+
+
+def etag(job: Job) -> str:
+    return f'"{job.version}"'
+
+
+def utc(seconds: float | None) -> str | None:
+    """Unix seconds as ISO 8601 in UTC, to the millisecond."""
+    if seconds is None:
+        return None
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")

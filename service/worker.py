@@ -1,0 +1,125 @@
+"""The engine in a process of its own: one order on stdin, JSON lines of progress on stdout.
+
+`python -m service.worker` is started by the runner inside the folder of catalogues, so that a
+catalogue's registered name is its path and no path of the server enters a product. It ends at
+once when its stdin closes: a worker never outlives the process that watches it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+import traceback
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from pipeline.errors import BadInput, Damaged, NightglassError
+from pipeline.spec.load import InvalidScene, parse_scene
+from service.problems import cut, mistake_dict
+
+BETWEEN_LINES_S = 0.25
+
+
+def main() -> None:
+    """Read the order, do it, say how it went."""
+    answers = os.fdopen(os.dup(1), "wb", buffering=0)
+    os.dup2(2, 1)  # whatever a library prints must not be taken for an answer
+    order = json.loads(sys.stdin.buffer.readline())
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        _say(answers, _plan(order) if order["do"] == "plan" else _render(order, answers))
+    except Exception as error:
+        if not isinstance(error, NightglassError):
+            traceback.print_exc()
+        _say(answers, {"outcome": "error", "error": describe(error, order.get("product"))})
+
+
+def _end_with_parent() -> None:
+    while sys.stdin.buffer.raw.read(4096):  # type: ignore[attr-defined]
+        pass
+    os._exit(1)
+
+
+def _say(answers: BinaryIO, message: dict[str, Any]) -> None:
+    answers.write(json.dumps(message).encode() + b"\n")
+
+
+def _plan(order: dict[str, Any]) -> dict[str, Any]:
+    from pipeline.run import plan_scene
+
+    return {"outcome": "done", "plan": plan_scene(parse_scene(order["scene"]))}
+
+
+def _render(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
+    from pipeline.run import Options, Progress, render
+
+    last = {"s": 0.0}
+    lock = threading.Lock()
+
+    def listen(progress: Progress) -> None:
+        with lock:
+            now = time.monotonic()
+            if now - last["s"] >= BETWEEN_LINES_S or progress.doing == "start":
+                last["s"] = now
+                _say(answers, {"done": progress.done, "total": progress.total})
+
+    options = Options(workers=order["workers"], resume=order["resume"])
+    report = render(parse_scene(order["scene"]), Path(order["product"]), options, listen)
+    return {
+        "outcome": "done", "tiles": report["tiles"], "content_digest": report["content_digest"],
+    }  # fmt: skip
+
+
+def describe(error: Exception, product: str | None = None) -> dict[str, Any]:
+    """An error as the job shows it: one message, and the fields to mend; no path of the server."""
+    mistakes: list[tuple[str, Any, str]] = []
+    if isinstance(error, InvalidScene):
+        mistakes = error.mistakes
+    elif isinstance(error, BadInput):
+        mistakes = [(error.field, error.value, error.allowed)]
+    if mistakes:
+        errors = [mistake_dict(_without_paths(m, product)) for m in mistakes[:20]]
+        first = BadInput(*_without_paths(mistakes[0], product))
+        return {"kind": "bad input", "message": cut(str(first)), "errors": errors}
+    if isinstance(error, Damaged):
+        place, reason = Path(error.path).name, _clean(error.reason, product)
+        return {"kind": "damaged", "message": cut(str(Damaged(place, reason))), "errors": []}
+    if isinstance(error, NightglassError):
+        return {"kind": "incomplete", "message": cut(_clean(str(error), product)), "errors": []}
+    if isinstance(error, OSError):
+        reason = error.strerror or type(error).__name__
+        return {
+            "kind": "fault",
+            "message": f"the server could not read or write: {reason}",
+            "errors": [],
+        }
+    if isinstance(error, MemoryError):
+        return {"kind": "fault", "message": "the server has not enough memory", "errors": []}
+    return {
+        "kind": "fault",
+        "message": "an internal fault; the server's log tells more",
+        "errors": [],
+    }
+
+
+def _without_paths(mistake: tuple[str, Any, str], product: str | None) -> tuple[str, Any, str]:
+    field, value, allowed = mistake
+    value = _clean(value, product) if isinstance(value, str) else value
+    return field, value, _clean(allowed, product)
+
+
+def _clean(text: str, product: str | None) -> str:
+    """Text with the places of the server's folders cut out."""
+    places = [(str(Path.cwd()), "catalogues")]
+    if product is not None:
+        places += [(str(Path(product).resolve()), "product"), (product, "product")]
+    for place, name in places:
+        text = text.replace(place, name)
+    return text
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""Streaks against brute-force time averages: transfer functions, merging, pieces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.physics.motion.streak import POINT, Path, path_through, pieces, transfer
+
+LENGTHS = [0.0, 1e-9, 0.1, 60.0, 300.0, 3000.0]
+
+
+def nodes(kind: str, n: int = 65) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (x, y) at equal steps of time of a motion."""
+    t = np.linspace(-0.5, 0.5, n)
+    if kind == "straight":
+        return 43.0 * t, -17.0 * t
+    if kind == "curved":
+        return 30.0 * np.sin(2 * t), 30.0 * (1.0 - np.cos(2 * t))
+    if kind == "accelerating":
+        return 20.0 * t + 30.0 * t**2, 5.0 * t + 7.5 * t**2
+    assert kind == "retraced"
+    return 12.0 * np.abs(t), 4.0 * np.abs(t)
+
+
+KINDS = ["straight", "curved", "accelerating", "retraced"]
+
+
+def sampled(path: Path, per_segment: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of a path by brute force: (x, y, light), midpoints of equal parts of each segment."""
+    u = (np.arange(per_segment) + 0.5) / per_segment
+    x = path.x_px[:-1, None] + u * np.diff(path.x_px)[:, None]
+    y = path.y_px[:-1, None] + u * np.diff(path.y_px)[:, None]
+    w = np.repeat(path.weight[:, None] / per_segment, per_segment, axis=1)
+    return x.ravel(), y.ravel(), w.ravel()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_against_time_average_transfer(kind: str) -> None:
+    x, y = nodes(kind)
+    weight = np.linspace(1.0, 2.0, 64)
+    weight /= weight.sum()
+    path = path_through(x, y, weight, 1e-9)
+    fy, fx = np.array([0.0, 0.011, -0.3, 0.5, 2.0]), np.array([0.0, 0.02, 0.25, 1.0])
+    px, py, w = sampled(Path(x, y, weight), 400)
+    phase = fy[:, None, None] * py + fx[None, :, None] * px
+    brute = (w * np.exp(-2j * np.pi * phase)).sum(axis=-1)
+    value = transfer(fy, fx, path.x_px, path.y_px, path.weight)
+    assert np.abs(value - brute).max() < 1e-5
+    assert value[0, 0] == pytest.approx(1.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_limits_straight_streak_is_a_sinc(length: float) -> None:
+    path = Path(np.array([-0.6, 0.6]) * length, np.array([-0.4, 0.4]) * length, np.ones(1))
+    fy, fx = np.linspace(-0.5, 0.5, 41), np.linspace(0.0, 0.5, 21)
+    value = transfer(fy, fx, path.x_px, path.y_px, path.weight)
+    exact = np.sinc(1.2 * length * fx[None, :] + 0.8 * length * fy[:, None])
+    assert np.abs(value - exact).max() < 1e-12
+    assert path.length_px == pytest.approx(length * np.hypot(1.2, 0.8), rel=1e-14)
+
+
+def test_the_sinc_is_smooth_through_its_series() -> None:
+    """Both sides of the switch to the series at half = 1e-4 agree to rounding."""
+    fx = np.array([1e-4 / np.pi * (1 - 1e-9), 1e-4 / np.pi * (1 + 1e-9)])
+    value = transfer(np.zeros(1), fx, np.array([-0.5, 0.5]), np.zeros(2), np.ones(1))
+    assert abs(value[0, 0] - value[0, 1]) < 1e-15
+    assert abs(value[0, 0] - np.sinc(fx[0])) < 1e-15
+
+
+def timed_places(x: np.ndarray, y: np.ndarray, w: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Place (2, n) of a moving point after the share `at` of its light has come."""
+    light = np.concatenate([[0.0], np.cumsum(w)])
+    return np.stack([np.interp(at, light / light[-1], x), np.interp(at, light / light[-1], y)])
+
+
+steps = st.floats(-30, 30, allow_nan=False)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.lists(st.tuples(steps, steps, st.floats(0.01, 10.0)), min_size=1, max_size=24),
+    st.sampled_from([1e-6, 2e-3, 0.5]),
+)
+def test_merging_stays_within_its_tolerance(
+    moves: list[tuple[float, float, float]], tolerance: float
+) -> None:
+    dx, dy, w = (np.array(c) for c in zip(*moves, strict=True))
+    x, y = np.concatenate([[0.0], np.cumsum(dx)]), np.concatenate([[0.0], np.cumsum(dy)])
+    w = w / w.sum()
+    path = path_through(x, y, w, tolerance)
+    assert path.weight.sum() == pytest.approx(1.0, abs=1e-12)
+    assert (path.x_px[0], path.y_px[0]) == (x[0], y[0])
+    assert (path.x_px[-1], path.y_px[-1]) == (x[-1], y[-1])
+    at = np.unique(np.concatenate([np.cumsum(w), np.cumsum(path.weight), np.linspace(0, 1, 99)]))
+    at = at[(at > 1e-12) & (at < 1 - 1e-12)]
+    off = timed_places(x, y, w, at) - timed_places(path.x_px, path.y_px, path.weight, at)
+    assert np.hypot(*off).max(initial=0.0) <= tolerance + 1e-9
+
+
+def test_uniform_motion_becomes_one_segment_and_changes_of_speed_do_not() -> None:
+    t = np.linspace(0, 1, 1025)
+    even = np.full(1024, 1 / 1024)
+    assert path_through(300 * t, 20 * t, even, 2e-3).segments == 1
+    assert path_through(300 * t**2, 20 * t**2, even, 2e-3).segments > 4
+    back = path_through(np.abs(t - 0.5), 0 * t, even, 2e-3)
+    assert back.length_px == pytest.approx(1.0, abs=1e-9)
+
+
+def test_dark_steps_keep_their_shape() -> None:
+    """A target in eclipse for part of the exposure: no light there, none lost elsewhere."""
+    x = np.linspace(0, 64, 65)
+    w = np.where(np.arange(64) < 20, 0.0, 1.0 / 44)
+    path = path_through(x, 0 * x, w, 2e-3)
+    kept = [(x0 + p.x_px.min(), x0 + p.x_px.max(), share) for x0, _, p, share in pieces(path)]
+    assert sum(share for _, _, share in kept) == pytest.approx(1.0, abs=1e-12)
+    lit = sampled(path, 50)
+    assert (lit[0] * lit[2]).sum() == pytest.approx(42.0, abs=2e-2)
+    assert pieces(path_through(x, 0 * x, np.zeros(64), 2e-3)) == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("longest", [5.0, 96.0])
+def test_pieces_conserve_light_and_shape(kind: str, longest: float) -> None:
+    x, y = nodes(kind)
+    weight = np.linspace(1.0, 3.0, 64)
+    path = path_through(x, y, weight / weight.sum(), 1e-3)
+    cut = pieces(path, longest)
+    assert sum(share for *_, share in cut) == pytest.approx(1.0, abs=1e-13)
+    fy, fx = np.linspace(-0.4, 0.4, 7), np.linspace(0.0, 0.4, 5)
+    total = np.zeros((7, 5), complex)
+    for x0, y0, piece, share in cut:
+        assert piece.length_px <= longest * (1 + 1e-12)
+        assert piece.weight.sum() == pytest.approx(1.0, abs=1e-13)
+        turn = np.exp(-2j * np.pi * (fy[:, None] * y0 + fx[None, :] * x0))
+        total += share * turn * transfer(fy, fx, piece.x_px, piece.y_px, piece.weight)
+    whole = transfer(fy, fx, path.x_px, path.y_px, path.weight)
+    assert np.abs(total - whole).max() < 1e-12
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_limits_pieces_of_every_length(length: float) -> None:
+    path = Path(np.array([-0.5, 0.5]) * length, np.zeros(2), np.ones(1))
+    cut = pieces(path)
+    assert len(cut) == max(1, int(np.ceil(length / 96.0)))
+    assert len({p.key for *_, p, _ in cut}) == 1  # one table serves all
+    assert sum(s for *_, s in cut) == pytest.approx(1.0, abs=1e-13)
+    ends = [(x0 + p.x_px[0], x0 + p.x_px[-1]) for x0, _, p, _ in cut]
+    assert ends[0][0] == pytest.approx(-length / 2, abs=1e-9)
+    assert ends[-1][1] == pytest.approx(length / 2, abs=1e-9)
+
+
+def test_a_point_is_a_path_without_length() -> None:
+    assert POINT.length_px == 0.0
+    assert len(pieces(POINT)) == 1
+    f = np.linspace(-3, 3, 7)
+    assert (transfer(f, f, POINT.x_px, POINT.y_px, POINT.weight) == 1.0).all()
