@@ -31,9 +31,6 @@ def catalogue_facts(registry: Path, name: str) -> dict[str, Any]:
     try:
         found = info(open_catalogue(registry / name))
     except (BadInput, Damaged):
-        return {
-            "name": name,
-            "usable": False,
-            "reason": "its manifest is damaged or of another version",
-        }
+        reason = "its manifest is damaged or of another version"
+        return {"name": name, "usable": False, "reason": reason}
     return {"name": name, "usable": True} | {key: found[key] for key in SHOWN}

@@ -118,7 +118,7 @@ class Dispatcher:
             self._store.finish(job, Phase.ERROR, error=_fault("the product was not sealed"))
 
     def _order(self, job: Job) -> dict[str, Any]:
-        """What the worker is to do. An unfinished product is gone on with, unless it never began."""
+        """What the worker is to do: go on with an unfinished product, or begin one."""
         product = self._settings.product(job.id)
         resume = (product / BEGUN).is_file()
         if product.exists() and not resume:

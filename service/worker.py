@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def _end_with_parent() -> None:
-    while sys.stdin.buffer.raw.read(4096):  # type: ignore[attr-defined]
+    while os.read(0, 4096):
         pass
     os._exit(1)
 
@@ -90,19 +90,12 @@ def describe(error: Exception, product: str | None = None) -> dict[str, Any]:
     if isinstance(error, NightglassError):
         return {"kind": "incomplete", "message": cut(_clean(str(error), product)), "errors": []}
     if isinstance(error, OSError):
-        reason = error.strerror or type(error).__name__
-        return {
-            "kind": "fault",
-            "message": f"the server could not read or write: {reason}",
-            "errors": [],
-        }
-    if isinstance(error, MemoryError):
-        return {"kind": "fault", "message": "the server has not enough memory", "errors": []}
-    return {
-        "kind": "fault",
-        "message": "an internal fault; the server's log tells more",
-        "errors": [],
-    }
+        message = f"the server could not read or write: {error.strerror or type(error).__name__}"
+    elif isinstance(error, MemoryError):
+        message = "the server has not enough memory"
+    else:
+        message = "an internal fault; the server's log tells more"
+    return {"kind": "fault", "message": message, "errors": []}
 
 
 def _without_paths(mistake: tuple[str, Any, str], product: str | None) -> tuple[str, Any, str]:

@@ -59,7 +59,7 @@ def parse_yaml(text: str, name: str = "scene") -> Any:
     from ruamel.yaml import YAML
     from ruamel.yaml.constructor import SafeConstructor
     from ruamel.yaml.error import YAMLError
-    from ruamel.yaml.events import AliasEvent, MappingStartEvent, SequenceStartEvent
+    from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
     class Plain(SafeConstructor):
         """Timestamps stay text: the epoch is parsed by the product's own clock."""
@@ -70,10 +70,10 @@ def parse_yaml(text: str, name: str = "scene") -> Any:
         for event in YAML(typ="safe", pure=True).parse(text):
             if isinstance(event, AliasEvent):
                 raise BadInput(name, f"*{event.anchor}", "a file without aliases")
-            if isinstance(event, MappingStartEvent | SequenceStartEvent):
-                depth += 1
-                if depth > 64 * MAX_DEPTH * MAX_DEPTH:
-                    break
+            depth += isinstance(event, CollectionStartEvent)
+            depth -= isinstance(event, CollectionEndEvent)
+            if depth > MAX_DEPTH:
+                raise BadInput(name, "nested too deeply", f"at most {MAX_DEPTH} levels")
         reader = YAML(typ="safe", pure=True)
         reader.Constructor = Plain
         return reader.load(text)
@@ -177,6 +177,10 @@ def _mistake(error: Any, data: Any) -> tuple[str, Any, str]:
         names.append(context["field"])
         for part in context["field"].split("."):
             value = value.get(part) if isinstance(value, dict) else value
+    if error["type"].startswith("union_tag"):
+        names.append(str(context["discriminator"]).strip("'"))
+        allowed = f"allowed: {context['expected_tags']}" if "tag" in context else "it must be given"
+        return ".".join(names), context.get("tag"), allowed
     message = error["msg"].replace("Input should be", "allowed:", 1)
     return ".".join(names) or "scene", value, message[:400]
 

@@ -54,8 +54,10 @@ class PsfShape(Strict):
     oversampling: Literal[8, 16, 32, 64, 128] = Field(
         32, description="sub-pixel phases per pixel and axis"
     )
-    jitter_px: NotNegative = Field(0.0, description="rms of fast pointing jitter per axis")
-    charge_diffusion_px: NotNegative = Field(0.0, description="rms of charge diffusion per axis")
+    jitter_px: float = Field(0.0, ge=0, le=50, description="rms of fast pointing jitter per axis")
+    charge_diffusion_px: float = Field(
+        0.0, ge=0, le=50, description="rms of charge diffusion per axis"
+    )
 
 
 class GaussianPsf(PsfShape):

@@ -24,7 +24,7 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 class Strict(BaseModel):
-    """A model that takes no unknown key and no value that is not finite."""
+    """A model that takes no unknown key, no true for 1, and no value that is not finite."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, str_strip_whitespace=True
@@ -38,7 +38,19 @@ class Strict(BaseModel):
             for key in data:
                 if key not in known:
                     raise unknown_key(str(key), sorted(known))
+            for name, f in cls.model_fields.items():
+                key = f.alias or name
+                if f.annotation is not bool and _holds_bool(data.get(key)):
+                    raise PydanticCustomError(
+                        "boolean", "allowed: a number or text, not true or false", {"field": key}
+                    )
         return data
+
+
+def _holds_bool(value: Any) -> bool:
+    """True for true and false, which Python would take for the numbers 1 and 0."""
+    values = value if isinstance(value, list | tuple) else (value,)
+    return any(isinstance(v, bool) for v in values)
 
 
 def unknown_key(key: str, known: list[str]) -> PydanticCustomError:

@@ -17,7 +17,7 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self'; base-ur
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>Nightglass</title>
 <style>
-body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }}
+body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto }}
 table {{ border-collapse: collapse; width: 100% }}
 th, td {{ text-align: left; padding: .25rem .6rem; border-bottom: 1px solid #ccc }}
 pre {{ background: #eee; padding: .6rem; overflow: auto }}

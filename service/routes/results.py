@@ -16,7 +16,6 @@ from service.jobs import Phase
 from service.problems import NotReady
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
-READ = ["GET", "HEAD"]
 
 
 def _product(service: Context, job_id: str) -> Path:
@@ -45,13 +44,15 @@ def listing(
     return JSONResponse({"files": shown}, headers=headers)
 
 
-@router.api_route("/results/{path:path}", methods=READ)
+@router.head("/results/{path:path}", include_in_schema=False)
+@router.get("/results/{path:path}")
 def result(request: Request, service: Service, job_id: str, path: str) -> Response:
     """One file of a product (200, or 206 for a Range)."""
     return serve_file(request, _product(service, job_id), path)
 
 
-@router.api_route("/preview.png", methods=READ)
+@router.head("/preview.png", include_in_schema=False)
+@router.get("/preview.png")
 def preview(request: Request, service: Service, job_id: str) -> Response:
     """The first frame, stretched."""
     return serve_file(request, _product(service, job_id), layout.PREVIEW)

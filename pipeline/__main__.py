@@ -1,0 +1,5 @@
+"""`python -m pipeline` is `nightglass`."""
+
+from pipeline.cli import main
+
+main()

@@ -1,0 +1,137 @@
+"""Fixtures of the service's tests: a small scene, a server in a process of its own."""
+
+from __future__ import annotations
+
+import copy
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+SCENE: dict[str, Any] = {
+    "schema": "nightglass/scene/1",
+    "name": "small",
+    "epoch": "2019-04-20T03:00:00Z",
+    "seed": 7,
+    "observer": {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3},
+    "sensor": {
+        "shape": [64, 64],
+        "pixel_pitch_um": 13.5,
+        "focal_length_m": 1.0,
+        "aperture_m": 0.4,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0},
+        "read_noise_e": 5.0,
+    },
+    "pointing": {"mode": "target", "target": "sat-1"},
+    "exposure": {"integration_s": 2.0, "frames": 2, "cadence_s": 5.0},
+    "targets": [
+        {
+            "name": "sat-1",
+            "orbit": {
+                "kind": "state",
+                "position_m": [-39e6, 14e6, 1e4],
+                "velocity_m_s": [-1000.0, -2900.0, 0.0],
+            },
+            "body": {"kind": "sphere", "diameter_m": 3.0, "albedo": 0.2},
+        }
+    ],
+    "background": {"uniform_mag_arcsec2": 21.5},
+}
+LIMITS = {
+    "NIGHTGLASS_BODY_BYTES": str(1 << 18),
+    "NIGHTGLASS_PIXEL_FRAMES": str(1 << 28),
+    "NIGHTGLASS_TARGETS": "50",
+    "NIGHTGLASS_HEARTBEAT_S": "0.5",
+}
+FINAL = ("COMPLETED", "ERROR", "ABORTED")
+
+
+@pytest.fixture
+def scene() -> dict[str, Any]:
+    """A scene without stars that renders in about a second; a copy to change at will."""
+    return copy.deepcopy(SCENE)
+
+
+class Server:
+    """`service.main.serve` as a process, and a client that talks to it."""
+
+    def __init__(self, home: Path) -> None:
+        self.home = home
+        self.start()
+
+    def start(self) -> None:
+        code = "import sys; from pathlib import Path; from service.main import serve; "
+        code += "serve('127.0.0.1', 0, Path(sys.argv[1]))"
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", code, str(self.home)],
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | LIMITS,
+        )
+        assert self.process.stderr is not None
+        line = self.process.stderr.readline()
+        found = re.search(r"http://\S+", line)
+        assert found, line + self.process.stderr.read()
+        self.url = found[0]
+        self.client = httpx.Client(base_url=self.url, timeout=30)
+
+    def kill(self) -> None:
+        """kill -9."""
+        self.process.kill()
+        self._gone()
+
+    def stop(self) -> None:
+        self.process.terminate()
+        self._gone()
+
+    def _gone(self) -> None:
+        self.process.wait(30)
+        self.client.close()
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+
+    def submit(self, scene: dict[str, Any], **headers: str) -> str:
+        answer = self.client.post("/v1/jobs", json=scene, headers=headers)
+        assert answer.status_code == 202, answer.text
+        return answer.headers["location"]
+
+    def until(
+        self, job: str, wanted: Callable[[dict[str, Any]], bool], limit_s: float = 60
+    ) -> dict[str, Any]:
+        """The job once `wanted` holds, watched by long polls."""
+        deadline, etag = time.monotonic() + limit_s, ""
+        while True:
+            answer = self.client.get(job, params={"wait": 5}, headers={"if-none-match": etag})
+            if answer.status_code == 200:
+                found, etag = answer.json(), answer.headers["etag"]
+                if wanted(found):
+                    return found
+                assert found["phase"] not in FINAL, found
+            assert time.monotonic() < deadline, found
+
+    def ended(self, job: str) -> dict[str, Any]:
+        return self.until(job, lambda found: found["phase"] in FINAL)
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A running server on a data folder of its own."""
+    server = Server(tmp_path_factory.mktemp("home"))
+    yield server
+    server.stop()
+
+
+@pytest.fixture(scope="session")
+def finished(server: Server) -> str:
+    """The path of a completed job of the small scene."""
+    job = server.submit(copy.deepcopy(SCENE))
+    assert server.ended(job)["phase"] == "COMPLETED"
+    return job

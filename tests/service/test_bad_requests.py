@@ -1,0 +1,272 @@
+"""Bodies and requests that must be refused: the right status, problem+json, never a 500."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import anyio
+import httpx
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.spec.load import PATH_FIELDS
+from pipeline.spec.scene import Scene
+from service.app import create_app
+from service.main import bind
+from service.settings import Settings, read_settings
+
+JSON = {"content-type": "application/json"}
+
+
+@pytest.fixture(scope="module")
+def client(server: Any) -> httpx.Client:
+    """Real requests to a real server with small limits."""
+    return server.client
+
+
+def refused(answer: Any, status: int) -> dict[str, Any]:
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert len(answer.content) < 30_000
+    problem = answer.json()
+    assert problem["status"] == status
+    assert problem["title"]
+    assert problem["detail"]
+    return problem
+
+
+NOT_JSON = {
+    "nothing": b"",
+    "not JSON": b"{name: x}",
+    "YAML": b"schema: nightglass/scene/1\n",
+    "NaN": b'{"seed": NaN}',
+    "Infinity": b'{"seed": -Infinity}',
+    "beyond float64": b'{"seed": 1e400}',
+    "4301 digits": b'{"seed": ' + b"9" * 4301 + b"}",
+    "lone surrogate": b'{"name": "\\ud800"}',
+    "lone surrogate as key": b'{"\\udfff": 1}',
+    "not UTF-8": b'{"name": "\xff"}',
+    "UTF-16": '{"name": "x"}'.encode("utf-16"),
+    "NUL": b"\0" * 100,
+    "deep": b"[" * 100_000,
+    "deep and whole": b"[" * 40 + b"]" * 40,
+    "deep objects": b'{"a":' * 5000 + b"1" + b"}" * 5000,
+    "key twice": b'{"seed": 1, "seed": 2}',
+    "cut off": b'{"seed": 1',
+}
+
+
+@pytest.mark.parametrize("body", NOT_JSON.values(), ids=NOT_JSON.keys())
+def test_malformed_body_is_400(client: httpx.Client, body: bytes) -> None:
+    refused(client.post("/v1/jobs", content=body, headers=JSON), 400)
+
+
+WRONG: dict[str, tuple[tuple[Any, ...], Any, str]] = {
+    "unknown key": (("sensor", "colour"), 1, "/sensor/colour"),
+    "negative": (("sensor", "focal_length_m"), -1, "/sensor/focal_length_m"),
+    "text": (("sensor", "full_well_e"), "x" * 100_000, "/sensor/full_well_e"),
+    "zero size": (("sensor", "shape"), [0, 64], "/sensor/shape/0"),
+    "in a list": (("targets", 0, "body", "albedo"), 2, "/targets/0/body/albedo"),
+    "null byte": (("name",), "a\0b", "/name"),
+    "huge integer": (("seed",), 10**4000, "/seed"),
+    "too many targets": (("targets",), [1] * 60, "/targets"),
+    "bad targets": (("targets",), [{"name": "x" * 500}] * 50, "/targets/0/name"),
+    "too many pixels": (("exposure", "frames"), 99_999, "/exposure/frames"),
+    "a giant key": (("k" * 100_000,), 1, "/kkk"),
+    "a URL": (("sensor", "flat"), "http://127.0.0.1/x.npy", "/sensor/flat"),
+    "a file": (("sensor", "dark_e_per_s"), "/etc/passwd", "/sensor/dark_e_per_s"),
+    "a table": (
+        ("sensor", "bandpass"),
+        {"kind": "table", "path": "a.csv"},
+        "/sensor/bandpass/path",
+    ),
+    "efficiency": (("sensor", "quantum_efficiency"), "file:///etc/passwd", "/sensor/quantum"),
+    "no such catalogue": (("stars",), {"catalogue": "gaia"}, "/stars/catalogue"),
+    "a path": (("stars",), {"catalogue": "../../etc"}, "/stars/catalogue"),
+    "the registry": (("stars",), {"catalogue": "."}, "/stars/catalogue"),
+    "a URL as catalogue": (("stars",), {"catalogue": "s3://bucket/x"}, "/stars/catalogue"),
+}
+
+
+@pytest.mark.parametrize(("place", "value", "pointer"), WRONG.values(), ids=WRONG.keys())
+def test_wrong_scene_is_422_and_names_the_field(
+    client: httpx.Client, scene: dict[str, Any], place: tuple[Any, ...], value: Any, pointer: str
+) -> None:
+    holder: Any = scene
+    for part in place[:-1]:
+        holder = holder[part]
+    holder[place[-1]] = value
+    problem = refused(client.post("/v1/jobs", json=scene), 422)
+    assert any(error["pointer"].startswith(pointer) for error in problem["errors"]), problem
+    assert all(len(error["value"]) <= 80 for error in problem["errors"])
+
+
+@pytest.mark.parametrize("body", ["[]", "null", '"text"', "1", "{}", "[" + "1," * 100_000 + "1]"])
+def test_other_json_is_422(client: httpx.Client, body: str) -> None:
+    refused(client.post("/v1/jobs", content=body, headers=JSON), 422)
+
+
+@pytest.mark.parametrize("field", PATH_FIELDS, ids=".".join)
+def test_no_path_field_takes_a_file(
+    client: httpx.Client, scene: dict[str, Any], field: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Also where the file is there and could be read."""
+    file = tmp_path / "image.npy"
+    file.write_bytes(b"x")
+    if field[-1] == "path":
+        scene["sensor"]["bandpass"] = {"kind": "table"}
+    holder = scene
+    for part in field[:-1]:
+        holder = holder.setdefault(part, {})
+    holder[field[-1]] = f" {file} "
+    problem = refused(client.post("/v1/jobs", json=scene), 422)
+    assert problem["errors"][0]["pointer"] == "/" + "/".join(field)
+
+
+TEXTS_THAT_ARE_NO_PATHS = {
+    "name", "epoch", "line1", "line2", "target", "schema", "kind", "mode", "adc_rounding",
+    "compression", "layers",
+}  # fmt: skip
+
+
+def test_every_text_of_a_scene_is_known_here() -> None:
+    """A new field that takes text must be put among PATH_FIELDS, or here as harmless."""
+
+    def takes_text(node: Any) -> bool:
+        if isinstance(node, dict):
+            return node.get("type") == "string" or any(
+                takes_text(v) for k, v in node.items() if k in ("anyOf", "items", "prefixItems")
+            )
+        return isinstance(node, list) and any(takes_text(item) for item in node)
+
+    schema = Scene.model_json_schema(by_alias=True)
+    models = [schema, *schema["$defs"].values()]
+    found = {k for m in models for k, v in m.get("properties", {}).items() if takes_text(v)}
+    assert found - TEXTS_THAT_ARE_NO_PATHS <= {field[-1] for field in PATH_FIELDS}
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"content-type": "text/yaml"}, 415),
+        ({"content-type": "application/json; charset=latin-1"}, 415),
+        ({"content-type": "multipart/form-data; boundary=x"}, 415),
+        ({}, 415),
+        (JSON | {"content-encoding": "gzip"}, 415),
+        (JSON | {"idempotency-key": "a b"}, 400),
+        (JSON | {"idempotency-key": "k" * 300}, 400),
+        (JSON | {"host": "evil.example"}, 421),
+        (JSON | {"host": "evil.example:80"}, 421),
+        (JSON | {"host": ""}, 421),
+    ],
+)
+def test_wrong_headers(client: httpx.Client, headers: dict[str, str], status: int) -> None:
+    refused(client.post("/v1/jobs", content=b"{}", headers=headers), status)
+
+
+def test_large_bodies_are_413(client: httpx.Client) -> None:
+    def chunks() -> Iterator[bytes]:
+        for _ in range(100):
+            yield b" " * 10_000
+
+    refused(client.post("/v1/jobs", content=chunks(), headers=JSON), 413)
+    refused(client.post("/v1/jobs", content=b" " * (1 << 19), headers=JSON), 413)
+
+
+def test_a_lying_length_is_413_before_the_body_comes(server: Any) -> None:
+    with raw_request(server, b"Content-Length: 99999999999\r\n\r\n{") as wire:
+        assert wire.recv(100).startswith(b"HTTP/1.1 413 ")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("GET", "/nowhere", 404),
+        ("GET", "/v1/jobs/nosuchjob", 404),
+        ("GET", "/v1/jobs/%2e%2e", 404),
+        ("POST", "/v1/jobs/nosuchjob/cancel", 404),
+        ("DELETE", "/v1/jobs/nosuchjob", 404),
+        ("GET", "/v1/jobs/nosuchjob/events", 404),
+        ("GET", "/v1/jobs/nosuchjob/results", 404),
+        ("GET", "/v1/jobs/nosuchjob/plan", 404),
+        ("PUT", "/v1/jobs", 405),
+        ("GET", "/v1/jobs?limit=0", 422),
+        ("GET", "/v1/jobs?limit=1e9", 422),
+        ("GET", "/v1/jobs?after=-1", 422),
+        ("GET", "/v1/jobs?after=" + "9" * 400, 422),
+        ("GET", "/v1/jobs?phase=DONE", 422),
+        ("GET", "/v1/jobs/x?wait=nan", 422),
+        ("POST", "/v1/jobs?dry_run=perhaps", 422),
+    ],
+)
+def test_wrong_requests(client: httpx.Client, method: str, path: str, status: int) -> None:
+    refused(client.request(method, path), status)
+
+
+def test_a_body_that_does_not_come_is_408(tmp_path: Path) -> None:
+    app = create_app(Settings(tmp_path, body_s=0.1))
+
+    async def ask() -> httpx.Response:
+        async def body() -> Any:
+            yield b"{"
+            await anyio.sleep(1.0)
+            yield b"}"
+
+        transport = httpx.ASGITransport(app)
+        async with (
+            app.router.lifespan_context(app),
+            httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client,
+        ):
+            return await client.post("/v1/jobs", content=body(), headers=JSON)
+
+    refused(anyio.run(ask), 408)
+
+
+def raw_request(server: Any, rest: bytes) -> socket.socket:
+    """A connection on which a POST of a job was begun, as no HTTP library would send it."""
+    where = urlsplit(server.url)
+    head = f"POST /v1/jobs HTTP/1.1\r\nHost: {where.netloc}\r\nContent-Type: application/json\r\n"
+    wire = socket.create_connection((where.hostname or "", where.port or 0), timeout=10)
+    wire.sendall(head.encode() + rest)
+    return wire
+
+
+def test_a_truncated_request_leaves_the_server_well(server: Any) -> None:
+    with raw_request(server, b"Content-Length: 1000\r\n\r\n{"):
+        pass
+    assert server.client.get("/healthz").status_code == 200
+    assert server.client.get("/v1/jobs").status_code == 200
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.1", "example.org", ""])
+def test_only_loopback_is_served(host: str) -> None:
+    with pytest.raises(BadInput, match="--host"):
+        bind(host, 0)
+
+
+def test_a_port_in_use_is_bad_input() -> None:
+    with bind("127.0.0.1", 0) as taken, pytest.raises(BadInput, match="--port"):
+        bind("127.0.0.1", taken.getsockname()[1])
+
+
+def test_settings_come_from_the_environment(tmp_path: Path) -> None:
+    environ = {"NIGHTGLASS_HOME": str(tmp_path), "NIGHTGLASS_TARGETS": "5"}
+    environ["NIGHTGLASS_HOSTS"] = "a.example, b.example"
+    settings = read_settings(None, environ)
+    assert (settings.home, settings.targets) == (tmp_path, 5)
+    assert settings.hosts == ("a.example", "b.example")
+    assert read_settings(tmp_path / "x", environ).home == tmp_path / "x"
+    for name, value in {"TARGETS": "many", "BODY_BYTES": "-1", "WAIT_S": "inf"}.items():
+        with pytest.raises(BadInput, match=name):
+            read_settings(None, environ | {f"NIGHTGLASS_{name}": value})
+
+
+def test_schema_is_that_of_the_command(client: httpx.Client) -> None:
+    answer = client.get("/v1/schema/scene")
+    assert answer.status_code == 200
+    assert answer.json() == json.loads(json.dumps(Scene.model_json_schema(by_alias=True)))

@@ -1,0 +1,119 @@
+"""The job record: what may follow what, keys, order, and that it outlives the process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.errors import BadInput
+from service.jobs import FINAL, NEXT, Job, JobStore, Phase
+from service.problems import KeyReused, NotReady, NotThere, QueueFull
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> JobStore:
+    return JobStore(tmp_path / "jobs.sqlite")
+
+
+def queue(store: JobStore, key: str | None = None, body: str = "b", limit: int = 100) -> Job:
+    return store.submit("name", {"a": 1}, body, key, limit)[0]
+
+
+def test_a_job_outlives_its_store(tmp_path: Path) -> None:
+    store = JobStore(tmp_path / "jobs.sqlite")
+    job = queue(store, key="k")
+    claimed = store.claim()
+    assert claimed is not None
+    store.progress(claimed, 3, 9)
+    store.close()
+    again = JobStore(tmp_path / "jobs.sqlite")
+    found = again.get(job.id)
+    assert (found.phase, found.tiles_done, found.tiles_total) == (Phase.EXECUTING, 3, 9)
+    assert again.scene(job.id) == {"a": 1}
+    taken = again.claim()
+    assert taken is not None
+    assert (taken.id, taken.attempt) == (job.id, 2)
+
+
+def test_an_earlier_attempt_can_no_longer_write(store: JobStore) -> None:
+    queue(store)
+    first = store.claim()
+    second = store.claim()
+    assert first is not None
+    assert second is not None
+    with pytest.raises(NotReady):
+        store.progress(first, 1, 2)
+    with pytest.raises(NotReady):
+        store.finish(first, Phase.COMPLETED)
+    store.finish(second, Phase.COMPLETED)
+
+
+def test_key_replays_and_refuses_another_body(store: JobStore) -> None:
+    job = queue(store, key="k", body="one")
+    assert store.submit("name", {}, "one", "k", 100) == (job, False)
+    with pytest.raises(KeyReused):
+        queue(store, key="k", body="two")
+    store.delete(job.id)
+    assert queue(store, key="k", body="two").id != job.id
+
+
+def test_full_queue_refuses(store: JobStore) -> None:
+    first = queue(store, key="k", limit=1)
+    with pytest.raises(QueueFull):
+        queue(store, limit=1)
+    assert queue(store, key="k", limit=1) == first
+
+
+def test_listing_by_cursor_and_phase(store: JobStore) -> None:
+    made = [queue(store) for _ in range(5)]
+    store.cancel(made[1].id)
+    store.delete(made[2].id)
+    assert [j.id for j in store.listing((), made[0].number, 2)] == [made[1].id, made[3].id]
+    assert [j.id for j in store.listing((Phase.ABORTED,), 0, 10)] == [made[1].id]
+    assert store.counts()[Phase.QUEUED] == 3
+
+
+def test_a_database_of_another_format_is_refused(tmp_path: Path) -> None:
+    import sqlite3
+
+    with sqlite3.connect(tmp_path / "jobs.sqlite") as db:
+        db.execute("PRAGMA user_version = 99")
+    with pytest.raises(BadInput):
+        JobStore(tmp_path / "jobs.sqlite")
+
+
+ACTIONS = st.sampled_from(
+    ["claim", "cancel", "delete", "progress", "COMPLETED", "ERROR", "ABORTED"]
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(ACTIONS, max_size=8))
+def test_limits_phases_follow_the_table(
+    tmp_path_factory: pytest.TempPathFactory, actions: list[str]
+) -> None:
+    """Whatever is asked in whatever order, a job only moves as NEXT allows, and ends once."""
+    store = JobStore(tmp_path_factory.mktemp("store") / "jobs.sqlite")
+    made = queue(store)
+    before = made
+    for action in actions:
+        try:
+            if action == "claim":
+                store.claim()
+            elif action == "progress":
+                store.progress(before, 1, 2)
+            elif action in ("cancel", "delete"):
+                getattr(store, action)(made.id)
+            else:
+                store.finish(before, Phase(action))
+        except (NotReady, NotThere):
+            assert store.seen(made) == before
+        after = store.seen(made)
+        assert after.phase == before.phase or after.phase in NEXT[before.phase]
+        assert after == before or after.version > before.version
+        assert (after.ended_s is not None) == (after.phase in FINAL)
+        before = after
+    store.close()

@@ -1,0 +1,132 @@
+"""Files of a product over HTTP: ranges, tags, and no way out of the product's folder."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from pipeline.store.cube import open_cube
+from service.files import open_inside
+from service.problems import NotThere
+
+
+def test_every_file_is_fetched_whole(server: Any, finished: str, tmp_path: Path) -> None:
+    """What is listed and fetched is the product itself, and opens as one."""
+    files = server.client.get(f"{finished}/results").json()["files"]
+    for file in files:
+        answer = server.client.get(file["href"])
+        assert (answer.status_code, len(answer.content)) == (200, file["bytes"])
+        target = tmp_path / file["path"]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(answer.content)
+    there = server.home / "products" / finished.rpartition("/")[2]
+    with open_cube(tmp_path) as fetched, open_cube(there) as kept:
+        assert fetched.dn.shape == (2, 64, 64)
+        assert np.array_equal(fetched.dn, kept.dn)
+    assert {"scene.yaml", "truth/targets.parquet", "_COMPLETE"} <= {f["path"] for f in files}
+    assert not any(part.startswith(".") for f in files for part in f["path"].split("/"))
+
+
+def test_listing_by_pages(server: Any, finished: str) -> None:
+    whole = server.client.get(f"{finished}/results").json()["files"]
+    found, path = [], f"{finished}/results?limit=7"
+    while path:
+        answer = server.client.get(path)
+        found += answer.json()["files"]
+        path = answer.links.get("next", {}).get("url")
+    assert found == whole
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "part"),
+    [
+        ("bytes=0-9", 206, slice(0, 10)),
+        ("bytes=10-", 206, slice(10, None)),
+        ("bytes=-5", 206, slice(-5, None)),
+        ("bytes=0-99999999", 206, slice(0, None)),
+        ("bytes=99999999-", 416, None),
+        ("bytes=9-2", 416, None),
+        ("bytes=-0", 416, None),
+        ("bytes=0-1,4-5", 200, slice(0, None)),
+        ("bytes=-", 200, slice(0, None)),
+        ("lines=1-2", 200, slice(0, None)),
+    ],
+)
+def test_range(server: Any, finished: str, asked: str, status: int, part: slice | None) -> None:
+    path = f"{finished}/results/plan.json"
+    whole = server.client.get(path).content
+    answer = server.client.get(path, headers={"range": asked})
+    assert answer.status_code == status
+    if part is not None:
+        assert answer.content == whole[part]
+    if status == 206:
+        start = (part.start or 0) % len(whole) if part else 0
+        stop = start + len(answer.content) - 1
+        assert answer.headers["content-range"] == f"bytes {start}-{stop}/{len(whole)}"
+    if status == 416:
+        assert answer.headers["content-range"] == f"bytes */{len(whole)}"
+
+
+def test_tags(server: Any, finished: str) -> None:
+    for path in (finished, f"{finished}/preview.png", f"{finished}/results/scene.yaml"):
+        first = server.client.get(path)
+        etag = first.headers["etag"]
+        again = server.client.get(path, headers={"if-none-match": etag})
+        assert (again.status_code, again.content) == (304, b"")
+        other = server.client.get(path, headers={"if-none-match": '"other"'})
+        assert (other.status_code, other.content) == (200, first.content)
+    stale = {"range": "bytes=0-3", "if-range": '"other"'}
+    assert server.client.get(f"{finished}/preview.png", headers=stale).status_code == 200
+    assert server.client.get(f"{finished}/preview.png").content.startswith(b"\x89PNG")
+    head = server.client.head(f"{finished}/results/scene.yaml")
+    assert (head.status_code, head.content) == (200, b"")
+    assert int(head.headers["content-length"]) > 0
+
+
+OUT = (
+    "../jobs.sqlite", "..", "../../jobs.sqlite", "%2e%2e/%2e%2e/jobs.sqlite", "..%2f..%2fjobs.sqlite",
+    "cube.zarr/../../../jobs.sqlite", "/etc/passwd", "%2fetc%2fpasswd", "..%5c..%5cjobs.sqlite",
+    ".begun.json", ".lock", "truth/.parts", "cube.zarr", "cube.zarr/", "", "%00", "plan.json%00.png",
+    "link.txt", "linked/jobs.sqlite", "fifo", "%ff", "a" * 4000, "plan.json/x",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("path", OUT)
+def test_no_way_out(server: Any, finished: str, path: str) -> None:
+    """Sent raw, so that no client tidies the path; links and a pipe lie in the product, too."""
+    product = server.home / "products" / finished.rpartition("/")[2]
+    import os
+
+    made = [product / "link.txt", product / "linked", product / "fifo"]
+    made[0].symlink_to(server.home / "jobs.sqlite")
+    made[1].symlink_to(server.home)
+    os.mkfifo(made[2])
+    where = urlsplit(server.url)
+    try:
+        with socket.create_connection((where.hostname or "", where.port or 0), timeout=10) as wire:
+            request = f"GET {finished}/results/{path} HTTP/1.1\r\nHost: {where.netloc}\r\n"
+            wire.sendall(request.encode() + b"Connection: close\r\n\r\n")
+            answer = b"".join(iter(lambda: wire.recv(65536), b""))
+        assert answer.startswith(b"HTTP/1.1 404 "), answer[:300]
+        assert b"SQLite format" not in answer
+        assert str(server.home).encode() not in answer
+        listed = server.client.get(f"{finished}/results").text
+        assert "link" not in listed
+    finally:
+        for file in made:
+            file.unlink()
+
+
+def test_open_inside_refuses_a_linked_folder(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    (tmp_path / "real" / "file").write_text("x")
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    open_inside(tmp_path / "real", "file").close()
+    for folder, name in ((tmp_path / "link", "file"), (tmp_path, "link/file")):
+        with pytest.raises(NotThere):
+            open_inside(folder, name)
