@@ -44,5 +44,8 @@ class Incomplete(NightglassError):
 
 def shorten(value: Any, limit: int = 80) -> str:
     """`repr` of a value, cut to `limit` characters: values are never echoed whole."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, endless nesting
+        text = f"a {type(value).__name__} too large to show"
     return text if len(text) <= limit else f"{text[: limit - 1]}…"

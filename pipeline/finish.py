@@ -196,5 +196,3 @@ def _empty(plan: Plan, kind: str) -> pa.Table:
     if kind == "targets":
         return pa.table(target_truth(plan, g)).slice(0, 0)
     return pa.table(star_truth(plan, g, concatenate([], FrameStars)))
-
-

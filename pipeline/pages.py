@@ -23,9 +23,7 @@ def tile_progress(quiet: bool) -> Iterator[Listener | None]:
         task = bar.add_task("planning", total=None)
 
         def listen(progress: Progress) -> None:
-            bar.update(
-                task, total=progress.total, completed=progress.done, description="rendering"
-            )
+            bar.update(task, total=progress.total, completed=progress.done, description="rendering")
 
         yield listen
 

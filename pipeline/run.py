@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Geometry, SensorMaps
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, NightglassError
 from pipeline.execute.graph import Inputs, Work, shard_graph, window_graph
 from pipeline.execute.scheduler import TASKS_PER_WINDOW, Scheduler, open_scheduler
 from pipeline.finish import finish, stored_report
@@ -32,6 +32,7 @@ from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
+from pipeline.store.markers import markers_present
 from pipeline.store.product import Begun, begin, truth_kinds
 
 J2000_JD = 2451545.0
@@ -97,9 +98,7 @@ def prepare(scene: Scene) -> Prepared:
 def gather_response(scene: Scene) -> tuple[ResponseCurve, str, str]:
     """Bandpass x optics x quantum efficiency of a scene's sensor, its name and digest."""
     s = scene.sensor
-    return resolve_response(
-        s.bandpass.model_dump(), s.transmission, s.quantum_efficiency
-    )
+    return resolve_response(s.bandpass.model_dump(), s.transmission, s.quantum_efficiency)
 
 
 def _light(
@@ -127,9 +126,7 @@ def _catalogue_remarks(scene: Scene, catalogue: Catalogue) -> list[str]:
     wanted = scene.stars.faintest_g_mag
     faintest = catalogue.faintest_g_mag
     if wanted is not None and faintest is not None and faintest < wanted - 0.5:
-        out.append(
-            f"the catalogue ends at G = {faintest:.1f}, the scene asks for {wanted}"
-        )
+        out.append(f"the catalogue ends at G = {faintest:.1f}, the scene asks for {wanted}")
     return out
 
 
@@ -175,23 +172,27 @@ def render(
         summary = plan_dict(plan, _forecast(prepared))
         layout.write_atomically(product / layout.PLAN, layout.to_json(summary))
         planned = time.perf_counter()
-        if (product / layout.COMPLETE).is_file() and not begun.redrawn and _all_done(begun, plan):
+        if (product / layout.COMPLETE).is_file() and _all_done(begun, plan):
             return stored_report(begun)
         _unseal(product)
-        with open_scheduler(options.scheduler, options.workers) as scheduler:
-            _draw(prepared, begun, scheduler, listen)
-            workers = scheduler.workers
-        drawn = time.perf_counter()
+        try:
+            with open_scheduler(options.scheduler, options.workers) as scheduler:
+                _draw(prepared, begun, scheduler, listen)
+                workers = scheduler.workers
+        except NightglassError:
+            if not any(markers_present(product)):
+                shutil.rmtree(product)  # nothing was finished, so nothing is left behind
+            raise
         times = {
-            "plan_s": planned - started, "draw_s": drawn - planned, "workers": workers,
+            "plan_s": planned - started,
+            "draw_s": time.perf_counter() - planned,
+            "workers": workers,
             "scheduler": options.scheduler,
-        }  # fmt: skip
+        }
         return finish(plan, prepared.catalogue, begun, times)
 
 
-def _draw(
-    prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listener | None
-) -> None:
+def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listener | None) -> None:
     """Run every missing task, window by window of frames."""
     plan, catalogue = prepared.plan, prepared.catalogue
     reach = plan.halo_px * plan.facts.ifov_rad
@@ -261,5 +262,3 @@ def _remove(product: Path) -> None:
         raise BadInput("--replace", str(product), "a product made by `nightglass render`")
     with layout.only_writer(product):
         shutil.rmtree(product)
-
-

@@ -15,6 +15,7 @@ import anyio.to_thread
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
+from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -46,6 +47,7 @@ HTTP_STATUS: tuple[tuple[type[Exception], int], ...] = (
     (BadInput, 422),
     (RequestValidationError, 422),
     (Damaged, 500),
+    (OperationalError, 503),  # the job table is locked, or its disk is full
 )
 HEADERS: dict[int, dict[str, str]] = {
     408: {"Connection": "close"},

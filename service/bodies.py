@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import math
 from typing import Any
@@ -12,26 +13,43 @@ from starlette.requests import ClientDisconnect, Request
 from service.problems import Malformed, TooLarge, TooSlow, WrongMediaType, cut
 
 MAX_DEPTH = 32
+DISCARD_BYTES, DISCARD_S = 1 << 24, 1.0
 
 
 async def read_body(request: Request, limit_bytes: int, limit_s: float) -> bytes:
     """The body of a request that says it is JSON, at most `limit_bytes`, chunked or not."""
     _check_media_type(request)
     declared = request.headers.get("content-length", "")
-    if declared.isdigit() and (len(declared) > 18 or int(declared) > limit_bytes):
-        raise TooLarge(f"a body of at most {limit_bytes} bytes is taken")
+    too_large = declared.isdigit() and (len(declared) > 18 or int(declared) > limit_bytes)
     body = bytearray()
     try:
         async with asyncio.timeout(limit_s):
-            async for piece in request.stream():
+            stream = request.stream()
+            while not too_large and (piece := await anext(stream, None)) is not None:
                 body += piece
-                if len(body) > limit_bytes:
-                    raise TooLarge(f"a body of at most {limit_bytes} bytes is taken")
+                too_large = len(body) > limit_bytes
     except TimeoutError:
         raise TooSlow(f"a body must arrive within {limit_s:g} s") from None
     except ClientDisconnect:
         raise Malformed("the body ended before it was whole") from None
+    if too_large:
+        body.clear()
+        await _discard_rest(request)
+        raise TooLarge(f"a body of at most {limit_bytes} bytes is taken")
     return bytes(body)
+
+
+async def _discard_rest(request: Request) -> None:
+    """Read on for a moment, keeping nothing: a connection that is closed on a client which still
+    sends is reset, and the refusal is lost with it."""
+    discarded = 0
+    with contextlib.suppress(TimeoutError, ClientDisconnect):
+        async with asyncio.timeout(DISCARD_S):
+            while discarded < DISCARD_BYTES:
+                message = await request.receive()
+                discarded += len(message.get("body", b""))
+                if not message.get("more_body", False):
+                    return
 
 
 def _check_media_type(request: Request) -> None:

@@ -16,7 +16,7 @@ from service.problems import NotThere
 
 PIECE_BYTES = 1 << 18
 TYPES = {".json": "application/json", ".png": "image/png", ".yaml": "text/plain; charset=utf-8"}
-RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
+RANGE = re.compile(r"bytes=(?!-$)(\d{0,18})-(\d{0,18})")
 
 
 def open_inside(folder: Path, relative: str) -> BinaryIO:
@@ -53,9 +53,17 @@ def list_files(folder: Path) -> list[tuple[str, int]]:
         folders[:] = [name for name in folders if not name.startswith(".")]
         for name in names:
             path = Path(root, name)
-            if not name.startswith(".") and not path.is_symlink():
-                found.append((path.relative_to(folder).as_posix(), path.stat().st_size))
+            about = None if name.startswith(".") else _lstat(path)
+            if about is not None and stat.S_ISREG(about.st_mode):
+                found.append((path.relative_to(folder).as_posix(), about.st_size))
     return sorted(found)
+
+
+def _lstat(path: Path) -> os.stat_result | None:
+    try:
+        return path.lstat()
+    except FileNotFoundError:  # the job is being deleted
+        return None
 
 
 def serve_file(request: Request, folder: Path, relative: str) -> Response:
@@ -67,8 +75,8 @@ def serve_file(request: Request, folder: Path, relative: str) -> Response:
     if request.headers.get("if-none-match") == etag:
         file.close()
         return Response(status_code=304, headers=headers)
-    asked = request.headers.get("range")
-    if asked is not None and request.headers.get("if-range") not in (None, etag):
+    asked = RANGE.fullmatch(request.headers.get("range", "").strip())
+    if request.headers.get("if-range") not in (None, etag):
         asked = None
     part = _part(asked, size)
     if part is None:
@@ -76,7 +84,7 @@ def serve_file(request: Request, folder: Path, relative: str) -> Response:
         return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
     start, stop = part
     status = 200
-    if asked is not None and RANGE.fullmatch(asked.strip()):
+    if asked is not None:
         status = 206
         headers["Content-Range"] = f"bytes {start}-{stop - 1}/{size}"
     headers["Content-Length"] = str(stop - start)
@@ -85,12 +93,11 @@ def serve_file(request: Request, folder: Path, relative: str) -> Response:
     return StreamingResponse(body, status_code=status, headers=headers, media_type=kind)
 
 
-def _part(asked: str | None, size: int) -> tuple[int, int] | None:
+def _part(asked: re.Match[str] | None, size: int) -> tuple[int, int] | None:
     """[start, stop) of one byte range; the whole for none or several; None for an empty one."""
-    match = RANGE.fullmatch(asked.strip()) if asked else None
-    if match is None or match.group(1, 2) == ("", ""):
+    if asked is None:
         return 0, size
-    first, last = match.group(1, 2)
+    first, last = asked.group(1, 2)
     if not first:
         start, stop = max(0, size - int(last)), size
     else:

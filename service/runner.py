@@ -37,7 +37,7 @@ class Dispatcher:
 
     def __init__(self, settings: Settings, store: JobStore) -> None:
         self._settings, self._store = settings, store
-        self._stop, self._work = threading.Event(), threading.Event()
+        self.stopping, self._work = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="dispatcher", daemon=True)
         self.leads = False
 
@@ -46,7 +46,7 @@ class Dispatcher:
 
     def stop(self) -> None:
         """End the worker and the thread. A job that runs stays EXECUTING and is resumed later."""
-        self._stop.set()
+        self.stopping.set()
         self._work.set()
         self._thread.join()
 
@@ -60,7 +60,7 @@ class Dispatcher:
 
     def _run(self) -> None:
         with self._settings.dispatcher_lock.open("w") as lock:
-            while not self._stop.is_set():
+            while not self.stopping.is_set():
                 if not self.leads:
                     with contextlib.suppress(BlockingIOError):
                         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -83,7 +83,7 @@ class Dispatcher:
             return job is not None
         except Exception:
             log.exception("the dispatcher could not go on; it tries again")
-            self._stop.wait(1.0)
+            self.stopping.wait(1.0)
             return False
 
     def _guarded(self, job: Job, lock_fd: int) -> None:
@@ -100,7 +100,7 @@ class Dispatcher:
         if not job.cancel_asked:
             with _worker(self._settings, self._order(job), lock_fd) as answers:
                 outcome = self._watch(job, answers)
-        if outcome is None and self._stop.is_set():
+        if outcome is None and self.stopping.is_set():
             return
         if outcome is None and self._store.seen(job).cancel_asked:
             self._store.finish(job, Phase.ABORTED)
@@ -135,7 +135,7 @@ class Dispatcher:
         self, job: Job, answers: queue.Queue[dict[str, Any] | None]
     ) -> dict[str, Any] | None:
         """The worker's outcome; None where it died, was cancelled, or the service stops."""
-        while not self._stop.is_set():
+        while not self.stopping.is_set():
             try:
                 answer = answers.get(timeout=POLL_S)
             except queue.Empty:
@@ -205,18 +205,22 @@ def _read(stream: BinaryIO, answers: queue.Queue[dict[str, Any] | None]) -> None
     answers.put(None)
 
 
-def plan_dry(scene: Scene, settings: Settings) -> dict[str, Any]:
+def plan_dry(scene: Scene, settings: Settings, stopping: threading.Event) -> dict[str, Any]:
     """The plan of a scene, made in a worker so that the service stays quick and can stop it.
 
     Raises Refused, PlanTooSlow, EngineFault.
     """
     order = {"do": "plan", "scene": scene.as_dict()}
     deadline = time.monotonic() + settings.plan_s
+    outcome = None
     with _worker(settings, order) as answers:
-        try:
-            outcome = answers.get(timeout=max(0.0, deadline - time.monotonic()))
-        except queue.Empty:
-            raise PlanTooSlow(f"planning took longer than {settings.plan_s:g} s") from None
+        while not stopping.is_set():
+            try:
+                outcome = answers.get(timeout=POLL_S)
+                break
+            except queue.Empty:
+                if time.monotonic() > deadline:
+                    raise PlanTooSlow(f"planning took over {settings.plan_s:g} s") from None
     if outcome is None:
         raise EngineFault("the planner stopped without an answer")
     if "error" in outcome:

@@ -74,14 +74,14 @@ def window_graph(
                     around = _places(graph, inputs, g, shards, plan, block)
                     graph[key] = (wing_task, inputs, g, block, around)
                 wings.append(key)
-        key = ("tile", frame, tile.row, tile.column)
-        graph[key] = (tile_task, inputs, g, tile, parts, wings)
-        wanted.append(key)
+        name = ("tile", frame, tile.row, tile.column)
+        graph[name] = (tile_task, inputs, g, tile, parts, wings)
+        wanted.append(name)
     for index in work.star_truth:
         g = work.geometry.frame_slice(index)
-        key = ("star_truth", int(g.frame[0]))
-        graph[key] = (star_truth_task, inputs, g, _places(graph, inputs, g, shards, plan, None))
-        wanted.append(key)
+        everywhere = _places(graph, inputs, g, shards, plan, None)
+        graph["star_truth", int(g.frame[0])] = (star_truth_task, inputs, g, everywhere)
+        wanted.append(("star_truth", int(g.frame[0])))
     for index in work.target_truth:
         g = work.geometry.frame_slice(index)
         graph[("target_truth", int(g.frame[0]))] = (target_truth_task, inputs, g)
@@ -130,7 +130,9 @@ def _overlap(a: Tile, b: Tile) -> bool:
 def read_shard(inputs: Inputs, leaf: Leaf) -> StarTable:
     """Task: the rows of one shard."""
     plan, wish = inputs.plan, inputs.plan.scene.stars
-    assert wish is not None and plan.colour is not None and inputs.catalogue is not None
+    assert wish is not None
+    assert plan.colour is not None
+    assert inputs.catalogue is not None
     return gather_leaf(
         inputs.catalogue, leaf, wish.faintest_g_mag, plan.colour, plan.facts.area_m2,
         unmoving=not wish.space_motion,

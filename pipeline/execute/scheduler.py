@@ -124,7 +124,9 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
     try:
         client = Client(kind, timeout=10)
     except (OSError, TimeoutError, ValueError) as error:
-        raise BadInput("--scheduler", kind, f"the address of a running scheduler; {error}") from None
+        raise BadInput(
+            "--scheduler", kind, f"the address of a running scheduler; {error}"
+        ) from None
     with client:
         threads = sum(client.nthreads().values())
         if threads == 0:

@@ -81,7 +81,7 @@ def swept_core(blur: Blur, radius_px: float, piece: Path) -> tuple[Core, np.ndar
         swept = transfer(fy, fx, piece.x_px, piece.y_px, piece.weight)
         return core_spectrum(core, swept, period_y, period_x)
 
-    key = ("spectrum", blur, radius_px, piece.key)
+    key = ("spectrum", blur, radius_px, piece)
     spectrum = _CACHE.get(key, make, lambda s: s.nbytes)
     return core, spectrum, (half_y, half_x), (period_y, period_x)
 
@@ -93,7 +93,7 @@ def table_of(blur: Blur, radius_px: float, piece: Path, phases: int) -> PixelRes
         core, spectrum, half, period = swept_core(blur, radius_px, piece)
         return phase_table(core, spectrum, half, period, phases)
 
-    key = ("table", blur, radius_px, piece.key, phases)
+    key = ("table", blur, radius_px, piece, phases)
     return _CACHE.get(key, make, lambda t: t.values.nbytes)
 
 
@@ -108,7 +108,7 @@ def kernel_of(blur: Blur, radius_px: float, grid: WingGrid, reach_px: float) -> 
 def streak_of(grid: WingGrid, path: Path) -> np.ndarray:
     """The transfer function of a streak on a grid's frequencies."""
     return _CACHE.get(
-        ("streak", grid.rows, grid.columns, grid.spacing_px, path.key),
+        ("streak", grid.rows, grid.columns, grid.spacing_px, path),
         lambda: transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight),
         lambda t: t.nbytes,
     )

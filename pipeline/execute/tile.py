@@ -87,6 +87,8 @@ def _not_negative(plan: Plan, mean_e: Array) -> Array:
         peak = float(mean_e.max())
         allowed = NEGATIVE_FLOOR * plan.facts.sigma_floor_e + 1e-6 * peak + plan.facts.budget_e
         if low < -allowed:
-            raise NightglassError(f"a pixel's mean is {low:.3g} e-, below zero by more than rounding")
+            raise NightglassError(
+                f"a pixel's mean is {low:.3g} e-, below zero by more than rounding"
+            )
         return np.maximum(mean_e, 0.0)
     return mean_e

@@ -28,9 +28,9 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
     """
     paths = streaks(plan, g)
     zone = zone_of(plan, stars.x_px, stars.y_px)
-    ends = np.array([
-        [s.path.x_px[0], s.path.y_px[0], s.path.x_px[-1], s.path.y_px[-1]] for s in paths
-    ])[zone]
+    ends = np.array(
+        [[s.path.x_px[0], s.path.y_px[0], s.path.x_px[-1], s.path.y_px[-1]] for s in paths]
+    )[zone]
     shift = np.array([[s.shift_x_px, s.shift_y_px] for s in paths])[zone]
     ends = ends + np.tile(shift, 2)
     rows, columns = plan.camera.rows, plan.camera.columns
@@ -76,7 +76,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     ]
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     with np.errstate(invalid="ignore"):
-        inside = (np.abs(x[:, middle] - (plan.camera.columns - 1) / 2) <= plan.camera.columns / 2)
+        inside = np.abs(x[:, middle] - (plan.camera.columns - 1) / 2) <= plan.camera.columns / 2
         inside &= np.abs(y[:, middle] - (plan.camera.rows - 1) / 2) <= plan.camera.rows / 2
     return {
         "frame": np.full(count, g.frame[0], np.int32),
@@ -148,5 +148,3 @@ def world_of(plan: Plan, g: Geometry, index: int = 0) -> Any:
         )  # fmt: skip
 
     return to_world
-
-

@@ -33,7 +33,9 @@ def stretch(
     low, middle, high = np.percentile(sample, [low_percent, 50.0, high_percent])
     scatter = 1.4826 * float(np.median(np.abs(sample - middle))) or 1.0
     top = max(float(high), middle + 12.0 * scatter)
-    scaled = np.arcsinh((values - low) / (3.0 * scatter)) / np.arcsinh((top - low) / (3.0 * scatter))
+    scaled = np.arcsinh((values - low) / (3.0 * scatter)) / np.arcsinh(
+        (top - low) / (3.0 * scatter)
+    )
     return (255.0 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8)
 
 
@@ -65,8 +67,9 @@ def frame_picture(product: Path, frame: int = 0, mark: bool = True) -> Image:
 
 
 def write_preview(product: Path, plan: Plan) -> None:
-    """preview.png of the first frame; absent where the cube is."""
-    write_atomically(product / PREVIEW, png_bytes(frame_picture(product, 0, bool(plan.scene.targets))))
+    """preview.png of the first frame."""
+    picture = frame_picture(product, 0, mark=bool(plan.scene.targets))
+    write_atomically(product / PREVIEW, png_bytes(picture))
 
 
 def png_bytes(picture: Image) -> bytes:
@@ -74,7 +77,7 @@ def png_bytes(picture: Image) -> bytes:
     from io import BytesIO
 
     out = BytesIO()
-    picture.save(out, format="PNG", optimize=False)
+    picture.save(out, format="PNG", compress_level=2)
     return out.getvalue()
 
 
@@ -93,5 +96,3 @@ def _mark_targets(picture: Image, product: Path, frame: int, factor: int) -> Non
         cx, cy = (x + 0.5) / factor, picture.height - (y + 0.5) / factor
         draw.ellipse([cx - 12, cy - 12, cx + 12, cy + 12], outline=GREEN)
         draw.text((cx + 14, cy - 6), str(name), fill=GREEN)
-
-

@@ -35,7 +35,7 @@ def decide(scene: Scene, facts: Facts, responses: ResponsePlan) -> tuple[Decisio
     """Every decision of a scene, components first, then effects, then approximations."""
     return (
         *_components(scene, facts),
-        *_noise_terms(scene, facts),
+        *_noise_terms(scene),
         *_star_effects(scene),
         *_approximations(scene, facts, responses),
     )
@@ -58,7 +58,7 @@ def _components(scene: Scene, facts: Facts) -> list[Decision]:
     ]
 
 
-def _noise_terms(scene: Scene, facts: Facts) -> list[Decision]:
+def _noise_terms(scene: Scene) -> list[Decision]:
     s = scene.sensor
     terms = [
         ("flat", s.flat != 1.0, "unity everywhere"),
@@ -137,7 +137,8 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         Decision(
             "phase_interpolation", True,
             f"stars are interpolated between {r.classes[0].phases} phases a pixel, linearly where "
-            f"that errs by at most {budget:.3g} e-, else cubically",
+            f"that errs by at most {budget:.3g} e-, else cubically; the bound is that of a pixel at "
+            "the noise floor, and grows with the noise of a pixel that holds more light",
             **bound(budget),
         )
     )  # fmt: skip
@@ -163,8 +164,8 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
                 "common_streak", True,
                 f"{r.zones} x {r.zones} zone(s), each with one streak for all its stars, which "
                 f"differs from a star's own by at most {r.spread_px:.2g} px at its ends, and by "
-                f"{PATH_STEP_PX / 2 + MERGE_TOLERANCE_PX:.2g} px from rounding: about as much of a "
-                "star's peak at the ends of its streak, none of its centroid from rounding",
+                f"{PATH_STEP_PX / 2 + MERGE_TOLERANCE_PX:.2g} px from rounding: at most about that "
+                "share of a star's peak there; centroids do not move by the rounding",
             )
         )  # fmt: skip
     return out

@@ -106,7 +106,5 @@ def background_rate_e_s(
         return b.uniform_e_per_s
     assert b.uniform_mag_arcsec2 is not None
     solid_angle = pixel_solid_angle_sr(pitch_m, scene.sensor.focal_length_m)
-    rate = surface_brightness_electron_rate(
-        b.uniform_mag_arcsec2, response, area_m2, solid_angle
-    )
+    rate = surface_brightness_electron_rate(b.uniform_mag_arcsec2, response, area_m2, solid_angle)
     return rate * scene.sensor.fill_factor

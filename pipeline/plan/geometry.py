@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +27,7 @@ from pipeline.physics.positions.apparent import (
     unaberrate,
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
-from pipeline.physics.positions.focal_plane import Camera, deproject, project
+from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, project
 from pipeline.physics.positions.orbit import check_above_earth, tle_states, two_body
 from pipeline.physics.positions.times import Instants, elapsed_s, instants, parse_utc
 from pipeline.physics.targets.eclipse import sunlit_fraction
@@ -90,8 +92,10 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     geocentric, velocity = _observer(scene, epoch, flat, times, earth)
     position = earth.position_m + geocentric
     sun = earth.position_m + earth.sun_from_earth_m
-    sights = [_sight(scene, i, epoch, flat, times, earth, geocentric, velocity, dut1_s)
-              for i in range(len(scene.targets))]  # fmt: skip
+    sights = [
+        _sight(scene, i, epoch, flat, earth, geocentric, velocity, dut1_s)
+        for i in range(len(scene.targets))
+    ]
     attitude = _attitudes(scene, flat, position, velocity, sun, sights)
     _check_view(scene, geocentric, attitude[:, 2])
     camera = camera_of(scene)
@@ -100,9 +104,11 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     light, phase, lit, distance = np.zeros((4, *shape))
     direction = np.zeros((len(sights), len(frames), 3))
     for i, (target, sight) in enumerate(zip(scene.targets, sights, strict=True)):
-        xs, ys = zip(*(project(camera, a, u[None]) for a, u in
-                       zip(attitude, sight.direction_proper, strict=True)), strict=True)  # fmt: skip
-        x[i], y[i] = (np.concatenate(c).reshape(shape[1:]) for c in (xs, ys))
+        places = [
+            project(camera, a, u[None])
+            for a, u in zip(attitude, sight.direction_proper, strict=True)
+        ]
+        x[i], y[i] = (np.concatenate(c).reshape(shape[1:]) for c in zip(*places, strict=True))
         apparent_sun = apparent_sun_m(earth)
         alpha = phase_angle(sight.target_geocentric_m, apparent_sun, geocentric)
         sunlit = np.ones(len(flat))
@@ -116,8 +122,9 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
             sphere_intensity_per_irradiance(alpha, body.diameter_m, body.albedo),
             sight.range_m,
         )
-        for out, value in ((light, ratio), (phase, alpha), (lit, sunlit), (distance, sight.range_m)):
-            out[i] = np.reshape(value, shape[1:])
+        light[i], phase[i], lit[i], distance[i] = (
+            np.reshape(value, shape[1:]) for value in (ratio, alpha, sunlit, sight.range_m)
+        )
         direction[i] = sight.direction_proper.reshape(*shape[1:], 3)[:, nodes // 2]
     grid, grid3 = offset.shape, (*offset.shape, 3)
     return Geometry(
@@ -176,7 +183,6 @@ def _sight(
     index: int,
     epoch: tuple[float, float],
     offsets: Array,
-    times: Instants,
     earth: EarthState,
     observer_m: Array,
     observer_m_s: Array,
@@ -220,6 +226,13 @@ def _attitudes(
     )
     if isinstance(p, RatePointing):
         rates = (p.rate_ra_arcsec_s * ARCSEC_RAD, p.rate_dec_arcsec_s * ARCSEC_RAD)
+        swept = math.hypot(*rates) * scene.exposure.integration_s
+        if swept > LONGEST_STREAK_PX * ifov_rad(camera_of(scene)) or swept > np.pi / 2:
+            raise BadInput(
+                "pointing.rate_ra_arcsec_s, rate_dec_arcsec_s",
+                (p.rate_ra_arcsec_s, p.rate_dec_arcsec_s),
+                f"rates of at most {LONGEST_STREAK_PX:.0f} px and 90 degrees in one exposure",
+            )
         frames = attitudes_drift(start, roll, *rates, offsets)
     else:
         assert isinstance(p, SiderealPointing)

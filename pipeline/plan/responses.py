@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -77,9 +78,9 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
     if not blur.has_wings:
         radius = _radius_holding(blur, 1e-8)
         size = _table_phases(phases, radius, path)
-        classes = (CoreClass(radius, math.inf, 0.0, size),)
+        one = CoreClass(radius, math.inf, 0.0, size)
         return ResponsePlan(
-            blur, classes, 0, radius, blur.light_beyond(radius), zones, spread, facts.budget_e
+            blur, (one,), 0, radius, blur.light_beyond(radius), zones, spread, facts.budget_e
         )
     q = blur.optics.scale_px
     first = 12.0 * max(q, min(1.0, q) ** (1.0 / 3.0), 0.5)  # where wings are alike against the peak
@@ -104,7 +105,7 @@ def _classes(
     for k in range(MOST_CLASSES):
         radius = first * 2.0**k
         if k < 2:
-            error = wing_error(blur, compact_core(blur, radius), spacing, piece)
+            error = _measured_wing_error(blur, radius, spacing, piece)
         else:
             error = out[-1].wing_error / 4.0
         last = k == MOST_CLASSES - 1 or 2.0 * radius > largest
@@ -113,6 +114,12 @@ def _classes(
         if last:
             break
     return tuple(out)
+
+
+@lru_cache(maxsize=64)
+def _measured_wing_error(blur: Blur, radius_px: float, spacing_px: int, piece: Path) -> float:
+    """The wing's error of a core of some radius, measured once for each response and streak."""
+    return wing_error(blur, compact_core(blur, radius_px), spacing_px, piece)
 
 
 def _phases(asked: int, blur: Blur) -> int:

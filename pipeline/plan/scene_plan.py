@@ -156,9 +156,7 @@ def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
     stars = forecast.stars_per_frame if forecast else 0
     core = plan.responses.classes[0]
     stamp = math.pi * core.radius_px**2
-    frame_s = pixels * NOISE_S_PER_PIXEL + stars * (
-        PLACE_S_PER_STAR + stamp * STAMP_S_PER_PIXEL
-    )
+    frame_s = pixels * NOISE_S_PER_PIXEL + stars * (PLACE_S_PER_STAR + stamp * STAMP_S_PER_PIXEL)
     if plan.responses.spacing_px:
         frame_s += pixels * WING_S_PER_PIXEL
     rows, columns = tile_shape(plan.scene)

@@ -24,6 +24,9 @@ class InvalidScene(BadInput):
         self.mistakes = mistakes
         super().__init__(*mistakes[0])
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.mistakes,)
+
     def __str__(self) -> str:
         lines = [f"{f}: {shorten(v)} is not accepted; {a}" for f, v, a in self.mistakes[:20]]
         more = len(self.mistakes) - 20
@@ -77,10 +80,10 @@ def parse_yaml(text: str, name: str = "scene") -> Any:
         reader = YAML(typ="safe", pure=True)
         reader.Constructor = Plain
         return reader.load(text)
-    except (YAMLError, RecursionError, ValueError) as error:
+    except (YAMLError, RecursionError, ValueError, LookupError, TypeError, AttributeError) as error:
         where = getattr(error, "problem_mark", None)
         place = f"line {where.line + 1}, column {where.column + 1}" if where else "the text"
-        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        problem = getattr(error, "problem", None) or next(iter(str(error).splitlines()), "")
         raise BadInput(name, place, f"YAML or JSON; {problem}") from None
 
 

@@ -105,6 +105,12 @@ class Output(Strict):
     )
     compression: Literal["blosc-zstd", "zstd", "none"] = "blosc-zstd"
 
+    @model_validator(mode="after")
+    def _layers_differ(self) -> Output:
+        if len(set(self.layers)) != len(self.layers):
+            raise PydanticCustomError("layers", "allowed: each layer once", {"field": "layers"})
+        return self
+
 
 class Scene(Strict):
     """A scene file, version 1."""

@@ -59,6 +59,7 @@ def unknown_key(key: str, known: list[str]) -> PydanticCustomError:
         allowed = NOT_YET[key]
     else:
         near = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+        near = near or [k for k in known if len(key) > 2 and k.startswith(key)]
         hint = f"did you mean {near[0]!r}? " if near else ""
         allowed = f"{hint}known keys: {', '.join(known)}"
     return PydanticCustomError(

@@ -86,12 +86,12 @@ def _codecs(compression: str) -> list[Any]:
     """Compression, then a checksum: without it a flipped bit may read as a wrong number."""
     from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
-    codec = {
+    codec: dict[str, list[Any]] = {
         "blosc-zstd": [BloscCodec(cname="zstd", clevel=1, shuffle="bitshuffle")],
         "zstd": [ZstdCodec(level=1)],
         "none": [],
-    }[compression]
-    return [*codec, Crc32cCodec()]
+    }
+    return [*codec[compression], Crc32cCodec()]
 
 
 def finish_cube(
@@ -105,7 +105,7 @@ def finish_cube(
     for name, (dimensions, values, attrs) in coordinates.items():
         array = zarr.create_array(
             store=product / CUBE / name, shape=values.shape, chunks=values.shape,
-            dtype=values.dtype, fill_value=None, dimension_names=dimensions, attributes=attrs,
+            dtype=values.dtype, fill_value=None, dimension_names=dimensions, attributes=dict(attrs),
             compressors=_codecs("zstd"), config={"write_empty_chunks": True}, overwrite=True,
         )  # fmt: skip
         array[...] = values

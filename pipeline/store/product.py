@@ -218,5 +218,3 @@ def require_complete(path: Path) -> None:
         raise BadInput("PRODUCT", str(path), "a product directory made by `nightglass render`")
     if not (path / layout.COMPLETE).is_file():
         raise Incomplete(f"{path}: not complete; go on with `nightglass render ... --resume`")
-
-

@@ -60,7 +60,9 @@ async def submit(
 async def _plan(service: Context, body: bytes) -> Response:
     scene = await run_in_threadpool(lambda: accept_scene(parse_json(body), service.settings))
     async with service.plans:
-        return JSONResponse(await run_in_threadpool(plan_dry, scene, service.settings))
+        return JSONResponse(
+            await run_in_threadpool(plan_dry, scene, service.settings, service.dispatcher.stopping)
+        )
 
 
 def _submit(service: Context, body: bytes, key: str | None) -> tuple[Job, bool]:

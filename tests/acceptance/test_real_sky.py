@@ -61,7 +61,7 @@ def test_against_source_extractor(product, tmp_path):
     found = sep.extract(image, 8.0, err=float(np.sqrt(np.median(image**2)) * 1.48))
     distance = np.hypot(found["x"][None] - x[:, None], found["y"][None] - y[:, None])
     assert (distance.min(axis=1) < 1.0).mean() > 0.98  # it finds them at all
-    x_win, y_win, flag = sep.winpos(image, x, y, 1.3)
+    x_win, y_win, _ = sep.winpos(image, x, y, 1.3)
     offset = np.hypot(x_win - x, y_win - y)
     assert np.median(offset) < 0.05
     assert abs(np.median(x_win - x)) < 0.01

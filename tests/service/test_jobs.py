@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,8 @@ from hypothesis import strategies as st
 from pipeline.errors import BadInput
 from service.jobs import FINAL, NEXT, Job, JobStore, Phase
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
+from service.runner import Dispatcher
+from service.settings import Settings
 
 
 @pytest.fixture
@@ -60,6 +63,32 @@ def test_key_replays_and_refuses_another_body(store: JobStore) -> None:
     assert queue(store, key="k", body="two").id != job.id
 
 
+def test_one_job_per_key_whatever_comes_at_once(store: JobStore) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda i: store.submit("n", {}, "b", f"k{i % 4}", 100), range(40)))
+    assert len({job.id for job, _ in answers}) == 4
+    assert sum(made for _, made in answers) == 4
+
+
+def test_a_job_that_kills_its_workers_ends(store: JobStore, tmp_path: Path) -> None:
+    """Three deaths in a row without a tile end it; a tile in between starts the count again."""
+    dispatcher = Dispatcher(Settings(tmp_path), store)
+    made = queue(store)
+    for deaths, tiles in ((1, 0), (2, 0), (1, 5), (2, 5)):
+        job = store.claim()
+        assert job is not None
+        store.progress(job, tiles, 9)
+        dispatcher._count_death(job)
+        assert (store.get(made.id).phase, store.get(made.id).deaths) == (Phase.EXECUTING, deaths)
+    job = store.claim()
+    assert job is not None
+    dispatcher._count_death(job)
+    found = store.get(made.id)
+    assert found.phase == Phase.ERROR
+    assert found.error is not None
+    assert "died" in found.error["message"]
+
+
 def test_full_queue_refuses(store: JobStore) -> None:
     first = queue(store, key="k", limit=1)
     with pytest.raises(QueueFull):
@@ -90,7 +119,7 @@ ACTIONS = st.sampled_from(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.lists(ACTIONS, max_size=8))
 def test_limits_phases_follow_the_table(
     tmp_path_factory: pytest.TempPathFactory, actions: list[str]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from pathlib import Path
 from typing import Any
@@ -89,9 +90,10 @@ def test_tags(server: Any, finished: str) -> None:
 
 
 OUT = (
-    "../jobs.sqlite", "..", "../../jobs.sqlite", "%2e%2e/%2e%2e/jobs.sqlite", "..%2f..%2fjobs.sqlite",
+    "../jobs.sqlite", "..", "../../jobs.sqlite", "cube.zarr/",
+    "%2e%2e/%2e%2e/jobs.sqlite", "..%2f..%2fjobs.sqlite",
     "cube.zarr/../../../jobs.sqlite", "/etc/passwd", "%2fetc%2fpasswd", "..%5c..%5cjobs.sqlite",
-    ".begun.json", ".lock", "truth/.parts", "cube.zarr", "cube.zarr/", "", "%00", "plan.json%00.png",
+    ".begun.json", ".lock", "truth/.parts", "cube.zarr", "", "%00", "plan.json%00.png",
     "link.txt", "linked/jobs.sqlite", "fifo", "%ff", "a" * 4000, "plan.json/x",
 )  # fmt: skip
 
@@ -100,8 +102,6 @@ OUT = (
 def test_no_way_out(server: Any, finished: str, path: str) -> None:
     """Sent raw, so that no client tidies the path; links and a pipe lie in the product, too."""
     product = server.home / "products" / finished.rpartition("/")[2]
-    import os
-
     made = [product / "link.txt", product / "linked", product / "fifo"]
     made[0].symlink_to(server.home / "jobs.sqlite")
     made[1].symlink_to(server.home)

@@ -39,7 +39,7 @@ def draw_stamps(
 
 
 @njit(cache=True, nogil=True)
-def _weights(u, cubic, out):  # type: ignore[no-untyped-def]
+def _weights(u, cubic, out):
     """Lagrange weights at u in [0, 1) for points -1, 0, 1, 2; linear weights use 0 and 1 only."""
     if cubic:
         out[0] = -u * (u - 1.0) * (u - 2.0) / 6.0
@@ -54,9 +54,7 @@ def _weights(u, cubic, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _draw(  # type: ignore[no-untyped-def]
-    image, oy, ox, phases, row0, starts, stops, offsets, values, xs, ys, light, cubic
-):
+def _draw(image, oy, ox, phases, row0, starts, stops, offsets, values, xs, ys, light, cubic):
     ny, nx = image.shape
     wy, wx = np.empty(4), np.empty(4)
     buffer = np.empty(values.shape[2])

@@ -44,7 +44,7 @@ class WingGrid:
 def wing_grid(
     block_shape: tuple[int, int], origin: tuple[int, int], spacing_px: int, reach_px: float
 ) -> WingGrid:
-    """Grid for a block of pixels at `origin` (y, x) that also holds sources up to `reach_px` off it."""
+    """Grid for a block of pixels at `origin` (y, x) and the sources up to `reach_px` off it."""
     pad = int(np.ceil(reach_px / spacing_px)) + SPLINE_PX
     rows, columns = (
         scipy.fft.next_fast_len(int(np.ceil(n / spacing_px)) + 2 * pad + 1, real=True)
@@ -55,7 +55,7 @@ def wing_grid(
     )
 
 
-def wing_kernel(blur: Blur, core: Core, grid: WingGrid, reach_px: float) -> Array:
+def wing_kernel(blur: Blur, core: Core, grid: WingGrid, reach_px: float) -> NDArray[np.complex128]:
     """Transfer function of (response - core) on the grid's frequencies, cut off at `reach_px`.
 
     The cut-off (smooth over the last tenth of the reach) keeps the light of a source from coming
@@ -79,7 +79,7 @@ def grid_frequencies(grid: WingGrid) -> tuple[Array, Array]:
 
 
 def spread(grid: WingGrid, x_px: Array, y_px: Array, light_e: Array) -> Array:
-    """Sources onto the grid: (rows, columns) float64, electrons; those off the grid are left out."""
+    """Sources onto the grid: (rows, columns) float64, electrons; those off it are left out."""
     out = np.zeros((grid.rows, grid.columns))
     _spread(out, grid.y0_px, grid.x0_px, float(grid.spacing_px), x_px, y_px, light_e)
     return out
@@ -105,8 +105,9 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
     size = 2 * int(np.ceil(2.0 * core.radius_px + sweep)) + 1
     grid = wing_grid((size, size), (0, 0), spacing_px, reach)
-    kernel = wing_kernel(blur, core, grid, reach)
-    kernel = kernel * transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+    kernel = wing_kernel(blur, core, grid, reach) * transfer(
+        *grid_frequencies(grid), path.x_px, path.y_px, path.weight
+    )
     n = scipy.fft.next_fast_len(2 * size + 2 * int(2.0 * core.radius_px))
     fy, fx = scipy.fft.fftfreq(n * os, 1.0 / os), scipy.fft.rfftfreq(n * os, 1.0 / os)
     swept = transfer(fy, fx, path.x_px, path.y_px, path.weight)
@@ -165,7 +166,7 @@ def _smoothed(core: Core, most: int) -> tuple[Array, Array, int]:
 
 
 @njit(cache=True, nogil=True)
-def _product(a, b):  # type: ignore[no-untyped-def]
+def _product(a, b):
     """Matrix product in a fixed order of additions (a BLAS may reorder with its thread count)."""
     out = np.zeros((a.shape[0], b.shape[1]), np.complex128)
     for i in range(a.shape[0]):
@@ -177,7 +178,7 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _spline(u, w):  # type: ignore[no-untyped-def]
+def _spline(u, w):
     """Cubic B-spline weights of the four grid points around a place at fraction u."""
     v = 1.0 - u
     w[0] = v * v * v / 6.0
@@ -187,7 +188,7 @@ def _spline(u, w):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _spread(out, y0, x0, h, xs, ys, light):  # type: ignore[no-untyped-def]
+def _spread(out, y0, x0, h, xs, ys, light):
     wy, wx = np.empty(4), np.empty(4)
     for s in range(xs.size):
         gy, gx = (ys[s] - y0) / h, (xs[s] - x0) / h
@@ -202,7 +203,7 @@ def _spread(out, y0, x0, h, xs, ys, light):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _read(image, oy, ox, h, field):  # type: ignore[no-untyped-def]
+def _read(image, oy, ox, h, field):
     ny, nx = image.shape
     wy = np.empty(4)
     wx = np.empty((nx, 4))

@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 LONGEST_PIECE_PX = 96.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Path:
-    """A polyline with the share of the light on each segment.
+    """A polyline with the share of the light on each segment; equal to one of the same numbers.
 
     x_px, y_px : (n + 1,) nodes relative to a reference point, pixels
     weight : (n,) share of the source's light on each segment, spread evenly along it
@@ -34,9 +34,14 @@ class Path:
         return float(np.sum(np.hypot(np.diff(self.x_px), np.diff(self.y_px))))
 
     @property
-    def key(self) -> tuple[bytes, bytes, bytes]:
-        """What makes two paths the same path (for caching what is computed from them)."""
+    def _numbers(self) -> tuple[bytes, bytes, bytes]:
         return self.x_px.tobytes(), self.y_px.tobytes(), self.weight.tobytes()
+
+    def __hash__(self) -> int:
+        return hash(self._numbers)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Path) and self._numbers == other._numbers
 
 
 POINT = Path(np.zeros(2), np.zeros(2), np.ones(1))
@@ -74,7 +79,9 @@ def _longest_run(x: Array, y: Array, w: Array, start: int, tolerance_px: float) 
     return stop
 
 
-def pieces(path: Path, longest_px: float = LONGEST_PIECE_PX) -> list[tuple[float, float, Path, float]]:
+def pieces(
+    path: Path, longest_px: float = LONGEST_PIECE_PX
+) -> list[tuple[float, float, Path, float]]:
     """Cut a path into pieces short enough to draw from one small table.
 
     Returns (x0_px, y0_px, piece, share): the piece is relative to (x0, y0), its weights sum to

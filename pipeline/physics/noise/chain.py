@@ -66,11 +66,13 @@ def to_dn(mean_e: Array, chain: Chain, place: StreamPlace) -> NDArray[np.integer
         raise ValueError("mean electrons must be finite and not negative")
     charge = mean_e
     if chain.photon_noise:
-        charge = poisson_image(mean_e, place.y0, place.x0, place.frame, *place.photon_key)
+        k0, k1 = place.photon_key
+        charge = poisson_image(mean_e, place.y0, place.x0, place.frame, k0, k1)
     if chain.full_well_e is not None:
         charge = np.minimum(charge, chain.full_well_e)
     if np.any(np.asarray(chain.read_noise_e) > 0):
-        draws = standard_normals(*mean_e.shape, place.y0, place.x0, place.frame, *place.read_key)
+        (rows, columns), (k0, k1) = mean_e.shape, place.read_key
+        draws = standard_normals(rows, columns, place.y0, place.x0, place.frame, k0, k1)
         charge = charge + draws * chain.read_noise_e
     return digitise(charge / chain.gain_e_per_dn, chain.bias_dn, chain.adc_bits, chain.rounding)
 

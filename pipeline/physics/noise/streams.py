@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 from numba import njit, uint64
-from numpy.typing import NDArray
 
 GAUSSIAN_ABOVE = 1e8  # Poisson means above it are drawn as a rounded Gaussian (skew 1e-4)
 EXACT_BELOW = 10.0  # and those below it by inversion
@@ -28,7 +27,7 @@ def stream_key(seed: int, component: str) -> tuple[int, int]:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
+def philox(c0, c1, c2, c3, k0, k1):
     """Philox4x32-10 (Salmon et al. 2011, SC '11, 16): four words from a counter and a key."""
     c0, c1, c2, c3 = uint64(c0), uint64(c1), uint64(c2), uint64(c3)
     k0, k1 = uint64(k0), uint64(k1)
@@ -46,14 +45,14 @@ def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def uniform(high, low):  # type: ignore[no-untyped-def]
+def uniform(high, low):
     """A double in (0, 1) from two 32-bit words: 52 bits, centred so that 0 and 1 never occur."""
     bits = (uint64(high) << uint64(20)) | (uint64(low) >> uint64(12))
     return (np.float64(bits) + 0.5) * 2.220446049250313e-16
 
 
 @njit(cache=True, nogil=True)
-def normal_quantile(p):  # type: ignore[no-untyped-def]
+def normal_quantile(p):
     """Inverse of the normal distribution function, relative error 1e-16 (Wichura 1988, AS 241)."""
     q = p - 0.5
     if abs(q) <= 0.425:
@@ -92,15 +91,15 @@ def normal_quantile(p):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _log_factorial_rest(k):  # type: ignore[no-untyped-def]
-    """log k! - [(k + 1/2) log k - k + log(2 pi)/2] for k >= 7 (Stirling's series), error < 1e-12."""
+def _log_factorial_rest(k):
+    """log k! - [(k + 1/2) log k - k + log(2 pi)/2], k >= 7 (Stirling's series), error < 1e-12."""
     s = 1.0 / k
     q = s * s
     return s * (1.0 / 12 - q * (1.0 / 360 - q * (1.0 / 1260 - q * (1.0 / 1680 - q / 1188.0))))
 
 
 @njit(cache=True, nogil=True)
-def poisson(mean, x, y, frame, k0, k1):  # type: ignore[no-untyped-def]
+def poisson(mean, x, y, frame, k0, k1):
     """One Poisson draw for a pixel, as a float64 whole number.
 
     Below 10 by inversion of the distribution; up to 1e8 by the transformed rejection PTRS
@@ -144,7 +143,7 @@ def poisson(mean, x, y, frame, k0, k1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _log_pmf(k, mean):  # type: ignore[no-untyped-def]
+def _log_pmf(k, mean):
     """log of the Poisson probability of k, without cancellation for large means."""
     if k < 7.0:
         return k * math.log(mean) - mean - math.lgamma(k + 1.0)
@@ -154,7 +153,7 @@ def _log_pmf(k, mean):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def standard_normals(rows, columns, y0, x0, frame, k0, k1):  # type: ignore[no-untyped-def]
+def standard_normals(rows, columns, y0, x0, frame, k0, k1):
     """(rows, columns) standard normal draws of the pixels from (y0, x0) on."""
     out = np.empty((rows, columns))
     for r in range(rows):
@@ -165,7 +164,7 @@ def standard_normals(rows, columns, y0, x0, frame, k0, k1):  # type: ignore[no-u
 
 
 @njit(cache=True, nogil=True)
-def poisson_image(mean_e: NDArray[np.float64], y0, x0, frame, k0, k1):  # type: ignore[no-untyped-def]
+def poisson_image(mean_e, y0, x0, frame, k0, k1):
     """(ny, nx) Poisson draws of an image of means whose first pixel is frame pixel (y0, x0)."""
     out = np.empty_like(mean_e)
     for r in range(mean_e.shape[0]):

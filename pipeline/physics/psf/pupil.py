@@ -127,7 +127,7 @@ class Blur:
 
 
 @njit(cache=True, nogil=True)
-def _annulus_overlap(distance, e):  # type: ignore[no-untyped-def]
+def _annulus_overlap(distance, e):
     """Common area of two annuli (radii e and 1) whose centres are `distance` apart, over theirs."""
     out = np.empty(distance.size)
     for i in range(distance.size):
@@ -143,7 +143,7 @@ def _annulus_overlap(distance, e):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _lens(d, r1, r2):  # type: ignore[no-untyped-def]
+def _lens(d, r1, r2):
     """Area common to two circles of radii r1 >= r2 whose centres are `d` apart."""
     if d >= r1 + r2:
         return 0.0

@@ -105,7 +105,9 @@ def taper(r: Array, inner: float, outer: float) -> Array:
     return t**3 * (10.0 + t * (6.0 * t - 15.0))
 
 
-def core_spectrum(core: Core, streak: Array | None, period_y: int, period_x: int) -> Array:
+def core_spectrum(
+    core: Core, streak: NDArray[np.complex128] | None, period_y: int, period_x: int
+) -> NDArray[np.complex128]:
     """Real FFT of the core on a period of (period_y, period_x) px, times a streak's transfer."""
     os = core.oversampling
     grid = np.zeros((period_y * os, period_x * os))
@@ -133,38 +135,54 @@ def frequencies(core: Core, period_y: int, period_x: int) -> tuple[Array, Array]
 
 
 def phase_table(
-    core: Core, spectrum: Array, half: tuple[int, int], period: tuple[int, int], phases: int
+    core: Core,
+    spectrum: NDArray[np.complex128],
+    half: tuple[int, int],
+    period: tuple[int, int],
+    phases: int,
 ) -> PixelResponse:
     """Tabulate a (streaked) core at `phases` sub-pixel phases per axis.
 
     spectrum : from `core_spectrum` on `period`; half : half-heights of the window [px].
     The values between the samples come from trigonometric interpolation, which is exact for a
-    band-limited response (Whittaker-Shannon on a periodic grid).
+    band-limited response (Whittaker-Shannon on a periodic grid). One row of pixels is made at a
+    time, so that the fine image is never held whole.
     """
-    fine_per_px = max(phases, core.oversampling)
-    fine = _interpolate(
-        spectrum, core.oversampling, fine_per_px, half, period, fine_per_px // phases + 1
-    )
-    step = fine_per_px // phases
-    fine = fine[::step, ::step]  # index k holds position k / phases - half - 2
-    starts, stops = _spans(fine, half, phases)
-    kept = np.flatnonzero(stops > starts)
-    rows = slice(int(kept[0]), int(kept[-1]) + 1) if kept.size else slice(half[0], half[0])
-    starts, stops = starts[rows], np.maximum(stops[rows], starts[rows])
-    offsets = np.concatenate([[0], np.cumsum(stops - starts)]).astype(np.int64)
-    values = _gather(fine, phases, rows.start, starts + half[1], stops - starts, offsets)
-    second, fourth = _differences(fine)
-    linear, cubic = second / 8.0, fourth * 3.0 / 128.0
-    peak = float(np.abs(fine).max())
-    row0 = rows.start - half[0]
-    rounding = peak * 2.0**-24
+    columns = _fine_rows(spectrum, core.oversampling, max(phases, core.oversampling), half, period)
+    peak = float(np.abs(stamp_at(core, spectrum, half, period, 0.0, 0.0)[2]).max())
+    rows, starts, worst = [], [], np.zeros(3)
+    for r in range(2 * half[0] + 2):
+        fine = _fine_columns(columns, r, core.oversampling, phases, half, period)
+        first, last = _lit_span(fine, 2 * half[1] + 2, phases, SPAN_FLOOR * peak)
+        rows.append(_gather(fine, phases, first, last))
+        starts.append(first - half[1])
+        worst = np.maximum(worst, _differences(fine))
+    counts = np.array([row.shape[2] for row in rows])
+    kept = np.flatnonzero(counts)
+    span = slice(int(kept[0]), int(kept[-1]) + 1) if kept.size else slice(half[0], half[0])
+    counts, first_columns = counts[span], np.array(starts, np.int64)[span]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    rounding = worst[0] * 2.0**-24
     return PixelResponse(
-        phases, row0, starts, stops, offsets, values, linear + rounding, cubic + rounding, peak
+        phases,
+        span.start - half[0],
+        first_columns,
+        first_columns + counts,
+        offsets,
+        np.concatenate(rows[span], axis=2),
+        worst[1] / 8.0 + rounding,
+        worst[2] * 3.0 / 128.0 + rounding,
+        worst[0],
     )
 
 
 def stamp_at(
-    core: Core, spectrum: Array, half: tuple[int, int], period: tuple[int, int], y: float, x: float
+    core: Core,
+    spectrum: NDArray[np.complex128],
+    half: tuple[int, int],
+    period: tuple[int, int],
+    y: float,
+    x: float,
 ) -> tuple[int, int, Array]:
     """One stamp at an exact position: (first row, first column, (rows, cols) values).
 
@@ -182,7 +200,7 @@ def stamp_at(
     return iy - half[0], ix - half[1], fine[:, (at_x * os) % (period[1] * os)]
 
 
-def _fold(spectrum: Array, os: int) -> Array:
+def _fold(spectrum: NDArray[np.complex128], os: int) -> Array:
     """Spectrum (rows x os, ...) of the samples at whole pixels: the copies `1 px^-1` apart add up.
 
     Scaled so that the inverse transform of the folded rows gives the samples themselves.
@@ -191,86 +209,82 @@ def _fold(spectrum: Array, os: int) -> Array:
     return spectrum.reshape(os, rows, -1).sum(axis=0) / os
 
 
-def _interpolate(
-    spectrum: Array, os: int, fine: int, half: tuple[int, int], period: tuple[int, int], more: int
-) -> NDArray[np.float32]:
-    """`fine` samples a pixel from -half - 2 px to half + 1 px and `more` samples, on both axes."""
-    ny, my, mx = period[0] * os, period[0] * fine, period[1] * fine
+def _fine_rows(
+    spectrum: NDArray[np.complex128],
+    os: int,
+    fine: int,
+    half: tuple[int, int],
+    period: tuple[int, int],
+) -> Array:
+    """Rows at `fine` samples a pixel from -half - 2 to half + 2 px; columns still as spectrum."""
+    ny, my = period[0] * os, period[0] * fine
     columns = np.zeros((my, spectrum.shape[1]), complex)
     columns[: ny // 2] = spectrum[: ny // 2]
     columns[my - (ny - ny // 2) :] = spectrum[ny // 2 :]
-    rows_at = np.arange(-(half[0] + 2) * fine, (half[0] + 1) * fine + more) % my
-    columns = scipy.fft.ifft(columns, axis=0, overwrite_x=True)[rows_at]
-    cols_at = np.arange(-(half[1] + 2) * fine, (half[1] + 1) * fine + more) % mx
-    scale = (my / ny) * (mx / (period[1] * os))
-    out = np.empty((rows_at.size, cols_at.size), np.float32)
-    for start in range(0, rows_at.size, 256):
-        part = scipy.fft.irfft(columns[start : start + 256], n=mx, axis=1)
-        out[start : start + 256] = part[:, cols_at] * scale
-    return out
+    at = np.arange(-(half[0] + 2) * fine, (half[0] + 2) * fine + 1) % my
+    return scipy.fft.ifft(columns, axis=0, overwrite_x=True)[at] * (my / ny)
 
 
-def _spans(
-    fine: NDArray[np.float32], half: tuple[int, int], phases: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and last-plus-one column of each stamp row that any phase reaches."""
-    floor = SPAN_FLOOR * float(np.abs(fine).max())
-    lit = _lit_pixels(fine, 2 * half[0] + 2, 2 * half[1] + 2, phases, floor)
-    some, cols = lit.any(axis=1), lit.shape[1]
-    first, last = lit.argmax(axis=1), cols - lit[:, ::-1].argmax(axis=1)
-    return (
-        np.where(some, first, half[1]).astype(np.int64) - half[1],
-        np.where(some, last, half[1]).astype(np.int64) - half[1],
-    )
+def _fine_columns(
+    columns: Array, row: int, os: int, phases: int, half: tuple[int, int], period: tuple[int, int]
+) -> Array:
+    """Fine samples (phases + 5, ...) around one row of pixels, `phases` a pixel on both axes.
 
-
-@njit(cache=True, nogil=True)
-def _lit_pixels(fine, rows, cols, phases, floor):  # type: ignore[no-untyped-def]
-    """(rows, cols) whether a pixel is above `floor` at any phase from -1 to phases + 1.
-
-    Pixel d at phase k stands at d - k / phases: fine index (d + half + 2) * phases - k.
+    Pixel d at phase k stands at d - k / phases. Row j of the block is phase phases + 2 - j of
+    pixel row `row - half`; along x, index i stands at i / phases - half - 2.
     """
-    out = np.zeros((rows, cols), np.bool_)
-    for r in range(rows):
-        for y in range((r + 1) * phases - 1, (r + 2) * phases + 2):
-            for c in range(cols):
-                if not out[r, c]:
-                    for x in range((c + 1) * phases - 1, (c + 2) * phases + 2):
-                        if abs(fine[y, x]) > floor:
-                            out[r, c] = True
-                            break
-    return out
+    fine = max(phases, os)
+    step = fine // phases
+    first = ((row + 1) * phases - 2) * step
+    block = columns[first : first + (phases + 5) * step : step]
+    mx = period[1] * fine
+    at = np.arange(-(half[1] + 2) * phases, (half[1] + 2) * phases + 1) * step % mx
+    return scipy.fft.irfft(block, n=mx, axis=1)[:, at] * (fine / os)
 
 
 @njit(cache=True, nogil=True)
-def _gather(fine, phases, row_first, starts, counts, offsets):  # type: ignore[no-untyped-def]
-    """values[ky, kx, :] = the fine samples at each kept pixel, phase by phase."""
+def _lit_span(fine, cols, phases, floor):
+    """First and last-plus-one pixel of a row that is above `floor` at any of its phases."""
+    first, last = cols, 0
+    for c in range(cols):
+        lit = False
+        for y in range(1, phases + 4):
+            for x in range((c + 1) * phases - 1, (c + 2) * phases + 2):
+                if abs(fine[y, x]) > floor:
+                    lit = True
+                    break
+            if lit:
+                break
+        if lit:
+            first, last = min(first, c), c + 1
+    return (first, last) if last > first else (0, 0)
+
+
+@njit(cache=True, nogil=True)
+def _gather(fine, phases, first, last):
+    """values[ky, kx, :] of one row of pixels: the fine samples at each pixel, phase by phase."""
     n = phases + 3
-    out = np.empty((n, n, offsets[-1]), np.float32)
+    out = np.empty((n, n, last - first), np.float32)
     for ky in range(n):
         for kx in range(n):
-            for r in range(counts.size):
-                fy = (row_first + r + 2) * phases - (ky - 1)
-                for c in range(counts[r]):
-                    fx = (starts[r] + c + 2) * phases - (kx - 1)
-                    out[ky, kx, offsets[r] + c] = fine[fy, fx]
+            for c in range(first, last):
+                out[ky, kx, c - first] = fine[phases + 3 - ky, (c + 2) * phases - (kx - 1)]
     return out
 
 
 @njit(cache=True, nogil=True)
-def _differences(fine):  # type: ignore[no-untyped-def]
-    """Largest second and fourth differences, each summed over the axes: h^n |f^(n)|."""
+def _differences(fine):
+    """Largest value, and second and fourth differences summed over the axes: h^n |f^(n)|."""
     ny, nx = fine.shape
-    second, fourth = np.zeros(2), np.zeros(2)
+    peak, down2, along2, down4, along4 = 0.0, 0.0, 0.0, 0.0, 0.0
     for y in range(2, ny - 2):
         for x in range(2, nx - 2):
-            c = 2.0 * fine[y, x]
-            down = abs(fine[y - 1, x] - c + fine[y + 1, x])
-            along = abs(fine[y, x - 1] - c + fine[y, x + 1])
-            second[0], second[1] = max(second[0], down), max(second[1], along)
-            near = 4.0 * (np.float64(fine[y - 1, x]) + fine[y + 1, x])
-            down = abs(fine[y - 2, x] - near + 3.0 * c + fine[y + 2, x])
-            near = 4.0 * (np.float64(fine[y, x - 1]) + fine[y, x + 1])
-            along = abs(fine[y, x - 2] - near + 3.0 * c + fine[y, x + 2])
-            fourth[0], fourth[1] = max(fourth[0], down), max(fourth[1], along)
-    return second.sum(), fourth.sum()
+            c = fine[y, x]
+            peak = max(peak, abs(c))
+            up = fine[y - 1, x] + fine[y + 1, x]
+            side = fine[y, x - 1] + fine[y, x + 1]
+            down2 = max(down2, abs(up - 2.0 * c))
+            along2 = max(along2, abs(side - 2.0 * c))
+            down4 = max(down4, abs(fine[y - 2, x] - 4.0 * up + 6.0 * c + fine[y + 2, x]))
+            along4 = max(along4, abs(fine[y, x - 2] - 4.0 * side + 6.0 * c + fine[y, x + 2]))
+    return np.array([peak, down2 + along2, down4 + along4])

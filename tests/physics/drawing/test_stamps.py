@@ -47,10 +47,10 @@ def draw_path(
     tables: dict = {}
     for x0, y0, piece, share in pieces(path):
         if phases:
-            if piece.key not in tables:
-                tables[piece.key] = tabulated(core, piece, phases)
+            if piece not in tables:
+                tables[piece] = tabulated(core, piece, phases)
             place = np.array([x + x0]), np.array([y + y0]), np.array([share])
-            draw_stamps(image, (0, 0), tables[piece.key], *place, np.ones(1, bool))
+            draw_stamps(image, (0, 0), tables[piece], *place, np.ones(1, bool))
             continue
         row, column, stamp = stamp_at(*swept(core, piece), y + y0, x + x0)
         r0, c0 = max(0, -row), max(0, -column)

@@ -126,20 +126,21 @@ def test_light_beyond_the_reach_falls_with_the_reach() -> None:
     for reach in (60.0, 120.0, 240.0, 480.0):
         draw = Drawer(blur, 12.0, 2, 64, reach)
         lost.append(1.0 - draw.light)
-        assert 0 < lost[-1] < 1.15 * blur.light_beyond(0.9 * reach)
-    assert np.allclose(np.array(lost[:-1]) / lost[1:], 2.0, rtol=0.1)
+        assert 0.4 * blur.light_beyond(reach) < lost[-1] < 1.15 * blur.light_beyond(0.9 * reach)
+    assert (np.array(lost[:-1]) > 1.8 * np.array(lost[1:])).all()
 
 
 @pytest.mark.parametrize(
-    ("q", "eps"), [(0.12, 0.3), (0.5, 0.3), (1.0, 0.0), (1.0, 0.3), (2.0, 0.3)]
-)
-@pytest.mark.parametrize("doubling", [1, 2])
+    ("q", "eps", "doubling"),
+    [
+        (0.12, 0.3, 1), (0.5, 0.3, 1), (0.5, 0.3, 2), (1.0, 0.0, 1), (1.0, 0.0, 2), (1.0, 0.3, 1),
+        (1.0, 0.3, 2), (2.0, 0.3, 1), (2.0, 0.3, 2),
+    ],
+)  # fmt: skip
 def test_stated_wing_error_holds(q: float, eps: float, doubling: int) -> None:
     """At random places the drawn wing differs from the exact one by no more than is stated."""
     blur = Blur(Airy(q, eps))
     radius, spacing = radius_and_spacing(q)
-    if q < 0.5 and doubling == 2:
-        pytest.skip("a transform of 1 GB; the plan bounds it by LARGEST_CORE_SAMPLES")
     radius *= doubling
     size = int(4 * radius) + 41
     draw = Drawer(blur, radius, spacing, size, 6.0 * radius)
@@ -208,5 +209,5 @@ def test_streaked_wing_is_the_time_average_of_still_ones() -> None:
     field = convolve(scipy.fft.rfft2(light) * fine.kernel, fine.grid)
     add_wings(average, (0, 0), fine.grid, field)
     stated = wing_error(blur, draw.core, 2, path)
-    assert stated < 0.2 * average.max()
+    assert stated < 0.3 * average.max()
     assert np.abs(image - average).max() < stated + 1e-3 * average.max()

@@ -145,7 +145,7 @@ def test_limits_pieces_of_every_length(length: float) -> None:
     path = Path(np.array([-0.5, 0.5]) * length, np.zeros(2), np.ones(1))
     cut = pieces(path)
     assert len(cut) == max(1, int(np.ceil(length / 96.0)))
-    assert len({p.key for *_, p, _ in cut}) == 1  # one table serves all
+    assert len({p for *_, p, _ in cut}) == 1  # one table serves all
     assert sum(s for *_, s in cut) == pytest.approx(1.0, abs=1e-13)
     ends = [(x0 + p.x_px[0], x0 + p.x_px[-1]) for x0, _, p, _ in cut]
     assert ends[0][0] == pytest.approx(-length / 2, abs=1e-9)

@@ -1,0 +1,45 @@
+# Nightglass as an image: the command line and the service, non-root, read-only root.
+# Every package is pinned by hash; nothing but the lock files decides what is installed.
+
+FROM python:3.11-slim AS build
+ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
+WORKDIR /src
+COPY requirements.lock requirements-test.lock ./
+# The build tools are the few of the test lock that make a wheel.
+RUN awk '/^[a-z]/ {keep = /^(hatchling|packaging|pathspec|pluggy|tomlkit|trove-classifiers)==/} keep' \
+        requirements-test.lock > build.lock \
+    && python -m venv /build \
+    && /build/bin/pip install --require-hashes -r build.lock \
+    && python -m venv /opt/nightglass \
+    && /opt/nightglass/bin/pip install --require-hashes -r requirements.lock
+COPY pyproject.toml README.md LICENSE ./
+COPY catalog_tools catalog_tools
+COPY pipeline pipeline
+COPY service service
+RUN /build/bin/pip wheel --no-deps --no-build-isolation -w dist . \
+    && /opt/nightglass/bin/pip install --no-deps --no-index dist/*.whl \
+    && /opt/nightglass/bin/python -m compileall -q /opt/nightglass
+
+FROM python:3.11-slim
+LABEL org.opencontainers.image.title="nightglass" \
+      org.opencontainers.image.licenses="BSD-3-Clause"
+RUN groupadd --gid 10001 nightglass \
+    && useradd --uid 10001 --gid 10001 --no-create-home --home-dir /data --shell /usr/sbin/nologin nightglass \
+    && install -d -o 10001 -g 10001 /data
+COPY --from=build /opt/nightglass /opt/nightglass
+# MALLOC_TRIM_THRESHOLD_ must stand before Python starts; what numba compiles lies on the volume.
+ENV PATH=/opt/nightglass/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    PYTHONDONTWRITEBYTECODE=1 \
+    MALLOC_TRIM_THRESHOLD_=65536 \
+    NIGHTGLASS_HOME=/data \
+    NIGHTGLASS_CACHE=/data/cache \
+    NUMBA_CACHE_DIR=/data/cache/numba
+USER 10001:10001
+WORKDIR /data
+VOLUME /data
+STOPSIGNAL SIGTERM
+HEALTHCHECK --interval=30s --timeout=5s --start-period=20s --retries=3 \
+    CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8765/healthz', timeout=4)"]
+ENTRYPOINT ["nightglass"]
+CMD ["serve", "--home", "/data"]

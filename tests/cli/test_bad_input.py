@@ -1,0 +1,235 @@
+"""Bad input on the command line: one clear message, exit code 2, nothing half-written."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalog_tools.catalogue import open_catalogue
+from catalog_tools.synthetic import make_demo
+from pipeline.cli import main
+
+SCENE = {
+    "schema": "nightglass/scene/1",
+    "name": "small",
+    "epoch": "2019-07-20T09:00:00Z",
+    "observer": {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3},
+    "sensor": {
+        "shape": [256, 256],
+        "pixel_pitch_um": 9.0,
+        "focal_length_m": 1.0,
+        "aperture_m": 0.4,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0},
+        "read_noise_e": 5.0,
+        "bias_dn": 100,
+    },
+    "pointing": {"mode": "sidereal", "boresight_ra_deg": 276.0, "boresight_dec_deg": -3.2},
+    "exposure": {"integration_s": 1.0},
+    "background": {"uniform_e_per_s": 20.0},
+}
+TLE = (
+    "1 28238U 04011A   19100.50000000  .00000000  00000-0  00000+0 0  9991",
+    "2 28238   0.0200  80.0000 0003000 100.0000 200.0000  1.00270000 54321",
+)
+ORBIT = {"kind": "state", "position_m": [7e6, 0, 0], "velocity_m_s": [0, 7546.0, 0]}
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """The command line in this process (its own entry point), with what it printed."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        patch.setattr(sys, "argv", ["nightglass", *map(str, arguments)])
+        with pytest.raises(SystemExit) as exit_:
+            main()
+    code = exit_.value.code
+    return subprocess.CompletedProcess([], int(code or 0), out.getvalue(), err.getvalue())
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("sky") / "catalogue"
+    make_demo(path, faintest_g_mag=6.0, deep_fields=[(276.0, -3.2, 0.4, 14.0)])
+    return path
+
+
+def changed(changes: dict) -> dict:
+    data = copy.deepcopy(SCENE)
+    for key, value in changes.items():
+        *parents, last = key.split(".")
+        holder = data
+        for part in parents:
+            holder = holder.setdefault(part, {})
+        holder[last] = value
+    return data
+
+
+def target(**orbit) -> list:
+    return [{"name": "t", "orbit": orbit, "body": {"kind": "sphere", "diameter_m": 1, "albedo": 1}}]
+
+
+CASES = {
+    "unknown key": ({"sensor.read_nois_e": 3}, ["sensor.read_nois_e", "read_noise_e"]),
+    "unknown section": ({"star": {}}, ["star", "stars"]),
+    "wrong range": ({"sensor.quantum_efficiency": 1.5}, ["sensor.quantum_efficiency", "1.5", "1"]),
+    "wrong type": ({"sensor.aperture_m": "big"}, ["sensor.aperture_m", "big"]),
+    "nan": ({"sensor.read_noise_e": float("nan")}, ["sensor.read_noise_e", "nan"]),
+    "infinite": ({"exposure.integration_s": float("inf")}, ["exposure.integration_s", "Inf"]),
+    "negative": ({"sensor.dark_e_per_s": -1}, ["sensor.dark_e_per_s", "-1"]),
+    "no focal plane": ({"sensor.shape": [0, 256]}, ["sensor.shape", "0"]),
+    "adc 0": ({"sensor.adc_bits": 0}, ["sensor.adc_bits", "0", "1"]),
+    "adc 64": ({"sensor.adc_bits": 64}, ["sensor.adc_bits", "64", "63"]),
+    "no catalogue": ({"stars": {"catalogue": "nowhere"}}, ["stars.catalogue", "nowhere"]),
+    "bad checksum": (
+        {"targets": target(kind="tle", line1=TLE[0][:-1] + "7", line2=TLE[1])},
+        ["targets.0.orbit.line1", "checksum"],
+    ),
+    "in the Earth": (
+        {"observer": {"kind": "orbit", "orbit": {**ORBIT, "position_m": [1e6, 0, 0]}}},
+        ["observer.orbit", "Earth"],
+    ),
+    "at the Earth": (
+        {"observer": {"kind": "orbit", "orbit": ORBIT},
+         "pointing.boresight_ra_deg": 180.0, "pointing.boresight_dec_deg": 0.0},
+        ["pointing", "Earth"],
+    ),
+    "below the horizon": ({"pointing.boresight_dec_deg": -89.0}, ["pointing", "horizon"]),
+    "tile": ({"output": {"tile_shape": [100, 256]}}, ["output.tile_shape", "256"]),
+    "no such epoch": ({"epoch": "2019-02-30T00:00:00Z"}, ["epoch", "2019-02-30"]),
+    "no such filter": ({"sensor.bandpass": {"kind": "named", "name": "bessell-Q"}}, ["bessell-Q"]),
+    "no such image": ({"sensor.flat": "flat.npy"}, ["sensor.flat", "flat.npy"]),
+    "absurd rate": (
+        {"pointing": {"mode": "rate", "boresight_ra_deg": 276.0, "boresight_dec_deg": -3.2,
+                      "rate_ra_arcsec_s": 3e5, "rate_dec_arcsec_s": 0}},
+        ["pointing.rate_ra_arcsec_s", "300000"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bad_scene(name, tmp_path):
+    changes, words = CASES[name]
+    (tmp_path / "scene.json").write_text(json.dumps(changed(changes)))
+    result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run")
+    assert result.returncode == 2, result.stderr
+    assert "Traceback" not in result.stderr
+    for word in words:
+        assert word in result.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_bad_images(tmp_path):
+    """Wrong shape, NaN and negative maps are named."""
+    for name, image, word in (
+        ("shape", np.ones((4, 4)), "(4, 4)"),
+        ("nan", np.full((256, 256), np.nan), "NaN"),
+        ("negative", np.full((256, 256), -1.0), "-1"),
+    ):
+        np.save(tmp_path / "map.npy", image)
+        (tmp_path / "scene.json").write_text(json.dumps(changed({"sensor.flat": "map.npy"})))
+        result = run("render", tmp_path / "scene.json", "-o", tmp_path / name)
+        assert result.returncode == 2
+        assert "sensor.flat" in result.stderr
+        assert word in result.stderr
+        assert not (tmp_path / name).exists()
+
+
+def test_output_that_exists(tmp_path):
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "mine.txt").write_text("kept")
+    for more in ([], ["--replace"], ["--resume"]):
+        result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run", *more)
+        assert result.returncode == 2
+        assert str(tmp_path / "run") in result.stderr
+        assert [p.name for p in (tmp_path / "run").iterdir()] == ["mine.txt"]
+
+
+def test_damaged_shard(catalogue, tmp_path):
+    """A flipped bit in a shard is an error that names it, and leaves nothing behind."""
+    opened = open_catalogue(catalogue)
+    data = changed({"stars": {"catalogue": str(catalogue)}})
+    (tmp_path / "scene.json").write_text(json.dumps(data))
+    good = run("render", tmp_path / "scene.json", "-o", tmp_path / "good", "--json")
+    assert good.returncode == 0, good.stderr
+    assert json.loads(good.stdout)["catalogue"]["synthetic"] is True
+    for leaf in opened.leaves:
+        path = catalogue / leaf.path
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 4
+        path.write_bytes(content)
+    result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run")
+    assert result.returncode == 2, result.stderr
+    assert "damaged" in result.stderr
+    assert "Npix" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_other_catalogue_formats(tmp_path):
+    (tmp_path / "hats").mkdir()
+    (tmp_path / "hats" / "properties").write_text("obs_collection=gaia\n")
+    data = changed({"stars": {"catalogue": str(tmp_path / "hats")}})
+    (tmp_path / "scene.json").write_text(json.dumps(data))
+    result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run")
+    assert result.returncode == 2
+    assert "stars.catalogue" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["render", "no.yaml", "-o", "x"], ["no.yaml"]),
+        (["render"], ["SCENE"]),
+        (["frobnicate"], ["frobnicate"]),
+        (["check", "nowhere"], ["nowhere"]),
+        (["export", "nowhere", "--to", "gif", "-o", "x"], ["gif"]),
+        (["catalog", "info", "nowhere"], ["nowhere"]),
+        (["catalog", "demo", "-o", "x", "--field", "1,2"], ["--field"]),
+        (["serve", "--host", "0.0.0.0"], ["0.0.0.0"]),
+    ],
+)
+def test_bad_commands(arguments, words, tmp_path):
+    result = run(*arguments)
+    assert result.returncode == 2, result.stderr
+    assert "Traceback" not in result.stderr
+    for word in words:
+        assert word in result.stderr
+
+
+def test_scheduler_names(tmp_path):
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE))
+    for name in ("tcp://10.0.0.1:8786", "quick", "tcp://127.0.0.1:9"):
+        result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run", "--scheduler", name)
+        assert result.returncode == 2
+        assert "--scheduler" in result.stderr
+        assert not (tmp_path / "run").exists()
+
+
+def test_a_process_of_its_own(tmp_path):
+    """The installed command ends with the same message and code."""
+    command = [sys.executable, "-m", "pipeline", "render", "no.yaml", "-o", str(tmp_path / "x")]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith("nightglass: SCENE: 'no.yaml'")
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys, pipeline.cli;"
+        "print([m for m in ('numba','astropy','dask','numpy','zarr') if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == "[]"

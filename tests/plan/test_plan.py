@@ -1,0 +1,229 @@
+"""Tiles, decisions, responses and the plan as data."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import erfa
+import numpy as np
+import pytest
+import scipy.fft
+from scipy.special import j1
+
+from pipeline.errors import BadInput
+from pipeline.physics.drawing.stamps import draw_stamps
+from pipeline.physics.drawing.wings import add_wings, convolve, spread, wing_grid, wing_kernel
+from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
+from pipeline.physics.psf.response import compact_core, core_spectrum, phase_table, window
+from pipeline.physics.radiometry import box
+from pipeline.plan.facts import Facts, gather_facts
+from pipeline.plan.geometry import camera_of, plan_geometry
+from pipeline.plan.responses import ResponsePlan, plan_responses, plan_zones
+from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
+from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape
+from pipeline.spec.scene import Scene
+
+Make = Callable[..., Scene]
+GAUSS = {"kind": "gaussian", "sigma_px": 0.8}
+
+
+def facts_of(s: Scene) -> Facts:
+    sensor = s.sensor
+    values = (sensor.dark_e_per_s, sensor.read_noise_e, sensor.gain_e_per_dn)
+    return gather_facts(s, box(400e-9, 900e-9), *(float(v) for v in values))
+
+
+def plan_of(s: Scene) -> Plan:
+    ends = plan_geometry(s, np.unique([0, s.exposure.frames - 1]), 0.0)
+    return make_plan(s, facts_of(s), ends, None, 1e21, ("a remark",), 0.0)
+
+
+def responses_of(s: Scene, blur: Blur | None = None) -> ResponsePlan:
+    ends = plan_geometry(s, np.unique([0, s.exposure.frames - 1]), 0.0)
+    facts = facts_of(s)
+    return plan_responses(s, replace(facts, blur=blur or facts.blur), camera_of(s), ends)
+
+
+@pytest.mark.parametrize("shape", [[256, 256], [512, 768], [512, 256], [256, 768]])
+def test_tiles_cover_each_pixel_once(scene: Make, shape: list[int]) -> None:
+    s = scene({"output": {"tile_shape": shape}})
+    count = np.zeros((512, 768), int)
+    for t in plan_tiles(s):
+        count[t.y0 : t.y0 + t.rows, t.x0 : t.x0 + t.columns] += 1
+        assert (t.y0 % shape[0], t.x0 % shape[1]) == (0, 0)
+    assert (count == 1).all()
+
+
+def test_default_tiles_of_odd_frames(scene: Make) -> None:
+    for rows, columns in ((1, 1), (300, 5000), (1025, 1023), (60_000, 1)):
+        s = scene({"sensor.shape": [rows, columns]})
+        assert tile_shape(s) == (min(1024, rows), min(1024, columns))
+        assert sum(t.rows * t.columns for t in plan_tiles(s)) == rows * columns
+        assert all(n == max(rows, columns) or n % 256 == 0 for n in allowed_tiles(s))
+
+
+@pytest.mark.parametrize("shape", [[100, 768], [512, 300], [768, 768], [256, 1024]])
+def test_refused_tile_shapes(scene: Make, shape: list[int]) -> None:
+    with pytest.raises(BadInput, match=r"output\.tile_shape"):
+        scene({"output": {"tile_shape": shape}})
+
+
+def test_facts_against_hand_reckoning(scene: Make) -> None:
+    s = scene({"background": {"uniform_e_per_s": 3.0}, "sensor.dark_e_per_s": 0.5,
+               "sensor.gain_e_per_dn": 2.0})  # fmt: skip
+    f = facts_of(s)
+    assert f.area_m2 == pytest.approx(math.pi / 4 * 0.16 * (1 - 0.09), rel=1e-12)
+    assert f.ifov_rad == pytest.approx(1e-5)
+    assert f.mean_wavelength_m == pytest.approx(650e-9, rel=1e-6)
+    assert isinstance(f.blur.optics, Airy)
+    assert f.blur.optics.q_px == pytest.approx(650e-9 * 1.0 / 0.4 / 1e-5)
+    sigma = math.sqrt(6.0 + 1.0 + 25.0 + 4.0 / 12)
+    assert f.sigma_floor_e == pytest.approx(sigma)
+    assert 4 * f.budget_e == pytest.approx(0.05 * sigma)
+
+
+def test_decisions_list_what_is_absent_with_reason_and_bound(scene: Make) -> None:
+    s = scene({"stars": None, "sensor.read_noise_e": None, "sensor.psf": GAUSS})
+    decisions = {d.component: d for d in plan_of(s).decisions}
+    for name in ("stars", "targets", "background", "cosmic_rays", "flat", "dark", "full_well",
+                 "read_noise", "bias"):  # fmt: skip
+        assert not decisions[name].kept
+        assert decisions[name].reason
+        assert decisions[name].error_bound_e == 0.0
+        assert decisions[name].error_bound_sigma == 0.0
+    assert all(d.reason for d in decisions.values())
+
+
+def test_decisions_list_effects_and_approximations(scene: Make) -> None:
+    s = scene({"stars.parallax": False, "background": {"uniform_mag_arcsec2": 21.0},
+               "sensor.full_well_e": 1e5})  # fmt: skip
+    plan = plan_of(s)
+    decisions = {d.component: d for d in plan.decisions}
+    assert len(decisions) == len(plan.decisions)
+    assert not decisions["stars.parallax"].kept
+    assert "switched off" in decisions["stars.parallax"].reason
+    for name in ("stars", "background", "full_well", "stars.aberration", "read_noise"):
+        assert decisions[name].kept
+    for name in ("phase_interpolation", "wings_on_a_coarse_grid", "wings_cut_off"):
+        bound = decisions[name].error_bound_e
+        assert bound is not None
+        assert 0 < bound < plan.facts.sigma_floor_e
+        assert decisions[name].error_bound_sigma == pytest.approx(bound / plan.facts.sigma_floor_e)
+
+
+def test_plan_is_json_without_nan(scene: Make) -> None:
+    for changes in ({}, {"sensor.psf": GAUSS}, {"stars": None}, {"exposure.frames": 1}):
+        data = plan_dict(plan_of(scene(changes)), None)
+        text = json.dumps(data, allow_nan=False)
+        assert json.loads(text)["frames"] == (1 if "exposure.frames" in changes else 5)
+        assert data["predicted"]["cpu_s"] > 0
+
+
+def test_light_left_out_stays_within_the_flux_target(scene: Make) -> None:
+    for fraction in (1e-3, 1e-2):
+        r = responses_of(scene({"accuracy": {"flux_fraction": fraction}}))
+        assert r.lost_light <= fraction
+    for psf in (GAUSS, {**GAUSS, "jitter_px": 4.0}, {**GAUSS, "charge_diffusion_px": 3.0}):
+        r = responses_of(scene({"sensor.psf": psf}))
+        core = compact_core(r.blur, r.classes[0].radius_px)
+        assert core.light == pytest.approx(1.0, abs=1e-6)
+
+
+def test_zones_follow_the_streaks(scene: Make) -> None:
+    s = scene()
+    ends = plan_geometry(s, np.array([0, 4]), 0.0)
+    assert plan_zones(camera_of(s), ends, True) == (1, pytest.approx(0.0, abs=1e-3))
+    wide = scene(
+        {"sensor.focal_length_m": 0.02, "pointing": {
+            "mode": "rate", "boresight_ra_deg": 1.0, "boresight_dec_deg": 50.0,
+            "rate_ra_arcsec_s": 5000.0, "rate_dec_arcsec_s": 0.0}}
+    )  # fmt: skip
+    zones, _ = plan_zones(camera_of(wide), plan_geometry(wide, np.array([0, 4]), 0.0), True)
+    assert zones > 1
+
+
+def test_field_cone_holds_the_frame(scene: Make) -> None:
+    plan = plan_of(scene())
+    g = plan_geometry(plan.scene, np.arange(5), 0.0)
+    centres, radii = field_cones(plan, g)
+    star = erfa.s2c(np.radians(40), np.radians(25))
+    assert np.degrees(np.arccos(np.clip(centres @ star, -1, 1))).max() < 0.001
+    assert (radii > np.arctan(np.hypot(256, 384) * 1e-5)).all()
+    assert (radii < 0.02).all()
+
+
+def airy_pixel(dx: float, dy: float, q: float, eps: float) -> float:
+    """Light of an obscured Airy pattern in a pixel (PHYSICS section e), by Gauss-Legendre."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    at = ((np.arange(8)[:, None] + 0.5 + nodes / 2) / 8).ravel() - 0.5
+    w = np.tile(weights / 16, 8)
+    x = np.pi * np.maximum(np.hypot(dx + at, dy + at[:, None]), 1e-9) / q
+    amplitude = 2 * j1(x) / x - (eps * 2 * j1(eps * x) / x if eps else 0.0)
+    return float(w @ (np.pi / (4 * q * q * (1 - eps * eps)) * amplitude**2) @ w)
+
+
+@pytest.mark.parametrize(("q", "eps"), [(0.5, 0.3), (1.0, 0.3), (2.0, 0.0)])
+def test_brightest_source_of_each_class_stays_within_the_budget(
+    scene: Make, q: float, eps: float
+) -> None:
+    """Drawn with its class's core, table and wing: two of the four shares of the noise budget.
+
+    In units of each pixel's own noise, its source's photons included, as Accuracy asks.
+    """
+    s = scene()
+    r, floor_e = responses_of(s, Blur(Airy(q, eps))), facts_of(s).sigma_floor_e
+    rng = np.random.default_rng(2)
+    limited = [c for c in r.classes if math.isfinite(c.brightest_e)]
+    assert limited
+    assert [c.brightest_e for c in limited] == sorted(c.brightest_e for c in limited)
+    for c in limited:
+        if c.radius_px > 100 or not c.phases:
+            continue
+        core = compact_core(r.blur, c.radius_px)
+        half_y, half_x, *period = window(core, 0.0, 0.0)
+        spectrum = core_spectrum(core, None, *period)
+        table = phase_table(core, spectrum, (half_y, half_x), tuple(period), c.phases)
+        size = int(3 * c.radius_px) + 21
+        grid = wing_grid((size, size), (0, 0), r.spacing_px, r.reach_px)
+        kernel = wing_kernel(r.blur, core, grid, r.reach_px)
+        worst = 0.0
+        for _ in range(4):
+            place = rng.uniform(size / 2 - 2, size / 2 + 2, (2, 1))
+            light = np.array([c.brightest_e])
+            cubic = light * table.linear_error > r.budget_e
+            image = np.zeros((size, size))
+            draw_stamps(image, (0, 0), table, *place, light, cubic)
+            field = convolve(scipy.fft.rfft2(spread(grid, *place, light)) * kernel, grid)
+            add_wings(image, (0, 0), grid, field)
+            x, y = (float(p[0]) for p in place)
+            for _ in range(40):
+                rho, angle = rng.uniform(0, 1.4 * c.radius_px), rng.uniform(0, 2 * np.pi)
+                i, j = round(y + rho * np.sin(angle)), round(x + rho * np.cos(angle))
+                exact = c.brightest_e * airy_pixel(j - x, i - y, q, eps)
+                share = abs(image[i, j] - exact) / math.sqrt(floor_e**2 + exact)
+                worst = max(worst, share / (s.accuracy.noise_fraction / 4.0))
+        assert worst <= 2.0, (c, worst)
+
+
+@pytest.mark.parametrize("optics", [Gaussian(0.3), Gaussian(0.5), Airy(0.12), Airy(0.5, 0.3)])
+def test_interpolation_of_a_full_pixel_stays_within_the_budget(
+    scene: Make, optics: Gaussian | Airy
+) -> None:
+    """A star that fills a well of 1e5 e-, cubically between the plan's phases."""
+    r = responses_of(scene(), Blur(optics))
+    c = r.classes[0]
+    core = compact_core(r.blur, c.radius_px)
+    half_y, half_x, *period = window(core, 0.0, 0.0)
+    spectrum = core_spectrum(core, None, *period)
+    table = phase_table(core, spectrum, (half_y, half_x), tuple(period), c.phases)
+    light = 1e5 / table.peak
+    assert light * table.cubic_error <= 0.05 / 4.0 * math.sqrt(1e5)
+
+
+def test_gaussian_has_one_class_without_wings(scene: Make) -> None:
+    r = responses_of(scene({"sensor.psf": GAUSS}))
+    assert isinstance(r.blur.optics, Gaussian)
+    assert (len(r.classes), r.spacing_px, r.classes[0].brightest_e) == (1, 0, math.inf)

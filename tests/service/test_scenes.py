@@ -1,0 +1,92 @@
+"""Whatever JSON comes as a scene, the answer is a scene or a named mistake, never a fault."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pipeline.errors import BadInput
+from pipeline.spec.load import PATH_FIELDS
+from service.bodies import parse_json
+from service.problems import NightglassError, NotAllowed, mistake_dict, pointer
+from service.scenes import accept_scene
+from service.settings import Settings
+
+LEAVES = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=20),
+    st.sampled_from([10**400, 1e308, -0.0, 5e-324, "1e400", "nan", "/etc/passwd", "../x", "tiny"]),
+)  # fmt: skip
+VALUES = st.recursive(
+    LEAVES,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=8), inner, max_size=4)
+    ),
+    max_leaves=8,
+)
+
+
+def places(node: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Every place in a scene."""
+    inner = node.items() if isinstance(node, dict) else enumerate(node)
+    out = [here] if here else []
+    for key, value in inner if isinstance(node, dict | list) else ():
+        out += places(value, (*here, key)) if isinstance(value, dict | list) else [(*here, key)]
+    return out
+
+
+@settings(
+    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.data())
+def test_any_value_anywhere(scene: dict[str, Any], tmp_path: Path, data: st.DataObject) -> None:
+    (tmp_path / "catalogues").mkdir(exist_ok=True)
+    changed = copy.deepcopy(scene)
+    *parents, last = data.draw(st.sampled_from([*places(scene), ("stars",), ("sensor", "flat")]))
+    holder: Any = changed
+    for part in parents:
+        holder = holder[part]
+    holder[last] = data.draw(VALUES)
+    try:
+        accepted = accept_scene(parse_json(json.dumps(changed).encode()), Settings(tmp_path))
+    except BadInput as error:
+        told = mistake_dict((error.field, error.value, error.allowed))
+        assert len(json.dumps(told, allow_nan=False)) < 5000
+    except NightglassError:
+        pass  # refused by parse_json or by name or size: each is a message of its own
+    else:
+        found = accepted.as_dict()
+        for field in PATH_FIELDS:
+            value: Any = found
+            for part in field:
+                value = value.get(part) if isinstance(value, dict) else None
+            assert not isinstance(value, str)
+
+
+def test_only_registered_names_are_catalogues(scene: dict[str, Any], tmp_path: Path) -> None:
+    service = Settings(tmp_path)
+    service.make_folders()
+    for name in ("whole", "no_manifest", ".hidden"):
+        (service.catalogues / name).mkdir()
+        if name != "no_manifest":
+            (service.catalogues / name / "nightglass.json").write_text("{}")
+    scene["stars"] = {"catalogue": "whole"}
+    accepted = accept_scene(scene, service)
+    assert accepted.stars is not None
+    assert accepted.stars.catalogue == "whole"
+    for name in ("no_manifest", ".hidden", "./whole", "whole/", "WHOLE", str(service.catalogues)):
+        scene["stars"] = {"catalogue": name}
+        with pytest.raises(NotAllowed):
+            accept_scene(scene, service)
+
+
+def test_pointers() -> None:
+    assert pointer("sensor.shape.0") == "/sensor/shape/0"
+    assert pointer("a/b.c~d") == "/a~1b/c~0d"
+    assert pointer("scene") == ""
+    assert pointer("?limit") == "?limit"
