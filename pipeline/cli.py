@@ -177,9 +177,10 @@ def color_fit(scene: SceneFile, set_: Overrides = None, as_json: Json = False) -
 def serve(
     host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535)] = 8765,
-    home: Annotated[Path, typer.Option(help="folder of jobs, products and catalogues")] = Path(
-        "nightglass-home"
-    ),
+    home: Annotated[
+        Path | None,
+        typer.Option(help="folder of jobs, products, catalogues; default: NIGHTGLASS_HOME"),
+    ] = None,
 ) -> None:
     """Serve the REST interface."""
     from importlib import import_module

@@ -5,6 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("steady", deadline=None)  # the first call of a function compiles it
+settings.load_profile("steady")
 
 
 @pytest.fixture(scope="session")

@@ -122,7 +122,7 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
             yield ClusterScheduler(client, count)
         return
     try:
-        client = Client(kind, timeout=10)
+        client = Client(kind, timeout=5)
     except (OSError, TimeoutError, ValueError) as error:
         raise BadInput(
             "--scheduler", kind, f"the address of a running scheduler; {error}"

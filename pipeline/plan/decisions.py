@@ -137,8 +137,8 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         Decision(
             "phase_interpolation", True,
             f"stars are interpolated between {r.classes[0].phases} phases a pixel, linearly where "
-            f"that errs by at most {budget:.3g} e-, else cubically; the bound is that of a pixel at "
-            "the noise floor, and grows with the noise of a pixel that holds more light",
+            f"that errs by at most {budget:.3g} e-, else cubically; the bound holds for a pixel at "
+            "the noise floor and grows with the noise of a pixel that holds more light",
             **bound(budget),
         )
     )  # fmt: skip

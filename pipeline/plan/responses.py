@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrays import Array, Geometry
 from pipeline.errors import BadInput
-from pipeline.physics.drawing.wings import wing_error
+from pipeline.physics.drawing.wings import CUT_FROM, wing_error
 from pipeline.physics.motion.streak import POINT, Path, path_through, pieces
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.pupil import Blur
@@ -24,6 +24,7 @@ MERGE_TOLERANCE_PX = 2e-3
 SPREAD_TOLERANCE_PX = 1e-2
 TABLE_BYTES = 48e6
 MOST_CLASSES = 5
+SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_SAMPLES = 512  # radius times samples a pixel: what one transform may hold
 BLOCK_PX = 2048  # wings are convolved in fixed blocks of the focal plane
 
@@ -83,13 +84,23 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
             blur, (one,), 0, radius, blur.light_beyond(radius), zones, spread, facts.budget_e
         )
     q = blur.optics.scale_px
-    first = 12.0 * max(q, min(1.0, q) ** (1.0 / 3.0), 0.5)  # where wings are alike against the peak
+    if not SMALLEST_Q <= q <= LARGEST_Q:
+        raise BadInput(
+            "sensor.psf",
+            f"airy with Q = lambda F / (D pitch) = {q:.3g} px",
+            f"Q from {SMALLEST_Q} to {LARGEST_Q} px: another pitch, focal length or wavelength, or "
+            "a gaussian",
+        )
+    spread_px = math.hypot(blur.jitter_px, blur.diffusion_px)
+    # Where the wings of different optics are alike against their peak, beyond the blur's own core.
+    first = 12.0 * max(q, min(1.0, q) ** (1.0 / 3.0), 0.5) + 4.0 * spread_px
     spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
-    reach = max(_radius_holding(blur, scene.accuracy.flux_fraction), 2.0 * first)
+    reach = max(_radius_holding(blur, scene.accuracy.flux_fraction) / CUT_FROM, 2.0 * first)
     classes = _classes(blur, first, spacing, path, phases, facts.budget_e)
     return ResponsePlan(
-        blur, classes, spacing, reach, blur.light_beyond(reach), zones, spread, facts.budget_e
-    )
+        blur, classes, spacing, reach, blur.light_beyond(CUT_FROM * reach), zones, spread,
+        facts.budget_e,
+    )  # fmt: skip
 
 
 def _classes(

@@ -58,33 +58,88 @@ def parse_text(raw: bytes, name: str = "scene") -> Any:
 
 
 def parse_yaml(text: str, name: str = "scene") -> Any:
-    """YAML 1.2 (a superset of JSON): `1e5` is a number and `12:30:00` is text."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.constructor import SafeConstructor
+    """YAML 1.2, or JSON as the subset of it: `1e5` is a number and `12:30:00` is text.
+
+    Refused: duplicate keys, aliases, nesting beyond MAX_DEPTH, and a file that asks for YAML 1.1.
+    """
+    directive = re.search(r"(?m)^%YAML\s+(\S+)", text)
+    if directive and directive[1] != "1.2":
+        raise BadInput(name, f"%YAML {directive[1]}", "YAML 1.2")
+    if text.lstrip()[:1] == "{":
+        value = _parse_json(text)
+        if value is not None:
+            return value
     from ruamel.yaml.error import YAMLError
-    from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
-    class Plain(SafeConstructor):
-        """Timestamps stay text: the epoch is parsed by the product's own clock."""
-
-    Plain.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
     try:
-        depth = 0
-        for event in YAML(typ="safe", pure=True).parse(text):
-            if isinstance(event, AliasEvent):
-                raise BadInput(name, f"*{event.anchor}", "a file without aliases")
-            depth += isinstance(event, CollectionStartEvent)
-            depth -= isinstance(event, CollectionEndEvent)
-            if depth > MAX_DEPTH:
-                raise BadInput(name, "nested too deeply", f"at most {MAX_DEPTH} levels")
-        reader = YAML(typ="safe", pure=True)
-        reader.Constructor = Plain
-        return reader.load(text)
+        return _yaml_reader(name).load(text)
     except (YAMLError, RecursionError, ValueError, LookupError, TypeError, AttributeError) as error:
         where = getattr(error, "problem_mark", None)
         place = f"line {where.line + 1}, column {where.column + 1}" if where else "the text"
         problem = getattr(error, "problem", None) or next(iter(str(error).splitlines()), "")
         raise BadInput(name, place, f"YAML or JSON; {problem}") from None
+
+
+def _parse_json(text: str) -> Any:
+    """A JSON text as data (the quick way), or None where YAML has to read it or refuse it."""
+    if text.count("{") + text.count("[") > 100_000:
+        return None
+
+    def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len({key for key, _ in items}) != len(items):
+            raise ValueError("duplicate key")
+        return dict(items)
+
+    try:
+        value = json.loads(text, object_pairs_hook=pairs)
+    except (ValueError, RecursionError):
+        return None
+    return value if _depth(value) <= MAX_DEPTH else None
+
+
+def _depth(value: Any) -> int:
+    """How deep lists and mappings are nested; stops one beyond MAX_DEPTH."""
+    level, depth = [value], 0
+    while depth <= MAX_DEPTH:
+        inner = [v for v in level if isinstance(v, dict | list)]
+        if not inner:
+            break
+        level = [w for v in inner for w in (v.values() if isinstance(v, dict) else v)]
+        depth += 1
+    return depth
+
+
+def _yaml_reader(name: str) -> Any:
+    """A YAML 1.2 loader of plain data that refuses aliases and deep nesting as it reads."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.composer import Composer
+    from ruamel.yaml.constructor import SafeConstructor
+    from ruamel.yaml.events import AliasEvent
+
+    class Bounded(Composer):
+        """Composes nodes down to MAX_DEPTH, and none twice."""
+
+        depth = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.parser.check_event(AliasEvent):
+                raise BadInput(name, f"*{self.parser.peek_event().anchor}", "no aliases")
+            self.depth += 1
+            if self.depth > MAX_DEPTH + 2:
+                raise BadInput(name, "nested too deeply", f"at most {MAX_DEPTH} levels")
+            try:
+                return super().compose_node(parent, index)
+            finally:
+                self.depth -= 1
+
+    class Plain(SafeConstructor):
+        """Timestamps stay text: the epoch is parsed by the product's own clock."""
+
+    Plain.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
+    reader = YAML(typ="safe", pure=True)
+    reader.version = (1, 2)
+    reader.Composer, reader.Constructor = Bounded, Plain
+    return reader
 
 
 def parse_scene(data: Any, base: Path | None = None) -> Scene:

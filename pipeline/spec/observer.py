@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pipeline.spec.orbit import StateOrbit, TleOrbit, Vector
+from pipeline.spec.orbit import Speed, StateOrbit, TleOrbit
 from pipeline.spec.strict import Strict
 
 
@@ -26,12 +26,15 @@ class OrbitObserver(Strict):
     orbit: Annotated[TleOrbit | StateOrbit, Field(discriminator="kind")]
 
 
+Distance = Annotated[float, Field(ge=-1e5, le=1e5)]
+
+
 class FixedObserver(Strict):
     """A place and velocity relative to the solar-system barycentre, ICRS axes, both constant."""
 
     kind: Literal["fixed"]
-    position_au: Vector
-    velocity_m_s: Vector = (0.0, 0.0, 0.0)
+    position_au: tuple[Distance, Distance, Distance]
+    velocity_m_s: Speed = (0.0, 0.0, 0.0)
 
 
 Observer = Annotated[GroundObserver | OrbitObserver | FixedObserver, Field(discriminator="kind")]

@@ -8,7 +8,10 @@ from pydantic import Field
 
 from pipeline.spec.strict import Strict
 
-Vector = tuple[float, float, float]
+Metres = Annotated[float, Field(ge=-1e13, le=1e13)]
+MetresPerSecond = Annotated[float, Field(ge=-1e9, le=1e9)]
+Place = tuple[Metres, Metres, Metres]
+Speed = tuple[MetresPerSecond, MetresPerSecond, MetresPerSecond]
 
 
 class TleOrbit(Strict):
@@ -23,8 +26,8 @@ class StateOrbit(Strict):
     """A geocentric position and velocity in GCRS axes at `epoch` (default: the scene's epoch)."""
 
     kind: Literal["state"]
-    position_m: Vector
-    velocity_m_s: Vector
+    position_m: Place
+    velocity_m_s: Speed
     epoch: str | None = Field(None, max_length=40)
 
 

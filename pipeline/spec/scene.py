@@ -11,7 +11,7 @@ from pipeline.spec.observer import Observer
 from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import Pointing, TargetPointing
 from pipeline.spec.sensor import Sensor
-from pipeline.spec.strict import Fraction, NotNegative, Positive, Strict
+from pipeline.spec.strict import Fraction, Positive, Strict
 
 SCHEMA = "nightglass/scene/1"
 LAYERS = ("dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e")
@@ -66,7 +66,7 @@ class SphereBody(Strict):
     """A diffuse (grey Lambertian) sphere."""
 
     kind: Literal["sphere"]
-    diameter_m: Positive
+    diameter_m: float = Field(gt=0, le=1e6)
     albedo: Fraction
 
 
@@ -85,7 +85,9 @@ class Background(Strict):
     uniform_mag_arcsec2: float | None = Field(
         None, ge=-30, le=40, description="AB magnitude per square arcsecond in the sensor's band"
     )
-    uniform_e_per_s: NotNegative | None = Field(None, description="electrons per second and pixel")
+    uniform_e_per_s: float | None = Field(
+        None, ge=0, le=1e12, description="electrons per second and pixel"
+    )
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Background:

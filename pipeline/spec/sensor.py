@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from pipeline.spec.strict import Fraction, NotNegative, Positive, Strict
+from pipeline.spec.strict import Fraction, Positive, Strict
 
 ImagePath = Annotated[str, Field(min_length=1, max_length=1024)]
 NumberOrImage = float | ImagePath
@@ -83,21 +83,21 @@ class Sensor(Strict):
     """A telescope and its focal plane. Array axes are (rows, columns)."""
 
     shape: tuple[Annotated[int, Field(ge=1, le=60_000)], Annotated[int, Field(ge=1, le=60_000)]]
-    pixel_pitch_um: float = Field(gt=0, le=1000)
-    focal_length_m: float = Field(gt=0, le=1000)
-    aperture_m: float = Field(gt=0, le=100)
+    pixel_pitch_um: float = Field(ge=0.05, le=1000)
+    focal_length_m: float = Field(ge=1e-3, le=1000)
+    aperture_m: float = Field(ge=1e-4, le=100)
     obscuration: float = Field(0.0, ge=0, lt=1, description="linear: inner over outer diameter")
     fill_factor: float = Field(1.0, gt=0, le=1)
     bandpass: Bandpass
     transmission: Fraction | ImagePath = 1.0
     quantum_efficiency: Fraction | ImagePath = 1.0
     psf: Psf
-    full_well_e: Positive | None = None
-    gain_e_per_dn: Annotated[float, Field(gt=0)] | ImagePath = 1.0
+    full_well_e: Annotated[float, Field(gt=0, le=1e18)] | None = None
+    gain_e_per_dn: Annotated[float, Field(ge=1e-9, le=1e12)] | ImagePath = 1.0
     adc_bits: int = Field(16, ge=1, le=63)
     adc_rounding: Literal["half_even", "floor"] = "half_even"
-    bias_dn: NumberOrImage = 0.0
-    flat: NotNegative | ImagePath = 1.0
-    dark_e_per_s: NotNegative | ImagePath = 0.0
-    read_noise_e: NotNegative | ImagePath = 0.0
+    bias_dn: Annotated[float, Field(ge=-1e18, le=1e19)] | ImagePath = 0.0
+    flat: Annotated[float, Field(ge=0, le=1e3)] | ImagePath = 1.0
+    dark_e_per_s: Annotated[float, Field(ge=0, le=1e12)] | ImagePath = 0.0
+    read_noise_e: Annotated[float, Field(ge=0, le=1e9)] | ImagePath = 0.0
     photon_noise: bool = True

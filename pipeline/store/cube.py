@@ -143,7 +143,7 @@ def read_layer(product: Path, name: str, frame: int) -> NDArray[Any]:
 def _open_array(path: Path) -> zarr.Array:
     import zarr
 
-    return zarr.open_array(store=path, mode="r+", config={"write_empty_chunks": True})
+    return zarr.open_array(store=path, mode="r+").with_config({"write_empty_chunks": True})
 
 
 def _synced(path: Path) -> bytes:

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 GRID_SAMPLES = 2  # samples a pixel of the core that hold what a grid of 2 px or more can see
 TEST_SAMPLES = 8  # and what single pixels can see
+CUT_FROM = 0.9  # of the reach: where the wing's cut-off begins
 SPLINE_PX = 3  # grid points that the splines need beyond the range they serve
 
 
@@ -59,17 +60,22 @@ def wing_kernel(blur: Blur, core: Core, grid: WingGrid, reach_px: float) -> NDAr
     """Transfer function of (response - core) on the grid's frequencies, cut off at `reach_px`.
 
     The cut-off (smooth over the last tenth of the reach) keeps the light of a source from coming
-    back in at the far side of the periodic grid. Complex (rows, columns // 2 + 1).
+    back in at the far side of the periodic grid. The wing is made on a grid of its own, four
+    reaches wide, so that it is the same for every block. Complex (rows, columns // 2 + 1).
     """
     h = grid.spacing_px
-    fy, fx = grid_frequencies(grid)
+    n = scipy.fft.next_fast_len(int(np.ceil(4.0 * reach_px / h)), real=True)
+    fy, fx = scipy.fft.fftfreq(n, float(h)), scipy.fft.rfftfreq(n, float(h))
     whole = blur.transfer(fy[:, None], fx[None, :]) - _core_transfer(core, fy, fx, GRID_SAMPLES)
-    wing = scipy.fft.irfft2(whole, s=(grid.rows, grid.columns))
-    ry = scipy.fft.fftfreq(grid.rows, 1.0 / grid.rows) * h
-    rx = scipy.fft.fftfreq(grid.columns, 1.0 / grid.columns) * h
-    wing *= taper(np.hypot(ry[:, None], rx[None, :]), 0.9 * reach_px, reach_px)
+    half = int(np.ceil(reach_px / h))
+    at = np.arange(-half, half + 1)
+    wing = scipy.fft.irfft2(whole, s=(n, n))[np.ix_(at, at)]
+    wing *= taper(np.hypot(at[:, None], at[None, :]) * h, CUT_FROM * reach_px, reach_px)
+    placed = np.zeros((grid.rows, grid.columns))
+    placed[np.ix_(at, at)] = wing
+    fy, fx = grid_frequencies(grid)
     spline = np.sinc(fy * h)[:, None] ** 4 * np.sinc(fx * h)[None, :] ** 4
-    return scipy.fft.rfft2(wing) / (spline * spline * h * h)
+    return scipy.fft.rfft2(placed) / (spline * spline * h * h)
 
 
 def grid_frequencies(grid: WingGrid) -> tuple[Array, Array]:
