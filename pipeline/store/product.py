@@ -47,6 +47,7 @@ def begin(path: Path, plan: Plan, catalogue_digest: str | None, resume: bool) ->
         "scene_sha256": scene_digest(plan),
         "catalogue_digest": catalogue_digest,
         "tile_shape": list(tile_shape(plan.scene)),
+        "tiles": len(plan.tiles) * plan.frames,
     }
     if path.exists() and not resume:
         raise BadInput(
@@ -69,7 +70,8 @@ def _take_up(path: Path, plan: Plan, identity: dict[str, Any]) -> Begun:
             raise BadInput("--resume", str(path), "a product begun by `nightglass render`")
         shutil.rmtree(path)  # it stopped before its first task: begin anew
         return begin(path, plan, identity["catalogue_digest"], resume=False)
-    found = json.loads((path / layout.BEGUN).read_text())
+    found = _identity(path)
+    (path / layout.TRUTH / layout.PARTS).mkdir(exist_ok=True)
     for key, wanted in identity.items():
         if found.get(key) != wanted:
             raise BadInput("--resume", str(path), f"a product of the same {key}: {wanted}")
@@ -89,6 +91,15 @@ def _take_up(path: Path, plan: Plan, identity: dict[str, Any]) -> Begun:
         if part_is_whole(path, kind, frame)
     }
     return Begun(path, _writer(path, plan), frozenset(done), frozenset(truth), tuple(faults))
+
+
+def _identity(path: Path) -> dict[str, Any]:
+    """What the product was begun as. Raises Damaged where the record is not what was written."""
+    try:
+        found = json.loads((path / layout.BEGUN).read_text())
+        return found | {"tiles": int(found["tiles"])}
+    except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise Damaged(str(path / layout.BEGUN), f"not what was written ({error})") from None
 
 
 def _marker_fault(path: Path, marker: Path) -> str | None:
@@ -153,9 +164,8 @@ def check(path: Path) -> Verdict:
     """Verify a product: every tile has its marker, every chunk its checksum, every table reads."""
     if not (path / layout.BEGUN).is_file():
         raise BadInput("PRODUCT", str(path), "a product directory made by `nightglass render`")
-    plan = json.loads((path / layout.PLAN).read_text()) if (path / layout.PLAN).is_file() else {}
     complete = (path / layout.COMPLETE).is_file()
-    verdict = Verdict(str(path), complete, 0, int(plan.get("tiles", 0)))
+    verdict = Verdict(str(path), complete, 0, int(_identity(path)["tiles"]))
     for marker in markers_present(path):
         fault = _marker_fault(path, marker)
         verdict.tiles += fault is None
