@@ -195,8 +195,7 @@ def render(
 def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listener | None) -> None:
     """Run every missing task, window by window of frames."""
     plan, catalogue = prepared.plan, prepared.catalogue
-    reach = plan.halo_px * plan.facts.ifov_rad
-    inputs = scheduler.share(Inputs(plan, prepared.maps, catalogue, begun.writer, reach))
+    inputs = scheduler.share(Inputs(plan, prepared.maps, catalogue, begun.writer))
     total = len(plan.tiles) * plan.frames
     state = {"done": len(begun.done)}
     shards: dict[Leaf, Any] = {}

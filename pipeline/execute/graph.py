@@ -32,7 +32,6 @@ class Inputs:
     maps: SensorMaps
     catalogue: Catalogue | None
     writer: CubeWriter
-    reach_rad: float
 
 
 @dataclass(frozen=True)

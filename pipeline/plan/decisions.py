@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pipeline.physics.psf.pupil import Airy
 from pipeline.plan.facts import Facts
-from pipeline.plan.responses import MERGE_TOLERANCE_PX, PATH_STEP_PX, ResponsePlan
+from pipeline.plan.responses import BLOCK_PX, MERGE_TOLERANCE_PX, PATH_STEP_PX, ResponsePlan
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import AiryPsf
@@ -148,7 +148,8 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
             Decision(
                 "wings_on_a_coarse_grid", True,
                 f"light beyond {r.classes[0].radius_px:.0f} px of a source is drawn on a grid of "
-                f"{r.spacing_px} px; sources above {lowest:.3g} e- get larger cores",
+                f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px; sources "
+                f"above {lowest:.3g} e- get larger cores",
                 **bound(budget),
             ),
             Decision(

@@ -67,6 +67,8 @@ class ResponsePlan:
 def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -> ResponsePlan:
     """Choose radii, phases, grid and zones for a scene from its first and last frame (`ends`)."""
     blur = facts.blur
+    if not (scene.stars or scene.targets):
+        return ResponsePlan(blur, (), 0, 0.0, 0.0, 1, 0.0, facts.budget_e)
     aberration = scene.stars is None or scene.stars.aberration
     zones, spread = (1, 0.0)
     path = POINT

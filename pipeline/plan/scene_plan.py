@@ -124,7 +124,7 @@ def plan_dict(plan: Plan, forecast: StarForecast | None) -> dict[str, Any]:
         "bytes_to_read": forecast.bytes_to_read if forecast else 0,
         "stars_per_frame": forecast.stars_per_frame if forecast else 0,
         "targets": len(plan.scene.targets),
-        "engine": "stamps + wings" if r.spacing_px else "stamps",
+        "engine": _engine(r),
         "predicted": needs,
         "noise_floor_e": f.sigma_floor_e,
         "background_e": f.background_e,
@@ -150,12 +150,18 @@ def plan_dict(plan: Plan, forecast: StarForecast | None) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _engine(r: ResponsePlan) -> str:
+    if not r.classes:
+        return "none: no sources"
+    return "stamps + wings" if r.spacing_px else "stamps"
+
+
 def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
     """Predicted CPU seconds and memory of one worker thread, from measured unit costs."""
     pixels = math.prod(plan.scene.sensor.shape)
     stars = forecast.stars_per_frame if forecast else 0
-    core = plan.responses.classes[0]
-    stamp = math.pi * core.radius_px**2
+    cores = plan.responses.classes
+    stamp = math.pi * cores[0].radius_px ** 2 if cores else 0.0
     frame_s = pixels * NOISE_S_PER_PIXEL + stars * (PLACE_S_PER_STAR + stamp * STAMP_S_PER_PIXEL)
     if plan.responses.spacing_px:
         frame_s += pixels * WING_S_PER_PIXEL

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sgp4.api import SGP4_ERRORS, WGS72, Satrec
 
 from pipeline.errors import BadInput
 from pipeline.physics.constants import (
@@ -17,6 +17,9 @@ from pipeline.physics.constants import (
 )
 from pipeline.physics.positions.earth import teme_to_gcrs
 from pipeline.physics.positions.times import Instants, elapsed_s, format_utc
+
+if TYPE_CHECKING:
+    from sgp4.api import Satrec
 
 Array = NDArray[np.float64]
 
@@ -53,6 +56,8 @@ def tle_states(
 
     Raises BadInput for malformed lines and where SGP4 ends (decayed, eccentricity out of range...).
     """
+    from sgp4.api import SGP4_ERRORS  # only scenes with two-line elements need it
+
     check_tle(line1, line2, field)
     satellite = _satellite(line1.rstrip(), line2.rstrip(), field)
     epoch = (satellite.jdsatepoch, satellite.jdsatepochF)
@@ -86,6 +91,8 @@ def tle_states_teme(
 
     No check of the lines: for verification sets, which hold deliberately odd elements.
     """
+    from sgp4.api import WGS72, Satrec  # only scenes with two-line elements need it
+
     satellite = Satrec.twoline2rv(line1, line2, WGS72)
     days, fraction = np.broadcast_arrays(np.atleast_1d(jd), np.atleast_1d(fr))
     errors, position_km, velocity_km_s = satellite.sgp4_array(
@@ -95,6 +102,8 @@ def tle_states_teme(
 
 
 def _satellite(line1: str, line2: str, field: str) -> Satrec:
+    from sgp4.api import WGS72, Satrec
+
     try:
         return Satrec.twoline2rv(line1, line2, WGS72)
     except ValueError as error:
