@@ -30,7 +30,8 @@ def gather_dut1_s(utc1: float, utc2: float) -> tuple[float, str | None]:
 def _days_around(mjd: float) -> tuple[float | None, float | None]:
     """UT1 - UTC at the midnights before and after a date, None where the table has none.
 
-    Columns of finals2000A: 8-15 MJD, 59-68 UT1 - UTC of Bulletin A (IERS readme.finals2000A).
+    Columns of finals2000A (IERS readme.finals2000A): 8-15 MJD, 155-165 UT1 - UTC of Bulletin B,
+    59-68 that of Bulletin A, where B is not out yet.
     """
     from astropy_iers_data import IERS_A_FILE
 
@@ -38,6 +39,8 @@ def _days_around(mjd: float) -> tuple[float | None, float | None]:
     with Path(IERS_A_FILE).open() as table:
         for line in table:
             day = line[7:12]
-            if day.isdigit() and int(day) in (int(mjd), int(mjd) + 1) and line[58:68].strip():
-                values[int(day)] = float(line[58:68])
+            if day.isdigit() and int(day) in (int(mjd), int(mjd) + 1):
+                value = line[154:165].strip() or line[58:68].strip()
+                if value:
+                    values[int(day)] = float(value)
     return values.get(int(mjd)), values.get(int(mjd) + 1)

@@ -1,0 +1,111 @@
+"""Exports: FITS headers, PNG pictures, tables, and what is refused."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.wcs import WCS
+from PIL import Image
+
+from pipeline.errors import BadInput
+from pipeline.export.files import export_frames
+from pipeline.export.picture import shrink, stretch
+from pipeline.run import render
+from pipeline.spec.load import parse_scene
+from pipeline.store.cube import read_layer
+
+SCENE = {
+    "schema": "nightglass/scene/1",
+    "name": "export",
+    "epoch": "2016-12-31T23:59:59.5Z",
+    "observer": {"kind": "fixed", "position_au": [0.9, 0.3, 0.1], "velocity_m_s": [0, 29e3, 0]},
+    "sensor": {
+        "shape": [64, 96],
+        "pixel_pitch_um": 20.0,
+        "focal_length_m": 0.05,
+        "aperture_m": 0.02,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0},
+        "bias_dn": 100,
+        "read_noise_e": 5,
+    },
+    "pointing": {
+        "mode": "rate",
+        "boresight_ra_deg": 359.99,
+        "boresight_dec_deg": 89.5,
+        "rate_ra_arcsec_s": 10,
+        "rate_dec_arcsec_s": -5,
+        "roll_deg": 33,
+    },
+    "exposure": {"integration_s": 1.0, "frames": 2, "cadence_s": 2.0},
+    "background": {"uniform_e_per_s": 50},
+    "output": {"layers": ["dn", "mean_e"]},
+}
+
+
+@pytest.fixture(scope="module")
+def product(tmp_path_factory):
+    path = tmp_path_factory.mktemp("export") / "run"
+    render(parse_scene(copy.deepcopy(SCENE)), path)
+    return path
+
+
+def test_fits(product, tmp_path):
+    """Both frames, with times across the leap second of 2016, pixels and two WCS near the pole."""
+    first, second = export_frames(product, "fits", tmp_path / "out")
+    with fits.open(first, checksum=True) as hdus:
+        header = hdus[0].header
+        assert np.array_equal(hdus[0].data, read_layer(product, "dn", 0))
+        assert header["DATE-OBS"].startswith("2016-12-31T23:59:59.5")
+        assert header["EXPTIME"] == 1.0
+        assert header["TIMESYS"] == "UTC"
+        assert header["SYNTHSTR"] is False
+    with fits.open(second) as hdus:
+        assert hdus[0].header["DATE-OBS"].startswith("2017-01-01T00:00:00.5")
+        assert hdus[0].header["FRAME"] == 1
+    apparent, astrometric = WCS(header, key="A"), WCS(header)
+    x, y = np.array([0.0, 95.0, 47.5, 3.0]), np.array([0.0, 63.0, 31.5, 60.0])
+    ra, dec = astrometric.all_pix2world(x, y, 0)
+    back = astrometric.all_world2pix(ra, dec, 0)
+    assert np.abs(np.array(back) - [x, y]).max() < 1e-6
+    u, v = (_vectors(*w.all_pix2world(x, y, 0)) for w in (astrometric, apparent))
+    shift = np.degrees(np.linalg.norm(u - v, axis=1)) * 3600
+    assert 5.0 < shift.min() <= shift.max() < 25.0  # aberration of 29 km/s, up to 20.5 arcsec
+
+
+def _vectors(ra_deg, dec_deg):
+    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
+    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], -1)
+
+
+def test_png(product, tmp_path):
+    (path,) = export_frames(product, "png", tmp_path / "one.png", frame=1, layer="mean_e")
+    assert Image.open(path).size == (96, 64)
+
+
+def test_limits_refused(product, tmp_path):
+    (tmp_path / "there.fits").write_text("mine")
+    cases = [
+        (("gif", tmp_path / "x"), "--to"),
+        (("fits", tmp_path / "x", 2), "--frame"),
+        (("fits", tmp_path / "x", 0, "stars_e"), "--layer"),
+        (("fits", tmp_path / "x.fits"), "-o"),
+        (("fits", tmp_path / "there.fits", 0), "-o"),
+    ]
+    for arguments, field in cases:
+        with pytest.raises(BadInput) as caught:
+            list(export_frames(product, *arguments))
+        assert caught.value.field == field
+    assert (tmp_path / "there.fits").read_text() == "mine"
+
+
+def test_pictures_of_flat_and_tiny_images():
+    assert stretch(np.full((5, 5), 7)).shape == (5, 5)
+    assert stretch(np.zeros((1, 1))).dtype == np.uint8
+    small, factor = shrink(np.ones((1, 5000)))
+    assert small.shape[1] <= 5000
+    assert factor >= 1
+    assert shrink(np.ones((3000, 3000)))[0].shape == (1000, 1000)
