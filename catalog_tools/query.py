@@ -49,13 +49,31 @@ def leaves_in_cone(
     """
     caps = catalogue.caps
     epoch = catalogue.ref_epoch_jyear if epoch_jyear is None else epoch_jyear
-    years = abs(epoch - catalogue.ref_epoch_jyear)
-    nearing = max(1.0 - MAX_RADIAL_MOTION_RAD_YR * years, 0.1)
-    pad_mas = caps.proper_motions_mas_yr * (years / nearing)
-    pad_mas = pad_mas + caps.parallaxes_mas * observer_distance_au
+    pad = motion_pad_rad(
+        caps.proper_motions_mas_yr, caps.parallaxes_mas, epoch - catalogue.ref_epoch_jyear,
+        observer_distance_au,
+    )  # fmt: skip
     apart = separation_rad(caps.centres, np.asarray(centre, float))
-    near = apart <= radius_rad + caps.radii_rad + pad_mas * MAS_RAD + 1e-9
+    near = apart <= radius_rad + caps.radii_rad + pad
     return tuple(leaf for leaf, hit in zip(catalogue.leaves, near, strict=True) if hit)
+
+
+def motion_pad_rad(
+    max_proper_motion_mas_yr: ArrayLike,
+    max_parallax_mas: ArrayLike,
+    years: float,
+    observer_distance_au: float,
+) -> np.ndarray:
+    """How far the stars of leaves may be seen from their catalogue places [rad], aberration apart.
+
+    years : from the catalogue's epoch; observer_distance_au : from the barycentre. A star nearer
+    than the observer may be seen anywhere: pi.
+    """
+    nearing = max(1.0 - MAX_RADIAL_MOTION_RAD_YR * abs(years), 0.1)
+    motion = np.asarray(max_proper_motion_mas_yr, float) * (abs(years) / nearing) * MAS_RAD
+    parallax = np.asarray(max_parallax_mas, float) * observer_distance_au * MAS_RAD
+    shift = np.where(parallax < 1.0, np.arcsin(np.minimum(parallax, 1.0)), np.pi)
+    return np.asarray(motion + shift + 1e-9, float)
 
 
 def bands_to_read(leaf: Leaf, faintest_g_mag: float | None) -> tuple[Band, ...]:

@@ -326,8 +326,11 @@ def _print_report(report: dict[str, Any], product: Path) -> None:
         f"in {seconds['plan_s'] + seconds['draw_s'] + seconds['finish_s']:.2f} s"
     )
     print(
-        f"  error bound of all approximations {errors['bound_of_all_approximations_sigma']:.3f} "
-        f"sigma (asked {errors['asked_sigma']}), WCS to {errors['wcs_residual_px']:.1e} px"
+        f"  error bound at the noise floor {errors['bound_of_all_approximations_sigma']:.3f} sigma "
+        f"(asked {errors['asked_sigma']}), WCS to {errors['wcs_residual_px']:.1e} px"
     )
+    if errors["common_streak_px"] > 0:
+        share = errors["common_streak_px"]
+        print(f"  stars share streaks that differ by up to {share:.1e} px at their ends")
     for remark in report["remarks"]:
         print(f"  note: {remark}")

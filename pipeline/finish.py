@@ -181,6 +181,7 @@ def _report(
             "bound_of_all_approximations_sigma": sum(d.error_bound_sigma or 0.0 for d in bounds),
             "asked_sigma": plan.scene.accuracy.noise_fraction,
             "light_left_out": plan.responses.lost_light,
+            "common_streak_px": plan.responses.spread_px,
         },
         "remarks": list(plan.remarks),
         "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},

@@ -23,19 +23,17 @@ from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.sensor import gather_sensor_maps
 from pipeline.inputs.stars import Catalogue, Leaf, gather_leaves, open_catalogue
 from pipeline.physics.colour import ColourFit
-from pipeline.physics.constants import JULIAN_YEAR_DAYS
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.forecast import forecast_stars
-from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.geometry import epochs_jyear, observer_distances_au, plan_geometry
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
 from pipeline.store.product import Begun, begin, truth_kinds
 
-J2000_JD = 2451545.0
 Listener = Callable[["Progress"], None]
 
 
@@ -148,8 +146,7 @@ def _forecast(prepared: Prepared) -> Any:
 def _leaves(plan: Plan, catalogue: Catalogue, g: Geometry) -> tuple[Leaf, ...]:
     """Shards that the frames of a geometry need."""
     centres, radii = field_cones(plan, g)
-    epoch = 2000.0 + (float(g.tt1[0, 0]) - J2000_JD + float(g.tt2[0, 0])) / JULIAN_YEAR_DAYS
-    return gather_leaves(catalogue, centres, radii, epoch)
+    return gather_leaves(catalogue, centres, radii, epochs_jyear(g), observer_distances_au(g))
 
 
 def render(
@@ -197,6 +194,7 @@ def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listen
     plan, catalogue = prepared.plan, prepared.catalogue
     inputs = scheduler.share(Inputs(plan, prepared.maps, catalogue, begun.writer))
     total = len(plan.tiles) * plan.frames
+    ref_epoch = catalogue.ref_epoch_jyear if catalogue is not None else 2000.0
     state = {"done": len(begun.done)}
     shards: dict[Leaf, Any] = {}
 
@@ -216,7 +214,7 @@ def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listen
         fresh = [leaf for leaf in needed if leaf not in shards]
         kept = scheduler.keep(shard_graph(inputs, fresh))
         shards |= {leaf: kept["shard", leaf.order, leaf.pixel] for leaf in fresh}
-        graph, keys = window_graph(inputs, plan, work, shards)
+        graph, keys = window_graph(inputs, plan, work, shards, ref_epoch)
         scheduler.run(graph, keys, done)
 
 

@@ -10,13 +10,14 @@ import numpy as np
 
 from pipeline.arrays import FrameStars, Geometry, SensorMaps, StarTable, concatenate, select
 from pipeline.execute.light import Wings, plan_blocks, render_wings
-from pipeline.execute.sources import place_stars
+from pipeline.execute.sources import excursion_px, place_stars
 from pipeline.execute.tile import render_tile
 from pipeline.execute.truth import star_truth, target_truth
-from pipeline.inputs.stars import Catalogue, Leaf, gather_leaf
+from pipeline.inputs.stars import Catalogue, Leaf, gather_leaf, leaf_pad_rad
 from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.vectors import separation
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.geometry import epochs_jyear, observer_distances_au
+from pipeline.plan.scene_plan import Plan, catalogue_cones
 from pipeline.plan.tiles import Tile
 from pipeline.store.cube import CubeWriter
 from pipeline.store.truth import write_part
@@ -50,37 +51,43 @@ def shard_graph(inputs: Any, leaves: Iterable[Leaf]) -> dict[Key, Any]:
 
 
 def window_graph(
-    inputs: Any, plan: Plan, work: Work, shards: dict[Leaf, Any]
+    inputs: Any, plan: Plan, work: Work, shards: dict[Leaf, Any], ref_epoch_jyear: float = 2015.5
 ) -> tuple[dict[Key, Any], list[Key]]:
     """Graph of a window and the keys to compute.
 
-    inputs : the Inputs, or a future of them; shards : each leaf's stars, or a future of them.
+    inputs : the Inputs, or a future of them; shards : each leaf's stars, or a future of them;
+    ref_epoch_jyear : of the catalogue.
     A tile depends on the shards whose stars can reach it and on the wings of its blocks, a block
     on the shards around it; nothing that no tile asks for gets a task.
     """
     graph: dict[Key, Any] = {}
     wanted: list[Key] = []
     blocks = plan_blocks(plan)
+    needed = {index for index, _ in work.tiles} | set(work.star_truth)
+    views = {
+        index: _view(plan, work.geometry.frame_slice(index), shards, ref_epoch_jyear)
+        for index in sorted(needed)
+    }
     for index, tile in work.tiles:
-        g = work.geometry.frame_slice(index)
-        frame = int(g.frame[0])
-        parts = _places(graph, inputs, g, shards, plan, tile)
+        view = views[index]
+        frame = int(view.g.frame[0])
+        parts = _places(graph, inputs, plan, view, tile)
         wings = []
         for block in blocks:
             if _overlap(tile, block):
                 key = ("wings", frame, block.row, block.column)
                 if key not in graph:
-                    around = _places(graph, inputs, g, shards, plan, block)
-                    graph[key] = (wing_task, inputs, g, block, around)
+                    around = _places(graph, inputs, plan, view, block)
+                    graph[key] = (wing_task, inputs, view.g, block, around)
                 wings.append(key)
         name = ("tile", frame, tile.row, tile.column)
-        graph[name] = (tile_task, inputs, g, tile, parts, wings)
+        graph[name] = (tile_task, inputs, view.g, tile, parts, wings)
         wanted.append(name)
     for index in work.star_truth:
-        g = work.geometry.frame_slice(index)
-        everywhere = _places(graph, inputs, g, shards, plan, None)
-        graph["star_truth", int(g.frame[0])] = (star_truth_task, inputs, g, everywhere)
-        wanted.append(("star_truth", int(g.frame[0])))
+        view = views[index]
+        everywhere = _places(graph, inputs, plan, view, None)
+        graph["star_truth", int(view.g.frame[0])] = (star_truth_task, inputs, view.g, everywhere)
+        wanted.append(("star_truth", int(view.g.frame[0])))
     for index in work.target_truth:
         g = work.geometry.frame_slice(index)
         graph[("target_truth", int(g.frame[0]))] = (target_truth_task, inputs, g)
@@ -88,37 +95,53 @@ def window_graph(
     return graph, wanted
 
 
+@dataclass(frozen=True)
+class _View:
+    """One frame: its geometry, each leaf's stars with how far they may stand from their catalogue
+    places [rad], and how far off a tile a star may be at mid-exposure and still light it [px]."""
+
+    g: Geometry
+    shards: dict[Leaf, tuple[Any, float]]
+    reach_px: float
+
+
+def _view(plan: Plan, g: Geometry, shards: dict[Leaf, Any], ref_epoch_jyear: float) -> _View:
+    years = float(epochs_jyear(g)[0]) - ref_epoch_jyear
+    distance = float(observer_distances_au(g)[0])
+    padded = {leaf: (table, leaf_pad_rad(leaf, years, distance)) for leaf, table in shards.items()}
+    return _View(g, padded, plan.halo_px + (excursion_px(plan, g) if shards else 0.0))
+
+
 def _places(
-    graph: dict[Key, Any],
-    inputs: Any,
-    g: Geometry,
-    shards: dict[Leaf, Any],
-    plan: Plan,
-    tile: Tile | None,
+    graph: dict[Key, Any], inputs: Any, plan: Plan, view: _View, tile: Tile | None
 ) -> list[Key]:
     """Keys of the place tasks of the shards that can reach a tile (None: the whole frame)."""
     keys = []
-    for leaf, table in shards.items():
-        if tile is not None and not _reaches(plan, g, leaf, tile):
+    cone = None if tile is None else _tile_cone(plan, view, tile)
+    for leaf, (table, pad_rad) in view.shards.items():
+        if cone is not None and not _meets(leaf, pad_rad, *cone):
             continue
-        key = ("place", int(g.frame[0]), leaf.order, leaf.pixel)
+        key = ("place", int(view.g.frame[0]), leaf.order, leaf.pixel)
         if key not in graph:
-            graph[key] = (place_task, inputs, table, g)
+            graph[key] = (place_task, inputs, table, view.g)
         keys.append(key)
     return keys
 
 
-MOTION_MARGIN_RAD = 2e-3  # 7 arcmin: aberration, parallax and 40 years of the fastest star
-
-
-def _reaches(plan: Plan, g: Geometry, leaf: Leaf, tile: Tile) -> bool:
-    """Whether a star of a leaf may send light to a tile (never wrongly no)."""
+def _tile_cone(plan: Plan, view: _View, tile: Tile) -> tuple[np.ndarray, float]:
+    """Cone of the catalogue's sky (centre, radius [rad]) that may send light to a tile."""
+    g = view.g
     x, y = tile.x0 + (tile.columns - 1) / 2, tile.y0 + (tile.rows - 1) / 2
-    centre = deproject(plan.camera, g.attitude[0, g.middle], np.array([x]), np.array([y]))[0]
-    half_px = 0.5 * float(np.hypot(tile.rows, tile.columns)) + plan.halo_px
-    way = float(separation(g.attitude[0, :, 2], g.attitude[0, g.middle, 2]).max())
-    radius = half_px * plan.facts.ifov_rad + way + leaf.radius_rad + MOTION_MARGIN_RAD
-    return float(separation(centre, np.array(leaf.centre))) <= radius
+    centre = deproject(plan.camera, g.attitude[0, g.middle], np.array([x]), np.array([y]))
+    half_px = 0.5 * float(np.hypot(tile.rows, tile.columns)) + view.reach_px
+    centres, radii = catalogue_cones(plan, g, centre, half_px * plan.facts.ifov_rad)
+    return centres[0], float(radii[0])
+
+
+def _meets(leaf: Leaf, pad_rad: float, centre: np.ndarray, radius_rad: float) -> bool:
+    """Whether a star of a leaf may stand in a cone (never wrongly no)."""
+    apart = float(separation(centre, np.array(leaf.centre)))
+    return apart <= radius_rad + leaf.radius_rad + pad_rad
 
 
 def _overlap(a: Tile, b: Tile) -> bool:

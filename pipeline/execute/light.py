@@ -28,12 +28,16 @@ from pipeline.plan.tiles import Tile
 
 @dataclass(frozen=True)
 class Wings:
-    """The wings of one block of the focal plane: its grid and the fields of stars and targets."""
+    """The wings of one block of the focal plane: its grid and the fields of stars and targets.
+
+    brightest_e : light of the brightest source in them, which their errors go with
+    """
 
     block: Tile
     grid: WingGrid
     stars: Array | None
     targets: Array | None
+    brightest_e: float
 
 
 def plan_blocks(plan: Plan) -> tuple[Tile, ...]:
@@ -65,7 +69,9 @@ def render_wings(plan: Plan, g: Geometry, block: Tile, parts: list[FrameStars]) 
     path = paths[_middle_zone(plan, block)].path if paths else None
     star_field = _wing_field(plan, grid, stars.x_px, stars.y_px, stars.light_e, stars.light_e, path)
     x, y, light, whole = _target_points(plan, place_targets(plan, g))
-    return Wings(block, grid, star_field, _wing_field(plan, grid, x, y, light, whole, None))
+    brightest = max(float(stars.light_e.max(initial=0.0)), float(whole.max(initial=0.0)))
+    target_field = _wing_field(plan, grid, x, y, light, whole, None)
+    return Wings(block, grid, star_field, target_field, brightest)
 
 
 def _wing_field(

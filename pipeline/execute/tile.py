@@ -43,7 +43,7 @@ def render_tile(
     mean = np.zeros(shape)
     for layer in layers.values():
         mean += layer
-    mean = _not_negative(plan, mean)
+    mean = _not_negative(plan, mean, max((w.brightest_e for w in wings), default=0.0))
     place = StreamPlace(
         tile.y0, tile.x0, int(g.frame[0]), stream_key(plan.scene.seed, "photon_noise"),
         stream_key(plan.scene.seed, "read_noise"),
@@ -78,14 +78,18 @@ def _chain(plan: Plan, maps: SensorMaps, tile: Tile) -> Chain:
     )
 
 
-def _not_negative(plan: Plan, mean_e: Array) -> Array:
-    """The mean with the rounding of the transforms clipped at zero; a larger fault is refused."""
+def _not_negative(plan: Plan, mean_e: Array, brightest_e: float) -> Array:
+    """The mean with the errors of the transforms clipped at zero; a larger fault is refused.
+
+    Beside a source brighter than the plan's bounds hold for, its wings err in proportion to it.
+    """
     low = float(mean_e.min(initial=0.0))
     if not np.isfinite(low) or not np.isfinite(mean_e).all():
         raise NightglassError("a pixel's mean is not finite: a source or sensor image is damaged")
     if low < 0.0:
         peak = float(mean_e.max())
         allowed = NEGATIVE_FLOOR * plan.facts.sigma_floor_e + 1e-6 * peak + plan.facts.budget_e
+        allowed += 2.0 * plan.responses.classes[-1].wing_error * brightest_e
         if low < -allowed:
             raise NightglassError(
                 f"a pixel's mean is {low:.3g} e-, below zero by more than rounding"

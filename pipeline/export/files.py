@@ -89,6 +89,9 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> list[tuple[str, Any
         ("DATE-OBS", stamps["start"], "start of the exposure"),
         ("DATE-AVG", stamps["mid"], "middle of the exposure (WCS, truth)"),
         ("DATE-END", stamps["end"], "end of the exposure"),
+        ("MJD-OBS", _mjd(one["time_start"].values), "[d] start of the exposure, UTC"),
+        ("MJD-AVG", _mjd(one["time_mid"].values), "[d] middle of the exposure, UTC"),
+        ("MJD-END", _mjd(one["time_end"].values), "[d] end of the exposure, UTC"),
         ("EXPTIME", float(cube.attrs["integration_s"]), "[s] integration time"),
         ("SYNTHSTR", bool(cube.attrs["synthetic_stars"]), "stars are synthetic, none is real"),
     ]
@@ -97,6 +100,12 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> list[tuple[str, Any
 
 def _iso(stamp: Any) -> str:
     return str(np.datetime_as_string(np.datetime64(stamp, "us")))
+
+
+def _mjd(stamp: Any) -> float:
+    """Modified Julian date (UTC) of a stored time; good to 1 us in a float64."""
+    since = np.datetime64(stamp, "us") - np.datetime64("1858-11-17T00:00:00", "us")
+    return float(since.astype(np.int64)) / 86_400e6
 
 
 def _astrometric_cards(one: xr.Dataset) -> list[tuple[str, Any, str]]:

@@ -32,7 +32,7 @@ def stretch(
     sample = values.ravel()[:: max(1, values.size // 400_000)]
     low, middle, high = np.percentile(sample, [low_percent, 50.0, high_percent])
     scatter = 1.4826 * float(np.median(np.abs(sample - middle))) or 1.0
-    top = max(float(high), middle + 12.0 * scatter)
+    top = max(float(high), middle + 12.0 * scatter, np.nextafter(low, np.inf))
     scaled = np.arcsinh((values - low) / (3.0 * scatter)) / np.arcsinh(
         (top - low) / (3.0 * scatter)
     )

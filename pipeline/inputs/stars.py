@@ -15,24 +15,44 @@ from pipeline.physics.constants import DEG_RAD, MAS_RAD
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Catalogue", "Leaf", "gather_leaf", "gather_leaves", "open_catalogue"]
+__all__ = ["Catalogue", "Leaf", "gather_leaf", "gather_leaves", "leaf_pad_rad", "open_catalogue"]
 
 
 def gather_leaves(
-    catalogue: Catalogue, centres: np.ndarray, radii_rad: np.ndarray, epoch_jyear: float
+    catalogue: Catalogue,
+    centres: np.ndarray,
+    radii_rad: np.ndarray,
+    epochs_jyear: np.ndarray,
+    observer_distances_au: np.ndarray,
 ) -> tuple[Leaf, ...]:
     """Leaves that hold stars of any of the cones, each once, in catalogue order.
 
-    centres : (n, 3) unit vectors; radii_rad : (n,), already widened by aberration and halo.
+    centres : (n, 3) unit vectors; radii_rad : (n,), already widened by aberration and halo;
+    epochs_jyear, observer_distances_au : (n,) when and how far from the barycentre.
     """
     from catalog_tools.query import leaves_in_cone
 
     found = {
         (leaf.order, leaf.pixel): leaf
-        for centre, radius in zip(centres, radii_rad, strict=True)
-        for leaf in leaves_in_cone(catalogue, centre, float(radius), epoch_jyear)
+        for centre, radius, epoch, distance in zip(
+            centres, radii_rad, epochs_jyear, observer_distances_au, strict=True
+        )
+        for leaf in leaves_in_cone(
+            catalogue, centre, float(radius), float(epoch), float(distance)
+        )
     }
     return tuple(found[key] for key in sorted(found))
+
+
+def leaf_pad_rad(leaf: Leaf, years: float, observer_distance_au: float) -> float:
+    """How far the stars of a leaf may be seen from their catalogue places [rad]."""
+    from catalog_tools.query import motion_pad_rad
+
+    return float(
+        motion_pad_rad(
+            leaf.max_proper_motion_mas_yr, leaf.max_parallax_mas, years, observer_distance_au
+        )
+    )
 
 
 def gather_leaf(

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
+from pipeline.physics.positions.focal_plane import corner_radius
 from pipeline.physics.psf.pupil import Airy
 from pipeline.plan.facts import Facts
+from pipeline.plan.geometry import camera_of
 from pipeline.plan.responses import BLOCK_PX, MERGE_TOLERANCE_PX, PATH_STEP_PX, ResponsePlan
-from pipeline.spec.observer import GroundObserver
+from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import AiryPsf
 
@@ -37,6 +40,7 @@ def decide(scene: Scene, facts: Facts, responses: ResponsePlan) -> tuple[Decisio
         *_components(scene, facts),
         *_noise_terms(scene),
         *_star_effects(scene),
+        *_target_effects(scene),
         *_approximations(scene, facts, responses),
     )
 
@@ -68,10 +72,23 @@ def _noise_terms(scene: Scene) -> list[Decision]:
         ("read_noise", s.read_noise_e != 0.0, "0 e-"),
         ("bias", s.bias_dn != 0.0, "0 DN"),
     ]
+    given = "given in the scene"
+    why = {
+        "flat": f"{given}; it acts on light, not on the dark",
+        "full_well": f"{given}; clips the charge after photon noise and before read noise; no "
+        "blooming (the paper names it and gives it no step)",
+    }
     out = []
     for name, kept, why_not in terms:
         bound = None if kept or name == "photon_noise" else 0.0
-        out.append(Decision(name, kept, "given in the scene" if kept else why_not, bound, bound))
+        out.append(Decision(name, kept, why.get(name, given) if kept else why_not, bound, bound))
+    out.append(
+        Decision(
+            "adc", True,
+            f"{s.adc_bits} bits, rounding {s.adc_rounding}, clipped at both ends"
+            + (" (floor lowers the mean by 0.5 DN)" if s.adc_rounding == "floor" else ""),
+        )
+    )  # fmt: skip
     if s.photon_noise:
         out.append(
             Decision(
@@ -96,6 +113,16 @@ def _star_effects(scene: Scene) -> list[Decision]:
             kept = getattr(scene.stars, name)
             reason = "applied to each star" if kept else f"switched off in the scene: {size}"
             out.append(Decision(f"stars.{name}", kept, reason))
+        speed = 38e3  # the Earth's and a low satellite's
+        if isinstance(scene.observer, FixedObserver):
+            speed = math.hypot(*scene.observer.velocity_m_s)
+        out.append(
+            Decision(
+                "stars.doppler", False,
+                "the observer's motion changes directions but neither brightness nor colour: about "
+                f"{3.0 * speed / SPEED_OF_LIGHT_M_S:.1g} of a star's light at {speed:.3g} m/s",
+            )
+        )  # fmt: skip
     if isinstance(scene.observer, GroundObserver):
         out += [
             Decision(
@@ -110,6 +137,30 @@ def _star_effects(scene: Scene) -> list[Decision]:
             ),
         ]  # fmt: skip
     return out
+
+
+def _target_effects(scene: Scene) -> list[Decision]:
+    """What lights a target, and what hides it."""
+    if not scene.targets:
+        return []
+    dark = [t.name for t in scene.targets if not t.eclipse]
+    return [
+        Decision(
+            "targets.eclipse", len(dark) < len(scene.targets),
+            "umbra and penumbra of a spherical Earth without air, uniform solar disc"
+            + (f"; switched off for {', '.join(dark[:5])}" if dark else ""),
+        ),
+        Decision(
+            "targets.earthshine", False,
+            "sunlight from the Earth is not in this version: about 0.5% of direct sunlight at "
+            "GEO, 10 to 30% in low orbit over the day side, all of it in the shadow of the body",
+        ),
+        Decision(
+            "targets.earth_occultation", False,
+            "the Earth's limb and the horizon bound the boresight only: what stands behind them "
+            "elsewhere in the field is drawn",
+        ),
+    ]  # fmt: skip
 
 
 def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decision]:
@@ -131,6 +182,16 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
                 "bound is known before issue C's polychromatic response",
             )
         )  # fmt: skip
+    if scene.background is not None and scene.background.uniform_mag_arcsec2 is not None:
+        camera = camera_of(scene)
+        edge = facts.background_e * (1.0 - math.cos(corner_radius(camera)) ** 3)
+        out.append(
+            Decision(
+                "uniform_background", True,
+                "the same in all pixels; a corner pixel sees less sky by cos^3 of its angle",
+                **bound(edge),
+            )
+        )  # fmt: skip
     if not (scene.stars or scene.targets):
         return out
     out.append(
@@ -143,22 +204,7 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         )
     )  # fmt: skip
     if isinstance(r.blur.optics, Airy):
-        lowest = min(c.brightest_e for c in r.classes)
-        out += [
-            Decision(
-                "wings_on_a_coarse_grid", True,
-                f"light beyond {r.classes[0].radius_px:.0f} px of a source is drawn on a grid of "
-                f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px; sources "
-                f"above {lowest:.3g} e- get larger cores",
-                **bound(budget),
-            ),
-            Decision(
-                "wings_cut_off", True,
-                f"light beyond {r.reach_px:.0f} px of a source is left out: {r.lost_light:.2g} of "
-                "its light; the bound is that of a source of the first core class",
-                **bound(_cut_bound(r)),
-            ),
-        ]  # fmt: skip
+        out += _wings(r, sigma)
     if scene.stars is not None:
         out.append(
             Decision(
@@ -170,6 +216,27 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
             )
         )  # fmt: skip
     return out
+
+
+def _wings(r: ResponsePlan, sigma_e: float) -> list[Decision]:
+    budget, cut, last = r.budget_e, _cut_bound(r), r.classes[-1].wing_error
+    lowest = min(c.brightest_e for c in r.classes)
+    return [
+        Decision(
+            "wings_on_a_coarse_grid", True,
+            f"light beyond {r.classes[0].radius_px:.0f} px of a source is drawn on a grid of "
+            f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px; sources "
+            f"above {lowest:.3g} e- get larger cores. The bound holds up to {budget / last:.3g} "
+            f"e-; above, a pixel errs by up to {last:.2g} of its source's light",
+            budget, budget / sigma_e,
+        ),
+        Decision(
+            "wings_cut_off", True,
+            f"light beyond {r.reach_px:.0f} px of a source is left out: {r.lost_light:.2g} of its "
+            "light; the bound is that of a source of the first core class",
+            cut, cut / sigma_e,
+        ),
+    ]  # fmt: skip
 
 
 def _cut_bound(r: ResponsePlan) -> float:

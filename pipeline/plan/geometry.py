@@ -14,6 +14,7 @@ from pipeline.physics.constants import (
     ASTRONOMICAL_UNIT_M,
     DEG_RAD,
     EARTH_EQUATORIAL_RADIUS_M,
+    JULIAN_YEAR_DAYS,
     SPEED_OF_LIGHT_M_S,
 )
 from pipeline.physics.motion.pointing import attitudes_drift, boresight_frame, proper_attitude
@@ -45,9 +46,21 @@ from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
 
+J2000_JD = 2_451_545.0
 PATH_TOLERANCE_PX = 2e-3  # how far linear motion between nodes may be from the real path
 FEWEST_NODES, MOST_NODES = 9, 1025
 LONGEST_STREAK_PX = 1e5  # a longer one in one exposure is taken for a mistake in the scene
+
+
+def epochs_jyear(g: Geometry) -> Array:
+    """Julian years (F,) of mid-exposure, TT."""
+    days = (g.tt1[:, g.middle] - J2000_JD) + g.tt2[:, g.middle]
+    return 2000.0 + days / JULIAN_YEAR_DAYS
+
+
+def observer_distances_au(g: Geometry) -> Array:
+    """Distances (F,) of the observer from the barycentre at mid-exposure."""
+    return np.sqrt(np.sum(g.observer_m[:, g.middle] ** 2, axis=-1)) / ASTRONOMICAL_UNIT_M
 
 
 def camera_of(scene: Scene) -> Camera:
@@ -173,6 +186,10 @@ def _orbit_states(
             since = float(elapsed_s(parse_utc(orbit.epoch, f"{field}.epoch"), *epoch))
         start = np.array(orbit.position_m, float)
         check_above_earth(start, f"{field}.position_m")
+        if not math.hypot(*orbit.velocity_m_s) < SPEED_OF_LIGHT_M_S:
+            raise BadInput(
+                f"{field}.velocity_m_s", orbit.velocity_m_s, "a speed below that of light"
+            )
         place, speed = two_body(start, np.array(orbit.velocity_m_s, float), offsets + since)
     check_above_earth(place, field)
     return place, speed

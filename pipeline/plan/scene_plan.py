@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.arrays import Geometry
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S
-from pipeline.physics.positions.apparent import unaberrate
+from pipeline.physics.positions.apparent import unaberrated_caps
 from pipeline.physics.positions.focal_plane import Camera, corner_radius
 from pipeline.physics.vectors import separation
 from pipeline.plan.decisions import Decision, decide
@@ -27,7 +27,7 @@ STAMP_S_PER_PIXEL = 0.8e-9
 PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
 START_S = 2.0
-FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # differential aberration and deflection over the field
+FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # deflection, and what aberration changes in an exposure
 
 
 @dataclass(frozen=True)
@@ -87,19 +87,28 @@ def make_plan(
 def field_cones(plan: Plan, g: Geometry) -> tuple[np.ndarray, np.ndarray]:
     """Cones (centres (F, 3), radii (F,) [rad]) that hold every star of each frame.
 
-    The boresight's catalogue direction at mid-exposure, de-aberrated; the radius holds the focal
-    plane's corners, the halo, the boresight's way during the exposure and a margin.
+    The radius holds the focal plane's corners, the halo, and what `catalogue_cones` adds.
     """
-    middle = g.middle
-    beta = g.observer_m_s / SPEED_OF_LIGHT_M_S
+    # An angle off axis is at most halo radians beyond the corner: the projection only shrinks it.
+    radius = corner_radius(plan.camera) + plan.halo_px * plan.facts.ifov_rad
+    return catalogue_cones(plan, g, g.attitude[:, g.middle, 2], radius)
+
+
+def catalogue_cones(
+    plan: Plan, g: Geometry, centres: np.ndarray, radius_rad: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cones of the catalogue's sky for cones seen at mid-exposure: (F, 3) and (F,) [rad].
+
+    Aberration is taken out at any speed; the radius is widened by the boresight's way during the
+    exposure and by a margin for deflection. The stars' own motion and parallax are the caller's.
+    """
+    boresight = g.attitude[:, :, 2]
+    way = separation(boresight, boresight[:, [g.middle]]).max(axis=1)
+    beta = g.observer_m_s[:, g.middle] / SPEED_OF_LIGHT_M_S
     if plan.scene.stars is not None and not plan.scene.stars.aberration:
         beta = np.zeros_like(beta)
-    boresight = unaberrate(g.attitude[:, :, 2], beta)
-    way = separation(boresight, boresight[:, [middle]]).max(axis=1)
-    halo = plan.halo_px * plan.facts.ifov_rad
-    # An angle off axis is at most halo radians beyond the corner: the projection only shrinks it.
-    radius = corner_radius(plan.camera) + halo + way + FIELD_MARGIN_RAD
-    return boresight[:, middle], np.minimum(radius, math.pi)
+    seen = np.minimum(radius_rad + way + FIELD_MARGIN_RAD, math.pi)
+    return unaberrated_caps(centres, seen, beta)
 
 
 def field_area_sr(plan: Plan) -> float:

@@ -66,7 +66,7 @@ def begin(path: Path, plan: Plan, catalogue_digest: str | None, resume: bool) ->
 
 def _take_up(path: Path, plan: Plan, identity: dict[str, Any]) -> Begun:
     if not (path / layout.BEGUN).is_file():
-        if not (path / layout.CUBE).exists() and not any(path.glob("*.json")):
+        if not _is_bare_beginning(path):
             raise BadInput("--resume", str(path), "a product begun by `nightglass render`")
         shutil.rmtree(path)  # it stopped before its first task: begin anew
         return begin(path, plan, identity["catalogue_digest"], resume=False)
@@ -91,6 +91,18 @@ def _take_up(path: Path, plan: Plan, identity: dict[str, Any]) -> Begun:
         if part_is_whole(path, kind, frame)
     }
     return Begun(path, _writer(path, plan), frozenset(done), frozenset(truth), tuple(faults))
+
+
+def _is_bare_beginning(path: Path) -> bool:
+    """Whether a folder without a record holds only what `begin` makes before it: safe to remove.
+
+    Anything else in it (a file of the user's, a cube that opens, a marker) is not ours to delete.
+    """
+    known = {layout.CUBE, layout.MARKERS, layout.TRUTH, layout.SCENE, layout.LOCK}
+    names = {p.name for p in path.iterdir() if not p.name.endswith(".tmp")} if path.is_dir() else {}
+    cube = path / layout.CUBE
+    ours = cube.is_dir() and not (cube / "zarr.json").exists() and not any(markers_present(path))
+    return ours and set(names) <= known
 
 
 def _identity(path: Path) -> dict[str, Any]:

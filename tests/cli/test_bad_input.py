@@ -86,7 +86,7 @@ CASES = {
     "wrong range": ({"sensor.quantum_efficiency": 1.5}, ["sensor.quantum_efficiency", "1.5", "1"]),
     "wrong type": ({"sensor.aperture_m": "big"}, ["sensor.aperture_m", "big"]),
     "nan": ({"sensor.read_noise_e": float("nan")}, ["sensor.read_noise_e", "nan"]),
-    "infinite": ({"exposure.integration_s": float("inf")}, ["exposure.integration_s", "Inf"]),
+    "infinite": ({"exposure.integration_s": float("inf")}, ["exposure.integration_s", "inf"]),
     "negative": ({"sensor.dark_e_per_s": -1}, ["sensor.dark_e_per_s", "-1"]),
     "no focal plane": ({"sensor.shape": [0, 256]}, ["sensor.shape", "0"]),
     "adc 0": ({"sensor.adc_bits": 0}, ["sensor.adc_bits", "0", "1"]),

@@ -104,6 +104,7 @@ def test_limits_refused(product, tmp_path):
 
 def test_pictures_of_flat_and_tiny_images():
     assert stretch(np.full((5, 5), 7)).shape == (5, 5)
+    assert stretch(np.full((5, 5), 2.0**63)).max() == 0  # no level lies 12 above it
     assert stretch(np.zeros((1, 1))).dtype == np.uint8
     small, factor = shrink(np.ones((1, 5000)))
     assert small.shape[1] <= 5000

@@ -178,3 +178,9 @@ def test_limits_boresight_at_the_pole(scene: Make) -> None:
     g = every(scene({"pointing.boresight_dec_deg": 90.0}))
     assert np.isfinite(g.attitude).all()
     assert np.allclose(g.attitude[0, 0] @ g.attitude[0, 0].T, np.eye(3), atol=1e-14)
+
+
+def test_target_as_fast_as_light_is_refused(scene: Make) -> None:
+    orbit = {**GEO_TARGET["orbit"], "velocity_m_s": [0.0, C, 0.0]}
+    with pytest.raises(BadInput, match="speed below that of light"):
+        every(scene({"targets": [{**GEO_TARGET, "orbit": orbit}]}))

@@ -114,6 +114,34 @@ def test_decisions_list_effects_and_approximations(scene: Make) -> None:
         assert decisions[name].error_bound_sigma == pytest.approx(bound / plan.facts.sigma_floor_e)
 
 
+def test_decisions_own_up_to_what_is_left_out(scene: Make) -> None:
+    """Choices that the paper leaves open, and effects not in this version, stand in the plan."""
+    target = {
+        "name": "t",
+        "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]},
+        "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.5},
+    }
+    s = scene({"targets": [target], "background": {"uniform_mag_arcsec2": 20.0},
+               "sensor.full_well_e": 1e5, "sensor.adc_rounding": "floor",
+               "sensor.focal_length_m": 0.02, "sensor.psf": GAUSS})  # fmt: skip
+    plan = plan_of(s)
+    decisions = {d.component: d for d in plan.decisions}
+    assert "before read noise" in decisions["full_well"].reason
+    assert "floor" in decisions["adc"].reason
+    for name in ("targets.earthshine", "targets.earth_occultation", "stars.doppler"):
+        assert not decisions[name].kept
+    tangent = np.hypot(256, 384) * 5e-4
+    edge = plan.facts.background_e * (1 - (1 + tangent**2) ** -1.5)
+    assert decisions["uniform_background"].error_bound_e == pytest.approx(edge, rel=1e-12)
+
+
+def test_wing_bound_says_up_to_which_light_it_holds(scene: Make) -> None:
+    plan = plan_of(scene({"sensor.pixel_pitch_um": 20.0}))
+    last = plan.responses.classes[-1]
+    reason = {d.component: d.reason for d in plan.decisions}["wings_on_a_coarse_grid"]
+    assert f"up to {plan.responses.budget_e / last.wing_error:.3g} e-" in reason
+
+
 def test_plan_is_json_without_nan(scene: Make) -> None:
     for changes in ({}, {"sensor.psf": GAUSS}, {"stars": None}, {"exposure.frames": 1}):
         data = plan_dict(plan_of(scene(changes)), None)

@@ -157,6 +157,16 @@ def test_damage_is_mended_by_resume(product, made):
     assert json.loads((product / "_COMPLETE").read_text())["content_digest"] == before
 
 
+@pytest.mark.parametrize("name", ["package.json", "notes.txt", "cube.zarr/zarr.json"])
+def test_resume_deletes_nothing_of_the_users(name, tmp_path):
+    """A folder that was not begun here is refused and left as it is."""
+    (tmp_path / "mine" / "cube.zarr").mkdir(parents=True)
+    (tmp_path / "mine" / name).write_text("{}")
+    with pytest.raises(BadInput, match="begun by"):
+        render(scene(), tmp_path / "mine", Options(resume=True))
+    assert (tmp_path / "mine" / name).read_text() == "{}"
+
+
 def test_one_writer_at_a_time(product):
     import fcntl
 

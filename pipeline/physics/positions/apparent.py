@@ -16,7 +16,7 @@ from pipeline.physics.constants import (
     SPEED_OF_LIGHT_M_S,
 )
 from pipeline.physics.positions.earth import EarthState
-from pipeline.physics.vectors import unit
+from pipeline.physics.vectors import separation, unit
 
 Array = NDArray[np.float64]
 
@@ -46,6 +46,34 @@ def aberrate(u: Array, beta: ArrayLike) -> Array:
 def unaberrate(u_proper: Array, beta: ArrayLike) -> Array:
     """The exact inverse of `aberrate`: the boost by -beta. Shapes as there."""
     return aberrate(u_proper, -np.asarray(beta, float))
+
+
+def unaberrated_caps(centres: Array, radii_rad: Array, beta: Array) -> tuple[Array, Array]:
+    """Caps of the sky before aberration that hold all that is seen in caps after it.
+
+    A boost maps circles to circles. Along the great circle through the direction of motion an angle
+    t from it becomes p with tan(p/2) = sqrt((1+b)/(1-b)) tan(t/2), and the rim points there are the
+    farthest from the image of the centre.
+
+    Parameters
+    ----------
+    centres : (n, 3) proper directions; radii_rad : (n,); beta : (n, 3) observer's velocity over c.
+
+    Returns centres (n, 3) and radii (n,) [rad], the whole sky (pi) for caps beyond a hemisphere.
+    """
+    speed = np.sqrt(np.sum(beta * beta, axis=-1))
+    stretch = np.sqrt((1.0 + speed) / (1.0 - speed))
+    from_motion = separation(beta, centres)
+
+    def before(angle: Array) -> Array:
+        return 2.0 * np.arctan2(stretch * np.sin(0.5 * angle), np.cos(0.5 * angle))
+
+    middle = before(from_motion)
+    outer = before(from_motion + radii_rad) - middle
+    inner = middle - before(from_motion - radii_rad)
+    whole = np.asarray(radii_rad) >= 0.5 * np.pi
+    widest = np.where(whole, np.pi, np.minimum(np.maximum(outer, inner), np.pi))
+    return unaberrate(centres, beta), widest
 
 
 def star_astrometric(

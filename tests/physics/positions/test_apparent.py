@@ -27,6 +27,7 @@ from pipeline.physics.positions.apparent import (
     star_proper,
     target_apparent,
     unaberrate,
+    unaberrated_caps,
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
 from pipeline.physics.positions.times import instants, parse_utc
@@ -313,3 +314,22 @@ def test_apparent_sun_is_turned_by_the_annual_aberration() -> None:
     turned = separation(seen, EARTH.sun_from_earth_m)[0] / ARCSEC_RAD
     assert 20.1 < turned < 20.9
     assert np.allclose(np.linalg.norm(seen), np.linalg.norm(EARTH.sun_from_earth_m))
+
+
+@pytest.mark.parametrize("speed", [0.0, 1e-4, 0.1, 0.5, 0.97])
+def test_caps_before_aberration_hold_all_that_is_seen(speed: float) -> None:
+    """Random directions inside apparent caps come from inside the caps given, and fill them."""
+    rng = np.random.default_rng(4)
+    for radius in (1e-4, 0.05, 0.6, 1.5):
+        centre, motion = unit(rng.normal(size=3)), unit(rng.normal(size=3))
+        beta = speed * motion
+        caps, radii = unaberrated_caps(centre[None], np.array([radius]), beta[None])
+        across = unit(np.cross(centre, rng.normal(size=3)))
+        turn = np.linspace(0, 2 * np.pi, 2001)[:, None]
+        rim = np.cos(radius) * centre + np.sin(radius) * (
+            np.cos(turn) * across + np.sin(turn) * np.cross(centre, across)
+        )
+        came_from = separation(unaberrate(rim, beta), caps)
+        assert came_from.max() <= radii[0] + 1e-12
+        if radii[0] < np.pi / 2:
+            assert came_from.max() > 0.999 * radii[0]

@@ -1,0 +1,98 @@
+"""Every tile gets every star that can reach it: fast stars, fast and far observers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from catalog_tools.ingest import ingest
+from pipeline.run import Options, render
+from pipeline.spec.load import parse_scene
+from pipeline.store.cube import open_cube
+
+ROWS = """source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,\
+phot_bp_mean_mag,phot_rp_mean_mag
+4472832130942575872,2015.5,269.45402305,4.66828815,547.45,-802.8,10362.5,-110.5,9.5,9.5,9.5
+"""
+C = 299_792_458.0
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory):
+    """Barnard's star alone: a leaf without extent, so that only the padding reaches it."""
+    folder = tmp_path_factory.mktemp("barnard")
+    (folder / "stars.csv").write_text(ROWS.replace("\\\n", ""))
+    return str(ingest([folder / "stars.csv"], folder / "catalogue").catalogue.path)
+
+
+def star_at(position, velocity, epoch) -> tuple[float, float]:
+    """Where a sidereal camera has to look: the star's place as PHYSICS section d gives it."""
+    import erfa
+
+    year = float(epoch[:4]) - 2015.5
+    ra, dec = np.radians([269.45402305, 4.66828815])
+    mas = np.radians(1 / 3.6e6)
+    u = erfa.pmpx(
+        ra, dec, -802.8 * mas / np.cos(dec), 10362.5 * mas, 0.54745, -110.5, year, position
+    )
+    lon, lat = erfa.c2s(u)
+    return float(np.degrees(lon) % 360), float(np.degrees(lat))
+
+
+@pytest.mark.parametrize(
+    ("epoch", "position", "velocity"),
+    [
+        ("1950-07-02T00:00:00Z", (1.0, 0, 0), (0, 0, 0)),
+        ("2100-07-02T00:00:00Z", (1.0, 0, 0), (0, 0, 0)),
+        ("2015-07-02T00:00:00Z", (1.0, 0, 0), (0, 0.5 * C, 0)),
+        ("2015-07-02T00:00:00Z", (1.0, 0, 0), (0, 0, -3e6)),
+        ("2015-07-02T00:00:00Z", (0, 3e4, 0), (0, 0, 0)),
+    ],
+)
+def test_same_star_in_every_tile_shape(epoch, position, velocity, catalogue, tmp_path):
+    ra, dec = star_at(position, velocity, epoch)
+    scene = {
+        "schema": "nightglass/scene/1", "name": "reach", "epoch": epoch,
+        "observer": {"kind": "fixed", "position_au": position, "velocity_m_s": velocity},
+        "sensor": {
+            "shape": [512, 512], "pixel_pitch_um": 9.0, "focal_length_m": 1.0, "aperture_m": 0.2,
+            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+            "psf": {"kind": "gaussian", "sigma_px": 1.0},
+        },
+        "pointing": {"mode": "sidereal", "boresight_ra_deg": ra, "boresight_dec_deg": dec + 0.02},
+        "exposure": {"integration_s": 1.0}, "stars": {"catalogue": catalogue},
+        "output": {"layers": ["stars_e"]},
+    }  # fmt: skip
+    drawn = []
+    for side in (512, 256):
+        scene["output"]["tile_shape"] = [side, side]
+        path = tmp_path / str(side)
+        render(parse_scene(scene), path, Options("synchronous"))
+        drawn.append(open_cube(path)["stars_e"].values)
+    truth = pq.read_table(path / "truth" / "stars.parquet")
+    assert truth["in_frame"].to_pylist() == [True]
+    assert np.array_equal(*drawn)
+    assert drawn[0].sum(dtype=float) == pytest.approx(truth["electrons"][0].as_py(), rel=1e-6)
+
+
+def test_limits_blinding_star_fails_no_tile(catalogue, tmp_path):
+    """10^12 electrons and no noise floor: the wings' rounding far off is clipped, not refused."""
+    scene = {
+        "schema": "nightglass/scene/1", "name": "blinding", "epoch": "2015-07-02T00:00:00Z",
+        "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
+        "sensor": {
+            "shape": [768, 768], "pixel_pitch_um": 13.5, "focal_length_m": 1.0, "aperture_m": 4.0,
+            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+            "psf": {"kind": "airy", "wavelength_nm": 6500.0},
+        },
+        "pointing": {
+            "mode": "sidereal", "boresight_ra_deg": 269.454, "boresight_dec_deg": 4.66828,
+        },
+        "exposure": {"integration_s": 1e5}, "stars": {"catalogue": catalogue},
+        "output": {"layers": ["mean_e"], "tile_shape": [256, 256]},
+    }  # fmt: skip
+    render(parse_scene(scene), tmp_path / "run", Options("synchronous"))
+    mean = open_cube(tmp_path / "run")["mean_e"].values
+    assert mean.sum(dtype=float) > 1e12
+    assert mean.min() >= 0
