@@ -47,6 +47,7 @@ def finish(
     write_preview(product, plan)
     residual = float(coordinates["wcs_residual_px"][1].max())
     report = _report(plan, catalogue, begun, rows, residual)
+    report["errors"] |= _brightest(plan, begun)
     report["seconds"] = times | {"finish_s": time.perf_counter() - started}
     layout.write_atomically(product / layout.REPORT, layout.to_json(report))
     drop_parts(product)
@@ -187,6 +188,25 @@ def _report(
         "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
         "versions": {"nightglass": version("nightglass")} | {n: version(n) for n in LIBRARIES},
     }  # fmt: skip
+
+
+def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
+    """The brightest source drawn, and what the wings' grid may err in one pixel of its light [e-].
+
+    Above the last core class's limit this is more than the plan's bound, and the report says so.
+    """
+    light = 0.0
+    for kind in truth_kinds(plan):
+        import pyarrow.compute as pc
+        import pyarrow.parquet as pq
+
+        column = pq.read_table(
+            begun.path / layout.TRUTH / f"{kind}.parquet", columns=["electrons"]
+        )["electrons"]
+        light = max(light, pc.max(column).as_py() or 0.0)
+    classes = plan.responses.classes
+    error = next((c.wing_error for c in classes if light <= c.brightest_e), 0.0)
+    return {"brightest_source_e": light, "wing_error_of_brightest_e": light * error}
 
 
 def _empty(plan: Plan, kind: str) -> pa.Table:

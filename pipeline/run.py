@@ -27,7 +27,12 @@ from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.forecast import forecast_stars
-from pipeline.plan.geometry import epochs_jyear, observer_distances_au, plan_geometry
+from pipeline.plan.geometry import (
+    epochs_jyear,
+    observer_distances_au,
+    plan_geometry,
+    sampled_frames,
+)
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
@@ -85,8 +90,7 @@ def prepare(scene: Scene) -> Prepared:
         scene, response, maps.typical("dark_e_per_s"), maps.typical("read_noise_e"),
         maps.typical("gain_e_per_dn"),
     )  # fmt: skip
-    ends = np.unique([0, scene.exposure.frames - 1]).astype(np.int64)
-    geometry = plan_geometry(scene, ends, dut1_s)
+    geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
     if catalogue is not None:
         remarks += _catalogue_remarks(scene, catalogue)
     plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s)

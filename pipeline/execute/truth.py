@@ -123,15 +123,15 @@ def matched_snr(plan: Plan, path: Path, light_e: Array) -> Array:
 def _response_at_centre(plan: Plan, path: Path) -> Array:
     """Pixel values of the core response for a source swept along a path, at one phase, (m,)."""
     core = plan.responses.classes[0]
-    image: dict[tuple[int, int], float] = {}
+    places, values = [], []
     for x0, y0, piece, share in pieces(path):
         swept = swept_core(plan.responses.blur, core.radius_px, piece)
         row, column, stamp = stamp_at(*swept, y0, x0)
-        kept = np.argwhere(stamp > 1e-7 * stamp.max())
-        for r, c in kept:
-            key = (row + int(r), column + int(c))
-            image[key] = image.get(key, 0.0) + share * float(stamp[r, c])
-    return np.array(list(image.values()))
+        r, c = np.nonzero(stamp > 1e-7 * stamp.max())
+        places.append((row + r).astype(np.int64) * (1 << 32) + column + c)
+        values.append(share * stamp[r, c])
+    _, index = np.unique(np.concatenate(places), return_inverse=True)
+    return np.bincount(index, weights=np.concatenate(values)).astype(np.float64)
 
 
 def world_of(plan: Plan, g: Geometry, index: int = 0) -> Any:

@@ -105,7 +105,7 @@ def _iso(stamp: Any) -> str:
 def _mjd(stamp: Any) -> float:
     """Modified Julian date (UTC) of a stored time; good to 1 us in a float64."""
     since = np.datetime64(stamp, "us") - np.datetime64("1858-11-17T00:00:00", "us")
-    return float(since.astype(np.int64)) / 86_400e6
+    return float(since / np.timedelta64(1, "us")) / 86_400e6
 
 
 def _astrometric_cards(one: xr.Dataset) -> list[tuple[str, Any, str]]:

@@ -37,9 +37,7 @@ def gather_leaves(
         for centre, radius, epoch, distance in zip(
             centres, radii_rad, epochs_jyear, observer_distances_au, strict=True
         )
-        for leaf in leaves_in_cone(
-            catalogue, centre, float(radius), float(epoch), float(distance)
-        )
+        for leaf in leaves_in_cone(catalogue, centre, float(radius), float(epoch), float(distance))
     }
     return tuple(found[key] for key in sorted(found))
 

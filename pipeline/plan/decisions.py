@@ -41,6 +41,7 @@ def decide(scene: Scene, facts: Facts, responses: ResponsePlan) -> tuple[Decisio
         *_noise_terms(scene),
         *_star_effects(scene),
         *_target_effects(scene),
+        *_occultation(scene),
         *_approximations(scene, facts, responses),
     )
 
@@ -155,11 +156,19 @@ def _target_effects(scene: Scene) -> list[Decision]:
             "sunlight from the Earth is not in this version: about 0.5% of direct sunlight at "
             "GEO, 10 to 30% in low orbit over the day side, all of it in the shadow of the body",
         ),
+    ]  # fmt: skip
+
+
+def _occultation(scene: Scene) -> list[Decision]:
+    """What the Earth hides."""
+    if not (scene.stars or scene.targets):
+        return []
+    return [
         Decision(
-            "targets.earth_occultation", False,
-            "the Earth's limb and the horizon bound the boresight only: what stands behind them "
-            "elsewhere in the field is drawn",
-        ),
+            "earth_occultation", False,
+            "the Earth's limb and the horizon bound the boresight only: stars and targets that "
+            "stand behind them elsewhere in the field are drawn",
+        )
     ]  # fmt: skip
 
 
@@ -179,7 +188,7 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
             Decision(
                 "monochromatic_psf", True,
                 f"drawn at one wavelength, {facts.mean_wavelength_m * 1e9:.0f} nm unless given; no "
-                "bound is known before issue C's polychromatic response",
+                "bound is known: a polychromatic response is not in this version",
             )
         )  # fmt: skip
     if scene.background is not None and scene.background.uniform_mag_arcsec2 is not None:

@@ -69,17 +69,23 @@ def camera_of(scene: Scene) -> Camera:
     return Camera(s.shape[0], s.shape[1], s.pixel_pitch_um * 1e-6, s.focal_length_m)
 
 
+def sampled_frames(scene: Scene) -> NDArray[np.int64]:
+    """The frames that decisions look at: the first, the last, and up to seven between them."""
+    last = scene.exposure.frames - 1
+    return np.unique(np.linspace(0, last, 9).round()).astype(np.int64)
+
+
 def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geometry:
     """Geometry of the given frames; the number of nodes is doubled until paths are straight.
 
     Each frame stands on its own: the same frame gives the same bits in whatever window it is asked
-    for, because the number of nodes is chosen from the first and last frame of the whole scene.
+    for, because the number of nodes is chosen from `sampled_frames` of the whole scene.
     Raises BadInput for a sensor that looks at the Earth, orbits inside it and absurd motion.
     """
-    ends = np.unique([0, scene.exposure.frames - 1]).astype(np.int64)
+    looked_at = sampled_frames(scene)
     nodes = FEWEST_NODES
     while True:
-        geometry = _geometry(scene, ends, nodes, dut1_s)
+        geometry = _geometry(scene, looked_at, nodes, dut1_s)
         bend = _bend_px(scene, geometry)
         if bend <= PATH_TOLERANCE_PX:
             break
@@ -91,7 +97,9 @@ def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geo
                 f"{nodes} nodes (see pointing and orbits)",
             )
         nodes = 2 * nodes - 1
-    return geometry if np.array_equal(frames, ends) else _geometry(scene, frames, nodes, dut1_s)
+    if np.array_equal(frames, looked_at):
+        return geometry
+    return _geometry(scene, frames, nodes, dut1_s)
 
 
 def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float) -> Geometry:

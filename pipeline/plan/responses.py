@@ -25,7 +25,7 @@ SPREAD_TOLERANCE_PX = 1e-2
 TABLE_BYTES = 48e6
 MOST_CLASSES = 5
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
-LARGEST_CORE_SAMPLES = 512  # radius times samples a pixel: what one transform may hold
+LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
 BLOCK_PX = 2048  # wings are convolved in fixed blocks of the focal plane
 
 
@@ -65,7 +65,7 @@ class ResponsePlan:
 
 
 def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -> ResponsePlan:
-    """Choose radii, phases, grid and zones for a scene from its first and last frame (`ends`)."""
+    """Choose radii, phases, grid and zones for a scene from some of its frames (`ends`)."""
     blur = facts.blur
     if not (scene.stars or scene.targets):
         return ResponsePlan(blur, (), 0, 0.0, 0.0, 1, 0.0, facts.budget_e)

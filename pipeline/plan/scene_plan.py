@@ -75,7 +75,7 @@ def make_plan(
     remarks: tuple[str, ...],
     dut1_s: float,
 ) -> Plan:
-    """Decide everything from facts and the geometry of the first and last frame."""
+    """Decide everything from facts and the geometry of some of its frames."""
     camera = camera_of(scene)
     responses = plan_responses(scene, facts, camera, ends)
     return Plan(

@@ -128,7 +128,7 @@ def test_decisions_own_up_to_what_is_left_out(scene: Make) -> None:
     decisions = {d.component: d for d in plan.decisions}
     assert "before read noise" in decisions["full_well"].reason
     assert "floor" in decisions["adc"].reason
-    for name in ("targets.earthshine", "targets.earth_occultation", "stars.doppler"):
+    for name in ("targets.earthshine", "earth_occultation", "stars.doppler"):
         assert not decisions[name].kept
     tangent = np.hypot(256, 384) * 5e-4
     edge = plan.facts.background_e * (1 - (1 + tangent**2) ** -1.5)
