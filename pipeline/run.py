@@ -39,6 +39,7 @@ from pipeline.store import layout
 from pipeline.store.markers import markers_present
 from pipeline.store.product import Begun, begin, truth_kinds
 
+BRIGHT_END_G_MAG = 2.0
 Listener = Callable[["Progress"], None]
 
 
@@ -125,6 +126,12 @@ def _catalogue_remarks(scene: Scene, catalogue: Catalogue) -> list[str]:
     if catalogue.synthetic:
         out.append("SYNTHETIC CATALOGUE: no star of this product is a real star")
     assert scene.stars is not None
+    brightest = catalogue.brightest_g_mag
+    if brightest is not None and brightest > BRIGHT_END_G_MAG:
+        out.append(
+            f"the catalogue begins at G = {brightest:.1f}: brighter real stars are missing "
+            "(Gaia DR2 lacks about 250 above G = 3)"
+        )
     wanted = scene.stars.faintest_g_mag
     faintest = catalogue.faintest_g_mag
     if wanted is not None and faintest is not None and faintest < wanted - 0.5:
