@@ -64,7 +64,7 @@ def drawing_order(stars: FrameStars) -> FrameStars:
 
 def excursion_px(plan: Plan, g: Geometry) -> float:
     """Farthest that a star of the frame moves from its place at mid-exposure, in whole 16 px."""
-    aberration = plan.scene.stars is None or plan.scene.stars.aberration
+    aberration = plan.scene.star_effects["aberration"]
     columns, rows = plan.camera.columns - 1.0, plan.camera.rows - 1.0
     worst = 0.0
     for x, y in ((columns / 2, rows / 2), (0, 0), (columns, 0), (0, rows), (columns, rows)):
@@ -76,7 +76,7 @@ def excursion_px(plan: Plan, g: Geometry) -> float:
 def streaks(plan: Plan, g: Geometry) -> list[Streak]:
     """The common streak of each zone, row by row."""
     zones = plan.responses.zones
-    aberration = plan.scene.stars is None or plan.scene.stars.aberration
+    aberration = plan.scene.star_effects["aberration"]
     return [
         zone_streak(plan.camera, g, 0, row, column, zones, aberration)
         for row in range(zones)

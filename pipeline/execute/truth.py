@@ -61,12 +61,10 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     middle, count = g.middle, len(plan.scene.targets)
     drawn = {t.index: t for t in place_targets(plan, g)}
     seen = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
-    stars = plan.scene.stars
+    effects = plan.scene.star_effects
     direction = proper_to_astrometric(
-        g.target_direction[:, 0], *seen,
-        deflection=stars is None or stars.deflection,
-        aberration=stars is None or stars.aberration,
-    )  # fmt: skip
+        g.target_direction[:, 0], seen[0], seen[1], seen[2], **effects
+    )
     ra, dec = to_angles(direction)
     apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
     light = np.array([drawn[i].light_e if i in drawn else 0.0 for i in range(count)])
@@ -136,15 +134,11 @@ def _response_at_centre(plan: Plan, path: Path) -> Array:
 
 def world_of(plan: Plan, g: Geometry, index: int = 0) -> Any:
     """Function from pixels (x, y) to astrometric directions (n, 3) of frame `index` of `g`."""
-    middle, stars = g.middle, plan.scene.stars
+    middle, effects = g.middle, plan.scene.star_effects
     seen = (g.observer_m[index, middle], g.observer_m_s[index, middle], g.sun_m[index, middle])
 
     def to_world(x_px: Array, y_px: Array) -> Array:
         proper = deproject(plan.camera, g.attitude[index, middle], x_px, y_px)
-        return proper_to_astrometric(
-            proper, *seen,
-            deflection=stars is None or stars.deflection,
-            aberration=stars is None or stars.aberration,
-        )  # fmt: skip
+        return proper_to_astrometric(proper, seen[0], seen[1], seen[2], **effects)
 
     return to_world

@@ -232,11 +232,7 @@ def _attitudes(
     sights: list[TargetSight],
 ) -> Array:
     """Proper attitudes (n, 3, 3) of the pointing; stars and boresight share one set of effects."""
-    p, stars = scene.pointing, scene.stars
-    effects = {
-        "deflection": stars is None or stars.deflection,
-        "aberration": stars is None or stars.aberration,
-    }
+    p, effects = scene.pointing, scene.star_effects
     roll = p.roll_deg * DEG_RAD
     if isinstance(p, TargetPointing):
         names = [t.name for t in scene.targets]
@@ -301,7 +297,7 @@ def _bend_px(scene: Scene, g: Geometry) -> float:
     columns, rows = camera.columns - 1.0, camera.rows - 1.0
     corners = [(columns / 2, rows / 2), (0.0, 0.0), (columns, 0.0), (0.0, rows), (columns, rows)]
     for cx, cy in corners:
-        px, py = star_path(camera, g, cx, cy, scene.stars is None or scene.stars.aberration)
+        px, py = star_path(camera, g, cx, cy, scene.star_effects["aberration"])
         x.append(px[None])
         y.append(py[None])
     xs, ys = np.concatenate(x), np.concatenate(y)

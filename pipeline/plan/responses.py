@@ -69,7 +69,7 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
     blur = facts.blur
     if not (scene.stars or scene.targets):
         return ResponsePlan(blur, (), 0, 0.0, 0.0, 1, 0.0, facts.budget_e)
-    aberration = scene.stars is None or scene.stars.aberration
+    aberration = scene.star_effects["aberration"]
     zones, spread = (1, 0.0)
     path = POINT
     if scene.stars is not None:

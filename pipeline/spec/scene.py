@@ -161,6 +161,15 @@ class Scene(Strict):
                     )
         return self
 
+    @property
+    def star_effects(self) -> dict[str, bool]:
+        """Which effects turn directions: those asked for of the stars, all without stars."""
+        stars = self.stars
+        return {
+            "deflection": stars is None or stars.deflection,
+            "aberration": stars is None or stars.aberration,
+        }
+
     def as_dict(self) -> dict:
         """The scene with all defaults filled in, as plain data."""
         return self.model_dump(mode="json", by_alias=True)

@@ -57,16 +57,20 @@ class CubeWriter:
         return marker
 
 
-def create_arrays(product: Path, plan: Plan) -> CubeWriter:
+def layers_of(plan: Plan) -> tuple[str, ...]:
+    """The layers of a cube: `dn` first, then what the scene asks for."""
+    return ("dn", *(n for n in plan.scene.output.layers if n != "dn"))
+
+
+def create_arrays(product: Path, plan: Plan) -> None:
     """Make the metadata of all layers. The group itself comes last, in `finish_cube`.
 
     Until then the cube is no Zarr group, so that no reader takes it for a whole one.
     """
     import zarr
 
-    layers = ("dn", *(n for n in plan.scene.output.layers if n != "dn"))
     rows, columns = plan.scene.sensor.shape
-    for name in layers:
+    for name in layers_of(plan):
         long_name, unit = LONG_NAMES[name]
         zarr.create_array(
             store=product / CUBE / name,
@@ -79,7 +83,6 @@ def create_arrays(product: Path, plan: Plan) -> CubeWriter:
             attributes={"long_name": long_name, "units": unit},
             config={"write_empty_chunks": True},
         )
-    return CubeWriter(str(product), layers)
 
 
 def _codecs(compression: str) -> list[Any]:

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.errors import BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import tile_shape
 from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
-from pipeline.store.cube import CubeWriter, create_arrays
+from pipeline.store.cube import CubeWriter, create_arrays, layers_of
 from pipeline.store.markers import (
     chunk_fault,
     markers_present,
@@ -131,8 +131,7 @@ def _make_folders(path: Path) -> None:
 
 
 def _writer(path: Path, plan: Plan) -> CubeWriter:
-    layers = ("dn", *(n for n in plan.scene.output.layers if n != "dn"))
-    return CubeWriter(str(path.resolve()), layers)
+    return CubeWriter(str(path.resolve()), layers_of(plan))
 
 
 def truth_kinds(plan: Plan) -> tuple[str, ...]:
@@ -232,11 +231,3 @@ def file_digest(path: Path) -> str:
     """SHA-256 of a file."""
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
-
-
-def require_complete(path: Path) -> None:
-    """Raise Incomplete for a product that is not finished, BadInput for no product."""
-    if not (path / layout.BEGUN).is_file():
-        raise BadInput("PRODUCT", str(path), "a product directory made by `nightglass render`")
-    if not (path / layout.COMPLETE).is_file():
-        raise Incomplete(f"{path}: not complete; go on with `nightglass render ... --resume`")
