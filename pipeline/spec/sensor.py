@@ -58,6 +58,26 @@ class PsfShape(Strict):
     charge_diffusion_px: float = Field(
         0.0, ge=0, le=50, description="rms of charge diffusion per axis"
     )
+    charge_diffusion_um: float | None = Field(
+        None, ge=0, le=1000, description="the same as a length; instead of charge_diffusion_px"
+    )
+
+    @model_validator(mode="after")
+    def _one_diffusion(self) -> PsfShape:
+        if self.charge_diffusion_um is not None and self.charge_diffusion_px:
+            raise _error("charge_diffusion_um", "allowed: instead of charge_diffusion_px")
+        return self
+
+    def diffusion_px(self, pixel_pitch_um: float) -> float:
+        """rms of charge diffusion per axis [px]."""
+        if self.charge_diffusion_um is None:
+            return self.charge_diffusion_px
+        return self.charge_diffusion_um / pixel_pitch_um
+
+
+def _error(field: str, allowed: str) -> PydanticCustomError:
+    """What is wrong between two fields, told of one of them."""
+    return PydanticCustomError("combination", "{allowed}", {"field": field, "allowed": allowed})
 
 
 class GaussianPsf(PsfShape):
@@ -65,18 +85,156 @@ class GaussianPsf(PsfShape):
 
     kind: Literal["gaussian"]
     sigma_px: float = Field(ge=0.05, le=50)
+    sigma_minor_px: float | None = Field(
+        None, ge=0.05, le=50, description="of the narrower axis; sigma_px is then the wider one's"
+    )
+    angle_deg: float = Field(
+        0.0, ge=-360, le=360, description="of the wider axis, from +x (columns) towards +y (rows)"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> GaussianPsf:
+        if self.sigma_minor_px is not None and self.sigma_minor_px > self.sigma_px:
+            raise _error("sigma_minor_px", f"allowed: at most sigma_px = {self.sigma_px}")
+        return self
 
 
-class AiryPsf(PsfShape):
-    """Diffraction by the entrance pupil with its central obscuration, at one wavelength."""
+class Chromatic(PsfShape):
+    """What point-spread functions have whose size follows the wavelength."""
 
-    kind: Literal["airy"]
     wavelength_nm: Positive | None = Field(
-        None, description="default: the mean wavelength of the sensor's response"
+        None, description="of the light; default: the sensor's whole response"
+    )
+    wavelengths: int | None = Field(
+        None, ge=1, le=12,
+        description="wavelengths that stand for the response; default: as many as the accuracy "
+        "asks for; 1: the mean alone",
+    )  # fmt: skip
+
+    @model_validator(mode="after")
+    def _one_wavelength(self) -> Chromatic:
+        if self.wavelength_nm is not None and (self.wavelengths or 1) > 1:
+            raise _error("wavelengths", "allowed: 1, or none, with wavelength_nm")
+        return self
+
+
+class Vanes(Strict):
+    """Straight vanes that hold the secondary mirror, from the centre to the rim, equally spread."""
+
+    count: int = Field(ge=1, le=12)
+    width_m: float = Field(gt=0, le=10)
+    angle_deg: float = Field(
+        0.0, ge=-360, le=360, description="of the first, from +x (columns) towards +y (rows)"
     )
 
 
-Psf = Annotated[GaussianPsf | AiryPsf, Field(discriminator="kind")]
+class Aberration(Strict):
+    """A Zernike term in Noll's order, rms over the unobscured pupil; in nm or in waves.
+
+    A wave is `wavelength_nm`, or the mean wavelength of the response. The path difference stays
+    the same at all wavelengths. Tilts (2, 3) are not taken: they would move stars from the truth.
+    """
+
+    noll: int = Field(ge=4, le=66)
+    rms_nm: float | None = Field(None, ge=-1e5, le=1e5)
+    rms_waves: float | None = Field(None, ge=-50, le=50)
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> Aberration:
+        if (self.rms_nm is None) == (self.rms_waves is None):
+            raise _error("rms_nm", "allowed: exactly one of rms_nm and rms_waves")
+        return self
+
+
+class AiryPsf(Chromatic):
+    """Diffraction by the entrance pupil: obscuration, vanes, defocus and Zernike terms."""
+
+    kind: Literal["airy"]
+    vanes: Vanes | None = None
+    aberrations: tuple[Aberration, ...] = Field((), max_length=63)
+    defocus_um: float = Field(
+        0.0, ge=-1e5, le=1e5, description="of the detector along the axis, from best focus"
+    )
+
+    @model_validator(mode="after")
+    def _terms_once(self) -> AiryPsf:
+        orders = [a.noll for a in self.aberrations]
+        if len(set(orders)) < len(orders):
+            raise _error("aberrations", "allowed: each Noll index once")
+        return self
+
+
+class MoffatPsf(PsfShape):
+    """A Moffat profile of the light on the detector, all causes together; one width."""
+
+    kind: Literal["moffat"]
+    beta: float = Field(4.765, ge=1.5, le=50, description="4.765 has the wings of turbulence")
+    fwhm_px: float | None = Field(None, ge=0.1, le=100)
+    fwhm_arcsec: float | None = Field(None, gt=0, le=100)
+
+    @model_validator(mode="after")
+    def _one_width(self) -> MoffatPsf:
+        if (self.fwhm_px is None) == (self.fwhm_arcsec is None):
+            raise _error("fwhm_px", "allowed: exactly one of fwhm_px and fwhm_arcsec")
+        return self
+
+
+class KolmogorovPsf(Chromatic):
+    """Long-exposure seeing along the line of sight, and diffraction by the aperture unless off."""
+
+    kind: Literal["kolmogorov"]
+    fwhm_arcsec: float | None = Field(None, ge=0.01, le=100, description="of the air alone")
+    r0_m: float | None = Field(None, ge=1e-3, le=10, description="Fried's parameter")
+    reference_nm: float = Field(
+        500.0, ge=100, le=30_000, description="wavelength that fwhm_arcsec or r0_m is given for"
+    )
+    diffraction: bool = True
+
+    @model_validator(mode="after")
+    def _one_seeing(self) -> KolmogorovPsf:
+        if (self.fwhm_arcsec is None) == (self.r0_m is None):
+            raise _error("fwhm_arcsec", "allowed: exactly one of fwhm_arcsec and r0_m")
+        return self
+
+
+Place = Annotated[float, Field(ge=0, le=1e5)]
+
+
+class TablePsf(PsfShape):
+    """An image of the light: .npy, .fits, or a listing of OpticStudio (FFT, Huygens) or CODE V."""
+
+    kind: Literal["table"]
+    path: ImagePath
+    samples_per_px: float | None = Field(None, ge=0.25, le=256)
+    sample_um: float | None = Field(None, gt=0, le=1000, description="instead of samples_per_px")
+    centre: Literal["file", "middle", "sample", "peak", "centroid"] | tuple[Place, Place] | None = (
+        Field(
+            None,
+            description="where the source stands; [row, column] counts from 0; an image with an "
+            "even side must say it",
+        )
+    )
+    includes_pixel: bool = Field(
+        False, description="the light was collected by pixels already: no pixel is applied again"
+    )
+    light_fraction: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="share of the source's light within the table; the rest is lost",
+    )
+    flip_y: bool = Field(False, description="the first row listed is the one of the largest y")
+
+    @model_validator(mode="after")
+    def _one_spacing(self) -> TablePsf:
+        if self.samples_per_px is not None and self.sample_um is not None:
+            raise _error("sample_um", "allowed: one of sample_um and samples_per_px")
+        return self
+
+
+Psf = Annotated[
+    GaussianPsf | AiryPsf | MoffatPsf | KolmogorovPsf | TablePsf, Field(discriminator="kind")
+]
 
 
 class Sensor(Strict):
