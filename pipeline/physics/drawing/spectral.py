@@ -1,0 +1,155 @@
+"""Spectral engine: all sources of a block at once, by a non-uniform FFT and transfer functions.
+
+Sources are spread onto a periodic grid, transformed, multiplied by the transfer functions of the
+response and of the streak, folded to the pixels' frequencies, and transformed back once. The cost
+hardly depends on the number of sources or on the streak. A block's image depends on its sources
+alone, never on tiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput
+from pipeline.physics.drawing.spectral_band import roll_off
+from pipeline.physics.drawing.spectral_fold import fold_modes
+from pipeline.physics.drawing.spectral_plan import SpectralPlan
+from pipeline.physics.drawing.spectral_spread import spread_onto
+from pipeline.physics.motion.streak import Path, pieces
+from pipeline.physics.psf.response import Core
+
+Array = NDArray[np.float64]
+
+STRIP = 64  # rows or columns that are transformed at a time
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Sources that move alike: (n,) frame positions at the path's origin, and their light [e-]."""
+
+    x_px: Array
+    y_px: Array
+    light_e: Array
+    path: Path
+
+
+def draw_spectral(
+    plan: SpectralPlan, table: NDArray, groups: Sequence[Sources], origin: tuple[int, int]
+) -> NDArray[np.floating]:
+    """Electrons of the sources in a block: (rows, columns) in the plan's precision.
+
+    table : from `transfer_table`, of the same plan; origin : (y, x) frame pixel of the block
+    Sources outside of the block add what falls inside; those farther than they reach are left out.
+    Pixels may be negative by as much as the plan's errors. Raises BadInput for light or positions
+    that are not finite.
+    """
+    spectrum = np.zeros((plan.period[0], plan.period[1] // 2 + 1), plan.complex_type)
+    for path, x, y, light in _by_piece(plan, groups, origin):
+        modes = _modes(plan, x, y, light)
+        moving = path if path.length_px else None
+        fold_modes(spectrum, plan.period[1], modes, table, moving)
+    return _image(plan, spectrum)
+
+
+def _by_piece(
+    plan: SpectralPlan, groups: Sequence[Sources], origin: tuple[int, int]
+) -> list[tuple[Path, Array, Array, Array]]:
+    """(piece, x, y, light) of the sources of each piece of path, in pixels of the period."""
+    found: dict[Path, list[tuple[Array, Array, Array]]] = {}
+    for g in groups:
+        x, y, light = (np.asarray(a, float) for a in (g.x_px, g.y_px, g.light_e))
+        for name, values in (("x_px", x), ("y_px", y), ("light_e", light)):
+            if not np.isfinite(values).all():
+                raise BadInput(f"sources.{name}", values[~np.isfinite(values)][0], "finite numbers")
+        x, y = x - (origin[1] - plan.pad[1]), y - (origin[0] - plan.pad[0])
+        for x0, y0, piece, share in pieces(g.path, plan.longest_px):
+            near = _inside(plan, x + x0, y + y0)
+            if near.any():
+                one = (x[near] + x0, y[near] + y0, light[near] * share)
+                found.setdefault(piece, []).append(one)
+    joined = []
+    for piece, parts in found.items():
+        x, y, light = (np.concatenate(column) for column in zip(*parts, strict=True))
+        joined.append((piece, x, y, light))
+    return joined
+
+
+def _inside(plan: SpectralPlan, x: Array, y: Array) -> NDArray[np.bool_]:
+    """Which places are on the period at all, so that the rest costs nothing."""
+    return (x >= 0) & (x < plan.period[1]) & (y >= 0) & (y < plan.period[0])
+
+
+def _modes(plan: SpectralPlan, x: Array, y: Array, light: Array) -> NDArray[np.complexfloating]:
+    """Transform of the sources: row k mod points_y, column l is frequency (k, l) / period.
+
+    Grid and modes share their memory: rows of the grid become rows of half a spectrum.
+    """
+    ny, nx = plan.points
+    modes = np.zeros((ny, nx // 2 + 1), plan.complex_type)
+    grid = modes.view(plan.real_type)
+    spread_onto(grid, nx, plan.kernel, y * (ny / plan.period[0]), x * (nx / plan.period[1]), light)
+    for i in range(0, ny, STRIP):
+        modes[i : i + STRIP] = scipy.fft.rfft(grid[i : i + STRIP, :nx], axis=1, workers=1)
+    for j in range(0, plan.keep[1] + 1, STRIP):
+        part = slice(j, min(j + STRIP, plan.keep[1] + 1))
+        modes[:, part] = scipy.fft.fft(modes[:, part], axis=0, workers=1)
+    return modes
+
+
+def _image(plan: SpectralPlan, spectrum: NDArray[np.complexfloating]) -> NDArray[np.floating]:
+    """The pixels of the block from the folded spectrum."""
+    top, left = plan.pad
+    rows = scipy.fft.ifft(spectrum, axis=0, overwrite_x=True, workers=1)[top : top + plan.shape[0]]
+    image = scipy.fft.irfft(rows, n=plan.period[1], axis=1, workers=1)
+    return np.ascontiguousarray(image[:, left : left + plan.shape[1]])
+
+
+def transfer_table(core: Core, plan: SpectralPlan) -> NDArray:
+    """Transfer function of a core at the plan's frequencies, over that of the spreading kernel.
+
+    Returns (2 keep_y + 1, keep_x + 1): real where the core is the same when turned by 180 degrees,
+    else complex. Made by zero-padded FFTs, exact for the core's samples.
+    """
+    rows = _row_transforms(core, plan)
+    fine = plan.period[0] * core.oversampling
+    ky = np.arange(-plan.keep[0], plan.keep[0] + 1)
+    scale = _factor(plan, ky, 0)[:, None].astype(plan.real_type)
+    at = (np.arange(len(rows)) - len(rows) // 2) % fine
+    even = _is_even(core.samples)
+    table = np.empty((ky.size, rows.shape[1]), plan.real_type if even else plan.complex_type)
+    for j in range(0, rows.shape[1], STRIP):
+        tall = np.zeros((fine, min(STRIP, rows.shape[1] - j)), plan.complex_type)
+        tall[at] = rows[:, j : j + STRIP]
+        made = scipy.fft.fft(tall, axis=0, overwrite_x=True, workers=1)[ky % fine] * scale
+        table[:, j : j + STRIP] = made.real if even else made
+    return table
+
+
+def _row_transforms(core: Core, plan: SpectralPlan) -> NDArray[np.complexfloating]:
+    """Transform of each row of the core's samples: (samples, keep_x + 1)."""
+    n, fine, kx = len(core.samples), plan.period[1] * core.oversampling, plan.keep[1] + 1
+    scale = _factor(plan, np.arange(kx), 1) / core.oversampling**2
+    at = (np.arange(n) - n // 2) % fine
+    out = np.empty((n, kx), plan.complex_type)
+    for i in range(0, n, STRIP):
+        wide = np.zeros((min(STRIP, n - i), fine))
+        wide[:, at] = core.samples[i : i + STRIP]
+        out[i : i + STRIP] = scipy.fft.rfft(wide, axis=1, workers=1)[:, :kx] * scale
+    return out
+
+
+def _factor(plan: SpectralPlan, modes: NDArray[np.int_], axis: int) -> Array:
+    """What modes of one axis are multiplied by: the band's end over the spreading kernel."""
+    kept = roll_off(modes / plan.period[axis], plan.limit)
+    return kept / plan.kernel.transform(modes / plan.points[axis])
+
+
+def _is_even(samples: Array) -> bool:
+    """Same when turned by 180 degrees, to rounding: the transfer function is then real."""
+    odd = np.abs(samples - samples[::-1, ::-1]).max()
+    return bool(odd <= 1e-13 * np.abs(samples).max())

@@ -1,0 +1,116 @@
+"""Modes of spread sources, times response and streak, folded to the frequencies of the pixels.
+
+Pixels sample the light: frequencies that differ by whole cycles per pixel look alike in them and
+add up. Nothing is cut at the pixels' own limit; that aliasing is what a detector does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pipeline.physics.motion.streak import Path
+
+Array = NDArray[np.float64]
+
+SERIES_BELOW = 0.3  # of the half phase: there sin(h)/h by its series, to 2e-10
+
+
+def fold_modes(
+    spectrum: NDArray[np.complexfloating],
+    period_x: int,
+    modes: NDArray[np.complexfloating],
+    table: NDArray,
+    path: Path | None,
+) -> None:
+    """Add modes x table x streak to the real FFT of a (period_y, period_x) pixel image, in place.
+
+    spectrum : (period_y, period_x // 2 + 1)
+    modes : (points_y, >= keep_x + 1), row k mod points_y is frequency k / period_y [cycles/px]
+    table : (2 keep_y + 1, keep_x + 1) real or complex, rows from -keep_y to keep_y
+    path : motion in pixels, exact for uniform motion along each segment; None for none
+    """
+    keep_y, keep_x = table.shape[0] // 2, table.shape[1] - 1
+    segments = np.zeros((0, 5)) if path is None else segments_of(path)
+    fy = np.arange(-keep_y, keep_y + 1) / len(spectrum)
+    fx = np.arange(keep_x + 1) / period_x
+    _fold(spectrum, period_x, modes, table, segments, fy, fx)
+
+
+def segments_of(path: Path) -> Array:
+    """(segments, 5): length on each axis (y, x), middle (y, x) and share of the light."""
+    x, y = path.x_px, path.y_px
+    parts = (np.diff(y), np.diff(x), 0.5 * (y[1:] + y[:-1]), 0.5 * (x[1:] + x[:-1]), path.weight)
+    return np.ascontiguousarray(np.stack(parts, axis=1))
+
+
+@njit(cache=True, nogil=True)
+def _along(f, lengths, middles):
+    """Sines and cosines of half phases and turns of each segment at frequencies of one axis."""
+    sines, cosines = np.empty((lengths.size, f.size)), np.empty((lengths.size, f.size))
+    turns = np.empty((lengths.size, f.size), np.complex128)
+    for k in range(lengths.size):
+        for j in range(f.size):
+            h, turn = np.pi * f[j] * lengths[k], -2.0 * np.pi * f[j] * middles[k]
+            sines[k, j], cosines[k, j] = np.sin(h), np.cos(h)
+            turns[k, j] = complex(np.cos(turn), np.sin(turn))
+    return sines, cosines, turns
+
+
+@njit(cache=True, nogil=True)
+def _sinc(h, sine):
+    """sin(h) / h, given the sine."""
+    q = h * h
+    near = 1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0))
+    return near if abs(h) < SERIES_BELOW else sine / h
+
+
+@njit(cache=True, nogil=True)
+def _sweep_row(row, i, fy, fx, segments, along_y, along_x):
+    """row x transfer of the path at (fy[i], fx): sum of w sinc(f.d) exp(-2 pi i f.m)."""
+    (sin_y, cos_y, turn_y), (sin_x, cos_x, turn_x) = along_y, along_x
+    swept = np.zeros(fx.size, np.complex128)
+    for k in range(segments.shape[0]):
+        a, b = np.pi * fy[i] * segments[k, 0], np.pi * segments[k, 1]
+        sin_a, cos_a, turn = sin_y[k, i], cos_y[k, i], segments[k, 4] * turn_y[k, i]
+        for j in range(fx.size):
+            sine = sin_a * cos_x[k, j] + cos_a * sin_x[k, j]
+            swept[j] += _sinc(a + b * fx[j], sine) * (turn * turn_x[k, j])
+    for j in range(fx.size):
+        row[j] *= swept[j]
+
+
+@njit(cache=True, nogil=True)
+def _sweep_row_centred(row, i, fy, fx, segments, along_y, along_x):
+    """The same for one segment about the origin, whose transfer is real."""
+    sin_a, cos_a, sin_x, cos_x = along_y[0][0, i], along_y[1][0, i], along_x[0][0], along_x[1][0]
+    a, b, share = np.pi * fy[i] * segments[0, 0], np.pi * segments[0, 1], segments[0, 4]
+    for j in range(fx.size):
+        sine = sin_a * cos_x[j] + cos_a * sin_x[j]
+        row[j] *= row.real.dtype.type(share * _sinc(a + b * fx[j], sine))
+
+
+@njit(cache=True, nogil=True)
+def _fold(out, period_x, modes, table, segments, fy, fx):
+    period_y, points_y = out.shape[0], modes.shape[0]
+    keep_y, n = table.shape[0] // 2, table.shape[1]
+    half = period_x // 2
+    row = np.empty(n, modes.dtype)
+    along_y = _along(fy, segments[:, 0], segments[:, 2])
+    along_x = _along(fx, segments[:, 1], segments[:, 3])
+    centred = segments.shape[0] == 1 and segments[0, 2] == 0.0 and segments[0, 3] == 0.0
+    for i in range(-keep_y, keep_y + 1):
+        source, response = modes[i % points_y], table[i + keep_y]
+        for j in range(n):
+            row[j] = source[j] * response[j]
+        if centred:
+            _sweep_row_centred(row, i + keep_y, fy, fx, segments, along_y, along_x)
+        elif segments.shape[0]:
+            _sweep_row(row, i + keep_y, fy, fx, segments, along_y, along_x)
+        here, mirror = out[i % period_y], out[-i % period_y]
+        for start in range(0, n, period_x):
+            for j in range(min(half + 1, n - start)):
+                here[j] += row[start + j]
+            for j in range(max(0, start + period_x - n + 1), half + 1):
+                mirror[j] += np.conj(row[start + period_x - j])

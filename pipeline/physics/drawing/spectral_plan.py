@@ -1,0 +1,253 @@
+"""What the spectral engine needs for a response, a streak and an error: grid, memory, bound."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput
+from pipeline.physics.drawing.spectral_band import Band, band_of
+from pipeline.physics.drawing.spectral_spread import Kernel
+from pipeline.physics.motion.streak import Path, pieces
+from pipeline.physics.psf.response import Core
+
+Array = NDArray[np.float64]
+Pair = tuple[int, int]
+
+MOST_BYTES = 400e6
+LIGHT_ERROR = 1e-6  # of a source's light that the grid may gain or lose
+WIDTHS = range(4, 13)
+DENSITIES = 24  # grid densities that are tried
+EDGES = (1.0, 0.85, 0.7, 0.6, 0.5, 0.4)  # of the band: where the kernel's aliases may begin
+BETA_STEP = 0.05  # of the shape parameter over the width: few kernels serve all plans
+CUT_PART = 0.1  # of the error: what the frequencies left out make where the grid holds more
+LONGEST_PX = (math.inf, 1024.0, 512.0, 256.0)  # pieces of streak that are tried
+PAD_STEP_PX = 8  # pads are rounded up, so that alike streaks share their tables
+ROUNDING = 4.0  # units of precision of a source's peak that the transforms err by (measured: 3)
+CROWDED = 100.0  # weights that a grid point may add up in float32, on average
+
+# Seconds per grid point, mode, mode and segment, pixel, source, weight: one core of 2.4 GHz
+# (benchmarks/drawing.py).
+POINT_S, MODE_S, SEGMENT_S, PIXEL_S, SOURCE_S, WEIGHT_S = 8e-9, 2e-9, 2e-9, 8e-9, 3e-8, 0.9e-9
+
+
+@dataclass(frozen=True)
+class SpectralPlan:
+    """How one block is drawn.
+
+    shape : (rows, columns) of the block; pad : pixels before it on the period
+    period : pixels of the periodic image; points : grid points on it; keep : largest mode kept
+    kernel, single : spreading kernel, and whether the arithmetic is in float32
+    longest_px : streaks are cut into pieces of at most this length
+    spread_error, cut_error, rounding : largest error of a pixel per unit light of a source: of the
+        grid, of the frequencies left out, of the arithmetic. They fade with the distance from the
+        source, but for the rounding
+    light_error : largest part of a source's light that the grid gains or loses
+    """
+
+    shape: Pair
+    pad: Pair
+    period: Pair
+    points: Pair
+    keep: Pair
+    kernel: Kernel
+    single: bool
+    longest_px: float
+    spread_error: float
+    cut_error: float
+    light_error: float
+    rounding: float
+
+    @property
+    def error(self) -> float:
+        """Largest error of a pixel per unit light of a source; errors of several add up."""
+        return self.spread_error + self.cut_error + self.rounding
+
+    @property
+    def real_type(self) -> np.dtype[np.floating]:
+        return np.dtype(np.float32 if self.single else np.float64)
+
+    @property
+    def complex_type(self) -> np.dtype[np.complexfloating]:
+        return np.dtype(np.complex64 if self.single else np.complex128)
+
+    @property
+    def limit(self) -> float:
+        """Band limit of what is drawn, on either axis [cycles/px]."""
+        return min(k / p for k, p in zip(self.keep, self.period, strict=True))
+
+    @property
+    def modes(self) -> int:
+        """Modes that the transfer table holds."""
+        return (2 * self.keep[0] + 1) * (self.keep[1] + 1)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of drawing one block: grid, table, spectrum, image; the sources' own apart."""
+        grid = self.points[0] * (self.points[1] + 2)
+        pixels = self.period[0] * (self.period[1] + 2)
+        return (4 if self.single else 8) * (grid + self.modes + 2 * pixels)
+
+    def seconds(self, sources: float, segments: int = 1, transforms: int = 1) -> float:
+        """Predicted time: pieces count as sources, unequal pieces take a transform each."""
+        return (
+            POINT_S * self.points[0] * self.points[1] * transforms
+            + (MODE_S + SEGMENT_S * segments) * self.modes * transforms
+            + PIXEL_S * self.period[0] * self.period[1]
+            + (SOURCE_S + WEIGHT_S * self.kernel.width**2) * sources
+        )
+
+
+def brightest_for(plan: SpectralPlan, budget_e: float) -> float:
+    """Light of the brightest source that the plan draws to `budget_e` in every pixel [e-].
+
+    Brighter ones belong to the stamps engine.
+    """
+    return budget_e / plan.error
+
+
+def plan_spectral(
+    shape: Pair,
+    core: Core,
+    path: Path,
+    error: float,
+    *,
+    sources: float = 1e5,
+    single: bool | None = None,
+    most_bytes: float = MOST_BYTES,
+) -> SpectralPlan:
+    """The quickest plan whose predicted error is at most `error`.
+
+    shape : (rows, columns) of the block; path : the longest streak that will be drawn
+    error : largest error of a pixel per unit light of a source; for a part of a source's peak,
+        that part of `spectral_band.peak_light`
+    sources : how many are expected, to weigh their cost against the grid's
+    single : float32 or float64; None takes float32 where it reaches the error
+    most_bytes : memory that one block may take; longer streaks are cut into pieces to keep to it
+    Raises BadInput where no grid within the memory reaches the error: a response too sharp for the
+    pixels, or an error below what the core's own samples hold (about 1e-8 of the peak).
+    """
+    if not (error > 0 and math.isfinite(error)):
+        raise BadInput("error", error, "a positive number")
+    best: tuple[float, SpectralPlan] | None = None
+    for longest in LONGEST_PX:
+        if longest < math.inf and path.length_px <= longest:
+            continue
+        band, reach = band_of(core, path, longest), _reach_px(core, path, longest)
+        parts = [piece for _, _, piece, _ in pieces(path, longest)]
+        work = (len(parts) * sources, max((p.segments for p in parts), default=1), len(set(parts)))
+        for precision in (True, False) if single is None else (single,):
+            need = _Need(shape, reach, band, longest, precision)
+            found = [
+                (p.seconds(*work), p)
+                for p in _plans(need, error)
+                if p.bytes <= most_bytes and not (precision and _crowded(p, work[0]))
+            ]
+            best = min([*found, *([best] if best else [])], key=lambda f: f[0], default=None)
+            if found:
+                break
+    if best is None:
+        raise BadInput(
+            "error", error,
+            f"an error that a grid of at most {most_bytes / 1e6:.0f} MB reaches with this "
+            "response: a larger one, a smaller block, or the stamps engine",
+        )  # fmt: skip
+    return best[1]
+
+
+def _crowded(plan: SpectralPlan, sources: float) -> bool:
+    """Whether grid points add up so many weights that float32 loses digits."""
+    return sources * plan.kernel.width**2 > CROWDED * plan.points[0] * plan.points[1]
+
+
+def _reach_px(core: Core, path: Path, longest_px: float) -> tuple[float, float]:
+    """How far (y, x) the light of a piece falls from its middle: core, half its length, a pixel."""
+    parts = [piece for _, _, piece, _ in pieces(path, longest_px)]
+    half_y = max((float(np.abs(p.y_px).max()) for p in parts), default=0.0)
+    half_x = max((float(np.abs(p.x_px).max()) for p in parts), default=0.0)
+    return core.radius_px + 1.0 + half_y, core.radius_px + 1.0 + half_x
+
+
+@dataclass(frozen=True, eq=False)
+class _Need:
+    """What all plans of one search share."""
+
+    shape: Pair
+    reach: tuple[float, float]
+    band: Band
+    longest_px: float
+    single: bool
+
+
+def _plans(need: _Need, error: float) -> Iterator[SpectralPlan]:
+    """For each kernel width, the coarsest grid that reaches the error, found by halving."""
+    widest = need.band.limit_for(CUT_PART * error)
+    narrow = need.band.limit_for(0.9 * error)
+    densities = np.geomspace(2.0 * narrow, 5.0 * widest, DENSITIES)
+    for width in WIDTHS:
+        best, low, high = None, 0, DENSITIES
+        while low < high:
+            k = (low + high) // 2
+            plan = _plan(need, densities[k], min(widest, 0.5 * densities[k]), width)
+            good = plan.error <= error and plan.light_error <= LIGHT_ERROR
+            best, low, high = (plan, low, k) if good else (best, k + 1, high)
+        if best is not None:
+            yield best
+
+
+def _plan(need: _Need, density: float, limit: float, width: int) -> SpectralPlan:
+    """The plan of one grid density [points/px], band limit [cycles/px] and kernel width."""
+    (pad_y, py), (pad_x, px) = (
+        _period(n, r, width, density) for n, r in zip(need.shape, need.reach, strict=True)
+    )
+    ny, nx = (scipy.fft.next_fast_len(int(np.ceil(density * p)), real=True) for p in (py, px))
+    keep = min(int(limit * py), (ny - 1) // 2), min(int(limit * px), (nx - 1) // 2)
+    found = []
+    for edge in EDGES:
+        steepness = math.pi * (1.0 - edge * keep[0] / ny)
+        kernel = Kernel(width, width * round(steepness / BETA_STEP) * BETA_STEP)
+        errors = _errors(need, kernel, (py, px), (ny, nx), keep)
+        found.append(
+            SpectralPlan(
+                need.shape, (pad_y, pad_x), (py, px), (ny, nx), keep, kernel, need.single,
+                need.longest_px, *errors,
+            )
+        )  # fmt: skip
+    return min(found, key=lambda p: (p.light_error > LIGHT_ERROR, p.error))
+
+
+def _period(pixels: int, reach_px: float, width: int, density: float) -> Pair:
+    """Pad before the block and length of the period [px].
+
+    No light of a source on the period comes round to the block: the reach fits twice beside it.
+    The kernel fits beyond the outermost sources whose light reaches the block.
+    """
+    reach = int(np.ceil(reach_px / PAD_STEP_PX)) * PAD_STEP_PX
+    margin = int(np.ceil((0.5 * width + 1.0) / density))
+    period = scipy.fft.next_fast_len(pixels + 2 * (reach + margin), real=True)
+    return reach + margin, int(period)
+
+
+def _errors(
+    need: _Need, kernel: Kernel, period: Pair, points: Pair, keep: Pair
+) -> tuple[float, float, float, float]:
+    """Spread, cut, light and rounding errors per unit light.
+
+    A pixel is an integral over frequencies, so the integral of what each may err by bounds it:
+    keep (1 + r_y) (1 + r_x) - keep for the grid, 1 - keep for what is cut.
+    """
+    band, weight = need.band, need.band.weight
+    limit = min(k / p for k, p in zip(keep, period, strict=True))
+    keep_y, keep_x = band.kept(limit)
+    r_y = kernel.alias_ratio(band.fy * (period[0] / points[0]), need.single)
+    r_x = kernel.alias_ratio(band.fx * (period[1] / points[1]), need.single)
+    spread = (keep_y * r_y) @ weight @ (keep_x * (1.0 + r_x)) + keep_y @ weight @ (keep_x * r_x)
+    light = float(kernel.alias_ratio(np.zeros(1), need.single)[0])
+    eps = float(np.finfo(np.float32 if need.single else np.float64).eps)
+    rounding = ROUNDING * eps * float(weight.sum())
+    return float(spread), band.cut(limit), 2.0 * light + light**2, rounding
