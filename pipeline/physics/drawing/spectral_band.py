@@ -83,7 +83,7 @@ def _merged(f: Array, amount: Array, width: float) -> tuple[Array, Array]:
     cell = np.rint(f / width).astype(int)
     out = np.zeros((cell.max() + 1, amount.shape[1]))
     np.add.at(out, cell, amount)
-    return np.arange(len(out)) * width, out
+    return np.arange(len(out)) * float(width), out
 
 
 def sweep_bound(fy: Array, fx: Array, step: float, path: Path, longest_px: float) -> Array:

@@ -146,7 +146,7 @@ def plan_spectral(
             found = [
                 (p.seconds(*work), p)
                 for p in _plans(need, error)
-                if p.bytes <= most_bytes and not (precision and _crowded(p, work[0]))
+                if p.bytes <= most_bytes and (single or not _crowded(p, work[0]))
             ]
             best = min([*found, *([best] if best else [])], key=lambda f: f[0], default=None)
             if found:
@@ -162,7 +162,8 @@ def plan_spectral(
 
 def _crowded(plan: SpectralPlan, sources: float) -> bool:
     """Whether grid points add up so many weights that float32 loses digits."""
-    return sources * plan.kernel.width**2 > CROWDED * plan.points[0] * plan.points[1]
+    weights = sources * plan.kernel.width**2
+    return plan.single and weights > CROWDED * plan.points[0] * plan.points[1]
 
 
 def _reach_px(core: Core, path: Path, longest_px: float) -> tuple[float, float]:

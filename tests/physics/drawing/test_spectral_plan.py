@@ -1,0 +1,148 @@
+"""Plans of the spectral engine: kernels, bounds, memory, what is refused."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.physics.drawing.spectral import Sources, draw_spectral, transfer_table
+from pipeline.physics.drawing.spectral_band import band_of, peak_light, sweep_bound
+from pipeline.physics.drawing.spectral_plan import plan_spectral
+from pipeline.physics.drawing.spectral_spread import Kernel, spread_onto
+from pipeline.physics.motion.streak import POINT, Path, pieces, transfer
+from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
+from pipeline.physics.psf.response import Core, compact_core
+
+KERNELS = [Kernel(w, b * w) for w in (4, 5, 6, 8, 12) for b in (1.6, 2.1, 2.6)]
+
+
+def gaussian_core(sigma: float) -> Core:
+    return compact_core(Blur(Gaussian(sigma)), 6.1 * sigma)
+
+
+def line(length: float, angle: float = 0.6435) -> Path:
+    x, y = 0.5 * length * np.cos(angle), 0.5 * length * np.sin(angle)
+    return Path(np.array([-x, x]), np.array([-y, y]), np.ones(1))
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_kernel_transform_is_its_integral(kernel: Kernel) -> None:
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    u = 0.5 * kernel.width * nodes
+    for turns in (0.0, 0.2, 0.5, 0.9, 1.7):
+        integral = 0.5 * kernel.width * weights @ (kernel.value(u) * np.cos(2 * np.pi * turns * u))
+        assert kernel.transform(np.array(turns)) == pytest.approx(integral, abs=1e-12)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_alias_bound_holds_at_every_place_in_a_cell(kernel: Kernel) -> None:
+    """Sums over grid points against the kernel's transform: the worst of 200 places."""
+    turns = np.linspace(0.0, 0.49, 50)
+    places = np.concatenate([[0.0, 1e-9, 1 - 1e-9], np.linspace(0.001, 0.999, 197)])
+    u = np.arange(-8, 9) - places[:, None]
+    sums = np.einsum("pu,puf->pf", kernel.value(u), np.exp(-2j * np.pi * turns * u[:, :, None]))
+    worst = np.abs(sums - kernel.transform(turns)).max(axis=0) / kernel.transform(turns)
+    stated = kernel.alias_ratio(turns, single=False)
+    assert (worst <= stated).all()
+    assert (stated <= 60 * worst).all()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("width", [4, 5, 8, 11])
+def test_spreading_is_the_kernel_at_every_source(width: int, kind: type) -> None:
+    kernel = Kernel(width, 2.2 * width)
+    rng = np.random.default_rng(1)
+    x, y, light = rng.uniform(-5, 210, 700), rng.uniform(-5, 105, 700), rng.uniform(0, 2, 700)
+    grid, exact = np.zeros((100, 204), kind), np.zeros((100, 200))
+    spread_onto(grid, 200, kernel, y, x, light)
+    half = width / 2
+    inside = (x - half > -1) & (x + half < 200) & (y - half > -1) & (y + half < 100)
+    for a, b, e in zip(x[inside], y[inside], light[inside], strict=True):
+        exact += e * np.outer(kernel.value(np.arange(100) - b), kernel.value(np.arange(200) - a))
+    assert not grid[:, 200:].any()
+    middle = slice(width, -width)  # sources on the border may be left out
+    off = np.abs(grid[:, :200] - exact)[middle, middle].max()
+    assert off < 12 * kernel.weight_error(kind is np.float32)
+
+
+def test_sweep_bound_is_above_the_mean_of_the_streak() -> None:
+    """Cells wider than the lobes of the sinc: against its mean over fine samples of each cell."""
+    fy, fx, step = np.linspace(0, 1, 11), np.linspace(0, 1, 11), 0.1
+    for path in (line(3.0), line(60.0), line(300.0, 0.0), line(200.0, 2.2)):
+        stated = sweep_bound(fy, fx, step, path, np.inf)
+        fine = (np.arange(40) + 0.5) / 40 * step - 0.5 * step
+        for i in range(0, 11, 2):
+            for j in range(0, 11, 2):
+                one = transfer(fy[i] + fine, fx[j] + fine, path.x_px, path.y_px, path.weight)
+                assert np.abs(one).mean() <= 1.01 * stated[i, j] + 1e-12
+
+
+def test_band_holds_all_of_a_positive_response() -> None:
+    """The integral of |transfer| of a Gaussian is its value at the centre."""
+    core = gaussian_core(1.3)
+    band = band_of(core, POINT, np.inf)
+    centre = core.samples[core.samples.shape[0] // 2, core.samples.shape[0] // 2]
+    assert band.weight.sum() == pytest.approx(centre, rel=1e-6)
+    assert band.cut(band.limit_for(1e-4)) <= 1e-4
+    assert peak_light(core, POINT) == pytest.approx(centre)
+
+
+@pytest.mark.parametrize("length", [0.0, 60.0, 300.0, 3000.0])
+@pytest.mark.parametrize("sigma", [0.8, 50.0])
+def test_memory_is_bounded_and_foretold(sigma: float, length: float) -> None:
+    core, path = gaussian_core(sigma), line(length)
+    error = 1e-3 * peak_light(core, path)
+    plan = plan_spectral((512, 512), core, path, error, most_bytes=100e6)
+    assert plan.bytes <= 100e6
+    table = transfer_table(core, plan)
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0, 512, (2, 1000))
+    sources = [Sources(x, y, np.ones(1000), path)]
+    draw_spectral(plan, table, sources, (0, 0))
+    tracemalloc.start()
+    draw_spectral(plan, table, sources, (0, 0))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    per_piece = 150 * 1000 * len(pieces(path, plan.longest_px))
+    assert peak + table.nbytes <= 1.1 * plan.bytes + per_piece + 2e6
+
+
+def test_costs_grow_as_they_should() -> None:
+    core, path = gaussian_core(0.8), line(60.0)
+    peak = peak_light(core, path)
+    plans = [plan_spectral((2048, 2048), core, path, e * peak) for e in (1e-2, 1e-3, 1e-5)]
+    seconds = [p.seconds(1e5) for p in plans]
+    assert seconds == sorted(seconds)
+    assert all(p.single and p.bytes < 250e6 and p.light_error <= 1e-6 for p in plans)
+    assert all(p.seconds(1e6) > p.seconds(1e4) for p in plans)
+    few = plan_spectral((2048, 2048), core, path, 1e-3 * peak, sources=1e3)
+    many = plan_spectral((2048, 2048), core, path, 1e-3 * peak, sources=1e7)
+    assert many.kernel.width <= few.kernel.width
+
+
+def test_precision_follows_the_error_and_the_crowd() -> None:
+    core = gaussian_core(0.8)
+    peak = peak_light(core, POINT)
+    assert plan_spectral((128, 128), core, POINT, 1e-3 * peak).single
+    assert not plan_spectral((128, 128), core, POINT, 1e-7 * peak).single
+    assert not plan_spectral((128, 128), core, POINT, 1e-3 * peak, sources=1e7).single
+    assert plan_spectral((128, 128), core, POINT, 1e-3 * peak, single=True, sources=1e7).single
+
+
+def test_what_no_grid_reaches_is_refused() -> None:
+    sharp = compact_core(Blur(Airy(0.1)), 4.0)
+    with pytest.raises(BadInput, match="a larger one, a smaller block"):
+        plan_spectral((2048, 2048), sharp, POINT, 1e-4)
+    assert plan_spectral((64, 64), sharp, POINT, 1e-4).limit > 5.0
+    with pytest.raises(BadInput):
+        plan_spectral((64, 64), gaussian_core(0.8), POINT, 1e-13)
+
+
+def test_same_plan_for_alike_streaks() -> None:
+    """Pads are rounded, so that streaks that differ by little share plan and table."""
+    core = gaussian_core(0.8)
+    first, second = (plan_spectral((256, 256), core, line(n), 1e-6) for n in (60.0, 60.2))
+    assert (first.period, first.pad) == (second.period, second.pad)
