@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
-from pipeline.errors import BadInput, Incomplete
+from .errors import BadInput, Incomplete
 
 Progress = Callable[[str], None]  # called with the kind of each task that is done
 LOCAL_KINDS = ("threads", "synchronous", "processes")
