@@ -103,6 +103,7 @@ def measure_ingest(files: Path, work: Path, peers: Path) -> list[Row]:
     # Name, command, output, workers in each process.
     cases: list[tuple[str, list[Any], Path | None, int]] = [
         ("nightglass", [*cli, ours, "--workers", WORKERS, "--json"], ours, WORKERS),
+        ("nightglass, 1 worker", [*cli, ours, "--workers", 1, "--json"], ours, 1),
         ("hats-import, zstd-3", [*peer, "zstd-3"], theirs, 1),
         ("hats-import, as it comes (zstd-15)", [*peer, "default"], theirs, 1),
         ("bare limit: gunzip (isal) + pyarrow.csv, 1 thread", limit, None, 1),

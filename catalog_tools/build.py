@@ -29,6 +29,7 @@ from .catalogue import (
     SOURCES_NAME,
     Catalogue,
     open_catalogue,
+    shard_name,
     write_manifest,
 )
 from .errors import BadInput
@@ -111,15 +112,17 @@ def build(
         duplicates.find(pieces, work.progress, budget.bucket_rows)
         context = written(work, pieces, splits)
         done = _write_all(context, cells, scheduler, progress)
+        _sweep(work.catalogue, done)
         reasons = _write_rejects(context, splits, done)
         _write_sources(work, splits)
         leaves = np.concatenate([np.empty(0, LEAVES_DTYPE), *(leaf.leaf for leaf in done)])
         groups = np.concatenate([np.empty(0, ROW_GROUPS_DTYPE), *(d.row_groups for d in done)])
         rows_in = sum(record["rows"] for s in splits for record in s.records)
         content = _content(about, leaves, len(sources), rows_in, reasons)
-        digest = write_manifest(work.catalogue, content, leaves, groups)
         counts = _final_counts(counts, context, done)
-        hats.write_hats_files(work.catalogue, content, leaves, digest, counts, rows_per_leaf)
+        shape = hats.write_hats_files(work.catalogue, leaves, counts)
+        digest = write_manifest(work.catalogue, content, leaves, groups)
+        hats.write_properties(work.catalogue, content, digest, rows_per_leaf, shape)
     return IngestReport(open_catalogue(destination), rows_in, reasons, continued)
 
 
@@ -195,6 +198,14 @@ def _write_all(
     shared = scheduler.share(context)
     _run(scheduler, "write", [(write_leaf, shared, cell) for cell in cells], tell)
     return [done for cell in cells if (done := leaf_done(context, cell)) is not None]
+
+
+def _sweep(root: Path, done: Sequence[LeafDone]) -> None:
+    """Remove what an earlier run left that is no part of this catalogue."""
+    shards = {root / shard_name(d.cell.order, d.cell.pixel) for d in done if d.leaf.size}
+    for path in root.rglob("*"):
+        if path.is_file() and path not in shards:
+            path.unlink()
 
 
 def _write_rejects(context: Written, splits: Sequence[Split], done: Sequence[LeafDone]) -> Reasons:

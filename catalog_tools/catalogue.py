@@ -30,6 +30,8 @@ LEAVES_NAME = "nightglass/leaves.npy"
 ROW_GROUPS_NAME = "nightglass/row_groups.npy"
 SOURCES_NAME = "nightglass/sources.parquet"
 REJECTS_NAME = "nightglass/rejects.parquet"
+# HATS files that the manifest proves; the two properties files name its digest, and come after it.
+HATS_NAMES = ("partition_info.csv", "skymap.fits", "point_map.fits", "dataset/_common_metadata")
 MAKE_ONE = (
     "a catalogue; make one with `nightglass catalog demo -o PATH` or `nightglass catalog ingest`"
 )
@@ -134,8 +136,10 @@ class Catalogue:
         """One leaf by its place in `leaf_table`, with the row groups wanted (all by default)."""
         row = self.leaf_table[index]
         first, end = (int(i) for i in self.first_row_groups[index : index + 2])
-        wanted = range(end - first) if row_groups is None else row_groups
-        groups = tuple(_row_group(int(i), self.row_group_table[first + int(i)]) for i in wanted)
+        wanted = np.arange(end - first) if row_groups is None else np.asarray(row_groups, int)
+        table = self.row_group_table[first + wanted]
+        columns = (table[name].tolist() for name in RowGroup._fields[1:])
+        groups = tuple(map(RowGroup, wanted.tolist(), *columns))
         x, y, z = row["centre"].tolist()
         return Leaf(
             order=int(row["order"]),
@@ -160,27 +164,21 @@ def shard_name(order: int, pixel: int) -> str:
     return f"dataset/Norder={order}/Dir={folder}/Npix={pixel}.parquet"
 
 
-def _row_group(number: int, row: np.void) -> RowGroup:
-    return RowGroup(
-        number, int(row["rows"]), int(row["bytes"]), int(row["offset"]), int(row["crc32c"]),
-        float(row["brightest_g_mag"]), float(row["faintest_g_mag"]),
-    )  # fmt: skip
-
-
 def write_manifest(
     folder: Path, content: dict[str, Any], leaves: np.ndarray, row_groups: np.ndarray
 ) -> str:
     """Write both tables and the manifest below `folder`; returns the digest.
 
     content : the fields of a Catalogue from `name` to `facts`. The digests of all files in the
-    folder `nightglass` become part of it.
+    folder `nightglass` and of HATS_NAMES become part of it.
     """
     (folder / LEAVES_NAME).parent.mkdir(exist_ok=True)
     np.save(folder / LEAVES_NAME, leaves)
     np.save(folder / ROW_GROUPS_NAME, row_groups)
+    beside = [folder / name for name in HATS_NAMES if (folder / name).is_file()]
     files = {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted((folder / LEAVES_NAME).parent.iterdir())
+        for path in sorted([*(folder / LEAVES_NAME).parent.iterdir(), *beside])
     }
     content = json.loads(json.dumps({**content, "files": files}, allow_nan=False))
     digest = _digest(content)

@@ -18,18 +18,12 @@ from .columns import HEALPIX_COLUMN, HEALPIX_ORDER, STORED
 MAX_SKYMAP_ORDER = 8
 
 
-def write_hats_files(
-    root: Path,
-    content: dict[str, Any],
-    leaves: np.ndarray,
-    digest: str,
-    counts: np.ndarray,
-    rows_per_leaf: int,
-) -> None:
-    """Write partition_info.csv, _common_metadata, the two maps, and the properties below `root`.
+def write_hats_files(root: Path, leaves: np.ndarray, counts: np.ndarray) -> dict[str, Any]:
+    """Write partition_info.csv, _common_metadata and the two maps below `root`, before the manifest
+    that proves them; returns what the properties say of them.
 
-    content, digest : what the manifest says; leaves : its table (LEAVES_DTYPE); counts :
-    (12 * 4**order,) rows by nested pixel of some order, at least MAX_SKYMAP_ORDER.
+    leaves : the manifest's table (LEAVES_DTYPE); counts : (12 * 4**order,) rows by nested pixel of
+    some order, at least MAX_SKYMAP_ORDER.
     """
     columns = (leaves[name].tolist() for name in ("order", "pixel", "rows"))
     lines = [",".join(map(str, row)) for row in zip(*columns, strict=True)]
@@ -41,15 +35,27 @@ def write_hats_files(
     rows = counts.reshape(12 * 4**order, -1).sum(axis=1)
     for name in ("skymap.fits", "point_map.fits"):
         _write_map(root / name, rows)
+    return {
+        "hats_order": deepest,
+        "hats_skymap_order": order,
+        "moc_sky_fraction": f"{np.count_nonzero(rows) / rows.size:.5f}",
+        "hats_estsize": int(leaves["bytes"].sum()) // 1024 + 1,
+    }
+
+
+def write_properties(
+    root: Path, content: dict[str, Any], digest: str, rows_per_leaf: int, shape: dict[str, Any]
+) -> None:
+    """Write both properties files, the last of all: they name the manifest's digest.
+
+    content, digest : what the manifest says; shape : what `write_hats_files` returned.
+    """
     about = {
         "obs_collection": content["name"],
         "obs_description": content["description"].replace("\n", " "),
         "hats_nrows": content["rows"],
         "hats_max_rows": rows_per_leaf,
-        "hats_order": deepest,
-        "hats_skymap_order": order,
-        "moc_sky_fraction": f"{np.count_nonzero(rows) / rows.size:.5f}",
-        "hats_estsize": int(leaves["bytes"].sum()) // 1024 + 1,
+        **shape,
         "nightglass_ref_epoch_jyear": content["ref_epoch_jyear"],
         "nightglass_synthetic": str(content["synthetic"]).lower(),
         "nightglass_digest": digest,
@@ -60,9 +66,19 @@ def write_hats_files(
 
 
 def _write_map(path: Path, rows: np.ndarray) -> None:
-    import healpy
+    """A full-sky nested HEALPix map as FITS (what healpy writes, without importing it)."""
+    from astropy.io import fits
 
-    healpy.write_map(str(path), rows.astype(np.int64), nest=True, dtype=np.int64)
+    width = min(rows.size, 1024)
+    values = rows.astype(">i8").reshape(-1, width)
+    table = fits.BinTableHDU.from_columns(
+        [fits.Column("T", f"{width if width > 1 else ''}K", array=values)]
+    )
+    table.header.update(
+        PIXTYPE="HEALPIX", ORDERING="NESTED", INDXSCHM="IMPLICIT", OBJECT="FULLSKY",
+        NSIDE=int((rows.size // 12) ** 0.5), FIRSTPIX=0, LASTPIX=rows.size - 1,
+    )  # fmt: skip
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(path, overwrite=True)
 
 
 def _properties(about: dict[str, Any]) -> str:

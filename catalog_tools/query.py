@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .ahead import ahead, cores
+from .ahead import ahead, cores, threads
 from .catalogue import Catalogue, Leaf, RowGroup
 from .errors import BadInput
-from .regions import Bools, Cone, Polygon, Region, cone_of, polygon_of
+from .regions import Cone, Polygon, Region, cone_of, polygon_of
 from .selection import hits, leaves_of, motion_pad_rad, pads_rad, select, years_to
 from .sphere import Floats, directions, moved
+from .stores import LocalStore
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -28,7 +28,9 @@ __all__ = [
 ]  # fmt: skip
 
 THREADS = min(cores(), 8)
+ALONE_ROWS = 150_000  # up to these, starting threads costs more than they save
 PART_ROWS = 32_768  # of row groups that are decoded together
+COSINE_ERROR = 3e-6  # of float32 cosines: 4e-7 by rounded angles, 3e-7 by rounded sines
 G_MAG = "phot_g_mean_mag"
 PLACE = ("ra", "dec")
 MOTION = ("pmra", "pmdec", "parallax", "radial_velocity")
@@ -70,7 +72,7 @@ def read_leaf(
         group.faintest_g_mag > faintest_g_mag for group in leaf.row_groups
     )
     read = names if not cut or G_MAG in names else [*names, G_MAG]
-    table = next(open_shard(catalogue.store, leaf).read(leaf.row_groups, read))
+    table = open_shard(catalogue.store, leaf).read(leaf.row_groups, read)
     if cut:
         table = table.filter(pa.array(table[G_MAG].to_numpy().astype(float) <= faintest_g_mag))
     return table.select(names)
@@ -176,7 +178,8 @@ def _batches(
     def keep(part: _Part) -> pa.Table:
         return _wanted_rows(part, region, faintest_g_mag, years, names)
 
-    with ThreadPoolExecutor(THREADS) as pool:
+    alone = isinstance(store, LocalStore) and caps["rows"].sum() <= ALONE_ROWS
+    with threads(0 if alone else THREADS) as pool:
         leaves = leaves_of(catalogue, found)
         shards = ahead(pool, lambda leaf: open_shard(store, leaf), leaves, 2)
         parts = _parts(shards, inside.tolist(), pads.tolist())
@@ -209,60 +212,55 @@ def _parts(
 def _wanted_rows(
     part: _Part, region: Region, faintest_g_mag: float | None, years: float, names: list[str]
 ) -> pa.Table:
-    """The rows of some row groups that are bright enough and within the region after `years`.
-
-    The columns that decide are decoded first; the others only where there is a row to return.
-    """
+    """The rows of some row groups that are bright enough and within the region after `years`."""
     import pyarrow as pa
 
     limit = faintest_g_mag
     bright = limit is None or all(group.faintest_g_mag <= limit for group in part.groups)
     needed = () if part.inside else (*PLACE, *MOTION) if years else PLACE
-    first = [*needed, *(() if bright else (G_MAG,))]
-    rest = [name for name in names if name not in first]
-    tables = part.shard.read(part.groups, *filter(None, (first, rest)), threads=False)
-    table = next(tables)
-    if not first:
-        return table.select(names)
+    read = dict.fromkeys((*names, *needed, *(() if bright else (G_MAG,))))
+    table = part.shard.read(part.groups, list(read), threads=False)
     rows = np.arange(table.num_rows)
     if not bright:
         rows = np.flatnonzero(table[G_MAG].to_numpy().astype(float) <= limit)
     if not part.inside:
         rows = _within(table, rows, region, years, part.pad_rad)
-    if rows.size == 0:
-        return _schema(names).empty_table()
-    more = next(tables) if rest else table
-    columns = [(table if name in first else more)[name] for name in names]
-    found = pa.table(columns, schema=_schema(names))
-    return found if rows.size == table.num_rows else found.take(pa.array(rows))
+    table = table.select(names)
+    return table if rows.size == table.num_rows else table.take(pa.array(rows))
 
 
 def _within(
     table: pa.Table, rows: NDArray[np.intp], region: Region, years: float, pad_rad: float
 ) -> NDArray[np.intp]:
-    """Those of some rows that lie within a region after `years`."""
+    """Those of some rows that lie within a region after `years`, in which they move by `pad_rad`.
+
+    Most are decided by float32 cosines of their distance from the region's centre.
+    """
     ra, dec = (table[name].to_numpy()[rows] for name in PLACE)
-    near = _in_box(ra, dec, region, pad_rad)
-    rows, ra, dec = rows[near], ra[near], dec[near]
+    cosine = _cosines(ra, dec, region)
+    inner, outer = region.inner_radius_rad - pad_rad, region.radius_rad + pad_rad
+    least = math.cos(outer) - COSINE_ERROR if outer < math.pi else -2.0
+    surely = math.cos(inner) + COSINE_ERROR if inner > 0.0 else 2.0
+    inside = cosine > surely
+    doubtful = np.flatnonzero((cosine >= least) & ~inside)
+    some = rows[doubtful]
     if years:
-        pmra, pmdec, plx, rv = (table[name].to_numpy()[rows] for name in MOTION)
-        v = moved(ra, dec, pmra, pmdec, years, plx, rv)
+        pmra, pmdec, plx, rv = (table[name].to_numpy()[some] for name in MOTION)
+        v = moved(ra[doubtful], dec[doubtful], pmra, pmdec, years, plx, rv)
     else:
-        v = directions(ra, dec)
-    return rows[region.holds(v)]
+        v = directions(ra[doubtful], dec[doubtful])
+    inside[doubtful] = region.holds(v)
+    return rows[inside]
 
 
-def _in_box(ra_deg: Floats, dec_deg: Floats, region: Region, pad_rad: float) -> NDArray[np.intp]:
-    """Places within the box in right ascension and declination around a region, and some more."""
+def _cosines(ra_deg: Floats, dec_deg: Floats, region: Region) -> NDArray[np.float32]:
+    """Cosines (n,) of places' distances from a region's centre, to COSINE_ERROR."""
     x, y, z = region.centre
-    reach = region.radius_rad + pad_rad
-    dec0, ra0 = math.atan2(z, math.hypot(x, y)), math.degrees(math.atan2(y, x))
-    near: Bools = np.abs(dec_deg - math.degrees(dec0)) <= math.degrees(reach)
-    if abs(dec0) + reach < 0.5 * math.pi - 1e-6:
-        wide = math.degrees(math.asin(math.sin(reach) / math.cos(dec0))) + 1e-6
-        apart = np.abs(ra_deg - ra0 % 360.0)
-        near &= (apart <= wide) | (apart >= 360.0 - wide)
-    return np.flatnonzero(near)
+    turned = np.radians((ra_deg - math.degrees(math.atan2(y, x))).astype(np.float32))
+    dec = np.radians(dec_deg.astype(np.float32))
+    cosines: NDArray[np.float32] = np.sin(dec) * np.float32(z)
+    cosines += np.cos(dec) * np.cos(turned) * np.float32(math.hypot(x, y))
+    return cosines
 
 
 def _names(columns: Sequence[str] | None) -> list[str]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import io
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn
 
@@ -38,12 +38,9 @@ class Shard:
     metadata: pq.FileMetaData
 
     def read(
-        self, row_groups: Sequence[RowGroup], *choices: Sequence[str], threads: bool = True
-    ) -> Iterator[pa.Table]:
-        """Rows of some of its row groups in the file's order: a table for each choice of columns.
-
-        Each table is decoded when it is asked for; threads : on all cores.
-        """
+        self, row_groups: Sequence[RowGroup], names: Sequence[str], *, threads: bool = True
+    ) -> pa.Table:
+        """Rows of some of its row groups, in the file's order; threads : decoded on all cores."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -51,14 +48,12 @@ class Shard:
         try:
             source = pa.PythonFile(Held(self.leaf.bytes, self.held), mode="r")
             file = pq.ParquetFile(source, metadata=self.metadata, pre_buffer=False)
-            for names in choices:
-                table = file.read_row_groups(numbers, list(names), use_threads=threads)
-                if table.num_rows != rows:
-                    reason = "holds another number of rows than the manifest says"
-                    raise Damaged(self.where, reason)
-                yield table
+            table = file.read_row_groups(numbers, list(names), use_threads=threads)
         except (pa.ArrowException, OSError) as error:
             raise Damaged(self.where, f"cannot be read ({error})") from None
+        if table.num_rows != rows:
+            raise Damaged(self.where, "holds another number of rows than the manifest says")
+        return table
 
 
 def open_shard(store: Store, leaf: Leaf) -> Shard:

@@ -31,6 +31,10 @@ class Region(Protocol):
         """Radius of that cap."""
 
     @property
+    def inner_radius_rad(self) -> float:
+        """Radius of a cap around the same centre that lies within the region; 0 for none."""
+
+    @property
     def epoch_jyear(self) -> float | None:
         """When it is looked at (Julian year); None for the catalogue's own epoch."""
 
@@ -53,6 +57,11 @@ class Cone:
     radius_rad: float
     epoch_jyear: float | None = None
     observer_distance_au: float = 1.1
+
+    @property
+    def inner_radius_rad(self) -> float:
+        """The cone's own radius."""
+        return self.radius_rad
 
     def outside_rad(self, v: Floats) -> Floats:
         """Angles (n,) from unit vectors (n, 3) to the cone's border, negative inside it."""
@@ -120,6 +129,11 @@ class Polygon:
     def radius_rad(self) -> float:
         """Angle from the centre to the farthest corner: a cap below a hemisphere is convex."""
         return float(separation_rad(self._edges[0], np.array(self.centre)).max()) + 1e-15
+
+    @cached_property
+    def inner_radius_rad(self) -> float:
+        """Angle from the centre to the nearest edge; 0 where the centre lies outside."""
+        return max(0.0, -float(self.outside_rad(np.array([self.centre]))[0]))
 
     @cached_property
     def _axes(self) -> tuple[Floats, Floats]:

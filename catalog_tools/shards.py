@@ -7,7 +7,7 @@ tables of the manifest; Parquet's own page checksums are written too.
 
 from __future__ import annotations
 
-from itertools import pairwise
+import math
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from .catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
-from .columns import ENCODINGS, HEALPIX_COLUMN, STORED
+from .columns import ENCODINGS, HEALPIX_COLUMN, HEALPIX_ORDER, STORED
 from .judging import Columns
 from .sphere import cap_of, cap_of_caps, directions
 
@@ -26,7 +26,9 @@ BAND_EDGES_G_MAG = np.array(
     [8.0, 10.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0, 19.0, 20.0], np.float32
 )
 MIN_BAND_ROWS = 2048
-MAX_ROW_GROUP_ROWS = 32_768
+MAX_ROW_GROUP_ROWS = 16_384
+MAX_BRIGHT_ROW_GROUP_ROWS = 2_048  # to BRIGHT_G_MAG, so that a cone of a degree takes few
+BRIGHT_G_MAG = 16.0
 ZSTD_LEVEL = 3
 PRUNED_BY = [HEALPIX_COLUMN, "ra", "dec", "phot_g_mean_mag"]  # columns with Parquet statistics
 CHUNK_BYTES = 1 << 20
@@ -86,14 +88,33 @@ def _arrange(rows: Columns) -> tuple[np.ndarray, list[slice]]:
         band[(band >= wide.start) & (band < wide.stop)] = i
     places = _along_the_curve(rows)
     places = places[np.argsort(band[places], kind="stable")]
+    pixels, edges = rows[HEALPIX_COLUMN][places], [*BAND_EDGES_G_MAG.tolist(), math.inf]
     groups, start = [], 0
     for wide in joined:
-        count = int(counts[wide].sum())
-        parts = -(-count // MAX_ROW_GROUP_ROWS)
-        edges = [start + count * i // parts for i in range(parts + 1)]
-        groups += [slice(a, b) for a, b in pairwise(edges)]
-        start += count
+        stop = start + int(counts[wide].sum())
+        bright = edges[wide.stop - 1] <= BRIGHT_G_MAG
+        most = MAX_BRIGHT_ROW_GROUP_ROWS if bright else MAX_ROW_GROUP_ROWS
+        groups += _halved(
+            pixels, start, stop, 0, 4 + 2 * HEALPIX_ORDER, min(most, MAX_ROW_GROUP_ROWS)
+        )
+        start = stop
     return places, groups
+
+
+def _halved(
+    pixels: np.ndarray, start: int, stop: int, low: int, bits: int, most: int
+) -> list[slice]:
+    """Cut ascending pixels at the borders of HEALPix pixels, or of halves of them, into slices of
+    at most `most` rows. Row groups that keep to such cells are compact: a cone meets a third as
+    many of them as of stretches of equal length, which reach over into the next large pixel."""
+    if stop - start <= most or bits == 0:
+        return [slice(start, stop)] if stop > start else []
+    half = low + (1 << (bits - 1))
+    middle = start + int(np.searchsorted(pixels[start:stop], half))
+    return [
+        *_halved(pixels, start, middle, low, bits - 1, most),
+        *_halved(pixels, middle, stop, half, bits - 1, most),
+    ]
 
 
 def _along_the_curve(rows: Columns) -> np.ndarray:

@@ -69,10 +69,9 @@ def verify(catalogue: Place, workers: Workers = None, as_json: Json = False) -> 
     """Prove a catalogue whole: every byte, every row's place, every count."""
     from dataclasses import asdict
 
-    from catalog_tools.verify import verify as run
-
     from catalog_tools.catalogue import open_catalogue
     from catalog_tools.errors import Damaged
+    from catalog_tools.verify import verify as run
 
     with _stages(as_json) as progress:
         report = run(open_catalogue(catalogue), workers=workers, progress=progress)
@@ -85,21 +84,32 @@ def verify(catalogue: Place, workers: Workers = None, as_json: Json = False) -> 
 @catalog.command()
 def cone(
     catalogue: Place,
-    ra_deg: Annotated[float, typer.Option("--ra", min=-360, max=360)],
-    dec_deg: Annotated[float, typer.Option("--dec", min=-90, max=90)],
-    radius_deg: Annotated[float, typer.Option("--radius", min=0, max=180)],
+    ra_deg: Annotated[float | None, typer.Option("--ra", min=-360, max=360)] = None,
+    dec_deg: Annotated[float | None, typer.Option("--dec", min=-90, max=90)] = None,
+    radius_deg: Annotated[float | None, typer.Option("--radius", min=0, max=180)] = None,
+    corner: Annotated[
+        list[str] | None, typer.Option(help="RA,DEC of a polygon; three or more, instead of a cone")
+    ] = None,
     faintest_g_mag: Annotated[float | None, typer.Option("--faintest")] = None,
     epoch_jyear: Annotated[float | None, typer.Option("--epoch", help="Julian year")] = None,
     output: Annotated[Path | None, typer.Option("-o", help=".csv or .parquet")] = None,
 ) -> None:
-    """Stars in a cone, to the screen (CSV) or a file."""
+    """Stars in a cone or a polygon, to the screen (CSV) or a file."""
+    from catalog_tools import query
     from catalog_tools.catalogue import open_catalogue
-    from catalog_tools.query import cone as search
+    from catalog_tools.errors import BadInput
     from pipeline.export.files import write_table
 
-    rows, report = search(
-        open_catalogue(catalogue), ra_deg, dec_deg, radius_deg, faintest_g_mag, epoch_jyear
-    )
+    corners = [_numbers("--corner", text, 2, "56.75,24.1") for text in corner or []]
+    centre = (ra_deg, dec_deg, radius_deg)
+    if corners and centre == (None, None, None):
+        opened = open_catalogue(catalogue)
+        rows, report = query.polygon(opened, corners, faintest_g_mag, epoch_jyear)
+    elif ra_deg is None or dec_deg is None or radius_deg is None or corners:
+        raise BadInput("--ra, --dec, --radius", centre, "all three, or else three --corner RA,DEC")
+    else:
+        opened = open_catalogue(catalogue)
+        rows, report = query.cone(opened, ra_deg, dec_deg, radius_deg, faintest_g_mag, epoch_jyear)
     write_table(rows, output)
     print(f"{rows.num_rows} stars; {report}", file=sys.stderr)
 

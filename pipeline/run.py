@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.schedulers import TASKS_PER_WINDOW, Scheduler, open_scheduler
 from pipeline.arrays import Geometry, SensorMaps
 from pipeline.errors import BadInput, NightglassError
 from pipeline.execute.graph import Inputs, Work, shard_graph, shard_key, window_graph
-from catalog_tools.schedulers import TASKS_PER_WINDOW, Scheduler, open_scheduler
 from pipeline.finish import finish, stored_report
 from pipeline.inputs.catalogues import (
     catalogue_facts,

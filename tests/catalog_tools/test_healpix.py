@@ -32,7 +32,9 @@ def test_close_to_the_poles():
         ours, theirs = pixels_of(order, ra, dec), healpy_pixels(order, ra, dec)
         differ = ours != theirs
         assert differ.mean() < 1e-3
-        assert _apart_rad(order, ours[differ], theirs[differ]) < 3.0 * healpy.nside2resol(1 << order)
+        assert _apart_rad(order, ours[differ], theirs[differ]) < 3.0 * healpy.nside2resol(
+            1 << order
+        )
 
 
 def test_borders_and_corners():

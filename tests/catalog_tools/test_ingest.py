@@ -22,6 +22,7 @@ from catalog_tools.info import info
 from catalog_tools.ingest import ingest
 from catalog_tools.partition import choose_leaves, coarser, healpix_29
 from catalog_tools.query import cone
+from catalog_tools.verify import verify
 
 HEAD = "source_id,ra,dec,phot_g_mean_mag"
 
@@ -286,6 +287,7 @@ def test_a_source_that_changed_since_is_read_again(tmp_path, parts, monkeypatch)
     assert (report.rows_in, report.continued) == (5500, 2)
     kept = pa.concat_tables([stars.slice(0, 3500), stars.slice(4000)])
     assert same_rows(cone(report.catalogue, 0, 0, 180)[0], kept)
+    assert verify(report.catalogue).findings == ()  # no shard of the first run is left
 
 
 def test_full_disk_is_told_as_incomplete(tmp_path, parts, monkeypatch):
@@ -294,7 +296,7 @@ def test_full_disk_is_told_as_incomplete(tmp_path, parts, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(leaves, "write_shard", full)
-        with pytest.raises(Incomplete, match="No space left.*run the same command again"):
+        with pytest.raises(Incomplete, match=r"No space left.*run the same command again"):
             ingest(parts[1], tmp_path / "c", workers=1)
     assert not (tmp_path / "c").exists()
     assert ingest(parts[1], tmp_path / "c").continued == 1
