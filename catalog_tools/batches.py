@@ -7,6 +7,7 @@ is on disk, so a killed ingest reads again only the batches without one.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from .columns import HEALPIX_COLUMN
-from .judging import PLACE_COLUMN, Columns, judge
+from .judging import PLACE_COLUMN, REJECTS, Columns, judge
 from .partition import Pixels, coarser_counts
 from .pieces import Piece, is_whole, write_piece
 from .publish import sync_file, write_durably
@@ -74,25 +75,22 @@ def split(batch: Batch, folder: Path, piece_rows: int) -> None:
     name = f"{batch.number:06d}"
     held = _Held(folder, batch.number, piece_rows)
     records: list[dict[str, Any]] = []
-    rejected: list[pa.Table] = []
+    reasons: Counter[str] = Counter()
+    rejects = pa.ipc.new_file(str(folder / f"{name}-rejects.arrow"), REJECTS)
     for source in batch.sources:
         record: dict[str, Any] = {"name": source.label, "bytes": None, "md5": None, "rows": 0}
         for table in source.tables(record):
             kept, columns, bad = judge(table, source.label, record["rows"])
             if bad.num_rows:
-                rejected.append(bad)
+                rejects.write_table(bad)
+                reasons.update(bad["reason"].to_pylist())
             held.add({**columns, PLACE_COLUMN: held.rows_in + kept}, table.num_rows)
             record["rows"] += table.num_rows
         records.append(record)
     held.write()
     pixels, counts = held.counts()
     np.save(folder / f"{name}-counts.npy", np.stack([pixels, counts]))
-    reasons: dict[str, int] = {}
-    if rejected:
-        bad = pa.concat_tables(rejected)
-        reasons = {e["values"]: e["counts"] for e in bad["reason"].value_counts().to_pylist()}
-        with pa.ipc.new_file(str(folder / f"{name}-rejects.arrow"), bad.schema) as writer:
-            writer.write_table(bad)
+    rejects.close()
     for path in folder.glob(f"{name}-*"):
         sync_file(path)
     marker = {
@@ -167,12 +165,14 @@ def counts_of(split: Split, folder: Path) -> tuple[Pixels, Pixels]:
     return pixels, counts
 
 
-def rejects_of(split: Split, folder: Path) -> pa.Table | None:
-    """The rows of a batch that were rejected while reading."""
+def rejects_of(split: Split, folder: Path) -> Iterator[pa.Table]:
+    """The rows of a batch that were rejected while reading, in tables of bounded size."""
     if not split.reasons:
-        return None
+        return
     with pa.OSFile(str(folder / f"{split.number:06d}-rejects.arrow")) as file:
-        return pa.ipc.open_file(file).read_all()
+        reader = pa.ipc.open_file(file)
+        for i in range(reader.num_record_batches):
+            yield pa.Table.from_batches([reader.get_batch(i)])
 
 
 def in_batches(

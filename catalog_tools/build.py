@@ -32,7 +32,7 @@ from .catalogue import (
     shard_name,
     write_manifest,
 )
-from .errors import BadInput
+from .errors import BadInput, Damaged, Incomplete
 from .judging import DUPLICATE, REJECTS
 from .leaves import LeafDone, Written, leaf_done, surplus_of, write_leaf, written
 from .memory import Budget
@@ -42,6 +42,7 @@ from .publish import Work, publishing, write_durably
 from .schedulers import LocalScheduler, Scheduler
 
 REQUEST_NAME = "request.json"
+PROGRESS_VERSION = 1  # of everything that is kept of an unfinished build
 BATCH_BYTES = 96 << 20  # of files as they come: some 300,000 gzipped rows of Gaia
 BATCH_SOURCES = 64
 REJECTS_ROWS = 100_000
@@ -68,13 +69,15 @@ class About:
 class IngestReport:
     """Every row accounted for: rows_in == catalogue.rows + sum(rejected.values()).
 
-    continued : batches that an earlier, unfinished run had read already.
+    continued : batches that an earlier, unfinished run had read already; notes : what a person
+    should know.
     """
 
     catalogue: Catalogue
     rows_in: int
     rejected: dict[str, int]
     continued: int
+    notes: tuple[str, ...] = ()
 
 
 def build(
@@ -119,6 +122,8 @@ def build(
         groups = np.concatenate([np.empty(0, ROW_GROUPS_DTYPE), *(d.row_groups for d in done)])
         rows_in = sum(record["rows"] for s in splits for record in s.records)
         content = _content(about, leaves, len(sources), rows_in, reasons)
+        if rows_in != content["rows"] + sum(reasons.values()):
+            raise Damaged(str(work.progress), "rows kept and rejected don't add up to those read")
         counts = _final_counts(counts, context, done)
         shape = hats.write_hats_files(work.catalogue, leaves, counts)
         digest = write_manifest(work.catalogue, content, leaves, groups)
@@ -129,6 +134,7 @@ def build(
 def _begin(work: Work, about: About, rows_per_leaf: int, sources: Sequence[Source]) -> None:
     """Go on with an unfinished build of the same request, or begin a new one."""
     request = {
+        "version": PROGRESS_VERSION,
         "about": asdict(about),
         "rows_per_leaf": rows_per_leaf,
         "sources": [source.identity()[0] for source in sources],
@@ -179,8 +185,10 @@ def _read_all(
         if not any(finished(batch, folder) for batch in batches):
             shutil.rmtree(folder, ignore_errors=True)  # nothing was done: nothing stays
         raise
-    splits = [finished(batch, folder) for batch in batches]
-    return [s for s in splits if s is not None], before
+    splits = [done for batch in batches if (done := finished(batch, folder))]
+    if len(splits) != len(batches):
+        raise Incomplete(f"{len(batches) - len(splits)} batches are not there; run it again")
+    return splits, before
 
 
 def _total_counts(splits: Iterable[Split], folder: Path) -> Pixels:
@@ -197,7 +205,10 @@ def _write_all(
     """Write all shards that are not there yet."""
     shared = scheduler.share(context)
     _run(scheduler, "write", [(write_leaf, shared, cell) for cell in cells], tell)
-    return [done for cell in cells if (done := leaf_done(context, cell)) is not None]
+    done = [leaf for cell in cells if (leaf := leaf_done(context, cell))]
+    if len(done) != len(cells):
+        raise Incomplete(f"{len(cells) - len(done)} leaves are not there; run it again")
+    return done
 
 
 def _sweep(root: Path, done: Sequence[LeafDone]) -> None:
@@ -221,7 +232,7 @@ def _write_rejects(context: Written, splits: Sequence[Split], done: Sequence[Lea
     if reasons:
         path = context.work.catalogue / REJECTS_NAME
         path.parent.mkdir(exist_ok=True)
-        read = (rejects_of(s, context.work.progress) for s in splits if s.reasons)
+        read = chain.from_iterable(rejects_of(s, context.work.progress) for s in splits)
         left_out = (surplus_of(context, leaf) for leaf in done if leaf.surplus)
         with pq.ParquetWriter(path, REJECTS, compression="zstd", write_page_checksum=True) as file:
             for table in even(chain(read, left_out), REJECTS_ROWS):

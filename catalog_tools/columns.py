@@ -10,9 +10,10 @@
 | radial_velocity [km/s] | float32 | 2**-7 | 0.004 km/s | |
 | phot_{g,bp,rp}_mean_mag [mag, Vega] | float32 | 2**-14 | 0.03 mmag | 0.1 mmag |
 
-Values are rounded to a power of two: their last bits are zero, which zstd packs away, and every
-reader sees plain degrees and magnitudes. An absent value is an Arrow null, never NaN and never a
-number.
+A value beyond LIMITS counts as absent: no star has it, and it would make every search look
+everywhere. Values are rounded to a power of two: their last bits are zero, which zstd packs away,
+and every reader sees plain degrees and magnitudes. An absent value is an Arrow null, never NaN and
+never a number.
 """
 
 from __future__ import annotations
@@ -56,4 +57,13 @@ STEPS: dict[str, float] = {
     **dict.fromkeys(("ra", "dec"), 2.0**-29),
     **dict.fromkeys(("pmra", "pmdec", "parallax", "radial_velocity"), 2.0**-7),
     **{f"phot_{band}_mean_mag": 2.0**-14 for band in ("g", "bp", "rp")},
+}
+
+# The largest absolute values that are taken for measurements; ra and dec have reasons of their own.
+LIMITS: dict[str, float] = {
+    **dict.fromkeys(("ra", "dec"), 1e300),
+    **dict.fromkeys(("pmra", "pmdec"), 1e5),  # mas/yr; Barnard's star: 10,400
+    "parallax": 1e4,  # mas; Proxima Centauri: 768
+    "radial_velocity": 1e5,  # km/s
+    **{f"phot_{band}_mean_mag": 60.0 for band in ("g", "bp", "rp")},
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from .partition import ROWS_PER_LEAF
 from .readers import detect_form, kind_of, read_tables
 from .schedulers import LocalScheduler, Scheduler, available_cores
 
+SYNTHETIC_MARK = "_made.jsonl"  # beside files that `catalog demo --as-csv` made
 MD5SUM_NAMES = ("MD5SUM.txt", "_MD5SUM.txt")
 
 
@@ -34,7 +35,7 @@ class FileSource:
     expected_md5: str | None
 
     def identity(self) -> list[Any]:
-        return [self.path, self.size, self.mtime_ns]
+        return [self.path, self.size, self.mtime_ns, self.expected_md5]
 
     def tables(self, record: dict[str, Any]) -> Iterator[pa.Table]:
         """Its rows; at the end its length and MD5 are compared with what was expected."""
@@ -81,18 +82,20 @@ def ingest(
     meaning = load_form(form) if form is not None else detect_form(paths[0])
     files = _look_at(paths, meaning, tell)
     _refuse_twins(files)
+    synthetic = any((path.parent / SYNTHETIC_MARK).is_file() for path in paths)
     about = About(
         name=name or meaning.name,
-        description=f"{meaning.description} {len(files)} files.",
-        synthetic=False,
+        description=f"{'SYNTHETIC. ' * synthetic}{meaning.description} {len(files)} files.",
+        synthetic=synthetic,
         ref_epoch_jyear=meaning.ref_epoch_jyear,
         facts={
             "form": meaning.name,
             "credit": meaning.credit,
+            "form_sha256": hashlib.sha256(repr(meaning).encode()).hexdigest(),
             "epoch_scale": meaning.epoch_scale,
         },
     )
-    return build(
+    report = build(
         files,
         Path(destination),
         about,
@@ -104,6 +107,7 @@ def ingest(
         overwrite=overwrite,
         restart=restart,
     )
+    return replace(report, notes=_md5_notes(files))
 
 
 def list_files(sources: Sequence[str | Path]) -> list[Path]:
@@ -160,6 +164,20 @@ def _md5_sums(folder: Path) -> dict[str, str]:
             if len(words) == 2 and len(words[0]) == 32:
                 sums[Path(words[1].lstrip("*")).name] = words[0].lower()
     return sums
+
+
+def _md5_notes(files: Sequence[FileSource]) -> tuple[str, ...]:
+    """What lists of digests say of files that are not there, and which files none tells of."""
+    names = {Path(file.path).name for file in files}
+    listed = {name for folder in {Path(f.path).parent for f in files} for name in _md5_sums(folder)}
+    absent = sum(_holds_rows(name) for name in listed - names)
+    unlisted = sum(file.expected_md5 is None for file in files)
+    notes = []
+    if absent:
+        notes.append(f"{absent} files that MD5SUM.txt lists are not among the sources")
+    if listed and unlisted:
+        notes.append(f"{unlisted} sources are not in MD5SUM.txt: their content was not verified")
+    return tuple(notes)
 
 
 def _refuse_twins(files: Sequence[FileSource]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 
-from .columns import HEALPIX_COLUMN, INCOMING, NAMES, STEPS
+from .columns import HEALPIX_COLUMN, INCOMING, LIMITS, STEPS
 from .partition import healpix_29
 
 Columns = dict[str, np.ndarray]
@@ -42,7 +42,7 @@ def judge(table: pa.Table, label: str, first_row: int) -> tuple[np.ndarray, Colu
     place of the table's first row in its source. Returns the kept rows' places in the table, their
     columns (those of STORED, NaN for an absent value, rounded to STEPS), and the rejects.
     """
-    columns = {name: _numbers(table[name]) for name in NAMES if name != "source_id"}
+    columns = {name: _numbers(table[name], LIMITS[name]) for name in LIMITS}
     reason = _reasons(table, columns)
     kept = np.flatnonzero(reason < 0)
     bad = np.flatnonzero(reason >= 0)
@@ -62,11 +62,10 @@ def rejects(rows: pa.Table, label: str, places: np.ndarray, reasons: list[str]) 
     return pa.table([source, pa.array(places), pa.array(reasons, pa.string()), *values], REJECTS)
 
 
-def _numbers(column: pa.ChunkedArray) -> np.ndarray:
-    """A float column, NaN where it is null or not finite. Always a new array."""
+def _numbers(column: pa.ChunkedArray, limit: float) -> np.ndarray:
+    """A float column, NaN where it is null, not finite or beyond its limit. Always a new array."""
     values = np.array(column.to_numpy())
-    if not np.isfinite(values.sum()):
-        values[~np.isfinite(values)] = np.nan
+    values[~(np.abs(values) <= limit)] = np.nan
     return values
 
 

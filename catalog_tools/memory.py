@@ -9,10 +9,10 @@ from .errors import BadInput
 from .partition import Cell
 
 DEFAULT_BYTES = 2 << 30
-BASE_BYTES = 150 << 20  # Python, numpy, pyarrow, healpy, distributed (measured)
+BASE_BYTES = 160 << 20  # Python, numpy, pyarrow, healpy, distributed (measured)
 READING_BYTES = 50 << 20  # one CSV file in blocks, with its decompression (measured)
 PIECE_ROW_BYTES = 180  # a row held, sorted and written
-LEAF_ROW_BYTES = 130  # a row gathered, arranged and encoded
+LEAF_ROW_BYTES = 200  # a row gathered, arranged and encoded
 BUCKET_ROW_BYTES = 24  # a source_id sorted among others
 LEAST_BYTES = 256 << 20
 MOST_PIECE_ROWS = 500_000

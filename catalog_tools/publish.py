@@ -37,6 +37,7 @@ def publishing(
     is at work on it. The lock is the kernel's: it ends with the process.
     """
     destination = destination.absolute()
+    _clean_up(destination)
     _check(destination, overwrite, field)
     try:
         destination.parent.mkdir(parents=True, exist_ok=True)
@@ -67,6 +68,20 @@ def publishing(
             if not holds_any(work.progress):
                 shutil.rmtree(part, ignore_errors=True)
             Path(lock.name).unlink(missing_ok=True)
+
+
+def _clean_up(destination: Path) -> None:
+    """Remove what a run left that was killed after the catalogue had taken its name."""
+    part = destination.parent / f".{destination.name}.part"
+    if (
+        (destination / MANIFEST_NAME).is_file()
+        and part.is_dir()
+        and not (part / "catalogue").exists()
+    ):
+        with (destination.parent / f".{destination.name}.lock").open("a") as lock:
+            if _alone(lock):
+                shutil.rmtree(part, ignore_errors=True)
+                Path(lock.name).unlink(missing_ok=True)
 
 
 def write_durably(path: Path, text: str) -> None:

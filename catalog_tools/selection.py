@@ -114,4 +114,4 @@ def motion_pad_rad(
     motion = np.asarray(max_proper_motion_mas_yr, float) * (MAS_RAD * time) * grown
     shift = np.minimum(parallax * observer_distance_au * grown, 1.0)
     pad = motion + np.arcsin(shift) + ROUNDING_RAD
-    return np.where(passes | (shift >= 1.0), np.pi, pad)
+    return np.where(passes | (shift >= 1.0) | ~np.isfinite(pad), np.pi, pad)

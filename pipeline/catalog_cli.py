@@ -44,6 +44,8 @@ def ingest(
             memory_bytes=memory_bytes, scheduler=where, progress=progress,
             overwrite=overwrite, restart=restart,
         )  # fmt: skip
+    for note in report.notes:
+        print(f"note: {note}", file=sys.stderr)
     print_mapping({"continued_batches": report.continued, **info(report.catalogue)}, as_json)
 
 
@@ -134,9 +136,11 @@ def demo(
     from catalog_tools.errors import BadInput
     from catalog_tools.info import info as facts
 
+    if rows is not None and (field or faintest_g_mag != 10.0):
+        raise BadInput("--rows", rows, "without --faintest and --field: a sample goes to G = 21")
     if as_csv:
-        if rows is None:
-            raise BadInput("--as-csv", True, "together with --rows N")
+        if rows is None or overwrite:
+            raise BadInput("--as-csv", True, "together with --rows N, and without --overwrite")
         from dataclasses import asdict
 
         from catalog_tools.synthetic_csv import write_csv_files
@@ -215,8 +219,10 @@ def _bytes(text: str) -> int:
     from catalog_tools.errors import BadInput
 
     try:
+        if not text[:1].isdigit():
+            raise ValueError(text)
         return int(parse_bytes(text))
-    except ValueError:
+    except (ValueError, OverflowError):
         raise BadInput("--memory", text, "a size such as 2GiB or 500MB") from None
 
 

@@ -387,3 +387,77 @@ def test_leaves_that_would_not_fit_into_memory_are_refused(tmp_path, parts, monk
     monkeypatch.setattr(memory, "LEAF_ROW_BYTES", (2 << 30) // 300)
     with pytest.raises(BadInput, match="399 rows in one pixel of order 18"):
         ingest([tmp_path / "one.csv"], tmp_path / "d", rows_per_leaf=100)
+
+
+def test_values_that_no_star_has_count_as_absent(tmp_path):
+    """One row with a motion of 3e38 must not hide its neighbours; a magnitude of 3e38 is none."""
+    head = HEAD + ",pmra,parallax"
+    rows = ["1,10,20,12,3.4e38,1", "2,10.1,20,12,1,3.4e38", "3,10,20.1,13,1,1", "4,10,20,3e38,1,1"]
+    (tmp_path / "odd.csv").write_text("\n".join([head, *rows]) + "\n")
+    report = ingest([tmp_path / "odd.csv"], tmp_path / "c")
+    assert report.rejected == {"G magnitude absent or not finite": 1}
+    stars = cone(report.catalogue, 10, 20, 1, epoch_jyear=2050.0)[0]
+    assert sorted(stars["source_id"].to_pylist()) == [1, 2, 3]
+    assert stars["pmra"].null_count == stars["parallax"].null_count == 1
+    assert np.isfinite(report.catalogue.leaf_table["max_proper_motion_mas_yr"]).all()
+
+
+def test_another_meaning_of_the_columns_is_another_ingest(tmp_path, parts, monkeypatch):
+    """A column map that was edited after a kill is not mixed with the old one."""
+    text = "\n".join(
+        ['name = "mine"', 'description = "d"', 'credit = "c"', "ref_epoch_jyear = 2015.5",
+         'epoch_scale = "TCB"', '[source_id]\nfrom = "source_id"',
+         '[ra]\nfrom = "ra"\nunit = "deg"', '[dec]\nfrom = "dec"\nunit = "deg"',
+         '[phot_g_mean_mag]\nfrom = "phot_g_mean_mag"\nunit = "mag"']
+    )  # fmt: skip
+    form = tmp_path / "mine.toml"
+    form.write_text(text)
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "write_leaf", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            ingest(parts[1], tmp_path / "c", form=form, workers=1)
+    form.write_text(text + "\nadd = 5.0\n")
+    with pytest.raises(BadInput, match="--restart"):
+        ingest(parts[1], tmp_path / "c", form=form)
+    form.write_text(text)
+    assert ingest(parts[1], tmp_path / "c", form=form).continued == 1
+
+
+def test_what_a_kill_after_publishing_left_is_cleaned_up(tmp_path, parts):
+    ingest(parts[1], tmp_path / "c")
+    (tmp_path / ".c.part" / "progress").mkdir(parents=True)
+    (tmp_path / ".c.part" / "progress" / "request.json").write_text("{}")
+    with pytest.raises(BadInput, match="nothing is yet"):
+        ingest(parts[1], tmp_path / "c")
+    assert left_behind(tmp_path) == []
+
+
+def test_two_runs_on_one_cluster_keep_their_tasks_apart(tmp_path, parts):
+    """A scheduler shares results by name: two ingests, at once, of other files."""
+    from threading import Thread
+
+    from distributed import Client, LocalCluster
+
+    from catalog_tools.schedulers import ClusterScheduler
+
+    stars, files = parts
+    found = {}
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+
+        def run(number):
+            with Client(cluster, set_as_default=False) as client:
+                found[number] = ingest(
+                    [files[number]], tmp_path / f"c{number}", rows_per_leaf=300,
+                    scheduler=ClusterScheduler(client, 1),
+                )  # fmt: skip
+
+        threads = [Thread(target=run, args=(number,)) for number in (0, 1)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    for number in (0, 1):
+        kept = cone(found[number].catalogue, 0, 0, 180)[0]
+        assert same_rows(kept, stars.slice(2000 * number, 2000))
