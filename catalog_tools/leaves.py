@@ -19,6 +19,7 @@ from .catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
 from .columns import STORED
 from .duplicates import Repeated
 from .judging import DUPLICATE, PLACE_COLUMN, REJECTS
+from .memory import give_back
 from .partition import Cell
 from .pieces import Pieces
 from .publish import Work, sync_file, write_durably
@@ -63,6 +64,7 @@ def write_leaf(context: Written, cell: Cell) -> None:
     """Write a leaf's shard, its surplus rows, and at last its marker; unless all that is there."""
     if leaf_done(context, cell, verify=True):
         return
+    give_back()
     work, pieces = context.work, context.pieces
     runs = pieces.runs(cell.first_29, cell.end_29)
     repeated = Repeated(work.progress)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -58,3 +59,13 @@ class Budget:
             what = f"{largest.rows} rows in one pixel of order {largest.order}"
             allowed = f"at most {self.leaf_rows} with {self.worker_bytes} bytes a worker (--memory)"
             raise BadInput("source", what, allowed)
+
+
+def give_back() -> None:
+    """Hand memory that the last task freed back to the system, before the next one takes more."""
+    import pyarrow as pa
+
+    pa.default_memory_pool().release_unused()
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "malloc_trim"):  # glibc
+        libc.malloc_trim(0)

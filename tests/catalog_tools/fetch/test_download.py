@@ -75,9 +75,10 @@ def test_cut_body_of_unknown_length_is_found_by_its_digest(archive, tmp_path, ha
 
 
 SCRIPT = """
-import sys
+import signal, sys
 from catalog_tools.fetch.fetch import fetch
 from catalog_tools.fetch.patience import Patience
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 fetch("gaia-dr2", sys.argv[2], everything=True, base_url=sys.argv[1], connections=2,
       patience=Patience(first_delay_s=0.01))
 """
