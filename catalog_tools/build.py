@@ -1,33 +1,53 @@
-"""From sources to a published catalogue: split, count, find duplicates, write leaves, publish."""
+"""From sources to a published catalogue in passes that can be cut off anywhere and gone on with.
+
+Pass 1 reads batches of sources into sorted pieces (`batches`). From their counts leaves are
+chosen, and repeated source_ids are found (`duplicates`). Pass 2 writes the leaves, one marker
+each. Last come the rejects, the HATS files, the manifest, and one rename (`publish`).
+"""
 
 from __future__ import annotations
 
+import json
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import islice
+from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from . import duplicates, hats
-from .catalogue import Catalogue, Leaf, open_catalogue, write_manifest
-from .columns import STORED
-from .errors import BadInput
-from .judging import DUPLICATE, REJECTS, ROW_COLUMN, rejects
+from .batches import Batch, Source, Split, counts_of, finished, in_batches, rejects_of, split
+from .catalogue import (
+    LEAVES_DTYPE,
+    REJECTS_NAME,
+    ROW_GROUPS_DTYPE,
+    SOURCES_NAME,
+    Catalogue,
+    open_catalogue,
+    shard_name,
+    write_manifest,
+)
+from .errors import BadInput, Damaged, Incomplete
+from .judging import DUPLICATE, REJECTS
+from .leaves import LeafDone, Written, leaf_done, surplus_of, write_leaf, written
+from .memory import Budget
 from .partition import COUNT_ORDER, Cell, Pixels, choose_leaves, coarser, healpix_29
-from .pieces import Piece, Source, Split, read_rejects, rows_between, split
-from .publish import publishing
-from .shards import write_shard
+from .pieces import Pieces
+from .publish import Work, publishing, write_durably
+from .schedulers import LocalScheduler, Scheduler
 
-REJECTS_NAME = "rejects.parquet"
-PIECES_NAME = "pieces"
+REQUEST_NAME = "request.json"
+PROGRESS_VERSION = 1  # of everything that is kept of an unfinished build
+BATCH_BYTES = 96 << 20  # of files as they come: some 300,000 gzipped rows of Gaia
+BATCH_SOURCES = 64
+REJECTS_ROWS = 100_000
 Progress = Callable[[str, int, int], None]  # stage, done, total
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+Reasons = dict[str, int]
 
 
 def silent(stage: str, done: int, total: int) -> None:
@@ -47,11 +67,17 @@ class About:
 
 @dataclass(frozen=True)
 class IngestReport:
-    """Every row accounted for: rows_in == catalogue.rows + sum(rejected.values())."""
+    """Every row accounted for: rows_in == catalogue.rows + sum(rejected.values()).
+
+    continued : batches that an earlier, unfinished run had read already; notes : what a person
+    should know.
+    """
 
     catalogue: Catalogue
     rows_in: int
     rejected: dict[str, int]
+    continued: int
+    notes: tuple[str, ...] = ()
 
 
 def build(
@@ -60,158 +86,207 @@ def build(
     about: About,
     *,
     rows_per_leaf: int,
-    workers: int,
+    sizes: Sequence[int] | None = None,
+    budget: Budget | None = None,
+    scheduler: Scheduler | None = None,
     progress: Progress = silent,
     overwrite: bool = False,
+    restart: bool = False,
 ) -> IngestReport:
     """Write a catalogue from sources; it appears at `destination` whole, or not at all.
 
-    The shards' bits depend on the rows alone: not on the order of the sources nor on `workers`.
-    Memory: for each worker one piece while splitting, one leaf while writing.
+    sizes : bytes of the sources, by which they are put into batches. The shards' bits depend on
+    the rows alone: not on the order of the sources, the budget, or the scheduler. An unfinished
+    build of the same request goes on where it stopped, unless `restart`; one of another request is
+    refused. Raises BadInput, Damaged, and Incomplete (what is finished is kept).
     """
-    if rows_per_leaf < 1:
-        raise BadInput("rows_per_leaf", rows_per_leaf, "at least 1")
-    with publishing(destination, overwrite=overwrite) as work:
-        splits = _split_all(sources, work / PIECES_NAME, workers, progress)
-        counts = _total_counts(splits)
-        cells = choose_leaves(counts, rows_per_leaf)
-        labels = [source.label for source in sources]
-        leaves, surplus = _write_leaves(work, cells, splits, labels, workers, progress)
-        reasons = _write_rejects(work, pa.concat_tables([read_rejects(splits), surplus]))
-        catalogue = _describe(about, leaves, [s.record for s in splits], reasons)
-        catalogue = replace(catalogue, digest=write_manifest(work, catalogue))
-        hats.write_hats_files(work, catalogue, _less(counts, surplus), rows_per_leaf)
-        shutil.rmtree(work / PIECES_NAME)
-    return IngestReport(open_catalogue(destination), sum(s.rows_in for s in splits), reasons)
+    budget = budget or Budget()
+    budget.check(rows_per_leaf)
+    scheduler = scheduler or LocalScheduler("synchronous", 1)
+    sizes = [BATCH_BYTES] * len(sources) if sizes is None else sizes
+    batches = list(in_batches(sources, sizes, BATCH_BYTES, BATCH_SOURCES))
+    with publishing(destination, overwrite=overwrite, restart=restart) as work:
+        _begin(work, about, rows_per_leaf, sources)
+        splits, continued = _read_all(batches, work.progress, budget, scheduler, progress)
+        pieces = Pieces(work.progress, [piece for s in splits for piece in s.pieces])
+        counts = _total_counts(splits, work.progress)
+        cells = choose_leaves(counts, rows_per_leaf, pieces.rows_between)
+        budget.check_leaves(cells)
+        duplicates.find(pieces, work.progress, budget.bucket_rows)
+        context = written(work, pieces, splits)
+        done = _write_all(context, cells, scheduler, progress)
+        _sweep(work.catalogue, done)
+        reasons = _write_rejects(context, splits, done)
+        _write_sources(work, splits)
+        leaves = np.concatenate([np.empty(0, LEAVES_DTYPE), *(leaf.leaf for leaf in done)])
+        groups = np.concatenate([np.empty(0, ROW_GROUPS_DTYPE), *(d.row_groups for d in done)])
+        rows_in = sum(record["rows"] for s in splits for record in s.records)
+        content = _content(about, leaves, len(sources), rows_in, reasons)
+        if rows_in != content["rows"] + sum(reasons.values()):
+            raise Damaged(str(work.progress), "rows kept and rejected don't add up to those read")
+        counts = _final_counts(counts, context, done)
+        shape = hats.write_hats_files(work.catalogue, leaves, counts)
+        digest = write_manifest(work.catalogue, content, leaves, groups)
+        hats.write_properties(work.catalogue, content, digest, rows_per_leaf, shape)
+    return IngestReport(open_catalogue(destination), rows_in, reasons, continued)
 
 
-def in_parallel(
-    function: Callable[[Item], Result],
-    items: Iterable[Item],
-    workers: int,
-    tell: Progress,
-    stage: str,
-) -> Iterator[Result]:
-    """Results in the items' order, on Dask's threads, a bounded window of tasks at a time."""
-    import dask
-
-    if workers < 1:
-        raise BadInput("workers", workers, "at least 1")
-    items = list(items)
-    waiting, done = iter(items), 0
-    task = dask.delayed(function, pure=False)
-    scheduler = "threads" if workers > 1 else "synchronous"
-    while window := list(islice(waiting, 4 * workers)):
-        tell(stage, done, len(items))
-        tasks = [task(item) for item in window]
-        yield from dask.compute(*tasks, scheduler=scheduler, num_workers=workers)
-        done += len(window)
-    tell(stage, done, len(items))
-
-
-def _split_all(
-    sources: Sequence[Source], folder: Path, workers: int, progress: Progress
-) -> list[Split]:
-    """Read every source once, into sorted pieces in a new folder."""
-    folder.mkdir()
-    numbered = list(enumerate(sources))
-    results = in_parallel(
-        lambda item: split(item[1], item[0], folder), numbered, workers, progress, "read"
-    )
-    return list(results)
+def _begin(work: Work, about: About, rows_per_leaf: int, sources: Sequence[Source]) -> None:
+    """Go on with an unfinished build of the same request, or begin a new one."""
+    request = {
+        "version": PROGRESS_VERSION,
+        "about": asdict(about),
+        "rows_per_leaf": rows_per_leaf,
+        "sources": [source.identity()[0] for source in sources],
+    }
+    request = json.loads(json.dumps(request))
+    path = work.progress / REQUEST_NAME
+    try:
+        earlier = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        for folder in work:
+            shutil.rmtree(folder)
+            folder.mkdir()
+        write_durably(path, json.dumps(request))
+        return
+    differs = [key for key in request if request[key] != earlier.get(key)]
+    if differs:
+        allowed = (
+            "the arguments of the unfinished ingest that is kept there, to go on with it, or "
+            f"--restart to discard it ({' and '.join(differs)} differ)"
+        )
+        raise BadInput("output", str(work.progress.parent), allowed)
 
 
-def _total_counts(splits: Iterable[Split]) -> Pixels:
+def _run(scheduler: Scheduler, stage: str, tasks: Sequence[Any], tell: Progress) -> None:
+    """Run tasks (function, arguments...), telling how many are done."""
+    done = 0
+    tell(stage, done, len(tasks))
+
+    def finished_one(_: str) -> None:
+        nonlocal done
+        done += 1
+        tell(stage, done, len(tasks))
+
+    graph = {(stage, i): task for i, task in enumerate(tasks)}
+    if graph:
+        scheduler.run(graph, list(graph), finished_one)
+
+
+def _read_all(
+    batches: Sequence[Batch], folder: Path, budget: Budget, scheduler: Scheduler, tell: Progress
+) -> tuple[list[Split], int]:
+    """What came of all batches, in order; and how many of them were there already."""
+    before = sum(finished(batch, folder) is not None for batch in batches)
+    tasks = [(split, batch, folder, budget.piece_rows) for batch in batches]
+    try:
+        _run(scheduler, "read", tasks, tell)
+    except BaseException:
+        if not any(finished(batch, folder) for batch in batches):
+            shutil.rmtree(folder, ignore_errors=True)  # nothing was done: nothing stays
+        raise
+    splits = [done for batch in batches if (done := finished(batch, folder))]
+    if len(splits) != len(batches):
+        raise Incomplete(f"{len(batches) - len(splits)} batches are not there; run it again")
+    return splits, before
+
+
+def _total_counts(splits: Iterable[Split], folder: Path) -> Pixels:
     counts = np.zeros(12 * 4**COUNT_ORDER, np.int64)
     for s in splits:
-        for pixels, rows in s.counts:
-            counts[pixels] += rows
+        pixels, rows = counts_of(s, folder)
+        counts[pixels] += rows
     return counts
 
 
-def _write_leaves(
-    root: Path,
-    cells: Sequence[Cell],
-    splits: Sequence[Split],
-    labels: Sequence[str],
-    workers: int,
-    progress: Progress,
-) -> tuple[list[Leaf], pa.Table]:
-    """Write all shards; also the rows left out of them, because their source_id is repeated."""
-    pieces = [piece for s in splits for piece in s.pieces]
-    repeated = duplicates.find(pieces)
-    leaves: list[Leaf] = []
-    surplus = [REJECTS.empty_table()]
-    for leaf, bad in in_parallel(
-        lambda cell: _write_leaf(root, cell, pieces, repeated, labels),
-        cells, workers, progress, "write",
-    ):  # fmt: skip
-        leaves += [leaf] if leaf else []
-        surplus.append(bad)
-    return leaves, pa.concat_tables(surplus)
+def _write_all(
+    context: Written, cells: Sequence[Cell], scheduler: Scheduler, tell: Progress
+) -> list[LeafDone]:
+    """Write all shards that are not there yet."""
+    shared = scheduler.share(context)
+    _run(scheduler, "write", [(write_leaf, shared, cell) for cell in cells], tell)
+    done = [leaf for cell in cells if (leaf := leaf_done(context, cell))]
+    if len(done) != len(cells):
+        raise Incomplete(f"{len(cells) - len(done)} leaves are not there; run it again")
+    return done
 
 
-def _write_leaf(
-    root: Path,
-    cell: Cell,
-    pieces: Sequence[Piece],
-    repeated: duplicates.Duplicated,
-    labels: Sequence[str],
-) -> tuple[Leaf | None, pa.Table]:
-    """Gather a leaf's rows from the pieces and write its shard; also the surplus duplicates."""
-    parts = []
-    for piece in pieces:
-        if piece.first_29 < cell.end_29 and piece.last_29 >= cell.first_29:
-            part = rows_between(piece, cell.first_29, cell.end_29)
-            source = pa.array(np.full(part.num_rows, piece.source, np.int32))
-            parts.append(part.append_column("_source", source))
-    kept, surplus = repeated.part(pa.concat_tables(parts))
-    bad = [REJECTS.empty_table()]
-    for i in np.unique(surplus["_source"].to_numpy()).tolist():
-        rows = surplus.filter(pa.compute.equal(surplus["_source"], i))
-        reasons = pa.array([DUPLICATE] * rows.num_rows, pa.string())
-        bad.append(rejects(rows, labels[i], rows[ROW_COLUMN], reasons))
-    leaf = None
-    if kept.num_rows:
-        leaf = write_shard(root, cell.order, cell.pixel, kept.select(STORED.names).cast(STORED))
-    return leaf, pa.concat_tables(bad)
+def _sweep(root: Path, done: Sequence[LeafDone]) -> None:
+    """Remove what an earlier run left that is no part of this catalogue."""
+    shards = {root / shard_name(d.cell.order, d.cell.pixel) for d in done if d.leaf.size}
+    for path in root.rglob("*"):
+        if path.is_file() and path not in shards:
+            path.unlink()
 
 
-def _write_rejects(root: Path, rejected: pa.Table) -> dict[str, int]:
-    """Write the rejects table, if there is a row for it; returns the number for each reason."""
-    if not rejected.num_rows:
-        return {}
-    keys = [("source", "ascending"), ("row", "ascending")]
-    pq.write_table(rejected.sort_by(keys), root / REJECTS_NAME, write_page_checksum=True)
-    counts = rejected["reason"].value_counts().to_pylist()
-    return {entry["values"]: entry["counts"] for entry in sorted(counts, key=lambda e: e["values"])}
+def _write_rejects(context: Written, splits: Sequence[Split], done: Sequence[LeafDone]) -> Reasons:
+    """Write the rejects table, if there is a row for it; returns the number for each reason.
+
+    First the rows rejected while reading, in the order of the sources; then the surplus ones.
+    """
+    reasons: Counter[str] = Counter()
+    for s in splits:
+        reasons.update(s.reasons)
+    surplus = sum(leaf.surplus for leaf in done)
+    reasons.update({DUPLICATE: surplus} if surplus else {})
+    if reasons:
+        path = context.work.catalogue / REJECTS_NAME
+        path.parent.mkdir(exist_ok=True)
+        read = chain.from_iterable(rejects_of(s, context.work.progress) for s in splits)
+        left_out = (surplus_of(context, leaf) for leaf in done if leaf.surplus)
+        with pq.ParquetWriter(path, REJECTS, compression="zstd", write_page_checksum=True) as file:
+            for table in even(chain(read, left_out), REJECTS_ROWS):
+                file.write_table(table)
+    return dict(sorted(reasons.items()))
 
 
-def _less(counts: Pixels, surplus: pa.Table) -> Pixels:
-    """Rows by pixel without the surplus duplicates, so that the HATS maps add up to the rows."""
+def _write_sources(work: Work, splits: Sequence[Split]) -> None:
+    """Write the table of the sources: name, bytes, MD5, rows."""
+    kinds = {"name": pa.string(), "bytes": pa.int64(), "md5": pa.string(), "rows": pa.int64()}
+    records = [record for s in splits for record in s.records]
+    path = work.catalogue / SOURCES_NAME
+    path.parent.mkdir(exist_ok=True)
+    table = pa.Table.from_pylist(records, pa.schema(kinds))
+    pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+
+
+def _final_counts(counts: Pixels, context: Written, done: Sequence[LeafDone]) -> Pixels:
+    """Rows by pixel without the surplus ones, so that the HATS maps add up to the rows."""
     left = counts.copy()
-    if surplus.num_rows:
-        pixels = healpix_29(surplus["ra"].to_numpy(), surplus["dec"].to_numpy())
-        np.subtract.at(left, coarser(pixels, COUNT_ORDER), 1)
+    for leaf in done:
+        if leaf.surplus:
+            rows = surplus_of(context, leaf)
+            pixels = healpix_29(rows["ra"].to_numpy(), rows["dec"].to_numpy())
+            np.subtract.at(left, coarser(pixels, COUNT_ORDER), 1)
     return left
 
 
-def _describe(
-    about: About, leaves: Sequence[Leaf], records: Sequence[dict[str, Any]], reasons: dict[str, int]
-) -> Catalogue:
-    bands = [band for leaf in leaves for band in leaf.bands]
-    return Catalogue(
-        path="",
-        name=about.name,
-        description=about.description,
-        ref_epoch_jyear=about.ref_epoch_jyear,
-        synthetic=about.synthetic,
-        rows=sum(leaf.rows for leaf in leaves),
-        brightest_g_mag=min((band.brightest_g_mag for band in bands), default=None),
-        faintest_g_mag=max((band.faintest_g_mag for band in bands), default=None),
-        leaves=tuple(leaves),
-        sources=tuple(records),
-        rejected=reasons,
-        facts=about.facts,
-        digest="",
-    )
+def _content(
+    about: About, leaves: np.ndarray, sources: int, rows_in: int, rejected: Reasons
+) -> dict[str, Any]:
+    """The manifest's content but for the digests."""
+    some = leaves.size > 0
+    return {
+        **asdict(about),
+        "rows": int(leaves["rows"].sum()),
+        "brightest_g_mag": float(leaves["brightest_g_mag"].min()) if some else None,
+        "faintest_g_mag": float(leaves["faintest_g_mag"].max()) if some else None,
+        "sources": sources,
+        "rows_in": rows_in,
+        "rejected": rejected,
+    }
+
+
+def even(tables: Iterable[pa.Table], rows: int) -> Iterator[pa.Table]:
+    """The same rows in tables of `rows`, the last one smaller."""
+    held: list[pa.Table] = []
+    count = 0
+    for table in tables:
+        held.append(table)
+        count += table.num_rows
+        while count >= rows:
+            whole = pa.concat_tables(held)
+            yield whole.slice(0, rows)
+            held, count = [whole.slice(rows)], count - rows
+    if count:
+        yield pa.concat_tables(held)

@@ -1,15 +1,19 @@
-"""A catalogue on disk: its manifest, the leaves it is made of, and their magnitude bands.
+"""A catalogue on disk: its manifest, its leaves (shards), and their row groups.
 
-The manifest `nightglass.json` lies beside the HATS files. It holds what a planner needs (where the
-leaves lie, how bright their rows are, how many) so that planning reads one small file and no star;
-and what a reader needs to prove a shard whole (lengths and crc32c of file, row groups, footer).
+The manifest `nightglass.json` lies beside the HATS files. Two numpy tables, named in it by their
+sha256, hold what a planner needs (where leaves and row groups lie, how bright their rows are, how
+far they move) so that planning reads no star; and what a reader needs to prove what it reads
+(lengths and crc32c of files, footers and row groups).
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
-from dataclasses import asdict, dataclass, fields
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,62 +21,84 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .errors import BadInput, Damaged
+from .stores import LocalStore, Store, Unreachable, open_store
 
 MANIFEST_NAME = "nightglass.json"
 FORMAT = "nightglass/catalogue"
-VERSION = 1
+VERSION = 2
+LEAVES_NAME = "nightglass/leaves.npy"
+ROW_GROUPS_NAME = "nightglass/row_groups.npy"
+SOURCES_NAME = "nightglass/sources.parquet"
+REJECTS_NAME = "nightglass/rejects.parquet"
+# HATS files that the manifest proves; the two properties files name its digest, and come after it.
+HATS_NAMES = ("partition_info.csv", "skymap.fits", "point_map.fits", "dataset/_common_metadata")
 MAKE_ONE = (
     "a catalogue; make one with `nightglass catalog demo -o PATH` or `nightglass catalog ingest`"
 )
 
+# Both tables: a cap (centre, radius) that bounds the rows, and the fastest and nearest of them.
+_BOUNDS = [
+    ("centre", "<f8", (3,)),
+    ("radius_rad", "<f8"),
+    ("max_proper_motion_mas_yr", "<f8"),
+    ("max_parallax_mas", "<f8"),
+    ("brightest_g_mag", "<f4"),
+    ("faintest_g_mag", "<f4"),
+]
+LEAVES_DTYPE = np.dtype([
+    ("order", "<i4"), ("pixel", "<i8"), ("rows", "<i8"), ("bytes", "<i8"), ("crc32c", "<u4"),
+    ("footer_bytes", "<i4"), ("footer_crc32c", "<u4"), ("row_groups", "<i4"), *_BOUNDS,
+])  # fmt: skip
+ROW_GROUPS_DTYPE = np.dtype([
+    ("offset", "<i8"), ("bytes", "<i8"), ("crc32c", "<u4"), ("rows", "<i4"), *_BOUNDS,
+])  # fmt: skip
 
-@dataclass(frozen=True)
-class Band:
-    """One row group of a shard: a range of G magnitudes, both ends occurring, and its bytes."""
+
+class RowGroup(NamedTuple):
+    """A run of rows of a shard: one magnitude band, one stretch of the HEALPix curve."""
 
     row_group: int
-    brightest_g_mag: float
-    faintest_g_mag: float
     rows: int
     bytes: int
     offset: int
     crc32c: int
+    brightest_g_mag: float
+    faintest_g_mag: float
 
 
-@dataclass(frozen=True)
-class Leaf:
-    """One shard: a nested HEALPix pixel with rows, and the cap (centre, radius) that bounds them.
+class Leaf(NamedTuple):
+    """One shard: a nested HEALPix pixel with rows; with all its row groups, or those wanted.
 
-    The cap and the largest motions are of the rows that are there, not of the pixel.
+    The cap (centre, radius) and the largest motions are of all rows of the shard.
     """
 
     order: int
     pixel: int
     rows: int
-    path: str
     bytes: int
     crc32c: int
+    footer_bytes: int
+    footer_crc32c: int
+    row_group_count: int
     centre: tuple[float, float, float]
     radius_rad: float
     max_proper_motion_mas_yr: float
     max_parallax_mas: float
-    footer_bytes: int
-    footer_crc32c: int
-    bands: tuple[Band, ...]
+    row_groups: tuple[RowGroup, ...]
 
-
-class Caps(NamedTuple):
-    """The leaves' bounds as arrays: centres (n, 3), and (n,) radii [rad], motions, parallaxes."""
-
-    centres: np.ndarray
-    radii_rad: np.ndarray
-    proper_motions_mas_yr: np.ndarray
-    parallaxes_mas: np.ndarray
+    @property
+    def path(self) -> str:
+        """Where the shard lies, relative to the catalogue."""
+        return shard_name(self.order, self.pixel)
 
 
 @dataclass(frozen=True)
 class Catalogue:
-    """What the manifest says. `digest` (sha256 of its content) names the catalogue's exact bits."""
+    """What the manifest says. `digest` (sha256 of its content) names the catalogue's exact bits.
+
+    leaf_table, row_group_table : structured arrays (LEAVES_DTYPE, ROW_GROUPS_DTYPE), leaves by
+    their place on the nested HEALPix curve, the row groups of each after those of the last.
+    """
 
     path: str
     name: str
@@ -82,68 +108,143 @@ class Catalogue:
     rows: int
     brightest_g_mag: float | None
     faintest_g_mag: float | None
-    leaves: tuple[Leaf, ...]
-    sources: tuple[dict[str, Any], ...]
+    sources: int
+    rows_in: int
     rejected: dict[str, int]
     facts: dict[str, Any]
+    files: dict[str, str]
     digest: str
+    leaf_table: np.ndarray
+    row_group_table: np.ndarray
 
     @cached_property
-    def caps(self) -> Caps:
-        """The leaves' bounds, gathered once."""
-        return Caps(
-            np.array([leaf.centre for leaf in self.leaves], float).reshape(-1, 3),
-            np.array([leaf.radius_rad for leaf in self.leaves], float),
-            np.array([leaf.max_proper_motion_mas_yr for leaf in self.leaves], float),
-            np.array([leaf.max_parallax_mas for leaf in self.leaves], float),
+    def first_row_groups(self) -> np.ndarray:
+        """(leaves + 1,) where the row groups of each leaf begin in `row_group_table`."""
+        return np.concatenate([[0], np.cumsum(self.leaf_table["row_groups"], dtype=np.int64)])
+
+    @property
+    def store(self) -> Store:
+        """Where its files are read from."""
+        return open_store(self.path)
+
+    @cached_property
+    def leaves(self) -> tuple[Leaf, ...]:
+        """All leaves with all their row groups."""
+        return tuple(self.leaf(i) for i in range(self.leaf_table.size))
+
+    def leaf(self, index: int, row_groups: Sequence[int] | None = None) -> Leaf:
+        """One leaf by its place in `leaf_table`, with the row groups wanted (all by default)."""
+        row = self.leaf_table[index]
+        first, end = (int(i) for i in self.first_row_groups[index : index + 2])
+        wanted = np.arange(end - first) if row_groups is None else np.asarray(row_groups, int)
+        table = self.row_group_table[first + wanted]
+        columns = (table[name].tolist() for name in RowGroup._fields[1:])
+        groups = tuple(map(RowGroup, wanted.tolist(), *columns))
+        x, y, z = row["centre"].tolist()
+        return Leaf(
+            order=int(row["order"]),
+            pixel=int(row["pixel"]),
+            rows=int(row["rows"]),
+            bytes=int(row["bytes"]),
+            crc32c=int(row["crc32c"]),
+            footer_bytes=int(row["footer_bytes"]),
+            footer_crc32c=int(row["footer_crc32c"]),
+            row_group_count=int(row["row_groups"]),
+            centre=(x, y, z),
+            radius_rad=float(row["radius_rad"]),
+            max_proper_motion_mas_yr=float(row["max_proper_motion_mas_yr"]),
+            max_parallax_mas=float(row["max_parallax_mas"]),
+            row_groups=groups,
         )
 
-    def shard_path(self, leaf: Leaf) -> Path:
-        """Where a leaf's Parquet file lies."""
-        return Path(self.path) / leaf.path
+
+def shard_name(order: int, pixel: int) -> str:
+    """A leaf's place in the HATS layout, relative to the catalogue."""
+    folder = pixel // 10_000 * 10_000
+    return f"dataset/Norder={order}/Dir={folder}/Npix={pixel}.parquet"
 
 
-def write_manifest(folder: Path, catalogue: Catalogue) -> str:
-    """Write the manifest into `folder`; returns its digest (the one given is not looked at)."""
-    content = {f.name: getattr(catalogue, f.name) for f in fields(Catalogue)}
-    for key in ("path", "digest"):
-        del content[key]
-    content["leaves"] = [asdict(leaf) for leaf in catalogue.leaves]
-    content = json.loads(json.dumps(content, allow_nan=False))
+def write_manifest(
+    folder: Path, content: dict[str, Any], leaves: np.ndarray, row_groups: np.ndarray
+) -> str:
+    """Write both tables and the manifest below `folder`; returns the digest.
+
+    content : the fields of a Catalogue from `name` to `facts`. The digests of all files in the
+    folder `nightglass` and of HATS_NAMES become part of it.
+    """
+    (folder / LEAVES_NAME).parent.mkdir(exist_ok=True)
+    np.save(folder / LEAVES_NAME, leaves)
+    np.save(folder / ROW_GROUPS_NAME, row_groups)
+    beside = [folder / name for name in HATS_NAMES if (folder / name).is_file()]
+    files = {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted([*(folder / LEAVES_NAME).parent.iterdir(), *beside])
+    }
+    content = json.loads(json.dumps({**content, "files": files}, allow_nan=False))
     digest = _digest(content)
     head = {"format": FORMAT, "version": VERSION, "sha256": digest}
-    text = json.dumps({**head, "catalogue": content}, separators=(",", ":"), sort_keys=True)
+    text = json.dumps({**head, "catalogue": content}, indent=1, sort_keys=True)
     (folder / MANIFEST_NAME).write_text(text + "\n", encoding="utf-8")
     return digest
 
 
-def open_catalogue(path: str | Path, *, field: str = "catalogue") -> Catalogue:
-    """Read a catalogue's manifest: one JSON file, no star.
+def open_catalogue(path: str | os.PathLike[str], *, field: str = "catalogue") -> Catalogue:
+    """Read a catalogue's manifest and its two tables: no star.
 
-    Raises BadInput (naming `field`) where there is no catalogue, one of another format or of a
-    newer version, and Damaged where the manifest's content does not match its own digest.
+    path : a folder, or an fsspec URL. Raises BadInput (naming `field`) where there is no
+    catalogue, one of another format or of another version, and Damaged where something read does
+    not match its digest.
     """
-    folder = Path(path)
-    manifest = folder / MANIFEST_NAME
+    store = open_store(path, field)
     try:
-        text = manifest.read_text(encoding="utf-8")
+        text = store.read(MANIFEST_NAME).decode("utf-8")
     except (FileNotFoundError, NotADirectoryError):
-        raise BadInput(field, str(path), _what_is_there(folder)) from None
+        raise BadInput(field, store.root, _what_is_there(store)) from None
+    except (PermissionError, Unreachable) as error:
+        raise BadInput(field, store.root, f"a place that can be read ({error})") from None
     except (UnicodeDecodeError, OSError) as error:
-        raise Damaged(str(manifest), f"cannot be read ({error})") from None
+        raise Damaged(f"{store.root}/{MANIFEST_NAME}", f"cannot be read ({error})") from None
     try:
         document = json.loads(text)
     except ValueError as error:
-        raise Damaged(str(manifest), f"is not JSON ({error})") from None
+        raise Damaged(f"{store.root}/{MANIFEST_NAME}", f"is not JSON ({error})") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise BadInput(field, str(path), f"a manifest of format {FORMAT!r}")
+        raise BadInput(field, store.root, f"a manifest of format {FORMAT!r}")
     if document.get("version") != VERSION:
-        allowed = f"manifest version {VERSION} (this program is older or newer than the catalogue)"
+        allowed = (
+            f"manifest version {VERSION} (this program is older or newer than the catalogue; "
+            "ingest its sources again, or use the program that wrote it)"
+        )
         raise BadInput(field, document.get("version"), allowed)
     content = document.get("catalogue")
     if not isinstance(content, dict) or _digest(content) != document.get("sha256"):
-        raise Damaged(str(manifest), "its content does not match its digest")
-    return _parse(str(folder), content, document["sha256"])
+        raise Damaged(f"{store.root}/{MANIFEST_NAME}", "its content does not match its digest")
+    try:
+        tables = [
+            _table(store, name, content["files"].get(name), dtype)
+            for name, dtype in ((LEAVES_NAME, LEAVES_DTYPE), (ROW_GROUPS_NAME, ROW_GROUPS_DTYPE))
+        ]
+    except Unreachable as error:
+        raise BadInput(field, store.root, f"a place that can be read ({error})") from None
+    return Catalogue(store.root, **content, digest=document["sha256"],
+                     leaf_table=tables[0], row_group_table=tables[1])  # fmt: skip
+
+
+def _table(store: Store, name: str, sha256: str | None, dtype: np.dtype) -> np.ndarray:
+    """One of the numpy tables, proved by its digest."""
+    where = f"{store.root}/{name}"
+    try:
+        data = store.read(name)
+    except Unreachable:
+        raise
+    except OSError as error:
+        raise Damaged(where, f"cannot be read ({error})") from None
+    if hashlib.sha256(data).hexdigest() != sha256:
+        raise Damaged(where, "its content does not match the manifest's digest")
+    table: np.ndarray = np.load(io.BytesIO(data), allow_pickle=False)
+    if table.dtype != dtype:
+        raise Damaged(where, "holds other columns than this program's")
+    return table
 
 
 def _digest(content: dict[str, Any]) -> str:
@@ -151,30 +252,19 @@ def _digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _parse(path: str, content: dict[str, Any], digest: str) -> Catalogue:
-    leaves = tuple(
-        Leaf(
-            **{
-                **leaf,
-                "centre": tuple(leaf["centre"]),
-                "bands": tuple(Band(**band) for band in leaf["bands"]),
-            }
-        )
-        for leaf in content["leaves"]
-    )
-    rest = {**content, "leaves": leaves, "sources": tuple(content["sources"])}
-    return Catalogue(path=path, digest=digest, **rest)
-
-
-def _what_is_there(folder: Path) -> str:
-    """Why a path without a manifest is no catalogue, in the words of the error."""
-    if not folder.exists():
-        return f"{MAKE_ONE} (there is nothing at that path)"
-    if not folder.is_dir():
-        return f"{MAKE_ONE} (that is a file, not a catalogue's folder)"
-    if any((folder / name).exists() for name in ("hats.properties", "properties")):
+def _what_is_there(store: Store) -> str:
+    """Why a place without a manifest is no catalogue, in the words of the error."""
+    folder = Path(store.root)
+    if isinstance(store, LocalStore) and not folder.is_dir():
+        there = "that is a file, not a folder" if folder.exists() else "there is nothing"
+        return f"{MAKE_ONE} ({there})"
+    for name in ("hats.properties", "properties"):
+        try:
+            store.read(name)
+        except OSError:
+            continue
         return (
             f"a catalogue with {MANIFEST_NAME}: this is a HATS catalogue of another program; "
             "ingest its source files with `nightglass catalog ingest`"
         )
-    return f"{MAKE_ONE} (that folder holds no {MANIFEST_NAME})"
+    return f"{MAKE_ONE} (it holds no {MANIFEST_NAME})"

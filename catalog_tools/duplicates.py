@@ -2,94 +2,100 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 
 from .columns import HEALPIX_COLUMN, NAMES
-from .judging import ROW_COLUMN
-from .pieces import Piece, ids_of, read_arrow
+from .judging import PLACE_COLUMN, Columns
+from .pieces import IDS, Pieces, column, mapped
 
-BUCKET_ROWS = 8_000_000
+SAMPLE = 512  # one id of so many tells how ids are spread
 
 
-class Duplicated:
-    """Repeated source_ids and, for each, the order-29 pixel whose row stays (the lowest).
+def find(pieces: Pieces, folder: Path, bucket_rows: int) -> None:
+    """Write all source_ids that occur more than once in the pieces, and where each one stays.
 
-    Choosing by content, not by order of arrival, makes the result the same for any order of the
-    sources and any number of workers.
+    The lowest order-29 pixel wins: a choice by content, not by order of arrival, so that the
+    result is the same for any order of the sources and any number of workers. `bucket_rows` ids
+    are in memory at a time.
     """
-
-    def __init__(self, ids: np.ndarray, winners_29: np.ndarray) -> None:
-        self.ids, self.winners_29 = ids, winners_29
-
-    def part(self, table: pa.Table) -> tuple[pa.Table, pa.Table]:
-        """Split a leaf's rows (with a `_source` column) into those that stay and the surplus."""
-        if not self.ids.size:
-            return table, table.slice(0, 0)
-        ids = table["source_id"].to_numpy()
-        at = np.minimum(np.searchsorted(self.ids, ids), self.ids.size - 1)
-        repeated = self.ids[at] == ids
-        if not repeated.any():
-            return table, table.slice(0, 0)
-        at = at[repeated]
-        once, group = table.filter(pa.array(~repeated)), table.filter(pa.array(repeated))
-        group = group.append_column("_place", pa.array(at))
-        keys = [*NAMES, "_source", ROW_COLUMN]
-        group = group.sort_by([("_place", "ascending"), *((key, "ascending") for key in keys)])
-        at = group["_place"].to_numpy()
-        wins = group[HEALPIX_COLUMN].to_numpy() == self.winners_29[at]
-        places, first = np.unique(at[wins], return_index=True)
-        stays = np.zeros(group.num_rows, bool)
-        stays[np.flatnonzero(wins)[first]] = places.size > 0
-        group = group.drop_columns("_place")
-        return pa.concat_tables([once, group.filter(pa.array(stays))]), group.filter(
-            pa.array(~stays)
-        )
-
-
-def find(pieces: Sequence[Piece]) -> Duplicated:
-    """All source_ids that occur more than once in the pieces taken together."""
-    total = sum(piece.rows for piece in pieces)
-    if not total:
-        return Duplicated(np.empty(0, np.int64), np.empty(0, np.int64))
-    found = []
-    edges = _bucket_edges(pieces, total)
-    for low, high in pairwise(edges):
-        ids = np.sort(np.concatenate([_between(p, low, high) for p in pieces]))
+    found = [np.empty(0, np.int64)]
+    for low, high in pairwise(_bucket_edges(pieces, bucket_rows)):
+        parts = [pieces.ids_between(i, low, high) for i in pieces.with_ids(low, high).tolist()]
+        if not parts:
+            continue
+        ids = np.concatenate(parts)
+        del parts
+        ids.sort(kind="stable")  # merges the sorted runs
         found.append(np.unique(ids[1:][ids[1:] == ids[:-1]]))
     repeated = np.concatenate(found)
-    return Duplicated(repeated, _lowest_pixels(pieces, repeated))
+    np.save(folder / "repeated-ids.npy", repeated)
+    np.save(folder / "repeated-pixels.npy", _lowest_pixels(pieces, repeated))
 
 
-def _bucket_edges(pieces: Sequence[Piece], total: int) -> list[int | None]:
-    """Edges that cut the ids into buckets of about BUCKET_ROWS; None stands for no bound."""
-    buckets = -(-total // BUCKET_ROWS)
+class Repeated:
+    """The repeated source_ids that `find` wrote, memory-mapped."""
+
+    def __init__(self, folder: Path) -> None:
+        self.ids = np.load(folder / "repeated-ids.npy", mmap_mode="r")
+        self.pixels = np.load(folder / "repeated-pixels.npy", mmap_mode="r")
+
+    def surplus(self, rows: Columns) -> np.ndarray:
+        """Places of the rows of a leaf (columns of PIECE but IDS) that don't stay, ascending."""
+        none = np.empty(0, np.int64)
+        ids = rows["source_id"]
+        if not self.ids.size or not ids.size:
+            return none
+        at = np.minimum(np.searchsorted(self.ids, ids), self.ids.size - 1)
+        mine = np.flatnonzero(np.asarray(self.ids)[at] == ids)
+        if not mine.size:
+            return none
+        at = at[mine]
+        values = [_comparable(rows[name][mine]) for name in (PLACE_COLUMN, *reversed(NAMES))]
+        order = np.lexsort((*values, at))
+        mine, at = mine[order], at[order]
+        wins = rows[HEALPIX_COLUMN][mine] == self.pixels[at]
+        stays = np.zeros(mine.size, bool)
+        first = np.unique(at[wins], return_index=True)[1]
+        stays[np.flatnonzero(wins)[first]] = True
+        return np.sort(mine[~stays])
+
+
+def _comparable(values: np.ndarray) -> np.ndarray:
+    """Values in which NaN has a place: behind all numbers."""
+    return np.where(np.isnan(values), np.inf, values) if values.dtype.kind == "f" else values
+
+
+def _bucket_edges(pieces: Pieces, bucket_rows: int) -> list[int | None]:
+    """Edges that cut the ids into buckets of about `bucket_rows`; None stands for no bound."""
+    if not pieces.rows:
+        return []
+    buckets = -(-pieces.rows // bucket_rows)
     if buckets == 1:
         return [None, None]
-    samples = np.sort(np.concatenate([np.asarray(ids_of(p)[::64]) for p in pieces]))
-    cuts = samples[[samples.size * i // buckets for i in range(1, buckets)]]
+    samples = [
+        np.asarray(mapped(pieces.folder, piece, IDS)[SAMPLE // 2 :: SAMPLE])
+        for piece in pieces.pieces
+    ]
+    ids = np.sort(np.concatenate(samples))
+    if not ids.size:
+        return [None, None]
+    cuts = ids[[ids.size * i // buckets for i in range(1, buckets)]]
     return [None, *np.unique(cuts).tolist(), None]
 
 
-def _between(piece: Piece, low: int | None, high: int | None) -> np.ndarray:
-    if (low is not None and piece.last_id < low) or (high is not None and piece.first_id >= high):
-        return np.empty(0, np.int64)
-    ids = ids_of(piece)
-    start = 0 if low is None else int(np.searchsorted(ids, low))
-    stop = ids.size if high is None else int(np.searchsorted(ids, high))
-    return np.asarray(ids[start:stop])
-
-
-def _lowest_pixels(pieces: Sequence[Piece], repeated: np.ndarray) -> np.ndarray:
+def _lowest_pixels(pieces: Pieces, repeated: np.ndarray) -> np.ndarray:
     lowest = np.full(repeated.size, np.iinfo(np.int64).max)
-    for piece in pieces:
-        if repeated.size and piece.first_id <= repeated[-1] and piece.last_id >= repeated[0]:
-            table = read_arrow(piece.path)
-            ids, pixels = table["source_id"].to_numpy(), table[HEALPIX_COLUMN].to_numpy()
-            at = np.minimum(np.searchsorted(repeated, ids), repeated.size - 1)
-            hit = repeated[at] == ids
-            np.minimum.at(lowest, at[hit], pixels[hit])
+    if not repeated.size:
+        return lowest
+    low, high = int(repeated[0]), int(repeated[-1])
+    for number in pieces.with_ids(low, high + 1).tolist():
+        piece = pieces.pieces[number]
+        ids = column(pieces.folder, piece, "source_id")
+        pixels = column(pieces.folder, piece, HEALPIX_COLUMN)
+        at = np.minimum(np.searchsorted(repeated, ids), repeated.size - 1)
+        hit = repeated[at] == ids
+        np.minimum.at(lowest, at[hit], pixels[hit])
     return lowest

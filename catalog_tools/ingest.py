@@ -1,84 +1,118 @@
-"""Ingest: files of Gaia DR2 rows become a catalogue; every file and row accounted for."""
+"""Ingest: files of stars become a catalogue; every file and every row accounted for."""
 
 from __future__ import annotations
 
 import hashlib
-import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from .build import About, IngestReport, Progress, build, in_parallel, silent
+from .build import About, IngestReport, Progress, build, silent
 from .errors import BadInput, Damaged
+from .forms import Form, load_form
+from .memory import DEFAULT_BYTES, Budget
 from .partition import ROWS_PER_LEAF
-from .readers import REF_EPOCH_JYEAR, kind_of, read_tables
+from .readers import detect_form, kind_of, read_tables
+from .schedulers import LocalScheduler, Scheduler, available_cores
 
-MD5SUM_NAME = "MD5SUM.txt"
+SYNTHETIC_MARK = "_made.jsonl"  # beside files that `catalog demo --as-csv` made
+MD5SUM_NAMES = ("MD5SUM.txt", "_MD5SUM.txt")
 
 
 @dataclass(frozen=True)
 class FileSource:
-    """A source for `build`: one input file, whose content is known by its MD5 digest."""
+    """A source for `build`: one input file, as it was when the ingest began."""
 
-    path: Path
+    path: str
     label: str
     size: int
-    md5: str
+    mtime_ns: int
+    form: Form
+    expected_md5: str | None
 
-    def tables(self) -> Iterator[pa.Table]:
-        return read_tables(self.path)
+    def identity(self) -> list[Any]:
+        return [self.path, self.size, self.mtime_ns, self.expected_md5]
 
-    def record(self) -> dict[str, Any]:
-        return {"name": self.label, "bytes": self.size, "md5": self.md5}
+    def tables(self, record: dict[str, Any]) -> Iterator[pa.Table]:
+        """Its rows; at the end its length and MD5 are compared with what was expected."""
+        md5 = hashlib.md5(usedforsecurity=False)
+        yield from read_tables(Path(self.path), self.form, md5=md5)
+        state = Path(self.path).stat()
+        if (state.st_size, state.st_mtime_ns) != (self.size, self.mtime_ns):
+            raise Damaged(self.path, "it was changed while it was read")
+        record.update(bytes=self.size, md5=md5.hexdigest())
+        if self.expected_md5 not in (None, record["md5"]):
+            raise Damaged(
+                self.path, f"its MD5 is {record['md5']}; MD5SUM.txt says {self.expected_md5}"
+            )
 
 
 def ingest(
     sources: Sequence[str | Path],
     destination: str | Path,
     *,
-    name: str = "gaia_dr2",
+    form: str | Path | None = None,
+    name: str | None = None,
     rows_per_leaf: int = ROWS_PER_LEAF,
+    memory_bytes: int = DEFAULT_BYTES,
     workers: int | None = None,
+    scheduler: Scheduler | None = None,
     progress: Progress | None = None,
     overwrite: bool = False,
+    restart: bool = False,
 ) -> IngestReport:
-    """Write a catalogue from Gaia DR2 files (CSV, CSV.gz, FITS, VOTable; a folder stands for its).
+    """Write a catalogue from files of stars (a folder stands for its files).
 
+    form : what the files' columns mean: the name of a built-in form or the path of a column map;
+    by default Gaia DR2 or DR3, told from the files. memory_bytes : the most that one worker may
+    take. scheduler : where the tasks run; threads of this process, `workers` of them, by default.
     progress : called with (stage, done, total). The catalogue appears at `destination` whole or
-    not at all, with the same shard bits for any order of the sources and any number of workers.
-    Raises BadInput (sources, destination, schema) and Damaged (an input file).
+    not at all, with the same shard bits for any order of the sources and any number of workers. An
+    ingest that was cut off goes on where it stopped. Raises BadInput (sources, destination,
+    schema), Damaged (an input file) and Incomplete.
     """
-    workers = (os.cpu_count() or 1) if workers is None else workers
+    if workers is not None and workers < 1:
+        raise BadInput("workers", workers, "at least 1")
     tell = progress or silent
     paths = list_files(sources)
-    files = list(in_parallel(_look_at, paths, workers, tell, "check"))
-    files.sort(key=lambda file: (file.label, str(file.path)))
+    meaning = load_form(form) if form is not None else detect_form(paths[0])
+    files = _look_at(paths, meaning, tell)
     _refuse_twins(files)
+    synthetic = any((path.parent / SYNTHETIC_MARK).is_file() for path in paths)
     about = About(
-        name=name,
-        description=f"Gaia DR2 rows from {len(files)} files. Data: ESA/Gaia/DPAC.",
-        synthetic=False,
-        ref_epoch_jyear=REF_EPOCH_JYEAR,
-        facts={"release": "Gaia DR2", "epoch_scale": "TCB"},
+        name=name or meaning.name,
+        description=f"{'SYNTHETIC. ' * synthetic}{meaning.description} {len(files)} files.",
+        synthetic=synthetic,
+        ref_epoch_jyear=meaning.ref_epoch_jyear,
+        facts={
+            "form": meaning.name,
+            "credit": meaning.credit,
+            "form_sha256": hashlib.sha256(repr(meaning).encode()).hexdigest(),
+            "epoch_scale": meaning.epoch_scale,
+        },
     )
-    return build(
+    report = build(
         files,
         Path(destination),
         about,
         rows_per_leaf=rows_per_leaf,
-        workers=workers,
+        sizes=[file.size for file in files],
+        budget=Budget(memory_bytes),
+        scheduler=scheduler or LocalScheduler("threads", workers or available_cores()),
         progress=tell,
         overwrite=overwrite,
+        restart=restart,
     )
+    return replace(report, notes=_md5_notes(files))
 
 
 def list_files(sources: Sequence[str | Path]) -> list[Path]:
-    """The input files: each path given, and of a folder all files but hidden ones, MD5SUM.txt and
-    the archive's `_citation` and `_disclaimer` files."""
+    """The input files: each path given, and of a folder all files but hidden ones, the archive's
+    list of MD5 digests, and its `_citation` and `_disclaimer` files."""
     paths: list[Path] = []
     for source in map(Path, sources):
         if not source.exists():
@@ -88,7 +122,7 @@ def list_files(sources: Sequence[str | Path]) -> list[Path]:
             continue
         inside = [p for p in sorted(source.iterdir()) if p.is_file() and _holds_rows(p.name)]
         if not inside:
-            raise BadInput("source", str(source), "a folder with Gaia DR2 files")
+            raise BadInput("source", str(source), "a folder with files of stars")
         paths += inside
     if not paths:
         raise BadInput("source", [], "at least one file")
@@ -96,36 +130,71 @@ def list_files(sources: Sequence[str | Path]) -> list[Path]:
 
 
 def _holds_rows(name: str) -> bool:
-    return not name.startswith((".", "_")) and name != MD5SUM_NAME
+    return not name.startswith((".", "_")) and name not in MD5SUM_NAMES
 
 
-def _look_at(path: Path) -> FileSource:
-    """Kind, size and digest of an input file; its digest is compared with MD5SUM.txt beside it."""
-    kind_of(path)
-    with path.open("rb") as file:
-        md5 = hashlib.file_digest(file, lambda: hashlib.md5(usedforsecurity=False)).hexdigest()
-    expected = expected_md5(path)
-    if expected is not None and expected != md5:
-        raise Damaged(str(path), f"its MD5 is {md5}; {MD5SUM_NAME} says {expected}")
-    return FileSource(path, path.name, path.stat().st_size, md5)
+def _look_at(paths: Sequence[Path], form: Form, tell: Progress) -> list[FileSource]:
+    """The files in the order of their names; each is of a kind that can be read."""
+    sums = {folder: _md5_sums(folder) for folder in {path.parent for path in paths}}
+    times = Counter(path.name for path in paths)
+    files = []
+    for i, path in enumerate(paths):
+        if i % 256 == 0:
+            tell("check", i, len(paths))
+        kind_of(path)
+        state = path.stat()
+        label = path.name if times[path.name] == 1 else str(path)
+        expected = sums[path.parent].get(path.name)
+        identity = (str(path.absolute()), label, state.st_size, state.st_mtime_ns)
+        files.append(FileSource(*identity, form, expected))
+    tell("check", len(paths), len(paths))
+    return sorted(files, key=lambda file: (file.label, file.path))
 
 
-def expected_md5(path: Path) -> str | None:
-    """What MD5SUM.txt beside a file says of it; None where there is none, or no line for it."""
-    try:
-        text = (path.parent / MD5SUM_NAME).read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return None
-    for line in text.splitlines():
-        words = line.split()
-        if len(words) == 2 and Path(words[1].lstrip("*")).name == path.name:
-            return words[0].lower()
-    return None
+def _md5_sums(folder: Path) -> dict[str, str]:
+    """What the archive's list of digests in a folder says, by file name."""
+    sums = {}
+    for name in MD5SUM_NAMES:
+        try:
+            text = (folder / name).read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            continue
+        for line in text.splitlines():
+            words = line.split()
+            if len(words) == 2 and len(words[0]) == 32:
+                sums[Path(words[1].lstrip("*")).name] = words[0].lower()
+    return sums
+
+
+def _md5_notes(files: Sequence[FileSource]) -> tuple[str, ...]:
+    """What lists of digests say of files that are not there, and which files none tells of."""
+    names = {Path(file.path).name for file in files}
+    listed = {name for folder in {Path(f.path).parent for f in files} for name in _md5_sums(folder)}
+    absent = sum(_holds_rows(name) for name in listed - names)
+    unlisted = sum(file.expected_md5 is None for file in files)
+    notes = []
+    if absent:
+        notes.append(f"{absent} files that MD5SUM.txt lists are not among the sources")
+    if listed and unlisted:
+        notes.append(f"{unlisted} sources are not in MD5SUM.txt: their content was not verified")
+    return tuple(notes)
 
 
 def _refuse_twins(files: Sequence[FileSource]) -> None:
-    """A file given twice, under whatever name, would count its rows twice."""
-    digest, times = Counter(file.md5 for file in files).most_common(1)[0]
-    if times > 1:
-        twins = [str(file.path) for file in files if file.md5 == digest]
-        raise BadInput("source", twins, "each file once (these have the same content)")
+    """A file given twice, under whatever name, would count its rows twice.
+
+    Only files of the same size can be the same: no other is read for this.
+    """
+    by_size: dict[int, list[FileSource]] = defaultdict(list)
+    for file in files:
+        by_size[file.size].append(file)
+    for group in by_size.values():
+        seen: dict[str, str] = {}
+        for file in group if len(group) > 1 else []:
+            with Path(file.path).open("rb") as stream:
+                digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            if digest in seen:
+                twins = [seen[digest], file.path]
+                allowed = "each file once (these have the same content)"
+                raise BadInput("source", twins, allowed)
+            seen[digest] = file.path

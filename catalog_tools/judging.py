@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from .columns import HEALPIX_COLUMN, INCOMING, NAMES, STORED
+from .columns import HEALPIX_COLUMN, INCOMING, LIMITS, STEPS
 from .partition import healpix_29
 
-ROW_COLUMN = "_row"  # the row's place in its source, counted from 0
+Columns = dict[str, np.ndarray]
+
+PLACE_COLUMN = "_place"  # the row's place among all rows of its batch, counted from 0
 DUPLICATE = "source_id occurs more than once"
 
 # In this order; the first reason that holds is the one given.
@@ -21,7 +22,6 @@ REASONS = (
     "G magnitude absent or not finite",
 )
 
-PIECE = STORED.append(pa.field(ROW_COLUMN, pa.int64(), nullable=False))
 REJECTS = pa.schema(
     [
         ("source", pa.string()),
@@ -35,59 +35,63 @@ REJECTS = pa.schema(
 )
 
 
-def judge(table: pa.Table, label: str, first_row: int) -> tuple[pa.Table, pa.Table]:
-    """Split incoming rows into kept ones (schema PIECE) and rejected ones (schema REJECTS).
+def judge(table: pa.Table, label: str, first_row: int) -> tuple[np.ndarray, Columns, pa.Table]:
+    """Split incoming rows into kept ones and rejected ones.
 
     table : schema INCOMING, nulls and NaN anywhere; label : the source's name; first_row : the
-    place of the table's first row in its source.
+    place of the table's first row in its source. Returns the kept rows' places in the table, their
+    columns (those of STORED, NaN for an absent value, rounded to STEPS), and the rejects.
     """
-    table = table.select(NAMES).cast(INCOMING)
-    rows = pa.array(np.arange(first_row, first_row + table.num_rows))
-    reason = _reasons(table)
-    kept = reason < 0
-    good, bad = table.filter(pa.array(kept)), table.filter(pa.array(~kept))
-    text = pa.array([REASONS[i] for i in reason[~kept]], pa.string())
-    rejected = rejects(bad, label, rows.filter(pa.array(~kept)), text)
-    return _stored(good, rows.filter(pa.array(kept))), rejected
+    columns = {name: _numbers(table[name], LIMITS[name]) for name in LIMITS}
+    reason = _reasons(table, columns)
+    kept = np.flatnonzero(reason < 0)
+    bad = np.flatnonzero(reason >= 0)
+    rejected = REJECTS.empty_table()
+    if bad.size:
+        text = [REASONS[i] for i in reason[bad]]
+        rejected = rejects(table.take(pa.array(bad)), label, first_row + bad, text)
+        table = table.take(pa.array(kept))
+        columns = {name: values[kept] for name, values in columns.items()}
+    return kept, _stored(table["source_id"].to_numpy(), columns), rejected
 
 
-def rejects(rows: pa.Table, label: str, places: pa.Array, reasons: pa.Array) -> pa.Table:
+def rejects(rows: pa.Table, label: str, places: np.ndarray, reasons: list[str]) -> pa.Table:
     """Rejected rows as the rejects table shows them."""
-    names = REJECTS.names[3:]
     source = pa.array([label] * rows.num_rows, pa.string())
-    return pa.table([source, places, reasons, *(rows[n] for n in names)], schema=REJECTS)
+    values = (rows[name] for name in REJECTS.names[3:])
+    return pa.table([source, pa.array(places), pa.array(reasons, pa.string()), *values], REJECTS)
 
 
-def _reasons(table: pa.Table) -> np.ndarray:
+def _numbers(column: pa.ChunkedArray, limit: float) -> np.ndarray:
+    """A float column, NaN where it is null, not finite or beyond its limit. Always a new array."""
+    values = np.array(column.to_numpy())
+    values[~(np.abs(values) <= limit)] = np.nan
+    return values
+
+
+def _reasons(table: pa.Table, columns: Columns) -> np.ndarray:
     """Index of the first reason against each row; -1 for none."""
-    ra, dec, g_mag = (_numbers(table, name) for name in ("ra", "dec", "phot_g_mean_mag"))
+    ra, dec, g_mag = (columns[name] for name in ("ra", "dec", "phot_g_mean_mag"))
     with np.errstate(invalid="ignore"):
         against = (
             table["source_id"].is_null().to_numpy(),
-            ~(np.isfinite(ra) & np.isfinite(dec)),
+            np.isnan(ra) | np.isnan(dec),
             (ra < 0.0) | (ra > 360.0),
             np.abs(dec) > 90.0,
-            ~np.isfinite(g_mag),
+            np.isnan(g_mag),
         )
-    reason = np.full(table.num_rows, -1)
+    reason = np.full(table.num_rows, -1, np.int8)
     for i in reversed(range(len(REASONS))):
         reason[against[i]] = i
     return reason
 
 
-def _numbers(table: pa.Table, name: str) -> np.ndarray:
-    return table[name].fill_null(float("nan")).to_numpy()
-
-
-def _stored(good: pa.Table, rows: pa.Array) -> pa.Table:
-    """Kept rows in the piece's schema: ra 360 becomes 0, what is not finite becomes null."""
-    ra = good["ra"].to_numpy()
-    ra = np.where(ra == 360.0, 0.0, ra)
-    pixels = healpix_29(ra, good["dec"].to_numpy())
-    columns = [pa.array(pixels)]
-    for name in NAMES:
-        column = pa.array(ra) if name == "ra" else good[name]
-        if INCOMING.field(name).type == pa.float32():
-            column = pc.if_else(pc.is_finite(column), column, None)
-        columns.append(column)
-    return pa.table([*columns, rows], schema=PIECE).sort_by(HEALPIX_COLUMN)
+def _stored(source_id: np.ndarray, columns: Columns) -> Columns:
+    """Kept rows as they are stored: rounded, and right ascension in [0, 360)."""
+    for name, step in STEPS.items():
+        kind = INCOMING.field(name).type.to_pandas_dtype()
+        # Powers of two: scaling is exact, and rint is the only rounding.
+        columns[name] = (np.rint(columns[name] * kind(1.0 / step)) * kind(step)).astype(kind)
+    columns["ra"][columns["ra"] >= 360.0] = 0.0
+    pixels = healpix_29(columns["ra"], columns["dec"])
+    return {HEALPIX_COLUMN: pixels, "source_id": source_id, **columns}

@@ -1,21 +1,24 @@
 """Adaptive nested HEALPix leaves from a counting pass.
 
-healpy (GPL-2.0-only, 1.6 s to import) turns angles into pixels; everything else about the nested
-scheme is shifting bits: a pixel's parent is `pixel >> 2`.
+In the nested scheme a pixel's parent is `pixel >> 2`: the rows of a leaf are a range of order-29
+pixels.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .columns import HEALPIX_ORDER
+from .healpix import pixels_of
 
 Pixels = NDArray[np.int64]
 
-COUNT_ORDER = 9  # 3.1 million pixels of 0.013 deg2: the finest leaves
+COUNT_ORDER = 9  # 3.1 million pixels of 0.013 deg2
+DEEPEST_ORDER = 18  # pixels of 0.8 arcsec
 ROWS_PER_LEAF = 1_000_000
 
 
@@ -31,10 +34,7 @@ class Cell(NamedTuple):
 
 def healpix_29(ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> Pixels:
     """Nested pixels of order 29 (0.4 mas) of ICRS positions [deg]."""
-    import healpy
-
-    pixels: Pixels = healpy.ang2pix(1 << HEALPIX_ORDER, ra_deg, dec_deg, nest=True, lonlat=True)
-    return pixels
+    return pixels_of(HEALPIX_ORDER, ra_deg, dec_deg)
 
 
 def positions_of(pixels_29: Pixels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -50,18 +50,21 @@ def coarser(pixels_29: Pixels, order: int) -> Pixels:
     return pixels_29 >> (2 * (HEALPIX_ORDER - order))
 
 
-def count(pixels_29: Pixels) -> tuple[Pixels, Pixels]:
+def coarser_counts(pixels_29: Pixels) -> tuple[Pixels, Pixels]:
     """The pixels of COUNT_ORDER that occur, ascending, and how often."""
     pixels, counts = np.unique(coarser(pixels_29, COUNT_ORDER), return_counts=True)
     return pixels, counts.astype(np.int64)
 
 
-def choose_leaves(counts: Pixels, rows_per_leaf: int) -> list[Cell]:
+def choose_leaves(
+    counts: Pixels, rows_per_leaf: int, rows_between: Callable[[int, int], int] | None = None
+) -> list[Cell]:
     """The largest pixels with at most `rows_per_leaf` rows; empty ones are left out.
 
     counts : (12 * 4**order,) rows in each pixel of some order, nested. Sparse input thus stays in
-    few leaves, and dense regions get small pixels. A pixel of the counting order becomes a leaf
-    even where it holds more.
+    few leaves, and dense regions get small pixels. A pixel of that order that still holds too many
+    is cut further by `rows_between(first_29, end_29)`, which counts rows by order-29 pixels; down
+    to DEEPEST_ORDER, where a leaf may hold more.
     """
     finest = (counts.size // 12).bit_length() // 2
     pyramid = [counts]
@@ -69,11 +72,24 @@ def choose_leaves(counts: Pixels, rows_per_leaf: int) -> list[Cell]:
         pyramid.append(pyramid[-1].reshape(-1, 4).sum(axis=1))
     pyramid.reverse()
     alive = np.ones(12, bool)
-    cells = []
+    cells: list[Cell] = []
     for order, rows in enumerate(pyramid):
-        small = (rows <= rows_per_leaf) | (order == finest)
-        shift = 2 * (HEALPIX_ORDER - order)
+        small = rows <= rows_per_leaf
         for pixel in np.flatnonzero(alive & small & (rows > 0)).tolist():
-            cells.append(Cell(order, pixel, pixel << shift, (pixel + 1) << shift, int(rows[pixel])))
-        alive = np.repeat(alive & ~small, 4)
+            cells.append(_cell(order, pixel, int(rows[pixel])))
+        alive = np.repeat(alive & ~small, 4) if order < finest else alive & ~small
+    crowded = [_cell(finest, pixel, int(counts[pixel])) for pixel in np.flatnonzero(alive).tolist()]
+    while crowded:
+        cell = crowded.pop()
+        if rows_between is None or cell.rows <= rows_per_leaf or cell.order == DEEPEST_ORDER:
+            cells.append(cell)
+            continue
+        children = (_cell(cell.order + 1, 4 * cell.pixel + i, 0) for i in range(4))
+        counted = (c._replace(rows=rows_between(c.first_29, c.end_29)) for c in children)
+        crowded += [c for c in counted if c.rows]
     return sorted(cells, key=lambda cell: cell.first_29)
+
+
+def _cell(order: int, pixel: int, rows: int) -> Cell:
+    shift = 2 * (HEALPIX_ORDER - order)
+    return Cell(order, pixel, pixel << shift, (pixel + 1) << shift, rows)

@@ -1,50 +1,110 @@
-"""One writer at a time, and a catalogue that becomes visible by one atomic rename."""
+"""One writer at a time, work that outlives its process, and one atomic rename at the end."""
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 from .catalogue import MANIFEST_NAME
 from .errors import BadInput, Incomplete
 
+# renameat2(2) of Linux: both paths are relative to the current folder; swap the two.
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+
+
+class Work(NamedTuple):
+    """Where a catalogue is made: the folder that will be published, and what lets a run go on."""
+
+    catalogue: Path
+    progress: Path
+
 
 @contextmanager
-def publishing(destination: Path, *, overwrite: bool, field: str = "output") -> Iterator[Path]:
-    """Yield a hidden folder beside `destination`; it takes that name when the block ends well.
+def publishing(
+    destination: Path, *, overwrite: bool, restart: bool = False, field: str = "output"
+) -> Iterator[Work]:
+    """Yield hidden folders beside `destination`; the catalogue takes its name when all ends well.
 
-    Raises BadInput where the destination exists (unless `overwrite` and it is a catalogue) or
-    where another writer is at work on it. On any failure nothing is left but what was there
-    before. The lock is the kernel's: it ends with the process, however that ends.
+    If the block fails or the process dies, what the folder `progress` holds stays for a later run
+    (unless `restart`); if it is empty, nothing is left but what was there before. Raises BadInput
+    where the destination exists (unless `overwrite` and it is a catalogue) or where another writer
+    is at work on it. The lock is the kernel's: it ends with the process.
     """
     destination = destination.absolute()
+    _clean_up(destination)
     _check(destination, overwrite, field)
     try:
         destination.parent.mkdir(parents=True, exist_ok=True)
         lock = (destination.parent / f".{destination.name}.lock").open("a")
     except OSError as error:
         raise BadInput(field, str(destination), f"a place that can be written ({error})") from None
+    part = destination.parent / f".{destination.name}.part"
+    work = Work(part / "catalogue", part / "progress")
     with lock:
         if not _alone(lock):
             allowed = "a place into which no other process is writing a catalogue"
             raise BadInput(field, str(destination), allowed)
         try:
-            _restore(destination)
             _check(destination, overwrite, field)
-            shutil.rmtree(work := _part(destination), ignore_errors=True)  # of a killed writer
-            work.mkdir()
+            if restart:
+                shutil.rmtree(part, ignore_errors=True)
+            for folder in work:
+                folder.mkdir(parents=True, exist_ok=True)
             yield work
-            _swap_in(work, destination)
+            _swap_in(work.catalogue, destination)
+            shutil.rmtree(work.progress, ignore_errors=True)
         except OSError as error:
-            raise Incomplete(f"{destination}: could not be written ({error})") from error
+            text = f"{destination}: could not be written ({error})"
+            if holds_any(work.progress):
+                text += "; what is finished is kept: run the same command again to go on"
+            raise Incomplete(text) from error
         finally:
-            shutil.rmtree(_part(destination), ignore_errors=True)
+            if not holds_any(work.progress):
+                shutil.rmtree(part, ignore_errors=True)
             Path(lock.name).unlink(missing_ok=True)
+
+
+def _clean_up(destination: Path) -> None:
+    """Remove what a run left that was killed after the catalogue had taken its name."""
+    part = destination.parent / f".{destination.name}.part"
+    if (
+        (destination / MANIFEST_NAME).is_file()
+        and part.is_dir()
+        and not (part / "catalogue").exists()
+    ):
+        with (destination.parent / f".{destination.name}.lock").open("a") as lock:
+            if _alone(lock):
+                shutil.rmtree(part, ignore_errors=True)
+                Path(lock.name).unlink(missing_ok=True)
+
+
+def write_durably(path: Path, text: str) -> None:
+    """Write a small file that is there whole, or not at all, whatever happens."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    sync_file(part)
+    part.replace(path)
+    sync_file(path.parent)
+
+
+def sync_file(path: Path) -> None:
+    """Bring a file or folder to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def holds_any(folder: Path) -> bool:
+    """Whether a folder is there and not empty."""
+    return folder.is_dir() and any(folder.iterdir())
 
 
 def _alone(lock: IO[str]) -> bool:
@@ -54,20 +114,6 @@ def _alone(lock: IO[str]) -> bool:
         return Path(lock.name).stat().st_ino == os.fstat(lock.fileno()).st_ino
     except OSError:
         return False
-
-
-def _restore(destination: Path) -> None:
-    """Undo an overwriting that was cut off between its two renames."""
-    if _old(destination).exists() and not os.path.lexists(destination):
-        _old(destination).rename(destination)
-
-
-def _part(destination: Path) -> Path:
-    return destination.parent / f".{destination.name}.part"
-
-
-def _old(destination: Path) -> Path:
-    return destination.parent / f".{destination.name}.old"
 
 
 def _check(destination: Path, overwrite: bool, field: str) -> None:
@@ -81,19 +127,21 @@ def _check(destination: Path, overwrite: bool, field: str) -> None:
 
 def _swap_in(work: Path, destination: Path) -> None:
     for path in (*sorted(work.rglob("*")), work):
-        _sync(path)
-    old = _old(destination)
-    shutil.rmtree(old, ignore_errors=True)
+        sync_file(path)
     if os.path.lexists(destination):
-        destination.rename(old)
-    work.rename(destination)
-    _sync(destination.parent)
-    shutil.rmtree(old, ignore_errors=True)
+        _exchange(work, destination)
+        shutil.rmtree(work, ignore_errors=True)
+    else:
+        work.rename(destination)
+    sync_file(destination.parent)
 
 
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+def _exchange(one: Path, other: Path) -> None:
+    """Swap the names of two folders in one step, so that a reader finds the old or the new."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    names = os.fsencode(one), os.fsencode(other)
+    if not hasattr(libc, "renameat2"):
+        raise OSError(f"{other}: this system can't swap folders; remove the old one first")
+    if libc.renameat2(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE):
+        code = ctypes.get_errno()
+        raise OSError(code, os.strerror(code), str(other))

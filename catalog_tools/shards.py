@@ -1,62 +1,50 @@
-"""One leaf's Parquet file: magnitude bands as row groups, written and read with checksums.
+"""Write one leaf's Parquet file: magnitude bands, bright first, cut along the HEALPix curve.
 
-Every read is proved: the file's length, its footer's crc32c and each row group's crc32c are
-compared with the manifest before Arrow parses a byte, and Arrow verifies the page checksums too,
-so that other Parquet readers have them. Only the row groups asked for are read.
+Row groups hold one band each (or a stretch of it), so that a reader takes those that are bright
+enough and near enough. What proves them (lengths, crc32c) and what bounds them goes into the
+tables of the manifest; Parquet's own page checksums are written too.
 """
 
 from __future__ import annotations
 
-import io
-from collections.abc import Sequence
+import math
 from pathlib import Path
+from typing import BinaryIO
 
 import google_crc32c
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .catalogue import Band, Leaf
-from .columns import ENCODINGS, HEALPIX_COLUMN, STORED
-from .errors import Damaged
-from .sphere import cap_of, directions
+from .catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
+from .columns import ENCODINGS, HEALPIX_COLUMN, HEALPIX_ORDER, STORED
+from .judging import Columns
+from .sphere import cap_of, cap_of_caps, directions
 
 # Faint edges of the bands; the last band is open.
-BAND_EDGES_G_MAG = (8.0, 10.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0, 19.0, 20.0)
+BAND_EDGES_G_MAG = np.array(
+    [8.0, 10.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0, 19.0, 20.0], np.float32
+)
 MIN_BAND_ROWS = 2048
+MAX_ROW_GROUP_ROWS = 16_384
+MAX_BRIGHT_ROW_GROUP_ROWS = 2_048  # to BRIGHT_G_MAG, so that a cone of a degree takes few
+BRIGHT_G_MAG = 16.0
 ZSTD_LEVEL = 3
+PRUNED_BY = [HEALPIX_COLUMN, "ra", "dec", "phot_g_mean_mag"]  # columns with Parquet statistics
+CHUNK_BYTES = 1 << 20
 
 
-def shard_name(order: int, pixel: int) -> str:
-    """A leaf's place in the HATS layout, relative to the catalogue."""
-    folder = pixel // 10_000 * 10_000
-    return f"dataset/Norder={order}/Dir={folder}/Npix={pixel}.parquet"
+def write_shard(root: Path, order: int, pixel: int, rows: Columns) -> tuple[np.ndarray, np.ndarray]:
+    """Write the rows of one leaf below `root`; returns its records in the manifest's two tables.
 
-
-def band_slices(g_mag: np.ndarray) -> list[slice]:
-    """Cut ascending magnitudes (n,) into bands: at the edges, each of MIN_BAND_ROWS or more.
-
-    A band that would be too small joins the next fainter one; a small last one joins its brighter
-    neighbour.
-    """
-    cuts = [0]
-    for edge in np.searchsorted(g_mag, np.array(BAND_EDGES_G_MAG, np.float32), side="right"):
-        if edge - cuts[-1] >= MIN_BAND_ROWS:
-            cuts.append(int(edge))
-    if g_mag.size - cuts[-1] < MIN_BAND_ROWS and len(cuts) > 1:
-        cuts.pop()
-    return [slice(a, b) for a, b in zip(cuts, [*cuts[1:], g_mag.size], strict=True) if b > a]
-
-
-def write_shard(root: Path, order: int, pixel: int, table: pa.Table) -> Leaf:
-    """Write the rows of one leaf (schema STORED, any order) below `root`; returns its record.
-
-    Rows with equal keys (`_healpix_29`, source_id) must not occur: the bits of the file depend on
-    the set of rows alone.
+    rows : columns of STORED in any order of rows, NaN for absent values; the dictionary is
+    emptied. Rows with equal (`_healpix_29`, source_id) must not occur: the bits of the file depend
+    on the set of rows alone.
     """
     path = root / shard_name(order, pixel)
     path.parent.mkdir(parents=True, exist_ok=True)
-    bands = _sorted_bands(table)
+    places, groups = _arrange(rows)
+    rows = {name: rows.pop(name)[places] for name in STORED.names}
     with pq.ParquetWriter(
         path,
         STORED,
@@ -64,132 +52,136 @@ def write_shard(root: Path, order: int, pixel: int, table: pa.Table) -> Leaf:
         compression_level=ZSTD_LEVEL,
         use_dictionary=False,
         column_encoding=ENCODINGS,
-        write_statistics=True,
+        write_statistics=PRUNED_BY,
         write_page_checksum=True,
-        write_page_index=True,
         store_schema=False,
     ) as writer:
-        for band in bands:
-            writer.write_table(band, row_group_size=band.num_rows)
-    return _record(path, order, pixel, pa.concat_tables(bands), [b.num_rows for b in bands])
+        for group in groups:
+            writer.write_table(_table(rows, group), row_group_size=group.stop - group.start)
+    return _records(path, order, pixel, rows, groups)
 
 
-def _sorted_bands(table: pa.Table) -> list[pa.Table]:
-    by_magnitude = table.sort_by([("phot_g_mean_mag", "ascending"), ("source_id", "ascending")])
-    g_mag = by_magnitude["phot_g_mean_mag"].to_numpy()
-    keys = [(HEALPIX_COLUMN, "ascending"), ("source_id", "ascending")]
-    slices = band_slices(g_mag)
-    return [by_magnitude.slice(s.start, s.stop - s.start).sort_by(keys) for s in slices]
+def band_slices(counts: np.ndarray) -> list[slice]:
+    """Join bands of too few rows: slices of bands, each of MIN_BAND_ROWS or more together.
 
-
-def _record(path: Path, order: int, pixel: int, rows: pa.Table, band_rows: list[int]) -> Leaf:
-    data = path.read_bytes()
-    footer_bytes = int.from_bytes(data[-8:-4], "little") + 8
-    metadata = pq.read_metadata(pa.BufferReader(data))
-    g_mag = rows["phot_g_mean_mag"].to_numpy()
-    ends = np.cumsum(band_rows)
-    bands = []
-    for i, (end, count) in enumerate(zip(ends, band_rows, strict=True)):
-        group = metadata.row_group(i)
-        chunks = [group.column(c) for c in range(group.num_columns)]
-        start = min(chunk.data_page_offset for chunk in chunks)
-        size = sum(chunk.total_compressed_size for chunk in chunks)
-        own = g_mag[end - count : end]
-        crc = google_crc32c.value(data[start : start + size])
-        bands.append(Band(i, float(own.min()), float(own.max()), count, size, start, crc))
-    centre, radius_rad = cap_of(directions(rows["ra"].to_numpy(), rows["dec"].to_numpy()))
-    speed = np.hypot(_filled(rows, "pmra"), _filled(rows, "pmdec"))
-    return Leaf(
-        order=order,
-        pixel=pixel,
-        rows=rows.num_rows,
-        path=shard_name(order, pixel),
-        bytes=len(data),
-        crc32c=google_crc32c.value(data),
-        centre=centre,
-        radius_rad=radius_rad,
-        max_proper_motion_mas_yr=float(speed.max()),
-        max_parallax_mas=max(0.0, float(_filled(rows, "parallax").max())),
-        footer_bytes=footer_bytes,
-        footer_crc32c=google_crc32c.value(data[-footer_bytes:]),
-        bands=tuple(bands),
-    )
-
-
-def _filled(rows: pa.Table, name: str) -> np.ndarray:
-    return rows[name].fill_null(0.0).to_numpy().astype(float)
-
-
-def read_row_groups(path: Path, leaf: Leaf, bands: Sequence[Band], names: list[str]) -> pa.Table:
-    """Rows of some bands of a shard, in the file's order, after proving every byte read.
-
-    Raises Damaged naming the shard: missing, of another length, or with a changed bit.
+    counts : (bands,) rows in each band, bright first. A band that is too small joins the next
+    fainter one; a small last one joins its brighter neighbour.
     """
-    try:
-        held = _proved_ranges(path, leaf, bands)
-        source = pa.PythonFile(_Ranges(leaf.bytes, held), mode="r")
-        file = pq.ParquetFile(source, page_checksum_verification=True, pre_buffer=False)
-        if file.metadata.num_row_groups != len(leaf.bands):
-            raise Damaged(str(path), "its row groups are not those of the manifest")
-        table = file.read_row_groups([b.row_group for b in bands], names, use_threads=False)
-    except (pa.ArrowException, OSError) as error:
-        raise Damaged(str(path), f"cannot be read ({error})") from None
-    if table.num_rows != sum(band.rows for band in bands):
-        raise Damaged(str(path), "holds another number of rows than the manifest says")
-    return table
+    slices: list[slice] = []
+    start = rows = 0
+    for band, count in enumerate(counts.tolist()):
+        rows += count
+        if rows >= MIN_BAND_ROWS:
+            slices.append(slice(start, band + 1))
+            start, rows = band + 1, 0
+    if rows and slices:
+        return [*slices[:-1], slice(slices[-1].start, counts.size)]
+    return slices or [slice(0, counts.size)]
 
 
-def _proved_ranges(path: Path, leaf: Leaf, bands: Sequence[Band]) -> list[tuple[int, bytes]]:
-    """The footer and the row groups as (offset, bytes), each matching its checksum."""
-    if not path.is_file():
-        raise Damaged(str(path), "the shard is missing")
+def _arrange(rows: Columns) -> tuple[np.ndarray, list[slice]]:
+    """The order of the rows in the file, and its row groups as slices of that order."""
+    band = np.searchsorted(BAND_EDGES_G_MAG, rows["phot_g_mean_mag"]).astype(np.uint8)
+    counts = np.bincount(band, minlength=BAND_EDGES_G_MAG.size + 1)
+    joined = band_slices(counts)
+    for i, wide in enumerate(joined):
+        band[(band >= wide.start) & (band < wide.stop)] = i
+    places = _along_the_curve(rows)
+    places = places[np.argsort(band[places], kind="stable")]
+    pixels, edges = rows[HEALPIX_COLUMN][places], [*BAND_EDGES_G_MAG.tolist(), math.inf]
+    groups, start = [], 0
+    for wide in joined:
+        stop = start + int(counts[wide].sum())
+        bright = edges[wide.stop - 1] <= BRIGHT_G_MAG
+        most = MAX_BRIGHT_ROW_GROUP_ROWS if bright else MAX_ROW_GROUP_ROWS
+        groups += _halved(
+            pixels, start, stop, 0, 4 + 2 * HEALPIX_ORDER, min(most, MAX_ROW_GROUP_ROWS)
+        )
+        start = stop
+    return places, groups
+
+
+def _halved(
+    pixels: np.ndarray, start: int, stop: int, low: int, bits: int, most: int
+) -> list[slice]:
+    """Cut ascending pixels at the borders of HEALPix pixels, or of halves of them, into slices of
+    at most `most` rows. Row groups that keep to such cells are compact: a cone meets a third as
+    many of them as of stretches of equal length, which reach over into the next large pixel."""
+    if stop - start <= most or bits == 0:
+        return [slice(start, stop)] if stop > start else []
+    half = low + (1 << (bits - 1))
+    middle = start + int(np.searchsorted(pixels[start:stop], half))
+    return [
+        *_halved(pixels, start, middle, low, bits - 1, most),
+        *_halved(pixels, middle, stop, half, bits - 1, most),
+    ]
+
+
+def _along_the_curve(rows: Columns) -> np.ndarray:
+    """Places of the rows by (HEALPix index, source_id). Sorted runs are merged, not sorted anew."""
+    pixels = rows[HEALPIX_COLUMN]
+    places = np.argsort(pixels, kind="stable")
+    ordered = pixels[places]
+    if (ordered[1:] == ordered[:-1]).any():
+        places = np.lexsort((rows["source_id"], pixels))
+    return places
+
+
+def _table(rows: Columns, group: slice) -> pa.Table:
+    """Rows of one group; NaN becomes null."""
+    arrays = [pa.array(rows[f.name][group], f.type, from_pandas=True) for f in STORED]
+    return pa.table(arrays, schema=STORED)
+
+
+def _records(
+    path: Path, order: int, pixel: int, rows: Columns, groups: list[slice]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The leaf (one element, LEAVES_DTYPE) and its row groups (ROW_GROUPS_DTYPE)."""
+    leaf, records = np.zeros((), LEAVES_DTYPE), np.zeros(len(groups), ROW_GROUPS_DTYPE)
+    metadata = pq.read_metadata(path)
     with path.open("rb") as file:
-        length = file.seek(0, io.SEEK_END)
-        if length != leaf.bytes:
-            raise Damaged(str(path), f"is {length} bytes long; the manifest says {leaf.bytes}")
-        held = []
-        start = leaf.bytes - leaf.footer_bytes
-        wanted = [("footer", start, leaf.footer_bytes, leaf.footer_crc32c)]
-        wanted += [(f"row group {b.row_group}", b.offset, b.bytes, b.crc32c) for b in bands]
-        for what, offset, size, crc32c in wanted:
-            file.seek(offset)
-            data = file.read(size)
-            if len(data) != size or google_crc32c.value(data) != crc32c:
-                raise Damaged(str(path), f"the {what} does not match its checksum")
-            held.append((offset, data))
-    return held
+        for i, group in enumerate(groups):
+            described = metadata.row_group(i)
+            chunks = [described.column(c) for c in range(described.num_columns)]
+            start = min(chunk.data_page_offset for chunk in chunks)
+            size = sum(chunk.total_compressed_size for chunk in chunks)
+            records[i]["offset"], records[i]["bytes"] = start, size
+            records[i]["rows"] = group.stop - group.start
+            records[i]["crc32c"] = _crc32c(file, start, size)
+            _bound(records[i], rows, group)
+        leaf["bytes"] = length = path.stat().st_size
+        leaf["crc32c"] = _crc32c(file, 0, length)
+        file.seek(length - 8)
+        leaf["footer_bytes"] = footer = int.from_bytes(file.read(4), "little") + 8
+        leaf["footer_crc32c"] = _crc32c(file, length - footer, footer)
+    leaf["order"], leaf["pixel"] = order, pixel
+    leaf["rows"], leaf["row_groups"] = records["rows"].sum(), len(groups)
+    for key in ("max_proper_motion_mas_yr", "max_parallax_mas", "faintest_g_mag"):
+        leaf[key] = records[key].max()
+    leaf["brightest_g_mag"] = records["brightest_g_mag"].min()
+    leaf["centre"], leaf["radius_rad"] = cap_of_caps(
+        records["centre"], records["radius_rad"], records["rows"]
+    )
+    return leaf, records
 
 
-class _Ranges(io.RawIOBase):
-    """A file of which only some byte ranges are in memory; reading any other byte is an error."""
+def _bound(record: np.ndarray, rows: Columns, group: slice) -> None:
+    """Fill in where the rows of a group lie, how far they move, and how bright they are."""
+    record["centre"], record["radius_rad"] = cap_of(
+        directions(rows["ra"][group], rows["dec"][group])
+    )
+    speed = np.hypot(rows["pmra"][group].astype(float), rows["pmdec"][group].astype(float))
+    record["max_proper_motion_mas_yr"] = np.fmax.reduce(speed, initial=0.0)
+    record["max_parallax_mas"] = np.fmax.reduce(rows["parallax"][group], initial=0.0)
+    g_mag = rows["phot_g_mean_mag"][group]
+    record["brightest_g_mag"], record["faintest_g_mag"] = g_mag.min(), g_mag.max()
 
-    def __init__(self, length: int, held: list[tuple[int, bytes]]) -> None:
-        self._length, self._held, self._at = length, held, 0
 
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._at
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        origin = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._length}[whence]
-        self._at = origin + offset
-        return self._at
-
-    def read(self, size: int | None = -1) -> bytes:
-        end = self._length if size is None or size < 0 else min(self._length, self._at + size)
-        for offset, data in self._held:
-            if offset <= self._at and end <= offset + len(data):
-                start, self._at = self._at, end
-                return data[start - offset : end - offset]
-        # Arrow asks for a generous tail before it knows the footer's length: pad it with zeros.
-        offset, data = self._held[0]
-        if end == self._length and self._at < offset:
-            padded = bytes(offset - self._at) + data
-            self._at = end
-            return padded
-        raise OSError(f"bytes {self._at} to {end} were not read")
+def _crc32c(file: BinaryIO, start: int, size: int) -> int:
+    """Checksum of a range of an open file, a chunk at a time."""
+    file.seek(start)
+    crc = 0
+    while size:
+        data = file.read(min(size, CHUNK_BYTES))
+        crc, size = google_crc32c.extend(crc, data), size - len(data)
+    return crc

@@ -15,7 +15,9 @@ def directions(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Floats:
     """Unit vectors (..., 3) of right ascension and declination [deg], ICRS."""
     ra, dec = np.radians(np.asarray(ra_deg, float)), np.radians(np.asarray(dec_deg, float))
     c = np.cos(dec)
-    return np.stack([c * np.cos(ra), c * np.sin(ra), np.sin(dec)], axis=-1)
+    v = np.empty((*np.broadcast_shapes(ra.shape, dec.shape), 3))
+    v[..., 0], v[..., 1], v[..., 2] = c * np.cos(ra), c * np.sin(ra), np.sin(dec)
+    return v
 
 
 def angles_deg(v: Floats) -> tuple[Floats, Floats]:
@@ -27,21 +29,37 @@ def angles_deg(v: Floats) -> tuple[Floats, Floats]:
 
 def separation_rad(a: Floats, b: Floats) -> Floats:
     """Angle between vectors (..., 3) [rad], exact from 0 to pi: atan2(|a x b|, a.b)."""
-    cross = np.cross(a, b)
-    return np.arctan2(np.sqrt(np.sum(cross * cross, axis=-1)), np.sum(a * b, axis=-1))
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return np.arctan2(np.sqrt(x * x + y * y + z * z), ax * bx + ay * by + az * bz)
 
 
-def cap_of(v: Floats) -> tuple[tuple[float, float, float], float]:
-    """Centre and radius [rad] of a cap that holds all unit vectors (n, 3), n >= 1.
+def cap_of(v: Floats) -> tuple[Floats, float]:
+    """Centre (3,) and radius [rad] of a cap that holds all unit vectors (n, 3), n >= 1.
 
     The centre is the direction of the mean, not the smallest cap's; 1e-9 rad (0.2 mas) is added
     to the radius so that rounding can't put a member outside.
     """
-    mean = v.mean(axis=0)
+    centre = _mean_direction(v, np.ones(len(v)))
+    chord = v - centre
+    half = 0.5 * float(np.sqrt(np.einsum("ij,ij->i", chord, chord).max()))
+    # Past a right angle the arcsine loses digits: there the whole sky costs nothing.
+    radius = np.pi if half > 0.9 else 2.0 * float(np.arcsin(half)) + 1e-9
+    return centre, radius
+
+
+def cap_of_caps(centres: Floats, radii_rad: Floats, weights: Floats) -> tuple[Floats, float]:
+    """Centre (3,) and radius [rad] of a cap that holds caps (n, 3), (n,)."""
+    centre = _mean_direction(centres, weights)
+    return centre, min(float((separation_rad(centres, centre) + radii_rad).max()), np.pi)
+
+
+def _mean_direction(v: Floats, weights: Floats) -> Floats:
+    """Direction of the weighted mean of unit vectors (n, 3); the pole where they cancel out."""
+    mean = np.average(v, axis=0, weights=weights)
     length = float(np.sqrt(mean @ mean))
-    centre = mean / length if length > 1e-12 else np.array([0.0, 0.0, 1.0])
-    radius = float(separation_rad(v, centre).max()) + 1e-9
-    return (float(centre[0]), float(centre[1]), float(centre[2])), min(radius, np.pi)
+    return mean / length if length > 1e-12 else np.array([0.0, 0.0, 1.0])
 
 
 def moved(

@@ -1,9 +1,10 @@
 """A synthetic DR2-like catalogue: the embedded default, and any depth where a scene looks.
 
 One seed is one sky. It is cut into magnitude intervals and HEALPix cells, and each has its own
-random stream, keyed by (seed, interval, cell). A catalogue is a choice of its stars: all down to a
-limit, and more inside deep fields. So fields agree with each other and with the rest of the sky,
-without duplicates or seams, whatever else was asked for.
+random stream, keyed by (seed, interval, cell), for its field stars, and one for each cluster or
+galaxy in it. A catalogue is a choice of these stars: all down to a limit, and more inside deep
+fields. So fields agree with each other and with the rest of the sky, without duplicates or seams,
+whatever else was asked for.
 """
 
 from __future__ import annotations
@@ -21,13 +22,16 @@ from .build import About, IngestReport, Progress, build, silent
 from .columns import HEALPIX_ORDER, INCOMING
 from .errors import BadInput
 from .partition import positions_of
+from .schedulers import LocalScheduler
 from .sphere import directions, separation_rad
 from .star_counts import EDGES_G_MAG, interval_density
+from .synthetic_clusters import CROWDS, interval_shares, pixels_of
 from .synthetic_stars import draw_stars
 
 DENSITY_ORDER = 6  # the density is constant over pixels of 0.84 deg2, or over smaller cells
 ROWS_PER_LEAF = 25_000
 TABLE_ROWS = 200_000
+BLOCK_ORDER = 5  # crowds are drawn in cells of 1.8 deg
 # Cells by magnitude: (fainter than, HEALPix order), some thousand stars or fewer in each.
 CELL_ORDERS = ((17.0, 7), (15.0, 5), (13.0, 4), (11.0, 3), (8.0, 1), (-9.0, 0))
 
@@ -64,11 +68,10 @@ class Sky:
             limit = np.where(inside, np.maximum(limit, field.faintest_g_mag), limit)
         return g_mag <= limit
 
-    def cells(self, interval: int) -> list[int]:
-        """Cells in which stars of an interval are wanted, ascending."""
+    def cells(self, interval: int, order: int) -> list[int]:
+        """Cells of an order in which stars of an interval are wanted, ascending."""
         import healpy
 
-        order = cell_order(interval)
         bright = EDGES_G_MAG[interval]
         if bright < self.faintest_g_mag:
             return list(range(12 * 4**order))
@@ -84,29 +87,39 @@ class Sky:
 
 @dataclass(frozen=True)
 class SyntheticPart:
-    """A source for `build`: one magnitude interval of a synthetic sky, in some cells."""
+    """A source for `build`: one magnitude interval of a synthetic sky, in some cells.
+
+    cells : of the field's stars; crowds : (number in CROWDS, cell of BLOCK_ORDER).
+    """
 
     sky: Sky
     interval: int
     cells: tuple[int, ...]
+    crowds: tuple[tuple[int, int], ...]
 
     @property
     def label(self) -> str:
         bright, faint = EDGES_G_MAG[self.interval : self.interval + 2]
         return f"synthetic G {bright:g} to {faint:g}, seed {self.sky.seed}"
 
-    def record(self) -> dict[str, Any]:
-        return {"name": self.label, "synthetic": True, "seed": self.sky.seed}
+    def identity(self) -> list[Any]:
+        return [self.label]
 
-    def tables(self) -> Iterator[pa.Table]:
+    def tables(self, record: dict[str, Any]) -> Iterator[pa.Table]:  # noqa: ARG002
         held: list[pa.Table] = []
-        for cell in self.cells:
-            held.append(stars_in_cell(self.sky, self.interval, cell))
+        for table in self._draws():
+            held.append(table)
             if sum(table.num_rows for table in held) >= TABLE_ROWS:
                 yield pa.concat_tables(held)
                 held = []
         if held:
             yield pa.concat_tables(held)
+
+    def _draws(self) -> Iterator[pa.Table]:
+        for cell in self.cells:
+            yield stars_in_cell(self.sky, self.interval, cell)
+        for number, block in self.crowds:
+            yield stars_of_crowd(self.sky, self.interval, block, number)
 
 
 def cell_order(interval: int) -> int:
@@ -118,7 +131,7 @@ def cell_order(interval: int) -> int:
 def stars_in_cell(sky: Sky, interval: int, cell: int) -> pa.Table:
     """The wanted stars of one interval in one cell (schema INCOMING): a pure function."""
     order = cell_order(interval)
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((sky.seed, interval, cell))))
+    rng = _stream(sky.seed, interval, cell)
     fine = max(order, DENSITY_ORDER)
     shift = 2 * (fine - order)
     pixels = np.arange(cell << shift, (cell + 1) << shift)
@@ -128,6 +141,30 @@ def stars_in_cell(sky: Sky, interval: int, cell: int) -> pa.Table:
     counts = rng.poisson(interval_density(interval, centres) * area_deg2)
     inside = rng.integers(0, 1 << below, counts.sum())
     pixels_29 = (np.repeat(pixels, counts) << below) | inside
+    return _wanted_stars(sky, rng, interval, pixels_29)
+
+
+def stars_of_crowd(sky: Sky, interval: int, block: int, number: int) -> pa.Table:
+    """The wanted stars of one interval of a crowd in one cell of BLOCK_ORDER (schema INCOMING)."""
+    rng = _stream(sky.seed, interval, block, 1 + number)
+    order, pixels, shares = pixels_of(CROWDS[number])
+    inside = pixels >> (2 * (order - BLOCK_ORDER)) == block
+    stars = CROWDS[number].stars * interval_shares(CROWDS[number])[interval]
+    counts = rng.poisson(stars * shares[inside])
+    below = 2 * (HEALPIX_ORDER - order)
+    places = rng.integers(0, 1 << below, counts.sum())
+    pixels_29 = (np.repeat(pixels[inside], counts) << below) | places
+    return _wanted_stars(sky, rng, interval, pixels_29)
+
+
+def _stream(*key: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(key)))
+
+
+def _wanted_stars(
+    sky: Sky, rng: np.random.Generator, interval: int, pixels_29: np.ndarray
+) -> pa.Table:
+    """Stars at given order-29 pixels (n,), without those that the sky does not want."""
     stars = draw_stars(rng, interval, pixels_29)
     ra_deg, dec_deg = positions_of(pixels_29)
     keep = sky.wanted(directions(ra_deg, dec_deg), stars["phot_g_mean_mag"])
@@ -138,12 +175,28 @@ def stars_in_cell(sky: Sky, interval: int, cell: int) -> pa.Table:
     return pa.table(arrays, schema=INCOMING)
 
 
+def _parts(sky: Sky) -> Iterator[SyntheticPart]:
+    """A part for each interval in which stars are wanted."""
+    blocks: list[tuple[int, int]] = []
+    for number, crowd in enumerate(CROWDS):
+        order, pixels, _ = pixels_of(crowd)
+        found = np.unique(pixels >> (2 * (order - BLOCK_ORDER)))
+        blocks += [(number, block) for block in found.tolist()]
+    shares = [interval_shares(crowd) for crowd in CROWDS]
+    for interval in range(EDGES_G_MAG.size - 1):
+        if cells := sky.cells(interval, cell_order(interval)):
+            near = set(sky.cells(interval, BLOCK_ORDER))
+            crowds = (b for b in blocks if b[1] in near and shares[b[0]][interval])
+            yield SyntheticPart(sky, interval, tuple(cells), tuple(crowds))
+
+
 def make_demo(
     destination: str | Path,
     *,
     faintest_g_mag: float = 10.0,
     deep_fields: Sequence[tuple[float, float, float, float]] = (),
     seed: int = 2,
+    rows_per_leaf: int = ROWS_PER_LEAF,
     workers: int = 2,
     progress: Progress | None = None,
     overwrite: bool = False,
@@ -156,11 +209,7 @@ def make_demo(
     fields = tuple(DeepField(*field) for field in deep_fields)
     _check(faintest_g_mag, fields, seed)
     sky = Sky(seed, float(faintest_g_mag), fields)
-    parts = [
-        SyntheticPart(sky, interval, tuple(cells))
-        for interval in range(EDGES_G_MAG.size - 1)
-        if (cells := sky.cells(interval))
-    ]
+    parts = list(_parts(sky))
     depths = "".join(
         f", to G = {f.faintest_g_mag:g} within {f.radius_deg:g} deg of RA {f.ra_deg:g} "
         f"Dec {f.dec_deg:g}"
@@ -181,10 +230,11 @@ def make_demo(
         parts,
         Path(destination),
         about,
-        rows_per_leaf=ROWS_PER_LEAF,
-        workers=workers,
+        rows_per_leaf=rows_per_leaf,
+        scheduler=LocalScheduler("threads", workers),
         progress=progress or silent,
         overwrite=overwrite,
+        restart=True,
     )
 
 

@@ -11,6 +11,8 @@ two at the faint end.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,7 @@ from .sphere import AU_KM_YR_S
 from .star_counts import EDGES_G_MAG, all_sky_count
 
 Floats = NDArray[np.float64]
+Intervals = int | NDArray[np.int64]
 
 COLOUR_PERCENTILES = (0.0, 1.0, 10.0, 25.0, 50.0, 75.0, 90.0, 99.0, 100.0)
 COLOURS_G_MAG = (6.0, 9.0, 13.0, 16.0, 18.0, 20.0, 21.0)
@@ -52,11 +55,19 @@ VELOCITY_SPREAD_KM_S = 35.0
 G_ZERO_POINT, BP_ZERO_POINT, RP_ZERO_POINT = 25.6883657251, 25.3513881707, 24.7619199882  # DR2
 
 
-def magnitudes(rng: np.random.Generator, interval: int, n: int) -> Floats:
-    """G magnitudes (n,) in an interval of EDGES_G_MAG, exponential as the counts rise across it."""
-    bright, faint = EDGES_G_MAG[interval : interval + 2]
-    slope = np.log(all_sky_count(faint) / all_sky_count(bright)) / (faint - bright)
-    return bright + np.log1p(rng.random(n) * np.expm1(slope * (faint - bright))) / slope
+@lru_cache(maxsize=1)
+def _slopes() -> Floats:
+    """How steeply the logarithm of the counts rises in each interval of EDGES_G_MAG [1/mag]."""
+    return np.asarray(np.diff(np.log(all_sky_count(EDGES_G_MAG))) / np.diff(EDGES_G_MAG))
+
+
+def magnitudes(rng: np.random.Generator, interval: Intervals, n: int) -> Floats:
+    """G magnitudes (n,) in intervals of EDGES_G_MAG, exponential as the counts rise across each."""
+    interval = np.asarray(interval)
+    bright, width_mag = EDGES_G_MAG[interval], np.diff(EDGES_G_MAG)[interval]
+    slope = _slopes()[interval]
+    drawn = bright + np.log1p(rng.random(n) * np.expm1(slope * width_mag)) / slope
+    return np.asarray(drawn)
 
 
 def colours(rng: np.random.Generator, g_mag: Floats) -> Floats:
@@ -101,12 +112,13 @@ def share_absent(g_mag: Floats, half_g_mag: float, width_mag: float) -> Floats:
 
 
 def draw_stars(
-    rng: np.random.Generator, interval: int, pixels_29: NDArray[np.int64]
+    rng: np.random.Generator, interval: Intervals, pixels_29: NDArray[np.int64]
 ) -> dict[str, Floats | NDArray[np.int64]]:
     """Columns of synthetic stars at given order-29 pixels (n,); NaN stands for an absent value.
 
-    source_id follows DR2's rule: its level-12 nested pixel stands above bit 35; below it the
-    place inside that pixel, which makes it unique wherever the pixels are.
+    interval : of EDGES_G_MAG, one for all stars or (n,). source_id follows DR2's rule: its
+    level-12 nested pixel stands above bit 35; below it the place inside that pixel, which makes it
+    unique wherever the pixels are.
     """
     n = pixels_29.size
     g_mag = magnitudes(rng, interval, n)

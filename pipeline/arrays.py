@@ -43,7 +43,8 @@ class FrameStars:
 
     x_px, y_px : place at mid-exposure; light_e : electrons in the exposure
     ra_rad, dec_rad : astrometric direction (space motion and parallax applied, no aberration), the
-    coordinates of the product's WCS; the rest as in StarTable
+    coordinates of the product's WCS; catalogue : which of the scene's it is from, 0 the main one;
+    the rest as in StarTable
     """
 
     source_id: NDArray[np.int64]
@@ -54,6 +55,7 @@ class FrameStars:
     dec_rad: Array
     g_mag: Array
     colour_flag: NDArray[np.uint8]
+    catalogue: NDArray[np.uint8]
 
     def __len__(self) -> int:
         return len(self.source_id)
@@ -132,8 +134,8 @@ def select(table: Any, index: Any) -> Any:
 def concatenate(tables: list[Any], kind: type) -> Any:
     """Tables of one kind, one after the other."""
     if not tables:
-        floats = {"source_id": np.int64, "colour_flag": np.uint8}
-        return kind(**{f.name: np.empty(0, floats.get(f.name, float)) for f in fields(kind)})
+        whole = {"source_id": np.int64, "colour_flag": np.uint8, "catalogue": np.uint8}
+        return kind(**{f.name: np.empty(0, whole.get(f.name, float)) for f in fields(kind)})
     return kind(
         **{f.name: np.concatenate([getattr(t, f.name) for t in tables]) for f in fields(kind)}
     )

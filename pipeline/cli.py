@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from pipeline.catalog_cli import catalog
+from pipeline.options import Json, Output, SchedulerName, Workers, print_json
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
 
@@ -19,21 +21,13 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-catalog = typer.Typer(help="Make and look at star catalogues.", no_args_is_help=True)
 app.add_typer(catalog, name="catalog")
 
 SceneFile = Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")]
 ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")]
-Output = Annotated[Path, typer.Option("-o", "--output", help="where the result goes")]
-Json = Annotated[bool, typer.Option("--json", help="machine-readable result on stdout")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="override a key: --set sensor.read_noise_e=3")
 ]
-SchedulerName = Annotated[
-    str,
-    typer.Option(help="threads, synchronous, processes, or the tcp:// or tls:// of a scheduler"),
-]
-Workers = Annotated[int | None, typer.Option(min=1, help="threads or processes; default: all")]
 
 
 def main() -> None:
@@ -56,7 +50,11 @@ def _explain(error: BaseException) -> int:
         print(f"nightglass: {error.format_message()} (see --help)", file=sys.stderr)
         return 2
     if isinstance(error, KeyboardInterrupt | typer.Abort):
-        print("nightglass: interrupted; go on with --resume", file=sys.stderr)
+        print(
+            "nightglass: interrupted; what is finished is kept: --resume goes on with a render, "
+            "the same command again with a catalogue",
+            file=sys.stderr,
+        )
         return 130
     if isinstance(error, OSError) and error.errno is not None:
         print(f"nightglass: {error.filename or ''}: {error.strerror}", file=sys.stderr)
@@ -96,7 +94,7 @@ def render(
     with _progress(quiet=as_json) as listen:
         report = run(loaded, output, options, listen)
     if as_json:
-        _print_json(report)
+        print_json(report)
     else:
         _print_report(report, output)
 
@@ -109,7 +107,7 @@ def plan(scene: SceneFile, set_: Overrides = None, as_json: Json = False) -> Non
 
     summary = plan_scene(load_scene(scene, set_ or []))
     if as_json:
-        _print_json(summary)
+        print_json(summary)
     else:
         from pipeline.pages import print_plan
 
@@ -123,7 +121,7 @@ def check(product: ProductPath, as_json: Json = False) -> None:
 
     verdict = verify(product)
     if as_json:
-        _print_json(verdict.__dict__ | {"whole": verdict.whole})
+        print_json(verdict.__dict__ | {"whole": verdict.whole})
     else:
         state = "whole" if verdict.whole else "complete" if verdict.complete else "NOT complete"
         print(f"{product}: {state}, {verdict.tiles} of {verdict.tiles_expected} tiles verified")
@@ -152,7 +150,7 @@ def schema() -> None:
     """Print the JSON Schema of a scene."""
     from pipeline.spec.scene import Scene
 
-    _print_json(Scene.model_json_schema(by_alias=True))
+    print_json(Scene.model_json_schema(by_alias=True))
 
 
 @app.command(name="color-fit")
@@ -167,7 +165,7 @@ def color_fit(scene: SceneFile, set_: Overrides = None, as_json: Json = False) -
     fit = gather_colour_fit(response, band, digest, cache_folder())
     described = describe(fit, gather_colour_points(response) if as_json else None)
     if as_json:
-        _print_json(described)
+        print_json(described)
     else:
         for key, value in described.items():
             print(f"{key:>24}  {value}")
@@ -203,119 +201,11 @@ def demo(
     print_product(product)
 
 
-@catalog.command(name="ingest")
-def catalog_ingest(
-    sources: Annotated[list[Path], typer.Argument(help="Gaia files: CSV, CSV.gz, FITS, VOTable")],
-    output: Output,
-    name: Annotated[str, typer.Option(help="name of the catalogue")] = "gaia_dr2",
-    rows_per_leaf: Annotated[int, typer.Option(min=1, help="largest shard")] = 1_000_000,
-    workers: Workers = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite")] = False,
-    as_json: Json = False,
-) -> None:
-    """Repartition Gaia files into HEALPix Parquet shards (HATS)."""
-    from catalog_tools.info import info
-    from catalog_tools.ingest import ingest
-
-    with _stages(quiet=as_json) as progress:
-        report = ingest(
-            list(sources), output, name=name, rows_per_leaf=rows_per_leaf, workers=workers,
-            progress=progress, overwrite=overwrite,
-        )  # fmt: skip
-    result = {"rows_in": report.rows_in, "rejected": report.rejected} | info(report.catalogue)
-    _print_mapping(result, as_json)
-
-
-@catalog.command(name="info")
-def catalog_info(
-    catalogue: Annotated[Path, typer.Argument(metavar="CATALOGUE")], as_json: Json = False
-) -> None:
-    """What a catalogue holds."""
-    from catalog_tools.catalogue import open_catalogue
-    from catalog_tools.info import info
-
-    _print_mapping(info(open_catalogue(catalogue)), as_json)
-
-
-@catalog.command(name="cone")
-def catalog_cone(
-    catalogue: Annotated[Path, typer.Argument(metavar="CATALOGUE")],
-    ra_deg: Annotated[float, typer.Option("--ra", min=-360, max=360)],
-    dec_deg: Annotated[float, typer.Option("--dec", min=-90, max=90)],
-    radius_deg: Annotated[float, typer.Option("--radius", min=0, max=180)],
-    faintest_g_mag: Annotated[float | None, typer.Option("--faintest")] = None,
-    epoch_jyear: Annotated[float | None, typer.Option("--epoch", help="Julian year")] = None,
-    output: Annotated[Path | None, typer.Option("-o", help=".csv or .parquet")] = None,
-) -> None:
-    """Stars in a cone, to the screen (CSV) or a file."""
-    from catalog_tools.catalogue import open_catalogue
-    from catalog_tools.query import cone
-    from pipeline.export.files import write_table
-
-    rows, report = cone(
-        open_catalogue(catalogue), ra_deg, dec_deg, radius_deg, faintest_g_mag, epoch_jyear
-    )
-    write_table(rows, output)
-    print(f"{rows.num_rows} stars; {report}", file=sys.stderr)
-
-
-@catalog.command(name="demo")
-def catalog_demo(
-    output: Output,
-    faintest_g_mag: Annotated[float, typer.Option("--faintest", help="all-sky limit, G")] = 10.0,
-    field: Annotated[
-        list[str] | None, typer.Option(help="deep field RA,DEC,RADIUS,G in degrees and mag")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0)] = 2,
-    overwrite: Annotated[bool, typer.Option("--overwrite")] = False,
-    as_json: Json = False,
-) -> None:
-    """Make a SYNTHETIC all-sky catalogue from published star counts; no star of it is real."""
-    from catalog_tools.info import info
-    from catalog_tools.synthetic import make_demo
-
-    fields = [_deep_field(text) for text in field or []]
-    with _stages(quiet=as_json) as progress:
-        report = make_demo(
-            output, faintest_g_mag=faintest_g_mag, deep_fields=fields, seed=seed,
-            progress=progress, overwrite=overwrite,
-        )  # fmt: skip
-    _print_mapping(info(report.catalogue), as_json)
-
-
-def _deep_field(text: str) -> tuple[float, float, float, float]:
-    from pipeline.errors import BadInput
-
-    try:
-        ra, dec, radius, faintest = (float(part) for part in text.split(","))
-    except ValueError:
-        raise BadInput("--field", text, "RA,DEC,RADIUS,G such as 56.75,24.1,1.0,20") from None
-    return ra, dec, radius, faintest
-
-
 def _progress(quiet: bool) -> Any:
     """A bar of tiles on stderr; nothing when it is no terminal or not wanted."""
     from pipeline.pages import tile_progress
 
     return tile_progress(quiet or not sys.stderr.isatty())
-
-
-def _stages(quiet: bool) -> Any:
-    from pipeline.pages import stage_progress
-
-    return stage_progress(quiet or not sys.stderr.isatty())
-
-
-def _print_json(value: Any) -> None:
-    print(json.dumps(value, indent=2, allow_nan=False))
-
-
-def _print_mapping(value: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        _print_json(value)
-        return
-    for key, item in value.items():
-        print(f"{key:>28}  {item}")
 
 
 def _print_report(report: dict[str, Any], product: Path) -> None:

@@ -13,7 +13,6 @@ import numpy as np
 from pipeline.arrays import FrameStars, concatenate
 from pipeline.execute.truth import star_truth, target_truth, world_of
 from pipeline.export.picture import write_preview
-from pipeline.inputs.stars import Catalogue
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan
@@ -34,19 +33,22 @@ Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
 
 
 def finish(
-    plan: Plan, catalogue: Catalogue | None, begun: Begun, times: dict[str, Any]
+    plan: Plan, catalogues: list[dict[str, Any]], begun: Begun, times: dict[str, Any]
 ) -> dict[str, Any]:
-    """Turn finished tiles into a complete product; returns the report."""
+    """Turn finished tiles into a complete product; returns the report.
+
+    catalogues : name, digest and what else the report tells of each, the main one first
+    """
     product, started = begun.path, time.perf_counter()
     rows = {
         kind: join_parts(product, kind, plan.frames, _empty(plan, kind))
         for kind in truth_kinds(plan)
     }
     coordinates = gather_coordinates(plan)
-    finish_cube(product, coordinates, _attributes(plan, catalogue))
+    finish_cube(product, coordinates, _attributes(plan, catalogues))
     write_preview(product, plan)
     residual = float(coordinates["wcs_residual_px"][1].max())
-    report = _report(plan, catalogue, begun, rows, residual)
+    report = _report(plan, catalogues, begun, rows, residual)
     report["errors"] |= _brightest(plan, begun)
     report["seconds"] = times | {"finish_s": time.perf_counter() - started}
     layout.write_atomically(product / layout.REPORT, layout.to_json(report))
@@ -133,9 +135,13 @@ def _padded(fit: WcsFit, table: np.ndarray) -> np.ndarray:
     return out
 
 
-def _attributes(plan: Plan, catalogue: Catalogue | None) -> dict[str, Any]:
+def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
     """Provenance, on the cube itself."""
-    synthetic = catalogue is not None and catalogue.synthetic
+    main, layers = catalogues[0] if catalogues else {}, catalogues[1:]
+    over = {
+        "layers": [layer["name"] for layer in layers],
+        "layer_digests": [layer["digest"] for layer in layers],
+    }
     return {
         "title": plan.scene.name,
         "Conventions": "CF-1.11",
@@ -145,16 +151,16 @@ def _attributes(plan: Plan, catalogue: Catalogue | None) -> dict[str, Any]:
         "seed": plan.scene.seed,
         "ifov_rad": plan.facts.ifov_rad,
         "integration_s": plan.scene.exposure.integration_s,
-        "catalogue": catalogue.name if catalogue else None,
-        "catalogue_digest": catalogue.digest if catalogue else None,
-        "synthetic_stars": synthetic,
+        "catalogue": main.get("name"),
+        "catalogue_digest": main.get("digest"),
+        "synthetic_stars": any(c["synthetic"] for c in catalogues),
         "pixel_convention": "pixel (0, 0) is the centre of the first pixel; axes (y, x)",
-    }
+    } | (over if layers else {})
 
 
 def _report(
     plan: Plan,
-    catalogue: Catalogue | None,
+    catalogues: list[dict[str, Any]],
     begun: Begun,
     rows: dict[str, int],
     wcs_residual_px: float,
@@ -170,11 +176,8 @@ def _report(
         "tiles_resumed": len(begun.done),
         "redrawn": list(begun.redrawn),
         "truth_rows": rows,
-        "catalogue": None if catalogue is None else {
-            "name": catalogue.name,
-            "digest": catalogue.digest,
-            "synthetic": catalogue.synthetic,
-        },
+        "catalogue": catalogues[0] if catalogues else None,
+        "layers": catalogues[1:],
         "errors": {
             "wcs_residual_px": wcs_residual_px,
             "noise_floor_e": plan.facts.sigma_floor_e,

@@ -5,23 +5,30 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from catalog_tools.schedulers import TASKS_PER_WINDOW, Scheduler, open_scheduler
 from pipeline.arrays import Geometry, SensorMaps
 from pipeline.errors import BadInput, NightglassError
-from pipeline.execute.graph import Inputs, Work, shard_graph, window_graph
-from pipeline.execute.scheduler import TASKS_PER_WINDOW, Scheduler, open_scheduler
+from pipeline.execute.graph import Inputs, Work, shard_graph, shard_key, window_graph
 from pipeline.finish import finish, stored_report
+from pipeline.inputs.catalogues import (
+    catalogue_facts,
+    catalogue_remarks,
+    gather_left_out,
+    layer_decisions,
+    open_catalogues,
+)
 from pipeline.inputs.colour_fit import gather_colour_fit
 from pipeline.inputs.curves import resolve_response, solar_spectrum
 from pipeline.inputs.earth_orientation import gather_dut1_s
 from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.sensor import gather_sensor_maps
-from pipeline.inputs.stars import Catalogue, Leaf, gather_leaves, open_catalogue
+from pipeline.inputs.stars import Catalogue, Shard, cones_of, gather_shards, rows_bright_enough
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
@@ -39,7 +46,6 @@ from pipeline.store import layout
 from pipeline.store.markers import markers_present
 from pipeline.store.product import Begun, begin, truth_kinds
 
-BRIGHT_END_G_MAG = 2.0
 Listener = Callable[["Progress"], None]
 
 
@@ -68,20 +74,27 @@ class Progress:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A plan with what was read to make it."""
+    """A plan with what was read to make it.
+
+    catalogues : the main one and the layers over it; left_out : of each, the sorted source_ids of
+    stars that an earlier one holds
+    """
 
     plan: Plan
     maps: SensorMaps
-    catalogue: Catalogue | None
+    catalogues: tuple[Catalogue, ...]
+    left_out: tuple[np.ndarray, ...]
     seconds: float
 
 
 def prepare(scene: Scene) -> Prepared:
-    """Read curves, fit, sensor images and the catalogue's manifest; decide; read no star."""
+    """Read curves, fit, sensor images and the catalogues' manifests; decide.
+
+    No star is read but where there are layers: theirs in the field, and the main catalogue's
+    bright ones around them.
+    """
     started = time.perf_counter()
-    catalogue = None
-    if scene.stars is not None:
-        catalogue = open_catalogue(scene.stars.catalogue, field="stars.catalogue")
+    catalogues = open_catalogues(scene.stars.catalogues) if scene.stars is not None else ()
     maps = gather_sensor_maps(scene)
     response, band, digest = gather_response(scene)
     dut1_s, remark = gather_dut1_s(*parse_utc(scene.epoch))
@@ -92,10 +105,12 @@ def prepare(scene: Scene) -> Prepared:
         maps.typical("gain_e_per_dn"),
     )  # fmt: skip
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
-    if catalogue is not None:
-        remarks += _catalogue_remarks(scene, catalogue)
+    if scene.stars is not None:
+        remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s)
-    return Prepared(plan, maps, catalogue, time.perf_counter() - started)
+    left_out = _left_out(plan, catalogues)
+    plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
+    return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started)
 
 
 def gather_response(scene: Scene) -> tuple[ResponseCurve, str, str]:
@@ -121,43 +136,58 @@ def _light(
     return colour, sun
 
 
-def _catalogue_remarks(scene: Scene, catalogue: Catalogue) -> list[str]:
-    out = []
-    if catalogue.synthetic:
-        out.append("SYNTHETIC CATALOGUE: no star of this product is a real star")
-    assert scene.stars is not None
-    brightest = catalogue.brightest_g_mag
-    if brightest is not None and brightest > BRIGHT_END_G_MAG:
-        out.append(
-            f"the catalogue begins at G = {brightest:.1f}: brighter real stars are missing "
-            "(Gaia DR2 lacks about 250 above G = 3)"
+def _left_out(plan: Plan, catalogues: tuple[Catalogue, ...]) -> tuple[np.ndarray, ...]:
+    """Of each catalogue, the stars in the field of any frame that an earlier one holds."""
+    if len(catalogues) < 2:
+        return gather_left_out(catalogues, (), None)
+    assert plan.scene.stars is not None
+    frames = np.arange(plan.frames, dtype=np.int64)
+    cones = [
+        cone
+        for start in range(0, plan.frames, TASKS_PER_WINDOW)
+        for cone in _cones(
+            plan, plan_geometry(plan.scene, frames[start:][:TASKS_PER_WINDOW], plan.dut1_s)
         )
-    wanted = scene.stars.faintest_g_mag
-    faintest = catalogue.faintest_g_mag
-    if wanted is not None and faintest is not None and faintest < wanted - 0.5:
-        out.append(f"the catalogue ends at G = {faintest:.1f}, the scene asks for {wanted}")
-    return out
+    ]
+    return gather_left_out(catalogues, cones, plan.scene.stars.faintest_g_mag)
 
 
 def plan_scene(scene: Scene) -> dict[str, Any]:
-    """The plan of a scene as plain data (`nightglass plan`); reads no star."""
-    prepared = prepare(scene)
-    return plan_dict(prepared.plan, _forecast(prepared))
+    """The plan of a scene as plain data (`nightglass plan`); what it reads, `prepare` says."""
+    return _summary(prepare(scene))
+
+
+def _summary(prepared: Prepared) -> dict[str, Any]:
+    return plan_dict(prepared.plan, _forecast(prepared), _facts(prepared))
+
+
+def _facts(prepared: Prepared) -> list[dict[str, Any]]:
+    return catalogue_facts(prepared.catalogues, prepared.left_out)
 
 
 def _forecast(prepared: Prepared) -> Any:
-    plan, catalogue = prepared.plan, prepared.catalogue
-    if catalogue is None:
+    plan, catalogues = prepared.plan, prepared.catalogues
+    if plan.scene.stars is None:
         return None
     frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
-    geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
-    return forecast_stars(plan, _leaves(plan, catalogue, geometry))
+    shards = _shards(plan, catalogues, plan_geometry(plan.scene, frames, plan.dut1_s))
+    limit = plan.scene.stars.faintest_g_mag
+    return forecast_stars(
+        plan, [(s.leaf, rows_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards]
+    )
 
 
-def _leaves(plan: Plan, catalogue: Catalogue, g: Geometry) -> tuple[Leaf, ...]:
-    """Shards that the frames of a geometry need."""
+def _cones(plan: Plan, g: Geometry) -> tuple[Any, ...]:
+    """Cones of the catalogues' sky that hold all stars of the frames of a geometry."""
     centres, radii = field_cones(plan, g)
-    return gather_leaves(catalogue, centres, radii, epochs_jyear(g), observer_distances_au(g))
+    return cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
+
+
+def _shards(plan: Plan, catalogues: tuple[Catalogue, ...], g: Geometry) -> tuple[Shard, ...]:
+    """Shards that the frames of a geometry need."""
+    if plan.scene.stars is None:
+        return ()
+    return gather_shards(catalogues, _cones(plan, g), plan.scene.stars.faintest_g_mag)
 
 
 def render(
@@ -174,11 +204,10 @@ def render(
     plan = prepared.plan
     if options.replace and product.exists():
         _remove(product)
-    digest = prepared.catalogue.digest if prepared.catalogue else None
+    digest = "+".join(c.digest for c in prepared.catalogues) or None
     begun = begin(product, plan, digest, options.resume)
     with layout.only_writer(product):
-        summary = plan_dict(plan, _forecast(prepared))
-        layout.write_atomically(product / layout.PLAN, layout.to_json(summary))
+        layout.write_atomically(product / layout.PLAN, layout.to_json(_summary(prepared)))
         planned = time.perf_counter()
         if (product / layout.COMPLETE).is_file() and _all_done(begun, plan):
             return stored_report(begun)
@@ -197,17 +226,19 @@ def render(
             "workers": workers,
             "scheduler": options.scheduler,
         }
-        return finish(plan, prepared.catalogue, begun, times)
+        return finish(plan, _facts(prepared), begun, times)
 
 
 def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listener | None) -> None:
     """Run every missing task, window by window of frames."""
-    plan, catalogue = prepared.plan, prepared.catalogue
-    inputs = scheduler.share(Inputs(plan, prepared.maps, catalogue, begun.writer))
+    plan, catalogues = prepared.plan, prepared.catalogues
+    inputs = scheduler.share(
+        Inputs(plan, prepared.maps, catalogues, prepared.left_out, begun.writer)
+    )
     total = len(plan.tiles) * plan.frames
-    ref_epoch = catalogue.ref_epoch_jyear if catalogue is not None else 2000.0
+    ref_epochs = tuple(c.ref_epoch_jyear for c in catalogues)
     state = {"done": len(begun.done)}
-    shards: dict[Leaf, Any] = {}
+    shards: dict[Shard, Any] = {}
 
     def done(kind: str) -> None:
         state["done"] += kind == "tile"
@@ -220,12 +251,12 @@ def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listen
         work = _missing(plan, begun, window)
         if work is None:
             continue
-        needed = _leaves(plan, catalogue, work.geometry) if catalogue is not None else ()
-        shards = {leaf: shards[leaf] for leaf in needed if leaf in shards}
-        fresh = [leaf for leaf in needed if leaf not in shards]
+        needed = _shards(plan, catalogues, work.geometry)
+        shards = {shard: shards[shard] for shard in needed if shard in shards}
+        fresh = [shard for shard in needed if shard not in shards]
         kept = scheduler.keep(shard_graph(inputs, fresh))
-        shards |= {leaf: kept["shard", leaf.order, leaf.pixel] for leaf in fresh}
-        graph, keys = window_graph(inputs, plan, work, shards, ref_epoch)
+        shards |= {shard: kept[shard_key(shard)] for shard in fresh}
+        graph, keys = window_graph(inputs, plan, work, shards, ref_epochs)
         scheduler.run(graph, keys, done)
 
 

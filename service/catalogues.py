@@ -9,6 +9,7 @@ from typing import Any
 from catalog_tools.catalogue import MANIFEST_NAME, open_catalogue
 from catalog_tools.info import info
 from pipeline.errors import BadInput, Damaged
+from service.problems import Mistake
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 SHOWN = (
@@ -24,6 +25,18 @@ def catalogue_names(registry: Path) -> list[str]:
         for entry in registry.iterdir()
         if NAME.fullmatch(entry.name) and (entry / MANIFEST_NAME).is_file()
     )
+
+
+def catalogue_mistakes(field: str, value: str | list[str], registry: Path) -> list[Mistake]:
+    """A name that is not registered, or each such one in a list of names."""
+    names = catalogue_names(registry)
+    allowed = (
+        f"the name of a registered catalogue: {', '.join(names[:10]) or '(none is registered)'}"
+    )
+    named = [(field, value)] if isinstance(value, str) else [
+        (f"{field}[{i}]", name) for i, name in enumerate(value)
+    ]  # fmt: skip
+    return [(where, name, allowed) for where, name in named if name not in names]
 
 
 def catalogue_facts(registry: Path, name: str) -> dict[str, Any]:

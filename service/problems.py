@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from pipeline.errors import NightglassError, shorten
@@ -82,9 +83,13 @@ def mistake_dict(mistake: Mistake) -> dict[str, Any]:
 
 
 def pointer(field: str) -> str:
-    """`sensor.shape` as `/sensor/shape`; query parameters (`?limit`) and headers stay."""
+    """`sensor.shape` as `/sensor/shape`, `stars.catalogue[1]` as `/stars/catalogue/1`.
+
+    Query parameters (`?limit`) and headers stay.
+    """
     if field.startswith("?") or field in ("scene", ""):
         return field if field.startswith("?") else ""
+    field = re.sub(r"\[(\d+)\]", r".\1", field)
     parts = field.replace("~", "~0").replace("/", "~1").split(".")
     return cut("/" + "/".join(parts), 200)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from pipeline.spec.load import PATH_FIELDS, parse_scene
 from pipeline.spec.scene import Scene
-from service.catalogues import catalogue_names
+from service.catalogues import catalogue_mistakes
 from service.problems import Mistake, NotAllowed
 from service.settings import Settings
 
@@ -43,15 +43,11 @@ def _path_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
         value: Any = data
         for part in field:
             value = value.get(part) if isinstance(value, dict) else None
-        if not isinstance(value, str):
-            continue
-        if field != CATALOGUE_FIELD:
-            mistakes.append((".".join(field), value, NO_FILES))
-        elif value not in (names := catalogue_names(settings.catalogues)):
-            known = ", ".join(names[:10]) or "(none is registered)"
-            mistakes.append(
-                (".".join(field), value, f"the name of a registered catalogue: {known}")
-            )
+        name = ".".join(field)
+        if field == CATALOGUE_FIELD and value is not None:
+            mistakes += catalogue_mistakes(name, value, settings.catalogues)
+        elif isinstance(value, str):
+            mistakes.append((name, value, NO_FILES))
     return mistakes
 
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.arrays import FrameStars, Geometry, SensorMaps, StarTable, concatenate, select
+from pipeline.arrays import FrameStars, Geometry, SensorMaps, StarTable, concatenate
 from pipeline.execute.light import Wings, plan_blocks, render_wings
-from pipeline.execute.sources import excursion_px, place_stars
+from pipeline.execute.sources import excursion_px, place_stars, truth_order
 from pipeline.execute.tile import render_tile
 from pipeline.execute.truth import star_truth, target_truth
-from pipeline.inputs.stars import Catalogue, Leaf, gather_leaf, leaf_pad_rad
+from pipeline.inputs.stars import Catalogue, Leaf, Shard, gather_leaf, leaf_pad_rad
 from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.vectors import separation
 from pipeline.plan.geometry import epochs_jyear, observer_distances_au
@@ -27,11 +27,16 @@ Key = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Inputs:
-    """What every task may need; sent to each worker once."""
+    """What every task may need; sent to each worker once.
+
+    catalogues : the main one and the layers over it; left_out : of each, the sorted source_ids of
+    stars that an earlier one holds
+    """
 
     plan: Plan
     maps: SensorMaps
-    catalogue: Catalogue | None
+    catalogues: tuple[Catalogue, ...]
+    left_out: tuple[np.ndarray, ...]
     writer: CubeWriter
 
 
@@ -45,18 +50,29 @@ class Work:
     target_truth: tuple[int, ...]
 
 
-def shard_graph(inputs: Any, leaves: Iterable[Leaf]) -> dict[Key, Any]:
+def shard_key(shard: Shard) -> Key:
+    """Names a shard and the row groups that are read of it: another window may want others."""
+    leaf = shard.leaf
+    groups = ",".join(str(group.row_group) for group in leaf.row_groups)
+    return "shard", shard.catalogue, leaf.order, leaf.pixel, groups
+
+
+def shard_graph(inputs: Any, shards: Iterable[Shard]) -> dict[Key, Any]:
     """One task per shard: its bright enough rows, with their light."""
-    return {("shard", leaf.order, leaf.pixel): (read_shard, inputs, leaf) for leaf in leaves}
+    return {shard_key(shard): (read_shard, inputs, shard) for shard in shards}
 
 
 def window_graph(
-    inputs: Any, plan: Plan, work: Work, shards: dict[Leaf, Any], ref_epoch_jyear: float = 2015.5
+    inputs: Any,
+    plan: Plan,
+    work: Work,
+    shards: dict[Shard, Any],
+    ref_epochs_jyear: tuple[float, ...] = (),
 ) -> tuple[dict[Key, Any], list[Key]]:
     """Graph of a window and the keys to compute.
 
-    inputs : the Inputs, or a future of them; shards : each leaf's stars, or a future of them;
-    ref_epoch_jyear : of the catalogue.
+    inputs : the Inputs, or a future of them; shards : each shard's stars, or a future of them;
+    ref_epochs_jyear : of the catalogues.
     A tile depends on the shards whose stars can reach it and on the wings of its blocks, a block
     on the shards around it; nothing that no tile asks for gets a task.
     """
@@ -65,7 +81,7 @@ def window_graph(
     blocks = plan_blocks(plan)
     needed = {index for index, _ in work.tiles} | set(work.star_truth)
     views = {
-        index: _view(plan, work.geometry.frame_slice(index), shards, ref_epoch_jyear)
+        index: _view(plan, work.geometry.frame_slice(index), shards, ref_epochs_jyear)
         for index in sorted(needed)
     }
     for index, tile in work.tiles:
@@ -97,18 +113,22 @@ def window_graph(
 
 @dataclass(frozen=True)
 class _View:
-    """One frame: its geometry, each leaf's stars with how far they may stand from their catalogue
+    """One frame: its geometry, each shard's stars with how far they may stand from their catalogue
     places [rad], and how far off a tile a star may be at mid-exposure and still light it [px]."""
 
     g: Geometry
-    shards: dict[Leaf, tuple[Any, float]]
+    shards: dict[Shard, tuple[Any, float]]
     reach_px: float
 
 
-def _view(plan: Plan, g: Geometry, shards: dict[Leaf, Any], ref_epoch_jyear: float) -> _View:
-    years = float(epochs_jyear(g)[0]) - ref_epoch_jyear
-    distance = float(observer_distances_au(g)[0])
-    padded = {leaf: (table, leaf_pad_rad(leaf, years, distance)) for leaf, table in shards.items()}
+def _view(
+    plan: Plan, g: Geometry, shards: dict[Shard, Any], ref_epochs_jyear: tuple[float, ...]
+) -> _View:
+    epoch, distance = float(epochs_jyear(g)[0]), float(observer_distances_au(g)[0])
+    padded = {}
+    for shard, table in shards.items():
+        years = epoch - ref_epochs_jyear[shard.catalogue]
+        padded[shard] = (table, leaf_pad_rad(shard.leaf, years, distance))
     return _View(g, padded, plan.halo_px + (excursion_px(plan, g) if shards else 0.0))
 
 
@@ -118,12 +138,13 @@ def _places(
     """Keys of the place tasks of the shards that can reach a tile (None: the whole frame)."""
     keys = []
     cone = None if tile is None else _tile_cone(plan, view, tile)
-    for leaf, (table, pad_rad) in view.shards.items():
-        if cone is not None and not _meets(leaf, pad_rad, *cone):
+    for shard, (table, pad_rad) in view.shards.items():
+        if cone is not None and not _meets(shard.leaf, pad_rad, *cone):
             continue
-        key = ("place", int(view.g.frame[0]), leaf.order, leaf.pixel)
+        place = shard.catalogue, shard.leaf.order, shard.leaf.pixel
+        key = ("place", int(view.g.frame[0]), *place)
         if key not in graph:
-            graph[key] = (place_task, inputs, table, view.g)
+            graph[key] = (place_task, inputs, table, view.g, shard.catalogue)
         keys.append(key)
     return keys
 
@@ -149,22 +170,21 @@ def _overlap(a: Tile, b: Tile) -> bool:
     return rows and a.x0 < b.x0 + b.columns and b.x0 < a.x0 + a.columns
 
 
-def read_shard(inputs: Inputs, leaf: Leaf) -> StarTable:
+def read_shard(inputs: Inputs, shard: Shard) -> StarTable:
     """Task: the rows of one shard."""
     plan, wish = inputs.plan, inputs.plan.scene.stars
     assert wish is not None
     assert plan.colour is not None
-    assert inputs.catalogue is not None
     return gather_leaf(
-        inputs.catalogue, leaf, wish.faintest_g_mag, plan.colour, plan.facts.area_m2,
-        unmoving=not wish.space_motion,
+        inputs.catalogues[shard.catalogue], shard.leaf, wish.faintest_g_mag, plan.colour,
+        plan.facts.area_m2, not wish.space_motion, inputs.left_out[shard.catalogue],
     )  # fmt: skip
 
 
-def place_task(inputs: Inputs, stars: StarTable, g: Geometry) -> FrameStars:
-    """Task: the stars of one shard that one frame sees."""
-    assert inputs.catalogue is not None
-    return place_stars(inputs.plan, stars, g, inputs.catalogue.ref_epoch_jyear)
+def place_task(inputs: Inputs, stars: StarTable, g: Geometry, catalogue: int) -> FrameStars:
+    """Task: the stars of one shard of a catalogue that one frame sees."""
+    epoch = inputs.catalogues[catalogue].ref_epoch_jyear
+    return place_stars(inputs.plan, stars, g, epoch, catalogue)
 
 
 def wing_task(inputs: Inputs, g: Geometry, block: Tile, parts: list[FrameStars]) -> Wings:
@@ -183,8 +203,7 @@ def tile_task(
 
 def star_truth_task(inputs: Inputs, g: Geometry, parts: list[FrameStars]) -> int:
     """Task: the stars' truth of one frame; returns the rows."""
-    stars = concatenate(parts, FrameStars)
-    stars = select(stars, np.argsort(stars.source_id, kind="stable"))
+    stars = truth_order(concatenate(parts, FrameStars))
     return _write_truth(inputs, "stars", g, star_truth(inputs.plan, g, stars))
 
 

@@ -10,6 +10,7 @@ import scipy.fft
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.sources import (
     FrameTarget,
+    distance_px,
     drawing_order,
     excursion_px,
     place_targets,
@@ -191,9 +192,8 @@ def _draw_exact(
 
 def _around(stars: FrameStars, tile: Tile, reach: float) -> FrameStars:
     """Stars within `reach` pixels of a tile."""
-    near = (stars.x_px > tile.x0 - reach) & (stars.x_px < tile.x0 + tile.columns + reach)
-    near &= (stars.y_px > tile.y0 - reach) & (stars.y_px < tile.y0 + tile.rows + reach)
-    return select(stars, near)
+    place = (tile.y0, tile.x0, tile.rows, tile.columns)
+    return select(stars, distance_px(stars.x_px, stars.y_px, *place) < reach)
 
 
 def _core_reach(plan: Plan, paths: list[Streak]) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from pipeline.physics.motion.streak import Path, path_through
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.vectors import to_angles
-from pipeline.plan.geometry import star_path
+from pipeline.plan.geometry import excursions_px
 from pipeline.plan.responses import MERGE_TOLERANCE_PX, Streak, zone_streak
 from pipeline.plan.scene_plan import Plan
 
@@ -30,8 +29,13 @@ class FrameTarget:
     light_e: float
 
 
-def place_stars(plan: Plan, stars: StarTable, g: Geometry, ref_epoch_jyear: float) -> FrameStars:
-    """Stars of a table that send light onto the focal plane in the frame of `g` (one frame)."""
+def place_stars(
+    plan: Plan, stars: StarTable, g: Geometry, ref_epoch_jyear: float, catalogue: int = 0
+) -> FrameStars:
+    """Stars of a table that send light onto the focal plane in the frame of `g` (one frame).
+
+    catalogue : the number of theirs among the scene's, and its reference epoch.
+    """
     wish, middle = plan.scene.stars, g.middle
     assert wish is not None
     observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
@@ -45,32 +49,45 @@ def place_stars(plan: Plan, stars: StarTable, g: Geometry, ref_epoch_jyear: floa
         astrometric, *observer, deflection=wish.deflection, aberration=wish.aberration
     )
     x, y = project(plan.camera, g.attitude[0, middle], proper)
-    halo = plan.halo_px + excursion_px(plan, g)
-    rows, columns = plan.camera.rows, plan.camera.columns
-    near = (x > -halo) & (x < columns - 1 + halo) & (y > -halo) & (y < rows - 1 + halo)
+    frame = (0, 0, plan.camera.rows, plan.camera.columns)
+    near = distance_px(x, y, *frame) < plan.halo_px + excursion_px(plan, g)
     ra, dec = to_angles(astrometric[near])
     kept = select(stars, near)
     light = kept.rate_e_s * plan.scene.exposure.integration_s
     return FrameStars(
-        kept.source_id, x[near], y[near], light, ra, dec, kept.g_mag, kept.colour_flag
-    )
+        kept.source_id, x[near], y[near], light, ra, dec, kept.g_mag, kept.colour_flag,
+        np.full(len(kept), catalogue, np.uint8),
+    )  # fmt: skip
 
 
 def drawing_order(stars: FrameStars) -> FrameStars:
-    """Stars in the one order in which every tile draws them: by strip of rows, then by id."""
+    """Stars in the one order in which every tile draws them: by strip of rows, then by id.
+
+    Two catalogues may use one id for two stars.
+    """
     strip = np.floor(stars.y_px / STRIP_PX)
-    return select(stars, np.lexsort((stars.source_id, strip)))
+    return select(stars, np.lexsort((stars.catalogue, stars.source_id, strip)))
+
+
+def truth_order(stars: FrameStars) -> FrameStars:
+    """Stars as the truth tables list them: by id."""
+    return select(stars, np.lexsort((stars.catalogue, stars.source_id)))
 
 
 def excursion_px(plan: Plan, g: Geometry) -> float:
-    """Farthest that a star of the frame moves from its place at mid-exposure, in whole 16 px."""
-    aberration = plan.scene.star_effects["aberration"]
-    columns, rows = plan.camera.columns - 1.0, plan.camera.rows - 1.0
-    worst = 0.0
-    for x, y in ((columns / 2, rows / 2), (0, 0), (columns, 0), (0, rows), (columns, rows)):
-        px, py = star_path(plan.camera, g, x, y, aberration)
-        worst = max(worst, float(np.hypot(px - x, py - y).max()))
-    return 16.0 * math.ceil(worst / 16.0) if worst > 1e-3 else 0.0
+    """Farthest that a star of one frame moves from its place at mid-exposure, in whole 16 px."""
+    return float(excursions_px(plan.camera, g, plan.scene.star_effects["aberration"])[0])
+
+
+def distance_px(x_px: Array, y_px: Array, y0: int, x0: int, rows: int, columns: int) -> Array:
+    """Distances (n,) from places to a rectangle of pixels (to their centres), 0 inside it.
+
+    Stars are left out by this distance, and read from the catalogue in circles that hold it, so
+    that what else is read changes nothing.
+    """
+    dx = np.maximum(np.maximum(x0 - x_px, x_px - (x0 + columns - 1)), 0.0)
+    dy = np.maximum(np.maximum(y0 - y_px, y_px - (y0 + rows - 1)), 0.0)
+    return np.hypot(dx, dy)
 
 
 def streaks(plan: Plan, g: Geometry) -> list[Streak]:

@@ -20,11 +20,11 @@ Columns = dict[str, Any]
 
 
 def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
-    """Columns of truth/stars.parquet for one frame; `stars` in order of source_id.
+    """Columns of truth/stars.parquet for one frame; `stars` in `truth_order`.
 
     x_px, y_px at mid-exposure (pixel (0, 0) is the centre of the first), start and end of the
     streak as drawn, ra/dec astrometric (what the WCS gives), light in electrons, matched-filter
-    SNR of the isolated source.
+    SNR of the isolated source; catalogue is 0 for the main one, then counts the layers.
     """
     paths = streaks(plan, g)
     zone = zone_of(plan, stars.x_px, stars.y_px)
@@ -53,6 +53,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "snr": matched_snr(plan, paths[len(paths) // 2].path, stars.light_e),
         "colour_flag": stars.colour_flag,
         "in_frame": inside,
+        "catalogue": stars.catalogue,
     }
 
 

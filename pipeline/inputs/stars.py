@@ -1,12 +1,13 @@
-"""Stars from the catalogue: which leaves a field needs, and their rows with light attached."""
+"""Stars from the catalogues: which leaves a field needs, and their rows with light attached."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from catalog_tools.catalogue import Catalogue, Leaf, open_catalogue
+from catalog_tools.catalogue import Catalogue, Leaf
 from pipeline.arrays import StarTable
 from pipeline.errors import BadInput
 from pipeline.physics.colour import ColourFit, star_electron_rate
@@ -15,31 +16,59 @@ from pipeline.physics.constants import DEG_RAD, MAS_RAD
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Catalogue", "Leaf", "gather_leaf", "gather_leaves", "leaf_pad_rad", "open_catalogue"]
+    from catalog_tools.regions import Cone
 
 
-def gather_leaves(
-    catalogue: Catalogue,
+class Shard(NamedTuple):
+    """A leaf of one of the scene's catalogues (0 the main one), with the row groups wanted."""
+
+    catalogue: int
+    leaf: Leaf
+
+
+def cones_of(
     centres: np.ndarray,
     radii_rad: np.ndarray,
     epochs_jyear: np.ndarray,
     observer_distances_au: np.ndarray,
-) -> tuple[Leaf, ...]:
-    """Leaves that hold stars of any of the cones, each once, in catalogue order.
+) -> tuple[Cone, ...]:
+    """Cones of the catalogues' sky, each once.
 
     centres : (n, 3) unit vectors; radii_rad : (n,), already widened by aberration and halo;
     epochs_jyear, observer_distances_au : (n,) when and how far from the barycentre.
     """
-    from catalog_tools.query import leaves_in_cone
+    from catalog_tools.regions import Cone
 
-    found = {
-        (leaf.order, leaf.pixel): leaf
-        for centre, radius, epoch, distance in zip(
-            centres, radii_rad, epochs_jyear, observer_distances_au, strict=True
-        )
-        for leaf in leaves_in_cone(catalogue, centre, float(radius), float(epoch), float(distance))
-    }
-    return tuple(found[key] for key in sorted(found))
+    columns = (centres, radii_rad, epochs_jyear, observer_distances_au)
+    found = (
+        Cone((x, y, z), radius, epoch, distance)
+        for (x, y, z), radius, epoch, distance in zip(*(c.tolist() for c in columns), strict=True)
+    )
+    return tuple(dict.fromkeys(found))
+
+
+def gather_shards(
+    catalogues: Sequence[Catalogue], cones: Sequence[Cone], faintest_g_mag: float | None
+) -> tuple[Shard, ...]:
+    """Leaves of all catalogues that may hold a star of any of the cones, with those row groups."""
+    from catalog_tools.query import select
+
+    return tuple(
+        Shard(i, leaf)
+        for i, catalogue in enumerate(catalogues)
+        for leaf in select(catalogue, cones, faintest_g_mag)
+    )
+
+
+def rows_bright_enough(catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float | None) -> int:
+    """Rows of a whole leaf in row groups that hold a star of the limit or brighter."""
+    if faintest_g_mag is None:
+        return leaf.rows
+    table = catalogue.leaf_table
+    (index,) = np.flatnonzero((table["order"] == leaf.order) & (table["pixel"] == leaf.pixel))
+    first, end = catalogue.first_row_groups[index : index + 2]
+    groups = catalogue.row_group_table[first:end]
+    return int(groups["rows"][groups["brightest_g_mag"] <= faintest_g_mag].sum())
 
 
 def leaf_pad_rad(leaf: Leaf, years: float, observer_distance_au: float) -> float:
@@ -60,14 +89,18 @@ def gather_leaf(
     fit: ColourFit,
     area_m2: float,
     unmoving: bool = False,
+    left_out: np.ndarray | None = None,
 ) -> StarTable:
     """Rows of a leaf that are bright enough, with their electron rate in the sensor's band.
 
-    area_m2 : collecting area of the pupil. `unmoving` leaves space motion out (the scene's wish).
+    area_m2 : collecting area of the pupil. `unmoving` leaves space motion out (the scene's wish);
+    left_out : sorted source_ids of stars that an earlier catalogue holds.
     """
     from catalog_tools.query import read_leaf
 
     rows = read_leaf(catalogue, leaf, faintest_g_mag)
+    if left_out is not None and left_out.size:
+        rows = rows.filter(~np.isin(rows["source_id"].to_numpy(), left_out))
     g = _column(rows, "phot_g_mean_mag")
     if not np.isfinite(g).all():
         raise BadInput("stars.catalogue", catalogue.path, "stars with a finite G magnitude")

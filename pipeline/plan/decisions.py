@@ -50,7 +50,7 @@ def _components(scene: Scene, facts: Facts) -> list[Decision]:
     stars, targets, sky = scene.stars, scene.targets, scene.background
     absent = "the scene has no such section"
     return [
-        Decision("stars", True, f"catalogue {stars.catalogue}")
+        Decision("stars", True, f"catalogue {', under '.join(stars.catalogues)}")
         if stars
         else Decision("stars", False, absent, 0.0, 0.0),
         Decision("targets", True, f"{len(targets)} named in the scene")

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 from pipeline.plan.scene_plan import Plan, StarForecast, field_area_sr
 
 
-class BandLike(Protocol):
-    """A magnitude band of a shard."""
+class RowGroupLike(Protocol):
+    """A run of rows of a shard."""
 
-    @property
-    def brightest_g_mag(self) -> float: ...
     @property
     def rows(self) -> int: ...
     @property
@@ -21,36 +19,28 @@ class BandLike(Protocol):
 
 
 class LeafLike(Protocol):
-    """A shard of the catalogue: a HEALPix pixel and its bands."""
+    """A shard of a catalogue: a HEALPix pixel, with the row groups to read."""
 
     @property
     def order(self) -> int: ...
     @property
     def radius_rad(self) -> float: ...
     @property
-    def rows(self) -> int: ...
-    @property
-    def bands(self) -> tuple[BandLike, ...]: ...
+    def row_groups(self) -> Sequence[RowGroupLike]: ...
 
 
-def forecast_stars(plan: Plan, leaves: Iterable[LeafLike]) -> StarForecast:
-    """Rows and bytes to read, and stars per frame at each leaf's mean density."""
-    assert plan.scene.stars is not None
-    limit = plan.scene.stars.faintest_g_mag
+def forecast_stars(plan: Plan, leaves: Iterable[tuple[LeafLike, int]]) -> StarForecast:
+    """Rows and bytes to read, and stars per frame at each leaf's mean density.
+
+    leaves : each with the rows of the whole shard that are bright enough for the scene
+    """
     leaves = list(leaves)
-    bands = [
-        band
-        for leaf in leaves
-        for band in leaf.bands
-        if limit is None or band.brightest_g_mag <= limit
-    ]
-    rows = sum(b.rows for b in bands)
-    stars = sum(
-        share_in_field(plan, leaf)
-        * sum(b.rows for b in leaf.bands if limit is None or b.brightest_g_mag <= limit)
-        for leaf in leaves
-    )
-    return StarForecast(len(leaves), len(bands), rows, sum(b.bytes for b in bands), round(stars))
+    groups = [group for leaf, _ in leaves for group in leaf.row_groups]
+    stars = sum(share_in_field(plan, leaf) * rows for leaf, rows in leaves)
+    return StarForecast(
+        len(leaves), len(groups), sum(g.rows for g in groups), sum(g.bytes for g in groups),
+        round(stars),
+    )  # fmt: skip
 
 
 def share_in_field(plan: Plan, leaf: LeafLike) -> float:

@@ -319,6 +319,24 @@ def _bend_px(scene: Scene, g: Geometry) -> float:
     return float(bend.max()) / 4.0
 
 
+def excursions_px(camera: Camera, g: Geometry, aberration: bool = True) -> Array:
+    """Farthest (F,) that a star of each frame moves from its place at mid-exposure, in whole 16 px.
+
+    Told from the centre and the corners of the field.
+    """
+    columns, rows = camera.columns - 1.0, camera.rows - 1.0
+    x = np.array([columns / 2, 0.0, columns, 0.0, columns])
+    y = np.array([rows / 2, 0.0, 0.0, rows, rows])
+    beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
+    worst = np.zeros(len(g.frame))
+    for f in range(len(g.frame)):
+        stars = unaberrate(deproject(camera, g.attitude[f, g.middle], x, y), beta[f, g.middle])
+        for k in range(g.nodes):
+            px, py = project(camera, g.attitude[f, k], aberrate(stars, beta[f, k]))
+            worst[f] = max(worst[f], float(np.hypot(px - x, py - y).max()))
+    return np.where(worst > 1e-3, 16.0 * np.ceil(worst / 16.0), 0.0)
+
+
 def star_path(
     camera: Camera, g: Geometry, x_px: float, y_px: float, aberration: bool = True
 ) -> tuple[Array, Array]:

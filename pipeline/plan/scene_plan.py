@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,10 +14,9 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrated_caps
 from pipeline.physics.positions.focal_plane import Camera, corner_radius
-from pipeline.physics.vectors import separation
 from pipeline.plan.decisions import Decision, decide
 from pipeline.plan.facts import Facts
-from pipeline.plan.geometry import camera_of
+from pipeline.plan.geometry import camera_of, excursions_px
 from pipeline.plan.responses import ResponsePlan, plan_responses
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
@@ -27,7 +27,7 @@ STAMP_S_PER_PIXEL = 0.8e-9
 PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
 START_S = 2.0
-FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # deflection, and what aberration changes in an exposure
+FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # deflection: 1.75 arcsec at the Sun's limb
 
 
 @dataclass(frozen=True)
@@ -87,27 +87,27 @@ def make_plan(
 def field_cones(plan: Plan, g: Geometry) -> tuple[np.ndarray, np.ndarray]:
     """Cones (centres (F, 3), radii (F,) [rad]) that hold every star of each frame.
 
-    The radius holds the focal plane's corners, the halo, and what `catalogue_cones` adds.
+    The radius holds the focal plane's corners, the halo, the way of the stars during the exposure,
+    and what `catalogue_cones` adds.
     """
     # An angle off axis is at most halo radians beyond the corner: the projection only shrinks it.
-    radius = corner_radius(plan.camera) + plan.halo_px * plan.facts.ifov_rad
+    way = excursions_px(plan.camera, g, plan.scene.star_effects["aberration"])
+    radius = corner_radius(plan.camera) + (plan.halo_px + way) * plan.facts.ifov_rad
     return catalogue_cones(plan, g, g.attitude[:, g.middle, 2], radius)
 
 
 def catalogue_cones(
-    plan: Plan, g: Geometry, centres: np.ndarray, radius_rad: float
+    plan: Plan, g: Geometry, centres: np.ndarray, radius_rad: float | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cones of the catalogue's sky for cones seen at mid-exposure: (F, 3) and (F,) [rad].
 
-    Aberration is taken out at any speed; the radius is widened by the boresight's way during the
-    exposure and by a margin for deflection. The stars' own motion and parallax are the caller's.
+    Aberration is taken out at any speed; the radius is widened by a margin for deflection. The
+    stars' own motion and parallax are the caller's.
     """
-    boresight = g.attitude[:, :, 2]
-    way = separation(boresight, boresight[:, [g.middle]]).max(axis=1)
     beta = g.observer_m_s[:, g.middle] / SPEED_OF_LIGHT_M_S
     if plan.scene.stars is not None and not plan.scene.stars.aberration:
         beta = np.zeros_like(beta)
-    seen = np.minimum(radius_rad + way + FIELD_MARGIN_RAD, math.pi)
+    seen = np.minimum(radius_rad + FIELD_MARGIN_RAD + np.zeros(len(centres)), math.pi)
     return unaberrated_caps(centres, seen, beta)
 
 
@@ -117,8 +117,13 @@ def field_area_sr(plan: Plan) -> float:
     return min(math.prod(sides) * plan.facts.ifov_rad**2, 4.0 * math.pi)
 
 
-def plan_dict(plan: Plan, forecast: StarForecast | None) -> dict[str, Any]:
-    """The plan as plain data, for plan.json and `nightglass plan`."""
+def plan_dict(
+    plan: Plan, forecast: StarForecast | None, catalogues: Sequence[dict[str, Any]] = ()
+) -> dict[str, Any]:
+    """The plan as plain data, for plan.json and `nightglass plan`.
+
+    catalogues : name, digest and what else is told of each, the main one first
+    """
     f, r = plan.facts, plan.responses
     needs = predict(plan, forecast)
     return {
@@ -132,6 +137,8 @@ def plan_dict(plan: Plan, forecast: StarForecast | None) -> dict[str, Any]:
         "star_rows_to_read": forecast.rows_to_read if forecast else 0,
         "bytes_to_read": forecast.bytes_to_read if forecast else 0,
         "stars_per_frame": forecast.stars_per_frame if forecast else 0,
+        "catalogue": catalogues[0] if catalogues else None,
+        "layers": list(catalogues[1:]),
         "targets": len(plan.scene.targets),
         "engine": _engine(r),
         "predicted": needs,

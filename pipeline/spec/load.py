@@ -146,13 +146,17 @@ def parse_scene(data: Any, base: Path | None = None) -> Scene:
     """Check plain data against the scene format. Raises InvalidScene with every mistake."""
     if not isinstance(data, dict):
         raise BadInput("scene", data, "a mapping of sections (schema, name, epoch, observer, ...)")
+    scene = _checked(data)
+    return scene if base is None else resolve_paths(scene, base)
+
+
+def _checked(data: dict[str, Any]) -> Scene:
     try:
-        scene = Scene.model_validate(data)
+        return Scene.model_validate(data)
     except ValidationError as error:
         raise InvalidScene(_merged([_mistake(e, data) for e in error.errors()])) from None
     except RecursionError:
         raise BadInput("scene", "nested too deeply", f"at most {MAX_DEPTH} levels") from None
-    return scene if base is None else resolve_paths(scene, base)
 
 
 PATH_FIELDS = (
@@ -169,16 +173,25 @@ PATH_FIELDS = (
 
 
 def resolve_paths(scene: Scene, base: Path) -> Scene:
-    """The scene with the relative paths in it made absolute, from the folder `base`."""
+    """The scene with the relative paths in it made absolute, from the folder `base`.
+
+    URLs (`s3://...`) stay as they are.
+    """
     data = scene.as_dict()
     for *sections, key in PATH_FIELDS:
         holder: Any = data
         for section in sections:
             holder = (holder or {}).get(section)
         value = holder.get(key) if isinstance(holder, dict) else None
-        if isinstance(value, str) and "://" not in value:
-            holder[key] = str((base / Path(value).expanduser()).resolve())
-    return Scene.model_validate(data)
+        if isinstance(value, list):
+            holder[key] = [_absolute(path, base) for path in value]
+        elif isinstance(value, str):
+            holder[key] = _absolute(value, base)
+    return _checked(data)
+
+
+def _absolute(path: str, base: Path) -> str:
+    return path if "://" in path else str((base / Path(path).expanduser()).resolve())
 
 
 def apply_override(data: Any, override: str) -> None:
@@ -231,6 +244,9 @@ def _mistake(error: Any, data: Any) -> tuple[str, Any, str]:
         return ".".join(names), value, str(context["allowed"])
     if error["type"] == "missing":
         return ".".join(names), None, "it must be given"
+    if "index" in context:
+        names[-1] += f"[{context['index']}]"
+        value = value[context["index"]]
     if "field" in context:
         names.append(context["field"])
         for part in context["field"].split("."):

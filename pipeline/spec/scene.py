@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from pipeline.spec.observer import Observer
@@ -16,6 +16,10 @@ from pipeline.spec.strict import Fraction, Positive, Strict
 SCHEMA = "nightglass/scene/1"
 LAYERS = ("dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e")
 CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
+MAX_CATALOGUES, MAX_PATH = 8, 1024
+
+CataloguePath = Annotated[str, Field(min_length=1, max_length=MAX_PATH)]
+CatalogueList = Annotated[tuple[CataloguePath, ...], Field(min_length=1, max_length=MAX_CATALOGUES)]
 
 
 class Accuracy(Strict):
@@ -52,14 +56,45 @@ class Exposure(Strict):
 
 
 class Stars(Strict):
-    """Stars of a catalogue, and which effects move them."""
+    """Stars of one catalogue, or of several in layers, and which effects move them."""
 
-    catalogue: str = Field(min_length=1, max_length=1024)
+    catalogue: CataloguePath | CatalogueList = Field(
+        description="path or URL of a catalogue; or a list: the main one, then layers over it, "
+        "whose stars are drawn where no earlier one holds them"
+    )
     faintest_g_mag: float | None = Field(None, ge=-30, le=30)
     space_motion: bool = True
     parallax: bool = True
     aberration: bool = True
     deflection: bool = True
+
+    @field_validator("catalogue", mode="before")
+    @classmethod
+    def _catalogues_differ(cls, value: Any) -> Any:
+        """Names the place in the list of the first mistake; a list of one is that one."""
+        paths = [value] if isinstance(value, str) else value
+        if not isinstance(paths, list | tuple) or not 1 <= len(paths) <= MAX_CATALOGUES:
+            raise PydanticCustomError(
+                "catalogues", "allowed: a path or URL, or a list of 1 to {most} of them",
+                {"most": MAX_CATALOGUES},
+            )  # fmt: skip
+        seen: list[str] = []
+        for i, path in enumerate(paths):
+            where = {} if isinstance(value, str) else {"index": i}
+            if not isinstance(path, str) or not 1 <= len(path.strip()) <= MAX_PATH:
+                raise PydanticCustomError(
+                    "catalogue", "allowed: text of 1 to {most} characters",
+                    {"most": MAX_PATH} | where,
+                )  # fmt: skip
+            if path.strip() in seen:
+                raise PydanticCustomError("catalogue", "allowed: each catalogue once", where)
+            seen.append(path.strip())
+        return seen[0] if len(seen) == 1 else seen
+
+    @property
+    def catalogues(self) -> tuple[str, ...]:
+        """Paths of all catalogues: the main one, then the layers over it."""
+        return (self.catalogue,) if isinstance(self.catalogue, str) else self.catalogue
 
 
 class SphereBody(Strict):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from catalog_tools.columns import INCOMING, NAMES
+from catalog_tools.columns import INCOMING, NAMES, STEPS
 
 
 def random_stars(n: int, seed: int = 1, *, around: tuple[float, float, float] | None = None):
@@ -39,6 +39,8 @@ def random_stars(n: int, seed: int = 1, *, around: tuple[float, float, float] | 
         absent = rng.random(n) < 0.1
         for name in names:
             columns[name] = np.where(absent, np.nan, columns[name])
+    for name, step in STEPS.items():  # as a catalogue stores them, so that rows compare equal
+        columns[name] = np.rint(columns[name] / step) * step
     arrays = [pa.array(columns[f.name], from_pandas=True).cast(f.type) for f in INCOMING]
     return pa.table(arrays, schema=INCOMING)
 

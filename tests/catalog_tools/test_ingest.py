@@ -4,11 +4,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import os
-import signal
-import subprocess
-import sys
-import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,14 +14,15 @@ import pytest
 from lsst_refcat import convert
 from star_rows import random_stars, same_rows, write_csv
 
-from catalog_tools import build, pieces
-from catalog_tools.catalogue import open_catalogue
+from catalog_tools import build, leaves, memory
+from catalog_tools.catalogue import REJECTS_NAME, SOURCES_NAME, open_catalogue
 from catalog_tools.columns import STORED
 from catalog_tools.errors import BadInput, Damaged, Incomplete
 from catalog_tools.info import info
 from catalog_tools.ingest import ingest
 from catalog_tools.partition import choose_leaves, coarser, healpix_29
 from catalog_tools.query import cone
+from catalog_tools.verify import verify
 
 HEAD = "source_id,ra,dec,phot_g_mean_mag"
 
@@ -65,27 +61,29 @@ def test_same_bits_for_any_order_and_workers(tmp_path, parts):
     assert left_behind(tmp_path) == []
 
 
-def test_same_bits_for_any_piece_size(tmp_path, parts, monkeypatch):
+def test_same_bits_for_any_batch_and_piece_size(tmp_path, parts, monkeypatch):
     _, files = parts
     whole = ingest(files, tmp_path / "whole", rows_per_leaf=800, workers=1)
-    monkeypatch.setattr(pieces, "PIECE_ROWS", 333)
+    monkeypatch.setattr(memory, "MOST_PIECE_ROWS", 333)
+    monkeypatch.setattr(build, "BATCH_SOURCES", 1)
     small = ingest(files, tmp_path / "small", rows_per_leaf=800, workers=1)
     assert shard_bits(whole.catalogue) == shard_bits(small.catalogue)
 
 
 def test_rows_lie_in_their_leaf_and_band(catalogue):
     for leaf in catalogue.leaves:
-        file = pq.ParquetFile(catalogue.shard_path(leaf))
+        file = pq.ParquetFile(Path(catalogue.path) / leaf.path)
         assert file.schema_arrow.equals(STORED)
-        for band in leaf.bands:
+        for band in leaf.row_groups:
             rows = file.read_row_group(band.row_group)
             pixels, g_mag = rows["_healpix_29"].to_numpy(), rows["phot_g_mean_mag"].to_numpy()
             assert (coarser(pixels, leaf.order) == leaf.pixel).all()
             assert (np.diff(pixels) >= 0).all()
             assert (healpix_29(rows["ra"].to_numpy(), rows["dec"].to_numpy()) == pixels).all()
             assert (g_mag.min(), g_mag.max()) == (band.brightest_g_mag, band.faintest_g_mag)
-        ends = [(b.brightest_g_mag, b.faintest_g_mag) for b in leaf.bands]
-        assert all(a[1] <= b[0] for a, b in pairwise(ends))
+        ends = [(b.brightest_g_mag, b.faintest_g_mag) for b in leaf.row_groups]
+        # Bright bands first; the stretches of one band overlap in magnitude.
+        assert all(a[1] <= b[0] or (a[0] <= b[1] and b[0] <= a[1]) for a, b in pairwise(ends))
 
 
 def test_every_row_is_accounted_for(tmp_path):
@@ -106,12 +104,13 @@ def test_every_row_is_accounted_for(tmp_path):
         "G magnitude absent or not finite": 3,
         "source_id occurs more than once": 3,
     }
-    rejected = pq.read_table(tmp_path / "c" / "rejects.parquet").to_pylist()
+    rejected = pq.read_table(tmp_path / "c" / REJECTS_NAME).to_pylist()
     assert len(rejected) == 13
     assert {(r["source"], r["row"]) for r in rejected} >= {("hard.csv", 1), ("hard.csv", 9 + 1)}
     kept = cone(report.catalogue, 0, 0, 180)[0]
-    assert kept["source_id"].to_pylist() == [1, 9, 10, 14]
-    assert kept["ra"].to_pylist()[2] == 0.0
+    places = dict(zip(kept["source_id"].to_pylist(), kept["ra"].to_pylist(), strict=True))
+    assert sorted(places) == [1, 9, 10, 14]
+    assert places[10] == 0.0
     assert info(report.catalogue)["rejected"] == report.rejected
 
 
@@ -133,11 +132,9 @@ def test_same_duplicates_stay_for_any_order_of_files(tmp_path):
 
 
 def test_same_duplicates_found_in_many_buckets(tmp_path, parts, monkeypatch):
-    from catalog_tools import duplicates
-
     stars, files = parts
     write_csv(tmp_path / "again.csv", stars.slice(5, 1000))
-    monkeypatch.setattr(duplicates, "BUCKET_ROWS", 300)
+    monkeypatch.setattr(memory, "BUCKET_ROW_BYTES", 1 << 22)
     report = ingest([*files, tmp_path / "again.csv"], tmp_path / "c", rows_per_leaf=500)
     assert report.rejected == {"source_id occurs more than once": 1000}
     assert same_rows(cone(report.catalogue, 0, 0, 180)[0], stars)
@@ -239,9 +236,12 @@ def test_two_ingests_into_one_place_refuse_each_other(tmp_path, parts):
     assert open_catalogue(tmp_path / "c").rows == 6000
 
 
-@pytest.mark.parametrize("broken", ["split", "write_shard", "write_manifest"])
-def test_failure_leaves_nothing_and_a_rerun_works(tmp_path, parts, monkeypatch, broken):
+@pytest.mark.parametrize("broken", ["split", "write_leaf", "write_manifest"])
+def test_an_interrupted_ingest_goes_on(tmp_path, parts, monkeypatch, broken):
+    """Cut off in any pass: the work is kept, the next run takes it up, the bits are the same."""
     files = parts[1]
+    monkeypatch.setattr(build, "BATCH_SOURCES", 1)
+    whole = ingest(files, tmp_path / "whole", rows_per_leaf=800, workers=1).catalogue
     with monkeypatch.context() as patch:
         calls, real = [], getattr(build, broken)
 
@@ -254,40 +254,52 @@ def test_failure_leaves_nothing_and_a_rerun_works(tmp_path, parts, monkeypatch, 
         patch.setattr(build, broken, fails)
         with pytest.raises(KeyboardInterrupt):
             ingest(files, tmp_path / "c", rows_per_leaf=800, workers=1)
-    assert [p.name for p in tmp_path.iterdir()] == ["in"]
-    assert ingest(files, tmp_path / "c", rows_per_leaf=800).catalogue.rows == 6000
+    assert not (tmp_path / "c").exists()
+    assert left_behind(tmp_path) == [".c.part"]
+    report = ingest(files, tmp_path / "c", rows_per_leaf=800)
+    assert report.continued == (1 if broken == "split" else 3)
+    assert report.catalogue.digest == whole.digest
+    assert left_behind(tmp_path) == []
+
+
+def test_an_unfinished_ingest_of_other_arguments_is_refused(tmp_path, parts, monkeypatch):
+    files = parts[1]
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "write_leaf", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            ingest(files, tmp_path / "c", workers=1)
+    for sources, rows in ((files[:2], 1_000_000), (files, 900)):
+        with pytest.raises(BadInput, match="--restart"):
+            ingest(sources, tmp_path / "c", rows_per_leaf=rows)
+    report = ingest(files[:2], tmp_path / "c", restart=True)
+    assert (report.rows_in, report.continued) == (4000, 0)
+
+
+def test_a_source_that_changed_since_is_read_again(tmp_path, parts, monkeypatch):
+    stars, files = parts
+    monkeypatch.setattr(build, "BATCH_SOURCES", 1)
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "write_manifest", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            ingest(files, tmp_path / "c", rows_per_leaf=800, workers=1)
+    write_csv(files[1], stars.slice(2000, 1500))
+    report = ingest(files, tmp_path / "c", rows_per_leaf=800)
+    assert (report.rows_in, report.continued) == (5500, 2)
+    kept = pa.concat_tables([stars.slice(0, 3500), stars.slice(4000)])
+    assert same_rows(cone(report.catalogue, 0, 0, 180)[0], kept)
+    assert verify(report.catalogue).findings == ()  # no shard of the first run is left
 
 
 def test_full_disk_is_told_as_incomplete(tmp_path, parts, monkeypatch):
     def full(*arguments, **named):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(build, "write_shard", full)
-    with pytest.raises(Incomplete, match="No space left"):
-        ingest(parts[1], tmp_path / "c", workers=1)
-    assert [p.name for p in tmp_path.iterdir()] == ["in"]
-
-
-def test_killed_ingest_leaves_nothing_visible_and_a_rerun_works(tmp_path, parts):
-    stars, files = parts
-    code = (
-        "import sys, time\nfrom catalog_tools.ingest import ingest\n"
-        "def wait(stage, done, total):\n"
-        "    if stage == 'write':\n"
-        "        print('writing', flush=True); time.sleep(60)\n"
-        "ingest(sys.argv[2:], sys.argv[1], progress=wait, workers=1)\n"
-    )
-    root = Path(__file__).resolve().parents[2]
-    command = [sys.executable, "-c", code, str(tmp_path / "c"), *map(str, files)]
-    with subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"writing\n"
-        os.kill(process.pid, signal.SIGKILL)
+    with monkeypatch.context() as patch:
+        patch.setattr(leaves, "write_shard", full)
+        with pytest.raises(Incomplete, match=r"No space left.*run the same command again"):
+            ingest(parts[1], tmp_path / "c", workers=1)
     assert not (tmp_path / "c").exists()
-    time.sleep(0.05)
-    report = ingest(files, tmp_path / "c")
-    assert same_rows(cone(report.catalogue, 0, 0, 180)[0], stars)
-    assert left_behind(tmp_path) == []
+    assert ingest(parts[1], tmp_path / "c").continued == 1
 
 
 def test_bad_sources(tmp_path, parts):
@@ -333,8 +345,11 @@ def test_md5sum_beside_the_inputs_is_verified(tmp_path, parts):
     listing = folder / "MD5SUM.txt"
     listing.write_text("\n".join([*sums, "0123 _citation.txt"]) + "\n")
     report = ingest([folder], tmp_path / "good")
-    assert [s["name"] for s in report.catalogue.sources] == [p.name for p in parts[1]]
-    assert [s["md5"] for s in report.catalogue.sources] == [line.split()[0] for line in sums]
+    sources = pq.read_table(tmp_path / "good" / SOURCES_NAME)
+    assert sources["name"].to_pylist() == [p.name for p in parts[1]]
+    assert sources["md5"].to_pylist() == [line.split()[0] for line in sums]
+    assert sources["rows"].to_pylist() == [2000] * 3
+    assert (report.catalogue.sources, report.catalogue.rows_in) == (3, 6000)
     listing.write_text("\n".join([sums[0], "0" * 32 + "  part1.csv.gz"]) + "\n")
     with pytest.raises(Damaged, match=r"part1\.csv\.gz"):
         ingest([folder], tmp_path / "bad")
@@ -348,11 +363,101 @@ def test_no_rows_make_an_empty_catalogue(tmp_path):
     assert info(report.catalogue)["bytes_per_row"] is None
 
 
-def test_overwriting_cut_off_between_its_renames_loses_nothing(tmp_path, parts):
-    files = parts[1]
-    first = ingest(files, tmp_path / "c").catalogue
-    (tmp_path / "c").rename(tmp_path / ".c.old")
+def test_rows_crowded_beyond_the_counting_order_are_cut_further(tmp_path):
+    """A cluster within half an arcminute: leaves of order 10 and more, each small enough."""
+    rng = np.random.default_rng(5)
+    lines = [
+        f"{i + 1},{80 + x / 3600:.12f},{-70 + y / 3600:.12f},{12 + i % 8}"
+        for i, (x, y) in enumerate(rng.uniform(-30, 30, (5000, 2)))
+    ]
+    (tmp_path / "cluster.csv").write_text("\n".join([HEAD, *lines]) + "\n")
+    catalogue = ingest([tmp_path / "cluster.csv"], tmp_path / "c", rows_per_leaf=600).catalogue
+    assert catalogue.leaf_table["order"].min() > 9
+    assert catalogue.leaf_table["rows"].max() <= 600
+    assert cone(catalogue, 80, -70, 0.1)[0].num_rows == 5000
+
+
+def test_leaves_that_would_not_fit_into_memory_are_refused(tmp_path, parts, monkeypatch):
+    with pytest.raises(BadInput, match=r"rows_per_leaf.*--memory"):
+        ingest(parts[1], tmp_path / "c", rows_per_leaf=10_000_000, memory_bytes=300 << 20)
+    with pytest.raises(BadInput, match="memory"):
+        ingest(parts[1], tmp_path / "c", memory_bytes=1 << 20)
+    lines = [f"{i},10.0,20.0,{10 + i % 9}" for i in range(1, 400)]
+    (tmp_path / "one.csv").write_text("\n".join([HEAD, *lines]) + "\n")
+    monkeypatch.setattr(memory, "LEAF_ROW_BYTES", (2 << 30) // 300)
+    with pytest.raises(BadInput, match="399 rows in one pixel of order 18"):
+        ingest([tmp_path / "one.csv"], tmp_path / "d", rows_per_leaf=100)
+
+
+def test_values_that_no_star_has_count_as_absent(tmp_path):
+    """One row with a motion of 3e38 must not hide its neighbours; a magnitude of 3e38 is none."""
+    head = HEAD + ",pmra,parallax"
+    rows = ["1,10,20,12,3.4e38,1", "2,10.1,20,12,1,3.4e38", "3,10,20.1,13,1,1", "4,10,20,3e38,1,1"]
+    (tmp_path / "odd.csv").write_text("\n".join([head, *rows]) + "\n")
+    report = ingest([tmp_path / "odd.csv"], tmp_path / "c")
+    assert report.rejected == {"G magnitude absent or not finite": 1}
+    stars = cone(report.catalogue, 10, 20, 1, epoch_jyear=2050.0)[0]
+    assert sorted(stars["source_id"].to_pylist()) == [1, 2, 3]
+    assert stars["pmra"].null_count == stars["parallax"].null_count == 1
+    assert np.isfinite(report.catalogue.leaf_table["max_proper_motion_mas_yr"]).all()
+
+
+def test_another_meaning_of_the_columns_is_another_ingest(tmp_path, parts, monkeypatch):
+    """A column map that was edited after a kill is not mixed with the old one."""
+    text = "\n".join(
+        ['name = "mine"', 'description = "d"', 'credit = "c"', "ref_epoch_jyear = 2015.5",
+         'epoch_scale = "TCB"', '[source_id]\nfrom = "source_id"',
+         '[ra]\nfrom = "ra"\nunit = "deg"', '[dec]\nfrom = "dec"\nunit = "deg"',
+         '[phot_g_mean_mag]\nfrom = "phot_g_mean_mag"\nunit = "mag"']
+    )  # fmt: skip
+    form = tmp_path / "mine.toml"
+    form.write_text(text)
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "write_leaf", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            ingest(parts[1], tmp_path / "c", form=form, workers=1)
+    form.write_text(text + "\nadd = 5.0\n")
+    with pytest.raises(BadInput, match="--restart"):
+        ingest(parts[1], tmp_path / "c", form=form)
+    form.write_text(text)
+    assert ingest(parts[1], tmp_path / "c", form=form).continued == 1
+
+
+def test_what_a_kill_after_publishing_left_is_cleaned_up(tmp_path, parts):
+    ingest(parts[1], tmp_path / "c")
+    (tmp_path / ".c.part" / "progress").mkdir(parents=True)
+    (tmp_path / ".c.part" / "progress" / "request.json").write_text("{}")
     with pytest.raises(BadInput, match="nothing is yet"):
-        ingest(files[:1], tmp_path / "c")
-    assert open_catalogue(tmp_path / "c").digest == first.digest
+        ingest(parts[1], tmp_path / "c")
     assert left_behind(tmp_path) == []
+
+
+def test_two_runs_on_one_cluster_keep_their_tasks_apart(tmp_path, parts):
+    """A scheduler shares results by name: two ingests, at once, of other files."""
+    from threading import Thread
+
+    from distributed import Client, LocalCluster
+
+    from catalog_tools.schedulers import ClusterScheduler
+
+    stars, files = parts
+    found = {}
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+
+        def run(number):
+            with Client(cluster, set_as_default=False) as client:
+                found[number] = ingest(
+                    [files[number]], tmp_path / f"c{number}", rows_per_leaf=300,
+                    scheduler=ClusterScheduler(client, 1),
+                )  # fmt: skip
+
+        threads = [Thread(target=run, args=(number,)) for number in (0, 1)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    for number in (0, 1):
+        kept = cone(found[number].catalogue, 0, 0, 180)[0]
+        assert same_rows(kept, stars.slice(2000 * number, 2000))

@@ -22,7 +22,8 @@ from catalog_tools.star_counts import (
     galactic_rad,
     interval_density,
 )
-from catalog_tools.synthetic import DeepField, Sky, make_demo, stars_in_cell
+from catalog_tools.synthetic import DeepField, Sky, cell_order, make_demo, stars_in_cell
+from catalog_tools.synthetic_clusters import CROWDS, interval_shares
 from catalog_tools.synthetic_stars import draw_stars, share_absent
 
 FIELD = (150.0, 2.0, 1.0, 17.5)
@@ -129,6 +130,21 @@ def test_against_complete_real_field(shared_data):
         assert density * area_deg2 == pytest.approx((g_mag < limit).sum(), rel=0.35), limit
 
 
+def test_clusters_stand_in_deep_fields(tmp_path):
+    """NGC 6121: half of its stars to the limit lie within its radius, on top of the field's."""
+    crowd = next(c for c in CROWDS if "6121" in c.name)
+    here, limit = (crowd.ra_deg, crowd.dec_deg), 17.5
+    fields = [(*here, crowd.radius_deg, limit)]
+    made = make_demo(tmp_path / "m4", faintest_g_mag=4.0, deep_fields=fields).catalogue
+    found = cone(made, *here, crowd.radius_deg)[0].num_rows
+    steps = EDGES_G_MAG[1:] <= limit
+    members = crowd.stars * interval_shares(crowd)[steps].sum() / 2
+    v, area_deg2 = directions(*here)[None], np.pi * crowd.radius_deg**2
+    field = sum(interval_density(i, v)[0] for i in np.flatnonzero(steps)) * area_deg2
+    assert found == pytest.approx(members + field, rel=0.15)
+    assert members > field
+
+
 def test_statistics_of_stars():
     rng = np.random.default_rng(1)
     pixels = np.arange(20_000) << 30
@@ -162,7 +178,7 @@ def test_absent_values_at_dr2_rates():
 def test_a_cell_is_a_pure_function():
     sky = Sky(5, 3.5, (DeepField(10.0, 85.0, 3.0, 20.0),))
     interval = int(np.searchsorted(EDGES_G_MAG, 15.0))
-    cell = sky.cells(interval)[0]
+    cell = sky.cells(interval, cell_order(interval))[0]
     assert stars_in_cell(sky, interval, cell).equals(stars_in_cell(sky, interval, cell))
 
 

@@ -40,7 +40,8 @@ TARGET = {
 }
 UNNEEDED = {
     "sky": ["healpy", "pyarrow", "speclite", "sgp4", "astropy", "distributed", "fastapi", "pandas",
-            "catalog_tools.query", "catalog_tools.ingest", "sqlalchemy", "xarray"],
+            "catalog_tools.query", "catalog_tools.layers", "catalog_tools.regions",
+            "catalog_tools.ingest", "sqlalchemy", "xarray"],
     "target": ["healpy", "speclite", "sgp4", "astropy", "distributed", "fastapi",
                "catalog_tools.query", "sqlalchemy", "xarray"],
 }  # fmt: skip
@@ -70,7 +71,7 @@ def tasks(data) -> dict[str, int]:
     geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
     tiles = tuple((int(f), tile) for f in frames for tile in plan.tiles)
     truth = tuple(range(plan.frames)) if plan.scene.targets else ()
-    inputs = Inputs(plan, prepared.maps, None, CubeWriter("nowhere", ("dn",)))
+    inputs = Inputs(plan, prepared.maps, (), (), CubeWriter("nowhere", ("dn",)))
     graph, keys = window_graph(inputs, plan, Work(geometry, tiles, (), truth), {})
     assert set(keys) <= set(graph)
     kinds = [key[0] for key in graph]

@@ -90,6 +90,9 @@ WRONG: dict[str, tuple[tuple[Any, ...], Any, str]] = {
     "a path": (("stars",), {"catalogue": "../../etc"}, "/stars/catalogue"),
     "the registry": (("stars",), {"catalogue": "."}, "/stars/catalogue"),
     "a URL as catalogue": (("stars",), {"catalogue": "s3://bucket/x"}, "/stars/catalogue"),
+    "a path in a list": (("stars",), {"catalogue": ["/etc"]}, "/stars/catalogue"),
+    "an empty list": (("stars",), {"catalogue": []}, "/stars/catalogue"),
+    "one name twice": (("stars",), {"catalogue": ["x", "x"]}, "/stars/catalogue/1"),
 }
 
 

@@ -65,7 +65,7 @@ def test_any_value_anywhere(scene: dict[str, Any], tmp_path: Path, data: st.Data
             value: Any = found
             for part in field:
                 value = value.get(part) if isinstance(value, dict) else None
-            assert not isinstance(value, str)
+            assert not isinstance(value, str | list)
 
 
 def test_only_registered_names_are_catalogues(scene: dict[str, Any], tmp_path: Path) -> None:
@@ -85,8 +85,40 @@ def test_only_registered_names_are_catalogues(scene: dict[str, Any], tmp_path: P
             accept_scene(scene, service)
 
 
+def test_each_name_of_a_list_is_registered(scene: dict[str, Any], tmp_path: Path) -> None:
+    """Layers are names too: each is looked at, and each mistake is told by its place."""
+    service = Settings(tmp_path)
+    service.make_folders()
+    for name in ("deep", "bright"):
+        (service.catalogues / name).mkdir()
+        (service.catalogues / name / "nightglass.json").write_text("{}")
+    scene["stars"] = {"catalogue": ["deep", "bright"]}
+    accepted = accept_scene(scene, service)
+    assert accepted.stars is not None
+    assert accepted.stars.catalogues == ("deep", "bright")
+    wrong = ("/etc", "../catalogues/deep", "./deep", str(service.catalogues / "deep"),
+             "s3://bucket/deep", "http://127.0.0.1/deep", "file:///etc", "nothing")  # fmt: skip
+    for name in wrong:
+        for names, at in ((["deep", name], 1), ([name, "deep"], 0)):
+            scene["stars"] = {"catalogue": names}
+            with pytest.raises(NotAllowed) as caught:
+                accept_scene(scene, service)
+            [told] = caught.value.errors
+            assert told["pointer"] == f"/stars/catalogue/{at}"
+            assert "bright, deep" in told["allowed"]
+    scene["stars"] = {"catalogue": list(wrong[:3])}
+    with pytest.raises(NotAllowed) as caught:
+        accept_scene(scene, service)
+    assert len(caught.value.errors) == 3
+    for names in ([], ["deep", "deep"], ["deep", 3], ["deep"] * 9):
+        scene["stars"] = {"catalogue": names}
+        with pytest.raises(BadInput):
+            accept_scene(scene, service)
+
+
 def test_pointers() -> None:
     assert pointer("sensor.shape.0") == "/sensor/shape/0"
+    assert pointer("stars.catalogue[1]") == "/stars/catalogue/1"
     assert pointer("a/b.c~d") == "/a~1b/c~0d"
     assert pointer("scene") == ""
     assert pointer("?limit") == "?limit"

@@ -75,6 +75,36 @@ def test_same_bits_with_a_catalogue_and_no_path_in_the_product(
     assert str(server.home) not in json.dumps(failed)
 
 
+def test_same_bits_with_layers(server: Any, scene: dict[str, Any], tmp_path: Path) -> None:
+    """A list of registered names: planned, drawn and told as the engine does alone."""
+    folder = server.home / "catalogues"
+    for name, seed, faintest in (("deep", 3, 5.0), ("over", 4, 4.0)):
+        make_demo(folder / name, faintest_g_mag=faintest, seed=seed)
+    scene["stars"] = {"catalogue": ["deep", "over"]}
+    scene["pointing"] = {"mode": "sidereal", "boresight_ra_deg": 83.0, "boresight_dec_deg": 5.0}
+    scene["sensor"]["focal_length_m"] = 0.005
+    dry = server.client.post("/v1/jobs?dry_run=1", json=scene)
+    assert dry.status_code == 200
+    assert dry.json()["layers"][0]["digest"]
+    job = server.submit(scene)
+    done = server.ended(job)
+    assert done["phase"] == "COMPLETED", done
+    local = copy.deepcopy(scene)
+    local["stars"]["catalogue"] = [str(folder / "deep"), str(folder / "over")]
+    alone = render(parse_scene(local), tmp_path / "alone")
+    assert done["content_digest"] == alone["content_digest"]
+    assert server.client.get(f"{job}/scene").json()["stars"]["catalogue"] == ["deep", "over"]
+    report = server.client.get(f"{job}/report").json()
+    assert report["layers"] == alone["layers"]
+    for file in server.client.get(f"{job}/results").json()["files"]:
+        assert str(server.home).encode() not in server.client.get(file["href"]).content, file
+    manifest = folder / "over" / "nightglass.json"
+    manifest.write_text(manifest.read_text().replace('"version": 2', '"version": 9', 1))
+    failed = server.ended(server.submit(scene))
+    assert failed["error"]["errors"][0]["pointer"] == "/stars/catalogue/1"
+    assert str(server.home) not in json.dumps(failed)
+
+
 def test_a_scene_that_only_the_planner_refuses(server: Any, scene: dict[str, Any]) -> None:
     scene["targets"][0]["orbit"]["position_m"] = [1.0, 1.0, 1.0]
     dry = server.client.post("/v1/jobs?dry_run=1", json=scene)

@@ -116,6 +116,29 @@ def test_load_scene_and_paths(tmp_path: Path, full: dict[str, Any]) -> None:
     assert scene.as_dict()["sensor"]["bandpass"]["path"] == str(tmp_path / "band.csv")
 
 
+def test_catalogues_in_layers(tmp_path: Path, full: dict[str, Any]) -> None:
+    """Relative paths are resolved one by one, URLs stay; a list of one is a path."""
+    file = tmp_path / "scene.json"
+    for asked, wanted in (
+        (["gaia", "~/hip"], (str(tmp_path / "gaia"), str(Path("~/hip").expanduser()))),
+        (["s3://b/c", "http://h/c"], ("s3://b/c", "http://h/c")),
+        (["gaia", "file:///c"], (str(tmp_path / "gaia"), "file:///c")),
+        (["gaia"], (str(tmp_path / "gaia"),)),
+        ("s3://b/c", ("s3://b/c",)),
+    ):
+        full["stars"]["catalogue"] = asked
+        file.write_text(json.dumps(full))
+        stars = load_scene(file).stars
+        assert stars is not None
+        assert stars.catalogues == wanted
+        assert stars.catalogue == (wanted[0] if len(wanted) == 1 else wanted)
+    stars = load_scene(file, ["stars.catalogue=[a, b]", "stars.catalogue.1=c"]).stars
+    assert stars is not None
+    assert stars.catalogues == (str(tmp_path / "a"), str(tmp_path / "c"))
+    with pytest.raises(BadInput, match=r"stars\.catalogue\[1\].*each catalogue once"):
+        load_scene(file, ["stars.catalogue=[a, ./x/../a]"])
+
+
 def test_missing_large_and_strange_files(tmp_path: Path) -> None:
     for path in (tmp_path / "none.yaml", tmp_path):
         with pytest.raises(BadInput, match="existing scene file"):

@@ -91,6 +91,11 @@ def refusal(data: Any) -> BadInput:
         ("seed", -1, "0"),
         ("seed", 2**63, "9223372036854775808"),
         ("stars.catalogue", "", "1"),
+        ("stars.catalogue", [], "a list of 1 to 8"),
+        ("stars.catalogue", ["a"] * 9, "a list of 1 to 8"),
+        ("stars.catalogue", {"main": "a"}, "a list of 1 to 8"),
+        ("stars.catalogue", 3, "a list of 1 to 8"),
+        ("stars.catalogue", ["a", True], "not true or false"),
         ("stars.faintest_g_mag", 99.0, "30"),
         ("targets.0.body.albedo", 1.5, "1"),
         ("targets.0.body.diameter_m", 0.0, "greater than"),
@@ -118,6 +123,23 @@ def test_bad_values_name_field_value_and_remedy(
     assert allowed in text
     if isinstance(value, float | int | str) and value != "" and field == key:
         assert repr(value) in text
+
+
+@pytest.mark.parametrize(
+    ("catalogues", "field", "allowed"),
+    [
+        (["a", "b", "a "], "stars.catalogue[2]: 'a '", "once"),
+        (["a", ""], "stars.catalogue[1]: ''", "1 to 1024"),
+        ([["a"], "b"], "stars.catalogue[0]: ['a']", "1 to 1024"),
+        (["a", "x" * 1025], "stars.catalogue[1]: 'x", "1 to 1024"),
+    ],
+)
+def test_bad_catalogues_name_their_place(
+    full: Data, catalogues: list[Any], field: str, allowed: str
+) -> None:
+    text = str(refusal(with_value(full, "stars.catalogue", catalogues)))
+    assert text.startswith(field)
+    assert allowed in text
 
 
 @pytest.mark.parametrize(

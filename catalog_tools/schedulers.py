@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Protocol
 from urllib.parse import urlsplit
+from uuid import uuid4
 
-from pipeline.errors import BadInput, Incomplete
+from .errors import BadInput, Incomplete
 
 Progress = Callable[[str], None]  # called with the kind of each task that is done
 LOCAL_KINDS = ("threads", "synchronous", "processes")
@@ -54,7 +56,11 @@ class LocalScheduler:
         with Callback(posttask=finished):
             if self.kind == "synchronous":
                 return list(get_sync(graph, keys))
-            return list(get(graph, keys, num_workers=self.workers))
+            pool = ThreadPoolExecutor(self.workers)
+            try:
+                return list(get(graph, keys, num_workers=self.workers, pool=pool))
+            finally:  # interrupted or not, nothing runs on behind the caller's back
+                pool.shutdown(wait=True, cancel_futures=True)
 
 
 class ClusterScheduler:
@@ -77,18 +83,21 @@ class ClusterScheduler:
         return self.client.gather(futures)
 
     def _submit(self, graph: dict[Any, Any], keys: list[Any]) -> list[Any]:
-        return self.client.get(graph, keys, sync=False, retries=2)
+        """Submit under names that no other run on this scheduler uses: it shares by name."""
+        names = {key: _unique(key, uuid4().hex) for key in graph}
+        graph = {names[key]: _renamed(task, names) for key, task in graph.items()}
+        return self.client.get(graph, [names[key] for key in keys], sync=False, retries=2)
 
     def _wait(self, futures: list[Any], done: Progress) -> None:
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
 
         try:
-            for future in as_completed(futures, raise_errors=False):
+            for future in as_completed(futures, loop=self.client.loop, raise_errors=False):
                 if future.status == "error":
                     raise future.exception()
                 if future.status == "cancelled":
-                    raise Incomplete("the cluster cancelled tasks; go on with --resume")
+                    raise Incomplete("the cluster cancelled tasks; what is finished is kept")
                 done(future.key[0] if isinstance(future.key, tuple) else str(future.key))
         except KilledWorker as error:
             raise Incomplete(f"a task keeps killing its workers: {error}") from None
@@ -132,6 +141,23 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         if threads == 0:
             raise BadInput("--scheduler", kind, "a scheduler that has workers")
         yield ClusterScheduler(client, threads)
+
+
+def _unique(key: Any, token: str) -> tuple[Any, ...]:
+    kind, *rest = key if isinstance(key, tuple) else (key,)
+    return (kind, token, *rest)
+
+
+def _renamed(task: Any, names: dict[Any, Any]) -> Any:
+    """A task with the keys in it exchanged; tuples and lists are looked into, as Dask does."""
+    if type(task) in (tuple, list):
+        try:
+            if task in names:
+                return names[task]
+        except TypeError:  # what can't be hashed is no key
+            pass
+        return type(task)(_renamed(part, names) for part in task)
+    return task
 
 
 def available_cores() -> int:

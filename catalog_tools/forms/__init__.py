@@ -1,0 +1,8 @@
+"""Forms: what the columns of a kind of table mean. Built-in ones, and column maps of the user."""
+
+from __future__ import annotations
+
+from .form import Epoch, Form, IdRule, Layout, Source
+from .load import known_forms, load_form
+
+__all__ = ["Epoch", "Form", "IdRule", "Layout", "Source", "known_forms", "load_form"]

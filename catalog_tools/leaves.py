@@ -1,0 +1,151 @@
+"""Second pass: gather a leaf's rows from the pieces, leave repeated ones out, write its shard."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import google_crc32c
+import numpy as np
+import pyarrow as pa
+
+from .batches import Split
+from .catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
+from .columns import STORED
+from .duplicates import Repeated
+from .judging import DUPLICATE, PLACE_COLUMN, REJECTS
+from .memory import give_back
+from .partition import Cell
+from .pieces import Pieces
+from .publish import Work, sync_file, write_durably
+from .shards import write_shard
+
+
+@dataclass(frozen=True)
+class Written:
+    """All that came of the first pass, for the tasks of the second.
+
+    labels, starts : for each batch, the names of its sources, and the place of each one's first
+    row in the batch.
+    """
+
+    work: Work
+    pieces: Pieces
+    labels: tuple[tuple[str, ...], ...]
+    starts: tuple[np.ndarray, ...]
+
+    @cached_property
+    def basis(self) -> str:
+        """What tells whether a leaf was written from these pieces."""
+        return hashlib.sha256(json.dumps(self.pieces.pieces).encode()).hexdigest()
+
+
+class LeafDone(NamedTuple):
+    """A finished leaf: its records for the manifest's tables (none if all its rows are surplus)."""
+
+    cell: Cell
+    leaf: np.ndarray
+    row_groups: np.ndarray
+    surplus: int
+
+
+def written(work: Work, pieces: Pieces, splits: Sequence[Split]) -> Written:
+    """The context of the second pass."""
+    labels = tuple(tuple(record["name"] for record in s.records) for s in splits)
+    return Written(work, pieces, labels, tuple(s.starts for s in splits))
+
+
+def write_leaf(context: Written, cell: Cell) -> None:
+    """Write a leaf's shard, its surplus rows, and at last its marker; unless all that is there."""
+    if leaf_done(context, cell, verify=True):
+        return
+    give_back()
+    work, pieces = context.work, context.pieces
+    runs = pieces.runs(cell.first_29, cell.end_29)
+    repeated = Repeated(work.progress)
+    names = [*STORED.names, PLACE_COLUMN] if repeated.ids.size else STORED.names
+    rows = {name: pieces.gather(runs, name) for name in names}
+    surplus = repeated.surplus(rows)
+    if surplus.size:
+        table = _surplus_table(context, runs, rows, surplus)
+        with pa.ipc.new_file(str(_surplus_path(work, cell)), table.schema) as writer:
+            writer.write_table(table)
+        sync_file(_surplus_path(work, cell))
+        rows = {name: np.delete(values, surplus) for name, values in rows.items()}
+    rows.pop(PLACE_COLUMN, None)
+    marker: dict[str, Any] = {"basis": context.basis, "surplus": int(surplus.size), "leaf": None}
+    if rows["source_id"].size:
+        leaf, groups = write_shard(work.catalogue, cell.order, cell.pixel, rows)
+        sync_file(work.catalogue / shard_name(cell.order, cell.pixel))
+        marker |= {"leaf": leaf.tolist(), "row_groups": groups.tolist()}
+    write_durably(_marker_path(work, cell), json.dumps(marker, default=np.ndarray.tolist))
+
+
+def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone | None:
+    """A leaf that was written from the same pieces; `verify` compares its shard's checksum."""
+    work = context.work
+    try:
+        marker = json.loads(_marker_path(work, cell).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if marker["basis"] != context.basis:
+        return None
+    if marker["leaf"] is None:
+        none = np.empty(0, LEAVES_DTYPE), np.empty(0, ROW_GROUPS_DTYPE)
+        return LeafDone(cell, *none, marker["surplus"])
+    leaf = np.array([_record(marker["leaf"])], LEAVES_DTYPE)
+    if verify:
+        try:
+            data = (work.catalogue / shard_name(cell.order, cell.pixel)).read_bytes()
+        except OSError:
+            return None
+        if google_crc32c.value(data) != leaf["crc32c"][0]:
+            return None
+    groups = np.array([_record(group) for group in marker["row_groups"]], ROW_GROUPS_DTYPE)
+    return LeafDone(cell, leaf, groups, marker["surplus"])
+
+
+def surplus_of(context: Written, done: LeafDone) -> pa.Table:
+    """The rows of a leaf that were left out, as the rejects table shows them."""
+    if not done.surplus:
+        return REJECTS.empty_table()
+    with pa.OSFile(str(_surplus_path(context.work, done.cell))) as file:
+        return pa.ipc.open_file(file).read_all()
+
+
+def _surplus_table(
+    context: Written, runs: Sequence[tuple[int, int, int]], rows: dict[str, np.ndarray],
+    surplus: np.ndarray,
+) -> pa.Table:  # fmt: skip
+    """The surplus rows with the source and the row that each came from."""
+    ends = np.cumsum([stop - start for _, start, stop in runs])
+    batch_of_run = np.array([context.pieces.pieces[i].batch for i, _, _ in runs])
+    batch = batch_of_run[np.searchsorted(ends, surplus, side="right")]
+    place = rows[PLACE_COLUMN][surplus]
+    names = np.empty(surplus.size, object)
+    row = np.empty(surplus.size, np.int64)
+    for b in np.unique(batch).tolist():
+        mine, starts = np.flatnonzero(batch == b), context.starts[b]
+        source = np.searchsorted(starts, place[mine], side="right") - 1
+        names[mine] = np.array(context.labels[b], object)[source]
+        row[mine] = place[mine] - starts[source]
+    columns = [pa.array(rows[name][surplus]) for name in REJECTS.names[3:]]
+    reasons = pa.array([DUPLICATE] * surplus.size, pa.string())
+    return pa.table([pa.array(names, pa.string()), pa.array(row), reasons, *columns], REJECTS)
+
+
+def _record(values: list[Any]) -> tuple[Any, ...]:
+    return tuple(tuple(v) if isinstance(v, list) else v for v in values)
+
+
+def _marker_path(work: Work, cell: Cell) -> Path:
+    return work.progress / f"leaf-{cell.order}-{cell.pixel}.json"
+
+
+def _surplus_path(work: Work, cell: Cell) -> Path:
+    return work.progress / f"leaf-{cell.order}-{cell.pixel}.arrow"

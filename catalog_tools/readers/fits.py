@@ -1,0 +1,191 @@
+"""FITS binary tables, read as a stream: a few thousand rows at a time, also from gzipped files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from ..errors import BadInput, Damaged
+from ..forms import Layout
+from .bytes_in import bytes_of
+from .kinds import Choose
+
+BLOCK_BYTES = 2880
+PIECE_BYTES = 4 << 20
+CARD_BYTES = 80
+MOST_HEADER_BLOCKS = 1000
+# FITS standard 4.0, table 18: format and bytes of one element
+TYPES = {
+    "L": "i1", "X": "u1", "B": "u1", "I": ">i2", "J": ">i4", "K": ">i8", "A": "S1",
+    "E": ">f4", "D": ">f8", "C": ">c8", "M": ">c16", "P": ">i8", "Q": ">c16",
+}  # fmt: skip
+
+
+class Column(NamedTuple):
+    """Where a column lies in a row, and how its stored numbers become values."""
+
+    name: str
+    dtype: str
+    repeat: int
+    null: int | None
+    scale: float
+    zero: float
+
+
+def read_fits(
+    path: Path, where: str, layout: Layout, choose: Choose, *, zipped: bool, md5: Any = None
+) -> Iterator[pa.Table]:
+    """Tables of the chosen columns of a binary table: the first, or that of `layout.hdu`.
+
+    Raises BadInput where there is no such table or a column is of another type, and Damaged where
+    the file ends too early.
+    """
+    stream = _Stream(path, bytes_of(path, zipped=zipped, md5=md5))
+    header = _find_table(stream, where, layout.hdu)
+    columns = _columns(header, where)
+    chosen = choose([column.name for column in columns])
+    twice = [n for n in chosen if sum(column.name == n for column in columns) > 1]
+    if twice:
+        raise BadInput(where, twice, "a table that has each of these columns once")
+    width, rows = int(header["NAXIS1"]), int(header["NAXIS2"])
+    shape = [(f"f{i}", c.dtype, (c.repeat,)) for i, c in enumerate(columns)]
+    dtype = np.dtype(shape)
+    if dtype.itemsize != width:
+        raise Damaged(str(path), f"its columns are {dtype.itemsize} bytes, its rows {width}")
+    at_once = max(1, PIECE_BYTES // max(width, 1))
+    wanted = [(i, c) for i, c in enumerate(columns) if c.name in chosen]
+    for first in range(0, max(rows, 1), at_once):
+        count = min(at_once, rows - first)
+        data = np.frombuffer(stream.read(count * width), dtype)
+        arrays = {c.name: _values(data[f"f{i}"], c, chosen[c.name], where) for i, c in wanted}
+        yield pa.table(arrays)
+    stream.drain()
+
+
+class _Stream:
+    """Exactly as many bytes as asked for, from pieces of any size."""
+
+    def __init__(self, path: Path, pieces: Iterator[bytes]) -> None:
+        self._path, self._pieces, self._rest = path, pieces, b""
+
+    def read(self, size: int, *, or_end: bool = False) -> bytes:
+        parts, missing = [self._rest[:size]], size - len(self._rest)
+        self._rest = self._rest[size:]
+        while missing > 0:
+            piece = next(self._pieces, None)
+            if piece is None:
+                if or_end:
+                    return b"".join(parts)
+                raise Damaged(str(self._path), f"it ends {missing} bytes too early")
+            parts.append(piece[:missing])
+            self._rest = piece[missing:]
+            missing -= len(piece)
+        return b"".join(parts)
+
+    def skip(self, size: int) -> None:
+        while size > 0:
+            size -= len(self.read(min(size, PIECE_BYTES)))
+
+    def drain(self) -> None:
+        self._rest = b""
+        for _ in self._pieces:
+            pass
+
+
+def _find_table(stream: _Stream, where: str, hdu: int | None) -> dict[str, Any]:
+    number = 0
+    while (header := _read_header(stream, where)) is not None:
+        is_table = header.get("XTENSION") == "BINTABLE"
+        if (hdu is None and is_table) or (hdu == number and number > 0):
+            if not is_table or header.get("ZTABLE"):
+                kind = "compressed" if is_table else header.get("XTENSION")
+                raise BadInput(where, f"extension {number}: {kind}", "a binary table (BINTABLE)")
+            return header
+        stream.skip(_data_bytes(header))
+        number += 1
+    allowed = "a FITS file with a binary table" + (f" in extension {hdu}" if hdu else "")
+    raise BadInput(where, f"{number} parts", f"{allowed} (this one holds no binary table)")
+
+
+def _read_header(stream: _Stream, where: str) -> dict[str, Any] | None:
+    """Keywords of the next header; None at the end of the file, or where only padding follows."""
+    from astropy.io.fits import Header
+
+    blocks: list[bytes] = []
+    while len(blocks) < MOST_HEADER_BLOCKS:
+        block = stream.read(BLOCK_BYTES, or_end=not blocks)
+        if not blocks and (len(block) < BLOCK_BYTES or not block.strip(b"\0 ")):
+            return None
+        blocks.append(block)
+        cards = (block[i : i + CARD_BYTES] for i in range(0, BLOCK_BYTES, CARD_BYTES))
+        if any(card.rstrip() == b"END" for card in cards):
+            try:
+                header = Header.fromstring(b"".join(blocks).decode("ascii"))
+                values = {card.keyword: card.value for card in header.cards if card.keyword}
+                naxis = int(values.get("NAXIS", 0))
+                if all(int(values[f"NAXIS{i + 1}"]) >= 0 for i in range(naxis)):
+                    return values
+            except Exception as error:  # astropy's parser has many ways to fail
+                raise BadInput(where, str(error)[:80], "FITS headers to the standard") from None
+    raise BadInput(where, f"{len(blocks)} blocks", "a FITS header that has an END")
+
+
+def _data_bytes(header: dict[str, Any]) -> int:
+    """Bytes of the data part with its padding (FITS standard 4.0, equations 1 and 2)."""
+    naxis = int(header.get("NAXIS", 0))
+    if not naxis:
+        return 0
+    sizes = [int(header[f"NAXIS{i + 1}"]) for i in range(naxis)]
+    if sizes[0] == 0 and header.get("GROUPS"):
+        sizes = sizes[1:]
+    elements = int(header.get("PCOUNT", 0)) + int(np.prod(sizes, dtype=object))
+    size = abs(int(header["BITPIX"])) // 8 * int(header.get("GCOUNT", 1)) * elements
+    return -(-size // BLOCK_BYTES) * BLOCK_BYTES
+
+
+def _columns(header: dict[str, Any], where: str) -> list[Column]:
+    columns = []
+    for i in range(1, int(header["TFIELDS"]) + 1):
+        name = str(header.get(f"TTYPE{i}", f"col{i}")).strip()
+        form = str(header[f"TFORM{i}"]).strip()
+        found = re.match(r"(\d*)([A-Z])", form)
+        if found is None or found.group(2) not in TYPES:
+            raise BadInput(f"{where} {name}", form, "a TFORM of the FITS standard")
+        repeat = int(found.group(1) or 1)
+        kind = found.group(2)
+        dtype = TYPES[kind]
+        if kind == "A":
+            dtype, repeat = f"S{repeat}", 1 if repeat else 0
+        elif kind == "X":
+            repeat = -(-repeat // 8)
+        null = header.get(f"TNULL{i}")
+        scale, zero = header.get(f"TSCAL{i}", 1), header.get(f"TZERO{i}", 0)
+        columns.append(Column(name, dtype, repeat, null, scale, zero))
+    return columns
+
+
+def _values(stored: NDArray[Any], column: Column, want: str, where: str) -> pa.Array:
+    """A column as Arrow: int64, double or string, null where TNULL stands."""
+    kinds = {"integer": "iuf", "number": "iuf", "text": "S"}[want]
+    if column.repeat != 1 or np.dtype(column.dtype).kind not in kinds:
+        allowed = {"integer": "integers", "number": "numbers", "text": "texts"}[want]
+        raise BadInput(f"{where} {column.name}", f"{column.repeat}{column.dtype}", allowed)
+    flat = stored[:, 0]
+    if want == "text":
+        return pa.array([text.rstrip(b" \0").decode("latin-1") or None for text in flat.tolist()])
+    is_null = None if column.null is None else flat == column.null
+    values = np.ascontiguousarray(flat, flat.dtype.newbyteorder("="))
+    if values.dtype.kind in "iu" and float(column.zero).is_integer() and column.scale == 1:
+        if column.zero == 1 << 63:
+            values = values.view(np.uint64) ^ np.uint64(1 << 63)
+        elif column.zero:
+            values = values.astype(np.int64) + int(column.zero)
+    elif column.scale != 1 or column.zero:
+        values = values * float(column.scale) + float(column.zero)
+    return pa.array(values, mask=is_null)

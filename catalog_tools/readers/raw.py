@@ -1,0 +1,44 @@
+"""The rows of a file of any kind, with the file's own columns and values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from ..forms import Layout
+from .bytes_in import digest
+from .kinds import Choose
+
+
+def raw_tables(
+    path: Path, kind: str, layout: Layout, choose: Choose, where: str, md5: Any = None
+) -> Iterator[pa.Table]:
+    """Tables of the columns that `choose` picks from the file's own, with the file's own values."""
+    zipped = kind.endswith(".gz")
+    plain_kind = kind.removesuffix(".gz")
+    if plain_kind == "csv":
+        from .text import read_text
+
+        yield from read_text(path, where, layout, choose, zipped=zipped, md5=md5)
+    elif plain_kind == "fits":
+        from .fits import read_fits
+
+        yield from read_fits(path, where, layout, choose, zipped=zipped, md5=md5)
+    elif plain_kind == "votable":
+        from .votable import read_votable
+
+        yield from read_votable(path, where, choose, zipped=zipped, md5=md5)
+    else:
+        if plain_kind == "parquet":
+            from .parquet import read_parquet
+
+            yield from read_parquet(path, choose)
+        else:
+            from .sqlite import read_sqlite
+
+            yield from read_sqlite(path, where, layout, choose)
+        if md5 is not None:
+            digest(path, md5)

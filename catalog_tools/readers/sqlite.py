@@ -1,0 +1,72 @@
+"""SQLite files, opened read-only: the rows of the form's query, a few thousand at a time."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import pyarrow as pa
+
+from ..errors import BadInput, Damaged
+from ..forms import Layout
+from .kinds import Choose
+
+ROWS = 20_000
+ALLOWED = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION}
+
+
+def read_sqlite(path: Path, where: str, layout: Layout, choose: Choose) -> Iterator[pa.Table]:
+    """Tables of the chosen columns of `layout.query`; attached files lie beside `path`.
+
+    Raises BadInput where there is no query or it fails, and Damaged where the file is broken.
+    """
+    if layout.query is None:
+        raise BadInput(where, "an SQLite file", "with a form that has `query` in its [table]")
+    try:
+        with closing(sqlite3.connect(_uri(path), uri=True)) as base:
+            for alias, name in layout.attach:
+                other = path.parent / name
+                if not other.is_file():
+                    raise BadInput(f"{where} attach.{alias}", str(other), "a file that exists")
+                base.execute(f"ATTACH DATABASE ? AS {alias}", (_uri(other),))
+            base.set_authorizer(lambda action, *_: 0 if action in ALLOWED else 1)
+            yield from _rows(base, where, layout.query, choose)
+    except sqlite3.DatabaseError as error:
+        broken = "malformed" in str(error) or "not a database" in str(error)
+        if broken or "disk I/O" in str(error):
+            raise Damaged(str(path), f"cannot be read as SQLite ({error})") from None
+        allowed = f"a query that reads this file ({error})"
+        raise BadInput(f"{where} query", layout.query, allowed) from None
+
+
+def _uri(path: Path) -> str:
+    return f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
+
+
+def _rows(base: sqlite3.Connection, where: str, query: str, choose: Choose) -> Iterator[pa.Table]:
+    cursor = base.execute(query)
+    names = [column[0] for column in cursor.description]
+    chosen = choose(names)
+    places = {name: names.index(name) for name in chosen}
+    before = 0
+    while rows := cursor.fetchmany(ROWS):
+        arrays = {}
+        for name, place in places.items():
+            arrays[name] = _values([row[place] for row in rows], chosen[name], name, before, where)
+        before += len(rows)
+        yield pa.table(arrays)
+
+
+def _values(values: list[Any], want: str, name: str, before: int, where: str) -> pa.Array:
+    kinds: tuple[type, ...]
+    kinds = {"integer": (int,), "number": (int, float), "text": (str,)}[want]
+    for row, value in enumerate(values, before + 1):
+        if value is not None and not isinstance(value, kinds):
+            allowed = {"integer": "integers", "number": "numbers", "text": "texts"}[want]
+            raise BadInput(f"{where} {name} row {row}", value, allowed)
+    kind = {"integer": pa.int64(), "number": pa.float64(), "text": pa.string()}[want]
+    return pa.array(values, kind)

@@ -1,0 +1,72 @@
+"""VOTables (TABLEDATA, BINARY, BINARY2, also gzipped): read whole, and so of limited size."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from ..errors import BadInput, Damaged
+from .bytes_in import bytes_of
+from .kinds import Choose
+
+MOST_BYTES = 256 << 20
+ROWS = 100_000
+
+
+def read_votable(
+    path: Path, where: str, choose: Choose, *, zipped: bool, md5: Any = None
+) -> Iterator[pa.Table]:
+    """Tables of the chosen columns of the file's first table, in pieces of ROWS rows.
+
+    Raises BadInput where the file is larger than MOST_BYTES, and Damaged where it can't be parsed.
+    """
+    from astropy.io.votable import parse_single_table
+
+    text = _whole(path, where, zipped=zipped, md5=md5)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the archive's units are not all VOUnits
+            table = parse_single_table(text)
+            data = table.array
+    except Exception as error:  # the XML parser has many ways to fail
+        raise Damaged(str(path), f"cannot be read as VOTable ({str(error)[:200]})") from None
+    fields = {(field.name or field.ID): field.ID for field in reversed(table.fields)}
+    chosen = choose(list(fields))
+    for start in range(0, max(len(data), 1), ROWS):
+        rows = data[start : start + ROWS]
+        yield pa.table(
+            {name: _values(rows[fields[name]], name, chosen[name], where) for name in chosen}
+        )
+
+
+def _whole(path: Path, where: str, *, zipped: bool, md5: Any) -> io.BytesIO:
+    text = io.BytesIO()
+    for piece in bytes_of(path, zipped=zipped, md5=md5):
+        if text.tell() + len(piece) > MOST_BYTES:
+            allowed = f"a VOTable of at most {MOST_BYTES >> 20} MiB: as CSV, FITS or Parquet the"
+            raise BadInput(where, f"over {MOST_BYTES} bytes", f"{allowed} same rows can be read")
+        text.write(piece)
+    text.seek(0)
+    return text
+
+
+def _values(stored: Any, name: str, want: str, where: str) -> pa.Array:
+    column = np.ma.asarray(stored)
+    kinds = {"integer": "iuf", "number": "iuf", "text": "OSU"}[want]
+    if column.dtype.kind not in kinds or column.ndim != 1:
+        allowed = {"integer": "integers", "number": "numbers", "text": "texts"}[want]
+        raise BadInput(f"{where} {name}", str(column.dtype), allowed)
+    mask = np.ma.getmaskarray(column)
+    if want == "text":
+        texts = (
+            None if absent else str(text) for text, absent in zip(column.data, mask, strict=True)
+        )
+        return pa.array(list(texts), pa.string())
+    data = np.ascontiguousarray(column.data, column.dtype.newbyteorder("="))
+    return pa.array(data, mask=mask)

@@ -1,0 +1,31 @@
+"""What all commands share: the options they have in common, and how results are printed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Output = Annotated[Path, typer.Option("-o", "--output", help="where the result goes")]
+Json = Annotated[bool, typer.Option("--json", help="machine-readable result on stdout")]
+SchedulerName = Annotated[
+    str,
+    typer.Option(help="threads, synchronous, processes, or the tcp:// or tls:// of a scheduler"),
+]
+Workers = Annotated[int | None, typer.Option(min=1, help="threads or processes; default: all")]
+
+
+def print_json(value: Any) -> None:
+    """A value as indented JSON on stdout."""
+    print(json.dumps(value, indent=2, allow_nan=False))
+
+
+def print_mapping(value: dict[str, Any], as_json: bool) -> None:
+    """A mapping for people, a line for each key; or as JSON."""
+    if as_json:
+        print_json(value)
+        return
+    for key, item in value.items():
+        print(f"{key:>28}  {item}")

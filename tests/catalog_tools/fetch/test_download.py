@@ -1,0 +1,358 @@
+"""Downloads against a local web server: cut, killed, misled, and still the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from archive_server import ArchiveServer, md5sum_text, small_archive
+
+from catalog_tools.errors import BadInput, Damaged, Incomplete
+from catalog_tools.fetch.fetch import fetch
+from catalog_tools.fetch.layout import RELEASES
+from catalog_tools.fetch.ledger import folder_for
+from catalog_tools.fetch.patience import Patience, Unavailable
+
+
+def bring(archive, folder, patience, **options):
+    options = {"everything": True, "base_url": archive.base_url} | options
+    return fetch("gaia-dr2", folder, patience=patience, **options)
+
+
+def visible(folder: Path) -> dict[str, bytes]:
+    names = [p for p in folder.iterdir() if p.is_file() and p.name != "MD5SUM.txt"]
+    return {path.name: path.read_bytes() for path in names}
+
+
+def test_files_come_verified_and_only_once(archive, tmp_path, hasty):
+    seen = []
+    report = bring(archive, tmp_path, hasty, progress=lambda *tick: seen.append(tick))
+    assert visible(tmp_path) == archive.files
+    assert (tmp_path / "MD5SUM.txt").read_text() == archive.md5sum
+    size = sum(map(len, archive.files.values()))
+    assert (report.downloaded, report.bytes_downloaded) == (5, size)
+    assert seen[0] == ("download", 0, size)
+    assert seen[-1] == ("download", size, size)
+    assert report.notes == ("the list names 5 files; Gaia DR2 has 61234",)
+    again = bring(archive, tmp_path, hasty)
+    assert (again.downloaded, again.present, again.bytes_present) == (0, 5, size)
+    assert archive.sent() == size
+    assert all(len(archive.gets(name)) == 1 for name in archive.files)
+    assert not list((tmp_path / ".fetch" / "parts").iterdir())
+
+
+def test_connections_cut_at_random_bytes(archive, tmp_path, hasty):
+    rng, cuts = random.Random(5), []
+
+    def cut(name: str, start: int) -> int | None:
+        if name == "MD5SUM.txt" or sum(cuts) > 150_000:
+            return None
+        cuts.append(rng.randrange(0, 9_000))
+        return cuts[-1]
+
+    archive.does.cut = cut
+    bring(archive, tmp_path, hasty, connections=3)
+    assert len(cuts) >= 20
+    assert visible(tmp_path) == archive.files
+    assert archive.sent() == sum(map(len, archive.files.values()))  # no byte was sent twice
+
+
+def test_cut_body_of_unknown_length_is_found_by_its_digest(archive, tmp_path, hasty):
+    archive.does.lengths = False
+    name = min(archive.files)
+    pending = [5_000]
+    archive.does.cut = lambda n, s: pending.pop() if n == name and pending else None
+    bring(archive, tmp_path, hasty, connections=1)
+    assert visible(tmp_path) == archive.files
+
+
+SCRIPT = """
+import signal, sys
+from catalog_tools.fetch.fetch import fetch
+from catalog_tools.fetch.patience import Patience
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
+fetch("gaia-dr2", sys.argv[2], everything=True, base_url=sys.argv[1], connections=2,
+      patience=Patience(first_delay_s=0.01))
+"""
+
+
+def in_a_process(archive, folder) -> subprocess.Popen:
+    command = [sys.executable, "-c", SCRIPT, archive.base_url, str(folder)]
+    root = Path(__file__).resolve().parents[3]
+    return subprocess.Popen(command, cwd=root, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_a_killed_process_is_resumed(archive, tmp_path, hasty, how):
+    archive.does.block_s = 0.02
+    for share in (0.2, 0.5, 0.7):
+        process = in_a_process(archive, tmp_path)
+        while process.poll() is None and archive.sent() < share * 250_000:
+            time.sleep(0.01)
+        process.send_signal(how)
+        _, said = process.communicate(timeout=20)
+        assert process.returncode == -how, said
+        for name, data in visible(tmp_path).items():
+            assert data == archive.files[name]
+    archive.does.block_s = 0.0
+    parts = (tmp_path / ".fetch" / "parts").glob("*.part")
+    on_disk = sum(map(len, visible(tmp_path).values())) + sum(p.stat().st_size for p in parts)
+    report = bring(archive, tmp_path, hasty)
+    assert visible(tmp_path) == archive.files
+    assert on_disk > 50_000
+    assert report.bytes_downloaded == sum(map(len, archive.files.values())) - on_disk
+
+
+def test_wrong_checksum_once_is_mended(archive, tmp_path, hasty):
+    name = min(archive.files)
+    good = archive.files[name]
+    archive.files[name] = good[:-1] + b"?"
+    archive.does.etags[name] = '"same"'
+    served = []
+
+    def mend(n: str, start: int) -> None:
+        if n == name:
+            served.append(start)
+            archive.files[name] = good  # from the next request on
+
+    archive.does.cut = mend
+    bring(archive, tmp_path, hasty)
+    assert served == [0, 0]
+    assert visible(tmp_path)[name] == good
+
+
+def test_wrong_checksum_always_is_damaged_and_others_come(archive, tmp_path, hasty):
+    name = min(archive.files)
+    archive.files[name] = b"x" * 1000
+    with pytest.raises(Damaged, match=name) as caught:
+        bring(archive, tmp_path, hasty)
+    assert hashlib.md5(b"x" * 1000).hexdigest() in str(caught.value)
+    assert len(archive.gets(name)) == 2
+    assert visible(tmp_path) == {n: d for n, d in archive.files.items() if n != name}
+    assert not list((tmp_path / ".fetch" / "parts").glob("*.part"))
+
+
+def test_server_without_ranges_starts_over(archive, tmp_path, hasty):
+    archive.does.ranges = False
+    pending = {name: [500, 20_000, 3_000] for name in archive.files}
+    archive.does.cut = lambda name, start: pending[name].pop() if pending.get(name) else None
+    bring(archive, tmp_path, hasty)
+    assert visible(tmp_path) == archive.files
+
+
+def test_server_without_ranges_that_always_cuts_is_given_up(archive, tmp_path, hasty):
+    archive.does.ranges = False
+    archive.does.cut = lambda name, start: None if name == "MD5SUM.txt" else 7_000
+    with pytest.raises(Incomplete, match="7000 bytes read"):
+        bring(archive, tmp_path, hasty, connections=1)
+    assert len(archive.requests) < 20
+
+
+@pytest.mark.parametrize("honest", [True, False])
+def test_changed_file_starts_over(archive, tmp_path, hasty, honest):
+    """The file changes between two runs; the server may or may not look at If-Range."""
+    name = min(archive.files)
+    archive.does.cut = lambda n, start: 9_000 if n == name else None
+    with pytest.raises(Incomplete):
+        bring(archive, tmp_path, Patience(tries=1))
+    new = archive.files[name][::-1]
+    archive.files[name] = new
+    archive.md5sum = md5sum_text(archive.files)
+    archive.does.cut = lambda n, start: None
+    if not honest:
+        handler = archive._http.RequestHandlerClass
+        handler._start = lambda self, request, etag: int((request.range or "bytes=0-")[6:-1])
+    bring(archive, tmp_path, hasty)
+    assert visible(tmp_path)[name] == new
+    resumed = [r for r in archive.gets(name) if r.range]
+    assert (resumed[0].range, resumed[0].if_range is None) == ("bytes=9000-", False)
+
+
+def test_complete_part_is_not_asked_for_again(archive, tmp_path, hasty):
+    """Killed between the last byte and the rename; also without a known length (416)."""
+    name = min(archive.files)
+    with folder_for(tmp_path, RELEASES["gaia-dr2"]) as ledger:
+        part = ledger.part(name)
+        part.write_bytes(archive.files[name])
+        origin = part.with_name(part.name + ".json")
+        origin.write_text('{"tag": null, "total": null}')
+    report = bring(archive, tmp_path, hasty)
+    assert [r.sent for r in archive.gets(name)] == [0]
+    assert report.bytes_downloaded == archive.sent()
+    assert visible(tmp_path) == archive.files
+
+
+@pytest.mark.parametrize("junk", [b"longer than the file", b"y"])
+def test_part_of_something_else_goes(archive, tmp_path, hasty, junk):
+    name = min(archive.files)
+    junk *= 100_000 // len(junk)
+    with folder_for(tmp_path, RELEASES["gaia-dr2"]) as ledger:
+        part = ledger.part(name)
+        part.write_bytes(junk)
+        part.with_name(part.name + ".json").write_text('{"tag": null, "total": null}')
+        other = ledger.part(max(archive.files))
+        other.write_bytes(b"no record of where it is from")
+    bring(archive, tmp_path, hasty)
+    assert visible(tmp_path) == archive.files
+
+
+def test_content_encoding_is_not_decoded(archive, tmp_path, hasty):
+    """Some servers call a .gz file 'Content-Encoding: gzip'; what is stored are its bytes."""
+    archive.does.content_encoding = "x-gzip"
+    bring(archive, tmp_path, hasty)
+    assert visible(tmp_path) == archive.files
+
+
+def test_slow_first_byte_is_tried_again(archive, tmp_path, hasty):
+    name = min(archive.files)
+    archive.does.slow_s[name] = [8.0]
+    bring(archive, tmp_path, replace(hasty, silence_s=0.5, tries=20))
+    assert visible(tmp_path) == archive.files
+    assert len(archive.gets(name)) >= 2
+
+
+def test_busy_server_is_obeyed(archive, tmp_path, hasty):
+    name = min(archive.files)
+    archive.does.first[name] = [(503, {"Retry-After": "1"}), (429, {}), (500, {})]
+    began = time.monotonic()
+    bring(archive, tmp_path, hasty)
+    assert time.monotonic() - began >= 1.0
+    assert visible(tmp_path) == archive.files
+    assert len(archive.gets(name)) == 4
+
+
+def test_server_that_asks_for_too_long_a_pause_ends_the_run(archive, tmp_path, hasty):
+    archive.does.first[min(archive.files)] = [(503, {"Retry-After": "86400"})]
+    with pytest.raises(Incomplete, match="86400 s"):
+        bring(archive, tmp_path, hasty)
+    bring(archive, tmp_path, hasty)
+    assert visible(tmp_path) == archive.files
+
+
+def test_missing_file_is_named_and_others_come(archive, tmp_path, hasty):
+    name = min(archive.files)
+    data = archive.files.pop(name)
+    with pytest.raises(Incomplete, match=f"{name}: 404 Not Found"):
+        bring(archive, tmp_path, hasty)
+    assert visible(tmp_path) == archive.files
+    archive.files[name] = data
+    assert bring(archive, tmp_path, hasty).downloaded == 1
+
+
+def test_redirects_go_to_http_only(archive, tmp_path, hasty):
+    name = min(archive.files)
+    with ArchiveServer(archive.files) as mirror:
+        archive.does.first[name] = [(302, {"Location": mirror.base_url + name})]
+        bring(archive, tmp_path / "a", hasty)
+        assert visible(tmp_path / "a") == archive.files
+        assert len(mirror.gets(name)) == 1
+    for bad in ("file:///etc/passwd", "ftp://127.0.0.1/x"):
+        archive.does.first[name] = [(302, {"Location": bad})]
+        with pytest.raises(Incomplete, match=name):
+            bring(archive, tmp_path / "b", hasty)
+        assert not (tmp_path / "b" / name).exists()
+
+
+def test_ledger_spares_hashing_and_verify_hashes(archive, tmp_path, hasty):
+    bring(archive, tmp_path, hasty)
+    name = min(archive.files)
+    path = tmp_path / name
+    state, bad = path.stat(), b"!" + archive.files[name][1:]
+    path.write_bytes(bad)
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))  # decay that no date tells
+    assert bring(archive, tmp_path, hasty).downloaded == 0
+    assert path.read_bytes() == bad
+    seen = []
+    report = bring(archive, tmp_path, hasty, verify=True, progress=lambda *t: seen.append(t))
+    assert (report.downloaded, report.present) == (1, 4)
+    assert {stage for stage, *_ in seen} == {"verify", "download"}
+    assert visible(tmp_path) == archive.files
+    path.write_bytes(bad)  # with a new date it is seen without being asked
+    assert bring(archive, tmp_path, hasty).downloaded == 1
+    with (tmp_path / ".fetch" / "verified.jsonl").open("a") as file:
+        file.write('{"name": "torn')
+    (tmp_path / max(archive.files)).touch()
+    assert bring(archive, tmp_path, hasty).downloaded == 0  # hashed again, noted again
+    assert visible(tmp_path) == archive.files
+
+
+def test_two_fetches_refuse_each_other(archive, tmp_path, hasty):
+    with (
+        folder_for(tmp_path, RELEASES["gaia-dr2"]),
+        pytest.raises(BadInput, match="no other fetch"),
+    ):
+        bring(archive, tmp_path, hasty)
+    bring(archive, tmp_path, hasty)
+    with pytest.raises(BadInput, match="gaia-dr2 files"):
+        fetch("gaia-dr3", tmp_path, everything=True, base_url=archive.base_url, patience=hasty)
+
+
+def test_disk_too_small_is_told_before(archive, tmp_path, hasty, monkeypatch):
+    from catalog_tools.fetch import download
+
+    usage = type("Usage", (), {"free": 1000})
+    monkeypatch.setattr(download.shutil, "disk_usage", lambda path: usage)
+    for each in (64, 0):  # sizes asked one by one, or from the index page
+        monkeypatch.setattr(download, "ASK_EACH", each)
+        with pytest.raises(BadInput, match="bytes free for what is missing") as caught:
+            bring(archive, tmp_path, hasty)
+        assert str(sum(map(len, archive.files.values()))) in str(caught.value)
+    archive.does.index = False
+    bring(archive, tmp_path, hasty)  # sizes not known
+    assert visible(tmp_path) == archive.files
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_disk_full_is_one_message(archive, tmp_path, hasty):
+    name = min(archive.files)
+    with folder_for(tmp_path, RELEASES["gaia-dr2"]) as ledger:
+        part = ledger.part(name)
+    archive.does.cut = lambda n, start: 0 if n == name else None
+    with pytest.raises(Incomplete):
+        bring(archive, tmp_path, Patience(tries=1))
+    part.unlink(missing_ok=True)
+    part.symlink_to("/dev/full")
+    part.with_name(part.name + ".json").write_text('{"tag": null, "total": null}')
+    archive.does.cut = lambda n, start: None
+    from catalog_tools.fetch import transfer
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(transfer, "begin", lambda part, origin: None)
+        with pytest.raises(Incomplete, match="No space left on device; make room"):
+            bring(archive, tmp_path, hasty)
+    part.unlink()
+    bring(archive, tmp_path, hasty)
+    assert visible(tmp_path) == archive.files
+
+
+def test_folder_as_mirror(tmp_path, hasty):
+    files = small_archive()
+    mirror = tmp_path / "a mirror"
+    mirror.mkdir()
+    for name, data in files.items():
+        (mirror / name).write_bytes(data)
+    (mirror / "MD5SUM.txt").write_text(md5sum_text(files))
+    report = fetch(
+        "gaia-dr2", tmp_path / "to", everything=True, base_url=mirror.as_uri(), patience=hasty
+    )
+    assert visible(tmp_path / "to") == files
+    assert report.bytes_downloaded == sum(map(len, files.values()))
+
+
+def test_delays_grow_within_bounds():
+    patience = Patience(first_delay_s=0.5, longest_delay_s=60.0)
+    for failures in range(1, 2000):
+        whole = min(0.5 * 2.0 ** min(failures - 1, 60), 60.0)
+        assert 0.5 * whole <= patience.delay_s(failures) <= whole
+    import threading
+
+    with pytest.raises(Incomplete, match="8 tries in a row"):
+        patience.wait("there", Unavailable("down"), 8, threading.Event())

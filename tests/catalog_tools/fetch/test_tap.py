@@ -1,0 +1,177 @@
+"""Cone queries through pyvo's own client, against a local TAP service."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+
+import astropy.units as u
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+from astropy.coordinates import SkyCoord
+from star_rows import random_stars, same_rows
+from tap_server import TapServer
+
+from catalog_tools.errors import BadInput, Incomplete
+from catalog_tools.fetch import tap
+from catalog_tools.fetch.cones import Cone
+from catalog_tools.fetch.fetch import fetch
+from catalog_tools.readers import read_tables
+
+CONE = Cone(359.8, -40.0, 1.5)
+
+
+@pytest.fixture(scope="module")
+def sky():
+    """1,200 stars about RA 0, with every hard case."""
+    return random_stars(1_200, seed=9, around=(359.9, -40.0, 2.0))
+
+
+@pytest.fixture
+def service(sky):
+    with TapServer(sky) as server:
+        yield server
+
+
+def expected(stars: pa.Table, cone: Cone) -> pa.Table:
+    places = SkyCoord(stars["ra"].to_numpy() * u.deg, stars["dec"].to_numpy() * u.deg)
+    apart = places.separation(SkyCoord(cone.ra_deg * u.deg, cone.dec_deg * u.deg))
+    inside = apart <= cone.radius_deg * u.deg
+    if cone.faintest_g_mag is not None:
+        inside &= stars["phot_g_mean_mag"].to_numpy().astype(float) <= cone.faintest_g_mag
+    return stars.filter(pa.array(np.asarray(inside)))
+
+
+def ask(service, folder, patience, *cones, **options):
+    options = {"cones": cones or (CONE,), "tap_url": service.url} | options
+    return fetch("gaia-dr2", folder, patience=patience, **options)
+
+
+def read(folder, report, i: int = 0) -> pa.Table:
+    return pa.concat_tables(read_tables(folder / report.files[i]))
+
+
+def test_rows_of_a_cone_come_exactly(service, sky, tmp_path, hasty):
+    seen = []
+    report = ask(service, tmp_path, hasty, progress=lambda *tick: seen.append(tick))
+    wanted = expected(sky, CONE)
+    assert wanted.num_rows > 400
+    assert same_rows(read(tmp_path, report), wanted)
+    assert seen[-1] == ("query", wanted.num_rows, wanted.num_rows)
+    assert report.files == ("gaia-dr2_cone_359.8_-40.0_1.5.csv.gz",)
+    asked = len(service.queries)
+    again = ask(service, tmp_path, hasty)
+    assert (again.downloaded, again.present, len(service.queries)) == (0, 1, asked)
+    (tmp_path / report.files[0]).write_bytes(b"changed")
+    assert ask(service, tmp_path, hasty).downloaded == 1
+    assert same_rows(read(tmp_path, report), wanted)
+
+
+def test_large_results_come_by_jobs_that_are_removed(service, sky, tmp_path, hasty, monkeypatch):
+    from catalog_tools.fetch import tap_service
+
+    monkeypatch.setattr(tap_service, "SYNC_ROWS", 100)
+    report = ask(service, tmp_path, hasty)
+    assert same_rows(read(tmp_path, report), expected(sky, CONE))
+    assert [how for how, _ in service.queries] == ["sync", "async"]
+    assert service.deleted == len(service.jobs) == 1
+
+
+def test_magnitude_limits(service, sky, tmp_path, hasty):
+    own = Cone(0.3, -39.5, 1.0, 12.25)
+    report = ask(service, tmp_path, hasty, CONE, own, faintest_g_mag=15.5)
+    for i, cone in enumerate((Cone(359.8, -40.0, 1.5, 15.5), own)):
+        assert same_rows(read(tmp_path, report, i), expected(sky, cone))
+
+
+@pytest.mark.parametrize(("limit", "told"), [(300, True), (300, False), (25, True)])
+def test_cut_results_are_asked_for_in_parts(service, sky, tmp_path, hasty, limit, told):
+    service.does.most_rows, service.does.tells_overflow = limit, told
+    report = ask(service, tmp_path, hasty)
+    assert same_rows(read(tmp_path, report), expected(sky, CONE))
+
+
+def test_memory_is_bounded_by_parts(service, sky, tmp_path, hasty, monkeypatch):
+    monkeypatch.setattr(tap, "ROWS_AT_ONCE", 150)
+    report = ask(service, tmp_path, hasty)
+    assert same_rows(read(tmp_path, report), expected(sky, CONE))
+    pole = Cone(10.0, -90.0, 51.0)  # the bands end at the pole
+    report = ask(service, tmp_path, hasty, pole)
+    assert same_rows(read(tmp_path, report), expected(sky, pole))
+
+
+def test_a_service_that_loses_rows_is_not_believed(service, tmp_path, hasty):
+    service.does.lost_rows = 1
+    with pytest.raises(Incomplete, match=r"gives \d+ of \d+ rows, and not always"):
+        ask(service, tmp_path, hasty, Cone(359.8, -40.0, 0.4))
+    assert not list(tmp_path.glob("*.csv.gz"))
+
+
+def test_failures_that_pass(service, sky, tmp_path, hasty):
+    service.does.first = [(503, {"Retry-After": "0"}), (429, {"Retry-After": "0"})]
+    service.does.sync_fails = 1
+    service.does.cut_results = 2
+    report = ask(service, tmp_path, hasty)
+    assert same_rows(read(tmp_path, report), expected(sky, CONE))
+
+
+def test_refused_jobs_say_why(service, tmp_path, hasty):
+    service.does.sync_fails = 2
+    service.does.job_fails = "statement timeout"
+    with pytest.raises(Incomplete, match=r"refused: .*statement timeout"):
+        ask(service, tmp_path, hasty)
+    assert service.deleted == len(service.jobs) == 1
+    service.does.job_fails = ""
+    with pytest.raises(Incomplete, match="no such table"):
+        fetch("gaia-dr3", tmp_path / "3", cones=[CONE], tap_url=service.url, patience=hasty)
+
+
+def test_addresses_that_are_no_service(service, tmp_path, hasty):
+    for url, said in (
+        (service.url + "/nothing", "it answers 404"),
+        ("file:///tmp", "http:// or https://"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            ask(service, tmp_path, hasty, tap_url=url)
+    with pytest.raises(Incomplete, match="tries in a row"):
+        ask(service, tmp_path, hasty, tap_url="http://127.0.0.1:9/tap")
+
+
+def test_empty_cone_is_an_empty_file(service, tmp_path, hasty):
+    report = ask(service, tmp_path, hasty, Cone(180.0, 60.0, 0.1))
+    assert sum(table.num_rows for table in read_tables(tmp_path / report.files[0])) == 0
+
+
+def test_other_release(sky, tmp_path, hasty):
+    with TapServer(sky, ref_epoch=2016.0, schema="gaiadr3") as service:
+        report = fetch("gaia-dr3", tmp_path, cones=[CONE], tap_url=service.url, patience=hasty)
+    lines = gzip.decompress((tmp_path / report.files[0]).read_bytes()).decode().splitlines()
+    assert lines[0].startswith("# Gaia DR3 (ESA/Gaia/DPAC), positions at J2016.0;")
+    assert {line.rpartition(",")[2] for line in lines[3:]} == {"2016"}
+    assert len(lines) == 3 + expected(sky, CONE).num_rows
+
+
+def test_same_bytes_every_time(service, tmp_path, hasty):
+    digests = set()
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        report = ask(service, folder, hasty)
+        digests.add(hashlib.sha256((folder / report.files[0]).read_bytes()).hexdigest())
+    assert len(digests) == 1
+
+
+def test_fetched_cones_are_ingested(service, sky, tmp_path, hasty):
+    """Overlapping cones give rows twice; ingest keeps one of each and says so."""
+    from catalog_tools.ingest import ingest
+    from catalog_tools.query import cone as rows_in_cone
+
+    other = Cone(0.5, -40.0, 1.0)
+    ask(service, tmp_path / "rows", hasty, CONE, other, Cone(180.0, 60.0, 0.1))
+    made = ingest([tmp_path / "rows"], tmp_path / "made", workers=1)
+    rows = [expected(sky, cone) for cone in (CONE, other)]
+    distinct = len(pc.unique(pa.concat_tables(rows)["source_id"]))
+    assert made.catalogue.rows == distinct
+    assert sum(made.rejected.values()) == rows[0].num_rows + rows[1].num_rows - distinct > 0
+    stars, _ = rows_in_cone(made.catalogue, CONE.ra_deg, CONE.dec_deg, CONE.radius_deg)
+    assert same_rows(stars, rows[0])

@@ -1,0 +1,327 @@
+"""Forms: strict reading of column maps, units and conventions against independent formulas."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from astropy import units
+
+from catalog_tools.columns import NAMES, REQUIRED
+from catalog_tools.errors import BadInput
+from catalog_tools.forms import known_forms, load_form
+from catalog_tools.forms.form import UNITS, Names
+from catalog_tools.readers import read_tables
+
+FORMS = Path(__file__).parent / "forms"
+
+EXAMPLE = """
+name = "survey"
+description = "A survey."
+credit = "Nobody"
+ref_epoch_jyear = 2000.0
+epoch_scale = "TDB"
+
+[source_id]
+from = "id"
+
+[ra]
+from = "alpha"
+unit = "deg"
+
+[dec]
+from = "delta"
+unit = "deg"
+
+[phot_g_mean_mag]
+from = "mag"
+unit = "mag"
+"""
+
+
+def load(tmp_path, text):
+    path = tmp_path / "survey.toml"
+    path.write_text(text)
+    return load_form(path)
+
+
+def rows(tmp_path, form, csv):
+    path = tmp_path / "stars.csv"
+    path.write_text(csv)
+    return pa.concat_tables(read_tables(path, form)).to_pylist()
+
+
+def test_built_in_forms_are_whole():
+    assert known_forms() == ("gaia_dr2", "gaia_dr3", "gsc", "hipparcos")
+    epochs = {name: load_form(name).ref_epoch_jyear for name in known_forms()}
+    assert epochs == {"gaia_dr2": 2015.5, "gaia_dr3": 2016.0, "gsc": 2015.5, "hipparcos": 1991.25}
+    assert set(UNITS) | {"source_id"} == set(NAMES)
+    for name in known_forms():
+        form = load_form(name)
+        assert form.name == name
+        assert form.description.endswith(".")
+        assert all(form.of(column) for column in REQUIRED if column != "source_id")
+        assert pickle.loads(pickle.dumps(form)) == form
+        assert hash(form) == hash(load_form(name))
+
+
+def test_a_column_map_reads(tmp_path):
+    form = load(tmp_path, EXAMPLE)
+    star = rows(tmp_path, form, "mag,id,alpha,delta\n9,7,1.5,-2\n")[0]
+    assert (star["source_id"], star["ra"], star["dec"]) == (7, 1.5, -2.0)
+    assert star["phot_g_mean_mag"] == 9.0
+    assert star["parallax"] is None
+    assert load_form(str(tmp_path / "survey.toml")) == form
+
+
+MOTION = '\n[pmra]\nfrom = "m"\nunit = "mas/yr"\n'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("credit =", "credits =", "credit: None is not accepted; allowed: a text"),
+        ('name = "survey"', 'name = "survey"\nnmae = 1', "nmae: 1 is not accepted; allowed: only"),
+        ('unit = "mag"', 'unit = "mag"\nzero = 1', "phot_g_mean_mag.zero: 1"),
+        ('unit = "mag"', 'unit = "Mag"', "phot_g_mean_mag.unit: 'Mag'"),
+        ('from = "alpha"\nunit = "deg"', 'from = "alpha"', "ra.unit: None"),
+        ('from = "alpha"', "from = []", "ra.from: [] is not accepted"),
+        ('from = "alpha"', "from = 3", "ra.from: 3 is not accepted"),
+        ("[ra]", "[[ra]]\nfrom = 1\n[x]", "ra.from"),
+        ("[dec]", "[decl]", "dec: None is not accepted; allowed: a table [dec]"),
+        ('[source_id]\nfrom = "id"', "", "source_id.from: None"),
+        ('from = "id"', 'from = "id"\nrule = "guess"', "source_id.rule: 'guess'"),
+        ('from = "id"', 'from = "id"\nfactor = 2', "source_id.factor: 2.0"),
+        ("2000.0", "'2000'", "ref_epoch_jyear: '2000'"),
+        ("2000.0", "51544.5", "ref_epoch_jyear: 51544.5"),
+        ("2000.0", "nan", "ref_epoch_jyear: nan"),
+        ('"TDB"', '"UTC"', "one of TCB, TDB, TT"),
+        ('unit = "mag"', f'unit = "mag"{MOTION}', "pmra.is: None"),
+        ('unit = "mag"', f'unit = "mag"{MOTION}is = "yes"', "mu_alpha_star, mu_alpha"),
+        ('unit = "mag"', 'unit = "mag"\ncolour = "bv"', "phot_g_mean_mag.colour"),
+        ('unit = "mag"', 'unit = "mag"\nclip = true', "phot_g_mean_mag.clip"),
+        ('unit = "mag"', 'unit = "mag"\ncolour_range = [2, 1]', "the lower one first"),
+        ('unit = "mag"', 'unit = "mag"\nnull = 99', "a list of finite numbers"),
+        ('unit = "mag"', 'unit = "mag"\noptional = 1', "true or false"),
+        ("[source_id]", '[table]\nlayout = "fixed"\n[source_id]', "table.columns"),
+        (
+            "[source_id]",
+            '[table]\nlayout = "fixed"\ncolumns = {id = [5, 2]}\n[source_id]',
+            "table.columns.id: [5, 2]",
+        ),
+        ("[source_id]", '[table]\ndelimiter = "||"\n[source_id]', "one character"),
+        ("[source_id]", "[table]\nhdu = 0\n[source_id]", "from 1"),
+        ("[source_id]", "[table]\nattach = 3\n[source_id]", "alias = file name"),
+        ("[source_id]", '[epoch]\nfrom = "t"\nunit = "s"\n[source_id]', "jyear, mjd, jd"),
+        ("[ra]", "[ra", "a TOML file"),
+    ],
+)
+def test_every_mistake_in_a_map_is_named(tmp_path, old, new, message):
+    assert old in EXAMPLE
+    with pytest.raises(BadInput) as caught:
+        load(tmp_path, EXAMPLE.replace(old, new, 1))
+    assert "survey.toml" in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_unknown_names_are_refused_with_the_known_ones(tmp_path):
+    for name in ("gaia", "../forms/gaia_dr2", tmp_path):
+        with pytest.raises(BadInput, match=r"gaia_dr2, gaia_dr3, gsc, hipparcos"):
+            load_form(name)
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(BadInput, match="TOML"):
+        load_form(tmp_path / "binary.toml")
+
+
+ASTROPY = {
+    "deg": units.deg, "ra": units.deg, "dec": units.deg, "pmra": units.mas / units.yr,
+    "pmdec": units.mas / units.yr, "parallax": units.mas, "radial_velocity": units.km / units.s,
+}  # fmt: skip
+
+
+def test_units_against_astropy():
+    for column, factors in UNITS.items():
+        for name, factor in factors.items():
+            if name in ("flux", "mag"):
+                continue
+            canonical = ASTROPY.get(column, units.Jy)
+            expected = units.Unit(name.replace("uas", "uarcsec")).to(canonical)
+            assert factor == pytest.approx(expected, rel=1e-14), (column, name)
+
+
+def test_fluxes_become_ab_magnitudes_and_back(tmp_path):
+    for unit, jy in (("Jy", 1.0), ("mJy", 1e-3), ("uJy", 1e-6), ("nJy", 1e-9)):
+        form = load(tmp_path, EXAMPLE.replace('"mag"\nunit = "mag"', f'"mag"\nunit = "{unit}"'))
+        flux = 3631.0 / jy * 10.0 ** (-0.4 * 17.5)
+        csv = f"mag,id,alpha,delta\n{flux!r},7,1,2\n0,8,1,2\n-1,9,1,2\n"
+        stars = rows(tmp_path, form, csv)
+        assert stars[0]["phot_g_mean_mag"] == pytest.approx(17.5, abs=2e-6)
+        assert stars[1]["phot_g_mean_mag"] is stars[2]["phot_g_mean_mag"] is None
+    # electrons per second with their own zero point
+    text = EXAMPLE.replace('unit = "mag"', 'unit = "flux"\nadd = 25.68837')
+    assert rows(tmp_path, load(tmp_path, text), "mag,id,alpha,delta\n947.848656,7,1,2\n")[0][
+        "phot_g_mean_mag"
+    ] == pytest.approx(18.24652, abs=1e-5)
+
+
+def test_both_conventions_of_motion_in_right_ascension(tmp_path):
+    csv = "mag,id,alpha,delta,m\n9,7,1,60,0.1\n9,8,1,-89.9999,0.1\n9,9,1,0,-999\n"
+    motion = '\n[pmra]\nfrom = "m"\nunit = "arcsec/yr"\nnull = [-999]\nis = '
+    with_cos = load(tmp_path, f'{EXAMPLE}{motion}"mu_alpha_star"')
+    assert [star["pmra"] for star in rows(tmp_path, with_cos, csv)] == [100.0, 100.0, None]
+    without = load(tmp_path, f'{EXAMPLE}{motion}"mu_alpha"')
+    made = [star["pmra"] for star in rows(tmp_path, without, csv)]
+    assert made[:2] == pytest.approx([50.0, 100.0 * np.cos(np.radians(89.9999))], rel=1e-6)
+    assert made[2] is None
+
+
+def test_ways_are_tried_in_order_and_colours_have_ranges(tmp_path):
+    ways = """
+[[phot_bp_mean_mag]]
+from = "mag"
+unit = "mag"
+colour = ["b", "v"]
+coefficients = [0.5, 2.0, -1.0]
+colour_range = [0.0, 1.0]
+
+[[phot_bp_mean_mag]]
+from = "mag"
+unit = "mag"
+colour = "b"
+coefficients = [0.0, 1.0]
+colour_range = [3.0, 5.0]
+clip = true
+
+[[phot_bp_mean_mag]]
+from = "mag"
+unit = "mag"
+add = -0.25
+"""
+    csv = "mag,id,alpha,delta,b,v\n9,1,0,0,4,3.5\n9,2,0,0,4,1\n9,3,0,0,9,\n9,4,0,0,,2\n"
+    stars = rows(tmp_path, load(tmp_path, EXAMPLE + ways), csv)
+    assert [star["phot_bp_mean_mag"] for star in stars] == [9 + 0.5 + 1.0 - 0.25, 13.0, 14.0, 8.75]
+
+
+def test_missing_columns_are_named_unless_optional(tmp_path):
+    text = f'{EXAMPLE}\n[parallax]\nfrom = ["plx", "par"]\nunit = "arcsec"\n'
+    with pytest.raises(BadInput, match=r"'plx' or 'par' \(parallax of the form survey\)"):
+        rows(tmp_path, load(tmp_path, text), "mag,id,alpha,delta\n9,7,1,2\n")
+    form = load(tmp_path, f"{text}optional = true\n")
+    assert rows(tmp_path, form, "mag,id,alpha,delta\n9,7,1,2\n")[0]["parallax"] is None
+    assert rows(tmp_path, form, "mag,id,alpha,delta,par\n9,7,1,2,0.5\n")[0]["parallax"] == 500.0
+
+
+def test_names_in_any_case_where_that_is_unique():
+    assert Names(["RA", "Dec"]).first(["ra"]) == "RA"
+    assert Names(["RA", "ra", "Ra"]).first(["ra"]) == "ra"
+    assert Names(["RA", "Ra"]).first(["ra"]) is None
+
+
+def test_ids_from_texts_are_stable_and_never_gaias(tmp_path):
+    form = load(tmp_path, EXAMPLE.replace('from = "id"', 'from = "id"\nrule = "text"'))
+    csv = "mag,id,alpha,delta\n9,HD 1,0,0\n9,HD 2,0,0\n9, HD 1 ,0,0\n9,,0,0\n"
+    ids = [star["source_id"] for star in rows(tmp_path, form, csv)]
+    assert ids[0] == ids[2] == -7913014919495737619
+    assert ids[1] != ids[0]
+    assert ids[3] is None
+    assert all(-(2**63) <= number < -(2**62) for number in ids[:3])
+
+
+def test_ids_from_positions_are_pixels_of_order_29(tmp_path):
+    import healpy
+
+    text = EXAMPLE.replace('from = "id"', 'rule = "position"')
+    csv = "mag,alpha,delta\n9,12.5,-30\n9,12.5,-30\n9,12.500001,-30\n9,,5\n9,7,95\n"
+    ids = [star["source_id"] for star in rows(tmp_path, load(tmp_path, text), csv)]
+    assert ids[0] == ids[1] != ids[2]
+    assert healpy.pix2ang(2**29, -1 - ids[0], nest=True, lonlat=True) == pytest.approx((12.5, -30))
+    assert ids[3:] == [0, 0]  # rejected for their positions
+
+
+@pytest.mark.parametrize(
+    ("table", "content"),
+    [
+        ('layout = "whitespace"', "# c\nid alpha  delta\tmag\n 7  1.5   -2 9\n\n8 2.5 3\t99.9 \n"),
+        (
+            'layout = "whitespace"\ncolumns = ["id", "alpha", "delta", "mag"]',
+            "7 1.5 -2 9\n8 2.5 3 99.9\n",
+        ),
+        ('delimiter = "|"', "id| alpha |delta|mag\n  7|1.5|-2|  9\n  8|2.5| 3|99.9\n"),
+        (
+            'delimiter = "\\t"\nnull = ["-"]',
+            "id\talpha\tdelta\tmag\r\n7\t1.5\t-2\t9\r\n8\t2.5\t3\t-\r\n",
+        ),
+        (
+            'layout = "fixed"\ncolumns = {mag = [10, 13], id = [1, 2], alpha = [3, 5], '
+            "delta = [7, 8]}",
+            " 71.5 -2 9   \r\n 82.5  3 99.9\r\n",
+        ),
+    ],
+)
+def test_text_layouts(tmp_path, table, content):
+    text = EXAMPLE.replace("[source_id]", f"[table]\n{table}\n[source_id]")
+    form = load(tmp_path, text.replace('unit = "mag"', 'unit = "mag"\nnull = [99.9]'))
+    (tmp_path / "t.dat").write_text(content, newline="")
+    stars = pa.concat_tables(read_tables(tmp_path / "t.dat", form)).to_pylist()
+    found = [[s[n] for n in ("source_id", "ra", "dec", "phot_g_mean_mag")] for s in stars]
+    assert found == [[7, 1.5, -2.0, 9.0], [8, 2.5, 3.0, None]]
+
+
+def test_a_fixed_line_that_ends_within_a_column_is_refused(tmp_path):
+    columns = "columns = {id = [1, 2], alpha = [3, 5], delta = [7, 8], mag = [10, 13]}"
+    form = load(
+        tmp_path,
+        EXAMPLE.replace("[source_id]", f'[table]\nlayout = "fixed"\n{columns}\n[source_id]'),
+    )
+    (tmp_path / "t.dat").write_text(" 71.5 -2 9.12\n 71.5 -2 9.1\n")
+    with pytest.raises(BadInput, match=r"t\.dat row 2.*bytes 10 to 13"):
+        list(read_tables(tmp_path / "t.dat", form))
+    (tmp_path / "t.dat").write_text(" 71.5 -2 9.12\n 71.5 -2\n")  # blanks at the end cut off
+    stars = pa.concat_tables(read_tables(tmp_path / "t.dat", form))
+    assert stars["phot_g_mean_mag"].null_count == 1
+
+
+GSC_HEAD = "hstID,gsc2ID,GAIAdr2sourceID,ra,dec,epoch,rapm,decpm,parallax,radialVelocity,"
+GSC_HEAD += "classification,gaiaGmag,gaiaRpmag,gaiaBpmag,VMag,mag,objID"
+
+
+@pytest.mark.parametrize("first", ["Objects found : 2 , GSC242, ConeSearch\r\n", "# c\r\n", ""])
+def test_guide_star_catalogue_as_its_service_gives_it(tmp_path, first):
+    row = "S1HP,S01,4658,80.5,-69.5,2015.5,2.25,0.08,0.07,,0,16.25,15.5,17,,16,2013200000001"
+    plate = "S1HQ,S02,,80.6,-69.4,1987.1,,,,,3,,,,18.5,18.5,2013200000002"
+    (tmp_path / "gsc.csv").write_text(f"{first}{GSC_HEAD}\r\n{row}\r\n{plate}\r\n", newline="")
+    stars = pa.concat_tables(read_tables(tmp_path / "gsc.csv", load_form("gsc"))).to_pylist()
+    assert stars[0] == {
+        "source_id": -2013200000001, "ra": 80.5, "dec": -69.5, "pmra": 2.25,
+        "pmdec": pytest.approx(0.08), "parallax": pytest.approx(0.07), "radial_velocity": None,
+        "phot_g_mean_mag": 16.25, "phot_bp_mean_mag": 17.0, "phot_rp_mean_mag": 15.5,
+    }  # fmt: skip
+    assert stars[1]["phot_g_mean_mag"] is None  # and so rejected, whatever its epoch
+    later = row.replace("2015.5", "2016.0")
+    (tmp_path / "gsc3.csv").write_text(f"{GSC_HEAD}\n{later}\n")
+    with pytest.raises(BadInput, match=r"gsc3\.csv epoch row 1"):
+        list(read_tables(tmp_path / "gsc3.csv", load_form("gsc")))
+
+
+def test_hipparcos_colours_beyond_the_relations(tmp_path):
+    def line(hip, vmag, bv, vi):
+        text = [" "] * 450
+        for first, value in ((9, f"{hip:6d}"), (42, vmag), (52, "010.50000000"),
+                             (65, "-20.25000000"), (246, bv), (261, vi)):  # fmt: skip
+            text[first - 1 : first - 1 + len(value)] = value
+        return "".join(text)
+
+    lines = [line(1, " 5.00", " 0.600", "0.70"), line(2, " 5.00", " 1.900", "4.50")]
+    lines += [line(3, " 5.00", " 0.600", "    "), line(118322, " 5.00", "      ", "    ")]
+    (tmp_path / "hip.dat").write_text("\n".join(lines))
+    stars = pa.concat_tables(read_tables(tmp_path / "hip.dat", load_form("hipparcos"))).to_pylist()
+    poly = np.polynomial.polynomial.polyval
+    g_of_vi = (-0.01746, 0.008092, -0.2810, 0.03655)
+    g_of_bv = (-0.02907, -0.02385, -0.2297, -0.001768)
+    expected = [5 + poly(0.7, g_of_vi), 5 + poly(2.7, g_of_vi), 5 + poly(0.6, g_of_bv), 5.0]
+    assert [star["phot_g_mean_mag"] for star in stars] == pytest.approx(expected, abs=1e-6)
+    assert [star["phot_bp_mean_mag"] is None for star in stars] == [False, False, True, True]
+    assert [star["source_id"] for star in stars] == [1, 2, 3, 118322]

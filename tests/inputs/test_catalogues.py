@@ -1,0 +1,72 @@
+"""What the plan says of the catalogues: what is made up, which magnitudes are missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from catalog_tools.build import About, build
+from pipeline.inputs.catalogues import catalogue_facts, catalogue_remarks, gather_left_out
+
+
+@pytest.fixture(scope="module")
+def empty(tmp_path_factory):
+    """A catalogue without a row, to say other things of."""
+    about = About("empty", "", False, 2015.5, {})
+    folder = tmp_path_factory.mktemp("empty") / "made"
+    return build([], folder, about, rows_per_leaf=1000).catalogue
+
+
+def catalogue(empty, name: str, brightest: float | None, faintest: float | None, **more):
+    return replace(empty, name=name, brightest_g_mag=brightest, faintest_g_mag=faintest, **more)
+
+
+def test_bright_end_takes_the_layers_into_account(empty):
+    gaia, bright = catalogue(empty, "gaia", 3.2, 21.0), catalogue(empty, "hip", -1.4, 6.6)
+    (told,) = catalogue_remarks([gaia], 20.0)
+    assert told.startswith("the catalogue begins at G = 3.2: brighter real stars are missing")
+    assert catalogue_remarks([gaia, bright], 20.0) == ()
+    faint = catalogue(empty, "hip", 3.0, 6.6)
+    (told,) = catalogue_remarks([gaia, faint], None)
+    assert told.startswith("the catalogues begin at G = 3.0: brighter")
+    assert catalogue_remarks([empty], 20.0) == catalogue_remarks([], None) == ()
+
+
+def test_gaps_and_faint_end(empty):
+    deep, bright = catalogue(empty, "deep", 9.0, 18.0), catalogue(empty, "hip", -1.4, 6.6)
+    (gap,) = catalogue_remarks([deep, bright], None)
+    assert gap == "no catalogue holds stars of G = 6.6 to 9.0"
+    assert catalogue_remarks([deep, bright], 6.5) == ()
+    assert catalogue_remarks([deep, bright, catalogue(empty, "more", 6.0, 9.4)], 18.2) == ()
+    (end,) = catalogue_remarks([bright], 15.0)
+    assert end == "the catalogue ends at G = 6.6, the scene asks for 15.0"
+    assert "the catalogues end at G = 18.0" in catalogue_remarks([bright, deep], 20.0)[-1]
+
+
+def test_what_is_made_up(empty):
+    real, made = catalogue(empty, "real", -1.4, 21.0), catalogue(empty, "made", -1.4, 21.0)
+    made = replace(made, synthetic=True)
+    assert catalogue_remarks([made], None) == (
+        "SYNTHETIC CATALOGUE: no star of this product is a real star",
+    )
+    assert catalogue_remarks([made, made], None) == catalogue_remarks([made], None)
+    (told,) = catalogue_remarks([real, made], None)
+    assert told == "SYNTHETIC CATALOGUE made: no star of it is a real star"
+
+
+def test_facts_and_nothing_left_out_of_the_main_catalogue(empty):
+    assert gather_left_out((), (), None) == ()
+    (none,) = gather_left_out((empty,), (), None)
+    assert (none.size, none.dtype) == (0, np.int64)
+    both = gather_left_out((empty, empty), (), 5.0)
+    assert [ids.size for ids in both] == [0, 0]
+    (told,) = catalogue_facts((empty,), (np.array([3, 4]),))
+    assert told == {
+        "name": "empty",
+        "digest": empty.digest,
+        "synthetic": False,
+        "ref_epoch_jyear": 2015.5,
+        "left_out": 2,
+    }
