@@ -27,6 +27,7 @@ from pipeline.inputs.colour_fit import gather_colour_fit
 from pipeline.inputs.curves import resolve_response, solar_spectrum
 from pipeline.inputs.earth_orientation import gather_dut1_s
 from pipeline.inputs.folders import cache_folder
+from pipeline.inputs.psf_tables import gather_psf_table
 from pipeline.inputs.sensor import gather_sensor_maps
 from pipeline.inputs.stars import Catalogue, Shard, cones_of, gather_shards, rows_bright_enough
 from pipeline.physics.colour import ColourFit
@@ -102,7 +103,7 @@ def prepare(scene: Scene) -> Prepared:
     colour, sun = _light(scene, response, band, digest, remarks)
     facts = gather_facts(
         scene, response, maps.typical("dark_e_per_s"), maps.typical("read_noise_e"),
-        maps.typical("gain_e_per_dn"),
+        maps.typical("gain_e_per_dn"), gather_psf_table(scene),
     )  # fmt: skip
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
     if scene.stars is not None:

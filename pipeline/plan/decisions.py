@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.focal_plane import corner_radius
-from pipeline.physics.psf.pupil import Airy
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.responses import BLOCK_PX, MERGE_TOLERANCE_PX, PATH_STEP_PX, ResponsePlan
 from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor import AiryPsf
 
 
 @dataclass(frozen=True)
@@ -189,14 +187,16 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
             "one_psf", True, "one point-spread function for the whole focal plane, as in the paper"
         )
     ]
-    if isinstance(scene.sensor.psf, AiryPsf):
-        out.append(
-            Decision(
-                "monochromatic_psf", True,
-                f"drawn at one wavelength, {facts.mean_wavelength_m * 1e9:.0f} nm unless given; no "
-                "bound is known: a polychromatic response is not in this version",
-            )
+    if facts.band is not None:
+        b = facts.band
+        nm = ", ".join(f"{w * 1e9:.0f}" for w in b.wavelengths_m)
+        what = (
+            "as asked" if not b.error_of_one else f"a pixel differs by up to {b.error:.2g} of its "
+            f"source's light from the whole band ({b.error_of_one:.2g} with the mean wavelength "
+            "alone); the same for sources of all colours"
         )  # fmt: skip
+        name = "monochromatic_psf" if len(b.wavelengths_m) == 1 else "few_wavelengths"
+        out.append(Decision(name, True, f"drawn at {nm} nm: {what}"))
     if scene.background is not None and scene.background.uniform_mag_arcsec2 is not None:
         camera = camera_of(scene)
         edge = facts.background_e * (1.0 - math.cos(corner_radius(camera)) ** 3)
@@ -218,7 +218,7 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
             **bound(budget),
         )
     )  # fmt: skip
-    if isinstance(r.blur.optics, Airy):
+    if r.spacing_px:
         out += _wings(r, sigma)
     if scene.stars is not None:
         out.append(

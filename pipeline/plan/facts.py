@@ -7,15 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.physics.psf.pupil import Airy, Blur, Gaussian, Optics
+from pipeline.physics.psf.band import BandOptics
+from pipeline.physics.psf.pupil import Blur
+from pipeline.physics.psf.sampled import Sampled
 from pipeline.physics.radiometry import (
     ResponseCurve,
     collecting_area_m2,
     pixel_solid_angle_sr,
     surface_brightness_electron_rate,
 )
+from pipeline.plan.optics import blur_of, open_fraction
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor import AiryPsf
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,7 @@ class Facts:
     area_m2 : collecting area; ifov_rad : side of a pixel on the sky
     mean_wavelength_m : of the response, photon-weighted for a flat photon spectrum
     blur : the response of optics, jitter, diffusion and pixel
+    band : how the optics' band was resolved; None where the optics do not follow the wavelength
     background_e : sky per pixel and exposure; dark_e, read_noise_e : typical values (medians)
     sigma_floor_e : noise of a pixel that holds no source: sky, dark, read noise, quantisation
     budget_e : error that one approximation may make in such a pixel
@@ -34,6 +37,7 @@ class Facts:
     ifov_rad: float
     mean_wavelength_m: float
     blur: Blur
+    band: BandOptics | None
     background_e_s: float
     background_e: float
     dark_e: float
@@ -51,15 +55,17 @@ def gather_facts(
     dark_e_s: float,
     read_noise_e: float,
     gain_e_per_dn: float,
+    table: Sampled | None = None,
 ) -> Facts:
-    """Facts from the scene, its response curve and the typical values of its sensor maps."""
+    """Facts from the scene, its response curve and the typical values of its sensor maps.
+
+    table : the point-spread function that the scene names as a table, read
+    """
     s, t = scene.sensor, scene.exposure.integration_s
     pitch = s.pixel_pitch_um * 1e-6
-    area = collecting_area_m2(s.aperture_m, s.obscuration)
     wavelength = mean_wavelength_m(response)
-    blur = Blur(
-        optics_of(scene, wavelength), s.psf.jitter_px, s.psf.charge_diffusion_px, s.fill_factor
-    )
+    blur, band = blur_of(scene, response, wavelength, table)
+    area = collecting_area_m2(s.aperture_m, s.obscuration) * open_fraction(blur.optics, band)
     sky = background_rate_e_s(scene, response, area, pitch)
     dark = dark_e_s * t
     sigma = math.sqrt(sky * t + dark + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
@@ -68,6 +74,7 @@ def gather_facts(
         ifov_rad=pitch / s.focal_length_m,
         mean_wavelength_m=wavelength,
         blur=blur,
+        band=band,
         background_e_s=sky,
         background_e=sky * t,
         dark_e=dark,
@@ -82,17 +89,6 @@ def mean_wavelength_m(response: ResponseCurve) -> float:
     w, v = response.wavelength_m, response.value
     total = float(np.trapezoid(v, w))
     return float(np.trapezoid(v * w, w)) / total if total > 0 else float(0.5 * (w[0] + w[-1]))
-
-
-def optics_of(scene: Scene, wavelength_m: float) -> Optics:
-    """The optics' blur: diffraction scale Q = lambda F / (D pitch), or the Gaussian as given."""
-    s = scene.sensor
-    if isinstance(s.psf, AiryPsf):
-        if s.psf.wavelength_nm is not None:
-            wavelength_m = s.psf.wavelength_nm * 1e-9
-        q = wavelength_m * s.focal_length_m / (s.aperture_m * s.pixel_pitch_um * 1e-6)
-        return Airy(q, s.obscuration)
-    return Gaussian(s.psf.sigma_px)
 
 
 def background_rate_e_s(

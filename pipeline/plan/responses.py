@@ -17,6 +17,7 @@ from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core, oversampling_for
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import star_path
+from pipeline.plan.optics import missing_light
 from pipeline.spec.scene import CELL_PX, Scene
 
 PATH_STEP_PX = 2.0**-7  # streaks of stars are rounded to it, so that alike ones share their tables
@@ -82,25 +83,22 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
         radius = _radius_holding(blur, 1e-8)
         size = _table_phases(phases, radius, path)
         one = CoreClass(radius, math.inf, 0.0, size)
-        return ResponsePlan(
-            blur, (one,), 0, radius, blur.light_beyond(radius), zones, spread, facts.budget_e
-        )
+        return ResponsePlan(blur, (one,), 0, radius, _lost(blur, radius), zones, spread,
+                            facts.budget_e)  # fmt: skip
     q = blur.optics.scale_px
     if not SMALLEST_Q <= q <= LARGEST_Q:
         raise BadInput(
             "sensor.psf",
-            f"airy with Q = lambda F / (D pitch) = {q:.3g} px",
-            f"Q from {SMALLEST_Q} to {LARGEST_Q} px: another pitch, focal length or wavelength, or "
-            "a gaussian",
+            f"{scene.sensor.psf.kind} of a scale (Q = lambda F / (D pitch), or FWHM) of {q:.3g} px",
+            f"{SMALLEST_Q} to {LARGEST_Q} px: another pitch, focal length or wavelength, or a "
+            "gaussian",
         )
-    spread_px = math.hypot(blur.jitter_px, blur.diffusion_px)
-    # Where the wings of different optics are alike against their peak, beyond the blur's own core.
-    first = 12.0 * max(q, min(1.0, q) ** (1.0 / 3.0), 0.5) + 4.0 * spread_px
+    first = blur.core_px
     spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
     reach = max(_radius_holding(blur, scene.accuracy.flux_fraction) / CUT_FROM, 2.0 * first)
     classes = _classes(blur, first, spacing, path, phases, facts.budget_e)
     return ResponsePlan(
-        blur, classes, spacing, reach, blur.light_beyond(CUT_FROM * reach), zones, spread,
+        blur, classes, spacing, reach, _lost(blur, CUT_FROM * reach), zones, spread,
         facts.budget_e,
     )  # fmt: skip
 
@@ -108,10 +106,7 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
 def _classes(
     blur: Blur, first: float, spacing: int, path: Path, phases: int, budget_e: float
 ) -> tuple[CoreClass, ...]:
-    """Cores of doubling radius; the wing's error is measured for two and falls by 4 or more after.
-
-    (Measured: 5 to 8 for each doubling, for Q of 0.5 to 4; tests/physics/drawing checks it.)
-    """
+    """Cores of doubling radius; the wing's error is measured for two and falls as told after."""
     largest = LARGEST_CORE_SAMPLES / oversampling_for(blur)
     piece = max((p for _, _, p, _ in pieces(path)), key=lambda p: p.length_px)
     out: list[CoreClass] = []
@@ -120,7 +115,7 @@ def _classes(
         if k < 2:
             error = _measured_wing_error(blur, radius, spacing, piece)
         else:
-            error = out[-1].wing_error / 4.0
+            error = out[-1].wing_error / blur.optics.wing_fall(0.5 * radius)
         last = k == MOST_CLASSES - 1 or 2.0 * radius > largest
         brightest = math.inf if last else budget_e / error
         out.append(CoreClass(radius, brightest, error, _table_phases(phases, radius, path)))
@@ -152,6 +147,11 @@ def _table_phases(phases: int, radius_px: float, path: Path) -> int:
     while phases >= 16 and 4.0 * pixels * (phases + 3) ** 2 > TABLE_BYTES:
         phases //= 2
     return phases if 4.0 * pixels * (phases + 3) ** 2 <= TABLE_BYTES else 0
+
+
+def _lost(blur: Blur, radius_px: float) -> float:
+    """Share of a source's light beyond a radius, or outside of its optics' table altogether."""
+    return min(1.0, blur.light_beyond(radius_px) + missing_light(blur.optics))
 
 
 def _radius_holding(blur: Blur, beyond: float) -> float:

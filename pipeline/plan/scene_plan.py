@@ -17,6 +17,7 @@ from pipeline.physics.positions.focal_plane import Camera, corner_radius
 from pipeline.plan.decisions import Decision, decide
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, excursions_px
+from pipeline.plan.optics import describe
 from pipeline.plan.responses import ResponsePlan, plan_responses
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
@@ -147,7 +148,7 @@ def plan_dict(
         "field_deg": [n * math.degrees(f.ifov_rad) for n in plan.scene.sensor.shape],
         "ifov_arcsec": f.ifov_rad / ARCSEC_RAD,
         "response": {
-            "optics": asdict(r.blur.optics) | {"kind": type(r.blur.optics).__name__.lower()},
+            "optics": describe(r.blur.optics),
             "core_classes": [_finite(asdict(c)) for c in r.classes],
             "wing_grid_px": r.spacing_px,
             "reach_px": r.reach_px,

@@ -169,6 +169,7 @@ PATH_FIELDS = (
     ("sensor", "dark_e_per_s"),
     ("sensor", "read_noise_e"),
     ("sensor", "bandpass", "path"),
+    ("sensor", "psf", "path"),
 )
 
 

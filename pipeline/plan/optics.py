@@ -1,0 +1,133 @@
+"""The optics that a scene asks for: one of the kinds of point-spread function, over its band."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+from pipeline.physics.psf.aperture import Pupil, Vanes
+from pipeline.physics.psf.band import BandOptics, Chromatic, choose_wavelengths
+from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian, Optics
+from pipeline.physics.psf.sampled import Sampled
+from pipeline.physics.psf.seeing import Kolmogorov, Moffat, r0_at, r0_m
+from pipeline.physics.psf.zernike import defocus_rms
+from pipeline.physics.radiometry import ResponseCurve
+from pipeline.spec.scene import Scene
+from pipeline.spec.sensor import AiryPsf, GaussianPsf, KolmogorovPsf, MoffatPsf, Sensor, TablePsf
+
+ARCSEC_RAD = math.radians(1.0 / 3600.0)
+
+
+def blur_of(
+    scene: Scene, response: ResponseCurve, mean_m: float, table: Sampled | None
+) -> tuple[Blur, BandOptics | None]:
+    """All that blurs a star, and how its band was resolved (None where nothing depends on it).
+
+    table : the scene's own table of light, where it names one
+    """
+    s = scene.sensor
+    psf = s.psf
+    rest = Blur(
+        Gaussian(1.0), psf.jitter_px, psf.diffusion_px(s.pixel_pitch_um), s.fill_factor,
+        isinstance(psf, TablePsf) and psf.includes_pixel,
+    )  # fmt: skip
+    if isinstance(psf, AiryPsf | KolmogorovPsf):
+        band = _band(scene, rest, response, mean_m)
+        return _with(rest, band.optics), band
+    return _with(rest, _fixed(s, table)), None
+
+
+def _with(rest: Blur, optics: Optics) -> Blur:
+    return Blur(optics, rest.jitter_px, rest.diffusion_px, rest.fill_factor, rest.pixel_in_optics)
+
+
+def _fixed(s: Sensor, table: Sampled | None) -> Optics:
+    """Optics whose size does not follow the wavelength."""
+    psf = s.psf
+    if isinstance(psf, GaussianPsf):
+        if psf.sigma_minor_px is None:
+            return Gaussian(psf.sigma_px)
+        angle = math.radians(psf.angle_deg)
+        return EllipticalGaussian(psf.sigma_px, psf.sigma_minor_px, angle)
+    if isinstance(psf, MoffatPsf):
+        if psf.fwhm_px is not None:
+            return Moffat(psf.fwhm_px, psf.beta)
+        assert psf.fwhm_arcsec is not None
+        ifov = s.pixel_pitch_um * 1e-6 / s.focal_length_m
+        return Moffat(psf.fwhm_arcsec * ARCSEC_RAD / ifov, psf.beta)
+    assert table is not None
+    return table
+
+
+def _band(scene: Scene, rest: Blur, response: ResponseCurve, mean_m: float) -> BandOptics:
+    """Optics of one wavelength where one is asked for, else as many as the accuracy asks for."""
+    s = scene.sensor
+    psf = s.psf
+    assert isinstance(psf, AiryPsf | KolmogorovPsf)
+    wave_m = mean_m if psf.wavelength_nm is None else psf.wavelength_nm * 1e-9
+
+    def make(wavelength_m: float) -> Chromatic:
+        return _chromatic(s, wavelength_m, wave_m)
+
+    if psf.wavelength_nm is not None or psf.wavelengths == 1:
+        return BandOptics(make(wave_m), (wave_m,), (1.0,), 0.0, 0.0)
+    curve = (response.wavelength_m, response.value)
+    chosen = choose_wavelengths(make, rest, *curve, scene.accuracy.flux_fraction, psf.wavelengths)
+    if len(chosen.wavelengths_m) == 1:  # the mean, to the last bit
+        return BandOptics(make(mean_m), (mean_m,), (1.0,), chosen.error, chosen.error_of_one)
+    return chosen
+
+
+def _chromatic(s: Sensor, wavelength_m: float, wave_m: float) -> Chromatic:
+    """Optics at a wavelength; `wave_m` is the wave that aberrations in waves are counted in."""
+    psf, pitch = s.psf, s.pixel_pitch_um * 1e-6
+    q = wavelength_m * s.focal_length_m / (s.aperture_m * pitch)
+    if isinstance(psf, KolmogorovPsf):
+        reference = psf.reference_nm * 1e-9
+        if psf.r0_m is not None:
+            r0 = psf.r0_m
+        else:
+            assert psf.fwhm_arcsec is not None
+            r0 = r0_m(psf.fwhm_arcsec * ARCSEC_RAD, reference)
+        scale = wavelength_m / r0_at(r0, reference, wavelength_m) * s.focal_length_m / pitch
+        return Kolmogorov(scale, Airy(q, s.obscuration) if psf.diffraction else None)
+    assert isinstance(psf, AiryPsf)
+    terms: dict[int, float] = {}
+    for a in psf.aberrations:
+        rms = a.rms_nm * 1e-9 if a.rms_nm is not None else (a.rms_waves or 0.0) * wave_m
+        terms[a.noll] = rms / wavelength_m
+    if psf.defocus_um:
+        rms = defocus_rms(psf.defocus_um * 1e-6, s.focal_length_m / s.aperture_m)
+        terms[4] = terms.get(4, 0.0) + rms / wavelength_m
+    if psf.vanes is None and not terms:
+        return Airy(q, s.obscuration)
+    v = psf.vanes
+    vanes = None
+    if v is not None:
+        vanes = Vanes(v.count, v.width_m / s.aperture_m, math.radians(v.angle_deg))
+    return Pupil(q, s.obscuration, vanes, tuple(sorted(terms.items())))
+
+
+def open_fraction(optics: Optics, band: BandOptics | None) -> float:
+    """Share of the annular aperture that vanes leave open."""
+    parts = getattr(optics, "parts", (optics,)) if band else ()
+    return min((p.open_fraction for p in parts if isinstance(p, Pupil)), default=1.0)
+
+
+def missing_light(optics: Optics) -> float:
+    """Share of a source's light that the optics do not hold at all (outside of a table)."""
+    return 1.0 - optics.light if isinstance(optics, Sampled) else 0.0
+
+
+def describe(optics: Optics) -> dict[str, Any]:
+    """The optics as plain values, for the plan."""
+    if isinstance(optics, Sampled):
+        band = optics.band
+        return {
+            "kind": "table", "shape": list(optics.samples.shape), "light": optics.light,
+            "spacing_px": optics.spacing_px, "centre": list(optics.centre),
+            "digest": optics.digest, "band_cycles_px": band.limit, "left_out": band.left_out,
+            "at_highest_frequency": band.nyquist,
+        }  # fmt: skip
+    return asdict(optics) | {"kind": type(optics).__name__.lower()}
