@@ -75,7 +75,8 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> list[tuple[str, Any
     """FITS cards of a frame: provenance, times, and two WCS.
 
     The primary WCS is astrometric ICRS (where the catalogue's stars are drawn); the alternate
-    `A` gives apparent directions, which are exactly TAN about the boresight.
+    `A` gives apparent directions, which are exactly TAN about the boresight. A product of a
+    distorted camera has the primary one alone: SIP terms cannot be given twice.
     """
     one = cube.isel(frame=frame)
     stamps = {k: _iso(one[f"time_{k}"].values) for k in ("start", "mid", "end")}
@@ -95,7 +96,8 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> list[tuple[str, Any
         ("EXPTIME", float(cube.attrs["integration_s"]), "[s] integration time"),
         ("SYNTHSTR", bool(cube.attrs["synthetic_stars"]), "stars are synthetic, none is real"),
     ]
-    return cards + _astrometric_cards(one) + _apparent_cards(one)
+    apparent = [] if cube.attrs.get("distorted") else _apparent_cards(one)
+    return cards + _astrometric_cards(one) + apparent
 
 
 def _iso(stamp: Any) -> str:

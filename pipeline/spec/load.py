@@ -170,6 +170,7 @@ PATH_FIELDS = (
     ("sensor", "read_noise_e"),
     ("sensor", "bandpass", "path"),
     ("sensor", "psf", "path"),
+    ("sensor", "distortion", "path"),
 )
 
 

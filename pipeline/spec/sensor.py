@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from pipeline.spec.distortion import Distortion
 from pipeline.spec.strict import Fraction, Positive, Strict
 
 ImagePath = Annotated[str, Field(min_length=1, max_length=1024)]
@@ -250,6 +251,7 @@ class Sensor(Strict):
     transmission: Fraction | ImagePath = 1.0
     quantum_efficiency: Fraction | ImagePath = 1.0
     psf: Psf
+    distortion: Distortion | None = None
     full_well_e: Annotated[float, Field(gt=0, le=1e18)] | None = None
     gain_e_per_dn: Annotated[float, Field(ge=1e-9, le=1e12)] | ImagePath = 1.0
     adc_bits: int = Field(16, ge=1, le=63)

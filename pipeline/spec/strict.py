@@ -11,7 +11,6 @@ from pydantic_core import PydanticCustomError
 # Keys of the scene format that this version does not render yet, and what it says of them.
 NOT_YET = {
     "cosmic_rays": "cosmic rays are not in this version",
-    "distortion": "optical distortion is not in this version",
     "pst": "stray light by a point-source transmittance is not in this version",
     "zodiacal": "zodiacal light is not in this version; use a uniform background",
     "galactic": "galactic light is not in this version; use a uniform background",

@@ -4,33 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.physics.vectors import from_angles, to_angles, unit
 
+if TYPE_CHECKING:
+    from pipeline.physics.positions.distortion import Distortion
+
 Array = NDArray[np.float64]
 
 _WANTED_RESIDUAL_PX = 1e-5
 _SIP_ORDERS = (2, 3, 4)
+_SIP_ORDERS_DISTORTED = tuple(range(2, 10))
+_EDGE_POINTS = 129  # of each side of the frame, where extremes of a distorted camera are looked for
 
 
 @dataclass(frozen=True)
 class Camera:
-    """An undistorted (gnomonic) camera.
+    """A gnomonic camera, undistorted unless it has a `distortion`.
 
     Pixel (0, 0) is the centre of the first pixel; the boresight meets the focal plane at
     x = (columns - 1)/2, y = (rows - 1)/2. An attitude is a (3, 3) matrix whose rows are the
     camera's +x (columns), +y (rows) and boresight axes in ICRS. At roll 0 +y points north and +x
     WEST, so that the picture shows the sky as seen from inside (east left): the three axes are
-    left-handed and the determinant is -1.
+    left-handed and the determinant is -1. The distortion leaves the boresight where it is.
     """
 
     rows: int
     columns: int
     pixel_pitch_m: float
     focal_length_m: float
+    distortion: Distortion | None = None
 
     @property
     def centre_px(self) -> tuple[float, float]:
@@ -39,27 +46,74 @@ class Camera:
 
 
 def ifov_rad(camera: Camera) -> float:
-    """Side of the central pixel on the sky [rad]; also the tangent of one pixel."""
+    """Side of an undistorted central pixel on the sky [rad]; also the tangent of one pixel."""
     return camera.pixel_pitch_m / camera.focal_length_m
 
 
 def corner_radius(camera: Camera) -> float:
-    """Angle from the boresight to the outer corner of the focal plane [rad]."""
+    """Angle from the boresight to the outer corner of the focal plane [rad].
+
+    With a distortion: to the farthest place of its edge, and up to half an edge's step farther.
+    """
     half_diagonal_px = 0.5 * np.hypot(camera.rows, camera.columns)
+    if camera.distortion is not None:
+        from pipeline.physics.positions.distortion import to_plane
+
+        u, v = _edge(camera)
+        far_u, far_v = to_plane(camera.distortion, u, v)
+        step = np.hypot(np.diff(far_u), np.diff(far_v)).max()
+        half_diagonal_px = np.hypot(far_u, far_v).max() + 0.5 * step
     return float(np.arctan(half_diagonal_px * ifov_rad(camera)))
+
+
+def stretch(camera: Camera) -> float:
+    """Most by which the distortion changes a length, either way and off the frame too; else 1.
+
+    A place n px from another lies within n * stretch * ifov_rad of it on the sky; n undistorted
+    pixels are at most n * stretch pixels of the detector.
+    """
+    if camera.distortion is None:
+        return 1.0
+    from pipeline.physics.positions.distortion import largest_stretch
+
+    return largest_stretch(camera.distortion)
+
+
+def area_ratio_range(camera: Camera) -> tuple[float, float]:
+    """Least and largest solid angle of a pixel over `ifov_rad`^2, within the frame.
+
+    cos^3 of the angle off axis times the determinant of the distortion's map to the tangent plane;
+    (cos^3 of the corner, 1) where there is none. Looked at on a grid of 129 x 129 places.
+    """
+    if camera.distortion is None:
+        return float(np.cos(corner_radius(camera)) ** 3), 1.0
+    from pipeline.physics.positions.distortion import scale_matrices, to_plane
+
+    nodes = np.linspace(-0.5, 0.5, _EDGE_POINTS)
+    u, v = (g.ravel() for g in np.meshgrid(nodes * camera.columns, nodes * camera.rows))
+    plane_u, plane_v = to_plane(camera.distortion, u, v)
+    tangent = np.hypot(plane_u, plane_v) * ifov_rad(camera)
+    ratio = np.linalg.det(scale_matrices(camera.distortion, u, v)) / (1.0 + tangent**2) ** 1.5
+    return float(ratio.min()), float(ratio.max())
 
 
 def project(camera: Camera, attitude: Array, u: Array) -> tuple[Array, Array]:
     """Pixel coordinates x, y (n,) of directions u (n, 3); NaN behind the camera.
 
-    x = x0 + (u.x)/(u.b)/ifov: gnomonic (TAN; Calabretta & Greisen 2002, section 5.1.3). Written
-    without matrix products, so that a star's pixel does not depend on its neighbours in the array.
+    x = x0 + (u.x)/(u.b)/ifov: gnomonic (TAN; Calabretta & Greisen 2002, section 5.1.3), then moved
+    by the distortion. Written without matrix products, so that a star's pixel does not depend on
+    its neighbours in the array.
     """
     a, u = np.asarray(attitude, float), np.asarray(u, float)
     cx, cy, cz = (u[..., 0] * r[0] + u[..., 1] * r[1] + u[..., 2] * r[2] for r in a)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(cz > 0.0, 1.0 / (cz * ifov_rad(camera)), np.nan)
         x0, y0 = camera.centre_px
+        if camera.distortion is not None:
+            from pipeline.physics.positions.distortion import to_detector
+
+            du, dv = to_detector(camera.distortion, cx * scale, cy * scale)
+            return x0 + du, y0 + dv
         return x0 + cx * scale, y0 + cy * scale
 
 
@@ -67,8 +121,12 @@ def deproject(camera: Camera, attitude: Array, x_px: Array, y_px: Array) -> Arra
     """Unit vectors (n, 3) of pixel coordinates x, y (n,): the inverse of `project`."""
     a, step = np.asarray(attitude, float), ifov_rad(camera)
     x0, y0 = camera.centre_px
-    tx = (np.asarray(x_px, float) - x0)[..., None] * step
-    ty = (np.asarray(y_px, float) - y0)[..., None] * step
+    du, dv = np.asarray(x_px, float) - x0, np.asarray(y_px, float) - y0
+    if camera.distortion is not None:
+        from pipeline.physics.positions.distortion import to_plane
+
+        du, dv = to_plane(camera.distortion, du, dv)
+    tx, ty = du[..., None] * step, dv[..., None] * step
     return unit(a[2] + tx * a[0] + ty * a[1])
 
 
@@ -100,7 +158,7 @@ def fit_wcs(camera: Camera, to_world: Callable[[Array, Array], Array]) -> WcsFit
 
     The SIP polynomials (Shupe et al. 2005, ADASS XIV) take up what is no linear map of the tangent
     plane: differential aberration (7 arcsec over 20 degrees), refraction, distortion. Orders 2 to 4
-    are tried, and the lowest that meets the bound is taken.
+    (to 9 for a camera with a distortion) are tried, and the lowest that meets the bound is taken.
     """
     x0, y0 = camera.centre_px
     centre = to_world(np.array([x0]), np.array([y0]))[0]
@@ -111,7 +169,8 @@ def fit_wcs(camera: Camera, to_world: Callable[[Array, Array], Array]) -> WcsFit
     check_u, check_v = _grid(camera, 16, 0.02)
     check_world = plane.project(to_world(x0 + check_u, y0 + check_v))
     fit = None
-    for order in (1, *_SIP_ORDERS):
+    orders = _SIP_ORDERS if camera.distortion is None else _SIP_ORDERS_DISTORTED
+    for order in (1, *orders):
         cd, a, b = _fit_polynomial(u, v, world, order)
         inverse = np.linalg.inv(cd)
         focal = check_world @ inverse.T
@@ -150,8 +209,11 @@ def wcs_header(fit: WcsFit) -> dict[str, str | int | float]:
 def apparent_wcs_header(camera: Camera, attitude: Array) -> dict[str, str | int | float]:
     """FITS keywords of the exact TAN map in proper (aberrated) directions on ICRS axes.
 
-    Keywords without suffix; as an alternate WCS the exporter appends its letter.
+    Keywords without suffix; as an alternate WCS the exporter appends its letter. A distorted camera
+    has none (ValueError): FITS has one set of SIP terms, which are those of the primary WCS.
     """
+    if camera.distortion is not None:
+        raise ValueError("the apparent WCS of a distorted camera is no TAN")
     a = np.asarray(attitude, float)
     lon, lat = to_angles(a[2])
     plane = _TangentPlane(float(lon), float(lat))
@@ -188,6 +250,15 @@ class _TangentPlane:
         """Tangent-plane coordinates (n, 2) east, north [rad] of directions (n, 3)."""
         centre = from_angles(np.array(self.lon_rad), np.array(self.lat_rad))
         return np.stack([u @ self.east, u @ self.north], axis=-1) / (u @ centre)[:, None]
+
+
+def _edge(camera: Camera) -> tuple[Array, Array]:
+    """Offsets u, v (n,) from the centre all around the outer edge of the frame, in order."""
+    along = np.linspace(-0.5, 0.5, _EDGE_POINTS)
+    one = np.full(_EDGE_POINTS, 0.5)
+    u = np.concatenate([along, one, -along, -one]) * camera.columns
+    v = np.concatenate([-one, along, one, -along]) * camera.rows
+    return u, v
 
 
 def _grid(camera: Camera, side: int, shift: float) -> tuple[Array, Array]:
