@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.arrays import FrameStars, concatenate
+from pipeline.execute.check import summary
 from pipeline.execute.truth import star_truth, target_truth, world_of
 from pipeline.export.picture import write_preview
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
@@ -20,6 +21,7 @@ from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
 from pipeline.store.clock import UNITS, utc_microseconds
 from pipeline.store.cube import finish_cube
+from pipeline.store.markers import markers_present, read_marker
 from pipeline.store.product import Begun, content_digest, seal, truth_kinds
 from pipeline.store.truth import drop_parts, join_parts
 
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 SIP_SIZE = 5  # SIP polynomials up to order 4
+SIP_SIZE_DISTORTED = 10  # and up to order 9
 WINDOW = 256
 LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
 Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
@@ -49,7 +52,7 @@ def finish(
     write_preview(product, plan)
     residual = float(coordinates["wcs_residual_px"][1].max())
     report = _report(plan, catalogues, begun, rows, residual)
-    report["errors"] |= _brightest(plan, begun)
+    report["errors"] |= _brightest(plan, begun) | _achieved(begun)
     report["seconds"] = times | {"finish_s": time.perf_counter() - started}
     layout.write_atomically(product / layout.REPORT, layout.to_json(report))
     drop_parts(product)
@@ -111,6 +114,7 @@ FRAME_COLUMNS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
 def _frame_columns(plan: Plan, frames: np.ndarray) -> dict[str, np.ndarray]:
     g = plan_geometry(plan.scene, frames, plan.dut1_s)
     fits = [fit_wcs(plan.camera, world_of(plan, g, i)) for i in range(len(frames))]
+    size = SIP_SIZE if plan.camera.distortion is None else SIP_SIZE_DISTORTED
     times = {
         name: utc_microseconds(g.utc1[:, k], g.utc2[:, k])
         for name, k in (("time_start", 0), ("time_mid", g.middle), ("time_end", -1))
@@ -120,16 +124,16 @@ def _frame_columns(plan: Plan, frames: np.ndarray) -> dict[str, np.ndarray]:
         "wcs_crpix_px": np.array([f.crpix for f in fits]),
         "wcs_cd_deg": np.array([f.cd_deg for f in fits]),
         "wcs_sip_order": np.array([f.sip_order for f in fits], np.int16),
-        "wcs_sip_a": np.array([_padded(f, f.sip_a) for f in fits]),
-        "wcs_sip_b": np.array([_padded(f, f.sip_b) for f in fits]),
+        "wcs_sip_a": np.array([_padded(f, f.sip_a, size) for f in fits]),
+        "wcs_sip_b": np.array([_padded(f, f.sip_b, size) for f in fits]),
         "wcs_residual_px": np.array([f.residual_px for f in fits]),
         "attitude": g.attitude[:, g.middle],
     }
 
 
-def _padded(fit: WcsFit, table: np.ndarray) -> np.ndarray:
+def _padded(fit: WcsFit, table: np.ndarray, size: int) -> np.ndarray:
     """SIP coefficients in a table of fixed size; zero for plain TAN."""
-    out = np.zeros((SIP_SIZE, SIP_SIZE))
+    out = np.zeros((size, size))
     if fit.sip_order:
         out[: table.shape[0], : table.shape[1]] = table
     return out
@@ -155,7 +159,7 @@ def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
         "catalogue_digest": main.get("digest"),
         "synthetic_stars": any(c["synthetic"] for c in catalogues),
         "pixel_convention": "pixel (0, 0) is the centre of the first pixel; axes (y, x)",
-    } | (over if layers else {})
+    } | (over if layers else {}) | ({"distorted": True} if plan.camera.distortion else {})
 
 
 def _report(
@@ -185,7 +189,7 @@ def _report(
             "bound_of_all_approximations_sigma": sum(d.error_bound_sigma or 0.0 for d in bounds),
             "asked_sigma": plan.scene.accuracy.noise_fraction,
             "light_left_out": plan.responses.lost_light,
-            "common_streak_px": plan.responses.spread_px,
+            "common_streak_px": plan.responses.streaks.spread_px,
         },
         "remarks": list(plan.remarks),
         "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
@@ -210,6 +214,13 @@ def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
     classes = plan.responses.classes
     error = next((c.wing_error for c in classes if light <= c.brightest_e), 0.0)
     return {"brightest_source_e": light, "wing_error_of_brightest_e": light * error}
+
+
+def _achieved(begun: Begun) -> dict[str, Any]:
+    """What the reference path found in the cells that were drawn again."""
+    records = [c for path in markers_present(begun.path) for c in read_marker(path).checks]
+    records.sort(key=lambda c: (c["frame"], c["y0"], c["x0"]))
+    return summary(records) | {"checked": records}
 
 
 def _empty(plan: Plan, kind: str) -> pa.Table:

@@ -25,6 +25,7 @@ from pipeline.inputs.catalogues import (
 )
 from pipeline.inputs.colour_fit import gather_colour_fit
 from pipeline.inputs.curves import resolve_response, solar_spectrum
+from pipeline.inputs.distortion import gather_distortion
 from pipeline.inputs.earth_orientation import gather_dut1_s
 from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.psf_tables import gather_psf_table
@@ -95,6 +96,7 @@ def prepare(scene: Scene) -> Prepared:
     bright ones around them.
     """
     started = time.perf_counter()
+    scene = gather_distortion(scene)
     catalogues = open_catalogues(scene.stars.catalogues) if scene.stars is not None else ()
     maps = gather_sensor_maps(scene)
     response, band, digest = gather_response(scene)

@@ -1,4 +1,4 @@
-"""The Dask graph: shard, place, wing, tile and truth tasks of a window of frames."""
+"""The Dask graph: shard, place, block, tile and truth tasks of a window of frames."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import FrameStars, Geometry, SensorMaps, StarTable, concatenate
-from pipeline.execute.light import Wings, plan_blocks, render_wings
+from pipeline.execute.blocks import Block, plan_blocks, render_block
 from pipeline.execute.sources import excursion_px, place_stars, truth_order
 from pipeline.execute.tile import render_tile
 from pipeline.execute.truth import star_truth, target_truth
 from pipeline.inputs.stars import Catalogue, Leaf, Shard, gather_leaf, leaf_pad_rad
-from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.positions.focal_plane import deproject, stretch
 from pipeline.physics.vectors import separation
 from pipeline.plan.geometry import epochs_jyear, observer_distances_au
 from pipeline.plan.scene_plan import Plan, catalogue_cones
@@ -57,6 +57,11 @@ def shard_key(shard: Shard) -> Key:
     return "shard", shard.catalogue, leaf.order, leaf.pixel, groups
 
 
+def rows_wanted(shard: Shard) -> int:
+    """Rows that are read of a shard: no more stars come from it."""
+    return sum(group.rows for group in shard.leaf.row_groups)
+
+
 def shard_graph(inputs: Any, shards: Iterable[Shard]) -> dict[Key, Any]:
     """One task per shard: its bright enough rows, with their light."""
     return {shard_key(shard): (read_shard, inputs, shard) for shard in shards}
@@ -73,12 +78,12 @@ def window_graph(
 
     inputs : the Inputs, or a future of them; shards : each shard's stars, or a future of them;
     ref_epochs_jyear : of the catalogues.
-    A tile depends on the shards whose stars can reach it and on the wings of its blocks, a block
+    A tile depends on the shards whose stars can reach it and on its blocks, a block
     on the shards around it; nothing that no tile asks for gets a task.
     """
     graph: dict[Key, Any] = {}
     wanted: list[Key] = []
-    blocks = plan_blocks(plan)
+    blocks = plan_blocks(plan, sum(rows_wanted(shard) for shard in shards))
     needed = {index for index, _ in work.tiles} | set(work.star_truth)
     views = {
         index: _view(plan, work.geometry.frame_slice(index), shards, ref_epochs_jyear)
@@ -88,16 +93,16 @@ def window_graph(
         view = views[index]
         frame = int(view.g.frame[0])
         parts = _places(graph, inputs, plan, view, tile)
-        wings = []
+        around = []
         for block in blocks:
             if _overlap(tile, block):
-                key = ("wings", frame, block.row, block.column)
+                key = ("block", frame, block.row, block.column)
                 if key not in graph:
-                    around = _places(graph, inputs, plan, view, block)
-                    graph[key] = (wing_task, inputs, view.g, block, around)
-                wings.append(key)
+                    near = _places(graph, inputs, plan, view, block)
+                    graph[key] = (block_task, inputs, view.g, block, near)
+                around.append(key)
         name = ("tile", frame, tile.row, tile.column)
-        graph[name] = (tile_task, inputs, view.g, tile, parts, wings)
+        graph[name] = (tile_task, inputs, view.g, tile, parts, around)
         wanted.append(name)
     for index in work.star_truth:
         view = views[index]
@@ -155,7 +160,9 @@ def _tile_cone(plan: Plan, view: _View, tile: Tile) -> tuple[np.ndarray, float]:
     x, y = tile.x0 + (tile.columns - 1) / 2, tile.y0 + (tile.rows - 1) / 2
     centre = deproject(plan.camera, g.attitude[0, g.middle], np.array([x]), np.array([y]))
     half_px = 0.5 * float(np.hypot(tile.rows, tile.columns)) + view.reach_px
-    centres, radii = catalogue_cones(plan, g, centre, half_px * plan.facts.ifov_rad)
+    centres, radii = catalogue_cones(
+        plan, g, centre, half_px * stretch(plan.camera) * plan.facts.ifov_rad
+    )
     return centres[0], float(radii[0])
 
 
@@ -187,17 +194,17 @@ def place_task(inputs: Inputs, stars: StarTable, g: Geometry, catalogue: int) ->
     return place_stars(inputs.plan, stars, g, epoch, catalogue)
 
 
-def wing_task(inputs: Inputs, g: Geometry, block: Tile, parts: list[FrameStars]) -> Wings:
-    """Task: the wings of one block of one frame."""
-    return render_wings(inputs.plan, g, block, parts)
+def block_task(inputs: Inputs, g: Geometry, place: Tile, parts: list[FrameStars]) -> Block:
+    """Task: what one block of one frame gives to its tiles."""
+    return render_block(inputs.plan, g, place, parts)
 
 
 def tile_task(
-    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], wings: list[Wings]
+    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
 ) -> tuple[int, int, int]:
     """Task: render one tile of one frame and store it; returns only its name."""
-    layers = render_tile(inputs.plan, inputs.maps, g, tile, parts, wings)
-    inputs.writer.write(int(g.frame[0]), tile, layers)
+    layers, checks = render_tile(inputs.plan, inputs.maps, g, tile, parts, blocks)
+    inputs.writer.write(int(g.frame[0]), tile, layers, checks)
     return int(g.frame[0]), tile.row, tile.column
 
 

@@ -12,8 +12,8 @@ from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.geometry import excursions_px
-from pipeline.plan.responses import MERGE_TOLERANCE_PX, Streak, zone_streak
 from pipeline.plan.scene_plan import Plan
+from pipeline.plan.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
 
 STRIP_PX = 64.0  # stars are drawn in strips of rows, so that a stamp's pixels stay in the cache
 
@@ -92,18 +92,18 @@ def distance_px(x_px: Array, y_px: Array, y0: int, x0: int, rows: int, columns: 
 
 def streaks(plan: Plan, g: Geometry) -> list[Streak]:
     """The common streak of each zone, row by row."""
-    zones = plan.responses.zones
+    streaks = plan.responses.streaks
     aberration = plan.scene.star_effects["aberration"]
     return [
-        zone_streak(plan.camera, g, 0, row, column, zones, aberration)
-        for row in range(zones)
-        for column in range(zones)
+        zone_streak(plan.camera, g, row, column, streaks, aberration)
+        for row in range(streaks.zones)
+        for column in range(streaks.zones)
     ]
 
 
 def zone_of(plan: Plan, x_px: Array, y_px: Array) -> np.ndarray:
     """Zone number (n,) of places; those off the frame belong to the nearest zone."""
-    zones = plan.responses.zones
+    zones = plan.responses.streaks.zones
     row = np.clip(np.floor((y_px + 0.5) * zones / plan.camera.rows), 0, zones - 1)
     column = np.clip(np.floor((x_px + 0.5) * zones / plan.camera.columns), 0, zones - 1)
     return (row * zones + column).astype(np.int64)

@@ -5,10 +5,15 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from pipeline.errors import BadInput
+from pipeline.physics.drawing.spectral import transfer_table
+from pipeline.physics.drawing.spectral_band import peak_light
+from pipeline.physics.drawing.spectral_plan import SpectralPlan, plan_spectral
 from pipeline.physics.drawing.wings import WingGrid, grid_frequencies, wing_kernel
 from pipeline.physics.motion.streak import Path, transfer
 from pipeline.physics.psf.pupil import Blur
@@ -23,6 +28,8 @@ from pipeline.physics.psf.response import (
 )
 
 KEPT_BYTES = 192e6
+SPECTRAL_ERROR = 1e-5  # of the peak of a source, in any pixel
+ALIKE_PX = 8.0
 
 
 class ContentCache:
@@ -103,6 +110,39 @@ def kernel_of(blur: Blur, radius_px: float, grid: WingGrid, reach_px: float) -> 
     return _CACHE.get(
         key, lambda: wing_kernel(blur, core_of(blur, radius_px), grid, reach_px), lambda k: k.nbytes
     )
+
+
+def spectral_of(
+    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int]
+) -> tuple[SpectralPlan, np.ndarray] | None:
+    """Plan and transfer table of the spectral engine for a block; None where it cannot serve.
+
+    Streaks that are alike share them: a straight one is planned for lengths rounded down, which
+    errs more, with the reach of lengths rounded up.
+    """
+    path, spare_px = _alike(path)
+
+    def make() -> tuple[SpectralPlan, np.ndarray] | None:
+        core = core_of(blur, radius_px)
+        wider = replace(core, radius_px=radius_px + spare_px)
+        try:
+            plan = plan_spectral(shape, wider, path, SPECTRAL_ERROR * peak_light(core, path))
+        except BadInput:
+            return None
+        return plan, transfer_table(core, plan)
+
+    key = ("spectral", blur, radius_px, path, shape)
+    return _CACHE.get(key, make, lambda found: found[1].nbytes if found else 0)
+
+
+def _alike(path: Path) -> tuple[Path, float]:
+    """A path that stands for those like it, and how much farther they reach [px]."""
+    if path.segments > 1 or not path.length_px:
+        return path, 0.0
+    step = 1.0 if path.length_px < 8.0 * ALIKE_PX else ALIKE_PX
+    dx, dy = (float(np.floor(abs(d[1] - d[0]) / step) * step) for d in (path.x_px, path.y_px))
+    sides = np.array([-0.5, 0.5])
+    return Path(sides * dx, sides * dy, np.ones(1)), step
 
 
 def streak_of(grid: WingGrid, path: Path) -> np.ndarray:

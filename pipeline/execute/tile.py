@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.errors import NightglassError
-from pipeline.execute.light import Wings, draw_stars, draw_targets
+from pipeline.execute.blocks import Block
+from pipeline.execute.check import check_tile
+from pipeline.execute.light import draw_stars, draw_targets
 from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
 from pipeline.physics.noise.streams import stream_key
 from pipeline.plan.scene_plan import Plan
@@ -22,19 +26,21 @@ def render_tile(
     g: Geometry,
     tile: Tile,
     parts: list[FrameStars],
-    wings: list[Wings],
-) -> dict[str, NDArray]:
-    """The layers of a tile that the scene asks for: `dn`, and the noise-free ones in float32.
+    blocks: list[Block],
+) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
+    """The layers of a tile that the scene asks for, and what the reference path found in it.
 
-    The light layers are what the pixels collect (after the flat), so that with the dark they sum
-    to `mean_e`, the mean of the noisy frame before full well and ADC.
+    The layers are `dn`, and the noise-free ones in float32. The light layers are what the pixels
+    collect (after the flat), so that with the dark they sum to `mean_e`, the mean of the noisy
+    frame before full well and ADC.
     """
     chain = _chain(plan, maps, tile)
-    layers: dict[str, Array] = {}
+    light: dict[str, Array] = {}
     if plan.scene.stars is not None:
-        layers["stars_e"] = draw_stars(plan, g, tile, parts, wings) * chain.flat
+        light["stars_e"] = draw_stars(plan, g, tile, parts, blocks)
     if plan.scene.targets:
-        layers["targets_e"] = draw_targets(plan, g, tile, wings) * chain.flat
+        light["targets_e"] = draw_targets(plan, g, tile, blocks)
+    layers: dict[str, Array] = {name: image * chain.flat for name, image in light.items()}
     shape = (tile.rows, tile.columns)
     if plan.facts.background_e > 0:
         layers["background_e"] = np.broadcast_to(plan.facts.background_e * chain.flat, shape)
@@ -43,7 +49,7 @@ def render_tile(
     mean = np.zeros(shape)
     for layer in layers.values():
         mean += layer
-    mean = _not_negative(plan, mean, max((w.brightest_e for w in wings), default=0.0))
+    mean = _not_negative(plan, mean, max((b.brightest_e for b in blocks), default=0.0))
     place = StreamPlace(
         tile.y0, tile.x0, int(g.frame[0]), stream_key(plan.scene.seed, "photon_noise"),
         stream_key(plan.scene.seed, "read_noise"),
@@ -53,7 +59,20 @@ def render_tile(
         if name != "dn":
             value = mean if name == "mean_e" else layers.get(name, np.zeros(shape))
             out[name] = value.astype(np.float32)
-    return out
+    return out, check_tile(
+        plan, g, tile, parts, list(light.values()), lambda part: _noise_e(mean, chain, part)
+    )
+
+
+def _noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
+    """Noise of some pixels of a tile: of photons, of reading, of rounding [e-]."""
+
+    def squared(value: float | Array) -> float | Array:
+        return np.square(value[part] if isinstance(value, np.ndarray) else value)
+
+    photons = mean_e[part] if chain.photon_noise else 0.0
+    floor = squared(chain.read_noise_e) + squared(chain.gain_e_per_dn) / 12.0
+    return np.sqrt(photons + floor)
 
 
 def _chain(plan: Plan, maps: SensorMaps, tile: Tile) -> Chain:

@@ -22,17 +22,17 @@ Columns = dict[str, Any]
 def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
     """Columns of truth/stars.parquet for one frame; `stars` in `truth_order`.
 
-    x_px, y_px at mid-exposure (pixel (0, 0) is the centre of the first), start and end of the
-    streak as drawn, ra/dec astrometric (what the WCS gives), light in electrons, matched-filter
+    x_px, y_px at mid-exposure (pixel (0, 0) is the centre of the first), start and end of its own
+    path, ra/dec astrometric (what the WCS gives), light in electrons, matched-filter
     SNR of the isolated source; catalogue is 0 for the main one, then counts the layers.
     """
     paths = streaks(plan, g)
-    zone = zone_of(plan, stars.x_px, stars.y_px)
-    ends = np.array(
-        [[s.path.x_px[0], s.path.y_px[0], s.path.x_px[-1], s.path.y_px[-1]] for s in paths]
-    )[zone]
-    shift = np.array([[s.shift_x_px, s.shift_y_px] for s in paths])[zone]
-    ends = ends + np.tile(shift, 2)
+    zones = zone_of(plan, stars.x_px, stars.y_px)
+    ends = np.zeros((4, len(stars)))
+    for zone in np.unique(zones):
+        mine, s = zones == zone, paths[zone]
+        x, y = stars.x_px[mine], stars.y_px[mine]
+        ends[:, mine] = [*s.at(s.start, x, y), *s.at(s.end, x, y)]
     rows, columns = plan.camera.rows, plan.camera.columns
     inside = (np.abs(stars.x_px - (columns - 1) / 2) <= columns / 2) & (
         np.abs(stars.y_px - (rows - 1) / 2) <= rows / 2
@@ -42,10 +42,10 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "source_id": stars.source_id,
         "x_px": stars.x_px,
         "y_px": stars.y_px,
-        "x_start_px": stars.x_px + ends[:, 0],
-        "y_start_px": stars.y_px + ends[:, 1],
-        "x_end_px": stars.x_px + ends[:, 2],
-        "y_end_px": stars.y_px + ends[:, 3],
+        "x_start_px": stars.x_px + ends[0],
+        "y_start_px": stars.y_px + ends[1],
+        "x_end_px": stars.x_px + ends[2],
+        "y_end_px": stars.y_px + ends[3],
         "ra_deg": np.degrees(stars.ra_rad),
         "dec_deg": np.degrees(stars.dec_rad),
         "g_mag": stars.g_mag,

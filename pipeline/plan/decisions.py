@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
-from pipeline.physics.positions.focal_plane import corner_radius
+from pipeline.physics.positions.focal_plane import area_ratio_range, stretch
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
-from pipeline.plan.responses import BLOCK_PX, MERGE_TOLERANCE_PX, PATH_STEP_PX, ResponsePlan
+from pipeline.plan.responses import BLOCK_PX, ResponsePlan
+from pipeline.plan.streaks import MERGE_TOLERANCE_PX, PATH_STEP_PX
 from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.scene import Scene
 
@@ -40,6 +41,7 @@ def decide(scene: Scene, facts: Facts, responses: ResponsePlan) -> tuple[Decisio
         *_star_effects(scene),
         *_target_effects(scene),
         *_occultation(scene),
+        *_optics(scene),
         *_approximations(scene, facts, responses),
     )
 
@@ -176,6 +178,20 @@ def _occultation(scene: Scene) -> list[Decision]:
     ]  # fmt: skip
 
 
+def _optics(scene: Scene) -> list[Decision]:
+    """What the optics do to places."""
+    if scene.sensor.distortion is None:
+        return []
+    camera = camera_of(scene)
+    return [
+        Decision(
+            "distortion", True,
+            f"{scene.sensor.distortion.kind} terms, exact to rounding; lengths change by at most "
+            f"{100.0 * (stretch(camera) - 1.0):.3g}%",
+        )
+    ]  # fmt: skip
+
+
 def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decision]:
     sigma, budget = facts.sigma_floor_e, r.budget_e
 
@@ -199,11 +215,13 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         out.append(Decision(name, True, f"drawn at {nm} nm: {what}"))
     if scene.background is not None and scene.background.uniform_mag_arcsec2 is not None:
         camera = camera_of(scene)
-        edge = facts.background_e * (1.0 - math.cos(corner_radius(camera)) ** 3)
+        low, high = area_ratio_range(camera)
+        edge = facts.background_e * max(1.0 - low, high - 1.0)
         out.append(
             Decision(
                 "uniform_background", True,
-                "the same in all pixels; a corner pixel sees less sky by cos^3 of its angle",
+                f"the same in all pixels; they see {low:.6g} to {high:.6g} of the sky of the "
+                "central one",
                 **bound(edge),
             )
         )  # fmt: skip
@@ -221,13 +239,32 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
     if r.spacing_px:
         out += _wings(r, sigma)
     if scene.stars is not None:
+        out += _streaks(r, sigma)
+    return out
+
+
+def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
+    """How the stars' streaks and crowds are drawn."""
+    s = r.streaks
+    off = s.spread_px + 0.5 * PATH_STEP_PX + MERGE_TOLERANCE_PX if s.longest_px else 0.0
+    out = [
+        Decision(
+            "common_streak", True,
+            f"{s.zones} x {s.zones} zone(s) and {s.pieces} piece(s) of the exposure, each with one "
+            "shape for all its stars, set where each star's own light is. Ends are off by at most "
+            f"{off:.2g} px, {s.spread_px:.2g} px of it the field's: about that share of the light "
+            "of a pixel there; the bound is that of a pixel whose light equals the noise floor",
+            off * sigma_e, off,
+        )
+    ]  # fmt: skip
+    if r.spectral_from:
         out.append(
             Decision(
-                "common_streak", True,
-                f"{r.zones} x {r.zones} zone(s), each with one streak for all its stars, which "
-                f"differs from a star's own by at most {r.spread_px:.2g} px at its ends, and by "
-                f"{PATH_STEP_PX / 2 + MERGE_TOLERANCE_PX:.2g} px from rounding: at most about that "
-                "share of a star's peak there; centroids do not move by the rounding",
+                "crowds_by_transforms", True,
+                f"where {r.spectral_from} stars or more light a block of {BLOCK_PX} px, those of "
+                "the first class are drawn together by a non-uniform FFT; a pixel errs by at most "
+                "the bound for each star near it, and brighter stars are stamps",
+                r.budget_e, r.budget_e / sigma_e,
             )
         )  # fmt: skip
     return out

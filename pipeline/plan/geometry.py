@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ from pipeline.physics.positions.apparent import (
     unaberrate,
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
-from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, project
+from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, project, stretch
 from pipeline.physics.positions.orbit import check_above_earth, tle_states, two_body
 from pipeline.physics.positions.times import Instants, elapsed_s, instants, parse_utc
 from pipeline.physics.targets.eclipse import sunlit_fraction
@@ -66,7 +67,14 @@ def observer_distances_au(g: Geometry) -> Array:
 def camera_of(scene: Scene) -> Camera:
     """The focal plane of a scene's sensor."""
     s = scene.sensor
-    return Camera(s.shape[0], s.shape[1], s.pixel_pitch_um * 1e-6, s.focal_length_m)
+    camera = Camera(s.shape[0], s.shape[1], s.pixel_pitch_um * 1e-6, s.focal_length_m)
+    if s.distortion is None:
+        return camera
+    from pipeline.physics.positions.distortion import distortion_of
+
+    wish = s.distortion.model_dump()
+    distortion = distortion_of(wish, camera.rows, camera.columns, ifov_rad(camera))
+    return replace(camera, distortion=distortion)
 
 
 def sampled_frames(scene: Scene) -> NDArray[np.int64]:
@@ -292,15 +300,10 @@ def _bend_px(scene: Scene, g: Geometry) -> float:
     Linear interpolation between nodes twice as far apart errs four times as much, so a quarter of
     what it misses at the nodes between is the error of the nodes themselves.
     """
-    x, y = [g.target_x_px], [g.target_y_px]
     camera = camera_of(scene)
-    columns, rows = camera.columns - 1.0, camera.rows - 1.0
-    corners = [(columns / 2, rows / 2), (0.0, 0.0), (columns, 0.0), (0.0, rows), (columns, rows)]
-    for cx, cy in corners:
-        px, py = star_path(camera, g, cx, cy, scene.star_effects["aberration"])
-        x.append(px[None])
-        y.append(py[None])
-    xs, ys = np.concatenate(x), np.concatenate(y)
+    paths = star_paths(camera, g, *_field_points(camera), scene.star_effects["aberration"])
+    xs = np.concatenate([g.target_x_px, paths[0]])
+    ys = np.concatenate([g.target_y_px, paths[1]])
     seen = np.isfinite(xs).all(axis=-1) & (np.abs(xs).max(axis=-1) < 1e6)
     xs, ys = xs[seen], ys[seen]
     if not len(xs):
@@ -324,29 +327,30 @@ def excursions_px(camera: Camera, g: Geometry, aberration: bool = True) -> Array
 
     Told from the centre and the corners of the field.
     """
-    columns, rows = camera.columns - 1.0, camera.rows - 1.0
-    x = np.array([columns / 2, 0.0, columns, 0.0, columns])
-    y = np.array([rows / 2, 0.0, 0.0, rows, rows])
-    beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
-    worst = np.zeros(len(g.frame))
-    for f in range(len(g.frame)):
-        stars = unaberrate(deproject(camera, g.attitude[f, g.middle], x, y), beta[f, g.middle])
-        for k in range(g.nodes):
-            px, py = project(camera, g.attitude[f, k], aberrate(stars, beta[f, k]))
-            worst[f] = max(worst[f], float(np.hypot(px - x, py - y).max()))
+    paths = star_paths(camera, g, *_field_points(camera), aberration)
+    worst = np.hypot(*(paths - paths[..., [g.middle]])).max(axis=(0, 2))
+    worst *= stretch(camera) ** 2  # between the points looked at
     return np.where(worst > 1e-3, 16.0 * np.ceil(worst / 16.0), 0.0)
 
 
-def star_path(
-    camera: Camera, g: Geometry, x_px: float, y_px: float, aberration: bool = True
-) -> tuple[Array, Array]:
-    """Pixel places (F, K) of the star that stands at (x, y) at mid-exposure of each frame."""
-    out_x, out_y = np.empty(g.offset_s.shape), np.empty(g.offset_s.shape)
+def star_paths(
+    camera: Camera, g: Geometry, x_px: Array, y_px: Array, aberration: bool = True
+) -> Array:
+    """Pixel places (2, n, F, K) of the stars that stand at (x, y) at mid-exposure of each frame."""
+    out = np.empty((2, len(x_px), *g.offset_s.shape))
     beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
-    at = np.array([x_px]), np.array([y_px])
     for f in range(len(g.frame)):
-        star = unaberrate(deproject(camera, g.attitude[f, g.middle], *at), beta[f, g.middle])
+        seen = deproject(camera, g.attitude[f, g.middle], x_px, y_px)
+        stars = unaberrate(seen, beta[f, g.middle])
         for k in range(g.nodes):
-            x, y = project(camera, g.attitude[f, k], aberrate(star, beta[f, k]))
-            out_x[f, k], out_y[f, k] = x[0], y[0]
-    return out_x, out_y
+            out[:, :, f, k] = project(camera, g.attitude[f, k], aberrate(stars, beta[f, k]))
+    return out
+
+
+def _field_points(camera: Camera) -> tuple[Array, Array]:
+    """Centre and corners of the frame [px]."""
+    columns, rows = camera.columns - 1.0, camera.rows - 1.0
+    return (
+        np.array([columns / 2, 0.0, columns, 0.0, columns]),
+        np.array([rows / 2, 0.0, 0.0, rows, rows]),
+    )

@@ -13,7 +13,8 @@ from pipeline.arrays import Geometry
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrated_caps
-from pipeline.physics.positions.focal_plane import Camera, corner_radius
+from pipeline.physics.positions.focal_plane import Camera, corner_radius, stretch
+from pipeline.plan.checks import CheckCell, choose_checks
 from pipeline.plan.decisions import Decision, decide
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, excursions_px
@@ -42,6 +43,7 @@ class Plan:
     colour: ColourFit | None
     sun_rate_e_s_m2: float
     tiles: tuple[Tile, ...]
+    checks: tuple[CheckCell, ...]
     decisions: tuple[Decision, ...]
     remarks: tuple[str, ...]
     dut1_s: float
@@ -81,7 +83,7 @@ def make_plan(
     responses = plan_responses(scene, facts, camera, ends)
     return Plan(
         scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),
-        decide(scene, facts, responses), remarks, dut1_s,
+        choose_checks(scene, ends), decide(scene, facts, responses), remarks, dut1_s,
     )  # fmt: skip
 
 
@@ -93,7 +95,10 @@ def field_cones(plan: Plan, g: Geometry) -> tuple[np.ndarray, np.ndarray]:
     """
     # An angle off axis is at most halo radians beyond the corner: the projection only shrinks it.
     way = excursions_px(plan.camera, g, plan.scene.star_effects["aberration"])
-    radius = corner_radius(plan.camera) + (plan.halo_px + way) * plan.facts.ifov_rad
+    radius = (
+        corner_radius(plan.camera)
+        + (plan.halo_px + way) * stretch(plan.camera) * plan.facts.ifov_rad
+    )
     return catalogue_cones(plan, g, g.attitude[:, g.middle, 2], radius)
 
 
@@ -143,6 +148,7 @@ def plan_dict(
         "targets": len(plan.scene.targets),
         "engine": _engine(r),
         "predicted": needs,
+        "checked_cells": [asdict(c) for c in plan.checks],
         "noise_floor_e": f.sigma_floor_e,
         "background_e": f.background_e,
         "field_deg": [n * math.degrees(f.ifov_rad) for n in plan.scene.sensor.shape],
@@ -153,8 +159,10 @@ def plan_dict(
             "wing_grid_px": r.spacing_px,
             "reach_px": r.reach_px,
             "light_left_out": r.lost_light,
-            "streak_zones": r.zones,
-            "streak_spread_px": r.spread_px,
+            "streak_zones": r.streaks.zones,
+            "streak_pieces": r.streaks.pieces,
+            "streak_spread_px": r.streaks.spread_px,
+            "spectral_from_stars": r.spectral_from,
         },
         "colour_fit": None if plan.colour is None else {
             "band": plan.colour.band_name,

@@ -39,7 +39,13 @@ class CubeWriter:
     product: str
     layers: tuple[str, ...]
 
-    def write(self, frame: int, tile: Tile, values: dict[str, NDArray[Any]]) -> Marker:
+    def write(
+        self,
+        frame: int,
+        tile: Tile,
+        values: dict[str, NDArray[Any]],
+        checks: list[dict[str, Any]] | None = None,
+    ) -> Marker:
         """Store one tile of one frame as whole chunks, then its marker. Idempotent."""
         product = Path(self.product)
         chunks: dict[str, tuple[str, int, int]] = {}
@@ -52,7 +58,7 @@ class CubeWriter:
             content = _synced(product / CUBE / relative)
             chunks[name] = (relative, len(content), google_crc32c.value(content))
             cells[name] = cell_checksums(tile, values[name])
-        marker = Marker(frame, tile.row, tile.column, chunks, cells)
+        marker = Marker(frame, tile.row, tile.column, chunks, cells, checks or [])
         write_marker(product, marker)
         return marker
 

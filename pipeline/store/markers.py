@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ class Marker:
 
     chunks : layer -> (path inside the cube, length in bytes, crc32c)
     cells : layer -> [[row, column, crc32c of the cell's values], ...] for the content digest
+    checks : what the reference path found in cells of the tile (execute/check.py)
     """
 
     frame: int
@@ -31,6 +32,7 @@ class Marker:
     column: int
     chunks: dict[str, tuple[str, int, int]]
     cells: dict[str, list[list[int]]]
+    checks: list[dict[str, Any]] = field(default_factory=list)
 
 
 def marker_path(product: Path, frame: int, row: int, column: int) -> Path:

@@ -79,9 +79,9 @@ def tasks(data) -> dict[str, int]:
 
 
 def test_tasks():
-    """A sky needs one task a tile and nothing else; a target adds its truth and its wings."""
+    """A sky needs one task a tile and nothing else; a target adds its truth and its blocks."""
     assert tasks(SKY) == {"tile": 6}
-    assert tasks(SCENES["target"]) == {"tile": 6, "target_truth": 3, "wings": 3}
+    assert tasks(SCENES["target"]) == {"tile": 6, "target_truth": 3, "block": 3}
     gaussian = json.loads(json.dumps(SCENES["target"]))
     gaussian["sensor"]["psf"] = {"kind": "gaussian", "sigma_px": 1.0}
     assert tasks(gaussian) == {"tile": 6, "target_truth": 3}

@@ -12,10 +12,11 @@ import pytest
 
 from pipeline.errors import BadInput
 from pipeline.physics.positions.focal_plane import project
-from pipeline.plan.geometry import camera_of, plan_geometry, star_path
+from pipeline.plan.geometry import camera_of, plan_geometry, star_paths
 from pipeline.spec.scene import Scene
 
 Make = Callable[..., Scene]
+MIDDLE = np.array([383.5]), np.array([255.5])
 ARCSEC, C = np.pi / 648_000, 299_792_458.0
 LEO = {
     "kind": "orbit",
@@ -81,7 +82,7 @@ def test_target_tracking_keeps_the_target_at_the_centre(scene: Make, observer: d
     g = every(s)
     assert np.abs(g.target_x_px - 383.5).max() < 1e-6
     assert np.abs(g.target_y_px - 255.5).max() < 1e-6
-    px, py = star_path(camera_of(s), g, 383.5, 255.5)
+    px, py = star_paths(camera_of(s), g, *MIDDLE)[:, 0]
     assert np.hypot(np.ptp(px, axis=1), np.ptp(py, axis=1)).min() > 1.0  # the stars streak
 
 
@@ -93,7 +94,7 @@ def test_rate_streak_is_rate_times_time(scene: Make, east: float, north: float) 
          "stars.aberration": False, "stars.deflection": False}
     )  # fmt: skip
     g, camera = every(s), camera_of(s)
-    px, py = star_path(camera, g, 383.5, 255.5, aberration=False)
+    px, py = star_paths(camera, g, *MIDDLE, aberration=False)[:, 0]
     length = np.hypot(px[:, -1] - px[:, 0], py[:, -1] - py[:, 0])
     expected = np.hypot(east, north) * ARCSEC * 2.0 / 1e-5
     assert np.allclose(length, expected, rtol=1e-5)

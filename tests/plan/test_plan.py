@@ -21,7 +21,7 @@ from pipeline.physics.psf.response import compact_core, core_spectrum, phase_tab
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.geometry import camera_of, plan_geometry
-from pipeline.plan.responses import ResponsePlan, plan_responses, plan_zones
+from pipeline.plan.responses import ResponsePlan, plan_responses
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
 from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
@@ -158,19 +158,6 @@ def test_light_left_out_stays_within_the_flux_target(scene: Make) -> None:
         r = responses_of(scene({"sensor.psf": psf}))
         core = compact_core(r.blur, r.classes[0].radius_px)
         assert core.light == pytest.approx(1.0, abs=1e-6)
-
-
-def test_zones_follow_the_streaks(scene: Make) -> None:
-    s = scene()
-    ends = plan_geometry(s, np.array([0, 4]), 0.0)
-    assert plan_zones(camera_of(s), ends, True) == (1, pytest.approx(0.0, abs=1e-3))
-    wide = scene(
-        {"sensor.focal_length_m": 0.02, "pointing": {
-            "mode": "rate", "boresight_ra_deg": 1.0, "boresight_dec_deg": 50.0,
-            "rate_ra_arcsec_s": 5000.0, "rate_dec_arcsec_s": 0.0}}
-    )  # fmt: skip
-    zones, _ = plan_zones(camera_of(wide), plan_geometry(wide, np.array([0, 4]), 0.0), True)
-    assert zones > 1
 
 
 def test_field_cone_holds_the_frame(scene: Make) -> None:

@@ -20,6 +20,7 @@ from pipeline.physics.drawing.spectral_band import roll_off
 from pipeline.physics.drawing.spectral_fold import fold_modes
 from pipeline.physics.drawing.spectral_plan import SpectralPlan
 from pipeline.physics.drawing.spectral_spread import spread_onto
+from pipeline.physics.drawing.spectral_threads import each, strips
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.response import Core
 
@@ -39,21 +40,26 @@ class Sources:
 
 
 def draw_spectral(
-    plan: SpectralPlan, table: NDArray, groups: Sequence[Sources], origin: tuple[int, int]
+    plan: SpectralPlan,
+    table: NDArray,
+    groups: Sequence[Sources],
+    origin: tuple[int, int],
+    threads: int = 1,
 ) -> NDArray[np.floating]:
     """Electrons of the sources in a block: (rows, columns) in the plan's precision.
 
     table : from `transfer_table`, of the same plan; origin : (y, x) frame pixel of the block
+    threads : how many may work on it; the bits are the same for any number
     Sources outside of the block add what falls inside; those farther than they reach are left out.
     Pixels may be negative by as much as the plan's errors. Raises BadInput for light or positions
     that are not finite.
     """
     spectrum = np.zeros((plan.period[0], plan.period[1] // 2 + 1), plan.complex_type)
     for path, x, y, light in _by_piece(plan, groups, origin):
-        modes = _modes(plan, x, y, light)
+        modes = _modes(plan, x, y, light, threads)
         moving = path if path.length_px else None
-        fold_modes(spectrum, plan.period[1], modes, table, moving)
-    return _image(plan, spectrum)
+        fold_modes(spectrum, plan.period[1], modes, table, moving, threads)
+    return _image(plan, spectrum, threads)
 
 
 def _by_piece(
@@ -84,7 +90,9 @@ def _inside(plan: SpectralPlan, x: Array, y: Array) -> NDArray[np.bool_]:
     return (x >= 0) & (x < plan.period[1]) & (y >= 0) & (y < plan.period[0])
 
 
-def _modes(plan: SpectralPlan, x: Array, y: Array, light: Array) -> NDArray[np.complexfloating]:
+def _modes(
+    plan: SpectralPlan, x: Array, y: Array, light: Array, threads: int
+) -> NDArray[np.complexfloating]:
     """Transform of the sources: row k mod points_y, column l is frequency (k, l) / period.
 
     Grid and modes share their memory: rows of the grid become rows of half a spectrum.
@@ -92,21 +100,39 @@ def _modes(plan: SpectralPlan, x: Array, y: Array, light: Array) -> NDArray[np.c
     ny, nx = plan.points
     modes = np.zeros((ny, nx // 2 + 1), plan.complex_type)
     grid = modes.view(plan.real_type)
-    spread_onto(grid, nx, plan.kernel, y * (ny / plan.period[0]), x * (nx / plan.period[1]), light)
-    for i in range(0, ny, STRIP):
-        modes[i : i + STRIP] = scipy.fft.rfft(grid[i : i + STRIP, :nx], axis=1, workers=1)
-    for j in range(0, plan.keep[1] + 1, STRIP):
-        part = slice(j, min(j + STRIP, plan.keep[1] + 1))
-        modes[:, part] = scipy.fft.fft(modes[:, part], axis=0, workers=1)
+    y_cells, x_cells = y * (ny / plan.period[0]), x * (nx / plan.period[1])
+    spread_onto(grid, nx, plan.kernel, y_cells, x_cells, light, threads)
+    rows, columns = strips(ny, STRIP), strips(plan.keep[1] + 1, STRIP)
+
+    def along(k: int) -> None:
+        modes[rows[k]] = scipy.fft.rfft(grid[rows[k], :nx], axis=1, workers=1)
+
+    def down(k: int) -> None:
+        modes[:, columns[k]] = scipy.fft.fft(modes[:, columns[k]], axis=0, workers=1)
+
+    each(along, len(rows), threads)
+    each(down, len(columns), threads)
     return modes
 
 
-def _image(plan: SpectralPlan, spectrum: NDArray[np.complexfloating]) -> NDArray[np.floating]:
-    """The pixels of the block from the folded spectrum."""
-    top, left = plan.pad
-    rows = scipy.fft.ifft(spectrum, axis=0, overwrite_x=True, workers=1)[top : top + plan.shape[0]]
-    image = scipy.fft.irfft(rows, n=plan.period[1], axis=1, workers=1)
-    return np.ascontiguousarray(image[:, left : left + plan.shape[1]])
+def _image(
+    plan: SpectralPlan, spectrum: NDArray[np.complexfloating], threads: int
+) -> NDArray[np.floating]:
+    """The pixels of the block from the folded spectrum, which is used up."""
+    image = np.empty(plan.shape, plan.real_type)
+    inside = [slice(p, p + n) for p, n in zip(plan.pad, plan.shape, strict=True)]
+    rows, columns = strips(plan.shape[0], STRIP), strips(spectrum.shape[1], STRIP)
+
+    def down(k: int) -> None:
+        spectrum[:, columns[k]] = scipy.fft.ifft(spectrum[:, columns[k]], axis=0, workers=1)
+
+    def along(k: int) -> None:
+        lit = spectrum[inside[0]][rows[k]]
+        image[rows[k]] = scipy.fft.irfft(lit, n=plan.period[1], axis=1, workers=1)[:, inside[1]]
+
+    each(down, len(columns), threads)
+    each(along, len(rows), threads)
+    return image
 
 
 def transfer_table(core: Core, plan: SpectralPlan) -> NDArray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
+from numba import njit
 from numpy.typing import NDArray
 
 from pipeline.physics.drawing.spectral_fold import segments_of
@@ -38,10 +39,14 @@ class Band:
         """Share of each frequency that is kept: `roll_off` at fy (n,) and fx (m,)."""
         return roll_off(self.fy, limit), roll_off(self.fx, limit)
 
+    def integral(self, y: Array, x: Array) -> float:
+        """Integral of y(fy) x(fx) |transfer|, added up in a fixed order."""
+        return float(_integral(y, self.weight, x))
+
     def cut(self, limit: float) -> float:
         """Integral of what `roll_off` leaves out."""
         y, x = self.kept(limit)
-        return float(((1.0 - y[:, None] * x[None, :]) * self.weight).sum())
+        return self.integral(1.0 - y, np.ones(x.size)) + self.integral(y, 1.0 - x)
 
     def limit_for(self, error: float) -> float:
         """Smallest limit that leaves out no more than `error`, or the band's end."""
@@ -50,6 +55,17 @@ class Band:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if self.cut(middle) <= error else (middle, high)
         return high
+
+
+@njit(cache=True, nogil=True)
+def _integral(y, weight, x):
+    columns, out = np.zeros(x.size), 0.0
+    for i in range(y.size):
+        for j in range(x.size):
+            columns[j] += y[i] * weight[i, j]
+    for j in range(x.size):
+        out += columns[j] * x[j]
+    return out
 
 
 def roll_off(f: Array, limit: float) -> Array:
@@ -83,7 +99,8 @@ def _merged(f: Array, amount: Array, width: float) -> tuple[Array, Array]:
     cell = np.rint(f / width).astype(int)
     out = np.zeros((cell.max() + 1, amount.shape[1]))
     np.add.at(out, cell, amount)
-    return np.arange(len(out)) * float(width), out
+    middles: Array = np.arange(len(out), dtype=float) * width
+    return middles, out
 
 
 def sweep_bound(fy: Array, fx: Array, step: float, path: Path, longest_px: float) -> Array:
@@ -138,12 +155,16 @@ def peak_light(core: Core, path: Path) -> float:
 
 
 def _line_light(core: Core, segment: Array, y: float, x: float) -> float:
-    """Light of a segment in a pixel at (y, x), from the nearest samples."""
+    """Light of a segment in a pixel at (y, x), bilinearly between the samples."""
     dy, dx, my, mx, share = segment
-    os, half = core.oversampling, core.samples.shape[0] // 2
+    os, size = core.oversampling, core.samples.shape[0]
     count = 2 * int(np.ceil(np.hypot(dy, dx) * os)) + 1
     t = (np.arange(count) + 0.5) / count - 0.5
-    i = np.rint((y - my - t * dy) * os).astype(int) + half
-    j = np.rint((x - mx - t * dx) * os).astype(int) + half
-    on = (i >= 0) & (j >= 0) & (i <= 2 * half) & (j <= 2 * half)
-    return float(share * core.samples[i[on], j[on]].sum() / count)
+    v, u = (a * os + size // 2 for a in (y - my - t * dy, x - mx - t * dx))
+    on = (v >= 0) & (u >= 0) & (v < size - 1) & (u < size - 1)
+    v, u = v[on], u[on]
+    i, j = v.astype(int), u.astype(int)
+    b, a = v - i, u - j
+    upper = (1.0 - a) * core.samples[i, j] + a * core.samples[i, j + 1]
+    lower = (1.0 - a) * core.samples[i + 1, j] + a * core.samples[i + 1, j + 1]
+    return float(share * ((1.0 - b) * upper + b * lower).sum() / count)

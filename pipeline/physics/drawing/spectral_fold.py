@@ -10,10 +10,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pipeline.physics.drawing.spectral_threads import each, strips
 from pipeline.physics.motion.streak import Path
 
 Array = NDArray[np.float64]
 
+ROWS = 64  # rows of the pixels' spectrum, and those of opposite frequency, made at a time
 SERIES_BELOW = 0.3  # of the half phase: there sin(h)/h by its series, to 2e-10
 
 
@@ -23,6 +25,7 @@ def fold_modes(
     modes: NDArray[np.complexfloating],
     table: NDArray,
     path: Path | None,
+    threads: int = 1,
 ) -> None:
     """Add modes x table x streak to the real FFT of a (period_y, period_x) pixel image, in place.
 
@@ -35,7 +38,15 @@ def fold_modes(
     segments = np.zeros((0, 5)) if path is None else segments_of(path)
     fy = np.arange(-keep_y, keep_y + 1) / len(spectrum)
     fx = np.arange(keep_x + 1) / period_x
-    _fold(spectrum, period_x, modes, table, segments, fy, fx)
+    along_y = _along(fy, segments[:, 0], segments[:, 2])
+    along_x = _along(fx, segments[:, 1], segments[:, 3])
+    parts = strips(len(spectrum) // 2 + 1, ROWS)
+
+    def fold(k: int) -> None:
+        rows = (parts[k].start, parts[k].stop)
+        _fold(spectrum, rows, period_x, modes, table, segments, fy, fx, along_y, along_x)
+
+    each(fold, len(parts), threads)
 
 
 def segments_of(path: Path) -> Array:
@@ -92,25 +103,32 @@ def _sweep_row_centred(row, i, fy, fx, segments, along_y, along_x):
 
 
 @njit(cache=True, nogil=True)
-def _fold(out, period_x, modes, table, segments, fy, fx):
-    period_y, points_y = out.shape[0], modes.shape[0]
-    keep_y, n = table.shape[0] // 2, table.shape[1]
-    half = period_x // 2
-    row = np.empty(n, modes.dtype)
-    along_y = _along(fy, segments[:, 0], segments[:, 2])
-    along_x = _along(fx, segments[:, 1], segments[:, 3])
+def _fold(out, rows, period_x, modes, table, segments, fy, fx, along_y, along_x):
+    """Fold onto the rows r and -r of the output for r in `rows`: no others are written."""
+    period_y, keep_y, row = out.shape[0], table.shape[0] // 2, np.empty(fx.size, modes.dtype)
     centred = segments.shape[0] == 1 and segments[0, 2] == 0.0 and segments[0, 3] == 0.0
-    for i in range(-keep_y, keep_y + 1):
-        source, response = modes[i % points_y], table[i + keep_y]
-        for j in range(n):
-            row[j] = source[j] * response[j]
-        if centred:
-            _sweep_row_centred(row, i + keep_y, fy, fx, segments, along_y, along_x)
-        elif segments.shape[0]:
-            _sweep_row(row, i + keep_y, fy, fx, segments, along_y, along_x)
-        here, mirror = out[i % period_y], out[-i % period_y]
-        for start in range(0, n, period_x):
-            for j in range(min(half + 1, n - start)):
-                here[j] += row[start + j]
-            for j in range(max(0, start + period_x - n + 1), half + 1):
-                mirror[j] += np.conj(row[start + period_x - j])
+    for r in range(rows[0], rows[1]):
+        for sign in (1, -1):
+            if sign == -1 and (2 * r) % period_y == 0:
+                continue
+            first = (sign * r + keep_y) % period_y - keep_y
+            for i in range(first, keep_y + 1, period_y):
+                source, response = modes[i % modes.shape[0]], table[i + keep_y]
+                for j in range(row.size):
+                    row[j] = source[j] * response[j]
+                if centred:
+                    _sweep_row_centred(row, i + keep_y, fy, fx, segments, along_y, along_x)
+                elif segments.shape[0]:
+                    _sweep_row(row, i + keep_y, fy, fx, segments, along_y, along_x)
+                _add_row(out[i % period_y], out[-i % period_y], period_x, row)
+
+
+@njit(cache=True, nogil=True)
+def _add_row(here, mirror, period_x, row):
+    """Add a row of frequencies to the row that it looks like, its conjugate to the opposite one."""
+    half, n = period_x // 2, row.size
+    for start in range(0, n, period_x):
+        for j in range(min(half + 1, n - start)):
+            here[j] += row[start + j]
+        for j in range(max(0, start + period_x - n + 1), half + 1):
+            mirror[j] += np.conj(row[start + period_x - j])

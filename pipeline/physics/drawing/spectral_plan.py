@@ -29,6 +29,7 @@ CUT_PART = 0.1  # of the error: what the frequencies left out make where the gri
 LONGEST_PX = (math.inf, 1024.0, 512.0, 256.0)  # pieces of streak that are tried
 PAD_STEP_PX = 8  # pads are rounded up, so that alike streaks share their tables
 ROUNDING = 4.0  # units of precision of a source's peak that the transforms err by (measured: 3)
+CROWD_PX = 4.0  # px^2 about a source over which it errs by no more than `error`, rms (measured)
 CROWDED = 100.0  # weights that a grid point may add up in float32, on average
 
 # Seconds per grid point, mode, mode and segment, pixel, source, weight: one core of 2.4 GHz
@@ -87,6 +88,12 @@ class SpectralPlan:
         return (2 * self.keep[0] + 1) * (self.keep[1] + 1)
 
     @property
+    def halo_px(self) -> int:
+        """How far beyond the block sources may count, their paths' own reach apart."""
+        after = (p - n - a for p, n, a in zip(self.period, self.shape, self.pad, strict=True))
+        return max(*self.pad, *after)
+
+    @property
     def bytes(self) -> int:
         """Memory of drawing one block: grid, table, spectrum, image; the sources' own apart."""
         grid = self.points[0] * (self.points[1] + 2)
@@ -109,6 +116,14 @@ def brightest_for(plan: SpectralPlan, budget_e: float) -> float:
     Brighter ones belong to the stamps engine.
     """
     return budget_e / plan.error
+
+
+def crowd_error(plan: SpectralPlan, light_e: Array, pixels: float) -> float:
+    """Typical (rms) error of a pixel in a crowd [e-]: errors of many sources add up like noise.
+
+    light_e : (n,) light of the sources that are spread over `pixels` pixels
+    """
+    return plan.error * math.sqrt(CROWD_PX * float(np.square(light_e).sum()) / pixels)
 
 
 def plan_spectral(
@@ -184,6 +199,10 @@ class _Need:
     longest_px: float
     single: bool
 
+    @property
+    def eps(self) -> float:
+        return float(np.finfo(np.float32 if self.single else np.float64).eps)
+
 
 def _plans(need: _Need, error: float) -> Iterator[SpectralPlan]:
     """For each kernel width, the coarsest grid that reaches the error, found by halving."""
@@ -208,15 +227,18 @@ def _plan(need: _Need, density: float, limit: float, width: int) -> SpectralPlan
     )
     ny, nx = (scipy.fft.next_fast_len(int(np.ceil(density * p)), real=True) for p in (py, px))
     keep = min(int(limit * py), (ny - 1) // 2), min(int(limit * px), (nx - 1) // 2)
+    limit = min(keep[0] / py, keep[1] / px)
+    kept, cut = need.band.kept(limit), need.band.cut(limit)
     found = []
     for edge in EDGES:
         steepness = math.pi * (1.0 - edge * keep[0] / ny)
         kernel = Kernel(width, width * round(steepness / BETA_STEP) * BETA_STEP)
-        errors = _errors(need, kernel, (py, px), (ny, nx), keep)
+        spread, light = _grid_errors(need, kernel, (py / ny, px / nx), kept)
+        rounding = ROUNDING * need.eps * float(need.band.weight.sum())
         found.append(
             SpectralPlan(
                 need.shape, (pad_y, pad_x), (py, px), (ny, nx), keep, kernel, need.single,
-                need.longest_px, *errors,
+                need.longest_px, spread, cut, light, rounding,
             )
         )  # fmt: skip
     return min(found, key=lambda p: (p.light_error > LIGHT_ERROR, p.error))
@@ -234,21 +256,18 @@ def _period(pixels: int, reach_px: float, width: int, density: float) -> Pair:
     return reach + margin, int(period)
 
 
-def _errors(
-    need: _Need, kernel: Kernel, period: Pair, points: Pair, keep: Pair
-) -> tuple[float, float, float, float]:
-    """Spread, cut, light and rounding errors per unit light.
+def _grid_errors(
+    need: _Need, kernel: Kernel, spacing_px: tuple[float, float], kept: tuple[Array, Array]
+) -> tuple[float, float]:
+    """Errors per unit light that the grid makes: of a pixel, and of all light together.
 
     A pixel is an integral over frequencies, so the integral of what each may err by bounds it:
-    keep (1 + r_y) (1 + r_x) - keep for the grid, 1 - keep for what is cut.
+    keep (1 + r_y) (1 + r_x) - keep.
     """
-    band, weight = need.band, need.band.weight
-    limit = min(k / p for k, p in zip(keep, period, strict=True))
-    keep_y, keep_x = band.kept(limit)
-    r_y = kernel.alias_ratio(band.fy * (period[0] / points[0]), need.single)
-    r_x = kernel.alias_ratio(band.fx * (period[1] / points[1]), need.single)
-    spread = (keep_y * r_y) @ weight @ (keep_x * (1.0 + r_x)) + keep_y @ weight @ (keep_x * r_x)
+    band, (keep_y, keep_x) = need.band, kept
+    r_y = kernel.alias_ratio(band.fy * spacing_px[0], need.single)
+    r_x = kernel.alias_ratio(band.fx * spacing_px[1], need.single)
+    spread = band.integral(keep_y * r_y, keep_x * (1.0 + r_x))
+    spread += band.integral(keep_y, keep_x * r_x)
     light = float(kernel.alias_ratio(np.zeros(1), need.single)[0])
-    eps = float(np.finfo(np.float32 if need.single else np.float64).eps)
-    rounding = ROUNDING * eps * float(weight.sum())
-    return float(spread), band.cut(limit), 2.0 * light + light**2, rounding
+    return spread, 2.0 * light + light**2

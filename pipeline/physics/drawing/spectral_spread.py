@@ -17,6 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.special import i0
 
+from pipeline.physics.drawing.spectral_threads import each, strips
+
 Array = NDArray[np.float64]
 
 JUMP_PARTS = 1.2  # two ends, half a jump each, with the overshoot of their series
@@ -24,6 +26,7 @@ EXTRA_DEGREE = 2  # of the polynomials above the width: 4e-7 at width 5, 3e-11 a
 CHECKED = 255  # places in a cell where the error of the weights is looked at
 BATCH = 256  # sources whose weights are made together
 BIN_CELLS = (64, 512)  # rows and columns of a bin when sorting: its grid points fit in a cache
+SORTED_TOGETHER = 65536  # sources that one thread sorts at a time
 
 
 @dataclass(frozen=True)
@@ -48,18 +51,14 @@ class Kernel:
         return self.width * grown / i0(self.beta)
 
     def alias_ratio(self, turns: Array, single: bool) -> Array:
-        """Bound of what a unit at other frequencies adds at `turns`, over what belongs there.
+        """Bound of what a unit at other frequencies adds at `turns`, over what belongs there: (n,).
 
         Sums |transform| at the four nearest frequencies that look alike, what the farther ones can
         hold at once (the kernel jumps by 1 / I0(b) at its ends, and a Fourier series overshoots a
         jump by 9%), and what the weights may err by.
         """
-        turns = np.asarray(turns, float)
-        own = self.transform(turns)
-        steps = np.array([-2.0, -1.0, 1.0, 2.0])
-        other = np.abs(self.transform(turns[..., None] + steps)).sum(axis=-1)
         rest = JUMP_PARTS / i0(self.beta) + self.weight_error(single)
-        return (other + rest) / own
+        return _alias_ratio(np.asarray(turns, float), self.width, self.beta, i0(self.beta), rest)
 
     def weight_error(self, single: bool) -> float:
         """Largest error of the weights of one axis together: polynomials and their arithmetic."""
@@ -71,6 +70,25 @@ class Kernel:
         Weight j belongs to the j-th grid point of a source's `width`, t in -1 ... 1 along the cell.
         """
         return _polynomials(self)[0]
+
+
+@njit(cache=True, nogil=True)
+def _transform(turns, width, beta, scale):
+    """`Kernel.transform` at one frequency."""
+    square = beta**2 - (np.pi * width * turns) ** 2
+    root = max(np.sqrt(abs(square)), 1e-6)
+    return width / scale * (np.sinh(root) if square > 0.0 else np.sin(root)) / root
+
+
+@njit(cache=True, nogil=True)
+def _alias_ratio(turns, width, beta, scale, rest):
+    out = np.empty(turns.size)
+    for k in range(turns.size):
+        other = rest
+        for step in (-2.0, -1.0, 1.0, 2.0):
+            other += abs(_transform(turns[k] + step, width, beta, scale))
+        out[k] = other / _transform(turns[k], width, beta, scale)
+    return out
 
 
 @lru_cache(maxsize=512)
@@ -117,43 +135,71 @@ def spread_onto(
     y_cells: Array,
     x_cells: Array,
     light_e: Array,
+    threads: int = 1,
 ) -> None:
     """Add sources to a grid in place, bin by bin of place and in their order within a bin.
 
     grid : (ny, at least `columns`) float32 or float64, C order
     y_cells, x_cells, light_e : (n,) places in cells; sources whose kernel does not fit in the first
         `columns` columns are left out
+    Rows of bins are spread side by side: first every other one, then those between them, as a
+    kernel reaches into the next row of bins.
     """
     ny, nx = grid.shape[0], columns
     bins = -(-ny // BIN_CELLS[0]), -(-nx // BIN_CELLS[1])
-    sources = _sorted(y_cells, x_cells, light_e, kernel.width, (ny, nx), bins)
-    _spread(grid, kernel.polynomials().astype(grid.dtype), sources)
+    parts = strips(y_cells.size, SORTED_TOGETHER)
+    keys, counts = np.empty(y_cells.size, np.int32), np.zeros((len(parts), bins[0] * bins[1]), int)
+
+    def count(k: int) -> None:
+        y, x = y_cells[parts[k]], x_cells[parts[k]]
+        _count(y, x, keys[parts[k]], kernel.width, (ny, nx), bins[1], counts[k])
+
+    each(count, len(parts), threads)
+    totals = counts.sum(axis=0)
+    ends = np.cumsum(totals)
+    first = ends - totals + np.cumsum(counts, axis=0) - counts
+    sources = np.empty((int(ends[-1]), 3))
+
+    def place(k: int) -> None:
+        y, x, light = y_cells[parts[k]], x_cells[parts[k]], light_e[parts[k]]
+        _place(y, x, light, keys[parts[k]], kernel.width, first[k], sources)
+
+    each(place, len(parts), threads)
+    rows = np.concatenate([[0], ends[bins[1] - 1 :: bins[1]]])
+    coefficients = kernel.polynomials().astype(grid.dtype)
+    for parity in (0, 1):
+
+        def spread(k: int, parity: int = parity) -> None:
+            row = 2 * k + parity
+            _spread(grid, coefficients, sources[rows[row] : rows[row + 1]])
+
+        each(spread, (bins[0] + 1 - parity) // 2, threads)
 
 
 @njit(cache=True, nogil=True)
-def _sorted(ys, xs, light, width, shape, bins):
-    """(n, 3) of (y, x, light), sorted by bin: the kernel starts at grid point floor(y), floor(x).
+def _count(ys, xs, keys, width, shape, bin_columns, counts):
+    """Bin of each source, -1 where it does not fit, and how many there are in each bin.
 
     A source at g lends weights to the points from floor(g - width / 2 + 1) on.
     """
-    key = np.empty(ys.size, np.int32)
-    start = np.zeros(bins[0] * bins[1] + 1, np.int64)
     shift = 0.5 * width - 1.0
     for i in range(ys.size):
         y, x = ys[i] - shift, xs[i] - shift
-        key[i] = -1
+        keys[i] = -1
         if y >= 0.0 and x >= 0.0 and y < shape[0] - width + 1 and x < shape[1] - width + 1:
-            key[i] = (int(y) // BIN_CELLS[0]) * bins[1] + int(x) // BIN_CELLS[1]
-            start[key[i] + 1] += 1
-    for k in range(start.size - 1):
-        start[k + 1] += start[k]
-    out = np.empty((start[-1], 3))
+            keys[i] = (int(y) // BIN_CELLS[0]) * bin_columns + int(x) // BIN_CELLS[1]
+            counts[keys[i]] += 1
+
+
+@njit(cache=True, nogil=True)
+def _place(ys, xs, light, keys, width, first, out):
+    """(y, x, light) of each source to its place: its kernel starts at floor(y), floor(x)."""
+    shift = 0.5 * width - 1.0
     for i in range(ys.size):
-        if key[i] >= 0:
-            j = start[key[i]]
+        if keys[i] >= 0:
+            j = first[keys[i]]
             out[j, 0], out[j, 1], out[j, 2] = ys[i] - shift, xs[i] - shift, light[i]
-            start[key[i]] = j + 1
-    return out
+            first[keys[i]] = j + 1
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,12 @@ from scipy.special import erf, ndtr
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.spectral import Sources, draw_spectral, transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
-from pipeline.physics.drawing.spectral_plan import SpectralPlan, brightest_for, plan_spectral
+from pipeline.physics.drawing.spectral_plan import (
+    SpectralPlan,
+    brightest_for,
+    crowd_error,
+    plan_spectral,
+)
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.motion.streak import POINT, Path, path_through, transfer
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
@@ -32,6 +37,12 @@ HOLDS = 1e-8  # light that a Gaussian core may leave out
 
 def gaussian_core(sigma: float, fill: float = 1.0) -> Core:
     return compact_core(Blur(Gaussian(sigma), fill_factor=fill), 6.1 * sigma)
+
+
+CORES = {
+    "gaussian": gaussian_core(0.8),
+    "airy": compact_core(Blur(Airy(1.0, 0.3)), 12.0),
+}
 
 
 def line(length: float, angle: float = 0.6435) -> Path:
@@ -87,19 +98,24 @@ def exact_stamp(core: Core, path: Path, shape: tuple[int, int], x: float, y: flo
     return image
 
 
-@pytest.mark.parametrize("length", [0.0, 1e-9, 0.1, 7.0, 60.0])
-@pytest.mark.parametrize(("sigma", "fill"), [(0.4, 1.0), (0.8, 0.5), (2.5, 1.0)])
+@pytest.mark.parametrize(
+    ("sigma", "fill", "length"),
+    [
+        (0.3, 1.0, 0.0), (0.3, 1.0, 60.0), (0.8, 0.5, 0.0), (0.8, 0.5, 1e-9), (0.8, 1.0, 0.1),
+        (0.8, 0.5, 60.0), (2.5, 1.0, 7.0), (10.0, 1.0, 0.0), (10.0, 1.0, 90.0),
+    ],
+)  # fmt: skip
 def test_against_quadrature_of_a_moving_gaussian(sigma: float, fill: float, length: float) -> None:
     """Isolated sources at random phases: the stated error holds, whatever was asked."""
     core, path = gaussian_core(sigma, fill), line(length)
     n = int(6 * sigma + length) + 24
     peak = peak_light(core, path)
     rng = np.random.default_rng(1)
-    for asked in (1e-2, 1e-3, 1e-5, 1e-7):
+    for asked in (1e-3, 1e-5, 1e-7):
         plan = plan_spectral((n, n), core, path, asked * peak)
         assert plan.error <= asked * peak
         table = transfer_table(core, plan)
-        for _ in range(6):
+        for _ in range(3):
             x, y = n / 2 + rng.uniform(-1, 1, 2)
             image = draw_spectral(plan, table, one(x, y, 1.0, path), (0, 0))
             exact = gaussian_pixels((n, n), x, y, sigma, path, np.sqrt(fill))
@@ -107,7 +123,7 @@ def test_against_quadrature_of_a_moving_gaussian(sigma: float, fill: float, leng
             assert np.abs(image - exact).max() <= plan.error + HOLDS * peak
 
 
-@pytest.mark.parametrize("asked", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("asked", [1e-3, 1e-6])
 @pytest.mark.parametrize(("q", "radius"), [(0.5, 10.0), (1.0, 12.0), (2.0, 24.0)])
 def test_stated_error_holds_for_airy_cores(q: float, radius: float, asked: float) -> None:
     core, path = compact_core(Blur(Airy(q, 0.3)), radius), line(9.0, 2.0)
@@ -154,14 +170,14 @@ def test_nothing_comes_round_from_outside(beside: str) -> None:
         assert np.abs(image - exact).max() <= plan.error
 
 
-@pytest.mark.parametrize("length", [300.0, 3000.0])
-def test_limits_long_streaks_are_cut_and_stay_exact(length: float) -> None:
+def test_limits_long_streaks_are_cut_and_stay_exact() -> None:
     """Closed form across a horizontal streak; its end is where it should be."""
+    length, most_bytes = 3000.0, 6e6
     core, path = gaussian_core(1.0), line(length, 0.0)
     peak = peak_light(core, path)
-    plan = plan_spectral((64, 256), core, path, 1e-4 * peak, most_bytes=6e6)
+    plan = plan_spectral((64, 256), core, path, 1e-4 * peak, most_bytes=most_bytes)
     assert plan.longest_px <= 1024.0
-    assert plan.bytes <= 6e6
+    assert plan.bytes <= most_bytes
     x, y = 128.0 - length / 2 + 0.3, 31.7  # its end lies in the block
     edges = np.arange(257) - 0.5 - x
 
@@ -172,7 +188,7 @@ def test_limits_long_streaks_are_cut_and_stay_exact(length: float) -> None:
     across = np.diff(ndtr(np.arange(65) - 0.5 - y))
     image = draw(plan, core, one(x, y, 1.0, path))
     assert np.abs(image - across[:, None] * along).max() <= plan.error
-    assert along.max() * across.max() == pytest.approx(peak, rel=0.02)
+    assert peak == pytest.approx(erf(0.5 / np.sqrt(2)) / length, rel=1e-3)
 
 
 def test_curved_and_fading_path() -> None:
@@ -205,10 +221,11 @@ def test_pixels_alias_what_they_cannot_hold() -> None:
     assert plan.limit > 1.5
     centred, between = draw(plan, core, one(12.0, 12.0)), draw(plan, core, one(12.5, 12.5))
     assert centred.max() == pytest.approx(erf(0.5 / (0.25 * np.sqrt(2))) ** 2, abs=2e-5)
-    assert between.max() == pytest.approx(0.25, abs=2e-5)
+    a_pixel = 0.5 * erf(1.0 / (0.25 * np.sqrt(2)))
+    assert between.max() == pytest.approx(a_pixel**2, abs=2e-5)
 
 
-@pytest.mark.parametrize("sigma", [0.05, 50.0])
+@pytest.mark.parametrize("sigma", [0.05, 30.0])
 def test_limits_of_sharp_and_broad_responses(sigma: float) -> None:
     """Refused where no grid holds it; else right."""
     core = gaussian_core(sigma) if sigma > 1 else compact_core(Blur(Gaussian(sigma)), 2.0)
@@ -276,6 +293,40 @@ def test_bright_sources_are_told_apart() -> None:
         assert off[120:].max() <= 0.1 * budget_e  # and it dies out with the distance
 
 
+def test_a_faint_neighbour_of_a_very_bright_source_is_right() -> None:
+    """1e9 and 1 electrons, 5 px apart: `brightest_for` sends the bright one to the stamps."""
+    core, budget_e = compact_core(Blur(Gaussian(0.8)), 7.2), 0.01
+    plan = plan_spectral((96, 128), core, POINT, 1e-3)
+    places = [(60.3, 61.4, 1e9), (64.9, 63.2, 1.0), (66.1, 64.8, 3.0), (20.5, 90.0, 9.0)]
+    image, exact = np.zeros((2, 96, 128))
+    for x, y, light in places:
+        exact += light * gaussian_pixels((96, 128), x, y, 0.8, POINT)
+        if light > brightest_for(plan, budget_e):
+            image += light * exact_stamp(core, POINT, (96, 128), x, y)
+    faint = [one(*p)[0] for p in places if p[2] <= brightest_for(plan, budget_e)]
+    assert len(faint) == 3
+    image += draw(plan, core, faint)
+    assert np.abs(image - exact)[60:68, 63:69].max() <= 2 * budget_e
+
+
+def test_errors_of_a_crowd_add_up_like_noise() -> None:
+    rng = np.random.default_rng(6)
+    x, y = rng.uniform(-30, 286, (2, 20000))
+    light = rng.exponential(10.0, 20000)
+    for core, path, asked in (
+        (gaussian_core(0.8), POINT, 1e-3),
+        (CORES["airy"], POINT, 1e-3),
+        (CORES["airy"], line(40.0), 1e-5),
+    ):
+        fine, coarse = (
+            plan_spectral((256, 256), core, path, e * peak_light(core, path), sources=2e4)
+            for e in (1e-7, asked)
+        )
+        many = [Sources(x, y, light, path)]
+        off = draw(coarse, core, many) - draw(fine, core, many)
+        assert 0.1 <= off.std() / crowd_error(coarse, light, 316.0**2) <= 1.0
+
+
 def test_float32_keeps_far_pixels_dark() -> None:
     """1e9 electrons in float32: the arithmetic's error is within its bound all over the block."""
     core = gaussian_core(0.8)
@@ -306,15 +357,21 @@ def test_same_bits_in_threads_and_whatever_is_out_of_reach() -> None:
     plan = plan_spectral((200, 220), core, path, 1e-5)
     table = transfer_table(core, plan)
     rng = np.random.default_rng(5)
-    x, y = rng.uniform(-50, 270, 4000), rng.uniform(-50, 250, 4000)
+    x, y = rng.uniform(-90, 310, 4000), rng.uniform(-90, 290, 4000)
     light = rng.uniform(1, 100, 4000)
     first = draw_spectral(plan, table, [Sources(x, y, light, path)], (0, 0))
+    again = [
+        draw_spectral(plan, table, [Sources(x, y, light, path)], (0, 0), threads=n)
+        for n in (2, 3, 5)
+    ]
     with ThreadPoolExecutor(4) as pool:
-        again = list(
-            pool.map(
-                lambda _: draw_spectral(plan, table, [Sources(x, y, light, path)], (0, 0)), range(4)
-            )
+        again += pool.map(
+            lambda _: draw_spectral(plan, table, [Sources(x, y, light, path)], (0, 0)), range(4)
         )
+    half = 0.5 * 30.0
+    near = np.maximum(np.abs(x - 109.5) - 110, np.abs(y - 99.5) - 100) <= plan.halo_px + half
+    inner = Sources(x[near], y[near], light[near], path)
+    again.append(draw_spectral(plan, table, [inner], (0, 0)))
     far = Sources(np.append(x, 9e3), np.append(y, 9e3), np.append(light, 1e9), path)
     again.append(draw_spectral(plan, table, [far], (0, 0)))
     moved = Sources(x + 4096.0, y - 2048.0, light, path)
@@ -323,13 +380,7 @@ def test_same_bits_in_threads_and_whatever_is_out_of_reach() -> None:
     assert np.abs(shifted - first).max() <= 1e-6 * first.max()
 
 
-CORES = {
-    "gaussian": gaussian_core(0.8),
-    "airy": compact_core(Blur(Airy(1.0, 0.3)), 12.0),
-}
-
-
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     name=st.sampled_from(sorted(CORES)),
     place=st.tuples(st.floats(-30, 100), st.floats(-30, 90)),

@@ -90,8 +90,9 @@ def test_band_holds_all_of_a_positive_response() -> None:
     assert peak_light(core, POINT) == pytest.approx(centre)
 
 
-@pytest.mark.parametrize("length", [0.0, 60.0, 300.0, 3000.0])
-@pytest.mark.parametrize("sigma", [0.8, 50.0])
+@pytest.mark.parametrize(
+    ("sigma", "length"), [(0.8, 0.0), (0.8, 300.0), (0.8, 3000.0), (30.0, 300.0)]
+)
 def test_memory_is_bounded_and_foretold(sigma: float, length: float) -> None:
     core, path = gaussian_core(sigma), line(length)
     error = 1e-3 * peak_light(core, path)

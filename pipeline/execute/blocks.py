@@ -1,0 +1,189 @@
+"""Light that is drawn block by block: wings on a coarse grid, and crowds of stars by transforms.
+
+Blocks are fixed parts of the focal plane, whatever the tiles are, so that the bits do not depend
+on tiles. A block is drawn once and serves all tiles that it overlaps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
+from pipeline.execute.sources import (
+    FrameTarget,
+    distance_px,
+    drawing_order,
+    excursion_px,
+    place_targets,
+    streaks,
+    zone_of,
+)
+from pipeline.execute.tables import kernel_of, spectral_of, streak_of
+from pipeline.physics.drawing.spectral import Sources, draw_spectral
+from pipeline.physics.drawing.spectral_plan import brightest_for
+from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
+from pipeline.physics.motion.streak import Path
+from pipeline.plan.responses import BLOCK_PX
+from pipeline.plan.scene_plan import Plan
+from pipeline.plan.streaks import Streak
+from pipeline.plan.tiles import Tile
+
+
+@dataclass(frozen=True)
+class Block:
+    """The light of one block of the focal plane that its tiles take over.
+
+    grid, star_wings, target_wings : the wings' grid and its fields; None where there are none
+    crowd_e : (rows, columns) light of the stars drawn together, None where stamps draw all
+    crowd_limit_e : stars of at most so much light are in it
+    brightest_e : light of the brightest source around, which the errors of its wings go with
+    """
+
+    place: Tile
+    grid: WingGrid | None
+    star_wings: Array | None
+    target_wings: Array | None
+    crowd_e: NDArray[np.floating] | None
+    crowd_limit_e: float
+    brightest_e: float
+
+    def in_crowd(self, light_e: Array) -> NDArray[np.bool_]:
+        """Which stars (n,) are in the block's own image already."""
+        if self.crowd_e is None:
+            return np.zeros(len(light_e), bool)
+        return light_e <= self.crowd_limit_e
+
+
+def plan_blocks(plan: Plan, most_stars: float) -> tuple[Tile, ...]:
+    """The blocks of a frame; none where there are no wings and too few stars for transforms.
+
+    most_stars : no frame holds more.
+    """
+    r = plan.responses
+    if not r.spacing_px and not (r.spectral_from and most_stars >= r.spectral_from):
+        return ()
+    rows, columns = plan.scene.sensor.shape
+    return tuple(
+        Tile(i, j, y0, x0, min(BLOCK_PX, rows - y0), min(BLOCK_PX, columns - x0))
+        for i, y0 in enumerate(range(0, rows, BLOCK_PX))
+        for j, x0 in enumerate(range(0, columns, BLOCK_PX))
+    )
+
+
+def class_of(plan: Plan, light_e: Array) -> np.ndarray:
+    """Core class (n,) of sources by their light: the first whose limit they do not exceed."""
+    limits = np.array([c.brightest_e for c in plan.responses.classes])
+    return np.searchsorted(limits, light_e, side="left").clip(0, len(limits) - 1)
+
+
+def around(stars: FrameStars, tile: Tile, reach: float) -> FrameStars:
+    """Stars within `reach` pixels of a tile."""
+    place = (tile.y0, tile.x0, tile.rows, tile.columns)
+    return select(stars, distance_px(stars.x_px, stars.y_px, *place) < reach)
+
+
+def render_block(plan: Plan, g: Geometry, place: Tile, parts: list[FrameStars]) -> Block:
+    """Wings of all sources around a block, and its stars where they are many."""
+    reach = plan.halo_px + excursion_px(plan, g)
+    stars = drawing_order(around(concatenate(parts, FrameStars), place, reach))
+    targets = place_targets(plan, g) if plan.responses.spacing_px else []
+    brightest = float(stars.light_e.max(initial=0.0))
+    brightest = max([brightest, *(t.light_e for t in targets)])
+    paths = streaks(plan, g) if len(stars) else []
+    grid, star_wings, target_wings = _wings(plan, place, reach, stars, paths, targets)
+    crowd, limit = _crowd(plan, place, stars, paths)
+    return Block(place, grid, star_wings, target_wings, crowd, limit, brightest)
+
+
+def _crowd(
+    plan: Plan, place: Tile, stars: FrameStars, paths: list[Streak]
+) -> tuple[NDArray[np.floating] | None, float]:
+    """The stars of the first core class together, and the light up to which they are drawn."""
+    r = plan.responses
+    if not r.spectral_from or len(stars) < r.spectral_from:
+        return None, 0.0
+    zones = zone_of(plan, stars.x_px, stars.y_px)
+    found = [piece.path for zone in np.unique(zones) for piece in paths[zone].pieces]
+    longest = max(found, key=lambda p: p.length_px)
+    prepared = spectral_of(r.blur, r.classes[0].radius_px, longest, (place.rows, place.columns))
+    if prepared is None:
+        return None, 0.0
+    spectral, table = prepared
+    limit = min(brightest_for(spectral, r.budget_e), r.classes[0].brightest_e)
+    groups = []
+    for zone in np.unique(zones):
+        mine, streak = (zones == zone) & (stars.light_e <= limit), paths[zone]
+        x, y, light = stars.x_px[mine], stars.y_px[mine], stars.light_e[mine]
+        for piece in streak.pieces:
+            dx, dy = streak.at(piece.centre, x, y)
+            groups.append(Sources(x + dx, y + dy, light * piece.share, piece.path))
+    return draw_spectral(spectral, table, groups, (place.y0, place.x0)), limit
+
+
+def _wings(
+    plan: Plan,
+    place: Tile,
+    reach: float,
+    stars: FrameStars,
+    paths: list[Streak],
+    targets: list[FrameTarget],
+) -> tuple[WingGrid | None, Array | None, Array | None]:
+    """The wings' grid around a block, and the fields of its stars and of the targets."""
+    r = plan.responses
+    if not r.spacing_px:
+        return None, None, None
+    grid = wing_grid((place.rows, place.columns), (place.y0, place.x0), r.spacing_px, reach)
+    path = paths[_middle_zone(plan, place)].path if paths else None
+    light = stars.light_e
+    star_wings = _wing_field(plan, grid, stars.x_px, stars.y_px, light, light, path)
+    target_wings = _wing_field(plan, grid, *_target_points(plan, targets), None)
+    return grid, star_wings, target_wings
+
+
+def _wing_field(
+    plan: Plan, grid: WingGrid, x: Array, y: Array, light: Array, whole: Array, path: Path | None
+) -> Array | None:
+    """Grid values of the wings of points; `whole` is the light of the source each belongs to."""
+    total: np.ndarray | None = None
+    classes = class_of(plan, whole)
+    r = plan.responses
+    for k, core in enumerate(r.classes):
+        mine = classes == k
+        if mine.any():
+            kernel = kernel_of(r.blur, core.radius_px, grid, r.reach_px)
+            part = scipy.fft.rfft2(spread(grid, x[mine], y[mine], light[mine])) * kernel
+            total = part if total is None else total + part
+    if total is None:
+        return None
+    return convolve(total if path is None else total * streak_of(grid, path), grid)
+
+
+def _target_points(plan: Plan, targets: list[FrameTarget]) -> tuple[Array, Array, Array, Array]:
+    """Targets as points along their paths, dense enough for the wings' grid."""
+    step = plan.responses.spacing_px / 2.0
+    x: list[Array] = []
+    y: list[Array] = []
+    light: list[Array] = []
+    whole: list[Array] = []
+    for t in targets:
+        for k in range(t.path.segments):
+            ends = (t.path.x_px[k], t.path.x_px[k + 1], t.path.y_px[k], t.path.y_px[k + 1])
+            count = int(np.ceil(np.hypot(ends[1] - ends[0], ends[3] - ends[2]) / step)) or 1
+            at = (np.arange(count) + 0.5) / count
+            x.append(t.x_px + ends[0] + at * (ends[1] - ends[0]))
+            y.append(t.y_px + ends[2] + at * (ends[3] - ends[2]))
+            light.append(np.full(count, t.light_e * t.path.weight[k] / count))
+            whole.append(np.full(count, t.light_e))
+    if not x:
+        return (np.empty(0),) * 4
+    return np.concatenate(x), np.concatenate(y), np.concatenate(light), np.concatenate(whole)
+
+
+def _middle_zone(plan: Plan, block: Tile) -> int:
+    """The zone whose streak a block's wings take."""
+    x, y = block.x0 + 0.5 * block.columns, block.y0 + 0.5 * block.rows
+    return int(zone_of(plan, np.array([x]), np.array([y]))[0])

@@ -1,0 +1,248 @@
+"""Common streaks: zones whose stars move alike, and the pieces of time that they are drawn in.
+
+Stars of one frame move along almost the same path. In each piece of the exposure all stars of a
+zone get one shape, placed where each star's own light is in that piece; so what remains of the
+difference between two paths is divided by the number of pieces, and few tables serve all stars.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.arrays import Array, Geometry
+from pipeline.errors import BadInput
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
+from pipeline.physics.positions.focal_plane import Camera
+from pipeline.plan.geometry import star_paths
+from pipeline.spec.scene import CELL_PX
+
+PATH_STEP_PX = 2.0**-8  # shapes are rounded to it, so that alike ones share their tables
+MERGE_TOLERANCE_PX = 2e-3
+SPREAD_TOLERANCE_PX = 1e-2
+MOST_PIECES = 16
+NODES = np.array([-1.0, 0.0, 1.0])  # of a zone, where paths are followed exactly
+CHECKS = np.array([-1.0, -0.5, 0.5, 1.0])  # where the spread is measured
+
+
+@dataclass(frozen=True)
+class Zone:
+    """A rectangle of the focal plane [px]; u and v run from -1 to 1 across it."""
+
+    y0: float
+    y1: float
+    x0: float
+    x1: float
+
+    def uv(self, x_px: Array, y_px: Array) -> tuple[Array, Array]:
+        """Places in the zone's own units."""
+        half_x, half_y = 0.5 * (self.x1 - self.x0), 0.5 * (self.y1 - self.y0)
+        return (x_px - self.x0) / half_x - 1.0, (y_px - self.y0) / half_y - 1.0
+
+    def places(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Pixels (x, y) of places in the zone's own units."""
+        half_x, half_y = 0.5 * (self.x1 - self.x0), 0.5 * (self.y1 - self.y0)
+        return self.x0 + (u + 1.0) * half_x, self.y0 + (v + 1.0) * half_y
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One part of the exposure: the shape of its light about its centroid, and where that stands.
+
+    path : on the PATH_STEP_PX grid, weights of sum one; share : part of the light
+    centre : (2, 3, 3) x and y of the centroid, from the star's place at mid-exposure, for stars
+        at the zone's NODES (rows of v, columns of u)
+    """
+
+    path: Path
+    share: float
+    centre: Array
+
+
+@dataclass(frozen=True)
+class Streak:
+    """How the stars of a zone move in one frame.
+
+    path : of the star in the middle of the zone, from its place at mid-exposure
+    start, end : (2, 3, 3) ends of the path for stars at the zone's NODES
+    """
+
+    zone: Zone
+    path: Path
+    pieces: tuple[Piece, ...]
+    start: Array
+    end: Array
+
+    def at(self, table: Array, x_px: Array, y_px: Array) -> tuple[Array, Array]:
+        """A quantity known at the zone's NODES for stars at (x, y): biquadratic interpolation."""
+        return _biquadratic(table, *self.zone.uv(x_px, y_px))
+
+
+@dataclass(frozen=True)
+class StreakPlan:
+    """Zones per axis, pieces of an exposure, and what is left: px from a star's own path.
+
+    shapes : different pieces that a frame has at most
+    """
+
+    zones: int
+    pieces: int
+    spread_px: float
+    longest_px: float
+    shapes: int
+
+
+def plan_streaks(camera: Camera, ends: Geometry, aberration: bool) -> StreakPlan:
+    """Fewest zones, then fewest pieces, whose stars streak alike to SPREAD_TOLERANCE_PX."""
+    most = max(1, math.ceil(max(camera.rows, camera.columns) / CELL_PX))
+    zones = 1
+    while True:
+        offsets = _followed(camera, ends, zones, aberration)
+        longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
+        fewest = _power_of_two(longest / LONGEST_PIECE_PX)
+        pieces, spread = fewest, _spread_px(offsets, fewest)
+        while spread > SPREAD_TOLERANCE_PX and pieces < MOST_PIECES:
+            pieces, spread = 2 * pieces, _spread_px(offsets, 2 * pieces)
+        if spread <= SPREAD_TOLERANCE_PX or zones >= most:
+            return StreakPlan(zones, pieces, spread, longest, zones**2 * _shapes(offsets, pieces))
+        zones = min(2 * zones, most)
+
+
+def _power_of_two(n: float) -> int:
+    return int(2 ** max(0, math.ceil(math.log2(max(n, 1.0)))))
+
+
+def _followed(camera: Camera, g: Geometry, zones: int, aberration: bool) -> Array:
+    """(2, zones looked at, points, frames, nodes) offsets of stars from mid-exposure.
+
+    Points are the 3 x 3 NODES and the 4 x 4 CHECKS of the zones in the frame's corners, edges and
+    middle, where paths differ most and least; with distortion, of all zones.
+    """
+    looked_at = sorted({0, zones // 2, zones - 1} if camera.distortion is None else range(zones))
+    u, v = (np.concatenate([np.meshgrid(a, a)[k].ravel() for a in (NODES, CHECKS)]) for k in (0, 1))
+    places = [zone_of_frame(camera, r, c, zones).places(u, v) for r in looked_at for c in looked_at]
+    x, y = np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places])
+    offsets = _offsets(camera, g, x, y, aberration)
+    return offsets.reshape(2, len(places), u.size, *offsets.shape[2:])
+
+
+def _offsets(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bool) -> Array:
+    """(2, n, F, K) paths of the stars at (x, y) relative to their places at mid-exposure."""
+    paths = star_paths(camera, g, x, y, aberration)
+    if not np.isfinite(paths).all():
+        raise BadInput(
+            "exposure.integration_s", "a boresight that turns away from its field in one exposure",
+            "a shorter exposure or a slower pointing",
+        )  # fmt: skip
+    return paths - paths[..., [g.middle]]
+
+
+def _resampled(offsets: Array, pieces: int) -> Array:
+    """Offsets (..., n + 1) at equal times of which each piece has at least two steps."""
+    steps = offsets.shape[-1] - 1
+    wanted = max(steps, 2 * pieces)
+    if wanted == steps:
+        return offsets
+    at = np.arange(wanted + 1) * (steps / wanted)
+    low = np.minimum(at.astype(int), steps - 1)
+    t = at - low
+    return offsets[..., low] * (1.0 - t) + offsets[..., low + 1] * t
+
+
+def _in_pieces(offsets: Array, pieces: int) -> tuple[Array, Array]:
+    """(..., pieces, steps + 1) offsets piece by piece, and their mean places (..., pieces)."""
+    fine = _resampled(offsets, pieces)
+    steps = (fine.shape[-1] - 1) // pieces
+    index = np.arange(pieces)[:, None] * steps + np.arange(steps + 1)[None, :]
+    parts = fine[..., index]
+    means = 0.5 * (parts[..., 1:] + parts[..., :-1]).mean(axis=-1)
+    return parts, means
+
+
+def _spread_px(offsets: Array, pieces: int) -> float:
+    """Largest distance between a star's own path and the one that it is drawn along [px]."""
+    parts, means = _in_pieces(offsets, pieces)
+    nodes = NODES.size**2
+    shape = parts[:, :, nodes // 2] - means[:, :, nodes // 2, ..., None]
+    table = np.moveaxis(means[:, :, :nodes], 2, -1)
+    u, v = (m.ravel() for m in np.meshgrid(CHECKS, CHECKS))
+    worst = 0.0
+    at_nodes = parts[:, :, :nodes] - means[:, :, :nodes, ..., None] - shape[:, :, None]
+    worst = float(np.hypot(*at_nodes).max())
+    for k, (a, b) in enumerate(zip(u, v, strict=True)):
+        weight = (_lagrange(np.array([b]))[:, 0][:, None] * _lagrange(np.array([a]))[:, 0]).ravel()
+        drawn = (table * weight).sum(axis=-1)[..., None] + shape
+        worst = max(worst, float(np.hypot(*(parts[:, :, nodes + k] - drawn)).max()))
+    return worst
+
+
+def _shapes(offsets: Array, pieces: int) -> int:
+    """Different shapes among the pieces of one zone's frame: one where it moves evenly."""
+    parts, means = _in_pieces(offsets, pieces)
+    shape = parts[:, :, NODES.size**2 // 2] - means[:, :, NODES.size**2 // 2, ..., None]
+    apart = np.abs(shape - shape[..., :1, :]).max()
+    return 1 if apart < 0.25 * PATH_STEP_PX else pieces
+
+
+def _lagrange(t: Array) -> Array:
+    """(3, n) Lagrange weights of the values at NODES."""
+    return np.stack([0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)])
+
+
+def _biquadratic(table: Array, u: Array, v: Array) -> tuple[Array, Array]:
+    """Values (n,) of x and y of a (2, 3, 3) table at (u, v), star by star in one order of sums."""
+    along, down = _lagrange(u), _lagrange(v)
+    x, y = np.zeros(u.shape), np.zeros(u.shape)
+    for j in range(3):
+        for i in range(3):
+            weight = down[j] * along[i]
+            x += weight * table[0, j, i]
+            y += weight * table[1, j, i]
+    return x, y
+
+
+def zone_of_frame(camera: Camera, row: int, column: int, zones: int) -> Zone:
+    """A zone of the focal plane."""
+    y, x = camera.rows / zones, camera.columns / zones
+    return Zone(row * y - 0.5, (row + 1) * y - 0.5, column * x - 0.5, (column + 1) * x - 0.5)
+
+
+def zone_streak(
+    camera: Camera, g: Geometry, row: int, column: int, plan: StreakPlan, aberration: bool
+) -> Streak:
+    """The common streak of a zone's stars in the one frame of `g`."""
+    zone = zone_of_frame(camera, row, column, plan.zones)
+    u, v = (m.ravel() for m in np.meshgrid(NODES, NODES))
+    offsets = _offsets(camera, g, *zone.places(u, v), aberration)[:, :, 0]
+    middle = NODES.size**2 // 2
+    parts, means = _in_pieces(offsets, plan.pieces)
+    made = []
+    for k in range(plan.pieces):
+        path = _rounded(*(parts[:, middle, k] - means[:, middle, k, None]))
+        table = means[:, :, k] - np.array(centroid(path))[:, None]
+        made.append(Piece(path, 1.0 / plan.pieces, table.reshape(2, 3, 3)))
+    ends = [offsets[:, :, k].reshape(2, 3, 3) for k in (0, -1)]
+    return Streak(zone, _rounded(*offsets[:, middle]), tuple(made), *ends)
+
+
+def _rounded(dx: Array, dy: Array) -> Path:
+    """Path through places at equal times, straight runs merged, on the PATH_STEP_PX grid."""
+    steps = len(dx) - 1
+    path = path_through(dx, dy, np.full(steps, 1.0 / steps), MERGE_TOLERANCE_PX)
+    x, y = (np.round(a / PATH_STEP_PX) * PATH_STEP_PX + 0.0 for a in (path.x_px, path.y_px))
+    return Path(x, y, path.weight)
+
+
+def exact_path(camera: Camera, g: Geometry, x: float, y: float, aberration: bool) -> Path:
+    """Path of the star at (x, y) at mid-exposure of the one frame of `g`, hardly merged."""
+    dx, dy = _offsets(camera, g, np.array([x]), np.array([y]), aberration)[:, 0, 0]
+    return path_through(dx, dy, np.full(g.nodes - 1, 1.0 / (g.nodes - 1)), 1e-6)
+
+
+def centroid(path: Path) -> tuple[float, float]:
+    """Mean place of the light of a path (x, y)."""
+    middle_x = 0.5 * (path.x_px[1:] + path.x_px[:-1])
+    middle_y = 0.5 * (path.y_px[1:] + path.y_px[:-1])
+    return float(path.weight @ middle_x), float(path.weight @ middle_y)

@@ -1,0 +1,109 @@
+"""Common streaks: every star is drawn along its own path to what the plan says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pipeline.physics.motion.streak import Path
+from pipeline.plan.geometry import camera_of, plan_geometry, star_paths
+from pipeline.plan.streaks import (
+    MERGE_TOLERANCE_PX,
+    PATH_STEP_PX,
+    SPREAD_TOLERANCE_PX,
+    Streak,
+    centroid,
+    exact_path,
+    plan_streaks,
+    zone_streak,
+)
+from pipeline.spec.scene import Scene
+
+Make = Callable[..., Scene]
+ROUNDING_PX = 0.75 * PATH_STEP_PX + MERGE_TOLERANCE_PX  # both axes of the grid, and merging
+
+
+def along(path: Path, share: np.ndarray) -> np.ndarray:
+    """Places (2, n) of a path where the given shares of its light have been sent."""
+    light = np.concatenate([[0.0], np.cumsum(path.weight)])
+    return np.stack([np.interp(share, light, path.x_px), np.interp(share, light, path.y_px)])
+
+
+def drawn(streak: Streak, x: float, y: float, time: np.ndarray) -> np.ndarray:
+    """Places (2, n) of a star at (x, y) as it is drawn, at times 0..1 of the exposure."""
+    out = np.empty((2, len(time)))
+    count = len(streak.pieces)
+    which = np.minimum((time * count).astype(int), count - 1)
+    for k, piece in enumerate(streak.pieces):
+        mine = which == k
+        centre = streak.at(piece.centre, np.array([x]), np.array([y]))
+        out[:, mine] = np.array(centre) + along(piece.path, time[mine] * count - k)
+    return out
+
+
+def rate(scene: Make, east: float, north: float, focal_m: float, dec: float = 50.0) -> Scene:
+    pointing = {"mode": "rate", "boresight_ra_deg": 1.0, "boresight_dec_deg": dec,
+                "rate_ra_arcsec_s": east, "rate_dec_arcsec_s": north}  # fmt: skip
+    return scene({"sensor.focal_length_m": focal_m, "pointing": pointing})
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    east=st.floats(-60, 60), north=st.floats(-60, 60), focal=st.floats(0.03, 2.0),
+    at=st.tuples(st.floats(0, 1), st.floats(0, 1)),
+)  # fmt: skip
+def test_each_star_keeps_to_its_own_path(
+    scene: Make, east: float, north: float, focal: float, at: tuple[float, float]
+) -> None:
+    s = rate(scene, east, north, focal)
+    camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
+    plan = plan_streaks(camera, g, True)
+    x, y = at[0] * (camera.columns - 1), at[1] * (camera.rows - 1)
+    row, column = int(at[1] * plan.zones * 0.999), int(at[0] * plan.zones * 0.999)
+    streak = zone_streak(camera, g, row, column, plan, True)
+    time = np.linspace(0.0, 1.0, g.nodes)
+    own = star_paths(camera, g, np.array([x]), np.array([y]))[:, 0, 0]
+    own -= own[:, [g.middle]]
+    off = np.hypot(*(drawn(streak, x, y, time) - own)).max()
+    assert plan.spread_px <= SPREAD_TOLERANCE_PX
+    assert off <= 1.5 * plan.spread_px + ROUNDING_PX + 2e-3  # 2e-3: bends between the nodes
+
+
+def test_centroid_and_light_of_the_pieces(scene: Make) -> None:
+    s = rate(scene, 30.0, -20.0, 1.0)
+    camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
+    plan = plan_streaks(camera, g, True)
+    streak = zone_streak(camera, g, 0, 0, plan, True)
+    assert sum(p.share for p in streak.pieces) == pytest.approx(1.0, abs=1e-12)
+    x, y = np.array([11.0]), np.array([300.0])
+    own = centroid(exact_path(camera, g, 11.0, 300.0, True))
+    mean = np.zeros(2)
+    for piece in streak.pieces:
+        place = np.array(streak.at(piece.centre, x, y))[:, 0]
+        mean += piece.share * (place + np.array(centroid(piece.path)))
+    assert mean == pytest.approx(own, abs=3e-4)
+
+
+def test_still_stars_are_one_point(scene: Make) -> None:
+    s = scene()
+    camera, g = camera_of(s), plan_geometry(s, np.array([0, 4]), 0.0)
+    plan = plan_streaks(camera, g, True)
+    assert (plan.zones, plan.pieces, plan.shapes) == (1, 1, 1)
+    assert plan.spread_px == pytest.approx(0.0, abs=1e-3)
+    assert zone_streak(camera, g.frame_slice(0), 0, 0, plan, True).path.length_px < 0.01
+
+
+def test_wide_fields_get_more_pieces_or_zones(scene: Make) -> None:
+    plans: list[Any] = []
+    for focal in (1.0, 0.1, 0.02):
+        s = rate(scene, 4.0 / focal, 0.0, focal)  # the same streak in pixels
+        plans.append(plan_streaks(camera_of(s), plan_geometry(s, np.array([0]), 0.0), True))
+    parts = [p.zones * p.pieces for p in plans]
+    assert parts == sorted(parts)
+    assert parts[-1] > parts[0]
+    assert all(p.spread_px <= SPREAD_TOLERANCE_PX for p in plans)
