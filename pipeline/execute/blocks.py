@@ -23,6 +23,7 @@ from pipeline.execute.sources import (
     zone_of,
 )
 from pipeline.execute.tables import kernel_of, spectral_of, streak_of
+from pipeline.physics.drawing.extended import spread_body
 from pipeline.physics.drawing.spectral import Sources, draw_spectral
 from pipeline.physics.drawing.spectral_plan import brightest_for
 from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
@@ -140,7 +141,12 @@ def _wings(
     path = paths[_middle_zone(plan, place)].path if paths else None
     light = stars.light_e
     star_wings = _wing_field(plan, grid, stars.x_px, stars.y_px, light, light, path)
-    target_wings = _wing_field(plan, grid, *_target_points(plan, targets), None)
+    points = [t for t in targets if t.body is None]
+    target_wings = _wing_field(plan, grid, *_target_points(plan, points), None)
+    for target in targets:
+        if target.body is not None:
+            field = _body_field(plan, grid, target)
+            target_wings = field if target_wings is None else target_wings + field
     return grid, star_wings, target_wings
 
 
@@ -160,6 +166,16 @@ def _wing_field(
     if total is None:
         return None
     return convolve(total if path is None else total * streak_of(grid, path), grid)
+
+
+def _body_field(plan: Plan, grid: WingGrid, target: FrameTarget) -> Array:
+    """Grid values of the wings of an extended body."""
+    assert target.body is not None
+    r = plan.responses
+    core = r.classes[int(class_of(plan, np.array([target.light_e]))[0])]
+    light = spread_body(grid, target.body, (target.y_px, target.x_px), target.light_e)
+    kernel = kernel_of(r.blur, core.radius_px, grid, r.reach_px)
+    return convolve(scipy.fft.rfft2(light) * kernel * streak_of(grid, target.path), grid)
 
 
 def _target_points(plan: Plan, targets: list[FrameTarget]) -> tuple[Array, Array, Array, Array]:

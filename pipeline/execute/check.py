@@ -10,10 +10,18 @@ import scipy.fft
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import class_of
-from pipeline.execute.sources import distance_px, drawing_order, excursion_px, place_targets
+from pipeline.execute.sources import (
+    FrameTarget,
+    distance_px,
+    drawing_order,
+    excursion_px,
+    place_targets,
+)
 from pipeline.execute.tables import core_of, kernel_of
 from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
+from pipeline.physics.drawing.extended import draw_body, spread_body
 from pipeline.physics.drawing.wings import (
+    WingGrid,
     add_wings,
     convolve,
     grid_frequencies,
@@ -117,13 +125,16 @@ def reference(plan: Plan, g: Geometry, at: Tile, stars: FrameStars) -> tuple[Arr
         aberration = plan.scene.star_effects["aberration"]
         path = exact_path(plan.camera, g, *middle, aberration)
         groups.append((near.x_px, near.y_px, near.light_e, path))
+    targets = place_targets(plan, g)
     groups += [
         (np.array([t.x_px]), np.array([t.y_px]), np.array([t.light_e]), t.path)
-        for t in place_targets(plan, g)
+        for t in targets
+        if t.body is None
     ]
     work = list(_pieces(plan, at, groups))
     cost = sum(len(x) * terms(core, piece, (at.rows, at.columns)) for core, piece, x, _, _ in work)
-    sources = sum(len(group[0]) for group in groups)
+    bodies = [t for t in targets if t.body is not None]
+    sources = sum(len(group[0]) for group in groups) + len(bodies)
     if cost > MOST_TERMS:
         return None, sources
     image = np.zeros((at.rows, at.columns))
@@ -132,6 +143,8 @@ def reference(plan: Plan, g: Geometry, at: Tile, stars: FrameStars) -> tuple[Arr
     if plan.responses.spacing_px:
         for x, y, light, path in groups:
             _add_fine_wings(plan, image, at, x, y, light, path)
+    for body in bodies:
+        _add_body(plan, image, at, body)
     return image, sources
 
 
@@ -171,8 +184,7 @@ def _add_fine_wings(
 ) -> None:
     """Wings of sources on a grid of half the planned spacing, swept by their own path."""
     r = plan.responses
-    sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
-    grid = wing_grid(image.shape, (at.y0, at.x0), max(1, r.spacing_px // 2), r.reach_px + sweep)
+    grid = _fine_grid(plan, at, path)
     swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
     classes = class_of(plan, light)
     total = np.zeros(swept.shape, complex)
@@ -181,6 +193,29 @@ def _add_fine_wings(
         kernel = kernel_of(r.blur, _radius(plan, int(k)), grid, r.reach_px)
         total += scipy.fft.rfft2(spread(grid, x[mine], y[mine], light[mine])) * kernel
     add_wings(image, (at.y0, at.x0), grid, convolve(total * swept, grid))
+
+
+def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
+    """An extended body with the reference's core, and its wings on the finer grid."""
+    assert target.body is not None
+    r, place = plan.responses, (target.y_px, target.x_px)
+    core = core_of(r.blur, _radius(plan, int(class_of(plan, np.array([target.light_e]))[0])))
+    draw_body(image, (at.y0, at.x0), target.body, core, place, target.light_e, target.path)
+    if r.spacing_px:
+        grid = _fine_grid(plan, at, target.path)
+        light = scipy.fft.rfft2(spread_body(grid, target.body, place, target.light_e))
+        light = light * kernel_of(r.blur, core.radius_px, grid, r.reach_px)
+        path = target.path
+        swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+        add_wings(image, (at.y0, at.x0), grid, convolve(light * swept, grid))
+
+
+def _fine_grid(plan: Plan, at: Tile, path: Path) -> WingGrid:
+    """A grid around a window, of half the planned spacing."""
+    r = plan.responses
+    sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
+    spacing = max(1, r.spacing_px // 2)
+    return wing_grid((at.rows, at.columns), (at.y0, at.x0), spacing, r.reach_px + sweep)
 
 
 def summary(records: list[dict[str, Any]]) -> dict[str, Any]:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import Block, around, class_of
 from pipeline.execute.sources import drawing_order, place_targets, streaks, zone_of
-from pipeline.execute.tables import swept_core, table_of
+from pipeline.execute.tables import core_of, swept_core, table_of
+from pipeline.physics.drawing.extended import draw_body
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.streak import Path, pieces
@@ -48,6 +49,13 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
     image = np.zeros((tile.rows, tile.columns))
     for target in place_targets(plan, g):
         k = int(class_of(plan, np.array([target.light_e]))[0])
+        if target.body is not None:
+            core = core_of(plan.responses.blur, plan.responses.classes[k].radius_px)
+            place = target.y_px, target.x_px
+            draw_body(
+                image, (tile.y0, tile.x0), target.body, core, place, target.light_e, target.path
+            )
+            continue
         for x0, y0, piece, share in pieces(target.path):
             x, y = target.x_px + x0, target.y_px + y0
             _draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,23 +11,32 @@ from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
 from pipeline.physics.motion.streak import Path, path_through
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
+from pipeline.physics.targets.disc import Sphere, photocentre_offset
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.geometry import excursions_px
+from pipeline.plan.responses import point_curvature
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
+from pipeline.spec.scene import SphereBody
 
+POINT_RADIUS_PX = 1e-4  # smaller bodies are points whatever their light
 STRIP_PX = 64.0  # stars are drawn in strips of rows, so that a stamp's pixels stay in the cache
 
 
 @dataclass(frozen=True)
 class FrameTarget:
-    """One target in one frame: its place at mid-exposure [px], path around it, light [e-]."""
+    """One target in one frame: its place at mid-exposure [px], path around it, light [e-].
+
+    radius_px : of the body; body : its resolved image, None where a point serves
+    """
 
     index: int
     x_px: float
     y_px: float
     path: Path
     light_e: float
+    radius_px: float = 0.0
+    body: Sphere | None = None
 
 
 def place_stars(
@@ -122,5 +132,35 @@ def place_targets(plan: Plan, g: Geometry) -> list[FrameTarget]:
         x0, y0 = float(x[g.middle]), float(y[g.middle])
         weight = share / total if total > 0 else np.full(g.nodes - 1, 1.0 / (g.nodes - 1))
         path = path_through(x - x0, y - y0, weight, MERGE_TOLERANCE_PX)
-        out.append(FrameTarget(i, x0, y0, path, total * electrons))
+        out.append(_seen(plan, g, FrameTarget(i, x0, y0, path, total * electrons)))
     return out
+
+
+def _seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
+    """The target as a point where its light is, or with its disc where that shows.
+
+    The disc and its lit side are those of mid-exposure.
+    """
+    body = plan.scene.targets[target.index].body
+    if not isinstance(body, SphereBody):
+        return target
+    distance = float(g.target_range_m[target.index, 0, g.middle])
+    radius = 0.5 * body.diameter_m / (distance * plan.facts.ifov_rad)
+    if radius < POINT_RADIUS_PX:
+        return replace(target, radius_px=radius)
+    phase = min(math.pi, max(0.0, float(g.target_phase_rad[target.index, 0, g.middle])))
+    angle = _sun_angle(g, target.index, distance)
+    if target.light_e * point_curvature(plan.responses.blur) * radius**2 > plan.responses.budget_e:
+        return replace(target, radius_px=radius, body=Sphere(radius, phase, angle))
+    off = float(photocentre_offset(radius, phase))
+    x, y = target.x_px + off * math.cos(angle), target.y_px + off * math.sin(angle)
+    return replace(target, x_px=x, y_px=y, radius_px=radius)
+
+
+def _sun_angle(g: Geometry, index: int, distance_m: float) -> float:
+    """Direction of the Sun as seen at a target, from +x (columns) towards +y (rows) [rad]."""
+    towards = g.target_direction[index, 0]
+    place = g.observer_m[0, g.middle] + distance_m * towards
+    sun = g.sun_m[0, g.middle] - place
+    x, y, _ = g.attitude[0, g.middle] @ (sun - (sun @ towards) * towards)
+    return math.atan2(float(y), float(x))

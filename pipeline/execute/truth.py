@@ -94,6 +94,8 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         "phase_deg": np.degrees(g.target_phase_rad[:, 0, middle]),
         "sunlit_fraction": g.target_sunlit[:, 0, middle],
         "electrons": light,
+        "radius_px": np.array([drawn[i].radius_px if i in drawn else 0.0 for i in range(count)]),
+        "extended": np.array([i in drawn and drawn[i].body is not None for i in range(count)]),
         "snr": np.array(snr),
         "in_frame": inside,
     }

@@ -39,7 +39,7 @@ def decide(scene: Scene, facts: Facts, responses: ResponsePlan) -> tuple[Decisio
         *_components(scene, facts),
         *_noise_terms(scene),
         *_star_effects(scene),
-        *_target_effects(scene),
+        *_target_effects(scene, facts),
         *_occultation(scene),
         *_optics(scene),
         *_approximations(scene, facts, responses),
@@ -146,7 +146,7 @@ def _star_effects(scene: Scene) -> list[Decision]:
     return out
 
 
-def _target_effects(scene: Scene) -> list[Decision]:
+def _target_effects(scene: Scene, facts: Facts) -> list[Decision]:
     """What lights a target, and what hides it."""
     if not scene.targets:
         return []
@@ -156,6 +156,12 @@ def _target_effects(scene: Scene) -> list[Decision]:
             "targets.eclipse", len(dark) < len(scene.targets),
             "umbra and penumbra of a spherical Earth without air, uniform solar disc"
             + (f"; switched off for {', '.join(dark[:5])}" if dark else ""),
+        ),
+        Decision(
+            "targets.point_sources", True,
+            "a sphere is a point, at the centre of its light, where that errs by at most the bound "
+            "in a pixel; else its disc and lit side at mid-exposure are drawn",
+            facts.budget_e, facts.budget_e / facts.sigma_floor_e,
         ),
         Decision(
             "targets.earthshine", False,

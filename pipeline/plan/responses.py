@@ -8,6 +8,7 @@ from functools import lru_cache
 
 from pipeline.arrays import Geometry
 from pipeline.errors import BadInput
+from pipeline.physics.drawing.extended import point_error
 from pipeline.physics.drawing.wings import CUT_FROM, wing_error
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.positions.focal_plane import Camera
@@ -22,6 +23,7 @@ TABLE_BYTES = 48e6
 MOST_CLASSES = 5
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
+SMALL_RADIUS_PX = 1e-2
 STILL = StreakPlan(1, 1, 0.0, 0.0, 1)
 BLOCK_PX = 2048  # wings and crowds are drawn in fixed blocks of the focal plane
 # Seconds a star, a stamp's pixel, a star and a pixel of the spectral engine, a sample of a
@@ -178,6 +180,15 @@ def _table_phases(phases: int, radius_px: float, path: Path) -> int:
     while phases >= 16 and 4.0 * pixels * (phases + 3) ** 2 > TABLE_BYTES:
         phases //= 2
     return phases if 4.0 * pixels * (phases + 3) ** 2 <= TABLE_BYTES else 0
+
+
+@lru_cache(maxsize=16)
+def point_curvature(blur: Blur) -> float:
+    """Error of a pixel per unit light and squared radius [px] of a body that is drawn as a point.
+
+    An upper bound for every radius: the bound itself grows at most with the square.
+    """
+    return point_error(blur, SMALL_RADIUS_PX) / SMALL_RADIUS_PX**2
 
 
 def _lost(blur: Blur, radius_px: float) -> float:

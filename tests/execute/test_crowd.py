@@ -115,9 +115,10 @@ def test_blocks_join_without_a_seam(crowded, catalogue, tmp_path, monkeypatch):
 def test_few_stars_get_no_block(catalogue, tmp_path):
     made = scene(catalogue, GAUSS, 0.0)
     plan = json.loads(json.dumps(pipeline.run.plan_scene(made)))
-    assert plan["response"]["spectral_from_stars"] > 3000 or not plan["response"][
-        "spectral_from_stars"
-    ]
+    assert (
+        plan["response"]["spectral_from_stars"] > 3000
+        or not plan["response"]["spectral_from_stars"]
+    )
 
 
 def test_the_check_finds_an_error_made_on_purpose(catalogue, tmp_path, monkeypatch):

@@ -122,7 +122,8 @@ def test_no_path_field_takes_a_file(
     file = tmp_path / "image.npy"
     file.write_bytes(b"x")
     if field[-1] == "path":
-        scene["sensor"]["bandpass"] = {"kind": "table"}
+        kind = "file" if field[-2] == "distortion" else "table"
+        scene["sensor"][field[-2]] = {"kind": kind}
     holder = scene
     for part in field[:-1]:
         holder = holder.setdefault(part, {})
@@ -133,7 +134,7 @@ def test_no_path_field_takes_a_file(
 
 TEXTS_THAT_ARE_NO_PATHS = {
     "name", "epoch", "line1", "line2", "target", "schema", "kind", "mode", "adc_rounding",
-    "compression", "layers",
+    "compression", "layers", "centre",
 }  # fmt: skip
 
 
