@@ -1,9 +1,9 @@
 """Catalogues: ingest and cones beside hats-import and LSDB, the same work on the same files.
 
-Run: python -m benchmarks.catalog --workdir DIR [--json FILE] [--rows N] [--small]. Makes (and
-keeps) in DIR: a synthetic set of files in Gaia DR2's layout, a catalogue with three fields of
-DR2's real density, and a virtual environment with the peers and isal, which their reader then
-uses. CPU is user + system time of the whole process tree; page cache warm.
+Run: python -m benchmarks.catalog --workdir DIR [--json FILE] [--rows N] [--small] [--only cones].
+Makes (and keeps) in DIR: a synthetic set of files in Gaia DR2's layout, a catalogue with three
+fields of DR2's real density, and a virtual environment with the peers and isal, which their reader
+then uses. CPU is user + system time of the whole process tree; page cache warm.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ def run(command: Sequence[str | Path]) -> Row:
     account = sum(after[2:4]) - sum(before[2:4])
     cpu = max(account, sum(seconds for seconds, _ in seen.values()))
     peak = max(peak for _, peak in seen.values())
-    return {"wall_s": wall, "cpu_s": cpu, "peak_mb": peak, "out": out}
+    return {"wall_s": wall, "cpu_s": cpu, "peak_mib": peak, "out": out}
 
 
 def _watch(pid: int, seen: dict[int, tuple[float, float]]) -> None:
-    """Note CPU seconds and peak memory [MB] of a process and its descendants until it ends."""
+    """Note CPU seconds and peak memory [MiB] of a process and its descendants until it ends."""
     root = psutil.Process(pid)
     while root.is_running() and root.status() != psutil.STATUS_ZOMBIE:
         try:
@@ -117,7 +117,7 @@ def measure_ingest(files: Path, work: Path, peers: Path) -> list[Row]:
         results.append({
             "case": name, "rows": rows, "rows_per_cpu_s": rows / found["cpu_s"],
             "wall_s": found["wall_s"], "cpu_s": found["cpu_s"],
-            "peak_of_a_process_mb": found["peak_mb"], "workers_in_it": workers,
+            "peak_of_a_process_mib": found["peak_mib"], "workers_in_it": workers,
             "bytes_per_row": size / rows or None,
         })  # fmt: skip
         print_ingest(results[-1])
@@ -128,8 +128,8 @@ def print_ingest(r: Row) -> None:
     size = f", {r['bytes_per_row']:.1f} B/row" if r["bytes_per_row"] else ""
     print(
         f"{r['case']:>50}: {r['rows_per_cpu_s']:,.0f} rows/CPU-s, {r['wall_s']:.1f} s wall, "
-        f"peak of a process {r['peak_of_a_process_mb']:.0f} MB ({r['workers_in_it']} workers in it)"
-        f"{size}", flush=True,
+        f"peak of a process {r['peak_of_a_process_mib']:.0f} MiB "
+        f"({r['workers_in_it']} workers in it){size}", flush=True,
     )  # fmt: skip
 
 
@@ -272,6 +272,7 @@ def main() -> None:
     parser.add_argument("--small", action="store_true", help="200,000 rows, shallow fields")
     parser.add_argument("--csv", type=Path, help="a folder of such files that is there already")
     parser.add_argument("--peers", type=Path, help="a virtual environment that is there already")
+    parser.add_argument("--only", choices=("ingest", "cones"), help="a part of the measurements")
     parser.add_argument("--limit", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--cones", type=Path, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -283,17 +284,19 @@ def main() -> None:
     work.mkdir(parents=True, exist_ok=True)
     rows = 200_000 if args.small else args.rows
     files = args.csv or work / f"csv_{rows}"
-    if not args.csv:
+    if not args.csv and args.only != "cones":
         from catalog_tools.synthetic_csv import write_csv_files
 
         write_csv_files(files, rows)
     peers = make_peers(args.peers or work / "peers")
     result: Row = machine(peers)
-    result["ingest"] = measure_ingest(files, work, peers)
-    catalogue = work / ("cones_small" if args.small else "cones")
-    make_catalogue(catalogue, args.small)
-    result["cones"] = measure_cones(catalogue, work, peers)
-    result["whole_dr2"] = extrapolate(result["ingest"], files)
+    if args.only != "cones":
+        result["ingest"] = measure_ingest(files, work, peers)
+        result["whole_dr2"] = extrapolate(result["ingest"], files)
+    if args.only != "ingest":
+        catalogue = work / ("cones_small" if args.small else "cones")
+        make_catalogue(catalogue, args.small)
+        result["cones"] = measure_cones(catalogue, work, peers)
     if args.json:
         args.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return None

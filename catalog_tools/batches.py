@@ -1,26 +1,34 @@
 """First pass: a batch of sources becomes sorted pieces, counts and rejects, with one marker.
 
 A batch is the unit of work and of going on: its marker is written last, after all that it names
-is on disk, so a killed ingest reads again only the batches without one.
+is on disk, so a killed ingest reads again only the batches without one. Whoever reads a batch does
+so into a folder of its own, which its marker names: two at once never mix.
 """
 
 from __future__ import annotations
 
+import io
 import json
+import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
+from uuid import uuid4
 
+import google_crc32c
 import numpy as np
 import pyarrow as pa
 
 from .columns import HEALPIX_COLUMN
+from .durable import sync, write_atomically
+from .errors import Damaged
 from .judging import PLACE_COLUMN, REJECTS, Columns, judge
 from .partition import Pixels, coarser_counts
-from .pieces import Piece, is_whole, write_piece
-from .publish import sync_file, write_durably
+from .pieces import CHANGED, Piece, is_whole, write_piece
+
+COUNTS_NAME, REJECTS_NAME = "counts.npy", "rejects.arrow"
 
 
 class Source(Protocol):
@@ -52,10 +60,13 @@ class Batch:
 class Split:
     """What came of a batch: its sources' records, pieces, rows by pixel, and rejects.
 
-    starts : (sources + 1,) place of each source's first row in the batch.
+    folder : below that of all batches; crcs : crc32c of its files of counts and rejects. starts :
+    (sources + 1,) place of each source's first row in the batch.
     """
 
     number: int
+    folder: str
+    crcs: dict[str, int]
     records: tuple[dict[str, Any], ...]
     pieces: tuple[Piece, ...]
     reasons: dict[str, int]
@@ -72,11 +83,25 @@ def split(batch: Batch, folder: Path, piece_rows: int) -> None:
     """
     if finished(batch, folder, verify=True):
         return
-    name = f"{batch.number:06d}"
-    held = _Held(folder, batch.number, piece_rows)
+    name = f"{batch.number:06d}-{uuid4().hex}"
+    (folder / name).mkdir()
+    try:
+        marker = {"identity": batch.identity(), **_read(batch, folder, name, piece_rows)}
+        for path in (*(folder / name).iterdir(), folder / name):
+            sync(path)
+        write_atomically(_marker_path(folder, batch), json.dumps(marker))
+    except BaseException:
+        shutil.rmtree(folder / name, ignore_errors=True)
+        raise
+
+
+def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> dict[str, Any]:
+    """Read the sources of a batch into the folder `name` below `root`: what its marker says."""
+    folder = root / name
+    held = _Held(root, name, batch.number, piece_rows)
     records: list[dict[str, Any]] = []
     reasons: Counter[str] = Counter()
-    rejects = pa.ipc.new_file(str(folder / f"{name}-rejects.arrow"), REJECTS)
+    rejects = pa.ipc.new_file(str(folder / REJECTS_NAME), REJECTS)
     for source in batch.sources:
         record: dict[str, Any] = {"name": source.label, "bytes": None, "md5": None, "rows": 0}
         for table in source.tables(record):
@@ -89,21 +114,22 @@ def split(batch: Batch, folder: Path, piece_rows: int) -> None:
         records.append(record)
     held.write()
     pixels, counts = held.counts()
-    np.save(folder / f"{name}-counts.npy", np.stack([pixels, counts]))
+    np.save(folder / COUNTS_NAME, np.stack([pixels, counts]))
     rejects.close()
-    for path in folder.glob(f"{name}-*"):
-        sync_file(path)
-    marker = {
-        "identity": batch.identity(), "records": records, "pieces": held.pieces, "reasons": reasons
-    }  # fmt: skip
-    write_durably(folder / f"{name}.json", json.dumps(marker))
+    return {
+        "folder": name,
+        "crcs": {each: _crc32c(folder / each) for each in (COUNTS_NAME, REJECTS_NAME)},
+        "records": records,
+        "pieces": held.pieces,
+        "reasons": reasons,
+    }
 
 
 class _Held:
     """Kept rows in memory, written as pieces of a set size."""
 
-    def __init__(self, folder: Path, batch: int, piece_rows: int) -> None:
-        self.folder, self.batch, self.piece_rows = folder, batch, piece_rows
+    def __init__(self, root: Path, folder: str, batch: int, piece_rows: int) -> None:
+        self.root, self.folder, self.batch, self.piece_rows = root, folder, batch, piece_rows
         self.parts: list[Columns] = []
         self.rows = self.rows_in = 0
         self.pieces: list[Piece] = []
@@ -128,7 +154,8 @@ class _Held:
         rows = {name: np.concatenate([part.pop(name) for part in self.parts]) for name in names}
         self.parts, self.rows = [], 0
         self._counts.append(coarser_counts(rows[HEALPIX_COLUMN]))
-        self.pieces.append(write_piece(self.folder, self.batch, len(self.pieces), rows))
+        name = f"{self.folder}/{len(self.pieces):04d}.rows"
+        self.pieces.append(write_piece(self.root, self.batch, name, rows))
 
     def counts(self) -> tuple[Pixels, Pixels]:
         """Pixels of the counting order that occur, ascending, and their rows."""
@@ -145,23 +172,39 @@ class _Held:
 def finished(batch: Batch, folder: Path, *, verify: bool = False) -> Split | None:
     """What came of a batch, if its marker is there and the batch's sources are still the same.
 
-    verify : also read every piece again and compare its checksum.
+    verify : also read every file again and compare its checksum.
     """
     try:
-        marker = json.loads((folder / f"{batch.number:06d}.json").read_text(encoding="utf-8"))
+        marker = json.loads(_marker_path(folder, batch).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     pieces = tuple(Piece(*piece) for piece in marker["pieces"])
     if marker["identity"] != json.loads(json.dumps(batch.identity())):
         return None
+    names, crcs = marker["folder"], marker["crcs"]
     if verify and not all(is_whole(folder, piece) for piece in pieces):
         return None
-    return Split(batch.number, tuple(marker["records"]), pieces, marker["reasons"])
+    if verify and any(_crc32c(folder / names / name) != crc for name, crc in crcs.items()):
+        return None
+    records, reasons = tuple(marker["records"]), marker["reasons"]
+    return Split(batch.number, names, crcs, records, pieces, reasons)
+
+
+def sweep(folder: Path, splits: Sequence[Split]) -> None:
+    """Remove what is of no batch in `splits`: left by a killed run, or read before a change."""
+    wanted = {split.folder for split in splits}
+    for path in folder.iterdir():
+        if path.is_dir() and path.name not in wanted:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def counts_of(split: Split, folder: Path) -> tuple[Pixels, Pixels]:
     """The pixels of the counting order that a batch's rows fall into, and how many in each."""
-    pixels, counts = np.load(folder / f"{split.number:06d}-counts.npy")
+    path = folder / split.folder / COUNTS_NAME
+    data = path.read_bytes()
+    if google_crc32c.value(data) != split.crcs[COUNTS_NAME]:
+        raise Damaged(str(path), CHANGED)
+    pixels, counts = np.load(io.BytesIO(data))
     return pixels, counts
 
 
@@ -169,7 +212,15 @@ def rejects_of(split: Split, folder: Path) -> Iterator[pa.Table]:
     """The rows of a batch that were rejected while reading, in tables of bounded size."""
     if not split.reasons:
         return
-    with pa.OSFile(str(folder / f"{split.number:06d}-rejects.arrow")) as file:
+    path = folder / split.folder / REJECTS_NAME
+    if _crc32c(path) != split.crcs[REJECTS_NAME]:
+        raise Damaged(str(path), CHANGED)
+    yield from stored_tables(path)
+
+
+def stored_tables(path: Path) -> Iterator[pa.Table]:
+    """The record batches of an Arrow file, one at a time."""
+    with pa.OSFile(str(path)) as file:
         reader = pa.ipc.open_file(file)
         for i in range(reader.num_record_batches):
             yield pa.Table.from_batches([reader.get_batch(i)])
@@ -189,3 +240,19 @@ def in_batches(
         size += own
     if held:
         yield Batch(number, tuple(held))
+
+
+def _marker_path(folder: Path, batch: Batch) -> Path:
+    return folder / f"{batch.number:06d}.json"
+
+
+def _crc32c(path: Path) -> int | None:
+    """Checksum of a file; None where there is none."""
+    crc = 0
+    try:
+        with path.open("rb") as file:
+            while data := file.read(1 << 20):
+                crc = google_crc32c.extend(crc, data)
+    except FileNotFoundError:
+        return None
+    return crc

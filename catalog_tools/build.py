@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from . import duplicates, hats
-from .batches import Batch, Source, Split, counts_of, finished, in_batches, rejects_of, split
+from .batches import Batch, Source, Split, counts_of, finished, in_batches, rejects_of, split, sweep
 from .catalogue import (
     LEAVES_DTYPE,
     REJECTS_NAME,
@@ -32,17 +32,18 @@ from .catalogue import (
     shard_name,
     write_manifest,
 )
+from .durable import write_atomically
 from .errors import BadInput, Damaged, Incomplete
 from .judging import DUPLICATE, REJECTS
 from .leaves import LeafDone, Written, leaf_done, surplus_of, write_leaf, written
 from .memory import Budget
 from .partition import COUNT_ORDER, Cell, Pixels, choose_leaves, coarser, healpix_29
 from .pieces import Pieces
-from .publish import Work, publishing, write_durably
+from .publish import Work, publishing
 from .schedulers import LocalScheduler, Scheduler
 
 REQUEST_NAME = "request.json"
-PROGRESS_VERSION = 1  # of everything that is kept of an unfinished build
+PROGRESS_VERSION = 2  # of everything that is kept of an unfinished build
 BATCH_BYTES = 96 << 20  # of files as they come: some 300,000 gzipped rows of Gaia
 BATCH_SOURCES = 64
 REJECTS_ROWS = 100_000
@@ -147,7 +148,7 @@ def _begin(work: Work, about: About, rows_per_leaf: int, sources: Sequence[Sourc
         for folder in work:
             shutil.rmtree(folder)
             folder.mkdir()
-        write_durably(path, json.dumps(request))
+        write_atomically(path, json.dumps(request))
         return
     differs = [key for key in request if request[key] != earlier.get(key)]
     if differs:
@@ -177,7 +178,8 @@ def _read_all(
     batches: Sequence[Batch], folder: Path, budget: Budget, scheduler: Scheduler, tell: Progress
 ) -> tuple[list[Split], int]:
     """What came of all batches, in order; and how many of them were there already."""
-    before = sum(finished(batch, folder) is not None for batch in batches)
+    before = [done for batch in batches if (done := finished(batch, folder))]
+    sweep(folder, before)
     tasks = [(split, batch, folder, budget.piece_rows) for batch in batches]
     try:
         _run(scheduler, "read", tasks, tell)
@@ -188,7 +190,7 @@ def _read_all(
     splits = [done for batch in batches if (done := finished(batch, folder))]
     if len(splits) != len(batches):
         raise Incomplete(f"{len(batches) - len(splits)} batches are not there; run it again")
-    return splits, before
+    return splits, len(before)
 
 
 def _total_counts(splits: Iterable[Split], folder: Path) -> Pixels:
@@ -233,7 +235,7 @@ def _write_rejects(context: Written, splits: Sequence[Split], done: Sequence[Lea
         path = context.work.catalogue / REJECTS_NAME
         path.parent.mkdir(exist_ok=True)
         read = chain.from_iterable(rejects_of(s, context.work.progress) for s in splits)
-        left_out = (surplus_of(context, leaf) for leaf in done if leaf.surplus)
+        left_out = chain.from_iterable(surplus_of(context, leaf) for leaf in done)
         with pq.ParquetWriter(path, REJECTS, compression="zstd", write_page_checksum=True) as file:
             for table in even(chain(read, left_out), REJECTS_ROWS):
                 file.write_table(table)
@@ -254,8 +256,7 @@ def _final_counts(counts: Pixels, context: Written, done: Sequence[LeafDone]) ->
     """Rows by pixel without the surplus ones, so that the HATS maps add up to the rows."""
     left = counts.copy()
     for leaf in done:
-        if leaf.surplus:
-            rows = surplus_of(context, leaf)
+        for rows in surplus_of(context, leaf):
             pixels = healpix_29(rows["ra"].to_numpy(), rows["dec"].to_numpy())
             np.subtract.at(left, coarser(pixels, COUNT_ORDER), 1)
     return left

@@ -3,7 +3,7 @@
 The manifest `nightglass.json` lies beside the HATS files. Two numpy tables, named in it by their
 sha256, hold what a planner needs (where leaves and row groups lie, how bright their rows are, how
 far they move) so that planning reads no star; and what a reader needs to prove what it reads
-(lengths and crc32c of files, footers and row groups).
+(lengths and crc32c of files, footers, row groups and their columns).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .stores import LocalStore, Store, Unreachable, open_store
 
 MANIFEST_NAME = "nightglass.json"
 FORMAT = "nightglass/catalogue"
-VERSION = 2
+VERSION = 3
 LEAVES_NAME = "nightglass/leaves.npy"
 ROW_GROUPS_NAME = "nightglass/row_groups.npy"
 SOURCES_NAME = "nightglass/sources.parquet"
@@ -35,6 +35,8 @@ HATS_NAMES = ("partition_info.csv", "skymap.fits", "point_map.fits", "dataset/_c
 MAKE_ONE = (
     "a catalogue; make one with `nightglass catalog demo -o PATH` or `nightglass catalog ingest`"
 )
+
+STORED_COLUMNS = 11  # of `columns.STORED`
 
 # Both tables: a cap (centre, radius) that bounds the rows, and the fastest and nearest of them.
 _BOUNDS = [
@@ -51,11 +53,15 @@ LEAVES_DTYPE = np.dtype([
 ])  # fmt: skip
 ROW_GROUPS_DTYPE = np.dtype([
     ("offset", "<i8"), ("bytes", "<i8"), ("crc32c", "<u4"), ("rows", "<i4"), *_BOUNDS,
+    ("column_bytes", "<u4", (STORED_COLUMNS,)), ("column_crc32c", "<u4", (STORED_COLUMNS,)),
 ])  # fmt: skip
 
 
 class RowGroup(NamedTuple):
-    """A run of rows of a shard: one magnitude band, one stretch of the HEALPix curve."""
+    """A run of rows of a shard: one magnitude band, one stretch of the HEALPix curve.
+
+    column_bytes, column_crc32c : of each of STORED_COLUMNS, which follow each other from `offset`.
+    """
 
     row_group: int
     rows: int
@@ -64,6 +70,8 @@ class RowGroup(NamedTuple):
     crc32c: int
     brightest_g_mag: float
     faintest_g_mag: float
+    column_bytes: tuple[int, ...]
+    column_crc32c: tuple[int, ...]
 
 
 class Leaf(NamedTuple):
@@ -138,7 +146,8 @@ class Catalogue:
         first, end = (int(i) for i in self.first_row_groups[index : index + 2])
         wanted = np.arange(end - first) if row_groups is None else np.asarray(row_groups, int)
         table = self.row_group_table[first + wanted]
-        columns = (table[name].tolist() for name in RowGroup._fields[1:])
+        columns = [table[name].tolist() for name in RowGroup._fields[1:]]
+        columns[-2:] = (map(tuple, values) for values in columns[-2:])
         groups = tuple(map(RowGroup, wanted.tolist(), *columns))
         x, y, z = row["centre"].tolist()
         return Leaf(

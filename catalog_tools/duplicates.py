@@ -4,43 +4,43 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from .columns import HEALPIX_COLUMN, NAMES
+from .durable import whole_file
 from .judging import PLACE_COLUMN, Columns
-from .pieces import IDS, Pieces, column, mapped
+from .pieces import Pieces, column, some_ids
 
-SAMPLE = 512  # one id of so many tells how ids are spread
+IDS_NAME, PIXELS_NAME = "repeated-ids.i8", "repeated-pixels.i8"
 
 
 def find(pieces: Pieces, folder: Path, bucket_rows: int) -> None:
     """Write all source_ids that occur more than once in the pieces, and where each one stays.
 
     The lowest order-29 pixel wins: a choice by content, not by order of arrival, so that the
-    result is the same for any order of the sources and any number of workers. `bucket_rows` ids
-    are in memory at a time.
+    result is the same for any order of the sources and any number of workers. About twice
+    `bucket_rows` ids are in memory at a time, however many are repeated.
     """
-    found = [np.empty(0, np.int64)]
-    for low, high in pairwise(_bucket_edges(pieces, bucket_rows)):
-        parts = [pieces.ids_between(i, low, high) for i in pieces.with_ids(low, high).tolist()]
-        if not parts:
-            continue
-        ids = np.concatenate(parts)
-        del parts
-        ids.sort(kind="stable")  # merges the sorted runs
-        found.append(np.unique(ids[1:][ids[1:] == ids[:-1]]))
-    repeated = np.concatenate(found)
-    np.save(folder / "repeated-ids.npy", repeated)
-    np.save(folder / "repeated-pixels.npy", _lowest_pixels(pieces, repeated))
+    with whole_file(folder / IDS_NAME) as path, path.open("wb") as file:
+        for low, high in pairwise(_bucket_edges(pieces, bucket_rows)):
+            file.write(_repeated_between(pieces, low, high, bucket_rows).tobytes())
+    ids = _mapped(folder / IDS_NAME, "r")
+    with whole_file(folder / PIXELS_NAME) as path:
+        with path.open("wb") as file:
+            for start in range(0, ids.size, bucket_rows):
+                count = min(bucket_rows, ids.size - start)
+                file.write(np.full(count, np.iinfo(np.int64).max).tobytes())
+        _fill_in_lowest_pixels(pieces, ids, _mapped(path, "r+"))
 
 
 class Repeated:
     """The repeated source_ids that `find` wrote, memory-mapped."""
 
     def __init__(self, folder: Path) -> None:
-        self.ids = np.load(folder / "repeated-ids.npy", mmap_mode="r")
-        self.pixels = np.load(folder / "repeated-pixels.npy", mmap_mode="r")
+        self.ids = _mapped(folder / IDS_NAME, "r")
+        self.pixels = _mapped(folder / PIXELS_NAME, "r")
 
     def surplus(self, rows: Columns) -> np.ndarray:
         """Places of the rows of a leaf (columns of PIECE but IDS) that don't stay, ascending."""
@@ -75,21 +75,36 @@ def _bucket_edges(pieces: Pieces, bucket_rows: int) -> list[int | None]:
     buckets = -(-pieces.rows // bucket_rows)
     if buckets == 1:
         return [None, None]
-    samples = [
-        np.asarray(mapped(pieces.folder, piece, IDS)[SAMPLE // 2 :: SAMPLE])
-        for piece in pieces.pieces
-    ]
-    ids = np.sort(np.concatenate(samples))
-    if not ids.size:
-        return [None, None]
+    ids = np.sort(np.concatenate([some_ids(pieces.folder, piece) for piece in pieces.pieces]))
     cuts = ids[[ids.size * i // buckets for i in range(1, buckets)]]
     return [None, *np.unique(cuts).tolist(), None]
 
 
-def _lowest_pixels(pieces: Pieces, repeated: np.ndarray) -> np.ndarray:
-    lowest = np.full(repeated.size, np.iinfo(np.int64).max)
+def _repeated_between(
+    pieces: Pieces, low: int | None, high: int | None, bucket_rows: int
+) -> np.ndarray:
+    """The ids in [low, high) that occur more than once, ascending."""
+    held, count = [np.empty(0, np.int64)], 0
+    repeated = np.empty(0, np.int64)
+    numbers = pieces.with_ids(low, high).tolist()
+    for place, number in enumerate(numbers, 1):
+        held.append(pieces.ids_between(number, low, high))
+        count += held[-1].size
+        if count > bucket_rows or place == len(numbers):
+            ids = np.concatenate(held)
+            held.clear()
+            ids.sort(kind="stable")  # merges the sorted runs
+            again = ids[1:] == ids[:-1]
+            if again.any():
+                repeated = np.union1d(repeated, ids[1:][again])
+                ids = np.unique(ids)
+            held, count = [ids], 0
+    return repeated
+
+
+def _fill_in_lowest_pixels(pieces: Pieces, repeated: np.ndarray, lowest: np.ndarray) -> None:
     if not repeated.size:
-        return lowest
+        return
     low, high = int(repeated[0]), int(repeated[-1])
     for number in pieces.with_ids(low, high + 1).tolist():
         piece = pieces.pieces[number]
@@ -98,4 +113,10 @@ def _lowest_pixels(pieces: Pieces, repeated: np.ndarray) -> np.ndarray:
         at = np.minimum(np.searchsorted(repeated, ids), repeated.size - 1)
         hit = repeated[at] == ids
         np.minimum.at(lowest, at[hit], pixels[hit])
-    return lowest
+
+
+def _mapped(path: Path, mode: Literal["r", "r+"]) -> np.ndarray:
+    """The numbers of a file, memory-mapped: their pages are the system's to take back."""
+    if not path.stat().st_size:
+        return np.empty(0, np.int64)
+    return np.memmap(path, np.int64, mode)

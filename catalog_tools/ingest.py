@@ -11,13 +11,14 @@ from typing import Any
 
 import pyarrow as pa
 
+from .ahead import cores
 from .build import About, IngestReport, Progress, build, silent
 from .errors import BadInput, Damaged
 from .forms import Form, load_form
 from .memory import DEFAULT_BYTES, Budget
 from .partition import ROWS_PER_LEAF
 from .readers import detect_form, kind_of, read_tables
-from .schedulers import LocalScheduler, Scheduler, available_cores
+from .schedulers import LocalScheduler, Scheduler
 
 SYNTHETIC_MARK = "_made.jsonl"  # beside files that `catalog demo --as-csv` made
 MD5SUM_NAMES = ("MD5SUM.txt", "_MD5SUM.txt")
@@ -33,6 +34,7 @@ class FileSource:
     mtime_ns: int
     form: Form
     expected_md5: str | None
+    most_bytes: int
 
     def identity(self) -> list[Any]:
         return [self.path, self.size, self.mtime_ns, self.expected_md5]
@@ -40,7 +42,7 @@ class FileSource:
     def tables(self, record: dict[str, Any]) -> Iterator[pa.Table]:
         """Its rows; at the end its length and MD5 are compared with what was expected."""
         md5 = hashlib.md5(usedforsecurity=False)
-        yield from read_tables(Path(self.path), self.form, md5=md5)
+        yield from read_tables(Path(self.path), self.form, md5=md5, most_bytes=self.most_bytes)
         state = Path(self.path).stat()
         if (state.st_size, state.st_mtime_ns) != (self.size, self.mtime_ns):
             raise Damaged(self.path, "it was changed while it was read")
@@ -78,9 +80,11 @@ def ingest(
     if workers is not None and workers < 1:
         raise BadInput("workers", workers, "at least 1")
     tell = progress or silent
-    paths = list_files(sources)
-    meaning = load_form(form) if form is not None else detect_form(paths[0])
-    files = _look_at(paths, meaning, tell)
+    budget = Budget(memory_bytes)
+    paths, left_out = list_files(sources)
+    most_bytes = budget.file_bytes
+    meaning = load_form(form) if form is not None else detect_form(paths[0], most_bytes=most_bytes)
+    files = _look_at(paths, meaning, most_bytes, tell)
     _refuse_twins(files)
     synthetic = any((path.parent / SYNTHETIC_MARK).is_file() for path in paths)
     about = About(
@@ -93,6 +97,7 @@ def ingest(
             "credit": meaning.credit,
             "form_sha256": hashlib.sha256(repr(meaning).encode()).hexdigest(),
             "epoch_scale": meaning.epoch_scale,
+            **({"subfolders_left_out": left_out} if left_out else {}),
         },
     )
     report = build(
@@ -101,39 +106,52 @@ def ingest(
         about,
         rows_per_leaf=rows_per_leaf,
         sizes=[file.size for file in files],
-        budget=Budget(memory_bytes),
-        scheduler=scheduler or LocalScheduler("threads", workers or available_cores()),
+        budget=budget,
+        scheduler=scheduler or LocalScheduler("threads", workers or cores()),
         progress=tell,
         overwrite=overwrite,
         restart=restart,
     )
-    return replace(report, notes=_md5_notes(files))
+    notes = _md5_notes(files)
+    if left_out:
+        notes += (f"{left_out} subfolders were not looked into: name them to take their files",)
+    return replace(report, notes=notes)
 
 
-def list_files(sources: Sequence[str | Path]) -> list[Path]:
+def list_files(sources: Sequence[str | Path]) -> tuple[list[Path], int]:
     """The input files: each path given, and of a folder all files but hidden ones, the archive's
-    list of MD5 digests, and its `_citation` and `_disclaimer` files."""
+    list of MD5 digests, and its `_citation` and `_disclaimer` files.
+
+    Also how many subfolders were not looked into, as they are no sources themselves.
+    """
     paths: list[Path] = []
+    named, left_out = {Path(source).resolve() for source in sources}, 0
     for source in map(Path, sources):
         if not source.exists():
             raise BadInput("source", str(source), "a file or folder that exists")
         if source.is_file():
             paths.append(source)
             continue
-        inside = [p for p in sorted(source.iterdir()) if p.is_file() and _holds_rows(p.name)]
+        entries = [p for p in sorted(source.iterdir()) if _holds_rows(p.name)]
+        inside = [p for p in entries if p.is_file()]
+        below = sum(p.is_dir() for p in entries)
         if not inside:
-            raise BadInput("source", str(source), "a folder with files of stars")
+            hint = f" (name its {below} subfolders: they are not looked into)" if below else ""
+            raise BadInput("source", str(source), f"a folder with files of stars{hint}")
         paths += inside
+        left_out += sum(p.is_dir() and p.resolve() not in named for p in entries)
     if not paths:
         raise BadInput("source", [], "at least one file")
-    return paths
+    return paths, left_out
 
 
 def _holds_rows(name: str) -> bool:
     return not name.startswith((".", "_")) and name not in MD5SUM_NAMES
 
 
-def _look_at(paths: Sequence[Path], form: Form, tell: Progress) -> list[FileSource]:
+def _look_at(
+    paths: Sequence[Path], form: Form, most_bytes: int, tell: Progress
+) -> list[FileSource]:
     """The files in the order of their names; each is of a kind that can be read."""
     sums = {folder: _md5_sums(folder) for folder in {path.parent for path in paths}}
     times = Counter(path.name for path in paths)
@@ -146,7 +164,7 @@ def _look_at(paths: Sequence[Path], form: Form, tell: Progress) -> list[FileSour
         label = path.name if times[path.name] == 1 else str(path)
         expected = sums[path.parent].get(path.name)
         identity = (str(path.absolute()), label, state.st_size, state.st_mtime_ns)
-        files.append(FileSource(*identity, form, expected))
+        files.append(FileSource(*identity, form, expected, most_bytes))
     tell("check", len(paths), len(paths))
     return sorted(files, key=lambda file: (file.label, file.path))
 

@@ -4,26 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
+from uuid import uuid4
 
 import google_crc32c
 import numpy as np
 import pyarrow as pa
 
-from .batches import Split
+from .batches import Split, stored_tables
 from .catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
 from .columns import STORED
 from .duplicates import Repeated
-from .judging import DUPLICATE, PLACE_COLUMN, REJECTS
+from .durable import sync, whole_file, write_atomically
+from .judging import DUPLICATE, PLACE_COLUMN, REJECTS, Columns
 from .memory import give_back
 from .partition import Cell
 from .pieces import Pieces
-from .publish import Work, sync_file, write_durably
+from .publish import Work
 from .shards import write_shard
+
+SURPLUS_ROWS = 50_000
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,8 @@ class Written:
     @cached_property
     def basis(self) -> str:
         """What tells whether a leaf was written from these pieces."""
-        return hashlib.sha256(json.dumps(self.pieces.pieces).encode()).hexdigest()
+        content = [piece._replace(name="") for piece in self.pieces.pieces]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 class LeafDone(NamedTuple):
@@ -72,18 +78,36 @@ def write_leaf(context: Written, cell: Cell) -> None:
     rows = {name: pieces.gather(runs, name) for name in names}
     surplus = repeated.surplus(rows)
     if surplus.size:
-        table = _surplus_table(context, runs, rows, surplus)
-        with pa.ipc.new_file(str(_surplus_path(work, cell)), table.schema) as writer:
-            writer.write_table(table)
-        sync_file(_surplus_path(work, cell))
+        with (
+            whole_file(_surplus_path(work, cell)) as path,
+            pa.ipc.new_file(str(path), REJECTS) as writer,
+        ):
+            for start in range(0, surplus.size, SURPLUS_ROWS):
+                some = surplus[start : start + SURPLUS_ROWS]
+                writer.write_table(_surplus_table(context, runs, rows, some))
         rows = {name: np.delete(values, surplus) for name, values in rows.items()}
     rows.pop(PLACE_COLUMN, None)
     marker: dict[str, Any] = {"basis": context.basis, "surplus": int(surplus.size), "leaf": None}
     if rows["source_id"].size:
-        leaf, groups = write_shard(work.catalogue, cell.order, cell.pixel, rows)
-        sync_file(work.catalogue / shard_name(cell.order, cell.pixel))
+        leaf, groups = _write_shard(work, cell, rows)
         marker |= {"leaf": leaf.tolist(), "row_groups": groups.tolist()}
-    write_durably(_marker_path(work, cell), json.dumps(marker, default=np.ndarray.tolist))
+    write_atomically(_marker_path(work, cell), json.dumps(marker, default=np.ndarray.tolist))
+
+
+def _write_shard(work: Work, cell: Cell, rows: Columns) -> tuple[np.ndarray, np.ndarray]:
+    """Write a shard apart from the catalogue, where nobody else writes, then put it into place."""
+    name, own = shard_name(cell.order, cell.pixel), work.progress / f"leaf-{uuid4().hex}"
+    own.mkdir()
+    try:
+        records = write_shard(own, cell.order, cell.pixel, rows)
+        sync(own / name)
+        path = work.catalogue / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        (own / name).replace(path)
+        sync(path.parent)
+    finally:
+        shutil.rmtree(own, ignore_errors=True)
+    return records
 
 
 def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone | None:
@@ -110,12 +134,10 @@ def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone
     return LeafDone(cell, leaf, groups, marker["surplus"])
 
 
-def surplus_of(context: Written, done: LeafDone) -> pa.Table:
+def surplus_of(context: Written, done: LeafDone) -> Iterator[pa.Table]:
     """The rows of a leaf that were left out, as the rejects table shows them."""
-    if not done.surplus:
-        return REJECTS.empty_table()
-    with pa.OSFile(str(_surplus_path(context.work, done.cell))) as file:
-        return pa.ipc.open_file(file).read_all()
+    if done.surplus:
+        yield from stored_tables(_surplus_path(context.work, done.cell))
 
 
 def _surplus_table(

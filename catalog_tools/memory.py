@@ -37,6 +37,11 @@ class Budget:
         return min(MOST_PIECE_ROWS, spare // PIECE_ROW_BYTES)
 
     @property
+    def file_bytes(self) -> int:
+        """What reading one file may take beside the rows that are held."""
+        return self.worker_bytes - BASE_BYTES - self.piece_rows * PIECE_ROW_BYTES
+
+    @property
     def bucket_rows(self) -> int:
         """source_ids that are sorted at a time."""
         return min(MOST_BUCKET_ROWS, (self.worker_bytes - BASE_BYTES) // BUCKET_ROW_BYTES // 2)

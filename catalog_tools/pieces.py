@@ -2,12 +2,15 @@
 
 A piece is one plain file: the columns of PIECE one after another, little-endian, rows by HEALPix
 index, NaN for an absent float; and the source_ids once more, ascending, to find repeated ones. So
-any run of any column is one seek and one read, and costs no more memory than itself.
+any run of any column is one seek and one read, and costs no more memory than itself. Behind them
+stands the index: a crc32c for each BLOCK_ROWS rows of each column, by which every read is checked,
+and the first value of each block of the two sorted columns, by which rows are found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,10 +28,16 @@ PIECE: dict[str, np.dtype] = {
     IDS: np.dtype(np.int64),
 }
 ROW_BYTES = sum(kind.itemsize for kind in PIECE.values())
+BLOCK_ROWS = 2048
+CHANGED = "it is not as it was written; run the same command again: its rows are read anew"
+INDEX = np.dtype([("crc32c", "<u4", len(PIECE)), ("first_29", "<i8"), ("first_id", "<i8")])
 
 
 class Piece(NamedTuple):
-    """One sorted run: its batch and file, and the ranges of pixels and source_ids it holds."""
+    """One sorted run: its batch and file, and the ranges of pixels and source_ids it holds.
+
+    crc32c : of the file's index, and so of all its content.
+    """
 
     batch: int
     name: str
@@ -40,56 +49,100 @@ class Piece(NamedTuple):
     crc32c: int
 
 
-def write_piece(folder: Path, batch: int, number: int, rows: Columns) -> Piece:
+def write_piece(folder: Path, batch: int, name: str, rows: Columns) -> Piece:
     """Sort rows (in any order; the dictionary is emptied) and write them as a piece of a batch."""
-    name = f"{batch:06d}-{number:04d}.rows"
     places = np.argsort(rows[HEALPIX_COLUMN], kind="stable")
     ids = np.sort(rows["source_id"])
-    crc, count = 0, places.size
-    first_29, last_29 = rows[HEALPIX_COLUMN][places[[0, -1]]].tolist()
+    count = places.size
+    pixels = rows[HEALPIX_COLUMN][places]
+    index = np.zeros(-(-count // BLOCK_ROWS), INDEX)
+    index["first_29"], index["first_id"] = pixels[::BLOCK_ROWS], ids[::BLOCK_ROWS]
     with (folder / name).open("wb") as file:
-        for column, kind in PIECE.items():
+        for i, (column, kind) in enumerate(PIECE.items()):
             values = ids if column == IDS else rows.pop(column)[places]
-            data = np.ascontiguousarray(values, kind).data.cast("B")
-            crc = google_crc32c.extend(crc, bytes(data))
-            file.write(data)
-    return Piece(batch, name, count, first_29, last_29, int(ids[0]), int(ids[-1]), crc)
+            data = np.ascontiguousarray(values, kind)
+            index["crc32c"][:, i] = _checksums(data)
+            file.write(data.data.cast("B"))
+        file.write(index.tobytes())
+    crc = google_crc32c.value(index.tobytes())
+    ends = int(pixels[0]), int(pixels[-1]), int(ids[0]), int(ids[-1])
+    return Piece(batch, name, count, *ends, crc)
 
 
 def is_whole(folder: Path, piece: Piece) -> bool:
     """Whether a piece's file is as it was written."""
     try:
-        crc = 0
-        with (folder / piece.name).open("rb") as file:
-            while data := file.read(1 << 20):
-                crc = google_crc32c.extend(crc, data)
-            return file.tell() == piece.rows * ROW_BYTES and crc == piece.crc32c
-    except OSError:
+        _index.cache_clear()
+        for name in PIECE:
+            column(folder, piece, name)
+    except (Damaged, OSError):
         return False
+    return True
 
 
 def column(
     folder: Path, piece: Piece, name: str, start: int = 0, stop: int | None = None
 ) -> np.ndarray:
-    """Rows [start, stop) of one column of a piece, read into memory."""
+    """Rows [start, stop) of one column of a piece, read into memory; Damaged where they changed."""
     stop = piece.rows if stop is None else stop
-    offset = _offset(piece, name) + start * PIECE[name].itemsize
-    values = np.fromfile(folder / piece.name, PIECE[name], stop - start, offset=offset)
-    if values.size != stop - start:
-        raise Damaged(str(folder / piece.name), "is shorter than it was written")
-    return values
+    names, size = list(PIECE), PIECE[name].itemsize
+    block, end = start // BLOCK_ROWS, -(-stop // BLOCK_ROWS)
+    first, last = block * BLOCK_ROWS, min(end * BLOCK_ROWS, piece.rows)
+    before = piece.rows * sum(PIECE[n].itemsize for n in names[: names.index(name)])
+    data = _read(folder, piece, before + first * size, (last - first) * size)
+    values = np.frombuffer(data, PIECE[name])
+    expected = _index(folder, piece)["crc32c"][block:end, names.index(name)]
+    if _checksums(values) != expected.tolist():
+        raise _damaged(folder, piece)
+    return values[start - first : stop - first]
 
 
-def mapped(folder: Path, piece: Piece, name: str) -> np.ndarray:
-    """A column of a piece, memory-mapped: for a few look-ups."""
-    shape = (piece.rows,)
-    return np.memmap(folder / piece.name, PIECE[name], "r", _offset(piece, name), shape)
+def search(folder: Path, piece: Piece, name: str, values: Sequence[int]) -> list[int]:
+    """Where values belong in a sorted column (HEALPIX_COLUMN or IDS), before equal ones."""
+    firsts = _index(folder, piece)["first_id" if name == IDS else "first_29"]
+    found = []
+    for value in values:
+        start = max(int(np.searchsorted(firsts, value)) - 1, 0) * BLOCK_ROWS
+        held = column(folder, piece, name, start, min(start + BLOCK_ROWS, piece.rows))
+        found.append(start + int(np.searchsorted(held, value)))
+    return found
 
 
-def _offset(piece: Piece, name: str) -> int:
-    """Where a column begins in the piece's file."""
-    names = list(PIECE)
-    return piece.rows * sum(PIECE[n].itemsize for n in names[: names.index(name)])
+def some_ids(folder: Path, piece: Piece) -> np.ndarray:
+    """One source_id of each block, ascending: they tell how ids are spread."""
+    return _index(folder, piece)["first_id"]
+
+
+def _checksums(values: np.ndarray) -> list[int]:
+    """crc32c of each block."""
+    starts = range(0, values.size, BLOCK_ROWS)
+    return [google_crc32c.value(values[i : i + BLOCK_ROWS].tobytes()) for i in starts]
+
+
+@lru_cache(maxsize=256)
+def _index(folder: Path, piece: Piece) -> np.ndarray:
+    """What proves a piece (INDEX), a record a block."""
+    size = -(-piece.rows // BLOCK_ROWS) * INDEX.itemsize
+    data = _read(folder, piece, piece.rows * ROW_BYTES, size)
+    if google_crc32c.value(data) != piece.crc32c:
+        raise _damaged(folder, piece)
+    return np.frombuffer(data, INDEX)
+
+
+def _read(folder: Path, piece: Piece, offset: int, size: int) -> bytes:
+    try:
+        with (folder / piece.name).open("rb", buffering=0) as file:
+            file.seek(offset)
+            data = file.read(size)
+    except FileNotFoundError:
+        data = b""
+    if len(data) != size:
+        raise _damaged(folder, piece)
+    return data
+
+
+def _damaged(folder: Path, piece: Piece) -> Damaged:
+    return Damaged(str(folder / piece.name), CHANGED)
 
 
 class Pieces:
@@ -126,8 +179,7 @@ class Pieces:
             if first_29 <= piece.first_29 and piece.last_29 < end_29:
                 found.append((i, 0, piece.rows))
                 continue
-            pixels = mapped(self.folder, piece, HEALPIX_COLUMN)
-            start, stop = np.searchsorted(pixels, [first_29, end_29]).tolist()
+            start, stop = search(self.folder, piece, HEALPIX_COLUMN, [first_29, end_29])
             if stop > start:
                 found.append((i, start, stop))
         return found
@@ -144,7 +196,6 @@ class Pieces:
     def ids_between(self, number: int, low: int | None, high: int | None) -> np.ndarray:
         """Ascending source_ids of a piece in [low, high)."""
         piece = self.pieces[number]
-        ids = mapped(self.folder, piece, IDS)
-        start = 0 if low is None else int(np.searchsorted(ids, low))
-        stop = piece.rows if high is None else int(np.searchsorted(ids, high))
+        start = 0 if low is None else search(self.folder, piece, IDS, [low])[0]
+        stop = piece.rows if high is None else search(self.folder, piece, IDS, [high])[0]
         return column(self.folder, piece, IDS, start, stop)

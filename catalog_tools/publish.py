@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from .catalogue import MANIFEST_NAME
+from .durable import sync
 from .errors import BadInput, Incomplete
 
 # renameat2(2) of Linux: both paths are relative to the current folder; swap the two.
@@ -84,24 +85,6 @@ def _clean_up(destination: Path) -> None:
                 Path(lock.name).unlink(missing_ok=True)
 
 
-def write_durably(path: Path, text: str) -> None:
-    """Write a small file that is there whole, or not at all, whatever happens."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    sync_file(part)
-    part.replace(path)
-    sync_file(path.parent)
-
-
-def sync_file(path: Path) -> None:
-    """Bring a file or folder to the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def holds_any(folder: Path) -> bool:
     """Whether a folder is there and not empty."""
     return folder.is_dir() and any(folder.iterdir())
@@ -127,13 +110,13 @@ def _check(destination: Path, overwrite: bool, field: str) -> None:
 
 def _swap_in(work: Path, destination: Path) -> None:
     for path in (*sorted(work.rglob("*")), work):
-        sync_file(path)
+        sync(path)
     if os.path.lexists(destination):
         _exchange(work, destination)
         shutil.rmtree(work, ignore_errors=True)
     else:
         work.rename(destination)
-    sync_file(destination.parent)
+    sync(destination.parent)
 
 
 def _exchange(one: Path, other: Path) -> None:

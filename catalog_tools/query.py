@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,25 +11,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .ahead import ahead, cores, threads
-from .catalogue import Catalogue, Leaf, RowGroup
+from .catalogue import Catalogue, Leaf
 from .errors import BadInput
 from .regions import Cone, Polygon, Region, cone_of, polygon_of
 from .selection import hits, leaves_of, motion_pad_rad, pads_rad, select, years_to
 from .sphere import Floats, directions, moved
-from .stores import LocalStore
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-    from .reading import Shard
 
 __all__ = [
     "QueryReport", "cone", "motion_pad_rad", "polygon", "read_leaf", "record_batches", "select",
 ]  # fmt: skip
 
 THREADS = min(cores(), 8)
-ALONE_ROWS = 150_000  # up to these, starting threads costs more than they save
-PART_ROWS = 32_768  # of row groups that are decoded together
+PART_ROWS = 32_768  # decoded together, or a quarter of all, up to MOST_PART_ROWS
+MOST_PART_ROWS = 131_072
+ARROW_THREADS_ROWS = 16_384  # up to these, waking Arrow's threads costs more than they save
 COSINE_ERROR = 3e-6  # of float32 cosines: 4e-7 by rounded angles, 3e-7 by rounded sines
 G_MAG = "phot_g_mean_mag"
 PLACE = ("ra", "dec")
@@ -62,7 +60,7 @@ def read_leaf(
     import pyarrow as pa
 
     from .columns import STORED
-    from .reading import open_shard
+    from .reading import read_row_groups
 
     names = _names(columns)
     leaf = _bright_enough(leaf, faintest_g_mag)
@@ -72,7 +70,7 @@ def read_leaf(
         group.faintest_g_mag > faintest_g_mag for group in leaf.row_groups
     )
     read = names if not cut or G_MAG in names else [*names, G_MAG]
-    table = open_shard(catalogue.store, leaf).read(leaf.row_groups, read)
+    table = read_row_groups(catalogue.store, [leaf], read)
     if cut:
         table = table.filter(pa.array(table[G_MAG].to_numpy().astype(float) <= faintest_g_mag))
     return table.select(names)
@@ -85,17 +83,16 @@ def record_batches(
     columns: Sequence[str] | None = None,
     epoch_jyear: float | None = None,
 ) -> Iterator[pa.RecordBatch]:
-    """Stars within a region, leaf by leaf, bright first: as a stream in bounded memory.
+    """Stars within a region, leaf by leaf, about bright first: as a stream in bounded memory.
 
     A star belongs to the region by its barycentric direction at `epoch_jyear` (the region's, or
     the catalogue's own by default), carried there by its space motion; rows are the catalogue's
-    own, at its reference epoch. Memory: the compressed bytes of up to three leaves, and a few row
-    groups. Raises BadInput and Damaged.
+    own, at its reference epoch. Memory: a few times MOST_PART_ROWS rows. Raises BadInput and
+    Damaged.
     """
-    names = _names(columns)
     region = _barycentric(region, faintest_g_mag, epoch_jyear)
-    found = hits(catalogue, [region], faintest_g_mag)
-    return _batches(catalogue, region, faintest_g_mag, found, names)
+    query = _Query(catalogue, region, faintest_g_mag, _names(columns))
+    return _batches(query, _parts(query, hits(catalogue, [region], faintest_g_mag)))
 
 
 def cone(
@@ -140,117 +137,155 @@ def _gathered(
 ) -> tuple[pa.Table, QueryReport]:
     import pyarrow as pa
 
-    names = _names(columns)
     region = _barycentric(region, faintest_g_mag, epoch_jyear)
+    query = _Query(catalogue, region, faintest_g_mag, _names(columns))
     found = hits(catalogue, [region], faintest_g_mag)
-    batches = _batches(catalogue, region, faintest_g_mag, found, names)
-    stars = pa.Table.from_batches(batches, _schema(names))
-    groups, leaves = catalogue.row_group_table[found], leaves_of(catalogue, found)
-    size = int(groups["bytes"].sum()) + sum(leaf.footer_bytes for leaf in leaves)
-    rows_read = int(groups["rows"].sum())
-    return stars, QueryReport(len(leaves), found.size, size, rows_read, stars.num_rows)
+    parts = _parts(query, found)
+    stars = pa.Table.from_batches(_batches(query, parts), _schema(query.names))
+    return stars, QueryReport(
+        leaves=_files(catalogue, found),
+        row_groups=found.size,
+        bytes_read=sum(_bytes_read(query, part) for part in parts),
+        rows_read=sum(part.rows for part in parts),
+        rows=stars.num_rows,
+    )
+
+
+class _Query(NamedTuple):
+    """What is asked: `names` are the columns of the result."""
+
+    catalogue: Catalogue
+    region: Cone | Polygon
+    faintest_g_mag: float | None
+    names: list[str]
+
+    @property
+    def years(self) -> float:
+        return years_to(self.region, self.catalogue.ref_epoch_jyear)
 
 
 class _Part(NamedTuple):
-    """Row groups that a query looks at together; `inside` where all rows are in the region."""
+    """Row groups (places in the catalogue's table) that are read together.
 
-    shard: Shard
-    groups: tuple[RowGroup, ...]
-    inside: bool
+    sure : all their rows belong to the result; doubtful : each row is looked at, which moves by
+    `pad_rad` at most, and where `cut` is true some are too faint.
+    """
+
+    sure: NDArray[np.intp]
+    doubtful: NDArray[np.intp]
+    sure_rows: int
+    rows: int
+    cut: bool
     pad_rad: float
 
 
-def _batches(
-    catalogue: Catalogue,
-    region: Cone | Polygon,
-    faintest_g_mag: float | None,
-    found: NDArray[np.intp],
-    names: list[str],
-) -> Iterator[pa.RecordBatch]:
-    """Open leaves and decode row groups on a few threads, a bounded number ahead."""
-    from .reading import open_shard
-
-    store, years = catalogue.store, years_to(region, catalogue.ref_epoch_jyear)
-    caps = catalogue.row_group_table[found]
-    pads = pads_rad(caps, region, catalogue.ref_epoch_jyear)
+def _parts(query: _Query, found: NDArray[np.intp]) -> list[_Part]:
+    """Cut a query's row groups into parts of about equal size. They depend on nothing else."""
+    region, epoch = query.region, query.catalogue.ref_epoch_jyear
+    caps = query.catalogue.row_group_table[found]
+    pads = pads_rad(caps, region, epoch)
     inside = region.outside_rad(caps["centre"]) <= -(caps["radius_rad"] + pads)
+    limit = math.inf if query.faintest_g_mag is None else query.faintest_g_mag
+    cut = caps["faintest_g_mag"].astype(float) > limit
+    sure, rows = inside & ~cut, caps["rows"].astype(np.int64)
+    before = np.cumsum(rows) - rows
+    size = min(max(int(rows.sum()) // 4, PART_ROWS), MOST_PART_ROWS)
+    starts = np.unique(before // size, return_index=True)[1]
+    parts = []
+    for start, stop in zip(starts, [*starts[1:], found.size], strict=False):
+        own = np.arange(start, stop)
+        yes, no = own[sure[own]], own[~sure[own]]
+        parts.append(_Part(
+            found[yes], found[no], int(rows[yes].sum()), int(rows[own].sum()), bool(cut[no].any()),
+            float(pads[no].max(initial=0.0)),
+        ))  # fmt: skip
+    return parts
 
-    def keep(part: _Part) -> pa.Table:
-        return _wanted_rows(part, region, faintest_g_mag, years, names)
 
-    alone = isinstance(store, LocalStore) and caps["rows"].sum() <= ALONE_ROWS
-    with threads(0 if alone else THREADS) as pool:
-        leaves = leaves_of(catalogue, found)
-        shards = ahead(pool, lambda leaf: open_shard(store, leaf), leaves, 2)
-        parts = _parts(shards, inside.tolist(), pads.tolist())
-        for table in ahead(pool, keep, parts, 2 * THREADS):
+def _columns_read(query: _Query, part: _Part) -> list[str]:
+    """The columns of the result, and those that the doubtful rows are judged by."""
+    judged = (*PLACE, *(MOTION if query.years else ())) if part.doubtful.size else ()
+    return list(dict.fromkeys((*query.names, *judged, *((G_MAG,) if part.cut else ()))))
+
+
+def _bytes_read(query: _Query, part: _Part) -> int:
+    from .columns import STORED
+    from .reading import END_BYTES
+
+    columns = [STORED.names.index(name) for name in _columns_read(query, part)]
+    table, size = query.catalogue.row_group_table, 0
+    for groups in (part.sure, part.doubtful):
+        size += int(table["column_bytes"][groups][:, columns].sum())
+        size += END_BYTES * _files(query.catalogue, groups)
+    return size
+
+
+def _files(catalogue: Catalogue, groups: NDArray[np.intp]) -> int:
+    """How many shards hold some row groups."""
+    return np.unique(np.searchsorted(catalogue.first_row_groups, groups, "right")).size
+
+
+def _batches(query: _Query, parts: Sequence[_Part]) -> Iterator[pa.RecordBatch]:
+    """Read, prove and decode the parts on a few threads, a bounded number ahead."""
+    with threads(THREADS if len(parts) > 1 else 0) as pool:
+        for table in ahead(pool, lambda part: _wanted_rows(query, part), parts, 2 * THREADS):
             if table.num_rows:
                 yield from table.to_batches()
 
 
-def _parts(
-    shards: Iterable[Shard], inside: Sequence[bool], pads: Sequence[float]
-) -> Iterator[_Part]:
-    """Runs of row groups of up to PART_ROWS, wholly within the region or not."""
-    more = zip(inside, pads, strict=True)
-    for shard in shards:
-        part = None
-        for group in shard.leaf.row_groups:
-            within, pad = next(more)
-            if part and (
-                part.inside != within or sum(g.rows for g in part.groups) + group.rows > PART_ROWS
-            ):
-                yield part
-                part = None
-            before = part.groups if part else ()
-            pad = max(pad, part.pad_rad) if part else pad
-            part = _Part(shard, (*before, group), within, pad)
-        if part:
-            yield part
-
-
-def _wanted_rows(
-    part: _Part, region: Region, faintest_g_mag: float | None, years: float, names: list[str]
-) -> pa.Table:
-    """The rows of some row groups that are bright enough and within the region after `years`."""
+def _wanted_rows(query: _Query, part: _Part) -> pa.Table:
+    """The rows of a part that are bright enough and within the region: the sure ones first."""
     import pyarrow as pa
 
-    limit = faintest_g_mag
-    bright = limit is None or all(group.faintest_g_mag <= limit for group in part.groups)
-    needed = () if part.inside else (*PLACE, *MOTION) if years else PLACE
-    read = dict.fromkeys((*names, *needed, *(() if bright else (G_MAG,))))
-    table = part.shard.read(part.groups, list(read), threads=False)
-    rows = np.arange(table.num_rows)
-    if not bright:
-        rows = np.flatnonzero(table[G_MAG].to_numpy().astype(float) <= limit)
-    if not part.inside:
-        rows = _within(table, rows, region, years, part.pad_rad)
-    table = table.select(names)
-    return table if rows.size == table.num_rows else table.take(pa.array(rows))
+    from .reading import read_row_groups
+
+    catalogue = query.catalogue
+    leaves = (*leaves_of(catalogue, part.sure), *leaves_of(catalogue, part.doubtful))
+    table = read_row_groups(
+        catalogue.store, leaves, _columns_read(query, part),
+        threads=ARROW_THREADS_ROWS < part.rows <= PART_ROWS,
+    )  # fmt: skip
+    if not part.doubtful.size:
+        return table.select(query.names)
+    doubtful, rows = table.slice(part.sure_rows), None
+    if part.cut:
+        rows = np.flatnonzero(_values(doubtful, G_MAG).astype(float) <= query.faintest_g_mag)
+    rows = _within(doubtful, rows, query.region, query.years, part.pad_rad)
+    table, doubtful = (
+        table.slice(0, part.sure_rows).select(query.names),
+        doubtful.select(query.names),
+    )
+    return pa.concat_tables([table, doubtful.select(query.names).take(pa.array(rows))])
+
+
+def _values(table: pa.Table, name: str) -> NDArray[Any]:
+    """A column of one chunk; NaN where it is null."""
+    values: NDArray[Any] = table[name].chunk(0).to_numpy(zero_copy_only=False)
+    return values
 
 
 def _within(
-    table: pa.Table, rows: NDArray[np.intp], region: Region, years: float, pad_rad: float
+    table: pa.Table, rows: NDArray[np.intp] | None, region: Region, years: float, pad_rad: float
 ) -> NDArray[np.intp]:
-    """Those of some rows that lie within a region after `years`, in which they move by `pad_rad`.
-
-    Most are decided by float32 cosines of their distance from the region's centre.
-    """
-    ra, dec = (table[name].to_numpy()[rows] for name in PLACE)
+    """Those of some rows (None: of all) that lie within a region after `years`, in which they move
+    by `pad_rad` at most. Most are decided by float32 cosines of their distance from its centre."""
+    ra, dec = (_values(table, name) for name in PLACE)
+    if rows is not None:
+        ra, dec = ra[rows], dec[rows]
     cosine = _cosines(ra, dec, region)
     inner, outer = region.inner_radius_rad - pad_rad, region.radius_rad + pad_rad
     least = math.cos(outer) - COSINE_ERROR if outer < math.pi else -2.0
     surely = math.cos(inner) + COSINE_ERROR if inner > 0.0 else 2.0
     inside = cosine > surely
     doubtful = np.flatnonzero((cosine >= least) & ~inside)
-    some = rows[doubtful]
     if years:
-        pmra, pmdec, plx, rv = (table[name].to_numpy()[some] for name in MOTION)
+        some = doubtful if rows is None else rows[doubtful]
+        pmra, pmdec, plx, rv = (_values(table, name)[some] for name in MOTION)
         v = moved(ra[doubtful], dec[doubtful], pmra, pmdec, years, plx, rv)
     else:
         v = directions(ra[doubtful], dec[doubtful])
     inside[doubtful] = region.holds(v)
-    return rows[inside]
+    return np.flatnonzero(inside) if rows is None else rows[inside]
 
 
 def _cosines(ra_deg: Floats, dec_deg: Floats, region: Region) -> NDArray[np.float32]:

@@ -1,93 +1,104 @@
-"""Read row groups of shards: every byte is proved against the manifest before Arrow parses it.
+"""Read columns of row groups of shards: every byte is proved before Arrow parses it.
 
-A shard's footer and the row groups wanted are fetched in few requests; the file's length and the
-crc32c of each part are compared with the manifest, and only then is anything decoded. The crc32c
-of a row group covers all its pages, so Parquet's own page checksums, which other readers use, are
-looked at by `verify` alone.
+Only the chunks of the columns asked for are fetched, into one buffer in which each column's chunks
+follow each other. The length of every file and the crc32c of every chunk are compared with the
+manifest; then Arrow decodes the buffer, which with a footer of its own is a Parquet file of one
+row group. The crc32c covers all pages, so Parquet's page checksums, which other readers use, are
+looked at by `verify` alone, as are the shards' footers.
 """
 
 from __future__ import annotations
 
-import io
-from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .catalogue import Leaf, RowGroup
+from .catalogue import Leaf
 from .errors import Damaged, Incomplete
-from .stores import Bytes, Store, Unreachable
+from .parquet_footer import MAGIC, footer
+from .stores import Bytes, Part, Store, Unreachable
 
 if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+END_BYTES = 8  # of a Parquet file: the footer's length, and the magic
 
-@dataclass(frozen=True)
-class Shard:
-    """A shard of which the footer and `leaf.row_groups` are in memory, proved.
 
-    held : the row groups in memory, as (offset, bytes).
+def read_row_groups(
+    store: Store, leaves: Sequence[Leaf], names: Sequence[str], *, threads: bool = True
+) -> pa.Table:
+    """Columns of all `row_groups` of some leaves, in that order, in one chunk.
+
+    threads : decoded on all cores. Raises Damaged naming the shard that is missing, of another
+    length, or changed in a byte that was read; Incomplete where a remote store gives no answer.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
-    where: str
-    leaf: Leaf
-    held: tuple[tuple[int, Bytes], ...]
-    metadata: pq.FileMetaData
+    from .columns import STORED
 
-    def read(
-        self, row_groups: Sequence[RowGroup], names: Sequence[str], *, threads: bool = True
-    ) -> pa.Table:
-        """Rows of some of its row groups, in the file's order; threads : decoded on all cores."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+    columns = [STORED.names.index(name) for name in names]
+    groups = [group for leaf in leaves for group in leaf.row_groups]
+    rows = sum(group.rows for group in groups)
+    held = np.array([group.column_bytes for group in groups], np.int64)
+    before = np.cumsum(held, axis=1) - held + np.array([[group.offset] for group in groups])
+    sizes = held[:, columns].T
+    ends = np.cumsum(sizes).reshape(sizes.shape)
+    tail = footer([STORED.field(name) for name in names], rows, [0, *ends[:, -1].tolist()])
+    data = np.empty(int(ends[-1, -1]) + len(tail), np.uint8)
+    data[data.size - len(tail) :] = np.frombuffer(tail, np.uint8)
+    places = np.stack([before[:, columns], (ends - sizes).T, ends.T], axis=-1).tolist()
+    first = 0
+    for leaf in leaves:
+        last = first + len(leaf.row_groups)
+        _fetch(store, leaf, columns, places[first:last], data)
+        first = last
+    try:
+        file = pq.ParquetFile(pa.BufferReader(pa.py_buffer(data)), pre_buffer=False)
+        table = file.read(use_threads=threads)
+    except (pa.ArrowException, OSError) as error:
+        raise Damaged(_where(store, leaves), f"cannot be read ({error})") from None
+    if table.num_rows != rows:
+        raise Damaged(_where(store, leaves), "has another number of rows than the manifest says")
+    return table
 
-        numbers, rows = [g.row_group for g in row_groups], sum(g.rows for g in row_groups)
-        try:
-            source = pa.PythonFile(Held(self.leaf.bytes, self.held), mode="r")
-            file = pq.ParquetFile(source, metadata=self.metadata, pre_buffer=False)
-            table = file.read_row_groups(numbers, list(names), use_threads=threads)
-        except (pa.ArrowException, OSError) as error:
-            raise Damaged(self.where, f"cannot be read ({error})") from None
-        if table.num_rows != rows:
-            raise Damaged(self.where, "holds another number of rows than the manifest says")
-        return table
 
+def _fetch(
+    store: Store, leaf: Leaf, columns: Sequence[int], places: list[list[list[int]]], data: Bytes
+) -> None:
+    """Fetch and prove chunks of one shard.
 
-def open_shard(store: Store, leaf: Leaf) -> Shard:
-    """Fetch and prove a shard's footer and `leaf.row_groups`.
-
-    Raises Damaged naming the shard where it is missing, of another length, or changed in a byte
-    that was read; Incomplete where a remote store gives no answer.
+    places : for each of its row groups and each column, where the chunk begins in the file, and
+    its start and end in `data`.
     """
     import google_crc32c
 
     where = f"{store.root}/{leaf.path}"
     # One byte more than there should be proves the length without another request.
-    parts = [("the footer", leaf.bytes - leaf.footer_bytes, leaf.footer_bytes + 1)]
-    parts += [(f"row group {g.row_group}", g.offset, g.bytes) for g in leaf.row_groups]
-    ends = np.cumsum([size for _, _, size in parts])
-    data = np.split(np.empty(ends[-1], np.uint8), ends[:-1])
-    offsets = [offset for _, offset, _ in parts]
+    tail = np.empty(END_BYTES + 1, np.uint8)
+    parts: list[Part] = [
+        (offset, data[start:end]) for group in places for offset, start, end in group
+    ]
     try:
-        found = store.fill(leaf.path, list(zip(offsets, data, strict=True)))
-        if found[0] != leaf.footer_bytes:
-            _refuse_length(store, leaf, where)
+        found = store.fill(leaf.path, [*parts, (leaf.bytes - END_BYTES, tail)])
+        if found[-1] != END_BYTES:
+            size = store.size(leaf.path)
+            reason = f"is {size} bytes long; the manifest says {leaf.bytes}"
+            raise Damaged(where, reason if size != leaf.bytes else "cannot be read whole")
     except FileNotFoundError:
         raise Damaged(where, "the shard is missing") from None
     except Unreachable as error:
         raise Incomplete(f"{where}: could not be read ({error}); try again") from None
     except OSError as error:
         raise Damaged(where, f"cannot be read ({error})") from None
-    data[0] = data[0][:-1]
-    expected = [leaf.footer_crc32c, *(group.crc32c for group in leaf.row_groups)]
-    for (what, _, _), part, crc32c in zip(parts, data, expected, strict=True):
-        if google_crc32c.value(part) != crc32c:
-            raise Damaged(where, f"{what} does not match its checksum")
-    held = tuple(zip(offsets[1:], data[1:], strict=True))
-    return Shard(where, leaf, held, parse_footer(where, leaf, data[0]))
+    checks = [(group, column) for group in leaf.row_groups for column in columns]
+    for (group, column), (_, part) in zip(checks, parts, strict=True):
+        if google_crc32c.value(part) != group.column_crc32c[column]:
+            raise Damaged(where, f"row group {group.row_group} does not match its checksum")
+    if tail[:-1].tobytes() != (leaf.footer_bytes - END_BYTES).to_bytes(4, "little") + MAGIC:
+        raise Damaged(where, "its last bytes are not those that the manifest says")
 
 
 def parse_footer(where: str, leaf: Leaf, footer: Bytes) -> pq.FileMetaData:
@@ -95,9 +106,8 @@ def parse_footer(where: str, leaf: Leaf, footer: Bytes) -> pq.FileMetaData:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    magic = b"PAR1"  # a footer alone is a file without row groups' bytes
-    try:
-        metadata = pq.read_metadata(pa.BufferReader(pa.py_buffer(magic + footer.tobytes())))
+    try:  # a footer alone is a file without row groups' bytes
+        metadata = pq.read_metadata(pa.BufferReader(pa.py_buffer(MAGIC + footer.tobytes())))
     except pa.ArrowException as error:
         raise Damaged(where, f"its footer cannot be read ({error})") from None
     if metadata.num_row_groups != leaf.row_group_count or metadata.num_rows != leaf.rows:
@@ -105,48 +115,5 @@ def parse_footer(where: str, leaf: Leaf, footer: Bytes) -> pq.FileMetaData:
     return metadata
 
 
-def _refuse_length(store: Store, leaf: Leaf, where: str) -> NoReturn:
-    size = store.size(leaf.path)
-    reason = f"is {size} bytes long; the manifest says {leaf.bytes}"
-    raise Damaged(where, reason if size != leaf.bytes else "cannot be read whole")
-
-
-class Held:
-    """A file, for Arrow, of which only some byte ranges are in memory; other bytes are an error.
-
-    It is asked for every column of every row group, so it does no more than it must.
-    """
-
-    closed = False
-
-    def __init__(self, length: int, held: Sequence[tuple[int, Bytes]]) -> None:
-        self._length, self._at = length, 0
-        ordered = sorted(held, key=lambda part: part[0])
-        self._starts = [offset for offset, _ in ordered]
-        self._views = [data.data for _, data in ordered]
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def close(self) -> None:
-        self.closed = True
-
-    def tell(self) -> int:
-        return self._at
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        origin = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._length}[whence]
-        self._at = origin + offset
-        return self._at
-
-    def read(self, size: int) -> memoryview:
-        i = bisect_right(self._starts, self._at) - 1
-        start = self._at - self._starts[max(i, 0)]
-        found = self._views[max(i, 0)][start : start + size]
-        if i < 0 or len(found) != size:
-            raise OSError(f"bytes {self._at} to {self._at + size} were not read")
-        self._at += size
-        return found
+def _where(store: Store, leaves: Sequence[Leaf]) -> str:
+    return ", ".join(dict.fromkeys(f"{store.root}/{leaf.path}" for leaf in leaves))

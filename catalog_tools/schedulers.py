@@ -10,11 +10,15 @@ from typing import Any, Protocol
 from urllib.parse import urlsplit
 from uuid import uuid4
 
-from .errors import BadInput, Incomplete
+from .ahead import cores
+from .errors import BadInput, Incomplete, NightglassError
 
 Progress = Callable[[str], None]  # called with the kind of each task that is done
 LOCAL_KINDS = ("threads", "synchronous", "processes")
 TASKS_PER_WINDOW = 256
+# What glibc comes to by itself; Dask's 64 KiB cost a worker eight times the page faults.
+MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(64 << 20)}
+MOST_TRIES = 3  # of a task, on a cluster
 
 
 class Scheduler(Protocol):
@@ -85,8 +89,8 @@ class ClusterScheduler:
     def _submit(self, graph: dict[Any, Any], keys: list[Any]) -> list[Any]:
         """Submit under names that no other run on this scheduler uses: it shares by name."""
         names = {key: _unique(key, uuid4().hex) for key in graph}
-        graph = {names[key]: _renamed(task, names) for key, task in graph.items()}
-        return self.client.get(graph, [names[key] for key in keys], sync=False, retries=2)
+        graph = {names[key]: _tried(_renamed(task, names)) for key, task in graph.items()}
+        return self.client.get(graph, [names[key] for key in keys], sync=False)
 
     def _wait(self, futures: list[Any], done: Progress) -> None:
         from distributed import as_completed
@@ -106,18 +110,20 @@ class ClusterScheduler:
 @contextmanager
 def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
     """The scheduler named by `--scheduler`: threads, synchronous, processes, or an address."""
-    count = workers or available_cores()
+    count = workers or cores()
     if kind in ("threads", "synchronous"):
         yield LocalScheduler(kind, 1 if kind == "synchronous" else count)
         return
     _check_address(kind)
-    os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
+    for name, value in MALLOC.items():
+        os.environ.setdefault(name, value)
     import dask
     from distributed import Client, LocalCluster
 
     dask.config.set({
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.scheduler.allowed-failures": 3,
+        "distributed.worker.profile.enabled": False,
         "distributed.logging.distributed": "error",
     })  # fmt: skip
     if kind == "processes":
@@ -143,6 +149,22 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         yield ClusterScheduler(client, threads)
 
 
+def _tried(task: Any) -> Any:
+    return (_try, *task) if type(task) is tuple and callable(task[0]) else task
+
+
+def _try(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call it; what fails is tried again, but not what one of our messages explains."""
+    for _ in range(MOST_TRIES - 1):
+        try:
+            return function(*arguments)
+        except NightglassError:
+            raise
+        except Exception:  # a file server's bad moment
+            continue
+    return function(*arguments)
+
+
 def _unique(key: Any, token: str) -> tuple[Any, ...]:
     kind, *rest = key if isinstance(key, tuple) else (key,)
     return (kind, token, *rest)
@@ -158,11 +180,6 @@ def _renamed(task: Any, names: dict[Any, Any]) -> Any:
             pass
         return type(task)(_renamed(part, names) for part in task)
     return task
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _check_address(kind: str) -> None:

@@ -7,7 +7,6 @@ tables of the manifest; Parquet's own page checksums are written too.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,14 +20,13 @@ from .columns import ENCODINGS, HEALPIX_COLUMN, HEALPIX_ORDER, STORED
 from .judging import Columns
 from .sphere import cap_of, cap_of_caps, directions
 
-# Faint edges of the bands; the last band is open.
-BAND_EDGES_G_MAG = np.array(
-    [8.0, 10.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0, 19.0, 20.0], np.float32
-)
-MIN_BAND_ROWS = 2048
-MAX_ROW_GROUP_ROWS = 16_384
-MAX_BRIGHT_ROW_GROUP_ROWS = 2_048  # to BRIGHT_G_MAG, so that a cone of a degree takes few
-BRIGHT_G_MAG = 16.0
+# Faint edges of the bands (the last one is open), and the most rows of a row group of each. Bright
+# stars are rare: their row groups are small, so that a cone of a degree takes few rows besides its
+# own; every row group costs time of its own, so the faint ones are larger.
+BAND_EDGES_G_MAG = np.array([8.0, 10.0, 12.0, 14.0, 16.0, 17.0, 18.0, 19.0, 20.0], np.float32)
+BAND_MOST_ROWS = (1024, 1024, 1024, 2048, 4096, 8192, 8192, 8192, 8192, 8192)
+MAX_ROW_GROUP_ROWS = max(BAND_MOST_ROWS)
+MIN_BAND_ROWS = 1024
 ZSTD_LEVEL = 3
 PRUNED_BY = [HEALPIX_COLUMN, "ra", "dec", "phot_g_mean_mag"]  # columns with Parquet statistics
 CHUNK_BYTES = 1 << 20
@@ -88,15 +86,12 @@ def _arrange(rows: Columns) -> tuple[np.ndarray, list[slice]]:
         band[(band >= wide.start) & (band < wide.stop)] = i
     places = _along_the_curve(rows)
     places = places[np.argsort(band[places], kind="stable")]
-    pixels, edges = rows[HEALPIX_COLUMN][places], [*BAND_EDGES_G_MAG.tolist(), math.inf]
+    pixels = rows[HEALPIX_COLUMN][places]
     groups, start = [], 0
     for wide in joined:
         stop = start + int(counts[wide].sum())
-        bright = edges[wide.stop - 1] <= BRIGHT_G_MAG
-        most = MAX_BRIGHT_ROW_GROUP_ROWS if bright else MAX_ROW_GROUP_ROWS
-        groups += _halved(
-            pixels, start, stop, 0, 4 + 2 * HEALPIX_ORDER, min(most, MAX_ROW_GROUP_ROWS)
-        )
+        most = min(BAND_MOST_ROWS[wide.stop - 1], MAX_ROW_GROUP_ROWS)
+        groups += _halved(pixels, start, stop, 0, 4 + 2 * HEALPIX_ORDER, most)
         start = stop
     return places, groups
 
@@ -143,11 +138,14 @@ def _records(
         for i, group in enumerate(groups):
             described = metadata.row_group(i)
             chunks = [described.column(c) for c in range(described.num_columns)]
-            start = min(chunk.data_page_offset for chunk in chunks)
-            size = sum(chunk.total_compressed_size for chunk in chunks)
-            records[i]["offset"], records[i]["bytes"] = start, size
+            start, sizes = chunks[0].data_page_offset, [c.total_compressed_size for c in chunks]
+            file.seek(start)
+            data = [file.read(size) for size in sizes]
+            records[i]["offset"], records[i]["bytes"] = start, sum(sizes)
             records[i]["rows"] = group.stop - group.start
-            records[i]["crc32c"] = _crc32c(file, start, size)
+            records[i]["column_bytes"] = sizes
+            records[i]["column_crc32c"] = [google_crc32c.value(chunk) for chunk in data]
+            records[i]["crc32c"] = google_crc32c.value(b"".join(data))
             _bound(records[i], rows, group)
         leaf["bytes"] = length = path.stat().st_size
         leaf["crc32c"] = _crc32c(file, 0, length)

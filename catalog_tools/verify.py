@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
 from .ahead import ahead, cores
 from .catalogue import MANIFEST_NAME, Catalogue
-from .distinct import Distinct
+from .distinct import temporary_distinct
 from .errors import BadInput, Damaged
 from .query import read_leaf
 from .verify_files import check_files, check_hats, check_tables
@@ -53,7 +51,8 @@ def verify(
     motions and parallaxes within what the manifest says of row group and leaf; all counts; the
     HATS files; that no source_id occurs twice; files missing and extra. Damage is returned, not
     raised. `workers` threads take one shard each in memory; source_ids (8 bytes a row) go to a
-    temporary folder. Raises BadInput, and Incomplete where a remote store gives no answer.
+    temporary folder. Raises BadInput, and Incomplete where a remote store gives no answer or that
+    folder has no room.
     """
     workers = cores() if workers is None else workers
     if workers < 1:
@@ -64,8 +63,7 @@ def verify(
     more, notes = check_files(catalogue)
     findings += more
     rows, counts = 0, np.zeros(12 * 4**COUNT_ORDER, np.int64)
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(workers) as pool:
-        ids = Distinct(Path(folder), catalogue.rows)
+    with temporary_distinct(catalogue.rows) as ids, ThreadPoolExecutor(workers) as pool:
         tell("verify", 0, total)
         checks = ahead(pool, lambda i: check_shard(catalogue, i), range(total), 2 * workers)
         for i, check in enumerate(checks):

@@ -17,7 +17,7 @@ EPOCHS = {2015.5: "gaia_dr2", 2016.0: "gaia_dr3"}
 DESIGNATIONS = {"Gaia DR2": "gaia_dr2", "Gaia DR3": "gaia_dr3", "Gaia EDR3": "gaia_dr3"}
 
 
-def detect_form(path: str | Path, field: str = "source") -> Form:
+def detect_form(path: str | Path, field: str = "source", most_bytes: int | None = None) -> Form:
     """The form of a Gaia file: gaia_dr2 where nothing speaks for DR3.
 
     Raises BadInput where the file has not the columns of gaia_source, or where its columns, its
@@ -40,7 +40,7 @@ def detect_form(path: str | Path, field: str = "source") -> Form:
         wanted = {name: want for want, name in chosen.items() if name is not None}
         return wanted or {str(table.first(["ra"])): "number"}
 
-    tables = raw_tables(path, kind, Layout(), choose, where)
+    tables = raw_tables(path, kind, Layout(), choose, where, most_bytes=most_bytes)
     first = next(tables, pa.table({}))
     evidence.update(_from_rows(first, where))
     forms = set(evidence.values())

@@ -14,9 +14,18 @@ from .kinds import Choose
 
 
 def raw_tables(
-    path: Path, kind: str, layout: Layout, choose: Choose, where: str, md5: Any = None
+    path: Path,
+    kind: str,
+    layout: Layout,
+    choose: Choose,
+    where: str,
+    md5: Any = None,
+    most_bytes: int | None = None,
 ) -> Iterator[pa.Table]:
-    """Tables of the columns that `choose` picks from the file's own, with the file's own values."""
+    """Tables of the columns that `choose` picks from the file's own, with the file's own values.
+
+    most_bytes : of memory; a file that can't be read in so much is refused.
+    """
     zipped = kind.endswith(".gz")
     plain_kind = kind.removesuffix(".gz")
     if plain_kind == "csv":
@@ -30,12 +39,12 @@ def raw_tables(
     elif plain_kind == "votable":
         from .votable import read_votable
 
-        yield from read_votable(path, where, choose, zipped=zipped, md5=md5)
+        yield from read_votable(path, where, choose, zipped=zipped, md5=md5, most_bytes=most_bytes)
     else:
         if plain_kind == "parquet":
             from .parquet import read_parquet
 
-            yield from read_parquet(path, choose)
+            yield from read_parquet(path, where, choose, most_bytes)
         else:
             from .sqlite import read_sqlite
 

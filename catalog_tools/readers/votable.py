@@ -16,19 +16,27 @@ from .bytes_in import bytes_of
 from .kinds import Choose
 
 MOST_BYTES = 256 << 20
+TEXT_SHARE, BINARY_SHARE = 4, 11  # bytes in memory for each of the file, unpacked (measured)
 ROWS = 100_000
 
 
 def read_votable(
-    path: Path, where: str, choose: Choose, *, zipped: bool, md5: Any = None
+    path: Path,
+    where: str,
+    choose: Choose,
+    *,
+    zipped: bool,
+    md5: Any = None,
+    most_bytes: int | None = None,
 ) -> Iterator[pa.Table]:
     """Tables of the chosen columns of the file's first table, in pieces of ROWS rows.
 
-    Raises BadInput where the file is larger than MOST_BYTES, and Damaged where it can't be parsed.
+    Raises BadInput where the file is larger than MOST_BYTES or would take more than `most_bytes` of
+    memory, and Damaged where it can't be parsed.
     """
     from astropy.io.votable import parse_single_table
 
-    text = _whole(path, where, zipped=zipped, md5=md5)
+    text = _whole(path, where, most_bytes, zipped=zipped, md5=md5)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the archive's units are not all VOUnits
@@ -45,12 +53,16 @@ def read_votable(
         )
 
 
-def _whole(path: Path, where: str, *, zipped: bool, md5: Any) -> io.BytesIO:
-    text = io.BytesIO()
+def _whole(path: Path, where: str, most_bytes: int | None, *, zipped: bool, md5: Any) -> io.BytesIO:
+    text, most = io.BytesIO(), MOST_BYTES
     for piece in bytes_of(path, zipped=zipped, md5=md5):
-        if text.tell() + len(piece) > MOST_BYTES:
-            allowed = f"a VOTable of at most {MOST_BYTES >> 20} MiB: as CSV, FITS or Parquet the"
-            raise BadInput(where, f"over {MOST_BYTES} bytes", f"{allowed} same rows can be read")
+        if most_bytes is not None and (not text.tell() or b"<BINARY" in piece):
+            share = BINARY_SHARE if b"<BINARY" in piece else TEXT_SHARE
+            most = min(most, most_bytes // share)
+        if text.tell() + len(piece) > most:
+            allowed = f"a VOTable of at most {most} bytes, unpacked, with this --memory"
+            allowed += " (as CSV, FITS or Parquet the same rows can be read)"
+            raise BadInput(where, f"over {most} bytes", allowed)
         text.write(piece)
     text.seek(0)
     return text

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.durable import sync as sync_folder
+from catalog_tools.durable import write_atomically
 from pipeline.errors import BadInput
+
+__all__ = ["only_writer", "sync_folder", "to_json", "write_atomically"]
 
 CUBE = "cube.zarr"
 MARKERS = "markers"
@@ -22,26 +25,6 @@ PREVIEW = "preview.png"
 BEGUN = ".begun.json"
 COMPLETE = "_COMPLETE"
 LOCK = ".lock"
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all: temporary sibling, fsync, rename, fsync of the folder."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as handle:
-        handle.write(content)
-        handle.flush()
-        os.fsync(handle.fileno())
-    temporary.replace(path)
-    sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def to_json(value: Any) -> bytes:

@@ -267,8 +267,9 @@ def test_same_rows_as_came_in(catalogue, stars):
     whole, report = cone(catalogue, 0, 0, 180)
     assert same_rows(whole, stars)
     assert report.rows == report.rows_read == catalogue.rows == stars.num_rows
-    footers = int(catalogue.leaf_table["footer_bytes"].sum())
-    assert report.bytes_read == footers + int(catalogue.row_group_table["bytes"].sum())
+    chunks = catalogue.row_group_table["column_bytes"][:, 1:]  # all but the HEALPix index
+    ends = report.bytes_read - int(chunks.sum())  # 8 bytes, again where a leaf is read in parts
+    assert 0 <= ends // 8 - catalogue.leaf_table.size < 4
 
 
 def test_same_stars_as_a_stream(catalogue, monkeypatch):
@@ -276,16 +277,19 @@ def test_same_stars_as_a_stream(catalogue, monkeypatch):
     from catalog_tools import reading
 
     opened = []
-    real = reading.open_shard
-    monkeypatch.setattr(query, "ALONE_ROWS", 0)
-    monkeypatch.setattr(reading, "open_shard", lambda *a: opened.append(a[1].path) or real(*a))
+    real = reading._fetch
+    monkeypatch.setattr(query, "PART_ROWS", 200)
+    monkeypatch.setattr(query, "MOST_PART_ROWS", 200)
+    monkeypatch.setattr(query, "THREADS", 1)
+    monkeypatch.setattr(reading, "_fetch", lambda *a: opened.append(a[1].path) or real(*a))
     region = cone_of(20, 10, 60)
     batches = record_batches(catalogue, region, 18.0, ["source_id", "_healpix_29"], 2050.0)
     assert not opened
     first = next(batches)
-    assert len(opened) < len(select(catalogue, [region])) / 2
+    assert 0 < len(set(opened)) < len(select(catalogue, [region])) / 2
     rest = list(batches)
-    assert max(batch.num_rows for batch in rest) <= query.PART_ROWS
+    most = query.PART_ROWS + int(catalogue.row_group_table["rows"].max())
+    assert max(batch.num_rows for batch in rest) <= most
     table, _ = cone(catalogue, 20, 10, 60, 18.0, 2050.0, ["source_id", "_healpix_29"])
     assert pa.Table.from_batches([first, *rest]).equals(table)
     assert table.schema.names == ["source_id", "_healpix_29"]
@@ -297,10 +301,11 @@ def test_same_stars_as_a_stream(catalogue, monkeypatch):
 
 
 def test_same_stars_whatever_the_threads(catalogue, monkeypatch):
+    monkeypatch.setattr(query, "PART_ROWS", 500)
     found = [cone(catalogue, 20, 10, 60, 18.0, 2050.0)[0]]
     for threads in (0, 1, 5):
-        monkeypatch.setattr(query, "ALONE_ROWS", 0)
         monkeypatch.setattr(query, "THREADS", threads)
+        monkeypatch.setattr(query, "ARROW_THREADS_ROWS", 0 if threads else 10**9)
         found.append(cone(catalogue, 20, 10, 60, 18.0, 2050.0)[0])
     assert all(table.equals(found[0]) for table in found)
 

@@ -197,7 +197,7 @@ def test_damage_over_http_is_named(tmp_path, catalogue, quick):
         path = tmp_path / "copy" / leaf.path
         good = path.read_bytes()
         changed = bytearray(good)
-        changed[leaf.row_groups[0].offset + 3] ^= 1
+        changed[leaf.row_groups[0].offset + leaf.row_groups[0].bytes - 3] ^= 1
         for data in (bytes(changed), good[:-1], good[:20], good + b"x"):
             path.write_bytes(data)
             with pytest.raises(Damaged) as caught:

@@ -205,7 +205,7 @@ def put_shard(folder, leaves, groups, index, rows):
     assert len(records) == own.stop - own.start
     for key in ("bytes", "crc32c", "footer_bytes", "footer_crc32c"):
         leaves[key][index] = record[key]
-    for key in ("offset", "bytes", "crc32c"):
+    for key in ("offset", "bytes", "crc32c", "column_bytes", "column_crc32c"):
         groups[key][own] = records[key]
 
 
