@@ -20,7 +20,7 @@ from pipeline.plan.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
 from pipeline.spec.scene import SphereBody
 
 POINT_RADIUS_PX = 1e-4  # smaller bodies are points whatever their light
-STRIP_PX = 64.0  # stars are drawn in strips of rows, so that a stamp's pixels stay in the cache
+SQUARE_PX = 64.0  # stars are drawn square by square, so that a stamp's pixels stay in the cache
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,13 @@ def place_stars(
 
 
 def drawing_order(stars: FrameStars) -> FrameStars:
-    """Stars in the one order in which every tile draws them: by strip of rows, then by id.
+    """Stars in the one order in which every tile draws them: by square of the frame, then by id.
 
     Two catalogues may use one id for two stars.
     """
-    strip = np.floor(stars.y_px / STRIP_PX)
-    return select(stars, np.lexsort((stars.catalogue, stars.source_id, strip)))
+    row, column = np.floor(stars.y_px / SQUARE_PX), np.floor(stars.x_px / SQUARE_PX)
+    square = row.astype(np.int64) * (1 << 24) + column.astype(np.int64)
+    return select(stars, np.lexsort((stars.catalogue, stars.source_id, square)))
 
 
 def truth_order(stars: FrameStars) -> FrameStars:

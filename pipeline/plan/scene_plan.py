@@ -19,15 +19,23 @@ from pipeline.plan.decisions import Decision, decide
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, excursions_px
 from pipeline.plan.optics import describe
-from pipeline.plan.responses import ResponsePlan, plan_responses
+from pipeline.plan.responses import (
+    BLOCK_PX,
+    SPECTRAL_S,
+    SPECTRAL_S_PER_PIXEL,
+    STAMP_S,
+    STAMP_S_PER_PIXEL,
+    ResponsePlan,
+    plan_responses,
+)
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
 NOISE_S_PER_PIXEL = 110e-9
-STAMP_S_PER_PIXEL = 0.8e-9
 PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
+CROWD_BYTES_PER_PIXEL = 50.0
 START_S = 2.0
 FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # deflection: 1.75 arcsec at the Sun's limb
 
@@ -178,30 +186,53 @@ def plan_dict(
 def _engine(r: ResponsePlan) -> str:
     if not r.classes:
         return "none: no sources"
-    return "stamps + wings" if r.spacing_px else "stamps"
+    engine = "stamps + wings" if r.spacing_px else "stamps"
+    if r.spectral_from:
+        engine += f"; transforms where {r.spectral_from} stars or more light a block"
+    return engine
 
 
 def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
     """Predicted CPU seconds and memory of one worker thread, from measured unit costs."""
     pixels = math.prod(plan.scene.sensor.shape)
     stars = forecast.stars_per_frame if forecast else 0
-    cores = plan.responses.classes
-    stamp = math.pi * cores[0].radius_px ** 2 if cores else 0.0
-    frame_s = pixels * NOISE_S_PER_PIXEL + stars * (PLACE_S_PER_STAR + stamp * STAMP_S_PER_PIXEL)
-    if plan.responses.spacing_px:
+    r = plan.responses
+    frame_s = pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars)
+    if r.spacing_px:
         frame_s += pixels * WING_S_PER_PIXEL
     rows, columns = tile_shape(plan.scene)
     layers = len(plan.scene.output.layers)
     grid = 0.0
-    if plan.responses.spacing_px:
-        side = (2048 + 2.0 * plan.halo_px) / plan.responses.spacing_px
-        grid = side * side * 8.0 * (2.0 + len(plan.responses.classes))
+    if r.spacing_px:
+        side = (BLOCK_PX + 2.0 * plan.halo_px) / r.spacing_px
+        grid = side * side * 8.0 * (2.0 + len(r.classes))
+    if _in_crowds(plan, stars):
+        grid += CROWD_BYTES_PER_PIXEL * min(pixels, BLOCK_PX**2)
     memory = rows * columns * 8.0 * (8 + layers) + grid + stars * 150.0 + 180e6
     return {
         "cpu_s": START_S + plan.frames * frame_s,
         "worker_memory_mb": memory / 1e6,
         "product_mb": pixels * plan.frames * (2.0 + 4.0 * (layers - 1)) / 1e6,
     }
+
+
+def _in_crowds(plan: Plan, stars: int) -> bool:
+    """Whether the frame's stars, spread evenly, are enough for transforms."""
+    blocks = math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
+    return 0 < plan.responses.spectral_from <= stars / blocks
+
+
+def _drawing_s(plan: Plan, stars: int) -> float:
+    """CPU seconds of drawing the stars of a frame, with stamps or in crowds."""
+    r = plan.responses
+    if not r.classes or not stars:
+        return 0.0
+    if _in_crowds(plan, stars):
+        pixels = math.prod(plan.scene.sensor.shape)
+        return SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes + SPECTRAL_S * stars
+    radius, piece_px = r.classes[0].radius_px, r.streaks.longest_px / r.streaks.pieces
+    stamp = math.pi * radius**2 + 2.0 * radius * piece_px
+    return stars * r.streaks.pieces * (STAMP_S + STAMP_S_PER_PIXEL * stamp)
 
 
 def _finite(values: dict[str, Any]) -> dict[str, Any]:

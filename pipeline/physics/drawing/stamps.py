@@ -71,9 +71,6 @@ def _draw(image, oy, ox, phases, row0, starts, stops, offsets, values, xs, ys, l
         _weights(py - ky, cubic[s], wy)
         _weights(px - kx, cubic[s], wx)
         e = light[s]
-        a, b, c, d = e * wy[1] * wx[1], e * wy[1] * wx[2], e * wy[2] * wx[1], e * wy[2] * wx[2]
-        v00, v01 = values[ky + 1, kx + 1], values[ky + 1, kx + 2]
-        v10, v11 = values[ky + 2, kx + 1], values[ky + 2, kx + 2]
         if cubic[s]:
             buffer[:] = 0.0
             for i in range(4):
@@ -82,15 +79,19 @@ def _draw(image, oy, ox, phases, row0, starts, stops, offsets, values, xs, ys, l
                     v = values[ky + i, kx + j]
                     for k in range(buffer.size):
                         buffer[k] += w * v[k]
+        else:
+            a, b, c, d = e * wy[1] * wx[1], e * wy[1] * wx[2], e * wy[2] * wx[1], e * wy[2] * wx[2]
+            v00, v01 = values[ky + 1, kx + 1], values[ky + 1, kx + 2]
+            v10, v11 = values[ky + 2, kx + 1], values[ky + 2, kx + 2]
+            for k in range(buffer.size):
+                buffer[k] = a * v00[k] + b * v01[k] + c * v10[k] + d * v11[k]
         for r in range(max(0, -top), min(starts.size, ny - top)):
             left = ix + starts[r] - ox
             begin = offsets[r] + max(0, -left)
             end = offsets[r + 1] - max(0, left + stops[r] - starts[r] - nx)
-            shift = left - offsets[r]
-            row = image[top + r]
-            if cubic[s]:
-                for k in range(begin, end):
-                    row[k + shift] += buffer[k]
-            else:
-                for k in range(begin, end):
-                    row[k + shift] += a * v00[k] + b * v01[k] + c * v10[k] + d * v11[k]
+            if end > begin:
+                first = left + begin - offsets[r]
+                row = image[top + r, first : first + end - begin]  # slices: no wrapped indices
+                part = buffer[begin:end]
+                for k in range(row.size):
+                    row[k] += part[k]
