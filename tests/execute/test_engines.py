@@ -1,0 +1,153 @@
+"""Engines agree with each other, with the reference path, and with quadrature at hard ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.accuracy.reference import GaussianStar, exact_pixels, straight
+from pipeline.arrays import FrameStars, Geometry
+from pipeline.execute.blocks import Block, render_block
+from pipeline.execute.check import reference
+from pipeline.execute.light import draw_stars
+from pipeline.physics.radiometry import box
+from pipeline.plan.facts import gather_facts
+from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.scene_plan import Plan, make_plan
+from pipeline.plan.tiles import Tile
+from pipeline.spec.load import parse_scene
+
+SIDE = 160
+WHOLE = Tile(0, 0, 0, 0, SIDE, SIDE)
+
+
+def plan_of(psf: dict[str, Any], dx_px: float, dy_px: float, side: int = SIDE) -> Plan:
+    """A plan of one frame whose stars streak by (dx, dy) px; nothing is read."""
+    ifov_arcsec = np.degrees(1e-5) * 3600.0
+    scene = parse_scene({
+        "schema": "nightglass/scene/1", "name": "engines", "epoch": "2019-04-20T03:00:00Z",
+        "observer": {"kind": "fixed", "position_au": [1.0, 0.0, 0.0]},
+        "sensor": {
+            "shape": [side, side], "pixel_pitch_um": 10.0, "focal_length_m": 1.0,
+            "aperture_m": 0.065, "obscuration": 0.3, "psf": psf, "read_noise_e": 5.0,
+            "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
+        },
+        "pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,
+                     "rate_ra_arcsec_s": dx_px * ifov_arcsec,
+                     "rate_dec_arcsec_s": -dy_px * ifov_arcsec},
+        "exposure": {"integration_s": 1.0}, "stars": {"catalogue": "none"},
+    })  # fmt: skip
+    facts = gather_facts(scene, box(600e-9, 700e-9), 0.0, 5.0, 1.0)
+    return make_plan(scene, facts, plan_geometry(scene, np.zeros(1, int), 0.0), None, 0.0, (), 0.0)
+
+
+def field(x: np.ndarray, y: np.ndarray, light: np.ndarray) -> FrameStars:
+    n, nothing = len(x), np.zeros(len(x))
+    return FrameStars(
+        np.arange(n), x, y, light, nothing, nothing, nothing, np.zeros(n, np.uint8),
+        np.zeros(n, np.uint8),
+    )  # fmt: skip
+
+
+def geometry_of(plan: Plan) -> Geometry:
+    return plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+
+
+def blocks_of(plan: Plan, stars: FrameStars) -> list[Block]:
+    if not plan.responses.spacing_px and not plan.responses.spectral_from:
+        return []
+    return [render_block(plan, geometry_of(plan), WHOLE, [stars])]
+
+
+def drawn(plan: Plan, stars: FrameStars, together: bool) -> np.ndarray:
+    """All stars by stamps, or as many as can be by transforms."""
+    plan = replace(plan, responses=replace(plan.responses, spectral_from=1 if together else 0))
+    return draw_stars(plan, geometry_of(plan), WHOLE, [stars], blocks_of(plan, stars))
+
+
+def bounds_e(plan: Plan) -> float:
+    return sum(d.error_bound_e or 0.0 for d in plan.decisions if d.error_bound_sigma)
+
+
+PSFS = st.one_of(
+    st.builds(lambda s: {"kind": "gaussian", "sigma_px": s}, st.floats(0.4, 3.0)),
+    st.just({"kind": "airy", "wavelength_nm": 650.0}),
+    st.builds(lambda f: {"kind": "moffat", "fwhm_px": f}, st.floats(1.5, 4.0)),
+)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    psf=PSFS, dx=st.floats(-40, 40), dy=st.floats(-40, 40), count=st.integers(1, 60),
+    brightest=st.floats(1.0, 5.0), seed=st.integers(0, 2**31),
+)  # fmt: skip
+def test_engines_agree_within_the_sum_of_their_bounds(psf, dx, dy, count, brightest, seed):
+    plan = plan_of(psf, dx, dy)
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-20, SIDE + 20, (2, count))
+    light = 10 ** rng.uniform(-3, brightest, count)
+    stars = field(x, y, light)
+    stamps, crowd = drawn(plan, stars, False), drawn(plan, stars, True)
+    noise = np.sqrt(25.0 + np.maximum(stamps, 0.0))
+    allowed = bounds_e(plan) * noise / 5.0
+    assert (np.abs(stamps - crowd) <= 2.0 * allowed).all()
+    window = Tile(0, 0, 64, 72, 24, 24)
+    exact, _ = reference(plan, geometry_of(plan), window, stars)
+    if exact is not None:
+        part = np.s_[64:88, 72:96]
+        for image in (stamps, crowd):
+            assert (np.abs(image[part] - exact) <= allowed[part]).all()
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3, 5.0, 50.0])
+@pytest.mark.parametrize("streak", [0.0, 1e-9, 0.1, 25.0])
+@pytest.mark.parametrize("together", [False, True])
+def test_limits_of_size_and_streak(sigma, streak, together):
+    """Sharp and broad stars, still and hardly moving ones: against quadrature, to 1e-3 of peak."""
+    plan = plan_of({"kind": "gaussian", "sigma_px": sigma}, streak, 0.0)
+    x, y = 80.3, 79.6
+    image = drawn(plan, field(np.array([x]), np.array([y]), np.array([1e4])), together)
+    at = np.arange(SIDE, dtype=float)
+    exact = 1e4 * exact_pixels(GaussianStar(sigma), straight(streak, 0.0), x, y, at, at)
+    assert np.abs(image - exact).max() <= max(1e-3 * exact.max(), bounds_e(plan))
+    assert image.sum() == pytest.approx(exact.sum(), rel=1e-6, abs=1e-4)
+
+
+@pytest.mark.parametrize("x", [-0.5, 0.0, SIDE - 0.5, SIDE - 1.0, -3.0, SIDE + 4.0, -400.0, 1e7])
+@pytest.mark.parametrize("together", [False, True])
+def test_limits_of_the_frame(x, together):
+    """Stars on edges, corners, and outside: their light never comes round."""
+    plan = plan_of({"kind": "gaussian", "sigma_px": 1.2}, 0.0, 0.0)
+    image = drawn(plan, field(np.array([x]), np.array([x]), np.array([1e6])), together)
+    at = np.arange(SIDE, dtype=float)
+    exact = 1e6 * exact_pixels(GaussianStar(1.2), straight(0.0, 0.0), x, x, at, at)
+    assert np.abs(image - exact).max() <= 1.0
+
+
+@pytest.mark.parametrize("light", [1e-12, 1e-3, 1e9, 1e15])
+@pytest.mark.parametrize("together", [False, True])
+def test_limits_of_light(light, together):
+    """A star of any brightness, and a neighbour of one electron beside it."""
+    plan = plan_of({"kind": "gaussian", "sigma_px": 0.8}, 0.0, 0.0)
+    x, y, e = np.array([60.2, 100.0]), np.array([70.7, 70.7]), np.array([light, 1.0])
+    image = drawn(plan, field(x, y, e), together)
+    at = np.arange(SIDE, dtype=float)
+    exact = sum(
+        e[k] * exact_pixels(GaussianStar(0.8), straight(0.0, 0.0), x[k], y[k], at, at)
+        for k in range(2)
+    )
+    assert np.abs(image - exact).max() <= 1e-5 * light + 0.1
+    beside = np.s_[66:76, 95:106]  # 40 px from the bright one, which leaves nothing here
+    assert np.abs(image[beside] - exact[beside]).max() < 1e-2
+
+
+def test_no_stars_at_all():
+    plan = plan_of({"kind": "airy"}, 10.0, 0.0)
+    empty = field(*(np.zeros(0),) * 3)
+    assert not drawn(plan, empty, True).any()
+    assert not drawn(plan, empty, False).any()
