@@ -25,7 +25,7 @@ JUMP_PARTS = 1.2  # two ends, half a jump each, with the overshoot of their seri
 EXTRA_DEGREE = 2  # of the polynomials above the width: 4e-7 at width 5, 3e-11 at 8, 4e-14 at 10
 CHECKED = 255  # places in a cell where the error of the weights is looked at
 BATCH = 256  # sources whose weights are made together
-BIN_CELLS = (64, 512)  # rows and columns of a bin when sorting: its grid points fit in a cache
+BIN_CELLS = (16, 128)  # rows (more than any width) and columns of a bin: it fits in a cache
 SORTED_TOGETHER = 65536  # sources that one thread sorts at a time
 
 
