@@ -173,6 +173,29 @@ def color_fit(scene: SceneFile, set_: Overrides = None, as_json: Json = False) -
             print(f"{key:>24}  {value}")
 
 
+@app.command(name="light-curve")
+def light_curve(
+    scene: SceneFile,
+    target: Annotated[str, typer.Option("--target", help="name of a target of the scene")],
+    output: Output,
+    set_: Overrides = None,
+    start: Annotated[float, typer.Option(help="seconds after the epoch")] = 0.0,
+    stop: Annotated[float | None, typer.Option(help="default: end of the last exposure")] = None,
+    points: Annotated[int, typer.Option(min=2, max=1_000_000)] = 1000,
+    plot: Annotated[Path | None, typer.Option(help="also a plot, PNG")] = None,
+) -> None:
+    """Magnitude, phase angle, range and eclipse of a target against time, as Parquet."""
+    from pipeline.light_curve import light_curve as follow
+    from pipeline.light_curve import write_light_curve
+    from pipeline.run import gather_response, resolve
+    from pipeline.spec.load import load_scene
+
+    loaded = resolve(load_scene(scene, set_ or []))
+    curve = follow(loaded, target, gather_response(loaded)[0], start, stop, points)
+    write_light_curve(curve, target, output, plot)
+    print(output if plot is None else f"{output} and {plot}")
+
+
 @report_app.command("accuracy")
 def report_accuracy(
     output: Output = Path("accuracy"),

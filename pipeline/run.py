@@ -27,6 +27,7 @@ from pipeline.inputs.colour_fit import gather_colour_fit
 from pipeline.inputs.curves import resolve_response, solar_spectrum
 from pipeline.inputs.distortion import gather_distortion
 from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.ephemerides import gather_ephemerides
 from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.psf_tables import gather_psf_table
 from pipeline.inputs.sensor import gather_sensor_maps
@@ -34,6 +35,7 @@ from pipeline.inputs.stars import Catalogue, Shard, cones_of, gather_shards, row
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
+from pipeline.plan.bodies import has_band_albedos, with_band_albedos
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.forecast import forecast_stars
 from pipeline.plan.geometry import (
@@ -89,6 +91,15 @@ class Prepared:
     seconds: float
 
 
+def resolve(scene: Scene) -> Scene:
+    """The scene with what its files of orbits and distortion say, and albedos over the band."""
+    scene = gather_ephemerides(gather_distortion(scene))
+    if has_band_albedos(scene):
+        wavelength, irradiance, *_ = solar_spectrum()
+        scene = with_band_albedos(scene, wavelength, irradiance, gather_response(scene)[0])
+    return scene
+
+
 def prepare(scene: Scene) -> Prepared:
     """Read curves, fit, sensor images and the catalogues' manifests; decide.
 
@@ -96,7 +107,7 @@ def prepare(scene: Scene) -> Prepared:
     bright ones around them.
     """
     started = time.perf_counter()
-    scene = gather_distortion(scene)
+    scene = resolve(scene)
     catalogues = open_catalogues(scene.stars.catalogues) if scene.stars is not None else ()
     maps = gather_sensor_maps(scene)
     response, band, digest = gather_response(scene)

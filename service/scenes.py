@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from pipeline.spec.load import PATH_FIELDS, parse_scene
+from pipeline.spec.load import parse_scene, path_holders
 from pipeline.spec.scene import Scene
 from service.catalogues import catalogue_mistakes
 from service.problems import Mistake, NotAllowed
 from service.settings import Settings
 
-CATALOGUE_FIELD = ("stars", "catalogue")
+CATALOGUE_FIELD = "stars.catalogue"
 NO_FILES = "a number: over REST a scene names no file of the server"
 
 
@@ -39,12 +39,9 @@ def _path_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
     """Every field that could name a file, looked at after parsing, so that no spelling escapes."""
     data = scene.as_dict()
     mistakes: list[Mistake] = []
-    for field in PATH_FIELDS:
-        value: Any = data
-        for part in field:
-            value = value.get(part) if isinstance(value, dict) else None
-        name = ".".join(field)
-        if field == CATALOGUE_FIELD and value is not None:
+    for name, holder, key in path_holders(data):
+        value = holder.get(key)
+        if name == CATALOGUE_FIELD and value is not None:
             mistakes += catalogue_mistakes(name, value, settings.catalogues)
         elif isinstance(value, str):
             mistakes.append((name, value, NO_FILES))

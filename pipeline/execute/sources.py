@@ -17,7 +17,7 @@ from pipeline.plan.geometry import excursions_px
 from pipeline.plan.responses import point_curvature
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
-from pipeline.spec.scene import SphereBody
+from pipeline.spec.body import SphereBody
 
 POINT_RADIUS_PX = 1e-4  # smaller bodies are points whatever their light
 SQUARE_PX = 64.0  # stars are drawn square by square, so that a stamp's pixels stay in the cache

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.focal_plane import area_ratio_range, stretch
+from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.responses import BLOCK_PX, ResponsePlan
@@ -15,31 +15,12 @@ from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.scene import Scene
 
 
-@dataclass(frozen=True)
-class Decision:
-    """One component or approximation, kept or left out.
-
-    error_bound_e : upper bound of what it may change in a pixel [e-]; None where it is no
-        approximation or no bound is known (the reason then says so)
-    error_bound_sigma : the same over the noise of a pixel that holds no source
-    seconds_saved : estimated, per frame; None where nothing is saved
-    """
-
-    component: str
-    kept: bool
-    reason: str
-    error_bound_e: float | None = None
-    error_bound_sigma: float | None = None
-    seconds_saved: float | None = None
-
-
 def decide(scene: Scene, facts: Facts, responses: ResponsePlan) -> tuple[Decision, ...]:
     """Every decision of a scene, components first, then effects, then approximations."""
     return (
         *_components(scene, facts),
         *_noise_terms(scene),
         *_star_effects(scene),
-        *_target_effects(scene, facts),
         *_occultation(scene),
         *_optics(scene),
         *_approximations(scene, facts, responses),
@@ -144,31 +125,6 @@ def _star_effects(scene: Scene) -> list[Decision]:
             ),
         ]  # fmt: skip
     return out
-
-
-def _target_effects(scene: Scene, facts: Facts) -> list[Decision]:
-    """What lights a target, and what hides it."""
-    if not scene.targets:
-        return []
-    dark = [t.name for t in scene.targets if not t.eclipse]
-    return [
-        Decision(
-            "targets.eclipse", len(dark) < len(scene.targets),
-            "umbra and penumbra of a spherical Earth without air, uniform solar disc"
-            + (f"; switched off for {', '.join(dark[:5])}" if dark else ""),
-        ),
-        Decision(
-            "targets.point_sources", True,
-            "a sphere is a point, at the centre of its light, where that errs by at most the bound "
-            "in a pixel; else its disc and lit side at mid-exposure are drawn",
-            facts.budget_e, facts.budget_e / facts.sigma_floor_e,
-        ),
-        Decision(
-            "targets.earthshine", False,
-            "sunlight from the Earth is not in this version: about 0.5% of direct sunlight at "
-            "GEO, 10 to 30% in low orbit over the day side, all of it in the shadow of the body",
-        ),
-    ]  # fmt: skip
 
 
 def _occultation(scene: Scene) -> list[Decision]:

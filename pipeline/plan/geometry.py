@@ -30,18 +30,13 @@ from pipeline.physics.positions.apparent import (
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
 from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, project, stretch
-from pipeline.physics.positions.orbit import check_above_earth, tle_states, two_body
-from pipeline.physics.positions.times import Instants, elapsed_s, instants, parse_utc
-from pipeline.physics.targets.eclipse import sunlit_fraction
-from pipeline.physics.targets.lighting import (
-    phase_angle,
-    photon_rate_at_aperture,
-    sun_distance,
-)
-from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
+from pipeline.physics.positions.orbit import check_above_earth
+from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import from_angles, separation
+from pipeline.plan.bodies import View, flicker_share, needs_velocity, target_light
+from pipeline.plan.orbits import mean_sights, orbit_states
 from pipeline.spec.observer import FixedObserver, GroundObserver
-from pipeline.spec.orbit import StateOrbit, TleOrbit
+from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import RatePointing, SiderealPointing, TargetPointing
 from pipeline.spec.scene import Scene
 
@@ -50,6 +45,7 @@ Array = NDArray[np.float64]
 J2000_JD = 2_451_545.0
 PATH_TOLERANCE_PX = 2e-3  # how far linear motion between nodes may be from the real path
 FEWEST_NODES, MOST_NODES = 9, 1025
+MOST_LIGHT_NODES = 257  # what flickers faster is told in the plan
 LONGEST_STREAK_PX = 1e5  # a longer one in one exposure is taken for a mistake in the scene
 
 
@@ -84,7 +80,7 @@ def sampled_frames(scene: Scene) -> NDArray[np.int64]:
 
 
 def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geometry:
-    """Geometry of the given frames; the number of nodes is doubled until paths are straight.
+    """Geometry of the given frames; nodes are doubled until paths and light are straight between.
 
     Each frame stands on its own: the same frame gives the same bits in whatever window it is asked
     for, because the number of nodes is chosen from `sampled_frames` of the whole scene.
@@ -95,7 +91,8 @@ def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geo
     while True:
         geometry = _geometry(scene, looked_at, nodes, dut1_s)
         bend = _bend_px(scene, geometry)
-        if bend <= PATH_TOLERANCE_PX:
+        smooth = flicker_share(geometry) <= scene.accuracy.flux_fraction
+        if bend <= PATH_TOLERANCE_PX and (smooth or nodes >= MOST_LIGHT_NODES):
             break
         if nodes >= MOST_NODES:
             raise BadInput(
@@ -121,10 +118,7 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     geocentric, velocity = _observer(scene, epoch, flat, times, earth)
     position = earth.position_m + geocentric
     sun = earth.position_m + earth.sun_from_earth_m
-    sights = [
-        _sight(scene, i, epoch, flat, earth, geocentric, velocity, dut1_s)
-        for i in range(len(scene.targets))
-    ]
+    sights = _sights(scene, epoch, flat, times, earth, geocentric, velocity, dut1_s)
     attitude = _attitudes(scene, flat, position, velocity, sun, sights)
     _check_view(scene, geocentric, attitude[:, 2])
     camera = camera_of(scene)
@@ -138,21 +132,13 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
             for a, u in zip(attitude, sight.direction_proper, strict=True)
         ]
         x[i], y[i] = (np.concatenate(c).reshape(shape[1:]) for c in zip(*places, strict=True))
-        apparent_sun = apparent_sun_m(earth)
-        alpha = phase_angle(sight.target_geocentric_m, apparent_sun, geocentric)
-        sunlit = np.ones(len(flat))
-        if target.eclipse:
-            sunlit = sunlit_fraction(sight.target_geocentric_m, apparent_sun)
-        body = target.body
-        ratio = photon_rate_at_aperture(
-            1.0,
-            sun_distance(sight.target_geocentric_m, earth.sun_from_earth_m),
-            sunlit,
-            sphere_intensity_per_irradiance(alpha, body.diameter_m, body.albedo),
-            sight.range_m,
-        )
+        light_, alpha, sunlit = target_light(
+            target, f"targets.{i}.body", epoch,
+            _view(scene, i, epoch, flat, sight, earth, geocentric, dut1_s),
+            earth.sun_from_earth_m, (times.tt1, times.tt2), sight.range_m,
+        )  # fmt: skip
         light[i], phase[i], lit[i], distance[i] = (
-            np.reshape(value, shape[1:]) for value in (ratio, alpha, sunlit, sight.range_m)
+            np.reshape(value, shape[1:]) for value in (light_, alpha, sunlit, sight.range_m)
         )
         direction[i] = sight.direction_proper.reshape(*shape[1:], 3)[:, nodes // 2]
     grid, grid3 = offset.shape, (*offset.shape, 3)
@@ -187,28 +173,33 @@ def _observer(
 
 
 def _orbit_states(
-    orbit: TleOrbit | StateOrbit,
-    field: str,
+    orbit: Orbit, field: str, epoch: tuple[float, float], offsets: Array, times: Instants
+) -> tuple[Array, Array]:
+    """Geocentric GCRS place and velocity (n, 3) along an orbit, refused inside the Earth."""
+    return orbit_states(orbit, field, epoch, offsets, times)
+
+
+def _sights(
+    scene: Scene,
     epoch: tuple[float, float],
     offsets: Array,
     times: Instants,
-) -> tuple[Array, Array]:
-    """Geocentric GCRS place and velocity (n, 3) along an orbit, refused inside the Earth."""
-    if isinstance(orbit, TleOrbit):
-        place, speed = tle_states(orbit.line1, orbit.line2, times, field)
-    else:
-        since = 0.0
-        if orbit.epoch is not None:
-            since = float(elapsed_s(parse_utc(orbit.epoch, f"{field}.epoch"), *epoch))
-        start = np.array(orbit.position_m, float)
-        check_above_earth(start, f"{field}.position_m")
-        if not math.hypot(*orbit.velocity_m_s) < SPEED_OF_LIGHT_M_S:
-            raise BadInput(
-                f"{field}.velocity_m_s", orbit.velocity_m_s, "a speed below that of light"
-            )
-        place, speed = two_body(start, np.array(orbit.velocity_m_s, float), offsets + since)
-    check_above_earth(place, field)
-    return place, speed
+    earth: EarthState,
+    observer_m: Array,
+    observer_m_s: Array,
+    dut1_s: float,
+) -> list[TargetSight]:
+    """How the observer sees all targets; those that SGP4 carries on are followed together."""
+    seen = mean_sights(
+        {i: t.orbit for i, t in enumerate(scene.targets)},
+        epoch, offsets, times, earth, observer_m, observer_m_s,
+    )  # fmt: skip
+    return [
+        seen[i]
+        if i in seen
+        else _sight(scene, i, epoch, offsets, earth, observer_m, observer_m_s, dut1_s)
+        for i in range(len(scene.targets))
+    ]
 
 
 def _sight(
@@ -229,6 +220,26 @@ def _sight(
         return _orbit_states(orbit, field, epoch, at_s, when)[0]
 
     return target_apparent(places, observer_m, observer_m_s, earth, offsets)
+
+
+def _view(
+    scene: Scene,
+    index: int,
+    epoch: tuple[float, float],
+    offsets: Array,
+    sight: TargetSight,
+    earth: EarthState,
+    observer_m: Array,
+    dut1_s: float,
+) -> View:
+    """What lights a target and sees it at each node, when the light left it."""
+    at_s, place = offsets - sight.light_time_s, sight.target_geocentric_m
+    speed = np.zeros_like(place)
+    if needs_velocity(scene.targets[index].body):
+        orbit, when = scene.targets[index].orbit, instants(epoch, at_s, dut1_s)
+        speed = _orbit_states(orbit, f"targets.{index}.orbit", epoch, at_s, when)[1]
+    sun = apparent_sun_m(earth)
+    return View(at_s[None], place[None], speed[None], sun[None], observer_m[None])
 
 
 def _attitudes(

@@ -15,7 +15,8 @@ from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrated_caps
 from pipeline.physics.positions.focal_plane import Camera, corner_radius, stretch
 from pipeline.plan.checks import CheckCell, choose_checks
-from pipeline.plan.decisions import Decision, decide
+from pipeline.plan.decision import Decision
+from pipeline.plan.decisions import decide
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, excursions_px
 from pipeline.plan.optics import describe
@@ -28,6 +29,7 @@ from pipeline.plan.responses import (
     ResponsePlan,
     plan_responses,
 )
+from pipeline.plan.target_decisions import decide_targets
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 
@@ -89,9 +91,10 @@ def make_plan(
     """Decide everything from facts and the geometry of some of its frames."""
     camera = camera_of(scene)
     responses = plan_responses(scene, facts, camera, ends)
+    decisions = (*decide(scene, facts, responses), *decide_targets(scene, facts, ends))
     return Plan(
         scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),
-        choose_checks(scene, ends), decide(scene, facts, responses), remarks, dut1_s,
+        choose_checks(scene, ends), decisions, remarks, dut1_s,
     )  # fmt: skip
 
 

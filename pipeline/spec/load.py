@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +171,29 @@ PATH_FIELDS = (
     ("sensor", "bandpass", "path"),
     ("sensor", "psf", "path"),
     ("sensor", "distortion", "path"),
+    ("observer", "orbit", "path"),
+    ("targets", "*", "orbit", "path"),  # of each target
 )
+
+
+def path_holders(data: Any) -> Iterator[tuple[str, dict[str, Any], str]]:
+    """(dotted field, the mapping that holds it, its key) of every field that may name a file."""
+    for *sections, key in PATH_FIELDS:
+        places: list[tuple[tuple[str, ...], Any]] = [((), data)]
+        for section in sections:
+            places = [
+                ((*names, name), inner)
+                for names, holder in places
+                for name, inner in _inner(holder, section)
+            ]
+        yield from ((".".join((*n, key)), h, key) for n, h in places if isinstance(h, dict))
+
+
+def _inner(holder: Any, section: str) -> list[tuple[str, Any]]:
+    """What a mapping holds under a key, or with * everything that a list holds."""
+    if section == "*":
+        return [(str(i), v) for i, v in enumerate(holder)] if isinstance(holder, list) else []
+    return [(section, holder.get(section))] if isinstance(holder, dict) else []
 
 
 def resolve_paths(scene: Scene, base: Path) -> Scene:
@@ -180,11 +202,8 @@ def resolve_paths(scene: Scene, base: Path) -> Scene:
     URLs (`s3://...`) stay as they are.
     """
     data = scene.as_dict()
-    for *sections, key in PATH_FIELDS:
-        holder: Any = data
-        for section in sections:
-            holder = (holder or {}).get(section)
-        value = holder.get(key) if isinstance(holder, dict) else None
+    for _, holder, key in path_holders(data):
+        value = holder.get(key)
         if isinstance(value, list):
             holder[key] = [_absolute(path, base) for path in value]
         elif isinstance(value, str):

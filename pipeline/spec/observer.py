@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pipeline.spec.orbit import Speed, StateOrbit, TleOrbit
+from pipeline.spec.orbit import Orbit, Speed
 from pipeline.spec.strict import Strict
 
 
@@ -23,7 +23,7 @@ class OrbitObserver(Strict):
     """A satellite on an orbit of its own."""
 
     kind: Literal["orbit"]
-    orbit: Annotated[TleOrbit | StateOrbit, Field(discriminator="kind")]
+    orbit: Orbit
 
 
 Distance = Annotated[float, Field(ge=-1e5, le=1e5)]

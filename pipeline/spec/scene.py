@@ -7,11 +7,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from pipeline.spec.background import Background
+from pipeline.spec.body import Body, Lighting
 from pipeline.spec.observer import Observer
 from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import Pointing, TargetPointing
 from pipeline.spec.sensor import Sensor
-from pipeline.spec.strict import Fraction, Positive, Strict
+from pipeline.spec.strict import Positive, Strict
 
 SCHEMA = "nightglass/scene/1"
 LAYERS = ("dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e")
@@ -99,40 +101,14 @@ class Stars(Strict):
         return (self.catalogue,) if isinstance(self.catalogue, str) else self.catalogue
 
 
-class SphereBody(Strict):
-    """A diffuse (grey Lambertian) sphere."""
-
-    kind: Literal["sphere"]
-    diameter_m: float = Field(gt=0, le=1e6)
-    albedo: Fraction
-
-
 class Target(Strict):
     """One resident space object."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
     orbit: Orbit
-    body: SphereBody
+    body: Body
+    lighting: Lighting | None = Field(None, description="default: direct sunlight, round Earth")
     eclipse: bool = Field(True, description="dim it in the Earth's shadow")
-
-
-class Background(Strict):
-    """Light from the sky, the same over the field."""
-
-    uniform_mag_arcsec2: float | None = Field(
-        None, ge=-30, le=40, description="AB magnitude per square arcsecond in the sensor's band"
-    )
-    uniform_e_per_s: float | None = Field(
-        None, ge=0, le=1e12, description="electrons per second and pixel"
-    )
-
-    @model_validator(mode="after")
-    def _one_of_two(self) -> Background:
-        if (self.uniform_mag_arcsec2 is None) == (self.uniform_e_per_s is None):
-            raise PydanticCustomError(
-                "one_of", "allowed: exactly one of uniform_mag_arcsec2 and uniform_e_per_s"
-            )
-        return self
 
 
 class Output(Strict):

@@ -121,20 +121,26 @@ def test_no_path_field_takes_a_file(
     """Also where the file is there and could be read."""
     file = tmp_path / "image.npy"
     file.write_bytes(b"x")
-    if field[-1] == "path":
+    if field[-1] == "path" and field[0] == "sensor":
         kind = "file" if field[-2] == "distortion" else "table"
         scene["sensor"][field[-2]] = {"kind": kind}
-    holder = scene
+    orbit = {"kind": "omm", "path": ""}
+    if field[0] == "observer":
+        scene["observer"] = {"kind": "orbit", "orbit": orbit}
+    if field[0] == "targets":
+        scene["targets"] = [dict(scene["targets"][0], orbit=orbit)]
+    holder: Any = scene
     for part in field[:-1]:
-        holder = holder.setdefault(part, {})
+        holder = holder[0] if part == "*" else holder.setdefault(part, {})
     holder[field[-1]] = f" {file} "
     problem = refused(client.post("/v1/jobs", json=scene), 422)
-    assert problem["errors"][0]["pointer"] == "/" + "/".join(field)
+    assert problem["errors"][0]["pointer"] == "/" + "/".join(field).replace("*", "0")
 
 
 TEXTS_THAT_ARE_NO_PATHS = {
     "name", "epoch", "line1", "line2", "target", "schema", "kind", "mode", "adc_rounding",
-    "compression", "layers", "centre",
+    "compression", "layers", "object", "frame", "shadow", "third_bodies", "source",
+    "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
 }  # fmt: skip
 
 

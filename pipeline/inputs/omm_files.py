@@ -1,0 +1,111 @@
+"""Orbit Mean-Elements Messages as JSON, KVN or XML: the elements of every object in a file."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import BadInput
+
+LARGEST_BYTES = 64_000_000
+_KEYS = {
+    "epoch": "EPOCH", "mean_motion_rev_day": "MEAN_MOTION", "eccentricity": "ECCENTRICITY",
+    "inclination_deg": "INCLINATION", "raan_deg": "RA_OF_ASC_NODE",
+    "argument_of_perigee_deg": "ARG_OF_PERICENTER", "mean_anomaly_deg": "MEAN_ANOMALY",
+    "bstar": "BSTAR",
+}  # fmt: skip
+_EXPECTED = {
+    "CENTER_NAME": ("EARTH",), "REF_FRAME": ("TEME", "TEME OF DATE", "TEMEOFDATE"),
+    "TIME_SYSTEM": ("UTC",), "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4", "SGP"),
+    "EPHEMERIS_TYPE": ("0", "2", "3", "0.0"),
+}  # fmt: skip
+
+
+def read_omm(path: Path, field: str) -> dict[str, dict[str, Any]]:
+    """Mean elements by `name | international id | catalogue number`, as `omm.elements` takes them.
+
+    BadInput for files that are none, of another theory (SGP4-XP), frame or time scale.
+    """
+    text = read_text(path, field, LARGEST_BYTES)
+    start = text.lstrip("\ufeff \t\r\n")[:1]
+    try:
+        if start in ("{", "["):
+            sets = _from_json(text)
+        elif start == "<":
+            sets = _from_xml(text, path, field)
+        else:
+            sets = _from_kvn(text)
+    except (ValueError, TypeError, AttributeError, SyntaxError, RecursionError) as error:
+        raise BadInput(field, path.name, f"an OMM as JSON, KVN or XML; {error}") from None
+    out: dict[str, dict[str, Any]] = {}
+    for fields in sets:
+        names = ("OBJECT_NAME", "OBJECT_ID", "NORAD_CAT_ID")
+        key = " | ".join(str(fields.get(n) or "").strip() for n in names)
+        if key in out:
+            raise BadInput(field, f"{key} twice in {path.name}", "each object once")
+        out[key] = _elements(fields, key, field)
+    if not out:
+        raise BadInput(field, path.name, "an OMM (JSON, KVN or XML) with EPOCH and MEAN_MOTION")
+    return out
+
+
+def read_text(path: Path, field: str, largest: int) -> str:
+    """A text file of limited size; BadInput where there is none."""
+    if not path.is_file():
+        raise BadInput(field, str(path), "an existing file")
+    if path.stat().st_size > largest:
+        raise BadInput(field, str(path), f"a file of at most {largest} bytes")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise BadInput(field, str(path), "a text file (UTF-8)") from None
+
+
+def _elements(fields: Mapping[str, Any], key: str, field: str) -> dict[str, Any]:
+    for name, allowed in _EXPECTED.items():
+        value = fields.get(name)
+        if value not in (None, "") and str(value).strip().upper() not in allowed:
+            raise BadInput(field, f"{name} = {value} of {key}", f"{name} {allowed[0]}")
+    out: dict[str, Any] = {}
+    for ours, theirs in _KEYS.items():
+        value = fields.get(theirs)
+        if value in (None, "") and ours == "bstar":
+            continue
+        if value in (None, ""):
+            raise BadInput(field, f"no {theirs} of {key}", f"an OMM with {theirs}")
+        try:
+            out[ours] = str(value).strip() if ours == "epoch" else float(value)
+        except (TypeError, ValueError):
+            raise BadInput(field, f"{theirs} = {value} of {key}", "a number") from None
+    return out
+
+
+def _from_json(text: str) -> Iterable[Mapping[str, Any]]:
+    data = json.loads(text)
+    return data if isinstance(data, list) else [data]
+
+
+def _from_xml(text: str, path: Path, field: str) -> Iterable[Mapping[str, Any]]:
+    """By sgp4's reader; documents that declare types or entities of their own are refused."""
+    from sgp4 import omm
+
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise BadInput(field, path.name, "XML without DOCTYPE and ENTITY")
+    return list(omm.parse_xml(io.StringIO(text)))
+
+
+def _from_kvn(text: str) -> Iterable[Mapping[str, Any]]:
+    """KEY = value lines; a new message starts at CCSDS_OMM_VERS or at a repeated OBJECT_NAME."""
+    sets: list[dict[str, Any]] = []
+    for line in text.splitlines():
+        key, sign, value = line.partition("=")
+        key, value = key.strip(), value.partition("[")[0].strip()
+        if not sign or key.startswith("COMMENT"):
+            continue
+        if key == "CCSDS_OMM_VERS" or not sets or (key == "OBJECT_NAME" and key in sets[-1]):
+            sets.append({})
+        sets[-1][key] = value
+    return [s for s in sets if "MEAN_MOTION" in s or "EPOCH" in s]

@@ -1,0 +1,110 @@
+"""Two-body motion of any eccentricity by a universal variable."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.physics.constants import EARTH_GM_M3_S2
+
+Array = NDArray[np.float64]
+
+
+def two_body(
+    position_m: Array,
+    velocity_m_s: Array,
+    dt_s: ArrayLike,
+    gm_m3_s2: float = EARTH_GM_M3_S2,
+    inverse_axis_m: float | None = None,
+) -> tuple[Array, Array]:
+    """Two-body motion from one state (3,), (3,) by times dt (n,): positions, velocities (n, 3).
+
+    Universal variable and Stumpff functions (Battin 1999, section 4.5; Goodyear 1965): one form for
+    ellipse, parabola and hyperbola. Kepler's equation rises monotonically in the variable (its
+    slope is the radius), so Newton's method inside a bracket cannot fail. Ellipses are reduced by
+    whole periods first. Perturbations are left out. `inverse_axis_m`, 1/a [1/m], may be given where
+    it is known better than speed and radius tell it: near the parabola.
+    """
+    r0, v0 = np.asarray(position_m, float), np.asarray(velocity_m_s, float)
+    length = float(np.sqrt(r0 @ r0))
+    second = float(np.sqrt(length**3 / gm_m3_s2))
+    # lengths in |r0|, times in sqrt(|r0|^3/GM): GM = |r0| = 1
+    r0, v0 = r0 / length, v0 * (second / length)
+    time = np.atleast_1d(np.asarray(dt_s, float)) / second
+    radial = float(r0 @ v0)
+    alpha = 2.0 - float(v0 @ v0) if inverse_axis_m is None else inverse_axis_m * length  # 1/a
+    if alpha > 0.0:
+        period = 2.0 * np.pi / alpha**1.5
+        if np.isfinite(period):
+            time = time - period * np.round(time / period)
+    s = _universal_anomaly(time, radial, alpha)
+    u0, u1, u2, _ = universal_functions(s, alpha)
+    radius = u0 + radial * u1 + u2
+    f, g = 1.0 - u2, u1 + radial * u2  # g = t - u3, in the form without a difference
+    f_dot, g_dot = -u1 / radius, 1.0 - u2 / radius
+    position = f[:, None] * r0 + g[:, None] * v0
+    velocity = f_dot[:, None] * r0 + g_dot[:, None] * v0
+    return position * length, velocity * (length / second)
+
+
+def _universal_anomaly(time: Array, radial: float, alpha: float) -> Array:
+    """Root s of U1 + radial U2 + U3 = time (units GM = |r0| = 1), by bracketed Newton: (n,)."""
+    edge = _outer_edge(time, radial, alpha)
+    low, high = np.where(time < 0, -edge, 0.0), np.where(time < 0, 0.0, edge)
+    s = np.clip(time, low, high)
+    for _ in range(200):
+        u0, u1, u2, u3 = universal_functions(s, alpha)
+        excess = u1 + radial * u2 + u3 - time
+        low, high = np.where(excess < 0, s, low), np.where(excess > 0, s, high)
+        slope = np.maximum(u0 + radial * u1 + u2, 1e-300)
+        newton = s - excess / slope
+        inside = (newton > low) & (newton < high)
+        following = np.where(excess == 0, s, np.where(inside, newton, 0.5 * (low + high)))
+        moved = np.abs(following - s)
+        s = following
+        if np.all(moved <= 4e-16 * np.abs(s)):
+            break
+    return s
+
+
+def _outer_edge(time: Array, radial: float, alpha: float) -> Array:
+    """|s| on the far side of the root for every time (n,), by growth; one turn at the most."""
+    turn = 2.0 * np.pi / np.sqrt(alpha) if alpha > 0.0 else np.inf
+    edge = np.full_like(time, min(1e-3, turn))
+    sign = np.where(time < 0, -1.0, 1.0)
+    for _ in range(1000):
+        _, u1, u2, u3 = universal_functions(sign * edge, alpha)
+        short = (np.abs(u1 + radial * u2 + u3) <= np.abs(time)) & (edge < turn)
+        if not np.any(short):
+            break
+        edge = np.where(short, np.minimum(1.5 * edge, turn), edge)
+    return edge
+
+
+def universal_functions(s: Array, alpha: float) -> tuple[Array, Array, Array, Array]:
+    """Battin's U0 to U3 of s for the reciprocal semi-major axis alpha: each (n,).
+
+    U_k = s^k c_k(alpha s^2). Trigonometric or hyperbolic in half arguments away from zero, power
+    series within |alpha s^2| < 1, so that no digits are lost near the parabola.
+    """
+    psi = alpha * s * s
+    root = np.sqrt(np.abs(psi))
+    c2, c3 = np.empty_like(s), np.empty_like(s)
+    near = np.abs(psi) < 1.0
+    c2[near], c3[near] = _series(psi[near], 2), _series(psi[near], 3)
+    bound, free = ~near & (psi > 0), ~near & (psi < 0)
+    x = root[bound]
+    c2[bound], c3[bound] = 2.0 * np.sin(x / 2) ** 2 / x**2, (x - np.sin(x)) / x**3
+    x = root[free]
+    c2[free], c3[free] = 2.0 * np.sinh(x / 2) ** 2 / x**2, (np.sinh(x) - x) / x**3
+    return 1.0 - psi * c2, s * (1.0 - psi * c3), s * s * c2, s * s * s * c3
+
+
+def _series(psi: Array, k: int) -> Array:
+    """Stumpff's c_k(psi) = sum (-psi)^j / (k + 2j)! for |psi| < 1."""
+    term = np.full_like(psi, 0.5 if k == 2 else 1.0 / 6.0)
+    total = term.copy()
+    for j in range(1, 10):
+        term = term * (-psi) / ((k + 2 * j - 1) * (k + 2 * j))
+        total += term
+    return total

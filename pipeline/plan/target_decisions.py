@@ -1,0 +1,108 @@
+"""Decisions about targets: what lights and hides them, how they move, how they are drawn."""
+
+from __future__ import annotations
+
+from pipeline.arrays import Geometry
+from pipeline.plan.bodies import flicker_share
+from pipeline.plan.decision import Decision
+from pipeline.plan.facts import Facts
+from pipeline.spec.body import CompositeBody
+from pipeline.spec.orbit import KeplerianOrbit, NumericalOrbit, StateOrbit, TableOrbit
+from pipeline.spec.scene import Scene, Target
+
+
+def decide_targets(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]:
+    """Every decision about the targets of a scene; none without targets.
+
+    ends : some of the scene's frames
+    """
+    if not scene.targets:
+        return []
+    return [
+        *_lighting(scene),
+        *_orbits(scene),
+        Decision(
+            "targets.point_sources", True,
+            "a sphere is a point, at the centre of its light, where that errs by at most the bound "
+            "in a pixel; else its disc and lit side at mid-exposure are drawn; other shapes are "
+            "points",
+            facts.budget_e, facts.budget_e / facts.sigma_floor_e,
+        ),
+        Decision(
+            "targets.light_between_nodes", True,
+            f"linear between {ends.nodes} nodes of an exposure: off by at most "
+            f"{flicker_share(ends):.2g} of a target's light in the frames looked at",
+        ),
+    ]  # fmt: skip
+
+
+def _names(targets: list[Target]) -> str:
+    shown = ", ".join(t.name for t in targets[:5])
+    return shown + (f" and {len(targets) - 5} more" if len(targets) > 5 else "")
+
+
+def _lighting(scene: Scene) -> list[Decision]:
+    """Eclipse, earthshine, and what parts of a body do to each other."""
+    targets = list(scene.targets)
+    dark = [t for t in targets if not t.eclipse]
+    finer = [t for t in targets if t.lighting is not None]
+    lamps = [t for t in finer if t.lighting and t.lighting.earthshine_albedo]
+    composite = [t for t in targets if isinstance(t.body, CompositeBody)]
+    out = [
+        Decision(
+            "targets.eclipse", len(dark) < len(targets),
+            "umbra and penumbra of a spherical Earth without air, uniform solar disc"
+            + (f"; switched off for {_names(dark)}" if dark else "")
+            + (f"; ellipsoid, limb darkening or Moon as asked for {_names(finer)}, to 1.5e-4 of "
+               "sunlight" if finer else ""),
+        ),
+        Decision(
+            "targets.earthshine", bool(lamps),
+            f"Lambertian Earth without clouds or seasons for {_names(lamps)}, in 256 lamps: to "
+            "5e-4 of albedo (R/r)^2 of direct sunlight" if lamps else
+            "not asked for: at most albedo (R/r)^2 of direct sunlight on a surface that faces the "
+            "Earth, 0.7% at GEO, 26% at 500 km (albedo 0.3), all of it in the shadow of the body",
+        ),
+    ]  # fmt: skip
+    if composite:
+        out.append(
+            Decision(
+                "targets.mutual_shadowing", False,
+                f"parts of {_names(composite)} neither shade nor hide each other: their light is "
+                "an upper bound, and no bound of the excess is known",
+            )
+        )  # fmt: skip
+    return out
+
+
+def _orbits(scene: Scene) -> list[Decision]:
+    """What the kinds of orbit leave out."""
+    found = []
+    plain = [t for t in scene.targets if isinstance(t.orbit, StateOrbit | KeplerianOrbit)]
+    if plain:
+        found.append(
+            Decision(
+                "targets.perturbations", False,
+                f"two-body motion for {_names(plain)}: the Earth's oblateness is left out, some "
+                "km an hour in low orbit",
+            )
+        )  # fmt: skip
+    forced = [t for t in scene.targets if isinstance(t.orbit, NumericalOrbit)]
+    if forced:
+        found.append(
+            Decision(
+                "targets.forces", True,
+                f"as asked for {_names(forced)}: zonal harmonics, a static atmosphere, sunlight, "
+                "Sun and Moon; tesseral harmonics are left out, some 100 m a day in low orbit",
+            )
+        )  # fmt: skip
+    found += [
+        Decision(
+            "targets.ephemeris", True,
+            f"{t.name}: {t.orbit.source}, polynomials through {t.orbit.nodes} rows, at most "
+            f"{t.orbit.error_m:.2g} m off on rows left out",
+        )
+        for t in scene.targets
+        if isinstance(t.orbit, TableOrbit)
+    ]  # fmt: skip
+    return found

@@ -1,0 +1,85 @@
+"""The screen over many satellites misses none that brute force finds, and keeps few others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sgp4.api import SatrecArray
+
+from benchmarks.targets import EPOCH, fixed, population, site
+from pipeline.physics.positions.earth import teme_to_gcrs
+from pipeline.physics.positions.orbit_screen import screen_cone
+from pipeline.physics.positions.orbit_sgp4 import tle_satellite
+from pipeline.physics.positions.times import instants, parse_utc
+from pipeline.physics.vectors import separation, unit
+
+COUNT, DWELL_S, STEP_S = 1500, 300.0, 0.5
+
+
+@pytest.fixture(scope="module")
+def sky() -> tuple[list, np.ndarray]:
+    """Satellites, and their GCRS places (m, n, 3) at fine steps."""
+    satellites = population(COUNT, seed=3)
+    at = instants(parse_utc(EPOCH), np.arange(0.0, DWELL_S + STEP_S, STEP_S))
+    _, place, _ = SatrecArray(satellites).sgp4(at.utc1, at.utc2)
+    return satellites, np.einsum("nij,mnj->mni", teme_to_gcrs(at), place) * 1e3
+
+
+@settings(max_examples=25)
+@given(
+    st.floats(0.0, 2 * np.pi), st.floats(-1.2, 1.5), st.floats(0.001, 0.5), st.floats(0.0, 2e-3)
+)  # fmt: skip
+def test_against_brute_force(
+    sky: tuple, azimuth: float, height: float, half_angle: float, turn: float
+) -> None:
+    """Any direction, any cone, a boresight that stays or scans."""
+    satellites, place = sky
+    epoch = parse_utc(EPOCH)
+    axis = np.array([
+        np.cos(azimuth) * np.cos(height), np.sin(azimuth) * np.cos(height), np.sin(height)
+    ])  # fmt: skip
+    side = unit(np.cross(axis, [0.3, 0.2, 0.9]))
+
+    def boresight(at_s: np.ndarray) -> np.ndarray:
+        angle = turn * np.asarray(at_s)[:, None]
+        return np.cos(angle) * axis + np.sin(angle) * side
+
+    observer = site(epoch)
+    found = screen_cone(satellites, epoch, DWELL_S, observer, boresight, half_angle, turn)
+    at_s = np.arange(0.0, DWELL_S + STEP_S, STEP_S)
+    path = place - observer(at_s)[0]
+    closest = separation(path, boresight(at_s)).min(axis=1)
+    inside = set(found.inside)
+    assert set(np.flatnonzero(closest <= half_angle)) <= inside
+    extra = closest[list(inside)] - half_angle if inside else np.zeros(1)
+    assert extra.max() < 0.05  # what 0.25 s of motion can hide, near and fast at the worst
+    assert not len(found.failed)
+
+
+def test_few_are_kept_in_vain(sky: tuple) -> None:
+    satellites, place = sky
+    epoch = parse_utc(EPOCH)
+    up = unit(site(epoch)(np.zeros(1))[0])[0]
+    found = screen_cone(satellites, epoch, DWELL_S, site(epoch), lambda t: fixed(up, t), 0.3)
+    at_s = np.arange(0.0, DWELL_S + STEP_S, STEP_S)
+    closest = separation(place - site(epoch)(at_s)[0], up).min(axis=1)
+    assert len(found.inside) <= 1.1 * np.sum(closest <= 0.3) + 2
+
+
+def test_limits_decayed_elements_are_named() -> None:
+    line1 = "1 25544U 98067A   19110.12345678  .00001000  00000-0  99999-1 0  999"
+    line2 = "2 25544  51.6400 100.0000 0002000  80.0000 280.0000 16.7000000016600"
+
+    def checked(line: str) -> str:
+        return line + str(sum(int(c) if c.isdigit() else c == "-" for c in line) % 10)
+
+    bad = tle_satellite(checked(line1), checked(line2))
+    epoch = parse_utc("2019-05-20T00:00:00Z")
+    found = screen_cone(
+        [bad, *population(3)], epoch, 60.0, site(epoch), lambda t: fixed(np.array([1.0, 0, 0]), t),
+        0.01,
+    )  # fmt: skip
+    assert 0 in found.failed
+    assert 0 not in found.inside

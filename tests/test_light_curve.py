@@ -1,0 +1,105 @@
+"""Light curves of targets: against the geometry of frames, the law of distance, files, mistakes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.inputs.curves import solar_spectrum
+from pipeline.light_curve import light_curve, write_light_curve
+from pipeline.physics.radiometry import ab_photon_rate, band_photon_irradiance_sun, box
+from pipeline.plan.geometry import plan_geometry
+from pipeline.spec.load import parse_scene
+
+BAND = box(400e-9, 900e-9)
+LEO = {"kind": "state", "position_m": [6.9e6, 0, 0], "velocity_m_s": [0, 5374.0, 5374.0]}
+SCENE: dict[str, Any] = {
+    "schema": "nightglass/scene/1",
+    "name": "curve",
+    "epoch": "2019-07-20T09:00:00Z",
+    "observer": {"kind": "orbit", "orbit": LEO | {"position_m": [6.95e6, 0, 0]}},
+    "sensor": {
+        "shape": [256, 256],
+        "pixel_pitch_um": 9.0,
+        "focal_length_m": 0.5,
+        "aperture_m": 0.1,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0},
+    },
+    "pointing": {"mode": "target", "target": "tube"},
+    "exposure": {"integration_s": 2.0, "frames": 4, "cadence_s": 30.0},
+    "targets": [
+        {
+            "name": "tube",
+            "orbit": LEO | {"position_m": [6.9e6, 2e5, 0]},
+            "body": {
+                "kind": "cylinder", "diameter_m": 1.0, "length_m": 4.0, "albedo": 0.4,
+                "attitude": {"kind": "spin", "rate_deg_s": 2.0, "axis": [1, 0, 0]},
+            },
+        },
+        {
+            "name": "ball", "orbit": LEO | {"position_m": [6.9e6, 1e5, 0]},
+            "body": {"kind": "sphere", "diameter_m": 2.0, "albedo": [[300, 0.2], [1000, 0.2]]},
+        },
+    ],
+}  # fmt: skip
+
+
+def test_same_as_the_frames_of_the_scene() -> None:
+    data = SCENE | {"targets": SCENE["targets"][:1], "pointing": {
+        "mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 5.0}}  # fmt: skip
+    scene = parse_scene(data)
+    g = plan_geometry(scene, np.arange(4), 0.0)
+    curve = light_curve(scene, "tube", BAND, points=93)  # a point each second
+    at = np.array([0, 30, 60, 90])
+    wavelength, sun, _, _ = solar_spectrum()
+    rate = g.target_light[0, :, 0] * band_photon_irradiance_sun(wavelength, sun, BAND)
+    np.testing.assert_allclose(curve.irradiance_e_s_m2[at], rate, rtol=1e-6)
+    np.testing.assert_allclose(curve.range_m[at], g.target_range_m[0, :, 0], rtol=1e-9)
+    lit = rate > 0
+    magnitude = -2.5 * np.log10(rate[lit] / ab_photon_rate(0.0, BAND))
+    np.testing.assert_allclose(curve.mag_ab[at][lit], magnitude, atol=1e-6)
+
+
+def test_an_orbit_passes_through_the_shadow(tmp_path) -> None:
+    scene = parse_scene(SCENE)
+    curve = light_curve(scene, "ball", BAND, stop_s=6000.0, points=1201)
+    dark = curve.sunlit == 0
+    assert 0.2 < dark.mean() < 0.5
+    assert np.all(np.isinf(curve.mag_ab[dark]))
+    assert curve.above_horizon.all()
+    table, plot = tmp_path / "ball.parquet", tmp_path / "ball.png"
+    write_light_curve(curve, "ball", table, plot)
+    read = pq.read_table(table)
+    assert read.num_rows == 1201
+    assert np.isnan(read["mag_ab"].to_numpy()[dark]).all()
+    assert read["utc"][0].as_py().startswith("2019-07-20T09:00:00")
+    assert plot.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_earth_in_between() -> None:
+    ground = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055.0}
+    site = light_curve(parse_scene(SCENE | {"observer": ground}), "ball", BAND, 0.0, 86400.0, 500)
+    assert 0 < site.above_horizon.mean() < 0.2
+    assert site.range_m[site.above_horizon].max() < 3.5e6
+    far = {"kind": "fixed", "position_au": [-0.2, 0.5, 0.1]}
+    moonlike = light_curve(parse_scene(SCENE | {"observer": far}), "ball", BAND, 0.0, 12000.0, 500)
+    assert 0.5 < moonlike.above_horizon.mean() < 0.8
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "message"),
+    [
+        ("cube", (0.0, 10.0, 10), "--target: 'cube' .*tube, ball"),
+        ("ball", (10.0, 5.0, 10), "--stop"),
+        ("ball", (0.0, float("nan"), 10), "--stop"),
+        ("ball", (0.0, 10.0, 1), "--points"),
+    ],
+)
+def test_mistakes(name, times, message) -> None:
+    with pytest.raises(BadInput, match=message):
+        light_curve(parse_scene(SCENE), name, BAND, *times)
