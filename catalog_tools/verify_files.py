@@ -14,6 +14,7 @@ from .catalogue import MANIFEST_NAME, REJECTS_NAME, SOURCES_NAME, Catalogue, ope
 from .columns import HEALPIX_COLUMN, HEALPIX_ORDER
 from .errors import BadInput, Damaged, Incomplete
 from .partition import Pixels
+from .starlight import STARLIGHT_NAME, read_starlight
 from .stores import Unreachable
 from .verify_shards import COUNT_ORDER, Finding
 
@@ -69,11 +70,15 @@ def check_files(catalogue: Catalogue) -> tuple[list[Finding], list[str]]:
             wrong.append(Finding(name, "its content does not match the manifest's digest"))
         elif name in (SOURCES_NAME, REJECTS_NAME):
             wrong += _check_accounts(catalogue, name, data)
+    try:
+        read_starlight(catalogue)  # made after the catalogue: it carries digests of its own
+    except Damaged as error:
+        wrong.append(Finding(STARLIGHT_NAME, error.reason))
     names = _names(catalogue)
     if names is None:
         return wrong, ["extra files were not looked for: a web server gives no list"]
     shards = {leaf.path for leaf in catalogue.leaves}
-    expected = {MANIFEST_NAME, *catalogue.files, *HATS_NAMES, *shards}
+    expected = {MANIFEST_NAME, STARLIGHT_NAME, *catalogue.files, *HATS_NAMES, *shards}
     wrong += [Finding(name, "is no part of the catalogue") for name in sorted(names - expected)]
     return wrong, []
 

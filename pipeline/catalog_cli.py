@@ -84,6 +84,30 @@ def verify(catalogue: Place, workers: Workers = None, as_json: Json = False) -> 
 
 
 @catalog.command()
+def starlight(
+    catalogue: Place,
+    order: Annotated[
+        int | None, typer.Option(min=0, max=9, help="HEALPix order of the map (default 6 or 7)")
+    ] = None,
+    scheduler: SchedulerName = "threads",
+    workers: Workers = None,
+    as_json: Json = False,
+) -> None:
+    """Sum the light of all stars once, so that scenes can leave faint ones to a smooth sky."""
+    from catalog_tools.catalogue import open_catalogue
+    from catalog_tools.schedulers import open_scheduler
+    from catalog_tools.starlight import STARLIGHT_NAME, make_starlight
+
+    opened = open_catalogue(catalogue)
+    with _stages(as_json) as progress, open_scheduler(scheduler, workers) as where:
+        made = make_starlight(opened, order=order, scheduler=where, progress=progress)
+    print_mapping(
+        {"map": f"{opened.path}/{STARLIGHT_NAME}", "order": made.order, "stars": opened.rows},
+        as_json,
+    )
+
+
+@catalog.command()
 def cone(
     catalogue: Place,
     ra_deg: Annotated[float | None, typer.Option("--ra", min=-360, max=360)] = None,

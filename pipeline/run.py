@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,9 +36,10 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
 from pipeline.plan.bodies import has_band_albedos, with_band_albedos
-from pipeline.plan.facts import gather_facts
+from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
 from pipeline.plan.geometry import (
+    camera_of,
     epochs_jyear,
     observer_distances_au,
     plan_geometry,
@@ -49,6 +50,9 @@ from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
 from pipeline.store.product import Begun, begin, truth_kinds
+
+if TYPE_CHECKING:
+    from pipeline.plan.sky import SkyPlan
 
 Listener = Callable[["Progress"], None]
 
@@ -119,12 +123,40 @@ def prepare(scene: Scene) -> Prepared:
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
     )  # fmt: skip
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
+    scene, facts, sky = _sky(
+        scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s
+    )
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
-    plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s)
+    plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky)
     left_out = _left_out(plan, catalogues)
     plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
     return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started)
+
+
+def _sky(
+    scene: Scene,
+    sensor: tuple[ResponseCurve, str, str],
+    catalogues: tuple[Catalogue, ...],
+    colour: ColourFit | None,
+    facts: Facts,
+    geometry: Geometry,
+    dut1_s: float,
+) -> tuple[Scene, Facts, SkyPlan | None]:
+    """The sky that varies, the facts with it, and the scene with the limit that the noise set."""
+    b, stars = scene.background, scene.stars
+    from_noise = stars is not None and stars.limit_from_noise
+    if not from_noise and (b is None or not b.varies):
+        return scene, facts, None
+    from pipeline.inputs.sky import gather_sky
+    from pipeline.plan.sky import facts_with_sky, plan_sky
+
+    inputs = gather_sky(scene, *sensor, catalogues, colour, from_noise)
+    sky = plan_sky(scene, camera_of(scene), geometry, facts, inputs, dut1_s, from_noise)
+    if stars is not None and from_noise:
+        limit = {"faintest_g_mag": sky.faintest_g_mag, "limit_from_noise": False}
+        scene = scene.model_copy(update={"stars": stars.model_copy(update=limit)})
+    return scene, facts_with_sky(facts, scene, sky), sky
 
 
 def gather_response(scene: Scene) -> tuple[ResponseCurve, str, str]:

@@ -22,12 +22,13 @@ from pipeline.execute.sources import (
     streaks,
     zone_of,
 )
-from pipeline.execute.tables import kernel_of, spectral_of, streak_of
+from pipeline.execute.tables import kernel_of, spectral_of, spectral_plan_of, streak_of
 from pipeline.physics.drawing.extended import spread_body
 from pipeline.physics.drawing.spectral import Sources, draw_spectral
 from pipeline.physics.drawing.spectral_plan import brightest_for
 from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
 from pipeline.physics.motion.streak import Path
+from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.responses import BLOCK_PX
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak
@@ -81,6 +82,12 @@ def class_of(plan: Plan, light_e: Array) -> np.ndarray:
     return np.searchsorted(limits, light_e, side="left").clip(0, len(limits) - 1)
 
 
+def parts_of(plan: Plan, x_px: float, y_px: float, light_e: float) -> list[tuple[Blur, float]]:
+    """The responses that a source at one place is drawn by, each with its light [e-]."""
+    one = np.array([x_px]), np.array([y_px]), np.array([light_e])
+    return [(blur, float(light[0])) for blur, _, light in plan.responses.parts(*one)]
+
+
 def around(stars: FrameStars, tile: Tile, reach: float) -> FrameStars:
     """Stars within `reach` pixels of a tile."""
     place = (tile.y0, tile.x0, tile.rows, tile.columns)
@@ -110,19 +117,44 @@ def _crowd(
     zones = zone_of(plan, stars.x_px, stars.y_px)
     found = [piece.path for zone in np.unique(zones) for piece in paths[zone].pieces]
     longest = max(found, key=lambda p: p.length_px)
-    prepared = spectral_of(r.blur, r.classes[0].radius_px, longest, (place.rows, place.columns))
-    if prepared is None:
-        return None, 0.0
-    spectral, table = prepared
-    limit = min(brightest_for(spectral, r.budget_e), r.classes[0].brightest_e)
-    groups = []
+    shape, radius = (place.rows, place.columns), r.classes[0].radius_px
+    near = _near(plan, place, radius + _farthest(paths))
+    limit = r.classes[0].brightest_e
+    for blur in near:
+        spectral = spectral_plan_of(blur, radius, longest, shape)
+        if spectral is None:
+            return None, 0.0
+        limit = min(limit, brightest_for(spectral, r.budget_e))
+    groups: dict[Blur, list[Sources]] = {blur: [] for blur in near}
     for zone in np.unique(zones):
         mine, streak = (zones == zone) & (stars.light_e <= limit), paths[zone]
         x, y, light = stars.x_px[mine], stars.y_px[mine], stars.light_e[mine]
         for piece in streak.pieces:
             dx, dy = streak.at(piece.centre, x, y)
-            groups.append(Sources(x + dx, y + dy, light * piece.share, piece.path))
-    return draw_spectral(spectral, table, groups, (place.y0, place.x0)), limit
+            at_x, at_y = x + dx, y + dy
+            for blur, which, part in r.parts(at_x, at_y, light * piece.share):
+                if blur in groups:
+                    groups[blur].append(Sources(at_x[which], at_y[which], part, piece.path))
+    image: NDArray[np.floating] | None = None
+    for blur, sources in groups.items():
+        if sources:
+            engine = spectral_of(blur, radius, longest, shape)
+            one = draw_spectral(*engine, sources, (place.y0, place.x0))
+            image = one if image is None else image + one
+    return image, limit
+
+
+def _near(plan: Plan, place: Tile, margin_px: float) -> tuple[Blur, ...]:
+    """The responses of all stars whose light may reach a block from within a margin around it."""
+    y1, x1 = place.y0 + place.rows, place.x0 + place.columns
+    return plan.responses.near(
+        place.y0 - margin_px, y1 + margin_px, place.x0 - margin_px, x1 + margin_px
+    )
+
+
+def _farthest(paths: list[Streak]) -> float:
+    """Farthest that light of a star is from its place, twice, and some pixels [px]."""
+    return 2.0 * max(float(np.hypot(s.path.x_px, s.path.y_px).max()) for s in paths) + 8.0
 
 
 def _wings(
@@ -158,10 +190,13 @@ def _wing_field(
     classes = class_of(plan, whole)
     r = plan.responses
     for k, core in enumerate(r.classes):
-        mine = classes == k
-        if mine.any():
-            kernel = kernel_of(r.blur, core.radius_px, grid, r.reach_px)
-            part = scipy.fft.rfft2(spread(grid, x[mine], y[mine], light[mine])) * kernel
+        mine = np.flatnonzero(classes == k)
+        if not mine.size:
+            continue
+        for blur, which, part_e in r.parts(x[mine], y[mine], light[mine]):
+            kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
+            at = mine[which]
+            part = scipy.fft.rfft2(spread(grid, x[at], y[at], part_e)) * kernel
             total = part if total is None else total + part
     if total is None:
         return None
@@ -173,9 +208,12 @@ def _body_field(plan: Plan, grid: WingGrid, target: FrameTarget) -> Array:
     assert target.body is not None
     r = plan.responses
     core = r.classes[int(class_of(plan, np.array([target.light_e]))[0])]
-    light = spread_body(grid, target.body, (target.y_px, target.x_px), target.light_e)
-    kernel = kernel_of(r.blur, core.radius_px, grid, r.reach_px)
-    return convolve(scipy.fft.rfft2(light) * kernel * streak_of(grid, target.path), grid)
+    field = np.zeros((grid.rows, grid.columns))
+    for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
+        light = spread_body(grid, target.body, (target.y_px, target.x_px), light_e)
+        kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
+        field += convolve(scipy.fft.rfft2(light) * kernel * streak_of(grid, target.path), grid)
+    return field
 
 
 def _target_points(plan: Plan, targets: list[FrameTarget]) -> tuple[Array, Array, Array, Array]:

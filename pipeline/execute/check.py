@@ -9,7 +9,7 @@ import numpy as np
 import scipy.fft
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
-from pipeline.execute.blocks import class_of
+from pipeline.execute.blocks import class_of, parts_of
 from pipeline.execute.sources import (
     FrameTarget,
     distance_px,
@@ -29,6 +29,7 @@ from pipeline.physics.drawing.wings import (
     wing_grid,
 )
 from pipeline.physics.motion.streak import Path, pieces, transfer
+from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.checks import CheckCell
 from pipeline.plan.responses import LARGEST_CORE_SAMPLES
 from pipeline.plan.scene_plan import Plan
@@ -162,20 +163,30 @@ def _pieces(
     for x, y, light, path in groups:
         classes = class_of(plan, light)
         for k in np.unique(classes):
-            core = core_of(plan.responses.blur, _radius(plan, int(k)))
+            near = [core_of(b, _radius(plan, int(k), b)) for b in _near_window(plan, int(k), at)]
             for x0, y0, piece, share in pieces(path, LONGEST_PX):
-                reach = reach_px(core, piece)
+                reach = max(reach_px(core, piece) for core in near)
                 off_x = np.maximum(at.x0 - x - x0, x + x0 - (at.x0 + at.columns - 1))
                 off_y = np.maximum(at.y0 - y - y0, y + y0 - (at.y0 + at.rows - 1))
                 mine = (classes == k) & (off_x < reach) & (off_y < reach)
                 if mine.any():
-                    yield core, piece, x[mine] + x0, y[mine] + y0, light[mine] * share
+                    found = x[mine] + x0, y[mine] + y0, light[mine] * share
+                    for blur, which, part in plan.responses.parts(*found):
+                        core = core_of(blur, _radius(plan, int(k), blur))
+                        yield core, piece, found[0][which], found[1][which], part
 
 
-def _radius(plan: Plan, k: int) -> float:
+def _near_window(plan: Plan, k: int, at: Tile) -> tuple[Blur, ...]:
+    """The responses of the sources of a class whose cores may light a window."""
+    margin = 2.0 * plan.responses.classes[k].radius_px + LONGEST_PX
+    y1, x1 = at.y0 + at.rows + margin, at.x0 + at.columns + margin
+    return plan.responses.near(at.y0 - margin, y1, at.x0 - margin, x1)
+
+
+def _radius(plan: Plan, k: int, blur: Blur) -> float:
     """Core radius of the reference for sources of a class: twice what the engines take."""
     r = plan.responses
-    most = LARGEST_CORE_SAMPLES / core_of(r.blur, r.classes[0].radius_px).oversampling
+    most = LARGEST_CORE_SAMPLES / core_of(blur, r.classes[0].radius_px).oversampling
     return min(2.0 * r.classes[k].radius_px, max(most, r.classes[k].radius_px))
 
 
@@ -189,25 +200,28 @@ def _add_fine_wings(
     classes = class_of(plan, light)
     total = np.zeros(swept.shape, complex)
     for k in np.unique(classes):
-        mine = classes == k
-        kernel = kernel_of(r.blur, _radius(plan, int(k)), grid, r.reach_px)
-        total += scipy.fft.rfft2(spread(grid, x[mine], y[mine], light[mine])) * kernel
+        mine = np.flatnonzero(classes == k)
+        for blur, which, part in r.parts(x[mine], y[mine], light[mine]):
+            kernel = kernel_of(blur, _radius(plan, int(k), blur), grid, r.reach_px)
+            at_x, at_y = x[mine[which]], y[mine[which]]
+            total += scipy.fft.rfft2(spread(grid, at_x, at_y, part)) * kernel
     add_wings(image, (at.y0, at.x0), grid, convolve(total * swept, grid))
 
 
 def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     """An extended body with the reference's core, and its wings on the finer grid."""
     assert target.body is not None
-    r, place = plan.responses, (target.y_px, target.x_px)
-    core = core_of(r.blur, _radius(plan, int(class_of(plan, np.array([target.light_e]))[0])))
-    draw_body(image, (at.y0, at.x0), target.body, core, place, target.light_e, target.path)
-    if r.spacing_px:
-        grid = _fine_grid(plan, at, target.path)
-        light = scipy.fft.rfft2(spread_body(grid, target.body, place, target.light_e))
-        light = light * kernel_of(r.blur, core.radius_px, grid, r.reach_px)
-        path = target.path
-        swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
-        add_wings(image, (at.y0, at.x0), grid, convolve(light * swept, grid))
+    r, place, path = plan.responses, (target.y_px, target.x_px), target.path
+    k = int(class_of(plan, np.array([target.light_e]))[0])
+    for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
+        core = core_of(blur, _radius(plan, k, blur))
+        draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)
+        if r.spacing_px:
+            grid = _fine_grid(plan, at, path)
+            light = scipy.fft.rfft2(spread_body(grid, target.body, place, light_e))
+            light = light * kernel_of(blur, core.radius_px, grid, r.reach_px)
+            swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+            add_wings(image, (at.y0, at.x0), grid, convolve(light * swept, grid))
 
 
 def _fine_grid(plan: Plan, at: Tile, path: Path) -> WingGrid:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
-from pipeline.execute.blocks import Block, around, class_of
+from pipeline.execute.blocks import Block, around, class_of, parts_of
 from pipeline.execute.sources import drawing_order, place_targets, streaks, zone_of
 from pipeline.execute.tables import core_of, swept_core, table_of
 from pipeline.physics.drawing.extended import draw_body
@@ -50,11 +50,10 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
     for target in place_targets(plan, g):
         k = int(class_of(plan, np.array([target.light_e]))[0])
         if target.body is not None:
-            core = core_of(plan.responses.blur, plan.responses.classes[k].radius_px)
-            place = target.y_px, target.x_px
-            draw_body(
-                image, (tile.y0, tile.x0), target.body, core, place, target.light_e, target.path
-            )
+            place, radius = (target.y_px, target.x_px), plan.responses.classes[k].radius_px
+            for blur, light in parts_of(plan, target.x_px, target.y_px, target.light_e):
+                core = core_of(blur, radius)
+                draw_body(image, (tile.y0, tile.x0), target.body, core, place, light, target.path)
             continue
         for x0, y0, piece, share in pieces(target.path):
             x, y = target.x_px + x0, target.y_px + y0
@@ -83,11 +82,12 @@ def _draw_piece(
     plan: Plan, image: Array, tile: Tile, k: int, piece: Path, x: Array, y: Array, light: Array
 ) -> None:
     """One piece of the streaks of stars of one class, from its table or star by star."""
-    core, blur = plan.responses.classes[k], plan.responses.blur
+    core = plan.responses.classes[k]
     if core.phases:
-        table = table_of(blur, core.radius_px, piece, core.phases)
-        cubic = light * table.linear_error > plan.responses.budget_e
-        draw_stamps(image, (tile.y0, tile.x0), table, x, y, light, cubic)
+        for blur, mine, part in plan.responses.parts(x, y, light):
+            table = table_of(blur, core.radius_px, piece, core.phases)
+            cubic = light[mine] * table.linear_error > plan.responses.budget_e
+            draw_stamps(image, (tile.y0, tile.x0), table, x[mine], y[mine], part, cubic)
         return
     for i in range(len(x)):
         _draw_exact(plan, image, tile, k, piece, float(x[i]), float(y[i]), float(light[i]))
@@ -103,13 +103,13 @@ def _draw_exact(
     inside_x = tile.x0 - reach_x < x < tile.x0 + tile.columns + reach_x
     if not (inside_x and tile.y0 - reach_y < y < tile.y0 + tile.rows + reach_y):
         return
-    swept = swept_core(plan.responses.blur, radius, piece)
-    row, column, stamp = stamp_at(*swept, y, x)
-    top, left = row - tile.y0, column - tile.x0
-    r0, r1 = max(0, -top), min(stamp.shape[0], tile.rows - top)
-    c0, c1 = max(0, -left), min(stamp.shape[1], tile.columns - left)
-    if r1 > r0 and c1 > c0:
-        image[top + r0 : top + r1, left + c0 : left + c1] += light * stamp[r0:r1, c0:c1]
+    for blur, part in parts_of(plan, x, y, light):
+        row, column, stamp = stamp_at(*swept_core(blur, radius, piece), y, x)
+        top, left = row - tile.y0, column - tile.x0
+        r0, r1 = max(0, -top), min(stamp.shape[0], tile.rows - top)
+        c0, c1 = max(0, -left), min(stamp.shape[1], tile.columns - left)
+        if r1 > r0 and c1 > c0:
+            image[top + r0 : top + r1, left + c0 : left + c1] += part * stamp[r0:r1, c0:c1]
 
 
 def _core_reach(plan: Plan, paths: list[Streak]) -> float:

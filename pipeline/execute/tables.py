@@ -27,7 +27,7 @@ from pipeline.physics.psf.response import (
     window,
 )
 
-KEPT_BYTES = 192e6
+KEPT_BYTES, KERNEL_BYTES = 192e6, 128e6
 SPECTRAL_ERROR = 1e-5  # of the peak of a source, in any pixel
 ALIKE_PX = 8.0
 
@@ -65,6 +65,7 @@ class ContentCache:
 
 
 _CACHE = ContentCache(KEPT_BYTES)
+_KERNELS = ContentCache(KERNEL_BYTES)  # dear to make, and no larger than a block asks for
 
 
 def core_of(blur: Blur, radius_px: float) -> Core:
@@ -107,32 +108,45 @@ def table_of(blur: Blur, radius_px: float, piece: Path, phases: int) -> PixelRes
 def kernel_of(blur: Blur, radius_px: float, grid: WingGrid, reach_px: float) -> np.ndarray:
     """The wing's transfer function on a grid."""
     key = ("wing", blur, radius_px, grid.rows, grid.columns, grid.spacing_px, reach_px)
-    return _CACHE.get(
+    return _KERNELS.get(
         key, lambda: wing_kernel(blur, core_of(blur, radius_px), grid, reach_px), lambda k: k.nbytes
     )
 
 
-def spectral_of(
+def spectral_plan_of(
     blur: Blur, radius_px: float, path: Path, shape: tuple[int, int]
-) -> tuple[SpectralPlan, np.ndarray] | None:
-    """Plan and transfer table of the spectral engine for a block; None where it cannot serve.
+) -> SpectralPlan | None:
+    """Plan of the spectral engine for a block; None where it cannot serve.
 
-    Streaks that are alike share them: a straight one is planned for lengths rounded down, which
+    Streaks that are alike share it: a straight one is planned for lengths rounded down, which
     errs more, with the reach of lengths rounded up.
     """
     path, spare_px = _alike(path)
 
-    def make() -> tuple[SpectralPlan, np.ndarray] | None:
+    def make() -> SpectralPlan | None:
         core = core_of(blur, radius_px)
         wider = replace(core, radius_px=radius_px + spare_px)
         try:
-            plan = plan_spectral(shape, wider, path, SPECTRAL_ERROR * peak_light(core, path))
+            return plan_spectral(shape, wider, path, SPECTRAL_ERROR * peak_light(core, path))
         except BadInput:
             return None
-        return plan, transfer_table(core, plan)
 
-    key = ("spectral", blur, radius_px, path, shape)
-    return _CACHE.get(key, make, lambda found: found[1].nbytes if found else 0)
+    return _CACHE.get(("spectral plan", blur, radius_px, path, shape), make, lambda _: 0)
+
+
+def spectral_of(
+    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int]
+) -> tuple[SpectralPlan, np.ndarray]:
+    """Plan and transfer table of the spectral engine for a block that it can serve."""
+    plan = spectral_plan_of(blur, radius_px, path, shape)
+    assert plan is not None
+    key = ("spectral", blur, radius_px, _alike(path)[0], shape)
+    table = _CACHE.get(key, lambda: transfer_table(core_of(blur, radius_px), plan), _bytes)
+    return plan, table
+
+
+def _bytes(array: np.ndarray) -> int:
+    return int(array.nbytes)
 
 
 def _alike(path: Path) -> tuple[Path, float]:

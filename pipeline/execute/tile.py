@@ -42,7 +42,12 @@ def render_tile(
         light["targets_e"] = draw_targets(plan, g, tile, blocks)
     layers: dict[str, Array] = {name: image * chain.flat for name, image in light.items()}
     shape = (tile.rows, tile.columns)
-    if plan.facts.background_e > 0:
+    if plan.sky is not None:
+        from pipeline.plan.sky import sky_tile
+
+        light_e_s = sky_tile(plan.sky, int(g.frame[0]), tile)
+        layers["background_e"] = light_e_s * plan.scene.exposure.integration_s * chain.flat
+    elif plan.facts.background_e > 0:
         layers["background_e"] = np.broadcast_to(plan.facts.background_e * chain.flat, shape)
     if np.any(chain.dark_e):
         layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry
-from pipeline.execute.sources import place_targets, streaks, zone_of
+from pipeline.execute.sources import FrameTarget, place_targets, streaks, zone_of
 from pipeline.execute.tables import swept_core
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.positions.apparent import proper_to_astrometric
 from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import stamp_at
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.scene_plan import Plan
@@ -50,7 +51,9 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "dec_deg": np.degrees(stars.dec_rad),
         "g_mag": stars.g_mag,
         "electrons": stars.light_e,
-        "snr": matched_snr(plan, paths[len(paths) // 2].path, stars.light_e),
+        "snr": matched_snr(
+            plan, paths[len(paths) // 2].path, stars.light_e, stars.x_px, stars.y_px
+        ),
         "colour_flag": stars.colour_flag,
         "in_frame": inside,
         "catalogue": stars.catalogue,
@@ -69,10 +72,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     ra, dec = to_angles(direction)
     apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
     light = np.array([drawn[i].light_e if i in drawn else 0.0 for i in range(count)])
-    snr = [
-        float(matched_snr(plan, drawn[i].path, light[i : i + 1])[0]) if i in drawn else 0.0
-        for i in range(count)
-    ]
+    snr = [_snr_of(plan, drawn[i]) if i in drawn else 0.0 for i in range(count)]
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     with np.errstate(invalid="ignore"):
         inside = np.abs(x[:, middle] - (plan.camera.columns - 1) / 2) <= plan.camera.columns / 2
@@ -101,13 +101,28 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     }
 
 
-def matched_snr(plan: Plan, path: Path, light_e: Array) -> Array:
-    """Signal-to-noise of isolated sources under a matched filter, (n,).
+def _snr_of(plan: Plan, t: FrameTarget) -> float:
+    """Signal-to-noise of one target."""
+    at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
+    return float(matched_snr(plan, t.path, *at)[0])
+
+
+def matched_snr(plan: Plan, path: Path, light_e: Array, x_px: Array, y_px: Array) -> Array:
+    """Signal-to-noise of isolated sources under a matched filter, (n,); places in frame pixels.
 
     SNR^2 = sum (F p)^2 / (sigma0^2 + F p) over the pixels of the source's own response p; F light,
-    sigma0 the noise floor. Evaluated on a grid of log F and interpolated (error < 1e-3).
+    sigma0 the noise floor. Evaluated on a grid of log F and interpolated (error < 1e-3). Over a
+    field, that of the responses around is interpolated, which is an upper bound.
     """
-    response = _response_at_centre(plan, path)
+    snr = np.zeros(len(light_e))
+    for blur, which, share in plan.responses.parts(x_px, y_px, np.ones(len(light_e))):
+        snr[which] += share * _matched_snr(plan, blur, path, light_e[which])
+    return snr
+
+
+def _matched_snr(plan: Plan, blur: Blur, path: Path, light_e: Array) -> Array:
+    """Signal-to-noise of sources that one response draws, (n,)."""
+    response = _response_at_centre(plan, blur, path)
     floor = plan.facts.sigma_floor_e**2
     positive = light_e[light_e > 0]
     if positive.size == 0:
@@ -121,12 +136,12 @@ def matched_snr(plan: Plan, path: Path, light_e: Array) -> Array:
     return np.where(light_e > 0, np.exp(np.interp(at, grid, np.log(snr))), 0.0)
 
 
-def _response_at_centre(plan: Plan, path: Path) -> Array:
+def _response_at_centre(plan: Plan, blur: Blur, path: Path) -> Array:
     """Pixel values of the core response for a source swept along a path, at one phase, (m,)."""
     core = plan.responses.classes[0]
     places, values = [], []
     for x0, y0, piece, share in pieces(path):
-        swept = swept_core(plan.responses.blur, core.radius_px, piece)
+        swept = swept_core(blur, core.radius_px, piece)
         row, column, stamp = stamp_at(*swept, y0, x0)
         r, c = np.nonzero(stamp > 1e-7 * stamp.max())
         places.append((row + r).astype(np.int64) * (1 << 32) + column + c)

@@ -23,7 +23,7 @@ from pipeline.errors import BadInput
 from pipeline.inputs.sensor import read_image
 from pipeline.physics.psf.sampled import LARGEST_SIDE, Sampled, find_centre, sampled
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor import TablePsf
+from pipeline.spec.sensor import FieldPsf, TablePsf
 
 FIELD = "sensor.psf.path"
 LARGEST_BYTES = 200_000_000
@@ -47,20 +47,37 @@ class PsfTable:
     centre: tuple[float, float] | None = None
 
 
-def gather_psf_table(scene: Scene) -> Sampled | None:
+def gather_psf_table(scene: Scene) -> Sampled | tuple[Sampled | None, ...] | None:
     """The point-spread function of a scene that names a table; None where it names none.
 
-    BadInput where the file cannot be read, or says or leaves open what the scene must not or must
-    give: the spacing of the samples, and where in an even table the source stands.
+    Of a field, one for each place, row by row; each file is read once. BadInput where a file cannot
+    be read, or says or leaves open what the scene must not or must give: the spacing of the
+    samples, and where in an even table the source stands.
     """
-    psf = scene.sensor.psf
-    if not isinstance(psf, TablePsf):
+    psf, pitch_um = scene.sensor.psf, scene.sensor.pixel_pitch_um
+    if isinstance(psf, TablePsf):
+        return _gather(psf, pitch_um)
+    if not isinstance(psf, FieldPsf):
         return None
+    every = [one for row in psf.psfs for one in row]
+    read: dict[TablePsf, Sampled] = {}
+    for node, one in enumerate(every):
+        if isinstance(one, TablePsf) and one not in read:
+            try:
+                read[one] = _gather(one, pitch_um)
+            except BadInput as error:
+                name = psf.name_of(error.field, node)
+                raise BadInput(name, error.value, error.allowed) from None
+    return tuple(read[one] if isinstance(one, TablePsf) else None for one in every)
+
+
+def _gather(psf: TablePsf, pitch_um: float) -> Sampled:
+    """One table, ready for use."""
     table = read_psf_table(Path(psf.path))
     samples, (row, column) = table.samples, _centre(psf, table)
     if psf.flip_y:
         samples, row = samples[::-1], samples.shape[0] - 1 - row
-    spacing_px = _spacing_px(psf, table, scene.sensor.pixel_pitch_um)
+    spacing_px = _spacing_px(psf, table, pitch_um)
     return sampled(samples, spacing_px, (row, column), psf.light_fraction)
 
 

@@ -37,7 +37,9 @@ def _components(scene: Scene, facts: Facts) -> list[Decision]:
         Decision("targets", True, f"{len(targets)} named in the scene")
         if targets
         else Decision("targets", False, absent, 0.0, 0.0),
-        Decision("background", True, f"uniform, {facts.background_e_s:.4g} e-/s per pixel")
+        Decision("background", True, f"{facts.background_e_s:.4g} e-/s per pixel, or more")
+        if sky and sky.varies
+        else Decision("background", True, f"uniform, {facts.background_e_s:.4g} e-/s per pixel")
         if sky
         else Decision("background", False, absent, 0.0, 0.0),
         Decision("cosmic_rays", False, absent, 0.0, 0.0),
@@ -160,11 +162,7 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
     def bound(e: float) -> dict[str, float]:
         return {"error_bound_e": e, "error_bound_sigma": e / sigma}
 
-    out = [
-        Decision(
-            "one_psf", True, "one point-spread function for the whole focal plane, as in the paper"
-        )
-    ]
+    out = [_over_the_field(r)]
     if facts.band is not None:
         b = facts.band
         nm = ", ".join(f"{w * 1e9:.0f}" for w in b.wavelengths_m)
@@ -175,7 +173,8 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         )  # fmt: skip
         name = "monochromatic_psf" if len(b.wavelengths_m) == 1 else "few_wavelengths"
         out.append(Decision(name, True, f"drawn at {nm} nm: {what}"))
-    if scene.background is not None and scene.background.uniform_mag_arcsec2 is not None:
+    sky = scene.background
+    if sky is not None and sky.uniform_mag_arcsec2 is not None and not sky.varies:
         camera = camera_of(scene)
         low, high = area_ratio_range(camera)
         edge = facts.background_e * max(1.0 - low, high - 1.0)
@@ -203,6 +202,14 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
     if scene.stars is not None:
         out += _streaks(r, sigma)
     return out
+
+
+def _over_the_field(r: ResponsePlan) -> Decision:
+    """One response for the focal plane, or several; errors between places are per unit light."""
+    if r.field is not None:
+        return Decision("psf_over_the_field", True, r.field.reason(r.table_mb))
+    same = "one point-spread function for the whole focal plane, as in the paper"
+    return Decision("one_psf", True, same)
 
 
 def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:

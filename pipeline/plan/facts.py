@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,10 @@ from pipeline.physics.radiometry import (
 )
 from pipeline.plan.optics import blur_of, open_fraction
 from pipeline.spec.scene import Scene
+from pipeline.spec.sensor import FieldPsf
+
+if TYPE_CHECKING:
+    from pipeline.plan.psf_field import PsfField
 
 
 @dataclass(frozen=True)
@@ -26,11 +31,13 @@ class Facts:
 
     area_m2 : collecting area; ifov_rad : side of a pixel on the sky
     mean_wavelength_m : of the response, photon-weighted for a flat photon spectrum
-    blur : the response of optics, jitter, diffusion and pixel
-    band : how the optics' band was resolved; None where the optics do not follow the wavelength
+    blur : the response of optics, jitter, diffusion and pixel; of a field, the sharpest
+    band : how the optics' band was resolved; None where the optics do not follow the wavelength;
+        of a field, the one that errs most
     background_e : sky per pixel and exposure; dark_e, read_noise_e : typical values (medians)
     sigma_floor_e : noise of a pixel that holds no source: sky, dark, read noise, quantisation
     budget_e : error that one approximation may make in such a pixel
+    field : the responses over the field; None where one serves it all
     """
 
     area_m2: float
@@ -44,6 +51,7 @@ class Facts:
     read_noise_e: float
     sigma_floor_e: float
     budget_e: float
+    field: PsfField | None = None
 
 
 APPROXIMATIONS = 4  # they share the noise budget equally: interpolation, wings, spans, streaks
@@ -55,16 +63,25 @@ def gather_facts(
     dark_e_s: float,
     read_noise_e: float,
     gain_e_per_dn: float,
-    table: Sampled | None = None,
+    table: Sampled | tuple[Sampled | None, ...] | None = None,
 ) -> Facts:
     """Facts from the scene, its response curve and the typical values of its sensor maps.
 
-    table : the point-spread function that the scene names as a table, read
+    table : the point-spread function that the scene names as a table, read; of a field, one for
+        each of its places, row by row (None for those that are no table)
     """
     s, t = scene.sensor, scene.exposure.integration_s
     pitch = s.pixel_pitch_um * 1e-6
     wavelength = mean_wavelength_m(response)
-    blur, band = blur_of(scene, response, wavelength, table)
+    field = None
+    if isinstance(s.psf, FieldPsf):
+        from pipeline.plan.psf_field import plan_psf_field
+
+        tables = table if isinstance(table, tuple) else ()
+        field, blur, band = plan_psf_field(scene, s.psf, response, wavelength, tables)
+    else:
+        assert not isinstance(table, tuple)
+        blur, band = blur_of(scene, s.psf, response, wavelength, table)
     area = collecting_area_m2(s.aperture_m, s.obscuration) * open_fraction(blur.optics, band)
     sky = background_rate_e_s(scene, response, area, pitch)
     dark = dark_e_s * t
@@ -81,6 +98,7 @@ def gather_facts(
         read_noise_e=read_noise_e,
         sigma_floor_e=sigma,
         budget_e=scene.accuracy.noise_fraction * sigma / APPROXIMATIONS,
+        field=field,
     )
 
 
@@ -94,13 +112,14 @@ def mean_wavelength_m(response: ResponseCurve) -> float:
 def background_rate_e_s(
     scene: Scene, response: ResponseCurve, area_m2: float, pitch_m: float
 ) -> float:
-    """Sky electrons per second and pixel; 0 where the scene has no background."""
+    """Electrons per second and pixel of the uniform part of the sky; 0 where there is none."""
     b = scene.background
     if b is None:
         return 0.0
     if b.uniform_e_per_s is not None:
         return b.uniform_e_per_s
-    assert b.uniform_mag_arcsec2 is not None
+    if b.uniform_mag_arcsec2 is None:
+        return 0.0
     solid_angle = pixel_solid_angle_sr(pitch_m, scene.sensor.focal_length_m)
     rate = surface_brightness_electron_rate(b.uniform_mag_arcsec2, response, area_m2, solid_angle)
     return rate * scene.sensor.fill_factor

@@ -14,37 +14,43 @@ from pipeline.physics.psf.seeing import Kolmogorov, Moffat, r0_at, r0_m
 from pipeline.physics.psf.zernike import defocus_rms
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor import AiryPsf, GaussianPsf, KolmogorovPsf, MoffatPsf, Sensor, TablePsf
+from pipeline.spec.sensor import (
+    AiryPsf,
+    GaussianPsf,
+    KolmogorovPsf,
+    MoffatPsf,
+    OnePsf,
+    Sensor,
+    TablePsf,
+)
 
 ARCSEC_RAD = math.radians(1.0 / 3600.0)
 
 
 def blur_of(
-    scene: Scene, response: ResponseCurve, mean_m: float, table: Sampled | None
+    scene: Scene, psf: OnePsf, response: ResponseCurve, mean_m: float, table: Sampled | None
 ) -> tuple[Blur, BandOptics | None]:
     """All that blurs a star, and how its band was resolved (None where nothing depends on it).
 
-    table : the scene's own table of light, where it names one
+    psf : the scene's, or one of its field's; table : its table of light, where it names one
     """
     s = scene.sensor
-    psf = s.psf
     rest = Blur(
         Gaussian(1.0), psf.jitter_px, psf.diffusion_px(s.pixel_pitch_um), s.fill_factor,
         isinstance(psf, TablePsf) and psf.includes_pixel,
     )  # fmt: skip
     if isinstance(psf, AiryPsf | KolmogorovPsf):
-        band = _band(scene, rest, response, mean_m)
+        band = _band(scene, psf, rest, response, mean_m)
         return _with(rest, band.optics), band
-    return _with(rest, _fixed(s, table)), None
+    return _with(rest, _fixed(s, psf, table)), None
 
 
 def _with(rest: Blur, optics: Optics) -> Blur:
     return Blur(optics, rest.jitter_px, rest.diffusion_px, rest.fill_factor, rest.pixel_in_optics)
 
 
-def _fixed(s: Sensor, table: Sampled | None) -> Optics:
+def _fixed(s: Sensor, psf: OnePsf, table: Sampled | None) -> Optics:
     """Optics whose size does not follow the wavelength."""
-    psf = s.psf
     if isinstance(psf, GaussianPsf):
         if psf.sigma_minor_px is None:
             return Gaussian(psf.sigma_px)
@@ -60,15 +66,18 @@ def _fixed(s: Sensor, table: Sampled | None) -> Optics:
     return table
 
 
-def _band(scene: Scene, rest: Blur, response: ResponseCurve, mean_m: float) -> BandOptics:
+def _band(
+    scene: Scene,
+    psf: AiryPsf | KolmogorovPsf,
+    rest: Blur,
+    response: ResponseCurve,
+    mean_m: float,
+) -> BandOptics:
     """Optics of one wavelength where one is asked for, else as many as the accuracy asks for."""
-    s = scene.sensor
-    psf = s.psf
-    assert isinstance(psf, AiryPsf | KolmogorovPsf)
     wave_m = mean_m if psf.wavelength_nm is None else psf.wavelength_nm * 1e-9
 
     def make(wavelength_m: float) -> Chromatic:
-        return _chromatic(s, wavelength_m, wave_m)
+        return _chromatic(scene.sensor, psf, wavelength_m, wave_m)
 
     if psf.wavelength_nm is not None or psf.wavelengths == 1:
         return BandOptics(make(wave_m), (wave_m,), (1.0,), 0.0, 0.0)
@@ -79,9 +88,11 @@ def _band(scene: Scene, rest: Blur, response: ResponseCurve, mean_m: float) -> B
     return chosen
 
 
-def _chromatic(s: Sensor, wavelength_m: float, wave_m: float) -> Chromatic:
+def _chromatic(
+    s: Sensor, psf: AiryPsf | KolmogorovPsf, wavelength_m: float, wave_m: float
+) -> Chromatic:
     """Optics at a wavelength; `wave_m` is the wave that aberrations in waves are counted in."""
-    psf, pitch = s.psf, s.pixel_pitch_um * 1e-6
+    pitch = s.pixel_pitch_um * 1e-6
     q = wavelength_m * s.focal_length_m / (s.aperture_m * pitch)
     if isinstance(psf, KolmogorovPsf):
         reference = psf.reference_nm * 1e-9
@@ -92,7 +103,6 @@ def _chromatic(s: Sensor, wavelength_m: float, wave_m: float) -> Chromatic:
             r0 = r0_m(psf.fwhm_arcsec * ARCSEC_RAD, reference)
         scale = wavelength_m / r0_at(r0, reference, wavelength_m) * s.focal_length_m / pitch
         return Kolmogorov(scale, Airy(q, s.obscuration) if psf.diffraction else None)
-    assert isinstance(psf, AiryPsf)
     terms: dict[int, float] = {}
     for a in psf.aberrations:
         rms = a.rms_nm * 1e-9 if a.rms_nm is not None else (a.rms_waves or 0.0) * wave_m

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
-from pipeline.arrays import Geometry
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Array, Geometry
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.extended import point_error
 from pipeline.physics.drawing.wings import CUT_FROM, wing_error
@@ -18,8 +23,13 @@ from pipeline.plan.facts import Facts
 from pipeline.plan.optics import missing_light
 from pipeline.plan.streaks import StreakPlan, plan_streaks, zone_streak
 from pipeline.spec.scene import Scene
+from pipeline.spec.sensor import FieldPsf
+
+if TYPE_CHECKING:
+    from pipeline.plan.psf_field import PsfField
 
 TABLE_BYTES = 48e6
+FIELD_BYTES = 80e6  # what the tables of one core class may take together, over a field
 MOST_CLASSES = 5
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
@@ -56,6 +66,8 @@ class ResponsePlan:
     spectral_from : stars around a block from which they are drawn together by transforms; 0 never
     streaks : how the stars' common streaks are drawn
     budget_e : error that one approximation may make in one pixel
+    field : the responses over the field, `blur` being the sharpest; None where `blur` serves all
+    table_mb : what a field's tables may take together [MB]
     """
 
     blur: Blur
@@ -66,43 +78,91 @@ class ResponsePlan:
     streaks: StreakPlan
     budget_e: float
     spectral_from: int = 0
+    field: PsfField | None = None
+    table_mb: float = 0.0
+
+    @property
+    def blurs(self) -> tuple[Blur, ...]:
+        """Every response."""
+        return (self.blur,) if self.field is None else self.field.blurs
+
+    def parts(
+        self, x_px: Array, y_px: Array, light_e: Array
+    ) -> Iterator[tuple[Blur, slice | NDArray[np.intp], Array]]:
+        """(response, which of the sources have a part in it, that part of their light [e-])."""
+        if self.field is None:
+            yield self.blur, slice(None), light_e
+        else:
+            yield from self.field.parts(x_px, y_px, light_e)
+
+    def near(self, y0_px: float, y1_px: float, x0_px: float, x1_px: float) -> tuple[Blur, ...]:
+        """The responses that sources in a rectangle of places may have a part in."""
+        if self.field is None:
+            return (self.blur,)
+        return self.field.near(y0_px, y1_px, x0_px, x1_px)
 
 
 def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -> ResponsePlan:
-    """Choose radii, phases, grid and zones for a scene from some of its frames (`ends`)."""
-    blur = facts.blur
+    """Choose radii, phases, grid and zones for a scene from some of its frames (`ends`).
+
+    A field's responses share radii, grid and reach: those that the worst of them asks for.
+    """
+    none = ResponsePlan(facts.blur, (), 0, 0.0, 0.0, STILL, facts.budget_e, field=facts.field)
     if not (scene.stars or scene.targets):
-        return ResponsePlan(blur, (), 0, 0.0, 0.0, STILL, facts.budget_e)
+        return none
+    blurs = none.blurs
     aberration = scene.star_effects["aberration"]
     path, streaks = POINT, STILL
     if scene.stars is not None:
         streaks = plan_streaks(camera, ends, aberration)
         path = _shortest_piece(camera, ends, streaks, aberration)
-    phases = _phases(scene.sensor.psf.oversampling, blur)
-    if not blur.has_wings:
-        radius = _radius_holding(blur, 1e-8)
-        size = _table_phases(phases, radius, path)
-        one = CoreClass(radius, math.inf, 0.0, size)
-        return ResponsePlan(
-            blur, (one,), 0, radius, _lost(blur, radius), streaks, facts.budget_e,
-            _spectral_from(scene, blur, one, streaks),
-        )  # fmt: skip
+    if any(b.has_wings for b in blurs):
+        for b in blurs:
+            _check_scale(scene, b)
+        first = max(b.core_px if b.has_wings else _radius_holding(b, 1e-8) for b in blurs)
+        spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
+        reach = max(_radius_holding(b, scene.accuracy.flux_fraction) for b in blurs)
+        reach = max(reach / CUT_FROM, 2.0 * first)
+        cores, cut = _cores(blurs, first, spacing, path, facts.budget_e), CUT_FROM * reach
+    else:
+        reach = cut = max(_radius_holding(b, 1e-8) for b in blurs)
+        cores, spacing = ((reach, math.inf, 0.0),), 0
+    most_bytes = TABLE_BYTES
+    if none.field is not None:
+        most_bytes = min(most_bytes, FIELD_BYTES / (len(blurs) * streaks.shapes))
+    needed = max(_phases(_asked_phases(scene), b) for b in blurs)
+    classes = tuple(
+        CoreClass(*core, _table_phases(needed, core[0], path, most_bytes)) for core in cores
+    )
+    planned = replace(
+        none, classes=classes, spacing_px=spacing, reach_px=reach,
+        lost_light=max(_lost(b, cut) for b in blurs), streaks=streaks,
+    )  # fmt: skip
+    mb = 0.0
+    if none.field is not None:
+        each = sum(_table_bytes(c.phases, c.radius_px, path) for c in classes if c.phases)
+        mb = each * len(blurs) * streaks.shapes / 1e6
+    return replace(planned, spectral_from=_spectral_from(scene, planned), table_mb=mb)
+
+
+def _check_scale(scene: Scene, blur: Blur) -> None:
+    """BadInput for a response with wings that is too sharp or too wide for the pixels."""
     q = blur.optics.scale_px
-    if not SMALLEST_Q <= q <= LARGEST_Q:
+    if blur.has_wings and not SMALLEST_Q <= q <= LARGEST_Q:
         raise BadInput(
             "sensor.psf",
             f"{scene.sensor.psf.kind} of a scale (Q = lambda F / (D pitch), or FWHM) of {q:.3g} px",
             f"{SMALLEST_Q} to {LARGEST_Q} px: another pitch, focal length or wavelength, or a "
             "gaussian",
         )
-    first = blur.core_px
-    spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
-    reach = max(_radius_holding(blur, scene.accuracy.flux_fraction) / CUT_FROM, 2.0 * first)
-    classes = _classes(blur, first, spacing, path, phases, facts.budget_e)
-    return ResponsePlan(
-        blur, classes, spacing, reach, _lost(blur, CUT_FROM * reach), streaks,
-        facts.budget_e, _spectral_from(scene, blur, classes[0], streaks),
-    )  # fmt: skip
+
+
+def _asked_phases(scene: Scene) -> int:
+    """Sub-pixel phases that the scene asks for; of a field, the most."""
+    psf = scene.sensor.psf
+    if isinstance(psf, FieldPsf):
+        return max(one.oversampling for row in psf.psfs for one in row)
+    return psf.oversampling
 
 
 def _shortest_piece(camera: Camera, ends: Geometry, streaks: StreakPlan, aberration: bool) -> Path:
@@ -116,14 +176,16 @@ def _shortest_piece(camera: Camera, ends: Geometry, streaks: StreakPlan, aberrat
     return min(found, key=lambda p: p.length_px)
 
 
-def _spectral_from(scene: Scene, blur: Blur, core: CoreClass, streaks: StreakPlan) -> int:
+def _spectral_from(scene: Scene, r: ResponsePlan) -> int:
     """Stars in and around a block from which transforms are quicker than stamps; 0 without stars.
 
     From measured unit costs (benchmarks/drawing.py); a star that no table serves costs a transform
-    of its own.
+    of its own. Over a field a star is drawn by up to four responses, and a block takes the
+    transforms of all that are near.
     """
     if scene.stars is None:
         return 0
+    core, streaks = r.classes[0], r.streaks
     piece_px = streaks.longest_px / streaks.pieces
     side = 2.0 * core.radius_px + piece_px
     block = math.prod(min(BLOCK_PX, n) + side for n in scene.sensor.shape)
@@ -131,34 +193,53 @@ def _spectral_from(scene: Scene, blur: Blur, core: CoreClass, streaks: StreakPla
         stamp = math.pi * core.radius_px**2 + 2.0 * core.radius_px * piece_px
         star_s = STAMP_S + STAMP_S_PER_PIXEL * stamp
     else:
-        star_s = TRANSFORM_S_PER_SAMPLE * (side * oversampling_for(blur)) ** 2
+        oversampling = max(oversampling_for(b) for b in r.blurs)
+        star_s = TRANSFORM_S_PER_SAMPLE * (side * oversampling) ** 2
     if star_s <= 2.0 * SPECTRAL_S:
         return 0
     fixed_s = SPECTRAL_S_PER_PIXEL * block * streaks.shapes
-    return math.ceil(fixed_s / (streaks.pieces * (star_s - SPECTRAL_S)))
+    near = _most_near(r, scene.sensor.shape, side)
+    return math.ceil(fixed_s * near / min(near, 4) / (streaks.pieces * (star_s - SPECTRAL_S)))
 
 
-def _classes(
-    blur: Blur, first: float, spacing: int, path: Path, phases: int, budget_e: float
-) -> tuple[CoreClass, ...]:
-    """Cores of doubling radius; the wing's error is measured for two and falls as told after."""
-    largest = LARGEST_CORE_SAMPLES / oversampling_for(blur)
-    out: list[CoreClass] = []
+def _most_near(r: ResponsePlan, shape: tuple[int, int], margin_px: float) -> int:
+    """The most responses that the stars of one block are drawn by."""
+    before, after = -margin_px, BLOCK_PX + margin_px
+    return max(
+        len(r.near(y + before, y + after, x + before, x + after))
+        for y in range(0, shape[0], BLOCK_PX)
+        for x in range(0, shape[1], BLOCK_PX)
+    )
+
+
+def _cores(
+    blurs: tuple[Blur, ...], first: float, spacing: int, path: Path, budget_e: float
+) -> tuple[tuple[float, float, float], ...]:
+    """(radius [px], brightest [e-], wing's error) of cores of doubling radius.
+
+    The wing's error is measured for the first of all responses, for the second of the two that
+    erred most then, and falls as told after.
+    """
+    largest = LARGEST_CORE_SAMPLES / max(oversampling_for(b) for b in blurs)
+    worst, winged = list(blurs), [b for b in blurs if b.has_wings]
+    out: list[tuple[float, float, float]] = []
     for k in range(MOST_CLASSES):
         radius = first * 2.0**k
         if k < 2:
-            error = _measured_wing_error(blur, radius, spacing, path)
+            errors = [_measured_wing_error(b, radius, spacing, path) for b in worst]
+            error = max(errors)
+            order = sorted(range(len(worst)), key=lambda i: -errors[i])
+            worst = [worst[i] for i in order[:2]]
         else:
-            error = out[-1].wing_error / blur.optics.wing_fall(0.5 * radius)
+            error = out[-1][2] / min(b.optics.wing_fall(0.5 * radius) for b in winged)
         last = k == MOST_CLASSES - 1 or 2.0 * radius > largest
-        brightest = math.inf if last else budget_e / error
-        out.append(CoreClass(radius, brightest, error, _table_phases(phases, radius, path)))
+        out.append((radius, math.inf if last else budget_e / error, error))
         if last:
             break
     return tuple(out)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _measured_wing_error(blur: Blur, radius_px: float, spacing_px: int, piece: Path) -> float:
     """The wing's error of a core of some radius, measured once for each response and streak."""
     return wing_error(blur, compact_core(blur, radius_px), spacing_px, piece)
@@ -170,19 +251,24 @@ def _phases(asked: int, blur: Blur) -> int:
     return int(min(256, max(asked, needed)))
 
 
-def _table_phases(phases: int, radius_px: float, path: Path) -> int:
-    """Phases that a table of this radius may have within TABLE_BYTES; 0 if fewer than needed.
+def _table_phases(phases: int, radius_px: float, path: Path, most_bytes: float) -> int:
+    """Phases that a table of this radius may have within its bytes; 0 if fewer than needed.
 
     A response that is broad against a pixel needs few phases, so halving them costs nothing until
     the interpolation's own bound (checked for each source when it is drawn) says otherwise.
     """
-    pixels = math.pi * radius_px**2 + 2.0 * radius_px * path.length_px
-    while phases >= 16 and 4.0 * pixels * (phases + 3) ** 2 > TABLE_BYTES:
+    while phases >= 16 and _table_bytes(phases, radius_px, path) > most_bytes:
         phases //= 2
-    return phases if 4.0 * pixels * (phases + 3) ** 2 <= TABLE_BYTES else 0
+    return phases if _table_bytes(phases, radius_px, path) <= most_bytes else 0
 
 
-@lru_cache(maxsize=16)
+def _table_bytes(phases: int, radius_px: float, path: Path) -> float:
+    """Bytes of a table."""
+    pixels = math.pi * radius_px**2 + 2.0 * radius_px * path.length_px
+    return 4.0 * pixels * (phases + 3) ** 2
+
+
+@lru_cache(maxsize=128)
 def point_curvature(blur: Blur) -> float:
     """Error of a pixel per unit light and squared radius [px] of a body that is drawn as a point.
 

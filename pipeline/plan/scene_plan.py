@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from pipeline.plan.target_decisions import decide_targets
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 
+if TYPE_CHECKING:
+    from pipeline.plan.sky import SkyPlan
+
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
 NOISE_S_PER_PIXEL = 110e-9
 PLACE_S_PER_STAR = 0.6e-6
@@ -57,6 +60,7 @@ class Plan:
     decisions: tuple[Decision, ...]
     remarks: tuple[str, ...]
     dut1_s: float
+    sky: SkyPlan | None = None
 
     @property
     def frames(self) -> int:
@@ -87,14 +91,18 @@ def make_plan(
     sun_rate_e_s_m2: float,
     remarks: tuple[str, ...],
     dut1_s: float,
+    sky: SkyPlan | None = None,
 ) -> Plan:
     """Decide everything from facts and the geometry of some of its frames."""
     camera = camera_of(scene)
     responses = plan_responses(scene, facts, camera, ends)
-    decisions = (*decide(scene, facts, responses), *decide_targets(scene, facts, ends))
+    decisions = (
+        *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
+        *(sky.decisions if sky else ()),
+    )  # fmt: skip
     return Plan(
         scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),
-        choose_checks(scene, ends), decisions, remarks, dut1_s,
+        choose_checks(scene, ends), decisions, remarks, dut1_s, sky,
     )  # fmt: skip
 
 
@@ -166,6 +174,7 @@ def plan_dict(
         "ifov_arcsec": f.ifov_rad / ARCSEC_RAD,
         "response": {
             "optics": describe(r.blur.optics),
+            "field": None if r.field is None else r.field.describe(),
             "core_classes": [_finite(asdict(c)) for c in r.classes],
             "wing_grid_px": r.spacing_px,
             "reach_px": r.reach_px,
@@ -212,6 +221,7 @@ def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
     if _in_crowds(plan, stars):
         grid += CROWD_BYTES_PER_PIXEL * min(pixels, BLOCK_PX**2)
     memory = rows * columns * 8.0 * (8 + layers) + grid + stars * 150.0 + 180e6
+    memory += 1e6 * r.table_mb
     return {
         "cpu_s": START_S + plan.frames * frame_s,
         "worker_memory_mb": memory / 1e6,
@@ -232,10 +242,12 @@ def _drawing_s(plan: Plan, stars: int) -> float:
         return 0.0
     if _in_crowds(plan, stars):
         pixels = math.prod(plan.scene.sensor.shape)
-        return SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes + SPECTRAL_S * stars
+        many, together = len(r.blurs), stars * min(4, len(r.blurs))
+        return SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many + SPECTRAL_S * together
     radius, piece_px = r.classes[0].radius_px, r.streaks.longest_px / r.streaks.pieces
     stamp = math.pi * radius**2 + 2.0 * radius * piece_px
-    return stars * r.streaks.pieces * (STAMP_S + STAMP_S_PER_PIXEL * stamp)
+    drawn = stars * min(4, len(r.blurs))  # by the responses around each
+    return drawn * r.streaks.pieces * (STAMP_S + STAMP_S_PER_PIXEL * stamp)
 
 
 def _finite(values: dict[str, Any]) -> dict[str, Any]:

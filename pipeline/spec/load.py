@@ -170,6 +170,7 @@ PATH_FIELDS = (
     ("sensor", "read_noise_e"),
     ("sensor", "bandpass", "path"),
     ("sensor", "psf", "path"),
+    ("sensor", "psf", "psfs", "*", "*", "path"),  # of each place of a field
     ("sensor", "distortion", "path"),
     ("observer", "orbit", "path"),
     ("targets", "*", "orbit", "path"),  # of each target

@@ -66,11 +66,31 @@ class Stars(Strict):
         description="path or URL of a catalogue; or a list: the main one, then layers over it, "
         "whose stars are drawn where no earlier one holds them"
     )
-    faintest_g_mag: float | None = Field(None, ge=-30, le=30)
+    faintest_g_mag: float | None = Field(
+        None, ge=-30, le=30, description="`auto`: as the noise allows; absent: all stars",
+        json_schema_extra={"anyOf": [{"type": "number"}, {"const": "auto"}, {"type": "null"}]},
+    )  # fmt: skip
+    limit_from_noise: bool = Field(False, description="what faintest_g_mag: auto stands for")
     space_motion: bool = True
     parallax: bool = True
     aberration: bool = True
     deflection: bool = True
+
+    @model_validator(mode="before")
+    @classmethod
+    def _limit_may_be_auto(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("faintest_g_mag") == "auto":
+            return {**data, "faintest_g_mag": None, "limit_from_noise": True}
+        return data
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> Stars:
+        if self.limit_from_noise and self.faintest_g_mag is not None:
+            raise PydanticCustomError(
+                "limit", "allowed: auto, or a number without limit_from_noise",
+                {"field": "faintest_g_mag"},
+            )  # fmt: skip
+        return self
 
     @field_validator("catalogue", mode="before")
     @classmethod

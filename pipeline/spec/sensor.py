@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -233,8 +234,54 @@ class TablePsf(PsfShape):
         return self
 
 
-Psf = Annotated[
+OnePsf = Annotated[
     GaussianPsf | AiryPsf | MoffatPsf | KolmogorovPsf | TablePsf, Field(discriminator="kind")
+]
+FramePlaces = Annotated[
+    tuple[Annotated[float, Field(ge=-1e5, le=1e5)], ...], Field(min_length=1, max_length=9)
+]
+
+
+class FieldPsf(Strict):
+    """Point-spread functions at a grid of places in the frame, and their mixtures between them.
+
+    A star's light is shared, bilinearly, among the four places around it; outside of the grid the
+    nearest place counts. A rotated or displaced image is no mixture: give places enough for it.
+    """
+
+    kind: Literal["field"]
+    rows_px: FramePlaces = Field(description="increasing; pixel 0 is the centre of the first")
+    columns_px: FramePlaces
+    psfs: tuple[tuple[OnePsf, ...], ...] = Field(
+        min_length=1, max_length=9, description="psfs[i][j] is that of rows_px[i], columns_px[j]"
+    )
+
+    @model_validator(mode="after")
+    def _grid(self) -> FieldPsf:
+        for name in ("rows_px", "columns_px"):
+            places = getattr(self, name)
+            if any(b < a + 1.0 for a, b in pairwise(places)):
+                raise _error(name, "allowed: increasing places, at least 1 px apart")
+        rows, columns = len(self.rows_px), len(self.columns_px)
+        if len(self.psfs) != rows or any(len(row) != columns for row in self.psfs):
+            allowed = f"allowed: a row for each of {rows} rows_px, one for each of {columns} "
+            raise _error("psfs", f"{allowed}columns_px in it")
+        every = [psf for row in self.psfs for psf in row]
+        if len({isinstance(psf, TablePsf) and psf.includes_pixel for psf in every}) > 1:
+            raise _error("psfs", "allowed: includes_pixel for all of them or for none")
+        if len({getattr(psf, "vanes", None) for psf in every}) > 1:
+            raise _error("psfs", "allowed: the same vanes for all of them: the aperture is one")
+        return self
+
+    def name_of(self, field: str, node: int) -> str:
+        """A dotted field of a point-spread function as that of place `node`, row by row."""
+        row, column = divmod(node, len(self.columns_px))
+        return f"sensor.psf.psfs.{row}.{column}" + field.removeprefix("sensor.psf")
+
+
+Psf = Annotated[
+    GaussianPsf | AiryPsf | MoffatPsf | KolmogorovPsf | TablePsf | FieldPsf,
+    Field(discriminator="kind"),
 ]
 
 

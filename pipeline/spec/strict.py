@@ -12,8 +12,6 @@ from pydantic_core import PydanticCustomError
 NOT_YET = {
     "cosmic_rays": "cosmic rays are not in this version",
     "pst": "stray light by a point-source transmittance is not in this version",
-    "zodiacal": "zodiacal light is not in this version; use a uniform background",
-    "galactic": "galactic light is not in this version; use a uniform background",
     "stray_light": "stray light is not in this version; use a uniform background",
 }
 

@@ -121,7 +121,10 @@ def test_no_path_field_takes_a_file(
     """Also where the file is there and could be read."""
     file = tmp_path / "image.npy"
     file.write_bytes(b"x")
-    if field[-1] == "path" and field[0] == "sensor":
+    if "psfs" in field:
+        places = {"rows_px": [0], "columns_px": [0], "psfs": [[{"kind": "table"}]]}
+        scene["sensor"]["psf"] = {"kind": "field"} | places
+    elif field[-1] == "path" and field[0] == "sensor":
         kind = "file" if field[-2] == "distortion" else "table"
         scene["sensor"][field[-2]] = {"kind": kind}
     orbit = {"kind": "omm", "path": ""}

@@ -1,0 +1,53 @@
+"""What the sky's light is made from: the published tables, the Sun's spectrum, the stars' light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from catalog_tools.catalogue import Catalogue
+from pipeline.inputs.colour_fit import gather_colour_fit
+from pipeline.inputs.curves import solar_spectrum
+from pipeline.inputs.folders import cache_folder
+from pipeline.inputs.starlight import gather_starlight
+from pipeline.physics.colour import ColourFit
+from pipeline.physics.radiometry import ResponseCurve
+from pipeline.plan.sky import SkyInputs
+from pipeline.spec.scene import Scene
+
+
+def gather_sky(
+    scene: Scene,
+    response: ResponseCurve,
+    band: str,
+    digest: str,
+    catalogues: Sequence[Catalogue],
+    fit: ColourFit | None,
+    limit_from_noise: bool,
+) -> SkyInputs:
+    """Read what the parts of the scene's background need, and no more.
+
+    response, band, digest : of `run.gather_response`; fit : the stars' colour fit, where there is
+    one already. Raises Damaged for a damaged map of starlight.
+    """
+    b = scene.background
+    table, rates, every = None, (0.0, 0.0), None
+    if b is not None and b.zodiacal:
+        from pipeline.inputs.reference import zodiacal as published
+        from pipeline.physics.sky.zodiacal import band_rates, zodiacal_table
+
+        table = zodiacal_table(
+            np.array(published.LONGITUDE_DEG, float), np.array(published.LATITUDE_DEG, float),
+            np.array(published.RADIANCE, float),
+        )  # fmt: skip
+        wavelength, irradiance, _, _ = solar_spectrum()
+        rates = band_rates(wavelength, irradiance, response)
+    if b is not None and b.galactic:
+        from catalog_tools.starlight import CountedLight
+
+        every = CountedLight()
+    undrawn = gather_starlight(scene, catalogues, limit_from_noise)
+    if fit is None and (every is not None or undrawn is not None or limit_from_noise):
+        fit = gather_colour_fit(response, band, digest, cache_folder())
+    return SkyInputs(table, rates, undrawn, every, fit)

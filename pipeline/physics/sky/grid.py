@@ -1,0 +1,103 @@
+"""Smooth light on a small grid over the frame, refined until interpolation is good enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Evaluate = Callable[[Array, Array], Array]  # x, y (n,) [px] -> light (..., n)
+
+FIRST_INTERVALS, MOST_INTERVALS = 8, 64
+
+
+@dataclass(frozen=True, eq=False)
+class FrameGrid:
+    """Light at nodes over a frame; (..., 1, 1) is uniform.
+
+    values : (..., ny, nx) float64; nodes are evenly spaced, the first and last at the outer edges
+        of the frame (pixel coordinates -0.5 and n - 0.5)
+    error : largest difference from the light itself that was found, half way between nodes
+    met : whether that is within what was asked
+    """
+
+    rows: int
+    columns: int
+    values: Array
+    error: float
+    met: bool
+
+
+def refine(evaluate: Evaluate, rows: int, columns: int, tolerance: float) -> FrameGrid:
+    """The coarsest grid that errs by at most a tolerance: uniform, 1, 2, 4... intervals an axis.
+
+    Each grid is compared with the light at the nodes of the next finer one, where bilinear
+    interpolation errs most.
+    """
+    intervals = FIRST_INTERVALS
+    fine = at_nodes(evaluate, rows, columns, intervals + 1, intervals + 1)
+    low, high = fine.min(axis=(-2, -1)), fine.max(axis=(-2, -1))
+    error = float(np.max(0.5 * (high - low)))
+    if error <= tolerance:
+        middle = (0.5 * (low + high))[..., None, None]
+        return FrameGrid(rows, columns, middle, error, True)
+    for step in (8, 4, 2):
+        coarse = fine[..., ::step, ::step]
+        error = _error(coarse, fine)
+        if error <= tolerance:
+            return FrameGrid(rows, columns, coarse.copy(), error, True)
+    while True:
+        coarse, intervals = fine, 2 * intervals
+        fine = at_nodes(evaluate, rows, columns, intervals + 1, intervals + 1)
+        error = _error(coarse, fine)
+        if error <= tolerance or intervals > MOST_INTERVALS:
+            return FrameGrid(rows, columns, coarse, error, error <= tolerance)
+
+
+def tile_light(values: Array, shape: tuple[int, int], corner: tuple[int, int],
+               size: tuple[int, int]) -> Array:  # fmt: skip
+    """Light (rows, columns) of a part of a frame: the same for each pixel whatever the part.
+
+    values : (ny, nx) of a FrameGrid; shape : of the frame; corner : first row and column
+    """
+    if values.size == 1:
+        return np.full(size, values[0, 0])
+    i, u = _between(shape[0], values.shape[0], corner[0], size[0])
+    j, v = _between(shape[1], values.shape[1], corner[1], size[1])
+    rows = values[i] * (1.0 - u)[:, None] + values[i + 1] * u[:, None]
+    light: Array = rows[:, j] * (1.0 - v)
+    light += rows[:, j + 1] * v
+    return light
+
+
+def _between(pixels: int, nodes: int, start: int, count: int) -> tuple[NDArray[np.intp], Array]:
+    """The interval of each pixel centre along an axis, and where in it."""
+    place = (np.arange(start, start + count) + 0.5) * ((nodes - 1) / pixels)
+    first = np.minimum(place, nodes - 2).astype(np.intp)
+    return first, np.asarray(place - first, float)
+
+
+def at_nodes(evaluate: Evaluate, rows: int, columns: int, ny: int, nx: int) -> Array:
+    """Light (..., ny, nx) at the nodes of a grid; one node stands for the middle between
+    the least and the largest of a 9 x 9 grid."""
+    if ny == nx == 1:
+        fine = at_nodes(evaluate, rows, columns, FIRST_INTERVALS + 1, FIRST_INTERVALS + 1)
+        middle: Array = 0.5 * (fine.min(axis=(-2, -1)) + fine.max(axis=(-2, -1)))
+        return middle[..., None, None]
+    y, x = np.linspace(-0.5, rows - 0.5, ny), np.linspace(-0.5, columns - 0.5, nx)
+    xs, ys = np.meshgrid(x, y)
+    found = evaluate(xs.ravel(), ys.ravel())
+    return found.reshape(*found.shape[:-1], ny, nx)
+
+
+def _error(coarse: Array, fine: Array) -> float:
+    """Largest difference between a grid and one whose nodes hold it, at the latter's nodes."""
+    step = (fine.shape[-1] - 1) // (coarse.shape[-1] - 1)
+    at = np.arange(fine.shape[-1]) / step
+    i = np.minimum(at.astype(int), coarse.shape[-1] - 2)
+    u = at - i
+    rows = coarse[..., i, :] * (1.0 - u)[:, None] + coarse[..., i + 1, :] * u[:, None]
+    return float(np.abs(rows[..., i] * (1.0 - u) + rows[..., i + 1] * u - fine).max())

@@ -1,0 +1,262 @@
+"""Stars, targets and bodies drawn by responses over the field: places, flux, tiles, crowds, SNR."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pipeline.execute.blocks
+import pipeline.plan.responses
+from catalog_tools.ingest import ingest
+from pipeline.arrays import FrameStars
+from pipeline.errors import BadInput
+from pipeline.execute.blocks import render_block
+from pipeline.execute.light import draw_stars
+from pipeline.execute.truth import matched_snr
+from pipeline.physics.motion.streak import POINT
+from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.tiles import Tile
+from pipeline.run import Options, prepare, render
+from pipeline.spec.load import parse_scene
+from pipeline.store.cube import open_cube
+
+IFOV_DEG, RA_DEG, DEC_DEG, SIDE = 2.0 / 3600.0, 80.0, 20.0, 320
+ROUND = {"kind": "gaussian", "sigma_px": 1.1}
+CORNERS = [[{"kind": "gaussian", "sigma_px": 0.9 + 0.2 * i + 0.1 * j} for j in range(2)]
+           for i in range(2)]  # fmt: skip
+# A defocus that tilts across the field, and coma at its far end: with wings.
+TILTED = [[{"kind": "airy", "wavelengths": 1, "defocus_um": 20.0 * i,
+            "aberrations": [{"noll": 8, "rms_waves": 0.08 * j}]} for j in range(2)]
+          for i in range(2)]  # fmt: skip
+
+
+def field(psfs):
+    rows, columns = (([160.0], [0.0, 319.0], [0.0, 160.0, 319.0])[n - 1]
+                     for n in (len(psfs), len(psfs[0])))  # fmt: skip
+    return {"kind": "field", "rows_px": rows, "columns_px": columns, "psfs": psfs}
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory):
+    """400 stars over and around the frame, G 11 to 16."""
+    folder = tmp_path_factory.mktemp("field")
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(-0.6, 0.6, (2, 400)) * SIDE * IFOV_DEG
+    g = rng.uniform(11.0, 16.0, 400)
+    ra = RA_DEG + x / np.cos(np.radians(DEC_DEG + y))
+    rows = ["source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
+            "phot_bp_mean_mag,phot_rp_mean_mag"]  # fmt: skip
+    rows += [
+        f"{(i + 1) << 35},2015.5,{ra[i]:.12f},{DEC_DEG + y[i]:.12f},1,0,0,,{g[i]:.6f},"
+        f"{g[i] + 0.4:.6f},{g[i] - 0.6:.6f}"
+        for i in range(400)
+    ]
+    (folder / "stars.csv").write_text("\n".join(rows) + "\n")
+    return str(ingest([folder / "stars.csv"], folder / "catalogue").catalogue.path)
+
+
+def scene(catalogue, psf, streak_px=0.0, **more):
+    data = {
+        "schema": "nightglass/scene/1", "name": "field", "epoch": "2019-12-01T08:00:00Z",
+        "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
+        "sensor": {
+            "shape": [SIDE, SIDE], "pixel_pitch_um": 9.0, "aperture_m": 0.08, "obscuration": 0.3,
+            "focal_length_m": 9e-6 / np.radians(IFOV_DEG), "psf": psf, "read_noise_e": 5.0,
+            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900}, "adc_bits": 20,
+        },
+        "pointing": {
+            "mode": "rate", "boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG,
+            "rate_ra_arcsec_s": 0.8 * streak_px, "rate_dec_arcsec_s": 0.6 * streak_px,
+        },
+        "exposure": {"integration_s": 2.0}, "stars": {"catalogue": catalogue},
+        "output": {"layers": ["dn", "stars_e"]},
+    }  # fmt: skip
+    return parse_scene(data | more)
+
+
+def planned(catalogue, psf, streak_px=0.0):
+    plan = prepare(scene(catalogue, psf, streak_px)).plan
+    return plan, plan_geometry(plan.scene, np.zeros(1, np.int64), 0.0)
+
+
+def stars_at(x, y, light):
+    n = len(x)
+    x, y, light = (np.asarray(v, float) for v in (x, y, light))
+    zero = np.zeros(n)
+    return FrameStars(np.arange(n), x, y, light, zero, zero, zero, np.zeros(n, np.uint8),
+                      np.zeros(n, np.uint8))  # fmt: skip
+
+
+def drawn(planned, stars, tile=None):
+    """Light of hand-placed stars in a part of the frame."""
+    plan, g = planned
+    whole = Tile(0, 0, 0, 0, SIDE, SIDE)
+    blocks = [render_block(plan, g, whole, [stars])] if plan.responses.spacing_px else []
+    return draw_stars(plan, g, tile or whole, [stars], blocks)
+
+
+def with_one(planned, blur):
+    """The same plan where one response of the field serves all of it."""
+    plan, g = planned
+    return replace(plan, responses=replace(plan.responses, field=None, blur=blur)), g
+
+
+PLACES = [10.3, 150.0, 318.6], [300.2, 33.7, 20.5], [1e4, 3e4, 2e4]
+
+
+def test_a_constant_field_is_the_single_response(catalogue):
+    stars = stars_at(*PLACES)
+    one = drawn(planned(catalogue, ROUND, 8.0), stars)
+    same = drawn(planned(catalogue, field([[ROUND] * 3] * 2), 8.0), stars)
+    assert np.abs(same - one).max() <= 1e-12 * one.max()
+    turned = [[ROUND | {"sigma_minor_px": 1.1, "angle_deg": 10.0 * (i + 2 * j)} for j in range(2)]
+              for i in range(2)]  # fmt: skip
+    made = planned(catalogue, field(turned), 8.0)
+    assert len(made[0].responses.blurs) == 4
+    assert np.abs(drawn(made, stars) - one).max() <= 2e-7 * one.max()  # float32 tables
+
+
+@pytest.mark.parametrize("psfs", [CORNERS, TILTED], ids=["gaussian", "airy"])
+def test_a_star_at_a_place_is_its_own_and_between_two_their_mean(psfs, catalogue):
+    made = planned(catalogue, field(psfs))
+    blurs = made[0].responses.blurs
+    corner = stars_at([319.0], [0.0], [1e5])
+    image = drawn(made, corner)
+    assert np.array_equal(image, drawn(with_one(made, blurs[1]), corner))
+    middle = stars_at([159.5], [0.0], [1e5])
+    mean = 0.5 * sum(drawn(with_one(made, blurs[k]), middle) for k in (0, 1))
+    assert np.abs(drawn(made, middle) - mean).max() <= 1e-12 * mean.max()
+    off = stars_at([159.5], [400.0], [1e5])
+    rows = made[0].responses.blurs[2:]
+    mean = 0.5 * sum(drawn(with_one(made, b), off) for b in rows)
+    assert np.abs(drawn(made, off) - mean).max() <= 1e-12 * max(mean.max(), 1e-3)
+
+
+def test_all_light_is_drawn_at_every_place(catalogue):
+    made = planned(catalogue, field(CORNERS))
+    rng = np.random.default_rng(1)
+    for x, y in rng.uniform(60.0, 260.0, (8, 2)):
+        image = drawn(made, stars_at([x], [y], [1e5]))
+        assert image.sum() == pytest.approx(1e5, rel=2e-7)
+        assert image.min() >= -1e-6 * image.max()
+
+
+@pytest.mark.parametrize("psfs", [CORNERS, TILTED], ids=["gaussian", "airy"])
+def test_same_bits_in_any_part(psfs, catalogue):
+    made = planned(catalogue, field(psfs), 12.0)
+    rng = np.random.default_rng(2)
+    stars = stars_at(*rng.uniform(-20.0, 340.0, (2, 60)), 10.0 ** rng.uniform(1.0, 4.5, 60))
+    whole = drawn(made, stars)
+    for y0, x0, rows, columns in ((0, 0, 100, 320), (100, 37, 220, 200), (159, 159, 3, 3)):
+        part = drawn(made, stars, Tile(0, 0, y0, x0, rows, columns))
+        assert np.array_equal(part, whole[y0 : y0 + rows, x0 : x0 + columns])
+
+
+def test_exact_drawing_and_tables_agree(catalogue):
+    plan, g = planned(catalogue, field(CORNERS))
+    exact = tuple(replace(c, phases=0) for c in plan.responses.classes)
+    stars = stars_at(*PLACES)
+    one = drawn((plan, g), stars)
+    other = drawn((replace(plan, responses=replace(plan.responses, classes=exact)), g), stars)
+    assert np.abs(one - other).max() <= plan.responses.budget_e + 1e-6 * one.max()
+
+
+@pytest.mark.parametrize("psfs", [CORNERS, TILTED], ids=["gaussian", "airy"])
+def test_products_have_small_errors_and_the_same_bits(psfs, catalogue, tmp_path, monkeypatch):
+    """Stamps and crowds, tiles of two shapes; the reference of the check draws the field too."""
+    images = []
+    for crowd in (False, True):
+        if crowd:
+            monkeypatch.setattr(pipeline.plan.responses, "_spectral_from", lambda *_: 1)
+            monkeypatch.setattr(pipeline.execute.blocks, "BLOCK_PX", 256)
+        digests = set()
+        for k, tile in enumerate(([320, 320], [256, 320])):
+            output = {"layers": ["dn", "stars_e"], "tile_shape": tile}
+            made = scene(catalogue, field(psfs), 12.0, output=output)
+            path = tmp_path / f"{crowd}{k}"
+            report = render(made, path, Options("synchronous"))
+            digests.add(report["content_digest"])
+            assert report["errors"]["windows"] == 3
+            assert report["errors"]["achieved_error_sigma"] < 0.05
+        assert len(digests) == 1
+        images.append(open_cube(path)["stars_e"].values[0].astype(float))
+    noise = np.sqrt(25.0 + images[0])
+    assert not np.array_equal(*images)
+    assert (np.abs(images[0] - images[1]) / noise).max() < 0.05
+
+
+def test_bodies_and_targets_are_drawn_by_the_responses_around_them(tmp_path):
+    from tests.execute import test_extended as discs  # the scene of a resolved sphere
+
+    rows = [[{"kind": "gaussian", "sigma_px": s} for s in (0.8, 1.6)]]
+    psf = {"kind": "field", "rows_px": [0.0], "columns_px": [0.0, 399.0], "psfs": rows}
+    for diameter in (0.02, 400.0):
+        images, places = [], []
+        for k, one in enumerate((rows[0][0], rows[0][1], psf)):
+            image, truth, report = discs.drawn(tmp_path / f"{diameter}{k}", diameter, one)
+            images.append(image)
+            places.append(truth["x_px"])
+            assert report["errors"]["achieved_error_e"] < 2e-5 * image.max()
+        share = places[2] / 399.0
+        mixed = (1.0 - share) * images[0] + share * images[1]
+        assert 0.4 < share < 0.6
+        assert np.abs(images[2] - mixed).max() <= 1e-5 * mixed.max()
+
+
+def test_snr_between_places_is_between_theirs(catalogue):
+    plan, _ = planned(catalogue, field(CORNERS))
+    light, x = np.full(5, 500.0), np.linspace(0.0, 319.0, 5)
+    snr = matched_snr(plan, POINT, light, x, np.zeros(5))
+    ends = [
+        matched_snr(with_one((plan, None), b)[0], POINT, light[:1], x[:1], x[:1])[0]
+        for b in plan.responses.blurs[:2]
+    ]
+    np.testing.assert_allclose(snr, np.linspace(*ends, 5), rtol=1e-12)
+    assert ends[0] > ends[1]
+
+
+def test_tables_from_files_at_their_places(catalogue, tmp_path):
+    """Each file once; a mistake in one is told of its place."""
+    at = np.arange(-40, 41) / 8.0
+    for k, sigma in enumerate((0.9, 1.2)):
+        values = np.exp(-0.5 * (at[:, None] ** 2 + at**2) / sigma**2)
+        np.save(tmp_path / f"{k}.npy", values)
+    np.save(tmp_path / "even.npy", values[1:])
+    tables = [{"kind": "table", "path": str(tmp_path / f"{k}.npy"), "samples_per_px": 8}
+              for k in (0, 1)]  # fmt: skip
+    made = planned(catalogue, field([[tables[0], ROUND, tables[1]]]))
+    plain = planned(catalogue, field([[{"kind": "gaussian", "sigma_px": s}
+                                       for s in (0.9, 1.1, 1.2)]]))  # fmt: skip
+    stars = stars_at(*PLACES)
+    images = drawn(made, stars), drawn(plain, stars)
+    assert np.abs(images[0] - images[1]).max() <= 1e-4 * images[1].max()
+    even = tables[0] | {"path": str(tmp_path / "even.npy")}
+    for psf, name in (
+        (even, "sensor.psf.psfs.0.1.centre: "),
+        (tables[0] | {"path": "none.npy"}, "sensor.psf.psfs.0.1.path: "),
+        ({"kind": "airy", "wavelengths": 1, "defocus_um": 1e5}, "sensor.psf.psfs.0.1.aberrations"),
+    ):
+        with pytest.raises(BadInput) as caught:
+            prepare(scene(catalogue, field([[ROUND, psf]])))
+        assert str(caught.value).startswith(name)
+
+
+def test_without_a_field_nothing_of_it_is_loaded(catalogue, tmp_path):
+    code = (
+        "import sys, json, pathlib\n"
+        "from pipeline.run import prepare\n"
+        "from pipeline.spec.load import parse_scene\n"
+        "prepare(parse_scene(json.loads(sys.argv[1])))\n"
+        "print('pipeline.plan.psf_field' in sys.modules)\n"
+    )
+    for psf, loaded in ((ROUND, "False"), (field([[ROUND]]), "True")):
+        text = json.dumps(scene(catalogue, psf).as_dict())
+        done = subprocess.run(
+            [sys.executable, "-c", code, text], capture_output=True, text=True, check=True
+        )
+        assert done.stdout.strip() == loaded
