@@ -121,7 +121,7 @@ def _crowd(
     near = _near(plan, place, radius + _farthest(paths))
     limit = r.classes[0].brightest_e
     for blur in near:
-        spectral = spectral_plan_of(blur, radius, longest, shape)
+        spectral = spectral_plan_of(blur, radius, longest, shape, len(stars))
         if spectral is None:
             return None, 0.0
         limit = min(limit, brightest_for(spectral, r.budget_e))
@@ -138,7 +138,7 @@ def _crowd(
     image: NDArray[np.floating] | None = None
     for blur, sources in groups.items():
         if sources:
-            engine = spectral_of(blur, radius, longest, shape)
+            engine = spectral_of(blur, radius, longest, shape, len(stars))
             one = draw_spectral(*engine, sources, (place.y0, place.x0))
             image = one if image is None else image + one
     return image, limit

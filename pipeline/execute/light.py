@@ -81,15 +81,23 @@ def _draw_stamps(
 def _draw_piece(
     plan: Plan, image: Array, tile: Tile, k: int, piece: Path, x: Array, y: Array, light: Array
 ) -> None:
-    """One piece of the streaks of stars of one class, from its table or star by star."""
-    core = plan.responses.classes[k]
-    if core.phases:
-        for blur, mine, part in plan.responses.parts(x, y, light):
-            table = table_of(blur, core.radius_px, piece, core.phases)
-            cubic = light[mine] * table.linear_error > plan.responses.budget_e
-            draw_stamps(image, (tile.y0, tile.x0), table, x[mine], y[mine], part, cubic)
-        return
-    for i in range(len(x)):
+    """One piece of the streaks of stars of one class, from its table or star by star.
+
+    Stars so bright that the table's own rounding would show are drawn at their exact places too.
+    """
+    core, budget_e = plan.responses.classes[k], plan.responses.budget_e
+    exact = np.ones(len(x), bool)
+    if core.phases and len(x):
+        parts = [
+            (table_of(blur, core.radius_px, piece, core.phases), mine, part)
+            for blur, mine, part in plan.responses.parts(x, y, light)
+        ]
+        exact = light * max(table.cubic_error for table, _, _ in parts) > budget_e
+        for table, mine, part in parts:
+            keep, linear = ~exact[mine], light[mine] * table.linear_error <= budget_e
+            place = x[mine][keep], y[mine][keep], part[keep]
+            draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
+    for i in np.flatnonzero(exact):
         _draw_exact(plan, image, tile, k, piece, float(x[i]), float(y[i]), float(light[i]))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -114,9 +115,9 @@ def kernel_of(blur: Blur, radius_px: float, grid: WingGrid, reach_px: float) -> 
 
 
 def spectral_plan_of(
-    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int]
+    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int], stars: int
 ) -> SpectralPlan | None:
-    """Plan of the spectral engine for a block; None where it cannot serve.
+    """Plan of the spectral engine for a block of about so many stars; None where it cannot serve.
 
     Streaks that are alike share it: a straight one is planned for lengths rounded down, which
     errs more, with the reach of lengths rounded up.
@@ -127,22 +128,30 @@ def spectral_plan_of(
         core = core_of(blur, radius_px)
         wider = replace(core, radius_px=radius_px + spare_px)
         try:
-            return plan_spectral(shape, wider, path, SPECTRAL_ERROR * peak_light(core, path))
+            error = SPECTRAL_ERROR * peak_light(core, path)
+            return plan_spectral(shape, wider, path, error, sources=_about(stars))
         except BadInput:
             return None
 
-    return _CACHE.get(("spectral plan", blur, radius_px, path, shape), make, lambda _: 0)
+    return _CACHE.get(
+        ("spectral plan", blur, radius_px, path, shape, _about(stars)), make, lambda _: 0
+    )
 
 
 def spectral_of(
-    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int]
+    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int], stars: int
 ) -> tuple[SpectralPlan, np.ndarray]:
     """Plan and transfer table of the spectral engine for a block that it can serve."""
-    plan = spectral_plan_of(blur, radius_px, path, shape)
+    plan = spectral_plan_of(blur, radius_px, path, shape, stars)
     assert plan is not None
-    key = ("spectral", blur, radius_px, _alike(path)[0], shape)
+    key = ("spectral", blur, radius_px, _alike(path)[0], shape, _about(stars))
     table = _CACHE.get(key, lambda: transfer_table(core_of(blur, radius_px), plan), _bytes)
     return plan, table
+
+
+def _about(stars: int) -> float:
+    """A number of stars as a power of ten, so that frames that are alike share their plans."""
+    return float(10 ** round(math.log10(max(stars, 10_000))))
 
 
 def _bytes(array: np.ndarray) -> int:

@@ -34,12 +34,13 @@ MOST_CLASSES = 5
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
 SMALL_RADIUS_PX = 1e-2
+NOTHING_BEYOND = (1e-8, 1e-14)  # of the light, beyond the cores of a response without wings
 STILL = StreakPlan(1, 1, 0.0, 0.0, 1)
 BLOCK_PX = 2048  # wings and crowds are drawn in fixed blocks of the focal plane
 # Seconds a star, a stamp's pixel, a star and a pixel of the spectral engine, a sample of a
 # transform: one core of the 2-core reference machine (benchmarks/drawing.py prints them anew).
-STAMP_S, STAMP_S_PER_PIXEL = 1e-7, 1.2e-9
-SPECTRAL_S, SPECTRAL_S_PER_PIXEL = 1.5e-7, 8e-8
+STAMP_S, STAMP_S_PER_PIXEL = 1e-7, 1.6e-9
+SPECTRAL_S, SPECTRAL_S_PER_PIXEL = 1.5e-7, 5.5e-8
 TRANSFORM_S_PER_SAMPLE = 4e-8
 
 
@@ -125,8 +126,9 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
         reach = max(reach / CUT_FROM, 2.0 * first)
         cores, cut = _cores(blurs, first, spacing, path, facts.budget_e), CUT_FROM * reach
     else:
-        reach = cut = max(_radius_holding(b, 1e-8) for b in blurs)
-        cores, spacing = ((reach, math.inf, 0.0),), 0
+        usual, reach = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
+        brightest = facts.budget_e / NOTHING_BEYOND[0]
+        cores, spacing, cut = ((usual, brightest, 0.0), (reach, math.inf, 0.0)), 0, usual
     most_bytes = TABLE_BYTES
     if none.field is not None:
         most_bytes = min(most_bytes, FIELD_BYTES / (len(blurs) * streaks.shapes))

@@ -79,6 +79,7 @@ GAUSS, AIRY = {"kind": "gaussian", "sigma_px": 0.8}, {"kind": "airy", "wavelengt
 @pytest.mark.parametrize("streak", [0.0, 60.0])
 def test_engines_agree_within_their_bounds(psf, streak, catalogue, tmp_path, monkeypatch):
     made = scene(catalogue, psf, streak)
+    monkeypatch.setattr(pipeline.plan.responses, "_spectral_from", lambda *_: 0)
     stamps, _ = stars_of(made, tmp_path / "stamps")
     monkeypatch.setattr(pipeline.plan.responses, "_spectral_from", lambda *_: 1)
     together, report = stars_of(made, tmp_path / "together")

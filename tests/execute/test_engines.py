@@ -141,9 +141,23 @@ def test_limits_of_light(light, together):
         e[k] * exact_pixels(GaussianStar(0.8), straight(0.0, 0.0), x[k], y[k], at, at)
         for k in range(2)
     )
-    assert np.abs(image - exact).max() <= 1e-5 * light + 0.1
+    assert np.abs(image - exact).max() <= 1e-9 * light + 0.1
     beside = np.s_[66:76, 95:106]  # 40 px from the bright one, which leaves nothing here
     assert np.abs(image[beside] - exact[beside]).max() < 1e-2
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_one_electron_close_to_a_billion(together):
+    """Six pixels apart: what the fainter star adds is right to a hundredth of an electron."""
+    plan = plan_of({"kind": "gaussian", "sigma_px": 0.8}, 0.0, 0.0)
+    x, y, e = np.array([60.2, 66.3]), np.array([70.7, 70.4]), np.array([1e9, 1.0])
+    both = drawn(plan, field(x, y, e), together)
+    alone = drawn(plan, field(x[:1], y[:1], e[:1]), together)
+    at = np.arange(SIDE, dtype=float)
+    exact = exact_pixels(GaussianStar(0.8), straight(0.0, 0.0), x[1], y[1], at, at)
+    assert np.abs(both - alone - exact).max() < 1e-2
+    bright = 1e9 * exact_pixels(GaussianStar(0.8), straight(0.0, 0.0), x[0], y[0], at, at)
+    assert np.abs(alone - bright)[66:76, 63:70].max() < 0.1
 
 
 def test_no_stars_at_all():

@@ -238,7 +238,10 @@ def test_interpolation_of_a_full_pixel_stays_within_the_budget(
     assert light * table.cubic_error <= 0.05 / 4.0 * math.sqrt(1e5)
 
 
-def test_gaussian_has_one_class_without_wings(scene: Make) -> None:
+def test_gaussian_has_two_classes_without_wings(scene: Make) -> None:
     r = responses_of(scene({"sensor.psf": GAUSS}))
     assert isinstance(r.blur.optics, Gaussian)
-    assert (len(r.classes), r.spacing_px, r.classes[0].brightest_e) == (1, 0, math.inf)
+    assert (len(r.classes), r.spacing_px, r.classes[1].brightest_e) == (2, 0, math.inf)
+    for core in r.classes:  # what lies beyond a core does not show
+        beyond = r.blur.light_beyond(core.radius_px)
+        assert min(core.brightest_e, 1e12) * beyond <= 1.001 * r.budget_e
