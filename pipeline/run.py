@@ -46,6 +46,7 @@ from pipeline.plan.geometry import (
     sampled_frames,
 )
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
+from pipeline.plan.target_decisions import mesh_notices
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
@@ -101,6 +102,10 @@ def resolve(scene: Scene) -> Scene:
     if has_band_albedos(scene):
         wavelength, irradiance, *_ = solar_spectrum()
         scene = with_band_albedos(scene, wavelength, irradiance, gather_response(scene)[0])
+    if any(target.body.kind == "mesh" for target in scene.targets):
+        from pipeline.inputs.meshes import gather_meshes  # an optional extra: trimesh
+
+        scene = gather_meshes(scene)
     return scene
 
 
@@ -128,6 +133,7 @@ def prepare(scene: Scene) -> Prepared:
     )
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
+    remarks += mesh_notices(scene)
     plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky)
     left_out = _left_out(plan, catalogues)
     plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))

@@ -43,6 +43,7 @@ from pipeline.spec.body import (
     PlateBody,
     SphereBody,
 )
+from pipeline.spec.mesh import MeshBody
 from pipeline.spec.scene import Scene, Target
 
 Array = NDArray[np.float64]
@@ -114,6 +115,10 @@ def target_light(
         lit = _sunlit(lighting, place, apparent_sun, tt)
     if isinstance(body, SphereBody):
         reflected = sphere_intensity_per_irradiance(alpha, body.diameter_m, albedo_of(body, field))
+    elif isinstance(body, MeshBody):
+        from pipeline.plan.meshes import mesh_m2_sr  # only scenes with meshes need it
+
+        reflected = mesh_m2_sr(body, epoch, view, field)
     else:
         reflected = reflected_m2_sr([body], epoch, view, [field])[0]
     distance = sun_distance(place, sun_from_earth_m)
@@ -143,15 +148,19 @@ def _sunlit(lighting: Lighting | None, place: Array, sun: Array, tt: tuple[Array
 
 
 def earthshine_m2_sr(
-    body: Body, epoch: tuple[float, float], view: View, albedo: float, field: str = "body"
+    body: Body | MeshBody,
+    epoch: tuple[float, float],
+    view: View,
+    albedo: float,
+    field: str = "body",
 ) -> Array:
     """Intensity (n,) of one body in earthshine over the solar irradiance at the Earth [m2/sr]."""
     from pipeline.physics.targets.earthshine import earth_lamps
 
     place = view.place_m[0]
     directions, light = earth_lamps(place, view.sun_m[0], albedo)
-    if isinstance(body, LightCurveBody):
-        raise BadInput(f"{field}.kind", body.kind, "earthshine on a body with a shape")
+    if isinstance(body, LightCurveBody | MeshBody):
+        raise BadInput(f"{field}.kind", body.kind, "earthshine on a body of simple shapes")
     n, k = light.shape
     towards = directions.reshape(1, -1, 3)
 
@@ -375,7 +384,7 @@ def light_curve_m2_sr(
     return np.asarray(value)
 
 
-def needs_velocity(body: Body) -> bool:
+def needs_velocity(body: Body | MeshBody) -> bool:
     """True where a law of the body follows the orbit's motion."""
     if isinstance(body, LightCurveBody | SphereBody):
         return False

@@ -7,6 +7,7 @@ from pipeline.plan.bodies import flicker_share
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.spec.body import CompositeBody
+from pipeline.spec.mesh import MeshBody
 from pipeline.spec.orbit import KeplerianOrbit, NumericalOrbit, StateOrbit, TableOrbit
 from pipeline.spec.scene import Scene, Target
 
@@ -34,6 +35,16 @@ def decide_targets(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]
             f"{flicker_share(ends):.2g} of a target's light in the frames looked at",
         ),
     ]  # fmt: skip
+
+
+def mesh_notices(scene: Scene) -> list[str]:
+    """What the meshes of a scene have to say of themselves: holes, mended normals."""
+    return [
+        f"{t.name}: {notice}"
+        for t in scene.targets
+        if isinstance(t.body, MeshBody) and t.body.model is not None
+        for notice in t.body.model.notices
+    ]
 
 
 def _names(targets: list[Target]) -> str:
@@ -64,6 +75,21 @@ def _lighting(scene: Scene) -> list[Decision]:
             "Earth, 0.7% at GEO, 26% at 500 km (albedo 0.3), all of it in the shadow of the body",
         ),
     ]  # fmt: skip
+    meshes = [t for t in targets if isinstance(t.body, MeshBody)]
+    if meshes:
+        shares = [t.body.error for t in meshes if isinstance(t.body, MeshBody) and t.body.error]
+        out += [
+            Decision(
+                "targets.mesh_shadows", True,
+                f"{_names(meshes)}: self-shadowing and mutual occlusion, areas to within "
+                f"{max(shares, default=0.0):.2g} of the light; a convex body needs none",
+            ),
+            Decision(
+                "targets.light_between_facets", False,
+                "one reflection only: in concave corners of bright diffuse surfaces a part of the "
+                "light is missing; no bound is known",
+            ),
+        ]  # fmt: skip
     if composite:
         out.append(
             Decision(

@@ -174,6 +174,12 @@ PATH_FIELDS = (
     ("sensor", "distortion", "path"),
     ("observer", "orbit", "path"),
     ("targets", "*", "orbit", "path"),  # of each target
+    ("targets", "*", "body", "path"),
+    ("targets", "*", "body", "surface", "path"),
+    ("targets", "*", "body", "materials", "*", "path"),
+    ("targets", "*", "body", "parts", "*", "path"),
+    ("targets", "*", "body", "parts", "*", "surface", "path"),
+    ("targets", "*", "body", "parts", "*", "materials", "*", "path"),
 )
 
 
@@ -191,8 +197,10 @@ def path_holders(data: Any) -> Iterator[tuple[str, dict[str, Any], str]]:
 
 
 def _inner(holder: Any, section: str) -> list[tuple[str, Any]]:
-    """What a mapping holds under a key, or with * everything that a list holds."""
+    """What a mapping holds under a key, or with * everything that a list or mapping holds."""
     if section == "*":
+        if isinstance(holder, dict):
+            return [(str(k), v) for k, v in holder.items()]
         return [(str(i), v) for i, v in enumerate(holder)] if isinstance(holder, list) else []
     return [(section, holder.get(section))] if isinstance(holder, dict) else []
 

@@ -9,6 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from pipeline.spec.background import Background
 from pipeline.spec.body import Body, Lighting
+from pipeline.spec.mesh import MeshBody
 from pipeline.spec.observer import Observer
 from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import Pointing, TargetPointing
@@ -126,7 +127,7 @@ class Target(Strict):
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
     orbit: Orbit
-    body: Body
+    body: Annotated[Body | MeshBody, Field(discriminator="kind")]
     lighting: Lighting | None = Field(None, description="default: direct sunlight, round Earth")
     eclipse: bool = Field(True, description="dim it in the Earth's shadow")
 

@@ -1,0 +1,1 @@
+"""Cosmic rays: tracks through silicon, libraries of recorded events, and how to find those."""

@@ -1,0 +1,1 @@
+"""Meshes: facets with glossy surfaces, moving parts, shadows; intensity and pictures."""

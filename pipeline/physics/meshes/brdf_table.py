@@ -1,0 +1,118 @@
+"""Measured reflection: an isotropic BRDF as a table over both zenith angles and the azimuth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.errors import BadInput
+
+Array = NDArray[np.float64]
+
+FIELD = "brdf"
+MOST_LIGHT = 1.02  # a measured albedo may lie above 1 by its error
+STEPS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class BrdfTable:
+    """An isotropic BRDF on a grid of angles; linear between them. Made by `brdf_table`.
+
+    theta_i_rad, theta_o_rad : ascending zenith angles of Sun and observer, from 0; beyond the last
+        one the value at it holds
+    phi_rad : ascending azimuth between them, 0 (observer on the Sun's side, backscatter) to pi
+        (forward, where a mirror shines)
+    value : (theta_i, theta_o, phi) 1/sr
+    """
+
+    theta_i_rad: Array
+    theta_o_rad: Array
+    phi_rad: Array
+    value: Array
+
+    def __call__(self, normal: ArrayLike, sun: ArrayLike, observer: ArrayLike) -> Array:
+        """BRDF (...,) [1/sr] for unit vectors (..., 3); 0 from behind."""
+        n, s, o = (np.asarray(v, float) for v in (normal, sun, observer))
+        mu_i, mu_o = np.sum(n * s, -1), np.sum(n * o, -1)
+        across_s, across_o = s - mu_i[..., None] * n, o - mu_o[..., None] * n
+        sine_i, sine_o = (np.sqrt(np.sum(v * v, -1)) for v in (across_s, across_o))
+        along = np.sum(across_s * across_o, -1)
+        side = np.sqrt(np.sum(np.square(np.cross(across_s, across_o)), -1))
+        value = self.at(np.arctan2(sine_i, mu_i), np.arctan2(sine_o, mu_o), np.arctan2(side, along))
+        return np.where((mu_i > 0.0) & (mu_o > 0.0), value, 0.0)
+
+    def at(self, theta_i_rad: ArrayLike, theta_o_rad: ArrayLike, phi_rad: ArrayLike) -> Array:
+        """BRDF [1/sr] at angles, broadcast together; trilinear."""
+        grids = (self.theta_i_rad, self.theta_o_rad, self.phi_rad)
+        cells = [
+            _cell(g, a) for g, a in zip(grids, (theta_i_rad, theta_o_rad, phi_rad), strict=True)
+        ]
+        total: Array = np.zeros(np.broadcast(*(share for _, share in cells)).shape)
+        for corner in np.ndindex(2, 2, 2):
+            weight: Array = np.ones(())
+            index = []
+            for (low, share), k, grid in zip(cells, corner, grids, strict=True):
+                weight = weight * (share if k else 1.0 - share)
+                index.append(np.minimum(low + k, grid.size - 1))
+            total = total + weight * self.value[tuple(index)]
+        return total
+
+    def reflected_share(self, theta_i_rad: ArrayLike) -> Array:
+        """Share (n,) of the light from some zenith angles that is reflected anywhere."""
+        nodes, weights = np.polynomial.legendre.leggauss(STEPS)
+        theta, dt = np.pi / 4 * (nodes + 1.0), np.pi / 4 * weights
+        phi, dp = np.pi / 2 * (nodes + 1.0), np.pi * weights
+        angle = np.asarray(theta_i_rad, float)[:, None, None]
+        f = self.at(angle, theta[:, None], phi)
+        return np.asarray(np.sum(f * (np.sin(theta) * np.cos(theta) * dt)[:, None] * dp, (1, 2)))
+
+
+def brdf_table(
+    theta_i_rad: ArrayLike,
+    theta_o_rad: ArrayLike,
+    phi_rad: ArrayLike,
+    value: ArrayLike,
+    field: str = FIELD,
+) -> BrdfTable:
+    """A checked table, averaged with its mirror image where both angle grids are one.
+
+    Nature's BRDFs stay the same when Sun and observer change places; measured ones do so to their
+    error. BadInput, naming `field`, where an axis does not rise or leaves its range, a value is
+    negative or not finite, or more than 1.02 of the light would be reflected.
+    """
+    axes = [np.asarray(a, float) for a in (theta_i_rad, theta_o_rad, phi_rad)]
+    table = np.array(value, float)
+    for name, axis, top in zip(("theta_i", "theta_o", "phi"), axes, (90, 90, 180), strict=True):
+        good = axis.ndim == 1 and axis.size >= 1 and bool(np.all(np.isfinite(axis)))
+        good = good and bool(np.all(np.diff(axis) > 0.0) and axis[0] == 0.0)
+        if not (good and axis[-1] <= np.deg2rad(top) + 1e-9):
+            raise BadInput(f"{field}.{name}", "its angles", f"angles that rise from 0 to <= {top}")
+    shape = tuple(a.size for a in axes)
+    if table.shape != shape:
+        raise BadInput(field, f"{table.shape} values", f"one for each direction: {shape}")
+    if not (np.all(np.isfinite(table)) and table.min() >= 0.0):
+        raise BadInput(field, "a negative or missing value", "BRDF values >= 0 [1/sr]")
+    if np.array_equal(axes[0], axes[1]):
+        table = 0.5 * (table + table.transpose(1, 0, 2))
+    made = BrdfTable(axes[0], axes[1], axes[2], table)
+    share = made.reflected_share(np.linspace(0.0, 1.5, 16)).max()
+    if share > MOST_LIGHT:
+        raise BadInput(field, f"a surface that reflects {share:.3g} of the light", "at most all")
+    return made
+
+
+def reciprocity_error(value: ArrayLike) -> float:
+    """Greatest difference of a table (n, n, phi) from its mirror image, over its mean."""
+    table = np.asarray(value, float)
+    return float(np.abs(table - table.transpose(1, 0, 2)).max() / max(table.mean(), 1e-300))
+
+
+def _cell(grid: Array, at: ArrayLike) -> tuple[NDArray[np.int64], Array]:
+    """Which step of a grid a value lies in, and how far along it, 0 to 1."""
+    x = np.clip(np.asarray(at, float), grid[0], grid[-1])
+    low = np.clip(np.searchsorted(grid, x, side="right") - 1, 0, max(grid.size - 2, 0))
+    high = np.minimum(low + 1, grid.size - 1)
+    step = grid[high] - grid[low]
+    return low, np.where(step > 0.0, (x - grid[low]) / np.where(step > 0.0, step, 1.0), 0.0)

@@ -1,0 +1,65 @@
+"""Cosmic rays: made by a physical generator, or taken from a library of recorded events."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from pipeline.spec.strict import Strict
+
+MAX_PATH = 1024
+SPACE_RATE_PER_CM2_S = 5.0  # galactic cosmic rays far above the Earth, solar minimum
+GROUND_RATE_PER_CM2_S = 1.0 / 60.0  # muons at sea level on a level surface
+SPACE_HELIUM_SHARE = 0.09
+MUON_ZENITH_POWER = 2.0
+
+
+class GeneratedCosmicRays(Strict):
+    """Straight tracks of fast nuclei through the silicon.
+
+    source : `space`, an isotropic flux with 9% helium; `ground`, muons about the zenith (cos^2),
+        for a detector that faces it
+    rate_per_cm2_s : events per square centimetre of detector and second
+    """
+
+    kind: Literal["generated"]
+    source: Literal["space", "ground"] = "space"
+    rate_per_cm2_s: float | None = Field(
+        None, ge=0, le=1e5, description="default: 5 in space, 1/60 on the ground (sea level)"
+    )
+    thickness_um: float = Field(
+        15.0, ge=0.5, le=2000, description="of the silicon that collects charge"
+    )
+    diffusion_um: float = Field(
+        3.0, ge=0, le=100, description="rms per axis of charge from the side far of the electrodes"
+    )
+    helium_share: float | None = Field(
+        None, ge=0, le=1, description="of all events; default: 0.09 in space, 0 on the ground"
+    )
+    delta_electrons: bool = Field(
+        True, description="electrons of 30 keV and more make tracks; else they are cut off there"
+    )
+    after_flat: bool = Field(
+        False, description="true: the flat does not dim them (the paper's order dims them)"
+    )
+
+
+class LibraryCosmicRays(Strict):
+    """Recorded events, at the recorded rate times `rate_scale`.
+
+    arrival : `poisson`, a Poisson number of single events at random places; `frames`, the paper's
+        rule: whole recorded frames at their places, the centre cut out of larger ones and smaller
+        ones tiled over the detector
+    """
+
+    kind: Literal["library"]
+    path: Annotated[str, Field(min_length=1, max_length=MAX_PATH)]
+    rate_scale: float = Field(1.0, ge=0, le=1e6, description="relative to the recorded rate")
+    arrival: Literal["poisson", "frames"] = "poisson"
+    after_flat: bool = Field(
+        False, description="true: the flat does not dim them (the paper's order dims them)"
+    )
+
+
+CosmicRays = Annotated[GeneratedCosmicRays | LibraryCosmicRays, Field(discriminator="kind")]
