@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.catalog_cli import catalog
+from pipeline.cosmic_rays_cli import cosmic_rays
 from pipeline.options import Json, Output, SchedulerName, Workers, print_json
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
@@ -22,6 +23,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(catalog, name="catalog")
+app.add_typer(cosmic_rays, name="cosmic-rays")
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 

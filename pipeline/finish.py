@@ -227,6 +227,10 @@ def _empty(plan: Plan, kind: str) -> pa.Table:
     """A truth table without rows, for its schema."""
     import pyarrow as pa
 
+    if kind == "cosmic_rays":
+        from pipeline.physics.cosmic_rays.frame import no_truth
+
+        return pa.table(no_truth())
     g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
     if kind == "targets":
         return pa.table(target_truth(plan, g)).slice(0, 0)

@@ -53,6 +53,7 @@ from pipeline.store.markers import markers_present
 from pipeline.store.product import Begun, begin, truth_kinds
 
 if TYPE_CHECKING:
+    from pipeline.physics.cosmic_rays.frame import CosmicRays
     from pipeline.plan.sky import SkyPlan
 
 Listener = Callable[["Progress"], None]
@@ -94,6 +95,7 @@ class Prepared:
     catalogues: tuple[Catalogue, ...]
     left_out: tuple[np.ndarray, ...]
     seconds: float
+    rays: CosmicRays | None = None
 
 
 def resolve(scene: Scene) -> Scene:
@@ -137,7 +139,8 @@ def prepare(scene: Scene) -> Prepared:
     plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky)
     left_out = _left_out(plan, catalogues)
     plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
-    return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started)
+    rays = _cosmic_rays(scene)
+    return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started, rays)
 
 
 def _sky(
@@ -163,6 +166,15 @@ def _sky(
         limit = {"faintest_g_mag": sky.faintest_g_mag, "limit_from_noise": False}
         scene = scene.model_copy(update={"stars": stars.model_copy(update=limit)})
     return scene, facts_with_sky(facts, scene, sky), sky
+
+
+def _cosmic_rays(scene: Scene) -> CosmicRays | None:
+    """What draws the scene's cosmic rays; nothing is imported or read for a scene without."""
+    if scene.cosmic_rays is None:
+        return None
+    from pipeline.inputs.cosmic_rays import gather_cosmic_rays
+
+    return gather_cosmic_rays(scene.cosmic_rays, scene.sensor, scene.exposure.integration_s)
 
 
 def gather_response(scene: Scene) -> tuple[ResponseCurve, str, str]:
@@ -285,7 +297,7 @@ def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listen
     """Run every missing task, window by window of frames."""
     plan, catalogues = prepared.plan, prepared.catalogues
     inputs = scheduler.share(
-        Inputs(plan, prepared.maps, catalogues, prepared.left_out, begun.writer)
+        Inputs(plan, prepared.maps, catalogues, prepared.left_out, begun.writer, prepared.rays)
     )
     total = len(plan.tiles) * plan.frames
     ref_epochs = tuple(c.ref_epoch_jyear for c in catalogues)
@@ -334,7 +346,10 @@ def _missing(plan: Plan, begun: Begun, frames: np.ndarray) -> Work | None:
     if not tiles and not any(truth.values()):
         return None
     geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
-    return Work(geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()))
+    return Work(
+        geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()),
+        truth.get("cosmic_rays", ()),
+    )  # fmt: skip
 
 
 def _all_done(begun: Begun, plan: Plan) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from pipeline.plan.tiles import Tile
 from pipeline.store.cube import CubeWriter
 from pipeline.store.truth import write_part
 
+if TYPE_CHECKING:
+    from pipeline.physics.cosmic_rays.frame import CosmicRays
+
 Key = tuple[Any, ...]
 
 
@@ -38,6 +41,7 @@ class Inputs:
     catalogues: tuple[Catalogue, ...]
     left_out: tuple[np.ndarray, ...]
     writer: CubeWriter
+    rays: CosmicRays | None = None
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,7 @@ class Work:
     tiles: tuple[tuple[int, Tile], ...]
     star_truth: tuple[int, ...]
     target_truth: tuple[int, ...]
+    ray_truth: tuple[int, ...] = ()
 
 
 def shard_key(shard: Shard) -> Key:
@@ -113,6 +118,10 @@ def window_graph(
         g = work.geometry.frame_slice(index)
         graph[("target_truth", int(g.frame[0]))] = (target_truth_task, inputs, g)
         wanted.append(("target_truth", int(g.frame[0])))
+    for index in work.ray_truth:
+        frame = int(work.geometry.frame[index])
+        graph[("ray_truth", frame)] = (ray_truth_task, inputs, work.geometry.frame_slice(index))
+        wanted.append(("ray_truth", frame))
     return graph, wanted
 
 
@@ -203,7 +212,7 @@ def tile_task(
     inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
 ) -> tuple[int, int, int]:
     """Task: render one tile of one frame and store it; returns only its name."""
-    layers, checks = render_tile(inputs.plan, inputs.maps, g, tile, parts, blocks)
+    layers, checks = render_tile(inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays)
     inputs.writer.write(int(g.frame[0]), tile, layers, checks)
     return int(g.frame[0]), tile.row, tile.column
 
@@ -217,6 +226,18 @@ def star_truth_task(inputs: Inputs, g: Geometry, parts: list[FrameStars]) -> int
 def target_truth_task(inputs: Inputs, g: Geometry) -> int:
     """Task: the targets' truth of one frame; returns the rows."""
     return _write_truth(inputs, "targets", g, target_truth(inputs.plan, g))
+
+
+def ray_truth_task(inputs: Inputs, g: Geometry) -> int:
+    """Task: the cosmic rays' truth of one frame; returns the rows."""
+    from pipeline.physics.cosmic_rays.frame import no_truth, truth_columns
+
+    frame = int(g.frame[0])
+    columns = (
+        no_truth() if inputs.rays is None
+        else truth_columns(inputs.rays, inputs.plan.scene.seed, frame)
+    )  # fmt: skip
+    return _write_truth(inputs, "cosmic_rays", g, columns)
 
 
 def _write_truth(inputs: Inputs, kind: str, g: Geometry, columns: dict[str, Any]) -> int:

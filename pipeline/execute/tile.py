@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from pipeline.physics.noise.streams import stream_key
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 
+if TYPE_CHECKING:
+    from pipeline.physics.cosmic_rays.frame import CosmicRays
+
 NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, beyond it is a fault
 
 
@@ -27,12 +30,13 @@ def render_tile(
     tile: Tile,
     parts: list[FrameStars],
     blocks: list[Block],
+    rays: CosmicRays | None = None,
 ) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
     """The layers of a tile that the scene asks for, and what the reference path found in it.
 
     The layers are `dn`, and the noise-free ones in float32. The light layers are what the pixels
     collect (after the flat), so that with the dark they sum to `mean_e`, the mean of the noisy
-    frame before full well and ADC.
+    frame before full well and ADC. `cosmic_rays_e` is drawn charge and not in it.
     """
     chain = _chain(plan, maps, tile)
     light: dict[str, Array] = {}
@@ -59,7 +63,10 @@ def render_tile(
         tile.y0, tile.x0, int(g.frame[0]), stream_key(plan.scene.seed, "photon_noise"),
         stream_key(plan.scene.seed, "read_noise"),
     )  # fmt: skip
-    out: dict[str, NDArray] = {"dn": to_dn(mean, chain, place)}
+    drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
+    out: dict[str, NDArray] = {"dn": to_dn(mean, chain, place, drawn)}
+    if drawn is not None:
+        layers["cosmic_rays_e"] = drawn
     for name in plan.scene.output.layers:
         if name != "dn":
             value = mean if name == "mean_e" else layers.get(name, np.zeros(shape))
@@ -67,6 +74,16 @@ def render_tile(
     return out, check_tile(
         plan, g, tile, parts, list(light.values()), lambda part: _noise_e(mean, chain, part)
     )
+
+
+def _cosmic_rays_e(plan: Plan, rays: CosmicRays, chain: Chain, g: Geometry, tile: Tile) -> Array:
+    """Charge of cosmic rays in a tile; before the flat, as in the paper, or after it."""
+    from pipeline.physics.cosmic_rays.frame import charge_e
+
+    assert plan.scene.cosmic_rays is not None
+    place = (tile.y0, tile.x0, tile.rows, tile.columns)
+    charge = charge_e(rays, plan.scene.seed, int(g.frame[0]), *place)
+    return charge if plan.scene.cosmic_rays.after_flat else charge * chain.flat
 
 
 def _noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:

@@ -42,8 +42,37 @@ def _components(scene: Scene, facts: Facts) -> list[Decision]:
         else Decision("background", True, f"uniform, {facts.background_e_s:.4g} e-/s per pixel")
         if sky
         else Decision("background", False, absent, 0.0, 0.0),
-        Decision("cosmic_rays", False, absent, 0.0, 0.0),
+        _cosmic_rays(scene),
     ]
+
+
+def _cosmic_rays(scene: Scene) -> Decision:
+    """What cosmic rays are, and how far they go from real ones."""
+    rays = scene.cosmic_rays
+    if rays is None:
+        return Decision("cosmic_rays", False, "the scene has no such section", 0.0, 0.0)
+    flat = "the flat does not act on it" if rays.after_flat else "the flat acts on it, as in paper"
+    if rays.kind == "library":
+        if rays.rate_scale == 0.0:
+            return Decision("cosmic_rays", False, "rate_scale is 0", 0.0, 0.0)
+        how = {
+            "poisson": "a Poisson number of recorded events at random places",
+            "frames": "whole recorded frames, cut out or tiled, as in the paper: no Poisson number",
+        }[rays.arrival]
+        return Decision(
+            "cosmic_rays", True,
+            f"{how}, {rays.rate_scale:g} times the recorded rate; charge pixel by pixel as "
+            f"recorded, whatever the size of its pixels, and without its faint edges below the "
+            f"threshold of the extraction; {flat}",
+        )  # fmt: skip
+    if rays.rate_per_cm2_s == 0.0:
+        return Decision("cosmic_rays", False, "rate_per_cm2_s is 0", 0.0, 0.0)
+    return Decision(
+        "cosmic_rays", True,
+        f"straight tracks of fast nuclei ({rays.source}) through {rays.thickness_um:g} um of "
+        "silicon, Poisson arrival, Landau straggling; no slow or stopping particles, no curved "
+        f"electron tracks, no showers; {flat}",
+    )  # fmt: skip
 
 
 def _noise_terms(scene: Scene) -> list[Decision]:

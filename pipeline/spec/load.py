@@ -161,6 +161,7 @@ def _checked(data: dict[str, Any]) -> Scene:
 
 PATH_FIELDS = (
     ("stars", "catalogue"),
+    ("cosmic_rays", "path"),
     ("sensor", "transmission"),
     ("sensor", "quantum_efficiency"),
     ("sensor", "gain_e_per_dn"),

@@ -9,6 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from pipeline.spec.background import Background
 from pipeline.spec.body import Body, Lighting
+from pipeline.spec.cosmic_rays import CosmicRays
 from pipeline.spec.mesh import MeshBody
 from pipeline.spec.observer import Observer
 from pipeline.spec.orbit import Orbit
@@ -17,7 +18,7 @@ from pipeline.spec.sensor import Sensor
 from pipeline.spec.strict import Positive, Strict
 
 SCHEMA = "nightglass/scene/1"
-LAYERS = ("dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e")
+LAYERS = ("dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e", "cosmic_rays_e")
 CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
 MAX_CATALOGUES, MAX_PATH = 8, 1024
 
@@ -163,6 +164,7 @@ class Scene(Strict):
     stars: Stars | None = None
     targets: tuple[Target, ...] = Field((), max_length=100_000)
     background: Background | None = None
+    cosmic_rays: CosmicRays | None = None
     output: Output = Output()
 
     @model_validator(mode="after")

@@ -10,7 +10,6 @@ from pydantic_core import PydanticCustomError
 
 # Keys of the scene format that this version does not render yet, and what it says of them.
 NOT_YET = {
-    "cosmic_rays": "cosmic rays are not in this version",
     "pst": "stray light by a point-source transmittance is not in this version",
     "stray_light": "stray light is not in this version; use a uniform background",
 }

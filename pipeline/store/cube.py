@@ -29,6 +29,7 @@ LONG_NAMES = {
     "targets_e": ("light of the targets after the flat", "electron"),
     "background_e": ("light of the sky after the flat", "electron"),
     "dark_e": ("dark signal", "electron"),
+    "cosmic_rays_e": ("charge of cosmic rays, drawn; not in mean_e", "electron"),
 }
 
 

@@ -136,7 +136,11 @@ def _writer(path: Path, plan: Plan) -> CubeWriter:
 
 def truth_kinds(plan: Plan) -> tuple[str, ...]:
     """The truth tables that a scene has."""
-    kinds = (("stars", plan.scene.stars is not None), ("targets", bool(plan.scene.targets)))
+    kinds = (
+        ("stars", plan.scene.stars is not None),
+        ("targets", bool(plan.scene.targets)),
+        ("cosmic_rays", plan.scene.cosmic_rays is not None),
+    )
     return tuple(name for name, present in kinds if present)
 
 

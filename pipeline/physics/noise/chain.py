@@ -1,7 +1,8 @@
 """The noise chain, in the paper's order: from mean electrons to digital numbers.
 
-flat (light only) -> dark -> Poisson -> full well -> read noise -> gain -> bias -> ADC
-(paper section 3.8; the full well has no step there and is clipped before the read noise).
+flat (light only) -> dark -> Poisson -> + cosmic rays -> full well -> read noise -> gain -> bias
+-> ADC (paper section 3.8; the full well has no step there and is clipped before the read noise;
+cosmic rays are drawn charge, so no photon noise is drawn from them).
 """
 
 from __future__ import annotations
@@ -57,8 +58,13 @@ def mean_electrons(light_e: Array, chain: Chain) -> Array:
     return light_e * chain.flat + chain.dark_e
 
 
-def to_dn(mean_e: Array, chain: Chain, place: StreamPlace) -> NDArray[np.integer]:
+def to_dn(
+    mean_e: Array, chain: Chain, place: StreamPlace, drawn_e: Array | None = None
+) -> NDArray[np.integer]:
     """Digital numbers of a tile from its mean electrons (ny, nx).
+
+    drawn_e : (ny, nx) charge that is drawn already and has no photon noise (cosmic rays); it joins
+    the photons' before the full well.
 
     Raises ValueError on a mean that is not finite or is negative: no such frame is ever drawn.
     """
@@ -68,6 +74,8 @@ def to_dn(mean_e: Array, chain: Chain, place: StreamPlace) -> NDArray[np.integer
     if chain.photon_noise:
         k0, k1 = place.photon_key
         charge = poisson_image(mean_e, place.y0, place.x0, place.frame, k0, k1)
+    if drawn_e is not None:
+        charge = charge + drawn_e
     if chain.full_well_e is not None:
         charge = np.minimum(charge, chain.full_well_e)
     if np.any(np.asarray(chain.read_noise_e) > 0):
