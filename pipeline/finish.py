@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 SIP_SIZE = 5  # SIP polynomials up to order 4
 SIP_SIZE_DISTORTED = 10  # and up to order 9
 WINDOW = 256
+INSTEAD = ("crowds_by_transforms",)  # of another approximation, of which the bound is counted
 LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
 Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
 
@@ -170,7 +171,7 @@ def _report(
     wcs_residual_px: float,
 ) -> dict[str, Any]:
     usage = resource.getrusage(resource.RUSAGE_SELF)
-    bounds = [d for d in plan.decisions if d.error_bound_e]
+    bounds = [d for d in plan.decisions if d.error_bound_e and d.component not in INSTEAD]
     return {
         "scene": plan.scene.name,
         "complete": True,

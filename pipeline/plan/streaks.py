@@ -19,9 +19,9 @@ from pipeline.physics.positions.focal_plane import Camera
 from pipeline.plan.geometry import star_paths
 from pipeline.spec.scene import CELL_PX
 
-PATH_STEP_PX = 2.0**-8  # shapes are rounded to it, so that alike ones share their tables
-MERGE_TOLERANCE_PX = 2e-3
-SPREAD_TOLERANCE_PX = 1e-2
+PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables
+MERGE_TOLERANCE_PX = 2e-4
+SPREAD_TOLERANCE_PX = 4e-3
 MOST_PIECES = 16
 NODES = np.array([-1.0, 0.0, 1.0])  # of a zone, where paths are followed exactly
 CHECKS = np.array([-1.0, -0.5, 0.5, 1.0])  # where the spread is measured

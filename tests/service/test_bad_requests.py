@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -137,7 +138,7 @@ def test_no_path_field_takes_a_file(
     if "body" in field:
         scene["targets"][0]["body"] = {"kind": "mesh", "unit": "m", "path": "a.obj"}
     holder: Any = scene
-    for part, after in zip(field[:-1], field[1:], strict=True):
+    for part, after in pairwise(field):
         several: Any = [{"name": "a", "path": "b.obj"}]
         if part == "materials":
             several = {"0": {"kind": "table"}}
