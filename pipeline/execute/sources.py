@@ -120,11 +120,14 @@ def zone_of(plan: Plan, x_px: Array, y_px: Array) -> np.ndarray:
     return (row * zones + column).astype(np.int64)
 
 
-def place_targets(plan: Plan, g: Geometry) -> list[FrameTarget]:
-    """Targets that are in front of the camera and lit, with their light [e-] along their path."""
+def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[FrameTarget]:
+    """Targets that are in front of the camera and lit, with their light [e-] along their path.
+
+    everywhere : also those whose light does not reach the frame
+    """
     electrons = plan.sun_rate_e_s_m2 * plan.facts.area_m2 * plan.scene.exposure.integration_s
     out = []
-    for i in range(len(plan.scene.targets)):
+    for i in range(len(plan.scene.targets)) if everywhere else _reaching(plan, g):
         x, y, light = g.target_x_px[i, 0], g.target_y_px[i, 0], g.target_light[i, 0]
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
             continue
@@ -135,6 +138,21 @@ def place_targets(plan: Plan, g: Geometry) -> list[FrameTarget]:
         path = path_through(x - x0, y - y0, weight, MERGE_TOLERANCE_PX)
         out.append(_seen(plan, g, FrameTarget(i, x0, y0, path, total * electrons)))
     return out
+
+
+def _reaching(plan: Plan, g: Geometry) -> list[int]:
+    """Targets whose path, with all that may be drawn around it, touches the frame."""
+    x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
+    size = np.array([
+        0.5 * t.body.diameter_m if isinstance(t.body, SphereBody) else 0.0
+        for t in plan.scene.targets
+    ])  # fmt: skip
+    with np.errstate(invalid="ignore", divide="ignore"):
+        radius = size / (g.target_range_m[:, 0].min(axis=-1) * plan.facts.ifov_rad)
+        margin = plan.halo_px + plan.responses.reach_core_px + radius
+        inside = (x.max(axis=-1) > -margin) & (x.min(axis=-1) < plan.camera.columns + margin)
+        inside &= (y.max(axis=-1) > -margin) & (y.min(axis=-1) < plan.camera.rows + margin)
+    return [int(i) for i in np.flatnonzero(inside)]
 
 
 def _seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:

@@ -63,7 +63,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
 def target_truth(plan: Plan, g: Geometry) -> Columns:
     """Columns of truth/targets.parquet for one frame: every target, also those not in view."""
     middle, count = g.middle, len(plan.scene.targets)
-    drawn = {t.index: t for t in place_targets(plan, g)}
+    drawn = {t.index: t for t in place_targets(plan, g, everywhere=True)}
     seen = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     effects = plan.scene.star_effects
     direction = proper_to_astrometric(

@@ -87,6 +87,11 @@ class ResponsePlan:
         """Every response."""
         return (self.blur,) if self.field is None else self.field.blurs
 
+    @property
+    def reach_core_px(self) -> float:
+        """Radius of the largest core, 0 without sources."""
+        return self.classes[-1].radius_px if self.classes else 0.0
+
     def parts(
         self, x_px: Array, y_px: Array, light_e: Array
     ) -> Iterator[tuple[Blur, slice | NDArray[np.intp], Array]]:
