@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
+from pipeline.physics.targets.disc import photocentre_offset
 from pipeline.run import render
 from pipeline.spec.load import load_scene, parse_scene
 from pipeline.store.cube import open_cube
@@ -22,14 +24,20 @@ def test_scene_is_valid_and_complete(path):
 
 
 def test_scene_without_catalogue(tmp_path):
-    """A space-based observer that follows another satellite holds it at the centre."""
+    """A space-based observer that follows another satellite holds it at the centre.
+
+    The light of a sphere that is lit from a side stands off its centre by what its phase says.
+    """
     render(load_scene(ROOT / "examples" / "space-based-rate.yaml"), tmp_path / "run")
     cube = open_cube(tmp_path / "run")
     assert cube["dn"].shape == (5, 512, 512)
     light = cube["targets_e"].values
-    for frame in light:
+    truth = pq.read_table(tmp_path / "run" / "truth" / "targets.parquet").to_pylist()
+    for frame, row in zip(light, truth, strict=True):
+        assert (row["x_px"], row["y_px"]) == pytest.approx((255.5, 255.5), abs=1e-6)
+        off = photocentre_offset(row["radius_px"], np.radians(row["phase_deg"]))
         total = frame.sum()
         assert total > 1000
         y, x = np.indices(frame.shape)
-        assert (x * frame).sum() / total == pytest.approx(255.5, abs=1e-2)
-        assert (y * frame).sum() / total == pytest.approx(255.5, abs=1e-2)
+        dx, dy = (x * frame).sum() / total - 255.5, (y * frame).sum() / total - 255.5
+        assert np.hypot(dx, dy) == pytest.approx(off, abs=1e-2)

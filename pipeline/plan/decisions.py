@@ -10,7 +10,6 @@ from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.responses import BLOCK_PX, ResponsePlan
-from pipeline.plan.streaks import MERGE_TOLERANCE_PX, PATH_STEP_PX
 from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.scene import Scene
 
@@ -244,14 +243,15 @@ def _over_the_field(r: ResponsePlan) -> Decision:
 def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
     """How the stars' streaks and crowds are drawn."""
     s = r.streaks
-    off = s.spread_px + 0.5 * PATH_STEP_PX + MERGE_TOLERANCE_PX if s.longest_px else 0.0
+    off = s.spread_px + 0.5 * s.step_px + s.merge_px if s.longest_px else 0.0
     out = [
         Decision(
             "common_streak", True,
             f"{s.zones} x {s.zones} zone(s) and {s.pieces} piece(s) of the exposure, each with one "
             "shape for all its stars, set where each star's own light is. Ends are off by at most "
             f"{off:.2g} px, {s.spread_px:.2g} px of it the field's: about that share of the light "
-            "of a pixel there; the bound is that of a pixel whose light equals the noise floor",
+            "of a pixel there, so that bright streaks err by more than the bound, which is that of "
+            "a pixel whose light equals the noise floor (`achieved_error` tells of the brightest)",
             off * sigma_e, off,
         )
     ]  # fmt: skip

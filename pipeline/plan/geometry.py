@@ -102,9 +102,10 @@ def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geo
                 f"{nodes} nodes (see pointing and orbits)",
             )
         nodes = 2 * nodes - 1
-    if np.array_equal(frames, looked_at):
-        return geometry
-    return _geometry(scene, frames, nodes, dut1_s)
+    if not np.array_equal(frames, looked_at):
+        geometry = _geometry(scene, frames, nodes, dut1_s)
+    _check_paths(scene, geometry)
+    return geometry
 
 
 def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float) -> Geometry:
@@ -303,6 +304,38 @@ def _check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
             "pointing", f"{-np.degrees(limb.min()):.2f} deg inside the Earth's limb",
             "a boresight beside the Earth's disc during all exposures",
         )  # fmt: skip
+
+
+def _check_paths(scene: Scene, g: Geometry) -> None:
+    """Refuse absurd streaks over the frame: a bad orbit, a near collision, a wild pointing."""
+    rows, columns = scene.sensor.shape
+    with np.errstate(invalid="ignore", over="ignore"):
+        x, y = g.target_x_px, g.target_y_px
+        length = np.hypot(np.diff(x, axis=-1), np.diff(y, axis=-1)).sum(axis=-1)
+        touches = (x.max(axis=-1) > 0) & (x.min(axis=-1) < columns)
+        touches &= (y.max(axis=-1) > 0) & (y.min(axis=-1) < rows)
+    absurd = touches & (length > LONGEST_STREAK_PX)
+    if absurd.any():
+        target, frame = np.argwhere(absurd)[0]
+        raise BadInput(
+            f"targets.{target}.orbit",
+            f"{length[target, frame]:.3g} px over the frame in exposure {g.frame[frame]}",
+            f"streaks of at most {LONGEST_STREAK_PX:.0f} px: a shorter exposure, or another orbit",
+        )
+    if scene.stars is None:
+        return
+    camera = camera_of(scene)
+    paths = star_paths(camera, g, *_field_points(camera), scene.star_effects["aberration"])
+    length = np.hypot(*np.diff(paths, axis=-1)).sum(axis=-1).max(axis=0)
+    absurd = ~(length <= LONGEST_STREAK_PX)
+    if absurd.any():
+        frame = int(np.argmax(absurd))
+        raise BadInput(
+            "pointing",
+            f"stars that streak {length[frame]:.3g} px in exposure {g.frame[frame]}",
+            f"streaks of at most {LONGEST_STREAK_PX:.0f} px: a shorter exposure, or a slower "
+            "pointing",
+        )
 
 
 def _bend_px(scene: Scene, g: Geometry) -> float:

@@ -32,10 +32,11 @@ TABLE_BYTES = 48e6
 FIELD_BYTES = 80e6  # what the tables of one core class may take together, over a field
 MOST_CLASSES = 5
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
+LARGEST_CORE_PX = 256.0
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
 SMALL_RADIUS_PX = 1e-2
 NOTHING_BEYOND = (1e-8, 1e-14)  # of the light, beyond the cores of a response without wings
-STILL = StreakPlan(1, 1, 0.0, 0.0, 1)
+STILL = StreakPlan(1, 1, 0.0, 0.0, 1, 0.0, 0.0)
 BLOCK_PX = 2048  # wings and crowds are drawn in fixed blocks of the focal plane
 # Seconds a star, a stamp's pixel, a star and a pixel of the spectral engine, a sample of a
 # transform: one core of the 2-core reference machine (benchmarks/drawing.py prints them anew).
@@ -120,7 +121,7 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
     aberration = scene.star_effects["aberration"]
     path, streaks = POINT, STILL
     if scene.stars is not None:
-        streaks = plan_streaks(camera, ends, aberration)
+        streaks = plan_streaks(camera, ends, aberration, scene.accuracy.noise_fraction)
         path = _shortest_piece(camera, ends, streaks, aberration)
     if any(b.has_wings for b in blurs):
         for b in blurs:
@@ -129,7 +130,9 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
         spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
         reach = max(_radius_holding(b, scene.accuracy.flux_fraction) for b in blurs)
         reach = max(reach / CUT_FROM, 2.0 * first)
-        cores, cut = _cores(blurs, first, spacing, path, facts.budget_e), CUT_FROM * reach
+        cores = _cores(blurs, first, spacing, path, facts.budget_e)
+        reach = max(reach, 2.0 * cores[-1][0])  # a wing is not cut off where its core still fades
+        cut = CUT_FROM * reach
     else:
         usual, reach = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
         brightest = facts.budget_e / NOTHING_BEYOND[0]
@@ -155,12 +158,13 @@ def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -
 def _check_scale(scene: Scene, blur: Blur) -> None:
     """BadInput for a response with wings that is too sharp or too wide for the pixels."""
     q = blur.optics.scale_px
-    if blur.has_wings and not SMALLEST_Q <= q <= LARGEST_Q:
+    largest = min(LARGEST_Q, LARGEST_CORE_PX * q / blur.core_px) if blur.has_wings else 0.0
+    if blur.has_wings and not (SMALLEST_Q <= q <= LARGEST_Q and blur.core_px <= LARGEST_CORE_PX):
         raise BadInput(
             "sensor.psf",
             f"{scene.sensor.psf.kind} of a scale (Q = lambda F / (D pitch), or FWHM) of {q:.3g} px",
-            f"{SMALLEST_Q} to {LARGEST_Q} px: another pitch, focal length or wavelength, or a "
-            "gaussian",
+            f"{SMALLEST_Q} px to about {largest:.3g} px: "
+            "another pitch, focal length or wavelength, or a gaussian",
         )
 
 

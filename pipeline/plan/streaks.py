@@ -22,6 +22,7 @@ from pipeline.spec.scene import CELL_PX
 PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables
 MERGE_TOLERANCE_PX = 2e-4
 SPREAD_TOLERANCE_PX = 4e-3
+USUAL_FRACTION = 0.05  # noise_fraction for which these tolerances are
 MOST_PIECES = 16
 NODES = np.array([-1.0, 0.0, 1.0])  # of a zone, where paths are followed exactly
 CHECKS = np.array([-1.0, -0.5, 0.5, 1.0])  # where the spread is measured
@@ -85,6 +86,7 @@ class StreakPlan:
     """Zones per axis, pieces of an exposure, and what is left: px from a star's own path.
 
     shapes : different pieces that a frame has at most
+    step_px, merge_px : what shapes are rounded to, and how far their bends may be off
     """
 
     zones: int
@@ -92,10 +94,19 @@ class StreakPlan:
     spread_px: float
     longest_px: float
     shapes: int
+    step_px: float
+    merge_px: float
 
 
-def plan_streaks(camera: Camera, ends: Geometry, aberration: bool) -> StreakPlan:
-    """Fewest zones, then fewest pieces, whose stars streak alike to SPREAD_TOLERANCE_PX."""
+def plan_streaks(
+    camera: Camera, ends: Geometry, aberration: bool, noise_fraction: float = USUAL_FRACTION
+) -> StreakPlan:
+    """Fewest zones, then fewest pieces, whose stars streak alike.
+
+    They do to SPREAD_TOLERANCE_PX at the usual accuracy; a finer one makes all tolerances finer.
+    """
+    finer = 2.0 ** min(0.0, max(-8.0, math.floor(math.log2(noise_fraction / USUAL_FRACTION))))
+    tolerance = SPREAD_TOLERANCE_PX * finer
     most = max(1, math.ceil(max(camera.rows, camera.columns) / CELL_PX))
     zones = 1
     while True:
@@ -103,10 +114,12 @@ def plan_streaks(camera: Camera, ends: Geometry, aberration: bool) -> StreakPlan
         longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
         fewest = _power_of_two(longest / LONGEST_PIECE_PX)
         pieces, spread = fewest, _spread_px(offsets, fewest)
-        while spread > SPREAD_TOLERANCE_PX and pieces < MOST_PIECES:
+        while spread > tolerance and pieces < MOST_PIECES:
             pieces, spread = 2 * pieces, _spread_px(offsets, 2 * pieces)
-        if spread <= SPREAD_TOLERANCE_PX or zones >= most:
-            return StreakPlan(zones, pieces, spread, longest, zones**2 * _shapes(offsets, pieces))
+        if spread <= tolerance or zones >= most:
+            shapes = zones**2 * _shapes(offsets, pieces)
+            step, merge = PATH_STEP_PX * finer, MERGE_TOLERANCE_PX * finer
+            return StreakPlan(zones, pieces, spread, longest, shapes, step, merge)
         zones = min(2 * zones, most)
 
 
@@ -217,21 +230,25 @@ def zone_streak(
     u, v = (m.ravel() for m in np.meshgrid(NODES, NODES))
     offsets = _offsets(camera, g, *zone.places(u, v), aberration)[:, :, 0]
     middle = NODES.size**2 // 2
-    parts, means = _in_pieces(offsets, plan.pieces)
+    longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
+    count = max(plan.pieces, _power_of_two(longest / LONGEST_PIECE_PX))  # this frame may be faster
+    parts, means = _in_pieces(offsets, count)
     made = []
-    for k in range(plan.pieces):
-        path = _rounded(*(parts[:, middle, k] - means[:, middle, k, None]))
+    for k in range(count):
+        dx, dy = parts[:, middle, k] - means[:, middle, k, None]
+        path = _rounded(dx, dy, plan)
         table = means[:, :, k] - np.array(centroid(path))[:, None]
-        made.append(Piece(path, 1.0 / plan.pieces, table.reshape(2, 3, 3)))
+        made.append(Piece(path, 1.0 / count, table.reshape(2, 3, 3)))
     ends = [offsets[:, :, k].reshape(2, 3, 3) for k in (0, -1)]
-    return Streak(zone, _rounded(*offsets[:, middle]), tuple(made), *ends)
+    dx, dy = offsets[:, middle]
+    return Streak(zone, _rounded(dx, dy, plan), tuple(made), *ends)
 
 
-def _rounded(dx: Array, dy: Array) -> Path:
-    """Path through places at equal times, straight runs merged, on the PATH_STEP_PX grid."""
+def _rounded(dx: Array, dy: Array, plan: StreakPlan) -> Path:
+    """Path through places at equal times, straight runs merged, on the plan's grid."""
     steps = len(dx) - 1
-    path = path_through(dx, dy, np.full(steps, 1.0 / steps), MERGE_TOLERANCE_PX)
-    x, y = (np.round(a / PATH_STEP_PX) * PATH_STEP_PX + 0.0 for a in (path.x_px, path.y_px))
+    path = path_through(dx, dy, np.full(steps, 1.0 / steps), plan.merge_px)
+    x, y = (np.round(a / plan.step_px) * plan.step_px + 0.0 for a in (path.x_px, path.y_px))
     return Path(x, y, path.weight)
 
 

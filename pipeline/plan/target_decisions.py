@@ -6,7 +6,7 @@ from pipeline.arrays import Geometry
 from pipeline.plan.bodies import flicker_share
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
-from pipeline.spec.body import CompositeBody
+from pipeline.spec.body import CompositeBody, SphereBody
 from pipeline.spec.mesh import MeshBody
 from pipeline.spec.orbit import KeplerianOrbit, NumericalOrbit, StateOrbit, TableOrbit
 from pipeline.spec.scene import Scene, Target
@@ -22,13 +22,7 @@ def decide_targets(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]
     return [
         *_lighting(scene),
         *_orbits(scene),
-        Decision(
-            "targets.point_sources", True,
-            "a sphere is a point, at the centre of its light, where that errs by at most the bound "
-            "in a pixel; else its disc and lit side at mid-exposure are drawn; other shapes are "
-            "points",
-            facts.budget_e, facts.budget_e / facts.sigma_floor_e,
-        ),
+        *_sizes(scene, facts),
         Decision(
             "targets.light_between_nodes", True,
             f"linear between {ends.nodes} nodes of an exposure: off by at most "
@@ -96,6 +90,30 @@ def _lighting(scene: Scene) -> list[Decision]:
                 "targets.mutual_shadowing", False,
                 f"parts of {_names(composite)} neither shade nor hide each other: their light is "
                 "an upper bound, and no bound of the excess is known",
+            )
+        )  # fmt: skip
+    return out
+
+
+def _sizes(scene: Scene, facts: Facts) -> list[Decision]:
+    """Which bodies are points, and which have a size."""
+    out = []
+    others = [t for t in scene.targets if not isinstance(t.body, SphereBody)]
+    if len(others) < len(scene.targets):
+        out.append(
+            Decision(
+                "targets.point_sources", True,
+                "a sphere is a point, at the centre of its light, where that errs by at most the "
+                "bound in a pixel; else its disc and lit side at mid-exposure are drawn",
+                facts.budget_e, facts.budget_e / facts.sigma_floor_e,
+            )
+        )  # fmt: skip
+    if others:
+        out.append(
+            Decision(
+                "targets.shapes_as_points", True,
+                f"{_names(others)}: points at any size; no bound is known where the body is "
+                "larger than a part of a pixel",
             )
         )  # fmt: skip
     return out

@@ -99,7 +99,7 @@ def test_same_bits_with_layers(server: Any, scene: dict[str, Any], tmp_path: Pat
     for file in server.client.get(f"{job}/results").json()["files"]:
         assert str(server.home).encode() not in server.client.get(file["href"]).content, file
     manifest = folder / "over" / "nightglass.json"
-    manifest.write_text(manifest.read_text().replace('"version": 2', '"version": 9', 1))
+    manifest.write_text(manifest.read_text().replace('"version": 3', '"version": 9', 1))
     failed = server.ended(server.submit(scene))
     assert failed["error"]["errors"][0]["pointer"] == "/stars/catalogue/1"
     assert str(server.home) not in json.dumps(failed)
