@@ -48,4 +48,7 @@ def shorten(value: Any, limit: int = 80) -> str:
         text = repr(value)
     except (ValueError, RecursionError):  # an integer of thousands of digits, endless nesting
         text = f"a {type(value).__name__} too large to show"
-    return text if len(text) <= limit else f"{text[: limit - 1]}…"
+    if len(text) <= limit:
+        return text
+    tail = limit // 2  # the end of a path says most
+    return f"{text[: limit - 1 - tail]}…{text[len(text) - tail :]}"
