@@ -32,7 +32,7 @@ from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.responses import BLOCK_PX
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak
-from pipeline.plan.tiles import Tile
+from pipeline.plan.tiles import Tile, cut_up
 
 
 @dataclass(frozen=True)
@@ -68,18 +68,18 @@ def plan_blocks(plan: Plan, most_stars: float) -> tuple[Tile, ...]:
     r = plan.responses
     if not r.spacing_px and not (r.spectral_from and most_stars >= r.spectral_from):
         return ()
-    rows, columns = plan.scene.sensor.shape
-    return tuple(
-        Tile(i, j, y0, x0, min(BLOCK_PX, rows - y0), min(BLOCK_PX, columns - x0))
-        for i, y0 in enumerate(range(0, rows, BLOCK_PX))
-        for j, x0 in enumerate(range(0, columns, BLOCK_PX))
-    )
+    return cut_up(plan.scene.sensor.shape, (BLOCK_PX, BLOCK_PX))
 
 
 def class_of(plan: Plan, light_e: Array) -> np.ndarray:
     """Core class (n,) of sources by their light: the first whose limit they do not exceed."""
     limits = np.array([c.brightest_e for c in plan.responses.classes])
     return np.searchsorted(limits, light_e, side="left").clip(0, len(limits) - 1)
+
+
+def target_class(plan: Plan, target: FrameTarget) -> int:
+    """Core class of a target."""
+    return int(class_of(plan, np.array([target.light_e]))[0])
 
 
 def parts_of(plan: Plan, x_px: float, y_px: float, light_e: float) -> list[tuple[Blur, float]]:
@@ -207,7 +207,7 @@ def _body_field(plan: Plan, grid: WingGrid, target: FrameTarget) -> Array:
     """Grid values of the wings of an extended body."""
     assert target.body is not None
     r = plan.responses
-    core = r.classes[int(class_of(plan, np.array([target.light_e]))[0])]
+    core = r.classes[target_class(plan, target)]
     field = np.zeros((grid.rows, grid.columns))
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         light = spread_body(grid, target.body, (target.y_px, target.x_px), light_e)

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
-from pipeline.execute.blocks import class_of, parts_of
+from pipeline.arrays import Array, FrameStars, Geometry, concatenate
+from pipeline.execute.blocks import around, class_of, parts_of, target_class
 from pipeline.execute.sources import (
     FrameTarget,
-    distance_px,
     drawing_order,
     excursion_px,
     place_targets,
@@ -82,7 +81,7 @@ def _check_cell(
     part = _window(drawn_e)
     rows, columns = drawn_e[part].shape
     y0, x0 = cell.row * CELL_PX + part[0].start, cell.column * CELL_PX + part[1].start
-    stars = drawing_order(concatenate(parts, FrameStars))
+    stars = concatenate(parts, FrameStars)
     exact, sources = reference(plan, g, Tile(cell.row, cell.column, y0, x0, rows, columns), stars)
     record: dict[str, Any] = {
         "frame": cell.frame, "y0": y0, "x0": x0, "rows": rows, "columns": columns,
@@ -119,7 +118,7 @@ def reference(plan: Plan, g: Geometry, at: Tile, stars: FrameStars) -> tuple[Arr
     wings on a grid of half the spacing: the sum of the phases of its spectrum, in float64. None
     where that would cost more than MOST_TERMS.
     """
-    near = _near(plan, g, at, stars)
+    near = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
     groups: list[tuple[Array, Array, Array, Path]] = []
     if len(near):
         middle = at.x0 + 0.5 * (at.columns - 1), at.y0 + 0.5 * (at.rows - 1)
@@ -147,13 +146,6 @@ def reference(plan: Plan, g: Geometry, at: Tile, stars: FrameStars) -> tuple[Arr
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
-
-
-def _near(plan: Plan, g: Geometry, at: Tile, stars: FrameStars) -> FrameStars:
-    """Stars whose light may reach a window."""
-    reach = plan.halo_px + excursion_px(plan, g)
-    place = (at.y0, at.x0, at.rows, at.columns)
-    return select(stars, distance_px(stars.x_px, stars.y_px, *place) < reach)
 
 
 def _pieces(
@@ -212,7 +204,7 @@ def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     """An extended body with the reference's core, and its wings on the finer grid."""
     assert target.body is not None
     r, place, path = plan.responses, (target.y_px, target.x_px), target.path
-    k = int(class_of(plan, np.array([target.light_e]))[0])
+    k = target_class(plan, target)
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         core = core_of(blur, _radius(plan, k, blur))
         draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)

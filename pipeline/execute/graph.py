@@ -18,7 +18,7 @@ from pipeline.physics.positions.focal_plane import deproject, stretch
 from pipeline.physics.vectors import separation
 from pipeline.plan.geometry import epochs_jyear, observer_distances_au
 from pipeline.plan.scene_plan import Plan, catalogue_cones
-from pipeline.plan.tiles import Tile
+from pipeline.plan.tiles import Tile, overlap
 from pipeline.store.cube import CubeWriter
 from pipeline.store.truth import write_part
 
@@ -100,7 +100,8 @@ def window_graph(
         parts = _places(graph, inputs, plan, view, tile)
         around = []
         for block in blocks:
-            if _overlap(tile, block):
+            shared = overlap(tile, block)
+            if shared.rows and shared.columns:
                 key = ("block", frame, block.row, block.column)
                 if key not in graph:
                     near = _places(graph, inputs, plan, view, block)
@@ -179,11 +180,6 @@ def _meets(leaf: Leaf, pad_rad: float, centre: np.ndarray, radius_rad: float) ->
     """Whether a star of a leaf may stand in a cone (never wrongly no)."""
     apart = float(separation(centre, np.array(leaf.centre)))
     return apart <= radius_rad + leaf.radius_rad + pad_rad
-
-
-def _overlap(a: Tile, b: Tile) -> bool:
-    rows = a.y0 < b.y0 + b.rows and b.y0 < a.y0 + a.rows
-    return rows and a.x0 < b.x0 + b.columns and b.x0 < a.x0 + a.columns
 
 
 def read_shard(inputs: Inputs, shard: Shard) -> StarTable:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
-from pipeline.execute.blocks import Block, around, class_of, parts_of
+from pipeline.execute.blocks import Block, around, class_of, parts_of, target_class
 from pipeline.execute.sources import drawing_order, place_targets, streaks, zone_of
 from pipeline.execute.tables import core_of, swept_core, table_of
 from pipeline.physics.drawing.extended import draw_body
@@ -18,7 +18,7 @@ from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.response import stamp_at
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak
-from pipeline.plan.tiles import Tile
+from pipeline.plan.tiles import Tile, overlap
 
 
 def draw_stars(
@@ -33,7 +33,7 @@ def draw_stars(
         _draw_stamps(plan, image, tile, paths, stars)
     else:
         for block in blocks:
-            part = _overlap(tile, block.place)
+            part = overlap(tile, block.place)
             mine = around(select(stars, ~block.in_crowd(stars.light_e)), part, reach)
             piece = _cut(image, tile, part)
             _draw_stamps(plan, piece, part, paths, mine)
@@ -48,7 +48,7 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
     """Electrons of the targets in a tile: (rows, columns) float64, before the flat."""
     image = np.zeros((tile.rows, tile.columns))
     for target in place_targets(plan, g):
-        k = int(class_of(plan, np.array([target.light_e]))[0])
+        k = target_class(plan, target)
         if target.body is not None:
             place, radius = (target.y_px, target.x_px), plan.responses.classes[k].radius_px
             for blur, light in parts_of(plan, target.x_px, target.y_px, target.light_e):
@@ -126,13 +126,6 @@ def _core_reach(plan: Plan, paths: list[Streak]) -> float:
     return plan.responses.classes[-1].radius_px + sweep + 8.0
 
 
-def _overlap(a: Tile, b: Tile) -> Tile:
-    """The pixels that two tiles share, as a tile."""
-    y0, x0 = max(a.y0, b.y0), max(a.x0, b.x0)
-    y1, x1 = min(a.y0 + a.rows, b.y0 + b.rows), min(a.x0 + a.columns, b.x0 + b.columns)
-    return Tile(a.row, a.column, y0, x0, max(0, y1 - y0), max(0, x1 - x0))
-
-
 def _cut(image: NDArray[Any], place: Tile, part: Tile) -> NDArray[Any]:
     """View of a part of an image that stands at `place`."""
     top, left = part.y0 - place.y0, part.x0 - place.x0
@@ -141,6 +134,6 @@ def _cut(image: NDArray[Any], place: Tile, part: Tile) -> NDArray[Any]:
 
 def _add_wings(image: Array, tile: Tile, block: Block, field: Array | None) -> None:
     """Add the part of a block's wings that falls in a tile."""
-    part = _overlap(tile, block.place)
+    part = overlap(tile, block.place)
     if field is not None and block.grid is not None and part.rows and part.columns:
         add_wings(_cut(image, tile, part), (part.y0, part.x0), block.grid, field)

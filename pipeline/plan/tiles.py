@@ -31,12 +31,24 @@ def tile_shape(scene: Scene) -> tuple[int, int]:
 
 def plan_tiles(scene: Scene) -> tuple[Tile, ...]:
     """The tiles of a frame, row by row; those at the far edges may be smaller."""
-    (rows, columns), (ny, nx) = scene.sensor.shape, tile_shape(scene)
+    return cut_up(scene.sensor.shape, tile_shape(scene))
+
+
+def cut_up(shape: tuple[int, int], sides: tuple[int, int]) -> tuple[Tile, ...]:
+    """Rectangles of at most `sides` (rows, columns) that cover a frame, row by row."""
+    (rows, columns), (ny, nx) = shape, sides
     return tuple(
         Tile(i, j, y0, x0, min(ny, rows - y0), min(nx, columns - x0))
         for i, y0 in enumerate(range(0, rows, ny))
         for j, x0 in enumerate(range(0, columns, nx))
     )
+
+
+def overlap(a: Tile, b: Tile) -> Tile:
+    """The pixels that two rectangles share; without rows or columns where there are none."""
+    y0, x0 = max(a.y0, b.y0), max(a.x0, b.x0)
+    y1, x1 = min(a.y0 + a.rows, b.y0 + b.rows), min(a.x0 + a.columns, b.x0 + b.columns)
+    return Tile(a.row, a.column, y0, x0, max(0, y1 - y0), max(0, x1 - x0))
 
 
 def allowed_tiles(scene: Scene) -> list[int]:
