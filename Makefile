@@ -15,7 +15,7 @@ test: $(VENV)/.tests
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: $(VENV)/.tests
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -m slow --hypothesis-profile search
 
 lint: $(VENV)/.tests
 	$(BIN)/ruff check .

@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-settings.register_profile("steady", deadline=None)  # the first call of a function compiles it
+# The first call of a function compiles it: no deadline. The same examples in every run, so that a
+# change is judged by its own tests; `make test-slow` looks for new ones.
+settings.register_profile("steady", deadline=None, derandomize=True)
+settings.register_profile("search", deadline=None)
 settings.load_profile("steady")
 
 

@@ -71,29 +71,34 @@ def _free_length(work, near, y):
 
 
 @njit(cache=True, nogil=True)
-def _large(work, k, area):
-    """True where the rectangle about polygon k, cut to that about the facet, exceeds an area."""
+def _rectangle(work, k):
+    """Area of the rectangle about polygon k, cut to that about the facet."""
     low, high, left, right = np.inf, -np.inf, np.inf, -np.inf
     for i in range(work.size[k]):
         low, high = min(low, work.x[k, i]), max(high, work.x[k, i])
     for i in range(3):
         left, right = min(left, work.x[0, i]), max(right, work.x[0, i])
     wide = min(high, right) - max(low, left)
-    return wide * (min(work.high[k], work.high[0]) - max(work.low[k], work.low[0])) > area
+    tall = min(work.high[k], work.high[0]) - max(work.low[k], work.low[0])
+    return max(wide, 0.0) * max(tall, 0.0)
 
 
 @njit(cache=True, nogil=True)
 def _steps(work, found, least, smallest):
     """Heights y at which the free length may jump or bend, at least `least` apart.
 
-    Corners of polygons below an area `smallest` are left to the halving of pieces.
+    Corners of polygons below an area `smallest` are left to the halving of pieces, which may
+    overlook them: the second value returned is the area of all such polygons.
     """
     bottom, top = work.low[0], work.high[0]
     marks = np.empty(4 * found + 5)
-    count = 0
+    count, overlooked = 0, 0.0
     for k in range(found + 1):
-        if k > 0 and not _large(work, k, smallest):
-            continue
+        if k > 0:
+            area = _rectangle(work, k)
+            if area <= smallest:
+                overlooked += area
+                continue
         for i in range(work.size[k]):
             if bottom < work.y[k, i] < top:
                 marks[count] = work.y[k, i]
@@ -107,7 +112,7 @@ def _steps(work, found, least, smallest):
             steps[kept] = marks[i]
             kept += 1
     steps[kept] = top
-    return steps[: kept + 1]
+    return steps[: kept + 1], overlooked
 
 
 @njit(cache=True, nogil=True)
@@ -167,7 +172,7 @@ def free_area(work, found, tolerance):
     if not (top > bottom and width > 0.0):
         return 0.0, 0.0
     least = min(0.25 * tolerance / width, 0.51 * (top - bottom))
-    steps = _steps(work, found, least, SMALL * tolerance)
+    steps, overlooked = _steps(work, found, least, SMALL * tolerance)
     order = np.argsort(work.low[1 : found + 1])
     area, error, near, waiting = 0.0, 0.0, 0, 0
     share = tolerance / (top - bottom)
@@ -192,4 +197,4 @@ def free_area(work, found, tolerance):
             more, off = _slab(work, near, low, step, share, FLOOR * tolerance)
             area += more
             error += off
-    return area, error
+    return area, error + min(overlooked, tolerance)

@@ -23,6 +23,7 @@ GRAZING = 1e-7  # cosine below which a facet counts as edge-on
 ROOM = 1e-9  # of the body's radius: heights below it are one plane
 ROUNDS = 12  # of refinement
 PATIENCE = 40.0  # a facet's first tolerance over its even share of the error asked for
+MOST = 0.25  # of the error asked for: what one facet may take of it
 LINES = 4  # across a cell of a picture
 MOST_CELLS = 4096  # along a side of a picture
 
@@ -86,7 +87,7 @@ def mesh_intensity(
     if facets.convex or active.size == 0:
         return MeshLight(float(whole.sum()), 0.0, whole)
     geometry = _geometry(facets, normal, sign, s, plane_axes(o))
-    allowed = PATIENCE * error * float(whole.sum()) / active.size
+    allowed = min(PATIENCE / active.size, MOST) * error * float(whole.sum())
     todo, parts, off = active, np.zeros(len(facets)), np.zeros(len(facets))
     for _ in range(ROUNDS):
         area, unsure = _areas(geometry, todo, allowed / weight[todo], seen[todo])

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import BadInput
@@ -110,6 +110,7 @@ def _overlap(a0, a1, b0, b1):
     side=st.floats(0.3, 3.0),
 )
 @settings(max_examples=60)
+@example(sun=(1.140625, 1.14453125), seen=(0.0, 0.0), side=0.3046875)  # a sliver of shadow
 def test_against_exact_overlap_of_two_plates(sun, seen, side):
     """A square plate above another: shadow and covered part are shifted squares."""
     s, o = unit(np.array([*sun, 1.0])), unit(np.array([*seen, 1.0]))
