@@ -130,8 +130,9 @@ def _measured_e(charge: Array, chain: Chain, place: StreamPlace, part: slice) ->
     if chain.linearity is not None:
         charge = measured_e(charge, *chain.linearity)
     if np.any(np.asarray(chain.read_noise_e) > 0):
+        y0 = place.y0 + part.start
         (rows, columns), (k0, k1) = charge.shape, place.read_key
-        draws = standard_normals(rows, columns, place.y0 + part.start, place.x0, place.frame, k0, k1)
+        draws = standard_normals(rows, columns, y0, place.x0, place.frame, k0, k1)
         draws *= _cut_value(chain.read_noise_e, part)
         charge += draws
     return charge

@@ -131,7 +131,7 @@ def _count(n, mean, step, p, rest, k, near):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _any_positive(n, values):
-    for i in range(n):
+    for i in range(n):  # noqa: SIM110 - numba has no any()
         if values[i] > 0.0:
             return True
     return False
@@ -183,7 +183,8 @@ def _arguments(n, k, mean, us, v, w, bend):
         aa = -0.059 + 0.02483 * bb
         inverse_alpha = 1.1239 + 1.1328 / (bb - 3.4)
         safe = max(k[i], 1.0)
-        w[i] = v[i] * inverse_alpha * np.sqrt(6.283185307179586 * safe) / (aa / (us[i] * us[i]) + bb)
+        scale = inverse_alpha * np.sqrt(6.283185307179586 * safe)
+        w[i] = v[i] * scale / (aa / (us[i] * us[i]) + bb)
         s = (mean[i] - safe) / (mean[i] + safe)
         q = s * s
         odd = 1 / 3.0 + q * (1 / 5.0 + q * (1 / 7.0 + q * (1 / 9.0 + q * (

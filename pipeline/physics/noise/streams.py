@@ -4,7 +4,7 @@ Every pixel of every frame owns its stream (`pixel_draws`), so a draw depends on
 order, and a component that is switched on, or a pixel that changes, leaves all other draws as they
 were. Rows are cut into runs of RUN_PX pixels, and what all pixels of a run need is computed without
 branches, so that the compiler fills vector registers. The bits are those of `pixel_draws`: where a
-test is done in an approximate form, a pixel within its error of the edge is handed to the exact one.
+test is done in an approximate form, a pixel within its error of the edge goes to the exact one.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from pipeline.physics.noise.runs import (
 
 __all__ = [
     "normal_quantile", "philox", "poisson", "poisson_image", "standard_normals", "stream_key",
-    "uniform",
+    "uniform", "uniforms",
 ]  # fmt: skip
 
 
@@ -46,6 +46,17 @@ def stream_key(seed: int, component: str) -> tuple[int, int]:
     digest = hashlib.blake2b(f"{seed}/{component}".encode(), digest_size=8).digest()
     word = int.from_bytes(digest, "little")
     return word & 0xFFFFFFFF, word >> 32
+
+
+@njit(cache=True, nogil=True)
+def uniforms(rows, columns, y0, x0, frame, k0, k1):
+    """(rows, columns) uniform draws in (0, 1) of the pixels from (y0, x0) on."""
+    out = np.empty((rows, columns))
+    for r in range(rows):
+        for c in range(columns):
+            a, b, _, _ = philox(x0 + c, y0 + r, frame, 0, k0, k1)
+            out[r, c] = uniform(a, b)
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
