@@ -13,7 +13,7 @@ from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.starlight import gather_starlight
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.radiometry import ResponseCurve
-from pipeline.plan.sky import SkyInputs
+from pipeline.plan.sky_light import SkyInputs
 from pipeline.spec.scene import Scene
 
 
@@ -50,4 +50,9 @@ def gather_sky(
     undrawn = gather_starlight(scene, catalogues, limit_from_noise)
     if fit is None and (every is not None or undrawn is not None or limit_from_noise):
         fit = gather_colour_fit(response, band, digest, cache_folder())
-    return SkyInputs(table, rates, undrawn, every, fit)
+    stray = None
+    if b is not None and b.stray_light is not None:
+        from pipeline.inputs.stray_light import gather_stray_light
+
+        stray = gather_stray_light(scene, b.stray_light)
+    return SkyInputs(table, rates, undrawn, every, fit, stray)

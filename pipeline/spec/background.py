@@ -7,9 +7,12 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from pipeline.spec.stray_light import StrayLight
 from pipeline.spec.strict import Strict
 
-COMPONENTS = ("zodiacal", "galactic", "starlight", "uniform_mag_arcsec2", "uniform_e_per_s")
+COMPONENTS = (
+    "zodiacal", "galactic", "starlight", "stray_light", "uniform_mag_arcsec2", "uniform_e_per_s",
+)  # fmt: skip
 
 
 class Zodiacal(Strict):
@@ -39,6 +42,7 @@ class Background(Strict):
     zodiacal: Zodiacal | bool | None = Field(None, description="true, or how")
     galactic: Galactic | bool | None = Field(None, description="true, or how")
     starlight: Literal["auto", "all", "none"] | bool = "auto"
+    stray_light: StrayLight | None = None
     uniform_mag_arcsec2: float | None = Field(
         None, ge=-30, le=40, description="AB magnitude per square arcsecond in the sensor's band"
     )
@@ -64,11 +68,12 @@ class Background(Strict):
             raise PydanticCustomError(
                 "one_of",
                 "allowed: exactly one of uniform_mag_arcsec2 and uniform_e_per_s, or any of "
-                "zodiacal, galactic and starlight and at most one of the two",
+                "zodiacal, galactic, starlight, stray_light and at most one of the two",
             )
         return self
 
     @property
     def varies(self) -> bool:
         """True where some part of it differs over the sky."""
-        return bool(self.zodiacal or self.galactic or self.starlight == "all")
+        parts = (self.zodiacal, self.galactic, self.stray_light)
+        return any(parts) or self.starlight == "all"
