@@ -72,7 +72,8 @@ class Geometry:
     target_x_px, target_y_px : (T, F, K); target_light : (T, F, K) in-band irradiance at the
         observer over the solar irradiance at 1 au (dimensionless)
     target_range_m, target_phase_rad, target_sunlit : (T, F, K)
-    target_direction : (T, F, 3) proper direction at mid-exposure
+    target_direction : (T, F, 3) observed direction at mid-exposure: proper, and refracted
+    air : (F, K, 5) zenith of a site, ICRS axes, and refraction's A, B [rad]; None without air
     """
 
     frame: NDArray[np.int64]
@@ -92,6 +93,7 @@ class Geometry:
     target_phase_rad: Array
     target_sunlit: Array
     target_direction: Array
+    air: Array | None = None
 
     @property
     def nodes(self) -> int:
@@ -101,11 +103,17 @@ class Geometry:
     def middle(self) -> int:
         return self.nodes // 2
 
+    def air_at(self, frame: int, node: int) -> Array | None:
+        """The air (5,) at one node of one frame (by index); None without."""
+        return None if self.air is None else self.air[frame, node]
+
     def frame_slice(self, index: int) -> Geometry:
         """The geometry of one of its frames alone (what a task of that frame needs)."""
         values: dict[str, Any] = {}
         for f in fields(self):
             value = getattr(self, f.name)
+            if value is None:
+                continue
             axis = 1 if f.name.startswith("target_") else 0
             values[f.name] = value.take([index], axis=axis)
         return Geometry(**values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from pipeline.physics.radiometry import ResponseCurve
 from pipeline.plan.sky_light import SkyInputs
 from pipeline.spec.scene import Scene
 
+if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
+
 
 def gather_sky(
     scene: Scene,
@@ -25,11 +29,13 @@ def gather_sky(
     catalogues: Sequence[Catalogue],
     fit: ColourFit | None,
     limit_from_noise: bool,
+    extinction: BandExtinction | None = None,
 ) -> SkyInputs:
     """Read what the parts of the scene's background need, and no more.
 
     response, band, digest : of `run.gather_response`; fit : the stars' colour fit, where there is
-    one already. Raises Damaged for a damaged map of starlight.
+    one already; extinction : of the air above the site. Raises Damaged for a damaged map of
+    starlight.
     """
     b = scene.background
     table, rates, every = None, (0.0, 0.0), None
@@ -55,4 +61,9 @@ def gather_sky(
         from pipeline.inputs.stray_light import gather_stray_light
 
         stray = gather_stray_light(scene, b.stray_light)
-    return SkyInputs(table, rates, undrawn, every, fit, stray)
+    air = None
+    if b is not None and b.of_the_air:
+        from pipeline.inputs.night import gather_night
+
+        air = gather_night(b, response)
+    return SkyInputs(table, rates, undrawn, every, fit, stray, extinction, air)

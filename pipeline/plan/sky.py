@@ -200,8 +200,10 @@ def _parts_told(light: Light, g: Geometry) -> list[Decision]:
         f"good to {RELATIVE_ERROR:.0%}; {inputs.every.source if inputs.every else ''}",
         "starlight": f"stars that are not drawn: {inputs.undrawn.source if inputs.undrawn else ''}",
     }
+    dim = "" if inputs.extinction is None else "; dimmed by a part of the air's extinction"
     for name, how in known.items():
         if name in ends[0]:
+            how += dim
             values = np.concatenate([e[name] * area for e in ends])
             span = f"{values.min():.4g} to {values.max():.4g} e-/s per pixel"
             out.append(Decision(f"background.{name}", True, f"{span}: {how}"))
@@ -213,6 +215,10 @@ def _parts_told(light: Light, g: Geometry) -> list[Decision]:
         frames = (0, len(g.frame) - 1)
         stray = [light.stray(g, f, g.middle, x, y) for f in frames]
         out += stray_told(b.stray_light, stray)
+    if g.air is not None:
+        from pipeline.plan.night_sky import night_told
+
+        out += night_told(light.scene, [{k: v * area for k, v in e.items()} for e in ends])
     return out
 
 

@@ -15,6 +15,7 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, DEG_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrate
 from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad
+from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.sky import zodiacal as z
 from pipeline.physics.sky.galactic import diffuse_light
 from pipeline.physics.sky.starlight import band_light
@@ -23,6 +24,8 @@ from pipeline.spec.background import Background, Galactic, Zodiacal
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
+    from pipeline.physics.sky.night import NightBand
     from pipeline.plan.stray_light import StrayInputs
 
 Array = NDArray[np.float64]
@@ -70,6 +73,8 @@ class SkyInputs:
     every: StarlightLike | None = None
     fit: ColourFit | None = None
     stray: StrayInputs | None = None
+    extinction: BandExtinction | None = None
+    night: NightBand | None = None
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,13 @@ class Light:
         wanted = background_of(self.scene).starlight != "none"
         if wanted and undrawn is not None and limit is not None:
             out["starlight"] = self._stars(undrawn, limit, u)
-        return out
+        if g.air is None:
+            return out
+        from pipeline.plan.night_sky import dimmed, night_parts
+
+        observed = deproject(self.camera, g.attitude[f, node], x, y)
+        out = dimmed(self.scene, self.inputs.extinction, g.air[f, node], observed, out)
+        return out | night_parts(self.scene, self.inputs, g, f, node, observed)
 
     def stray(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
         """Each body's stray light (n,) [e-/s and pixel]."""
@@ -127,11 +138,13 @@ class Light:
         assert wish is not None
         assert self.inputs.stray is not None
         u = self.directions(g, f, node, x, y)
-        return stray_parts(self.scene, wish, self.inputs.stray, g, f, node, u, self.dut1_s)
+        air = self.inputs.extinction
+        return stray_parts(self.scene, wish, self.inputs.stray, g, f, node, u, self.dut1_s, air)
 
     def directions(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> Array:
-        """Unit vectors (n, 3) of the sky before aberration."""
-        seen = deproject(self.camera, g.attitude[f, node], x, y)
+        """Unit vectors (n, 3) of the sky before refraction and aberration."""
+        observed = deproject(self.camera, g.attitude[f, node], x, y)
+        seen = unrefract(observed, g.air_at(f, node))
         if not self.scene.star_effects["aberration"]:
             return seen
         return unaberrate(seen, g.observer_m_s[f, node] / SPEED_OF_LIGHT_M_S)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,9 @@ from pipeline.plan.geometry import camera_of
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.stray_light import StrayLight
+
+if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
 
 Array = NDArray[np.float64]
 
@@ -66,6 +70,7 @@ def stray_parts(
     node: int,
     u: Array,
     dut1_s: float,
+    extinction: BandExtinction | None = None,
 ) -> dict[str, Array]:
     """Electrons/s and pixel (n,) of each body at one instant; u : (n, 3) lines of sight.
 
@@ -84,6 +89,9 @@ def stray_parts(
     if wish.moon:
         lamps["Moon"] = _moon(inputs, place, sun, moon_m(*tt)[0])
     for name, lamp in lamps.items():
+        if extinction is not None and g.air is not None:
+            passed = extinction.transmission(lamp.towards @ g.air[f, node, :3])
+            lamp = replace(lamp, irradiance=lamp.irradiance * float(passed))
         if lamp.irradiance > 0.0:
             _check_frame(scene, g.attitude[f, node], name, lamp)
         out[name.lower()] = _lamp(wish, inputs, name, lamp, u) * pixel_m2
