@@ -73,7 +73,7 @@ class Geometry:
         observer over the solar irradiance at 1 au (dimensionless)
     target_range_m, target_phase_rad, target_sunlit : (T, F, K)
     target_direction : (T, F, 3) observed direction at mid-exposure: proper, and refracted
-    air : (F, K, 5) zenith of a site, ICRS axes, and refraction's A, B [rad]; None without air
+    air : (F, K, 5) zenith of a site, ICRS axes, and refraction's A, B [rad]; (F, K, 0) without
     """
 
     frame: NDArray[np.int64]
@@ -93,7 +93,7 @@ class Geometry:
     target_phase_rad: Array
     target_sunlit: Array
     target_direction: Array
-    air: Array | None = None
+    air: Array
 
     @property
     def nodes(self) -> int:
@@ -105,15 +105,18 @@ class Geometry:
 
     def air_at(self, frame: int, node: int) -> Array | None:
         """The air (5,) at one node of one frame (by index); None without."""
-        return None if self.air is None else self.air[frame, node]
+        return self.air[frame, node] if self.has_air else None
+
+    @property
+    def has_air(self) -> bool:
+        """Whether anything depends on the air above the observer."""
+        return self.air.shape[-1] > 0
 
     def frame_slice(self, index: int) -> Geometry:
         """The geometry of one of its frames alone (what a task of that frame needs)."""
         values: dict[str, Any] = {}
         for f in fields(self):
             value = getattr(self, f.name)
-            if value is None:
-                continue
             axis = 1 if f.name.startswith("target_") else 0
             values[f.name] = value.take([index], axis=axis)
         return Geometry(**values)

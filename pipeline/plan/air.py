@@ -121,7 +121,7 @@ def frame_sines(camera: Camera, attitude: Array, zenith: Array) -> Array:
 
 def above_air(g: Geometry, centres: Array, radii_rad: Array) -> tuple[Array, Array]:
     """Cones (n, 3), (n,) of the true sky that hold what is seen in cones at mid-exposure."""
-    if g.air is None:
+    if not g.has_air:
         return centres, radii_rad
     air = g.air[:, g.middle]
     sine = np.sum(centres * air[:, :3], axis=-1)
@@ -135,7 +135,6 @@ def star_transmission(extinction: BandExtinction, g: Geometry, observed: Array) 
 
     observed : (n, 3) at mid-exposure. Simpson's rule over its start, middle and end.
     """
-    assert g.air is not None
     shares = [extinction.transmission(observed @ g.air[0, node, :3]) for node in (0, g.middle, -1)]
     return (shares[0] + 4.0 * shares[1] + shares[2]) / 6.0
 
@@ -144,7 +143,6 @@ def path_transmission(
     extinction: BandExtinction, camera: Camera, g: Geometry, x_px: Array, y_px: Array
 ) -> Array:
     """Share (K,) of a target's light that comes down at each node of the one frame of `g`."""
-    assert g.air is not None
     u = np.concatenate([
         deproject(camera, a, x_px[[k]], y_px[[k]]) for k, a in enumerate(g.attitude[0])
     ])  # fmt: skip

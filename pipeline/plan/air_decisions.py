@@ -29,7 +29,7 @@ def decide_air(
     o = scene.observer
     if not isinstance(o, GroundObserver):
         return []
-    if ends.air is None or not needs_air(scene) or o.atmosphere is None:
+    if not ends.has_air or not needs_air(scene) or o.atmosphere is None:
         return [
             Decision(
                 "atmosphere", False,

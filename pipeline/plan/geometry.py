@@ -153,7 +153,7 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
         x, y, light, distance, phase, lit, direction,
-        None if air is None else air.reshape(*grid, 5),
+        np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
 
 

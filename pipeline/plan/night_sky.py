@@ -61,7 +61,6 @@ def night_parts(
     b, band, out = scene.background or Background(starlight="none"), inputs.night, {}
     if band is None or not b.of_the_air:
         return {}
-    assert g.air is not None
     air = g.air[f, node]
     sine = observed @ air[:3]
     if b.airglow:

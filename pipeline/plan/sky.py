@@ -215,7 +215,7 @@ def _parts_told(light: Light, g: Geometry) -> list[Decision]:
         frames = (0, len(g.frame) - 1)
         stray = [light.stray(g, f, g.middle, x, y) for f in frames]
         out += stray_told(b.stray_light, stray)
-    if g.air is not None:
+    if g.has_air:
         from pipeline.plan.night_sky import night_told
 
         out += night_told(light.scene, [{k: v * area for k, v in e.items()} for e in ends])

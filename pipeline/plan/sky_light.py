@@ -122,7 +122,7 @@ class Light:
         wanted = background_of(self.scene).starlight != "none"
         if wanted and undrawn is not None and limit is not None:
             out["starlight"] = self._stars(undrawn, limit, u)
-        if g.air is None:
+        if not g.has_air:
             return out
         from pipeline.plan.night_sky import dimmed, night_parts
 

@@ -89,7 +89,7 @@ def stray_parts(
     if wish.moon:
         lamps["Moon"] = _moon(inputs, place, sun, moon_m(*tt)[0])
     for name, lamp in lamps.items():
-        if extinction is not None and g.air is not None:
+        if extinction is not None and g.has_air:
             passed = extinction.transmission(lamp.towards @ g.air[f, node, :3])
             lamp = replace(lamp, irradiance=lamp.irradiance * float(passed))
         if lamp.irradiance > 0.0:
