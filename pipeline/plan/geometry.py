@@ -31,8 +31,10 @@ from pipeline.physics.positions.apparent import (
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
 from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, project, stretch
 from pipeline.physics.positions.orbit import check_above_earth
+from pipeline.physics.positions.refraction import refract, unrefract
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import from_angles, separation
+from pipeline.plan.air import air_of, lifted
 from pipeline.plan.bodies import View, flicker_share, needs_velocity, target_light
 from pipeline.plan.orbits import mean_sights, orbit_states
 from pipeline.spec.detector import TimeDelay
@@ -124,8 +126,11 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     sun = earth.position_m + earth.sun_from_earth_m
     sights = _sights(scene, epoch, flat, times, earth, geocentric, velocity, dut1_s)
     attitude = _attitudes(scene, flat, position, velocity, sun, sights)
+    camera, air = camera_of(scene), air_of(scene, times)
+    if air is not None:
+        attitude = lifted(camera, attitude, air)
+        sights = [replace(s, direction_proper=refract(s.direction_proper, air)) for s in sights]
     _check_view(scene, geocentric, attitude[:, 2])
-    camera = camera_of(scene)
     shape = (len(sights), len(frames), nodes)
     x, y = np.full((2, *shape), np.nan)
     light, phase, lit, distance = np.zeros((4, *shape))
@@ -153,6 +158,7 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
         x, y, light, distance, phase, lit, direction,
+        np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
 
 
@@ -390,9 +396,10 @@ def star_paths(
     beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
     for f in range(len(g.frame)):
         seen = deproject(camera, g.attitude[f, g.middle], x_px, y_px)
-        stars = unaberrate(seen, beta[f, g.middle])
+        stars = unaberrate(unrefract(seen, g.air_at(f, g.middle)), beta[f, g.middle])
         for k in range(g.nodes):
-            out[:, :, f, k] = project(camera, g.attitude[f, k], aberrate(stars, beta[f, k]))
+            u = refract(aberrate(stars, beta[f, k]), g.air_at(f, k))
+            out[:, :, f, k] = project(camera, g.attitude[f, k], u)
         if camera.charge_px_s:
             out[1, :, f] -= camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
     return out

@@ -162,6 +162,8 @@ def _checked(data: dict[str, Any]) -> Scene:
 PATH_FIELDS = (
     ("stars", "catalogue"),
     ("cosmic_rays", "path"),
+    ("background", "stray_light", "pst", "path"),
+    ("background", "stray_light", "earth_albedo"),
     ("sensor", "transmission"),
     ("sensor", "quantum_efficiency"),
     ("sensor", "gain_e_per_dn"),

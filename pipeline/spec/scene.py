@@ -11,7 +11,7 @@ from pipeline.spec.background import Background
 from pipeline.spec.body import Body, Lighting
 from pipeline.spec.cosmic_rays import CosmicRays
 from pipeline.spec.mesh import MeshBody
-from pipeline.spec.observer import Observer
+from pipeline.spec.observer import GroundObserver, Observer
 from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import Pointing, TargetPointing
 from pipeline.spec.sensor import Sensor
@@ -185,6 +185,24 @@ class Scene(Strict):
                 "target",
                 "allowed: the name of a target: {names}",
                 {"names": ", ".join(names[:10]) or "(there is none)", "field": "pointing.target"},
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _air_is_above_a_site(self) -> Scene:
+        b, o = self.background, self.observer
+        if b is None or not b.of_the_air:
+            return self
+        names = [n for n in ("airglow", "moonlight", "twilight") if getattr(b, n)]
+        wish = {"field": f"background.{names[0]}"}
+        if not isinstance(o, GroundObserver):
+            raise PydanticCustomError(
+                "air", "allowed: with an observer of kind ground, below the air", wish
+            )
+        if names != ["airglow"] and not (o.atmosphere and o.atmosphere.extinction):
+            wish["field"] = f"background.{names[-1]}"
+            raise PydanticCustomError(
+                "air", "allowed: with observer.atmosphere.extinction, which scatters it", wish
             )
         return self
 
