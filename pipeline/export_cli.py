@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pipeline.options import Json, Output, print_json
+
+if TYPE_CHECKING:
+    from pipeline.importers.imported import Imported
 
 import_app = typer.Typer(help="Scenes of other simulators.", no_args_is_help=True)
 
@@ -75,18 +77,11 @@ def import_simsit(
     _write(read_simsit(file, epoch, catalogue, seed), output, as_json)
 
 
-def _write(imported, output: Path, as_json: bool) -> None:  # type: ignore[no-untyped-def]
-    from pipeline.errors import BadInput
-    from pipeline.spec.load import scene_yaml
-    from pipeline.store.layout import write_atomically
-
-    if output.exists():
-        raise BadInput("-o", str(output), "a path that does not exist yet")
-    head = "".join(f"# {line}\n" for line in imported.lines())
-    write_atomically(output, (head + scene_yaml(imported.scene)).encode())
+def _write(imported: Imported, output: Path, as_json: bool) -> None:
+    imported.write(output)
     if as_json:
         print_json({"scene": str(output), **imported.as_dict()})
         return
     print(output)
     for line in imported.lines():
-        print(f"  {line}", file=sys.stdout)
+        print(f"  {line}")

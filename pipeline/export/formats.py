@@ -143,9 +143,7 @@ def _satnet(job: _Job, output: Path) -> Iterator[Path]:
         image = output / "ImageFiles" / f"{stem}.fits"
         write_atomically(image, fits_bytes(job.product, job.cube, k, job.wish.layer))
         yield image
-        file = {
-            "dirname": output.name, "sequence": 0, "filename": image.name, "sequence_id": k
-        }
+        file = {"dirname": output.name, "sequence": 0, "filename": image.name, "sequence_id": k}
         told = satnet.annotation(
             job.labels(k), exposure_of(job.cube, k), job.shape, ifov_deg, file, pad
         )
@@ -167,9 +165,7 @@ def _coco(job: _Job, output: Path) -> Iterator[Path]:
         entry = coco.image_entry(number, image.name, job.shape, exposure_of(job.cube, k))
         data["images"].append(entry)
         for i, mask in enumerate(source_masks(labels, job.light, job.shape, job.threshold_e)):
-            one = coco.annotation(
-                len(data["annotations"]) + 1, number, labels, i, mask, job.shape
-            )
+            one = coco.annotation(len(data["annotations"]) + 1, number, labels, i, mask, job.shape)
             if one is not None:
                 data["annotations"].append(one)
     path = output / "annotations.json"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path, fps: float) -> 
             writer.close()
 
 
-def encoder():  # type: ignore[no-untyped-def]
+def encoder() -> Any:
     """imageio-ffmpeg's writer; BadInput where there is none."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe, write_frames

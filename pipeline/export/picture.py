@@ -28,9 +28,7 @@ class Limits(NamedTuple):
     top: float
 
 
-def limits_of(
-    image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7
-) -> Limits:
+def limits_of(image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7) -> Limits:
     """Limits between the sky and a bright percentile of an image."""
     values = np.asarray(image, np.float64)
     sample = values.ravel()[:: max(1, values.size // 400_000)]

@@ -113,7 +113,9 @@ class SourceLight:
         if key not in self._stamps:
             _make_room(self._stamps)
             swept = self._swept_core(blur, number, piece)
-            self._stamps[key] = stamp_at(*swept, y - whole_y, x - whole_x)
+            core, spectrum, half, period = swept
+            at = y - whole_y, x - whole_x
+            self._stamps[key] = stamp_at(core, spectrum, half, period, *at)
         row, column, stamp = self._stamps[key]
         return row + whole_y, column + whole_x, stamp
 

@@ -41,6 +41,7 @@ def exposure_of(cube: xr.Dataset, frame: int) -> Exposure:
     """The exposure of a frame of a complete cube."""
     one = cube.isel(frame=frame)
     start, middle, end = (
-        np.datetime64(one[f"time_{k}"].values, "us") for k in ("start", "mid", "end")
+        np.datetime64(str(one[f"time_{k}"].values.astype("datetime64[us]")), "us")
+        for k in ("start", "mid", "end")
     )
     return Exposure(start, middle, end, float(cube.attrs["integration_s"]))

@@ -53,9 +53,9 @@ def test_against_pycocotools(labelled, coco):
 def test_masks_hold_the_pixels_that_the_light_says(labelled, tmp_path):
     """Classes from responses and paths against those from the noise-free layers, and their sum."""
     out = {
-        light: list(export_product(
+        light: next(export_product(
             labelled, "masks", tmp_path / light, Wish(0, stars_snr=0.0, light=light)
-        ))[0]
+        ))
         for light in ("response", "layers")
     }  # fmt: skip
     with fits.open(out["response"]) as a, fits.open(out["layers"]) as b:
