@@ -11,6 +11,7 @@ import typer
 
 from pipeline.catalog_cli import catalog
 from pipeline.cosmic_rays_cli import cosmic_rays
+from pipeline.export_cli import export, import_app
 from pipeline.options import Json, Output, SchedulerName, Workers, print_json
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
@@ -24,6 +25,8 @@ app = typer.Typer(
 )
 app.add_typer(catalog, name="catalog")
 app.add_typer(cosmic_rays, name="cosmic-rays")
+app.add_typer(import_app, name="import")
+app.command()(export)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 
@@ -132,21 +135,6 @@ def check(product: ProductPath, as_json: Json = False) -> None:
         for fault in verdict.faults:
             print(f"  damaged: {fault}")
     raise typer.Exit(0 if verdict.whole else 3)
-
-
-@app.command()
-def export(
-    product: ProductPath,
-    to: Annotated[str, typer.Option("--to", help="fits or png")],
-    output: Output,
-    frame: Annotated[int | None, typer.Option(min=0, help="one frame; default: all")] = None,
-    layer: Annotated[str, typer.Option(help="which layer")] = "dn",
-) -> None:
-    """Write frames as FITS (with WCS and times) or PNG."""
-    from pipeline.export.files import export_frames
-
-    for path in export_frames(product, to, output, frame, layer):
-        print(path)
 
 
 @app.command()
