@@ -32,14 +32,15 @@ class Gate:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        began, status = time.perf_counter(), 0
+        began, status, inside = time.perf_counter(), 0, True
         headers = dict(scope["headers"])
 
         async def told(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                deadline.reschedule(None)
+                if inside:
+                    deadline.reschedule(None)
                 self._count(scope, status, time.perf_counter() - began)
             async with asyncio.timeout(self.settings.send_s):
                 await send(message)
@@ -58,6 +59,7 @@ class Gate:
             if status:
                 raise
             problem = error
+        inside = False
         if problem is not None:
             answer = await self.problem(Request(scope), problem)
             await answer(scope, receive, told)
