@@ -83,9 +83,10 @@ class Gate:
         self.numbers.answers.labels(method, str(status)).inc()
         route = getattr(scope.get("route"), "path", "none")
         self.numbers.seconds.labels(route).observe(seconds)
-        if method not in SAFE or status >= 400:
-            log.info(
-                "answered",
+        level = logging.INFO if status >= 400 else logging.DEBUG
+        if log.isEnabledFor(level):
+            log.log(
+                level, "answered",
                 extra={
                     "method": method, "path": route, "status": status,
                     "ms": round(seconds * 1000, 1),

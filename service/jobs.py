@@ -261,11 +261,12 @@ def _of(query: sa.Select[Any], team: str | None) -> sa.Select[Any]:
     return query if team is None else query.where(jobs.c.team == team)
 
 
-def job_of(row: Any) -> Job:
-    """A row as a Job; one that is not what was written is marked, never believed."""
+def job_of(row: Any, fresh: bool = False) -> Job:
+    """A row as a Job; one that is not what was written is marked, never believed (`fresh`: it was
+    made just now, and so needs no look)."""
     try:
         error = json.loads(row["error"]) if row["error"] else None
-        if row["seal"] == seal_of(row):
+        if fresh or row["seal"] == seal_of(row):
             return Job(**{n: row[n] for n in FIELDS}, phase=Phase(row["phase"]), error=error)
     except (ValueError, TypeError):
         pass
