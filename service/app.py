@@ -24,7 +24,7 @@ from pipeline.spec.load import InvalidScene
 from service import problems
 from service.context import Context
 from service.jobs import JobStore
-from service.routes import catalogues, health, jobs, pages, results, schema
+from service.routes import catalogues, frames, health, jobs, pages, results, schema
 from service.runner import Dispatcher
 from service.settings import Settings
 
@@ -80,8 +80,9 @@ def create_app(settings: Settings) -> FastAPI:
         title="Nightglass", version=version("nightglass"), lifespan=lifespan,
         docs_url=None, redoc_url=None, redirect_slashes=False,
     )  # fmt: skip
-    for room in (jobs, results, catalogues, schema, health, pages):
+    for room in (jobs, results, frames, catalogues, schema, health, pages):
         app.include_router(room.router)
+    app.include_router(frames.queue)
     for kind in (NightglassError, RequestValidationError, HTTPException, Exception):
         app.add_exception_handler(kind, answer_problem)
     app.add_middleware(Gate, hosts=settings.hosts, answers=answers)

@@ -47,7 +47,7 @@ def export_frames(
         if path.exists():
             raise BadInput("-o", str(path), "a path that does not exist yet")
         path.parent.mkdir(parents=True, exist_ok=True)
-        content = _fits(product, cube, k, layer) if kind == "fits" else _png(product, k, layer)
+        content = fits_bytes(product, cube, k, layer) if kind == "fits" else _png(product, k, layer)
         write_atomically(path, content)
         yield path
 
@@ -59,7 +59,8 @@ def _png(product: Path, frame: int, layer: str) -> bytes:
     return png_bytes(Image.fromarray(stretch(small)[::-1]))
 
 
-def _fits(product: Path, cube: xr.Dataset, frame: int, layer: str) -> bytes:
+def fits_bytes(product: Path, cube: xr.Dataset, frame: int, layer: str) -> bytes:
+    """One frame of a layer as a FITS file with times, WCS and checksums."""
     from io import BytesIO
 
     from astropy.io import fits
