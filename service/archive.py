@@ -6,6 +6,7 @@ import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from pipeline.store.layout import BEGUN
 from service.files import PIECE_BYTES, list_files, open_inside
 
 BLOCK = tarfile.BLOCKSIZE
@@ -15,9 +16,11 @@ def archive(folder: Path, name: str) -> tuple[int, Iterator[bytes]]:
     """Length in bytes and pieces of a tar of all files of a product, below the folder `name`."""
     files = list_files(folder)
     heads = [_head(f"{name}/{path}", size) for path, size in files]
-    length = sum(len(h) + -(-size // BLOCK) * BLOCK
-                 for h, (_, size) in zip(heads, files, strict=True))  # fmt: skip
-    return length + 2 * BLOCK, _pieces(folder, files, heads)
+    record = (folder / BEGUN).read_bytes()  # hidden, and needed by `nightglass check`
+    first = _head(f"{name}/{BEGUN}", len(record)) + record + bytes(-len(record) % BLOCK)
+    length = len(first) + sum(len(h) + -(-size // BLOCK) * BLOCK
+                              for h, (_, size) in zip(heads, files, strict=True))  # fmt: skip
+    return length + 2 * BLOCK, _pieces(folder, first, files, heads)
 
 
 def _head(path: str, size: int) -> bytes:
@@ -26,7 +29,10 @@ def _head(path: str, size: int) -> bytes:
     return info.tobuf(tarfile.PAX_FORMAT)
 
 
-def _pieces(folder: Path, files: list[tuple[str, int]], heads: list[bytes]) -> Iterator[bytes]:
+def _pieces(
+    folder: Path, first: bytes, files: list[tuple[str, int]], heads: list[bytes]
+) -> Iterator[bytes]:
+    yield first
     for (path, size), head in zip(files, heads, strict=True):
         yield head
         left = size

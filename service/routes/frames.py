@@ -12,6 +12,7 @@ from fastapi import APIRouter, Query
 from fastapi import Path as InPath
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
+from pipeline.store import layout
 from service import frames
 from service.archive import archive
 from service.context import Context, Service
@@ -118,6 +119,13 @@ def fits(
         content = frames.frame_fits(complete_product(service, job_id), frame, layer)
     name = f"{_file_name(service, job_id)}-{layer}-{frame:05d}.fits"
     return Response(content, media_type="application/fits", headers=_attachment(name))
+
+
+@router.get("/record")
+def record(service: Service, job_id: str) -> Response:
+    """What the product was begun as; `.begun.json` of a fetched one, for `nightglass check`."""
+    content = (complete_product(service, job_id) / layout.BEGUN).read_bytes()
+    return Response(content, media_type="application/json")
 
 
 @router.get("/product.tar")

@@ -67,11 +67,11 @@ class Server:
         self.home = home
         self.start()
 
-    def start(self) -> None:
+    def start(self, port: int = 0) -> None:
         code = "import sys; from pathlib import Path; from service.main import serve; "
-        code += "serve('127.0.0.1', 0, Path(sys.argv[1]))"
+        code += "serve('127.0.0.1', int(sys.argv[2]), Path(sys.argv[1]))"
         self.process = subprocess.Popen(
-            [sys.executable, "-c", code, str(self.home)],
+            [sys.executable, "-c", code, str(self.home), str(port)],
             stderr=subprocess.PIPE,
             text=True,
             env=os.environ | LIMITS,
@@ -125,6 +125,14 @@ class Server:
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A running server on a data folder of its own."""
     server = Server(tmp_path_factory.mktemp("home"))
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def own_server(tmp_path: Path) -> Iterator[Server]:
+    """A server of one test, which may kill it and start it again (on its port)."""
+    server = Server(tmp_path / "home")
     yield server
     server.stop()
 
