@@ -250,6 +250,17 @@ def serve(
     import_module("service.main").serve(host, port, home)
 
 
+@app.command(
+    add_help_option=False,
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+)
+def keys(context: typer.Context) -> None:
+    """API keys of the service: create, revoke, list."""
+    from importlib import import_module
+
+    import_module("service.keys_cli").app(context.args, standalone_mode=False)
+
+
 @app.command()
 def demo(
     output: Output = Path("demo"),

@@ -17,7 +17,6 @@ from service import frames
 from service.archive import archive
 from service.context import Context, Service
 from service.routes.results import _product as complete_product
-from service.views import job_dict
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["frames"])
 Number = Annotated[int, InPath(ge=0, lt=2**31)]
@@ -28,17 +27,6 @@ reading = BoundedSemaphore(2)  # tiles and frames in memory at once
 def _begun_product(service: Context, job_id: str) -> Path:
     """The product of a job, complete or not."""
     return service.settings.product(service.store.get(job_id).id)
-
-
-queue = APIRouter(prefix="/v1/queue", tags=["jobs"])
-
-
-@queue.get("")
-def newest(
-    service: Service, limit: Annotated[int, Query(ge=1, le=1000)] = 100
-) -> Response:
-    """The jobs submitted last, newest first."""
-    return JSONResponse({"jobs": [job_dict(job) for job in service.store.newest(limit)]})
 
 
 @router.get("/frames")

@@ -94,9 +94,8 @@ def test_mistakes_come_by_field(client: Client, scene: dict[str, Any], tmp_path:
     for ask in (client.submit, client.plan):
         with pytest.raises(Refused) as error:
             ask(scene)
-        fields = [field for field, _, _ in error.value.mistakes]
-        assert set(fields) == {"sensor.shape.0", "sensr"} or fields[0].startswith("sensor.shape")
-        assert "sensr" in str(error.value)
+        assert "sensr: " in str(error.value)
+        assert "allowed: " in str(error.value)
         assert error.value.status == 422
     with pytest.raises(BadInput, match="--server"):
         Client("localhost:8765")
