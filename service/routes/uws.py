@@ -210,7 +210,8 @@ def _amends(given: Mapping[str, str]) -> dict[str, Any]:
             raise BadInput("?RUNID", given["RUNID"], "up to 128 printable characters")
         values["run_id"] = given["RUNID"] or None
     if "EXECUTIONDURATION" in given:
-        values["duration_s"] = _count(given["EXECUTIONDURATION"], "EXECUTIONDURATION", 0) or None
+        asked = _count(given["EXECUTIONDURATION"], "EXECUTIONDURATION", 0)
+        values["duration_s"] = float(asked) or None
     if "DESTRUCTION" in given:
         values["destruction_s"] = _time(given["DESTRUCTION"], "DESTRUCTION")
     return values

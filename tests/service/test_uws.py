@@ -65,7 +65,7 @@ def test_pyvo_aborts_and_lists(server: Any, base: str, scene: dict[str, Any]) ->
     scene["sensor"]["shape"], scene["exposure"]["frames"] = [640, 640], 50
     scene["name"] = "to-abort"
     job = AsyncTAPJob.create(base, json.dumps(scene), PHASE="RUN")
-    job.wait(phases={"EXECUTING"}, timeout=60)
+    server.until(f"/v1/jobs/{job.job_id}", lambda found: found["phase"] == "EXECUTING")
     job.abort()
     server.ended(f"/v1/jobs/{job.job_id}")
     with pytest.raises(DALServiceError, match="not active"):  # so says pyvo of an aborted one
