@@ -32,14 +32,15 @@ class Gate:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        began, status = time.perf_counter(), 0
+        began, status, inside = time.perf_counter(), 0, True
         headers = dict(scope["headers"])
 
         async def told(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                deadline.reschedule(None)
+                if inside:
+                    deadline.reschedule(None)
                 self._count(scope, status, time.perf_counter() - began)
             async with asyncio.timeout(self.settings.send_s):
                 await send(message)
@@ -58,6 +59,7 @@ class Gate:
             if status:
                 raise
             problem = error
+        inside = False
         if problem is not None:
             answer = await self.problem(Request(scope), problem)
             await answer(scope, receive, told)
@@ -81,9 +83,10 @@ class Gate:
         self.numbers.answers.labels(method, str(status)).inc()
         route = getattr(scope.get("route"), "path", "none")
         self.numbers.seconds.labels(route).observe(seconds)
-        if method not in SAFE or status >= 400:
-            log.info(
-                "answered",
+        level = logging.INFO if status >= 400 else logging.DEBUG
+        if log.isEnabledFor(level):
+            log.log(
+                level, "answered",
                 extra={
                     "method": method, "path": route, "status": status,
                     "ms": round(seconds * 1000, 1),

@@ -168,14 +168,14 @@ class JobStore:
         query = sa.select(jobs.c.phase, sa.func.count()).where(~jobs.c.deleted)
         query = _of(query, team).group_by(jobs.c.phase)
         with self.engine.connect() as db:
-            found: dict[str, int] = dict(db.execute(query).tuples().all())
+            found: dict[str, int] = dict(db.execute(query).all())
         return {phase: found.get(phase, 0) for phase in Phase}
 
     def versions(self, ids: Iterable[str]) -> dict[str, int]:
         """The version of each of these jobs that is there; one query for all who watch."""
         query = sa.select(jobs.c.id, jobs.c.version).where(jobs.c.id.in_(list(ids)))
         with self.engine.connect() as db:
-            return dict(db.execute(query.where(~jobs.c.deleted)).tuples().all())
+            return dict(db.execute(query.where(~jobs.c.deleted)).all())
 
     def cancel(self, job_id: str, team: str | None = None, actor: str = LOCAL) -> Job:
         """Abort a waiting job, or ask the dispatcher to stop a running one; again is no error."""
@@ -261,11 +261,12 @@ def _of(query: sa.Select[Any], team: str | None) -> sa.Select[Any]:
     return query if team is None else query.where(jobs.c.team == team)
 
 
-def job_of(row: Any) -> Job:
-    """A row as a Job; one that is not what was written is marked, never believed."""
+def job_of(row: Any, fresh: bool = False) -> Job:
+    """A row as a Job; one that is not what was written is marked, never believed (`fresh`: it was
+    made just now, and so needs no look)."""
     try:
         error = json.loads(row["error"]) if row["error"] else None
-        if row["seal"] == seal_of(row):
+        if fresh or row["seal"] == seal_of(row):
             return Job(**{n: row[n] for n in FIELDS}, phase=Phase(row["phase"]), error=error)
     except (ValueError, TypeError):
         pass
@@ -314,7 +315,7 @@ class Queue(JobStore):
 
         def grouped(phase: Phase, what: Any) -> dict[str, int]:
             query = sa.select(jobs.c.team, what).where(jobs.c.phase == phase)
-            return dict(db.execute(query.group_by(jobs.c.team)).tuples().all())
+            return dict(db.execute(query.group_by(jobs.c.team)).all())
 
         running = grouped(P.EXECUTING, sa.func.count())
         first = grouped(P.QUEUED, sa.func.min(jobs.c.number))

@@ -55,7 +55,7 @@ class Gauges:
         yield by_phase
         free = shutil.disk_usage(context.settings.home).free
         for name, told, value in (
-            ("leads", "1 where this process runs the jobs", int(context.dispatcher.leads)),
+            ("leads", "whether this process runs the jobs", int(context.dispatcher.leads)),
             ("running", "jobs that this process runs", context.dispatcher.running),
             ("watchers", "requests that wait for a change", context.changes.watchers),
             ("disk_free_bytes", "free space of the data folder", free),

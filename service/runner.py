@@ -66,7 +66,8 @@ class Dispatcher:
 
     def wake(self) -> None:
         """There is something to do."""
-        self._work.set()
+        if not self._work.is_set():
+            self._work.set()
 
     @property
     def alive(self) -> bool:

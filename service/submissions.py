@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import queue
 import threading
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,10 +16,12 @@ import sqlalchemy as sa
 from service.database import now_s, writing
 from service.jobs import LOCAL, SHOWN, WAITING, Job, JobStore, Phase, audit_line, job_of
 from service.problems import KeyReused, NotReady, QueueFull
-from service.tables import audit, counters, jobs, scene_crc, seal_of, usage
+from service.tables import audit, counters, jobs, scene_crc, seal_of, uploads, usage
 
 DAY_S = 86_400.0
 MOST_AT_ONCE = 512
+LINGER_S = 0.002  # a commit waits while more comes: an fsync costs longer than this
+_id_lock = threading.Lock()
 Answer = tuple[Job, bool] | Exception
 
 
@@ -98,7 +100,7 @@ def submit_many(store: JobStore, asks: Sequence[Ask], limits: Limits) -> list[An
             ])  # fmt: skip
             for team in teams:
                 _count(db, team, day, used[team])
-    return [t if isinstance(t, Exception) else (job_of(t[0]), t[1]) for t in taken]
+    return [t if isinstance(t, Exception) else (job_of(t[0], fresh=t[1]), t[1]) for t in taken]
 
 
 def run_pending(store: JobStore, job_id: str, limits: Limits, team: str, actor: str) -> Job:
@@ -119,15 +121,24 @@ def run_pending(store: JobStore, job_id: str, limits: Limits, team: str, actor: 
 
 def used_by(db: sa.Connection, team: str, day: int) -> Used:
     """What a team has waiting, has asked for today, and keeps on disk."""
+    row = db.execute(USED, {"of": team, "on": day}).one()
+    return Used(row[0], int(row[1] or 0), int(row[2] or 0) + int(row[3] or 0))
+
+
+def _used() -> sa.Select[Any]:
+    """One statement, made once: jobs waiting, pixels x frames today, bytes of products, files."""
+    of: Any = sa.bindparam("of")
+    on: Any = sa.bindparam("on")
     waiting = sa.select(sa.func.count()).where(
-        jobs.c.team == team, jobs.c.phase.in_([p.value for p in WAITING])
+        jobs.c.team == of, jobs.c.phase.in_([p.value for p in WAITING])
     )
-    kept = sa.select(sa.func.coalesce(sa.func.sum(jobs.c.bytes_kept), 0)).where(jobs.c.team == team)
-    today = sa.select(usage.c.pixel_frames).where(usage.c.team == team, usage.c.day == day)
-    return Used(
-        db.execute(waiting).scalar_one(), db.execute(today).scalar() or 0,
-        int(db.execute(kept).scalar_one()),
-    )  # fmt: skip
+    today = sa.select(usage.c.pixel_frames).where(usage.c.team == of, usage.c.day == on)
+    kept = sa.select(sa.func.sum(jobs.c.bytes_kept)).where(jobs.c.team == of)
+    files = sa.select(sa.func.sum(uploads.c.bytes)).where(uploads.c.team == of)
+    return sa.select(*(query.scalar_subquery() for query in (waiting, today, kept, files)))
+
+
+USED = _used()
 
 
 def refuse(used: Used, pixel_frames: int, limits: Limits) -> QueueFull | None:
@@ -162,7 +173,7 @@ def _replay(ask: Ask, row: Any) -> tuple[Any, bool] | Exception:
 def _row(ask: Ask, now: float) -> dict[str, Any]:
     text = ask.scene_text or json.dumps(ask.scene)
     row = {
-        "number": 0, "id": uuid.uuid4().hex, "team": ask.team, "owner": ask.owner,
+        "number": 0, "id": _new_id(), "team": ask.team, "owner": ask.owner,
         "kind": ask.kind, "name": ask.name, "run_id": ask.run_id, "phase": ask.phase.value,
         "scene": text, "scene_crc": scene_crc(text), "idempotency_key": ask.key,
         "body_sha256": ask.body_sha256, "pixel_frames": ask.pixel_frames, "bytes_kept": 0,
@@ -172,6 +183,19 @@ def _row(ask: Ask, now: float) -> dict[str, Any]:
         "error": None, "content_digest": None, "version": 1,
     }  # fmt: skip
     return row | {"seal": seal_of(row)}
+
+
+_random = bytearray()
+
+
+def _new_id() -> str:
+    """128 random bits; many are asked of the system at once."""
+    with _id_lock:
+        if not _random:
+            _random.extend(os.urandom(4096))
+        bits = bytes(_random[-16:])
+        del _random[-16:]
+    return bits.hex()
 
 
 def _number(db: sa.Connection, rows: list[dict[str, Any]]) -> None:
@@ -225,12 +249,13 @@ class Intake:
         return answer
 
     def _run(self) -> None:
-        last = False
+        last, pairs = False, []
         while not last:
             batch = [self._waiting.get()]
+            pause_s = LINGER_S if len(pairs) > 1 else 0.0  # who comes alone is not kept waiting
             while len(batch) < MOST_AT_ONCE:
                 try:
-                    batch.append(self._waiting.get_nowait())
+                    batch.append(self._waiting.get(timeout=pause_s))
                 except queue.Empty:
                     break
             last = None in batch

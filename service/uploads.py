@@ -22,7 +22,7 @@ from service.database import writing
 from service.jobs import record
 from service.problems import Malformed, NotAllowed, NotThere, QueueFull, TooLarge, TooSlow
 from service.settings import Settings
-from service.tables import jobs, uploads
+from service.tables import uploads
 
 PREFIX = "upload:"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -127,12 +127,10 @@ class Uploads:
 
 def bytes_kept(engine: sa.Engine, team: str) -> int:
     """Bytes on disk of a team's products and files."""
-    total = 0
+    from service.submissions import used_by
+
     with engine.connect() as db:
-        for column, of in ((jobs.c.bytes_kept, jobs.c.team), (uploads.c.bytes, uploads.c.team)):
-            query = sa.select(sa.func.coalesce(sa.func.sum(column), 0)).where(of == team)
-            total += int(db.execute(query).scalar_one())
-    return total
+        return used_by(db, team, 0).bytes_kept
 
 
 def check_content(path: Path, kind: str) -> None:

@@ -117,8 +117,9 @@ def test_failed_and_cancelled_jobs_raise(client: Client, scene: dict[str, Any]) 
 
 
 def test_the_wait_outlives_a_killed_server(
-    own_server: Any, scene: dict[str, Any], tmp_path: Path
+    make_server: Any, scene: dict[str, Any], tmp_path: Path
 ) -> None:
+    own_server = make_server()
     scene["sensor"]["shape"], scene["exposure"]["frames"] = [512, 512], 6
     port = own_server.url.rpartition(":")[2]
     with Client(own_server.url, patience_s=60.0) as client:
