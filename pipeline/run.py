@@ -35,7 +35,7 @@ from pipeline.inputs.stars import Catalogue, Shard, cones_of, gather_shards, row
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
-from pipeline.plan.bodies import has_band_albedos, with_band_albedos
+from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
 from pipeline.plan.geometry import (

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,8 @@ from pipeline.physics.motion.pointing import attitudes_drift, boresight_frame, p
 from pipeline.physics.positions.apparent import (
     TargetSight,
     aberrate,
-    apparent_sun_m,
     proper_to_astrometric,
     star_proper,
-    target_apparent,
     unaberrate,
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
@@ -33,10 +32,10 @@ from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, 
 from pipeline.physics.positions.orbit import check_above_earth
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import from_angles, separation
-from pipeline.plan.bodies import View, flicker_share, needs_velocity, target_light
-from pipeline.plan.orbits import mean_sights, orbit_states
+from pipeline.plan.bodies import flicker_share
+from pipeline.plan.orbits import orbit_states
+from pipeline.plan.target_paths import Moments, sights, target_paths
 from pipeline.spec.observer import FixedObserver, GroundObserver
-from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import RatePointing, SiderealPointing, TargetPointing
 from pipeline.spec.scene import Scene
 
@@ -119,36 +118,30 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     geocentric, velocity = _observer(scene, epoch, flat, times, earth)
     position = earth.position_m + geocentric
     sun = earth.position_m + earth.sun_from_earth_m
-    sights = _sights(scene, epoch, flat, times, earth, geocentric, velocity, dut1_s)
-    attitude = _attitudes(scene, flat, position, velocity, sun, sights)
+    at = Moments(epoch, flat, times, earth, geocentric, velocity)
+    attitude = _attitudes(scene, flat, position, velocity, sun, _followed(scene, at))
     _check_view(scene, geocentric, attitude[:, 2])
-    camera = camera_of(scene)
-    shape = (len(sights), len(frames), nodes)
-    x, y = np.full((2, *shape), np.nan)
-    light, phase, lit, distance = np.zeros((4, *shape))
-    direction = np.zeros((len(sights), len(frames), 3))
-    for i, (target, sight) in enumerate(zip(scene.targets, sights, strict=True)):
-        places = [
-            project(camera, a, u[None])
-            for a, u in zip(attitude, sight.direction_proper, strict=True)
-        ]
-        x[i], y[i] = (np.concatenate(c).reshape(shape[1:]) for c in zip(*places, strict=True))
-        light_, alpha, sunlit = target_light(
-            target, f"targets.{i}.body", epoch,
-            _view(scene, i, epoch, flat, sight, earth, geocentric, dut1_s),
-            earth.sun_from_earth_m, (times.tt1, times.tt2), sight.range_m,
-        )  # fmt: skip
-        light[i], phase[i], lit[i], distance[i] = (
-            np.reshape(value, shape[1:]) for value in (light_, alpha, sunlit, sight.range_m)
-        )
-        direction[i] = sight.direction_proper.reshape(*shape[1:], 3)[:, nodes // 2]
+    middles = np.arange(len(frames)) * nodes + nodes // 2
+    t = target_paths(scene, camera_of(scene), attitude, at, middles)
     grid, grid3 = offset.shape, (*offset.shape, 3)
+    each = (len(scene.targets), *grid)
     return Geometry(
         frames, offset, times.tt1.reshape(grid), times.tt2.reshape(grid),
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
-        x, y, light, distance, phase, lit, direction,
+        t.x_px.reshape(each), t.y_px.reshape(each), t.light.reshape(each), t.range_m.reshape(each),
+        t.phase_rad.reshape(each), t.sunlit.reshape(each), t.direction,
     )  # fmt: skip
+
+
+def _followed(scene: Scene, at: Moments) -> dict[int, TargetSight]:
+    """How the observer sees the target that the pointing follows; nothing where it follows none."""
+    if not isinstance(scene.pointing, TargetPointing):
+        return {}
+    names = [t.name for t in scene.targets]
+    index = names.index(scene.pointing.target)
+    seen, _ = sights(scene, [index], at)
+    return {index: TargetSight(*(getattr(seen, f.name)[0] for f in fields(seen)))}
 
 
 def _observer(
@@ -169,78 +162,8 @@ def _observer(
         check_above_earth(place, "observer.position_au")
         return place, np.broadcast_to(velocity, place.shape)
     else:
-        place, speed = _orbit_states(o.orbit, "observer.orbit", epoch, offsets, times)
+        place, speed = orbit_states(o.orbit, "observer.orbit", epoch, offsets, times)
     return place, speed + earth.velocity_m_s
-
-
-def _orbit_states(
-    orbit: Orbit, field: str, epoch: tuple[float, float], offsets: Array, times: Instants
-) -> tuple[Array, Array]:
-    """Geocentric GCRS place and velocity (n, 3) along an orbit, refused inside the Earth."""
-    return orbit_states(orbit, field, epoch, offsets, times)
-
-
-def _sights(
-    scene: Scene,
-    epoch: tuple[float, float],
-    offsets: Array,
-    times: Instants,
-    earth: EarthState,
-    observer_m: Array,
-    observer_m_s: Array,
-    dut1_s: float,
-) -> list[TargetSight]:
-    """How the observer sees all targets; those that SGP4 carries on are followed together."""
-    seen = mean_sights(
-        {i: t.orbit for i, t in enumerate(scene.targets)},
-        epoch, offsets, times, earth, observer_m, observer_m_s,
-    )  # fmt: skip
-    return [
-        seen[i]
-        if i in seen
-        else _sight(scene, i, epoch, offsets, earth, observer_m, observer_m_s, dut1_s)
-        for i in range(len(scene.targets))
-    ]
-
-
-def _sight(
-    scene: Scene,
-    index: int,
-    epoch: tuple[float, float],
-    offsets: Array,
-    earth: EarthState,
-    observer_m: Array,
-    observer_m_s: Array,
-    dut1_s: float,
-) -> TargetSight:
-    """How the observer sees a target at each node."""
-    orbit, field = scene.targets[index].orbit, f"targets.{index}.orbit"
-
-    def places(at_s: Array) -> Array:
-        when = instants(epoch, at_s, dut1_s)
-        return _orbit_states(orbit, field, epoch, at_s, when)[0]
-
-    return target_apparent(places, observer_m, observer_m_s, earth, offsets)
-
-
-def _view(
-    scene: Scene,
-    index: int,
-    epoch: tuple[float, float],
-    offsets: Array,
-    sight: TargetSight,
-    earth: EarthState,
-    observer_m: Array,
-    dut1_s: float,
-) -> View:
-    """What lights a target and sees it at each node, when the light left it."""
-    at_s, place = offsets - sight.light_time_s, sight.target_geocentric_m
-    speed = np.zeros_like(place)
-    if needs_velocity(scene.targets[index].body):
-        orbit, when = scene.targets[index].orbit, instants(epoch, at_s, dut1_s)
-        speed = _orbit_states(orbit, f"targets.{index}.orbit", epoch, at_s, when)[1]
-    sun = apparent_sun_m(earth)
-    return View(at_s[None], place[None], speed[None], sun[None], observer_m[None])
 
 
 def _attitudes(
@@ -249,7 +172,7 @@ def _attitudes(
     position: Array,
     velocity: Array,
     sun: Array,
-    sights: list[TargetSight],
+    sights: Mapping[int, TargetSight],
 ) -> Array:
     """Proper attitudes (n, 3, 3) of the pointing; stars and boresight share one set of effects."""
     p, effects = scene.pointing, scene.star_effects
