@@ -100,15 +100,20 @@ class Prepared:
 
 def resolve(scene: Scene) -> Scene:
     """The scene with what its files of orbits and distortion say, and albedos over the band."""
-    scene = gather_ephemerides(gather_distortion(scene))
-    if has_band_albedos(scene):
-        wavelength, irradiance, *_ = solar_spectrum()
-        scene = with_band_albedos(scene, wavelength, irradiance, gather_response(scene)[0])
+    scene = _banded(gather_ephemerides(gather_distortion(scene)))
     if any(target.body.kind == "mesh" for target in scene.targets):
         from pipeline.inputs.meshes import gather_meshes  # an optional extra: trimesh
 
         scene = gather_meshes(scene)
     return scene
+
+
+def _banded(scene: Scene) -> Scene:
+    """The scene with numbers for tables of reflectance."""
+    if not has_band_albedos(scene):
+        return scene
+    wavelength, irradiance, *_ = solar_spectrum()
+    return with_band_albedos(scene, wavelength, irradiance, gather_response(scene)[0])
 
 
 def prepare(scene: Scene) -> Prepared:
@@ -133,6 +138,7 @@ def prepare(scene: Scene) -> Prepared:
     scene, facts, sky = _sky(
         scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s
     )
+    scene, geometry = _populated(scene, facts, geometry, dut1_s)
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     remarks += mesh_notices(scene)
@@ -168,6 +174,20 @@ def _sky(
     return scene, facts_with_sky(facts, scene, sky), sky
 
 
+def _populated(
+    scene: Scene, facts: Facts, geometry: Geometry, dut1_s: float
+) -> tuple[Scene, Geometry]:
+    """The scene with the objects of its populations that come into the field, and its geometry."""
+    if all(p.screened is not None for p in scene.populations):
+        return scene, geometry
+    from pipeline.inputs.populations import gather_populations
+    from pipeline.plan.responses import plan_responses
+
+    r = plan_responses(scene, facts, camera_of(scene), geometry, sources=True)
+    full = _banded(gather_populations(scene, r.reach_px + r.reach_core_px + 2.0, dut1_s))
+    return full, plan_geometry(full, sampled_frames(full), dut1_s)
+
+
 def _cosmic_rays(scene: Scene) -> CosmicRays | None:
     """What draws the scene's cosmic rays; nothing is imported or read for a scene without."""
     if scene.cosmic_rays is None:
@@ -193,7 +213,7 @@ def _light(
         remarks.append(
             f"star colours: {colour.source}; fit residual {colour.residual_rms_mag:.3f} mag rms"
         )
-    if scene.targets:
+    if scene.targets or scene.populations:
         wavelength, irradiance, source, error = solar_spectrum()
         sun = band_photon_irradiance_sun(wavelength, irradiance, response)
         remarks.append(f"solar spectrum: {source}; {error}")

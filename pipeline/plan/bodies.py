@@ -78,7 +78,7 @@ def _reflected(
 
         body: Any = targets[i].body
         out[i] = mesh_m2_sr(body, epoch, view.of(np.array([i])), fields[i])
-    others = [i for i in range(len(targets)) if i not in set(spheres) | set(meshes)]
+    others = sorted(set(range(len(targets))) - {*spheres, *meshes})
     if others:
         bodies: list[Any] = [targets[i].body for i in others]
         names = [fields[i] for i in others]
@@ -101,7 +101,7 @@ def _sunlit_shares(targets: Sequence[Target], view: View, tt: tuple[Array, Array
 
 def _finer(wish: Lighting | None) -> bool:
     """True where more than a round Earth and an even Sun is asked for."""
-    return wish is not None and (wish.oblate_earth or wish.limb_darkening or wish.moon)
+    return wish is not None and bool(wish.oblate_earth or wish.limb_darkening or wish.moon)
 
 
 def _sunlit(lighting: Lighting | None, place: Array, sun: Array, tt: tuple[Array, Array]) -> Array:
@@ -146,16 +146,16 @@ def earthshine_m2_sr(
     return np.sum(shapes_m2_sr([body], epoch, lamps, [field], towards).reshape(n, k) * light, -1)
 
 
-def flicker_share(g: Geometry) -> float:
+def flicker_share(g: Geometry, which: NDArray[np.bool_] | None = None) -> float:
     """How far the light between nodes may be off, as a share of a target's light in its exposure.
 
     The light of an exposure is the trapezium rule over the nodes, the light of an interval the mean
     of its ends. Rules of K and K/2 intervals are compared: for smooth light the finer one errs
     by a third of what they differ, for kinks and steps (a face that turns to the Sun, the edge of
     the shadow) by at most about as much as they differ, which is returned: the worst of all targets
-    and frames.
+    and frames, or of those that are true in `which` (T, F).
     """
-    light = g.target_light
+    light = g.target_light if which is None else g.target_light[which]
     if not light.size:
         return 0.0
     fine = 0.5 * (light[..., :-1] + light[..., 1:])

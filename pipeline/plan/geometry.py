@@ -90,7 +90,8 @@ def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geo
     while True:
         geometry = _geometry(scene, looked_at, nodes, dut1_s)
         bend = _bend_px(scene, geometry)
-        smooth = flicker_share(geometry) <= scene.accuracy.flux_fraction
+        flicker = flicker_share(geometry, near_frame(scene, geometry))
+        smooth = flicker <= scene.accuracy.flux_fraction
         if bend <= PATH_TOLERANCE_PX and (smooth or nodes >= MOST_LIGHT_NODES):
             break
         if nodes >= MOST_NODES:
@@ -132,6 +133,21 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
         t.x_px.reshape(each), t.y_px.reshape(each), t.light.reshape(each), t.range_m.reshape(each),
         t.phase_rad.reshape(each), t.sunlit.reshape(each), t.direction,
     )  # fmt: skip
+
+
+def watch(scene: Scene, offsets: Array, dut1_s: float) -> tuple[Array, Array, Array]:
+    """Observer's geocentric place [m], velocity [m/s] and proper boresight (n, 3), any moments.
+
+    offsets : (n,) seconds after the scene's epoch
+    """
+    epoch, flat = parse_utc(scene.epoch), np.asarray(offsets, float)
+    times = instants(epoch, flat, dut1_s)
+    earth = earth_and_sun(times.tt1, times.tt2)
+    place, velocity = _observer(scene, epoch, flat, times, earth)
+    at = Moments(epoch, flat, times, earth, place, velocity)
+    position, sun = earth.position_m + place, earth.position_m + earth.sun_from_earth_m
+    attitude = _attitudes(scene, flat, position, velocity, sun, _followed(scene, at))
+    return place, velocity - earth.velocity_m_s, attitude[:, 2]
 
 
 def _followed(scene: Scene, at: Moments) -> dict[int, TargetSight]:
@@ -261,6 +277,20 @@ def _check_paths(scene: Scene, g: Geometry) -> None:
         )
 
 
+def near_frame(scene: Scene, g: Geometry) -> NDArray[np.bool_]:
+    """Targets and frames (T, F) whose path in the exposure touches the frame or what is beside it.
+
+    Beside it: within the frame's longer side. Others must not slow down the rest, nor be smooth.
+    """
+    rows, columns = scene.sensor.shape
+    side = max(rows, columns)
+    x, y = g.target_x_px, g.target_y_px
+    with np.errstate(invalid="ignore"):
+        near = (x.max(axis=-1) > -side) & (x.min(axis=-1) < columns + side)
+        near &= (y.max(axis=-1) > -side) & (y.min(axis=-1) < rows + side)
+    return np.asarray(near)  # NaN, behind the camera, is not near
+
+
 def _bend_px(scene: Scene, g: Geometry) -> float:
     """How far linear motion between the nodes is from the real one, at the worst place [px].
 
@@ -269,10 +299,9 @@ def _bend_px(scene: Scene, g: Geometry) -> float:
     """
     camera = camera_of(scene)
     paths = star_paths(camera, g, *_field_points(camera), scene.star_effects["aberration"])
-    xs = np.concatenate([g.target_x_px, paths[0]])
-    ys = np.concatenate([g.target_y_px, paths[1]])
-    seen = np.isfinite(xs).all(axis=-1) & (np.abs(xs).max(axis=-1) < 1e6)
-    xs, ys = xs[seen], ys[seen]
+    seen, near = np.isfinite(paths).all(axis=(0, -1)), near_frame(scene, g)
+    xs = np.concatenate([g.target_x_px[near], paths[0][seen]])
+    ys = np.concatenate([g.target_y_px[near], paths[1][seen]])
     if not len(xs):
         return 0.0
     length = np.hypot(np.diff(xs, axis=-1), np.diff(ys, axis=-1)).sum(axis=-1)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
-from pipeline.physics.constants import DEG_RAD, SPEED_OF_LIGHT_M_S
+from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.earth import teme_to_gcrs
 from pipeline.physics.positions.orbit import check_above_earth, tle_states, two_body
 from pipeline.physics.positions.orbit_sgp4 import (
@@ -219,7 +219,8 @@ def _table(
 def _start(orbit: StateOrbit | NumericalOrbit, field: str) -> Array:
     """The place of a state, checked with its velocity."""
     start = np.array(orbit.position_m, float)
-    check_above_earth(start, f"{field}.position_m")
+    if not math.hypot(*orbit.position_m) > EARTH_EQUATORIAL_RADIUS_M:  # the quick look
+        check_above_earth(start, f"{field}.position_m")
     if not math.hypot(*orbit.velocity_m_s) < SPEED_OF_LIGHT_M_S:
         raise BadInput(f"{field}.velocity_m_s", orbit.velocity_m_s, "a speed below that of light")
     return start

@@ -86,7 +86,8 @@ def target_paths(
         )  # fmt: skip
         six[:, some] = *project(camera, by_row, seen.direction_proper), *light, seen.range_m
         direction[some] = seen.direction_proper[:, directions_at]
-    return TargetPaths(*six, direction)
+    x, y, bright, phase, lit, distance = six
+    return TargetPaths(x, y, bright, phase, lit, distance, direction)
 
 
 def _batches(count: int, moments: int) -> Iterator[range]:
