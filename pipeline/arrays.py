@@ -124,13 +124,19 @@ class Geometry:
 
 @dataclass(frozen=True)
 class SensorMaps:
-    """Each term a number or a (rows, columns) image; units as in the scene's keys."""
+    """Each term a number or a (rows, columns) image; units as in the scene's keys.
+
+    linearity : charge collected and charge measured [e-], tables; None where they are the same
+    bad : rows, columns and DN of the pixels that read the same in every frame
+    """
 
     flat: Value
     dark_e_per_s: Value
     read_noise_e: Value
     gain_e_per_dn: Value
     bias_dn: Value
+    linearity: tuple[Array, Array] | None = None
+    bad: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None = None
 
     def typical(self, name: str) -> float:
         """The number itself, or the image's median: what the plan reckons with."""

@@ -252,6 +252,29 @@ def demo(
     print_product(product)
 
 
+@app.command()
+def selftest(
+    only: Annotated[str | None, typer.Option(help="part of a case's name")] = None,
+    page: Annotated[Path | None, typer.Option("--markdown", help="also write a page")] = None,
+    as_json: Json = False,
+) -> None:
+    """Hard ends of the product against answers known from elsewhere. Exit 1 where one fails."""
+    from pipeline.pages import stage_progress
+    from pipeline.selftest.report import as_data, chosen, markdown, print_table, run_cases
+
+    cases = chosen(only)
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        outcomes = run_cases(cases, listen)
+    if page is not None:
+        page.write_text(markdown(outcomes), encoding="utf-8")
+    if as_json:
+        print_json(as_data(outcomes))
+    else:
+        print_table(outcomes)
+    if not all(o.passed for o in outcomes):
+        raise typer.Exit(1)
+
+
 def _progress(quiet: bool) -> Any:
     """A bar of tiles on stderr; nothing when it is no terminal or not wanted."""
     from pipeline.pages import tile_progress

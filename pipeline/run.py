@@ -36,6 +36,7 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
 from pipeline.plan.bodies import has_band_albedos, with_band_albedos
+from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
 from pipeline.plan.geometry import (
@@ -137,7 +138,7 @@ def prepare(scene: Scene) -> Prepared:
     remarks = [remark] if remark else []
     colour, sun = _light(scene, response, band, digest, remarks)
     facts = gather_facts(
-        scene, response, maps.typical("dark_e_per_s"), maps.typical("read_noise_e"),
+        scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
     )  # fmt: skip
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
@@ -357,19 +358,24 @@ def _windows(plan: Plan) -> list[np.ndarray]:
 
 def _missing(plan: Plan, begun: Begun, frames: np.ndarray) -> Work | None:
     """What a window still lacks; None where nothing."""
+    first = int(frames[0])
+    earlier = np.arange(max(0, first - plan.lag_frames), first, dtype=np.int64)
+    shift = len(earlier)
     tiles = [
-        (i, tile)
+        (i + shift, tile)
         for i, frame in enumerate(frames)
         for tile in plan.tiles
         if (int(frame), tile.row, tile.column) not in begun.done
     ]
     truth = {
-        kind: tuple(i for i, f in enumerate(frames) if (kind, int(f)) not in begun.truth_done)
+        kind: tuple(
+            i + shift for i, f in enumerate(frames) if (kind, int(f)) not in begun.truth_done
+        )
         for kind in truth_kinds(plan)
     }
     if not tiles and not any(truth.values()):
         return None
-    geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
+    geometry = plan_geometry(plan.scene, np.concatenate([earlier, frames]), plan.dut1_s)
     return Work(
         geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()),
         truth.get("cosmic_rays", ()),

@@ -37,6 +37,7 @@ from pipeline.physics.vectors import from_angles, separation
 from pipeline.plan.air import air_of, lifted
 from pipeline.plan.bodies import View, flicker_share, needs_velocity, target_light
 from pipeline.plan.orbits import mean_sights, orbit_states
+from pipeline.spec.detector import TimeDelay
 from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import RatePointing, SiderealPointing, TargetPointing
@@ -66,6 +67,8 @@ def camera_of(scene: Scene) -> Camera:
     """The focal plane of a scene's sensor."""
     s = scene.sensor
     camera = Camera(s.shape[0], s.shape[1], s.pixel_pitch_um * 1e-6, s.focal_length_m)
+    if s.detector is not None and isinstance(s.detector.readout, TimeDelay):
+        camera = replace(camera, charge_px_s=s.detector.readout.rows_per_s)
     if s.distortion is None:
         return camera
     from pipeline.physics.positions.distortion import distortion_of
@@ -138,6 +141,8 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
             for a, u in zip(attitude, sight.direction_proper, strict=True)
         ]
         x[i], y[i] = (np.concatenate(c).reshape(shape[1:]) for c in zip(*places, strict=True))
+        if camera.charge_px_s:
+            y[i] -= camera.charge_px_s * (within - within[nodes // 2])
         light_, alpha, sunlit = target_light(
             target, f"targets.{i}.body", epoch,
             _view(scene, i, epoch, flat, sight, earth, geocentric, dut1_s),
@@ -395,6 +400,8 @@ def star_paths(
         for k in range(g.nodes):
             u = refract(aberrate(stars, beta[f, k]), g.air_at(f, k))
             out[:, :, f, k] = project(camera, g.attitude[f, k], u)
+        if camera.charge_px_s:
+            out[1, :, f] -= camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
     return out
 
 

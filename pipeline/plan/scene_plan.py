@@ -19,6 +19,7 @@ from pipeline.plan.air_decisions import decide_air
 from pipeline.plan.checks import CheckCell, choose_checks
 from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
+from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, excursions_px
 from pipeline.plan.optics import describe
@@ -71,6 +72,11 @@ class Plan:
         return self.scene.exposure.frames
 
     @property
+    def lag_frames(self) -> int:
+        """How many frames before leave charge in a frame."""
+        return lag_depth(self.scene, self.facts.sigma_floor_e)
+
+    @property
     def halo_px(self) -> float:
         """How far off the frame a source may be and still send light onto it."""
         return self.responses.reach_px + 2.0
@@ -104,6 +110,7 @@ def make_plan(
     decisions = (
         *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
         *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
+        *decide_detector(scene, facts, ends),
     )  # fmt: skip
     return Plan(
         scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),

@@ -171,6 +171,8 @@ PATH_FIELDS = (
     ("sensor", "flat"),
     ("sensor", "dark_e_per_s"),
     ("sensor", "read_noise_e"),
+    ("sensor", "detector", "bad", "map"),
+    ("sensor", "detector", "dead", "map"),
     ("sensor", "bandpass", "path"),
     ("sensor", "psf", "path"),
     ("sensor", "psf", "psfs", "*", "*", "path"),  # of each place of a field

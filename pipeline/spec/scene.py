@@ -18,7 +18,10 @@ from pipeline.spec.sensor import Sensor
 from pipeline.spec.strict import Positive, Strict
 
 SCHEMA = "nightglass/scene/1"
-LAYERS = ("dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e", "cosmic_rays_e")
+LAYERS = (
+    "dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e", "cosmic_rays_e",
+    "lag_e", "calibrated_e",
+)  # fmt: skip
 CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
 MAX_CATALOGUES, MAX_PATH = 8, 1024
 
@@ -205,7 +208,14 @@ class Scene(Strict):
 
     @model_validator(mode="after")
     def _tiles_hold_whole_cells(self) -> Scene:
+        detector = self.sensor.detector
         if self.output.tile_shape is not None:
+            rows = self.sensor.shape[0]
+            if detector and detector.whole_columns and self.output.tile_shape[0] != rows:
+                raise PydanticCustomError(
+                    "tile", "allowed: all {rows} rows, as charge runs along whole columns",
+                    {"rows": rows, "field": "output.tile_shape"},
+                )  # fmt: skip
             for tile, full in zip(self.output.tile_shape, self.sensor.shape, strict=True):
                 if tile != full and (tile % CELL_PX or tile > full):
                     raise PydanticCustomError(

@@ -161,7 +161,7 @@ TEXTS_THAT_ARE_NO_PATHS = {
     "name", "epoch", "line1", "line2", "target", "schema", "kind", "mode", "adc_rounding",
     "compression", "layers", "object", "frame", "shadow", "third_bodies", "source",
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
-    "unit", "arrival", "on", "objects", "digest", "inside", "beyond",
+    "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond",
 }  # fmt: skip
 
 
