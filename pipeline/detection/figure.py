@@ -41,7 +41,7 @@ def _completeness(axes: Any, study: dict[str, Any]) -> None:
                       label=f"stars: {TITLES[kind]}")  # fmt: skip
     found = [t for t in study["targets"] if t["found"]]
     told = "\n".join(
-        f"{NAMES[k]}: {v['false_alarms'] / study['frames']:.1f}"
+        f"{TITLES[k]} {v['false_alarms'] / study['frames']:.1f}"
         for k, v in study["finders"].items()
     )
     axes.set_title(

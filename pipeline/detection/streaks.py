@@ -20,6 +20,8 @@ WIDTH_PX = 1.2  # rms across a line
 BRIGHTEST_SIGMA = 30.0  # a pixel counts at most so much: one bright star is no streak
 PEAK_PX = 3  # half side of the square in which a detection is the largest
 MOST = 200_000
+EVEN, BRIGHT_SIGMA, PLACES = 0.4, 5.0, 21
+SAMPLE = 100_003  # pixels that tell the scatter of a filtered image
 OPENING_PX = 11  # what is shorter than that along the drift is no star's streak
 
 
@@ -38,8 +40,9 @@ def find_lines(image: Array, noise: float, threshold_sigma: float, lines: list[L
     image, noise : from `points.flattened`. Each pixel, in units of the noise, is filtered by each
     line with a width of WIDTH_PX; where the best filter peaks and is no point (length 0), a streak
     is reported with its length and angle. The unit of signal-to-noise is the scatter of the
-    filtered image where that is more than the noise: crowds count as noise. Neighbours along the
-    same line are left to the brighter one. The frame is taken as periodic.
+    filtered image where that is more than the noise: crowds count as noise. Lines that single
+    points make are left out, and neighbours along the same line are left to the brighter one. The
+    frame is taken as periodic.
     """
     scaled = np.minimum(image / noise, BRIGHTEST_SIGMA).astype(np.float32)
     best, which = _best(scaled, lines)
@@ -48,6 +51,8 @@ def find_lines(image: Array, noise: float, threshold_sigma: float, lines: list[L
     y, x = np.nonzero(peak & (length > 0))
     order = np.argsort(-best[y, x], kind="stable")[:MOST]
     y, x = y[order], x[order]
+    even = _even(_best(scaled, [(0.0, 0.0)])[0], x, y, length[y, x], angle[y, x])
+    y, x = y[even], x[even]
     kept = _own_peaks(x.astype(float), y.astype(float), length[y, x], angle[y, x])
     y, x = y[kept], x[kept]
     return Found(
@@ -64,7 +69,7 @@ def without_streaks(image: Array, drift: Line) -> Array:
     half = 0.5 * (min(OPENING_PX, max(3, int(drift[0]) // 2)) - 1)
     steps = np.linspace(-half, half, 4 * OPENING_PX)
     rows, columns = (np.round(steps * f(drift[1])).astype(int) for f in (math.sin, math.cos))
-    size = int(math.ceil(half))
+    size = math.ceil(half)
     footprint = np.zeros((2 * size + 1, 2 * size + 1), bool)
     footprint[rows + size, columns + size] = True
     left = image - grey_opening(image, footprint=footprint)
@@ -90,11 +95,32 @@ def _best(
         power = 2.0 * float(np.sum(line**2)) - float(np.sum(line[:, 0] ** 2))
         filtered = scipy.fft.irfft2(spectrum * line, s=shape)
         filtered /= np.float32(math.sqrt(power / scaled.size))
-        filtered -= np.median(filtered)
-        filtered /= np.float32(max(1.0, 1.4826 * float(np.median(np.abs(filtered)))))
+        sample = filtered.ravel()[:: max(1, filtered.size // SAMPLE)]
+        middle = np.median(sample)
+        scatter = 1.4826 * float(np.median(np.abs(sample - middle)))
+        filtered = (filtered - middle) / np.float32(max(1.0, scatter))
         wins = filtered > best
         best[wins], which[wins] = filtered[wins], number
     return best, which
+
+
+def _even(
+    points: NDArray[np.float32], x: NDArray[np.int64], y: NDArray[np.int64], length: Array,
+    angle: Array,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Lines that are lit all along: no single point, nor two of them, makes one.
+
+    points : the image filtered by a point. Of PLACES along the line the median must reach
+    EVEN of the brightest, unless none of them is above BRIGHT_SIGMA.
+    """
+    steps = np.linspace(-0.5, 0.5, PLACES)[:, None] * length
+    rows = np.clip(np.round(y + steps * np.sin(angle)).astype(int), 0, points.shape[0] - 1)
+    columns = np.clip(np.round(x + steps * np.cos(angle)).astype(int), 0, points.shape[1] - 1)
+    light = points[rows, columns]
+    brightest = light.max(axis=0, initial=0.0)
+    if not len(x):
+        return np.zeros(0, bool)
+    return np.asarray((brightest < BRIGHT_SIGMA) | (np.median(light, axis=0) >= EVEN * brightest))
 
 
 def _own_peaks(x: Array, y: Array, length: Array, angle: Array) -> NDArray[np.bool_]:
