@@ -13,6 +13,7 @@ from pipeline.execute.tables import swept_core
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.positions.apparent import proper_to_astrometric
 from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import stamp_at
 from pipeline.physics.vectors import to_angles
@@ -76,9 +77,8 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     drawn = {t.index: t for t in place_targets(plan, g, everywhere=True)}
     seen = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     effects = plan.scene.star_effects
-    direction = proper_to_astrometric(
-        g.target_direction[:, 0], seen[0], seen[1], seen[2], **effects
-    )
+    proper = unrefract(g.target_direction[:, 0], g.air_at(0, middle))
+    direction = proper_to_astrometric(proper, seen[0], seen[1], seen[2], **effects)
     ra, dec = to_angles(direction)
     apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
     light = np.array([drawn[i].light_e if i in drawn else 0.0 for i in range(count)])
@@ -185,7 +185,8 @@ def world_of(plan: Plan, g: Geometry, index: int = 0) -> Any:
     seen = (g.observer_m[index, middle], g.observer_m_s[index, middle], g.sun_m[index, middle])
 
     def to_world(x_px: Array, y_px: Array) -> Array:
-        proper = deproject(plan.camera, g.attitude[index, middle], x_px, y_px)
+        observed = deproject(plan.camera, g.attitude[index, middle], x_px, y_px)
+        proper = unrefract(observed, g.air_at(index, middle))
         return proper_to_astrometric(proper, seen[0], seen[1], seen[2], **effects)
 
     return to_world
