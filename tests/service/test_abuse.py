@@ -342,16 +342,16 @@ def test_quotas_over_http(make_server: Callable[..., Any], scene: dict[str, Any]
 def test_a_full_disk_is_named_and_loses_nothing(
     make_server: Callable[..., Any], scene: dict[str, Any]
 ) -> None:
-    """First no file may grow beyond 2 MB: an image is too large. Then the job table's own log."""
+    """First no file may grow beyond 1.5 MB: an image is too large. Then the job table's own log."""
     server = make_server()
     assert server.client.get("/readyz").status_code in (200, 503)
     table = server.home / "jobs.sqlite"
     with sqlite3.connect(table) as reader:  # an open reader: the log is not begun anew
         reader.execute("BEGIN").close()
         assert reader.execute("SELECT count(*) FROM jobs").fetchone() == (0,)
-        limit(server, 2_000_000)
-        scene["sensor"]["shape"] = [1536, 1536]
-        scene["output"] = {"layers": ["dn", "mean_e"]}
+        limit(server, 1_500_000)
+        noisy = {"shape": [1024, 1024], "read_noise_e": 8000.0, "bias_dn": 30000, "adc_bits": 16}
+        scene["sensor"] |= noisy  # nothing that a codec could make smaller
         job = server.ended(server.submit(scene))
         assert (job["phase"], job["error"]["kind"]) == ("ERROR", "disk full"), job
         assert "disk is full" in job["error"]["message"]
