@@ -72,14 +72,15 @@ def field(server: Any) -> str:
     from tests.service.conftest import SCENE
 
     scene = json.loads(json.dumps(SCENE))
-    scene["name"] = "field"
+    scene |= {"name": "field", "epoch": "2019-07-20T09:00:00Z"}
     scene["sensor"] |= {"shape": [512, 512], "pixel_pitch_um": 27.0}
     scene["stars"] = {"catalogue": "field"}
     scene["pointing"] = {"mode": "sidereal", "boresight_ra_deg": 276.0, "boresight_dec_deg": -3.2,
                          "roll_deg": 20.0}  # fmt: skip
     scene["output"] = {"tile_shape": [256, 256], "layers": ["dn", "mean_e"]}
     job = server.submit(scene)
-    assert server.ended(job)["phase"] == "COMPLETED"
+    done = server.ended(job)
+    assert done["phase"] == "COMPLETED", done
     return job
 
 
