@@ -137,7 +137,7 @@ def _noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
     def squared(value: float | Array) -> float | Array:
         return np.square(value[part] if isinstance(value, np.ndarray) else value)
 
-    photons = mean_e[part] if chain.photon_noise else 0.0
+    photons = mean_e[part] if chain.photon_noise else np.zeros_like(mean_e[part])
     floor = squared(chain.read_noise_e) + squared(chain.gain_e_per_dn) / 12.0
     floor += chain.row_noise_e**2 + chain.column_noise_e**2
     return np.sqrt(photons + floor)

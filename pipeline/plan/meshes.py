@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pipeline.errors import BadInput
 from pipeline.physics.meshes.model import MeshModel, model_light
 from pipeline.physics.targets.attitude import in_body_axes
-from pipeline.plan.bodies import UPRIGHT, View, attitudes
+from pipeline.plan.body_attitudes import UPRIGHT, View, attitudes
 from pipeline.spec.mesh import MeshBody
 
 Array = NDArray[np.float64]

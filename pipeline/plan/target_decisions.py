@@ -6,6 +6,7 @@ from pipeline.arrays import Geometry
 from pipeline.plan.bodies import flicker_share
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
+from pipeline.plan.geometry import near_frame
 from pipeline.spec.body import CompositeBody, SphereBody
 from pipeline.spec.mesh import MeshBody
 from pipeline.spec.orbit import KeplerianOrbit, NumericalOrbit, StateOrbit, TableOrbit
@@ -17,16 +18,23 @@ def decide_targets(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]
 
     ends : some of the scene's frames
     """
+    screened = []
+    if scene.populations:
+        from pipeline.plan.populations import population_decisions
+
+        screened = population_decisions(scene)
     if not scene.targets:
-        return []
+        return screened
     return [
+        *screened,
         *_lighting(scene),
         *_orbits(scene),
         *_sizes(scene, facts),
         Decision(
             "targets.light_between_nodes", True,
             f"linear between {ends.nodes} nodes of an exposure: off by at most "
-            f"{flicker_share(ends):.2g} of a target's light in the frames looked at",
+            f"{flicker_share(ends, near_frame(scene, ends)):.2g} of the light of a target in or "
+            "beside the frame, of the frames looked at",
         ),
     ]  # fmt: skip
 

@@ -162,6 +162,8 @@ def _checked(data: dict[str, Any]) -> Scene:
 PATH_FIELDS = (
     ("stars", "catalogue"),
     ("cosmic_rays", "path"),
+    ("background", "stray_light", "pst", "path"),
+    ("background", "stray_light", "earth_albedo"),
     ("sensor", "transmission"),
     ("sensor", "quantum_efficiency"),
     ("sensor", "gain_e_per_dn"),
@@ -176,6 +178,8 @@ PATH_FIELDS = (
     ("sensor", "psf", "psfs", "*", "*", "path"),  # of each place of a field
     ("sensor", "distortion", "path"),
     ("observer", "orbit", "path"),
+    ("populations", "*", "path"),
+    ("populations", "*", "sizes"),
     ("targets", "*", "orbit", "path"),  # of each target
     ("targets", "*", "body", "path"),
     ("targets", "*", "body", "surface", "path"),

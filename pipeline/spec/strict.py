@@ -12,8 +12,7 @@ from pydantic_core import PydanticCustomError
 NOT_YET = {
     "rolling_shutter": "rows exposed one after the other are not in this version: all rows share "
     "the exposure's start and end (detector.readout takes frame_transfer or tdi)",
-    "pst": "stray light by a point-source transmittance is not in this version",
-    "stray_light": "stray light is not in this version; use a uniform background",
+    "pst": "a point-source transmittance belongs to background.stray_light.pst",
 }
 
 Positive = Annotated[float, Field(gt=0)]
