@@ -31,7 +31,7 @@ class Limits(NamedTuple):
 
 def limits_of(image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7) -> Limits:
     """Limits between the sky and a bright percentile of an image."""
-    values = np.asarray(image, np.float64)
+    values = _seen(image)
     sample = values.ravel()[:: max(1, values.size // 400_000)]
     low, middle, high = np.percentile(sample, [low_percent, 50.0, high_percent])
     scatter = 1.4826 * float(np.median(np.abs(sample - middle))) or 1.0
@@ -45,7 +45,7 @@ def stretch(image: NDArray[Any], limits: Limits | None = None) -> NDArray[np.uin
     The softening is the robust scatter of the sky, so that noise stays visible beside bright
     stars (Lupton et al. 2004, PASP 116, 133).
     """
-    values = np.asarray(image, np.float64)
+    values = _seen(image)
     low, scatter, top = limits or limits_of(values)
     scaled = np.arcsinh((values - low) / (3.0 * scatter)) / np.arcsinh(
         (top - low) / (3.0 * scatter)
@@ -56,6 +56,7 @@ def stretch(image: NDArray[Any], limits: Limits | None = None) -> NDArray[np.uin
 def shrink(image: NDArray[Any], side_px: int = LARGEST_SIDE_PX) -> tuple[NDArray[Any], int]:
     """An image binned by whole factors until it fits; faint stars survive as block maxima do not
     raise the sky (mean of the block and its maximum). Returns it and the factor."""
+    image = _seen(image)
     factor = -(-max(image.shape) // side_px)
     if factor == 1:
         return np.asarray(image, np.float64), 1
@@ -68,15 +69,20 @@ def shrink(image: NDArray[Any], side_px: int = LARGEST_SIDE_PX) -> tuple[NDArray
     return 0.5 * (blocks.mean(axis=(1, 3)) + blocks.max(axis=(1, 3))), factor
 
 
+def _seen(image: NDArray[Any]) -> NDArray[np.float64]:
+    """An image as float64; pixels that are no number (masked ones) are as dark as the darkest."""
+    values = np.asarray(image, np.float64)
+    masked = np.isnan(values)
+    if not masked.any():
+        return values
+    return np.where(masked, 0.0 if masked.all() else np.nanmin(values), values)
+
+
 def frame_picture(product: Path, frame: int = 0, mark: bool = True, layer: str = "dn") -> Image:
     """A picture of one frame of a layer, north as the pointing has it (row 0 at the bottom)."""
     from PIL import Image
 
-    values = read_layer(product, layer, frame)
-    missing = ~np.isfinite(values)
-    if missing.any():  # masked pixels of a calibrated copy
-        values = np.where(missing, np.nanmedian(values) if not missing.all() else 0.0, values)
-    small, factor = shrink(values)
+    small, factor = shrink(read_layer(product, layer, frame))
     grey = stretch(small)[::-1]
     picture = Image.fromarray(np.stack([grey] * 3, axis=-1))
     if mark:

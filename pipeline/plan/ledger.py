@@ -1,4 +1,4 @@
-"""The ledger of omissions: for each rule of the plan what decides, and the test that measures it."""
+"""The ledger of omissions: what decides each rule of the plan, and the test that measures it."""
 
 from __future__ import annotations
 
