@@ -122,8 +122,7 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     at = Moments(epoch, flat, times, earth, geocentric, velocity)
     attitude = _attitudes(scene, flat, position, velocity, sun, _followed(scene, at))
     _check_view(scene, geocentric, attitude[:, 2])
-    middles = np.arange(len(frames)) * nodes + nodes // 2
-    t = target_paths(scene, camera_of(scene), attitude, at, middles)
+    t = target_paths(scene, camera_of(scene), attitude, at, len(frames))
     grid, grid3 = offset.shape, (*offset.shape, 3)
     each = (len(scene.targets), *grid)
     return Geometry(
@@ -131,7 +130,8 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
         t.x_px.reshape(each), t.y_px.reshape(each), t.light.reshape(each), t.range_m.reshape(each),
-        t.phase_rad.reshape(each), t.sunlit.reshape(each), t.direction,
+        t.phase_rad.reshape(each), t.sunlit.reshape(each), t.direction, t.pose, t.pose_s,
+        t.turn_rad,
     )  # fmt: skip
 
 
