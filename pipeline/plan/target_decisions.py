@@ -166,8 +166,8 @@ def _orbits(scene: Scene) -> list[Decision]:
         found.append(
             Decision(
                 "targets.perturbations", False,
-                f"two-body motion for {_names(plain)}: the Earth's oblateness is left out, some "
-                "km an hour in low orbit",
+                f"two-body motion for {_names(plain)}: the Earth's oblateness is left out, up to "
+                "80 km an hour after the state at 500 km, 60 m at GEO, and all smaller forces",
             )
         )  # fmt: skip
     forced = [t for t in scene.targets if isinstance(t.orbit, NumericalOrbit)]
@@ -176,7 +176,8 @@ def _orbits(scene: Scene) -> list[Decision]:
             Decision(
                 "targets.forces", True,
                 f"as asked for {_names(forced)}: zonal harmonics, a static atmosphere, sunlight, "
-                "Sun and Moon; tesseral harmonics are left out, some 100 m a day in low orbit",
+                "Sun and Moon; tesseral harmonics are left out: degree 2 and 3 of EGM96 are worth "
+                "0.4 to 2.2 km in a day at 500 km, 0.1 to 0.4 km at GEO",
             )
         )  # fmt: skip
     found += [

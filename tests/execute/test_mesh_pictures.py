@@ -1,4 +1,4 @@
-"""Meshes that are larger than a point: their picture is drawn, like a sphere's where they are one."""
+"""Meshes larger than a point: their picture is drawn, like a sphere's where they are one."""
 
 from __future__ import annotations
 
