@@ -178,6 +178,8 @@ PATH_FIELDS = (
     ("sensor", "psf", "psfs", "*", "*", "path"),  # of each place of a field
     ("sensor", "distortion", "path"),
     ("observer", "orbit", "path"),
+    ("populations", "*", "path"),
+    ("populations", "*", "sizes"),
     ("targets", "*", "orbit", "path"),  # of each target
     ("targets", "*", "body", "path"),
     ("targets", "*", "body", "surface", "path"),

@@ -138,6 +138,9 @@ def test_no_path_field_takes_a_file(
         scene["background"] = {"stray_light": {"pst": dict(pst)}}
     if field[0] == "cosmic_rays":
         scene["cosmic_rays"] = {"kind": "library"}
+    if field[0] == "populations":
+        ball = scene["targets"][0]["body"]
+        scene["populations"] = [{"name": "p", "path": "a.tle", "body": ball}]
     if "body" in field:
         scene["targets"][0]["body"] = {"kind": "mesh", "unit": "m", "path": "a.obj"}
     holder: Any = scene
@@ -162,6 +165,7 @@ TEXTS_THAT_ARE_NO_PATHS = {
     "compression", "layers", "object", "frame", "shadow", "third_bodies", "source",
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
     "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond",
+    "name_contains", "left_out",
 }  # fmt: skip
 
 
