@@ -40,6 +40,8 @@ def dimmed(
 ) -> dict[str, Array]:
     """Light from beyond the air, less the part of the extinction that diffuse light suffers.
 
+    Undrawn stars are dimmed as drawn ones are, so that a limiting magnitude changes no sum.
+
     air : (5,) of the Geometry; observed : (n, 3)
     """  # fmt: skip
     o = scene.observer
@@ -47,8 +49,10 @@ def dimmed(
         return parts
     wish = o.atmosphere.extinction
     assert isinstance(wish, Extinction)
-    passed = extinction.transmission(observed @ air[:3], wish.diffuse_share)
-    return {name: light * passed for name, light in parts.items()}
+    sine = observed @ air[:3]
+    diffuse = extinction.transmission(sine, wish.diffuse_share)
+    stars = extinction.transmission(sine)
+    return {n: light * (stars if n == "starlight" else diffuse) for n, light in parts.items()}
 
 
 def night_parts(

@@ -18,15 +18,18 @@ from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad
 from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.sky import zodiacal as z
 from pipeline.physics.sky.galactic import diffuse_light
+from pipeline.physics.sky.smooth import smooth
 from pipeline.physics.sky.starlight import band_light
 from pipeline.plan.facts import Facts
 from pipeline.spec.background import Background, Galactic, Zodiacal
+from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.physics.sky.night import NightBand
     from pipeline.plan.stray_light import StrayInputs
+    from pipeline.spec.stray_light import StrayLight
 
 Array = NDArray[np.float64]
 
@@ -137,9 +140,19 @@ class Light:
         wish = background_of(self.scene).stray_light
         assert wish is not None
         assert self.inputs.stray is not None
-        u = self.directions(g, f, node, x, y)
-        air = self.inputs.extinction
-        return stray_parts(self.scene, wish, self.inputs.stray, g, f, node, u, self.dut1_s, air)
+        inputs, air = self.inputs.stray, self.inputs.extinction
+
+        def parts(wish: StrayLight, x: Array, y: Array) -> dict[str, Array]:
+            u = self.directions(g, f, node, x, y)
+            return stray_parts(self.scene, wish, inputs, g, f, node, u, self.dut1_s, air)
+
+        lamps = wish.model_copy(update={"earth": False})
+        out = parts(lamps, x, y)
+        if wish.earth and not isinstance(self.scene.observer, GroundObserver):
+            earth = wish.model_copy(update={"sun": False, "moon": False})
+            rows, columns = self.camera.rows, self.camera.columns
+            out["earth"] = smooth(lambda x, y: parts(earth, x, y)["earth"], rows, columns, x, y)
+        return out
 
     def directions(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> Array:
         """Unit vectors (n, 3) of the sky before refraction and aberration."""

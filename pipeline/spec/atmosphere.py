@@ -16,8 +16,9 @@ class Extinction(Strict):
     mag_per_airmass : one coefficient for the whole band; else a standard atmosphere over the band:
         Rayleigh scattering at the site's height, aerosols and ozone
     aerosol_mag : at 550 nm and sea level; aerosol_slope : its fall with wavelength
-    diffuse_share : share of it that zodiacal and galactic light and undrawn stars suffer: most of
-        what is scattered out of a line of sight is scattered into it from the sky around
+    diffuse_share : share of it that zodiacal and galactic light suffer: much of what is scattered
+        out of a line of sight is scattered into it from around. A choice: published values for
+        zodiacal light go from below 0 where it is faint to 0.7 (Noll et al. 2012, section 3.3)
     """
 
     mag_per_airmass: float | None = Field(None, ge=0, le=20)

@@ -29,7 +29,9 @@ class Zodiacal(Strict):
 class Galactic(Strict):
     """Starlight scattered by interstellar dust, as a share of all light of the Milky Way."""
 
-    share: float = Field(0.25, gt=0, le=0.5, description="published: 0.2 to 0.3")
+    share: float = Field(
+        0.25, gt=0, le=0.5, description="a choice within what is published: 0.2 to 0.3"
+    )
 
 
 class Airglow(Strict):

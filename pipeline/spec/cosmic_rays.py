@@ -11,7 +11,7 @@ from pipeline.spec.strict import Strict
 MAX_PATH = 1024
 SPACE_RATE_PER_CM2_S = 5.0  # galactic cosmic rays far above the Earth, solar minimum
 GROUND_RATE_PER_CM2_S = 1.0 / 60.0  # muons at sea level on a level surface
-SPACE_HELIUM_SHARE = 0.09
+SPACE_HELIUM_SHARE = 0.09  # of primary cosmic rays (Glossary of Meteorology, AMS)
 MUON_ZENITH_POWER = 2.0
 
 

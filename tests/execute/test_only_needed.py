@@ -41,7 +41,8 @@ TARGET = {
 UNNEEDED = {
     "sky": ["healpy", "pyarrow", "speclite", "sgp4", "astropy", "distributed", "fastapi", "pandas",
             "catalog_tools.query", "catalog_tools.layers", "catalog_tools.regions",
-            "catalog_tools.ingest", "sqlalchemy", "xarray"],
+            "catalog_tools.ingest", "sqlalchemy", "xarray", "pipeline.plan.stray_light",
+            "pipeline.physics.sky.extinction", "pipeline.physics.sky.night"],
     "target": ["healpy", "speclite", "sgp4", "astropy", "distributed", "fastapi",
                "catalog_tools.query", "sqlalchemy", "xarray"],
 }  # fmt: skip

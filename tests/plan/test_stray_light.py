@@ -202,3 +202,26 @@ def test_a_map_of_the_earth(scene, curve, shared_data):
                   at(200.0, 0.0))[-1]  # fmt: skip
     assert 0.118 / 0.317 < mapped.least_e_s / one.least_e_s < 0.712 / 0.317
     assert mapped.least_e_s != pytest.approx(one.least_e_s, rel=1e-3)
+
+
+def test_the_moon_behind_the_earth_gives_none(scene, curve):
+    """The observer on the line from the Moon through the Earth, then a little beside it."""
+    from pipeline.plan.stray_light import _seen_past_earth
+
+    moon = np.array([3.8e8, 0.0, 0.0])
+    behind = np.array([-4.2e7, 0.0, 0.0])
+    assert _seen_past_earth(behind, moon - behind, 1.74e6) == 0.0
+    beside = np.array([-4.2e7, 9.0e6, 0.0])
+    assert _seen_past_earth(beside, moon - beside, 1.74e6) == 1.0
+    half = np.array([-4.2e7, EARTH_EQUATORIAL_RADIUS_M * 1.111, 0.0])
+    assert 0.0 <= _seen_past_earth(half, moon - half, 1.74e6) <= 1.0
+    before = np.array([4.2e7, 0.0, 0.0])
+    assert _seen_past_earth(before, moon - before, 1.74e6) == 1.0
+
+
+def test_the_paper_s_four_corners_are_told(scene, curve):
+    wish = {"pst": {"kind": "table", "path": curve}, "sun": False}
+    sky = planned(scene, wish, at(191.0, 0.0))[-1]
+    reason = told(sky)["background.grid"].reason
+    assert "four corners differ by up to 0." in reason
+    assert "which the paper would take for the frame and err by" in reason

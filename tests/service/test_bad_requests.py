@@ -165,6 +165,7 @@ TEXTS_THAT_ARE_NO_PATHS = {
     "compression", "layers", "object", "frame", "shadow", "third_bodies", "source",
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
     "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond",
+    "moonlight", "twilight",
     "name_contains", "left_out",
 }  # fmt: skip
 
