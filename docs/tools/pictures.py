@@ -36,7 +36,7 @@ def main() -> None:
         report_detection(product, study)
         shutil.copy(study / "detection.png", pictures / "detection.png")
         text = (study / "detection.md").read_text()
-        head = "# Detection results\n\nOf `nightglass report detection demo/product`, on "
+        head = "# Detection results\n\nFrom `nightglass report detection demo/product`. Of "
         (wish.docs / "detection.md").write_text(head + text)
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
 
 from catalog_tools.ingest import ingest
 from pipeline.run import render
-from pipeline.spec.load import load_scene, parse_scene
+from pipeline.spec.load import parse_scene
 
 RA_DEG, DEC_DEG, SIDE, STEP_PX = 275.94299663, -3.60041723, 512, 80
 IFOV_DEG = float(np.degrees(9e-6))
@@ -29,27 +27,42 @@ def _catalogue(folder):
     return str(ingest([folder / "stars.csv"], folder / "catalogue").catalogue.path)
 
 
+def _target(name, position_m, velocity_m_s):
+    return {
+        "name": name,
+        "orbit": {"kind": "state", "position_m": position_m, "velocity_m_s": velocity_m_s},
+        "body": {"kind": "sphere", "diameter_m": 4.0, "albedo": 0.25},
+    }
+
+
 @pytest.fixture(scope="session")
 def labelled(tmp_path_factory):
-    """The demo's GEO scene before 36 stars, at 512 x 512 px: two frames, layers of light alone."""
-    from importlib.resources import files
-
+    """A tracked satellite and a drifting one before 36 stars: two frames, layers of light."""
     folder = tmp_path_factory.mktemp("labelled")
-    demo = files("pipeline").joinpath("scenes/demo.yaml")
-    (folder / "demo.yaml").write_text(demo.read_text())
-    data = copy.deepcopy(load_scene(folder / "demo.yaml").as_dict())
-    data["name"] = "labelled"
-    data["sensor"] |= {
-        "shape": [SIDE, SIDE], "focal_length_m": 1.0, "distortion": None,
-        "psf": {"kind": "gaussian", "sigma_px": 0.9},
+    x, y, z, speed = 4407338.1, -41933005.2, -36593.5, [3057.8229, 321.39, 0.2805]
+    scene = {
+        "schema": "nightglass/scene/1", "name": "labelled", "epoch": "2019-07-20T09:00:00Z",
+        "seed": 7,
+        "observer": {
+            "kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055
+        },
+        "sensor": {
+            "shape": [SIDE, SIDE], "pixel_pitch_um": 9.0, "focal_length_m": 1.0,
+            "aperture_m": 0.4, "obscuration": 0.35,
+            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+            "transmission": 0.8, "quantum_efficiency": 0.85,
+            "psf": {"kind": "gaussian", "sigma_px": 0.9}, "full_well_e": 90000,
+            "gain_e_per_dn": 1.5, "bias_dn": 500, "dark_e_per_s": 0.5, "read_noise_e": 6.0,
+        },
+        "pointing": {"mode": "target", "target": "geo-1"},
+        "exposure": {"integration_s": 1.0, "frames": 2, "cadence_s": 4.0},
+        "stars": {"catalogue": _catalogue(folder)},
+        "targets": [
+            _target("geo-1", [x, y, z], speed),
+            _target("drifter", [x, y, z + 12_300.0], [speed[0], speed[1], speed[2] + 900.0]),
+        ],
+        "background": {"uniform_mag_arcsec2": 20.8},
+        "output": {"layers": ["dn", "stars_e", "targets_e", "mean_e"]},
     }  # fmt: skip
-    data["exposure"] = {"integration_s": 1.0, "frames": 2, "cadence_s": 4.0}
-    data["stars"] = {"catalogue": _catalogue(folder)}
-    near = copy.deepcopy(data["targets"][0])  # 38 px off the tracked one, drifting
-    near["name"] = "drifter"
-    near["orbit"]["position_m"][2] += 12_300.0
-    near["orbit"]["velocity_m_s"][2] += 900.0
-    data["targets"] = [data["targets"][0], near]
-    data["output"] = {"layers": ["dn", "stars_e", "targets_e", "mean_e"]}
-    render(parse_scene(data), folder / "run")
+    render(parse_scene(scene), folder / "run")
     return folder / "run"
