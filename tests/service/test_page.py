@@ -15,7 +15,7 @@ import pytest
 
 from catalog_tools.synthetic import make_demo
 
-STRETCHED = "document.querySelector('[aria-label=\"low cut\"]')?.value"
+SHOWN = "canvas.sky[data-tiles]:not([data-tiles='0'])"  # at least one tile is on the canvas
 KEEP = os.environ.get("NIGHTGLASS_SCREENSHOTS")  # a folder for the pictures of docs/
 
 
@@ -136,7 +136,7 @@ def test_coordinates_values_truth_and_stretch(page: Page, server: Any, field: st
 
     tab = page.open(f"#/job/{field.rpartition('/')[2]}")
     tab.wait_for_selector(".columns")
-    tab.wait_for_function(STRETCHED)
+    tab.wait_for_selector(SHOWN)
     image = fits.open(BytesIO(server.client.get(f"{field}/frames/0/fits").content))
     wcs, values = WCS(image[0].header), image[0].data
     box = tab.locator("canvas.sky").bounding_box()
@@ -163,9 +163,9 @@ def test_coordinates_values_truth_and_stretch(page: Page, server: Any, field: st
         tab.keyboard.press(key)
     assert tab.input_value("select[aria-label='stretch']") == "linear"
     assert "2 of 2" in tab.inner_text(".panel")
-    tab.wait_for_function("document.querySelector('canvas.sky').dataset.tiles == 4")
+    tab.wait_for_selector("canvas.sky[data-tiles='4']")
     tab.locator("select[aria-label='layer']").select_option("mean_e")
-    tab.wait_for_function(STRETCHED)
+    tab.wait_for_selector(SHOWN)
 
 
 def geo(name: str, position_m: list[float], velocity_m_s: list[float]) -> dict[str, Any]:
@@ -192,11 +192,11 @@ def test_tiles_appear_while_it_is_drawn(
     job = server.submit(scene)
     tab = page.open(f"#/job/{job.rpartition('/')[2]}")
     tab.wait_for_selector("canvas.sky")  # from the first tile on
-    tab.wait_for_function("document.querySelector('canvas.sky').dataset.tiles > 0")
+    tab.wait_for_selector(SHOWN)
     page.picture("page-live")
     tab.wait_for_selector(".phase.COMPLETED >> nth=0")
     tab.wait_for_selector("[data-target='geo-3']")
-    tab.wait_for_function("document.querySelector('canvas.sky').dataset.tiles == 9")
+    tab.wait_for_selector("canvas.sky[data-tiles='9']")
     assert "27 of 27 tiles" in tab.inner_text(".jobhead")
     tab.locator("[data-target='geo-1']").hover()
     box = tab.locator("canvas.sky").bounding_box()
