@@ -85,7 +85,8 @@ HEADERS = st.dictionaries(
         ["range", "if-range", "if-none-match", "last-event-id", "accept", "idempotency-key",
          "content-type", "content-encoding", "authorization", "x-forwarded-for", "cookie"]
     ),
-    st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=40).map(str.strip), max_size=5,
+    st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=40).map(str.strip),
+    max_size=5,
 )  # fmt: skip
 
 
