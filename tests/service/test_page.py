@@ -193,7 +193,6 @@ def test_tiles_appear_while_it_is_drawn(
     tab = page.open(f"#/job/{job.rpartition('/')[2]}")
     tab.wait_for_selector("canvas.sky")  # from the first tile on
     tab.wait_for_selector(SHOWN)
-    page.picture("page-live")
     tab.wait_for_selector(".phase.COMPLETED >> nth=0")
     tab.wait_for_selector("[data-target='geo-3']")
     tab.wait_for_selector("canvas.sky[data-tiles='9']")
@@ -207,6 +206,33 @@ def test_tiles_appear_while_it_is_drawn(
     tab.check("#show-stars")
     tab.wait_for_timeout(500)
     page.picture("page-zoom")
+
+
+def test_unfinished_jobs_show_what_is_drawn(
+    page: Page, server: Any, scene: dict[str, Any]
+) -> None:
+    scene["sensor"]["shape"], scene["exposure"]["frames"] = [1024, 1024], 40
+    scene["output"] = {"tile_shape": [256, 256]}
+    job = server.submit(scene)
+    server.until(job, lambda found: (found["tiles_done"] or 0) > 2)
+    server.client.post(f"{job}/cancel")
+    assert server.ended(job)["phase"] == "ABORTED"
+    about = server.client.get(f"{job}/frames").json()
+    assert (about["frames"], about["complete"]) == (40, False)
+    frames = [server.client.get(f"{job}/frames/{k}").json() for k in range(40)]
+    drawn = {(k, *tile) for k, frame in enumerate(frames) for tile in frame["drawn"]}
+    assert 2 < len(drawn) < 640
+    assert frames[0]["wcs"] is None
+    for k, row, column in [*sorted(drawn)[:2], (39, 3, 3)]:
+        status = 200 if (k, row, column) in drawn else 409
+        answer = server.client.get(f"{job}/frames/{k}/tiles/{row}/{column}?bin=4")
+        assert answer.status_code == status
+    assert server.client.get(f"{job}/frames/0/truth").status_code == 409
+    tab = page.open(f"#/job/{job.rpartition('/')[2]}")
+    tab.wait_for_selector(".phase.ABORTED >> nth=0")
+    tab.wait_for_selector(SHOWN)
+    page.picture("page-unfinished")
+    server.client.delete(job)
 
 
 def test_curl_on_the_page_fetches_the_product(page: Page, server: Any, field: str) -> None:
