@@ -142,13 +142,7 @@ export class JobView {
       const about = await json(`${this.path}/frames`, { signal: this.abort.signal });
       if (!this.viewer) this.viewerUp(about);
       else this.viewer.describe(about);
-      const perFrame = this.viewer.grid[0] * this.viewer.grid[1];
-      let at = Math.min(about.frames - 1, Math.floor((this.job.tiles_done || 0) / perFrame));
-      if (!about.complete && this.asked === null && at > 0) { // nothing of the next one yet: stay
-        const next = await json(`${this.path}/frames/${at}`, { signal: this.abort.signal });
-        if (!next.drawn.length) at -= 1;
-      }
-      await this.show(this.asked ?? (about.complete ? this.viewer.frame : at));
+      await this.show(this.asked ?? (about.complete ? this.viewer.frame : about.watch));
     } catch (error) {
       if (error.name !== "AbortError" && error.status !== 409) notice(error.message);
     }

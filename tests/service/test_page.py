@@ -223,6 +223,8 @@ def test_unfinished_jobs_show_what_is_drawn(
     drawn = {(k, *tile) for k, frame in enumerate(frames) for tile in frame["drawn"]}
     assert 2 < len(drawn) < 640
     assert frames[0]["wcs"] is None
+    counts = [len(frame["drawn"]) if len(frame["drawn"]) < 16 else 0 for frame in frames]
+    assert counts[about["watch"]] == max(counts)
     for k, row, column in [*sorted(drawn)[:2], (39, 3, 3)]:
         status = 200 if (k, row, column) in drawn else 409
         answer = server.client.get(f"{job}/frames/{k}/tiles/{row}/{column}?bin=4")
