@@ -151,6 +151,18 @@ def check(product: ProductPath, as_json: Json = False) -> None:
 
 
 @app.command()
+def calibrate(product: ProductPath, output: Output, as_json: Json = False) -> None:
+    """Copy a product with its frames calibrated: less bias and dark, over the flat [e-]."""
+    from pipeline.calibrate import calibrate as run
+
+    report = run(product, output)
+    if as_json:
+        print_json(report)
+    else:
+        print(f"{output}: {report['frames']} frame(s), {report['masked_pixels']} pixels masked")
+
+
+@app.command()
 def schema() -> None:
     """Print the JSON Schema of a scene."""
     from pipeline.spec.scene import Scene
@@ -217,6 +229,27 @@ def report_accuracy(
         study = study_all(
             output, stars, quick=quick, peers=peers, satsim_python=satsim_python, progress=listen
         )
+    if as_json:
+        print_json(study)
+    else:
+        print_study(study)
+
+
+@report_app.command("detection")
+def report_detection(
+    product: ProductPath,
+    output: Output = Path("detection"),
+    threshold: Annotated[float, typer.Option(help="least signal-to-noise, in sigma")] = 5.0,
+    frames: Annotated[int | None, typer.Option(min=1, help="the first so many")] = None,
+    as_json: Json = False,
+) -> None:
+    """Completeness and false alarms of public finders on a product: JSON, table, figure."""
+    from pipeline.detection.study import report_detection as study_all
+    from pipeline.detection.tables import print_study
+    from pipeline.pages import stage_progress
+
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        study = study_all(product, output, threshold, frames, listen)
     if as_json:
         print_json(study)
     else:

@@ -245,7 +245,7 @@ export class Viewer extends EventTarget {
       const w = tile.columns * tile.bin * this.scale, h = tile.rows * tile.bin * this.scale;
       pen.save();
       pen.beginPath();
-      pen.rect(x0, y0, x1 - x0, y1 - y0);
+      pen.rect(Math.floor(x0), Math.floor(y0), Math.ceil(x1) - Math.floor(x0), Math.ceil(y1) - Math.floor(y0));
       pen.clip();
       pen.drawImage(this.stretch.picture(tile), x0, y1 - h, w, h);
       pen.restore();

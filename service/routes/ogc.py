@@ -67,7 +67,7 @@ class ResultNotReady(NotReady):
 
 @router.get("/", include_in_schema=False)
 @router.get("")
-async def landing(request: Request, _: Service) -> Response:
+async def landing(request: Request) -> Response:
     """Where everything is."""
     root, here = _root(request), f"{_root(request)}/ogc"
     rel = "http://www.opengis.net/def/rel/ogc/1.0"
@@ -84,20 +84,20 @@ async def landing(request: Request, _: Service) -> Response:
 
 
 @router.get("/conformance")
-async def conformance(_: Service) -> Response:
+async def conformance() -> Response:
     """The conformance classes that are kept."""
     return JSONResponse({"conformsTo": CONFORMS})
 
 
 @router.get("/processes")
-async def processes(request: Request, _: Service) -> Response:
+async def processes(request: Request) -> Response:
     """Both processes."""
     listed = [_summary(request, name) for name in PROCESSES]
     return JSONResponse({"processes": listed, "links": [_to(_here(request), "self")]})
 
 
 @router.get("/processes/{process}")
-async def process(request: Request, _: Service, process: str) -> Response:
+async def process(request: Request, process: str) -> Response:
     """A process with its input's JSON Schema (that of a scene) and its outputs."""
     about = _summary(request, process)
     schema = Scene.model_json_schema(by_alias=True)
