@@ -110,6 +110,19 @@ async def submissions_a_second(server: Server, seconds: float) -> dict[str, floa
     }  # fmt: skip
 
 
+async def jobs_per_commit(server: Server) -> float:
+    """How many submissions shared a commit so far, from the server's own metrics."""
+    reader, writer = await asyncio.open_connection(server.host, server.port)
+    request = f"GET /metrics HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode()
+    _, text = await ask(reader, writer, request)
+    writer.close()
+    jobs, commits = (
+        float(re.search(rf"(?m)^nightglass_{name}_total (\S+)", text.decode())[1])  # type: ignore[index]
+        for name in ("submissions", "commits")
+    )
+    return jobs / commits
+
+
 async def one_connection(
     server: Server, request: bytes, end: float, counts: list[int], which: int
 ) -> None:
@@ -171,6 +184,7 @@ async def measure(folder: Path, seconds: float) -> dict[str, Any]:
         bare = await submissions_a_second(server, seconds)
     with Server("durable", folder / "durable") as server:
         durable = await submissions_a_second(server, seconds)
+        durable["jobs_per_commit"] = await jobs_per_commit(server)
         together = await burst(server)
         health = await health_behind_half_open(server)
     return {

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import re
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +20,7 @@ from service.problems import NotReady, NotThere
 
 MAX_PIXELS = 1 << 24  # of one answer
 MAX_READ = 1 << 27  # of one tile, whatever is left of it after binning
-STRETCHES = ("asinh", "linear", "log")
+MARKER = re.compile(r"f\d{6}_r\d+_c\d+\.json")
 STAR_COLUMNS = (
     "source_id", "x_px", "y_px", "x_start_px", "y_start_px", "x_end_px", "y_end_px", "ra_deg",
     "dec_deg", "g_mag", "electrons", "snr",
@@ -44,6 +47,19 @@ def describe(product: Path) -> dict[str, Any]:
         "layers": layers,
         "complete": (product / layout.COMPLETE).is_file(),
     }
+
+
+def frame_to_watch(product: Path, about: dict[str, Any]) -> int:
+    """The frame of an unfinished product that most can be seen of: the fullest that is not whole,
+    else the last that is. Tiles are drawn in the scheduler's order, not frame by frame."""
+    if about["complete"]:
+        return 0
+    with os.scandir(product / layout.MARKERS) as entries:
+        names = [entry.name for entry in entries]
+    counts = Counter(int(name[1:7]) for name in names if MARKER.fullmatch(name))
+    whole = math.prod(_grid(about))
+    begun = [(count, -frame) for frame, count in counts.items() if count < whole]
+    return -max(begun)[1] if begun else max(counts, default=0)
 
 
 def frame_facts(product: Path, frame: int) -> dict[str, Any]:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import sqlalchemy as sa
 
+from pipeline.errors import BadInput
+from service.database import connect
 from service.jobs import job_of
+from service.settings import read_settings
 from service.tables import audit, jobs, scene_crc
 
 
@@ -56,3 +62,25 @@ def _missing_rows(db: sa.Connection) -> Iterator[Fault]:
     )
     for (job_id,) in db.execute(query):
         yield Fault(job_id, "its row is missing from the job table")
+
+
+def main() -> int:
+    """`python -m service.integrity`: print every fault; 0 where there is none, else 2."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--home", type=Path)
+    settings = read_settings(parser.parse_args().home)
+    try:
+        engine = connect(settings.database_url)
+    except BadInput as error:
+        print(error, file=sys.stderr)
+        return 2
+    faults = find_faults(engine, deep=True)
+    for fault in faults:
+        print(f"job {fault.job}: {fault.reason}" if fault.job else fault.reason)
+    if not faults:
+        print("the job table is whole")
+    return 2 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

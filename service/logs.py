@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 import sys
 from datetime import UTC, datetime
@@ -42,9 +43,12 @@ class JsonLines(logging.Formatter):
 
 
 def set_up() -> None:
-    """All logs of this process to stderr, as JSON lines."""
+    """All logs of this process to stderr, as JSON lines; NIGHTGLASS_LOG: how much of our own."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines())
+    wanted = os.environ.get("NIGHTGLASS_LOG", "info").upper()
+    level = wanted if wanted in ("DEBUG", "INFO", "WARNING", "ERROR") else "INFO"
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+    logging.getLogger("nightglass").setLevel(level)
     logging.getLogger("alembic").setLevel(logging.WARNING)
     logging.captureWarnings(True)

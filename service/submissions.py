@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import queue
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
+from pydantic_core import to_json
 
 from service.database import now_s, writing
 from service.jobs import LOCAL, SHOWN, WAITING, Job, JobStore, Phase, audit_line, job_of
@@ -50,7 +50,6 @@ class Ask:
     run_id: str | None = None
     destruction_s: float | None = None
     duration_s: float | None = None
-    scene_text: str = field(default="")
 
 
 @dataclass
@@ -171,7 +170,7 @@ def _replay(ask: Ask, row: Any) -> tuple[Any, bool] | Exception:
 
 
 def _row(ask: Ask, now: float) -> dict[str, Any]:
-    text = ask.scene_text or json.dumps(ask.scene)
+    text = to_json(ask.scene, inf_nan_mode="constants").decode()
     row = {
         "number": 0, "id": _new_id(), "team": ask.team, "owner": ask.owner,
         "kind": ask.kind, "name": ask.name, "run_id": ask.run_id, "phase": ask.phase.value,

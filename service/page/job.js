@@ -22,11 +22,13 @@ export class JobView {
     this.job = await json(this.path);
     this.layOut();
     this.told(this.job);
+    this.clock = setInterval(() => { if (!ended(this.job)) this.time(); }, 1000);
     if (!ended(this.job)) follow(this.path, (job) => this.told(job), this.abort.signal);
   }
 
   close() {
     this.abort.abort();
+    clearInterval(this.clock);
     this.viewer?.close();
   }
 
@@ -61,9 +63,8 @@ export class JobView {
 
   heading() {
     const job = this.job, share = job.tiles_total ? job.tiles_done / job.tiles_total : 0;
-    const began = Date.parse(job.started || job.submitted);
-    const spent = ((job.ended ? Date.parse(job.ended) : Date.now()) - began) / 1000;
-    const left = share > 0.02 && share < 1 ? `, about ${seconds(spent / share - spent)} to go` : "";
+    this.spent = el("span", { class: "quiet num" });
+    this.time();
     const bar = el("progress", { max: "1", "aria-label": "tiles done" });
     if (job.phase === "COMPLETED") bar.value = 1;
     else if (job.tiles_total) bar.value = share;
@@ -71,12 +72,21 @@ export class JobView {
     fill(this.head,
       el("div", { class: "bar" }, el("h1", {}, job.name),
         el("span", { class: `phase ${job.phase}` }, job.phase.toLowerCase()),
-        el("span", { class: "quiet", role: "status" },
-          [job.tiles_total ? `${job.tiles_done ?? 0} of ${job.tiles_total} tiles` : "",
-            job.started ? seconds(Math.max(0, spent)) + (ended(job) ? "" : left) : "",
-            job.attempt > 1 ? `attempt ${job.attempt}` : ""].filter(Boolean).join(", ")),
+        this.spent,
         el("span", { class: "spring" }), this.actions()),
       ended(job) ? null : bar);
+  }
+
+  // How far it is and how long that took; told anew every second.
+  time() {
+    const job = this.job, share = job.tiles_total ? job.tiles_done / job.tiles_total : 0;
+    const began = Date.parse(job.started || job.submitted);
+    const spent = Math.max(0, ((job.ended ? Date.parse(job.ended) : Date.now()) - began) / 1000);
+    const left = share > 0.02 && share < 1 && !ended(job)
+      ? `about ${seconds(spent / share - spent)} to go` : "";
+    fill(this.spent, [job.tiles_total ? `${job.tiles_done ?? 0} of ${job.tiles_total} tiles` : "",
+      job.started ? seconds(spent) : "", left,
+      job.attempt > 1 ? `attempt ${job.attempt}` : ""].filter(Boolean).join(", "));
   }
 
   actions() {
@@ -132,9 +142,7 @@ export class JobView {
       const about = await json(`${this.path}/frames`, { signal: this.abort.signal });
       if (!this.viewer) this.viewerUp(about);
       else this.viewer.describe(about);
-      const perFrame = this.viewer.grid[0] * this.viewer.grid[1];
-      const at = Math.min(about.frames - 1, Math.floor((this.job.tiles_done || 0) / perFrame));
-      await this.show(this.asked ?? (about.complete ? this.viewer.frame : at));
+      await this.show(this.asked ?? (about.complete ? this.viewer.frame : about.watch));
     } catch (error) {
       if (error.name !== "AbortError" && error.status !== 409) notice(error.message);
     }

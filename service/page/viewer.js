@@ -230,6 +230,7 @@ export class Viewer extends EventTarget {
     pen.fillRect(0, 0, width, height);
     if (!this.scale) return;
     const [ty, tx] = this.about.tile_shape, [ny, nx] = this.about.shape, bin = this.wanted();
+    let shown = 0;
     for (const [r, c] of this.seen()) {
       const [x0, y1] = this.place(c * tx - 0.5, r * ty - 0.5);
       const [x1, y0] = this.place(Math.min((c + 1) * tx, nx) - 0.5, Math.min((r + 1) * ty, ny) - 0.5);
@@ -238,16 +239,18 @@ export class Viewer extends EventTarget {
         blank(pen, x0, y0, x1 - x0, y1 - y0);
         continue;
       }
+      shown++;
       pen.imageSmoothingEnabled = this.scale * tile.bin < 1;
       pen.imageSmoothingQuality = "high";
       const w = tile.columns * tile.bin * this.scale, h = tile.rows * tile.bin * this.scale;
       pen.save();
       pen.beginPath();
-      pen.rect(x0, y0, x1 - x0, y1 - y0);
+      pen.rect(Math.floor(x0), Math.floor(y0), Math.ceil(x1) - Math.floor(x0), Math.ceil(y1) - Math.floor(y0));
       pen.clip();
       pen.drawImage(this.stretch.picture(tile), x0, y1 - h, w, h);
       pen.restore();
     }
+    this.canvas.dataset.tiles = shown; // in view and drawn here
     const inside = this.place(-0.5, ny - 0.5).concat([nx * this.scale, ny * this.scale]);
     pen.strokeStyle = "#3b465c";
     pen.strokeRect(...inside);

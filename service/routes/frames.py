@@ -31,8 +31,11 @@ def _begun_product(service: Context, job_id: str) -> Path:
 
 @router.get("/frames")
 def listing(service: Service, job_id: str) -> Response:
-    """How many frames of which shape, tiles and layers. 409 before anything is drawn."""
-    return JSONResponse(frames.describe(_begun_product(service, job_id)))
+    """How many frames of which shape, tiles and layers; `watch`: a frame that can be looked at
+    while others are drawn. 409 before anything is drawn."""
+    product = _begun_product(service, job_id)
+    about = frames.describe(product)
+    return JSONResponse(about | {"watch": frames.frame_to_watch(product, about)})
 
 
 @router.get("/frames/{frame}")

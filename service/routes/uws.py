@@ -91,6 +91,7 @@ async def one(request: Request, service: Service, job_id: str) -> Response:
 @router.post("/{job_id}", status_code=303, openapi_extra=FORM_BODY)
 async def act(request: Request, service: Service, job_id: str) -> Response:
     """ACTION=DELETE, for clients that cannot send DELETE; or parameters of a PENDING job."""
+    await run_in_threadpool(service.store.get, job_id)
     given = await _fields(request, service)
     if given.get("ACTION", "").upper() == "DELETE":
         return await run_in_threadpool(delete, request, service, job_id)
@@ -130,6 +131,7 @@ def read(request: Request, service: Service, job_id: str, part: str) -> Response
 @router.post("/{job_id}/{part}", status_code=303, openapi_extra=FORM_BODY)
 async def write(request: Request, service: Service, job_id: str, part: str) -> Response:
     """Change a part: phase (RUN, ABORT), executionduration, destruction, parameters."""
+    await run_in_threadpool(service.store.get, job_id)
     given = await _fields(request, service)
     if part == "phase":
         return await run_in_threadpool(_move, request, service, job_id, given)

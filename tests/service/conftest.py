@@ -142,7 +142,7 @@ class Server:
         return answer.headers["location"]
 
     def until(
-        self, job: str, wanted: Callable[[dict[str, Any]], bool], limit_s: float = 60
+        self, job: str, wanted: Callable[[dict[str, Any]], bool], limit_s: float = 300
     ) -> dict[str, Any]:
         """The job once `wanted` holds, watched by long polls."""
         deadline, etag = time.monotonic() + limit_s, ""

@@ -96,8 +96,10 @@ def chaos(group: Group, scene: dict[str, Any], kills: int, seed: int, tmp_path: 
             time.sleep(0.02)
         time.sleep(dice.uniform(0.0, 0.4))
         seen |= {path: at for path, at in markers(group.home).items() if path not in seen}
-        group.kill(kinds[i] if i < len(kinds) else dice.choice(kinds))
+        kind = kinds[i] if i < len(kinds) else dice.choice(kinds)
+        group.kill(kind)
         right_state(group, jobs)
+        print(f"kill {i + 1}: {kind}, {len(seen)} tiles before it", flush=True)
     for which in waiting:
         submit(which)
     deadline = time.monotonic() + 120 + 2 * kills
@@ -157,6 +159,7 @@ def test_five_kills(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_fifty_kills(
     make_server: Callable[..., Any], long_scene: dict[str, Any], tmp_path: Path, kind: str,

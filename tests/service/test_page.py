@@ -15,7 +15,7 @@ import pytest
 
 from catalog_tools.synthetic import make_demo
 
-STRETCHED = "document.querySelector('[aria-label=\"low cut\"]')?.value"
+SHOWN = "canvas.sky[data-tiles]:not([data-tiles='0'])"  # at least one tile is on the canvas
 KEEP = os.environ.get("NIGHTGLASS_SCREENSHOTS")  # a folder for the pictures of docs/
 
 
@@ -68,7 +68,7 @@ def page(chromium: Any, server: Any) -> Iterator[Page]:
 def field(server: Any) -> str:
     """The path of a completed job with stars and a target, of four tiles."""
     folder = server.home / "catalogues" / "field"
-    make_demo(folder, faintest_g_mag=5.0, deep_fields=[(276.0, -3.2, 0.6, 14.0)])
+    make_demo(folder, faintest_g_mag=5.0, deep_fields=[(276.0, -3.4, 0.8, 14.5)])
     from tests.service.conftest import SCENE
 
     scene = json.loads(json.dumps(SCENE))
@@ -136,7 +136,7 @@ def test_coordinates_values_truth_and_stretch(page: Page, server: Any, field: st
 
     tab = page.open(f"#/job/{field.rpartition('/')[2]}")
     tab.wait_for_selector(".columns")
-    tab.wait_for_function(STRETCHED)
+    tab.wait_for_selector(SHOWN)
     image = fits.open(BytesIO(server.client.get(f"{field}/frames/0/fits").content))
     wcs, values = WCS(image[0].header), image[0].data
     box = tab.locator("canvas.sky").bounding_box()
@@ -163,9 +163,78 @@ def test_coordinates_values_truth_and_stretch(page: Page, server: Any, field: st
         tab.keyboard.press(key)
     assert tab.input_value("select[aria-label='stretch']") == "linear"
     assert "2 of 2" in tab.inner_text(".panel")
-    page.picture("page-keys")
+    tab.wait_for_selector("canvas.sky[data-tiles='4']")
     tab.locator("select[aria-label='layer']").select_option("mean_e")
-    tab.wait_for_function(STRETCHED)
+    tab.wait_for_selector(SHOWN)
+
+
+def geo(name: str, position_m: list[float], velocity_m_s: list[float]) -> dict[str, Any]:
+    orbit = {"kind": "state", "position_m": position_m, "velocity_m_s": velocity_m_s}
+    return {"name": name, "orbit": orbit,
+            "body": {"kind": "sphere", "diameter_m": 4.0, "albedo": 0.25}}  # fmt: skip
+
+
+def test_tiles_appear_while_it_is_drawn(
+    page: Page, server: Any, field: str, scene: dict[str, Any]
+) -> None:
+    scene |= {
+        "name": "geo-rate-track", "epoch": "2019-07-20T09:00:00Z", "stars": {"catalogue": "field"},
+        "pointing": {"mode": "target", "target": "geo-1"},
+        "output": {"tile_shape": [256, 256]},
+        "exposure": {"integration_s": 3.0, "frames": 3, "cadence_s": 10.0},
+        "targets": [
+            geo("geo-1", [4407338.1, -41933005.2, -36593.5], [3057.8229, 321.39, 0.2805]),
+            geo("geo-2", [4663629.8, -41907301.3, -14628.4], [3055.7302, 340.0551, 0.1187]),
+            geo("geo-3", [4270157.1, -41957767.6, 140299.8], [3058.476, 311.27, 60.0]),
+        ],
+    }  # fmt: skip
+    scene["sensor"] |= {"shape": [768, 768], "pixel_pitch_um": 20.0, "gain_e_per_dn": 1.5}
+    job = server.submit(scene)
+    tab = page.open(f"#/job/{job.rpartition('/')[2]}")
+    tab.wait_for_selector("canvas.sky")  # from the first tile on
+    tab.wait_for_selector(SHOWN)
+    tab.wait_for_selector(".phase.COMPLETED >> nth=0")
+    tab.wait_for_selector("[data-target='geo-3']")
+    tab.wait_for_selector("canvas.sky[data-tiles='9']")
+    assert "27 of 27 tiles" in tab.inner_text(".jobhead")
+    tab.locator("[data-target='geo-1']").hover()
+    box = tab.locator("canvas.sky").bounding_box()
+    tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    assert "geo-1" in tab.inner_text(".readout .near")
+    page.picture("page")
+    tab.click("[data-target='geo-2']")
+    tab.check("#show-stars")
+    tab.wait_for_timeout(500)
+    page.picture("page-zoom")
+
+
+def test_unfinished_jobs_show_what_is_drawn(
+    page: Page, server: Any, scene: dict[str, Any]
+) -> None:
+    scene["sensor"]["shape"], scene["exposure"]["frames"] = [1024, 1024], 40
+    scene["output"] = {"tile_shape": [256, 256]}
+    job = server.submit(scene)
+    server.until(job, lambda found: (found["tiles_done"] or 0) > 2)
+    server.client.post(f"{job}/cancel")
+    assert server.ended(job)["phase"] == "ABORTED"
+    about = server.client.get(f"{job}/frames").json()
+    assert (about["frames"], about["complete"]) == (40, False)
+    frames = [server.client.get(f"{job}/frames/{k}").json() for k in range(40)]
+    drawn = {(k, *tile) for k, frame in enumerate(frames) for tile in frame["drawn"]}
+    assert 2 < len(drawn) < 640
+    assert frames[0]["wcs"] is None
+    counts = [len(frame["drawn"]) if len(frame["drawn"]) < 16 else 0 for frame in frames]
+    assert counts[about["watch"]] == max(counts)
+    for k, row, column in [*sorted(drawn)[:2], (39, 3, 3)]:
+        status = 200 if (k, row, column) in drawn else 409
+        answer = server.client.get(f"{job}/frames/{k}/tiles/{row}/{column}?bin=4")
+        assert answer.status_code == status
+    assert server.client.get(f"{job}/frames/0/truth").status_code == 409
+    tab = page.open(f"#/job/{job.rpartition('/')[2]}")
+    tab.wait_for_selector(".phase.ABORTED >> nth=0")
+    tab.wait_for_selector(SHOWN)
+    page.picture("page-unfinished")
+    server.client.delete(job)
 
 
 def test_curl_on_the_page_fetches_the_product(page: Page, server: Any, field: str) -> None:

@@ -1,0 +1,123 @@
+"""A job at the edges of its life: tampered tiles, times given, logs, the check of the table."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+
+from pipeline.run import render
+from pipeline.spec.load import parse_scene
+from service.database import connect, sqlite_url
+from service.jobs import Queue
+from service.submissions import Ask, Limits, submit_many
+from service.tables import jobs
+
+
+@pytest.fixture
+def long_scene(scene: dict[str, Any]) -> dict[str, Any]:
+    """Some seconds of work in many tiles."""
+    scene["sensor"]["shape"] = [512, 512]
+    scene["exposure"]["frames"] = 24
+    return scene
+
+
+def test_tampered_tiles_are_drawn_again(
+    make_server: Callable[..., Any], long_scene: dict[str, Any], tmp_path: Path
+) -> None:
+    """A chunk flipped, one emptied, one deleted, a marker cut, one flipped, one deleted."""
+    server = make_server(NIGHTGLASS_DASHBOARD="http://127.0.0.1:8787/status")
+    job = server.submit(long_scene)
+    found = server.until(job, lambda found: (found["tiles_done"] or 0) >= 8)
+    assert found["links"]["dashboard"] == "http://127.0.0.1:8787/status"
+    server.kill()
+    time.sleep(0.5)
+    product = server.home / "products" / job.rpartition("/")[2]
+    chunks = sorted(p for p in (product / "cube.zarr" / "dn" / "c").rglob("*") if p.is_file())
+    markers = sorted((product / "markers").glob("f*.json"))
+    assert len(chunks) >= 6
+    assert len(markers) >= 6
+    for path in (chunks[0], markers[1]):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 4
+        path.write_bytes(content)
+    chunks[1].write_bytes(b"")
+    markers[2].write_bytes(markers[2].read_bytes()[:40])
+    chunks[3].unlink()
+    markers[4].unlink()
+    server.start()
+    done = server.ended(job)
+    assert done["phase"] == "COMPLETED", done
+    alone = render(parse_scene(long_scene), tmp_path / "alone")
+    assert done["content_digest"] == alone["content_digest"]
+
+
+def test_a_job_may_be_given_little_time_and_a_short_life(
+    make_server: Callable[..., Any], long_scene: dict[str, Any]
+) -> None:
+    server = make_server()
+    assert server.client.get("/readyz").json()
+    store = Queue(sqlite_url(server.home / "jobs.sqlite"))
+    scene = parse_scene(long_scene | {"seed": 5}).as_dict()
+    asks = [
+        Ask("short", scene, "b", duration_s=0.5),
+        Ask("gone", scene, "b", destruction_s=time.time() + 1.0),
+    ]
+    (short, _), (gone, _) = submit_many(store, asks, Limits())  # type: ignore[misc]
+    found = server.ended(f"/v1/jobs/{short.id}")
+    assert (found["phase"], "longer than" in found["error"]["message"]) == ("ABORTED", True)
+    deadline = time.monotonic() + 60
+    while server.client.get(f"/v1/jobs/{gone.id}").status_code != 404:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    store.close()
+
+
+def test_a_damaged_row_is_told_by_the_service_and_the_check(
+    make_server: Callable[..., Any], scene: dict[str, Any]
+) -> None:
+    server = make_server()
+    job = server.ended(server.submit(scene))
+    server.stop()
+    command = [sys.executable, "-m", "service.integrity", "--home", str(server.home)]
+
+    def check() -> tuple[int, str]:
+        ran = subprocess.run(command, capture_output=True, text=True, env=os.environ)
+        return ran.returncode, ran.stdout
+
+    assert check() == (0, "the job table is whole\n")
+    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
+    with engine.begin() as db:
+        db.execute(sa.update(jobs).values(content_digest="0" * 64))
+    code, told = check()
+    assert code == 2
+    assert job["id"] in told
+    server.start()
+    shown = server.client.get(f"/v1/jobs/{job['id']}").json()
+    assert shown["error"]["kind"] == "damaged"
+    deadline = time.monotonic() + 30
+    while "nightglass_damaged_rows 1.0" not in server.client.get("/metrics").text:
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    assert any(
+        json.loads(line).get("job") == job["id"] and "not what was written" in line
+        for line in server.logged().splitlines() if line.startswith("{") and "damaged" in line
+    )  # fmt: skip
+    assert server.client.delete(f"/v1/jobs/{job['id']}").status_code == 204
+
+
+def test_debug_logs_name_tiles(make_server: Callable[..., Any], scene: dict[str, Any]) -> None:
+    server = make_server(NIGHTGLASS_LOG="debug")
+    job = server.ended(server.submit(scene))
+    lines = [json.loads(line) for line in server.logged().splitlines() if line.startswith("{")]
+    tiles = {line["tile"] for line in lines if line.get("job") == job["id"] and "tile" in line}
+    assert tiles == {"f0_r0_c0", "f1_r0_c0"}
+    assert any(line.get("method") == "POST" and line["status"] == 202 for line in lines)
