@@ -235,6 +235,27 @@ def report_accuracy(
         print_study(study)
 
 
+@report_app.command("detection")
+def report_detection(
+    product: ProductPath,
+    output: Output = Path("detection"),
+    threshold: Annotated[float, typer.Option(help="least signal-to-noise, in sigma")] = 5.0,
+    frames: Annotated[int | None, typer.Option(min=1, help="the first so many")] = None,
+    as_json: Json = False,
+) -> None:
+    """Completeness and false alarms of public finders on a product: JSON, table, figure."""
+    from pipeline.detection.study import report_detection as study_all
+    from pipeline.detection.tables import print_study
+    from pipeline.pages import stage_progress
+
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        study = study_all(product, output, threshold, frames, listen)
+    if as_json:
+        print_json(study)
+    else:
+        print_study(study)
+
+
 @app.command()
 def serve(
     host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",

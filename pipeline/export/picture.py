@@ -1,4 +1,4 @@
-"""Pictures of a frame: an asinh stretch between robust limits, with targets marked."""
+"""Pictures of a frame: an asinh stretch between robust limits, targets and cosmic rays marked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from pipeline.plan.scene_plan import Plan
 
 LARGEST_SIDE_PX = 1024
-GREEN = (80, 255, 120)
+GREEN, CYAN = (80, 255, 120), (80, 220, 255)
+MOST_MARKED = 60  # cosmic rays with the most charge
 
 
 class Limits(NamedTuple):
@@ -78,20 +79,22 @@ def _seen(image: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def frame_picture(product: Path, frame: int = 0, mark: bool = True, layer: str = "dn") -> Image:
-    """A picture of one frame, north as the pointing has it (row 0 at the bottom)."""
+    """A picture of one frame of a layer, north as the pointing has it (row 0 at the bottom)."""
     from PIL import Image
 
     small, factor = shrink(read_layer(product, layer, frame))
     grey = stretch(small)[::-1]
     picture = Image.fromarray(np.stack([grey] * 3, axis=-1))
     if mark:
+        _mark_cosmic_rays(picture, product, frame, factor)
         _mark_targets(picture, product, frame, factor)
     return picture
 
 
 def write_preview(product: Path, plan: Plan) -> None:
-    """preview.png of the first frame."""
-    picture = frame_picture(product, 0, mark=bool(plan.scene.targets))
+    """preview.png of the first frame; of its calibrated copy where the scene asks for one."""
+    layer = "calibrated_e" if "calibrated_e" in plan.scene.output.layers else "dn"
+    picture = frame_picture(product, 0, mark=bool(plan.scene.targets), layer=layer)
     write_atomically(product / PREVIEW, png_bytes(picture))
 
 
@@ -119,3 +122,22 @@ def _mark_targets(picture: Image, product: Path, frame: int, factor: int) -> Non
         cx, cy = (x + 0.5) / factor, picture.height - (y + 0.5) / factor
         draw.ellipse([cx - 12, cy - 12, cx + 12, cy + 12], outline=GREEN)
         draw.text((cx + 14, cy - 6), str(name), fill=GREEN)
+
+
+def _mark_cosmic_rays(picture: Image, product: Path, frame: int, factor: int) -> None:
+    """Cyan ellipses round the cosmic rays with the most charge, as long as their tracks."""
+    table = product / TRUTH / "cosmic_rays.parquet"
+    if not table.is_file():
+        return
+    import pyarrow.parquet as pq
+    from PIL import ImageDraw
+
+    rows = pq.read_table(table, filters=[("frame", "=", frame)])
+    rows = rows.sort_by([("electrons", "descending")]).slice(0, MOST_MARKED)
+    draw = ImageDraw.Draw(picture)
+    names = ("x_in_px", "y_in_px", "x_out_px", "y_out_px")
+    for x0, y0, x1, y1 in zip(*(rows[c].to_pylist() for c in names), strict=True):
+        half_x, half_y = 8 + 0.5 * abs(x1 - x0) / factor, 8 + 0.5 * abs(y1 - y0) / factor
+        cx = (0.5 * (x0 + x1) + 0.5) / factor
+        cy = picture.height - (0.5 * (y0 + y1) + 0.5) / factor
+        draw.ellipse([cx - half_x, cy - half_y, cx + half_x, cy + half_y], outline=CYAN)

@@ -130,8 +130,7 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     if air is not None:
         attitude = lifted(camera, attitude, air)
     _check_view(scene, geocentric, attitude[:, 2])
-    middles = np.arange(len(frames)) * nodes + nodes // 2
-    t = target_paths(scene, camera, attitude, at, middles, air)
+    t = target_paths(scene, camera, attitude, at, len(frames), air)
     grid, grid3 = offset.shape, (*offset.shape, 3)
     each = (len(scene.targets), *grid)
     return Geometry(
@@ -141,7 +140,7 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
         t.x_px.reshape(each),
         t.y_px.reshape(each) - camera.charge_px_s * (within - within[nodes // 2]),
         t.light.reshape(each), t.range_m.reshape(each), t.phase_rad.reshape(each),
-        t.sunlit.reshape(each), t.direction,
+        t.sunlit.reshape(each), t.direction, t.pose, t.pose_s, t.turn_rad,
         np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
 

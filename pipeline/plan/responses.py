@@ -292,6 +292,12 @@ def point_curvature(blur: Blur) -> float:
     return point_error(blur, SMALL_RADIUS_PX) / SMALL_RADIUS_PX**2
 
 
+@lru_cache(maxsize=128)
+def point_slope(blur: Blur) -> float:
+    """Error of a pixel per unit light and pixel that a point stands off the centre of its light."""
+    return point_error(blur, 0.0, SMALL_RADIUS_PX) / SMALL_RADIUS_PX
+
+
 def _lost(blur: Blur, radius_px: float) -> float:
     """Share of a source's light beyond a radius, or outside of its optics' table altogether."""
     return min(1.0, blur.light_beyond(radius_px) + missing_light(blur.optics))

@@ -16,6 +16,7 @@ from pipeline.physics.positions.times import Instants
 from pipeline.plan.bodies import target_lights
 from pipeline.plan.body_attitudes import View, needs_velocity
 from pipeline.plan.orbits import Movers
+from pipeline.spec.mesh import MeshBody
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
@@ -42,7 +43,8 @@ class Moments:
 @dataclass(frozen=True)
 class TargetPaths:
     """Of T targets at n moments (T, n): pixels, light over the Sun's at 1 au, phase [rad], sunlit
-    share, range [m]; direction (T, k, 3), proper, at the moments asked for."""
+    share, range [m]; direction (T, F, 3), proper, at mid-exposure of F frames; and of M meshes
+    pose (M, F, 4, 3), pose_s and turn_rad (M, F), as in `Geometry`."""
 
     x_px: Array
     y_px: Array
@@ -51,6 +53,9 @@ class TargetPaths:
     sunlit: Array
     range_m: Array
     direction: Array
+    pose: Array
+    pose_s: Array
+    turn_rad: Array
 
 
 def sights(scene: Scene, which: Sequence[int], at: Moments) -> tuple[TargetSight, View]:
@@ -75,29 +80,47 @@ def target_paths(
     camera: Camera,
     attitude: Array,
     at: Moments,
-    directions_at: NDArray[np.int64],
+    frames: int = 1,
     air: Array | None = None,
 ) -> TargetPaths:
     """Paths and light of all targets, as observed through the air where there is any.
 
-    attitude : (n, 3, 3) observed; directions_at : (k,) moments; air : (n, 5) of `air_of`
+    attitude : (n, 3, 3) observed; the moments are the nodes of `frames` exposures, one after
+    another; air : (n, 5) of `air_of`
     """
     count, moments = len(scene.targets), len(at.offset_s)
+    nodes = moments // frames
+    middles = np.arange(frames) * nodes + nodes // 2
     six = np.zeros((6, count, moments))
-    direction = np.zeros((count, len(directions_at), 3))
+    direction = np.zeros((count, frames, 3))
+    poses: list[tuple[Array, Array, Array]] = []
     by_row = np.moveaxis(attitude, 0, -1)  # (3, 3, n): rows of numbers, one for each moment
     for which in _batches(count, moments):
         seen, view = sights(scene, which, at)
         some = slice(which[0], which[-1] + 1)
+        names = [f"targets.{i}.body" for i in which]
         light = target_lights(
-            [scene.targets[i] for i in which], [f"targets.{i}.body" for i in which], at.epoch,
-            view, at.earth.sun_from_earth_m, (at.times.tt1, at.times.tt2), seen.range_m,
+            [scene.targets[i] for i in which], names, at.epoch, view, at.earth.sun_from_earth_m,
+            (at.times.tt1, at.times.tt2), seen.range_m,
         )  # fmt: skip
         observed = refract(seen.direction_proper, air)
         six[:, some] = *project(camera, by_row, observed), *light, seen.range_m
-        direction[some] = observed[:, directions_at]
+        direction[some] = observed[:, middles]
+        for k, i in enumerate(which):
+            body = scene.targets[i].body
+            if isinstance(body, MeshBody):
+                from pipeline.plan.meshes import mesh_poses  # only scenes with meshes need it
+
+                one = view.of(np.array([k]))
+                pose, turn = mesh_poses(body, at.epoch, one, attitude, names[k])
+                turn = turn.reshape(frames, nodes)
+                poses.append((pose[middles], one.time_s[0, middles], turn[:, -1] - turn[:, 0]))
     x, y, bright, phase, lit, distance = six
-    return TargetPaths(x, y, bright, phase, lit, distance, direction)
+    if not poses:
+        poses_, pose_s, turned = np.zeros((0, frames, 4, 3)), *np.zeros((2, 0, frames))
+    else:
+        poses_, pose_s, turned = (np.stack(column) for column in zip(*poses, strict=True))
+    return TargetPaths(x, y, bright, phase, lit, distance, direction, poses_, pose_s, turned)
 
 
 def _batches(count: int, moments: int) -> Iterator[range]:

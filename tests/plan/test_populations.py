@@ -114,7 +114,7 @@ def test_none_is_missed(pointing: str, tle: Path) -> None:
     attitude = _attitudes(
         whole, offsets, earth.position_m + place, speed, sun, _followed(whole, at)
     )
-    paths = target_paths(whole, camera_of(whole), attitude, at, np.array([0]))
+    paths = target_paths(whole, camera_of(whole), attitude, at)
     with np.errstate(invalid="ignore"):
         inside = (np.abs(paths.x_px - 127.5) <= 128.0) & (np.abs(paths.y_px - 127.5) <= 128.0)
     crossing = {t.name for t, hit in zip(whole.targets, inside.any(axis=1), strict=True) if hit}
