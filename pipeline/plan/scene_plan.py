@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pipeline.plan.sky import SkyPlan
 
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
-NOISE_S_PER_PIXEL = 110e-9
+NOISE_S_PER_PIXEL = 60e-9
 PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
 CROWD_BYTES_PER_PIXEL = 50.0

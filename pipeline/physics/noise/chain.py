@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.physics.noise.streams import poisson_image, standard_normals
-from pipeline.physics.noise.wells import bloom, measured_e
+from pipeline.physics.noise.wells import bloom, levels, measured_e
 
 Array = NDArray[np.float64]
 Value = float | Array
@@ -92,11 +92,17 @@ def to_dn(
     step = rows if chain.blooming else max(1, BAND_PX // max(1, columns))
     out = np.empty(mean_e.shape, dn_type(chain.adc_bits))
     offsets = _offsets_e(chain, place, rows, columns)
+    bent = chain.blooming or chain.linearity is not None
+    noisy = bool(np.any(np.asarray(chain.read_noise_e) > 0))
+    plain = noisy and not bent and not offsets and chain.adc_bits <= EXACT_BITS
     for start in range(0, rows, step):
         part = slice(start, min(start + step, rows))
         charge = _collected_e(mean_e[part], chain, place, start)
         if drawn_e is not None:
             charge += drawn_e[part]
+        if plain:
+            out[part] = _plain_levels(charge, chain, place, part)
+            continue
         signal = _measured_e(charge, chain, place, part)
         for offset in offsets:
             signal += offset if offset.shape[0] == 1 else offset[part]
@@ -118,6 +124,23 @@ def _collected_e(mean_e: Array, chain: Chain, place: StreamPlace, first_row: int
         return mean_e.copy()
     k0, k1 = place.photon_key
     return poisson_image(mean_e, place.y0 + first_row, place.x0, place.frame, k0, k1)
+
+
+def _plain_levels(charge: Array, chain: Chain, place: StreamPlace, part: slice) -> Array:
+    """Levels of some rows of a chain without extras: what the steps below give, in one pass."""
+    (rows, columns), (k0, k1) = charge.shape, place.read_key
+    draws = standard_normals(rows, columns, place.y0 + part.start, place.x0, place.frame, k0, k1)
+
+    def row_wise(value: Value) -> Array:
+        cut = np.asarray(_cut_value(value, part), float)
+        return np.ascontiguousarray(cut) if cut.ndim else np.full((1, columns), cut)
+
+    well = row_wise(np.inf if chain.full_well_e is None else chain.full_well_e)
+    read, gain = row_wise(chain.read_noise_e), row_wise(chain.gain_e_per_dn)
+    bias, top = row_wise(chain.bias_dn), float((1 << chain.adc_bits) - 1)
+    down = chain.rounding == "floor"
+    levels(np.ascontiguousarray(charge), draws, well, read, gain, bias, top, down)
+    return draws
 
 
 def _measured_e(charge: Array, chain: Chain, place: StreamPlace, part: slice) -> Array:

@@ -69,6 +69,15 @@ def to_uniforms(n, values):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def count_below(n, values, limit):
+    """How many of n values are below a limit."""
+    count = 0
+    for i in range(n):
+        count += 1 if values[i] < limit else 0
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def central_quantiles(n, p, out):
     """AS 241's rational function of the middle, for all; right where |p - 1/2| <= 0.425."""
     for i in range(n):
@@ -138,23 +147,33 @@ def _any_positive(n, values):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def draw_low(which, mean, u, out, scratch):
-    """Poisson draws of the pixels `which`, of means below 10, by inversion: k where the sum of
-    probabilities passes u. scratch : (5 or more, RUN_PX)."""
-    n = which.size
-    m, p, rest, k, near = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
-    for j in range(n):
-        m[j] = mean[which[j]]
-        rest[j] = u[which[j]]
-        k[j], near[j] = 0.0, 1.0
-    _exp_of_minus(n, m, p)
+def draw_low(n, mean, u, k, scratch):
+    """Poisson draws k of n means below 10, by inversion: k where the sum of probabilities passes u.
+
+    scratch : (3 or more, RUN_PX)
+    """
+    p, rest, near = scratch[0], scratch[1], scratch[2]
+    for i in range(n):
+        rest[i], k[i], near[i] = u[i], 0.0, 1.0
+    _exp_of_minus(n, mean, p)
     for step in range(1, 200, 4):
-        _count(n, m, step, p, rest, k, near)
+        _count(n, mean, step, p, rest, k, near)
         if not _any_positive(n, rest):
             break
-    for j in range(n):
-        i = which[j]
-        out[i] = k[j] if near[j] >= LOW_GUARD else inverted_poisson(m[j], u[i])
+    for i in range(n):
+        if near[i] < LOW_GUARD:
+            k[i] = inverted_poisson(mean[i], u[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def draw_low_among(which, mean, u, out, scratch):
+    """`draw_low` of the pixels `which` of a run. scratch : (6 or more, RUN_PX)"""
+    m, v, k = scratch[3], scratch[4], scratch[5]
+    for j in range(which.size):
+        m[j], v[j] = mean[which[j]], u[which[j]]
+    draw_low(which.size, m, v, k, scratch)
+    for j in range(which.size):
+        out[which[j]] = k[j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

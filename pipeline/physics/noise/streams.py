@@ -26,7 +26,9 @@ from pipeline.physics.noise.pixel_draws import (
 from pipeline.physics.noise.runs import (
     RUN_PX,
     central_quantiles,
+    count_below,
     draw_low,
+    draw_low_among,
     draw_middle,
     to_uniforms,
     words,
@@ -96,6 +98,9 @@ def poisson_image(mean_e, y0, x0, frame, k0, k1):
                 x[i] = x0 + start + i
             words(n, x, y0 + r, frame, 0, k0, k1, first, second)
             to_uniforms(n, u)
+            if count_below(n, mean, EXACT_BELOW) == n:
+                draw_low(n, mean, u, line, scratch)
+                continue
             to_uniforms(n, v)
             lows, middles = 0, 0
             for i in range(n):
@@ -107,7 +112,7 @@ def poisson_image(mean_e, y0, x0, frame, k0, k1):
                     if mean[i] > GAUSSIAN_ABOVE:
                         line[i] = gaussian_poisson(mean[i], u[i])
             if lows:
-                draw_low(low[:lows], mean, u, line, scratch)
+                draw_low_among(low[:lows], mean, u, line, scratch)
             if middles:
                 place = x0 + start, y0 + r, frame, k0, k1
                 draw_middle(middle[:middles], mean, u, v, place, line, scratch, ints)

@@ -193,3 +193,23 @@ def test_same_bits_in_every_rectangle() -> None:
         mean[part], chain(gain_e_per_dn=flat[part], read_noise_e=3.0, photon_noise=True), place
     )
     assert (piece == whole[part]).all()
+
+
+@pytest.mark.parametrize("rounding", ["half_even", "floor"])
+@pytest.mark.parametrize("images", [False, True])
+def test_same_levels_in_one_pass_and_step_by_step(rounding: str, images: bool) -> None:
+    """The plain chain is done in one pass; a straight `linearity` takes it through the steps."""
+    rng = np.random.default_rng(6)
+    mean = rng.uniform(0, 2000, (90, 600))
+    terms: dict = {"read_noise_e": 3.0, "gain_e_per_dn": 1.7, "bias_dn": 90.4}
+    terms["full_well_e"] = 1500.0
+    if images:
+        terms = {k: v * rng.uniform(0.5, 1.5, (180, 1200)) for k, v in terms.items()}
+        terms = {k: v[20:110, 40:640] for k, v in terms.items()}  # as a tile sees its part
+    straight = np.array([0.0, 1.0]), np.array([0.0, 1.0])
+    for bits in (1, 10, 16, 33):
+        plain = chain(**terms, adc_bits=bits, rounding=rounding, photon_noise=True)
+        steps = chain(
+            **terms, adc_bits=bits, rounding=rounding, photon_noise=True, linearity=straight
+        )
+        assert np.array_equal(to_dn(mean, plain, PLACE), to_dn(mean, steps, PLACE))
