@@ -73,7 +73,7 @@ def _seen(pose: Pose) -> tuple[Facets, MeshLight]:
 
 @lru_cache(maxsize=256)
 def spread_of(pose: Pose) -> Spread:
-    """Centre and spread of a mesh's light; a facet that is partly dark may have its light anywhere."""
+    """Centre and spread of a mesh's light; of a facet that is partly dark it may be anywhere."""
     facets, light = _seen(pose)
     share = light.facet_m2_sr
     total = float(share.sum())

@@ -12,8 +12,10 @@ from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
 from pipeline.physics.motion.streak import Path, path_through
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
+from pipeline.physics.positions.refraction import refract
 from pipeline.physics.targets.disc import Appearance, Sphere, photocentre_offset
 from pipeline.physics.vectors import to_angles
+from pipeline.plan.air import path_transmission, star_transmission
 from pipeline.plan.geometry import excursions_px
 from pipeline.plan.responses import point_curvature, point_slope
 from pipeline.plan.scene_plan import Plan
@@ -60,12 +62,15 @@ def place_stars(
     proper = star_proper(
         astrometric, *observer, deflection=wish.deflection, aberration=wish.aberration
     )
-    x, y = project(plan.camera, g.attitude[0, middle], proper)
+    observed = refract(proper, g.air_at(0, middle))
+    x, y = project(plan.camera, g.attitude[0, middle], observed)
     frame = (0, 0, plan.camera.rows, plan.camera.columns)
     near = distance_px(x, y, *frame) < plan.halo_px + excursion_px(plan, g)
     ra, dec = to_angles(astrometric[near])
     kept = select(stars, near)
     light = kept.rate_e_s * plan.scene.exposure.integration_s
+    if plan.extinction is not None:
+        light = light * star_transmission(plan.extinction, g, observed[near])
     return FrameStars(
         kept.source_id, x[near], y[near], light, ra, dec, kept.g_mag, kept.colour_flag,
         np.full(len(kept), catalogue, np.uint8),
@@ -133,6 +138,8 @@ def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[Fra
         x, y, light = g.target_x_px[i, 0], g.target_y_px[i, 0], g.target_light[i, 0]
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
             continue
+        if plan.extinction is not None:
+            light = light * path_transmission(plan.extinction, plan.camera, g, x, y)
         share = 0.5 * (light[:-1] + light[1:]) / (g.nodes - 1)
         total = float(share.sum())
         x0, y0 = float(x[g.middle]), float(y[g.middle])

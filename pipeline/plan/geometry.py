@@ -30,11 +30,14 @@ from pipeline.physics.positions.apparent import (
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
 from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, project, stretch
 from pipeline.physics.positions.orbit import check_above_earth
+from pipeline.physics.positions.refraction import refract, unrefract
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import from_angles, separation
+from pipeline.plan.air import air_of, lifted
 from pipeline.plan.bodies import flicker_share
 from pipeline.plan.orbits import orbit_states
 from pipeline.plan.target_paths import Moments, sights, target_paths
+from pipeline.spec.detector import TimeDelay
 from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.pointing import RatePointing, SiderealPointing, TargetPointing
 from pipeline.spec.scene import Scene
@@ -63,6 +66,8 @@ def camera_of(scene: Scene) -> Camera:
     """The focal plane of a scene's sensor."""
     s = scene.sensor
     camera = Camera(s.shape[0], s.shape[1], s.pixel_pitch_um * 1e-6, s.focal_length_m)
+    if s.detector is not None and isinstance(s.detector.readout, TimeDelay):
+        camera = replace(camera, charge_px_s=s.detector.readout.rows_per_s)
     if s.distortion is None:
         return camera
     from pipeline.physics.positions.distortion import distortion_of
@@ -121,17 +126,22 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     sun = earth.position_m + earth.sun_from_earth_m
     at = Moments(epoch, flat, times, earth, geocentric, velocity)
     attitude = _attitudes(scene, flat, position, velocity, sun, _followed(scene, at))
+    camera, air = camera_of(scene), air_of(scene, times)
+    if air is not None:
+        attitude = lifted(camera, attitude, air)
     _check_view(scene, geocentric, attitude[:, 2])
-    t = target_paths(scene, camera_of(scene), attitude, at, len(frames))
+    t = target_paths(scene, camera, attitude, at, len(frames), air)
     grid, grid3 = offset.shape, (*offset.shape, 3)
     each = (len(scene.targets), *grid)
     return Geometry(
         frames, offset, times.tt1.reshape(grid), times.tt2.reshape(grid),
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
-        t.x_px.reshape(each), t.y_px.reshape(each), t.light.reshape(each), t.range_m.reshape(each),
-        t.phase_rad.reshape(each), t.sunlit.reshape(each), t.direction, t.pose, t.pose_s,
-        t.turn_rad,
+        t.x_px.reshape(each),
+        t.y_px.reshape(each) - camera.charge_px_s * (within - within[nodes // 2]),
+        t.light.reshape(each), t.range_m.reshape(each), t.phase_rad.reshape(each),
+        t.sunlit.reshape(each), t.direction, t.pose, t.pose_s, t.turn_rad,
+        np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
 
 
@@ -337,9 +347,12 @@ def star_paths(
     beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
     for f in range(len(g.frame)):
         seen = deproject(camera, g.attitude[f, g.middle], x_px, y_px)
-        stars = unaberrate(seen, beta[f, g.middle])
+        stars = unaberrate(unrefract(seen, g.air_at(f, g.middle)), beta[f, g.middle])
         for k in range(g.nodes):
-            out[:, :, f, k] = project(camera, g.attitude[f, k], aberrate(stars, beta[f, k]))
+            u = refract(aberrate(stars, beta[f, k]), g.air_at(f, k))
+            out[:, :, f, k] = project(camera, g.attitude[f, k], u)
+        if camera.charge_px_s:
+            out[1, :, f] -= camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
     return out
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pipeline.physics.positions.apparent import TargetSight, apparent_sun_m, target_apparent
 from pipeline.physics.positions.earth import EarthState
 from pipeline.physics.positions.focal_plane import Camera, project
+from pipeline.physics.positions.refraction import refract
 from pipeline.physics.positions.times import Instants
 from pipeline.plan.bodies import target_lights
 from pipeline.plan.body_attitudes import View, needs_velocity
@@ -75,11 +76,17 @@ def sights(scene: Scene, which: Sequence[int], at: Moments) -> tuple[TargetSight
 
 
 def target_paths(
-    scene: Scene, camera: Camera, attitude: Array, at: Moments, frames: int = 1
+    scene: Scene,
+    camera: Camera,
+    attitude: Array,
+    at: Moments,
+    frames: int = 1,
+    air: Array | None = None,
 ) -> TargetPaths:
-    """Paths and light of all targets.
+    """Paths and light of all targets, as observed through the air where there is any.
 
-    attitude : (n, 3, 3) proper; the moments are the nodes of `frames` exposures, one after another
+    attitude : (n, 3, 3) observed; air : (n, 5) of `air_of`
+    The moments are the nodes of `frames` exposures, one after another.
     """
     count, moments = len(scene.targets), len(at.offset_s)
     nodes = moments // frames
@@ -96,8 +103,9 @@ def target_paths(
             [scene.targets[i] for i in which], names, at.epoch, view, at.earth.sun_from_earth_m,
             (at.times.tt1, at.times.tt2), seen.range_m,
         )  # fmt: skip
-        six[:, some] = *project(camera, by_row, seen.direction_proper), *light, seen.range_m
-        direction[some] = seen.direction_proper[:, middles]
+        observed = refract(seen.direction_proper, air)
+        six[:, some] = *project(camera, by_row, observed), *light, seen.range_m
+        direction[some] = observed[:, middles]
         for k, i in enumerate(which):
             body = scene.targets[i].body
             if isinstance(body, MeshBody):
