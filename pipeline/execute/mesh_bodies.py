@@ -25,7 +25,7 @@ from pipeline.plan.meshes import SUN_RADIUS_RAD
 
 Array = NDArray[np.float64]
 
-FIRST_CELLS, MOST_CELLS = 16, 1024  # across a body's radius and diameter
+FIRST_CELLS, MOST_CELLS = 16, 512  # across a body's radius and diameter
 SIDE_PX = 0.25  # of the largest cells
 WHOLE = 1.0 - 1e-9  # of a facet's light: below it the facet is partly hidden or shaded
 
