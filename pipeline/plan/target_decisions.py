@@ -153,7 +153,7 @@ def _resolved_meshes(scene: Scene, facts: Facts, ends: Geometry) -> Decision:
         "that errs by at most the bound in a pixel; else its picture at mid-exposure, up to "
         f"{radius_px.max(initial=0.0):.3g} px in radius. In an exposure the body turns so that its "
         f"edge moves by up to {turned:.2g} px, and its radius changes by up to {grown:.2g} px: "
-        "neither is drawn. The picture keeps the scale and axes of the middle of the field, and has "
+        "neither is drawn. The picture keeps scale and axes of the middle of the field, and has "
         "at most 512 cells across: of a body too bright for that the bound does not hold",
         facts.budget_e, facts.budget_e / facts.sigma_floor_e,
     )  # fmt: skip
