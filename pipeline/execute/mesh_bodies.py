@@ -25,7 +25,7 @@ from pipeline.plan.meshes import SUN_RADIUS_RAD
 
 Array = NDArray[np.float64]
 
-FIRST_CELLS, MOST_CELLS = 16, 1024  # across a body's radius and diameter
+FIRST_CELLS, MOST_CELLS = 16, 512  # across a body's radius and diameter
 SIDE_PX = 0.25  # of the largest cells
 WHOLE = 1.0 - 1e-9  # of a facet's light: below it the facet is partly hidden or shaded
 
@@ -73,7 +73,7 @@ def _seen(pose: Pose) -> tuple[Facets, MeshLight]:
 
 @lru_cache(maxsize=256)
 def spread_of(pose: Pose) -> Spread:
-    """Centre and spread of a mesh's light; a facet that is partly dark may have its light anywhere."""
+    """Centre and spread of a mesh's light; of a facet that is partly dark it may be anywhere."""
     facets, light = _seen(pose)
     share = light.facet_m2_sr
     total = float(share.sum())

@@ -164,10 +164,13 @@ def _time_delay(scene: Scene, r: TimeDelay, ends: Geometry) -> str:
     if not scene.targets or r.rows_per_s == 0:
         return text
     with np.errstate(invalid="ignore"):
-        length = np.hypot(
-            ends.target_x_px[..., -1] - ends.target_x_px[..., 0],
-            ends.target_y_px[..., -1] - ends.target_y_px[..., 0],
-        ) / took
+        length = (
+            np.hypot(
+                ends.target_x_px[..., -1] - ends.target_x_px[..., 0],
+                ends.target_y_px[..., -1] - ends.target_y_px[..., 0],
+            )
+            / took
+        )
     speed = float(np.nanmax(length, initial=0.0))
     late_s = 0.5 * scene.sensor.shape[0] / abs(r.rows_per_s)
     return text + (

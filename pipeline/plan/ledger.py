@@ -100,6 +100,4 @@ LEDGER = (
 
 def rule_of(component: str) -> Rule | None:
     """The rule of a component of the plan; None where the ledger has none."""
-    return next(
-        (r for r in LEDGER if any(fnmatchcase(component, c) for c in r.components)), None
-    )
+    return next((r for r in LEDGER if any(fnmatchcase(component, c) for c in r.components)), None)

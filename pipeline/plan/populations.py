@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from pipeline.errors import BadInput
 from pipeline.physics.positions.focal_plane import corner_radius, ifov_rad, stretch
 from pipeline.physics.positions.orbit_screen import screen_cone
-from pipeline.physics.positions.times import elapsed_s, parse_utc
+from pipeline.physics.positions.times import elapsed_s, instants, parse_utc
 from pipeline.physics.vectors import separation
+from pipeline.plan.air import air_of
 from pipeline.plan.decision import Decision
 from pipeline.plan.geometry import camera_of, watch
 from pipeline.spec.body import Body, SphereBody
@@ -29,7 +30,7 @@ Sizes = Mapping[int, tuple[float | None, float | None]]
 
 STEP_S, MOST_STEPS = 1.0, 100_000  # between looks at the pointing, to tell how fast it turns
 TURN_ROOM = 2.0  # times the change between looks
-LIGHT_S = 10.0  # the dwell is looked at from so long before on: light of targets up to 3e6 km
+MOST_REFRACTION_RAD = 0.0125  # at the horizon, with room (0.6 degrees; Bennett 1982)
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,8 @@ def look_of(scene: Scene, halo_px: float, dut1_s: float) -> Look:
     change = np.abs(np.diff(rate)).max(initial=0.0)
     camera = camera_of(scene)
     half = corner_radius(camera) + halo_px * stretch(camera) * ifov_rad(camera)
+    if air_of(scene, instants(parse_utc(scene.epoch), [0.0], dut1_s)) is not None:
+        half += MOST_REFRACTION_RAD  # the screen knows no air
     return Look(
         scene, dut1_s, parse_utc(scene.epoch), dwell_s, min(half, np.pi),
         float(rate.max() + TURN_ROOM * change),

@@ -148,12 +148,13 @@ def _resolved_meshes(scene: Scene, facts: Facts, ends: Geometry) -> Decision:
     turned = float((radius_px * ends.target_turn_rad).max(initial=0.0))
     grown = float((np.ptp(distance, axis=-1) / distance.min(axis=-1) * radius_px).max(initial=0.0))
     return Decision(
-        "targets.meshes_resolved", True,
+        "targets.resolved_meshes", True,
         f"{_names([scene.targets[i] for i in which])}: a point at the centre of its light where "
         "that errs by at most the bound in a pixel; else its picture at mid-exposure, up to "
         f"{radius_px.max(initial=0.0):.3g} px in radius. In an exposure the body turns so that its "
         f"edge moves by up to {turned:.2g} px, and its radius changes by up to {grown:.2g} px: "
-        "neither is drawn. The picture keeps the scale and axes of the middle of the field",
+        "neither is drawn. The picture keeps scale and axes of the middle of the field, and has "
+        "at most 512 cells across: of a body too bright for that the bound does not hold",
         facts.budget_e, facts.budget_e / facts.sigma_floor_e,
     )  # fmt: skip
 

@@ -85,8 +85,8 @@ def target_paths(
 ) -> TargetPaths:
     """Paths and light of all targets, as observed through the air where there is any.
 
-    attitude : (n, 3, 3) observed; the moments are the nodes of `frames` exposures, one after
-    another; air : (n, 5) of `air_of`
+    attitude : (n, 3, 3) observed; air : (n, 5) of `air_of`
+    The moments are the nodes of `frames` exposures, one after another.
     """
     count, moments = len(scene.targets), len(at.offset_s)
     nodes = moments // frames

@@ -89,4 +89,4 @@ def test_plan_says_how_meshes_are_drawn(files: Path) -> None:
         "kind": "spin", "rate_deg_s": 30.0})  # fmt: skip
     plan = plan_scene(parse_scene(data))
     reasons = {d["component"]: d["reason"] for d in plan["decisions"]}
-    assert "edge moves by up to 0.0005" in reasons["targets.meshes_resolved"]
+    assert "edge moves by up to 0.0005" in reasons["targets.resolved_meshes"]
