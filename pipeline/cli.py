@@ -12,6 +12,7 @@ import typer
 from pipeline.catalog_cli import catalog
 from pipeline.cosmic_rays_cli import cosmic_rays
 from pipeline.options import Json, Output, SchedulerName, Workers, print_json
+from pipeline.sweep_cli import sweep
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
 
@@ -24,6 +25,7 @@ app = typer.Typer(
 )
 app.add_typer(catalog, name="catalog")
 app.add_typer(cosmic_rays, name="cosmic-rays")
+app.command()(sweep)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 

@@ -234,7 +234,7 @@ def _forecast(prepared: Prepared) -> Any:
     if plan.scene.stars is None:
         return None
     frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
-    shards = _shards(plan, catalogues, plan_geometry(plan.scene, frames, plan.dut1_s))
+    shards = shards_of(plan, catalogues, plan_geometry(plan.scene, frames, plan.dut1_s))
     limit = plan.scene.stars.faintest_g_mag
     return forecast_stars(
         plan, [(s.leaf, rows_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards]
@@ -247,7 +247,7 @@ def _cones(plan: Plan, g: Geometry) -> tuple[Any, ...]:
     return cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
 
 
-def _shards(plan: Plan, catalogues: tuple[Catalogue, ...], g: Geometry) -> tuple[Shard, ...]:
+def shards_of(plan: Plan, catalogues: tuple[Catalogue, ...], g: Geometry) -> tuple[Shard, ...]:
     """Shards that the frames of a geometry need."""
     if plan.scene.stars is None:
         return ()
@@ -315,7 +315,7 @@ def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listen
         work = _missing(plan, begun, window)
         if work is None:
             continue
-        needed = _shards(plan, catalogues, work.geometry)
+        needed = shards_of(plan, catalogues, work.geometry)
         shards = {shard: shards[shard] for shard in needed if shard in shards}
         fresh = [shard for shard in needed if shard not in shards]
         kept = scheduler.keep(shard_graph(inputs, fresh))

@@ -31,28 +31,21 @@ def render_tile(
     parts: list[FrameStars],
     blocks: list[Block],
     rays: CosmicRays | None = None,
+    light_e: dict[str, Array] | None = None,
 ) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
     """The layers of a tile that the scene asks for, and what the reference path found in it.
 
     The layers are `dn`, and the noise-free ones in float32. The light layers are what the pixels
     collect (after the flat), so that with the dark they sum to `mean_e`, the mean of the noisy
     frame before full well and ADC. `cosmic_rays_e` is drawn charge and not in it.
+    light_e : what `tile_light` gave for this tile, where that is known already.
     """
     chain = _chain(plan, maps, tile)
-    light: dict[str, Array] = {}
-    if plan.scene.stars is not None:
-        light["stars_e"] = draw_stars(plan, g, tile, parts, blocks)
-    if plan.scene.targets:
-        light["targets_e"] = draw_targets(plan, g, tile, blocks)
-    layers: dict[str, Array] = {name: image * chain.flat for name, image in light.items()}
+    light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
     shape = (tile.rows, tile.columns)
-    if plan.sky is not None:
-        from pipeline.plan.sky import sky_tile
-
-        light_e_s = sky_tile(plan.sky, int(g.frame[0]), tile)
-        layers["background_e"] = light_e_s * plan.scene.exposure.integration_s * chain.flat
-    elif plan.facts.background_e > 0:
-        layers["background_e"] = np.broadcast_to(plan.facts.background_e * chain.flat, shape)
+    layers: dict[str, Array] = {
+        name: np.broadcast_to(image * chain.flat, shape) for name, image in light.items()
+    }
     if np.any(chain.dark_e):
         layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
     mean = np.zeros(shape)
@@ -71,9 +64,38 @@ def render_tile(
         if name != "dn":
             value = mean if name == "mean_e" else layers.get(name, np.zeros(shape))
             out[name] = value.astype(np.float32)
+    sources = [image for name, image in light.items() if name in ("stars_e", "targets_e")]
     return out, check_tile(
-        plan, g, tile, parts, list(light.values()), lambda part: _noise_e(mean, chain, part)
+        plan, g, tile, parts, sources, lambda part: _noise_e(mean, chain, part)
     )
+
+
+LIGHTS = ("stars", "targets", "sky")  # in the order in which they are summed
+
+
+def tile_light(
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
+    which: tuple[str, ...] = LIGHTS,
+) -> dict[str, Array]:  # fmt: skip
+    """Mean light of a tile before the detector, by layer [e-]: arrays, or one for all pixels.
+
+    which : only the light of these, to be drawn apart from the rest
+    """
+    light: dict[str, Array] = {}
+    if "stars" in which and plan.scene.stars is not None:
+        light["stars_e"] = draw_stars(plan, g, tile, parts, blocks)
+    if "targets" in which and plan.scene.targets:
+        light["targets_e"] = draw_targets(plan, g, tile, blocks)
+    if "sky" not in which:
+        return light
+    if plan.sky is not None:
+        from pipeline.plan.sky import sky_tile
+
+        light_e_s = sky_tile(plan.sky, int(g.frame[0]), tile)
+        light["background_e"] = light_e_s * plan.scene.exposure.integration_s
+    elif plan.facts.background_e > 0:
+        light["background_e"] = np.full((1, 1), plan.facts.background_e)
+    return light
 
 
 def _cosmic_rays_e(plan: Plan, rays: CosmicRays, chain: Chain, g: Geometry, tile: Tile) -> Array:
