@@ -122,7 +122,8 @@ class ClusterScheduler:
     ) -> Iterator[tuple[Any, Any]]:
         from distributed import as_completed
 
-        left, running = iter(items), {}
+        left = iter(items)
+        running: dict[Any, Any] = {}
         sent = self.share(shared)
         done = as_completed([], loop=self.client.loop, raise_errors=False)
 

@@ -187,8 +187,9 @@ class Sweep(Strict):
                 "zip", "allowed: axes of one length; these have {n}",
                 {"n": ", ".join(map(str, lengths)), "field": "axes"},
             )  # fmt: skip
-        latin = isinstance(self.design, QuasiRandom) and self.design.kind == "latin_hypercube"
-        if latin and self.design.points * len(self.axes) > MOST_DRAWN:
+        design = self.design if isinstance(self.design, QuasiRandom) else None
+        latin = design is not None and design.kind == "latin_hypercube"
+        if latin and design is not None and design.points * len(self.axes) > MOST_DRAWN:
             raise PydanticCustomError(
                 "points", "allowed: points x axes up to {n}; or sobol",
                 {"n": MOST_DRAWN, "field": "design.points"},

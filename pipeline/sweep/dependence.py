@@ -40,7 +40,7 @@ class Barred:
         raise ReadsBarredError(object.__getattribute__(self, "_name"))
 
     __bool__ = __int__ = __index__ = __float__ = __len__ = __iter__ = __getattr__ = _refuse
-    __eq__ = __hash__ = __str__ = __repr__ = __format__ = __array__ = _refuse  # type: ignore
+    __eq__ = __hash__ = __str__ = __repr__ = __format__ = __array__ = _refuse
     __add__ = __radd__ = __mul__ = __rmul__ = __sub__ = __rsub__ = __truediv__ = _refuse
     __lt__ = __le__ = __gt__ = __ge__ = __neg__ = __pow__ = __rtruediv__ = __getitem__ = _refuse
 
@@ -95,7 +95,8 @@ def _part(plan: Plan, kind: str) -> Part:
         drop["background"] = None
     kept = scene.model_copy(update=drop)
     content: list[Any] = [kind, light_content(kept), plan.camera, plan.dut1_s]
-    hidden = {name: Barred(name) for name in ("sigma_floor_e", "dark_e", "read_noise_e")}
+    noise = ("sigma_floor_e", "dark_e", "read_noise_e")
+    hidden: dict[str, Any] = {name: Barred(name) for name in noise}
     if kind == "sky":
         content += [plan.sky, facts.background_e]
     else:

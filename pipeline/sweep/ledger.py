@@ -89,7 +89,7 @@ class Ledger:
                     path, columns=["point", "status"], page_checksum_verification=True
                 )
                 point, failed = table["point"].to_numpy(), table["status"].to_numpy() == "failed"
-                if point.size and not (0 <= point.min() and point.max() < self.size):
+                if point.size and not (point.min() >= 0 and point.max() < self.size):
                     raise ValueError("points that the sweep does not have")
             except (pa.ArrowException, OSError, ValueError, KeyError) as error:
                 self.removed.append(f"{path.name}: {str(error).splitlines()[0][:200]}")
@@ -135,7 +135,10 @@ class Ledger:
         ):
             for first in range(0, self.size, JOIN_POINTS):
                 end = min(first + JOIN_POINTS, self.size)
-                near = [str(p) for p, (a, b) in zip(parts, spans, strict=True) if a < end and b >= first]
+                near = [
+                    str(path) for path, (low, high) in zip(parts, spans, strict=True)
+                    if low < end and high >= first
+                ]  # fmt: skip
                 inside = (ds.field("point") >= first) & (ds.field("point") < end)
                 table = ds.dataset(near, schema=self.schema).to_table(filter=inside)
                 points = table["point"].to_numpy()
@@ -174,7 +177,8 @@ def begin(out: Path, identity: dict[str, Any], resume: bool) -> None:
         try:
             (out / PARTS).mkdir(parents=True)
         except OSError as error:
-            raise BadInput("-o", str(out), f"a path that can be written; {error.strerror}") from None
+            allowed = f"a path that can be written; {error.strerror}"
+            raise BadInput("-o", str(out), allowed) from None
         write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
         return
     if not resume:

@@ -60,7 +60,7 @@ def _number(value: Any, name: str, folder: str) -> float | None:
 
 
 def scene_of(course: Course, design: Design, point: int) -> Scene:
-    """A point's scene, without its noise floor. Raises BadInput where its values are not a scene."""
+    """A point's scene, without its noise floor. BadInput where its values are not a scene."""
     data = copy.deepcopy(course.data)
     for name, value in design.values(point).items():
         set_field(data, name, value)
@@ -83,7 +83,8 @@ def set_field(data: dict[str, Any], name: str, value: Any) -> None:
                 holder[part] = {}
             holder = holder[part]
         else:
-            raise BadInput(name, value, f"a field of the scene; there is no {'.'.join(parents[: i + 1])}")
+            there = ".".join(parents[: i + 1])
+            raise BadInput(name, value, f"a field of the scene; there is no {there}")
     if isinstance(holder, list) and last.isdigit() and int(last) < len(holder):
         holder[int(last)] = value
     elif isinstance(holder, dict):

@@ -15,14 +15,12 @@ from catalog_tools.durable import write_atomically
 from catalog_tools.schedulers import Scheduler, open_scheduler
 from pipeline.errors import BadInput, Incomplete, NightglassError
 from pipeline.run import Options, Prepared, prepare
-from pipeline.spec.load import parse_scene, parse_text, path_holders
+from pipeline.spec.load import parse_text, path_holders
 from pipeline.spec.scene import Scene
-from pipeline.spec.sweep import Sweep
 from pipeline.spec.sweep_load import load_sweep
 from pipeline.store.layout import only_writer
 from pipeline.sweep import ledger
 from pipeline.sweep.dependence import AFTER_LIGHT
-from pipeline.sweep.design import Design
 from pipeline.sweep.ledger import Ledger
 from pipeline.sweep.points import Course, check_axes, floors_of, light_group, scene_of, with_floor
 from pipeline.sweep.stages import stages
@@ -142,7 +140,7 @@ def check(course: Course) -> tuple[tuple[str, ...], list[str]]:
 
 def point_scene(path: Path, point: int) -> Scene:
     """The scene of one point as it is rendered: alone it gives the same bits."""
-    course = gather_course(path, Path("."))
+    course = gather_course(path, Path())
     if not 0 <= point < course.sweep.points:
         raise BadInput("--point", point, f"0 to {course.sweep.points - 1}")
     scene = scene_of(course, course.design, point)

@@ -6,7 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import psutil
 
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.execute.blocks import Block, plan_blocks, render_block
-from pipeline.execute.graph import Inputs, place_task, read_shard, rows_wanted, shard_key
+from pipeline.execute.graph import Inputs, place_task, read_shard, shard_key
 from pipeline.execute.tables import ContentCache
 from pipeline.execute.tile import LIGHTS, tile_light
 from pipeline.inputs.sensor import gather_sensor_maps
@@ -100,27 +100,25 @@ class Stages:
 
     def stars(self, base: Base, g: Geometry) -> tuple[str, list[FrameStars]]:
         """Stars of a frame, and the key of what they are."""
-        part, key = base.parts["stars"]
+        part, content = base.parts["stars"]
         mine = part.geometry(g)
-        key = _token((key, mine))
+        name = _token((content, mine))
         if base.plan.scene.stars is None:
-            return key, []
+            return name, []
 
         def make() -> list[FrameStars]:
             inputs = replace(base.inputs, plan=part.plan)
             found = []
             for shard in shards_of(part.plan, base.prepared.catalogues, mine):
-                table = self.get(
-                    "star rows", (_read_key(base, part.plan), shard_key(shard)),
-                    lambda shard=shard: read_shard(inputs, shard), _bytes_of,
-                )  # fmt: skip
+                key = _read_key(base, part.plan), shard_key(shard)
+                table = self.get("star rows", key, partial(read_shard, inputs, shard), _bytes_of)
                 found.append(place_task(inputs, table, mine, shard.catalogue))
             return found
 
-        return key, self.get("stars", (key,), make, lambda v: sum(map(_bytes_of, v)))
+        return name, self.get("stars", (name,), make, lambda v: sum(map(_bytes_of, v)))
 
     def light(self, base: Base, g: Geometry, tile: Tile) -> dict[str, Array]:
-        """Noise-free light of a tile, each kind drawn only where something that it needs differs."""
+        """Noise-free light of a tile, each kind drawn once for all that it depends on."""
         out: dict[str, Array] = {}
         for kind in LIGHTS:
             out |= self._light_of(base, kind, g, tile)
@@ -156,7 +154,7 @@ class Stages:
         for block in plan_blocks(plan, sum(len(s) for s in stars)):
             shared = overlap(tile, block)
             if shared.rows and shared.columns:
-                make = lambda block=block: render_block(plan, g, block, stars)  # noqa: E731
+                make = partial(render_block, plan, g, block, stars)
                 found.append(self.get("blocks", (key, block), make, _block_bytes))
         return found
 

@@ -92,7 +92,8 @@ def _draw(file: pq.ParquetFile, out: Path, axes: list[str], metrics: list[str]) 
     for i, metric in enumerate(down):
         for j, axis in enumerate(across):
             panel = panels[i][j]
-            panel.plot(columns[axis], columns[metric], ".", markersize=4, alpha=0.6, color="#1f4e8c")
+            style: dict[str, Any] = {"markersize": 4, "alpha": 0.6, "color": "#1f4e8c"}
+            panel.plot(columns[axis], columns[metric], ".", **style)
             x = columns[axis][np.isfinite(columns[axis])]
             if x.min() > 0 and x.max() > 30 * x.min():
                 panel.set_xscale("log")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.arrays import Geometry, SensorMaps
+from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.errors import NightglassError, shorten
 from pipeline.execute.tile import render_tile
 from pipeline.plan.scene_plan import Plan
@@ -22,7 +23,7 @@ from pipeline.store.cube import CubeWriter
 from pipeline.store.product import begin
 from pipeline.sweep.dependence import ReadsBarredError
 from pipeline.sweep.design import Design
-from pipeline.sweep.metrics import Measurement, target_windows
+from pipeline.sweep.metrics import Measurement, Window, target_windows
 from pipeline.sweep.points import Course, scene_of, with_floor
 from pipeline.sweep.stages import Base, Stages, maps_of, point_plan, stages
 
@@ -31,26 +32,38 @@ CUBES = "cubes"
 Row = dict[str, Any]
 
 
+@dataclass(frozen=True)
+class _Ready:
+    """What a point is rendered from and measured by."""
+
+    base: Base
+    scene: Scene
+    plan: Plan
+    maps: SensorMaps
+    measured: Measurement
+    writer: CubeWriter | None
+
+
 @dataclass
 class _Point:
-    """One point at work: its plan, maps and metrics, or how it failed."""
+    """One point at work, or how it failed; `again`: it has to be taken whole."""
 
     number: int
     row: Row
-    base: Base | None = None
-    scene: Scene | None = None
-    plan: Plan | None = None
-    maps: SensorMaps | None = None
-    measured: Measurement | None = None
-    writer: CubeWriter | None = None
+    made: _Ready | None = None
     seconds: float = 0.0
     shared_s: float = 0.0
     fault: str | None = None
-    again: bool = field(default=False)
+    again: bool = False
 
     @property
     def alive(self) -> bool:
         return self.fault is None and not self.again
+
+    @property
+    def ready(self) -> _Ready:
+        assert self.made is not None
+        return self.made
 
 
 def run_points(course: Course, numbers: tuple[int, ...]) -> list[Row]:
@@ -73,8 +86,8 @@ def _rows(
     points = [_begin(course, kept, design, number, whole) for number in numbers]
     groups: dict[str, list[_Point]] = {}
     for point in points:
-        if point.alive and point.base is not None:
-            groups.setdefault(point.base.key, []).append(point)
+        if point.alive:
+            groups.setdefault(point.ready.base.key, []).append(point)
     for group in groups.values():
         _draw(course, kept, group)
     return {point.number: _end(course, point) for point in points}
@@ -83,7 +96,7 @@ def _rows(
 def _begin(course: Course, kept: Stages, design: Design, number: int, whole: bool) -> _Point:
     """A point's scene, plan, and what will measure it."""
     values = {k: _plain(v) for k, v in design.values(number).items()}
-    point = _Point(number, {"point": number} | values)
+    point, sweep = _Point(number, {"point": number} | values), course.sweep
 
     def start() -> None:
         scene = scene_of(course, design, number)
@@ -91,14 +104,13 @@ def _begin(course: Course, kept: Stages, design: Design, number: int, whole: boo
         scene, base = with_floor(course, kept, scene, whole)
         maps = maps_of(kept, scene)
         plan = point_plan(base, scene, maps)
-        sweep = course.sweep
         names = sweep.targets
         if names is None:
             names = tuple(t.name for t in scene.targets)
-        point.base, point.scene, point.plan, point.maps = base, scene, plan, maps
-        point.measured = Measurement(plan, maps, sweep.metrics, names, sweep.detection)
-        if sweep.cubes == "all" or (isinstance(sweep.cubes, tuple) and number in sweep.cubes):
-            point.writer = _begin_cube(course, scene, number)
+        measured = Measurement(plan, maps, sweep.metrics, names, sweep.detection)
+        wanted = sweep.cubes == "all" or (isinstance(sweep.cubes, tuple) and number in sweep.cubes)
+        writer = _begin_cube(course, scene, number) if wanted else None
+        point.made = _Ready(base, scene, plan, maps, measured, writer)
 
     _tried(point, start)
     return point
@@ -120,96 +132,74 @@ def cube_path(out: Path, number: int) -> Path:
 
 def _draw(course: Course, kept: Stages, group: list[_Point]) -> None:
     """All frames and tiles of points that share a base: light once, then each point's noise."""
-    base = group[0].base
-    assert base is not None
+    base = group[0].ready.base
     for frame in range(base.plan.frames):
         living = [p for p in group if p.alive]
-        if not living:
+        found: list[tuple[Geometry, list[tuple[str, Window]]]] = []
+        if not living or not _shared(living, partial(_look, course, kept, living[0], frame, found)):
             return
-        shared: dict[str, Any] = {}
-
-        def start(frame: int = frame, shared: dict[str, Any] = shared) -> None:
-            shared["g"] = kept.geometry(base, frame)
-            names = living[0].measured.names if living[0].measured else ()
-            wanted = "detection" in course.sweep.metrics
-            search = course.sweep.detection.search_px
-            shared["windows"] = (
-                kept.get(
-                    "windows", (base.key, frame, names),
-                    lambda: target_windows(base.plan, shared["g"], names, search),
-                    lambda v: sum(w.image_e.nbytes + w.response.nbytes for _, w in v),
-                ) if wanted else []
-            )  # fmt: skip
-
-        if not _shared(living, start):
-            continue
-        for p in living:
-            _tried(p, lambda p=p: p.measured.begin_frame(shared["g"], shared["windows"]))
+        g, windows = found[0]
+        for point in living:
+            _tried(point, partial(point.ready.measured.begin_frame, g, windows))
         for tile in base.plan.tiles:
-            _draw_tile(kept, base, shared["g"], tile, [p for p in living if p.alive])
-        for p in living:
-            if p.alive:
-                _tried(p, p.measured.end_frame)  # type: ignore[union-attr]
+            _draw_tile(kept, base, g, tile, [p for p in living if p.alive])
+        for point in living:
+            _tried(point, point.ready.measured.end_frame)
+
+
+def _look(course: Course, kept: Stages, point: _Point, frame: int, found: list[Any]) -> None:
+    """The geometry of a frame, and the windows around its targets."""
+    base, names = point.ready.base, point.ready.measured.names
+    g, wish = kept.geometry(base, frame), course.sweep.detection
+    if "detection" not in course.sweep.metrics:
+        found.append((g, []))
+        return
+    windows = kept.get(
+        "windows", (base.key, frame, names),
+        lambda: target_windows(base.plan, g, names, wish.search_px),
+        lambda v: sum(w.image_e.nbytes + w.response.nbytes for _, w in v),
+    )  # fmt: skip
+    found.append((g, windows))
 
 
 def _draw_tile(kept: Stages, base: Base, g: Geometry, tile: Tile, living: list[_Point]) -> None:
-    light: dict[str, Any] = {}
-    if not living or not _shared(living, lambda: light.update(kept.light(base, g, tile))):
+    light: dict[str, Array] = {}
+    if living and _shared(living, lambda: light.update(kept.light(base, g, tile))):
+        for point in living:
+            _tried(point, partial(_noise, point.ready, g, tile, light))
+
+
+def _noise(ready: _Ready, g: Geometry, tile: Tile, light: dict[str, Array]) -> None:
+    """A point's detector over the light of a tile: measured, and written where cubes are kept."""
+    rays, frame = ready.base.prepared.rays, int(g.frame[0])
+    out, _ = render_tile(ready.plan, ready.maps, g, tile, [], [], rays, light)
+    ready.measured.take(tile, frame, out["dn"], out["mean_e"])
+    if ready.writer is None:
         return
-    for point in living:
-
-        def noise(point: _Point = point) -> None:
-            assert point.plan is not None and point.maps is not None and point.measured is not None
-            rays = base.prepared.rays
-            out, checks = render_tile(point.plan, point.maps, g, tile, [], [], rays, light)
-            frame = int(g.frame[0])
-            point.measured.take(tile, frame, out["dn"], out["mean_e"])
-            if point.writer is not None:
-                _write(point, frame, tile, light, g, rays, out)
-
-        _tried(point, noise)
-
-
-def _write(
-    point: _Point, frame: int, tile: Tile, light: Any, g: Geometry, rays: Any, out: Any
-) -> None:
-    """One tile of a cube that is kept, with the layers that its scene asks for."""
-    assert point.writer is not None and point.scene is not None and point.plan is not None
-    assert point.maps is not None
-    if not set(point.writer.layers) <= set(out):
-        scene = point.plan.scene.model_copy(update={"output": point.scene.output})
-        from dataclasses import replace
-
-        plan = replace(point.plan, scene=scene)
-        out, _ = render_tile(plan, point.maps, g, tile, [], [], rays, light)
-    point.writer.write(frame, tile, out)
+    if not set(ready.writer.layers) <= set(out):
+        scene = ready.plan.scene.model_copy(update={"output": ready.scene.output})
+        plan = replace(ready.plan, scene=scene)
+        out, _ = render_tile(plan, ready.maps, g, tile, [], [], rays, light)
+    ready.writer.write(frame, tile, out)
 
 
 def _end(course: Course, point: _Point) -> Row | None:
     """A point's row, or None where it has to be taken whole."""
-    if point.alive and point.writer is not None:
-        path, scene = cube_path(Path(course.out), point.number), point.scene
-
-        def finish() -> None:
-            assert scene is not None
-            render(scene, path, Options("synchronous", resume=True))
-
-        _tried(point, finish)
+    if point.alive and point.ready.writer is not None:
+        path = cube_path(Path(course.out), point.number)
+        _tried(point, lambda: render(point.ready.scene, path, Options("synchronous", resume=True)))
+    _tried(point, lambda: point.row.update(point.ready.measured.row()))
     if point.again:
         return None
-    row = point.row
-    if point.fault is None and point.measured is not None:
-        measured: dict[str, Any] = {}
-        _tried(point, lambda: measured.update(point.measured.row()))  # type: ignore[union-attr]
-        row |= measured
-    row["status"] = "done" if point.fault is None else "failed"
-    row["message"] = point.fault
+    row = point.row | {
+        "status": "done" if point.fault is None else "failed", "message": point.fault
+    }  # fmt: skip
     if "timing" in course.sweep.metrics:
         row |= {"seconds": point.seconds + point.shared_s, "light_s": point.shared_s}
     return row
 
 
-def _shared(points: list[_Point], work: Callable[[], None]) -> bool:
+def _shared(points: list[_Point], work: Callable[[], Any]) -> bool:
     """Do what points share; its time is shared out. False where it failed, for all of them."""
     started = time.perf_counter()
     first = points[0]
@@ -222,7 +212,7 @@ def _shared(points: list[_Point], work: Callable[[], None]) -> bool:
     return first.alive
 
 
-def _tried(point: _Point, work: Callable[[], None]) -> None:
+def _tried(point: _Point, work: Callable[[], Any]) -> None:
     """Do something for a point; what fails is its fault, but a full disk is nobody's."""
     if not point.alive:
         return
