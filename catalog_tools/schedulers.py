@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import Any, Protocol
-from urllib.parse import urlsplit
 from uuid import uuid4
 
 from .ahead import cores
-from .errors import BadInput, Incomplete, NightglassError
+from .clusters import check_address, connected, slurm
+from .errors import Incomplete, NightglassError
 
 Progress = Callable[[str], None]  # called with the kind of each task that is done
-LOCAL_KINDS = ("threads", "synchronous", "processes")
+LOCAL_KINDS = ("threads", "synchronous", "processes", "slurm")
 TASKS_PER_WINDOW = 256
 # What glibc comes to by itself; Dask's 64 KiB cost a worker eight times the page faults.
 MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(64 << 20)}
@@ -124,11 +124,11 @@ class ClusterScheduler:
 
         left = iter(items)
         running: dict[Any, Any] = {}
-        sent = self.share(shared)
+        sent = self.client.submit(_same, shared, pure=False)  # lost with a worker, made again
         done = as_completed([], loop=self.client.loop, raise_errors=False)
 
         def fill() -> None:
-            most = AHEAD * max(self.workers, sum(self.client.nthreads().values()))
+            most = AHEAD * max(1, sum(self.client.nthreads().values()))
             for item in itertools.islice(left, max(0, most - len(running))):
                 future = self.client.submit(_outcome, function, sent, item, pure=False)
                 running[future.key] = item
@@ -166,7 +166,7 @@ class ClusterScheduler:
 
 @contextmanager
 def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
-    """The scheduler named by `--scheduler`: threads, synchronous, processes, or an address."""
+    """The scheduler named by `--scheduler`: threads, synchronous, processes, slurm, an address."""
     count = workers or cores()
     if kind in ("threads", "synchronous"):
         yield LocalScheduler(kind, 1 if kind == "synchronous" else count)
@@ -193,17 +193,12 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         ):  # fmt: skip
             yield ClusterScheduler(client, count)
         return
-    try:
-        client = Client(kind, timeout=5)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise BadInput(
-            "--scheduler", kind, f"the address of a running scheduler; {error}"
-        ) from None
-    with client:
-        threads = sum(client.nthreads().values())
-        if threads == 0:
-            raise BadInput("--scheduler", kind, "a scheduler that has workers")
-        yield ClusterScheduler(client, threads)
+    with slurm(workers) if kind == "slurm" else connected(kind) as client:
+        yield ClusterScheduler(client, max(1, sum(client.nthreads().values())))
+
+
+def _same(value: Any) -> Any:
+    return value
 
 
 def _outcome(function: Callable[[Any, Any], Any], shared: Any, item: Any) -> Any:
@@ -249,12 +244,5 @@ def _renamed(task: Any, names: dict[Any, Any]) -> Any:
 
 def _check_address(kind: str) -> None:
     """An open scheduler runs anybody's code: beyond loopback only TLS is accepted."""
-    if kind == "processes":
-        return
-    parts = urlsplit(kind)
-    if parts.scheme not in ("tcp", "tls") or not parts.hostname:
-        allowed = f"{', '.join(LOCAL_KINDS)}, tcp://127.0.0.1:PORT or tls://HOST:PORT"
-        raise BadInput("--scheduler", kind, allowed)
-    loopback = parts.hostname in ("localhost", "::1") or parts.hostname.startswith("127.")
-    if parts.scheme == "tcp" and not loopback:
-        raise BadInput("--scheduler", kind, "tls:// with certificates beyond this machine")
+    if kind not in LOCAL_KINDS:
+        check_address(kind, LOCAL_KINDS)

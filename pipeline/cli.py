@@ -11,7 +11,8 @@ import typer
 
 from pipeline.catalog_cli import catalog
 from pipeline.cosmic_rays_cli import cosmic_rays
-from pipeline.options import Json, Output, SchedulerName, Workers, print_json
+from pipeline.options import Json, Output, SchedulerName, Slurm, Workers, print_json
+from pipeline.parts_cli import join
 from pipeline.sweep_cli import sweep
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
@@ -26,6 +27,7 @@ app = typer.Typer(
 app.add_typer(catalog, name="catalog")
 app.add_typer(cosmic_rays, name="cosmic-rays")
 app.command()(sweep)
+app.command()(join)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 
@@ -86,11 +88,21 @@ def render(
     set_: Overrides = None,
     scheduler: SchedulerName = "threads",
     workers: Workers = None,
+    slurm: Slurm = False,
     resume: Annotated[bool, typer.Option("--resume", help="go on with an unfinished one")] = False,
     replace: Annotated[bool, typer.Option("--replace", help="remove an old product first")] = False,
+    part: Annotated[
+        str | None, typer.Option("--part", help="only part k/n of the tiles, beside other parts")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Render a scene into a product directory."""
+    scheduler = "slurm" if slurm else scheduler
+    if part is not None:
+        from pipeline.parts_cli import render_part
+
+        render_part(scene, output, set_ or [], part, (scheduler, workers, replace), as_json)
+        return
     from pipeline.run import Options
     from pipeline.run import render as run
     from pipeline.spec.load import load_scene

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.options import Json, Output, SchedulerName, Workers, print_json
+from pipeline.options import Json, Output, SchedulerName, Slurm, Workers, print_json
 
 SweepFile = Annotated[Path, typer.Argument(help="sweep file, YAML or JSON", metavar="SWEEP")]
 
@@ -20,6 +20,7 @@ def sweep(
     output: Output = Path("sweep"),
     scheduler: SchedulerName = "threads",
     workers: Workers = None,
+    slurm: Slurm = False,
     resume: Annotated[bool, typer.Option("--resume", help="go on with an unfinished one")] = False,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="with --resume: failed points once more")
@@ -38,7 +39,7 @@ def sweep(
 
         print(scene_yaml(point_scene(file, point)), end="")
         return
-    options = Options(scheduler, workers, resume or retry_failed)
+    options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
     with _progress(as_json or not sys.stderr.isatty()) as listen:
         report = run(file, output, options, retry_failed, listen)
     if as_json:

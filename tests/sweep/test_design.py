@@ -1,4 +1,4 @@
-"""Designs: every point by its number alone, evenly spread, in an order that keeps light together."""
+"""Designs: every point by its number alone, evenly spread, in an order that keeps light."""
 
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ def test_quasi_random_points_are_even_and_stand_alone(kind):
 
 def test_sobol_blocks_join_seamlessly():
     """Scrambled blocks drawn apart are the sequence drawn at once."""
-    axes = [{"field": "a", "kind": "range", "start": 0, "stop": 1}, {"field": "b", "values": [1, 2]}]
+    span = {"field": "a", "kind": "range", "start": 0, "stop": 1}
+    axes = [span, {"field": "b", "values": [1, 2]}]
     made = design(axes, design={"kind": "sobol", "points": 3 * BLOCK})
     whole = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(0)).random(4 * BLOCK)
     for point in (0, BLOCK - 1, BLOCK, 2 * BLOCK + 17):
