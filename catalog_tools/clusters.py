@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from .errors import BadInput, Incomplete
 
 LOOPBACK = ("localhost", "::1")
-CERTIFICATES = ("NIGHTGLASS_TLS_CA", "NIGHTGLASS_TLS_CERT", "NIGHTGLASS_TLS_KEY")
+CERTIFICATES = ("NIGHTGLASS_CLUSTER_CA", "NIGHTGLASS_CLUSTER_CERT", "NIGHTGLASS_CLUSTER_KEY")
 WAIT_S = "NIGHTGLASS_WORKERS_WAIT_S"  # how long to wait for the first worker
 MOST_JOBS = 16
 
