@@ -17,7 +17,7 @@ from catalog_tools.durable import whole_file, write_atomically
 from pipeline.spec.sweep import Sweep
 from pipeline.sweep.ledger import FIGURE, PAGE, REPORT, TABLE
 
-MOST_DRAWN, MOST_AXES, MOST_METRICS = 20_000, 6, 8
+MOST_DRAWN, MOST_AXES, MOST_METRICS = 20_000, 4, 5
 MOST_MESSAGES = 20
 NOT_METRICS = ("point", "seed", "status", "message", "content_digest", "frames_in_view")
 
@@ -87,17 +87,18 @@ def _draw(file: pq.ParquetFile, out: Path, axes: list[str], metrics: list[str]) 
     ][:MOST_METRICS]  # fmt: skip
     if not across or not down:
         return False
-    figure = Figure(figsize=(3.2 * len(across) + 0.8, 2.1 * len(down) + 0.4), layout="constrained")
+    figure = Figure(figsize=(2.7 * len(across) + 1.0, 1.8 * len(down) + 0.6))
+    figure.subplots_adjust(0.9 / figure.get_figwidth(), 0.55 / figure.get_figheight(), 0.99, 0.99)
     panels = figure.subplots(len(down), len(across), squeeze=False, sharex="col", sharey="row")
     for i, metric in enumerate(down):
         for j, axis in enumerate(across):
             panel = panels[i][j]
             style: dict[str, Any] = {"markersize": 4, "alpha": 0.6, "color": "#1f4e8c"}
             panel.plot(columns[axis], columns[metric], ".", **style)
+            panel.locator_params(axis="y", nbins=4)
             x = columns[axis][np.isfinite(columns[axis])]
             if x.min() > 0 and x.max() > 30 * x.min():
                 panel.set_xscale("log")
-            panel.grid(alpha=0.25)
             if i == len(down) - 1:
                 panel.set_xlabel(axis, fontsize=8)
             if j == 0:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -67,8 +70,13 @@ def test_compose():
     plain = {k: v for k, v in data.items() if not k.startswith("x-")}
     made = models.ComposeSpecification.model_validate(plain)
     assert set(made.services) == {"scheduler", "worker", "api"}
-    with pytest.raises(ValueError, match="service"):
-        models.ComposeSpecification.model_validate({**plain, "services": {"a": {"imag": "x"}}})
+    text = re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", json.dumps(plain))  # as compose fills them in
+    whole = models.PyCompose.from_json(text)
+    whole.validate_networks()
+    whole.validate_secrets()
+    whole.validate_volumes()
+    with pytest.raises(ValueError, match="read_onl"):
+        models.PyCompose.from_json(text.replace('"read_only"', '"read_onl"'))
     for service in data["services"].values():
         assert service["read_only"] is True
         assert service["cap_drop"] == ["ALL"]
@@ -147,10 +155,6 @@ def test_shell_scripts(path):
 
 def test_slurm_array_runs_without_slurm(tmp_path):
     """The array's script itself, its tasks side by side as Slurm would start them; one repeated."""
-    import json
-    import os
-    import sys
-
     scene = {
         "schema": "nightglass/scene/1", "name": "a", "epoch": "2019-07-20T09:00:00Z",
         "observer": {"kind": "fixed", "position_au": [1, 0, 0]},

@@ -66,7 +66,7 @@ def scene_data(catalogue) -> dict[str, Any]:
         "targets": [{
             "name": "ball",
             "orbit": {"kind": "state", "position_m": list(ahead), "velocity_m_s": list(velocity)},
-            "body": {"kind": "sphere", "diameter_m": 0.3, "albedo": 0.2}}],
+            "body": {"kind": "sphere", "diameter_m": 0.004, "albedo": 0.2}}],
         "background": {"uniform_mag_arcsec2": 21.0},
         "output": {"tile_shape": [256, 256]},
     }  # fmt: skip
