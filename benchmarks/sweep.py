@@ -63,7 +63,7 @@ def measure(folder: Path, catalogue: Path, side: int, points: int) -> dict[str, 
     design = course.design
 
     def sky(kept: Stages) -> Any:
-        scene, base = with_floor(course, kept, scene_of(course, design, 0), whole=False)
+        _, base = with_floor(course, kept, scene_of(course, design, 0), whole=False)
         g = kept.geometry(base, 0)
         return base, g, [(tile, kept.light(base, g, tile)) for tile in base.plan.tiles]
 
@@ -106,8 +106,9 @@ def main() -> None:
         folder = Path(name)
         found = measure(folder, make_catalogue(folder, args.stars), args.side, args.points)
     print(
-        f"{found['points']} detector settings of {found['side_px']} px: sky {found['sky_cpu_s']:.2f}"
-        f" s, chain {found['chain_cpu_s']:.3f} s, sweep {found['sweep_cpu_s']:.2f} s (CPU): "
+        f"{found['points']} detector settings of {found['side_px']} px: sky "
+        f"{found['sky_cpu_s']:.2f} s, chain {found['chain_cpu_s']:.3f} s, "
+        f"sweep {found['sweep_cpu_s']:.2f} s (CPU): "
         f"{found['ratio']:.2f} x (chains + one sky), "
         f"{found['ratio_to_single_renders']:.2f} x as many skies"
     )

@@ -23,6 +23,7 @@ from pipeline.spec.sweep import Detection
 from pipeline.store.markers import cell_checksums
 
 SNR_AT_LIMIT = 5.0
+SAMPLED_PX = 4  # the background is taken from every fourth pixel of each axis
 MARGIN_PX = 24  # of sky around a target's response, for its noise
 LARGEST_WINDOW_PX = 1024
 KEPT_LIGHT = 0.98  # a window that holds less of a target's light is said to be outside
@@ -35,11 +36,6 @@ class Window:
         self.place, self.response, self.corner = place, response, corner
         self.image_e = np.zeros((place.rows, place.columns))
 
-    def take(self, tile: Tile, light_e: Array) -> None:
-        part = overlap(self.place, tile)
-        if part.rows and part.columns:
-            to, of = _cut(self.place, part), _cut(tile, part)
-            self.image_e[to] = light_e[of]
 
     def peak(self, wish: Detection, step_e: float) -> float:
         """Highest matched-filter statistic near the target's true place [sigma]."""
@@ -77,20 +73,19 @@ class Measurement:
         """One tile: digital numbers, and the mean before photon noise."""
         cells = cell_checksums(tile, dn)
         self._cells += [["dn", frame, *cell] for cell in cells]
-        if "background" in self.metrics or self._windows:
-            light = self._calibrated(tile, dn)
-            self._backgrounds.append((float(np.median(light)), light.size))
-            for _, window in self._windows:
-                window.take(tile, light)
+        if "background" in self.metrics:
+            every = (slice(None, None, SAMPLED_PX),) * 2
+            light = self._calibrated(tile, tile, dn, every)
+            self._backgrounds.append((float(np.median(light)), dn.size))
+        for _, window in self._windows:
+            part = overlap(window.place, tile)
+            if part.rows and part.columns:
+                all_of = (slice(None),) * 2
+                light = self._calibrated(tile, part, dn, all_of)
+                window.image_e[_cut(window.place, part)] = light
         if "saturation" in self.metrics:
-            s, gain, bias = self.plan.scene.sensor, *(
-                _of(tile, v) for v in (self.maps.gain_e_per_dn, self.maps.bias_dn)
-            )  # fmt: skip
-            full = mean_e / gain + bias >= float((1 << s.adc_bits) - 1)
-            if s.full_well_e is not None:
-                full |= mean_e >= s.full_well_e
-            self._saturated += int(np.count_nonzero(full))
-            self._pixels += full.size
+            self._saturated += int(np.count_nonzero(mean_e >= self._full_e(tile)))
+            self._pixels += mean_e.size
 
     def end_frame(self) -> None:
         """After a frame's tiles."""
@@ -136,12 +131,26 @@ class Measurement:
             out["limiting_g_mag"] = -2.5 * math.log10(least / zero) if least < math.inf else None
         return out
 
-    def _calibrated(self, tile: Tile, dn: NDArray[Any]) -> Array:
-        """Light that a tile's digital numbers tell of, by the detector's true maps [e-]."""
+    def _full_e(self, tile: Tile) -> float | Array:
+        """Mean charge from which a pixel is full: of its well, or at the converter's top [e-]."""
+        s = self.plan.scene.sensor
+        top = float((1 << s.adc_bits) - 1)
+        full = (top - _of(tile, self.maps.bias_dn)) * _of(tile, self.maps.gain_e_per_dn)
+        return full if s.full_well_e is None else np.minimum(full, s.full_well_e)
+
+    def _calibrated(
+        self, tile: Tile, part: Tile, dn: NDArray[Any], which: tuple[slice, slice]
+    ) -> Array:
+        """Light that some pixels of a part of a tile tell of, by the detector's true maps [e-]."""
         m, t = self.maps, self.plan.scene.exposure.integration_s
-        charge = (dn - _of(tile, m.bias_dn)) * _of(tile, m.gain_e_per_dn)
-        flat = np.maximum(_of(tile, m.flat), 1e-6)
-        return np.asarray((charge - _of(tile, m.dark_e_per_s) * t) / flat, np.float64)
+
+        def term(value: float | Array) -> float | Array:
+            found = _of(part, value)
+            return found[which] if isinstance(found, np.ndarray) else found
+
+        numbers = dn[_cut(tile, part)][which].astype(np.float64)
+        charge = (numbers - term(m.bias_dn)) * term(m.gain_e_per_dn) - term(m.dark_e_per_s) * t
+        return np.asarray(charge / np.maximum(term(m.flat), 1e-6))
 
 
 def target_snr(plan: Plan, g: Geometry, names: tuple[str, ...]) -> dict[str, float]:

@@ -17,6 +17,7 @@ from pipeline.errors import BadInput, Incomplete, NightglassError
 from pipeline.run import Options, Prepared, prepare
 from pipeline.spec.load import parse_text, path_holders
 from pipeline.spec.scene import Scene
+from pipeline.spec.sweep import Sweep
 from pipeline.spec.sweep_load import load_sweep
 from pipeline.store.layout import only_writer
 from pipeline.sweep import ledger
@@ -52,9 +53,16 @@ def sweep(
     options.resume goes on with an unfinished one. Raises BadInput for a sweep that can't be run,
     before anything is; Incomplete where work stopped before its end (what is done is kept).
     """
+    return run_course(gather_course(path, out), out, options, retry_failed, listen)
+
+
+def run_course(
+    course: Course, out: Path, options: Options | None = None, retry_failed: bool = False,
+    listen: Listener | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Run a sweep that was read already, as `sweep` does."""
     options = options or Options()
     started = time.perf_counter()
-    course = gather_course(path, out)
     names, digests = check(course)
     ledger.begin(out, ledger.identity_of(course.sweep, course.data, digests), options.resume)
     with only_writer(out):
@@ -85,6 +93,11 @@ def gather_course(path: Path, out: Path) -> Course:
     """Read a sweep file and its base scene; paths in them are made absolute."""
     wish = load_sweep(path)
     folder = path.parent.resolve()
+    return course_of(wish, folder, out)
+
+
+def course_of(wish: Sweep, folder: Path, out: Path) -> Course:
+    """A sweep ready to run; relative paths in it are from `folder`."""
     if isinstance(wish.scene, str):
         file = folder / wish.scene
         if not file.is_file():

@@ -17,7 +17,7 @@ from catalog_tools.durable import whole_file, write_atomically
 from pipeline.spec.sweep import Sweep
 from pipeline.sweep.ledger import FIGURE, PAGE, REPORT, TABLE
 
-MOST_DRAWN, MOST_AXES, MOST_METRICS = 20_000, 4, 5
+MOST_DRAWN, MOST_AXES, MOST_METRICS = 20_000, 3, 4
 MOST_MESSAGES = 20
 NOT_METRICS = ("point", "seed", "status", "message", "content_digest", "frames_in_view")
 

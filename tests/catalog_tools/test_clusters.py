@@ -1,4 +1,4 @@
-"""Schedulers beyond this process: TLS with our own certificates, and jobs that Slurm would start."""
+"""Schedulers beyond this process: TLS with our own certificates, jobs that Slurm would start."""
 
 from __future__ import annotations
 
@@ -141,9 +141,9 @@ def test_a_stranger_is_refused(tls_cluster, certificates, tmp_path, monkeypatch)
 
     with pytest.raises(ssl.SSLError):
         talk()
-    with pytest.raises(BadInput, match="--scheduler"):
-        with open_scheduler(f"tcp://{host}:{port}", None):
-            pass
+    plain = f"tcp://{host}:{port}"
+    with pytest.raises(BadInput, match="--scheduler"), open_scheduler(plain, None):
+        pass
 
 
 @pytest.mark.parametrize(
@@ -183,10 +183,10 @@ def test_slurm_starts_workers(tmp_path, monkeypatch):
     monkeypatch.setenv("NIGHTGLASS_SLURM_FOLDER", str(tmp_path / "certificates"))
     monkeypatch.setenv("NIGHTGLASS_WORKERS_WAIT_S", "120")
     settings = YAML(typ="safe").load((ROOT / "deploy" / "slurm" / "jobqueue.yaml").read_text())
-    settings["jobqueue"]["slurm"] |= {
+    mine = dask.config.get("jobqueue.slurm") | settings["jobqueue"]["slurm"] | {
         "cores": 1, "processes": 1, "memory": "1GiB", "interface": "lo", "python": sys.executable,
     }  # fmt: skip
-    with dask.config.set(settings), open_scheduler("slurm", 1) as scheduler:
+    with dask.config.set({"jobqueue.slurm": mine}), open_scheduler("slurm", 1) as scheduler:
         found = dict(scheduler.each(double, 2, range(6)))
     assert found == {i: 2 * i for i in range(6)}
     script = (tmp_path / "script").read_text()
