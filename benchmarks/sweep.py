@@ -73,15 +73,15 @@ def measure(folder: Path, catalogue: Path, side: int, points: int) -> dict[str, 
     plans = []
     for k in range(points):
         scene, _ = with_floor(course, kept, scene_of(course, design, k), whole=False)
-        maps = maps_of(kept, scene)
+        maps = maps_of(kept, base, scene)
         plans.append((point_plan(base, scene, maps), maps))
 
     def chains() -> None:
         for plan, maps in plans:
             for tile, light in tiles:
-                render_tile(plan, maps, g, tile, [], [], None, light)
+                render_tile(plan, maps, g, tile, [], [], None, (), light)
 
-    render_tile(*plans[0], g, tiles[0][0], [], [], None, tiles[0][1])
+    render_tile(*plans[0], g, tiles[0][0], [], [], None, (), tiles[0][1])
     _, chains_s = cpu_s(chains)
     report, sweep_s = cpu_s(lambda: sweep(path, folder / "out", Options("synchronous")))
     assert report["failed"] == 0

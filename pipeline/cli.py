@@ -11,6 +11,8 @@ import typer
 
 from pipeline.catalog_cli import catalog
 from pipeline.cosmic_rays_cli import cosmic_rays
+from pipeline.export_cli import export, import_app
+from pipeline.jobs_cli import Server, jobs
 from pipeline.options import Json, Output, SchedulerName, Slurm, Workers, print_json
 from pipeline.parts_cli import join
 from pipeline.sweep_cli import sweep
@@ -26,6 +28,9 @@ app = typer.Typer(
 )
 app.add_typer(catalog, name="catalog")
 app.add_typer(cosmic_rays, name="cosmic-rays")
+app.add_typer(import_app, name="import")
+app.command()(export)
+app.add_typer(jobs, name="jobs")
 app.command()(sweep)
 app.command()(join)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
@@ -94,10 +99,18 @@ def render(
     part: Annotated[
         str | None, typer.Option("--part", help="only part k/n of the tiles, beside other parts")
     ] = None,
+    server: Server = None,
     as_json: Json = False,
 ) -> None:
-    """Render a scene into a product directory."""
+    """Render a scene into a product directory, here or on a server."""
     scheduler = "slurm" if slurm else scheduler
+    if server is not None:
+        from pipeline.jobs_cli import render_there
+
+        elsewhere = scheduler != "threads" or part is not None
+        _only_here(resume, replace, workers is not None, elsewhere)
+        _print_result(render_there(scene, output, set_ or [], server, as_json), output, as_json)
+        return
     if part is not None:
         from pipeline.parts_cli import render_part
 
@@ -111,19 +124,23 @@ def render(
     options = Options(scheduler, workers, resume, replace)
     with _progress(quiet=as_json) as listen:
         report = run(loaded, output, options, listen)
-    if as_json:
-        print_json(report)
-    else:
-        _print_report(report, output)
+    _print_result(report, output, as_json)
 
 
 @app.command()
-def plan(scene: SceneFile, set_: Overrides = None, as_json: Json = False) -> None:
+def plan(
+    scene: SceneFile, set_: Overrides = None, server: Server = None, as_json: Json = False
+) -> None:
     """Show what a scene needs: tiles, shards, time, memory, and each decision with its bound."""
-    from pipeline.run import plan_scene
-    from pipeline.spec.load import load_scene
+    if server is not None:
+        from pipeline.jobs_cli import plan_there
 
-    summary = plan_scene(load_scene(scene, set_ or []))
+        summary = plan_there(scene, set_ or [], server)
+    else:
+        from pipeline.run import plan_scene
+        from pipeline.spec.load import load_scene
+
+        summary = plan_scene(load_scene(scene, set_ or []))
     if as_json:
         print_json(summary)
     else:
@@ -149,18 +166,15 @@ def check(product: ProductPath, as_json: Json = False) -> None:
 
 
 @app.command()
-def export(
-    product: ProductPath,
-    to: Annotated[str, typer.Option("--to", help="fits or png")],
-    output: Output,
-    frame: Annotated[int | None, typer.Option(min=0, help="one frame; default: all")] = None,
-    layer: Annotated[str, typer.Option(help="which layer")] = "dn",
-) -> None:
-    """Write frames as FITS (with WCS and times) or PNG."""
-    from pipeline.export.files import export_frames
+def calibrate(product: ProductPath, output: Output, as_json: Json = False) -> None:
+    """Copy a product with its frames calibrated: less bias and dark, over the flat [e-]."""
+    from pipeline.calibrate import calibrate as run
 
-    for path in export_frames(product, to, output, frame, layer):
-        print(path)
+    report = run(product, output)
+    if as_json:
+        print_json(report)
+    else:
+        print(f"{output}: {report['frames']} frame(s), {report['masked_pixels']} pixels masked")
 
 
 @app.command()
@@ -236,6 +250,27 @@ def report_accuracy(
         print_study(study)
 
 
+@report_app.command("detection")
+def report_detection(
+    product: ProductPath,
+    output: Output = Path("detection"),
+    threshold: Annotated[float, typer.Option(help="least signal-to-noise, in sigma")] = 5.0,
+    frames: Annotated[int | None, typer.Option(min=1, help="the first so many")] = None,
+    as_json: Json = False,
+) -> None:
+    """Completeness and false alarms of public finders on a product: JSON, table, figure."""
+    from pipeline.detection.study import report_detection as study_all
+    from pipeline.detection.tables import print_study
+    from pipeline.pages import stage_progress
+
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        study = study_all(product, output, threshold, frames, listen)
+    if as_json:
+        print_json(study)
+    else:
+        print_study(study)
+
+
 @app.command()
 def serve(
     host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",
@@ -249,6 +284,17 @@ def serve(
     from importlib import import_module
 
     import_module("service.main").serve(host, port, home)
+
+
+@app.command(
+    add_help_option=False,
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+)
+def keys(context: typer.Context) -> None:
+    """API keys of the service: create, revoke, list."""
+    from importlib import import_module
+
+    import_module("service.keys_cli").app(context.args, standalone_mode=False)
 
 
 @app.command()
@@ -266,11 +312,49 @@ def demo(
     print_product(product)
 
 
+@app.command()
+def selftest(
+    only: Annotated[str | None, typer.Option(help="part of a case's name")] = None,
+    page: Annotated[Path | None, typer.Option("--markdown", help="also write a page")] = None,
+    as_json: Json = False,
+) -> None:
+    """Hard ends of the product against answers known from elsewhere. Exit 1 where one fails."""
+    from pipeline.pages import stage_progress
+    from pipeline.selftest.report import as_data, chosen, markdown, print_table, run_cases
+
+    cases = chosen(only)
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        outcomes = run_cases(cases, listen)
+    if page is not None:
+        page.write_text(markdown(outcomes), encoding="utf-8")
+    if as_json:
+        print_json(as_data(outcomes))
+    else:
+        print_table(outcomes)
+    if not all(o.passed for o in outcomes):
+        raise typer.Exit(1)
+
+
 def _progress(quiet: bool) -> Any:
     """A bar of tiles on stderr; nothing when it is no terminal or not wanted."""
     from pipeline.pages import tile_progress
 
     return tile_progress(quiet or not sys.stderr.isatty())
+
+
+def _only_here(*given: bool) -> None:
+    from pipeline.errors import BadInput
+
+    if any(given):
+        allowed = "without --resume, --replace, --workers, --scheduler: the server decides these"
+        raise BadInput("--server", "with them", allowed)
+
+
+def _print_result(report: dict[str, Any], output: Path, as_json: bool) -> None:
+    if as_json:
+        print_json(report)
+    else:
+        _print_report(report, output)
 
 
 def _print_report(report: dict[str, Any], product: Path) -> None:

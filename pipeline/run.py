@@ -35,7 +35,8 @@ from pipeline.inputs.stars import Catalogue, Shard, cones_of, gather_shards, row
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
-from pipeline.plan.bodies import has_band_albedos, with_band_albedos
+from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
+from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
 from pipeline.plan.geometry import (
@@ -47,6 +48,7 @@ from pipeline.plan.geometry import (
 )
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
 from pipeline.plan.target_decisions import mesh_notices
+from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
@@ -54,6 +56,7 @@ from pipeline.store.product import Begun, begin, truth_kinds
 
 if TYPE_CHECKING:
     from pipeline.physics.cosmic_rays.frame import CosmicRays
+    from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky import SkyPlan
 
 Listener = Callable[["Progress"], None]
@@ -100,15 +103,29 @@ class Prepared:
 
 def resolve(scene: Scene) -> Scene:
     """The scene with what its files of orbits and distortion say, and albedos over the band."""
-    scene = gather_ephemerides(gather_distortion(scene))
-    if has_band_albedos(scene):
-        wavelength, irradiance, *_ = solar_spectrum()
-        scene = with_band_albedos(scene, wavelength, irradiance, gather_response(scene)[0])
+    scene = _banded(gather_ephemerides(gather_distortion(scene)))
     if any(target.body.kind == "mesh" for target in scene.targets):
         from pipeline.inputs.meshes import gather_meshes  # an optional extra: trimesh
 
         scene = gather_meshes(scene)
+    if _site_with_air(scene):
+        from pipeline.inputs.air import with_wavelength
+
+        scene = with_wavelength(scene, gather_response(scene)[0])
     return scene
+
+
+def _site_with_air(scene: Scene) -> bool:
+    o = scene.observer
+    return isinstance(o, GroundObserver) and o.atmosphere is not None
+
+
+def _banded(scene: Scene) -> Scene:
+    """The scene with numbers for tables of reflectance."""
+    if not has_band_albedos(scene):
+        return scene
+    wavelength, irradiance, *_ = solar_spectrum()
+    return with_band_albedos(scene, wavelength, irradiance, gather_response(scene)[0])
 
 
 def prepare(scene: Scene) -> Prepared:
@@ -126,17 +143,21 @@ def prepare(scene: Scene) -> Prepared:
     remarks = [remark] if remark else []
     colour, sun = _light(scene, response, band, digest, remarks)
     facts = gather_facts(
-        scene, response, maps.typical("dark_e_per_s"), maps.typical("read_noise_e"),
+        scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
     )  # fmt: skip
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
+    extinction = _extinction(scene, response)
     scene, facts, sky = _sky(
-        scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s
+        scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s, extinction
     )
+    scene, geometry = _populated(scene, facts, geometry, dut1_s)
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     remarks += mesh_notices(scene)
-    plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky)
+    plan = make_plan(
+        scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction
+    )
     left_out = _left_out(plan, catalogues)
     plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
     rays = _cosmic_rays(scene)
@@ -151,6 +172,7 @@ def _sky(
     facts: Facts,
     geometry: Geometry,
     dut1_s: float,
+    extinction: BandExtinction | None,
 ) -> tuple[Scene, Facts, SkyPlan | None]:
     """The sky that varies, the facts with it, and the scene with the limit that the noise set."""
     b, stars = scene.background, scene.stars
@@ -160,12 +182,35 @@ def _sky(
     from pipeline.inputs.sky import gather_sky
     from pipeline.plan.sky import facts_with_sky, plan_sky
 
-    inputs = gather_sky(scene, *sensor, catalogues, colour, from_noise)
+    inputs = gather_sky(scene, *sensor, catalogues, colour, from_noise, extinction)
     sky = plan_sky(scene, camera_of(scene), geometry, facts, inputs, dut1_s, from_noise)
     if stars is not None and from_noise:
         limit = {"faintest_g_mag": sky.faintest_g_mag, "limit_from_noise": False}
         scene = scene.model_copy(update={"stars": stars.model_copy(update=limit)})
     return scene, facts_with_sky(facts, scene, sky), sky
+
+
+def _extinction(scene: Scene, response: ResponseCurve) -> BandExtinction | None:
+    """Extinction by the air above a site; nothing is imported or read for a scene without."""
+    if not _site_with_air(scene):
+        return None
+    from pipeline.inputs.air import gather_extinction
+
+    return gather_extinction(scene, response)
+
+
+def _populated(
+    scene: Scene, facts: Facts, geometry: Geometry, dut1_s: float
+) -> tuple[Scene, Geometry]:
+    """The scene with the objects of its populations that come into the field, and its geometry."""
+    if all(p.screened is not None for p in scene.populations):
+        return scene, geometry
+    from pipeline.inputs.populations import gather_populations
+    from pipeline.plan.responses import plan_responses
+
+    r = plan_responses(scene, facts, camera_of(scene), geometry, sources=True)
+    full = _banded(gather_populations(scene, r.reach_px + r.reach_core_px + 2.0, dut1_s))
+    return full, plan_geometry(full, sampled_frames(full), dut1_s)
 
 
 def _cosmic_rays(scene: Scene) -> CosmicRays | None:
@@ -193,7 +238,7 @@ def _light(
         remarks.append(
             f"star colours: {colour.source}; fit residual {colour.residual_rms_mag:.3f} mag rms"
         )
-    if scene.targets:
+    if scene.targets or scene.populations:
         wavelength, irradiance, source, error = solar_spectrum()
         sun = band_photon_irradiance_sun(wavelength, irradiance, response)
         remarks.append(f"solar spectrum: {source}; {error}")
@@ -359,8 +404,11 @@ def _windows(plan: Plan, share: Share) -> Iterator[np.ndarray]:
 
 def missing(plan: Plan, begun: Begun, frames: np.ndarray, share: Share = WHOLE) -> Work | None:
     """What a share of a window still lacks; None where nothing. Truth goes with a first tile."""
+    first = int(frames[0])
+    earlier = np.arange(max(0, first - plan.lag_frames), first, dtype=np.int64)
+    shift = len(earlier)
     tiles = [
-        (i, tile)
+        (i + shift, tile)
         for i, frame in enumerate(frames)
         for number, tile in enumerate(plan.tiles)
         if share.holds(plan, int(frame), number)
@@ -368,14 +416,14 @@ def missing(plan: Plan, begun: Begun, frames: np.ndarray, share: Share = WHOLE) 
     ]
     truth = {
         kind: tuple(
-            i for i, f in enumerate(frames)
+            i + shift for i, f in enumerate(frames)
             if share.holds(plan, int(f), 0) and (kind, int(f)) not in begun.truth_done
         )
         for kind in truth_kinds(plan)
     }  # fmt: skip
     if not tiles and not any(truth.values()):
         return None
-    geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
+    geometry = plan_geometry(plan.scene, np.concatenate([earlier, frames]), plan.dut1_s)
     return Work(
         geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()),
         truth.get("cosmic_rays", ()),

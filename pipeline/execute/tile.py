@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,9 +12,15 @@ from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.errors import NightglassError
 from pipeline.execute.blocks import Block
 from pipeline.execute.check import check_tile
+from pipeline.execute.detector import (
+    collected_e,
+    stream_place,
+    tile_chain,
+    with_lag,
+    with_smear,
+)
 from pipeline.execute.light import draw_stars, draw_targets
-from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
-from pipeline.physics.noise.streams import stream_key
+from pipeline.physics.noise.chain import Chain, to_dn
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 
@@ -31,43 +38,75 @@ def render_tile(
     parts: list[FrameStars],
     blocks: list[Block],
     rays: CosmicRays | None = None,
+    before: Sequence[Array] = (),
     light_e: dict[str, Array] | None = None,
 ) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
     """The layers of a tile that the scene asks for, and what the reference path found in it.
 
     The layers are `dn`, and the noise-free ones in float32. The light layers are what the pixels
-    collect (after the flat), so that with the dark they sum to `mean_e`, the mean of the noisy
-    frame before full well and ADC. `cosmic_rays_e` is drawn charge and not in it.
+    collect (after the flat, with smear), so that with the dark and the lag they sum to `mean_e`,
+    the mean of the noisy frame before full well and ADC. `cosmic_rays_e` is drawn charge and not
+    in it. before : `charge_of_tile` of the frames before, where charge stays behind.
     light_e : what `tile_light` gave for this tile, where that is known already.
     """
-    chain = _chain(plan, maps, tile)
+    chain = tile_chain(plan.scene, maps, tile)
     light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
-    shape = (tile.rows, tile.columns)
-    layers: dict[str, Array] = {
-        name: np.broadcast_to(image * chain.flat, shape) for name, image in light.items()
-    }
-    if np.any(chain.dark_e):
-        layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
-    mean = np.zeros(shape)
-    for layer in layers.values():
-        mean += layer
-    mean = _not_negative(plan, mean, max((b.brightest_e for b in blocks), default=0.0))
-    place = StreamPlace(
-        tile.y0, tile.x0, int(g.frame[0]), stream_key(plan.scene.seed, "photon_noise"),
-        stream_key(plan.scene.seed, "read_noise"),
-    )  # fmt: skip
+    layers, own = _mean(plan, tile, chain, light, blocks)
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
-    out: dict[str, NDArray] = {"dn": to_dn(mean, chain, place, drawn)}
     if drawn is not None:
         layers["cosmic_rays_e"] = drawn
+    mean, drawn = with_lag(plan.scene, own, drawn, list(before))
+    if mean is not own:
+        layers["lag_e"] = mean - own
+    place = stream_place(plan.scene, tile, int(g.frame[0]))
+    out: dict[str, NDArray] = {"dn": to_dn(mean, chain, place, drawn)}
     for name in plan.scene.output.layers:
-        if name != "dn":
-            value = mean if name == "mean_e" else layers.get(name, np.zeros(shape))
+        if name == "calibrated_e":
+            from pipeline.physics.noise.calibration import calibrated_e
+
+            out[name] = calibrated_e(out["dn"], chain).astype(np.float32)
+        elif name != "dn":
+            value = mean if name == "mean_e" else layers.get(name, np.zeros(mean.shape))
             out[name] = value.astype(np.float32)
     sources = [image for name, image in light.items() if name in ("stars_e", "targets_e")]
     return out, check_tile(
         plan, g, tile, parts, sources, lambda part: _noise_e(mean, chain, part)
     )
+
+
+def charge_of_tile(
+    plan: Plan,
+    maps: SensorMaps,
+    g: Geometry,
+    tile: Tile,
+    parts: list[FrameStars],
+    blocks: list[Block],
+    rays: CosmicRays | None = None,
+    light_e: dict[str, Array] | None = None,
+) -> Array:
+    """What the pixels of a tile collect in one frame [e-]: of it a share is left for the next."""
+    chain = tile_chain(plan.scene, maps, tile)
+    light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
+    _, mean = _mean(plan, tile, chain, light, blocks)
+    drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
+    return collected_e(plan.scene, mean, drawn)
+
+
+def _mean(
+    plan: Plan, tile: Tile, chain: Chain, light: dict[str, Array], blocks: list[Block]
+) -> tuple[dict[str, Array], Array]:
+    """The noise-free layers of a tile, and their sum: the mean of what its pixels collect."""
+    shape = (tile.rows, tile.columns)
+    layers: dict[str, Array] = {
+        name: np.broadcast_to(image * chain.flat, shape) for name, image in light.items()
+    }
+    layers = {name: with_smear(plan.scene, layer) for name, layer in layers.items()}
+    if np.any(chain.dark_e):
+        layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
+    mean = np.zeros(shape)
+    for layer in layers.values():
+        mean += layer
+    return layers, _not_negative(plan, mean, max((b.brightest_e for b in blocks), default=0.0))
 
 
 LIGHTS = ("stars", "targets", "sky")  # in the order in which they are summed
@@ -114,31 +153,10 @@ def _noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
     def squared(value: float | Array) -> float | Array:
         return np.square(value[part] if isinstance(value, np.ndarray) else value)
 
-    photons = mean_e[part] if chain.photon_noise else 0.0
+    photons = mean_e[part] if chain.photon_noise else np.zeros_like(mean_e[part])
     floor = squared(chain.read_noise_e) + squared(chain.gain_e_per_dn) / 12.0
+    floor += chain.row_noise_e**2 + chain.column_noise_e**2
     return np.sqrt(photons + floor)
-
-
-def _chain(plan: Plan, maps: SensorMaps, tile: Tile) -> Chain:
-    """The noise chain with the tile's part of each image."""
-    part = np.s_[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
-    s = plan.scene.sensor
-
-    def cut(value: float | Array) -> float | Array:
-        return value[part] if isinstance(value, np.ndarray) else value
-
-    dark = cut(maps.dark_e_per_s) * plan.scene.exposure.integration_s
-    return Chain(
-        flat=cut(maps.flat),
-        dark_e=dark,
-        full_well_e=s.full_well_e,
-        read_noise_e=cut(maps.read_noise_e),
-        gain_e_per_dn=cut(maps.gain_e_per_dn),
-        bias_dn=cut(maps.bias_dn),
-        adc_bits=s.adc_bits,
-        rounding=s.adc_rounding,
-        photon_noise=s.photon_noise,
-    )
 
 
 def _not_negative(plan: Plan, mean_e: Array, brightest_e: float) -> Array:

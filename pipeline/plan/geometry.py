@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,21 +23,22 @@ from pipeline.physics.motion.pointing import attitudes_drift, boresight_frame, p
 from pipeline.physics.positions.apparent import (
     TargetSight,
     aberrate,
-    apparent_sun_m,
     proper_to_astrometric,
     star_proper,
-    target_apparent,
     unaberrate,
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
 from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, project, stretch
 from pipeline.physics.positions.orbit import check_above_earth
+from pipeline.physics.positions.refraction import refract, unrefract
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import from_angles, separation
-from pipeline.plan.bodies import View, flicker_share, needs_velocity, target_light
-from pipeline.plan.orbits import mean_sights, orbit_states
+from pipeline.plan.air import air_of, lifted
+from pipeline.plan.bodies import flicker_share
+from pipeline.plan.orbits import orbit_states
+from pipeline.plan.target_paths import Moments, sights, target_paths
+from pipeline.spec.detector import TimeDelay
 from pipeline.spec.observer import FixedObserver, GroundObserver
-from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import RatePointing, SiderealPointing, TargetPointing
 from pipeline.spec.scene import Scene
 
@@ -64,6 +66,8 @@ def camera_of(scene: Scene) -> Camera:
     """The focal plane of a scene's sensor."""
     s = scene.sensor
     camera = Camera(s.shape[0], s.shape[1], s.pixel_pitch_um * 1e-6, s.focal_length_m)
+    if s.detector is not None and isinstance(s.detector.readout, TimeDelay):
+        camera = replace(camera, charge_px_s=s.detector.readout.rows_per_s)
     if s.distortion is None:
         return camera
     from pipeline.physics.positions.distortion import distortion_of
@@ -91,7 +95,8 @@ def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geo
     while True:
         geometry = _geometry(scene, looked_at, nodes, dut1_s)
         bend = _bend_px(scene, geometry)
-        smooth = flicker_share(geometry) <= scene.accuracy.flux_fraction
+        flicker = flicker_share(geometry, near_frame(scene, geometry))
+        smooth = flicker <= scene.accuracy.flux_fraction
         if bend <= PATH_TOLERANCE_PX and (smooth or nodes >= MOST_LIGHT_NODES):
             break
         if nodes >= MOST_NODES:
@@ -119,36 +124,50 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     geocentric, velocity = _observer(scene, epoch, flat, times, earth)
     position = earth.position_m + geocentric
     sun = earth.position_m + earth.sun_from_earth_m
-    sights = _sights(scene, epoch, flat, times, earth, geocentric, velocity, dut1_s)
-    attitude = _attitudes(scene, flat, position, velocity, sun, sights)
+    at = Moments(epoch, flat, times, earth, geocentric, velocity)
+    attitude = _attitudes(scene, flat, position, velocity, sun, _followed(scene, at))
+    camera, air = camera_of(scene), air_of(scene, times)
+    if air is not None:
+        attitude = lifted(camera, attitude, air)
     _check_view(scene, geocentric, attitude[:, 2])
-    camera = camera_of(scene)
-    shape = (len(sights), len(frames), nodes)
-    x, y = np.full((2, *shape), np.nan)
-    light, phase, lit, distance = np.zeros((4, *shape))
-    direction = np.zeros((len(sights), len(frames), 3))
-    for i, (target, sight) in enumerate(zip(scene.targets, sights, strict=True)):
-        places = [
-            project(camera, a, u[None])
-            for a, u in zip(attitude, sight.direction_proper, strict=True)
-        ]
-        x[i], y[i] = (np.concatenate(c).reshape(shape[1:]) for c in zip(*places, strict=True))
-        light_, alpha, sunlit = target_light(
-            target, f"targets.{i}.body", epoch,
-            _view(scene, i, epoch, flat, sight, earth, geocentric, dut1_s),
-            earth.sun_from_earth_m, (times.tt1, times.tt2), sight.range_m,
-        )  # fmt: skip
-        light[i], phase[i], lit[i], distance[i] = (
-            np.reshape(value, shape[1:]) for value in (light_, alpha, sunlit, sight.range_m)
-        )
-        direction[i] = sight.direction_proper.reshape(*shape[1:], 3)[:, nodes // 2]
+    t = target_paths(scene, camera, attitude, at, len(frames), air)
     grid, grid3 = offset.shape, (*offset.shape, 3)
+    each = (len(scene.targets), *grid)
     return Geometry(
         frames, offset, times.tt1.reshape(grid), times.tt2.reshape(grid),
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
-        x, y, light, distance, phase, lit, direction,
+        t.x_px.reshape(each),
+        t.y_px.reshape(each) - camera.charge_px_s * (within - within[nodes // 2]),
+        t.light.reshape(each), t.range_m.reshape(each), t.phase_rad.reshape(each),
+        t.sunlit.reshape(each), t.direction, t.pose, t.pose_s, t.turn_rad,
+        np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
+
+
+def watch(scene: Scene, offsets: Array, dut1_s: float) -> tuple[Array, Array, Array]:
+    """Observer's geocentric place [m], velocity [m/s] and proper boresight (n, 3), any moments.
+
+    offsets : (n,) seconds after the scene's epoch
+    """
+    epoch, flat = parse_utc(scene.epoch), np.asarray(offsets, float)
+    times = instants(epoch, flat, dut1_s)
+    earth = earth_and_sun(times.tt1, times.tt2)
+    place, velocity = _observer(scene, epoch, flat, times, earth)
+    at = Moments(epoch, flat, times, earth, place, velocity)
+    position, sun = earth.position_m + place, earth.position_m + earth.sun_from_earth_m
+    attitude = _attitudes(scene, flat, position, velocity, sun, _followed(scene, at))
+    return place, velocity - earth.velocity_m_s, attitude[:, 2]
+
+
+def _followed(scene: Scene, at: Moments) -> dict[int, TargetSight]:
+    """How the observer sees the target that the pointing follows; nothing where it follows none."""
+    if not isinstance(scene.pointing, TargetPointing):
+        return {}
+    names = [t.name for t in scene.targets]
+    index = names.index(scene.pointing.target)
+    seen, _ = sights(scene, [index], at)
+    return {index: TargetSight(*(getattr(seen, f.name)[0] for f in fields(seen)))}
 
 
 def _observer(
@@ -169,78 +188,8 @@ def _observer(
         check_above_earth(place, "observer.position_au")
         return place, np.broadcast_to(velocity, place.shape)
     else:
-        place, speed = _orbit_states(o.orbit, "observer.orbit", epoch, offsets, times)
+        place, speed = orbit_states(o.orbit, "observer.orbit", epoch, offsets, times)
     return place, speed + earth.velocity_m_s
-
-
-def _orbit_states(
-    orbit: Orbit, field: str, epoch: tuple[float, float], offsets: Array, times: Instants
-) -> tuple[Array, Array]:
-    """Geocentric GCRS place and velocity (n, 3) along an orbit, refused inside the Earth."""
-    return orbit_states(orbit, field, epoch, offsets, times)
-
-
-def _sights(
-    scene: Scene,
-    epoch: tuple[float, float],
-    offsets: Array,
-    times: Instants,
-    earth: EarthState,
-    observer_m: Array,
-    observer_m_s: Array,
-    dut1_s: float,
-) -> list[TargetSight]:
-    """How the observer sees all targets; those that SGP4 carries on are followed together."""
-    seen = mean_sights(
-        {i: t.orbit for i, t in enumerate(scene.targets)},
-        epoch, offsets, times, earth, observer_m, observer_m_s,
-    )  # fmt: skip
-    return [
-        seen[i]
-        if i in seen
-        else _sight(scene, i, epoch, offsets, earth, observer_m, observer_m_s, dut1_s)
-        for i in range(len(scene.targets))
-    ]
-
-
-def _sight(
-    scene: Scene,
-    index: int,
-    epoch: tuple[float, float],
-    offsets: Array,
-    earth: EarthState,
-    observer_m: Array,
-    observer_m_s: Array,
-    dut1_s: float,
-) -> TargetSight:
-    """How the observer sees a target at each node."""
-    orbit, field = scene.targets[index].orbit, f"targets.{index}.orbit"
-
-    def places(at_s: Array) -> Array:
-        when = instants(epoch, at_s, dut1_s)
-        return _orbit_states(orbit, field, epoch, at_s, when)[0]
-
-    return target_apparent(places, observer_m, observer_m_s, earth, offsets)
-
-
-def _view(
-    scene: Scene,
-    index: int,
-    epoch: tuple[float, float],
-    offsets: Array,
-    sight: TargetSight,
-    earth: EarthState,
-    observer_m: Array,
-    dut1_s: float,
-) -> View:
-    """What lights a target and sees it at each node, when the light left it."""
-    at_s, place = offsets - sight.light_time_s, sight.target_geocentric_m
-    speed = np.zeros_like(place)
-    if needs_velocity(scene.targets[index].body):
-        orbit, when = scene.targets[index].orbit, instants(epoch, at_s, dut1_s)
-        speed = _orbit_states(orbit, f"targets.{index}.orbit", epoch, at_s, when)[1]
-    sun = apparent_sun_m(earth)
-    return View(at_s[None], place[None], speed[None], sun[None], observer_m[None])
 
 
 def _attitudes(
@@ -249,7 +198,7 @@ def _attitudes(
     position: Array,
     velocity: Array,
     sun: Array,
-    sights: list[TargetSight],
+    sights: Mapping[int, TargetSight],
 ) -> Array:
     """Proper attitudes (n, 3, 3) of the pointing; stars and boresight share one set of effects."""
     p, effects = scene.pointing, scene.star_effects
@@ -338,6 +287,20 @@ def _check_paths(scene: Scene, g: Geometry) -> None:
         )
 
 
+def near_frame(scene: Scene, g: Geometry) -> NDArray[np.bool_]:
+    """Targets and frames (T, F) whose path in the exposure touches the frame or what is beside it.
+
+    Beside it: within the frame's longer side. Others must not slow down the rest, nor be smooth.
+    """
+    rows, columns = scene.sensor.shape
+    side = max(rows, columns)
+    x, y = g.target_x_px, g.target_y_px
+    with np.errstate(invalid="ignore"):
+        near = (x.max(axis=-1) > -side) & (x.min(axis=-1) < columns + side)
+        near &= (y.max(axis=-1) > -side) & (y.min(axis=-1) < rows + side)
+    return np.asarray(near)  # NaN, behind the camera, is not near
+
+
 def _bend_px(scene: Scene, g: Geometry) -> float:
     """How far linear motion between the nodes is from the real one, at the worst place [px].
 
@@ -346,10 +309,9 @@ def _bend_px(scene: Scene, g: Geometry) -> float:
     """
     camera = camera_of(scene)
     paths = star_paths(camera, g, *_field_points(camera), scene.star_effects["aberration"])
-    xs = np.concatenate([g.target_x_px, paths[0]])
-    ys = np.concatenate([g.target_y_px, paths[1]])
-    seen = np.isfinite(xs).all(axis=-1) & (np.abs(xs).max(axis=-1) < 1e6)
-    xs, ys = xs[seen], ys[seen]
+    seen, near = np.isfinite(paths).all(axis=(0, -1)), near_frame(scene, g)
+    xs = np.concatenate([g.target_x_px[near], paths[0][seen]])
+    ys = np.concatenate([g.target_y_px[near], paths[1][seen]])
     if not len(xs):
         return 0.0
     length = np.hypot(np.diff(xs, axis=-1), np.diff(ys, axis=-1)).sum(axis=-1)
@@ -385,9 +347,12 @@ def star_paths(
     beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
     for f in range(len(g.frame)):
         seen = deproject(camera, g.attitude[f, g.middle], x_px, y_px)
-        stars = unaberrate(seen, beta[f, g.middle])
+        stars = unaberrate(unrefract(seen, g.air_at(f, g.middle)), beta[f, g.middle])
         for k in range(g.nodes):
-            out[:, :, f, k] = project(camera, g.attitude[f, k], aberrate(stars, beta[f, k]))
+            u = refract(aberrate(stars, beta[f, k]), g.air_at(f, k))
+            out[:, :, f, k] = project(camera, g.attitude[f, k], u)
+        if camera.charge_px_s:
+            out[1, :, f] -= camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
     return out
 
 

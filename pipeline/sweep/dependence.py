@@ -6,7 +6,7 @@ of what is left. So what it gives cannot depend on a field that is not in its ke
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from pipeline.arrays import Geometry
@@ -24,6 +24,15 @@ AFTER_LIGHT = ("seed", *(f"sensor.{name}" for name in DETECTOR))
 # Fields that the noise floor falls with, and so the error that drawing may make.
 FLOOR = ("sensor.read_noise_e", "sensor.gain_e_per_dn", "sensor.dark_e_per_s")
 SKY_FLOOR = ("background.uniform_e_per_s", "background.uniform_mag_arcsec2")
+NOISE_FACTS = ("sigma_floor_e", "dark_e", "read_noise_e")
+SKY_FACTS = ("background_e", "background_e_s")
+# What each kind of light does not take from the plan. A new part of the plan is taken to matter.
+_TOLD = ("scene", "facts", "decisions", "remarks", "checks", "tiles")
+NOT_OF: dict[str, tuple[str, ...]] = {
+    "stars": (*_TOLD, "sky", "sun_rate_e_s_m2"),
+    "targets": (*_TOLD, "sky", "colour"),
+    "sky": (*_TOLD, "responses", "colour", "sun_rate_e_s_m2"),
+}
 
 
 class ReadsBarredError(Exception):
@@ -94,20 +103,16 @@ def _part(plan: Plan, kind: str) -> Part:
     if kind != "sky" and scene.background is not None:
         drop["background"] = None
     kept = scene.model_copy(update=drop)
-    content: list[Any] = [kind, light_content(kept), plan.camera, plan.dut1_s]
-    noise = ("sigma_floor_e", "dark_e", "read_noise_e")
-    hidden: dict[str, Any] = {name: Barred(name) for name in noise}
-    if kind == "sky":
-        content += [plan.sky, facts.background_e]
-    else:
-        hidden |= {name: Barred(name) for name in ("background_e", "background_e_s")}
-        content += [plan.responses, facts.area_m2, facts.ifov_rad, facts.budget_e, facts.blur]
-        content += [plan.colour] if kind == "stars" else [plan.sun_rate_e_s_m2]
+    hidden = NOISE_FACTS + (() if kind == "sky" else SKY_FACTS)
+    content: list[Any] = [kind, light_content(kept)]
+    content += [getattr(facts, f.name) for f in fields(facts) if f.name not in hidden]
+    content += [getattr(plan, f.name) for f in fields(plan) if f.name not in NOT_OF[kind]]
     if kind != "sky" and scene.background is not None:
         kept = kept.model_copy(update={"background": Barred("background")})
     kept = kept.model_copy(update={"cosmic_rays": Barred("cosmic_rays")})
+    without: dict[str, Any] = {name: Barred(name) for name in hidden}
     reduced = replace(
-        plan, scene=kept, facts=replace(facts, **hidden),
+        plan, scene=kept, facts=replace(facts, **without),
         sky=plan.sky if kind == "sky" else None, decisions=(), remarks=(), checks=(),
     )  # fmt: skip
     return Part(kind, reduced, tuple(content))

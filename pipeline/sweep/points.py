@@ -16,7 +16,7 @@ from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep
 from pipeline.sweep.dependence import AFTER_LIGHT, FLOOR, SKY_FLOOR
 from pipeline.sweep.design import Design
-from pipeline.sweep.stages import Base, Stages, without_noise
+from pipeline.sweep.stages import Base, Stages, is_plain, without_noise
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,7 @@ def with_floor(course: Course, kept: Stages, scene: Scene, whole: bool) -> tuple
     Where axes vary what the noise floor comes from, all points are planned for the quietest values
     of those axes: then the same light is drawn with the same accuracy for all of them.
     """
+    whole = whole or not is_plain(scene)
     numbers = {
         name: course.floors.get(f"sensor.{name}", _typical(kept, scene, name))
         for name in ("read_noise_e", "gain_e_per_dn", "dark_e_per_s")
@@ -113,6 +114,10 @@ def with_floor(course: Course, kept: Stages, scene: Scene, whole: bool) -> tuple
         if scene.background is not None:
             sky = scene.background.model_copy(update=darkest)
             quiet = scene.model_copy(update={"background": sky})
+        if not is_plain(scene):
+            least = {k.partition(".")[2]: v for k, v in course.floors.items() if k in FLOOR}
+            sensor = quiet.sensor.model_copy(update=least)
+            quiet = quiet.model_copy(update={"sensor": sensor})
         floor = kept.base(without_noise(quiet, numbers, whole), whole).plan.facts.sigma_floor_e
         accuracy = scene.accuracy.model_copy(update={"noise_floor_e": floor})
         scene = scene.model_copy(update={"accuracy": accuracy})

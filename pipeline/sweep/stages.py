@@ -168,6 +168,8 @@ def stages(run: str) -> Stages:
 
 def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
     """The base's plan with a point's own detector, seed and name, and the noise that follows."""
+    if not is_plain(scene):
+        return base.plan
     sensor = base.plan.scene.sensor.model_copy(
         update={name: getattr(scene.sensor, name) for name in DETECTOR}
     )
@@ -181,8 +183,18 @@ def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
     return replace(base.plan, scene=mine, facts=facts)
 
 
-def maps_of(kept: Stages, scene: Scene) -> SensorMaps:
+def is_plain(scene: Scene) -> bool:
+    """Whether the detector is made of numbers and images alone, with no extras drawn from a seed.
+
+    Extras are taken to change everything: points that have them share nothing.
+    """
+    return scene.sensor.detector is None
+
+
+def maps_of(kept: Stages, base: Base, scene: Scene) -> SensorMaps:
     """The detector's maps of a point; images are read once for points that share them."""
+    if not is_plain(scene):
+        return base.prepared.maps
     names = DETECTOR[:2] + ("read_noise_e", "gain_e_per_dn", "bias_dn")
     key = (tuple(getattr(scene.sensor, n) for n in names), scene.sensor.shape)
     return kept.get("sensor maps", key, lambda: gather_sensor_maps(scene), _bytes_of)
@@ -190,13 +202,15 @@ def maps_of(kept: Stages, scene: Scene) -> SensorMaps:
 
 def without_noise(scene: Scene, numbers: dict[str, float], whole: bool) -> Scene:
     """A point's scene for its base: a plain detector with these numbers, no seed, no check."""
+    output = scene.output.model_copy(update={"layers": ("dn", "mean_e")})
+    accuracy = scene.accuracy.model_copy(update={"check_cells": 0})
+    update: dict[str, Any] = {"output": output, "accuracy": accuracy, "name": "base"}
+    if not is_plain(scene):
+        return scene.model_copy(update=update)
     plain: dict[str, Any] = {
         "flat": 1.0, "full_well_e": None, "bias_dn": 0.0, "adc_bits": 16,
         "adc_rounding": "half_even", "photon_noise": True,
     } | numbers  # fmt: skip
-    output = scene.output.model_copy(update={"layers": ("dn", "mean_e")})
-    accuracy = scene.accuracy.model_copy(update={"check_cells": 0})
-    update: dict[str, Any] = {"output": output, "accuracy": accuracy, "name": "base"}
     update["sensor"] = scene.sensor.model_copy(update=plain)
     if not whole:
         update["seed"] = Barred("seed")

@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.errors import NightglassError, shorten
-from pipeline.execute.tile import render_tile
+from pipeline.execute.tile import charge_of_tile, render_tile
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.run import Options, prepare, render
@@ -102,7 +102,7 @@ def _begin(course: Course, kept: Stages, design: Design, number: int, whole: boo
         scene = scene_of(course, design, number)
         point.row["seed"] = scene.seed
         scene, base = with_floor(course, kept, scene, whole)
-        maps = maps_of(kept, scene)
+        maps = maps_of(kept, base, scene)
         plan = point_plan(base, scene, maps)
         names = sweep.targets
         if names is None:
@@ -166,20 +166,27 @@ def _draw_tile(kept: Stages, base: Base, g: Geometry, tile: Tile, living: list[_
     light: dict[str, Array] = {}
     if living and _shared(living, lambda: light.update(kept.light(base, g, tile))):
         for point in living:
-            _tried(point, partial(_noise, point.ready, g, tile, light))
+            _tried(point, partial(_noise, kept, point.ready, g, tile, light))
 
 
-def _noise(ready: _Ready, g: Geometry, tile: Tile, light: dict[str, Array]) -> None:
+def _noise(kept: Stages, ready: _Ready, g: Geometry, tile: Tile, light: dict[str, Array]) -> None:
     """A point's detector over the light of a tile: measured, and written where cubes are kept."""
     rays, frame = ready.base.prepared.rays, int(g.frame[0])
-    out, _ = render_tile(ready.plan, ready.maps, g, tile, [], [], rays, light)
+    before = []
+    for earlier in range(max(0, frame - ready.plan.lag_frames), frame):
+        then = kept.geometry(ready.base, earlier)
+        theirs = kept.light(ready.base, then, tile)
+        before.append(
+            charge_of_tile(ready.plan, ready.maps, then, tile, [], [], rays, theirs)
+        )
+    out, _ = render_tile(ready.plan, ready.maps, g, tile, [], [], rays, before, light)
     ready.measured.take(tile, frame, out["dn"], out["mean_e"])
     if ready.writer is None:
         return
     if not set(ready.writer.layers) <= set(out):
         scene = ready.plan.scene.model_copy(update={"output": ready.scene.output})
         plan = replace(ready.plan, scene=scene)
-        out, _ = render_tile(plan, ready.maps, g, tile, [], [], rays, light)
+        out, _ = render_tile(plan, ready.maps, g, tile, [], [], rays, before, light)
     ready.writer.write(frame, tile, out)
 
 

@@ -133,8 +133,14 @@ def test_no_path_field_takes_a_file(
         scene["observer"] = {"kind": "orbit", "orbit": orbit}
     if "orbit" in field and field[0] == "targets":
         scene["targets"] = [dict(scene["targets"][0], orbit=orbit)]
+    if field[0] == "background":
+        pst = {"kind": "table", "path": "x.csv"} if field[-1] == "path" else HARVEY
+        scene["background"] = {"stray_light": {"pst": dict(pst)}}
     if field[0] == "cosmic_rays":
         scene["cosmic_rays"] = {"kind": "library"}
+    if field[0] == "populations":
+        ball = scene["targets"][0]["body"]
+        scene["populations"] = [{"name": "p", "path": "a.tle", "body": ball}]
     if "body" in field:
         scene["targets"][0]["body"] = {"kind": "mesh", "unit": "m", "path": "a.obj"}
     holder: Any = scene
@@ -153,11 +159,13 @@ def test_no_path_field_takes_a_file(
     assert "/" + "/".join(field).replace("*", "0") in pointers
 
 
+HARVEY = {"kind": "harvey", "b0_per_sr": 0.1, "shoulder": 0.01, "slope": -1.5}
 TEXTS_THAT_ARE_NO_PATHS = {
     "name", "epoch", "line1", "line2", "target", "schema", "kind", "mode", "adc_rounding",
     "compression", "layers", "object", "frame", "shadow", "third_bodies", "source",
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
-    "unit", "arrival", "on", "objects", "digest",
+    "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond",
+    "name_contains", "left_out",
 }  # fmt: skip
 
 
