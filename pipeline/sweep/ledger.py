@@ -21,7 +21,7 @@ from pipeline.sweep.design import Design
 
 FORMAT = "nightglass/sweep-product/1"
 BEGUN, PARTS, TABLE, COMPLETE = ".begun.json", "parts", "points.parquet", "_COMPLETE"
-SWEEP, REPORT, PAGE, FIGURE = "sweep.json", "report.json", "summary.html", "summary.png"
+SWEEP, REPORT, PAGE, FIGURE = "sweep.json", "report.json", "summary.html", "summary.svg"
 PART_ROWS, PART_S = 1024, 5.0
 JOIN_POINTS = 65_536
 OPTIONS: dict[str, Any] = {

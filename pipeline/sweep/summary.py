@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 from importlib.metadata import version
@@ -13,11 +12,12 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from catalog_tools.durable import whole_file, write_atomically
+from catalog_tools.durable import write_atomically
 from pipeline.spec.sweep import Sweep
+from pipeline.sweep.figure import figure
 from pipeline.sweep.ledger import FIGURE, PAGE, REPORT, TABLE
 
-MOST_DRAWN, MOST_AXES, MOST_METRICS = 20_000, 3, 4
+MOST_DRAWN, MOST_AXES, MOST_METRICS = 20_000, 5, 8
 MOST_MESSAGES = 20
 NOT_METRICS = ("point", "seed", "status", "message", "content_digest", "frames_in_view")
 
@@ -25,7 +25,7 @@ NOT_METRICS = ("point", "seed", "status", "message", "content_digest", "frames_i
 def summarise(
     sweep: Sweep, out: Path, names: tuple[str, ...], told: dict[str, Any]
 ) -> dict[str, Any]:
-    """Write report.json, summary.html and (with matplotlib) summary.png; returns the report."""
+    """Write report.json, summary.html and summary.svg; returns the report."""
     axes = [name for axis in sweep.axes for name in axis.fields if name != "seed"]
     file = pq.ParquetFile(out / TABLE)
     metrics = [
@@ -38,8 +38,10 @@ def summarise(
     } | _failures(file) | told  # fmt: skip
     report["versions"] = {"nightglass": version("nightglass")}
     write_atomically(out / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
-    drawn = _draw(file, out, axes, metrics)
-    write_atomically(out / PAGE, _page(report, out / FIGURE if drawn else None))
+    drawn = _draw(file, axes, metrics)
+    if drawn is not None:
+        write_atomically(out / FIGURE, drawn)
+    write_atomically(out / PAGE, _page(report, drawn or ""))
     return report
 
 
@@ -68,12 +70,8 @@ def _spread(file: pq.ParquetFile, name: str) -> dict[str, float | int | None]:
     return {"known": count, "least": low, "mean": total / count, "largest": high}
 
 
-def _draw(file: pq.ParquetFile, out: Path, axes: list[str], metrics: list[str]) -> bool:
-    """The figure: a row for each metric, a column for each numeric axis; False without it."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        return False
+def _draw(file: pq.ParquetFile, axes: list[str], metrics: list[str]) -> str | None:
+    """The figure: a row for each metric, a column for each numeric axis; None without any."""
     step = max(1, file.metadata.num_rows // MOST_DRAWN)
     rows = [b.take(_every(b.num_rows, step)) for b in file.iter_batches(columns=axes + metrics)]
     columns = {
@@ -85,28 +83,7 @@ def _draw(file: pq.ParquetFile, out: Path, axes: list[str], metrics: list[str]) 
         n for n in metrics
         if np.isfinite(columns[n]).any() and n.split(".")[0] not in ("seconds", "light_s")
     ][:MOST_METRICS]  # fmt: skip
-    if not across or not down:
-        return False
-    figure = Figure(figsize=(2.7 * len(across) + 1.0, 1.8 * len(down) + 0.6))
-    figure.subplots_adjust(0.9 / figure.get_figwidth(), 0.55 / figure.get_figheight(), 0.99, 0.99)
-    panels = figure.subplots(len(down), len(across), squeeze=False, sharex="col", sharey="row")
-    for i, metric in enumerate(down):
-        for j, axis in enumerate(across):
-            panel = panels[i][j]
-            style: dict[str, Any] = {"markersize": 4, "alpha": 0.6, "color": "#1f4e8c"}
-            panel.plot(columns[axis], columns[metric], ".", **style)
-            panel.locator_params(axis="y", nbins=4)
-            x = columns[axis][np.isfinite(columns[axis])]
-            if x.min() > 0 and x.max() > 30 * x.min():
-                panel.set_xscale("log")
-            if i == len(down) - 1:
-                panel.set_xlabel(axis, fontsize=8)
-            if j == 0:
-                panel.set_ylabel(metric, fontsize=8)
-            panel.tick_params(labelsize=7)
-    with whole_file(out / FIGURE) as own:
-        figure.savefig(own, format="png", dpi=110)
-    return True
+    return figure(columns, across, down) if across and down else None
 
 
 def _every(count: int, step: int) -> Any:
@@ -122,7 +99,7 @@ def _numbers(column: Any) -> np.ndarray:
     return np.array([np.nan if v is None else float(v) for v in column.to_pylist()])
 
 
-def _page(report: dict[str, Any], figure: Path | None) -> str:
+def _page(report: dict[str, Any], picture: str) -> str:
     """The page: what was swept, each metric's spread, failures, the figure; needs no network."""
     cells = "".join(
         f"<tr><td>{html.escape(n)}</td><td>{s['known']}</td>"
@@ -132,16 +109,12 @@ def _page(report: dict[str, Any], figure: Path | None) -> str:
     faults = "".join(
         f"<li>{n} x <code>{html.escape(text)}</code></li>" for text, n in report["messages"].items()
     )
-    picture = ""
-    if figure is not None:
-        data = base64.b64encode(figure.read_bytes()).decode()
-        picture = f'<img alt="metrics against axes" src="data:image/png;base64,{data}">'
     name = html.escape(report["sweep"])
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title><style>"
         "body{font:15px/1.4 sans-serif;margin:2em;max-width:80em}table{border-collapse:collapse}"
         "td,th{padding:.15em .8em;text-align:right;border-bottom:1px solid #ddd}"
-        "td:first-child,th:first-child{text-align:left}img{max-width:100%}</style>"
+        "td:first-child,th:first-child{text-align:left}svg{max-width:100%;height:auto}</style>"
         f"<h1>{name}</h1><p>{report['points']} points, {report['failed']} failed, "
         f"{report['seconds']:.1f} s. Axes: {html.escape(', '.join(report['axes']))}.</p>"
         "<table><tr><th>metric<th>known<th>least<th>mean<th>largest</tr>"
