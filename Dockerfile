@@ -4,10 +4,10 @@
 FROM python:3.11-slim AS build
 ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
 WORKDIR /src
-COPY requirements.lock requirements-test.lock ./
-# The build tools are the few of the test lock that make a wheel.
+COPY requirements.lock ./
+# The build tools are the few of the lock that make a wheel; the image itself has none of them.
 RUN awk '/^[a-z]/ {keep = /^(hatchling|packaging|pathspec|pluggy|tomlkit|trove-classifiers)==/} keep' \
-        requirements-test.lock > build.lock \
+        requirements.lock > build.lock \
     && python -m venv /build \
     && /build/bin/pip install --require-hashes -r build.lock \
     && python -m venv /opt/nightglass \

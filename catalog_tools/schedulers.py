@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import Any, Protocol
-from urllib.parse import urlsplit
 from uuid import uuid4
 
 from .ahead import cores
-from .errors import BadInput, Incomplete, NightglassError
+from .clusters import check_address, connected, slurm
+from .errors import Incomplete, NightglassError
 
 Progress = Callable[[str], None]  # called with the kind of each task that is done
-LOCAL_KINDS = ("threads", "synchronous", "processes")
+LOCAL_KINDS = ("threads", "synchronous", "processes", "slurm")
 TASKS_PER_WINDOW = 256
 # What glibc comes to by itself; Dask's 64 KiB cost a worker eight times the page faults.
 MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(64 << 20)}
 MOST_TRIES = 3  # of a task, on a cluster
+AHEAD = 3  # items in work or waiting for each thread
 
 
 class Scheduler(Protocol):
@@ -34,6 +36,14 @@ class Scheduler(Protocol):
 
     def run(self, graph: dict[Any, Any], keys: list[Any], done: Progress) -> list[Any]:
         """Compute `keys`; `done` hears the kind (first part of the key) of each finished task."""
+
+    def each(
+        self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
+    ) -> Iterator[tuple[Any, Any]]:
+        """(item, function(shared, item) or the error that it raised) as they are done.
+
+        Items are taken a few ahead of the results, so that there may be any number of them.
+        """
 
 
 class LocalScheduler:
@@ -67,6 +77,27 @@ class LocalScheduler:
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
+    def each(
+        self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
+    ) -> Iterator[tuple[Any, Any]]:
+        if self.kind == "synchronous":
+            for item in items:
+                yield item, _outcome(function, shared, item)
+            return
+        pool, left = ThreadPoolExecutor(self.workers), iter(items)
+        running: dict[Future[Any], Any] = {}
+        try:
+            while True:
+                for item in itertools.islice(left, AHEAD * self.workers - len(running)):
+                    running[pool.submit(_outcome, function, shared, item)] = item
+                if not running:
+                    return
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield running.pop(future), future.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
 class ClusterScheduler:
     """A distributed cluster: a LocalCluster of processes, or the one at an address."""
 
@@ -85,6 +116,32 @@ class ClusterScheduler:
         futures = self._submit(graph, keys)
         self._wait(futures, done)
         return self.client.gather(futures)
+
+    def each(
+        self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
+    ) -> Iterator[tuple[Any, Any]]:
+        from distributed import as_completed
+
+        left = iter(items)
+        running: dict[Any, Any] = {}
+        sent = self.client.submit(_same, shared, pure=False)  # lost with a worker, made again
+        done = as_completed([], loop=self.client.loop, raise_errors=False)
+
+        def fill() -> None:
+            most = AHEAD * max(1, sum(self.client.nthreads().values()))
+            for item in itertools.islice(left, max(0, most - len(running))):
+                future = self.client.submit(_outcome, function, sent, item, pure=False)
+                running[future.key] = item
+                done.add(future)
+
+        fill()
+        while running:
+            future = next(done)
+            error = future.exception() if future.status == "error" else None
+            if future.status == "cancelled":
+                error = Incomplete("the cluster cancelled tasks; what is finished is kept")
+            yield running.pop(future.key), future.result() if error is None else error
+            fill()
 
     def _submit(self, graph: dict[Any, Any], keys: list[Any]) -> list[Any]:
         """Submit under names that no other run on this scheduler uses: it shares by name."""
@@ -109,7 +166,7 @@ class ClusterScheduler:
 
 @contextmanager
 def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
-    """The scheduler named by `--scheduler`: threads, synchronous, processes, or an address."""
+    """The scheduler named by `--scheduler`: threads, synchronous, processes, slurm, an address."""
     count = workers or cores()
     if kind in ("threads", "synchronous"):
         yield LocalScheduler(kind, 1 if kind == "synchronous" else count)
@@ -136,17 +193,20 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         ):  # fmt: skip
             yield ClusterScheduler(client, count)
         return
+    with slurm(workers) if kind == "slurm" else connected(kind) as client:
+        yield ClusterScheduler(client, max(1, sum(client.nthreads().values())))
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _outcome(function: Callable[[Any, Any], Any], shared: Any, item: Any) -> Any:
+    """What a function gives, or the error that it raises."""
     try:
-        client = Client(kind, timeout=5)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise BadInput(
-            "--scheduler", kind, f"the address of a running scheduler; {error}"
-        ) from None
-    with client:
-        threads = sum(client.nthreads().values())
-        if threads == 0:
-            raise BadInput("--scheduler", kind, "a scheduler that has workers")
-        yield ClusterScheduler(client, threads)
+        return function(shared, item)
+    except Exception as error:
+        return error
 
 
 def _tried(task: Any) -> Any:
@@ -184,12 +244,5 @@ def _renamed(task: Any, names: dict[Any, Any]) -> Any:
 
 def _check_address(kind: str) -> None:
     """An open scheduler runs anybody's code: beyond loopback only TLS is accepted."""
-    if kind == "processes":
-        return
-    parts = urlsplit(kind)
-    if parts.scheme not in ("tcp", "tls") or not parts.hostname:
-        allowed = f"{', '.join(LOCAL_KINDS)}, tcp://127.0.0.1:PORT or tls://HOST:PORT"
-        raise BadInput("--scheduler", kind, allowed)
-    loopback = parts.hostname in ("localhost", "::1") or parts.hostname.startswith("127.")
-    if parts.scheme == "tcp" and not loopback:
-        raise BadInput("--scheduler", kind, "tls:// with certificates beyond this machine")
+    if kind not in LOCAL_KINDS:
+        check_address(kind, LOCAL_KINDS)

@@ -13,7 +13,9 @@ from pipeline.catalog_cli import catalog
 from pipeline.cosmic_rays_cli import cosmic_rays
 from pipeline.export_cli import export, import_app
 from pipeline.jobs_cli import Server, jobs
-from pipeline.options import Json, Output, SchedulerName, Workers, print_json
+from pipeline.options import Json, Output, SchedulerName, Slurm, Workers, print_json
+from pipeline.parts_cli import join
+from pipeline.sweep_cli import sweep
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
 
@@ -29,6 +31,8 @@ app.add_typer(cosmic_rays, name="cosmic-rays")
 app.add_typer(import_app, name="import")
 app.command()(export)
 app.add_typer(jobs, name="jobs")
+app.command()(sweep)
+app.command()(join)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 
@@ -89,17 +93,28 @@ def render(
     set_: Overrides = None,
     scheduler: SchedulerName = "threads",
     workers: Workers = None,
+    slurm: Slurm = False,
     resume: Annotated[bool, typer.Option("--resume", help="go on with an unfinished one")] = False,
     replace: Annotated[bool, typer.Option("--replace", help="remove an old product first")] = False,
+    part: Annotated[
+        str | None, typer.Option("--part", help="only part k/n of the tiles, beside other parts")
+    ] = None,
     server: Server = None,
     as_json: Json = False,
 ) -> None:
     """Render a scene into a product directory, here or on a server."""
+    scheduler = "slurm" if slurm else scheduler
     if server is not None:
         from pipeline.jobs_cli import render_there
 
-        _only_here(resume, replace, workers is not None, scheduler != "threads")
+        elsewhere = scheduler != "threads" or part is not None
+        _only_here(resume, replace, workers is not None, elsewhere)
         _print_result(render_there(scene, output, set_ or [], server, as_json), output, as_json)
+        return
+    if part is not None:
+        from pipeline.parts_cli import render_part
+
+        render_part(scene, output, set_ or [], part, (scheduler, workers, replace), as_json)
         return
     from pipeline.run import Options
     from pipeline.run import render as run

@@ -12,8 +12,9 @@ Output = Annotated[Path, typer.Option("-o", "--output", help="where the result g
 Json = Annotated[bool, typer.Option("--json", help="machine-readable result on stdout")]
 SchedulerName = Annotated[
     str,
-    typer.Option(help="threads, synchronous, processes, or the tcp:// or tls:// of a scheduler"),
+    typer.Option(help="threads, synchronous, processes, slurm, or a scheduler's tcp:// or tls://"),
 ]
+Slurm = Annotated[bool, typer.Option("--slurm", help="the same as --scheduler slurm")]
 Workers = Annotated[int | None, typer.Option(min=1, help="threads or processes; default: all")]
 
 

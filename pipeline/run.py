@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -263,14 +263,14 @@ def _left_out(plan: Plan, catalogues: tuple[Catalogue, ...]) -> tuple[np.ndarray
 
 def plan_scene(scene: Scene) -> dict[str, Any]:
     """The plan of a scene as plain data (`nightglass plan`); what it reads, `prepare` says."""
-    return _summary(prepare(scene))
+    return summary_of(prepare(scene))
 
 
-def _summary(prepared: Prepared) -> dict[str, Any]:
-    return plan_dict(prepared.plan, _forecast(prepared), _facts(prepared))
+def summary_of(prepared: Prepared) -> dict[str, Any]:
+    return plan_dict(prepared.plan, _forecast(prepared), catalogue_facts_of(prepared))
 
 
-def _facts(prepared: Prepared) -> list[dict[str, Any]]:
+def catalogue_facts_of(prepared: Prepared) -> list[dict[str, Any]]:
     return catalogue_facts(prepared.catalogues, prepared.left_out)
 
 
@@ -279,7 +279,7 @@ def _forecast(prepared: Prepared) -> Any:
     if plan.scene.stars is None:
         return None
     frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
-    shards = _shards(plan, catalogues, plan_geometry(plan.scene, frames, plan.dut1_s))
+    shards = shards_of(plan, catalogues, plan_geometry(plan.scene, frames, plan.dut1_s))
     limit = plan.scene.stars.faintest_g_mag
     return forecast_stars(
         plan, [(s.leaf, rows_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards]
@@ -292,7 +292,7 @@ def _cones(plan: Plan, g: Geometry) -> tuple[Any, ...]:
     return cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
 
 
-def _shards(plan: Plan, catalogues: tuple[Catalogue, ...], g: Geometry) -> tuple[Shard, ...]:
+def shards_of(plan: Plan, catalogues: tuple[Catalogue, ...], g: Geometry) -> tuple[Shard, ...]:
     """Shards that the frames of a geometry need."""
     if plan.scene.stars is None:
         return ()
@@ -316,14 +316,14 @@ def render(
     digest = "+".join(c.digest for c in prepared.catalogues) or None
     begun = begin(product, plan, digest, options.resume)
     with layout.only_writer(product):
-        layout.write_atomically(product / layout.PLAN, layout.to_json(_summary(prepared)))
+        layout.write_atomically(product / layout.PLAN, layout.to_json(summary_of(prepared)))
         planned = time.perf_counter()
-        if (product / layout.COMPLETE).is_file() and _all_done(begun, plan):
+        if (product / layout.COMPLETE).is_file() and all_done(begun, plan):
             return stored_report(begun)
-        _unseal(product)
+        unseal(product)
         try:
             with open_scheduler(options.scheduler, options.workers) as scheduler:
-                _draw(prepared, begun, scheduler, listen)
+                draw(prepared, begun, scheduler, listen)
                 workers = scheduler.workers
         except NightglassError:
             if not any(markers_present(product)):
@@ -335,16 +335,40 @@ def render(
             "workers": workers,
             "scheduler": options.scheduler,
         }
-        return finish(plan, _facts(prepared), begun, times)
+        return finish(plan, catalogue_facts_of(prepared), begun, times)
 
 
-def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listener | None) -> None:
-    """Run every missing task, window by window of frames."""
+@dataclass(frozen=True)
+class Share:
+    """The tiles of part k of n: of all tiles, frame by frame, an even and unbroken share."""
+
+    part: int
+    parts: int
+
+    def span(self, plan: Plan) -> tuple[int, int]:
+        """Number of the first tile, and of the one after the last."""
+        total = len(plan.tiles) * plan.frames
+        return (self.part - 1) * total // self.parts, self.part * total // self.parts
+
+    def holds(self, plan: Plan, frame: int, tile: int) -> bool:
+        """Whether tile number `tile` of a frame is in it."""
+        first, end = self.span(plan)
+        return first <= frame * len(plan.tiles) + tile < end
+
+
+WHOLE = Share(1, 1)
+
+
+def draw(
+    prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listener | None,
+    share: Share = WHOLE,
+) -> None:  # fmt: skip
+    """Run every missing task of a share, window by window of frames."""
     plan, catalogues = prepared.plan, prepared.catalogues
     inputs = scheduler.share(
         Inputs(plan, prepared.maps, catalogues, prepared.left_out, begun.writer, prepared.rays)
     )
-    total = len(plan.tiles) * plan.frames
+    total = share.span(plan)[1] - share.span(plan)[0]
     ref_epochs = tuple(c.ref_epoch_jyear for c in catalogues)
     state = {"done": len(begun.done)}
     shards: dict[Shard, Any] = {}
@@ -356,11 +380,11 @@ def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listen
 
     if listen is not None:
         listen(Progress(state["done"], total, "start"))
-    for window in _windows(plan):
-        work = _missing(plan, begun, window)
+    for window in _windows(plan, share):
+        work = missing(plan, begun, window, share)
         if work is None:
             continue
-        needed = _shards(plan, catalogues, work.geometry)
+        needed = shards_of(plan, catalogues, work.geometry)
         shards = {shard: shards[shard] for shard in needed if shard in shards}
         fresh = [shard for shard in needed if shard not in shards]
         kept = scheduler.keep(shard_graph(inputs, fresh))
@@ -369,30 +393,34 @@ def _draw(prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listen
         scheduler.run(graph, keys, done)
 
 
-def _windows(plan: Plan) -> list[np.ndarray]:
-    """Frames in windows of at most TASKS_PER_WINDOW tiles, so that no graph grows large."""
+def _windows(plan: Plan, share: Share) -> Iterator[np.ndarray]:
+    """Frames of a share in windows of at most TASKS_PER_WINDOW tiles, so that no graph grows."""
     per_window = max(1, TASKS_PER_WINDOW // len(plan.tiles))
-    frames = np.arange(plan.frames, dtype=np.int64)
-    return [frames[i : i + per_window] for i in range(0, plan.frames, per_window)]
+    first, end = share.span(plan)
+    start, stop = first // len(plan.tiles), -(-end // len(plan.tiles))
+    for at in range(start, stop, per_window):
+        yield np.arange(at, min(at + per_window, stop), dtype=np.int64)
 
 
-def _missing(plan: Plan, begun: Begun, frames: np.ndarray) -> Work | None:
-    """What a window still lacks; None where nothing."""
+def missing(plan: Plan, begun: Begun, frames: np.ndarray, share: Share = WHOLE) -> Work | None:
+    """What a share of a window still lacks; None where nothing. Truth goes with a first tile."""
     first = int(frames[0])
     earlier = np.arange(max(0, first - plan.lag_frames), first, dtype=np.int64)
     shift = len(earlier)
     tiles = [
         (i + shift, tile)
         for i, frame in enumerate(frames)
-        for tile in plan.tiles
-        if (int(frame), tile.row, tile.column) not in begun.done
+        for number, tile in enumerate(plan.tiles)
+        if share.holds(plan, int(frame), number)
+        and (int(frame), tile.row, tile.column) not in begun.done
     ]
     truth = {
         kind: tuple(
-            i + shift for i, f in enumerate(frames) if (kind, int(f)) not in begun.truth_done
+            i + shift for i, f in enumerate(frames)
+            if share.holds(plan, int(f), 0) and (kind, int(f)) not in begun.truth_done
         )
         for kind in truth_kinds(plan)
-    }
+    }  # fmt: skip
     if not tiles and not any(truth.values()):
         return None
     geometry = plan_geometry(plan.scene, np.concatenate([earlier, frames]), plan.dut1_s)
@@ -402,11 +430,11 @@ def _missing(plan: Plan, begun: Begun, frames: np.ndarray) -> Work | None:
     )  # fmt: skip
 
 
-def _all_done(begun: Begun, plan: Plan) -> bool:
+def all_done(begun: Begun, plan: Plan) -> bool:
     return len(begun.done) == len(plan.tiles) * plan.frames
 
 
-def _unseal(product: Path) -> None:
+def unseal(product: Path) -> None:
     """An earlier seal no longer holds once anything is drawn again."""
     for name in (layout.COMPLETE, f"{layout.CUBE}/zarr.json"):
         (product / name).unlink(missing_ok=True)

@@ -12,15 +12,27 @@ from pipeline.physics.targets.disc import photocentre_offset
 from pipeline.run import render
 from pipeline.spec.load import load_scene, parse_scene
 from pipeline.store.cube import open_cube
+from pipeline.sweep.run import check, gather_course
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = [*sorted((ROOT / "examples").glob("*.yaml")), ROOT / "pipeline" / "scenes" / "demo.yaml"]
+
+SWEEPS = sorted((ROOT / "examples" / "sweeps").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda p: p.stem)
 def test_scene_is_valid_and_complete(path):
     scene = load_scene(path)
     assert parse_scene(scene.as_dict()) == scene
+
+
+@pytest.mark.parametrize("path", SWEEPS, ids=lambda p: p.stem)
+def test_sweep_is_valid(path, tmp_path):
+    """Its axes, its first, middle and last points, by the check that a run begins with."""
+    course = gather_course(path, tmp_path / "out")
+    names, _ = check(course)
+    assert names == ("chaser",)
+    assert course.sweep.points == 40
 
 
 def test_scene_without_catalogue(tmp_path):

@@ -39,6 +39,7 @@ def render_tile(
     blocks: list[Block],
     rays: CosmicRays | None = None,
     before: Sequence[Array] = (),
+    light_e: dict[str, Array] | None = None,
 ) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
     """The layers of a tile that the scene asks for, and what the reference path found in it.
 
@@ -46,10 +47,11 @@ def render_tile(
     collect (after the flat, with smear), so that with the dark and the lag they sum to `mean_e`,
     the mean of the noisy frame before full well and ADC. `cosmic_rays_e` is drawn charge and not
     in it. before : `charge_of_tile` of the frames before, where charge stays behind.
+    light_e : what `tile_light` gave for this tile, where that is known already.
     """
     chain = tile_chain(plan.scene, maps, tile)
-    light = _light(plan, g, tile, parts, blocks)
-    layers, own = _mean(plan, g, tile, chain, light, blocks)
+    light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
+    layers, own = _mean(plan, tile, chain, light, blocks)
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
     if drawn is not None:
         layers["cosmic_rays_e"] = drawn
@@ -66,8 +68,9 @@ def render_tile(
         elif name != "dn":
             value = mean if name == "mean_e" else layers.get(name, np.zeros(mean.shape))
             out[name] = value.astype(np.float32)
+    sources = [image for name, image in light.items() if name in ("stars_e", "targets_e")]
     return out, check_tile(
-        plan, g, tile, parts, list(light.values()), lambda part: _noise_e(mean, chain, part)
+        plan, g, tile, parts, sources, lambda part: _noise_e(mean, chain, part)
     )
 
 
@@ -79,39 +82,24 @@ def charge_of_tile(
     parts: list[FrameStars],
     blocks: list[Block],
     rays: CosmicRays | None = None,
+    light_e: dict[str, Array] | None = None,
 ) -> Array:
     """What the pixels of a tile collect in one frame [e-]: of it a share is left for the next."""
     chain = tile_chain(plan.scene, maps, tile)
-    _, mean = _mean(plan, g, tile, chain, _light(plan, g, tile, parts, blocks), blocks)
+    light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
+    _, mean = _mean(plan, tile, chain, light, blocks)
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
     return collected_e(plan.scene, mean, drawn)
 
 
-def _light(
-    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
-) -> dict[str, Array]:
-    """Electrons of the sources in a tile, before the flat."""
-    light: dict[str, Array] = {}
-    if plan.scene.stars is not None:
-        light["stars_e"] = draw_stars(plan, g, tile, parts, blocks)
-    if plan.scene.targets:
-        light["targets_e"] = draw_targets(plan, g, tile, blocks)
-    return light
-
-
 def _mean(
-    plan: Plan, g: Geometry, tile: Tile, chain: Chain, light: dict[str, Array], blocks: list[Block]
+    plan: Plan, tile: Tile, chain: Chain, light: dict[str, Array], blocks: list[Block]
 ) -> tuple[dict[str, Array], Array]:
     """The noise-free layers of a tile, and their sum: the mean of what its pixels collect."""
     shape = (tile.rows, tile.columns)
-    layers: dict[str, Array] = {name: image * chain.flat for name, image in light.items()}
-    if plan.sky is not None:
-        from pipeline.plan.sky import sky_tile
-
-        light_e_s = sky_tile(plan.sky, int(g.frame[0]), tile)
-        layers["background_e"] = light_e_s * plan.scene.exposure.integration_s * chain.flat
-    elif plan.facts.background_e > 0:
-        layers["background_e"] = np.broadcast_to(plan.facts.background_e * chain.flat, shape)
+    layers: dict[str, Array] = {
+        name: np.broadcast_to(image * chain.flat, shape) for name, image in light.items()
+    }
     layers = {name: with_smear(plan.scene, layer) for name, layer in layers.items()}
     if np.any(chain.dark_e):
         layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
@@ -119,6 +107,34 @@ def _mean(
     for layer in layers.values():
         mean += layer
     return layers, _not_negative(plan, mean, max((b.brightest_e for b in blocks), default=0.0))
+
+
+LIGHTS = ("stars", "targets", "sky")  # in the order in which they are summed
+
+
+def tile_light(
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
+    which: tuple[str, ...] = LIGHTS,
+) -> dict[str, Array]:  # fmt: skip
+    """Mean light of a tile before the detector, by layer [e-]: arrays, or one for all pixels.
+
+    which : only the light of these, to be drawn apart from the rest
+    """
+    light: dict[str, Array] = {}
+    if "stars" in which and plan.scene.stars is not None:
+        light["stars_e"] = draw_stars(plan, g, tile, parts, blocks)
+    if "targets" in which and plan.scene.targets:
+        light["targets_e"] = draw_targets(plan, g, tile, blocks)
+    if "sky" not in which:
+        return light
+    if plan.sky is not None:
+        from pipeline.plan.sky import sky_tile
+
+        light_e_s = sky_tile(plan.sky, int(g.frame[0]), tile)
+        light["background_e"] = light_e_s * plan.scene.exposure.integration_s
+    elif plan.facts.background_e > 0:
+        light["background_e"] = np.full((1, 1), plan.facts.background_e)
+    return light
 
 
 def _cosmic_rays_e(plan: Plan, rays: CosmicRays, chain: Chain, g: Geometry, tile: Tile) -> Array:

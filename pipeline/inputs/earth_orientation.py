@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 MJD_ZERO = 2_400_000.5
@@ -16,7 +17,7 @@ def gather_dut1_s(utc1: float, utc2: float) -> tuple[float, str | None]:
     astropy's full table takes 3 s.
     """
     mjd = (utc1 - MJD_ZERO) + utc2
-    before, after = _days_around(mjd)
+    before, after = _days_around(int(mjd))
     if before is None or after is None:
         return 0.0, (
             "no table of the Earth's rotation covers this date: UT1 = UTC, at most "
@@ -27,8 +28,9 @@ def gather_dut1_s(utc1: float, utc2: float) -> tuple[float, str | None]:
     return before + (mjd - int(mjd)) * step, None
 
 
-def _days_around(mjd: float) -> tuple[float | None, float | None]:
-    """UT1 - UTC at the midnights before and after a date, None where the table has none.
+@lru_cache(maxsize=4096)
+def _days_around(mjd: int) -> tuple[float | None, float | None]:
+    """UT1 - UTC at the midnight of a day and the next, None where the table has none.
 
     Columns of finals2000A (IERS readme.finals2000A): 8-15 MJD, 155-165 UT1 - UTC of Bulletin B,
     59-68 that of Bulletin A, where B is not out yet.
@@ -39,8 +41,8 @@ def _days_around(mjd: float) -> tuple[float | None, float | None]:
     with Path(IERS_A_FILE).open() as table:
         for line in table:
             day = line[7:12]
-            if day.isdigit() and int(day) in (int(mjd), int(mjd) + 1):
+            if day.isdigit() and int(day) in (mjd, mjd + 1):
                 value = line[154:165].strip() or line[58:68].strip()
                 if value:
                     values[int(day)] = float(value)
-    return values.get(int(mjd)), values.get(int(mjd) + 1)
+    return values.get(mjd), values.get(mjd + 1)

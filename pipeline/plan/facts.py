@@ -97,9 +97,16 @@ def gather_facts(
         dark_e=dark,
         read_noise_e=read_noise_e,
         sigma_floor_e=sigma,
-        budget_e=scene.accuracy.noise_fraction * sigma / APPROXIMATIONS,
+        budget_e=error_budget_e(scene, sigma),
         field=field,
     )
+
+
+def error_budget_e(scene: Scene, sigma_e: float) -> float:
+    """Error that one approximation may make in a pixel of this noise [e-]."""
+    floor = scene.accuracy.noise_floor_e
+    sigma = sigma_e if floor is None else min(sigma_e, floor)
+    return scene.accuracy.noise_fraction * sigma / APPROXIMATIONS
 
 
 def mean_wavelength_m(response: ResponseCurve) -> float:

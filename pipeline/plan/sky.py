@@ -13,7 +13,7 @@ from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.sky.galactic import RELATIVE_ERROR
 from pipeline.physics.sky.grid import FrameGrid, at_nodes, refine, tile_light
 from pipeline.plan.decisions import Decision
-from pipeline.plan.facts import APPROXIMATIONS, Facts
+from pipeline.plan.facts import Facts, error_budget_e
 from pipeline.plan.faint_stars import (
     FaintLimit,
     faint_limit,
@@ -131,7 +131,7 @@ def _noise(facts: Facts, scene: Scene, sky_e_s: float) -> tuple[float, float]:
     """Noise of a pixel under a sky of this light [e-], and one approximation's budget there."""
     more = (sky_e_s - facts.background_e_s) * scene.exposure.integration_s
     sigma = math.sqrt(facts.sigma_floor_e**2 + max(more, 0.0))
-    return sigma, scene.accuracy.noise_fraction * sigma / APPROXIMATIONS
+    return sigma, error_budget_e(scene, sigma)
 
 
 def _field(camera: Camera) -> tuple[Array, Array]:

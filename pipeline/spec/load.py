@@ -154,9 +154,14 @@ def _checked(data: dict[str, Any]) -> Scene:
     try:
         return Scene.model_validate(data)
     except ValidationError as error:
-        raise InvalidScene(_merged([_mistake(e, data) for e in error.errors()])) from None
+        raise InvalidScene(mistakes_of(error, data)) from None
     except RecursionError:
         raise BadInput("scene", "nested too deeply", f"at most {MAX_DEPTH} levels") from None
+
+
+def mistakes_of(error: ValidationError, data: dict[str, Any]) -> list[tuple[str, Any, str]]:
+    """(field, value, allowed) of every mistake, one for each field."""
+    return _merged([_mistake(e, data) for e in error.errors()])
 
 
 PATH_FIELDS = (

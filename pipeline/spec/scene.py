@@ -35,12 +35,15 @@ class Accuracy(Strict):
     """How much error all approximations together may make.
 
     noise_fraction : per pixel, in units of that pixel's noise sigma
+    noise_floor_e : plan as for a pixel of this noise where the scene's least noise is larger, so
+        that scenes whose detectors differ are drawn alike (sweeps set it)
     flux_fraction : of each source's light, summed over an unbounded focal plane
     check_cells : how many small windows are drawn again by the reference path, and compared
     """
 
     noise_fraction: float = Field(0.05, gt=0, le=1)
     flux_fraction: float = Field(1e-3, gt=0, le=0.1)
+    noise_floor_e: Positive | None = None
     check_cells: int = Field(3, ge=0, le=1000, description="0: no check of the achieved error")
 
 

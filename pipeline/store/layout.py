@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +33,21 @@ def to_json(value: Any) -> bytes:
 
 
 @contextmanager
-def only_writer(product: Path) -> Iterator[None]:
-    """Hold the product's lock; another running writer is refused, a dead one is not."""
+def only_writer(product: Path, shared: str | None = None) -> Iterator[None]:
+    """Hold the product's lock; another running writer is refused, a dead one is not.
+
+    shared : name of a part; writers of other parts are let in beside it
+    """
     import fcntl
 
-    with (product / LOCK).open("w") as handle:
+    kind = fcntl.LOCK_EX if shared is None else fcntl.LOCK_SH
+    with ExitStack() as open_files:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if shared is not None:
+                own = open_files.enter_context((product / f"{LOCK}-{shared}").open("w"))
+                fcntl.flock(own, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            handle = open_files.enter_context((product / LOCK).open("w"))
+            fcntl.flock(handle, kind | fcntl.LOCK_NB)
         except OSError:
             raise BadInput(
                 "-o", str(product), "a product that no other render is writing now"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,6 +38,12 @@ class Marker:
 
 def marker_path(product: Path, frame: int, row: int, column: int) -> Path:
     return product / MARKERS / f"f{frame:06d}_r{row:03d}_c{column:03d}.json"
+
+
+def place_of(marker: Path) -> tuple[int, int, int]:
+    """Frame, row and column of a marker, from its name; (-1, -1, -1) for another name."""
+    numbers = re.fullmatch(r"f(\d+)_r(\d+)_c(\d+)\.json", marker.name)
+    return (int(numbers[1]), int(numbers[2]), int(numbers[3])) if numbers else (-1, -1, -1)
 
 
 def write_marker(product: Path, marker: Marker) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 from pipeline.errors import BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
@@ -19,6 +21,7 @@ from pipeline.store.cube import CubeWriter, create_arrays, create_layer, layers_
 from pipeline.store.markers import (
     chunk_fault,
     markers_present,
+    place_of,
     read_marker,
 )
 from pipeline.store.truth import drop_parts, part_is_whole
@@ -43,13 +46,7 @@ def begin(path: Path, plan: Plan, catalogue_digest: str | None, resume: bool) ->
     Raises BadInput where the path exists and is not to be resumed, or is to be and comes from
     another scene, catalogue or version of the format.
     """
-    identity = {
-        "format": FORMAT,
-        "scene_sha256": scene_digest(plan),
-        "catalogue_digest": catalogue_digest,
-        "tile_shape": list(tile_shape(plan.scene)),
-        "tiles": len(plan.tiles) * plan.frames,
-    }
+    identity = _identity_of(plan, catalogue_digest)
     if path.exists() and not resume:
         raise BadInput(
             "-o", str(path), "a path that does not exist yet; or give --resume or --replace"
@@ -65,7 +62,42 @@ def begin(path: Path, plan: Plan, catalogue_digest: str | None, resume: bool) ->
     return _take_up(path, plan, identity)
 
 
-def _take_up(path: Path, plan: Plan, identity: dict[str, Any]) -> Begun:
+def begin_together(
+    path: Path, plan: Plan, catalogue_digest: str | None, mine: Callable[[int, int, int], bool]
+) -> Begun:
+    """Make a product that several writers share, or take part in one: whoever comes first.
+
+    mine : whether a tile (frame, row, column) is this writer's; others' markers are left alone.
+    """
+    identity = _identity_of(plan, catalogue_digest)
+    if not path.exists():
+        own = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+        try:
+            begin(own, plan, catalogue_digest, resume=False)
+            own.rename(path)  # fails where another writer was first
+        except OSError:
+            if not path.exists():
+                raise
+        finally:
+            shutil.rmtree(own, ignore_errors=True)
+    return _take_up(path, plan, identity, mine)
+
+
+def _identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
+    """What makes two products the same."""
+    return {
+        "format": FORMAT,
+        "scene_sha256": scene_digest(plan),
+        "catalogue_digest": catalogue_digest,
+        "tile_shape": list(tile_shape(plan.scene)),
+        "tiles": len(plan.tiles) * plan.frames,
+    }
+
+
+def _take_up(
+    path: Path, plan: Plan, identity: dict[str, Any],
+    mine: Callable[[int, int, int], bool] | None = None,
+) -> Begun:  # fmt: skip
     if not (path / layout.BEGUN).is_file():
         if not _is_bare_beginning(path):
             raise BadInput("--resume", str(path), "a product begun by `nightglass render`")
@@ -78,6 +110,8 @@ def _take_up(path: Path, plan: Plan, identity: dict[str, Any]) -> Begun:
             raise BadInput("--resume", str(path), f"a product of the same {key}: {wanted}")
     done, faults = set(), []
     for marker in markers_present(path):
+        if mine is not None and not mine(*place_of(marker)):
+            continue
         fault = _marker_fault(path, marker)
         if fault is None:
             m = read_marker(marker)
@@ -236,7 +270,8 @@ def seal(path: Path) -> None:
     files = {}
     for file in sorted(path.rglob("*")):
         name = file.relative_to(path).as_posix()
-        skip = name.startswith(f"{layout.MARKERS}/") or file.name in (layout.LOCK, layout.COMPLETE)
+        skip = name.startswith(f"{layout.MARKERS}/") or file.name == layout.COMPLETE
+        skip |= file.name.startswith(layout.LOCK)
         tile_chunk = name.startswith(f"{layout.CUBE}/") and _has_marker(name)
         if file.is_file() and not skip and not tile_chunk:
             files[name] = file_digest(file)

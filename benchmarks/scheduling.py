@@ -1,0 +1,149 @@
+"""What scheduling costs: its share of a job's CPU time, and the memory of a plan of 1e6 tiles.
+
+Run: python -m benchmarks.scheduling overhead|scale [--scheduler NAME] [--tiles N] [--json FILE].
+"overhead" renders real frames at default tiles and compares the CPU seconds inside of the tasks
+with those of all processes; "scale" streams a plan of very many tiles whose body does nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+SKY = {
+    "schema": "nightglass/scene/1", "name": "load", "epoch": "2019-07-20T09:00:00Z",
+    "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
+    "sensor": {
+        "shape": [2048, 2048], "pixel_pitch_um": 9.0, "focal_length_m": 0.5, "aperture_m": 0.1,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900}, "read_noise_e": 4.0,
+        "psf": {"kind": "airy"},
+    },
+    "pointing": {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 5.0},
+    "exposure": {"integration_s": 1.0, "frames": 8},
+    "background": {"uniform_e_per_s": 9.0},
+}  # fmt: skip
+
+
+def timed(folder: str, function: Any, *arguments: Any) -> Any:
+    """A task that leaves its own CPU seconds in a folder."""
+    started = time.thread_time()
+    out = function(*arguments)
+    name = f"{os.getpid()}-{threading.get_ident()}-{time.perf_counter_ns()}"
+    (Path(folder) / name).write_text(repr(time.thread_time() - started))
+    return out
+
+
+def nothing(*_: Any) -> int:
+    """The body of a simulated tile."""
+    return 0
+
+
+class Wrapped:
+    """A scheduler whose graphs are changed before they run, by `change(task)`."""
+
+    def __init__(self, inner: Any, change: Any) -> None:
+        self.inner, self.change, self.workers = inner, change, inner.workers
+        self.share = inner.share
+
+    def keep(self, graph: dict[Any, Any]) -> Any:
+        return self.inner.keep({k: self.change(t) for k, t in graph.items()})
+
+    def run(self, graph: dict[Any, Any], keys: list[Any], done: Any) -> Any:
+        return self.inner.run({k: self.change(t) for k, t in graph.items()}, keys, done)
+
+
+def _processes() -> Iterator[psutil.Process]:
+    me = psutil.Process()
+    yield me
+    yield from me.children(recursive=True)
+
+
+def _cpu_s() -> float:
+    """CPU seconds of this process and its children so far."""
+    return sum(sum(p.cpu_times()[:2]) for p in _processes())
+
+
+def overhead(scheduler: str, frames: int) -> dict[str, Any]:
+    """Share of a job's CPU seconds that is not spent in its tasks."""
+    from catalog_tools.schedulers import open_scheduler
+    from pipeline.run import draw, prepare
+    from pipeline.spec.load import parse_scene
+    from pipeline.store.product import begin
+
+    exposure = {"integration_s": 1.0, "frames": frames}
+    with tempfile.TemporaryDirectory() as name, open_scheduler(scheduler, 2) as inner:
+        for k, count in enumerate((2, frames)):  # the first one warms the workers
+            prepared = prepare(parse_scene(SKY | {"exposure": exposure | {"frames": count}}))
+            begun = begin(Path(name) / f"run{k}", prepared.plan, None, resume=False)
+            times = Path(name) / f"times{k}"
+            times.mkdir()
+            wrapped = Wrapped(inner, lambda task, to=str(times): (timed, to, *task))
+            before = _cpu_s()
+            draw(prepared, begun, wrapped, None)
+            total = _cpu_s() - before
+            useful = sum(float(p.read_text()) for p in times.iterdir())
+    tiles = len(prepared.plan.tiles) * frames
+    return {
+        "scheduler": scheduler, "tiles": tiles, "cpu_s": total, "in_tasks_s": useful,
+        "overhead": 1.0 - useful / total, "ms_a_tile": 1e3 * (total - useful) / tiles,
+    }  # fmt: skip
+
+
+def scale(scheduler: str, tiles: int) -> dict[str, Any]:
+    """Peak memory of this process and of a scheduler's while a long plan is streamed."""
+    from catalog_tools.schedulers import open_scheduler
+    from pipeline.run import draw, prepare
+    from pipeline.spec.load import parse_scene
+    from pipeline.store.cube import CubeWriter
+    from pipeline.store.product import Begun
+
+    sensor = SKY["sensor"] | {"shape": [4096, 4096]}  # type: ignore[operator]
+    data = SKY | {
+        "sensor": sensor, "output": {"tile_shape": [256, 256]},
+        "exposure": {"integration_s": 1.0, "frames": -(-tiles // 256)},
+    }  # fmt: skip
+    prepared = prepare(parse_scene(data))
+    begun = Begun(Path("nowhere"), CubeWriter("nowhere", ("dn",)), frozenset(), frozenset(), ())
+    done, started = [0], time.perf_counter()
+    with open_scheduler(scheduler, 2) as inner:
+        wrapped = Wrapped(inner, lambda task: (nothing, *task[2:]))
+        draw(prepared, begun, wrapped, lambda p: done.__setitem__(0, p.done))
+    import resource
+
+    mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return {
+        "scheduler": scheduler, "tiles": done[0], "peak_mb": mb,
+        "us_a_tile": 1e6 * (time.perf_counter() - started) / done[0],
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("overhead", "scale"))
+    parser.add_argument("--scheduler", default="threads")
+    parser.add_argument("--tiles", type=int, default=1_000_000)
+    parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    if args.what == "overhead":
+        found = overhead(args.scheduler, args.frames)
+    else:
+        found = scale(args.scheduler, args.tiles)
+    print(json.dumps(found))
+    if args.json:
+        machine = f"{platform.machine()}, {platform.python_version()}"
+        args.json.write_text(json.dumps({"machine": machine} | found, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

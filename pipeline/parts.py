@@ -1,0 +1,128 @@
+"""Array mode: a product rendered in parts by processes that need no scheduler, then joined."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+from catalog_tools.schedulers import open_scheduler
+from pipeline.errors import BadInput, Incomplete
+from pipeline.finish import finish, stored_report
+from pipeline.run import (
+    Listener,
+    Options,
+    Prepared,
+    Share,
+    catalogue_facts_of,
+    draw,
+    prepare,
+    summary_of,
+)
+from pipeline.spec.load import load_scene
+from pipeline.spec.scene import Scene
+from pipeline.store import layout
+from pipeline.store.markers import markers_present
+from pipeline.store.product import begin, begin_together, truth_kinds
+from pipeline.store.truth import part_path
+
+MOST_PARTS = 1_000_000
+
+
+def parse_part(text: str) -> Share:
+    """`k/n` as part k of n, counted from 1."""
+    found = re.fullmatch(r"([0-9]{1,7})/([0-9]{1,7})", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]) <= MOST_PARTS:
+        raise BadInput("--part", text, f"k/n, with 1 <= k <= n <= {MOST_PARTS}, such as 3/16")
+    return Share(int(found[1]), int(found[2]))
+
+
+def render_part(
+    scene: Scene, product: Path, share: Share, options: Options | None = None,
+    listen: Listener | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Render one part into a product that other processes may be writing too.
+
+    A part that was cut off goes on when it is run again; others are not touched. The one that
+    ends last finishes the product and returns its report; else `complete` is false.
+    """
+    options, started = options or Options(), time.perf_counter()
+    prepared = prepare(scene)
+    plan = prepared.plan
+    digest = "+".join(c.digest for c in prepared.catalogues) or None
+    numbers = {(t.row, t.column): i for i, t in enumerate(plan.tiles)}
+
+    def mine(frame: int, row: int, column: int) -> bool:
+        return share.holds(plan, frame, numbers.get((row, column), -1))
+
+    begun = begin_together(product, plan, digest, mine)
+    if (product / layout.COMPLETE).is_file():
+        return stored_report(begun)
+    with layout.only_writer(product, f"part-{share.part}-of-{share.parts}"):
+        if not (product / layout.PLAN).is_file():
+            layout.write_atomically(
+                product / layout.PLAN, layout.to_json(summary_of(prepared))
+            )
+        planned = time.perf_counter()
+        with open_scheduler(options.scheduler, options.workers) as scheduler:
+            draw(prepared, begun, scheduler, listen, share)
+            workers = scheduler.workers
+    times = {
+        "plan_s": planned - started, "draw_s": time.perf_counter() - planned,
+        "workers": workers, "scheduler": options.scheduler,
+    }  # fmt: skip
+    first, end = share.span(plan)
+    told = {
+        "part": f"{share.part}/{share.parts}", "tiles": end - first, "complete": False,
+        "seconds": times,
+    }  # fmt: skip
+    if _lacking(prepared, product)[0]:
+        return told
+    try:
+        return _finish(prepared, product, times)
+    except BadInput:  # another part is still at work, or is finishing it
+        return told
+
+
+def join(product: Path, scene: Path | None = None) -> dict[str, Any]:
+    """Finish a product whose parts are all done, and return its report.
+
+    scene : default the one in the product. Raises Incomplete where tiles are missing.
+    """
+    if not (product / layout.BEGUN).is_file():
+        raise BadInput("PRODUCT", str(product), "a product that parts were rendered into")
+    prepared = prepare(load_scene(scene or product / layout.SCENE))
+    times = {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
+    return _finish(prepared, product, times)
+
+
+def _finish(prepared: Prepared, product: Path, times: dict[str, Any]) -> dict[str, Any]:
+    plan = prepared.plan
+    digest = "+".join(c.digest for c in prepared.catalogues) or None
+    with layout.only_writer(product):
+        begun = begin(product, plan, digest, resume=True)  # every chunk against its marker
+        if (product / layout.COMPLETE).is_file():
+            return stored_report(begun)
+        tiles, truth = _lacking(prepared, product)
+        if tiles or truth:
+            damaged = f"; damaged: {'; '.join(begun.redrawn[:5])}" if begun.redrawn else ""
+            raise Incomplete(
+                f"{product}: {tiles} tile(s) and {truth} truth part(s) are missing: run the parts "
+                f"that were cut off again, then `nightglass join`{damaged}"
+            )
+        return finish(plan, catalogue_facts_of(prepared), begun, times)
+
+
+def _lacking(prepared: Prepared, product: Path) -> tuple[int, int]:
+    """How many tiles and truth parts are not there yet."""
+    plan = prepared.plan
+    tiles = len(plan.tiles) * plan.frames - sum(1 for _ in markers_present(product))
+    if tiles:
+        return tiles, 0
+    truth = sum(
+        not part_path(product, kind, frame).is_file()
+        for kind in truth_kinds(plan)
+        for frame in range(plan.frames)
+    )
+    return 0, truth

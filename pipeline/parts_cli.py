@@ -1,0 +1,55 @@
+"""The command line's `nightglass render --part k/n` and `nightglass join`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.options import Json, print_json
+
+ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")]
+
+
+def render_part(
+    scene: Path, product: Path, overrides: list[str], part: str,
+    options: tuple[str, int | None, bool], as_json: bool,
+) -> None:  # fmt: skip
+    """Render one part of a scene; the last one finishes the product."""
+    from pipeline.errors import BadInput
+    from pipeline.pages import tile_progress
+    from pipeline.parts import parse_part
+    from pipeline.parts import render_part as run
+    from pipeline.run import Options
+    from pipeline.spec.load import load_scene
+
+    scheduler, workers, replace = options
+    if replace:
+        raise BadInput("--replace", part, "no --part with it: parts share one product")
+    share = parse_part(part)
+    with tile_progress(as_json or not sys.stderr.isatty()) as listen:
+        options_ = Options(scheduler, workers)
+        report = run(load_scene(scene, overrides), product, share, options_, listen)
+    if as_json:
+        print_json(report)
+    elif report["complete"]:
+        print(f"{product}: part {part} done, and with it the product")
+    else:
+        print(f"{product}: part {part} done, {report['tiles']} tile(s); other parts are not yet")
+
+
+def join(
+    product: ProductPath,
+    scene: Annotated[Path | None, typer.Argument(help="default: the product's own")] = None,
+    as_json: Json = False,
+) -> None:
+    """Finish a product whose parts are all done. Exit 3 where tiles are missing."""
+    from pipeline.parts import join as run
+
+    report = run(product, scene)
+    if as_json:
+        print_json(report)
+    else:
+        print(f"{product}: complete, {report['tiles']} tile(s)")

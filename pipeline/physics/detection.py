@@ -1,0 +1,54 @@
+"""Detection by a matched filter: how far a known response stands out of a noisy image."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+
+Array = NDArray[np.float64]
+
+SIGMA_OF_MAD = 1.4826022185056018  # of a Gaussian's standard deviation, per median deviation
+CLIP = 3.0
+CLIPPED = 0.9865783925  # standard deviation of a unit Gaussian cut off at 3
+
+
+def robust_noise(image_e: Array, step_e: float = 0.0) -> tuple[float, float]:
+    """Median [e-] and standard deviation [e-] of an image's pixels, bright sources left out.
+
+    The deviation is that of the pixels within CLIP sigma of the median, made whole again for the
+    Gaussian tails left out; sigma at first is the median deviation, or the digitiser's `step_e`
+    where that hides it. Sources that cover a small share of the pixels do not matter.
+    """
+    middle = float(np.median(image_e))
+    away = np.abs(image_e - middle)
+    first = max(SIGMA_OF_MAD * float(np.median(away)), step_e)
+    near = image_e[away <= CLIP * first]
+    return middle, float(np.std(near)) / CLIPPED if near.size else 0.0
+
+
+def filtered(image_e: Array, response: Array, step_e: float = 0.0) -> Array:
+    """Matched-filter statistic of a response at every place that it fits in, in sigma.
+
+    image_e : (ny, nx) electrons; response : (my, mx), the share of a source's light in each pixel.
+    Pixel (i, j) of the result, (ny - my + 1, nx - mx + 1), is for the response's corner there. For
+    white Gaussian noise it has mean 0 and variance 1, and a source of light F raises it by
+    F sqrt(sum(response^2)) / sigma (Turin 1960). Background and noise are the image's own
+    (`robust_noise`); without noise it is 0.
+    """
+    middle, sigma = robust_noise(image_e, step_e)
+    norm = float(np.sqrt(np.sum(response**2)))
+    shape = tuple(n - m + 1 for n, m in zip(image_e.shape, response.shape, strict=True))
+    if sigma <= 0.0 or norm <= 0.0:
+        return np.zeros(shape)
+    out = fftconvolve(image_e - middle, response[::-1, ::-1], mode="valid")
+    return np.asarray(out) / (sigma * norm)
+
+
+def peak_near(statistic: Array, row: int, column: int, within_px: float) -> tuple[float, int, int]:
+    """Highest statistic within a distance of a place: (sigma, row offset, column offset)."""
+    rows, columns = np.indices(statistic.shape)
+    far = np.hypot(rows - row, columns - column) > within_px
+    at = int(np.argmax(np.where(far, -np.inf, statistic)))
+    y, x = np.unravel_index(at, statistic.shape)
+    return float(statistic[y, x]), int(y) - row, int(x) - column

@@ -1,0 +1,226 @@
+"""What a sweep leaves on disk: parts while it runs, one table of points at its end."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from catalog_tools.durable import whole_file, write_atomically
+from pipeline.errors import BadInput, Damaged
+from pipeline.spec.sweep import Sweep
+from pipeline.sweep.design import Design
+
+FORMAT = "nightglass/sweep-product/1"
+BEGUN, PARTS, TABLE, COMPLETE = ".begun.json", "parts", "points.parquet", "_COMPLETE"
+SWEEP, REPORT, PAGE, FIGURE = "sweep.json", "report.json", "summary.html", "summary.svg"
+PART_ROWS, PART_S = 1024, 5.0
+JOIN_POINTS = 65_536
+OPTIONS: dict[str, Any] = {
+    "compression": "zstd", "compression_level": 3, "write_page_checksum": True,
+}  # fmt: skip
+TEXT = ("status", "message", "content_digest")
+WHOLE = ("point", "seed")
+
+
+def schema_of(sweep: Sweep, names: tuple[str, ...]) -> pa.Schema:
+    """The columns of the table of points. names : of the targets whose metrics are told."""
+    design = Design(sweep)
+    columns: list[tuple[str, pa.DataType]] = [("point", pa.int64()), ("seed", pa.int64())]
+    for axis in sweep.axes:
+        for name in axis.fields:
+            if name != "seed":
+                columns.append((name, _type_of(design.extremes(name))))
+    columns += [("status", pa.string()), ("message", pa.string())]
+    columns += [("content_digest", pa.string())]
+    told = {
+        "background": ("background_e", "sky_e", "noise_floor_e"),
+        "limiting_magnitude": ("limiting_light_e", "limiting_g_mag"),
+        "saturation": ("saturated_fraction",),
+        "timing": ("seconds", "light_s"),
+    }
+    columns += [(c, pa.float64()) for m, cs in told.items() if m in sweep.metrics for c in cs]
+    of_target = {
+        "snr": ("snr",), "detection": ("peak_sigma", "frames_in_view", "detected_fraction"),
+    }  # fmt: skip
+    for name in names:
+        for metric, stems in of_target.items():
+            if metric in sweep.metrics:
+                columns += [(f"{stem}.{name}", pa.float64()) for stem in stems]
+    return pa.schema(columns)
+
+
+def _type_of(values: list[Any]) -> pa.DataType:
+    """A column's type: numbers, true and false, or text (JSON where the values are mixed)."""
+    kinds = {type(v) for v in values if v is not None}
+    if kinds == {bool}:
+        return pa.bool_()
+    if kinds == {int}:
+        return pa.int64()
+    return pa.float64() if kinds and kinds <= {int, float} else pa.string()
+
+
+class Ledger:
+    """Rows of points that are done, in parts that are there whole or not at all."""
+
+    def __init__(self, out: Path, schema: pa.Schema, size: int) -> None:
+        self.out, self.schema, self.size = out, schema, size
+        self.done = np.zeros(size, bool)
+        self.failed = np.zeros(size, bool)
+        self.removed: list[str] = []
+        self._rows: list[dict[str, Any]] = []
+        self._since = time.monotonic()
+        self._next = 0
+
+    def take_up(self, retry_failed: bool) -> None:
+        """Learn what is done from the parts; a damaged one is removed, its points done again."""
+        for path in self._parts():
+            self._next = max(self._next, int(path.stem.split("-")[1]) + 1)
+            try:
+                table = pq.read_table(
+                    path, columns=["point", "status"], page_checksum_verification=True
+                )
+                point, failed = table["point"].to_numpy(), table["status"].to_numpy() == "failed"
+                if point.size and not (point.min() >= 0 and point.max() < self.size):
+                    raise ValueError("points that the sweep does not have")
+            except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+                self.removed.append(f"{path.name}: {str(error).splitlines()[0][:200]}")
+                path.unlink()
+                continue
+            self.done[point] = True
+            self.failed[point] = failed
+        if retry_failed:
+            self.done &= ~self.failed
+            self.failed[:] = False
+
+    def add(self, rows: list[dict[str, Any]]) -> None:
+        """Rows of finished points; they are durable within PART_S, or with `flush`."""
+        self._rows += rows
+        for row in rows:
+            self.done[row["point"]] = True
+            self.failed[row["point"]] = row["status"] == "failed"
+        if len(self._rows) >= PART_ROWS or time.monotonic() - self._since >= PART_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Make all rows durable."""
+        self._since = time.monotonic()
+        if not self._rows:
+            return
+        rows = [{f.name: _fit(row.get(f.name), f.type) for f in self.schema} for row in self._rows]
+        folder = self.out / PARTS
+        with whole_file(folder / f"part-{self._next:07d}.parquet") as own:
+            pq.write_table(pa.Table.from_pylist(rows, self.schema), own, **OPTIONS)
+        self._next += 1
+        self._rows = []
+
+    def join(self) -> None:
+        """Join the parts into the table of points, in order, a bounded number of them at a time.
+
+        Where a point stands in several parts the newest counts.
+        """
+        parts = self._parts()
+        spans = [_span(path) for path in parts]
+        with (
+            whole_file(self.out / TABLE) as own,
+            pq.ParquetWriter(own, self.schema, **OPTIONS) as writer,
+        ):
+            for first in range(0, self.size, JOIN_POINTS):
+                end = min(first + JOIN_POINTS, self.size)
+                near = [
+                    str(path) for path, (low, high) in zip(parts, spans, strict=True)
+                    if low < end and high >= first
+                ]  # fmt: skip
+                inside = (ds.field("point") >= first) & (ds.field("point") < end)
+                table = ds.dataset(near, schema=self.schema).to_table(filter=inside)
+                points = table["point"].to_numpy()
+                _, newest = np.unique(points[::-1], return_index=True)
+                writer.write_table(table.take(pa.array(points.size - 1 - newest)))
+
+    def drop_parts(self) -> None:
+        """Remove the parts once the table stands and is sealed."""
+        for path in self._parts():
+            path.unlink()
+
+    def _parts(self) -> list[Path]:
+        return sorted((self.out / PARTS).glob("part-*.parquet"))
+
+
+def _span(path: Path) -> tuple[int, int]:
+    """The least and largest number of a point in a part."""
+    column: NDArray[np.int64] = pq.read_table(path, columns=["point"])["point"].to_numpy()
+    return int(column.min()), int(column.max())
+
+
+def _fit(value: Any, kind: pa.DataType) -> Any:
+    """A value as its column takes it."""
+    if value is None:
+        return None
+    if pa.types.is_string(kind):
+        return value if isinstance(value, str) else json.dumps(value, sort_keys=True)
+    return float(value) if pa.types.is_floating(kind) else value
+
+
+def begin(out: Path, identity: dict[str, Any], resume: bool) -> None:
+    """Make a sweep's folder, or take up one that was begun with the same sweep and scene."""
+    if not out.exists():
+        if resume:
+            raise BadInput("--resume", str(out), "a sweep that was begun before")
+        try:
+            (out / PARTS).mkdir(parents=True)
+        except OSError as error:
+            allowed = f"a path that can be written; {error.strerror}"
+            raise BadInput("-o", str(out), allowed) from None
+        write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
+        return
+    if not resume:
+        raise BadInput("-o", str(out), "a path that does not exist yet; or give --resume")
+    try:
+        found = json.loads((out / BEGUN).read_text())
+    except FileNotFoundError:
+        raise BadInput("--resume", str(out), "a sweep begun by `nightglass sweep`") from None
+    except (ValueError, OSError) as error:
+        raise Damaged(str(out / BEGUN), f"not what was written ({error})") from None
+    for key, wanted in identity.items():
+        if found.get(key) != wanted:
+            raise BadInput("--resume", str(out), f"a sweep of the same {key}")
+    (out / PARTS).mkdir(exist_ok=True)
+
+
+def identity_of(sweep: Sweep, data: dict[str, Any], digests: list[str]) -> dict[str, Any]:
+    """What makes two sweeps the same: their points, base scene, catalogues and metrics."""
+    plain = sweep.as_dict()
+    return {
+        "format": FORMAT,
+        "axes": _sha([plain["axes"], plain["design"], plain["seeds"]]),
+        "scene": _sha(data),
+        "metrics": _sha([plain["metrics"], plain["targets"], plain["detection"], plain["cubes"]]),
+        "catalogues": digests,
+    }
+
+
+def _sha(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def is_complete(out: Path) -> bool:
+    """Whether a sweep's table stands sealed."""
+    return (out / COMPLETE).is_file() and (out / TABLE).is_file()
+
+
+def seal(out: Path) -> None:
+    """Write _COMPLETE, last of all, with the digests of the files."""
+    files = {}
+    for name in (TABLE, SWEEP, REPORT, PAGE, FIGURE):
+        if (out / name).is_file():
+            with (out / name).open("rb") as handle:
+                files[name] = hashlib.file_digest(handle, "sha256").hexdigest()
+    write_atomically(out / COMPLETE, json.dumps({"format": FORMAT, "files": files}, indent=2))

@@ -1,0 +1,253 @@
+"""What is measured of a point: SNR, background, limiting magnitude, saturation, detection."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Array, Geometry, SensorMaps
+from pipeline.execute.light import draw_targets
+from pipeline.execute.sources import place_targets, streaks
+from pipeline.execute.truth import matched_snr
+from pipeline.physics.detection import filtered, peak_near
+from pipeline.physics.motion.streak import POINT
+from pipeline.plan.scene_plan import Plan
+from pipeline.plan.tiles import Tile, overlap
+from pipeline.spec.sweep import Detection
+from pipeline.store.markers import cell_checksums
+
+SNR_AT_LIMIT = 5.0
+SAMPLED_PX = 4  # the background is taken from every fourth pixel of each axis
+MARGIN_PX = 24  # of sky around a target's response, for its noise
+LARGEST_WINDOW_PX = 1024
+KEPT_LIGHT = 0.98  # a window that holds less of a target's light is said to be outside
+
+
+class Window:
+    """The calibrated pixels around one target in one frame, gathered tile by tile."""
+
+    def __init__(self, place: Tile, response: Array, corner: tuple[int, int]) -> None:
+        self.place, self.response, self.corner = place, response, corner
+        self.image_e = np.zeros((place.rows, place.columns))
+
+
+    def peak(self, wish: Detection, step_e: float) -> float:
+        """Highest matched-filter statistic near the target's true place [sigma]."""
+        statistic = filtered(self.image_e, self.response, step_e)
+        return peak_near(statistic, *self.corner, wish.search_px)[0]
+
+
+class Measurement:
+    """Metrics of one point, gathered tile by tile and frame by frame."""
+
+    def __init__(
+        self, plan: Plan, maps: SensorMaps, metrics: tuple[str, ...], names: tuple[str, ...],
+        wish: Detection,
+    ) -> None:  # fmt: skip
+        self.plan, self.maps, self.metrics, self.names = plan, maps, metrics, names
+        self.wish = wish
+        self._cells: list[list[Any]] = []
+        self._backgrounds: list[tuple[float, int]] = []
+        self._saturated, self._pixels = 0, 0
+        self._peaks: dict[str, list[float]] = {name: [] for name in names}
+        self._snr: dict[str, list[float]] = {name: [] for name in names}
+        self._limits: list[float] = []
+        self._windows: list[tuple[str, Window]] = []
+
+    def begin_frame(self, g: Geometry, windows: list[tuple[str, Window]]) -> None:
+        """Before a frame's tiles. windows : of targets, empty ones to copy."""
+        self._windows = [(name, Window(w.place, w.response, w.corner)) for name, w in windows]
+        if "snr" in self.metrics:
+            for name, snr in target_snr(self.plan, g, self.names).items():
+                self._snr[name].append(snr)
+        if "limiting_magnitude" in self.metrics:
+            self._limits.append(limiting_light_e(self.plan, g))
+
+    def take(self, tile: Tile, frame: int, dn: NDArray[Any], mean_e: Array) -> None:
+        """One tile: digital numbers, and the mean before photon noise."""
+        cells = cell_checksums(tile, dn)
+        self._cells += [["dn", frame, *cell] for cell in cells]
+        if "background" in self.metrics:
+            every = (slice(None, None, SAMPLED_PX),) * 2
+            light = self._calibrated(tile, tile, dn, every)
+            self._backgrounds.append((float(np.median(light)), dn.size))
+        for _, window in self._windows:
+            part = overlap(window.place, tile)
+            if part.rows and part.columns:
+                all_of = (slice(None),) * 2
+                light = self._calibrated(tile, part, dn, all_of)
+                window.image_e[_cut(window.place, part)] = light
+        if "saturation" in self.metrics:
+            self._saturated += int(np.count_nonzero(mean_e >= self._full_e(tile)))
+            self._pixels += mean_e.size
+
+    def end_frame(self) -> None:
+        """After a frame's tiles."""
+        for name, window in self._windows:
+            self._peaks[name].append(window.peak(self.wish, self.maps.typical("gain_e_per_dn")))
+        self._windows = []
+
+    def row(self) -> dict[str, Any]:
+        """The metrics by the names of their columns; None where there is nothing to tell."""
+        out: dict[str, Any] = {"content_digest": self.content_digest()}
+        if "background" in self.metrics:
+            total = sum(n for _, n in self._backgrounds)
+            mean = sum(v * n for v, n in self._backgrounds) / total if total else None
+            out |= {
+                "background_e": mean, "sky_e": self.plan.facts.background_e,
+                "noise_floor_e": self.plan.facts.sigma_floor_e,
+            }  # fmt: skip
+        if "limiting_magnitude" in self.metrics:
+            out |= self._limit()
+        if "saturation" in self.metrics:
+            out["saturated_fraction"] = self._saturated / self._pixels if self._pixels else None
+        for name in self.names:
+            snr, peaks = self._snr[name], self._peaks[name]
+            if "snr" in self.metrics:
+                out[f"snr.{name}"] = max(snr, default=0.0)
+            if "detection" in self.metrics:
+                found = [p >= self.wish.threshold_sigma for p in peaks]
+                out[f"peak_sigma.{name}"] = max(peaks, default=None)
+                out[f"frames_in_view.{name}"] = len(peaks)
+                out[f"detected_fraction.{name}"] = sum(found) / len(found) if found else None
+        return out
+
+    def content_digest(self) -> str:
+        """As of a product that holds `dn` alone: equal where every pixel of all frames is."""
+        return hashlib.sha256(json.dumps(sorted(self._cells)).encode()).hexdigest()
+
+    def _limit(self) -> dict[str, float | None]:
+        least, plan = min(self._limits, default=math.inf), self.plan
+        out: dict[str, float | None] = {"limiting_light_e": least if least < math.inf else None}
+        if plan.colour is not None:
+            zero = plan.colour.zero_electrons_s_m2 * plan.facts.area_m2
+            zero *= plan.scene.exposure.integration_s
+            out["limiting_g_mag"] = -2.5 * math.log10(least / zero) if least < math.inf else None
+        return out
+
+    def _full_e(self, tile: Tile) -> float | Array:
+        """Mean charge from which a pixel is full: of its well, or at the converter's top [e-]."""
+        s = self.plan.scene.sensor
+        top = float((1 << s.adc_bits) - 1)
+        full = (top - _of(tile, self.maps.bias_dn)) * _of(tile, self.maps.gain_e_per_dn)
+        return full if s.full_well_e is None else np.minimum(full, s.full_well_e)
+
+    def _calibrated(
+        self, tile: Tile, part: Tile, dn: NDArray[Any], which: tuple[slice, slice]
+    ) -> Array:
+        """Light that some pixels of a part of a tile tell of, by the detector's true maps [e-]."""
+        m, t = self.maps, self.plan.scene.exposure.integration_s
+
+        def term(value: float | Array) -> float | Array:
+            found = _of(part, value)
+            return found[which] if isinstance(found, np.ndarray) else found
+
+        numbers = dn[_cut(tile, part)][which].astype(np.float64)
+        charge = (numbers - term(m.bias_dn)) * term(m.gain_e_per_dn) - term(m.dark_e_per_s) * t
+        return np.asarray(charge / np.maximum(term(m.flat), 1e-6))
+
+
+def target_snr(plan: Plan, g: Geometry, names: tuple[str, ...]) -> dict[str, float]:
+    """Matched-filter SNR that the plan's noise gives each target in a frame, 0 outside of it."""
+    rows, columns = plan.scene.sensor.shape
+    out = dict.fromkeys(names, 0.0)
+    for t in place_targets(plan, g) if names else ():
+        name = plan.scene.targets[t.index].name
+        inside = -0.5 <= t.x_px < columns - 0.5 and -0.5 <= t.y_px < rows - 0.5
+        if name in out and inside:
+            at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
+            out[name] = float(matched_snr(plan, t.path, *at)[0])
+    return out
+
+
+def limiting_light_e(plan: Plan, g: Geometry) -> float:
+    """Light of a point source in the middle of the field whose matched-filter SNR is 5 [e-].
+
+    It moves as the stars there do, or stands still where the scene has no stars. Infinite where
+    no light reaches that SNR, or where the scene has neither stars nor targets and so no response.
+    """
+    if not plan.responses.classes:
+        return math.inf
+    path = POINT
+    if plan.scene.stars is not None:
+        paths = streaks(plan, g)
+        path = paths[len(paths) // 2].path
+    rows, columns = plan.scene.sensor.shape
+    light = np.geomspace(1e-3, 1e12, 601)
+    at = np.full(601, (columns - 1) / 2), np.full(601, (rows - 1) / 2)
+    snr = matched_snr(plan, path, light, *at)
+    if snr[-1] < SNR_AT_LIMIT:
+        return math.inf
+    return float(np.exp(np.interp(math.log(SNR_AT_LIMIT), np.log(snr), np.log(light))))
+
+
+def target_windows(
+    plan: Plan, g: Geometry, names: tuple[str, ...], search_px: float
+) -> list[tuple[str, Window]]:
+    """An empty window for each target that is wholly in view, with the response in it."""
+    out: list[tuple[str, Window]] = []
+    rows, columns = plan.scene.sensor.shape
+    for t in place_targets(plan, g) if names else ():
+        name = plan.scene.targets[t.index].name
+        if name not in names or t.light_e <= 0:
+            continue
+        reach = math.ceil(min(8.0 * _core_px(plan), 64.0)) + math.ceil(t.radius_px)
+        spans = [
+            (math.floor(c + float(p.min())) - reach, math.ceil(c + float(p.max())) + reach + 1)
+            for c, p in ((t.y_px, t.path.y_px), (t.x_px, t.path.x_px))
+        ]
+        spare = math.ceil(search_px) + MARGIN_PX
+        sides = [b - a + 2 * spare for a, b in spans]
+        if max(sides) > LARGEST_WINDOW_PX:
+            continue
+        core = Tile(0, 0, spans[0][0], spans[1][0], *(b - a for a, b in spans))
+        light = draw_targets(_one(plan, t.index), _geometry_of(g, t.index), core, [])
+        y0, x0 = max(0, spans[0][0] - spare), max(0, spans[1][0] - spare)
+        y1, x1 = min(rows, spans[0][1] + spare), min(columns, spans[1][1] + spare)
+        inside = Tile(0, 0, y0, x0, max(0, y1 - y0), max(0, x1 - x0))
+        seen = overlap(core, inside)
+        total = float(light.sum())
+        if total <= 0 or not (seen.rows and seen.columns):
+            continue
+        response = light[_cut(core, seen)] / total
+        if float(response.sum()) < KEPT_LIGHT:
+            continue
+        corner = seen.y0 - inside.y0, seen.x0 - inside.x0
+        out.append((name, Window(inside, response, corner)))
+    return out
+
+
+def _one(plan: Plan, index: int) -> Plan:
+    """A plan with one of its targets alone."""
+    targets = (plan.scene.targets[index],)
+    return replace(plan, scene=plan.scene.model_copy(update={"targets": targets}))
+
+
+def _geometry_of(g: Geometry, index: int) -> Geometry:
+    """A geometry with one of its targets alone."""
+    names = [n for n in g.__dataclass_fields__ if n.startswith("target_")]
+    return replace(g, **{name: getattr(g, name)[index : index + 1] for name in names})
+
+
+def _core_px(plan: Plan) -> float:
+    """Radius of the smallest core [px]."""
+    return plan.responses.classes[0].radius_px if plan.responses.classes else 1.0
+
+
+def _cut(place: Tile, part: Tile) -> tuple[slice, slice]:
+    """The slices of a part in an image that stands at `place`."""
+    top, left = part.y0 - place.y0, part.x0 - place.x0
+    return slice(top, top + part.rows), slice(left, left + part.columns)
+
+
+def _of(tile: Tile, value: float | Array) -> float | Array:
+    """A tile's part of a term of the detector."""
+    if not isinstance(value, np.ndarray):
+        return value
+    return value[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]

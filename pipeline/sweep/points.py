@@ -1,0 +1,168 @@
+"""From a point's values to its scene: the base with the values set, its seed and noise floor."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import BadInput
+from pipeline.inputs.sensor import read_image
+from pipeline.spec.load import InvalidScene, parse_scene
+from pipeline.spec.scene import Scene
+from pipeline.spec.sweep import Sweep
+from pipeline.sweep.dependence import AFTER_LIGHT, FLOOR, SKY_FLOOR
+from pipeline.sweep.design import Design
+from pipeline.sweep.stages import Base, Stages, is_plain, without_noise
+
+
+@dataclass(frozen=True)
+class Course:
+    """A sweep ready to run: what every task needs, small enough to send to each worker.
+
+    data : the base scene as plain data with absolute paths; base_folder : relative paths in the
+    axes' values are from there; floors : field -> the least of its values (numbers)
+    """
+
+    sweep: Sweep
+    data: dict[str, Any]
+    base_folder: str
+    floors: dict[str, float]
+    run: str
+    out: str
+
+    @property
+    def design(self) -> Design:
+        return Design(self.sweep)
+
+
+def floors_of(sweep: Sweep, folder: str) -> dict[str, float]:
+    """Of each field that the noise floor falls with and that an axis varies, its quietest value."""
+    design, out = Design(sweep), {}
+    for name in (*FLOOR, *SKY_FLOOR):
+        numbers = [_number(v, name, folder) for v in design.extremes(name)]
+        found = [n for n in numbers if n is not None]
+        if len(set(found)) > 1:
+            out[name] = max(found) if name.endswith("mag_arcsec2") else min(found)
+    return out
+
+
+def _number(value: Any, name: str, folder: str) -> float | None:
+    """A value as a number, of an image its median; None where it is neither."""
+    if isinstance(value, bool) or value is None:
+        return None
+    if isinstance(value, str):
+        return float(np.median(read_image((Path(folder) / value).resolve(), name)))
+    return float(value) if isinstance(value, int | float) else None
+
+
+def scene_of(course: Course, design: Design, point: int) -> Scene:
+    """A point's scene, without its noise floor. BadInput where its values are not a scene."""
+    data = copy.deepcopy(course.data)
+    for name, value in design.values(point).items():
+        set_field(data, name, value)
+    seed = data.get("seed", 0)
+    if isinstance(seed, int) and not isinstance(seed, bool):
+        data["seed"] = seed + design.seed_step(point)
+    data["name"] = f"{str(data.get('name', 'scene'))[:110]}-{point:07d}"
+    return parse_scene(data, base=Path(course.base_folder))
+
+
+def set_field(data: dict[str, Any], name: str, value: Any) -> None:
+    """Set a dotted field of plain data: `sensor.read_noise_e`, `targets.0.body.albedo`."""
+    *parents, last = name.split(".")
+    holder: Any = data
+    for i, part in enumerate(parents):
+        if isinstance(holder, list) and part.isdigit() and int(part) < len(holder):
+            holder = holder[int(part)]
+        elif isinstance(holder, dict):
+            if holder.get(part) is None:
+                holder[part] = {}
+            holder = holder[part]
+        else:
+            there = ".".join(parents[: i + 1])
+            raise BadInput(name, value, f"a field of the scene; there is no {there}")
+    if isinstance(holder, list) and last.isdigit() and int(last) < len(holder):
+        holder[int(last)] = value
+    elif isinstance(holder, dict):
+        holder[last] = value
+    else:
+        raise BadInput(name, value, f"a field of the scene; there is no {name}")
+
+
+def with_floor(course: Course, kept: Stages, scene: Scene, whole: bool) -> tuple[Scene, Base]:
+    """A point's scene as it is rendered, and the base that it shares with others.
+
+    Where axes vary what the noise floor comes from, all points are planned for the quietest values
+    of those axes: then the same light is drawn with the same accuracy for all of them.
+    """
+    whole = whole or not is_plain(scene)
+    numbers = {
+        name: course.floors.get(f"sensor.{name}", _typical(kept, scene, name))
+        for name in ("read_noise_e", "gain_e_per_dn", "dark_e_per_s")
+    }
+    if course.floors and scene.accuracy.noise_floor_e is None:
+        darkest = {
+            name: course.floors.get(f"background.{name}", getattr(scene.background, name))
+            for name in ("uniform_e_per_s", "uniform_mag_arcsec2")
+            if scene.background is not None and getattr(scene.background, name) is not None
+        }
+        quiet = scene
+        if scene.background is not None:
+            sky = scene.background.model_copy(update=darkest)
+            quiet = scene.model_copy(update={"background": sky})
+        if not is_plain(scene):
+            least = {k.partition(".")[2]: v for k, v in course.floors.items() if k in FLOOR}
+            sensor = quiet.sensor.model_copy(update=least)
+            quiet = quiet.model_copy(update={"sensor": sensor})
+        floor = kept.base(without_noise(quiet, numbers, whole), whole).plan.facts.sigma_floor_e
+        accuracy = scene.accuracy.model_copy(update={"noise_floor_e": floor})
+        scene = scene.model_copy(update={"accuracy": accuracy})
+    return scene, kept.base(without_noise(scene, numbers, whole), whole)
+
+
+def _typical(kept: Stages, scene: Scene, name: str) -> float:
+    """A term of the detector as a number: of an image its median."""
+    value = getattr(scene.sensor, name)
+    if not isinstance(value, str):
+        return float(value)
+
+    def read() -> float:
+        return float(np.median(read_image(Path(value), f"sensor.{name}")))
+
+    return float(kept.get("typical", (name, value), read, lambda _: 100, small=True))
+
+
+def light_group(design: Design, point: int) -> tuple[tuple[str, Any], ...]:
+    """The values of a point that its light may depend on: points of one group come together."""
+    values = design.values(point)
+    return tuple((k, repr(v)) for k, v in values.items() if k not in AFTER_LIGHT)
+
+
+def check_axes(course: Course) -> None:
+    """Refuse axes whose values no scene takes, by the names of the axis and of the field.
+
+    Values are tried one by one beside the first point's: of a list each (the first thousand), of a
+    range both ends. Combinations are not tried: a point that fails is recorded when its turn comes.
+    """
+    design = course.design
+    first = design.values(0)
+    for i, axis in enumerate(course.sweep.axes):
+        for name in axis.fields:
+            for k, value in enumerate(design.extremes(name)[:1000]):
+                data = copy.deepcopy(course.data)
+                for other, theirs in {**first, name: value}.items():
+                    set_field(data, other, theirs)
+                try:
+                    parse_scene(data, base=Path(course.base_folder))
+                except InvalidScene as mistakes:
+                    mine = [m for m in mistakes.mistakes if _concerns(m[0], name)]
+                    field, given, allowed = (mine or mistakes.mistakes)[0]
+                    raise BadInput(f"axes.{i} ({field}), value {k}", given, allowed) from None
+
+
+def _concerns(field: str, name: str) -> bool:
+    return field.startswith(name) or name.startswith(field)

@@ -1,0 +1,218 @@
+"""The route of a sweep: check it, stream its points in a bounded window, join and sum up."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from catalog_tools.durable import write_atomically
+from catalog_tools.schedulers import Scheduler, open_scheduler
+from pipeline.errors import BadInput, Incomplete, NightglassError
+from pipeline.run import Options, Prepared, prepare
+from pipeline.spec.load import parse_text, path_holders
+from pipeline.spec.scene import Scene
+from pipeline.spec.sweep import Sweep
+from pipeline.spec.sweep_load import load_sweep
+from pipeline.store.layout import only_writer
+from pipeline.sweep import ledger
+from pipeline.sweep.dependence import AFTER_LIGHT
+from pipeline.sweep.ledger import Ledger
+from pipeline.sweep.points import Course, check_axes, floors_of, light_group, scene_of, with_floor
+from pipeline.sweep.stages import stages
+from pipeline.sweep.summary import summarise
+from pipeline.sweep.task import run_points
+
+GROUP = 16  # points of one task, at most
+GROUPED = 4096  # points among which those that share their light are brought together
+MOST_TARGETS = 64
+
+Listener = Callable[["SweepProgress"], None]
+
+
+@dataclass(frozen=True)
+class SweepProgress:
+    """How far a sweep is."""
+
+    done: int
+    total: int
+    failed: int
+
+
+def sweep(
+    path: Path, out: Path, options: Options | None = None, retry_failed: bool = False,
+    listen: Listener | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Run a sweep file into a folder and return its report.
+
+    options.resume goes on with an unfinished one. Raises BadInput for a sweep that can't be run,
+    before anything is; Incomplete where work stopped before its end (what is done is kept).
+    """
+    return run_course(gather_course(path, out), out, options, retry_failed, listen)
+
+
+def run_course(
+    course: Course, out: Path, options: Options | None = None, retry_failed: bool = False,
+    listen: Listener | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Run a sweep that was read already, as `sweep` does."""
+    options = options or Options()
+    started = time.perf_counter()
+    names, digests = check(course)
+    ledger.begin(out, ledger.identity_of(course.sweep, course.data, digests), options.resume)
+    with only_writer(out):
+        schema = ledger.schema_of(course.sweep, names)
+        book = Ledger(out, schema, course.sweep.points)
+        if ledger.is_complete(out) and not retry_failed:
+            report: dict[str, Any] = json.loads((out / ledger.REPORT).read_text())
+            return report
+        _reopen(out)
+        book.take_up(retry_failed)
+        write_atomically(out / ledger.SWEEP, json.dumps(course.sweep.as_dict(), indent=2))
+        with open_scheduler(options.scheduler, options.workers) as scheduler:
+            _stream(course, book, scheduler, listen)
+            workers = scheduler.workers
+        book.join()
+        told = {
+            "seconds": time.perf_counter() - started, "workers": workers,
+            "scheduler": options.scheduler, "parts_damaged": book.removed,
+            "noise_floors": course.floors,
+        }  # fmt: skip
+        report = summarise(course.sweep, out, names, told)
+        ledger.seal(out)
+        book.drop_parts()
+        return report
+
+
+def gather_course(path: Path, out: Path) -> Course:
+    """Read a sweep file and its base scene; paths in them are made absolute."""
+    wish = load_sweep(path)
+    folder = path.parent.resolve()
+    return course_of(wish, folder, out)
+
+
+def course_of(wish: Sweep, folder: Path, out: Path) -> Course:
+    """A sweep ready to run; relative paths in it are from `folder`."""
+    if isinstance(wish.scene, str):
+        file = folder / wish.scene
+        if not file.is_file():
+            raise BadInput("scene", wish.scene, "an existing scene file, from the sweep's folder")
+        data, home = parse_text(file.read_bytes(), str(file)), file.parent
+    else:
+        data, home = json.loads(json.dumps(wish.scene)), folder
+    if not isinstance(data, dict):
+        raise BadInput("scene", data, "a scene: a mapping of sections")
+    for _, holder, key in path_holders(data):
+        if key in holder:
+            holder[key] = _from(home, holder[key])
+    floors = floors_of(wish, str(folder))
+    return Course(wish, data, str(folder), floors, uuid4().hex, str(out.resolve()))
+
+
+def _from(home: Path, value: Any) -> Any:
+    """A path as it is seen from everywhere."""
+    if isinstance(value, list):
+        return [_from(home, v) for v in value]
+    if not isinstance(value, str) or "://" in value:
+        return value
+    return str((home / Path(value).expanduser()).resolve())
+
+
+def check(course: Course) -> tuple[tuple[str, ...], list[str]]:
+    """Refuse a sweep that can't be run; names of the targets measured, digests of catalogues.
+
+    Every axis is tried field by field, and the first, middle and last points are planned: a sweep
+    is refused where none of them can be, a point that fails later is recorded.
+    """
+    design = course.design
+    check_axes(course)
+    faults: list[NightglassError] = []
+    found: Prepared | None = None
+    for point in dict.fromkeys((0, design.size // 2, design.size - 1)):
+        try:
+            found = found or prepare(scene_of(course, design, point))
+        except NightglassError as error:
+            faults.append(error)
+    if found is None:
+        raise faults[0]
+    known = tuple(t.name for t in found.plan.scene.targets)
+    names = known if course.sweep.targets is None else course.sweep.targets
+    for i, name in enumerate(names):
+        if name not in known:
+            raise BadInput(f"targets.{i}", name, f"the name of a target: {', '.join(known[:10])}")
+    if len(names) > MOST_TARGETS and {"snr", "detection"} & set(course.sweep.metrics):
+        allowed = f"targets: a list of up to {MOST_TARGETS} names to measure"
+        raise BadInput("targets", f"{len(names)} targets", allowed)
+    return names, [c.digest for c in found.catalogues]
+
+
+def point_scene(path: Path, point: int) -> Scene:
+    """The scene of one point as it is rendered: alone it gives the same bits."""
+    course = gather_course(path, Path())
+    if not 0 <= point < course.sweep.points:
+        raise BadInput("--point", point, f"0 to {course.sweep.points - 1}")
+    scene = scene_of(course, course.design, point)
+    return with_floor(course, stages(course.run), scene, whole=False)[0]
+
+
+def _reopen(out: Path) -> None:
+    """A complete sweep whose failed points are tried again: its table becomes a part."""
+    table = out / ledger.TABLE
+    (out / ledger.COMPLETE).unlink(missing_ok=True)
+    if table.is_file():
+        table.replace(out / ledger.PARTS / "part-0000000.parquet")
+
+
+def _stream(
+    course: Course, book: Ledger, scheduler: Scheduler, listen: Listener | None
+) -> None:
+    """Run all missing points; rows become durable part by part."""
+
+    def tell() -> None:
+        if listen is not None:
+            listen(SweepProgress(int(book.done.sum()), book.size, int(book.failed.sum())))
+
+    tell()
+    try:
+        again = list(_run(course, book, scheduler, groups(course, book), tell))
+        alone = [(n,) for numbers in again for n in numbers]
+        for (number,) in _run(course, book, scheduler, iter(alone), tell):
+            text = "the point's task keeps killing the processes that run it"
+            row = {"point": number, **course.design.values(number)}
+            book.add([row | {"status": "failed", "message": text}])
+    finally:
+        book.flush()
+
+
+def _run(
+    course: Course, book: Ledger, scheduler: Scheduler, work: Iterator[tuple[int, ...]],
+    tell: Callable[[], None],
+) -> Iterator[tuple[int, ...]]:  # fmt: skip
+    """Run groups of points; yields those whose processes were killed again and again."""
+    for numbers, rows in scheduler.each(run_points, course, work):
+        if type(rows).__name__ == "KilledWorker":
+            yield numbers
+        elif isinstance(rows, OSError) and rows.errno is not None:
+            raise rows
+        elif isinstance(rows, Exception):
+            raise Incomplete(f"{type(rows).__name__}: {rows}; what is finished is kept") from rows
+        else:
+            book.add(rows)
+        tell()
+
+
+def groups(course: Course, book: Ledger) -> Iterator[tuple[int, ...]]:
+    """Missing points in groups that share their light, in the order of the work."""
+    design = course.design
+    order = (p for p in design.order(frozenset(AFTER_LIGHT)) if not book.done[p])
+    while window := list(itertools.islice(order, GROUPED)):
+        together: dict[Any, list[int]] = {}
+        for point in window:
+            together.setdefault(light_group(design, point), []).append(point)
+        for points in together.values():
+            yield from (tuple(points[i : i + GROUP]) for i in range(0, len(points), GROUP))

@@ -1,0 +1,248 @@
+"""The task of a sweep: a few points that share their light, tile by tile; a row for each."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Array, Geometry, SensorMaps
+from pipeline.errors import NightglassError, shorten
+from pipeline.execute.tile import charge_of_tile, render_tile
+from pipeline.plan.scene_plan import Plan
+from pipeline.plan.tiles import Tile
+from pipeline.run import Options, prepare, render
+from pipeline.spec.scene import Scene
+from pipeline.store.cube import CubeWriter
+from pipeline.store.product import begin
+from pipeline.sweep.dependence import ReadsBarredError
+from pipeline.sweep.design import Design
+from pipeline.sweep.metrics import Measurement, Window, target_windows
+from pipeline.sweep.points import Course, scene_of, with_floor
+from pipeline.sweep.stages import Base, Stages, maps_of, point_plan, stages
+
+DISK_FULL = 28
+CUBES = "cubes"
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Ready:
+    """What a point is rendered from and measured by."""
+
+    base: Base
+    scene: Scene
+    plan: Plan
+    maps: SensorMaps
+    measured: Measurement
+    writer: CubeWriter | None
+
+
+@dataclass
+class _Point:
+    """One point at work, or how it failed; `again`: it has to be taken whole."""
+
+    number: int
+    row: Row
+    made: _Ready | None = None
+    seconds: float = 0.0
+    shared_s: float = 0.0
+    fault: str | None = None
+    again: bool = False
+
+    @property
+    def alive(self) -> bool:
+        return self.fault is None and not self.again
+
+    @property
+    def ready(self) -> _Ready:
+        assert self.made is not None
+        return self.made
+
+
+def run_points(course: Course, numbers: tuple[int, ...]) -> list[Row]:
+    """Render and measure some points; a point that fails is a row with its message.
+
+    Raises OSError where the disk is full: that is no fault of a point.
+    """
+    kept, design = stages(course.run), course.design
+    rows = _rows(course, kept, design, numbers, whole=False)
+    again = tuple(n for n, row in rows.items() if row is None)
+    if again:  # a stage asked for a field that it was said not to need: slower, nothing shared
+        rows |= _rows(course, kept, design, again, whole=True)
+    return [row for row in rows.values() if row is not None]
+
+
+def _rows(
+    course: Course, kept: Stages, design: Design, numbers: tuple[int, ...], whole: bool
+) -> dict[int, Row | None]:
+    """Rows by point; None for those that have to be taken whole."""
+    points = [_begin(course, kept, design, number, whole) for number in numbers]
+    groups: dict[str, list[_Point]] = {}
+    for point in points:
+        if point.alive:
+            groups.setdefault(point.ready.base.key, []).append(point)
+    for group in groups.values():
+        _draw(course, kept, group)
+    return {point.number: _end(course, point) for point in points}
+
+
+def _begin(course: Course, kept: Stages, design: Design, number: int, whole: bool) -> _Point:
+    """A point's scene, plan, and what will measure it."""
+    values = {k: _plain(v) for k, v in design.values(number).items()}
+    point, sweep = _Point(number, {"point": number} | values), course.sweep
+
+    def start() -> None:
+        scene = scene_of(course, design, number)
+        point.row["seed"] = scene.seed
+        scene, base = with_floor(course, kept, scene, whole)
+        maps = maps_of(kept, base, scene)
+        plan = point_plan(base, scene, maps)
+        names = sweep.targets
+        if names is None:
+            names = tuple(t.name for t in scene.targets)
+        measured = Measurement(plan, maps, sweep.metrics, names, sweep.detection)
+        wanted = sweep.cubes == "all" or (isinstance(sweep.cubes, tuple) and number in sweep.cubes)
+        writer = _begin_cube(course, scene, number) if wanted else None
+        point.made = _Ready(base, scene, plan, maps, measured, writer)
+
+    _tried(point, start)
+    return point
+
+
+def _begin_cube(course: Course, scene: Scene, number: int) -> CubeWriter:
+    """The product of a point, begun or taken up, and what writes its tiles."""
+    path = cube_path(Path(course.out), number)
+    prepared = prepare(scene)
+    digest = "+".join(c.digest for c in prepared.catalogues) or None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return begin(path, prepared.plan, digest, resume=path.exists()).writer
+
+
+def cube_path(out: Path, number: int) -> Path:
+    """Where the product of a point is kept."""
+    return out / CUBES / f"{number:07d}"
+
+
+def _draw(course: Course, kept: Stages, group: list[_Point]) -> None:
+    """All frames and tiles of points that share a base: light once, then each point's noise."""
+    base = group[0].ready.base
+    for frame in range(base.plan.frames):
+        living = [p for p in group if p.alive]
+        found: list[tuple[Geometry, list[tuple[str, Window]]]] = []
+        if not living or not _shared(living, partial(_look, course, kept, living[0], frame, found)):
+            return
+        g, windows = found[0]
+        for point in living:
+            _tried(point, partial(point.ready.measured.begin_frame, g, windows))
+        for tile in base.plan.tiles:
+            _draw_tile(kept, base, g, tile, [p for p in living if p.alive])
+        for point in living:
+            _tried(point, point.ready.measured.end_frame)
+
+
+def _look(course: Course, kept: Stages, point: _Point, frame: int, found: list[Any]) -> None:
+    """The geometry of a frame, and the windows around its targets."""
+    base, names = point.ready.base, point.ready.measured.names
+    g, wish = kept.geometry(base, frame), course.sweep.detection
+    if "detection" not in course.sweep.metrics:
+        found.append((g, []))
+        return
+    windows = kept.get(
+        "windows", (base.key, frame, names),
+        lambda: target_windows(base.plan, g, names, wish.search_px),
+        lambda v: sum(w.image_e.nbytes + w.response.nbytes for _, w in v),
+    )  # fmt: skip
+    found.append((g, windows))
+
+
+def _draw_tile(kept: Stages, base: Base, g: Geometry, tile: Tile, living: list[_Point]) -> None:
+    light: dict[str, Array] = {}
+    if living and _shared(living, lambda: light.update(kept.light(base, g, tile))):
+        for point in living:
+            _tried(point, partial(_noise, kept, point.ready, g, tile, light))
+
+
+def _noise(kept: Stages, ready: _Ready, g: Geometry, tile: Tile, light: dict[str, Array]) -> None:
+    """A point's detector over the light of a tile: measured, and written where cubes are kept."""
+    rays, frame = ready.base.prepared.rays, int(g.frame[0])
+    before = []
+    for earlier in range(max(0, frame - ready.plan.lag_frames), frame):
+        then = kept.geometry(ready.base, earlier)
+        theirs = kept.light(ready.base, then, tile)
+        before.append(
+            charge_of_tile(ready.plan, ready.maps, then, tile, [], [], rays, theirs)
+        )
+    out, _ = render_tile(ready.plan, ready.maps, g, tile, [], [], rays, before, light)
+    ready.measured.take(tile, frame, out["dn"], out["mean_e"])
+    if ready.writer is None:
+        return
+    if not set(ready.writer.layers) <= set(out):
+        scene = ready.plan.scene.model_copy(update={"output": ready.scene.output})
+        plan = replace(ready.plan, scene=scene)
+        out, _ = render_tile(plan, ready.maps, g, tile, [], [], rays, before, light)
+    ready.writer.write(frame, tile, out)
+
+
+def _end(course: Course, point: _Point) -> Row | None:
+    """A point's row, or None where it has to be taken whole."""
+    if point.alive and point.ready.writer is not None:
+        path = cube_path(Path(course.out), point.number)
+        _tried(point, lambda: render(point.ready.scene, path, Options("synchronous", resume=True)))
+    _tried(point, lambda: point.row.update(point.ready.measured.row()))
+    if point.again:
+        return None
+    row = point.row | {
+        "status": "done" if point.fault is None else "failed", "message": point.fault
+    }  # fmt: skip
+    if "timing" in course.sweep.metrics:
+        row |= {"seconds": point.seconds + point.shared_s, "light_s": point.shared_s}
+    return row
+
+
+def _shared(points: list[_Point], work: Callable[[], Any]) -> bool:
+    """Do what points share; its time is shared out. False where it failed, for all of them."""
+    started = time.perf_counter()
+    first = points[0]
+    _tried(first, work)
+    taken = time.perf_counter() - started
+    first.seconds -= taken
+    for point in points:
+        point.shared_s += taken / len(points)
+        point.fault, point.again = first.fault, first.again
+    return first.alive
+
+
+def _tried(point: _Point, work: Callable[[], Any]) -> None:
+    """Do something for a point; what fails is its fault, but a full disk is nobody's."""
+    if not point.alive:
+        return
+    started = time.perf_counter()
+    try:
+        work()
+    except ReadsBarredError:
+        point.again = True
+    except NightglassError as error:
+        point.fault = str(error)
+    except OSError as error:
+        if error.errno == DISK_FULL:
+            raise
+        point.fault = f"{error.filename or ''}: {error.strerror}"
+    except Exception as error:
+        point.fault = f"internal fault: {type(error).__name__}: {shorten(str(error), 400)}"
+    point.seconds += time.perf_counter() - started
+
+
+def _plain(value: Any) -> Any:
+    """A value as a table takes it: numbers, text, true and false; anything else as JSON."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return json.dumps(value, sort_keys=True)

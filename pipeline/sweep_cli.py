@@ -1,0 +1,91 @@
+"""The command line's `nightglass sweep`: run a sweep file, go on with one, show a point's scene."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pipeline.options import Json, Output, SchedulerName, Slurm, Workers, print_json
+
+SweepFile = Annotated[Path, typer.Argument(help="sweep file, YAML or JSON", metavar="SWEEP")]
+
+
+def sweep(
+    file: SweepFile,
+    output: Output = Path("sweep"),
+    scheduler: SchedulerName = "threads",
+    workers: Workers = None,
+    slurm: Slurm = False,
+    resume: Annotated[bool, typer.Option("--resume", help="go on with an unfinished one")] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="with --resume: failed points once more")
+    ] = False,
+    point: Annotated[
+        int | None, typer.Option("--point", help="only print the scene of this point")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Run a sweep: many scenes that differ in some fields, measured into one table of points."""
+    from pipeline.sweep.run import Options, point_scene
+    from pipeline.sweep.run import sweep as run
+
+    if point is not None:
+        from pipeline.spec.load import scene_yaml
+
+        print(scene_yaml(point_scene(file, point)), end="")
+        return
+    options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
+    with _progress(as_json or not sys.stderr.isatty()) as listen:
+        report = run(file, output, options, retry_failed, listen)
+    if as_json:
+        print_json(report)
+    else:
+        _print(report, output)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[Any], None] | None]:
+    """A listener that shows points done, failed ones and the time left on stderr."""
+    if quiet:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TextColumn("{task.fields[failed]}"), TimeElapsedColumn(), TimeRemainingColumn(),
+        console=Console(stderr=True), transient=True,
+    ) as bar:  # fmt: skip
+        task = bar.add_task("points", total=None, failed="")
+
+        def listen(progress: Any) -> None:
+            failed = f"[red]{progress.failed} failed" if progress.failed else ""
+            bar.update(task, total=progress.total, completed=progress.done, failed=failed)
+
+        yield listen
+
+
+def _print(report: dict[str, Any], output: Path) -> None:
+    print(
+        f"{output}: {report['points']} points in {report['seconds']:.2f} s, "
+        f"{report['failed']} failed"
+    )
+    for name, spread in report["metrics"].items():
+        if spread["known"]:
+            print(f"  {name:>28}  {spread['least']:.5g} .. {spread['largest']:.5g}")
+    for text, count in report["messages"].items():
+        print(f"  failed, {count} x: {text}")
+    print(f"  {output / 'points.parquet'}, {output / 'summary.html'}")

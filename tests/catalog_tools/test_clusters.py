@@ -1,0 +1,195 @@
+"""Schedulers beyond this process: TLS with our own certificates, jobs that Slurm would start."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from catalog_tools.clusters import check_address, security_of
+from catalog_tools.errors import BadInput
+from catalog_tools.schedulers import LOCAL_KINDS, open_scheduler
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def double(shared: int, item: int) -> int:
+    if item == 13:
+        raise ValueError("an unlucky item")
+    return shared * item
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory) -> Path:
+    """The folder that deploy/tls/make-certificates.sh makes."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    folder = tmp_path_factory.mktemp("tls")
+    script = ROOT / "deploy" / "tls" / "make-certificates.sh"
+    subprocess.run(["sh", str(script), str(folder), "example.org"], check=True)
+    assert (folder / "cluster.key").stat().st_mode & 0o077 == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tls_cluster(certificates, tmp_path_factory):
+    """A scheduler that takes only TLS, with one worker, each a process of its own."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    files = [f"--tls-ca-file={certificates}/ca.pem", f"--tls-cert={certificates}/cluster.pem",
+             f"--tls-key={certificates}/cluster.key"]  # fmt: skip
+    environ = os.environ | {"DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "true"}
+    address = f"tls://127.0.0.1:{port}"
+    folder = tmp_path_factory.mktemp("worker")
+    dask = [sys.executable, "-m", "dask"]
+    commands = [
+        [*dask, "scheduler", "--protocol=tls", "--host=127.0.0.1", f"--port={port}",
+         "--no-dashboard", "--no-jupyter", *files],
+        [*dask, "worker", address, "--nthreads=1", "--no-dashboard", "--no-nanny",
+         f"--local-directory={folder}", *files],
+    ]  # fmt: skip
+    running = [
+        subprocess.Popen(c, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for c in commands
+    ]
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                break
+        time.sleep(0.1)
+    yield address
+    for one in reversed(running):
+        one.terminate()
+        one.wait(30)
+
+
+@pytest.fixture
+def with_certificates(certificates, monkeypatch):
+    for name, file in (("CA", "ca.pem"), ("CERT", "cluster.pem"), ("KEY", "cluster.key")):
+        monkeypatch.setenv(f"NIGHTGLASS_CLUSTER_{name}", str(certificates / file))
+    monkeypatch.setenv("NIGHTGLASS_WORKERS_WAIT_S", "120")
+
+
+@pytest.mark.parametrize("kind", ["synchronous", "threads"])
+def test_each_gives_every_outcome_once(kind):
+    with open_scheduler(kind, 3) as scheduler:
+        found = dict(scheduler.each(double, 2, range(30)))
+    assert len(found) == 30
+    assert isinstance(found.pop(13), ValueError)
+    assert found == {i: 2 * i for i in range(30) if i != 13}
+
+
+@pytest.mark.parametrize("kind", ["synchronous", "threads"])
+def test_each_takes_items_only_a_few_ahead(kind):
+    taken = []
+
+    def items():
+        for i in range(10_000):
+            taken.append(i)
+            yield i
+
+    with open_scheduler(kind, 2) as scheduler:
+        results = scheduler.each(double, 1, items())
+        for _ in range(5):
+            next(results)
+        assert len(taken) < 20
+        results.close()
+
+
+def test_work_over_tls(tls_cluster, with_certificates):
+    with open_scheduler(tls_cluster, None) as scheduler:
+        found = dict(scheduler.each(double, 3, range(12)))
+        assert found == {i: 3 * i for i in range(12)}
+        shared = scheduler.share(5)
+        done = []
+        out = scheduler.run({("t", i): (double, shared, i) for i in range(3)},
+                            [("t", i) for i in range(3)], done.append)  # fmt: skip
+        assert list(out) == [0, 5, 10]
+        assert done == ["t"] * 3
+
+
+def test_a_stranger_is_refused(tls_cluster, certificates, tmp_path, monkeypatch):
+    """Without a certificate, with one of another authority, and without TLS at all."""
+    with pytest.raises(BadInput, match="NIGHTGLASS_CLUSTER_CA"), open_scheduler(tls_cluster, None):
+        pass
+    script = ROOT / "deploy" / "tls" / "make-certificates.sh"
+    subprocess.run(["sh", str(script), str(tmp_path)], check=True)
+    for name, file in (("CA", "ca.pem"), ("CERT", "cluster.pem"), ("KEY", "cluster.key")):
+        monkeypatch.setenv(f"NIGHTGLASS_CLUSTER_{name}", str(tmp_path / file))
+    with pytest.raises(BadInput, match="--scheduler"), open_scheduler(tls_cluster, None):
+        pass
+    host, port = tls_cluster.removeprefix("tls://").split(":")
+    context = ssl.create_default_context(cafile=str(certificates / "ca.pem"))
+    context.check_hostname = False
+
+    def talk() -> bytes:
+        with (
+            socket.create_connection((host, int(port)), 10) as plain,
+            context.wrap_socket(plain) as wire,
+        ):
+            wire.sendall(b"\0" * 64)  # TLS 1.3 tells of the missing certificate on the first read
+            return wire.recv(1)
+
+    with pytest.raises(ssl.SSLError):
+        talk()
+    plain = f"tcp://{host}:{port}"
+    with pytest.raises(BadInput, match="--scheduler"), open_scheduler(plain, None):
+        pass
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["tcp://10.0.0.7:8786", "tcp://example.org:8786", "http://127.0.0.1:80", "tls://", "tcp://:1",
+     "tls://host", "tcp://127.0.0.1:port", "thread", "", "tcp://[::2]:8786"],
+)  # fmt: skip
+def test_bad_addresses(address):
+    with pytest.raises(BadInput, match="--scheduler"):
+        check_address(address, LOCAL_KINDS)
+
+
+def test_half_a_certificate_is_named(certificates, monkeypatch):
+    monkeypatch.setenv("NIGHTGLASS_CLUSTER_CA", str(certificates / "ca.pem"))
+    monkeypatch.setenv("NIGHTGLASS_CLUSTER_CERT", str(certificates / "gone.pem"))
+    with pytest.raises(BadInput, match=r"NIGHTGLASS_CLUSTER_CERT.*gone.pem"):
+        security_of("tls://somewhere:8786")
+
+
+def test_slurm_starts_workers(tmp_path, monkeypatch):
+    """Our settings file through dask-jobqueue, with a stand-in for sbatch that runs the script."""
+    pytest.importorskip("dask_jobqueue")
+    import dask
+    from ruamel.yaml import YAML
+
+    bin_ = tmp_path / "bin"
+    bin_.mkdir()
+    (bin_ / "sbatch").write_text(
+        f"#!/bin/sh\ncp \"$1\" {tmp_path}/script\nsetsid sh \"$1\" >{tmp_path}/log 2>&1 &\n"
+        "echo \"Submitted batch job $!\"\n"
+    )  # fmt: skip
+    (bin_ / "scancel").write_text('#!/bin/sh\nkill -- "-$1" 2>/dev/null\nexit 0\n')
+    for name in ("sbatch", "scancel"):
+        (bin_ / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{bin_}:{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("NIGHTGLASS_SLURM_FOLDER", str(tmp_path / "certificates"))
+    monkeypatch.setenv("NIGHTGLASS_WORKERS_WAIT_S", "120")
+    settings = YAML(typ="safe").load((ROOT / "deploy" / "slurm" / "jobqueue.yaml").read_text())
+    mine = dask.config.get("jobqueue.slurm") | settings["jobqueue"]["slurm"] | {
+        "cores": 1, "processes": 1, "memory": "1GiB", "interface": "lo", "python": sys.executable,
+    }  # fmt: skip
+    with dask.config.set({"jobqueue.slurm": mine}), open_scheduler("slurm", 1) as scheduler:
+        found = dict(scheduler.each(double, 2, range(6)))
+    assert found == {i: 2 * i for i in range(6)}
+    script = (tmp_path / "script").read_text()
+    assert "--requeue" in script
+    assert "tls://" in script
+    assert (tmp_path / "certificates").stat().st_mode & 0o077 == 0

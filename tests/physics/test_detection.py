@@ -1,0 +1,56 @@
+"""Matched filter against its theory: unit noise, the SNR of known light, robust noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.physics.detection import filtered, peak_near, robust_noise
+
+y, x = np.mgrid[-6:7, -6:7]
+RESPONSE = np.exp(-(x**2 + y**2) / (2 * 1.3**2))
+RESPONSE /= RESPONSE.sum()
+
+
+def test_noise_alone_has_unit_variance():
+    image = np.random.default_rng(1).normal(100.0, 7.0, (400, 400))
+    statistic = filtered(image, RESPONSE)
+    assert statistic.shape == (388, 388)
+    assert statistic.mean() == pytest.approx(0.0, abs=0.05)
+    assert statistic.std() == pytest.approx(1.0, rel=0.05)
+
+
+def test_against_the_snr_of_known_light():
+    """Mean over many noises of the statistic at the source is F sqrt(sum p^2) / sigma."""
+    rng, light, found = np.random.default_rng(2), 300.0, []
+    for _ in range(200):
+        image = rng.normal(50.0, 5.0, (80, 80))
+        image[30:43, 20:33] += light * RESPONSE
+        found.append(filtered(image, RESPONSE)[30, 20])
+    wanted = light * np.sqrt(np.sum(RESPONSE**2)) / 5.0
+    assert np.mean(found) == pytest.approx(wanted, abs=4 / np.sqrt(200) + 0.02 * wanted)
+    assert np.std(found) == pytest.approx(1.0, rel=0.25)
+
+
+def test_peak_near_finds_the_offset():
+    image = np.random.default_rng(3).normal(0.0, 1.0, (60, 60))
+    image[22:35, 24:37] += 400.0 * RESPONSE
+    sigma, row, column = peak_near(filtered(image, RESPONSE), 20, 25, 4.0)
+    assert (row, column) == (2, -1)
+    assert sigma > 20
+    assert peak_near(filtered(image, RESPONSE), 20, 25, 1.0)[0] < sigma
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3, 1.0, 30.0])
+def test_robust_noise_of_rounded_numbers(sigma):
+    """Also where most pixels round to one number; a few bright pixels do not matter."""
+    rng = np.random.default_rng(4)
+    image = np.rint(rng.normal(200.5, sigma, (300, 300)))
+    image[:4] += 5000.0
+    _, found = robust_noise(image, 1.0)
+    assert found == pytest.approx(np.std(image[4:]), rel=0.03)
+
+
+def test_limits_nothing_to_see():
+    assert np.all(filtered(np.full((40, 40), 7.0), RESPONSE) == 0.0)
+    assert np.all(filtered(np.random.default_rng(0).normal(size=(20, 20)), 0 * RESPONSE) == 0.0)

@@ -1,0 +1,91 @@
+"""Designs: every point by its number alone, evenly spread, in an order that keeps light."""
+
+from __future__ import annotations
+
+import itertools
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from pipeline.spec.sweep_load import parse_sweep
+from pipeline.sweep.dependence import AFTER_LIGHT
+from pipeline.sweep.design import BLOCK, Design
+
+
+def design(axes, **rest) -> Design:
+    head = {"schema": "nightglass/sweep/1", "name": "d", "scene": "s.yaml"}
+    return Design(parse_sweep(head | {"axes": axes} | rest))
+
+
+def test_grid_is_the_product_of_the_axes():
+    made = design([
+        {"field": "a", "values": [1, 2]}, {"field": "b", "values": ["x", None, True]},
+        {"field": "c", "kind": "range", "start": 0, "stop": 1, "count": 3},
+    ], seeds=2)  # fmt: skip
+    found = [(*made.values(p).values(), made.seed_step(p)) for p in range(made.size)]
+    assert found == list(itertools.product([1, 2], ["x", None, True], [0.0, 0.5, 1.0], [0, 1]))
+
+
+def test_zip_and_ranges():
+    made = design([
+        {"field": "a", "kind": "log_range", "start": 1, "stop": 1000, "count": 4},
+        {"field": "b", "kind": "range", "start": 9, "stop": 0, "count": 4, "integer": True},
+        {"kind": "table", "fields": ["c", "d"], "rows": [[i, -i] for i in range(4)]},
+    ], design={"kind": "zip"})  # fmt: skip
+    found = [made.values(p) for p in range(made.size)]
+    assert [v["a"] for v in found] == pytest.approx([1, 10, 100, 1000], rel=1e-12)
+    assert [v["b"] for v in found] == [9, 6, 3, 0]
+    assert found[2]["c"] == -found[2]["d"] == 2
+
+
+def test_grid_order_takes_detector_axes_last():
+    made = design([
+        {"field": "sensor.bias_dn", "values": [1, 2, 3]},
+        {"field": "exposure.integration_s", "values": [1, 2]},
+        {"field": "seed", "values": [5, 6]},
+    ], seeds=2)  # fmt: skip
+    order = list(made.order(frozenset(AFTER_LIGHT)))
+    assert sorted(order) == list(range(made.size))
+    times = [made.values(p)["exposure.integration_s"] for p in order]
+    assert times == sorted(times)  # so the light changes once
+
+
+@pytest.mark.parametrize("kind", ["sobol", "latin_hypercube"])
+def test_quasi_random_points_are_even_and_stand_alone(kind):
+    """Against scipy's discrepancy of random points; one point does not need those before it."""
+    axes = [{"field": f, "kind": "range", "start": 0, "stop": 1} for f in "abc"]
+    wish = {"kind": kind, "points": 512, "seed": 4}
+    made = design(axes, design=wish)
+    points = np.array([list(made.values(p).values()) for p in range(512)])
+    random = np.random.default_rng(0).uniform(size=(512, 3))
+    assert qmc.discrepancy(points) < 0.1 * qmc.discrepancy(random)
+    assert list(design(axes, design=wish).values(300).values()) == points[300].tolist()
+    other = design(axes, design=wish | {"seed": 5})
+    assert list(other.values(300).values()) != points[300].tolist()
+
+
+def test_sobol_blocks_join_seamlessly():
+    """Scrambled blocks drawn apart are the sequence drawn at once."""
+    span = {"field": "a", "kind": "range", "start": 0, "stop": 1}
+    axes = [span, {"field": "b", "values": [1, 2]}]
+    made = design(axes, design={"kind": "sobol", "points": 3 * BLOCK})
+    whole = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(0)).random(4 * BLOCK)
+    for point in (0, BLOCK - 1, BLOCK, 2 * BLOCK + 17):
+        assert made.values(point)["a"] == whole[point, 0]
+        assert made.values(point)["b"] == [1, 2][int(whole[point, 1] * 2)]
+
+
+def test_limits_ten_million_points_take_no_memory():
+    made = design([
+        {"field": "a", "kind": "range", "start": 0, "stop": 1, "count": 1000},
+        {"field": "b", "kind": "range", "start": 0, "stop": 1, "count": 10_000},
+    ])  # fmt: skip
+    tracemalloc.start()
+    first = list(itertools.islice(made.order(frozenset()), 5000))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert made.size == 10_000_000
+    assert first == list(range(5000))
+    assert peak < 5e6

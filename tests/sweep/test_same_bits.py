@@ -1,0 +1,112 @@
+"""Points that share stages have the bits of each point alone, and pay only for what differs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.run import Options, render
+from pipeline.store.product import content_digest
+from pipeline.sweep.dependence import Barred, ReadsBarredError
+from pipeline.sweep.run import gather_course, point_scene, sweep
+from pipeline.sweep.stages import Stages, stages
+from pipeline.sweep.task import run_points
+
+SPHERE = "targets.0.body.albedo"
+CASES = {
+    "detector": [
+        {"field": "sensor.read_noise_e", "values": [2.0, 9.0]},
+        {"field": "sensor.gain_e_per_dn", "values": [1.5, 3.0]},
+        {"field": "sensor.full_well_e", "values": [None, 3000.0]},
+    ],
+    "sky": [{"field": "background.uniform_mag_arcsec2", "values": [19.0, 21.5]},
+            {"field": "sensor.dark_e_per_s", "values": [0.0, 40.0]}],
+    "target": [{"field": SPHERE, "values": [0.1, 0.6]},
+               {"field": "sensor.bias_dn", "values": [100, 900.5]}],
+    "optics": [{"kind": "table", "fields": ["sensor.aperture_m", "stars.faintest_g_mag"],
+                "rows": [[0.1, 15.0], [0.12, 14.0], [0.1, 14.0]]}],
+}  # fmt: skip
+
+
+def rows_of(path, out, **options):
+    sweep(path, out, Options(**({"scheduler": "synchronous"} | options)))
+    return pq.read_table(out / "points.parquet").to_pylist()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
+    """Also by other schedulers, and by the cube that is kept of a point."""
+    path = sweep_file(CASES[case], cubes=[1])
+    rows = rows_of(path, tmp_path / "swept", scheduler="threads", workers=2)
+    assert [r["message"] for r in rows] == [None] * len(rows)
+    assert len({r["content_digest"] for r in rows}) == len(rows)
+    for row in rows if case in ("detector", "optics") else rows[1:3]:
+        alone = tmp_path / f"alone-{row['point']}"
+        render(point_scene(path, row["point"]), alone, Options("synchronous"))
+        assert content_digest(alone) == row["content_digest"]
+    assert content_digest(tmp_path / "swept" / "cubes" / "0000001") == rows[1]["content_digest"]
+
+
+def test_same_rows_with_seeds_and_cosmic_rays(sweep_file, tmp_path):
+    """Random parts follow the seed of each point; the light of all seeds is one."""
+    rays = {"kind": "generated", "rate_per_cm2_s": 2000.0}
+    path = sweep_file(
+        [{"field": "sensor.read_noise_e", "values": [3.0]}], {"cosmic_rays": rays}, seeds=3
+    )
+    rows = rows_of(path, tmp_path / "swept")
+    assert [r["seed"] for r in rows] == [3, 4, 5]
+    for row in rows[1:]:
+        alone = tmp_path / f"alone-{row['point']}"
+        render(point_scene(path, row["point"]), alone, Options("synchronous"))
+        assert content_digest(alone) == row["content_digest"]
+
+
+def drawn(path, tmp_path, numbers) -> dict[str, int]:
+    """How often each stage is computed for some points."""
+    course = gather_course(path, tmp_path / "out")
+    kept = stages(course.run)
+    kept.drawn.clear()
+    rows = run_points(course, numbers)
+    assert [r["message"] for r in rows] == [None] * len(rows)
+    return dict(kept.drawn)
+
+
+def test_only_what_differs_is_drawn(sweep_file, tmp_path):
+    """Two frames of one tile: each kind of light once for each of its own values."""
+    path = sweep_file(CASES["detector"])
+    found = drawn(path, tmp_path, tuple(range(8)))
+    assert found["plan"] == 2  # one that sets the noise floor, one planned for it
+    assert (found["stars light"], found["targets light"], found["sky light"]) == (2, 2, 2)
+    found = drawn(sweep_file(CASES["sky"]), tmp_path, (0, 1, 2, 3))
+    assert (found["stars light"], found["targets light"], found["sky light"]) == (2, 2, 4)
+    found = drawn(sweep_file(CASES["target"]), tmp_path, (0, 1, 2, 3))
+    assert (found["stars light"], found["targets light"], found["sky light"]) == (2, 4, 2)
+    assert found["star rows"] == 1
+    found = drawn(sweep_file(CASES["optics"]), tmp_path, (0, 1, 2))
+    assert (found["stars light"], found["star rows"]) == (6, 3)
+
+
+def test_a_stage_that_reads_what_it_must_not_is_run_whole(sweep_file, tmp_path, monkeypatch):
+    """A plan that were to look at the seed is not shared, and the bits stay right."""
+    path = sweep_file([{"field": "seed", "values": [1, 2]}])
+    expected = rows_of(path, tmp_path / "a")
+    real = Stages.geometry
+
+    def curious(self, base, frame):
+        int(base.plan.scene.seed)
+        return real(self, base, frame)
+
+    monkeypatch.setattr(Stages, "geometry", curious)
+    rows = rows_of(path, tmp_path / "b")
+    assert [r["content_digest"] for r in rows] == [r["content_digest"] for r in expected]
+
+
+def test_barred_values_refuse_every_use():
+    value = Barred("seed")
+    uses = [lambda: value + 1, lambda: value == 1, lambda: f"{value}", lambda: bool(value),
+            lambda: value.real, lambda: np.asarray(value, float), lambda: {value},
+            lambda: np.random.default_rng(value), lambda: 2 * value, lambda: value < 3]  # fmt: skip
+    for use in uses:
+        with pytest.raises((ReadsBarredError, TypeError)):
+            use()

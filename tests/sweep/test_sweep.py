@@ -1,0 +1,199 @@
+"""Sweeps end to end: rows, failures, resume after a kill, damage, refusals before anything runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from xml.etree import ElementTree
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.run import Options
+from pipeline.spec.load import InvalidScene
+from pipeline.sweep import ledger
+from pipeline.sweep.run import sweep
+
+NOISE = {"field": "sensor.read_noise_e", "values": [2.0, 40.0]}
+SKY = {"stars": None, "targets": None}  # changes of the scene: the sky alone
+TIMES = ("seconds", "light_s")
+
+
+def table(out):
+    return pq.read_table(out / "points.parquet")
+
+
+def comparable(out):
+    return table(out).drop_columns(list(TIMES)).to_pylist()
+
+
+def test_metrics_follow_the_scene(sweep_file, tmp_path):
+    """More read noise: less SNR, a brighter limit, a fainter peak; more light: a higher sky."""
+    path = sweep_file([
+        {"kind": "table", "fields": ["background.uniform_mag_arcsec2", "sensor.read_noise_e"],
+         "rows": [[21.0, 2.0], [21.0, 40.0], [17.0, 2.0]]}])  # fmt: skip
+    report = sweep(path, tmp_path / "out", Options("synchronous"))
+    low, noisy, bright = table(tmp_path / "out").to_pylist()
+    assert report["failed"] == 0
+    assert low["snr.ball"] > 1.5 * noisy["snr.ball"] > 0
+    assert low["peak_sigma.ball"] > 1.5 * noisy["peak_sigma.ball"]
+    assert low["detected_fraction.ball"] == 1.0
+    assert low["limiting_g_mag"] > noisy["limiting_g_mag"] + 1.0
+    assert bright["sky_e"] == pytest.approx(low["sky_e"] * 10 ** (0.4 * 4.0))
+    assert bright["background_e"] == pytest.approx(bright["sky_e"], rel=0.05)
+    assert "snr.ball" in (tmp_path / "out" / "summary.html").read_text()
+    drawn = ElementTree.parse(tmp_path / "out" / "summary.svg").getroot()
+    assert len(list(drawn.iter("{http://www.w3.org/2000/svg}path"))) == 2 * 8
+    names = {f.name for f in (tmp_path / "out").iterdir()}
+    assert names >= {"points.parquet", "report.json", "summary.html", "sweep.json", "_COMPLETE"}
+
+
+def test_one_failed_point_is_recorded_and_the_rest_go_on(sweep_file, tmp_path):
+    """An exposure longer than the cadence is no scene; its row says so."""
+    path = sweep_file(
+        [{"kind": "table", "fields": ["exposure.integration_s", "exposure.cadence_s"],
+          "rows": [[0.5, 1.0], [2.0, 1.0], [0.25, 1.0]]}], SKY)  # fmt: skip
+    with pytest.raises(BadInput, match=r"axes.0 \(exposure.cadence_s\)"):
+        sweep(path, tmp_path / "refused", Options("synchronous"))  # a value that no point may take
+    assert not (tmp_path / "refused").exists()
+    path = sweep_file(
+        [{"field": "exposure.integration_s", "values": [0.5, 2.0]},
+         {"field": "exposure.cadence_s", "values": [3.0, 1.0]}], SKY)  # fmt: skip
+    report = sweep(path, tmp_path / "out", Options("threads"))
+    rows = table(tmp_path / "out").to_pylist()
+    assert [r["status"] for r in rows] == ["done", "done", "done", "failed"]
+    assert "exposure.cadence_s" in rows[3]["message"]
+    assert rows[3]["exposure.integration_s"] == 2.0
+    assert report["failed"] == 1
+    assert list(report["messages"].values()) == [1]
+
+
+def test_same_table_by_every_scheduler(sweep_file, tmp_path):
+    path = sweep_file([NOISE], SKY, seeds=3)
+    found = []
+    for kind in ("synchronous", "threads", "processes"):
+        sweep(path, tmp_path / kind, Options(kind, 2))
+        found.append(comparable(tmp_path / kind))
+    assert found[0] == found[1] == found[2]
+    assert [r["point"] for r in found[0]] == list(range(6))
+
+
+def test_killed_at_any_moment_it_goes_on(sweep_file, tmp_path, monkeypatch):
+    """Killed twice, then resumed: the same table, and no finished point done again."""
+    path, out = sweep_file([NOISE], SKY, seeds=120), tmp_path / "out"
+    sweep(path, tmp_path / "whole", Options("threads", 2))
+    code = (
+        "import sys, pathlib, pipeline.sweep.ledger as l\n"
+        "l.PART_S = 0.05\n"
+        "from pipeline.run import Options\nfrom pipeline.sweep.run import sweep\n"
+        "sweep(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]),"
+        " Options('threads', 2, resume=pathlib.Path(sys.argv[2]).exists()))\n"
+    )
+    for k in range(2):
+        one = subprocess.Popen([sys.executable, "-c", code, str(path), str(out)])
+        end = time.monotonic() + 120
+        while len(list(out.glob("parts/part-*.parquet"))) < 2 * (k + 1):
+            assert one.poll() is None or (out / ledger.COMPLETE).exists()
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        os.kill(one.pid, signal.SIGKILL)
+        one.wait()
+    kept = len(list(out.glob("parts/part-*.parquet")))
+    broken = sorted(out.glob("parts/part-*.parquet"))[0]
+    broken.write_bytes(broken.read_bytes()[:-20])
+    with pytest.raises(BadInput, match="--resume"):
+        sweep(path, out)
+    with pytest.raises(BadInput, match="same axes"):
+        sweep(sweep_file([NOISE], SKY, seeds=121), out, Options(resume=True))
+    report = sweep(path, out, Options("threads", 2, resume=True))
+    assert kept >= 4
+    assert [text.split(":")[0] for text in report["parts_damaged"]] == [broken.name]
+    assert comparable(out) == comparable(tmp_path / "whole")
+    assert sweep(path, out, Options(resume=True)) == report  # nothing left to do
+
+
+def test_failed_points_are_tried_again_when_asked(sweep_file, tmp_path):
+    """A missing file makes points fail; once it is there, only they are done again."""
+    image = tmp_path / "flat.npy"
+    np.save(image, np.ones((256, 256)))
+    path = sweep_file([{"field": "sensor.flat", "values": [1.0, str(image), 0.9]}], SKY)
+    hidden = image.rename(tmp_path / "away.npy")
+    report = sweep(path, tmp_path / "out", Options("synchronous"))
+    assert report["failed"] == 1
+    assert "flat.npy" in next(iter(report["messages"]))
+    hidden.rename(image)
+    report = sweep(path, tmp_path / "out", Options("synchronous", resume=True), retry_failed=True)
+    rows = table(tmp_path / "out").to_pylist()
+    assert report["failed"] == 0
+    assert [r["status"] for r in rows] == ["done"] * 3
+    assert rows[0]["content_digest"] == rows[1]["content_digest"]  # a flat of one is no flat
+
+
+BAD = {
+    "no such field": ([{"field": "sensor.red_noise_e", "values": [1]}], {}, "sensor.red_noise_e"),
+    "bad value": ([{"field": "sensor.read_noise_e", "values": [1, -1]}], {}, "value 1"),
+    "text for a number": ([{"field": "exposure.frames", "values": ["x"]}], {}, "exposure.frames"),
+    "range beyond the field": (
+        [{"field": "sensor.adc_bits", "kind": "range", "start": 8, "stop": 80, "count": 3,
+          "integer": True}], {}, "sensor.adc_bits"),
+    "no values": ([{"field": "sensor.read_noise_e", "values": []}], {}, "axes.0.values"),
+    "twice": ([NOISE, NOISE], {}, "axes.1"),
+    "a parent and its child": (
+        [NOISE, {"field": "sensor", "values": [{}]}], {}, "axes.1"),
+    "the output": ([{"field": "output.layers", "values": [["dn"]]}], {}, "axes.0"),
+    "log of zero": (
+        [{"field": "sensor.read_noise_e", "kind": "log_range", "start": 0, "stop": 1, "count": 2}],
+        {}, "axes.0.start"),
+    "no count": (
+        [{"field": "sensor.read_noise_e", "kind": "range", "start": 0, "stop": 1}], {},
+        "axes.0.count"),
+    "lengths": ([NOISE, {"field": "sensor.bias_dn", "values": [1]}],
+                {"design": {"kind": "zip"}}, "axes"),
+    "short row": ([{"kind": "table", "fields": ["sensor.bias_dn", "seed"], "rows": [[1]]}], {},
+                  "axes.0.rows"),
+    "too many": ([{"field": "seed", "kind": "range", "start": 0, "stop": 1, "count": 99999}],
+                 {"seeds": 1000}, "axes"),
+    "unknown metric": ([NOISE], {"metrics": ["snr", "beauty"]}, "metrics.1"),
+    "unknown target": ([NOISE], {"targets": ["moon"]}, "targets.0"),
+    "cube beyond": ([NOISE], {"cubes": [2]}, "cubes"),
+    "unknown key": ([NOISE], {"axis": []}, "axis"),
+    "no design": ([NOISE], {"design": {"kind": "random"}}, "design.kind"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_sweeps_are_named_and_nothing_runs(name, sweep_file, tmp_path):
+    axes, rest, field = BAD[name]
+    path = sweep_file(axes, **rest)
+    with pytest.raises(BadInput) as refused:
+        sweep(path, tmp_path / "out")
+    mistakes = refused.value.mistakes if isinstance(refused.value, InvalidScene) else None
+    text = str(refused.value) if mistakes is None else mistakes[0][0]
+    assert field in text, str(refused.value)
+    assert len(str(refused.value)) < 2000
+    assert not (tmp_path / "out").exists()
+
+
+def test_exit_code_of_a_bad_sweep(sweep_file, tmp_path):
+    path = sweep_file([NOISE], {"stars.catalogue": str(tmp_path / "nowhere")})
+    command = [sys.executable, "-m", "pipeline", "sweep", str(path), "-o", str(tmp_path / "out")]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 2
+    assert "nowhere" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_point_shows_its_scene(sweep_file, tmp_path):
+    path = sweep_file([NOISE])
+    command = [sys.executable, "-m", "pipeline", "sweep", str(path), "--point", "1"]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "read_noise_e: 40.0" in result.stdout
+    assert "noise_floor_e" in result.stdout
+    assert json.loads(path.read_text())["scene"]["name"] in result.stdout

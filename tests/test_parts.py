@@ -1,0 +1,118 @@
+"""Parts rendered by processes of their own, side by side and one of them killed: a whole's bits."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from pipeline.errors import BadInput, Incomplete
+from pipeline.parts import join, parse_part, render_part
+from pipeline.run import Options, Share, render
+from pipeline.spec.load import parse_scene
+from pipeline.store.product import check, content_digest
+
+SCENE = {
+    "schema": "nightglass/scene/1",
+    "name": "parts",
+    "epoch": "2019-07-20T09:00:00Z",
+    "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
+    "sensor": {
+        "shape": [512, 768], "pixel_pitch_um": 9.0, "focal_length_m": 0.5, "aperture_m": 0.1,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900}, "read_noise_e": 4.0,
+        "psf": {"kind": "gaussian", "sigma_px": 0.8},
+    },
+    "pointing": {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 5.0},
+    "exposure": {"integration_s": 1.0, "frames": 3},
+    "background": {"uniform_e_per_s": 900.0},
+    "cosmic_rays": {"kind": "generated", "rate_per_cm2_s": 50.0},
+    "output": {"tile_shape": [256, 256]},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    product = tmp_path_factory.mktemp("whole") / "run"
+    render(parse_scene(SCENE), product, Options("threads", 2))
+    return content_digest(product)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 7, 18, 40])
+def test_parts_hold_every_tile_once(parts):
+    """Also where there are more parts than tiles."""
+    from pipeline.run import prepare
+
+    plan = prepare(parse_scene(SCENE)).plan
+    spans = [Share(k + 1, parts).span(plan) for k in range(parts)]
+    assert [a for a, _ in spans] == [0, *(b for _, b in spans[:-1])]
+    assert spans[-1][1] == len(plan.tiles) * plan.frames == 18
+    assert max(b - a for a, b in spans) - min(b - a for a, b in spans) <= 1
+
+
+def test_parts_one_after_the_other(tmp_path, whole):
+    """In any order; the last one finishes it; a part may be run again."""
+    product, scene = tmp_path / "run", parse_scene(SCENE)
+    for k in (3, 1, 1):
+        assert not render_part(scene, product, Share(k, 3))["complete"]
+        with pytest.raises(Incomplete, match="missing"):
+            join(product)
+    report = render_part(scene, product, Share(2, 3))
+    assert report["complete"]
+    assert report["content_digest"] == whole == content_digest(product)
+    assert check(product).whole
+    assert join(product) == report == render_part(scene, product, Share(1, 3))
+    with pytest.raises(BadInput, match="same scene"):
+        render_part(parse_scene(SCENE | {"seed": 9}), tmp_path / "run", Share(1, 3))
+
+
+def test_parts_side_by_side_and_one_killed(tmp_path, whole):
+    """Four processes start at once into a folder that is not there; one is killed and run again."""
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE))
+
+    def start(k: int) -> subprocess.Popen:
+        command = [sys.executable, "-m", "pipeline", "render", str(tmp_path / "scene.json")]
+        command += ["-o", str(tmp_path / "run"), "--part", f"{k}/4", "--scheduler", "synchronous"]
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    running = [start(k) for k in (1, 2, 3, 4)]
+    end = time.monotonic() + 300
+    while not list(tmp_path.glob("run/markers/f*.json")) and time.monotonic() < end:
+        time.sleep(0.01)
+    os.kill(running[2].pid, signal.SIGKILL)
+    for k, one in enumerate(running):
+        _, err = one.communicate(timeout=300)
+        assert k == 2 or one.returncode == 0, err
+    again = start(3)
+    assert again.wait(timeout=300) == 0
+    report = join(tmp_path / "run")
+    assert report["content_digest"] == whole
+    assert check(tmp_path / "run").whole
+    assert not [p for p in tmp_path.iterdir() if p.name.endswith(".tmp")]
+
+
+def test_join_names_what_is_damaged(tmp_path, whole):
+    """A chunk that was cut short is not taken; its part draws it again."""
+    product, scene = tmp_path / "run", parse_scene(SCENE)
+    render_part(scene, product, Share(1, 2))
+    chunk = product / "cube.zarr" / "dn" / "c" / "0" / "0" / "0"
+    chunk.write_bytes(chunk.read_bytes()[:-5])
+    with pytest.raises(Incomplete, match="dn/c/0/0/0"):
+        render_part(scene, product, Share(2, 2))
+    assert not render_part(scene, product, Share(2, 2))["complete"]
+    assert render_part(scene, product, Share(1, 2))["content_digest"] == whole
+
+
+@pytest.mark.parametrize("text", ["0/4", "5/4", "x", "1", "1/0", "1/2/3", "-1/3", "1/9999999", ""])
+def test_bad_parts_are_refused(text):
+    with pytest.raises(BadInput, match="--part"):
+        parse_part(text)
+
+
+def test_join_wants_a_product(tmp_path):
+    with pytest.raises(BadInput, match="PRODUCT"):
+        join(tmp_path)
