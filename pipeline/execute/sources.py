@@ -63,7 +63,7 @@ def place_stars(
     near = distance_px(x, y, *frame) < plan.halo_px + excursion_px(plan, g)
     ra, dec = to_angles(astrometric[near])
     kept = select(stars, near)
-    light = kept.rate_e_s * plan.scene.exposure.integration_s
+    light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
     return FrameStars(
         kept.source_id, x[near], y[near], light, ra, dec, kept.g_mag, kept.colour_flag,
         np.full(len(kept), catalogue, np.uint8),
@@ -125,7 +125,7 @@ def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[Fra
 
     everywhere : also those whose light does not reach the frame
     """
-    electrons = plan.sun_rate_e_s_m2 * plan.facts.area_m2 * plan.scene.exposure.integration_s
+    electrons = plan.sun_rate_e_s_m2 * plan.facts.area_m2 * plan.integration_s(int(g.frame[0]))
     out = []
     for i in range(len(plan.scene.targets)) if everywhere else _reaching(plan, g):
         x, y, light = g.target_x_px[i, 0], g.target_y_px[i, 0], g.target_light[i, 0]

@@ -38,7 +38,8 @@ def render_tile(
     collect (after the flat), so that with the dark they sum to `mean_e`, the mean of the noisy
     frame before full well and ADC. `cosmic_rays_e` is drawn charge and not in it.
     """
-    chain = _chain(plan, maps, tile)
+    frame = int(g.frame[0])
+    chain = _chain(plan, maps, tile, frame)
     light: dict[str, Array] = {}
     if plan.scene.stars is not None:
         light["stars_e"] = draw_stars(plan, g, tile, parts, blocks)
@@ -50,9 +51,10 @@ def render_tile(
         from pipeline.plan.sky import sky_tile
 
         light_e_s = sky_tile(plan.sky, int(g.frame[0]), tile)
-        layers["background_e"] = light_e_s * plan.scene.exposure.integration_s * chain.flat
+        layers["background_e"] = light_e_s * plan.integration_s(frame) * chain.flat
     elif plan.facts.background_e > 0:
-        layers["background_e"] = np.broadcast_to(plan.facts.background_e * chain.flat, shape)
+        background_e = plan.facts.background_e_s * plan.integration_s(frame)
+        layers["background_e"] = np.broadcast_to(background_e * chain.flat, shape)
     if np.any(chain.dark_e):
         layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
     mean = np.zeros(shape)
@@ -78,11 +80,13 @@ def render_tile(
 
 def _cosmic_rays_e(plan: Plan, rays: CosmicRays, chain: Chain, g: Geometry, tile: Tile) -> Array:
     """Charge of cosmic rays in a tile; before the flat, as in the paper, or after it."""
-    from pipeline.physics.cosmic_rays.frame import charge_e
+    from pipeline.physics.cosmic_rays.frame import charge_e, exposed_for
 
     assert plan.scene.cosmic_rays is not None
     place = (tile.y0, tile.x0, tile.rows, tile.columns)
-    charge = charge_e(rays, plan.scene.seed, int(g.frame[0]), *place)
+    frame = int(g.frame[0])
+    rays = exposed_for(rays, plan.integration_s(frame))
+    charge = charge_e(rays, plan.scene.seed, frame, *place)
     return charge if plan.scene.cosmic_rays.after_flat else charge * chain.flat
 
 
@@ -97,15 +101,15 @@ def _noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
     return np.sqrt(photons + floor)
 
 
-def _chain(plan: Plan, maps: SensorMaps, tile: Tile) -> Chain:
-    """The noise chain with the tile's part of each image."""
+def _chain(plan: Plan, maps: SensorMaps, tile: Tile, frame: int) -> Chain:
+    """The noise chain of a frame with the tile's part of each image."""
     part = np.s_[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
     s = plan.scene.sensor
 
     def cut(value: float | Array) -> float | Array:
         return value[part] if isinstance(value, np.ndarray) else value
 
-    dark = cut(maps.dark_e_per_s) * plan.scene.exposure.integration_s
+    dark = cut(maps.dark_e_per_s) * plan.integration_s(frame)
     return Chain(
         flat=cut(maps.flat),
         dark_e=dark,

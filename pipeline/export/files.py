@@ -81,6 +81,7 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> list[tuple[str, Any
     one = cube.isel(frame=frame)
     stamps = {k: _iso(one[f"time_{k}"].values) for k in ("start", "mid", "end")}
     scene = str(cube.attrs["title"])
+    exposed = one.get("integration_s", cube.attrs["integration_s"])  # its own where there are dwells
     cards = [
         ("OBJECT", scene[:68], "scene"),
         ("CREATOR", str(cube.attrs["source"]), "software"),
@@ -93,7 +94,7 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> list[tuple[str, Any
         ("MJD-OBS", _mjd(one["time_start"].values), "[d] start of the exposure, UTC"),
         ("MJD-AVG", _mjd(one["time_mid"].values), "[d] middle of the exposure, UTC"),
         ("MJD-END", _mjd(one["time_end"].values), "[d] end of the exposure, UTC"),
-        ("EXPTIME", float(cube.attrs["integration_s"]), "[s] integration time"),
+        ("EXPTIME", float(exposed), "[s] integration time"),
         ("SYNTHSTR", bool(cube.attrs["synthetic_stars"]), "stars are synthetic, none is real"),
     ]
     apparent = [] if cube.attrs.get("distorted") else _apparent_cards(one)

@@ -14,12 +14,14 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrated_caps
 from pipeline.physics.positions.focal_plane import Camera, corner_radius, stretch
+from pipeline.plan.attitude_motion import decide_motion
 from pipeline.plan.checks import CheckCell, choose_checks
 from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, excursions_px
 from pipeline.plan.optics import describe
+from pipeline.plan.pointing_decisions import decide_pointing
 from pipeline.plan.responses import (
     BLOCK_PX,
     SPECTRAL_S,
@@ -31,6 +33,7 @@ from pipeline.plan.responses import (
 )
 from pipeline.plan.target_decisions import decide_targets
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
+from pipeline.plan.timing import frame_count, integration_s
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -64,7 +67,11 @@ class Plan:
 
     @property
     def frames(self) -> int:
-        return self.scene.exposure.frames
+        return frame_count(self.scene)
+
+    def integration_s(self, frame: int) -> float:
+        """Integration time of a frame."""
+        return integration_s(self.scene, frame)
 
     @property
     def halo_px(self) -> float:
@@ -99,6 +106,7 @@ def make_plan(
     decisions = (
         *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
         *(sky.decisions if sky else ()),
+        *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
     )  # fmt: skip
     return Plan(
         scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),

@@ -174,6 +174,9 @@ PATH_FIELDS = (
     ("sensor", "psf", "psfs", "*", "*", "path"),  # of each place of a field
     ("sensor", "distortion", "path"),
     ("observer", "orbit", "path"),
+    ("pointing", "path"),
+    ("pointing", "attitude", "jitter", "*", "path"),
+    ("dwells", "*", "pointing", "path"),
     ("targets", "*", "orbit", "path"),  # of each target
     ("targets", "*", "body", "path"),
     ("targets", "*", "body", "surface", "path"),
