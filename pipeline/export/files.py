@@ -81,7 +81,7 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> list[tuple[str, Any
     one = cube.isel(frame=frame)
     stamps = {k: _iso(one[f"time_{k}"].values) for k in ("start", "mid", "end")}
     scene = str(cube.attrs["title"])
-    exposed = one.get("integration_s", cube.attrs["integration_s"])  # its own where there are dwells
+    exposed = one.get("integration_s", cube.attrs["integration_s"])  # its own, or all frames'
     cards = [
         ("OBJECT", scene[:68], "scene"),
         ("CREATOR", str(cube.attrs["source"]), "software"),
