@@ -133,6 +133,11 @@ def test_no_path_field_takes_a_file(
         scene["observer"] = {"kind": "orbit", "orbit": orbit}
     if "orbit" in field and field[0] == "targets":
         scene["targets"] = [dict(scene["targets"][0], orbit=orbit)]
+    table = {"mode": "table", "frame": "icrs", "scalar": "last"}
+    if field == ("pointing", "path"):
+        scene["pointing"] = table
+    if field[0] == "dwells":
+        scene["dwells"] = [{"pointing": table}]
     if field[0] == "cosmic_rays":
         scene["cosmic_rays"] = {"kind": "library"}
     if "body" in field:
@@ -140,6 +145,8 @@ def test_no_path_field_takes_a_file(
     holder: Any = scene
     for part, after in pairwise(field):
         several: Any = [{"name": "a", "path": "b.obj"}]
+        if part == "jitter":
+            several = [{"kind": "table"}]
         if part == "materials":
             several = {"0": {"kind": "table"}}
         made = several if after == "*" else {"kind": "table"} if part == "surface" else {}
@@ -157,7 +164,8 @@ TEXTS_THAT_ARE_NO_PATHS = {
     "name", "epoch", "line1", "line2", "target", "schema", "kind", "mode", "adc_rounding",
     "compression", "layers", "object", "frame", "shadow", "third_bodies", "source",
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
-    "unit", "arrival", "on", "objects", "digest",
+    "unit", "arrival", "on", "objects", "digest", "scalar", "rotation", "interpolation",
+    "profile", "axis",
 }  # fmt: skip
 
 

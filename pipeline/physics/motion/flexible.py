@@ -144,12 +144,12 @@ def mean_variance(mode: Mode, c: Array, exposure_s: float) -> Array:
 
 
 def run(mode: Mode, gaps_s: Array, normals: Array) -> Array:
-    """States (n, states) at n moments, the first `gaps_s[0]` after the epoch, then gap by gap.
+    """States (..., n, states) at n moments, the first `gaps_s[0]` after the epoch, then gap by gap.
 
-    normals : (n + 1, states) standard normal draws, the first row for the state at the epoch
+    normals : (..., n + 1, states) standard normal draws, the first for the state at the epoch
     """
-    x = factor(mode.start) @ normals[0]
-    out = np.empty((len(gaps_s), len(x)))
+    x = normals[..., 0, :] @ factor(mode.start).T
+    out = np.empty((*x.shape[:-1], len(gaps_s), x.shape[-1]))
     steps: dict[float, tuple[Array, Array]] = {}
     for k, gap in enumerate(gaps_s):
         if gap > 0.0:
@@ -157,8 +157,8 @@ def run(mode: Mode, gaps_s: Array, normals: Array) -> Array:
                 step = discretise(mode.a, mode.b, float(gap))
                 steps[gap] = step.change, factor(step.noise)
             change, spread = steps[gap]
-            x = x + change @ x + spread @ normals[k + 1]
-        out[k] = x
+            x = x + x @ change.T + normals[..., k + 1, :] @ spread.T
+        out[..., k, :] = x
     return out
 
 
