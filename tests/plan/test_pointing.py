@@ -68,8 +68,7 @@ def test_a_drift_scan_lets_the_sky_pass_at_its_own_rate(scene: Make) -> None:
     length = np.hypot(*np.ptp(path(s, g), axis=1))
     expected = 7.2921159e-5 * math.sqrt(1 - u[2] ** 2) * 2.0 / 1e-5
     assert length == pytest.approx(expected, rel=2e-4)
-    up = np.einsum("fkj,fkj->fk", g.attitude[:, :, 1], g.attitude[[0], [0], 1])
-    assert up.min() > 0.99  # +y stays on the zenith's side
+    assert (g.attitude[:, :, 1] @ g.attitude[0, 0, 1]).min() > 0.99  # +y stays on the zenith's side
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 10.0), (90.0, 5.0), (200.0, 60.0)])
@@ -161,7 +160,7 @@ BAD_TABLES: dict[str, tuple[dict[str, Any], str, str]] = {
     "mounting": ({"rows": [[0, 0, 0, 0, 1], [99, 0, 0, 0, 1]], "mounting": [0, 0, 0, 2]},
                  "pointing.mounting", "norm"),
     "epoch": ({"rows": [[0, 0, 0, 0, 1], [99, 0, 0, 0, 1]], "epoch": "soon"},
-              "pointing.epoch", "ISO"),
+              "pointing.epoch", "UTC"),
 }  # fmt: skip
 
 
@@ -242,7 +241,7 @@ def test_a_frame_that_bends_more_is_found_and_gets_more_nodes(scene: Make) -> No
     """A kick in one frame of 40, which is none of those that the plan looks at."""
     time = np.linspace(0.0, 400.0, 4001)
     angle = 2e-5 * np.sin(2 * np.pi * 2.0 * (time - 130.0)) * ((time > 130.0) & (time < 132.0))
-    turn = Rotation.from_euler("x", 0.0) * Rotation.from_rotvec(np.outer(angle, [1.0, 0, 0]))
+    turn = Rotation.from_rotvec(np.outer(angle, [1.0, 0.0, 0.0]))
     rows = np.column_stack([time, turn.as_quat()])
     table = {"mode": "table", "frame": "gcrs", "scalar": "last", "interpolation": "spline",
              "rows": rows.tolist()}  # fmt: skip
@@ -257,9 +256,9 @@ def test_a_frame_that_bends_more_is_found_and_gets_more_nodes(scene: Make) -> No
     assert np.array_equal(one.attitude, alone.attitude)
     assert np.array_equal(one.attitude[0, one.middle], window.attitude[3, window.middle])
     x, y = path(s, window, 3)
-    fine = np.interp(np.linspace(130.0, 132.0, one.nodes), time, angle)
+    fine = 2e-5 * np.sin(2 * np.pi * 2.0 * np.linspace(0.0, 2.0, one.nodes))
     assert np.ptp(np.hypot(x, y)) > 1.0
-    assert np.allclose(np.abs(y - y[0]), np.abs(np.tan(fine - fine[0])) / 1e-5, atol=0.15)
+    assert np.allclose(np.abs(y - y[0]), np.abs(np.tan(fine - fine[0])) / 1e-5, atol=0.2)
 
 
 def test_absurd_accelerations_are_refused(scene: Make) -> None:
