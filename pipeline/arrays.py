@@ -72,7 +72,8 @@ class Geometry:
     target_x_px, target_y_px : (T, F, K); target_light : (T, F, K) in-band irradiance at the
         observer over the solar irradiance at 1 au (dimensionless)
     target_range_m, target_phase_rad, target_sunlit : (T, F, K)
-    target_direction : (T, F, 3) proper direction at mid-exposure
+    target_direction : (T, F, 3) observed direction at mid-exposure: proper, and refracted
+    air : (F, K, 5) zenith of a site, ICRS axes, and refraction's A, B [rad]; (F, K, 0) without
     """
 
     frame: NDArray[np.int64]
@@ -92,6 +93,7 @@ class Geometry:
     target_phase_rad: Array
     target_sunlit: Array
     target_direction: Array
+    air: Array
 
     @property
     def nodes(self) -> int:
@@ -100,6 +102,15 @@ class Geometry:
     @property
     def middle(self) -> int:
         return self.nodes // 2
+
+    def air_at(self, frame: int, node: int) -> Array | None:
+        """The air (5,) at one node of one frame (by index); None without."""
+        return self.air[frame, node] if self.has_air else None
+
+    @property
+    def has_air(self) -> bool:
+        """Whether anything depends on the air above the observer."""
+        return self.air.shape[-1] > 0
 
     def frame_slice(self, index: int) -> Geometry:
         """The geometry of one of its frames alone (what a task of that frame needs)."""
@@ -131,13 +142,19 @@ class Refined(Geometry):
 
 @dataclass(frozen=True)
 class SensorMaps:
-    """Each term a number or a (rows, columns) image; units as in the scene's keys."""
+    """Each term a number or a (rows, columns) image; units as in the scene's keys.
+
+    linearity : charge collected and charge measured [e-], tables; None where they are the same
+    bad : rows, columns and DN of the pixels that read the same in every frame
+    """
 
     flat: Value
     dark_e_per_s: Value
     read_noise_e: Value
     gain_e_per_dn: Value
     bias_dn: Value
+    linearity: tuple[Array, Array] | None = None
+    bad: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None = None
 
     def typical(self, name: str) -> float:
         """The number itself, or the image's median: what the plan reckons with."""

@@ -11,6 +11,7 @@ import typer
 
 from pipeline.catalog_cli import catalog
 from pipeline.cosmic_rays_cli import cosmic_rays
+from pipeline.export_cli import export, import_app
 from pipeline.options import Json, Output, SchedulerName, Workers, print_json
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
@@ -24,6 +25,8 @@ app = typer.Typer(
 )
 app.add_typer(catalog, name="catalog")
 app.add_typer(cosmic_rays, name="cosmic-rays")
+app.add_typer(import_app, name="import")
+app.command()(export)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 
@@ -135,21 +138,6 @@ def check(product: ProductPath, as_json: Json = False) -> None:
 
 
 @app.command()
-def export(
-    product: ProductPath,
-    to: Annotated[str, typer.Option("--to", help="fits or png")],
-    output: Output,
-    frame: Annotated[int | None, typer.Option(min=0, help="one frame; default: all")] = None,
-    layer: Annotated[str, typer.Option(help="which layer")] = "dn",
-) -> None:
-    """Write frames as FITS (with WCS and times) or PNG."""
-    from pipeline.export.files import export_frames
-
-    for path in export_frames(product, to, output, frame, layer):
-        print(path)
-
-
-@app.command()
 def schema() -> None:
     """Print the JSON Schema of a scene."""
     from pipeline.spec.scene import Scene
@@ -237,6 +225,17 @@ def serve(
     import_module("service.main").serve(host, port, home)
 
 
+@app.command(
+    add_help_option=False,
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+)
+def keys(context: typer.Context) -> None:
+    """API keys of the service: create, revoke, list."""
+    from importlib import import_module
+
+    import_module("service.keys_cli").app(context.args, standalone_mode=False)
+
+
 @app.command()
 def demo(
     output: Output = Path("demo"),
@@ -250,6 +249,29 @@ def demo(
         product, report = run_demo(output, replace, listen, lambda text: print(text, flush=True))
     _print_report(report, product)
     print_product(product)
+
+
+@app.command()
+def selftest(
+    only: Annotated[str | None, typer.Option(help="part of a case's name")] = None,
+    page: Annotated[Path | None, typer.Option("--markdown", help="also write a page")] = None,
+    as_json: Json = False,
+) -> None:
+    """Hard ends of the product against answers known from elsewhere. Exit 1 where one fails."""
+    from pipeline.pages import stage_progress
+    from pipeline.selftest.report import as_data, chosen, markdown, print_table, run_cases
+
+    cases = chosen(only)
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        outcomes = run_cases(cases, listen)
+    if page is not None:
+        page.write_text(markdown(outcomes), encoding="utf-8")
+    if as_json:
+        print_json(as_data(outcomes))
+    else:
+        print_table(outcomes)
+    if not all(o.passed for o in outcomes):
+        raise typer.Exit(1)
 
 
 def _progress(quiet: bool) -> Any:

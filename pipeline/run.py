@@ -37,6 +37,7 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
 from pipeline.plan.bodies import has_band_albedos, with_band_albedos
+from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
 from pipeline.plan.geometry import (
@@ -49,6 +50,7 @@ from pipeline.plan.geometry import (
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
 from pipeline.plan.target_decisions import mesh_notices
 from pipeline.plan.timing import integration_range_s
+from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
@@ -56,6 +58,7 @@ from pipeline.store.product import Begun, begin, truth_kinds
 
 if TYPE_CHECKING:
     from pipeline.physics.cosmic_rays.frame import CosmicRays
+    from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky import SkyPlan
 
 Listener = Callable[["Progress"], None]
@@ -110,7 +113,16 @@ def resolve(scene: Scene) -> Scene:
         from pipeline.inputs.meshes import gather_meshes  # an optional extra: trimesh
 
         scene = gather_meshes(scene)
+    if _site_with_air(scene):
+        from pipeline.inputs.air import with_wavelength
+
+        scene = with_wavelength(scene, gather_response(scene)[0])
     return scene
+
+
+def _site_with_air(scene: Scene) -> bool:
+    o = scene.observer
+    return isinstance(o, GroundObserver) and o.atmosphere is not None
 
 
 def prepare(scene: Scene) -> Prepared:
@@ -128,17 +140,20 @@ def prepare(scene: Scene) -> Prepared:
     remarks = [remark] if remark else []
     colour, sun = _light(scene, response, band, digest, remarks)
     facts = gather_facts(
-        scene, response, maps.typical("dark_e_per_s"), maps.typical("read_noise_e"),
+        scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
     )  # fmt: skip
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
+    extinction = _extinction(scene, response)
     scene, facts, sky = _sky(
-        scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s
+        scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s, extinction
     )
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     remarks += mesh_notices(scene)
-    plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky)
+    plan = make_plan(
+        scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction
+    )
     left_out = _left_out(plan, catalogues)
     plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
     rays = _cosmic_rays(scene)
@@ -153,6 +168,7 @@ def _sky(
     facts: Facts,
     geometry: Geometry,
     dut1_s: float,
+    extinction: BandExtinction | None,
 ) -> tuple[Scene, Facts, SkyPlan | None]:
     """The sky that varies, the facts with it, and the scene with the limit that the noise set."""
     b, stars = scene.background, scene.stars
@@ -162,12 +178,21 @@ def _sky(
     from pipeline.inputs.sky import gather_sky
     from pipeline.plan.sky import facts_with_sky, plan_sky
 
-    inputs = gather_sky(scene, *sensor, catalogues, colour, from_noise)
+    inputs = gather_sky(scene, *sensor, catalogues, colour, from_noise, extinction)
     sky = plan_sky(scene, camera_of(scene), geometry, facts, inputs, dut1_s, from_noise)
     if stars is not None and from_noise:
         limit = {"faintest_g_mag": sky.faintest_g_mag, "limit_from_noise": False}
         scene = scene.model_copy(update={"stars": stars.model_copy(update=limit)})
     return scene, facts_with_sky(facts, scene, sky), sky
+
+
+def _extinction(scene: Scene, response: ResponseCurve) -> BandExtinction | None:
+    """Extinction by the air above a site; nothing is imported or read for a scene without."""
+    if not _site_with_air(scene):
+        return None
+    from pipeline.inputs.air import gather_extinction
+
+    return gather_extinction(scene, response)
 
 
 def _cosmic_rays(scene: Scene) -> CosmicRays | None:
@@ -335,19 +360,24 @@ def _windows(plan: Plan) -> list[np.ndarray]:
 
 def _missing(plan: Plan, begun: Begun, frames: np.ndarray) -> Work | None:
     """What a window still lacks; None where nothing."""
+    first = int(frames[0])
+    earlier = np.arange(max(0, first - plan.lag_frames), first, dtype=np.int64)
+    shift = len(earlier)
     tiles = [
-        (i, tile)
+        (i + shift, tile)
         for i, frame in enumerate(frames)
         for tile in plan.tiles
         if (int(frame), tile.row, tile.column) not in begun.done
     ]
     truth = {
-        kind: tuple(i for i, f in enumerate(frames) if (kind, int(f)) not in begun.truth_done)
+        kind: tuple(
+            i + shift for i, f in enumerate(frames) if (kind, int(f)) not in begun.truth_done
+        )
         for kind in truth_kinds(plan)
     }
     if not tiles and not any(truth.values()):
         return None
-    geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
+    geometry = plan_geometry(plan.scene, np.concatenate([earlier, frames]), plan.dut1_s)
     return Work(
         geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()),
         truth.get("cosmic_rays", ()),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections import Counter
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from http import HTTPStatus
@@ -15,23 +15,44 @@ import anyio.to_thread
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DBAPIError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pipeline.errors import BadInput, Damaged, NightglassError
 from pipeline.spec.load import InvalidScene
 from service import problems
+from service.auth import Authenticator
+from service.changes import Changes
 from service.context import Context
-from service.jobs import JobStore
-from service.routes import catalogues, health, jobs, pages, results, schema
+from service.gate import Gate
+from service.integrity import find_faults
+from service.jobs import Queue
+from service.metrics import Gauges, Numbers
+from service.openapi import describe
+from service.routes import (
+    catalogues,
+    files,
+    health,
+    jobs,
+    pages,
+    results,
+    schema,
+    sweeps,
+    usage,
+)
 from service.runner import Dispatcher
 from service.settings import Settings
+from service.submissions import Intake
+from service.teams import limits_of
+from service.uploads import Uploads
 
 log = logging.getLogger("nightglass.service")
 
 HTTP_STATUS: tuple[tuple[type[Exception], int], ...] = (
     (problems.Malformed, 400),
+    (problems.Unauthenticated, 401),
+    (problems.Forbidden, 403),
     (problems.NotThere, 404),
     (problems.TooSlow, 408),
     (problems.NotReady, 409),
@@ -42,55 +63,83 @@ HTTP_STATUS: tuple[tuple[type[Exception], int], ...] = (
     (problems.NotAllowed, 422),
     (problems.Refused, 422),
     (problems.QueueFull, 429),
+    (problems.TooMany, 429),
     (problems.EngineFault, 500),
     (problems.PlanTooSlow, 503),
+    (problems.Overloaded, 503),
+    (problems.TableFault, 503),
     (BadInput, 422),
     (RequestValidationError, 422),
     (Damaged, 500),
-    (OperationalError, 503),  # the job table is locked, or its disk is full
 )
 HEADERS: dict[int, dict[str, str]] = {
+    401: {"WWW-Authenticate": "Bearer"},
     408: {"Connection": "close"},
     413: {"Connection": "close"},  # the rest of the body is not read
     429: {"Retry-After": "10"},
     503: {"Retry-After": "10"},
 }
+ROOMS = (jobs, sweeps, results, files, catalogues, schema, usage, health, pages)
 
 
 def create_app(settings: Settings) -> FastAPI:
     """The service on one data folder. The job table opens and the dispatcher starts with it."""
+    numbers = Numbers()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         settings.make_folders()
         anyio.to_thread.current_default_thread_limiter().total_tokens = settings.request_threads
-        store = JobStore(settings.database)
-        dispatcher = Dispatcher(settings, store)
-        plans = asyncio.Semaphore(settings.plans)
-        app.state.context = Context(settings, store, dispatcher, plans, answers)
+        table = Queue(settings.database_url)
+        dispatcher = Dispatcher(settings, table)
+        intake = Intake(table, limits_of(settings))
+        context = Context(
+            settings, table, dispatcher, Authenticator(settings, table.engine), intake,
+            Changes(table, settings.watchers), Uploads(settings, table.engine),
+            asyncio.Semaphore(settings.plans), numbers,
+        )  # fmt: skip
+        app.state.context = context
+        numbers.registry.register(Gauges(context))
+        threading.Thread(target=_look_over, args=(context,), daemon=True).start()
+        intake.start()
         dispatcher.start()
         try:
             yield
         finally:
+            await anyio.to_thread.run_sync(intake.stop)
             await anyio.to_thread.run_sync(dispatcher.stop)
-            store.close()
+            table.close()
 
-    answers: Counter[int] = Counter()
     app = FastAPI(
         title="Nightglass", version=version("nightglass"), lifespan=lifespan,
         docs_url=None, redoc_url=None, redirect_slashes=False,
     )  # fmt: skip
-    for room in (jobs, results, catalogues, schema, health, pages):
+    for room in ROOMS:
         app.include_router(room.router)
-    for kind in (NightglassError, RequestValidationError, HTTPException, Exception):
+    for kind in (NightglassError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, answer_problem)
-    app.add_middleware(Gate, hosts=settings.hosts, answers=answers)
+    app.add_middleware(Gate, settings=settings, numbers=numbers, problem=answer_problem)
+    describe(app)
     return app
+
+
+def _look_over(context: Context) -> None:
+    """Name every damaged row of the job table, once, behind the start."""
+    try:
+        faults = find_faults(context.table.engine)
+    except Exception:
+        log.exception("the job table could not be looked over")
+        return
+    context.damaged = len(faults)
+    for fault in faults:
+        log.error("damaged: %s", fault.reason, extra={"job": fault.job})
 
 
 async def answer_problem(_: Request, error: Exception) -> Response:
     """Any exception as problem+json (RFC 9457)."""
     headers: dict[str, str] = {}
+    if isinstance(error, DBAPIError | PoolTimeout):
+        error = _of_table(error)
     if isinstance(error, HTTPException):
         status, headers = error.status_code, dict(error.headers or {})
     else:
@@ -104,12 +153,27 @@ async def answer_problem(_: Request, error: Exception) -> Response:
     return JSONResponse(body, status, headers, media_type="application/problem+json")
 
 
+def _of_table(error: DBAPIError | PoolTimeout) -> Exception:
+    """What is wrong with the job table, named; nothing of a statement or its values."""
+    told = str(getattr(error, "orig", "")).lower()
+    log.error("the job table: %s", type(error).__name__, exc_info=error)
+    if "disk is full" in told or "no space" in told or "disk i/o error" in told:
+        return problems.TableFault("the disk of the job table is full: nothing was stored")
+    if "malformed" in told or "not a database" in told:
+        return Damaged("the job table", "it is not what was written; restore it from a backup")
+    if isinstance(error, OperationalError | PoolTimeout):
+        return problems.TableFault("the job table is locked or cannot be reached")
+    return error
+
+
 def _explain(error: Exception, status: int) -> tuple[str, list[dict[str, Any]]]:
     """What is said of an error, and the mistakes to mend; nothing of an internal fault."""
     if isinstance(error, problems.Refusal):
         return problems.cut(str(error)), error.errors
     if isinstance(error, HTTPException):
         return problems.cut(str(error.detail)), []
+    if isinstance(error, Damaged) and error.path == "the job table":
+        return str(error), []
     if isinstance(error, RequestValidationError):
         mistakes = [_of_parameter(e) for e in error.errors()]
     elif isinstance(error, InvalidScene):
@@ -127,31 +191,3 @@ def _explain(error: Exception, status: int) -> tuple[str, list[dict[str, Any]]]:
 def _of_parameter(error: Any) -> problems.Mistake:
     place, name = error["loc"][0], error["loc"][1] if len(error["loc"]) > 1 else ""
     return f"?{name}" if place != "path" else f"?{place}", error.get("input"), error["msg"]
-
-
-class Gate:
-    """Before every request: the Host must be ours (DNS rebinding); after it: count the answer."""
-
-    def __init__(self, app: ASGIApp, hosts: tuple[str, ...], answers: Counter[int]) -> None:
-        self.app, self.hosts, self.answers = app, hosts, answers
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-
-        async def counted(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                self.answers[message["status"]] += 1
-            await send(message)
-
-        if self._known(dict(scope["headers"]).get(b"host", b"")):
-            await self.app(scope, receive, counted)
-        else:
-            error = problems.UnknownHost(f"this service is called {' or '.join(self.hosts)}")
-            await (await answer_problem(Request(scope), error))(scope, receive, counted)
-
-    def _known(self, host: bytes) -> bool:
-        name = host.decode("latin-1").lower()
-        bare = name if name.endswith("]") else name.rpartition(":")[0] or name
-        return "*" in self.hosts or bare in self.hosts

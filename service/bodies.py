@@ -34,12 +34,12 @@ async def read_body(request: Request, limit_bytes: int, limit_s: float) -> bytes
         raise Malformed("the body ended before it was whole") from None
     if too_large:
         body.clear()
-        await _discard_rest(request)
+        await discard_rest(request)
         raise TooLarge(f"a body of at most {limit_bytes} bytes is taken")
     return bytes(body)
 
 
-async def _discard_rest(request: Request) -> None:
+async def discard_rest(request: Request) -> None:
     """Read on for a moment, keeping nothing: a connection that is closed on a client which still
     sends is reset, and the refusal is lost with it."""
     discarded = 0

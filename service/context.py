@@ -1,37 +1,72 @@
-"""What every route works with: the settings, the job table, the dispatcher."""
+"""What every route works with: the settings, the caller, the job table as the caller sees it."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter
-from dataclasses import dataclass, field
-from typing import Annotated
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any
 
 from fastapi import Depends, Request
+from fastapi.security import HTTPBearer
 
-from service.jobs import JobStore
+from service.auth import OPEN, Authenticator, Caller
+from service.changes import Changes
+from service.jobs import Queue
+from service.metrics import Numbers
 from service.runner import Dispatcher
 from service.settings import Settings
+from service.submissions import Intake
+from service.teams import TeamStore, limits_of
+from service.uploads import Uploads
 
 
 @dataclass
 class Context:
-    """One per application, made by its lifespan.
+    """One per application, made by its lifespan; routes get a copy bound to their caller.
 
-    plans : how many dry runs may still start; answers : count of answers by status
+    store : the job table; in a route it shows the caller's team alone
+    table : the whole job table, for health and metrics only
+    plans : how many dry runs may still start; numbers : what is counted
     """
 
     settings: Settings
-    store: JobStore
+    table: Queue
     dispatcher: Dispatcher
+    auth: Authenticator
+    intake: Intake
+    changes: Changes
+    files: Uploads
     plans: asyncio.Semaphore
-    answers: Counter[int]
+    numbers: Numbers
+    caller: Caller = OPEN
+    store: TeamStore = None  # type: ignore[assignment]
+    damaged: int = 0
     started_s: float = field(default_factory=time.time)
 
+    def bound(self, caller: Caller) -> Context:
+        """The same, as one caller sees it."""
+        store = TeamStore(self.table, caller, limits_of(self.settings))
+        return replace(self, caller=caller, store=store)
 
-def _context(request: Request) -> Context:
+    def has_file(self, file_id: str) -> bool:
+        """Whether the caller's team has an uploaded file of this id."""
+        return self.files.has(self.caller.team, file_id)
+
+
+_bearer = HTTPBearer(auto_error=False, description="an API key, or a token of the provider")
+
+
+def _everyone(request: Request) -> Context:
     return request.app.state.context
 
 
+async def _context(request: Request, _: Annotated[Any, Depends(_bearer)]) -> Context:
+    context: Context = request.app.state.context
+    caller = await context.auth.caller(request.headers.get("authorization"))
+    request.state.team = caller.team
+    return context.bound(caller)
+
+
 Service = Annotated[Context, Depends(_context)]
+Everyone = Annotated[Context, Depends(_everyone)]  # routes that need no key: health and metrics

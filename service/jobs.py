@@ -1,20 +1,19 @@
-"""The durable job record: one row a job in SQLite, and the table of what may follow what."""
+"""The durable job record: one row a job, and the table of what may follow what."""
 
 from __future__ import annotations
 
 import json
-import time
-import uuid
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 
-from pipeline.errors import BadInput
-from service.problems import KeyReused, NotReady, NotThere, QueueFull
+from service.database import connect, now_s, sqlite_url, writing
+from service.problems import NotReady, NotThere, cut
+from service.tables import audit, jobs, scene_crc, seal_of
 
 
 class Phase(StrEnum):
@@ -38,51 +37,47 @@ NEXT: dict[Phase, frozenset[Phase]] = {
     P.ABORTED: frozenset(),
 }
 FINAL = frozenset(phase for phase, after in NEXT.items() if not after)
-FORMAT = 1  # PRAGMA user_version of the database
-
-metadata = sa.MetaData()
-jobs = sa.Table(
-    "jobs", metadata,
-    sa.Column("number", sa.Integer, primary_key=True),
-    sa.Column("id", sa.String(32), nullable=False, unique=True),
-    sa.Column("name", sa.String(128), nullable=False),
-    sa.Column("phase", sa.String(9), nullable=False, index=True),
-    sa.Column("scene", sa.Text, nullable=False),
-    sa.Column("idempotency_key", sa.String(255), unique=True),
-    sa.Column("body_sha256", sa.String(64), nullable=False),
-    sa.Column("submitted_s", sa.Float, nullable=False),
-    sa.Column("started_s", sa.Float),
-    sa.Column("ended_s", sa.Float),
-    sa.Column("tiles_done", sa.Integer),
-    sa.Column("tiles_total", sa.Integer),
-    sa.Column("attempt", sa.Integer, nullable=False, default=0),
-    sa.Column("deaths", sa.Integer, nullable=False, default=0),
-    sa.Column("cancel_asked", sa.Boolean, nullable=False, default=False),
-    sa.Column("deleted", sa.Boolean, nullable=False, default=False),
-    sa.Column("error", sa.JSON(none_as_null=True)),
-    sa.Column("content_digest", sa.String(64)),
-    sa.Column("version", sa.Integer, nullable=False, default=1),
-    sqlite_autoincrement=True,
-)  # fmt: skip
-SHOWN = tuple(c for c in jobs.c if c.name not in ("scene", "idempotency_key", "body_sha256"))
+WAITING = (P.PENDING, P.QUEUED)
+LOCAL = "local"  # the team of a service without keys
+DAMAGED = {
+    "kind": "damaged",
+    "message": "the row of this job in the job table is not what was written",
+    "errors": [],
+}
+NOT_SHOWN = frozenset({"scene", "idempotency_key"})
+SHOWN = tuple(c for c in jobs.c if c.name != "scene")
+AMENDABLE = frozenset({"run_id", "destruction_s", "duration_s"})
 
 
 @dataclass(frozen=True)
 class Job:
     """One row of the table, without its scene. Times are Unix seconds; absent is None.
 
+    team, owner : who may see it; which key or person submitted it
+    kind : "scene" or "sweep"; run_id : the client's own name for it
+    pixel_frames, bytes_kept : what it asks for, what its product takes on disk
+    destruction_s, duration_s : when it will be removed; how long it may run
     attempt : how often a worker took it up; the fence against writes of an earlier worker
     deaths : workers in a row that died without finishing a tile
     version : grows with every change; the ETag
+    damaged : the row's seal does not fit: it is not what was written
     """
 
     number: int
     id: str
+    team: str
+    owner: str
+    kind: str
     name: str
+    run_id: str | None
     phase: Phase
+    pixel_frames: int
+    bytes_kept: int
     submitted_s: float
     started_s: float | None
     ended_s: float | None
+    destruction_s: float | None
+    duration_s: float | None
     tiles_done: int | None
     tiles_total: int | None
     attempt: int
@@ -92,186 +87,288 @@ class Job:
     error: dict[str, Any] | None
     content_digest: str | None
     version: int
+    damaged: bool = False
+
+
+FIELDS = tuple(f.name for f in fields(Job) if f.name not in ("phase", "error", "damaged"))
+
+
+def record(
+    db: sa.Connection, team: str, actor: str, action: str, thing: str | None, detail: str = ""
+) -> None:
+    """Append a line to the audit table, in the transaction of what it tells."""
+    db.execute(sa.insert(audit), [audit_line(now_s(db), team, actor, action, thing, detail)])
+
+
+def audit_line(
+    at_s: float, team: str, actor: str, action: str, thing: str | None, detail: str = ""
+) -> dict[str, Any]:
+    """A row of the audit table."""
+    line = {"at_s": at_s, "team": team, "actor": actor, "action": action}
+    return line | {"thing": thing, "detail": cut(detail) if detail else None}
 
 
 class JobStore:
-    """The job table. Every method is one transaction; an answer means that it is on disk."""
+    """The job table. Every method is one transaction; an answer means that it is on disk.
 
-    def __init__(self, database: Path) -> None:
-        self._engine = sa.create_engine(f"sqlite:///{database}", connect_args={"timeout": 30.0})
-        sa.event.listen(self._engine, "connect", _configure)
-        sa.event.listen(self._engine, "begin", _begin)
-        self._writer = self._engine.execution_options(writes=True)
-        with self._writer.begin() as db:
-            found = db.exec_driver_sql("PRAGMA user_version").scalar_one()
-            if found not in (0, FORMAT):
-                raise BadInput("--home", f"jobs.sqlite of format {found}", f"format {FORMAT}")
-            metadata.create_all(db)
-            db.exec_driver_sql(f"PRAGMA user_version = {FORMAT}")
+    `team` restricts a method to the jobs of a team; None is for the service itself.
+    """
+
+    def __init__(self, database: Path | str) -> None:
+        url = sqlite_url(database) if isinstance(database, Path) else database
+        self.engine = connect(url)
 
     def close(self) -> None:
-        self._engine.dispose()
+        self.engine.dispose()
 
     def submit(
-        self, name: str, scene: dict[str, Any], body_sha256: str, key: str | None, limit: int
-    ) -> tuple[Job, bool]:
-        """Queue a job; or, where `key` was used before, the job that it made (and False).
+        self, name: str, scene: dict[str, Any], body_sha256: str, key: str | None, limit: int,
+        **more: Any,
+    ) -> tuple[Job, bool]:  # fmt: skip
+        """Queue one job; see service/submissions.py."""
+        from service.submissions import Ask, Limits, submit_many
 
-        KeyReused where the key came with another body, QueueFull beyond `limit` waiting jobs.
-        """
-        with self._writer.begin() as db:
-            if key is not None:
-                known = db.execute(sa.select(jobs).where(jobs.c.idempotency_key == key)).first()
-                if known is not None:
-                    if known.body_sha256 != body_sha256:
-                        raise KeyReused("this Idempotency-Key was used with another body")
-                    return self._one(db, known.id), False
-            waiting = db.execute(sa.select(sa.func.count()).where(jobs.c.phase == P.QUEUED))
-            if waiting.scalar_one() >= limit:
-                raise QueueFull(f"{limit} jobs are waiting already; try again later")
-            job_id = uuid.uuid4().hex
-            values = {"id": job_id, "name": name, "phase": P.QUEUED, "submitted_s": time.time()}
-            values |= {"scene": json.dumps(scene), "body_sha256": body_sha256}
-            db.execute(sa.insert(jobs).values(**values, idempotency_key=key))
-            return self._one(db, job_id), True
+        ask = Ask(name=name, scene=scene, body_sha256=body_sha256, key=key, **more)
+        [answer] = submit_many(self, [ask], Limits(queued_jobs=limit))
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
-    def get(self, job_id: str) -> Job:
-        """A job. NotThere where there is none (or it was deleted)."""
-        with self._engine.connect() as db:
-            return self._one(db, job_id)
+    def get(self, job_id: str, team: str | None = None) -> Job:
+        """A job. NotThere where there is none (or it was deleted, or is another team's)."""
+        with self.engine.connect() as db:
+            return self._one(db, job_id, team)
 
-    def scene(self, job_id: str, hidden: bool = False) -> dict[str, Any]:
+    def scene(self, job_id: str, hidden: bool = False, team: str | None = None) -> dict[str, Any]:
         """The scene of a job, defaults filled in; `hidden`: of a deleted one, too."""
-        with self._engine.connect() as db:
-            self._one(db, job_id, hidden)
-            query = sa.select(jobs.c.scene).where(jobs.c.id == job_id)
-            return json.loads(db.execute(query).scalar_one())
+        with self.engine.connect() as db:
+            self._one(db, job_id, team, hidden)
+            query = sa.select(jobs.c.scene, jobs.c.scene_crc).where(jobs.c.id == job_id)
+            text, crc = db.execute(query).one()
+        if scene_crc(text) != crc:
+            raise NotReady(f"job {job_id}: its scene in the job table is not what was written")
+        return json.loads(text)
 
-    def listing(self, phases: Sequence[Phase], after: int, limit: int) -> list[Job]:
+    def listing(
+        self, phases: Sequence[Phase], after: int, limit: int, team: str | None = None
+    ) -> list[Job]:
         """Jobs in order of submission, after a job number."""
         query = sa.select(*SHOWN).where(jobs.c.number > after, ~jobs.c.deleted)
         if phases:
             query = query.where(jobs.c.phase.in_(phases))
-        with self._engine.connect() as db:
-            return [_job(row) for row in db.execute(query.order_by(jobs.c.number).limit(limit))]
+        return self._jobs(_of(query, team).order_by(jobs.c.number).limit(limit))
 
-    def newest(self, limit: int) -> list[Job]:
+    def newest(self, limit: int, team: str | None = None) -> list[Job]:
         """The jobs submitted last, newest first."""
-        query = sa.select(*SHOWN).where(~jobs.c.deleted).order_by(jobs.c.number.desc())
-        with self._engine.connect() as db:
-            return [_job(row) for row in db.execute(query.limit(limit))]
+        query = sa.select(*SHOWN).where(~jobs.c.deleted)
+        return self._jobs(_of(query, team).order_by(jobs.c.number.desc()).limit(limit))
 
-    def counts(self) -> dict[Phase, int]:
+    def counts(self, team: str | None = None) -> dict[Phase, int]:
         """How many jobs are in each phase."""
         query = sa.select(jobs.c.phase, sa.func.count()).where(~jobs.c.deleted)
-        with self._engine.connect() as db:
-            found = {row[0]: row[1] for row in db.execute(query.group_by(jobs.c.phase))}
+        query = _of(query, team).group_by(jobs.c.phase)
+        with self.engine.connect() as db:
+            found: dict[str, int] = dict(db.execute(query).all())
         return {phase: found.get(phase, 0) for phase in Phase}
 
-    def cancel(self, job_id: str) -> Job:
+    def versions(self, ids: Iterable[str]) -> dict[str, int]:
+        """The version of each of these jobs that is there; one query for all who watch."""
+        query = sa.select(jobs.c.id, jobs.c.version).where(jobs.c.id.in_(list(ids)))
+        with self.engine.connect() as db:
+            return dict(db.execute(query.where(~jobs.c.deleted)).all())
+
+    def cancel(self, job_id: str, team: str | None = None, actor: str = LOCAL) -> Job:
         """Abort a waiting job, or ask the dispatcher to stop a running one; again is no error."""
-        with self._writer.begin() as db:
-            job = self._one(db, job_id)
+        with writing(self.engine) as db:
+            job = self._one(db, job_id, team)
             if job.phase in (P.COMPLETED, P.ERROR):
                 raise NotReady(f"the job is {job.phase}: there is nothing left to cancel")
             if job.phase == P.EXECUTING and not job.cancel_asked:
                 self._change(db, job, cancel_asked=True)
-            elif job.phase in (P.PENDING, P.QUEUED):
+            elif job.phase in WAITING:
                 self._move(db, job, P.ABORTED)
+            record(db, job.team, actor, "cancel", job_id)
             return self._one(db, job_id)
 
-    def delete(self, job_id: str) -> None:
+    def delete(self, job_id: str, team: str | None = None, actor: str = LOCAL) -> None:
         """Hide a job and free its key; the dispatcher stops it and removes what it made."""
-        with self._writer.begin() as db:
-            job = self._one(db, job_id)
-            self._change(db, job, deleted=True, cancel_asked=True, idempotency_key=None)
-            if job.phase in (P.PENDING, P.QUEUED):
-                self._move(db, job, P.ABORTED)
+        with writing(self.engine) as db:
+            job = self._one(db, job_id, team)
+            changes: dict[str, Any] = {"deleted": True, "idempotency_key": None}
+            if job.phase in WAITING:
+                self._move(db, job, P.ABORTED, cancel_asked=True, **changes)
+            else:
+                self._change(db, job, cancel_asked=True, **changes)
+            record(db, job.team, actor, "delete", job_id)
 
-    # What only the dispatcher calls.
-
-    def claim(self) -> Job | None:
-        """The next job to run, now EXECUTING: one that an earlier process left, else the oldest."""
-        with self._writer.begin() as db:
-            for phase in (P.EXECUTING, P.QUEUED):
-                query = sa.select(*SHOWN).where(jobs.c.phase == phase).order_by(jobs.c.number)
-                row = db.execute(query.limit(1)).first()
-                if row is None:
-                    continue
-                job = _job(row)
-                changes = {"attempt": job.attempt + 1, "started_s": job.started_s or time.time()}
-                if phase == P.QUEUED:
-                    self._move(db, job, P.EXECUTING, **changes)
-                else:
-                    self._change(db, job, **changes)
-                return self._one(db, job.id, hidden=True)
-        return None
+    def amend(self, job_id: str, team: str | None = None, **values: Any) -> Job:
+        """Change what a client may change of a job: run_id, destruction_s, duration_s, and of one
+        that is PENDING also its name, scene and pixel_frames. NotReady for anything else."""
+        with writing(self.engine) as db:
+            job = self._one(db, job_id, team)
+            fixed = set(values) - AMENDABLE
+            if fixed and (job.phase != P.PENDING or fixed - {"name", "scene", "pixel_frames"}):
+                raise NotReady(f"the job is {job.phase}: its scene can no longer be changed")
+            if "scene" in values:
+                text = json.dumps(values["scene"])
+                values |= {"scene": text, "scene_crc": scene_crc(text)}
+            self._change(db, job, **values)
+            return self._one(db, job_id)
 
     def seen(self, job: Job) -> Job:
         """A job as it is now, deleted or not."""
-        with self._engine.connect() as db:
+        with self.engine.connect() as db:
             return self._one(db, job.id, hidden=True)
 
-    def progress(self, job: Job, done: int, total: int) -> None:
-        """Tiles done; written only for the attempt that runs."""
-        with self._writer.begin() as db:
-            self._change(db, job, tiles_done=done, tiles_total=total)
+    def _jobs(self, query: sa.Select[Any]) -> list[Job]:
+        with self.engine.connect() as db:
+            return [job_of(row) for row in db.execute(query).mappings()]
 
-    def died(self, job: Job, deaths: int) -> None:
-        """Record that a worker died (`deaths` in a row without a tile)."""
-        with self._writer.begin() as db:
-            self._change(db, job, deaths=deaths)
-
-    def finish(self, job: Job, phase: Phase, **values: Any) -> None:
-        """Bring a running job to its end."""
-        with self._writer.begin() as db:
-            self._move(db, job, phase, **values)
-
-    def deleted(self) -> list[str]:
-        """Ids of deleted jobs that no longer run."""
-        query = sa.select(jobs.c.id).where(jobs.c.deleted, jobs.c.phase != P.EXECUTING)
-        with self._engine.connect() as db:
-            return list(db.execute(query).scalars())
-
-    def forget(self, job_id: str) -> None:
-        """Remove the row of a deleted job."""
-        with self._writer.begin() as db:
-            db.execute(sa.delete(jobs).where(jobs.c.id == job_id, jobs.c.deleted))
-
-    def _one(self, db: sa.Connection, job_id: str, hidden: bool = False) -> Job:
-        row = db.execute(sa.select(*SHOWN).where(jobs.c.id == job_id)).first()
-        if row is None or (row.deleted and not hidden):
+    def _one(
+        self, db: sa.Connection, job_id: str, team: str | None = None, hidden: bool = False
+    ) -> Job:
+        row = db.execute(_of(sa.select(*SHOWN).where(jobs.c.id == job_id), team)).mappings().first()
+        if row is None or (row["deleted"] and not hidden):
             raise NotThere("there is no such job")
-        return _job(row)
+        return job_of(row)
 
     def _move(self, db: sa.Connection, job: Job, to: Phase, **values: Any) -> None:
         """Change the phase, as NEXT allows."""
         if to not in NEXT[job.phase]:
             raise NotReady(f"a job that is {job.phase} cannot become {to}")
         if to in FINAL:
-            values["ended_s"] = time.time()
-        self._change(db, job, phase=to, **values)
+            values["ended_s"] = now_s(db)
+        self._change(db, job, phase=to.value, **values)
 
     def _change(self, db: sa.Connection, job: Job, **values: Any) -> None:
         """Update the row if it still is in the phase and attempt that the caller knows."""
-        same = (jobs.c.id == job.id, jobs.c.phase == job.phase, jobs.c.attempt == job.attempt)
-        query = sa.update(jobs).where(*same).values(**values, version=jobs.c.version + 1)
-        if db.execute(query).rowcount != 1:
+        query = sa.select(*SHOWN).where(jobs.c.id == job.id)
+        row = db.execute(query).mappings().first()
+        if row is None or (row["phase"], row["attempt"]) != (job.phase.value, job.attempt):
+            raise NotReady("the job was changed by someone else meanwhile")
+        if job_of(row).damaged and values.get("phase") != P.ERROR and not values.get("deleted"):
+            raise NotReady(f"job {job.id}: {DAMAGED['message']}")
+        if isinstance(values.get("error"), dict):
+            values["error"] = json.dumps(values["error"])
+        changed = dict(row) | values | {"version": row["version"] + 1}
+        values |= {"version": changed["version"], "seal": seal_of(changed)}
+        same = (jobs.c.id == job.id, jobs.c.version == row["version"])
+        if db.execute(sa.update(jobs).where(*same).values(**values)).rowcount != 1:
             raise NotReady("the job was changed by someone else meanwhile")
 
 
-def _job(row: Any) -> Job:
-    return Job(**{**row._asdict(), "phase": Phase(row.phase)})
+def _of(query: sa.Select[Any], team: str | None) -> sa.Select[Any]:
+    return query if team is None else query.where(jobs.c.team == team)
 
 
-def _configure(connection: Any, _: Any) -> None:
-    """Write-ahead log, synced at every commit; transactions are begun by `_begin`."""
-    connection.isolation_level = None
-    for pragma in ("journal_mode = WAL", "synchronous = FULL", "busy_timeout = 30000"):
-        connection.execute(f"PRAGMA {pragma}").close()
+def job_of(row: Any, fresh: bool = False) -> Job:
+    """A row as a Job; one that is not what was written is marked, never believed (`fresh`: it was
+    made just now, and so needs no look)."""
+    try:
+        error = json.loads(row["error"]) if row["error"] else None
+        if fresh or row["seal"] == seal_of(row):
+            return Job(**{n: row[n] for n in FIELDS}, phase=Phase(row["phase"]), error=error)
+    except (ValueError, TypeError):
+        pass
+    told = {n: row[n] for n in FIELDS}
+    phase = row["phase"] if row["phase"] in NEXT else P.ERROR
+    return Job(**told, phase=Phase(phase), error=dict(DAMAGED), damaged=True)
 
 
-def _begin(connection: sa.Connection) -> None:
-    """Writers take the lock at once, so that none fails half-way; readers never wait."""
-    writes = connection.get_execution_options().get("writes")
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+class Queue(JobStore):
+    """The job table as the dispatcher uses it: claim, report, finish, remove."""
+
+    def claim(
+        self, busy: Collection[str] = (), team_limit: int = 1 << 30,
+        turns: Mapping[str, float] | None = None, holder: str | None = None,
+    ) -> Job | None:  # fmt: skip
+        """The next job to run, now EXECUTING: one that an earlier process left, else a queued one.
+
+        busy : ids that the caller runs itself; team_limit : jobs of one team at once
+        turns : when each team last had its turn, so that a long queue of one delays no other
+        holder : who must hold the dispatcher's lease for this (None: not asked)
+        """
+        from service.leases import holds
+
+        with writing(self.engine) as db:
+            if holder is not None and not holds(db, holder):
+                return None
+            left = sa.select(*SHOWN).where(jobs.c.phase == P.EXECUTING, jobs.c.id.not_in(busy))
+            row = db.execute(left.order_by(jobs.c.number).limit(1)).mappings().first()
+            if row is None:
+                row = self._next(db, team_limit, turns or {})
+            if row is None:
+                return None
+            job = job_of(row)
+            if job.damaged:
+                self._condemn(db, job)
+                return None
+            changes = {"attempt": job.attempt + 1, "started_s": job.started_s or now_s(db)}
+            if job.phase == P.QUEUED:
+                self._move(db, job, P.EXECUTING, **changes)
+            else:
+                self._change(db, job, **changes)
+            return self._one(db, job.id, hidden=True)
+
+    def _next(self, db: sa.Connection, team_limit: int, turns: Mapping[str, float]) -> Any:
+        """The oldest queued job of the team whose turn it is."""
+
+        def grouped(phase: Phase, what: Any) -> dict[str, int]:
+            query = sa.select(jobs.c.team, what).where(jobs.c.phase == phase)
+            return dict(db.execute(query.group_by(jobs.c.team)).all())
+
+        running = grouped(P.EXECUTING, sa.func.count())
+        first = grouped(P.QUEUED, sa.func.min(jobs.c.number))
+        ready = [
+            (turns.get(team, 0.0), number)
+            for team, number in first.items()
+            if running.get(team, 0) < team_limit
+        ]
+        if not ready:
+            return None
+        query = sa.select(*SHOWN).where(jobs.c.number == min(ready)[1])
+        return db.execute(query).mappings().first()
+
+    def _condemn(self, db: sa.Connection, job: Job) -> None:
+        """End a job whose row is damaged: what it asks for can no longer be trusted."""
+        values = {"phase": P.ERROR.value, "error": dict(DAMAGED), "ended_s": now_s(db)}
+        self._change(db, job, **values)
+        record(db, job.team, "service", "damaged", job.id)
+
+    def progress(self, job: Job, done: int, total: int) -> None:
+        """Tiles done; written only for the attempt that runs."""
+        with writing(self.engine) as db:
+            self._change(db, job, tiles_done=done, tiles_total=total)
+
+    def died(self, job: Job, deaths: int) -> None:
+        """Record that a worker died (`deaths` in a row without a tile)."""
+        with writing(self.engine) as db:
+            self._change(db, job, deaths=deaths)
+
+    def finish(self, job: Job, phase: Phase, **values: Any) -> None:
+        """Bring a running job to its end."""
+        with writing(self.engine) as db:
+            self._move(db, job, phase, **values)
+            message = (values.get("error") or {}).get("message", "")
+            record(db, job.team, "service", phase.value.lower(), job.id, message)
+
+    def overdue(self) -> list[str]:
+        """Ids of jobs whose time of destruction has come."""
+        with self.engine.connect() as db:
+            query = sa.select(jobs.c.id).where(~jobs.c.deleted, jobs.c.destruction_s < now_s(db))
+            return list(db.execute(query).scalars())
+
+    def deleted(self) -> list[str]:
+        """Ids of deleted jobs that no longer run."""
+        query = sa.select(jobs.c.id).where(jobs.c.deleted, jobs.c.phase != P.EXECUTING)
+        with self.engine.connect() as db:
+            return list(db.execute(query).scalars())
+
+    def forget(self, job_id: str) -> None:
+        """Remove the row of a deleted job."""
+        with writing(self.engine) as db:
+            query = sa.select(jobs.c.team).where(jobs.c.id == job_id, jobs.c.deleted)
+            team = db.execute(query).scalar()
+            if team is not None:
+                db.execute(sa.delete(jobs).where(jobs.c.id == job_id))
+                record(db, team, "service", "removed", job_id)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import logging
 import os
 import socket
 import sys
@@ -13,46 +12,72 @@ from pipeline.errors import BadInput
 
 LISTEN = 2048
 STOP_S = 3  # how long answers in flight may take to end
+KEEP_ALIVE_S = 15
 
 
 def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -> None:
     """Serve the REST interface until interrupted. BadInput for an address it may not take.
 
-    There is no authentication in this version: only loopback is served. Port 0 takes a free one.
+    Beyond loopback it serves only where requests need a key or token. Port 0 takes a free one.
     """
     os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")  # for the workers
-    listener = bind(host, port)
-    with listener:
+    from service.settings import read_settings
+
+    settings = read_settings(home)
+    with bind(host, port, lambda: _guarded(settings)) as listener:
         import uvicorn
 
+        from service import logs
         from service.app import create_app
-        from service.settings import read_settings
+        from service.wire import bounded
 
-        settings = read_settings(home)
+        logs.set_up()
         settings.make_folders()
-        logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+        app = create_app(settings)
         config = uvicorn.Config(
-            create_app(settings), log_config=None, access_log=False, server_header=False,
-            backlog=LISTEN, timeout_graceful_shutdown=STOP_S, ws="none",
+            app, log_config=None, access_log=False, server_header=False, backlog=LISTEN,
+            timeout_graceful_shutdown=STOP_S, timeout_keep_alive=KEEP_ALIVE_S, ws="none",
+            http=bounded(settings.head_s), ssl_certfile=settings.tls_cert,
+            ssl_keyfile=settings.tls_key,
         )  # fmt: skip
         where, at = listener.getsockname()[:2]
         shown = f"[{where}]" if ":" in where else where
-        print(f"Nightglass serves http://{shown}:{at} from {settings.home}", file=sys.stderr)
+        scheme = "https" if settings.tls_cert else "http"
+        print(f"Nightglass serves {scheme}://{shown}:{at} from {settings.home}", file=sys.stderr)
         sys.stderr.flush()
         uvicorn.Server(config).run(sockets=[listener])
 
 
-def bind(host: str, port: int) -> socket.socket:
-    """A listening socket on loopback. BadInput for any other address or a port in use."""
+def _guarded(settings: object) -> bool:
+    """Whether requests will need a key or token: an identity provider is set, or a key was made."""
+    from service.database import connect
+    from service.keys import any_key
+    from service.settings import Settings
+
+    assert isinstance(settings, Settings)
+    if settings.oidc_issuer:
+        return True
+    settings.make_folders()
+    engine = connect(settings.database_url)
+    try:
+        return any_key(engine)
+    finally:
+        engine.dispose()
+
+
+def bind(host: str, port: int, guarded: object = False) -> socket.socket:
+    """A listening socket. BadInput for a port in use, and for an address beyond loopback unless
+    requests are `guarded` (a bool, or a function that is asked only then)."""
     name = "127.0.0.1" if host == "localhost" else host.strip("[]")
     try:
         address = ipaddress.ip_address(name)
     except ValueError:
         address = None
-    if address is None or not address.is_loopback:
+    open_to_all = address is not None and not address.is_loopback
+    if address is None or (open_to_all and not (guarded() if callable(guarded) else guarded)):
         allowed = (
-            "a loopback address (127.0.0.1 or ::1): without API keys, which this version has not, "
-            "anybody who reaches the service may use it; put a proxy that authenticates before it"
+            "a loopback address (127.0.0.1 or ::1); any other only once requests need a key "
+            "(`nightglass keys create --team NAME`) or a token (NIGHTGLASS_OIDC_ISSUER)"
         )
         raise BadInput("--host", host, allowed)
     if not 0 <= port <= 65535:

@@ -32,6 +32,14 @@ class NotThere(Refusal):
     """There is no such thing here."""
 
 
+class Unauthenticated(Refusal):
+    """No key or token came with the request, or none that is valid."""
+
+
+class Forbidden(Refusal):
+    """Who asks is known, but may not do this."""
+
+
 class NotReady(Refusal):
     """It is there, but not in a state that allows this."""
 
@@ -65,7 +73,19 @@ class Refused(Refusal):
 
 
 class QueueFull(Refusal):
-    """As many jobs wait as the service takes."""
+    """A quota of the team is used up: jobs that wait, pixels x frames a day, bytes kept."""
+
+
+class TooMany(Refusal):
+    """More at once than the service takes: watchers, keys to be verified."""
+
+
+class Overloaded(Refusal):
+    """The answer could not be made in time."""
+
+
+class TableFault(Refusal):
+    """The job table cannot be read or written now: its disk is full, or it is locked."""
 
 
 class PlanTooSlow(Refusal):

@@ -1,229 +1,165 @@
-"""Take queued jobs to the engine one at a time, bring the outcome back, go on after a restart."""
+"""Take queued jobs to the engine: one process at a time leads, by a lease that it must renew."""
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
-import json
 import logging
 import os
-import queue
 import shutil
-import subprocess
-import sys
+import socket
 import threading
 import time
-from collections.abc import Iterator
-from typing import Any, BinaryIO
+import uuid
 
-from pipeline.spec.scene import Scene
-from pipeline.store.layout import BEGUN, COMPLETE
-from service.jobs import Job, JobStore, Phase
-from service.problems import EngineFault, PlanTooSlow, Refused
+import sqlalchemy as sa
+
+from service.attempts import Attempt
+from service.jobs import Job, Queue
+from service.leases import give_up, take
+from service.problems import NotReady
+from service.processes import POLL_S, plan_dry
 from service.settings import Settings
 
-log = logging.getLogger("nightglass.service")
+__all__ = ["Dispatcher", "plan_dry"]
 
-POLL_S = 0.2
-DEATHS = 3  # workers in a row that may die on a job without finishing a tile
+log = logging.getLogger("nightglass.service")
+HOUSEKEEPING_S = 1.0
 
 
 class Dispatcher:
-    """One thread that runs the jobs of a data folder, in the process that holds its lock.
+    """Runs jobs while this process holds the lease; ends its workers when it has lost it.
 
-    The lock (flock) is inherited by the worker process: should this process be killed, nobody
-    else can take its jobs up until its worker, too, is gone.
+    Three fences keep an earlier dispatcher from doing harm: jobs are claimed only with the lease,
+    rows are written only by the attempt that claimed them last, and the engine draws into a
+    product only under the product's own lock.
     """
 
-    def __init__(self, settings: Settings, store: JobStore) -> None:
+    def __init__(self, settings: Settings, store: Queue) -> None:
         self._settings, self._store = settings, store
+        self.holder = f"{socket.gethostname()[:32]}:{os.getpid()}:{uuid.uuid4().hex[:8]}"
         self.stopping, self._work = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name="dispatcher", daemon=True)
-        self.leads = False
+        self._renewed_s = float("-inf")
+        self._busy: dict[str, threading.Thread] = {}
+        self._turns: dict[str, float] = {}
+        self._threads = [
+            threading.Thread(target=run, name=name, daemon=True)
+            for name, run in (
+                ("dispatcher", self._run), ("lease", self._renew), ("housekeeping", self._keep),
+            )
+        ]  # fmt: skip
 
     def start(self) -> None:
-        self._thread.start()
+        for thread in self._threads:
+            thread.start()
 
     def stop(self) -> None:
-        """End the worker and the thread. A job that runs stays EXECUTING and is resumed later."""
+        """End workers and threads. A job that runs stays EXECUTING and is resumed later."""
         self.stopping.set()
         self._work.set()
-        self._thread.join()
+        for thread in [*self._threads, *self._busy.values()]:
+            if thread.ident is not None:
+                thread.join()
+        if self._renewed_s > float("-inf"):
+            try:
+                give_up(self._store.engine, self.holder)
+            except sa.exc.DBAPIError:
+                log.warning("the lease could not be given up; it runs out by itself")
 
     def wake(self) -> None:
         """There is something to do."""
-        self._work.set()
+        if not self._work.is_set():
+            self._work.set()
 
     @property
     def alive(self) -> bool:
-        return self._thread.is_alive()
+        return all(thread.is_alive() for thread in self._threads)
+
+    @property
+    def running(self) -> int:
+        return len(self._busy)
+
+    @property
+    def leads(self) -> bool:
+        """Whether the lease is held, by this process's own clock."""
+        return time.monotonic() - self._renewed_s < self._settings.lease_s
+
+    def _go_on(self) -> bool:
+        return self.leads and not self.stopping.is_set()
+
+    def _renew(self) -> None:
+        while not self.stopping.is_set():
+            asked_s = time.monotonic()
+            try:
+                if take(self._store.engine, self.holder, self._settings.lease_s):
+                    if not self.leads:
+                        log.info("this process runs the jobs now")
+                        self._work.set()
+                    self._renewed_s = asked_s
+                else:
+                    self._renewed_s = float("-inf")
+            except Exception:
+                log.exception("the lease could not be renewed; it is tried again")
+            self.stopping.wait(self._settings.lease_s / 5)
 
     def _run(self) -> None:
-        with self._settings.dispatcher_lock.open("w") as lock:
-            while not self.stopping.is_set():
-                if not self.leads:
-                    with contextlib.suppress(BlockingIOError):
-                        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                        self.leads = True
-                busy = self.leads and self._step(lock.fileno())
-                if not busy:
-                    self._work.wait(POLL_S)
-                    self._work.clear()
-            self.leads = False
+        while not self.stopping.is_set():
+            if not (self._go_on() and self._step()):
+                self._work.wait(POLL_S)
+                self._work.clear()
 
-    def _step(self, lock_fd: int) -> bool:
-        """Do one thing; False where there was nothing to do. A fault here never ends the thread."""
+    def _step(self) -> bool:
+        """Start one job; False where there is nothing to start. A fault never ends the thread."""
+        self._busy = {job_id: t for job_id, t in self._busy.items() if t.is_alive()}
+        if len(self._busy) >= self._settings.slots:
+            return False
         try:
-            for job_id in self._store.deleted():
-                shutil.rmtree(self._settings.product(job_id), ignore_errors=True)
-                self._store.forget(job_id)
-            job = self._store.claim()
-            if job is not None:
-                self._guarded(job, lock_fd)
-            return job is not None
+            job = self._store.claim(
+                list(self._busy), self._settings.running_jobs, self._turns, self.holder
+            )
         except Exception:
-            log.exception("the dispatcher could not go on; it tries again")
+            log.exception("no job could be claimed; it is tried again")
             self.stopping.wait(1.0)
             return False
+        if job is None:
+            return False
+        self._turns[job.team] = time.monotonic()
+        thread = threading.Thread(target=self._guarded, args=(job,), name=job.id, daemon=True)
+        self._busy[job.id] = thread
+        thread.start()
+        return True
 
-    def _guarded(self, job: Job, lock_fd: int) -> None:
+    def _guarded(self, job: Job) -> None:
         """Run a job; a fault of the runner ends that job, not the queue behind it."""
+        attempt = Attempt(self._settings, self._store, job, self._go_on)
+        said = {"job": job.id, "attempt": job.attempt}
         try:
-            self._execute(job, lock_fd)
-        except Exception:
-            log.exception("job %s: the runner failed", job.id)
-            self._store.finish(job, Phase.ERROR, error=_fault("an internal fault of the runner"))
-
-    def _execute(self, job: Job, lock_fd: int) -> None:
-        """Run one attempt of a job until it ends, is cancelled, or the service stops."""
-        outcome: dict[str, Any] | None = None
-        if not job.cancel_asked:
-            with _worker(self._settings, self._order(job), lock_fd) as answers:
-                outcome = self._watch(job, answers)
-        if outcome is None and self.stopping.is_set():
-            return
-        if outcome is None and self._store.seen(job).cancel_asked:
-            self._store.finish(job, Phase.ABORTED)
-        elif outcome is None:
-            self._count_death(job)
-        elif "error" in outcome:
-            self._store.finish(job, Phase.ERROR, error=outcome["error"])
-        elif (self._settings.product(job.id) / COMPLETE).is_file():
-            tiles = outcome["tiles"]
-            digest = outcome["content_digest"]
-            self._store.finish(
-                job, Phase.COMPLETED, tiles_done=tiles, tiles_total=tiles, content_digest=digest
-            )
-        else:
-            self._store.finish(job, Phase.ERROR, error=_fault("the product was not sealed"))
-
-    def _order(self, job: Job) -> dict[str, Any]:
-        """What the worker is to do: go on with an unfinished product, or begin one."""
-        product = self._settings.product(job.id)
-        resume = (product / BEGUN).is_file()
-        if product.exists() and not resume:
-            shutil.rmtree(product)
-        return {
-            "do": "render",
-            "scene": self._store.scene(job.id, hidden=True),
-            "product": os.path.relpath(product, self._settings.catalogues.resolve()),
-            "resume": resume,
-            "workers": self._settings.workers,
-        }
-
-    def _watch(
-        self, job: Job, answers: queue.Queue[dict[str, Any] | None]
-    ) -> dict[str, Any] | None:
-        """The worker's outcome; None where it died, was cancelled, or the service stops."""
-        while not self.stopping.is_set():
             try:
-                answer = answers.get(timeout=POLL_S)
-            except queue.Empty:
-                if self._store.seen(job).cancel_asked:
-                    return None
+                attempt.run()
+            except (NotReady, sa.exc.DBAPIError):
+                raise
+            except Exception:
+                log.exception("the runner failed", extra=said)
+                attempt.fail()
+        except NotReady as error:
+            log.warning("this attempt is over: %s", error, extra=said)
+        except sa.exc.DBAPIError:
+            log.exception("the job table cannot be written; the job is taken up again", extra=said)
+            self.stopping.wait(1.0)
+        finally:
+            self._work.set()
+
+    def _keep(self) -> None:
+        """Remove what was deleted, and what has outlived its time."""
+        while not self.stopping.wait(HOUSEKEEPING_S):
+            if not self.leads:
                 continue
-            if answer is None or "outcome" in answer:
-                return answer
-            self._store.progress(job, answer["done"], answer["total"])
-            if self._store.seen(job).cancel_asked:
-                return None
-        return None
-
-    def _count_death(self, job: Job) -> None:
-        """A worker that died is replaced, unless job after job it kills them without a tile."""
-        now = self._store.seen(job)
-        progressed = (now.tiles_done or 0) > (job.tiles_done or 0)
-        deaths = 1 if progressed else job.deaths + 1
-        log.warning("job %s: worker of attempt %d died (%d)", job.id, job.attempt, deaths)
-        if deaths >= DEATHS:
-            reason = f"{deaths} workers in a row died on this job (out of memory?)"
-            self._store.finish(job, Phase.ERROR, error=_fault(reason))
-        else:
-            self._store.died(job, deaths)
-
-
-def _fault(message: str) -> dict[str, Any]:
-    return {"kind": "fault", "message": message, "errors": []}
-
-
-@contextlib.contextmanager
-def _worker(
-    settings: Settings, order: dict[str, Any], *inherited: int
-) -> Iterator[queue.Queue[dict[str, Any] | None]]:
-    """A worker process with its order given, and a queue of its answers (None: it has ended).
-
-    Leaving the block ends the process, whatever it does: a product survives that at any moment.
-    """
-    environment = os.environ | {"MALLOC_TRIM_THRESHOLD_": "65536"}
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "service.worker"], cwd=settings.catalogues, env=environment,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=inherited, start_new_session=True,
-    )  # fmt: skip
-    assert process.stdin is not None
-    assert process.stdout is not None
-    answers: queue.Queue[dict[str, Any] | None] = queue.Queue()
-    reader = threading.Thread(target=_read, args=(process.stdout, answers), daemon=True)
-    reader.start()
-    try:
-        with contextlib.suppress(BrokenPipeError):
-            process.stdin.write(json.dumps(order).encode() + b"\n")
-            process.stdin.flush()
-        yield answers
-    finally:
-        process.kill()
-        process.wait()
-        reader.join()
-        with contextlib.suppress(BrokenPipeError):
-            process.stdin.close()
-        process.stdout.close()
-
-
-def _read(stream: BinaryIO, answers: queue.Queue[dict[str, Any] | None]) -> None:
-    for line in stream:
-        with contextlib.suppress(ValueError):  # a line cut off by the worker's death
-            answers.put(json.loads(line))
-    answers.put(None)
-
-
-def plan_dry(scene: Scene, settings: Settings, stopping: threading.Event) -> dict[str, Any]:
-    """The plan of a scene, made in a worker so that the service stays quick and can stop it.
-
-    Raises Refused, PlanTooSlow, EngineFault.
-    """
-    order = {"do": "plan", "scene": scene.as_dict()}
-    deadline = time.monotonic() + settings.plan_s
-    outcome = None
-    with _worker(settings, order) as answers:
-        while not stopping.is_set():
             try:
-                outcome = answers.get(timeout=POLL_S)
-                break
-            except queue.Empty:
-                if time.monotonic() > deadline:
-                    raise PlanTooSlow(f"planning took over {settings.plan_s:g} s") from None
-    if outcome is None:
-        raise EngineFault("the planner stopped without an answer")
-    if "error" in outcome:
-        error = outcome["error"]
-        raise Refused(error) if error["kind"] == "bad input" else EngineFault(error["message"])
-    return outcome["plan"]
+                for job_id in self._store.overdue():
+                    self._store.delete(job_id, actor="service")
+                for job_id in self._store.deleted():
+                    if job_id not in self._busy:
+                        shutil.rmtree(self._settings.product(job_id), ignore_errors=True)
+                        self._store.forget(job_id)
+            except NotReady:
+                continue  # it changed in between
+            except Exception:
+                log.exception("housekeeping failed; it is tried again")

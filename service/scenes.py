@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from pipeline.plan.timing import frame_count
@@ -10,13 +11,15 @@ from pipeline.spec.scene import Scene
 from service.catalogues import catalogue_mistakes
 from service.problems import Mistake, NotAllowed
 from service.settings import Settings
+from service.uploads import ID, PREFIX
 
 CATALOGUE_FIELD = "stars.catalogue"
-NO_FILES = "a number: over REST a scene names no file of the server"
+NO_FILES = "a number, or upload:ID of a file sent to /v1/files: no path or URL is taken"
+HasFile = Callable[[str], bool]
 
 
-def accept_scene(data: Any, settings: Settings) -> Scene:
-    """The scene of a request body, fit to be run here.
+def accept_scene(data: Any, settings: Settings, has_file: HasFile | None = None) -> Scene:
+    """The scene of a request body, fit to be run here; `has_file` knows the caller's uploads.
 
     Raises BadInput or InvalidScene (pipeline.spec) for a scene that is wrong anywhere, NotAllowed
     for one that only this service refuses. `stars.catalogue` stays the registered name: the
@@ -26,7 +29,7 @@ def accept_scene(data: Any, settings: Settings) -> Scene:
     if isinstance(targets, list) and len(targets) > settings.targets:
         _refuse([("targets", len(targets), f"at most {settings.targets} targets")])
     scene = parse_scene(data)
-    _refuse([*_path_mistakes(scene, settings), *_size_mistakes(scene, settings)])
+    _refuse([*_path_mistakes(scene, settings, has_file), *_size_mistakes(scene, settings)])
     return scene
 
 
@@ -36,7 +39,7 @@ def _refuse(mistakes: list[Mistake]) -> None:
         raise NotAllowed(f"{field}: allowed: {allowed}", tuple(mistakes))
 
 
-def _path_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
+def _path_mistakes(scene: Scene, settings: Settings, has_file: HasFile | None) -> list[Mistake]:
     """Every field that could name a file, looked at after parsing, so that no spelling escapes."""
     data = scene.as_dict()
     mistakes: list[Mistake] = []
@@ -44,9 +47,15 @@ def _path_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
         value = holder.get(key)
         if name == CATALOGUE_FIELD and value is not None:
             mistakes += catalogue_mistakes(name, value, settings.catalogues)
-        elif isinstance(value, str):
+        elif isinstance(value, str) and not _uploaded(value, has_file):
             mistakes.append((name, value, NO_FILES))
     return mistakes
+
+
+def _uploaded(value: str, has_file: HasFile | None) -> bool:
+    file_id = value.removeprefix(PREFIX)
+    known = file_id != value and ID.fullmatch(file_id) is not None
+    return known and has_file is not None and has_file(file_id)
 
 
 def _size_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:

@@ -19,38 +19,75 @@ class Settings:
 
     Every field but `home` may be given as NIGHTGLASS_<FIELD> in the environment.
 
-    home : data folder: jobs.sqlite, products/, catalogues/ (each folder there is a registered
-        catalogue, known by its name)
+    home : data folder: jobs.sqlite, products/, uploads/, catalogues/ (each folder there is a
+        registered catalogue, known by its name)
+    database : URL of the job table; None for jobs.sqlite in the data folder
     hosts : names by which clients may call the service (the Host header), against DNS rebinding
+    tls_cert, tls_key : PEM files, where the service itself speaks TLS
+    oidc_issuer, oidc_audience, oidc_jwks, oidc_team_claim : bearer tokens of an identity provider:
+        who issues them, for whom, its key set (https URL or file), the claim that names the team
     body_bytes, body_s : largest request body, and how long sending it may take
+    head_s, send_s : how long a request's head may take, and a client to take a piece of the answer
+    answer_s : how long an answer may be in the making, beside what ?wait= allows
+    upload_bytes, upload_s : largest uploaded file, and how long sending it may take
     pixel_frames : most frames x pixels of one scene
-    targets, queued_jobs : most targets of a scene, most jobs waiting
+    targets : most targets of a scene
+    sweep_points : most points of a sweep
+    queued_jobs, running_jobs, pixel_frames_day, bytes_kept : what one team may have waiting, may
+        have running, may ask for a day, and may keep on disk (uploads count)
     wait_s : longest time that one GET may wait for a change
     heartbeat_s : pause after which an event stream shows that it lives
+    watchers : how many requests may wait for changes at once
     plan_s, plans : longest time of a dry run, and how many may run at once
     request_threads : threads that answer requests
-    workers : threads of the engine; None for all cores
+    slots : jobs that run at once; workers : threads of the engine for each, None for all cores
+    scheduler : where jobs run: threads, processes, or the address of a Dask scheduler
+    dashboard : URL of that scheduler's dashboard, shown in jobs
+    lease_s : after this silence of the dispatcher another process takes over
     free_bytes : with less disk than this the service says that it is not ready
     """
 
     home: Path
+    database: str | None = None
     hosts: tuple[str, ...] = ("127.0.0.1", "localhost", "[::1]")
+    tls_cert: str | None = None
+    tls_key: str | None = None
+    oidc_issuer: str | None = None
+    oidc_audience: str | None = None
+    oidc_jwks: str | None = None
+    oidc_team_claim: str = "team"
     body_bytes: int = 1 << 20
     body_s: float = 30.0
+    head_s: float = 10.0
+    send_s: float = 60.0
+    answer_s: float = 60.0
+    upload_bytes: int = 1 << 26
+    upload_s: float = 300.0
     pixel_frames: int = 1 << 32
     targets: int = 10_000
+    sweep_points: int = 1_000_000
     queued_jobs: int = 1000
+    running_jobs: int = 1000
+    pixel_frames_day: int = 1 << 40
+    bytes_kept: int = 1 << 40
     wait_s: float = 60.0
     heartbeat_s: float = 15.0
+    watchers: int = 1000
     plan_s: float = 60.0
     plans: int = 2
     request_threads: int = 16
+    slots: int = 1
     workers: int | None = None
+    scheduler: str = "threads"
+    dashboard: str | None = None
+    lease_s: float = 5.0
     free_bytes: int = 1 << 30
 
     @property
-    def database(self) -> Path:
-        return self.home / "jobs.sqlite"
+    def database_url(self) -> str:
+        from service.database import sqlite_url
+
+        return self.database or sqlite_url(self.home / "jobs.sqlite")
 
     @property
     def products(self) -> Path:
@@ -61,22 +98,36 @@ class Settings:
         return self.home / "catalogues"
 
     @property
-    def dispatcher_lock(self) -> Path:
-        return self.home / "dispatcher.lock"
+    def uploads(self) -> Path:
+        return self.home / "uploads"
 
     def product(self, job_id: str) -> Path:
         """The product directory of a job."""
         return self.products / job_id
 
     def make_folders(self) -> None:
-        """Make the data folder. BadInput where that is not possible."""
+        """Make the data folder, for its owner alone. BadInput where that is not possible."""
         try:
-            for folder in (self.home, self.products, self.catalogues):
+            self.home.mkdir(mode=0o700, parents=True, exist_ok=True)
+            for folder in (self.products, self.catalogues, self.uploads):
                 folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise BadInput(
                 "--home", str(self.home), f"a folder that can be written; {error.strerror}"
             ) from None
+
+    def check(self) -> None:
+        """BadInput for settings that do not go together, or that would be unsafe."""
+        from catalog_tools.schedulers import LOCAL_KINDS, _check_address
+
+        if self.scheduler not in LOCAL_KINDS:
+            _check_address(self.scheduler)  # beyond this machine only tls://
+        if bool(self.tls_cert) != bool(self.tls_key):
+            raise BadInput("NIGHTGLASS_TLS_CERT", self.tls_cert, "given with NIGHTGLASS_TLS_KEY")
+        oidc = (self.oidc_issuer, self.oidc_audience, self.oidc_jwks)
+        if any(oidc) and not all(oidc):
+            allowed = "given with NIGHTGLASS_OIDC_AUDIENCE and NIGHTGLASS_OIDC_JWKS"
+            raise BadInput("NIGHTGLASS_OIDC_ISSUER", self.oidc_issuer, allowed)
 
 
 def read_settings(home: Path | None = None, environ: Mapping[str, str] = os.environ) -> Settings:
@@ -94,10 +145,14 @@ def read_settings(home: Path | None = None, environ: Mapping[str, str] = os.envi
         named = environ.get(PREFIX + "HOME")
         data = environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
         home = Path(named) if named else Path(data) / "nightglass"
-    return Settings(home=home.expanduser().resolve(), **given)
+    settings = Settings(home=home.expanduser().resolve(), **given)
+    settings.check()
+    return settings
 
 
 def _parse(name: str, text: str, kind: str) -> Any:
+    if kind.startswith("str"):
+        return text
     if kind.startswith("tuple"):
         return tuple(part.strip().lower() for part in text.split(",") if part.strip())
     whole = kind.startswith("int")

@@ -8,8 +8,8 @@ from typing import Any
 from service.jobs import FINAL, Job, Phase
 
 
-def job_dict(job: Job) -> dict[str, Any]:
-    """A job as plain data; absent is null."""
+def job_dict(job: Job, dashboard: str | None = None) -> dict[str, Any]:
+    """A job as plain data; absent is null. `dashboard`: of the Dask scheduler that draws it."""
     here = f"/v1/jobs/{job.id}"
     links = {"self": here, "events": f"{here}/events", "scene": f"{here}/scene"}
     if job.phase not in FINAL:
@@ -17,9 +17,13 @@ def job_dict(job: Job) -> dict[str, Any]:
     if job.phase == Phase.COMPLETED:
         for name in ("results", "preview.png", "plan", "report"):
             links[name.partition(".")[0]] = f"{here}/{name}"
+    if dashboard and job.phase == Phase.EXECUTING:
+        links["dashboard"] = dashboard
     return {
         "id": job.id,
+        "kind": job.kind,
         "name": job.name,
+        "owner": job.owner,
         "phase": job.phase.value,
         "submitted": utc(job.submitted_s),
         "started": utc(job.started_s),
@@ -27,6 +31,7 @@ def job_dict(job: Job) -> dict[str, Any]:
         "tiles_done": job.tiles_done,
         "tiles_total": job.tiles_total,
         "attempt": job.attempt,
+        "bytes_kept": job.bytes_kept,
         "cancel_asked": job.cancel_asked,
         "error": job.error,
         "content_digest": job.content_digest,

@@ -7,20 +7,27 @@ once when its stdin closes: a worker never outlives the process that watches it.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
+import logging
 import os
 import sys
 import threading
 import time
-import traceback
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from pipeline.errors import BadInput, Damaged, NightglassError
 from pipeline.spec.load import InvalidScene, parse_scene
+from service import logs
 from service.problems import cut, mistake_dict
 
+log = logging.getLogger("nightglass.engine")
 BETWEEN_LINES_S = 0.25
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def main() -> None:
@@ -28,12 +35,14 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # whatever a library prints must not be taken for an answer
     order = json.loads(sys.stdin.buffer.readline())
+    logs.set_up()
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    todo = {"plan": _plan, "render": _render, "sweep": _sweep}
     try:
-        _say(answers, _plan(order) if order["do"] == "plan" else _render(order, answers))
+        _say(answers, todo[order["do"]](order, answers))
     except Exception as error:
         if not isinstance(error, NightglassError):
-            traceback.print_exc()
+            log.exception("the engine failed", extra=_said(order))
         _say(answers, {"outcome": "error", "error": describe(error, order.get("product"))})
 
 
@@ -47,30 +56,82 @@ def _say(answers: BinaryIO, message: dict[str, Any]) -> None:
     answers.write(json.dumps(message).encode() + b"\n")
 
 
-def _plan(order: dict[str, Any]) -> dict[str, Any]:
+def _said(order: dict[str, Any]) -> dict[str, Any]:
+    """What every line of the log carries."""
+    return {name: order.get(name) for name in ("job", "attempt")}
+
+
+@contextlib.contextmanager
+def _tiles_told(order: dict[str, Any]) -> Iterator[None]:
+    """Log each tile that this process draws (level debug), and those in flight when one fails."""
+    from dask.callbacks import Callback
+
+    said, running = _said(order), set()
+
+    def name(key: Any) -> str | None:
+        tile = isinstance(key, tuple) and key[0] == "tile"
+        return "f{}_r{}_c{}".format(*key[1:4]) if tile else None
+
+    def begins(key: Any, *_: Any) -> None:
+        running.add(name(key))
+
+    def ended(key: Any, *_: Any) -> None:
+        running.discard(name(key))
+        if name(key):
+            log.debug("tile drawn", extra=said | {"tile": name(key)})
+
+    try:
+        with Callback(pretask=begins, posttask=ended):
+            yield
+    except Exception:
+        tiles = sorted(tile for tile in running if tile)
+        log.error("tiles in flight", extra=said | {"tile": " ".join(tiles[:20])})
+        raise
+
+
+def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
     from pipeline.run import plan_scene
 
     return {"outcome": "done", "plan": plan_scene(parse_scene(order["scene"]))}
 
 
 def _render(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
-    from pipeline.run import Options, Progress, render
+    from pipeline.run import Options, render
 
+    options = Options(
+        scheduler=order["scheduler"], workers=order["workers"], resume=order["resume"]
+    )
+    with _tiles_told(order):
+        report = render(
+            parse_scene(order["scene"]), Path(order["product"]), options, _listener(answers)
+        )
+    return {
+        "outcome": "done", "tiles": report["tiles"], "content_digest": report["content_digest"],
+    }  # fmt: skip
+
+
+def _sweep(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
+    """A sweep, through the one function that service/sweeps.py names."""
+    from service.sweeps import RUN
+
+    module, function = RUN
+    run = getattr(import_module(module), function)
+    return {"outcome": "done"} | run(order, _listener(answers))
+
+
+def _listener(answers: BinaryIO) -> Any:
+    """Tell of progress, a few times a second."""
     last = {"s": 0.0}
     lock = threading.Lock()
 
-    def listen(progress: Progress) -> None:
+    def listen(progress: Any) -> None:
         with lock:
             now = time.monotonic()
             if now - last["s"] >= BETWEEN_LINES_S or progress.doing == "start":
                 last["s"] = now
                 _say(answers, {"done": progress.done, "total": progress.total})
 
-    options = Options(workers=order["workers"], resume=order["resume"])
-    report = render(parse_scene(order["scene"]), Path(order["product"]), options, listen)
-    return {
-        "outcome": "done", "tiles": report["tiles"], "content_digest": report["content_digest"],
-    }  # fmt: skip
+    return listen
 
 
 def describe(error: Exception, product: str | None = None) -> dict[str, Any]:
@@ -89,6 +150,9 @@ def describe(error: Exception, product: str | None = None) -> dict[str, Any]:
         return {"kind": "damaged", "message": cut(str(Damaged(place, reason))), "errors": []}
     if isinstance(error, NightglassError):
         return {"kind": "incomplete", "message": cut(_clean(str(error), product)), "errors": []}
+    if isinstance(error, OSError) and error.errno in NO_ROOM:
+        message = f"the server's disk is full ({error.strerror}); submit again when there is room"
+        return {"kind": "disk full", "message": message, "errors": []}
     if isinstance(error, OSError):
         message = f"the server could not read or write: {error.strerror or type(error).__name__}"
     elif isinstance(error, MemoryError):

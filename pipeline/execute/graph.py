@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.arrays import FrameStars, Geometry, SensorMaps, StarTable, concatenate
+from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps, StarTable, concatenate
 from pipeline.execute.blocks import Block, plan_blocks, render_block
 from pipeline.execute.sources import excursion_px, place_stars, truth_order
-from pipeline.execute.tile import render_tile
+from pipeline.execute.tile import charge_of_tile, render_tile
 from pipeline.execute.truth import star_truth, target_truth
 from pipeline.inputs.stars import Catalogue, Leaf, Shard, gather_leaf, leaf_pad_rad
 from pipeline.physics.positions.focal_plane import deproject, stretch
@@ -46,7 +46,10 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Work:
-    """What is still to be done in a window of frames: indices into its geometry."""
+    """What is still to be done in a window of frames: indices into its geometry.
+
+    Where charge stays behind, the geometry begins with frames before the window.
+    """
 
     geometry: Geometry
     tiles: tuple[tuple[int, Tile], ...]
@@ -89,26 +92,24 @@ def window_graph(
     graph: dict[Key, Any] = {}
     wanted: list[Key] = []
     blocks = plan_blocks(plan, sum(rows_wanted(shard) for shard in shards))
-    needed = {index for index, _ in work.tiles} | set(work.star_truth)
+    lag = plan.lag_frames
+    needed = {i - j for i, _ in work.tiles for j in range(min(i, lag) + 1)} | set(work.star_truth)
     views = {
         index: _view(plan, work.geometry.frame_slice(index), shards, ref_epochs_jyear)
         for index in sorted(needed)
     }
     for index, tile in work.tiles:
+        before = []
+        for earlier in range(max(0, index - lag), index):
+            key = ("charge", int(views[earlier].g.frame[0]), tile.row, tile.column)
+            if key not in graph:
+                seen = _seen_by(graph, inputs, plan, views[earlier], tile, blocks)
+                graph[key] = (charge_task, inputs, views[earlier].g, tile, *seen)
+            before.append(key)
         view = views[index]
-        frame = int(view.g.frame[0])
-        parts = _places(graph, inputs, plan, view, tile)
-        around = []
-        for block in blocks:
-            shared = overlap(tile, block)
-            if shared.rows and shared.columns:
-                key = ("block", frame, block.row, block.column)
-                if key not in graph:
-                    near = _places(graph, inputs, plan, view, block)
-                    graph[key] = (block_task, inputs, view.g, block, near)
-                around.append(key)
-        name = ("tile", frame, tile.row, tile.column)
-        graph[name] = (tile_task, inputs, view.g, tile, parts, around)
+        name = ("tile", int(view.g.frame[0]), tile.row, tile.column)
+        seen = _seen_by(graph, inputs, plan, view, tile, blocks)
+        graph[name] = (tile_task, inputs, view.g, tile, *seen, before)
         wanted.append(name)
     for index in work.star_truth:
         view = views[index]
@@ -124,6 +125,23 @@ def window_graph(
         graph[("ray_truth", frame)] = (ray_truth_task, inputs, work.geometry.frame_slice(index))
         wanted.append(("ray_truth", frame))
     return graph, wanted
+
+
+def _seen_by(
+    graph: dict[Key, Any], inputs: Any, plan: Plan, view: _View, tile: Tile, blocks: Iterable[Tile]
+) -> tuple[list[Key], list[Key]]:
+    """Keys of what a tile of a frame is drawn from: its stars' places, and its blocks."""
+    parts = _places(graph, inputs, plan, view, tile)
+    frame, around = int(view.g.frame[0]), []
+    for block in blocks:
+        shared = overlap(tile, block)
+        if shared.rows and shared.columns:
+            key = ("block", frame, block.row, block.column)
+            if key not in graph:
+                near = _places(graph, inputs, plan, view, block)
+                graph[key] = (block_task, inputs, view.g, block, near)
+            around.append(key)
+    return parts, around
 
 
 @dataclass(frozen=True)
@@ -205,12 +223,22 @@ def block_task(inputs: Inputs, g: Geometry, place: Tile, parts: list[FrameStars]
 
 
 def tile_task(
-    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
-) -> tuple[int, int, int]:
+    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
+    before: list[Array],
+) -> tuple[int, int, int]:  # fmt: skip
     """Task: render one tile of one frame and store it; returns only its name."""
-    layers, checks = render_tile(inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays)
+    layers, checks = render_tile(
+        inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays, before
+    )
     inputs.writer.write(int(g.frame[0]), tile, layers, checks)
     return int(g.frame[0]), tile.row, tile.column
+
+
+def charge_task(
+    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
+) -> Array:
+    """Task: what a tile of one frame collects, for the frames after in which a share is left."""
+    return charge_of_tile(inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays)
 
 
 def star_truth_task(inputs: Inputs, g: Geometry, parts: list[FrameStars]) -> int:

@@ -11,8 +11,10 @@ from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
 from pipeline.physics.motion.streak import Path, path_through
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
+from pipeline.physics.positions.refraction import refract
 from pipeline.physics.targets.disc import Sphere, photocentre_offset
 from pipeline.physics.vectors import to_angles
+from pipeline.plan.air import path_transmission, star_transmission
 from pipeline.plan.geometry import excursions_px
 from pipeline.plan.responses import point_curvature
 from pipeline.plan.scene_plan import Plan
@@ -58,12 +60,15 @@ def place_stars(
     proper = star_proper(
         astrometric, *observer, deflection=wish.deflection, aberration=wish.aberration
     )
-    x, y = project(plan.camera, g.attitude[0, middle], proper)
+    observed = refract(proper, g.air_at(0, middle))
+    x, y = project(plan.camera, g.attitude[0, middle], observed)
     frame = (0, 0, plan.camera.rows, plan.camera.columns)
     near = distance_px(x, y, *frame) < plan.halo_px + excursion_px(plan, g)
     ra, dec = to_angles(astrometric[near])
     kept = select(stars, near)
     light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
+    if plan.extinction is not None:
+        light = light * star_transmission(plan.extinction, g, observed[near])
     return FrameStars(
         kept.source_id, x[near], y[near], light, ra, dec, kept.g_mag, kept.colour_flag,
         np.full(len(kept), catalogue, np.uint8),
@@ -133,6 +138,8 @@ def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[Fra
         seen = np.isfinite(x) & np.isfinite(y)
         if not seen.any():
             continue
+        if plan.extinction is not None:
+            light = light * path_transmission(plan.extinction, plan.camera, g, x, y)
         share = 0.5 * (light[:-1] + light[1:]) / (g.nodes - 1)
         share = np.where(seen[:-1] & seen[1:], share, 0.0)
         nearest = _nearest(seen)

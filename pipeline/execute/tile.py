@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,9 +12,15 @@ from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.errors import NightglassError
 from pipeline.execute.blocks import Block
 from pipeline.execute.check import check_tile
+from pipeline.execute.detector import (
+    collected_e,
+    stream_place,
+    tile_chain,
+    with_lag,
+    with_smear,
+)
 from pipeline.execute.light import draw_stars, draw_targets
-from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
-from pipeline.physics.noise.streams import stream_key
+from pipeline.physics.noise.chain import Chain, to_dn
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 
@@ -31,51 +38,89 @@ def render_tile(
     parts: list[FrameStars],
     blocks: list[Block],
     rays: CosmicRays | None = None,
+    before: Sequence[Array] = (),
 ) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
     """The layers of a tile that the scene asks for, and what the reference path found in it.
 
     The layers are `dn`, and the noise-free ones in float32. The light layers are what the pixels
-    collect (after the flat), so that with the dark they sum to `mean_e`, the mean of the noisy
-    frame before full well and ADC. `cosmic_rays_e` is drawn charge and not in it.
+    collect (after the flat, with smear), so that with the dark and the lag they sum to `mean_e`,
+    the mean of the noisy frame before full well and ADC. `cosmic_rays_e` is drawn charge and not
+    in it. before : `charge_of_tile` of the frames before, where charge stays behind.
     """
-    frame = int(g.frame[0])
-    chain = _chain(plan, maps, tile, frame)
+    chain = tile_chain(plan.scene, maps, tile, plan.integration_s(int(g.frame[0])))
+    light = _light(plan, g, tile, parts, blocks)
+    layers, own = _mean(plan, g, tile, chain, light, blocks)
+    drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
+    if drawn is not None:
+        layers["cosmic_rays_e"] = drawn
+    mean, drawn = with_lag(plan.scene, own, drawn, list(before))
+    if mean is not own:
+        layers["lag_e"] = mean - own
+    place = stream_place(plan.scene, tile, int(g.frame[0]))
+    out: dict[str, NDArray] = {"dn": to_dn(mean, chain, place, drawn)}
+    for name in plan.scene.output.layers:
+        if name == "calibrated_e":
+            from pipeline.physics.noise.calibration import calibrated_e
+
+            out[name] = calibrated_e(out["dn"], chain).astype(np.float32)
+        elif name != "dn":
+            value = mean if name == "mean_e" else layers.get(name, np.zeros(mean.shape))
+            out[name] = value.astype(np.float32)
+    return out, check_tile(
+        plan, g, tile, parts, list(light.values()), lambda part: _noise_e(mean, chain, part)
+    )
+
+
+def charge_of_tile(
+    plan: Plan,
+    maps: SensorMaps,
+    g: Geometry,
+    tile: Tile,
+    parts: list[FrameStars],
+    blocks: list[Block],
+    rays: CosmicRays | None = None,
+) -> Array:
+    """What the pixels of a tile collect in one frame [e-]: of it a share is left for the next."""
+    chain = tile_chain(plan.scene, maps, tile, plan.integration_s(int(g.frame[0])))
+    _, mean = _mean(plan, g, tile, chain, _light(plan, g, tile, parts, blocks), blocks)
+    drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
+    return collected_e(plan.scene, mean, drawn)
+
+
+def _light(
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
+) -> dict[str, Array]:
+    """Electrons of the sources in a tile, before the flat."""
     light: dict[str, Array] = {}
     if plan.scene.stars is not None:
         light["stars_e"] = draw_stars(plan, g, tile, parts, blocks)
     if plan.scene.targets:
         light["targets_e"] = draw_targets(plan, g, tile, blocks)
+    return light
+
+
+def _mean(
+    plan: Plan, g: Geometry, tile: Tile, chain: Chain, light: dict[str, Array], blocks: list[Block]
+) -> tuple[dict[str, Array], Array]:
+    """The noise-free layers of a tile, and their sum: the mean of what its pixels collect."""
+    shape, frame = (tile.rows, tile.columns), int(g.frame[0])
     layers: dict[str, Array] = {name: image * chain.flat for name, image in light.items()}
-    shape = (tile.rows, tile.columns)
     if plan.sky is not None:
         from pipeline.plan.sky import sky_tile
 
-        light_e_s = sky_tile(plan.sky, int(g.frame[0]), tile)
+        light_e_s = sky_tile(plan.sky, frame, tile)
         layers["background_e"] = light_e_s * plan.integration_s(frame) * chain.flat
     elif plan.facts.background_e > 0:
         background_e = plan.facts.background_e_s * plan.integration_s(frame)
         layers["background_e"] = np.broadcast_to(background_e * chain.flat, shape)
+    exposed = plan.integration_s(frame)
+    layers = {name: with_smear(plan.scene, layer, exposed) for name, layer in layers.items()}
     if np.any(chain.dark_e):
         layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
     mean = np.zeros(shape)
     for layer in layers.values():
         mean += layer
-    mean = _not_negative(plan, mean, max((b.brightest_e for b in blocks), default=0.0))
-    place = StreamPlace(
-        tile.y0, tile.x0, int(g.frame[0]), stream_key(plan.scene.seed, "photon_noise"),
-        stream_key(plan.scene.seed, "read_noise"),
-    )  # fmt: skip
-    drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
-    out: dict[str, NDArray] = {"dn": to_dn(mean, chain, place, drawn)}
-    if drawn is not None:
-        layers["cosmic_rays_e"] = drawn
-    for name in plan.scene.output.layers:
-        if name != "dn":
-            value = mean if name == "mean_e" else layers.get(name, np.zeros(shape))
-            out[name] = value.astype(np.float32)
-    return out, check_tile(
-        plan, g, tile, parts, list(light.values()), lambda part: _noise_e(mean, chain, part)
-    )
+    return layers, _not_negative(plan, mean, max((b.brightest_e for b in blocks), default=0.0))
 
 
 def _cosmic_rays_e(plan: Plan, rays: CosmicRays, chain: Chain, g: Geometry, tile: Tile) -> Array:
@@ -96,31 +141,10 @@ def _noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
     def squared(value: float | Array) -> float | Array:
         return np.square(value[part] if isinstance(value, np.ndarray) else value)
 
-    photons = mean_e[part] if chain.photon_noise else 0.0
+    photons = mean_e[part] if chain.photon_noise else np.zeros_like(mean_e[part])
     floor = squared(chain.read_noise_e) + squared(chain.gain_e_per_dn) / 12.0
+    floor += chain.row_noise_e**2 + chain.column_noise_e**2
     return np.sqrt(photons + floor)
-
-
-def _chain(plan: Plan, maps: SensorMaps, tile: Tile, frame: int) -> Chain:
-    """The noise chain of a frame with the tile's part of each image."""
-    part = np.s_[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
-    s = plan.scene.sensor
-
-    def cut(value: float | Array) -> float | Array:
-        return value[part] if isinstance(value, np.ndarray) else value
-
-    dark = cut(maps.dark_e_per_s) * plan.integration_s(frame)
-    return Chain(
-        flat=cut(maps.flat),
-        dark_e=dark,
-        full_well_e=s.full_well_e,
-        read_noise_e=cut(maps.read_noise_e),
-        gain_e_per_dn=cut(maps.gain_e_per_dn),
-        bias_dn=cut(maps.bias_dn),
-        adc_bits=s.adc_bits,
-        rounding=s.adc_rounding,
-        photon_noise=s.photon_noise,
-    )
 
 
 def _not_negative(plan: Plan, mean_e: Array, brightest_e: float) -> Array:

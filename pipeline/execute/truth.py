@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from pipeline.execute.tables import swept_core
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.positions.apparent import proper_to_astrometric
 from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import stamp_at
 from pipeline.physics.vectors import to_angles
@@ -24,16 +26,18 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
     """Columns of truth/stars.parquet for one frame; `stars` in `truth_order`.
 
     x_px, y_px at mid-exposure (pixel (0, 0) is the centre of the first), start and end of its own
-    path, ra/dec astrometric (what the WCS gives), light in electrons, matched-filter
-    SNR of the isolated source; catalogue is 0 for the main one, then counts the layers.
+    path, x_light_px, y_light_px the centroid of the light as drawn, ra/dec astrometric (what the
+    WCS gives), light in electrons, matched-filter SNR of the isolated source; catalogue is 0 for
+    the main one, then counts the layers.
     """
     paths = streaks(plan, g)
     zones = zone_of(plan, stars.x_px, stars.y_px)
-    ends = np.zeros((4, len(stars)))
+    ends, light = np.zeros((4, len(stars))), np.zeros((2, len(stars)))
     for zone in np.unique(zones):
         mine, s = zones == zone, paths[zone]
         x, y = stars.x_px[mine], stars.y_px[mine]
         ends[:, mine] = [*s.at(s.start, x, y), *s.at(s.end, x, y)]
+        light[:, mine] = sum(p.share * np.array(s.at(p.centre, x, y)) for p in s.pieces)
     rows, columns = plan.camera.rows, plan.camera.columns
     inside = (np.abs(stars.x_px - (columns - 1) / 2) <= columns / 2) & (
         np.abs(stars.y_px - (rows - 1) / 2) <= rows / 2
@@ -47,6 +51,8 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "y_start_px": stars.y_px + ends[1],
         "x_end_px": stars.x_px + ends[2],
         "y_end_px": stars.y_px + ends[3],
+        "x_light_px": stars.x_px + light[0],
+        "y_light_px": stars.y_px + light[1],
         "ra_deg": np.degrees(stars.ra_rad),
         "dec_deg": np.degrees(stars.dec_rad),
         "g_mag": stars.g_mag,
@@ -61,18 +67,23 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
 
 
 def target_truth(plan: Plan, g: Geometry) -> Columns:
-    """Columns of truth/targets.parquet for one frame: every target, also those not in view."""
+    """Columns of truth/targets.parquet for one frame: every target, also those not in view.
+
+    x_px, y_px is the body's centre at mid-exposure, x_light_px, y_light_px the centroid of its
+    light over the exposure (NaN where none is drawn): they differ where a body of visible size is
+    lit from a side, and where it brightens, turns or bends while it is exposed.
+    """
     middle, count = g.middle, len(plan.scene.targets)
     drawn = {t.index: t for t in place_targets(plan, g, everywhere=True)}
     seen = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     effects = plan.scene.star_effects
-    direction = proper_to_astrometric(
-        g.target_direction[:, 0], seen[0], seen[1], seen[2], **effects
-    )
+    proper = unrefract(g.target_direction[:, 0], g.air_at(0, middle))
+    direction = proper_to_astrometric(proper, seen[0], seen[1], seen[2], **effects)
     ra, dec = to_angles(direction)
     apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
     light = np.array([drawn[i].light_e if i in drawn else 0.0 for i in range(count)])
     snr = [_snr_of(plan, drawn[i]) if i in drawn else 0.0 for i in range(count)]
+    centroid = np.array([_centroid(drawn.get(i)) for i in range(count)])
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     with np.errstate(invalid="ignore"):
         inside = np.abs(x[:, middle] - (plan.camera.columns - 1) / 2) <= plan.camera.columns / 2
@@ -86,6 +97,8 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         "y_start_px": y[:, 0],
         "x_end_px": x[:, -1],
         "y_end_px": y[:, -1],
+        "x_light_px": centroid[:, 0],
+        "y_light_px": centroid[:, 1],
         "ra_deg": np.degrees(ra),
         "dec_deg": np.degrees(dec),
         "apparent_ra_deg": np.degrees(apparent_ra),
@@ -99,6 +112,22 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         "snr": np.array(snr),
         "in_frame": inside,
     }
+
+
+def _centroid(t: FrameTarget | None) -> tuple[float, float]:
+    """Where the middle of a target's drawn light is [px]; NaN for one that is not drawn."""
+    if t is None:
+        return math.nan, math.nan
+    path, total = t.path, float(t.path.weight.sum())
+    at = [
+        float(np.sum(0.5 * (n[1:] + n[:-1]) * path.weight)) / total for n in (path.x_px, path.y_px)
+    ]
+    off_x, off_y = 0.0, 0.0
+    if t.body is not None:
+        y0, y1, x0, x1 = t.body.box
+        y, x, share = t.body.points(1.0 / max(y1 - y0, x1 - x0, 1.0))
+        off_x, off_y = float(share @ x), float(share @ y)
+    return t.x_px + at[0] + off_x, t.y_px + at[1] + off_y
 
 
 def _snr_of(plan: Plan, t: FrameTarget) -> float:
@@ -156,7 +185,8 @@ def world_of(plan: Plan, g: Geometry, index: int = 0) -> Any:
     seen = (g.observer_m[index, middle], g.observer_m_s[index, middle], g.sun_m[index, middle])
 
     def to_world(x_px: Array, y_px: Array) -> Array:
-        proper = deproject(plan.camera, g.attitude[index, middle], x_px, y_px)
+        observed = deproject(plan.camera, g.attitude[index, middle], x_px, y_px)
+        proper = unrefract(observed, g.air_at(index, middle))
         return proper_to_astrometric(proper, seen[0], seen[1], seen[2], **effects)
 
     return to_world

@@ -1,1 +1,1 @@
-"""Products in the formats that others read: FITS and pictures."""
+"""Products in the formats that others read: FITS, pictures, movies, labels and masks."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +20,32 @@ LARGEST_SIDE_PX = 1024
 GREEN = (80, 255, 120)
 
 
-def stretch(
-    image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7
-) -> NDArray[np.uint8]:
-    """Grey levels 0 to 255 of an image: asinh between the sky and a bright percentile.
+class Limits(NamedTuple):
+    """Grey levels of a picture: black, the softening (scatter of the sky), white."""
 
-    The softening is the robust scatter of the sky, so that noise stays visible beside bright
-    stars (Lupton et al. 2004, PASP 116, 133).
-    """
+    low: float
+    scatter: float
+    top: float
+
+
+def limits_of(image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7) -> Limits:
+    """Limits between the sky and a bright percentile of an image."""
     values = np.asarray(image, np.float64)
     sample = values.ravel()[:: max(1, values.size // 400_000)]
     low, middle, high = np.percentile(sample, [low_percent, 50.0, high_percent])
     scatter = 1.4826 * float(np.median(np.abs(sample - middle))) or 1.0
     top = max(float(high), middle + 12.0 * scatter, np.nextafter(low, np.inf))
+    return Limits(low, scatter, top)
+
+
+def stretch(image: NDArray[Any], limits: Limits | None = None) -> NDArray[np.uint8]:
+    """Grey levels 0 to 255 of an image: asinh between limits, by default its own.
+
+    The softening is the robust scatter of the sky, so that noise stays visible beside bright
+    stars (Lupton et al. 2004, PASP 116, 133).
+    """
+    values = np.asarray(image, np.float64)
+    low, scatter, top = limits or limits_of(values)
     scaled = np.arcsinh((values - low) / (3.0 * scatter)) / np.arcsinh(
         (top - low) / (3.0 * scatter)
     )

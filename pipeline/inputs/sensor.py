@@ -1,4 +1,4 @@
-"""The detector's terms as the scene gives them: numbers, or images from FITS and NPY files."""
+"""The detector's terms as the scene gives them: numbers, or images from FITS, NPY and Zarr."""
 
 from __future__ import annotations
 
@@ -23,7 +23,15 @@ LIMITS = {  # least value allowed, and whether that value itself is
 def gather_sensor_maps(scene: Scene) -> SensorMaps:
     """Read the images that the sensor names and check shape, finiteness and range."""
     values = {name: _gather(scene, name) for name in LIMITS}
-    return SensorMaps(**values)
+    maps = SensorMaps(
+        values["flat"], values["dark_e_per_s"], values["read_noise_e"], values["gain_e_per_dn"],
+        values["bias_dn"],
+    )  # fmt: skip
+    if scene.sensor.detector is None:
+        return maps
+    from pipeline.inputs.detector import with_detector
+
+    return with_detector(maps, scene)
 
 
 def _gather(scene: Scene, name: str) -> Value:
@@ -31,14 +39,7 @@ def _gather(scene: Scene, name: str) -> Value:
     if not isinstance(given, str):
         return float(given)
     field = f"sensor.{name}"
-    image = read_image(Path(given), field)
-    if image.shape != scene.sensor.shape:
-        raise BadInput(
-            field, f"{given} of shape {image.shape}", f"an image of shape {scene.sensor.shape}"
-        )
-    if not np.isfinite(image).all():
-        count = int(np.size(image) - np.isfinite(image).sum())
-        raise BadInput(field, f"{given} with {count} NaN or infinite pixels", "finite pixels only")
+    image = gather_image(given, field, scene.sensor.shape)
     least, inclusive = LIMITS[name]
     low = float(image.min())
     if low < least or (low == least and not inclusive):
@@ -47,11 +48,25 @@ def _gather(scene: Scene, name: str) -> Value:
     return image
 
 
+def gather_image(given: str, field: str, shape: tuple[int, int]) -> Array:
+    """An image file of the focal plane. BadInput for another shape and for NaN or infinity."""
+    image = read_image(Path(given), field)
+    if image.shape != shape:
+        raise BadInput(field, f"{given} of shape {image.shape}", f"an image of shape {shape}")
+    if not np.isfinite(image).all():
+        count = int(np.size(image) - np.isfinite(image).sum())
+        raise BadInput(field, f"{given} with {count} NaN or infinite pixels", "finite pixels only")
+    return image
+
+
 def read_image(path: Path, field: str) -> Array:
-    """A 2-D image of a .npy or FITS file as float64. BadInput where it is neither."""
-    if not path.is_file():
-        raise BadInput(field, str(path), "a number, or an existing .npy or .fits image")
-    if path.suffix == ".npy":
+    """A 2-D image of a .npy or FITS file or a Zarr array as float64. BadInput where it is none."""
+    image: np.ndarray | None
+    if path.suffix == ".zarr" and path.is_dir():
+        image = _read_zarr(path, field)
+    elif not path.is_file():
+        raise BadInput(field, str(path), "a number, or an existing .npy, .fits or .zarr image")
+    elif path.suffix == ".npy":
         try:
             image = np.load(path, allow_pickle=False)
         except (ValueError, OSError, EOFError) as error:
@@ -65,7 +80,17 @@ def read_image(path: Path, field: str) -> Array:
         except (OSError, ValueError, TypeError) as error:
             raise BadInput(field, str(path), f"a readable FITS image; {error}") from None
     else:
-        raise BadInput(field, str(path), "an image of kind .npy, .fits or .fits.gz")
+        raise BadInput(field, str(path), "an image of kind .npy, .fits, .fits.gz or .zarr")
     if image is None or np.ndim(image) != 2 or np.asarray(image).dtype.kind not in "fiu":
         raise BadInput(field, str(path), "a two-dimensional image of numbers")
     return np.ascontiguousarray(image, dtype=np.float64)
+
+
+def _read_zarr(path: Path, field: str) -> np.ndarray:
+    import zarr
+
+    try:
+        return np.asarray(zarr.open_array(path, mode="r")[...])
+    except (OSError, ValueError, TypeError, KeyError, RuntimeError) as error:
+        allowed = f"a readable Zarr array; {type(error).__name__}"
+        raise BadInput(field, str(path), allowed) from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +14,11 @@ from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.starlight import gather_starlight
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.radiometry import ResponseCurve
-from pipeline.plan.sky import SkyInputs
+from pipeline.plan.sky_light import SkyInputs
 from pipeline.spec.scene import Scene
+
+if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
 
 
 def gather_sky(
@@ -25,11 +29,13 @@ def gather_sky(
     catalogues: Sequence[Catalogue],
     fit: ColourFit | None,
     limit_from_noise: bool,
+    extinction: BandExtinction | None = None,
 ) -> SkyInputs:
     """Read what the parts of the scene's background need, and no more.
 
     response, band, digest : of `run.gather_response`; fit : the stars' colour fit, where there is
-    one already. Raises Damaged for a damaged map of starlight.
+    one already; extinction : of the air above the site. Raises Damaged for a damaged map of
+    starlight.
     """
     b = scene.background
     table, rates, every = None, (0.0, 0.0), None
@@ -50,4 +56,14 @@ def gather_sky(
     undrawn = gather_starlight(scene, catalogues, limit_from_noise)
     if fit is None and (every is not None or undrawn is not None or limit_from_noise):
         fit = gather_colour_fit(response, band, digest, cache_folder())
-    return SkyInputs(table, rates, undrawn, every, fit)
+    stray = None
+    if b is not None and b.stray_light is not None:
+        from pipeline.inputs.stray_light import gather_stray_light
+
+        stray = gather_stray_light(scene, b.stray_light)
+    air = None
+    if b is not None and b.of_the_air:
+        from pipeline.inputs.night import gather_night
+
+        air = gather_night(b, response)
+    return SkyInputs(table, rates, undrawn, every, fit, stray, extinction, air)

@@ -148,11 +148,6 @@ def _star_effects(scene: Scene) -> list[Decision]:
                 "up to 0.3 arcsec of the site's place (10 m): it moves no star, and a satellite at "
                 "1000 km by 2 arcsec",
             ),
-            Decision(
-                "atmosphere", False,
-                "extinction, refraction and seeing are not in this version: about 0.15 mag per "
-                "airmass in V, and refraction's differences over the field, are missing",
-            ),
         ]  # fmt: skip
     return out
 

@@ -27,14 +27,17 @@ from pipeline.physics.positions.apparent import (
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
 from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, project, stretch
 from pipeline.physics.positions.orbit import check_above_earth
+from pipeline.physics.positions.refraction import refract, unrefract
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import separation
+from pipeline.plan.air import air_of, lifted
 from pipeline.plan.attitude_motion import motion_plan, random_motion_rad
 from pipeline.plan.bodies import View, flicker_shares, needs_velocity, target_light
 from pipeline.plan.orbits import mean_sights, orbit_states
 from pipeline.plan.paths import LONGEST_STREAK_PX, bends_px, check_paths
 from pipeline.plan.pointing import Moments, attitudes, pointing_field, swept_rad
 from pipeline.plan.timing import dwell_plans, frame_count, frame_times, integration_range_s
+from pipeline.spec.detector import TimeDelay
 from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import RatePointing
@@ -65,6 +68,8 @@ def camera_of(scene: Scene) -> Camera:
     """The focal plane of a scene's sensor."""
     s = scene.sensor
     camera = Camera(s.shape[0], s.shape[1], s.pixel_pitch_um * 1e-6, s.focal_length_m)
+    if s.detector is not None and isinstance(s.detector.readout, TimeDelay):
+        camera = replace(camera, charge_px_s=s.detector.readout.rows_per_s)
     if s.distortion is None:
         return camera
     from pipeline.physics.positions.distortion import distortion_of
@@ -184,7 +189,8 @@ def _geometry(
     """Geometry of frames at a number of nodes; `random`: with the random motion of the pointing."""
     within = np.linspace(0.0, 1.0, nodes)
     start, time = frame_times(scene, frames)
-    offset = start[:, None] + within[None, :] * time[:, None]
+    since = within[None, :] * time[:, None]
+    offset = start[:, None] + since
     flat = offset.ravel()
     epoch = parse_utc(scene.epoch)
     times = instants(epoch, flat, dut1_s)
@@ -199,8 +205,11 @@ def _geometry(
     attitude = attitudes(scene, np.repeat(frames, nodes), moments)
     if random:
         attitude = turned(attitude, *random_motion_rad(scene, frames, nodes).reshape(-1, 3).T)
+    camera, air = camera_of(scene), air_of(scene, times)
+    if air is not None:
+        attitude = lifted(camera, attitude, air)
+        sights = [replace(s, direction_proper=refract(s.direction_proper, air)) for s in sights]
     _check_view(scene, geocentric, attitude[:, 2])
-    camera = camera_of(scene)
     shape = (len(sights), len(frames), nodes)
     x, y = np.full((2, *shape), np.nan)
     light, phase, lit, distance = np.zeros((4, *shape))
@@ -211,6 +220,8 @@ def _geometry(
             for a, u in zip(attitude, sight.direction_proper, strict=True)
         ]
         x[i], y[i] = (np.concatenate(c).reshape(shape[1:]) for c in zip(*places, strict=True))
+        if camera.charge_px_s:
+            y[i] -= camera.charge_px_s * (since - since[:, [nodes // 2]])
         light_, alpha, sunlit = target_light(
             target, f"targets.{i}.body", epoch,
             _view(scene, i, epoch, flat, sight, earth, geocentric, dut1_s),
@@ -226,6 +237,7 @@ def _geometry(
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
         x, y, light, distance, phase, lit, direction,
+        np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
 
 
@@ -364,9 +376,12 @@ def star_paths(
     beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
     for f in range(len(g.frame)):
         seen = deproject(camera, g.attitude[f, g.middle], x_px, y_px)
-        stars = unaberrate(seen, beta[f, g.middle])
+        stars = unaberrate(unrefract(seen, g.air_at(f, g.middle)), beta[f, g.middle])
         for k in range(g.nodes):
-            out[:, :, f, k] = project(camera, g.attitude[f, k], aberrate(stars, beta[f, k]))
+            u = refract(aberrate(stars, beta[f, k]), g.air_at(f, k))
+            out[:, :, f, k] = project(camera, g.attitude[f, k], u)
+        if camera.charge_px_s:
+            out[1, :, f] -= camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
     return out
 
 

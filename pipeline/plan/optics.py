@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from pipeline.physics.psf.aperture import Pupil, Vanes
@@ -14,6 +14,7 @@ from pipeline.physics.psf.seeing import Kolmogorov, Moffat, r0_at, r0_m
 from pipeline.physics.psf.zernike import defocus_rms
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.plan.attitude_motion import fast_blur_px
+from pipeline.spec.detector import TimeDelay
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import (
     AiryPsf,
@@ -38,7 +39,7 @@ def blur_of(
     s = scene.sensor
     rest = Blur(
         Gaussian(1.0), _jitter_px(scene, psf), psf.diffusion_px(s.pixel_pitch_um), s.fill_factor,
-        isinstance(psf, TablePsf) and psf.includes_pixel,
+        isinstance(psf, TablePsf) and psf.includes_pixel, clock_step_px(scene),
     )  # fmt: skip
     if isinstance(psf, AiryPsf | KolmogorovPsf):
         band = _band(scene, psf, rest, response, mean_m)
@@ -52,8 +53,16 @@ def _jitter_px(scene: Scene, psf: OnePsf) -> float:
     return math.hypot(psf.jitter_px, fast) if fast else psf.jitter_px
 
 
+def clock_step_px(scene: Scene) -> float:
+    """Length of the steps in which charge follows a moving image; 0 where it does not."""
+    readout = scene.sensor.detector.readout if scene.sensor.detector else None
+    if not isinstance(readout, TimeDelay) or readout.rows_per_s == 0:
+        return 0.0
+    return 1.0 / readout.clock_phases
+
+
 def _with(rest: Blur, optics: Optics) -> Blur:
-    return Blur(optics, rest.jitter_px, rest.diffusion_px, rest.fill_factor, rest.pixel_in_optics)
+    return replace(rest, optics=optics)
 
 
 def _fixed(s: Sensor, psf: OnePsf, table: Sampled | None) -> Optics:

@@ -43,8 +43,8 @@ def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
             out.append(
                 Decision(
                     "pointing_refraction", False,
-                    f"azimuth and elevation are geometric{where}: refraction, 60 arcsec at 45 "
-                    "degrees from the zenith, does not move the boresight",
+                    f"azimuth and elevation{where} are those of the sky without air: with the "
+                    "site's refraction the camera is held as much higher (60 arcsec at 45 degrees)",
                 )
             )  # fmt: skip
     return tuple(out)

@@ -14,10 +14,13 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrated_caps
 from pipeline.physics.positions.focal_plane import Camera, corner_radius, stretch
+from pipeline.plan.air import above_air
+from pipeline.plan.air_decisions import decide_air
 from pipeline.plan.attitude_motion import decide_motion
 from pipeline.plan.checks import CheckCell, choose_checks
 from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
+from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, excursions_px
 from pipeline.plan.optics import describe
@@ -37,6 +40,7 @@ from pipeline.plan.timing import frame_count, integration_s
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky import SkyPlan
 
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
@@ -64,6 +68,7 @@ class Plan:
     remarks: tuple[str, ...]
     dut1_s: float
     sky: SkyPlan | None = None
+    extinction: BandExtinction | None = None
 
     @property
     def frames(self) -> int:
@@ -72,6 +77,11 @@ class Plan:
     def integration_s(self, frame: int) -> float:
         """Integration time of a frame."""
         return integration_s(self.scene, frame)
+
+    @property
+    def lag_frames(self) -> int:
+        """How many frames before leave charge in a frame."""
+        return lag_depth(self.scene, self.facts.sigma_floor_e)
 
     @property
     def halo_px(self) -> float:
@@ -99,18 +109,20 @@ def make_plan(
     remarks: tuple[str, ...],
     dut1_s: float,
     sky: SkyPlan | None = None,
+    extinction: BandExtinction | None = None,
 ) -> Plan:
     """Decide everything from facts and the geometry of some of its frames."""
     camera = camera_of(scene)
     responses = plan_responses(scene, facts, camera, ends)
     decisions = (
         *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
-        *(sky.decisions if sky else ()),
+        *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
+        *decide_detector(scene, facts, ends),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
     )  # fmt: skip
     return Plan(
         scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),
-        choose_checks(scene, ends), decisions, remarks, dut1_s, sky,
+        choose_checks(scene, ends), decisions, remarks, dut1_s, sky, extinction,
     )  # fmt: skip
 
 
@@ -134,13 +146,14 @@ def catalogue_cones(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cones of the catalogue's sky for cones seen at mid-exposure: (F, 3) and (F,) [rad].
 
-    Aberration is taken out at any speed; the radius is widened by a margin for deflection. The
-    stars' own motion and parallax are the caller's.
+    Refraction and aberration are taken out, the latter at any speed; the radius is widened by a
+    margin for deflection. The stars' own motion and parallax are the caller's.
     """
     beta = g.observer_m_s[:, g.middle] / SPEED_OF_LIGHT_M_S
     if plan.scene.stars is not None and not plan.scene.stars.aberration:
         beta = np.zeros_like(beta)
     seen = np.minimum(radius_rad + FIELD_MARGIN_RAD + np.zeros(len(centres)), math.pi)
+    centres, seen = above_air(g, centres, seen)
     return unaberrated_caps(centres, seen, beta)
 
 

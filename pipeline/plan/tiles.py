@@ -22,10 +22,18 @@ class Tile:
 
 
 def tile_shape(scene: Scene) -> tuple[int, int]:
-    """Rows and columns of a tile: as the scene says, else 1024 px or the whole axis."""
+    """Rows and columns of a tile: as the scene says, else 1024 px or the whole axis.
+
+    Where charge runs along columns (blooming, frame transfer) a tile holds whole ones.
+    """
     if scene.output.tile_shape is not None:
         return scene.output.tile_shape
     rows, columns = (min(n, DEFAULT_TILE_PX) for n in scene.sensor.shape)
+    detector = scene.sensor.detector
+    if detector is not None and detector.whole_columns:
+        rows = scene.sensor.shape[0]
+        cells = max(1, DEFAULT_TILE_PX**2 // rows // CELL_PX)
+        columns = min(scene.sensor.shape[1], cells * CELL_PX)
     return rows, columns
 
 

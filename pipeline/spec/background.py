@@ -7,9 +7,13 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from pipeline.spec.stray_light import StrayLight
 from pipeline.spec.strict import Strict
 
-COMPONENTS = ("zodiacal", "galactic", "starlight", "uniform_mag_arcsec2", "uniform_e_per_s")
+COMPONENTS = (
+    "zodiacal", "galactic", "starlight", "stray_light", "airglow", "moonlight", "twilight",
+    "uniform_mag_arcsec2", "uniform_e_per_s",
+)  # fmt: skip
 
 
 class Zodiacal(Strict):
@@ -28,6 +32,15 @@ class Galactic(Strict):
     share: float = Field(0.25, gt=0, le=0.5, description="published: 0.2 to 0.3")
 
 
+class Airglow(Strict):
+    """Light that the upper air itself sends, by a layer at 90 km.
+
+    solar_flux_sfu : radio flux of the Sun at 10.7 cm, monthly mean, 1e-22 W/m2/Hz: 70 to 250
+    """
+
+    solar_flux_sfu: float = Field(130.0, ge=50, le=400)
+
+
 class Background(Strict):
     """Light from the sky; the parts add up.
 
@@ -39,6 +52,10 @@ class Background(Strict):
     zodiacal: Zodiacal | bool | None = Field(None, description="true, or how")
     galactic: Galactic | bool | None = Field(None, description="true, or how")
     starlight: Literal["auto", "all", "none"] | bool = "auto"
+    stray_light: StrayLight | None = None
+    airglow: Airglow | bool | None = Field(None, description="true, or how; sites on the ground")
+    moonlight: Literal["yes"] | bool | None = Field(None, description="scattered by the air")
+    twilight: Literal["yes"] | bool | None = Field(None, description="of the Sun below the horizon")
     uniform_mag_arcsec2: float | None = Field(
         None, ge=-30, le=40, description="AB magnitude per square arcsecond in the sensor's band"
     )
@@ -52,7 +69,10 @@ class Background(Strict):
         """True stands for a part with its defaults, false for none: no field keeps a boolean."""
         if not isinstance(data, dict):
             return data
-        meant = {"zodiacal": (None, {}), "galactic": (None, {}), "starlight": ("none", "all")}
+        meant = {
+            "zodiacal": (None, {}), "galactic": (None, {}), "starlight": ("none", "all"),
+            "airglow": (None, {}), "moonlight": (None, "yes"), "twilight": (None, "yes"),
+        }  # fmt: skip
         return {k: meant[k][v] if k in meant and isinstance(v, bool) else v
                 for k, v in data.items()}  # fmt: skip
 
@@ -64,11 +84,18 @@ class Background(Strict):
             raise PydanticCustomError(
                 "one_of",
                 "allowed: exactly one of uniform_mag_arcsec2 and uniform_e_per_s, or any of "
-                "zodiacal, galactic and starlight and at most one of the two",
+                "zodiacal, galactic, starlight, stray_light, airglow, moonlight, twilight and at "
+                "most one of the two",
             )
         return self
 
     @property
     def varies(self) -> bool:
         """True where some part of it differs over the sky."""
-        return bool(self.zodiacal or self.galactic or self.starlight == "all")
+        parts = (self.zodiacal, self.galactic, self.stray_light, self.of_the_air)
+        return any(parts) or self.starlight == "all"
+
+    @property
+    def of_the_air(self) -> bool:
+        """True where some part of it is light of the air above a site."""
+        return any((self.airglow, self.moonlight, self.twilight))

@@ -162,6 +162,8 @@ def _checked(data: dict[str, Any]) -> Scene:
 PATH_FIELDS = (
     ("stars", "catalogue"),
     ("cosmic_rays", "path"),
+    ("background", "stray_light", "pst", "path"),
+    ("background", "stray_light", "earth_albedo"),
     ("sensor", "transmission"),
     ("sensor", "quantum_efficiency"),
     ("sensor", "gain_e_per_dn"),
@@ -169,6 +171,8 @@ PATH_FIELDS = (
     ("sensor", "flat"),
     ("sensor", "dark_e_per_s"),
     ("sensor", "read_noise_e"),
+    ("sensor", "detector", "bad", "map"),
+    ("sensor", "detector", "dead", "map"),
     ("sensor", "bandpass", "path"),
     ("sensor", "psf", "path"),
     ("sensor", "psf", "psfs", "*", "*", "path"),  # of each place of a field

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from pipeline.spec.atmosphere import Atmosphere
 from pipeline.spec.orbit import Orbit, Speed
 from pipeline.spec.strict import Strict
 
@@ -17,6 +18,7 @@ class GroundObserver(Strict):
     latitude_deg: float = Field(ge=-90, le=90)
     longitude_deg: float = Field(ge=-360, le=360, description="east positive")
     height_m: float = Field(0.0, ge=-500, le=100_000)
+    atmosphere: Atmosphere | None = Field(None, description="absent: none is in the way")
 
 
 class OrbitObserver(Strict):

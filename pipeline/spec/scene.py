@@ -12,14 +12,17 @@ from pipeline.spec.body import Body, Lighting
 from pipeline.spec.cosmic_rays import CosmicRays
 from pipeline.spec.dwell import Dwells
 from pipeline.spec.mesh import MeshBody
-from pipeline.spec.observer import Observer
+from pipeline.spec.observer import GroundObserver, Observer
 from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import Pointing, TargetPointing
 from pipeline.spec.sensor import Sensor
 from pipeline.spec.strict import Positive, Strict
 
 SCHEMA = "nightglass/scene/1"
-LAYERS = ("dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e", "cosmic_rays_e")
+LAYERS = (
+    "dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e", "cosmic_rays_e",
+    "lag_e", "calibrated_e",
+)  # fmt: skip
 CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
 MAX_CATALOGUES, MAX_PATH = 8, 1024
 
@@ -192,8 +195,33 @@ class Scene(Strict):
         return self
 
     @model_validator(mode="after")
+    def _air_is_above_a_site(self) -> Scene:
+        b, o = self.background, self.observer
+        if b is None or not b.of_the_air:
+            return self
+        names = [n for n in ("airglow", "moonlight", "twilight") if getattr(b, n)]
+        wish = {"field": f"background.{names[0]}"}
+        if not isinstance(o, GroundObserver):
+            raise PydanticCustomError(
+                "air", "allowed: with an observer of kind ground, below the air", wish
+            )
+        if names != ["airglow"] and not (o.atmosphere and o.atmosphere.extinction):
+            wish["field"] = f"background.{names[-1]}"
+            raise PydanticCustomError(
+                "air", "allowed: with observer.atmosphere.extinction, which scatters it", wish
+            )
+        return self
+
+    @model_validator(mode="after")
     def _tiles_hold_whole_cells(self) -> Scene:
+        detector = self.sensor.detector
         if self.output.tile_shape is not None:
+            rows = self.sensor.shape[0]
+            if detector and detector.whole_columns and self.output.tile_shape[0] != rows:
+                raise PydanticCustomError(
+                    "tile", "allowed: all {rows} rows, as charge runs along whole columns",
+                    {"rows": rows, "field": "output.tile_shape"},
+                )  # fmt: skip
             for tile, full in zip(self.output.tile_shape, self.sensor.shape, strict=True):
                 if tile != full and (tile % CELL_PX or tile > full):
                     raise PydanticCustomError(

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from pipeline.spec.detector import Detector, check_detector
 from pipeline.spec.distortion import Distortion
 from pipeline.spec.strict import Fraction, Positive, Strict
 
@@ -308,3 +309,9 @@ class Sensor(Strict):
     dark_e_per_s: Annotated[float, Field(ge=0, le=1e12)] | ImagePath = 0.0
     read_noise_e: Annotated[float, Field(ge=0, le=1e9)] | ImagePath = 0.0
     photon_noise: bool = True
+    detector: Detector | None = Field(None, description="bad pixels, patterns, ways of reading out")
+
+    @model_validator(mode="after")
+    def _detector_fits(self) -> Sensor:
+        check_detector(self)
+        return self

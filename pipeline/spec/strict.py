@@ -10,8 +10,9 @@ from pydantic_core import PydanticCustomError
 
 # Keys of the scene format that this version does not render yet, and what it says of them.
 NOT_YET = {
-    "pst": "stray light by a point-source transmittance is not in this version",
-    "stray_light": "stray light is not in this version; use a uniform background",
+    "rolling_shutter": "rows exposed one after the other are not in this version: all rows share "
+    "the exposure's start and end (detector.readout takes frame_transfer or tdi)",
+    "pst": "a point-source transmittance belongs to background.stray_light.pst",
 }
 
 Positive = Annotated[float, Field(gt=0)]

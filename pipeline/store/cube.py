@@ -29,6 +29,8 @@ LONG_NAMES = {
     "targets_e": ("light of the targets after the flat", "electron"),
     "background_e": ("light of the sky after the flat", "electron"),
     "dark_e": ("dark signal", "electron"),
+    "calibrated_e": ("dn less bias and dark, divided by the flat; NaN: bad pixel", "electron"),
+    "lag_e": ("what frames before left, less what stays for the next", "electron"),
     "cosmic_rays_e": ("charge of cosmic rays, drawn; not in mean_e", "electron"),
 }
 

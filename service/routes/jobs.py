@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import json
 import re
-import time
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 from urllib.parse import urlencode
@@ -15,17 +13,20 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
+from pipeline.spec.scene import Scene
 from service.bodies import parse_json, read_body
 from service.context import Context, Service
+from service.gate import allow_time
 from service.jobs import FINAL, Job, Phase
 from service.problems import Malformed, NotThere
 from service.runner import plan_dry
 from service.scenes import accept_scene
+from service.uploads import engine_scene
 from service.views import etag, job_dict
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
-BETWEEN_LOOKS_S = 0.2
+INLINE_BYTES = 1 << 14  # smaller bodies are read in the loop: a thread costs more
 SCENE_BODY = {
     "requestBody": {
         "required": True,
@@ -44,12 +45,28 @@ async def submit(
 ) -> Response:
     """Queue a scene: 202 and where the job is; 200 for a key that was used with this body."""
     settings = service.settings
-    if idempotency_key is not None and not KEY.fullmatch(idempotency_key):
-        raise Malformed("an Idempotency-Key is 1 to 255 visible ASCII characters")
+    check_key(idempotency_key)
     body = await read_body(request, settings.body_bytes, settings.body_s)
+    if len(body) <= INLINE_BYTES:
+        data, scene = _read(service, body)
+    else:
+        data, scene = await run_in_threadpool(_read, service, body)
     if dry_run:
-        return await _plan(service, body)
-    job, made = await run_in_threadpool(_submit, service, body, idempotency_key)
+        allow_time(request, settings.plan_s + settings.answer_s)
+        return await _plan(service, scene)
+    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+    ask = service.store.ask(scene.name, scene.as_dict(), digest, idempotency_key)
+    return taken(service, *await service.intake.put(ask))
+
+
+def check_key(key: str | None) -> None:
+    """Malformed for an Idempotency-Key that cannot be one."""
+    if key is not None and not KEY.fullmatch(key):
+        raise Malformed("an Idempotency-Key is 1 to 255 visible ASCII characters")
+
+
+def taken(service: Context, job: Job, made: bool) -> Response:
+    """The answer to a submission that is on disk."""
     headers = {"Location": f"/v1/jobs/{job.id}", "ETag": etag(job)}
     if made:
         headers["Retry-After"] = "1"
@@ -57,20 +74,17 @@ async def submit(
     return JSONResponse(job_dict(job), 202 if made else 200, headers)
 
 
-async def _plan(service: Context, body: bytes) -> Response:
-    scene = await run_in_threadpool(lambda: accept_scene(parse_json(body), service.settings))
+def _read(service: Context, body: bytes) -> tuple[Any, Scene]:
+    data = parse_json(body)
+    return data, accept_scene(data, service.settings, service.has_file)
+
+
+async def _plan(service: Context, scene: Scene) -> Response:
+    data = engine_scene(scene.as_dict(), service.settings)
     async with service.plans:
         return JSONResponse(
-            await run_in_threadpool(plan_dry, scene, service.settings, service.dispatcher.stopping)
+            await run_in_threadpool(plan_dry, data, service.settings, service.dispatcher.stopping)
         )
-
-
-def _submit(service: Context, body: bytes, key: str | None) -> tuple[Job, bool]:
-    data = parse_json(body)
-    scene = accept_scene(data, service.settings)
-    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
-    limit = service.settings.queued_jobs
-    return service.store.submit(scene.name, scene.as_dict(), digest, key, limit)
 
 
 @router.get("")
@@ -92,6 +106,7 @@ def listing(
 
 @router.get("/{job_id}")
 async def watch(
+    request: Request,
     service: Service,
     job_id: str,
     wait: Annotated[float, Query(ge=0, le=3600, description="seconds")] = 0.0,
@@ -100,16 +115,17 @@ async def watch(
     """A job. With `wait`, answers when it differs from the ETag given (else from now), or ends."""
     job = await run_in_threadpool(service.store.get, job_id)
     known = if_none_match or etag(job)
-    deadline = time.monotonic() + min(wait, service.settings.wait_s)
-    while etag(job) == known and job.phase not in FINAL and time.monotonic() < deadline:
-        await asyncio.sleep(BETWEEN_LOOKS_S)
+    wait_s = min(wait, service.settings.wait_s)
+    if wait_s and etag(job) == known and job.phase not in FINAL:
+        allow_time(request, wait_s + service.settings.answer_s)
+        await service.changes.after(job_id, job.version, wait_s)
         job = await run_in_threadpool(service.store.get, job_id)
     headers = {"ETag": etag(job)}
     if job.phase not in FINAL:
         headers["Retry-After"] = "1"
     if if_none_match == etag(job):
         return Response(status_code=304, headers=headers)
-    return JSONResponse(job_dict(job), headers=headers)
+    return JSONResponse(job_dict(job, service.settings.dashboard), headers=headers)
 
 
 @router.get("/{job_id}/scene")
@@ -146,20 +162,19 @@ async def events(
 
 
 async def _events(service: Context, job: Job, last_event_id: str | None) -> AsyncIterator[str]:
-    sent, spoke_s = last_event_id or "", time.monotonic()
+    sent = last_event_id or ""
     yield "retry: 1000\n\n"
     while True:
         if str(job.version) != sent:
-            sent, spoke_s = str(job.version), time.monotonic()
+            sent = str(job.version)
             yield f"id: {sent}\nevent: job\ndata: {json.dumps(job_dict(job))}\n\n"
         if job.phase in FINAL:
             return
-        if time.monotonic() - spoke_s > service.settings.heartbeat_s:
-            spoke_s = time.monotonic()
-            yield ": heartbeat\n\n"
-        await asyncio.sleep(BETWEEN_LOOKS_S)
+        await service.changes.after(job.id, job.version, service.settings.heartbeat_s)
         try:
             job = await run_in_threadpool(service.store.get, job.id)
         except NotThere:
             yield "event: deleted\ndata: {}\n\n"
             return
+        if str(job.version) == sent:
+            yield ": heartbeat\n\n"

@@ -267,6 +267,7 @@ def test_absurd_accelerations_are_refused(scene: Make) -> None:
              "acceleration_ra_arcsec_s2": 1e9}  # fmt: skip
     with pytest.raises(BadInput, match="rates of at most"):
         every(scene({"pointing": rates}))
-    with pytest.raises(BadInput, match="growing modes|positive real part"):
-        system = {"kind": "system", "a": [[1.0]], "b": [[1.0]], "c": [[1.0], [0.0], [0.0]]}
-        every(scene({"pointing": SIDEREAL | {"attitude": {"modes": [system]}}}))
+    system = {"kind": "system", "a": [[1.0]], "b": [[1.0]], "c": [[1.0], [0.0], [0.0]]}
+    growing = scene({"pointing": SIDEREAL | {"attitude": {"modes": [system]}}})
+    with pytest.raises(BadInput, match="positive real part"):
+        every(growing)

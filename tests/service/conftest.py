@@ -50,6 +50,7 @@ LIMITS = {
     "NIGHTGLASS_PIXEL_FRAMES": str(1 << 28),
     "NIGHTGLASS_TARGETS": "50",
     "NIGHTGLASS_HEARTBEAT_S": "0.5",
+    "NIGHTGLASS_LEASE_S": "2",
 }
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
 
@@ -60,28 +61,67 @@ def scene() -> dict[str, Any]:
     return copy.deepcopy(SCENE)
 
 
-class Server:
-    """`service.main.serve` as a process, and a client that talks to it."""
+@pytest.fixture(scope="session")
+def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A real PostgreSQL server, or a skip that says why there is none."""
+    from tests.service.postgres import Postgres
 
-    def __init__(self, home: Path) -> None:
-        self.home = home
+    server = Postgres(tmp_path_factory.mktemp("postgres"))
+    yield server
+    server.stop()
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """URL of an empty database, of each kind."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'jobs.sqlite'}"
+    return request.getfixturevalue("postgres").database()
+
+
+@pytest.fixture(scope="session")
+def make_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Server]]:
+    """Start more servers: `make_server(NIGHTGLASS_X="1")`, each on a folder of its own."""
+    made: list[Server] = []
+
+    def make(home: Path | None = None, **environment: str) -> Server:
+        made.append(Server(home or tmp_path_factory.mktemp("home"), **environment))
+        return made[-1]
+
+    yield make
+    for server in made:
+        if server.process.poll() is None:
+            server.stop()
+
+
+class Server:
+    """`service.main.serve` as a process, and a client that talks to it; its log is a file."""
+
+    def __init__(self, home: Path, **environment: str) -> None:
+        self.home, self.environment = home, environment
+        self.log = home.parent / f"{home.name}.log"
         self.start()
 
     def start(self) -> None:
         code = "import sys; from pathlib import Path; from service.main import serve; "
         code += "serve('127.0.0.1', 0, Path(sys.argv[1]))"
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", code, str(self.home)],
-            stderr=subprocess.PIPE,
-            text=True,
-            env=os.environ | LIMITS,
-        )
-        assert self.process.stderr is not None
-        line = self.process.stderr.readline()
-        found = re.search(r"http://\S+", line)
-        assert found, line + self.process.stderr.read()
-        self.url = found[0]
-        self.client = httpx.Client(base_url=self.url, timeout=30)
+        known = self.log.stat().st_size if self.log.exists() else 0
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", code, str(self.home)], stderr=log,
+                env=os.environ | LIMITS | self.environment, start_new_session=True,
+            )  # fmt: skip
+        deadline = time.monotonic() + 60
+        while not (found := re.search(r"serves (https?://\S+)", self.logged()[known:])):
+            assert self.process.poll() is None, self.logged()[known:]
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        self.url = found[1]
+        self.client = httpx.Client(base_url=self.url, timeout=30, verify=False)
+
+    def logged(self) -> str:
+        """Everything that the server has said."""
+        return self.log.read_text(errors="replace")
 
     def kill(self) -> None:
         """kill -9."""
@@ -95,8 +135,6 @@ class Server:
     def _gone(self) -> None:
         self.process.wait(30)
         self.client.close()
-        assert self.process.stderr is not None
-        self.process.stderr.close()
 
     def submit(self, scene: dict[str, Any], **headers: str) -> str:
         answer = self.client.post("/v1/jobs", json=scene, headers=headers)

@@ -138,6 +138,9 @@ def test_no_path_field_takes_a_file(
         scene["pointing"] = table
     if field[0] == "dwells":
         scene["dwells"] = [{"pointing": table}]
+    if field[0] == "background":
+        pst = {"kind": "table", "path": "x.csv"} if field[-1] == "path" else HARVEY
+        scene["background"] = {"stray_light": {"pst": dict(pst)}}
     if field[0] == "cosmic_rays":
         scene["cosmic_rays"] = {"kind": "library"}
     if "body" in field:
@@ -160,12 +163,13 @@ def test_no_path_field_takes_a_file(
     assert "/" + "/".join(field).replace("*", "0") in pointers
 
 
+HARVEY = {"kind": "harvey", "b0_per_sr": 0.1, "shoulder": 0.01, "slope": -1.5}
 TEXTS_THAT_ARE_NO_PATHS = {
     "name", "epoch", "line1", "line2", "target", "schema", "kind", "mode", "adc_rounding",
     "compression", "layers", "object", "frame", "shadow", "third_bodies", "source",
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
-    "unit", "arrival", "on", "objects", "digest", "scalar", "rotation", "interpolation",
-    "profile", "axis",
+    "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond", "scalar",
+    "rotation", "interpolation", "profile", "axis",
 }  # fmt: skip
 
 

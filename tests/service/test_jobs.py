@@ -10,29 +10,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import BadInput
-from service.jobs import FINAL, NEXT, Job, JobStore, Phase
+from service.attempts import Attempt
+from service.jobs import FINAL, NEXT, Job, Phase, Queue
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
-from service.runner import Dispatcher
 from service.settings import Settings
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> JobStore:
-    return JobStore(tmp_path / "jobs.sqlite")
+def store(tmp_path: Path) -> Queue:
+    return Queue(tmp_path / "jobs.sqlite")
 
 
-def queue(store: JobStore, key: str | None = None, body: str = "b", limit: int = 100) -> Job:
+def queue(store: Queue, key: str | None = None, body: str = "b", limit: int = 100) -> Job:
     return store.submit("name", {"a": 1}, body, key, limit)[0]
 
 
 def test_a_job_outlives_its_store(tmp_path: Path) -> None:
-    store = JobStore(tmp_path / "jobs.sqlite")
+    store = Queue(tmp_path / "jobs.sqlite")
     job = queue(store, key="k")
     claimed = store.claim()
     assert claimed is not None
     store.progress(claimed, 3, 9)
     store.close()
-    again = JobStore(tmp_path / "jobs.sqlite")
+    again = Queue(tmp_path / "jobs.sqlite")
     found = again.get(job.id)
     assert (found.phase, found.tiles_done, found.tiles_total) == (Phase.EXECUTING, 3, 9)
     assert again.scene(job.id) == {"a": 1}
@@ -41,7 +41,7 @@ def test_a_job_outlives_its_store(tmp_path: Path) -> None:
     assert (taken.id, taken.attempt) == (job.id, 2)
 
 
-def test_an_earlier_attempt_can_no_longer_write(store: JobStore) -> None:
+def test_an_earlier_attempt_can_no_longer_write(store: Queue) -> None:
     queue(store)
     first = store.claim()
     second = store.claim()
@@ -54,7 +54,7 @@ def test_an_earlier_attempt_can_no_longer_write(store: JobStore) -> None:
     store.finish(second, Phase.COMPLETED)
 
 
-def test_key_replays_and_refuses_another_body(store: JobStore) -> None:
+def test_key_replays_and_refuses_another_body(store: Queue) -> None:
     job = queue(store, key="k", body="one")
     assert store.submit("name", {}, "one", "k", 100) == (job, False)
     with pytest.raises(KeyReused):
@@ -63,40 +63,39 @@ def test_key_replays_and_refuses_another_body(store: JobStore) -> None:
     assert queue(store, key="k", body="two").id != job.id
 
 
-def test_one_job_per_key_whatever_comes_at_once(store: JobStore) -> None:
+def test_one_job_per_key_whatever_comes_at_once(store: Queue) -> None:
     with ThreadPoolExecutor(8) as pool:
         answers = list(pool.map(lambda i: store.submit("n", {}, "b", f"k{i % 4}", 100), range(40)))
     assert len({job.id for job, _ in answers}) == 4
     assert sum(made for _, made in answers) == 4
 
 
-def test_a_job_that_kills_its_workers_ends(store: JobStore, tmp_path: Path) -> None:
+def test_a_job_that_kills_its_workers_ends(store: Queue, tmp_path: Path) -> None:
     """Three deaths in a row without a tile end it; a tile in between starts the count again."""
-    dispatcher = Dispatcher(Settings(tmp_path), store)
     made = queue(store)
     for deaths, tiles in ((1, 0), (2, 0), (1, 5), (2, 5)):
         job = store.claim()
         assert job is not None
         store.progress(job, tiles, 9)
-        dispatcher._count_death(job)
+        Attempt(Settings(tmp_path), store, job, lambda: True).count_death()
         assert (store.get(made.id).phase, store.get(made.id).deaths) == (Phase.EXECUTING, deaths)
     job = store.claim()
     assert job is not None
-    dispatcher._count_death(job)
+    Attempt(Settings(tmp_path), store, job, lambda: True).count_death()
     found = store.get(made.id)
     assert found.phase == Phase.ERROR
     assert found.error is not None
     assert "died" in found.error["message"]
 
 
-def test_full_queue_refuses(store: JobStore) -> None:
+def test_full_queue_refuses(store: Queue) -> None:
     first = queue(store, key="k", limit=1)
     with pytest.raises(QueueFull):
         queue(store, limit=1)
     assert queue(store, key="k", limit=1) == first
 
 
-def test_listing_by_cursor_and_phase(store: JobStore) -> None:
+def test_listing_by_cursor_and_phase(store: Queue) -> None:
     made = [queue(store) for _ in range(5)]
     store.cancel(made[1].id)
     store.delete(made[2].id)
@@ -111,7 +110,7 @@ def test_a_database_of_another_format_is_refused(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "jobs.sqlite") as db:
         db.execute("PRAGMA user_version = 99")
     with pytest.raises(BadInput):
-        JobStore(tmp_path / "jobs.sqlite")
+        Queue(tmp_path / "jobs.sqlite")
 
 
 ACTIONS = st.sampled_from(
@@ -125,7 +124,7 @@ def test_limits_phases_follow_the_table(
     tmp_path_factory: pytest.TempPathFactory, actions: list[str]
 ) -> None:
     """Whatever is asked in whatever order, a job only moves as NEXT allows, and ends once."""
-    store = JobStore(tmp_path_factory.mktemp("store") / "jobs.sqlite")
+    store = Queue(tmp_path_factory.mktemp("store") / "jobs.sqlite")
     made = queue(store)
     before = made
     for action in actions:

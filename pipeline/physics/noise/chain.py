@@ -1,8 +1,9 @@
 """The noise chain, in the paper's order: from mean electrons to digital numbers.
 
-flat (light only) -> dark -> Poisson -> + cosmic rays -> full well -> read noise -> gain -> bias
--> ADC (paper section 3.8; the full well has no step there and is clipped before the read noise;
-cosmic rays are drawn charge, so no photon noise is drawn from them).
+flat (light only) -> dark -> Poisson -> + cosmic rays -> blooming -> full well -> non-linearity ->
+read noise -> row and column noise -> gain -> bias -> ADC -> bad pixels (paper section 3.8; the full
+well has no step there and is clipped before the read noise; cosmic rays are drawn charge, so no
+photon noise is drawn from them). What a chain does not have costs nothing.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.physics.noise.streams import poisson_image, standard_normals
+from pipeline.physics.noise.wells import bloom, measured_e
 
 Array = NDArray[np.float64]
 Value = float | Array
 
 _INT64 = np.iinfo(np.int64)
+BAND_PX = 1 << 15  # pixels that go through the whole chain while they are in the cache
 EXACT_BITS = 53  # digital numbers above 2^53 - 1 are counted in integers, not in float64
 
 
@@ -29,6 +32,10 @@ class Chain:
     full_well_e : None for no limit; read_noise_e : standard deviation, electrons;
     gain_e_per_dn : electrons per digital number; bias_dn : added before digitising;
     adc_bits : 1 to 63; rounding : "half_even" or "floor"; photon_noise : draw Poisson or not
+    linearity : charge collected and charge measured [e-], increasing tables, straight between;
+    blooming : charge above the full well runs along its column; the tile must hold whole columns
+    row_noise_e, column_noise_e : one draw for a row or column of a frame, electrons
+    bad : rows, columns (in the tile) and the DN of pixels that read the same in every frame
     """
 
     flat: Value
@@ -40,17 +47,27 @@ class Chain:
     adc_bits: int
     rounding: str = "half_even"
     photon_noise: bool = True
+    linearity: tuple[Array, Array] | None = None
+    blooming: bool = False
+    row_noise_e: float = 0.0
+    column_noise_e: float = 0.0
+    bad: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None = None
 
 
 @dataclass(frozen=True)
 class StreamPlace:
-    """Where in the random streams a tile stands: its first pixel, its frame, and the keys."""
+    """Where in the random streams a tile stands: its first pixel, its frame, and the keys.
+
+    row_key, column_key : of the row and the column noise; None where there is none
+    """
 
     y0: int
     x0: int
     frame: int
     photon_key: tuple[int, int]
     read_key: tuple[int, int]
+    row_key: tuple[int, int] | None = None
+    column_key: tuple[int, int] | None = None
 
 
 def mean_electrons(light_e: Array, chain: Chain) -> Array:
@@ -68,21 +85,69 @@ def to_dn(
 
     Raises ValueError on a mean that is not finite or is negative: no such frame is ever drawn.
     """
-    if not np.isfinite(mean_e).all() or (mean_e < 0).any():
+    low, high = mean_e.min(initial=0.0), mean_e.max(initial=0.0)
+    if not (low >= 0.0 and high < np.inf):
         raise ValueError("mean electrons must be finite and not negative")
-    charge = mean_e
-    if chain.photon_noise:
-        k0, k1 = place.photon_key
-        charge = poisson_image(mean_e, place.y0, place.x0, place.frame, k0, k1)
-    if drawn_e is not None:
-        charge = charge + drawn_e
+    rows, columns = mean_e.shape
+    step = rows if chain.blooming else max(1, BAND_PX // max(1, columns))
+    out = np.empty(mean_e.shape, dn_type(chain.adc_bits))
+    offsets = _offsets_e(chain, place, rows, columns)
+    for start in range(0, rows, step):
+        part = slice(start, min(start + step, rows))
+        charge = _collected_e(mean_e[part], chain, place, start)
+        if drawn_e is not None:
+            charge += drawn_e[part]
+        signal = _measured_e(charge, chain, place, part)
+        for offset in offsets:
+            signal += offset if offset.shape[0] == 1 else offset[part]
+        signal /= _cut_value(chain.gain_e_per_dn, part)
+        bias = _cut_value(chain.bias_dn, part)
+        out[part] = digitise(signal, bias, chain.adc_bits, chain.rounding)
+    if chain.bad is not None:
+        out[chain.bad[0], chain.bad[1]] = chain.bad[2].astype(out.dtype)
+    return out
+
+
+def _cut_value(value: Value, rows: slice) -> Value:
+    return value[rows] if isinstance(value, np.ndarray) else value
+
+
+def _collected_e(mean_e: Array, chain: Chain, place: StreamPlace, first_row: int) -> Array:
+    """Electrons that photons and dark current leave in some rows of a tile."""
+    if not chain.photon_noise:
+        return mean_e.copy()
+    k0, k1 = place.photon_key
+    return poisson_image(mean_e, place.y0 + first_row, place.x0, place.frame, k0, k1)
+
+
+def _measured_e(charge: Array, chain: Chain, place: StreamPlace, part: slice) -> Array:
+    """What the read-out makes of the charge (in place): full well, non-linearity, read noise."""
     if chain.full_well_e is not None:
-        charge = np.minimum(charge, chain.full_well_e)
+        full_well_e = _cut_value(chain.full_well_e, part)
+        if chain.blooming:
+            bloom(charge, np.broadcast_to(np.asarray(full_well_e, float), charge.shape))
+        np.minimum(charge, full_well_e, out=charge)
+    if chain.linearity is not None:
+        charge = measured_e(charge, *chain.linearity)
     if np.any(np.asarray(chain.read_noise_e) > 0):
-        (rows, columns), (k0, k1) = mean_e.shape, place.read_key
-        draws = standard_normals(rows, columns, place.y0, place.x0, place.frame, k0, k1)
-        charge = charge + draws * chain.read_noise_e
-    return digitise(charge / chain.gain_e_per_dn, chain.bias_dn, chain.adc_bits, chain.rounding)
+        y0 = place.y0 + part.start
+        (rows, columns), (k0, k1) = charge.shape, place.read_key
+        draws = standard_normals(rows, columns, y0, place.x0, place.frame, k0, k1)
+        draws *= _cut_value(chain.read_noise_e, part)
+        charge += draws
+    return charge
+
+
+def _offsets_e(chain: Chain, place: StreamPlace, rows: int, columns: int) -> list[Array]:
+    """Row noise (rows, 1) and column noise (1, columns) of a tile [e-], where there is any."""
+    out = []
+    if place.row_key is not None and chain.row_noise_e > 0:
+        draws = standard_normals(rows, 1, place.y0, 0, place.frame, *place.row_key)
+        out.append(draws * chain.row_noise_e)
+    if place.column_key is not None and chain.column_noise_e > 0:
+        draws = standard_normals(1, columns, 0, place.x0, place.frame, *place.column_key)
+        out.append(draws * chain.column_noise_e)
+    return out
 
 
 def digitise(
@@ -95,8 +160,9 @@ def digitise(
     """
     top = (1 << adc_bits) - 1
     if adc_bits <= EXACT_BITS:
-        whole = np.rint if rounding == "half_even" else np.floor
-        levels = np.clip(whole(signal_dn + bias_dn), 0.0, float(top))
+        levels = np.asarray(signal_dn + bias_dn)
+        (np.rint if rounding == "half_even" else np.floor)(levels, out=levels)
+        np.clip(levels, 0.0, float(top), out=levels)
         return levels.astype(dn_type(adc_bits))
     signal, signal_rest = _whole_and_rest(signal_dn)
     bias, bias_rest = _whole_and_rest(np.broadcast_to(bias_dn, np.shape(signal_dn)))

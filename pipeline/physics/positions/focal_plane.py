@@ -31,6 +31,8 @@ class Camera:
     camera's +x (columns), +y (rows) and boresight axes in ICRS. At roll 0 +y points north and +x
     WEST, so that the picture shows the sky as seen from inside (east left): the three axes are
     left-handed and the determinant is -1. The distortion leaves the boresight where it is.
+    charge_px_s : speed along +y of the charge that collects the light (TDI); what is drawn stands
+    where its charge stands at mid-exposure.
     """
 
     rows: int
@@ -38,6 +40,7 @@ class Camera:
     pixel_pitch_m: float
     focal_length_m: float
     distortion: Distortion | None = None
+    charge_px_s: float = 0.0
 
     @property
     def centre_px(self) -> tuple[float, float]:

@@ -204,6 +204,7 @@ class Blur:
     fill_factor : fraction of the pixel's area that collects light (a centred square); the light
     that falls beside it is lost, so the transfer function is `fill_factor` at zero frequency.
     pixel_in_optics : the optics (a measured table) hold the pixel's collecting square already
+    clock_px : length along y of the steps in which charge follows a moving image (TDI)
     """
 
     optics: Optics
@@ -211,6 +212,7 @@ class Blur:
     diffusion_px: float = 0.0
     fill_factor: float = 1.0
     pixel_in_optics: bool = False
+    clock_px: float = 0.0
 
     def image(self, fy: Array, fx: Array) -> Transfer:
         """The light that falls on the focal plane: optics x jitter x diffusion, 1 at f = 0."""
@@ -221,9 +223,11 @@ class Blur:
     def pixel(self, fy: Array, fx: Array) -> Array:
         """The collecting square of a pixel: fill x sinc x sinc (PHYSICS section e)."""
         if self.pixel_in_optics:
-            return np.full(np.broadcast_shapes(np.shape(fy), np.shape(fx)), self.fill_factor)
-        side = np.sqrt(self.fill_factor)
-        return self.fill_factor * np.sinc(side * fy) * np.sinc(side * fx)
+            out = np.full(np.broadcast_shapes(np.shape(fy), np.shape(fx)), self.fill_factor)
+        else:
+            side = np.sqrt(self.fill_factor)
+            out = self.fill_factor * np.sinc(side * fy) * np.sinc(side * fx)
+        return out * np.sinc(self.clock_px * fy) if self.clock_px else out
 
     def transfer(self, fy: Array, fx: Array) -> Transfer:
         """The whole response: image x pixel, at (fy, fx) [cycles/px]."""

@@ -94,7 +94,8 @@ def test_what_straight_lines_lose() -> None:
         x = drawn("white", seed=seed).at(np.arange(257) * step)
         between = x[:-1, None] * (1 - share)[:, None] + x[1:, None] * share[:, None]
         lost.append((x**2).mean() - (between**2).mean())
-    assert np.mean(lost) == pytest.approx(slow_loss(bins_of(one, split_hz), split_hz, step), rel=0.1)
+    expected = slow_loss(bins_of(one, split_hz), split_hz, step)
+    assert np.mean(lost) == pytest.approx(expected, rel=0.1)
 
 
 def test_limits_of_tables() -> None:

@@ -1,0 +1,1 @@
+"""Detection: public finders on rendered frames, judged by the truth."""

@@ -1,0 +1,96 @@
+"""The detector in one tile: its noise chain, charge that moves and charge that stays behind."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.arrays import Array, SensorMaps
+from pipeline.physics.noise.chain import Chain, StreamPlace
+from pipeline.physics.noise.streams import stream_key
+from pipeline.plan.tiles import Tile
+from pipeline.spec.detector import Detector, FrameTransfer
+from pipeline.spec.scene import Scene
+
+NONE = Detector()
+
+
+def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float) -> Chain:
+    """The noise chain of an exposure with the tile's part of each image."""
+    part = np.s_[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
+    s = scene.sensor
+    d = s.detector or NONE
+
+    def cut(value: float | Array) -> float | Array:
+        return value[part] if isinstance(value, np.ndarray) else value
+
+    return Chain(
+        flat=cut(maps.flat),
+        dark_e=cut(maps.dark_e_per_s) * integration_s,
+        full_well_e=s.full_well_e,
+        read_noise_e=cut(maps.read_noise_e),
+        gain_e_per_dn=cut(maps.gain_e_per_dn),
+        bias_dn=cut(maps.bias_dn),
+        adc_bits=s.adc_bits,
+        rounding=s.adc_rounding,
+        photon_noise=s.photon_noise,
+        linearity=maps.linearity,
+        blooming=d.blooming,
+        row_noise_e=d.row_noise_e,
+        column_noise_e=d.column_noise_e,
+        bad=_bad_in(maps, tile),
+    )
+
+
+def _bad_in(maps: SensorMaps, tile: Tile) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    if maps.bad is None:
+        return None
+    y, x, dn = maps.bad
+    inside = (y >= tile.y0) & (y < tile.y0 + tile.rows)
+    inside &= (x >= tile.x0) & (x < tile.x0 + tile.columns)
+    return y[inside] - tile.y0, x[inside] - tile.x0, dn[inside]
+
+
+def stream_place(scene: Scene, tile: Tile, frame: int) -> StreamPlace:
+    """Where a tile of a frame stands in the scene's random streams."""
+    d, seed = scene.sensor.detector or NONE, scene.seed
+    return StreamPlace(
+        tile.y0, tile.x0, frame, stream_key(seed, "photon_noise"), stream_key(seed, "read_noise"),
+        stream_key(seed, "row_noise") if d.row_noise_e > 0 else None,
+        stream_key(seed, "column_noise") if d.column_noise_e > 0 else None,
+    )  # fmt: skip
+
+
+def with_smear(scene: Scene, light_e: Array, integration_s: float) -> Array:
+    """Light of a tile's whole columns with what frame transfer adds; as it is without."""
+    readout = (scene.sensor.detector or NONE).readout
+    if not isinstance(readout, FrameTransfer):
+        return light_e
+    from pipeline.physics.noise.transfer import smear_e
+
+    return light_e + smear_e(
+        light_e, integration_s, readout.transfer_s,
+        readout.towards == "high_rows", readout.cleared,
+    )  # fmt: skip
+
+
+def with_lag(
+    scene: Scene, mean_e: Array, drawn_e: Array | None, before_e: list[Array]
+) -> tuple[Array, Array | None]:
+    """Mean and drawn charge that are read of a frame's own, with what frames before left behind.
+
+    before_e : what the frames before collected (`collected_e`), the earliest first
+    """
+    lag = (scene.sensor.detector or NONE).lag
+    if lag is None:
+        return mean_e, drawn_e
+    from pipeline.physics.noise.transfer import lagged_e
+
+    read = lagged_e([*before_e, mean_e], lag.fraction)
+    return read, None if drawn_e is None else (1.0 - lag.fraction) * drawn_e
+
+
+def collected_e(scene: Scene, mean_e: Array, drawn_e: Array | None) -> Array:
+    """What the pixels of a frame hold when it is read, as the frames after see it."""
+    charge = mean_e if drawn_e is None else mean_e + drawn_e
+    full_well_e = scene.sensor.full_well_e
+    return charge if full_well_e is None else np.minimum(charge, full_well_e)

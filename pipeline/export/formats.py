@@ -1,0 +1,225 @@
+"""Every format that a product is exported to: one door, what each needs, what it writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.errors import BadInput, shorten
+from pipeline.export import coco, satnet
+from pipeline.export.files import KINDS as FRAME_KINDS
+from pipeline.export.files import export_frames, fits_bytes
+from pipeline.export.header import scene_of
+from pipeline.export.labels import Labels, frame_labels
+from pipeline.export.times import exposure_of
+from pipeline.store.cube import open_cube, read_layer
+from pipeline.store.layout import REPORT, write_atomically
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from pipeline.export.response import SourceLight
+
+FORMATS = (*FRAME_KINDS, "gif", "mp4", "satnet", "coco", "masks")
+PAD_FRACTION = 0.9  # of a point's light within the margin of a SatNet box
+MOVIE_PX = 1024
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What of a product is exported, and how.
+
+    frame : one frame alone; layer : for frames and movies
+    stars_snr : stars from this signal-to-noise on are labelled; None: targets alone
+    threshold_sigma : of masks, in units of the noise of a pixel without a source
+    light : `response` masks from each source's response and path alone, `layers` classes from
+        the noise-free layers; fps : of movies
+    """
+
+    frame: int | None = None
+    layer: str = "dn"
+    stars_snr: float | None = None
+    threshold_sigma: float = 1.0
+    light: str = "response"
+    fps: float = 5.0
+
+
+def export_product(product: Path, kind: str, output: Path, wish: Wish) -> Iterator[Path]:
+    """Write a complete product in another format; yields each file as it is whole.
+
+    Raises BadInput for a format, layer, frame or number that is not accepted, and for an output
+    that exists already.
+    """
+    if kind not in FORMATS:
+        raise BadInput("--to", kind, ", ".join(FORMATS))
+    if kind in FRAME_KINDS:
+        yield from export_frames(product, kind, output, wish.frame, wish.layer)
+        return
+    if kind in ("gif", "mp4") and output.suffix != f".{kind}":
+        raise BadInput("-o", str(output), f"a path ending in .{kind}")
+    if not 0 < wish.fps <= 100:
+        raise BadInput("--fps", wish.fps, "above 0, up to 100")
+    if not 0 < wish.threshold_sigma < 1e6:
+        raise BadInput("--threshold", wish.threshold_sigma, "above 0 and below 1e6")
+    if wish.light not in ("response", "layers"):
+        raise BadInput("--light", wish.light, "response or layers")
+    if output.exists():
+        raise BadInput("-o", shorten(str(output)), "a path that does not exist yet")
+    job = _Job(product, wish)
+    yield from {"gif": _movie, "mp4": _movie, "satnet": _satnet, "coco": _coco, "masks": _masks}[
+        kind
+    ](job, output)
+
+
+class _Job:
+    """A product that is being exported: its cube, frames, noise and labels."""
+
+    def __init__(self, product: Path, wish: Wish) -> None:
+        self.product, self.wish = product, wish
+        self.cube: xr.Dataset = open_cube(product)
+        self.layers = [str(n) for n, v in self.cube.data_vars.items() if v.ndim == 3]
+        if wish.layer not in self.layers:
+            raise BadInput("--layer", wish.layer, ", ".join(self.layers))
+        count = self.cube.sizes["frame"]
+        if wish.frame is not None and not 0 <= wish.frame < count:
+            raise BadInput("--frame", wish.frame, f"0 to {count - 1}")
+        self.frames = list(range(count)) if wish.frame is None else [wish.frame]
+
+    @property
+    def name(self) -> str:
+        return str(self.cube.attrs["title"])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return int(self.cube.sizes["y"]), int(self.cube.sizes["x"])
+
+    @cached_property
+    def light(self) -> SourceLight:
+        from pipeline.export.response import source_light
+
+        return source_light(scene_of(self.cube))
+
+    @cached_property
+    def threshold_e(self) -> float:
+        """Least electrons of a mask's pixel."""
+        report = json.loads((self.product / REPORT).read_text())
+        return self.wish.threshold_sigma * float(report["errors"]["noise_floor_e"])
+
+    def labels(self, frame: int) -> Labels:
+        return frame_labels(self.product, frame, self.shape, self.wish.stars_snr)
+
+
+def _movie(job: _Job, output: Path) -> Iterator[Path]:
+    from pipeline.export.movie import encoder, gif_bytes, movie_frames, write_mp4
+
+    pictures = movie_frames(job.product, job.frames, job.wish.layer, MOVIE_PX)
+    if output.suffix == ".gif":
+        write_atomically(output, gif_bytes(pictures, job.wish.fps))
+    else:
+        encoder()
+        part = output.with_name(output.stem + ".part.mp4")
+        try:
+            write_mp4(pictures, part, job.wish.fps)
+            part.replace(output)
+        finally:
+            part.unlink(missing_ok=True)
+    yield output
+
+
+def _satnet(job: _Job, output: Path) -> Iterator[Path]:
+    """ImageFiles/NAME.0000.fits and Annotations/NAME.0000.json."""
+    pad = job.light.enclosing_px(PAD_FRACTION)
+    ifov_deg = float(np.degrees(job.cube.attrs["ifov_rad"]))
+    for folder in ("ImageFiles", "Annotations"):
+        (output / folder).mkdir(parents=True)
+    for k in job.frames:
+        stem = f"{job.name}.{k:04d}"
+        image = output / "ImageFiles" / f"{stem}.fits"
+        write_atomically(image, fits_bytes(job.product, job.cube, k, job.wish.layer))
+        yield image
+        file = {"dirname": output.name, "sequence": 0, "filename": image.name, "sequence_id": k}
+        told = satnet.annotation(
+            job.labels(k), exposure_of(job.cube, k), job.shape, ifov_deg, file, pad
+        )
+        path = output / "Annotations" / f"{stem}.json"
+        write_atomically(path, _compact(told))
+        yield path
+
+
+def _coco(job: _Job, output: Path) -> Iterator[Path]:
+    """images/frame-00000.png (16 bits; FITS where these do not hold the numbers), annotations."""
+    from pipeline.export.masks import source_masks
+
+    (output / "images").mkdir(parents=True)
+    data = coco.dataset(job.name, job.threshold_e)
+    for number, k in enumerate(job.frames, start=1):
+        image = _write_image(job, k, output / "images" / f"frame-{k:05d}")
+        yield image
+        labels = job.labels(k)
+        entry = coco.image_entry(number, image.name, job.shape, exposure_of(job.cube, k))
+        data["images"].append(entry)
+        for i, mask in enumerate(source_masks(labels, job.light, job.shape, job.threshold_e)):
+            one = coco.annotation(len(data["annotations"]) + 1, number, labels, i, mask, job.shape)
+            if one is not None:
+                data["annotations"].append(one)
+    path = output / "annotations.json"
+    write_atomically(path, _compact(data))
+    yield path
+
+
+def _compact(value: Any) -> bytes:
+    """JSON on one line; NaN is refused rather than written."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _write_image(job: _Job, frame: int, stem: Path) -> Path:
+    """A frame in the order of the array: row 0 is the picture's first row."""
+    from PIL import Image
+
+    image = read_layer(job.product, job.wish.layer, frame)
+    if image.dtype.kind == "u" and int(image.max(initial=0)) < 1 << 16:
+        path = stem.with_suffix(".png")
+        from pipeline.export.picture import png_bytes
+
+        write_atomically(path, png_bytes(Image.fromarray(image.astype(np.uint16))))
+        return path
+    path = stem.with_suffix(".fits")
+    write_atomically(path, fits_bytes(job.product, job.cube, frame, job.wish.layer))
+    return path
+
+
+def _masks(job: _Job, output: Path) -> Iterator[Path]:
+    """frame-00000.fits: classes, source numbers, and the table of the sources."""
+    from pipeline.export.header import fits_header
+    from pipeline.export.masks import (
+        RULE,
+        classes_from_light,
+        mask_fits,
+        paint,
+        source_masks,
+    )
+
+    output.mkdir(parents=True)
+    for k in job.frames:
+        labels = job.labels(k)
+        masks = source_masks(labels, job.light, job.shape, job.threshold_e)
+        owner = paint(labels, masks, job.shape)
+        classes = np.concatenate([[0], labels.kind]).astype(np.uint8)[owner]
+        if job.wish.light == "layers":
+            classes = classes_from_light(job.product, k, job.layers, job.threshold_e)
+        cards: list[Any] = fits_header(job.cube, k, job.wish.layer)
+        cards = [c for c in cards if c[0] not in ("BUNIT", "SATURATE")] + [
+            ("THRESH", job.threshold_e, "[e-] least light of a mask's pixel"),
+            ("CLASSBY", job.wish.light, "what CLASS is made from"),
+            ("COMMENT", "CLASS: 1 target, 2 star, 0 none; SOURCE: number in the table SOURCES", ""),
+            ("COMMENT", RULE, ""),
+        ]
+        path = output / f"frame-{k:05d}.fits"
+        write_atomically(path, mask_fits(labels, owner, classes, cards))
+        yield path

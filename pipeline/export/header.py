@@ -1,0 +1,157 @@
+"""FITS headers: provenance, times, site, sensor, and the two WCS of a frame."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.export.times import exposure_of
+from pipeline.spec.load import parse_scene, parse_yaml
+from pipeline.spec.scene import Scene
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Cards = list[tuple[str, Any, str]]
+
+IAU_1976 = (6_378_140.0, 0.0033528131778969)  # radius [m], flattening: the ellipsoid of OBSGEO-B
+
+
+def fits_header(cube: xr.Dataset, frame: int, layer: str) -> Cards:
+    """FITS cards of a frame.
+
+    Times follow FITS 4.0 section 9: DATE-OBS and DATE-BEG are the start, DATE-AVG the middle and
+    DATE-END the end of the exposure, in UTC. The primary WCS is astrometric ICRS at the middle
+    (where the catalogue's stars are drawn); the alternate `A` gives apparent directions, which are
+    exactly TAN about the boresight. A product of a distorted camera has the primary one alone: SIP
+    terms cannot be given twice.
+    """
+    one = cube.isel(frame=frame)
+    scene = scene_of(cube)
+    cards = [
+        ("OBJECT", str(cube.attrs["title"])[:68], "scene"),
+        ("CREATOR", str(cube.attrs["source"]), "software"),
+        ("BUNIT", "adu" if layer == "dn" else "electron", cube[layer].attrs["long_name"]),
+        ("FRAME", frame, "frame number, from 0"),
+        ("SEED", int(cube.attrs["seed"]), "of all randomness"),
+        ("SYNTHSTR", bool(cube.attrs["synthetic_stars"]), "stars are synthetic, none is real"),
+    ]
+    if cube.attrs.get("catalogue"):
+        cards.append(("CATALOG", str(cube.attrs["catalogue"])[:68], "star catalogue"))
+        digest = str(cube.attrs["catalogue_digest"])
+        cards.append(("CATDIG", digest[:16], "first digits of the catalogue's digest"))
+    apparent = [] if cube.attrs.get("distorted") else _apparent_cards(one)
+    return [
+        *cards, *_times(cube, frame), *_site(scene), *_sensor(scene, layer),
+        *_astrometric_cards(one), *apparent,
+    ]  # fmt: skip
+
+
+def scene_of(cube: xr.Dataset) -> Scene:
+    """The scene that a product was made from, as the cube itself carries it."""
+    return _parsed(str(cube.attrs["scene"]))
+
+
+@lru_cache(maxsize=4)
+def _parsed(text: str) -> Scene:
+    return parse_scene(parse_yaml(text))
+
+
+def _times(cube: xr.Dataset, frame: int) -> Cards:
+    times = exposure_of(cube, frame)
+    iso, mjd = times.iso(), times.mjd()
+    return [
+        ("TIMESYS", "UTC", "time scale"),
+        ("TIMEUNIT", "s", "of EXPTIME, XPOSURE and TELAPSE"),
+        ("DATE-OBS", iso["start"], "start of the exposure"),
+        ("DATE-BEG", iso["start"], "start of the exposure"),
+        ("DATE-AVG", iso["middle"], "middle of the exposure (WCS, truth)"),
+        ("DATE-END", iso["end"], "end of the exposure"),
+        ("MJD-OBS", mjd["start"], "[d] start of the exposure, UTC"),
+        ("MJD-BEG", mjd["start"], "[d] start of the exposure, UTC"),
+        ("MJD-AVG", mjd["middle"], "[d] middle of the exposure, UTC"),
+        ("MJD-END", mjd["end"], "[d] end of the exposure, UTC"),
+        ("EXPTIME", times.seconds, "[s] integration time"),
+        ("XPOSURE", times.seconds, "[s] integration time"),
+        ("TELAPSE", times.seconds, "[s] from start to end"),
+    ]
+
+
+def _site(scene: Scene) -> Cards:
+    """Where a ground observer stands (WGS 84), geodetic and geocentric."""
+    o = scene.observer
+    if o.kind != "ground":
+        return [("OBSKIND", o.kind, "observer: its orbit or place is in the scene")]
+    import erfa
+
+    place = erfa.gd2gc(1, np.radians(o.longitude_deg), np.radians(o.latitude_deg), o.height_m)
+    longitude, latitude, height = erfa.gc2gde(*IAU_1976, place)
+    return [
+        ("OBSKIND", o.kind, "observer"),
+        ("SITELAT", o.latitude_deg, "[deg] geodetic latitude, WGS 84"),
+        ("SITELONG", o.longitude_deg, "[deg] longitude, east positive"),
+        ("SITEELEV", o.height_m, "[m] above the ellipsoid"),
+        *((f"OBSGEO-{axis}", round(float(v), 4), "[m] geocentric, ITRS")
+          for axis, v in zip("XYZ", place, strict=True)),
+        ("OBSGEO-L", float(np.degrees(longitude)), "[deg] on FITS' ellipsoid, IAU 1976"),
+        ("OBSGEO-B", float(np.degrees(latitude)), "[deg] on FITS' ellipsoid, IAU 1976"),
+        ("OBSGEO-H", float(height), "[m] on FITS' ellipsoid, IAU 1976"),
+    ]  # fmt: skip
+
+
+def _sensor(scene: Scene, layer: str) -> Cards:
+    """What a photometry program asks for; terms that are images say so."""
+    s = scene.sensor
+    pixel_arcsec = float(np.degrees(s.pixel_pitch_um * 1e-6 / s.focal_length_m)) * 3600.0
+    band = getattr(s.bandpass, "name", None) or s.bandpass.kind
+    if s.bandpass.kind == "box":
+        band = f"{s.bandpass.short_nm:g}-{s.bandpass.long_nm:g} nm"
+    cards: Cards = [
+        ("FILTER", str(band)[-68:], "bandpass"),
+        ("APTDIA", 1e3 * s.aperture_m, "[mm] diameter of the entrance pupil"),
+        ("FOCALLEN", 1e3 * s.focal_length_m, "[mm]"),
+        ("XPIXSZ", s.pixel_pitch_um, "[um]"),
+        ("YPIXSZ", s.pixel_pitch_um, "[um]"),
+        ("SECPIX", pixel_arcsec, "[arcsec] a pixel at the boresight"),
+        ("TRKMODE", scene.pointing.mode, "what the sensor follows"),
+    ]
+    for key, name, unit in (
+        ("GAIN", "gain_e_per_dn", "[e-/adu]"),
+        ("RDNOISE", "read_noise_e", "[e-] rms"),
+        ("BIASLVL", "bias_dn", "[adu]"),
+        ("DARKCUR", "dark_e_per_s", "[e-/s] a pixel"),
+    ):
+        value = getattr(s, name)
+        cards.append((key, value if not isinstance(value, str) else "image", unit))
+    if layer == "dn":
+        full = 2**s.adc_bits - 1
+        if s.full_well_e and not isinstance(s.gain_e_per_dn, str | None):
+            level = s.full_well_e / s.gain_e_per_dn
+            level += s.bias_dn if not isinstance(s.bias_dn, str) else 0.0
+            full = min(full, int(level))
+        cards.append(("SATURATE", full, "[adu] no pixel is brighter"))
+    return cards
+
+
+def _astrometric_cards(one: xr.Dataset) -> Cards:
+    from pipeline.physics.positions.focal_plane import WcsFit, wcs_header
+
+    order = int(one["wcs_sip_order"])
+    size = order + 1
+    fit = WcsFit(
+        one["wcs_crval_deg"].values, one["wcs_crpix_px"].values, one["wcs_cd_deg"].values, order,
+        one["wcs_sip_a"].values[:size, :size], one["wcs_sip_b"].values[:size, :size],
+        float(one["wcs_residual_px"]),
+    )  # fmt: skip
+    return [(key, value, "") for key, value in wcs_header(fit).items()]
+
+
+def _apparent_cards(one: xr.Dataset) -> Cards:
+    from pipeline.physics.positions.focal_plane import Camera, apparent_wcs_header
+
+    rows, columns = one.sizes["y"], one.sizes["x"]
+    camera = Camera(rows, columns, float(one.attrs["ifov_rad"]), 1.0)
+    header = apparent_wcs_header(camera, one["attitude"].values)
+    return [(f"{key}A", value, "") for key, value in header.items()]

@@ -1,0 +1,134 @@
+"""The sources of a frame as labels: one list from the truth tables, for every format."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput
+from pipeline.store.layout import TRUTH
+
+Array = NDArray[np.float64]
+
+TARGET, STAR = 1, 2  # class numbers, as SatNet counts them
+CLASS_NAMES = {TARGET: "Satellite", STAR: "Star"}
+_COLUMNS = (
+    "x_px", "y_px", "x_start_px", "y_start_px", "x_end_px", "y_end_px", "x_light_px",
+    "y_light_px", "ra_deg", "dec_deg", "electrons", "snr",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Sources of one frame, targets first, each part brightest first; arrays of length n.
+
+    kind : TARGET or STAR; name : a target's name, a star's catalogue id. Masks carry the place in
+    the list, from 1
+    x_px, y_px : at mid-exposure (pixel (0, 0) is the centre of the first); start and end of the
+    path; x_light_px, y_light_px : the centroid of the light as drawn
+    ra_deg, dec_deg : astrometric ICRS, what the WCS gives; electrons in the exposure
+    snr : matched filter; g_mag : of stars, NaN for targets; radius_px : of bodies with a disc
+    """
+
+    kind: NDArray[np.int64]
+    name: NDArray[np.str_]
+    x_px: Array
+    y_px: Array
+    x_start_px: Array
+    y_start_px: Array
+    x_end_px: Array
+    y_end_px: Array
+    x_light_px: Array
+    y_light_px: Array
+    ra_deg: Array
+    dec_deg: Array
+    electrons: Array
+    snr: Array
+    g_mag: Array
+    radius_px: Array
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    @property
+    def length_px(self) -> Array:
+        """From the start to the end of each path, straight."""
+        return np.hypot(self.x_end_px - self.x_start_px, self.y_end_px - self.y_start_px)
+
+    @property
+    def angle_deg(self) -> Array:
+        """Direction from start to end, from +x (columns) towards +y (rows); 0 where it stands."""
+        return np.degrees(
+            np.arctan2(self.y_end_px - self.y_start_px, self.x_end_px - self.x_start_px)
+        )
+
+    def take(self, index: Any) -> Labels:
+        """Some of them."""
+        return Labels(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+def frame_labels(
+    product: Path, frame: int, shape: tuple[int, int], stars_snr: float | None = None
+) -> Labels:
+    """Labels of a frame of a complete product.
+
+    shape : (rows, columns) of the frame; sources no part of whose path lies in it are left out
+    stars_snr : stars of this signal-to-noise and more are labelled; None: targets alone
+    """
+    if stars_snr is not None and not stars_snr >= 0:
+        raise BadInput("--stars-snr", stars_snr, "a number of at least 0")
+    parts = [_part(product / TRUTH / "targets.parquet", TARGET, frame, 0.0)]
+    if stars_snr is not None:
+        parts.append(_part(product / TRUTH / "stars.parquet", STAR, frame, stars_snr))
+    whole = Labels(
+        **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Labels)}
+    )
+    return whole.take(_crosses(whole, shape))
+
+
+def _part(path: Path, kind: int, frame: int, least_snr: float) -> Labels:
+    """One truth table's rows of a frame that send light; empty where there is no table."""
+    import pyarrow.parquet as pq
+
+    names = {TARGET: ("name", "radius_px"), STAR: ("source_id", "g_mag")}[kind]
+    if not path.is_file():
+        empty = {f.name: np.empty(0) for f in fields(Labels)}
+        return Labels(**{**empty, "kind": np.empty(0, np.int64), "name": np.empty(0, "U64")})
+    known = pq.read_schema(path).names
+    wanted = [c for c in (*_COLUMNS, *names) if c in known]
+    rows = pq.read_table(path, columns=wanted, filters=[("frame", "=", frame)])
+    got = {c: rows[c].to_numpy() for c in wanted}
+    if "radius_px" not in got:  # products of earlier versions hold neither this nor centroids
+        got["radius_px"] = np.zeros(rows.num_rows)
+    for axis in "xy":
+        got.setdefault(f"{axis}_light_px", got[f"{axis}_px"])
+    kept = np.flatnonzero((got["electrons"] > 0) & (got["snr"] >= least_snr))
+    kept = kept[np.argsort(-got["electrons"][kept], kind="stable")]
+    nan, n = np.full(len(kept), np.nan), len(kept)
+    return Labels(
+        kind=np.full(n, kind, np.int64),
+        name=got[names[0]][kept].astype("U64"),
+        g_mag=got["g_mag"][kept] if kind == STAR else nan,
+        radius_px=got["radius_px"][kept] if kind == TARGET else np.zeros(n),
+        **{c: got[c][kept].astype(float) for c in _COLUMNS},
+    )
+
+
+def _crosses(labels: Labels, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Whether some part of each straight path lies within the frame (Liang and Barsky 1984)."""
+    low, high = np.zeros(len(labels)), np.ones(len(labels))
+    for a, b, size in (
+        (labels.x_start_px, labels.x_end_px, shape[1]),
+        (labels.y_start_px, labels.y_end_px, shape[0]),
+    ):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = np.sort(np.stack([(-0.5 - a) / (b - a), (size - 0.5 - a) / (b - a)]), axis=0)
+        still = a == b
+        inside = (a >= -0.5) & (a <= size - 0.5)
+        low = np.maximum(low, np.where(still, np.where(inside, 0.0, 2.0), t[0]))
+        high = np.minimum(high, np.where(still, 1.0, t[1]))
+    return np.asarray(low <= high)

@@ -1,0 +1,172 @@
+"""The light that one source sends into the pixels: its response swept along its path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.inputs.curves import resolve_response
+from pipeline.inputs.psf_tables import gather_psf_table
+from pipeline.physics.motion.streak import Path, pieces, transfer
+from pipeline.physics.psf.pupil import Blur
+from pipeline.physics.psf.response import (
+    Core,
+    compact_core,
+    core_spectrum,
+    frequencies,
+    oversampling_for,
+    stamp_at,
+    window,
+)
+from pipeline.plan.facts import gather_facts
+from pipeline.plan.psf_field import PsfField
+from pipeline.spec.scene import Scene
+
+Array = NDArray[np.float64]
+
+STEP_PX = 0.125  # paths and places are rounded to it, so that sources alike share their stamps
+NODES = 9  # of a bent path
+LARGEST_PX = 128.0
+LARGEST_SAMPLES = 1024  # radius times samples a pixel
+KEPT = 512  # stamps
+
+
+@dataclass
+class SourceLight:
+    """Draws single sources for masks and boxes, to STEP_PX / 2 in place and shape.
+
+    blur : the response; of a field, the sharpest, and `psf_field` holds all of them
+    """
+
+    blur: Blur
+    psf_field: PsfField | None = None
+    _cores: dict[tuple[Blur, int], Core] = field(default_factory=dict)
+    _swept: dict[Any, Any] = field(default_factory=dict)
+    _stamps: dict[Any, Any] = field(default_factory=dict)
+
+    def image(
+        self, path: Path, x_px: float, y_px: float, light_e: float, least_e: float
+    ) -> tuple[int, int, Array]:
+        """(first row, first column, electrons in the pixels of a window).
+
+        path : about (x_px, y_px). The window holds every pixel of `least_e` or more, up to
+        LARGEST_PX from the path; light beyond is left out.
+        """
+        out: list[tuple[int, int, Array]] = []
+        for blur, share in self._blurs(x_px, y_px):
+            number = self._radius_number(blur, light_e * share, least_e)
+            for x0, y0, piece, part in pieces(path):
+                row, column, stamp = self._stamp(blur, number, piece, x_px + x0, y_px + y0)
+                out.append((row, column, light_e * share * part * stamp))
+        return _joined(out)
+
+    def enclosing_px(self, fraction: float) -> float:
+        """Radius about a point source that holds a fraction of the light of its core."""
+        core = self._core(self.blur, 0)
+        half = core.samples.shape[0] // 2
+        at = np.arange(-half, half + 1) / core.oversampling
+        r = np.hypot(at[:, None], at[None, :]).ravel()
+        order = np.argsort(r, kind="stable")
+        light = np.cumsum(np.maximum(core.samples.ravel()[order], 0.0))
+        return float(r[order][np.searchsorted(light, fraction * light[-1])])
+
+    def _blurs(self, x_px: float, y_px: float) -> list[tuple[Blur, float]]:
+        if self.psf_field is None:
+            return [(self.blur, 1.0)]
+        shares = self.psf_field.shares(np.array([x_px]), np.array([y_px]))
+        return [(blur, float(share[0])) for blur, share in shares if share[0] > 0]
+
+    def _radius_number(self, blur: Blur, light_e: float, least_e: float) -> int:
+        """Which of the doubling radii holds the pixels of `least_e`: the ring tells."""
+        number = 0
+        while self._radius_px(blur, number + 1) > self._radius_px(blur, number):
+            core = self._core(blur, number)
+            half = core.samples.shape[0] // 2
+            edge = min(half, int(0.7 * core.radius_px * core.oversampling))
+            ring = max(abs(core.samples[half, half + edge]), abs(core.samples[half + edge, half]))
+            if light_e * ring <= least_e:
+                break
+            number += 1
+        return number
+
+    def _radius_px(self, blur: Blur, number: int) -> float:
+        largest = min(LARGEST_PX, LARGEST_SAMPLES / oversampling_for(blur))
+        return min(largest, max(blur.core_px, 4.0) * 2.0**number)
+
+    def _core(self, blur: Blur, number: int) -> Core:
+        key = (blur, number)
+        if key not in self._cores:
+            self._cores[key] = compact_core(blur, self._radius_px(blur, number))
+        return self._cores[key]
+
+    def _stamp(
+        self, blur: Blur, number: int, piece: Path, x_px: float, y_px: float
+    ) -> tuple[int, int, Array]:
+        """A stamp at a rounded phase; the latest ones are kept."""
+        x, y = (round(v / STEP_PX) * STEP_PX for v in (x_px, y_px))
+        whole_x, whole_y = math.floor(x), math.floor(y)
+        key = (blur, number, piece, x - whole_x, y - whole_y)
+        if key not in self._stamps:
+            _make_room(self._stamps)
+            swept = self._swept_core(blur, number, piece)
+            core, spectrum, half, period = swept
+            at = y - whole_y, x - whole_x
+            self._stamps[key] = stamp_at(core, spectrum, half, period, *at)
+        row, column, stamp = self._stamps[key]
+        return row + whole_y, column + whole_x, stamp
+
+    def _swept_core(self, blur: Blur, number: int, piece: Path) -> tuple[Any, ...]:
+        key = (blur, number, piece)
+        if key not in self._swept:
+            _make_room(self._swept)
+            core = self._core(blur, number)
+            reach = (float(np.abs(p).max()) for p in (piece.y_px, piece.x_px))
+            half_y, half_x, *period = window(core, *reach)
+            fy, fx = frequencies(core, *period)
+            swept = transfer(fy, fx, piece.x_px, piece.y_px, piece.weight)
+            spectrum = core_spectrum(core, swept, *period)
+            self._swept[key] = (core, spectrum, (half_y, half_x), tuple(period))
+        return self._swept[key]
+
+
+def source_light(scene: Scene) -> SourceLight:
+    """What draws single sources of a scene: its optics, read anew (curves and tables)."""
+    s = scene.sensor
+    response, *_ = resolve_response(s.bandpass.model_dump(), s.transmission, s.quantum_efficiency)
+    facts = gather_facts(scene, response, 0.0, 1.0, 1.0, gather_psf_table(scene))
+    return SourceLight(facts.blur, facts.field)
+
+
+def path_between(start: Array, middle: Array, end: Array) -> Path:
+    """The parabola through three places (x, y), about the middle one, evenly lit.
+
+    Rounded to STEP_PX. What bends otherwise, or brightens while it is exposed, differs by that.
+    """
+    half = np.round(0.5 * (end - start) / STEP_PX) * STEP_PX
+    bend = np.round((0.5 * (end + start) - middle) / STEP_PX) * STEP_PX
+    nodes = NODES if bend.any() else 2
+    t = np.linspace(-1.0, 1.0, nodes)
+    x, y = (half[i] * t + bend[i] * t * t for i in (0, 1))
+    return Path(x, y, np.full(nodes - 1, 1.0 / (nodes - 1)))
+
+
+def _joined(stamps: list[tuple[int, int, Array]]) -> tuple[int, int, Array]:
+    """Stamps added up in the window that holds them all."""
+    y0 = min(row for row, _, _ in stamps)
+    x0 = min(column for _, column, _ in stamps)
+    y1 = max(row + stamp.shape[0] for row, _, stamp in stamps)
+    x1 = max(column + stamp.shape[1] for _, column, stamp in stamps)
+    whole = np.zeros((y1 - y0, x1 - x0))
+    for row, column, stamp in stamps:
+        at_y, at_x = slice(row - y0, row - y0 + stamp.shape[0]), column - x0
+        whole[at_y, at_x : at_x + stamp.shape[1]] += stamp
+    return y0, x0, whole
+
+
+def _make_room(kept: dict[Any, Any]) -> None:
+    while len(kept) >= KEPT:
+        kept.pop(next(iter(kept)))

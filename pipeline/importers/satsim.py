@@ -1,0 +1,262 @@
+"""SatSim configurations (JSON) as scenes: zero point, fields of view, noise, straight lines."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import erfinv
+
+from pipeline.errors import BadInput
+from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
+from pipeline.importers.placing import Wanted, electrons_of_sunlight, far_observer, place
+from pipeline.importers.satsim_values import settled
+
+PITCH_UM = 10.0
+RA_DEG, DEC_DEG = 180.0, 0.0
+SUN_MAG = -26.74  # SatSim's own, in its lambertian_sphere
+BAND = {"kind": "named", "name": "bessell-V"}
+ADC_BITS = {"uint8": 8, "uint16": 16, "uint32": 32}
+IGNORED = ("version", "sim")  # how SatSim computes, not what
+
+
+def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int = 0) -> Imported:
+    """A SatSim file as a scene.
+
+    epoch : UTC of the first exposure, which such files do not have; catalogue : for its stars
+    seed : of what the file leaves to chance ($sample), drawn once
+    Raises BadInput that names the key of the file.
+    """
+    try:
+        raw = json.loads(read_bytes(path))
+    except (ValueError, RecursionError) as error:
+        raise BadInput("FILE", str(path), f"JSON ({error})") from None
+    notes = Notes()
+    drawn: list[str] = []
+    fields = Fields(settled(raw, np.random.default_rng(seed), drawn))
+    for name in IGNORED:
+        fields.get(name)
+    images: dict[str, Any] = {}
+    sensor = _sensor(fields, notes, images, scene_name(path))
+    exposure = _exposure(fields)
+    data: dict[str, Any] = {
+        "schema": "nightglass/scene/1", "name": scene_name(path), "epoch": epoch, "seed": seed,
+        "observer": far_observer(RA_DEG, DEC_DEG), "sensor": sensor,
+        "pointing": _pointing(fields, sensor, notes), "exposure": exposure,
+        "output": {"layers": ["dn", "mean_e", "targets_e"]},
+    }  # fmt: skip
+    zero = fields.number("fpa.zeropoint", -10, 60)
+    sky = _background(fields, zero, sensor, notes)
+    if sky is not None:
+        data["background"] = sky
+    _stars(fields, catalogue, data, notes)
+    wanted = _targets(fields, sensor["shape"], zero, notes)
+    notes.assumed += [
+        f"epoch {epoch}; an observer {1e-3 * 1e9:.0f} km from the Earth that looks at RA "
+        f"{RA_DEG:g}, Dec {DEC_DEG:g} deg: the file places targets on pixels, not in space",
+        f"a pixel pitch of {PITCH_UM:g} um, with the focal length that gives the field of view",
+        "band bessell-V, with the aperture that gives the zero point to a star like the Sun",
+    ]
+    notes.assumed += drawn
+    notes.left_out += [f"{key}: no such thing in a scene" for key in fields.unused()]
+    return Imported(f"SatSim {path.name}", place(data, wanted), images, notes)
+
+
+def _sensor(f: Fields, notes: Notes, images: dict[str, Any], name: str) -> dict[str, Any]:
+    rows, columns = f.whole("fpa.height", 1, 60_000), f.whole("fpa.width", 1, 60_000)
+    y_deg, x_deg = (f.number(f"fpa.{a}_fov", 1e-6, 60) for a in "yx")
+    ifov = math.radians(math.sqrt(y_deg / rows * x_deg / columns))
+    arcsec = math.degrees(ifov) * 3600
+    notes.converted.append(f"fields of {y_deg:g} x {x_deg:g} deg: pixels of {arcsec:.4g} arcsec")
+    if not math.isclose(y_deg / rows, x_deg / columns, rel_tol=1e-3):
+        notes.left_out.append(
+            f"pixels of {3600 * y_deg / rows:.4g} x {3600 * x_deg / columns:.4g} arcsec: ours are "
+            "square, of the same area; places and motions in pixels are kept"
+        )
+    zero = f.number("fpa.zeropoint", -10, 60)
+    sensor: dict[str, Any] = {
+        "shape": [rows, columns], "pixel_pitch_um": PITCH_UM,
+        "focal_length_m": PITCH_UM * 1e-6 / ifov, "aperture_m": 1.0, "bandpass": BAND,
+        "adc_rounding": "floor",
+    }  # fmt: skip
+    # A star like the Sun has V = -26.76 at 1 au: what the aperture must collect from it.
+    wanted = 10.0 ** (0.4 * (zero + 26.76))
+    sensor["aperture_m"] = math.sqrt(wanted / electrons_of_sunlight(sensor))
+    notes.converted.append(
+        f"zeropoint {zero:g} (1 e-/s): aperture {sensor['aperture_m']:.4g} m without losses"
+    )
+    eod = f.number("fpa.psf.eod", 1e-6, 1 - 1e-9)
+    mode = f.get("fpa.psf.mode", "gaussian")
+    if mode != "gaussian":
+        raise BadInput("fpa.psf.mode", mode, "gaussian")
+    sigma = 1.0 / (2.0 * math.sqrt(2.0) * float(erfinv(math.sqrt(eod))))
+    sensor["psf"] = {"kind": "gaussian", "sigma_px": sigma}
+    notes.converted.append(f"psf.eod {eod:.4g} (light on one pixel): sigma {sigma:.4g} px")
+    noise = [f.number(f"fpa.noise.{k}", 0, 1e6, 0.0) for k in ("read", "electronic")]
+    sensor["read_noise_e"] = math.hypot(*noise)
+    notes.converted.append(
+        f"noise read {noise[0]:g} and electronic {noise[1]:g} e-: {math.hypot(*noise):.4g} e- rms"
+    )
+    return sensor | _digital(f) | _maps(f, (rows, columns), images, name, notes)
+
+
+def _digital(f: Fields) -> dict[str, Any]:
+    if f.get("fpa.a2d.response", "linear") != "linear":
+        raise BadInput("fpa.a2d.response", f.get("fpa.a2d.response"), "linear")
+    kind = str(f.get("fpa.a2d.dtype", "uint16"))
+    if kind not in ADC_BITS:
+        raise BadInput("fpa.a2d.dtype", kind, ", ".join(ADC_BITS))
+    return {
+        "gain_e_per_dn": f.number("fpa.a2d.gain", 1e-9, 1e9),
+        "full_well_e": f.number("fpa.a2d.fwc", 1, 1e15),
+        "adc_bits": ADC_BITS[kind],
+    }
+
+
+def _maps(
+    f: Fields, shape: tuple[int, int], images: dict[str, Any], name: str, notes: Notes
+) -> dict[str, Any]:
+    """Dark current, flat and bias: numbers, or images written beside the scene."""
+    gain = f.number("fpa.a2d.gain", 1e-9, 1e9)
+    offset = f.number("fpa.a2d.bias", -1e9, 1e9, 0.0)
+    bias = f.get("fpa.bias", 0.0)
+    values = {
+        "dark_e_per_s": f.get("fpa.dark_current", 0.0),
+        "flat": f.get("fpa.gain", 1.0),
+        "bias_dn": bias / gain + offset if not isinstance(bias, str) else bias,
+    }
+    notes.converted.append(
+        f"bias of {float(np.median(bias)):.4g} e- and a2d.bias of {offset:g} DN: "
+        f"{float(np.median(values['bias_dn'])):.5g} DN"
+    )
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, np.ndarray):
+            if value.shape != shape:
+                raise BadInput(f"fpa ({key})", list(value.shape), f"an image of {list(shape)}")
+            images[f"{name}.{key}.npy"] = np.maximum(value, 0.0).astype(np.float32)
+            out[key] = f"{name}.{key}.npy"
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            out[key] = float(value)
+        else:
+            raise BadInput(f"fpa ({key})", value, "a number or $sample")
+    return out
+
+
+def _exposure(f: Fields) -> dict[str, Any]:
+    seconds = f.number("fpa.time.exposure", 1e-9, 1e5)
+    gap = f.number("fpa.time.gap", 0, 1e6, 0.0)
+    frames = f.whole("fpa.num_frames", 1, 100_000)
+    return {"integration_s": seconds, "frames": frames, "cadence_s": seconds + gap}
+
+
+def _pointing(f: Fields, sensor: dict[str, Any], notes: Notes) -> dict[str, Any]:
+    """Stars that move by so many pixels a second are a boresight that moves the other way."""
+    step = math.degrees(sensor["pixel_pitch_um"] * 1e-6 / sensor["focal_length_m"]) * 3600
+    at = {"boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG}
+    if not f.has("geometry.stars.motion"):
+        return {"mode": "sidereal", **at}
+    mode = f.get("geometry.stars.motion.mode")
+    if mode not in ("affine", "affine-polar", "none"):
+        raise BadInput("geometry.stars.motion.mode", mode, "affine")
+    rotation = f.number("geometry.stars.motion.rotation", -1e3, 1e3, 0.0)
+    if rotation:
+        notes.left_out.append(
+            f"geometry.stars.motion.rotation {rotation:.4g} rad/s: the boresight does not turn"
+        )
+    if not f.has("geometry.stars.motion.translation"):
+        return {"mode": "sidereal", **at}
+    row, column = f.pair("geometry.stars.motion.translation", 2, 1e6)
+    notes.converted.append(
+        f"stars move by ({row:.4g}, {column:.4g}) px/s (row, column): the boresight by "
+        f"({column * step:.5g}, {-row * step:.5g}) arcsec/s in RA and Dec"
+    )
+    return {"mode": "rate", **at, "rate_ra_arcsec_s": column * step,
+            "rate_dec_arcsec_s": -row * step}  # fmt: skip
+
+
+def _background(
+    f: Fields, zero: float, sensor: dict[str, Any], notes: Notes
+) -> dict[str, Any] | None:
+    stray = f.get("background.stray", {})
+    if isinstance(stray, dict) and stray.get("mode", "none") != "none":
+        notes.left_out.append(f"background.stray {stray.get('mode')}")
+    if not f.has("background.galactic"):
+        return None
+    mag = f.number("background.galactic", -30, 60)
+    step = math.degrees(sensor["pixel_pitch_um"] * 1e-6 / sensor["focal_length_m"]) * 3600
+    rate = 10.0 ** (-0.4 * (mag - zero)) * step**2
+    notes.converted.append(f"background {mag:g} mag/arcsec2: {rate:.5g} e-/s a pixel")
+    return {"uniform_e_per_s": rate}
+
+
+def _stars(f: Fields, catalogue: str | None, data: dict[str, Any], notes: Notes) -> None:
+    stars = f.get("geometry.stars", {})
+    if catalogue is not None:
+        data["stars"] = {"catalogue": catalogue}
+        notes.assumed.append(f"stars of {catalogue}")
+    if isinstance(stars, dict) and stars.get("mode") == "bins":
+        count = sum(v for v in stars.get("mv", {}).get("density", []) if isinstance(v, int | float))
+        notes.left_out.append(
+            f"geometry.stars: {count:.4g} stars a square degree at random places; give a "
+            "--catalogue for stars"
+        )
+
+
+def _targets(f: Fields, shape: list[int], zero: float, notes: Notes) -> list[Wanted]:
+    """The straight lines of the file; what moves or shines otherwise is told of."""
+    listed = f.get("geometry.obs.list", [])
+    if not isinstance(listed, list):
+        raise BadInput("geometry.obs.list", listed, "a list")
+    f.get("geometry.obs")
+    out = []
+    for i, one in enumerate(listed):
+        o = Fields(one, f"geometry.obs.list.{i}")
+        mode = o.get("mode")
+        if mode == "none":
+            continue
+        if mode != "line":
+            notes.left_out.append(f"geometry.obs.list.{i}: of mode {mode}; give it an orbit")
+            continue
+        row, column = o.pair("origin", 2, 1e3)
+        down, right = o.pair("velocity", 2, 1e6)
+        rate = _rate(o, zero, i, notes)
+        out.append(
+            Wanted(f"obs-{i}", column * shape[1] - 0.5, row * shape[0] - 0.5, right, down, rate)
+        )
+    if out:
+        notes.converted.append(
+            f"{len(out)} lines on the focal plane: targets on straight paths that cross the same "
+            "pixels, with the same electrons a second"
+        )
+    return out
+
+
+def _rate(o: Fields, zero: float, i: int, notes: Notes) -> float:
+    """Electrons a second of one object: from `pe`, `mv`, or a Lambertian sphere."""
+    if o.has("pe"):
+        return o.number("pe", 0, 1e15)
+    if o.has("mv"):
+        return 10.0 ** (-0.4 * (o.number("mv", -60, 60) - zero))
+    mode = o.get("model.mode")
+    if mode != "lambertian_sphere":
+        raise BadInput(f"geometry.obs.list.{i}.model.mode", mode, "mv, pe or lambertian_sphere")
+    mag = sphere_mag(
+        o.number("model.diameter", 1e-6, 1e9), o.number("model.albedo", 0, 1),
+        math.radians(o.number("model.phase_angle", 0, 180)), o.number("model.distance", 1e-3, 1e12),
+    )  # fmt: skip
+    notes.converted.append(f"obs-{i}: a sphere of V = {mag:.4f} (the Sun {SUN_MAG})")
+    return 10.0 ** (-0.4 * (mag - zero))
+
+
+def sphere_mag(diameter_m: float, albedo: float, phase_rad: float, range_km: float) -> float:
+    """Magnitude of a diffuse sphere in sunlight, by SatSim's magnitude of the Sun.
+
+    2 a r^2 (sin p + (pi - p) cos p) / (3 pi d^2) of sunlight (PHYSICS section a).
+    """
+    shape = math.sin(phase_rad) + (math.pi - phase_rad) * math.cos(phase_rad)
+    ratio = 2.0 * albedo * (0.5 * diameter_m / (1e3 * range_km)) ** 2 * shape / (3.0 * math.pi)
+    return SUN_MAG - 2.5 * math.log10(max(ratio, 1e-60))

@@ -1,0 +1,55 @@
+"""Charge that moves under the light, and charge that stays behind: smear, TDI, image lag."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def smear_e(
+    light_e: Array, integration_s: float, transfer_s: float, to_high: bool, cleared: bool
+) -> Array:
+    """Electrons (ny, nx) that frame transfer adds to the light of whole columns.
+
+    light_e : (ny, nx) mean electrons of an exposure, after the flat. While the rows are moved out,
+    in steps of transfer_s / ny, the charge of a row passes all rows on its way and collects their
+    light; unless the charge was `cleared` before, it has also passed the rows on the other side,
+    when the frame before was moved out. Sources send what they send on average.
+    """
+    step = transfer_s / light_e.shape[0] / integration_s
+    below = np.cumsum(light_e, axis=0) - light_e  # light of all rows before
+    total = below[-1] + light_e[-1]
+    ahead = total - below - light_e if to_high else below
+    behind = below if to_high else total - below - light_e
+    return step * np.maximum(ahead if cleared else ahead + behind, 0.0)
+
+
+def lag_frames(fraction: float, light_e: float, error_e: float) -> int:
+    """How many frames before leave charge: the rest, fraction^(n + 1) of a pixel's light, is less
+    than error_e."""
+    if light_e <= error_e:
+        return 1
+    return max(1, math.ceil(math.log(error_e / light_e) / math.log(fraction)) - 1)
+
+
+def lagged_e(frames_e: list[Array], fraction: float) -> Array:
+    """Mean electrons read in the last of some frames, of which a share stays behind each time.
+
+    frames_e : (ny, nx) collected in each frame, in order of time; before them there was nothing.
+    Of a pixel's charge (1 - fraction) is read, the rest waits: read_k = (1 - a) sum_j a^j c_(k-j).
+    """
+    out = np.zeros_like(frames_e[0])
+    for collected in frames_e:
+        out = fraction * out + collected
+    return (1.0 - fraction) * out
+
+
+def column_means(value: float | Array) -> float | Array:
+    """What charge meets that is moved over all rows: the mean of each column, in every row."""
+    if not isinstance(value, np.ndarray):
+        return value
+    return np.broadcast_to(value.mean(axis=0), value.shape).copy()

@@ -1,0 +1,1 @@
+"""Self-test: hard ends of the product, each against an answer known from elsewhere."""

@@ -1,0 +1,58 @@
+"""Is the job table what was written? Rows against their seals, and against the audit table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from service.jobs import job_of
+from service.tables import audit, jobs, scene_crc
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong: which job (None: the database itself), and what."""
+
+    job: str | None
+    reason: str
+
+
+def find_faults(engine: sa.Engine, deep: bool = False) -> list[Fault]:
+    """Everything that is wrong with the job table; `deep` also asks SQLite to check its pages."""
+    try:
+        with engine.connect() as db:
+            pages = list(_bad_pages(db)) if deep else []
+            return [*pages, *_bad_rows(db), *_missing_rows(db)]
+    except sa.exc.DatabaseError as error:
+        return [Fault(None, f"the job table cannot be read: {error.orig}")]
+
+
+def _bad_pages(db: sa.Connection) -> Iterator[Fault]:
+    if db.dialect.name != "sqlite":
+        return
+    for (told,) in db.exec_driver_sql("PRAGMA integrity_check"):
+        if told != "ok":
+            yield Fault(None, f"jobs.sqlite: {' '.join(told.split())}")
+
+
+def _bad_rows(db: sa.Connection) -> Iterator[Fault]:
+    """Rows whose seal or scene is not what was written."""
+    rows = db.execution_options(yield_per=500).execute(sa.select(jobs)).mappings()
+    for row in rows:
+        if job_of(row).damaged:
+            yield Fault(row["id"], "its row is not what was written")
+        elif scene_crc(row["scene"]) != row["scene_crc"]:
+            yield Fault(row["id"], "its scene is not what was written")
+
+
+def _missing_rows(db: sa.Connection) -> Iterator[Fault]:
+    """Jobs that were acknowledged, never removed, and are not there (or under another id)."""
+    removed = sa.select(audit.c.thing).where(audit.c.action == "removed")
+    there = sa.select(jobs.c.id)
+    query = sa.select(audit.c.thing).where(
+        audit.c.action == "submit", audit.c.thing.not_in(removed), audit.c.thing.not_in(there)
+    )
+    for (job_id,) in db.execute(query):
+        yield Fault(job_id, "its row is missing from the job table")

@@ -1,0 +1,42 @@
+"""Sweeps: submitted here, watched and fetched like any other job."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Request
+from fastapi.responses import Response
+from starlette.concurrency import run_in_threadpool
+
+from service.bodies import parse_json, read_body
+from service.context import Service
+from service.routes.jobs import check_key, taken
+from service.sweeps import accept_sweep, can_run
+
+router = APIRouter(prefix="/v1/sweeps", tags=["sweeps"], include_in_schema=can_run())
+SWEEP_BODY = {
+    "requestBody": {
+        "required": True,
+        "description": "A sweep: a base scene and axes over its keys.",
+        "content": {"application/json": {"schema": {"type": "object"}}},
+    }
+}
+
+
+@router.post("", status_code=202, openapi_extra=SWEEP_BODY)
+async def submit(
+    request: Request,
+    service: Service,
+    idempotency_key: Annotated[str | None, Header()] = None,
+) -> Response:
+    """Queue a sweep: 202 and where its job is; 200 for a key that was used with this body."""
+    check_key(idempotency_key)
+    body = await read_body(request, service.settings.body_bytes, service.settings.body_s)
+    data = parse_json(body)
+    sweep = await run_in_threadpool(accept_sweep, data, service.settings, service.has_file)
+    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+    name = str(data.get("name", "sweep"))[:128]
+    ask = service.store.ask(name, sweep, digest, idempotency_key, kind="sweep")
+    return taken(service, *await service.intake.put(ask))

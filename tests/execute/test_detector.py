@@ -1,0 +1,260 @@
+"""The detector's extras in products: right, the same in every tiling, absent unless asked for."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.run import Options, plan_scene, prepare, render
+from pipeline.spec.load import parse_scene
+from pipeline.store.cube import open_cube
+
+SIDE = 320
+SCENE = {
+    "schema": "nightglass/scene/1",
+    "name": "detector",
+    "epoch": "2019-07-20T09:00:00Z",
+    "seed": 5,
+    "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
+    "sensor": {
+        "shape": [SIDE, SIDE],
+        "pixel_pitch_um": 9.0,
+        "focal_length_m": 0.5,
+        "aperture_m": 0.1,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0},
+        "full_well_e": 60000,
+        "gain_e_per_dn": 2.0,
+        "bias_dn": 100,
+        "dark_e_per_s": 3.0,
+        "read_noise_e": 4.0,
+    },
+    "pointing": {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 5.0},
+    "exposure": {"integration_s": 2.0},
+    "background": {"uniform_e_per_s": 500.0},
+    "targets": [
+        {
+            "name": "t",
+            "orbit": {
+                "kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0],
+            },
+            "body": {"kind": "sphere", "diameter_m": 1.0e5, "albedo": 0.5},
+        }
+    ],
+    "output": {"layers": ["dn", "mean_e"]},
+}  # fmt: skip
+BRIGHT = {"pointing": {"mode": "target", "target": "t"}}
+ALL_LAYERS = ["dn", "mean_e", "targets_e", "background_e", "dark_e", "lag_e", "calibrated_e"]
+
+
+def scene(detector=None, **changes):
+    data = copy.deepcopy(SCENE)
+    for key, value in changes.items():
+        *parents, last = key.split("__")
+        holder = data
+        for part in parents:
+            holder = holder[part]
+        holder[last] = value
+    if detector is not None:
+        data["sensor"]["detector"] = detector
+    return parse_scene(data)
+
+
+def frames(product) -> dict[str, np.ndarray]:
+    cube = open_cube(product)
+    return {str(n): cube[n].values for n in cube.data_vars if cube[n].dims == ("frame", "y", "x")}
+
+
+EXTRAS = {
+    "bad": {"bad": {"pixels": [[3, 300]], "rows": [7, 259], "columns": [256], "fraction": 1e-3,
+                    "reads_dn": 9}},
+    "dead": {"dead": {"columns": [9], "fraction": 1e-2}},
+    "hot": {"hot": {"pixels": [[300, 2, 5e3]], "fraction": 1e-2}},
+    "prnu": {"prnu": 0.02},
+    "polynomial": {"nonlinearity": {"kind": "polynomial", "coefficients": [-0.05, 0.01]}},
+    "table": {"nonlinearity": {"kind": "table", "true_e": [0, 1e3, 6e4], "read_e": [0, 900, 5e4]}},
+    "blooming": {"blooming": True},
+    "lines": {"row_noise_e": 3.0, "column_noise_e": 5.0},
+    "bias": {"bias_structure": {"row_rms_dn": 2.0, "column_rms_dn": 3.0, "pixel_rms_dn": 1.0,
+                                "row_slope_dn": 20.0, "column_slope_dn": -7.0}},
+    "amplifiers": {"amplifiers": [
+        {"rows": [0, 320], "columns": [0, 160], "gain_e_per_dn": 1.5, "offset_dn": 30},
+        {"rows": [0, 100], "columns": [160, 320], "read_noise_e": 12.0}]},
+    "lag": {"lag": {"fraction": 0.05}},
+    "smear": {"readout": {"kind": "frame_transfer", "transfer_s": 0.05}},
+    "tdi": {"readout": {"kind": "tdi", "rows_per_s": 3.0}},
+}  # fmt: skip
+
+
+def together(*names):
+    """Several extras in one section."""
+    return {k: v for n in names for k, v in EXTRAS[n].items()}
+
+
+TOGETHER = {
+    "pixel by pixel": together("bad", "dead", "hot", "prnu", "table", "lines", "bias", "amplifiers"),
+    "columns": together("blooming", "smear", "polynomial"),
+    "lag": together("lag"),
+    "tdi": together("tdi", "prnu", "hot"),
+}
+
+
+@pytest.mark.parametrize("name", TOGETHER)
+def test_same_bits_in_every_tiling(name, tmp_path):
+    detector = TOGETHER[name]
+    more = {"exposure": {"integration_s": 2.0, "frames": 2 if name == "lag" else 1}, **BRIGHT}
+    one = scene(detector, **more, output={"layers": ALL_LAYERS})
+    rows = SIDE if one.sensor.detector.whole_columns else 256
+    tiled = {"layers": ALL_LAYERS, "tile_shape": [rows, 256]}
+    render(one, tmp_path / "whole", Options("synchronous"))
+    render(scene(detector, **more, output=tiled), tmp_path / "tiles", Options("threads", 2))
+    whole, tiles = frames(tmp_path / "whole"), frames(tmp_path / "tiles")
+    assert set(whole) == set(ALL_LAYERS)
+    for layer in ALL_LAYERS:
+        assert np.array_equal(whole[layer], tiles[layer], equal_nan=True), layer
+    light = whole["targets_e"] + whole["background_e"] + whole["dark_e"] + whole["lag_e"]
+    assert light == pytest.approx(whole["mean_e"], rel=1e-5, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", EXTRAS)
+def test_each_extra_changes_the_frame_and_stands_in_the_plan(name, tmp_path, plain):
+    _, dn, before = plain
+    one = scene(EXTRAS[name], **BRIGHT)
+    render(one, tmp_path / "run")
+    found = frames(tmp_path / "run")["dn"]
+    assert not np.array_equal(found, dn)
+    plan = plan_scene(one)
+    named = [d for d in plan["decisions"] if d["component"] not in before | {"detector_extras"}]
+    assert named
+    assert all(d["kept"] and d["reason"] for d in named)
+    json.dumps(plan, allow_nan=False)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """The scene without extras: its layers, its frame, and the components of its plan."""
+    path = tmp_path_factory.mktemp("plain") / "run"
+    one = scene(None, **BRIGHT, output={"layers": ["dn", "mean_e", "targets_e"]})
+    render(one, path)
+    layers = frames(path)
+    return layers, layers["dn"], {d["component"] for d in plan_scene(one)["decisions"]}
+
+
+def test_nothing_of_it_unless_asked_for(tmp_path):
+    """An empty section changes no bit; without one a single line of the plan tells so."""
+    render(scene(), tmp_path / "none")
+    render(scene({}), tmp_path / "empty")
+    assert np.array_equal(frames(tmp_path / "none")["dn"], frames(tmp_path / "empty")["dn"])
+    lines = [d for d in plan_scene(scene())["decisions"] if d["component"] == "detector_extras"]
+    assert [d["kept"] for d in lines] == [False]
+    assert prepare(scene({})).maps == prepare(scene()).maps
+
+
+def test_bad_pixels_read_what_is_said(tmp_path):
+    found = {"pixels": [[3, 300]], "rows": [7], "columns": [256], "reads_dn": 65535}
+    np.save(tmp_path / "map.npy", np.eye(SIDE)[::-1])
+    found["map"] = str(tmp_path / "map.npy")
+    render(scene({"bad": found}), tmp_path / "run")
+    dn = frames(tmp_path / "run")["dn"][0]
+    bad = np.eye(SIDE)[::-1] != 0
+    bad[7] = bad[:, 256] = bad[3, 300] = True
+    assert np.array_equal(dn == 65535, bad)
+
+
+def test_images_of_faults_in_every_format(tmp_path):
+    import zarr
+    from astropy.io import fits
+
+    image = (np.random.default_rng(0).random((SIDE, SIDE)) < 0.01).astype(np.uint8)
+    np.save(tmp_path / "a.npy", image)
+    fits.PrimaryHDU(image).writeto(tmp_path / "a.fits")
+    zarr.save_array(tmp_path / "a.zarr", image)
+    for name in ("a.npy", "a.fits", "a.zarr"):
+        maps = prepare(scene({"dead": {"map": str(tmp_path / name)}})).maps
+        assert np.array_equal(maps.flat == 0, image != 0)
+
+
+@pytest.mark.parametrize(("towards", "cleared"), [("high_rows", False), ("low_rows", True)])
+def test_smear_against_brute_force(towards, cleared, tmp_path, plain):
+    """Row by row: charge is moved a row at a time, and collects what falls there."""
+    readout = {"kind": "frame_transfer", "transfer_s": 0.08, "towards": towards}
+    detector = {"readout": readout | {"cleared": cleared}}
+    render(scene(detector, **BRIGHT, output={"layers": ["dn", "targets_e"]}), tmp_path / "run")
+    still = plain[0]["targets_e"][0].astype(float)
+    expected, step, up = still.copy(), 0.08 / SIDE / 2.0, towards == "high_rows"
+    for y in range(SIDE):
+        passed = list(range(y + 1, SIDE)) if up else list(range(y))
+        if not cleared:
+            passed += list(range(y)) if up else list(range(y + 1, SIDE))
+        expected[y] += step * still[passed].sum(axis=0)
+    assert frames(tmp_path / "run")["targets_e"][0] == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def test_lag_against_frame_by_frame(tmp_path):
+    """Reading frame after frame, keeping a share each time; also when only the last is redrawn."""
+    target = copy.deepcopy(SCENE["targets"])
+    exposure = {"integration_s": 2.0, "frames": 5}
+    more = {"exposure": exposure, "targets": target}
+    more["pointing"] = {"mode": "target", "target": "t"}
+    more["cosmic_rays"] = {"kind": "generated", "rate_per_cm2_s": 40}
+    layers = {"layers": ["dn", "mean_e", "lag_e", "cosmic_rays_e"]}
+    render(scene(None, **more, output=layers), tmp_path / "still")
+    render(scene({"lag": {"fraction": 0.05}}, **more, output=layers), tmp_path / "lag")
+    still, lag = frames(tmp_path / "still"), frames(tmp_path / "lag")
+    kept = np.zeros((SIDE, SIDE))
+    for k in range(5):
+        collected = np.minimum(still["mean_e"][k] + still["cosmic_rays_e"][k].astype(float), 60000)
+        read = 0.95 * (still["mean_e"][k] + kept)
+        assert lag["mean_e"][k] == pytest.approx(read, abs=0.2, rel=1e-5)
+        kept = 0.05 * (collected + kept)
+    (tmp_path / "lag" / "_COMPLETE").unlink()
+    for marker in (tmp_path / "lag" / "markers").glob("f000004*"):
+        marker.unlink()
+    render(
+        scene({"lag": {"fraction": 0.05}}, **more, output=layers), tmp_path / "lag",
+        Options(resume=True),
+    )  # fmt: skip
+    again = frames(tmp_path / "lag")
+    assert all(np.array_equal(again[n], lag[n]) for n in lag)
+
+
+def test_tdi_holds_an_image_that_moves_with_the_charge(tmp_path):
+    """A drifting camera and charge that follows give the sidereal frame, but for the clock steps."""
+    from pipeline.plan.geometry import plan_geometry, star_paths
+
+    drift = {"mode": "rate", "boresight_ra_deg": 10.0, "boresight_dec_deg": 5.0}
+    pixel_arcsec = np.degrees(9e-6 / 0.5) * 3600
+    rate = 40 * pixel_arcsec / 2.0
+    pointing = drift | {"rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": rate}
+    moving = {"pointing": pointing, "targets": []}
+
+    def path(detector):
+        p = prepare(scene(detector, **moving)).plan
+        g = plan_geometry(p.scene, np.zeros(1, np.int64), p.dut1_s)
+        x, y = np.array([20.0, 159.5, 300.0]), np.array([20.0, 159.5, 300.0])
+        return star_paths(p.camera, g, x, y)[:, :, 0]
+
+    plain = path(None)
+    speed = (plain[1, 1, -1] - plain[1, 1, 0]) / 2.0
+    assert abs(speed) == pytest.approx(20.0, rel=1e-4)
+    held = path({"readout": {"kind": "tdi", "rows_per_s": float(speed)}})
+    assert np.ptp(held[1], axis=-1).max() < 0.01
+    assert held[:, :, held.shape[2] // 2] == pytest.approx(plain[:, :, plain.shape[2] // 2])
+    plan = plan_scene(scene({"readout": {"kind": "tdi", "rows_per_s": float(speed)}}, **moving))
+    assert any("streaks" in d["reason"] for d in plan["decisions"] if d["component"] == "tdi")
+
+
+def test_tdi_streaks_by_the_difference_and_by_its_clock(tmp_path):
+    """The light along a column against a box of the streak and one of the clock's step."""
+    detector = {"readout": {"kind": "tdi", "rows_per_s": 6.0, "clock_phases": 2}}
+    render(scene(detector, **BRIGHT, output={"layers": ["dn", "targets_e"]}), tmp_path / "run")
+    light = frames(tmp_path / "run")["targets_e"][0].astype(float)
+    y, x = np.indices(light.shape)
+    total = light.sum()
+    row, column = (y * light).sum() / total, (x * light).sum() / total
+    across = (((x - column) ** 2) * light).sum() / total
+    along = (((y - row) ** 2) * light).sum() / total
+    assert along - across == pytest.approx((12.0**2 + 0.5**2) / 12.0, rel=2e-3)

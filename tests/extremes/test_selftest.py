@@ -1,0 +1,57 @@
+"""Every case of `nightglass selftest` holds, and the command says so."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from pipeline.cli import app
+from pipeline.errors import BadInput
+from pipeline.selftest.case import Case, Found, run_case
+from pipeline.selftest.report import all_cases, chosen, markdown
+
+CASES = all_cases()
+
+
+@pytest.mark.parametrize("case", CASES, ids=[c.name for c in CASES])
+def test_case(case, tmp_path):
+    outcome = run_case(case, tmp_path)
+    assert outcome.passed, (outcome.found, outcome.fault)
+
+
+def test_names_differ_and_sources_are_named():
+    assert len({c.name for c in CASES}) == len(CASES) >= 20
+    assert all(c.source and c.what and c.allowed >= 0.0 for c in CASES)
+
+
+def test_a_wrong_answer_and_a_fault_are_failures(tmp_path):
+    def nothing(_):
+        return Found("1", "nan", float("nan"))
+
+    def broken(_):
+        raise BadInput("field", 1, "2")
+
+    for run, fault in ((nothing, ""), (broken, "field: 1 is not accepted; allowed: 2")):
+        outcome = run_case(Case("x", "x", "x", "1", 1.0, run), tmp_path)
+        assert not outcome.passed
+        assert outcome.fault == fault
+        assert "x" in markdown([outcome])
+
+
+def test_command(tmp_path):
+    page = tmp_path / "page.md"
+    done = CliRunner().invoke(
+        app, ["selftest", "--only", "light/", "--json", "--markdown", str(page)]
+    )
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.output)
+    assert told["passed"]
+    assert {c["name"] for c in told["cases"]} == {c.name for c in chosen("light/")}
+    assert page.read_text().count("\n| light/") == len(told["cases"])
+
+
+def test_unknown_name():
+    with pytest.raises(BadInput, match="--only"):
+        chosen("no such case")

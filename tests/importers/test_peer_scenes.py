@@ -1,0 +1,178 @@
+"""Scene files of SatSim and SImSiT: read, converted, planned, rendered; bad ones are named."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy.special import erf, erfinv
+
+from pipeline.errors import BadInput
+from pipeline.importers.satsim import read_satsim, sphere_mag
+from pipeline.importers.simsit import radial_terms, read_simsit
+from pipeline.run import plan_scene, render
+from pipeline.spec.load import load_scene
+
+EPOCH = "2019-07-20T09:00:00Z"
+SIMSIT_EPOCH = "2010-07-01T05:00:00Z"
+FILES = ["satsim/config_dynamic.json", "satsim/config_static.json", "simsit/empty_target.yaml",
+         "simsit/sidereal.yaml", "simsit/sidereal_track.yaml", "simsit/target.yaml",
+         "simsit/target_track.yaml", "simsit/ztf.yaml"]  # fmt: skip
+
+
+def read(path):
+    return read_satsim(path, EPOCH) if path.suffix == ".json" else read_simsit(path, SIMSIT_EPOCH)
+
+
+def rows_of(product):
+    return pq.read_table(product / "truth" / "targets.parquet").to_pylist()
+
+
+def test_every_file_is_listed(shared_data):
+    folder = shared_data / "peer_scenes"
+    found = {f"{p.parent.name}/{p.name}" for p in folder.glob("*/*")}
+    assert found == set(FILES)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_file_plans_and_says_what_is_lost(shared_data, name, tmp_path):
+    imported = read(shared_data / "peer_scenes" / name)
+    imported.write(tmp_path / "scene.yaml")
+    scene = load_scene(tmp_path / "scene.yaml")
+    assert imported.notes.converted
+    assert imported.notes.left_out
+    assert "no such thing" not in " ".join(imported.notes.left_out)  # every key is accounted for
+    assert (tmp_path / "scene.yaml").read_text().startswith("# from S")
+    assert plan_scene(scene)["frames"] == scene.exposure.frames
+
+
+def test_static_satsim_renders_what_it_says(shared_data, tmp_path):
+    """Places, motions and light of all nine targets, sky, dark and bias, against the file."""
+    file = shared_data / "peer_scenes" / "satsim" / "config_static.json"
+    read_satsim(file, EPOCH).write(tmp_path / "scene.yaml")
+    render(load_scene(tmp_path / "scene.yaml"), tmp_path / "run")
+    given = json.loads(file.read_text())
+    rows = rows_of(tmp_path / "run")
+    listed = given["geometry"]["obs"]["list"]
+    for row in rows:
+        o = listed[int(row["name"].removeprefix("obs-"))]
+        rate = o.get("pe_truth") or 10 ** (-0.4 * (o["mv_truth"] - 23.497))
+        assert row["electrons"] == pytest.approx(rate, rel=5e-4)  # the range grows along a line
+        t = row["frame"] * 1.1
+        for axis, k, size in (("y", 0, 400), ("x", 1, 600)):
+            for moment, at in (("start", t), ("end", t + 1.0)):
+                wanted = o["origin"][k] * size - 0.5 + o["velocity"][k] * at
+                assert row[f"{axis}_{moment}_px"] == pytest.approx(wanted, abs=0.01)
+    assert len(rows) == 9 * 16
+    from pipeline.store.cube import open_cube
+
+    cube = open_cube(tmp_path / "run")
+    empty = cube["mean_e"].values[0, 5:40, 300:340]
+    sky = 10 ** (-0.4 * (22 - 23.497)) * 3600**2 / (400 * 600)
+    assert np.median(empty) == pytest.approx(sky + 20, rel=1e-3)
+    level = np.mean(cube["dn"].values[0, 5:40, 300:340])
+    assert level == pytest.approx((sky + 20 + 100) / 12.2 + 10 - 0.5, abs=0.15)
+
+
+def test_dynamic_satsim_renders(shared_data, tmp_path):
+    """Values left to chance are drawn once: the same seed, the same scene; images beside it."""
+    file = shared_data / "peer_scenes" / "satsim" / "config_dynamic.json"
+    first, again, other = (read_satsim(file, EPOCH, seed=s) for s in (1, 1, 2))
+    assert first.data == again.data != other.data
+    first.write(tmp_path / "scene.yaml")
+    assert len(list(tmp_path.glob("*.npy"))) == 3
+    scene = load_scene(tmp_path / "scene.yaml", ["exposure.frames=2"])
+    report = render(scene, tmp_path / "run")
+    assert report["truth_rows"]["targets"] == 2 * len(scene.targets)
+
+
+@pytest.mark.parametrize("name", ["sidereal", "target", "empty_target"])
+def test_simsit_renders(shared_data, name, tmp_path):
+    """The satellite stands in the middle at mid-exposure, with the light of its magnitude."""
+    imported = read(shared_data / "peer_scenes" / "simsit" / f"{name}.yaml")
+    imported.write(tmp_path / "scene.yaml")
+    small = ["sensor.shape=[256,320]", "sensor.flat=1.0"]
+    scene = load_scene(tmp_path / "scene.yaml", small)
+    render(scene, tmp_path / "run")
+    (row,) = rows_of(tmp_path / "run")
+    assert (row["x_px"], row["y_px"]) == pytest.approx((159.5, 127.5), abs=0.02)
+    long = math.hypot(row["x_end_px"] - row["x_start_px"], row["y_end_px"] - row["y_start_px"])
+    assert (long > 500) == (name == "sidereal")
+    if name == "empty_target":
+        assert row["electrons"] == 0
+        return
+    area = math.pi * 0.25 * (1 - 0.1**2)
+    zero = 24 + 2.5 * math.log10(32.36 * area / 32.4)  # SImSiT's own scaling
+    drawn = next(n for n in imported.notes.assumed if "satellite of" in n)
+    up = next(n for n in imported.notes.assumed if "zero point" in n)
+    mag, offset = float(drawn.split()[4]), float(up.split()[-3])
+    rate = 10 ** (-0.4 * (mag - zero - offset))
+    seconds = scene.exposure.integration_s
+    assert row["electrons"] == pytest.approx(rate * seconds, rel=3e-3)
+
+
+def test_against_satsim_truth():
+    """SatSim's own figure for a sphere, and the light of a Gaussian on one centred pixel."""
+    assert sphere_mag(10.0, 0.2, 0.0, 400_000.0) == pytest.approx(14.96310309343897, abs=1e-9)
+    sigma = 1 / (2 * math.sqrt(2) * float(erfinv(math.sqrt(0.5))))
+    assert erf(0.5 / (math.sqrt(2) * sigma)) ** 2 == pytest.approx(0.5, rel=1e-9)
+
+
+def test_radial_terms_of_a_known_distortion():
+    """A table made from k1 = -3 comes back as that."""
+    th = np.linspace(0, 1.0, 60)
+    t, focal_um = np.tan(np.radians(th)), 2e6
+    slope = focal_um * (1 - 9 * t**2) * (1 + t**2) * math.radians(1 / 3600)  # dr/d theta
+    terms, misfit = radial_terms(th, 1 / slope, 1.0, 10.0)
+    assert terms["k1"] == pytest.approx(-3.0, rel=1e-3)
+    assert misfit < 1e-3
+
+
+def test_limits_bad_satsim_files(tmp_path, shared_data):
+    good = json.loads((shared_data / "peer_scenes" / "satsim" / "config_static.json").read_text())
+    cases = [
+        ("fpa.height", 0), ("fpa.height", True), ("fpa.y_fov", "wide"), ("fpa.psf.eod", 1.5),
+        ("fpa.psf.mode", "airy"), ("fpa.a2d.dtype", "float32"), ("fpa.zeropoint", None),
+        ("fpa.time.exposure", -1), ("fpa.dark_current", {"$sample": "random.magic"}),
+        ("fpa.num_frames", 1.5), ("geometry.obs.list", {"a": 1}),
+        ("geometry.obs.list", [{"mode": "line", "origin": [0], "velocity": [0, 0], "mv": 1}]),
+        ("geometry.obs.list", [{"mode": "line", "origin": [0, 0], "velocity": [0, 0]}]),
+        ("geometry.stars.motion.translation", [float("nan"), 0]),
+        ("fpa.gain", {"$generator": "x"}),
+    ]  # fmt: skip
+    for key, value in cases:
+        data = json.loads(json.dumps(good))
+        *parents, last = key.split(".")
+        holder = data
+        for part in parents:
+            holder = holder[part]
+        holder[last] = value
+        (tmp_path / "bad.json").write_text(json.dumps(data))
+        with pytest.raises(BadInput) as caught:
+            read_satsim(tmp_path / "bad.json", EPOCH)
+        assert last in caught.value.field or "fpa (" in caught.value.field, key
+    for text in ("", "[1]", "{", "[" * 100_000):
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(BadInput):
+            read_satsim(tmp_path / "bad.json", EPOCH)
+
+
+def test_limits_bad_simsit_files(tmp_path, shared_data):
+    good = (shared_data / "peer_scenes" / "simsit" / "target.yaml").read_text()
+    for old, new in (
+        ("pixel_scale: 25.0", "pixel_scale: wide"), ("[1800, 1536]", "[0, 1536]"),
+        ("type: 'orbit'", "type: 'stare'"), ("[2.0, 6.0]", "[6.0, 2.0]"),
+        ("exptime: [0.1, 0.2, 0.5]", "exptime: []"), ("th: &th [0.", "th: &th [0.5"),
+        ("sites: ['apo', 'ctio', 'haleakala', 'kpno', 'lapalma', 'lick', 'Cerro Pachon']",
+         "sites: ['moon']"), ("gain: 1.0", "gain: .nan"),
+        ("seed: 5785", "seed: &a [*a]"),
+    ):  # fmt: skip
+        assert old in good
+        (tmp_path / "bad.yaml").write_text(good.replace(old, new))
+        with pytest.raises(BadInput):
+            read_simsit(tmp_path / "bad.yaml", SIMSIT_EPOCH)
+    with pytest.raises(BadInput):
+        read_simsit(tmp_path / "none.yaml", SIMSIT_EPOCH)

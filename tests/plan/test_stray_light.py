@@ -1,0 +1,204 @@
+"""Stray light in the plan: from the curve to electrons, refusals, what is hidden, the grid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.inputs.sky import gather_sky
+from pipeline.inputs.stray_light import read_albedo, read_pst
+from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, EARTH_EQUATORIAL_RADIUS_M
+from pipeline.plan.facts import gather_facts
+from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames
+from pipeline.plan.sky import plan_sky, sky_tile
+from pipeline.plan.sky_light import Light
+from pipeline.plan.tiles import Tile
+from pipeline.run import gather_response
+
+PST = "angle_deg,pst\n1,1e-4\n3,1e-5\n10,1e-6\n30,1e-8\n60,1e-10\n90,1e-12\n"
+HIGH = {"kind": "orbit", "orbit": {
+    "kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]}}  # fmt: skip
+
+@pytest.fixture
+def curve(tmp_path):
+    path = tmp_path / "pst.csv"
+    path.write_text(PST)
+    return str(path)
+
+
+def planned(scene, stray, changes):
+    s = scene({
+        "stars": None, "sensor.shape": [256, 256], "sensor.focal_length_m": 0.3,
+        "sensor.aperture_m": 0.1, "sensor.obscuration": 0.0, "sensor.transmission": 0.8,
+        "sensor.quantum_efficiency": 0.5, "sensor.psf": {"kind": "gaussian", "sigma_px": 0.8},
+        "observer": HIGH, "exposure": {"integration_s": 1.0, "frames": 1},
+        "background": {"stray_light": stray, "starlight": "none"},
+    } | changes)  # fmt: skip
+    response, band, digest = gather_response(s)
+    facts = gather_facts(s, response, 0.0, 5.0, 1.0)
+    inputs = gather_sky(s, response, band, digest, (), None, False)
+    geometry = plan_geometry(s, sampled_frames(s), 0.0)
+    sky = plan_sky(s, camera_of(s), geometry, facts, inputs, 0.0)
+    return s, facts, inputs, geometry, sky
+
+
+def at(ra, dec):
+    return {"pointing": {"mode": "sidereal", "boresight_ra_deg": ra, "boresight_dec_deg": dec}}
+
+
+def told(sky):
+    return {d.component: d for d in sky.decisions}
+
+
+def test_sun_by_hand(scene, curve):
+    """Curve at the angle, irradiance at the distance, pixel, quantum efficiency; the transmission
+    is in the curve."""
+    wish = {"pst": {"kind": "table", "path": curve}, "moon": False, "earth": False}
+    observer = {"observer": {"kind": "fixed", "position_au": [1.2, 0.0, 0.0]}}
+    _, _, _, g, sky = planned(scene, wish, observer | at(225.0, 0.0))
+    from pipeline.inputs.curves import solar_spectrum
+    from pipeline.physics.radiometry import band_photon_irradiance_sun, box
+
+    w, e, *_ = solar_spectrum()
+    to_sun = g.sun_m[0, g.middle] - g.observer_m[0, g.middle]
+    rate = 0.5 * band_photon_irradiance_sun(w, e, box(400e-9, 900e-9))
+    rate *= ASTRONOMICAL_UNIT_M**2 / (to_sun @ to_sun) * (10e-6) ** 2
+    boresight = g.attitude[0, g.middle, 2]
+    angle = np.degrees(np.arccos(boresight @ to_sun / np.sqrt(to_sun @ to_sun)))
+    pst = np.exp(np.interp(np.log(angle), np.log([30, 60]), np.log([1e-8, 1e-10])))
+    image = sky_tile(sky, 0, Tile(0, 0, 0, 0, 256, 256))
+    assert image[127:129, 127:129].mean() == pytest.approx(rate * pst, rel=2e-3)
+    through = dict(wish, pst={"kind": "table", "path": curve, "holds_transmission": False})
+    dimmer = planned(scene, through, observer | at(225.0, 0.0))[-1]
+    assert dimmer.least_e_s == pytest.approx(0.8 * sky.least_e_s, rel=1e-6)
+
+
+def test_grid_follows_a_steep_gradient(scene, curve):
+    """Half a degree off the limb, extrapolated: every pixel against direct evaluation."""
+    wish = {"pst": {"kind": "table", "path": curve}, "inside": "extrapolate", "sun": False}
+    s, facts, inputs, g, sky = planned(scene, wish, at(190.0, 0.0))
+    light = Light(s, camera_of(s), facts, inputs, None)
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(-0.5, 255.5, (2, 60)).round()
+    x, y = np.clip(x, 0, 255), np.clip(y, 0, 255)
+    exact = light.at(g)(x, y)[0]
+    image = sky_tile(sky, 0, Tile(0, 0, 0, 0, 256, 256))
+    assert np.abs(image[y.astype(int), x.astype(int)] - exact).max() <= 1.5 * sky.error_e
+    assert image.max() > 1.1 * image.min()
+    assert "bilinear" in told(sky)["background.grid"].reason
+    assert told(sky)["background.grid"].error_bound_e == sky.error_e
+
+
+def test_sun_and_moon_behind_the_earth_give_none(scene, curve):
+    """In the Earth's shadow the Sun is off; the whole light of the night side's Earth is nil."""
+    wish = {"pst": {"kind": "table", "path": curve}, "moon": False, "inside": "clip"}
+    g = planned(scene, wish, at(200.0, 0.0))[3]
+    sun = g.sun_m[0, 0] - g.observer_m[0, 0]
+    away = -sun / np.sqrt(sun @ sun) * (EARTH_EQUATORIAL_RADIUS_M + 400e3)
+    side = np.cross(away, [0.0, 0.0, 1.0])
+    speed = side / np.sqrt(side @ side) * 7670.0
+    dark = {"kind": "orbit", "orbit": {
+        "kind": "state", "position_m": away.tolist(), "velocity_m_s": speed.tolist()}}  # fmt: skip
+    ra, dec = np.degrees([np.arctan2(away[1], away[0]), np.arcsin(away[2] / np.sqrt(away @ away))])
+    _, _, _, _, sky = planned(scene, wish, {"observer": dark} | at(float(ra), float(dec)))
+    assert sky.grids.max() == 0.0
+    reason = told(sky)["stray_light.sun"].reason
+    assert reason.startswith("0 to 0")
+
+
+def test_sources_are_switched(scene, curve):
+    table = {"kind": "table", "path": curve}
+    both = planned(scene, {"pst": table, "moon": False}, at(190.0, 30.0))[-1]
+    parts = [
+        planned(scene, {"pst": table, "moon": False} | {name: False}, at(190.0, 30.0))[-1]
+        for name in ("sun", "earth")
+    ]
+    assert both.grids.mean() == pytest.approx(sum(p.grids.mean() for p in parts), rel=1e-3)
+    assert not told(parts[0])["stray_light.sun"].kept
+
+
+def test_a_site_on_the_ground_sees_no_disc(scene, curve):
+    site = {"observer": {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3}}
+    wish = {"pst": {"kind": "table", "path": curve, "beyond": "zero"}}
+    sky = planned(scene, wish, site | at(180.0, 20.0) | {"epoch": "2019-04-20T08:00:00Z"})[-1]
+    assert "no disc" in told(sky)["stray_light.earth"].reason
+    assert "0 to 0" in told(sky)["stray_light.sun"].reason
+
+
+@pytest.mark.parametrize(
+    ("wish", "pointing", "said"),
+    [
+        ({"exclusion_deg": 10.0, "sun": False, "moon": False}, at(190.0, 0.0), "Earth's limb"),
+        ({"sun": False, "moon": False, "exclusion_deg": 10.0}, at(170.0, 1.0), "in the field"),
+        ({"exclusion_deg": 50.0, "moon": False, "earth": False}, at(60.0, 20.0), "to the Sun"),
+        ({"moon": False, "earth": False}, at(26.6, 11.0), "the Sun in the field"),
+    ],
+    ids=["limb", "disc", "exclusion", "sun"],
+)
+def test_refusals_of_directions(scene, curve, wish, pointing, said):
+    table = {"pst": {"kind": "table", "path": curve}}
+    with pytest.raises(BadInput, match=said):
+        planned(scene, table | wish, pointing | {"sensor.focal_length_m": 0.02})
+
+
+def test_a_curve_that_ends_early_is_refused_where_it_is_needed(scene, tmp_path):
+    path = tmp_path / "short.csv"
+    path.write_text("5,1e-5\n40,1e-8\n")
+    wish = {"pst": {"kind": "table", "path": str(path)}, "moon": False, "earth": False}
+    with pytest.raises(BadInput, match="ends at 40 deg"):
+        planned(scene, wish, at(100.0, 20.0))
+    wish["pst"]["beyond"] = "zero"
+    assert planned(scene, wish, at(100.0, 20.0))[-1].grids.max() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("angle_deg,pst\n1,1e-4\n3,\n10,1e-6\n", "no gaps"),
+        ("1,1e-4\n3,nan\n", "no gaps"),
+        ("1,1e-4\n10,1e-5\n5,1e-6\n", "ascending"),
+        ("1,1e-4\n1,1e-5\n", "ascending"),
+        ("1,1e-4\n3,0\n", "above 0"),
+        ("1,1e-4\n3,-1e-5\n", "above 0"),
+        ("0,1e-4\n3,1e-5\n", "above 0"),
+        ("1,1e-4\n", "two rows"),
+        ("", "rows of numbers"),
+        ("1,2,3\n4,5,6\n", "two numbers"),
+    ],
+)
+def test_bad_curves(tmp_path, text, said):
+    path = tmp_path / "pst.csv"
+    path.write_text(text)
+    with pytest.raises(BadInput, match=said) as caught:
+        read_pst(path)
+    assert caught.value.field == "background.stray_light.pst.path"
+
+
+def test_bad_albedo_maps(tmp_path, shared_data):
+    good = read_albedo(shared_data / "earth_albedo" / "Earth_ALB_2018_CERES_All_5x5.csv")
+    assert good.shape == (36, 72)
+    path = tmp_path / "map.csv"
+    for text, said in (("0.1,nan\n0.2,0.3\n", "row 1, column 2"), ("30,20\n10,10\n", "0 to 1"),
+                       ("0.1,0.2\n0.3\n", "equal length"), ("a,b\n", "no gaps")):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(BadInput, match=said):
+            read_albedo(path)
+    with pytest.raises(BadInput, match="readable"):
+        read_albedo(tmp_path / "none.csv")
+    bad = tmp_path / "map.npy"
+    np.save(bad, np.array([[0.1, np.nan], [0.2, 0.3]]))
+    with pytest.raises(BadInput, match="column 2"):
+        read_albedo(bad)
+
+
+def test_a_map_of_the_earth(scene, curve, shared_data):
+    """The clouds of a year against their mean: another light, within what the map spans."""
+    path = shared_data / "earth_albedo" / "Earth_ALB_2018_CERES_All_5x5.csv"
+    table = {"kind": "table", "path": curve}
+    mapped = planned(scene, {"pst": table, "sun": False, "moon": False,
+                             "earth_albedo": str(path)}, at(200.0, 0.0))[-1]  # fmt: skip
+    one = planned(scene, {"pst": table, "sun": False, "moon": False, "earth_albedo": 0.317},
+                  at(200.0, 0.0))[-1]  # fmt: skip
+    assert 0.118 / 0.317 < mapped.least_e_s / one.least_e_s < 0.712 / 0.317
+    assert mapped.least_e_s != pytest.approx(one.least_e_s, rel=1e-3)

@@ -1,0 +1,312 @@
+"""API keys and tokens: who gets in, whose jobs they see, and where secrets must never appear."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import jwt
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
+
+from pipeline.errors import BadInput
+from service.database import connect, sqlite_url
+from service.keys import TOKEN, any_key, create_key, list_keys, matches, revoke_key
+from service.logs import redact
+from service.main import bind
+from service.oidc import Verifier
+from service.problems import Forbidden, Unauthenticated
+from service.settings import Settings, read_settings
+
+ISSUER, AUDIENCE = "https://id.example", "nightglass"
+PUBLIC = {"/healthz", "/readyz", "/metrics"}
+
+
+@pytest.fixture
+def engine(tmp_path: Path) -> Any:
+    return connect(sqlite_url(tmp_path / "jobs.sqlite"))
+
+
+def test_a_key_is_stored_as_a_hash_and_revoked_for_good(engine: Any, tmp_path: Path) -> None:
+    assert not any_key(engine)
+    token = create_key(engine, "red", "a note")
+    found = TOKEN.fullmatch(token)
+    assert found
+    [row] = list_keys(engine)
+    assert (row["id"], row["team"], row["name"]) == (found[1], "red", "a note")
+    secret = found[2].encode()
+    assert not any(secret in file.read_bytes() for file in tmp_path.iterdir())
+    revoke_key(engine, found[1])
+    revoke_key(engine, token)  # again is no error
+    assert list_keys(engine)[0]["revoked_s"]
+    assert any_key(engine)
+    with pytest.raises(BadInput):
+        revoke_key(engine, "nothing")
+
+
+def test_only_the_secret_itself_matches(engine: Any) -> None:
+    from service.keys import find_key
+
+    token = create_key(engine, "red")
+    row = find_key(engine, token[3:15])
+    assert row.hash.startswith("$argon2id$")
+    assert matches(row, token[16:])
+    assert not matches(row, token[16:-1] + ("A" if token[-1] != "A" else "B"))
+
+
+@pytest.mark.parametrize("team", ["", "Red", "a/b", "../x", "a" * 65, "a b", "é"])
+def test_bad_team_names_are_refused(engine: Any, team: str) -> None:
+    with pytest.raises(BadInput, match="--team"):
+        create_key(engine, team)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "pipeline", "keys", *words, "--home", str(tmp_path)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+    made = run("create", "--team", "red", "--name", "ann")
+    assert TOKEN.fullmatch(made.stdout.strip()), made.stderr
+    key_id = made.stdout[3:15]
+    assert f"{key_id}  usable" in run("list").stdout
+    assert run("revoke", key_id).returncode == 0
+    assert json.loads(run("list", "--json").stdout)[0]["revoked_s"]
+    wrong = run("revoke", "x")
+    assert (wrong.returncode, "KEY" in wrong.stderr) == (2, True)
+
+
+@pytest.fixture(scope="module")
+def guarded(make_server: Callable[..., Any]) -> Any:
+    """A server that was open, until a key was made while it ran."""
+    server = make_server()
+    assert server.client.get("/v1/jobs").status_code == 200
+    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
+    server.keys = {team: create_key(engine, team) for team in ("red", "blue")}
+    server.spare = create_key(engine, "red", "to be revoked")
+    server.engine = engine
+    deadline = time.monotonic() + 10
+    while server.client.get("/v1/jobs").status_code != 401:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    return server
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"authorization": f"Bearer {token}"}
+
+
+def every_route(server: Any) -> list[tuple[str, str]]:
+    document = server.client.get("/openapi.json").json()
+    return [(m.upper(), path) for path, methods in document["paths"].items() for m in methods]
+
+
+def test_every_route_needs_a_key(guarded: Any) -> None:
+    bad = guarded.keys["red"][:-3] + "xyz"
+    for method, path in every_route(guarded):
+        url = path.replace("{job_id}", "x").replace("{path}", "y").replace("{file_id}", "z")
+        for headers in ({}, bearer("nonsense"), bearer(bad), {"authorization": "Basic eDp5"}):
+            answer = guarded.client.request(method, url, headers=headers)
+            assert (answer.status_code == 401) == (path not in PUBLIC), (method, path)
+            if path not in PUBLIC:
+                assert answer.headers["www-authenticate"] == "Bearer"
+                assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_no_route_shows_or_touches_another_teams_job(guarded: Any, scene: dict[str, Any]) -> None:
+    red, blue = (bearer(guarded.keys[team]) for team in ("red", "blue"))
+    made = guarded.client.post("/v1/jobs", json=scene, headers=red | {"idempotency-key": "k"})
+    assert made.status_code == 202
+    job = made.json()["id"]
+    assert made.json()["owner"] == f"key:{guarded.keys['red'][3:15]}"
+    deadline = time.monotonic() + 60
+    while guarded.client.get(f"/v1/jobs/{job}", headers=red).json()["phase"] != "COMPLETED":
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    sent = guarded.client.post("/v1/files?name=a.csv", content=b"1,2\n", headers=red)
+    file_id = sent.json()["id"]
+    touched = 0
+    for method, path in every_route(guarded):
+        if "{" not in path:
+            continue
+        url = path.replace("{job_id}", job).replace("{path}", "plan.json")
+        url = url.replace("{file_id}", file_id)
+        theirs = guarded.client.request(method, url, headers=blue)
+        nobody = guarded.client.request(method, url.replace(job, "0" * 32), headers=blue)
+        assert theirs.status_code == 404, (method, path)
+        if "job_id" in path:
+            assert theirs.json() == nobody.json()  # not even that there is one
+        touched += 1
+    assert touched >= 8
+    for path in ("/v1/jobs", "/v1/files", "/v1/usage"):
+        assert job not in guarded.client.get(path, headers=blue).text
+        assert file_id not in guarded.client.get(path, headers=blue).text
+    used = guarded.client.get("/v1/usage", headers=blue).json()
+    assert (used["team"], used["jobs"]["COMPLETED"]) == ("blue", 0)
+    own = guarded.client.post("/v1/jobs", json=scene, headers=blue | {"idempotency-key": "k"})
+    assert own.status_code == 202  # a key of another team's is free
+    scene["sensor"]["flat"] = file_id
+    refused = guarded.client.post("/v1/jobs", json=scene, headers=blue)
+    assert refused.status_code == 422
+    assert guarded.client.get(f"/v1/jobs/{job}", headers=red).json()["phase"] == "COMPLETED"
+    assert file_id in guarded.client.get("/v1/files", headers=red).text
+
+
+def test_a_revoked_key_stops_working(guarded: Any) -> None:
+    assert guarded.client.get("/v1/jobs", headers=bearer(guarded.spare)).status_code == 200
+    revoke_key(guarded.engine, guarded.spare)
+    deadline = time.monotonic() + 10
+    while guarded.client.get("/v1/jobs", headers=bearer(guarded.spare)).status_code != 401:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_secrets_are_nowhere(guarded: Any) -> None:
+    """Not in answers, metrics, logs, the database; also where they come in odd places."""
+    token = guarded.keys["red"]
+    for path in (f"/v1/jobs/{token}", f"/v1/jobs?phase={token}", f"/{token}", "/v1/usage"):
+        answer = guarded.client.get(path, headers=bearer(token))
+        if path != f"/v1/jobs?phase={token}":  # a parameter that was refused is told back, cut
+            assert token[16:] not in answer.text
+    guarded.client.get("/v1/jobs", headers={"authorization": f"Bearer {token}x"})
+    assert token[16:] not in guarded.client.get("/metrics").text
+    assert token[16:] not in guarded.logged()
+    assert not any(token[16:].encode() in f.read_bytes() for f in guarded.home.glob("jobs.sqlite*"))
+
+
+def test_log_lines_are_json(guarded: Any) -> None:
+    lines = [line for line in guarded.logged().splitlines() if line.startswith("{")]
+    told = [json.loads(line) for line in lines]
+    assert any(line.get("job") and line.get("attempt") == 1 for line in told)
+    assert all({"time", "level", "message"} <= set(line) for line in told)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "key ng_0123456789ab_" + "s3cret" * 7 + "x",
+        "Authorization: Bearer s3cretS3cret",
+        "postgresql://user:s3cret@host/db",
+        "eyJhbGciOiJIUzI1NiJ9.eyJzdWIiOiJzM2NyZXQifQ.s3cret",
+    ],
+)
+def test_redaction(text: str) -> None:
+    assert "s3cret" not in redact(text)
+
+
+def test_beyond_loopback_only_with_keys() -> None:
+    for host in ("0.0.0.0", "::"):
+        with pytest.raises(BadInput, match="--host"):
+            bind(host, 0, guarded=False)
+    bind("0.0.0.0", 0, guarded=lambda: True).close()
+    with pytest.raises(BadInput):
+        bind("example.org", 0, guarded=True)
+
+
+def test_a_scheduler_beyond_this_machine_needs_tls(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="scheduler"):
+        read_settings(tmp_path, {"NIGHTGLASS_SCHEDULER": "tcp://10.1.2.3:8786"})
+    far = read_settings(tmp_path, {"NIGHTGLASS_SCHEDULER": "tls://10.1.2.3:8786"})
+    assert far.scheduler.startswith("tls://")
+    assert read_settings(tmp_path, {"NIGHTGLASS_SCHEDULER": "tcp://127.0.0.1:8786"})
+
+
+# Tokens of an identity provider
+
+
+@pytest.fixture(scope="module")
+def provider(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    """Private keys by id, and the published set of public ones."""
+    private = {
+        "rsa": rsa.generate_private_key(65537, 2048),
+        "ec": ec.generate_private_key(ec.SECP256R1()),
+        "unpublished": rsa.generate_private_key(65537, 2048),
+    }
+    rsa_key = json.loads(jwt.algorithms.RSAAlgorithm.to_jwk(private["rsa"].public_key()))
+    ec_key = json.loads(jwt.algorithms.ECAlgorithm.to_jwk(private["ec"].public_key()))
+    octets = {"kty": "oct", "k": "c2VjcmV0c2VjcmV0c2VjcmV0c2VjcmV0", "kid": "oct", "alg": "HS256"}
+    published = [rsa_key | {"kid": "rsa"}, ec_key | {"kid": "ec"}, octets]
+    path = tmp_path_factory.mktemp("provider") / "jwks.json"
+    path.write_text(json.dumps({"keys": published}))
+    return private, path
+
+
+def signed(private: dict[str, Any], kid: str = "rsa", alg: str = "RS256", **claims: Any) -> str:
+    now = int(time.time())
+    told = {"iss": ISSUER, "aud": AUDIENCE, "sub": "ann", "team": "red", "exp": now + 60} | claims
+    told = {name: value for name, value in told.items() if value is not None}
+    return jwt.encode(told, private[kid], algorithm=alg, headers={"kid": kid})
+
+
+def test_good_tokens(provider: tuple[dict[str, Any], Path]) -> None:
+    private, path = provider
+    verifier = Verifier(ISSUER, AUDIENCE, str(path), "team")
+    assert verifier.verify(signed(private)) == ("red", "oidc:ann")
+    assert verifier.verify(signed(private, "ec", "ES256")) == ("red", "oidc:ann")
+    assert verifier.verify(signed(private, team=["blue"])) == ("blue", "oidc:ann")
+
+
+def test_bad_tokens(provider: tuple[dict[str, Any], Path]) -> None:
+    private, path = provider
+    verifier = Verifier(ISSUER, AUDIENCE, str(path), "team")
+    good = signed(private)
+    header, payload, signature = good.split(".")
+    none = jwt.encode({"sub": "x", "aud": AUDIENCE, "iss": ISSUER, "exp": 1 << 40, "team": "red"},
+                      None, algorithm="none", headers={"kid": "rsa"})  # fmt: skip
+    symmetric = jwt.encode({"sub": "x", "aud": AUDIENCE, "iss": ISSUER, "exp": 1 << 40},
+                           "secret" * 6, algorithm="HS256", headers={"kid": "oct"})  # fmt: skip
+    now = int(time.time())
+    bad = {
+        "none": none, "symmetric": symmetric,
+        "cut": good[:-10], "two parts": f"{header}.{payload}", "empty": "..", "text": "x" * 5000,
+        "other payload": f"{header}.{payload[::-1]}.{signature}",
+        "expired": signed(private, exp=now - 3600), "no exp": signed(private, exp=None),
+        "not yet": signed(private, nbf=now + 3600),
+        "issuer": signed(private, iss="https://evil.example"),
+        "no issuer": signed(private, iss=None),
+        "audience": signed(private, aud="other"), "no audience": signed(private, aud=None),
+        "no subject": signed(private, sub=None),
+        "unknown key": jwt.encode({"sub": "x"}, private["unpublished"], "RS256", {"kid": "other"}),
+        "wrong key": jwt.encode({"sub": "x"}, private["unpublished"], "RS256", {"kid": "rsa"}),
+        "no kid": jwt.encode({"sub": "x"}, private["rsa"], "RS256"),
+        "odd kid": jwt.encode({"sub": "x"}, private["rsa"], "RS256", {"kid": "../../etc/passwd"}),
+    }  # fmt: skip
+    for name, token in bad.items():
+        with pytest.raises(Unauthenticated) as caught:
+            verifier.verify(token)
+        assert not any(len(p) > 8 and p in str(caught.value) for p in token.split(".")), name
+    for team in (None, "", "Red/../x", ["a", "b"], 5):
+        with pytest.raises(Forbidden):
+            verifier.verify(signed(private, team=team))
+
+
+def test_a_place_for_keys_must_be_safe(tmp_path: Path) -> None:
+    for place in ("http://id.example/jwks", str(tmp_path / "absent"), "ftp://x/y"):
+        with pytest.raises(BadInput):
+            Verifier(ISSUER, AUDIENCE, place, "team")
+    with pytest.raises(BadInput, match="OIDC"):
+        read_settings(tmp_path, {"NIGHTGLASS_OIDC_ISSUER": ISSUER})
+
+
+def test_tokens_over_http(
+    make_server: Callable[..., Any], provider: tuple[dict[str, Any], Path]
+) -> None:
+    private, path = provider
+    server = make_server(
+        NIGHTGLASS_OIDC_ISSUER=ISSUER, NIGHTGLASS_OIDC_AUDIENCE=AUDIENCE,
+        NIGHTGLASS_OIDC_JWKS=str(path),
+    )  # fmt: skip
+    client: httpx.Client = server.client
+    assert client.get("/v1/usage").status_code == 401
+    good = signed(private)
+    assert client.get("/v1/usage", headers=bearer(good)).json()["team"] == "red"
+    assert client.get("/v1/usage", headers=bearer(signed(private, team=None))).status_code == 403
+    assert client.get("/v1/usage", headers=bearer(good[:-4])).status_code == 401
+    assert not re.search(r"eyJ[\w-]+\.", server.logged())
+    assert Settings(server.home).oidc_issuer is None

@@ -1,0 +1,409 @@
+"""The job table in SQLite and PostgreSQL: batches, quotas, leases, seals, forms, many processes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sqlite3
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from pipeline.errors import BadInput
+from service.database import connect
+from service.integrity import find_faults
+from service.jobs import FINAL, NEXT, Job, Phase, Queue
+from service.leases import give_up, take
+from service.problems import KeyReused, NotReady, NotThere, QueueFull
+from service.submissions import Ask, Intake, Limits, run_pending, submit_many
+from service.tables import HEAD, audit, jobs
+
+
+def ask(key: str | None = None, team: str = "red", body: str = "b", **more: Any) -> Ask:
+    return Ask(name="n", scene={"a": 1}, body_sha256=body, key=key, team=team, **more)
+
+
+def test_a_batch_is_one_commit_and_each_key_one_job(database: str) -> None:
+    store = Queue(database)
+    keys = [f"k{i % 5}" for i in range(20)]
+    answers = submit_many(store, [ask(key) for key in keys], Limits())
+    found = [(job.id, made) for job, made in answers]
+    assert len({job for job, _ in found}) == 5
+    assert [made for _, made in found] == [i < 5 for i in range(20)]
+    assert [j.number for j in store.listing((), 0, 50)] == [1, 2, 3, 4, 5]
+    [again, other, blue] = submit_many(
+        store, [ask("k0"), ask("k0", body="x"), ask("k0", team="blue")], Limits()
+    )
+    assert again == (store.get(found[0][0]), False)
+    assert isinstance(other, KeyReused)
+    assert blue[1]
+    store.close()
+
+
+def test_many_processes_worth_of_writers(database: str) -> None:
+    """Threads with engines of their own, as processes have them: no job lost, none twice."""
+    stores = [Queue(database) for _ in range(4)]
+
+    def work(which: int) -> list[str]:
+        out = []
+        for i in range(15):
+            [answer] = submit_many(stores[which], [ask(f"k{i}")], Limits())
+            out.append(answer[0].id)
+        return out
+
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(work, range(4)))
+    assert all(ids == found[0] for ids in found)
+    assert len(set(found[0])) == 15
+    assert [j.number for j in stores[0].listing((), 0, 50)] == list(range(1, 16))
+    claimed: list[Job] = []
+
+    def claim(which: int) -> None:
+        while (job := stores[which].claim([j.id for j in claimed])) is not None:
+            claimed.append(job)
+
+    threads = [threading.Thread(target=claim, args=(i,)) for i in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    last = {job.id: job for job in sorted(claimed, key=lambda j: j.attempt)}
+    assert len(last) == 15
+    for job in claimed:  # of two attempts at one job only the later may write
+        if last[job.id].attempt == job.attempt:
+            stores[0].finish(job, Phase.COMPLETED)
+        else:
+            with pytest.raises(NotReady):
+                stores[0].finish(job, Phase.COMPLETED)
+    for store in stores:
+        store.close()
+
+
+def test_quotas(database: str) -> None:
+    store = Queue(database)
+    limits = Limits(queued_jobs=3, pixel_frames_day=100, bytes_kept=50)
+    answers = submit_many(store, [ask() for _ in range(5)], limits)
+    assert [isinstance(a, QueueFull) for a in answers] == [False] * 3 + [True] * 2
+    [other] = submit_many(store, [ask(team="blue", pixel_frames=90)], limits)
+    assert other[1]
+    [refused] = submit_many(store, [ask(team="blue", pixel_frames=11)], limits)
+    assert "a day" in str(refused)
+    store.delete(other[0].id)  # what was asked for today stays asked for
+    [refused] = submit_many(store, [ask(team="blue", pixel_frames=11)], limits)
+    assert "a day" in str(refused)
+    job = store.claim()
+    assert job is not None
+    store.finish(job, Phase.COMPLETED, bytes_kept=60)
+    [refused] = submit_many(store, [ask()], limits)
+    assert "bytes" in str(refused)
+    store.close()
+
+
+def test_pending_jobs_are_amended_and_run_once(database: str) -> None:
+    store = Queue(database)
+    [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING)], Limits())
+    store.amend(job.id, "red", scene={"b": 2}, name="new", run_id="mine")
+    assert (store.scene(job.id), store.get(job.id).run_id) == ({"b": 2}, "mine")
+    assert store.claim() is None
+    with pytest.raises(NotThere):
+        run_pending(store, job.id, Limits(), "blue", "x")
+    assert run_pending(store, job.id, Limits(), "red", "x").phase == Phase.QUEUED
+    with pytest.raises(NotReady):
+        run_pending(store, job.id, Limits(), "red", "x")
+    with pytest.raises(NotReady):
+        store.amend(job.id, "red", scene={"c": 3})
+    store.amend(job.id, "red", destruction_s=1.0)
+    assert store.overdue() == [job.id]
+    store.close()
+
+
+def test_the_lease_has_one_holder(database: str) -> None:
+    store = Queue(database)
+    submit_many(store, [ask()], Limits())
+    assert take(store.engine, "one", 60)
+    assert not take(store.engine, "two", 60)
+    assert store.claim(holder="two") is None
+    assert take(store.engine, "one", 0.05)
+    time.sleep(0.1)
+    assert store.claim(holder="one") is None  # it ran out
+    assert take(store.engine, "two", 60)
+    assert store.claim(holder="two") is not None
+    give_up(store.engine, "one")  # not its own any more
+    assert not take(store.engine, "one", 60)
+    give_up(store.engine, "two")
+    assert take(store.engine, "one", 60)
+    store.close()
+
+
+def test_teams_take_turns(database: str) -> None:
+    store = Queue(database)
+    submit_many(store, [ask() for _ in range(4)] + [ask(team="blue")], Limits())
+    turns: dict[str, float] = {}
+    order = []
+    for i in range(5):
+        job = store.claim([j.id for j in order], 100, turns)
+        assert job is not None
+        turns[job.team] = float(i + 1)
+        order.append(job)
+    assert [job.team for job in order][:3] == ["red", "blue", "red"]
+    store.close()
+    store = Queue(database)
+    submit_many(store, [ask() for _ in range(2)], Limits())
+    assert store.claim([j.id for j in order], team_limit=4) is None
+    store.close()
+
+
+def test_audit_only_grows(database: str) -> None:
+    store = Queue(database)
+    [(job, _)] = submit_many(store, [ask()], Limits())
+    store.cancel(job.id, "red", "key:ann")
+    store.delete(job.id, "red", "key:ann")
+    store.forget(job.id)
+    with store.engine.connect() as db:
+        lines = db.execute(sa.select(audit.c.action, audit.c.actor).order_by(audit.c.number)).all()
+    assert [tuple(line) for line in lines] == [
+        ("submit", "local"), ("cancel", "key:ann"), ("delete", "key:ann"), ("removed", "service"),
+    ]  # fmt: skip
+    for statement in (sa.update(audit).values(actor="x"), sa.delete(audit)):
+        with pytest.raises(sa.exc.DBAPIError, match="append-only"), store.engine.begin() as db:
+            db.execute(statement)
+    assert find_faults(store.engine, deep=True) == []
+    store.close()
+
+
+DAMAGE: dict[str, dict[str, Any]] = {
+    "phase": {"phase": "COMPLETED"}, "no phase": {"phase": "DONE"}, "team": {"team": "blue"},
+    "id": {"id": "f" * 32}, "digest": {"content_digest": "0" * 64}, "attempt": {"attempt": 7},
+    "name": {"name": "o"}, "version": {"version": 9}, "deleted": {"deleted": True},
+    "time": {"submitted_s": 1.5}, "error": {"error": "{cut"}, "seal": {"seal": 0},
+    "scene": {"scene": '{"a": 2}'}, "empty scene": {"scene": ""}, "crc": {"scene_crc": 1},
+    "sha": {"body_sha256": "c"}, "bytes": {"bytes_kept": 1},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("values", DAMAGE.values(), ids=DAMAGE.keys())
+def test_a_damaged_row_is_named_and_never_run(database: str, values: dict[str, Any]) -> None:
+    store = Queue(database)
+    [(job, _), (whole, _)] = submit_many(store, [ask(), ask()], Limits())
+    with store.engine.begin() as db:
+        db.execute(sa.update(jobs).where(jobs.c.id == job.id).values(**values))
+    faults = find_faults(store.engine)
+    assert values.get("id", job.id) in {fault.job for fault in faults}
+    if "id" in values:
+        assert job.id in {fault.job for fault in faults}
+    taken = []
+    for _ in range(4):
+        claimed = store.claim([j.id for j in taken])
+        if claimed is not None:
+            taken.append(claimed)
+    told = [j for j in taken if j.id == job.id]
+    if told:  # only its scene is damaged: it is read when the job is run
+        with pytest.raises(NotReady, match=job.id):
+            store.scene(job.id)
+    assert whole.id in {j.id for j in taken}
+    store.close()
+
+
+def test_a_missing_row_is_named(database: str) -> None:
+    store = Queue(database)
+    [(job, _), _] = submit_many(store, [ask(), ask()], Limits())
+    with store.engine.begin() as db:
+        db.execute(sa.delete(jobs).where(jobs.c.id == job.id))
+    assert [fault.job for fault in find_faults(store.engine)] == [job.id]
+    store.close()
+
+
+def test_damaged_pages_are_named(tmp_path: Path) -> None:
+    """Every page of the file overwritten, one at a time: named, or the answers are still right."""
+    store = Queue(tmp_path / "jobs.sqlite")
+    submit_many(store, [ask(f"k{i}") for i in range(20)], Limits())
+    before = [job.id for job in store.listing((), 0, 100)]
+    with store.engine.connect() as db:
+        db.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+    store.close()
+    good = (tmp_path / "jobs.sqlite").read_bytes()
+    pages = len(good) // 4096
+    named = 0
+    for page in range(pages):
+        bad = bytearray(good)
+        bad[page * 4096 : (page + 1) * 4096] = b"\x5a" * 4096
+        broken = tmp_path / f"broken{page}.sqlite"
+        broken.write_bytes(bad)
+        try:
+            engine = connect(f"sqlite:///{broken}")
+        except (BadInput, sa.exc.DatabaseError):
+            named += 1
+            continue
+        faults = find_faults(engine, deep=True)
+        engine.dispose()
+        if faults:
+            named += 1
+            continue
+        again = Queue(broken)
+        assert [job.id for job in again.listing((), 0, 100)] == before
+        again.close()
+        broken.unlink()
+    assert named > 0.8 * pages
+
+
+def test_jobs_of_the_first_form_go_along(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.sqlite"
+    with sqlite3.connect(path) as db:
+        db.execute(
+            "CREATE TABLE jobs (number INTEGER PRIMARY KEY AUTOINCREMENT, id VARCHAR(32) UNIQUE, "
+            "name VARCHAR(128), phase VARCHAR(9), scene TEXT, idempotency_key VARCHAR(255) UNIQUE, "
+            "body_sha256 VARCHAR(64), submitted_s FLOAT, started_s FLOAT, ended_s FLOAT, "
+            "tiles_done INTEGER, tiles_total INTEGER, attempt INTEGER, deaths INTEGER, "
+            "cancel_asked BOOLEAN, deleted BOOLEAN, error JSON, content_digest VARCHAR(64), "
+            "version INTEGER)"
+        )
+        scene = json.dumps({"sensor": {"shape": [4, 5]}, "exposure": {"frames": 3}})
+        row = (7, "a" * 32, "old", "EXECUTING", scene, "key", "b" * 64, 1.0, 2.0, None, 1, 3, 2, 0,
+               0, 0, None, None, 5)  # fmt: skip
+        db.execute(f"INSERT INTO jobs VALUES ({', '.join('?' * len(row))})", row)
+        db.execute("PRAGMA user_version = 1")
+    store = Queue(path)
+    job = store.get("a" * 32)
+    assert (job.team, job.phase, job.pixel_frames, job.damaged) == ("local", "EXECUTING", 60, False)
+    [(new, _)] = submit_many(store, [ask()], Limits())
+    assert new.number == 8
+    store.close()
+    assert Queue(path).get("a" * 32) == job
+
+
+def test_the_newest_form_is_the_last_migration() -> None:
+    from alembic.config import Config
+    from alembic.script import ScriptDirectory
+
+    import service.migrations
+
+    config = Config()
+    config.set_main_option("script_location", str(Path(service.migrations.__path__[0])))
+    assert ScriptDirectory.from_config(config).get_current_head() == HEAD
+
+
+def test_an_intake_serves_many_with_few_commits(database: str) -> None:
+    store = Queue(database)
+    intake = Intake(store, Limits(queued_jobs=250))
+
+    async def work() -> list[Any]:
+        intake.start()
+        puts = [intake.put(ask(f"k{i % 200}")) for i in range(400)]
+        refused = [intake.put(ask("k0", body="other"))]
+        return await asyncio.gather(*puts, *refused, return_exceptions=True)
+
+    answers = asyncio.run(work())
+    intake.stop()
+    assert isinstance(answers[-1], KeyReused)
+    assert len({job.id for job, _ in answers[:-1]}) == 200
+    assert sum(made for _, made in answers[:-1]) == 200
+    assert intake.commits < 40
+    store.close()
+
+
+class JobMachine(RuleBasedStateMachine):
+    """Clients and two dispatchers, of which one is always outdated, do whatever they like."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.engine_url = self.url()
+        self.store = Queue(self.engine_url)
+        with self.store.engine.begin() as db:
+            db.execute(sa.delete(jobs))
+        self.known: dict[str, Job] = {}
+        self.attempts: list[Job] = []
+
+    url: Any = None
+
+    def teardown(self) -> None:
+        self.store.close()
+
+    def _try(self, action: Any, *arguments: Any, **more: Any) -> Any:
+        try:
+            return action(*arguments, **more)
+        except (NotReady, NotThere):
+            return None
+
+    @precondition(lambda self: len(self.known) < 6)
+    @rule(pending=st.booleans(), team=st.sampled_from(["red", "blue"]))
+    def submit(self, pending: bool, team: str) -> None:
+        phase = Phase.PENDING if pending else Phase.QUEUED
+        [(job, made)] = submit_many(self.store, [ask(team=team, phase=phase)], Limits())
+        assert made
+        self.known[job.id] = self.store.get(job.id)
+
+    @rule(which=st.integers(0, 5), action=st.sampled_from(["cancel", "delete", "run", "amend"]))
+    def client(self, which: int, action: str) -> None:
+        ids = list(self.known)
+        if which >= len(ids):
+            return
+        job_id, team = ids[which], self.known[ids[which]].team
+        if action == "run":
+            self._try(run_pending, self.store, job_id, Limits(), team, "x")
+        elif action == "amend":
+            self._try(self.store.amend, job_id, team, run_id="r")
+        else:
+            self._try(getattr(self.store, action), job_id, team)
+            wrong = "blue" if team == "red" else "red"
+            before = self.store.seen(self.known[job_id])
+            assert self._try(getattr(self.store, action), job_id, wrong) is None
+            assert self.store.seen(self.known[job_id]) == before
+
+    @rule(busy=st.booleans())
+    def claim(self, busy: bool) -> None:
+        job = self.store.claim([j.id for j in self.attempts] if busy else [])
+        if job is not None:
+            assert job.phase == Phase.EXECUTING
+            self.attempts.append(job)
+
+    @precondition(lambda self: self.attempts)
+    @rule(which=st.integers(0, 9), end=st.sampled_from([None, *sorted(FINAL)]))
+    def report(self, which: int, end: Phase | None) -> None:
+        job = self.attempts[which % len(self.attempts)]
+        before = self.store.seen(job)
+        if end is None:
+            self._try(self.store.progress, job, 1, 2)
+        else:
+            self._try(self.store.finish, job, end)
+        if before.attempt != job.attempt:  # the fence
+            assert self.store.seen(job) == before
+
+    @invariant()
+    def moves_are_allowed(self) -> None:
+        for job_id, before in self.known.items():
+            now = self.store.seen(before)
+            assert not now.damaged
+            after, seen = NEXT[before.phase], {before.phase}
+            while after - seen:
+                seen |= after
+                after = frozenset().union(*(NEXT[phase] for phase in seen))
+            assert now.phase in seen
+            assert now == before or now.version > before.version
+            assert (now.ended_s is not None) == (now.phase in FINAL)
+            assert now.attempt >= before.attempt
+            self.known[job_id] = now
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_the_states_hold_whatever_is_asked(
+    kind: str, tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
+) -> None:
+    if kind == "postgresql":
+        database = request.getfixturevalue("postgres").database()
+    else:
+        database = f"sqlite:///{tmp_path_factory.mktemp('machine') / 'jobs.sqlite'}"
+
+    class Machine(JobMachine):
+        url = staticmethod(lambda: database)
+
+    case = Machine.TestCase
+    case.settings = settings(max_examples=15, stateful_step_count=25, deadline=None)
+    case().runTest()
