@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 FEWEST, MOST = 9, 257  # nodes of a random path
 PER_PERIOD = 8  # nodes in a period of the fastest wave that is path
 LEFT_PX = 5e-3  # rms of an exposure's mean that blur may leave out
+SHARPEST_PX = 0.5  # rms of the images for which a wrong variance of blur is bounded
 AXES = ("x", "y", "roll")
 
 
@@ -120,7 +121,7 @@ def _plan_with(
         blur[:2] += fast.variance + slow_loss(bins, split_hz(nodes, longest_s), step)
         left[:2] += fast.mean_variance
         path[:2] += float(bins.variance.sum()) - fast.variance
-        scatter = max(scatter, fast.scatter)
+        scatter = math.hypot(scatter, fast.scatter * fast.variance)
     for i, mode in enumerate(model.modes):
         one, parts = _mode(mode, i), _split(mode, i, step, shortest_s)
         blur += parts.variance
@@ -130,7 +131,7 @@ def _plan_with(
     return MotionPlan(
         nodes, longest_s, math.sqrt(round_) / ifov_rad,
         math.sqrt(max(path[0], path[1])) / ifov_rad, math.sqrt(max(left[0], left[1])) / ifov_rad,
-        scatter, math.sqrt(abs(blur[0] - blur[1]) / 2.0) / ifov_rad,
+        scatter / round_ if round_ else 0.0, math.sqrt(abs(blur[0] - blur[1]) / 2.0) / ifov_rad,
         math.sqrt(blur[2]) * corner_px,
     )  # fmt: skip
 
@@ -288,7 +289,8 @@ def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
     plan, model = motion_plan(scene), scene.pointing.attitude
     if plan is None or model is None:
         return ()
-    left = plan.left_px + plan.roll_px + plan.uneven_px
+    wrong_px2 = plan.uneven_px**2 + plan.roll_px**2 + 3.0 * plan.scatter * plan.blur_px**2
+    left = 3.0 * plan.left_px + wrong_px2 / (2.0 * SHARPEST_PX**2)
     parts = f"{len(model.jitter)} spectra, {len(model.modes)} modes"
     more = ""
     if plan.uneven_px > 1e-4:
@@ -303,7 +305,8 @@ def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
             f"between nodes lose, is a blur of {plan.blur_px:.3g} px rms per axis. Left out: how "
             f"that blur moves an exposure's mean ({plan.left_px:.2g} px rms) and changes its own "
             f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
-            "is three times these moves, in a pixel whose light equals the noise floor",
-            3.0 * left * sigma_floor_e, 3.0 * left,
+            "is three times these, in a pixel whose light equals the noise floor, for images of "
+            f"{SHARPEST_PX:g} px rms or more",
+            left * sigma_floor_e, left,
         ),
     )  # fmt: skip

@@ -101,19 +101,27 @@ def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geo
     more gets more of its own (`Refined`). Raises BadInput for a sensor that looks at the Earth,
     orbits inside it and absurd motion.
     """
+    nodes = _nodes(scene, dut1_s)
+    return _finer(scene, _geometry(scene, frames, nodes, dut1_s), dut1_s)
+
+
+_COUNTED: list[tuple[Scene, float, int]] = []  # the last scene whose nodes were counted
+
+
+def _nodes(scene: Scene, dut1_s: float) -> int:
+    """Nodes of an exposure that the sampled frames of a scene need."""
+    for known, dut1, nodes in tuple(_COUNTED):
+        if known is scene and dut1 == dut1_s:
+            return nodes
     _check_rates(scene)
-    looked_at = sampled_frames(scene)
-    nodes, geometry = FEWEST_NODES, None
-    while geometry is None:
-        geometry = _geometry(scene, looked_at, nodes, dut1_s)
-        if _needs_more(scene, geometry, nodes).any():
-            nodes, geometry = 2 * nodes - 1, None
+    looked_at, nodes = sampled_frames(scene), FEWEST_NODES
+    while _needs_more(scene, _geometry(scene, looked_at, nodes, dut1_s), nodes).any():
+        nodes = 2 * nodes - 1
     motion = motion_plan(scene)
     if motion is not None:
         nodes = max(nodes, motion.nodes)
-    if motion is not None or not np.array_equal(frames, looked_at):
-        geometry = _geometry(scene, frames, nodes, dut1_s)
-    return _finer(scene, geometry, dut1_s)
+    _COUNTED[:] = [(scene, dut1_s, nodes)]
+    return nodes
 
 
 def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:

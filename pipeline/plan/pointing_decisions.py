@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.plan.decision import Decision
+from pipeline.plan.geometry import ROUGH_PX
 from pipeline.plan.timing import dwell_plans, frame_count, integration_range_s
 from pipeline.spec.pointing import LocalPointing, TablePointing
 from pipeline.spec.scene import Scene
@@ -36,7 +37,9 @@ def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
                 Decision(
                     "pointing_table", True,
                     f"{len(p.rows or ())} rows{where}, {p.interpolation} between them; error "
-                    f"between rows {told}{'' if p.source is None else f'; {p.source}'}",
+                    f"between rows {told}; where rows are noisy, straight lines between an "
+                    f"exposure's nodes may be off by up to {ROUGH_PX:g} px"
+                    f"{'' if p.source is None else f'; {p.source}'}",
                 )
             )  # fmt: skip
         elif isinstance(p, LocalPointing):
