@@ -34,13 +34,13 @@ LAYERS = ["dn", "mean_e", "stars_e"]
 def scene(sidereal, build):
     def make(more: dict[str, Any] | None = None) -> Any:
         changes = {
-            "sensor.shape": [512, 768], "pointing": MOVING,
+            "sensor.shape": [256, 512], "pointing": MOVING,
             "exposure": {"integration_s": 2.0, "frames": 2, "cadence_s": 3.0},
             "dwells": [
                 {"integration_s": [2.0, 0.5]},
                 {"pointing": {"mode": "sidereal", "boresight_ra_deg": 0.72,
                               "boresight_dec_deg": -0.44},
-                 "slew": {"duration_s": 4.0}, "start_s": 6.0, "integration_s": 3.0, "frames": 2,
+                 "slew": {"duration_s": 4.0}, "start_s": 6.0, "integration_s": 3.0, "frames": 1,
                  "settle": {"amplitude_arcsec": 12.0, "frequency_hz": 0.7, "damping": 0.05}},
             ],
             "output": {"layers": LAYERS},
@@ -56,7 +56,7 @@ def reference(scene, tmp_path_factory):
     return path, render(scene(), path, Options("synchronous"))
 
 
-@pytest.mark.parametrize("tile", [[256, 256], [256, 768]], ids=str)
+@pytest.mark.parametrize("tile", [[256, 256]], ids=str)
 def test_same_bits_for_every_tile_and_threads(scene, reference, tmp_path, tile):
     path, wanted = reference
     made = scene({"output": {"layers": LAYERS, "tile_shape": tile}})
@@ -78,10 +78,10 @@ def test_the_error_found_is_within_the_bound(reference):
 def test_light_and_times_follow_the_integration_times(reference):
     path, _ = reference
     cube = open_cube(path)
-    assert cube["integration_s"].values.tolist() == [2.0, 0.5, 3.0, 3.0]
-    assert cube["dwell"].values.tolist() == [0, 0, 1, 1]
+    assert cube["integration_s"].values.tolist() == [2.0, 0.5, 3.0]
+    assert cube["dwell"].values.tolist() == [0, 0, 1]
     span = (cube["time_end"] - cube["time_start"]).values / np.timedelta64(1, "us")
-    assert np.allclose(span * 1e-6, [2.0, 0.5, 3.0, 3.0], atol=2e-6)
+    assert np.allclose(span * 1e-6, [2.0, 0.5, 3.0], atol=2e-6)
     sky = np.median(cube["mean_e"].values, axis=(1, 2))
     assert sky[0] / sky[1] == pytest.approx(4.0, rel=0.1)
-    assert sky[3] / sky[0] == pytest.approx(1.5, rel=0.1)
+    assert sky[2] / sky[0] == pytest.approx(1.5, rel=0.1)
