@@ -29,7 +29,9 @@ from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.targets.eclipse import sunlit_fraction
 from pipeline.physics.targets.lighting import photon_rate_at_aperture, sun_distance
 from pipeline.physics.vectors import unit
-from pipeline.plan.bodies import View, earthshine_m2_sr, reflected_m2_sr
+from pipeline.plan.bodies import earthshine_m2_sr
+from pipeline.plan.body_attitudes import View
+from pipeline.plan.body_shapes import reflected_m2_sr
 from pipeline.spec.body import CompositeBody, SphereBody
 
 Array = NDArray[np.float64]

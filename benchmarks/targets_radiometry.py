@@ -14,7 +14,8 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from pipeline.physics.positions.times import parse_utc
-from pipeline.plan.bodies import View, reflected_m2_sr
+from pipeline.plan.body_attitudes import View
+from pipeline.plan.body_shapes import reflected_m2_sr
 from pipeline.spec.body import Body
 
 SHAPES: tuple[dict[str, Any], ...] = (

@@ -73,6 +73,10 @@ class Geometry:
         observer over the solar irradiance at 1 au (dimensionless)
     target_range_m, target_phase_rad, target_sunlit : (T, F, K)
     target_direction : (T, F, 3) observed direction at mid-exposure: proper, and refracted
+    target_pose : (M, F, 4, 3) of the M targets that are meshes, in their order: the directions of
+        Sun, observer, +x and +y of the focal plane at mid-exposure, in the body's axes
+    target_pose_s : (M, F) that moment at the body, seconds after the epoch
+    target_turn_rad : (M, F) by how much the body turns in an exposure against what it is seen in
     air : (F, K, 5) zenith of a site, ICRS axes, and refraction's A, B [rad]; (F, K, 0) without
     """
 
@@ -93,6 +97,9 @@ class Geometry:
     target_phase_rad: Array
     target_sunlit: Array
     target_direction: Array
+    target_pose: Array
+    target_pose_s: Array
+    target_turn_rad: Array
     air: Array
 
     @property

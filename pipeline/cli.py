@@ -12,6 +12,7 @@ import typer
 from pipeline.catalog_cli import catalog
 from pipeline.cosmic_rays_cli import cosmic_rays
 from pipeline.export_cli import export, import_app
+from pipeline.jobs_cli import Server, jobs
 from pipeline.options import Json, Output, SchedulerName, Workers, print_json
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
@@ -27,6 +28,7 @@ app.add_typer(catalog, name="catalog")
 app.add_typer(cosmic_rays, name="cosmic-rays")
 app.add_typer(import_app, name="import")
 app.command()(export)
+app.add_typer(jobs, name="jobs")
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 
@@ -89,9 +91,16 @@ def render(
     workers: Workers = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on with an unfinished one")] = False,
     replace: Annotated[bool, typer.Option("--replace", help="remove an old product first")] = False,
+    server: Server = None,
     as_json: Json = False,
 ) -> None:
-    """Render a scene into a product directory."""
+    """Render a scene into a product directory, here or on a server."""
+    if server is not None:
+        from pipeline.jobs_cli import render_there
+
+        _only_here(resume, replace, workers is not None, scheduler != "threads")
+        _print_result(render_there(scene, output, set_ or [], server, as_json), output, as_json)
+        return
     from pipeline.run import Options
     from pipeline.run import render as run
     from pipeline.spec.load import load_scene
@@ -100,19 +109,23 @@ def render(
     options = Options(scheduler, workers, resume, replace)
     with _progress(quiet=as_json) as listen:
         report = run(loaded, output, options, listen)
-    if as_json:
-        print_json(report)
-    else:
-        _print_report(report, output)
+    _print_result(report, output, as_json)
 
 
 @app.command()
-def plan(scene: SceneFile, set_: Overrides = None, as_json: Json = False) -> None:
+def plan(
+    scene: SceneFile, set_: Overrides = None, server: Server = None, as_json: Json = False
+) -> None:
     """Show what a scene needs: tiles, shards, time, memory, and each decision with its bound."""
-    from pipeline.run import plan_scene
-    from pipeline.spec.load import load_scene
+    if server is not None:
+        from pipeline.jobs_cli import plan_there
 
-    summary = plan_scene(load_scene(scene, set_ or []))
+        summary = plan_there(scene, set_ or [], server)
+    else:
+        from pipeline.run import plan_scene
+        from pipeline.spec.load import load_scene
+
+        summary = plan_scene(load_scene(scene, set_ or []))
     if as_json:
         print_json(summary)
     else:
@@ -135,6 +148,18 @@ def check(product: ProductPath, as_json: Json = False) -> None:
         for fault in verdict.faults:
             print(f"  damaged: {fault}")
     raise typer.Exit(0 if verdict.whole else 3)
+
+
+@app.command()
+def calibrate(product: ProductPath, output: Output, as_json: Json = False) -> None:
+    """Copy a product with its frames calibrated: less bias and dark, over the flat [e-]."""
+    from pipeline.calibrate import calibrate as run
+
+    report = run(product, output)
+    if as_json:
+        print_json(report)
+    else:
+        print(f"{output}: {report['frames']} frame(s), {report['masked_pixels']} pixels masked")
 
 
 @app.command()
@@ -210,6 +235,27 @@ def report_accuracy(
         print_study(study)
 
 
+@report_app.command("detection")
+def report_detection(
+    product: ProductPath,
+    output: Output = Path("detection"),
+    threshold: Annotated[float, typer.Option(help="least signal-to-noise, in sigma")] = 5.0,
+    frames: Annotated[int | None, typer.Option(min=1, help="the first so many")] = None,
+    as_json: Json = False,
+) -> None:
+    """Completeness and false alarms of public finders on a product: JSON, table, figure."""
+    from pipeline.detection.study import report_detection as study_all
+    from pipeline.detection.tables import print_study
+    from pipeline.pages import stage_progress
+
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        study = study_all(product, output, threshold, frames, listen)
+    if as_json:
+        print_json(study)
+    else:
+        print_study(study)
+
+
 @app.command()
 def serve(
     host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",
@@ -279,6 +325,21 @@ def _progress(quiet: bool) -> Any:
     from pipeline.pages import tile_progress
 
     return tile_progress(quiet or not sys.stderr.isatty())
+
+
+def _only_here(*given: bool) -> None:
+    from pipeline.errors import BadInput
+
+    if any(given):
+        allowed = "without --resume, --replace, --workers, --scheduler: the server decides these"
+        raise BadInput("--server", "with them", allowed)
+
+
+def _print_result(report: dict[str, Any], output: Path, as_json: bool) -> None:
+    if as_json:
+        print_json(report)
+    else:
+        _print_report(report, output)
 
 
 def _print_report(report: dict[str, Any], product: Path) -> None:

@@ -13,7 +13,7 @@ from pipeline.spec.load import load_scene
 
 ALL_SKY_G_MAG = 9.0
 # What the demo scene looks at: right ascension, declination, radius [deg], limiting G magnitude.
-DEEP_FIELD = (276.0, -3.2, 1.2, 16.5)
+DEEP_FIELD = (266.2, 0.0, 2.0, 15.0)
 
 
 def run_demo(

@@ -20,8 +20,10 @@ from pipeline.physics.radiometry import (
     ab_photon_rate,
     band_photon_irradiance_sun,
 )
-from pipeline.plan.bodies import target_light, with_band_albedos
-from pipeline.plan.geometry import _observer, _sight, _view
+from pipeline.plan.bodies import target_lights
+from pipeline.plan.body_albedos import with_band_albedos
+from pipeline.plan.geometry import _observer
+from pipeline.plan.target_paths import Moments, sights
 from pipeline.plan.timing import end_s
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
@@ -87,19 +89,21 @@ def light_curve(
     times = instants(epoch, time_s, dut1_s)
     earth = earth_and_sun(times.tt1, times.tt2)
     observer, velocity = _observer(scene, epoch, time_s, times, earth)
-    sight = _sight(scene, index, epoch, time_s, earth, observer, velocity, dut1_s)
-    view = _view(scene, index, epoch, time_s, sight, earth, observer, dut1_s)
-    light, phase, sunlit = target_light(
-        scene.targets[index], f"targets.{index}.body", epoch, view, earth.sun_from_earth_m,
-        (times.tt1, times.tt2), sight.range_m,
+    at = Moments(epoch, time_s, times, earth, observer, velocity)
+    sight, view = sights(scene, [index], at)
+    light, phase, sunlit = (
+        value[0]
+        for value in target_lights(
+            [scene.targets[index]], [f"targets.{index}.body"], epoch, view,
+            earth.sun_from_earth_m, (times.tt1, times.tt2), sight.range_m,
+        )
     )  # fmt: skip
+    range_m, direction = sight.range_m[0], sight.direction_geometric[0]
     rate = light * band_photon_irradiance_sun(wavelength, irradiance, response)
     with np.errstate(divide="ignore"):
         magnitude = -2.5 * np.log10(rate / ab_photon_rate(0.0, response))
-    seen = _in_view(scene, observer, sight.direction_geometric, sight.range_m)
-    return LightCurve(
-        time_s, times.utc1, times.utc2, magnitude, rate, phase, sight.range_m, sunlit, seen
-    )
+    seen = _in_view(scene, observer, direction, range_m)
+    return LightCurve(time_s, times.utc1, times.utc2, magnitude, rate, phase, range_m, sunlit, seen)
 
 
 def _in_view(scene: Scene, observer_m: Array, direction: Array, range_m: Array) -> NDArray:

@@ -36,7 +36,7 @@ from pipeline.inputs.stars import Catalogue, Shard, cones_of, gather_shards, row
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
-from pipeline.plan.bodies import has_band_albedos, with_band_albedos
+from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
 from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
@@ -105,10 +105,7 @@ class Prepared:
 
 def resolve(scene: Scene) -> Scene:
     """The scene with what its files of orbits and distortion say, and albedos over the band."""
-    scene = gather_pointing(gather_ephemerides(gather_distortion(scene)))
-    if has_band_albedos(scene):
-        wavelength, irradiance, *_ = solar_spectrum()
-        scene = with_band_albedos(scene, wavelength, irradiance, gather_response(scene)[0])
+    scene = _banded(gather_pointing(gather_ephemerides(gather_distortion(scene))))
     if any(target.body.kind == "mesh" for target in scene.targets):
         from pipeline.inputs.meshes import gather_meshes  # an optional extra: trimesh
 
@@ -123,6 +120,14 @@ def resolve(scene: Scene) -> Scene:
 def _site_with_air(scene: Scene) -> bool:
     o = scene.observer
     return isinstance(o, GroundObserver) and o.atmosphere is not None
+
+
+def _banded(scene: Scene) -> Scene:
+    """The scene with numbers for tables of reflectance."""
+    if not has_band_albedos(scene):
+        return scene
+    wavelength, irradiance, *_ = solar_spectrum()
+    return with_band_albedos(scene, wavelength, irradiance, gather_response(scene)[0])
 
 
 def prepare(scene: Scene) -> Prepared:
@@ -148,6 +153,7 @@ def prepare(scene: Scene) -> Prepared:
     scene, facts, sky = _sky(
         scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s, extinction
     )
+    scene, geometry = _populated(scene, facts, geometry, dut1_s)
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     remarks += mesh_notices(scene)
@@ -195,6 +201,20 @@ def _extinction(scene: Scene, response: ResponseCurve) -> BandExtinction | None:
     return gather_extinction(scene, response)
 
 
+def _populated(
+    scene: Scene, facts: Facts, geometry: Geometry, dut1_s: float
+) -> tuple[Scene, Geometry]:
+    """The scene with the objects of its populations that come into the field, and its geometry."""
+    if all(p.screened is not None for p in scene.populations):
+        return scene, geometry
+    from pipeline.inputs.populations import gather_populations
+    from pipeline.plan.responses import plan_responses
+
+    r = plan_responses(scene, facts, camera_of(scene), geometry, sources=True)
+    full = _banded(gather_populations(scene, r.reach_px + r.reach_core_px + 2.0, dut1_s))
+    return full, plan_geometry(full, sampled_frames(full), dut1_s)
+
+
 def _cosmic_rays(scene: Scene) -> CosmicRays | None:
     """What draws the scene's cosmic rays; nothing is imported or read for a scene without."""
     if scene.cosmic_rays is None:
@@ -220,7 +240,7 @@ def _light(
         remarks.append(
             f"star colours: {colour.source}; fit residual {colour.residual_rms_mag:.3f} mag rms"
         )
-    if scene.targets:
+    if scene.targets or scene.populations:
         wavelength, irradiance, source, error = solar_spectrum()
         sun = band_photon_irradiance_sun(wavelength, irradiance, response)
         remarks.append(f"solar spectrum: {source}; {error}")

@@ -33,13 +33,17 @@ from service.openapi import describe
 from service.routes import (
     catalogues,
     files,
+    frames,
     health,
     jobs,
+    ogc,
     pages,
+    queue,
     results,
     schema,
     sweeps,
     usage,
+    uws,
 )
 from service.runner import Dispatcher
 from service.settings import Settings
@@ -79,7 +83,10 @@ HEADERS: dict[int, dict[str, str]] = {
     429: {"Retry-After": "10"},
     503: {"Retry-After": "10"},
 }
-ROOMS = (jobs, sweeps, results, files, catalogues, schema, usage, health, pages)
+ROOMS = (
+    jobs, queue, sweeps, results, frames, files, catalogues, schema, usage, health, uws, ogc,
+    pages,
+)  # fmt: skip
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -146,8 +153,8 @@ async def answer_problem(_: Request, error: Exception) -> Response:
         status = next((code for kind, code in HTTP_STATUS if isinstance(error, kind)), 500)
     detail, errors = _explain(error, status)
     body = {
-        "type": "about:blank", "title": HTTPStatus(status).phrase, "status": status,
-        "detail": detail, "errors": errors,
+        "type": getattr(error, "type_uri", "about:blank"), "title": HTTPStatus(status).phrase,
+        "status": status, "detail": detail, "errors": errors,
     }  # fmt: skip
     headers |= HEADERS.get(status, {})
     return JSONResponse(body, status, headers, media_type="application/problem+json")

@@ -16,6 +16,7 @@ from pipeline.store.layout import BEGUN, COMPLETE, LOCK
 from service.jobs import Job, Phase, Queue
 from service.processes import POLL_S, Answers, worker
 from service.settings import Settings
+from service.sweeps import engine_sweep
 from service.uploads import engine_scene
 
 log = logging.getLogger("nightglass.service")
@@ -85,13 +86,15 @@ class Attempt:
     def _order(self) -> dict[str, Any]:
         """What the worker is to do: go on with an unfinished product, or begin one."""
         resume = (self._product / BEGUN).is_file()
-        if self._product.exists() and not resume and self._job.kind == "scene":
+        if self._product.exists() and not resume:
             shutil.rmtree(self._product)
         settings = self._settings
         scene = self._store.scene(self._job.id, hidden=True)
         return {
             "do": "render" if self._job.kind == "scene" else "sweep",
-            "scene": engine_scene(scene, settings),
+            "scene": engine_scene(scene, settings)
+            if self._job.kind == "scene"
+            else engine_sweep(scene, settings),
             "product": os.path.relpath(self._product, settings.catalogues.resolve()),
             "resume": resume,
             "workers": settings.workers,

@@ -12,13 +12,17 @@ from starlette.requests import ClientDisconnect, Request
 
 from service.problems import Malformed, TooLarge, TooSlow, WrongMediaType, cut
 
+JSON = "application/json"
 MAX_DEPTH = 32
 DISCARD_BYTES, DISCARD_S = 1 << 24, 1.0
 
 
-async def read_body(request: Request, limit_bytes: int, limit_s: float) -> bytes:
-    """The body of a request that says it is JSON, at most `limit_bytes`, chunked or not."""
-    _check_media_type(request)
+async def read_body(
+    request: Request, limit_bytes: int, limit_s: float, kind: str = JSON
+) -> bytes:
+    """The body of a request that says it is JSON (or `kind`), of at most `limit_bytes`, chunked
+    or not."""
+    _check_media_type(request, kind)
     declared = request.headers.get("content-length", "")
     too_large = declared.isdigit() and (len(declared) > 18 or int(declared) > limit_bytes)
     body = bytearray()
@@ -52,12 +56,12 @@ async def discard_rest(request: Request) -> None:
                     return
 
 
-def _check_media_type(request: Request) -> None:
+def _check_media_type(request: Request, wanted: str) -> None:
     given = request.headers.get("content-type", "")
     kind, _, parameters = given.partition(";")
     charset = parameters.strip().lower().removeprefix("charset=").strip('"')
-    if kind.strip().lower() != "application/json" or charset not in ("", "utf-8"):
-        allowed = "application/json in UTF-8"
+    if kind.strip().lower() != wanted or charset not in ("", "utf-8"):
+        allowed = f"{wanted} in UTF-8"
         raise WrongMediaType(f"a body of {allowed} is taken", (("?Content-Type", given, allowed),))
     encoding = request.headers.get("content-encoding", "identity")
     if encoding.strip().lower() != "identity":

@@ -249,7 +249,8 @@ class Intake:
         return answer
 
     def _run(self) -> None:
-        last, pairs = False, []
+        last = False
+        pairs: list[Any] = []
         while not last:
             batch = [self._waiting.get()]
             pause_s = LINGER_S if len(pairs) > 1 else 0.0  # who comes alone is not kept waiting

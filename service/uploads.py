@@ -156,7 +156,7 @@ def _check_npy(path: Path) -> None:
             read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
             shape, _, dtype = read(file, max_header_size=HEADER_BYTES)
             start = file.tell()
-    except (ValueError, EOFError, OSError, TypeError, SyntaxError, RecursionError, MemoryError):
+    except Exception:  # whatever numpy's reader of literals, tokens and types comes upon
         _refuse("no NPY header", "a .npy file as numpy.save writes it")
     if not isinstance(dtype, np.dtype) or dtype.hasobject or dtype.kind not in "fiu":
         _refuse(str(dtype), "numbers; Python objects (pickles) are never read")

@@ -16,7 +16,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -111,12 +110,9 @@ def _render(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
 
 
 def _sweep(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
-    """A sweep, through the one function that service/sweeps.py names."""
-    from service.sweeps import RUN
+    from service.sweeps import run_sweep
 
-    module, function = RUN
-    run = getattr(import_module(module), function)
-    return {"outcome": "done"} | run(order, _listener(answers))
+    return {"outcome": "done"} | run_sweep(order, _listener(answers))
 
 
 def _listener(answers: BinaryIO) -> Any:
@@ -127,7 +123,7 @@ def _listener(answers: BinaryIO) -> Any:
     def listen(progress: Any) -> None:
         with lock:
             now = time.monotonic()
-            if now - last["s"] >= BETWEEN_LINES_S or progress.doing == "start":
+            if now - last["s"] >= BETWEEN_LINES_S or getattr(progress, "doing", "") == "start":
                 last["s"] = now
                 _say(answers, {"done": progress.done, "total": progress.total})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,14 +13,15 @@ from pipeline.physics.motion.streak import Path, path_through
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.positions.refraction import refract
-from pipeline.physics.targets.disc import Sphere, photocentre_offset
+from pipeline.physics.targets.disc import Appearance, Sphere, photocentre_offset
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.air import path_transmission, star_transmission
 from pipeline.plan.geometry import excursions_px
-from pipeline.plan.responses import point_curvature
+from pipeline.plan.responses import point_curvature, point_slope
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
 from pipeline.spec.body import SphereBody
+from pipeline.spec.mesh import MeshBody
 
 POINT_RADIUS_PX = 1e-4  # smaller bodies are points whatever their light
 SQUARE_PX = 64.0  # stars are drawn square by square, so that a stamp's pixels stay in the cache
@@ -38,7 +40,7 @@ class FrameTarget:
     path: Path
     light_e: float
     radius_px: float = 0.0
-    body: Sphere | None = None
+    body: Appearance | None = None
 
 
 def place_stars(
@@ -167,10 +169,7 @@ def _nearest(seen: np.ndarray) -> np.ndarray:
 def _reaching(plan: Plan, g: Geometry) -> list[int]:
     """Targets whose path, with all that may be drawn around it, touches the frame."""
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
-    size = np.array([
-        0.5 * t.body.diameter_m if isinstance(t.body, SphereBody) else 0.0
-        for t in plan.scene.targets
-    ])  # fmt: skip
+    size = np.array([_radius_m(t.body) for t in plan.scene.targets])
     with np.errstate(invalid="ignore", divide="ignore"):
         radius = size / (g.target_range_m[:, 0].min(axis=-1) * plan.facts.ifov_rad)
         margin = plan.halo_px + plan.responses.reach_core_px + radius
@@ -181,12 +180,48 @@ def _reaching(plan: Plan, g: Geometry) -> list[int]:
     return [int(i) for i in np.flatnonzero(inside)]
 
 
+def _radius_m(body: Any) -> float:
+    """Radius about a body's reference point of what may be drawn of it, 0 where it is a point."""
+    if isinstance(body, SphereBody):
+        return 0.5 * body.diameter_m
+    return float(body.model.radius_m) if isinstance(body, MeshBody) else 0.0
+
+
+def _mesh_seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
+    """A mesh as a point at the centre of its light, or with its picture where that errs too much.
+
+    The picture is that of mid-exposure.
+    """
+    from pipeline.execute.mesh_bodies import picture_of, pose_of, spread_of
+
+    targets, budget_e = plan.scene.targets, plan.responses.budget_e
+    body: Any = targets[target.index].body
+    number = sum(isinstance(t.body, MeshBody) for t in targets[: target.index])
+    distance = float(g.target_range_m[target.index, 0, g.middle])
+    scale = 1.0 / (distance * plan.facts.ifov_rad)
+    radius = body.model.radius_m * scale
+    if radius < POINT_RADIUS_PX or target.light_e <= 0.0:
+        return replace(target, radius_px=radius)
+    blur = plan.responses.blur
+    pose = pose_of(body, g.target_pose[number, 0], g.target_pose_s[number, 0])
+    found = spread_of(pose)
+    error = point_curvature(blur) * 5.0 * found.variance_m2 * scale**2  # a sphere's is r^2/5
+    error += point_slope(blur) * found.off_m * scale
+    if target.light_e * error > budget_e and found.variance_m2 > 0.0:
+        seen = picture_of(pose, scale, blur, budget_e / target.light_e)
+        return replace(target, radius_px=radius, body=seen)
+    x, y = target.x_px + found.x_m * scale, target.y_px + found.y_m * scale
+    return replace(target, x_px=x, y_px=y, radius_px=radius)
+
+
 def _seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
     """The target as a point where its light is, or with its disc where that shows.
 
     The disc and its lit side are those of mid-exposure.
     """
     body = plan.scene.targets[target.index].body
+    if isinstance(body, MeshBody):
+        return _mesh_seen(plan, g, target)
     if not isinstance(body, SphereBody):
         return target
     distance = float(g.target_range_m[target.index, 0, g.middle])

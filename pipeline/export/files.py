@@ -59,7 +59,7 @@ def _png(product: Path, frame: int, layer: str) -> bytes:
 
 
 def fits_bytes(product: Path, cube: xr.Dataset, frame: int, layer: str) -> bytes:
-    """One frame of a layer as a FITS file."""
+    """One frame of a layer as a FITS file with times, WCS and checksums."""
     from io import BytesIO
 
     from astropy.io import fits

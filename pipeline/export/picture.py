@@ -1,4 +1,4 @@
-"""Pictures of a frame: an asinh stretch between robust limits, with targets marked."""
+"""Pictures of a frame: an asinh stretch between robust limits, targets and cosmic rays marked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from pipeline.plan.scene_plan import Plan
 
 LARGEST_SIDE_PX = 1024
-GREEN = (80, 255, 120)
+GREEN, CYAN = (80, 255, 120), (80, 220, 255)
+MOST_MARKED = 60  # cosmic rays with the most charge
 
 
 class Limits(NamedTuple):
@@ -30,7 +31,7 @@ class Limits(NamedTuple):
 
 def limits_of(image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7) -> Limits:
     """Limits between the sky and a bright percentile of an image."""
-    values = np.asarray(image, np.float64)
+    values = _seen(image)
     sample = values.ravel()[:: max(1, values.size // 400_000)]
     low, middle, high = np.percentile(sample, [low_percent, 50.0, high_percent])
     scatter = 1.4826 * float(np.median(np.abs(sample - middle))) or 1.0
@@ -44,7 +45,7 @@ def stretch(image: NDArray[Any], limits: Limits | None = None) -> NDArray[np.uin
     The softening is the robust scatter of the sky, so that noise stays visible beside bright
     stars (Lupton et al. 2004, PASP 116, 133).
     """
-    values = np.asarray(image, np.float64)
+    values = _seen(image)
     low, scatter, top = limits or limits_of(values)
     scaled = np.arcsinh((values - low) / (3.0 * scatter)) / np.arcsinh(
         (top - low) / (3.0 * scatter)
@@ -55,6 +56,7 @@ def stretch(image: NDArray[Any], limits: Limits | None = None) -> NDArray[np.uin
 def shrink(image: NDArray[Any], side_px: int = LARGEST_SIDE_PX) -> tuple[NDArray[Any], int]:
     """An image binned by whole factors until it fits; faint stars survive as block maxima do not
     raise the sky (mean of the block and its maximum). Returns it and the factor."""
+    image = _seen(image)
     factor = -(-max(image.shape) // side_px)
     if factor == 1:
         return np.asarray(image, np.float64), 1
@@ -67,21 +69,32 @@ def shrink(image: NDArray[Any], side_px: int = LARGEST_SIDE_PX) -> tuple[NDArray
     return 0.5 * (blocks.mean(axis=(1, 3)) + blocks.max(axis=(1, 3))), factor
 
 
-def frame_picture(product: Path, frame: int = 0, mark: bool = True) -> Image:
-    """A picture of one raw frame, north as the pointing has it (row 0 at the bottom)."""
+def _seen(image: NDArray[Any]) -> NDArray[np.float64]:
+    """An image as float64; pixels that are no number (masked ones) are as dark as the darkest."""
+    values = np.asarray(image, np.float64)
+    masked = np.isnan(values)
+    if not masked.any():
+        return values
+    return np.where(masked, 0.0 if masked.all() else np.nanmin(values), values)
+
+
+def frame_picture(product: Path, frame: int = 0, mark: bool = True, layer: str = "dn") -> Image:
+    """A picture of one frame of a layer, north as the pointing has it (row 0 at the bottom)."""
     from PIL import Image
 
-    small, factor = shrink(read_layer(product, "dn", frame))
+    small, factor = shrink(read_layer(product, layer, frame))
     grey = stretch(small)[::-1]
     picture = Image.fromarray(np.stack([grey] * 3, axis=-1))
     if mark:
+        _mark_cosmic_rays(picture, product, frame, factor)
         _mark_targets(picture, product, frame, factor)
     return picture
 
 
 def write_preview(product: Path, plan: Plan) -> None:
-    """preview.png of the first frame."""
-    picture = frame_picture(product, 0, mark=bool(plan.scene.targets))
+    """preview.png of the first frame; of its calibrated copy where the scene asks for one."""
+    layer = "calibrated_e" if "calibrated_e" in plan.scene.output.layers else "dn"
+    picture = frame_picture(product, 0, mark=bool(plan.scene.targets), layer=layer)
     write_atomically(product / PREVIEW, png_bytes(picture))
 
 
@@ -109,3 +122,22 @@ def _mark_targets(picture: Image, product: Path, frame: int, factor: int) -> Non
         cx, cy = (x + 0.5) / factor, picture.height - (y + 0.5) / factor
         draw.ellipse([cx - 12, cy - 12, cx + 12, cy + 12], outline=GREEN)
         draw.text((cx + 14, cy - 6), str(name), fill=GREEN)
+
+
+def _mark_cosmic_rays(picture: Image, product: Path, frame: int, factor: int) -> None:
+    """Cyan ellipses round the cosmic rays with the most charge, as long as their tracks."""
+    table = product / TRUTH / "cosmic_rays.parquet"
+    if not table.is_file():
+        return
+    import pyarrow.parquet as pq
+    from PIL import ImageDraw
+
+    rows = pq.read_table(table, filters=[("frame", "=", frame)])
+    rows = rows.sort_by([("electrons", "descending")]).slice(0, MOST_MARKED)
+    draw = ImageDraw.Draw(picture)
+    names = ("x_in_px", "y_in_px", "x_out_px", "y_out_px")
+    for x0, y0, x1, y1 in zip(*(rows[c].to_pylist() for c in names), strict=True):
+        half_x, half_y = 8 + 0.5 * abs(x1 - x0) / factor, 8 + 0.5 * abs(y1 - y0) / factor
+        cx = (0.5 * (x0 + x1) + 0.5) / factor
+        cy = picture.height - (0.5 * (y0 + y1) + 0.5) / factor
+        draw.ellipse([cx - half_x, cy - half_y, cx + half_x, cy + half_y], outline=CYAN)

@@ -46,7 +46,7 @@ def read_omm(path: Path, field: str) -> dict[str, dict[str, Any]]:
         key = " | ".join(str(fields.get(n) or "").strip() for n in names)
         if key in out:
             raise BadInput(field, f"{key} twice in {path.name}", "each object once")
-        out[key] = _elements(fields, key, field)
+        out[key] = mean_elements(fields, key, field)
     if not out:
         raise BadInput(field, path.name, "an OMM (JSON, KVN or XML) with EPOCH and MEAN_MOTION")
     return out
@@ -64,7 +64,8 @@ def read_text(path: Path, field: str, largest: int) -> str:
         raise BadInput(field, str(path), "a text file (UTF-8)") from None
 
 
-def _elements(fields: Mapping[str, Any], key: str, field: str) -> dict[str, Any]:
+def mean_elements(fields: Mapping[str, Any], key: str, field: str) -> dict[str, Any]:
+    """The elements of one message, as `omm.elements` takes them; `key` names it in messages."""
     for name, allowed in _EXPECTED.items():
         value = fields.get(name)
         if value not in (None, "") and str(value).strip().upper() not in allowed:

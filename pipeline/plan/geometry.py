@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,6 @@ from pipeline.physics.motion.disturbance import turned
 from pipeline.physics.positions.apparent import (
     TargetSight,
     aberrate,
-    apparent_sun_m,
-    target_apparent,
     unaberrate,
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
@@ -32,15 +31,21 @@ from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import separation
 from pipeline.plan.air import air_of, lifted
 from pipeline.plan.attitude_motion import motion_plan, random_motion_rad
-from pipeline.plan.bodies import View, flicker_shares, needs_velocity, target_light
-from pipeline.plan.orbits import mean_sights, orbit_states
-from pipeline.plan.paths import LONGEST_STREAK_PX, bends_px, check_paths
-from pipeline.plan.pointing import Moments, attitudes, pointing_field, swept_rad
-from pipeline.plan.timing import dwell_plans, frame_count, frame_times, integration_range_s
+from pipeline.plan.bodies import flicker_shares
+from pipeline.plan.orbits import orbit_states
+from pipeline.plan.paths import LONGEST_STREAK_PX, bends_px, check_paths, near_frame
+from pipeline.plan.pointing import Vantage, attitudes, pointing_field, swept_rad
+from pipeline.plan.target_paths import Moments, sights, target_paths
+from pipeline.plan.timing import (
+    dwell_of,
+    dwell_plans,
+    frame_count,
+    frame_times,
+    integration_range_s,
+)
 from pipeline.spec.detector import TimeDelay
 from pipeline.spec.observer import FixedObserver, GroundObserver
-from pipeline.spec.orbit import Orbit
-from pipeline.spec.pointing import RatePointing
+from pipeline.spec.pointing import RatePointing, TargetPointing
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
@@ -168,7 +173,7 @@ def _needs_more(scene: Scene, g: Geometry, nodes: int) -> NDArray[np.bool_]:
         bent &= False
     if nodes >= MOST_LIGHT_NODES:
         return bent
-    return bent | (flicker_shares(g) > scene.accuracy.flux_fraction)
+    return bent | (flicker_shares(g, near_frame(scene, g)) > scene.accuracy.flux_fraction)
 
 
 def _star_paths(scene: Scene, g: Geometry) -> Array:
@@ -206,47 +211,69 @@ def _geometry(
     geocentric, velocity = _observer(scene, epoch, flat, times, earth)
     position = earth.position_m + geocentric
     sun = earth.position_m + earth.sun_from_earth_m
-    sights = _sights(scene, epoch, flat, times, earth, geocentric, velocity, dut1_s)
-    moments = Moments(
-        flat, times, position, velocity, sun, geocentric, velocity - earth.velocity_m_s, sights
-    )
-    attitude = attitudes(scene, np.repeat(frames, nodes), moments)
+    at = Moments(epoch, flat, times, earth, geocentric, velocity)
+    which = np.repeat(dwell_of(dwell_plans(scene), frames), nodes)
+    attitude = attitudes(scene, which, _vantage(scene, at))
     if random:
         attitude = turned(attitude, *random_motion_rad(scene, frames, nodes).reshape(-1, 3).T)
     camera, air = camera_of(scene), air_of(scene, times)
     if air is not None:
         attitude = lifted(camera, attitude, air)
-        sights = [replace(s, direction_proper=refract(s.direction_proper, air)) for s in sights]
     _check_view(scene, geocentric, attitude[:, 2])
-    shape = (len(sights), len(frames), nodes)
-    x, y = np.full((2, *shape), np.nan)
-    light, phase, lit, distance = np.zeros((4, *shape))
-    direction = np.zeros((len(sights), len(frames), 3))
-    for i, (target, sight) in enumerate(zip(scene.targets, sights, strict=True)):
-        places = [
-            project(camera, a, u[None])
-            for a, u in zip(attitude, sight.direction_proper, strict=True)
-        ]
-        x[i], y[i] = (np.concatenate(c).reshape(shape[1:]) for c in zip(*places, strict=True))
-        if camera.charge_px_s:
-            y[i] -= camera.charge_px_s * (since - since[:, [nodes // 2]])
-        light_, alpha, sunlit = target_light(
-            target, f"targets.{i}.body", epoch,
-            _view(scene, i, epoch, flat, sight, earth, geocentric, dut1_s),
-            earth.sun_from_earth_m, (times.tt1, times.tt2), sight.range_m,
-        )  # fmt: skip
-        light[i], phase[i], lit[i], distance[i] = (
-            np.reshape(value, shape[1:]) for value in (light_, alpha, sunlit, sight.range_m)
-        )
-        direction[i] = sight.direction_proper.reshape(*shape[1:], 3)[:, nodes // 2]
+    t = target_paths(scene, camera, attitude, at, len(frames), air)
     grid, grid3 = offset.shape, (*offset.shape, 3)
+    each = (len(scene.targets), *grid)
     return Geometry(
         frames, offset, times.tt1.reshape(grid), times.tt2.reshape(grid),
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
-        x, y, light, distance, phase, lit, direction,
+        t.x_px.reshape(each),
+        t.y_px.reshape(each) - camera.charge_px_s * (since - since[:, [nodes // 2]]),
+        t.light.reshape(each), t.range_m.reshape(each), t.phase_rad.reshape(each),
+        t.sunlit.reshape(each), t.direction, t.pose, t.pose_s, t.turn_rad,
         np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
+
+
+def watch(scene: Scene, offsets: Array, dut1_s: float) -> tuple[Array, Array, Array]:
+    """Observer's geocentric place [m], velocity [m/s] and proper boresight (n, 3), any moments.
+
+    offsets : (n,) seconds after the scene's epoch
+    """
+    epoch, flat = parse_utc(scene.epoch), np.asarray(offsets, float)
+    times = instants(epoch, flat, dut1_s)
+    earth = earth_and_sun(times.tt1, times.tt2)
+    place, velocity = _observer(scene, epoch, flat, times, earth)
+    at = Moments(epoch, flat, times, earth, place, velocity)
+    ends = [plan.end_s for plan in dwell_plans(scene)]
+    which = np.searchsorted(ends[:-1], flat, side="right")
+    attitude = attitudes(scene, which, _vantage(scene, at))
+    return place, velocity - earth.velocity_m_s, attitude[:, 2]
+
+
+def _vantage(scene: Scene, at: Moments) -> Vantage:
+    """What attitudes follow from at some moments."""
+    e = at.earth
+    return Vantage(
+        at.offset_s, at.times, e.position_m + at.observer_m, at.observer_m_s,
+        e.position_m + e.sun_from_earth_m, at.observer_m, at.observer_m_s - e.velocity_m_s,
+        _followed(scene, at),
+    )  # fmt: skip
+
+
+def _followed(scene: Scene, at: Moments) -> Mapping[int, TargetSight]:
+    """How the observer sees the targets that pointings follow; nothing where they follow none."""
+    followed = [p.pointing.target for p in dwell_plans(scene)
+                if isinstance(p.pointing, TargetPointing)]  # fmt: skip
+    if not followed:
+        return {}
+    names = [t.name for t in scene.targets]
+    which = sorted({names.index(name) for name in followed})
+    seen, _ = sights(scene, which, at)
+    return {
+        i: TargetSight(*(getattr(seen, f.name)[k] for f in fields(seen)))
+        for k, i in enumerate(which)
+    }
 
 
 def _observer(
@@ -267,78 +294,10 @@ def _observer(
         check_above_earth(place, "observer.position_au")
         return place, np.broadcast_to(velocity, place.shape)
     else:
-        place, speed = _orbit_states(o.orbit, "observer.orbit", epoch, offsets, times)
+        place, speed = orbit_states(o.orbit, "observer.orbit", epoch, offsets, times)
     return place, speed + earth.velocity_m_s
 
 
-def _orbit_states(
-    orbit: Orbit, field: str, epoch: tuple[float, float], offsets: Array, times: Instants
-) -> tuple[Array, Array]:
-    """Geocentric GCRS place and velocity (n, 3) along an orbit, refused inside the Earth."""
-    return orbit_states(orbit, field, epoch, offsets, times)
-
-
-def _sights(
-    scene: Scene,
-    epoch: tuple[float, float],
-    offsets: Array,
-    times: Instants,
-    earth: EarthState,
-    observer_m: Array,
-    observer_m_s: Array,
-    dut1_s: float,
-) -> list[TargetSight]:
-    """How the observer sees all targets; those that SGP4 carries on are followed together."""
-    seen = mean_sights(
-        {i: t.orbit for i, t in enumerate(scene.targets)},
-        epoch, offsets, times, earth, observer_m, observer_m_s,
-    )  # fmt: skip
-    return [
-        seen[i]
-        if i in seen
-        else _sight(scene, i, epoch, offsets, earth, observer_m, observer_m_s, dut1_s)
-        for i in range(len(scene.targets))
-    ]
-
-
-def _sight(
-    scene: Scene,
-    index: int,
-    epoch: tuple[float, float],
-    offsets: Array,
-    earth: EarthState,
-    observer_m: Array,
-    observer_m_s: Array,
-    dut1_s: float,
-) -> TargetSight:
-    """How the observer sees a target at each node."""
-    orbit, field = scene.targets[index].orbit, f"targets.{index}.orbit"
-
-    def places(at_s: Array) -> Array:
-        when = instants(epoch, at_s, dut1_s)
-        return _orbit_states(orbit, field, epoch, at_s, when)[0]
-
-    return target_apparent(places, observer_m, observer_m_s, earth, offsets)
-
-
-def _view(
-    scene: Scene,
-    index: int,
-    epoch: tuple[float, float],
-    offsets: Array,
-    sight: TargetSight,
-    earth: EarthState,
-    observer_m: Array,
-    dut1_s: float,
-) -> View:
-    """What lights a target and sees it at each node, when the light left it."""
-    at_s, place = offsets - sight.light_time_s, sight.target_geocentric_m
-    speed = np.zeros_like(place)
-    if needs_velocity(scene.targets[index].body):
-        orbit, when = scene.targets[index].orbit, instants(epoch, at_s, dut1_s)
-        speed = _orbit_states(orbit, f"targets.{index}.orbit", epoch, at_s, when)[1]
-    sun = apparent_sun_m(earth)
-    return View(at_s[None], place[None], speed[None], sun[None], observer_m[None])
 
 
 def _check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:

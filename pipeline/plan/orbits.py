@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
-from pipeline.physics.constants import DEG_RAD, SPEED_OF_LIGHT_M_S
-from pipeline.physics.positions.apparent import TargetSight, target_apparent
-from pipeline.physics.positions.earth import EarthState, teme_to_gcrs
+from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M, SPEED_OF_LIGHT_M_S
+from pipeline.physics.positions.earth import teme_to_gcrs
 from pipeline.physics.positions.orbit import check_above_earth, tle_states, two_body
 from pipeline.physics.positions.orbit_sgp4 import (
-    many_positions,
+    many_states,
     mean_satellite,
     satellite_states,
     since_epochs_s,
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from sgp4.api import Satrec
 
 Array = NDArray[np.float64]
-TOGETHER = 1000  # satellites whose light is followed in one go
 
 
 def orbit_states(
@@ -51,89 +49,83 @@ def orbit_states(
         place, speed = tle_states(orbit.line1, orbit.line2, times, field)
     elif isinstance(orbit, OmmOrbit):
         place, speed = satellite_states(_satellite(orbit, field), _label(orbit), times, field)
-    elif isinstance(orbit, KeplerianOrbit):
-        place, speed = _keplerian(orbit, field, epoch, offsets)
-    elif isinstance(orbit, NumericalOrbit):
-        place, speed = _numerical(orbit, field, epoch, offsets)
-    elif isinstance(orbit, TableOrbit):
-        place, speed = _table(orbit, field, epoch, offsets)
-    elif isinstance(orbit, StateOrbit):
-        start = _start(orbit, field)
-        since = _since_s(orbit.epoch, field, epoch)
-        place, speed = two_body(start, np.array(orbit.velocity_m_s, float), offsets + since)
     else:
-        raise _unread(orbit, field)
+        return Movers([orbit], [field], epoch, times).states(offsets[None], single=True)
     check_above_earth(place, field)
     return place, speed
 
 
-def mean_sights(
-    orbits: Mapping[int, Orbit],
-    epoch: tuple[float, float],
-    offsets: Array,
-    times: Instants,
-    earth: EarthState,
-    observer_m: Array,
-    observer_m_s: Array,
-) -> dict[int, TargetSight]:
-    """How the observer sees those targets at n instants that SGP4 carries on, by their index.
+class Movers:
+    """Targets at n times of their own each, those of one kind of orbit together.
 
-    As one by one with less to do: the turn from TEME to GCRS is that of the instants of reception
-    (1e-12 rad off at emission).
+    orbits, fields : m of each; fields name them in messages
+    times : n instants near those asked for: TEME is turned as at them (1e-12 rad off at emission)
     """
-    mean = {i: o for i, o in orbits.items() if isinstance(o, TleOrbit | OmmOrbit)}
-    if not mean:
-        return {}
-    matrices, indices = teme_to_gcrs(times), list(mean)
-    out: dict[int, TargetSight] = {}
-    for start in range(0, len(mean), TOGETHER):
-        some = indices[start : start + TOGETHER]
-        fleet = _Fleet({i: mean[i] for i in some}, epoch, matrices)
-        of = np.tile(np.arange(len(offsets)), len(some))
-        seen = target_apparent(
-            fleet.places,
-            observer_m[of],
-            observer_m_s[of],
-            EarthState(earth.position_m[of], earth.velocity_m_s[of], earth.sun_from_earth_m[of]),
-            offsets[of],
-        )
-        out |= {i: _part(seen, k * len(offsets), len(offsets)) for k, i in enumerate(some)}
-    return out
-
-
-class _Fleet:
-    """Targets of SGP4 at times of their own."""
 
     def __init__(
         self,
-        orbits: Mapping[int, TleOrbit | OmmOrbit],
+        orbits: Sequence[Orbit],
+        fields: Sequence[str],
         epoch: tuple[float, float],
-        matrices: Array,
+        times: Instants,
     ) -> None:
-        self._fields = [f"targets.{i}.orbit" for i in orbits]
-        self._labels = [_label(o) for o in orbits.values()]
-        self._satellites = [
-            _satellite(o, f) for o, f in zip(orbits.values(), self._fields, strict=True)
-        ]
-        self._since_s, self._matrices = since_epochs_s(self._satellites, epoch), matrices
+        self._orbits, self._fields, self._epoch = list(orbits), list(fields), epoch
+        kinds: dict[str, list[int]] = {"mean": [], "two-body": [], "other": []}
+        for i, orbit in enumerate(orbits):
+            mean = isinstance(orbit, TleOrbit | OmmOrbit)
+            plain = isinstance(orbit, StateOrbit | KeplerianOrbit)
+            kinds["mean" if mean else "two-body" if plain else "other"].append(i)
+        self._mean, self._plain, self._other = kinds.values()
+        if self._mean:
+            named = [(self._orbits[i], self._fields[i]) for i in self._mean]
+            self._satellites = [_satellite(o, f) for o, f in named]  # type: ignore[arg-type]
+            self._since_s = since_epochs_s(self._satellites, epoch)
+            self._matrices = teme_to_gcrs(times)
+        if self._plain:
+            starts = [_two_body_start(self._orbits[i], self._fields[i], epoch) for i in self._plain]
+            self._starts = [np.array(column) for column in zip(*starts, strict=True)]
 
-    def places(self, at_s: Array) -> Array:
-        """Places (m * n, 3) of m satellites at n times each, refused inside the Earth."""
-        found = many_positions(
-            self._satellites, self._labels, self._fields, self._since_s,
-            at_s.reshape(len(self._satellites), -1), self._matrices,
-        )  # fmt: skip
-        lowest = int(np.argmin(np.sum(found**2, axis=-1).min(axis=1)))
-        check_above_earth(found[lowest], self._fields[lowest])
-        return found.reshape(-1, 3)
+    def states(self, at_s: Array, single: bool = False) -> tuple[Array, Array]:
+        """Geocentric GCRS places [m] and velocities [m/s] (m, n, 3), refused inside the Earth.
+
+        at_s : seconds (m, n) from the epoch
+        """
+        place, speed = np.empty((2, *at_s.shape, 3))
+        if self._mean:
+            labels = [_label(self._orbits[i]) for i in self._mean]  # type: ignore[arg-type]
+            place[self._mean], speed[self._mean] = many_states(
+                self._satellites, labels, [self._fields[i] for i in self._mean], self._since_s,
+                at_s[self._mean], self._matrices,
+            )  # fmt: skip
+        if self._plain:
+            place[self._plain], speed[self._plain] = self._two_body(at_s[self._plain])
+        for i in self._other:
+            place[i], speed[i] = _carried(self._orbits[i], self._fields[i], self._epoch, at_s[i])
+        lowest = int(np.argmin(np.sum(place**2, axis=-1).min(axis=1)))
+        check_above_earth(place[lowest], self._fields[lowest])
+        return (place[0], speed[0]) if single else (place, speed)
+
+    def _two_body(self, at_s: Array) -> tuple[Array, Array]:
+        start, velocity, since_s, inverse_axis = self._starts
+        moved = two_body(start, velocity, at_s + since_s[:, None], inverse_axis_m=inverse_axis)
+        fastest = np.sqrt(np.sum(moved[1] ** 2, axis=-1)).max(axis=1)
+        k = int(np.argmax(fastest))
+        orbit, field = self._orbits[self._plain[k]], self._fields[self._plain[k]]
+        if not fastest[k] < SPEED_OF_LIGHT_M_S:
+            e = getattr(orbit, "eccentricity", None)
+            raise BadInput(f"{field}.eccentricity", e, "a speed below that of light")
+        return moved
 
 
-def _part(seen: TargetSight, start: int, count: int) -> TargetSight:
-    some = slice(start, start + count)
-    return TargetSight(
-        seen.direction_proper[some], seen.direction_geometric[some], seen.range_m[some],
-        seen.light_time_s[some], seen.target_geocentric_m[some],
-    )  # fmt: skip
+def _carried(
+    orbit: Orbit, field: str, epoch: tuple[float, float], offsets: Array
+) -> tuple[Array, Array]:
+    """Places and velocities (n, 3) of the kinds of orbit that are followed one by one."""
+    if isinstance(orbit, NumericalOrbit):
+        return _numerical(orbit, field, epoch, offsets)
+    if isinstance(orbit, TableOrbit):
+        return _table(orbit, field, epoch, offsets)
+    raise _unread(orbit, field)  # type: ignore[arg-type]
 
 
 def _satellite(orbit: TleOrbit | OmmOrbit, field: str) -> Satrec:
@@ -150,9 +142,21 @@ def _label(orbit: TleOrbit | OmmOrbit) -> str:
     return f"elements of {orbit.elements.epoch if orbit.elements else '?'}"
 
 
+def _two_body_start(
+    orbit: Orbit, field: str, epoch: tuple[float, float]
+) -> tuple[Array, Array, float, float]:
+    """Place, velocity (3,), seconds from there to the scene's epoch, and 1/a (NaN: not given)."""
+    if isinstance(orbit, StateOrbit):
+        since = _since_s(orbit.epoch, field, epoch)
+        return _start(orbit, field), np.array(orbit.velocity_m_s, float), since, math.nan
+    assert isinstance(orbit, KeplerianOrbit)
+    return _keplerian(orbit, field, epoch)
+
+
 def _keplerian(
-    o: KeplerianOrbit, field: str, epoch: tuple[float, float], offsets: Array
-) -> tuple[Array, Array]:
+    o: KeplerianOrbit, field: str, epoch: tuple[float, float]
+) -> tuple[Array, Array, float, float]:
+    """The same from elements: the state is that at perigee."""
     from pipeline.physics.positions import orbit_elements as el
 
     e = o.eccentricity
@@ -173,11 +177,8 @@ def _keplerian(
     tilt, node, perigee = (
         a * DEG_RAD for a in (o.inclination_deg, o.raan_deg, o.argument_of_perigee_deg)
     )
-    place, speed = el.keplerian_states(radius, e, tilt, node, perigee, offsets + since)
-    fastest = float(np.sqrt(np.sum(speed**2, axis=-1)).max())
-    if not fastest < SPEED_OF_LIGHT_M_S:
-        raise BadInput(f"{field}.eccentricity", e, "a speed below that of light")
-    return place, speed
+    place, speed, inverse_axis = el.perigee_state(radius, e, tilt, node, perigee)
+    return place, speed, since, inverse_axis
 
 
 def _numerical(
@@ -218,7 +219,8 @@ def _table(
 def _start(orbit: StateOrbit | NumericalOrbit, field: str) -> Array:
     """The place of a state, checked with its velocity."""
     start = np.array(orbit.position_m, float)
-    check_above_earth(start, f"{field}.position_m")
+    if not math.hypot(*orbit.position_m) > EARTH_EQUATORIAL_RADIUS_M:  # the quick look
+        check_above_earth(start, f"{field}.position_m")
     if not math.hypot(*orbit.velocity_m_s) < SPEED_OF_LIGHT_M_S:
         raise BadInput(f"{field}.velocity_m_s", orbit.velocity_m_s, "a speed below that of light")
     return start

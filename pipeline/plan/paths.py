@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.errors import BadInput
@@ -10,7 +11,6 @@ from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
 
 LONGEST_STREAK_PX = 1e5  # a longer one in one exposure is taken for a mistake in the scene
-FAR_PX = 1e6  # places beyond it are followed only where the way to them comes near the frame
 NEAR_PX = 1e4  # of the frame's middle
 
 
@@ -22,11 +22,12 @@ def bends_px(scene: Scene, g: Geometry, stars: Array) -> Array:
     nodes themselves. Of paths that leave the camera's view only what is near the frame counts.
     Raises BadInput for streaks longer than LONGEST_STREAK_PX.
     """
-    xs = np.concatenate([g.target_x_px, stars[0]])
-    ys = np.concatenate([g.target_y_px, stars[1]])
+    beside = np.where(near_frame(scene, g)[..., None], 0.0, np.nan)  # others do not count
+    xs = np.concatenate([g.target_x_px + beside, stars[0]])
+    ys = np.concatenate([g.target_y_px + beside, stars[1]])
     if not xs.size:
         return np.zeros(len(g.frame))
-    whole = np.isfinite(xs).all(axis=-1) & (np.abs(xs).max(axis=-1) < FAR_PX)
+    whole = np.isfinite(xs).all(axis=-1)
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.hypot(np.diff(xs, axis=-1), np.diff(ys, axis=-1)).sum(axis=-1)
         longest = np.where(whole, length, 0.0).max()
@@ -46,6 +47,21 @@ def bends_px(scene: Scene, g: Geometry, stars: Array) -> Array:
             "exposure (see pointing rates and orbits)",
         )  # fmt: skip
     return bend.max(axis=(0, 2)) / 4.0
+
+
+def near_frame(scene: Scene, g: Geometry) -> NDArray[np.bool_]:
+    """Targets and frames (T, F) whose path in the exposure touches the frame or what is beside it.
+
+    Beside it: within the frame's longer side. Others must not slow down the rest, nor be smooth.
+    Of one that is behind the camera for a part of the exposure the rest is looked at.
+    """
+    rows, columns = scene.sensor.shape
+    side = max(rows, columns)
+    x, y = g.target_x_px, g.target_y_px
+    with np.errstate(invalid="ignore"):
+        near = (np.fmax.reduce(x, axis=-1) > -side) & (np.fmin.reduce(x, axis=-1) < columns + side)
+        near &= (np.fmax.reduce(y, axis=-1) > -side) & (np.fmin.reduce(y, axis=-1) < rows + side)
+    return np.asarray(near)
 
 
 def check_paths(scene: Scene, g: Geometry, stars: Array) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -30,7 +31,7 @@ from pipeline.physics.positions.apparent import TargetSight, proper_to_astrometr
 from pipeline.physics.positions.earth import site_axes
 from pipeline.physics.positions.times import Instants, elapsed_s, parse_utc
 from pipeline.physics.vectors import from_angles, unit
-from pipeline.plan.timing import DwellPlan, dwell_of, dwell_plans
+from pipeline.plan.timing import DwellPlan, dwell_plans
 from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.pointing import (
     LocalPointing,
@@ -46,12 +47,12 @@ COVER_S = 1e-6  # how far a table may end before the last exposure does
 
 
 @dataclass(frozen=True)
-class Moments:
+class Vantage:
     """What attitudes follow from at n moments.
 
     offset_s : (n,) after the epoch; times : the same in three scales
     position_m, velocity_m_s, sun_m : (n, 3) barycentric, of the observer and the Sun
-    place_m, speed_m_s : (n, 3) geocentric, of the observer; sights : how it sees each target
+    place_m, speed_m_s : (n, 3) geocentric, of the observer; sights : of followed targets
     """
 
     offset_s: Array
@@ -61,28 +62,29 @@ class Moments:
     sun_m: Array
     place_m: Array
     speed_m_s: Array
-    sights: list[TargetSight]
+    sights: Mapping[int, TargetSight]
 
-    def taken(self, k: NDArray[np.int64]) -> Moments:
+    def taken(self, k: NDArray[np.int64]) -> Vantage:
         """Some of the moments."""
         times = Instants(*(getattr(self.times, n)[k] for n in Instants.__dataclass_fields__))
-        sights = [replace(s, direction_proper=s.direction_proper[k]) for s in self.sights]
-        return Moments(
+        sights = {
+            i: replace(s, direction_proper=s.direction_proper[k]) for i, s in self.sights.items()
+        }
+        return Vantage(
             self.offset_s[k], times, self.position_m[k], self.velocity_m_s[k], self.sun_m[k],
             self.place_m[k], self.speed_m_s[k], sights,
         )  # fmt: skip
 
 
-def attitudes(scene: Scene, frames: NDArray[np.int64], m: Moments) -> Array:
-    """Proper attitudes (n, 3, 3) at moments (n,) of frames (n,), without random motion.
+def attitudes(scene: Scene, which: NDArray[np.int64], m: Vantage) -> Array:
+    """Proper attitudes (n, 3, 3) at moments (n,) of dwells (n,), without random motion.
 
     Stars and boresight share one set of effects. Raises BadInput for what a scene cannot point at.
     """
     plans = dwell_plans(scene)
     if scene.dwells is None:
         return _moved(plans[0], _attitudes_of(scene, plans[0], m), m.offset_s)
-    which = dwell_of(plans, frames)
-    out = np.empty((len(frames), 3, 3))
+    out = np.empty((len(which), 3, 3))
     for i in np.unique(which):
         mine = np.flatnonzero(which == i)
         part, plan = m.taken(mine), plans[i]
@@ -94,7 +96,7 @@ def attitudes(scene: Scene, frames: NDArray[np.int64], m: Moments) -> Array:
 
 
 def _slewed(
-    scene: Scene, before: DwellPlan, plan: DwellPlan, m: Moments, arrived: Array
+    scene: Scene, before: DwellPlan, plan: DwellPlan, m: Vantage, arrived: Array
 ) -> Array:
     """Attitudes of which some are still on the way from the dwell before."""
     assert plan.slew is not None
@@ -127,7 +129,7 @@ def _moved(plan: DwellPlan, held: Array, offset_s: Array) -> Array:
     return turned(held, x, y, roll)
 
 
-def _attitudes_of(scene: Scene, plan: DwellPlan, m: Moments) -> Array:
+def _attitudes_of(scene: Scene, plan: DwellPlan, m: Vantage) -> Array:
     """Proper attitudes (n, 3, 3) that a dwell's pointing asks for."""
     p, effects = plan.pointing, scene.star_effects
     if isinstance(p, LocalPointing):
@@ -180,7 +182,7 @@ def swept_rad(p: RatePointing, since_s: float, time_s: float) -> float:
     return (rate + more * since_s) * ARCSEC_RAD * time_s
 
 
-def _local(scene: Scene, plan: DwellPlan, p: LocalPointing, m: Moments) -> Array:
+def _local(scene: Scene, plan: DwellPlan, p: LocalPointing, m: Vantage) -> Array:
     """Attitudes held in the horizon of a site, or in the local frame of an orbit."""
     o = scene.observer
     if isinstance(o, FixedObserver):

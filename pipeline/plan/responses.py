@@ -109,13 +109,17 @@ class ResponsePlan:
         return self.field.near(y0_px, y1_px, x0_px, x1_px)
 
 
-def plan_responses(scene: Scene, facts: Facts, camera: Camera, ends: Geometry) -> ResponsePlan:
+def plan_responses(
+    scene: Scene, facts: Facts, camera: Camera, ends: Geometry, sources: bool = False
+) -> ResponsePlan:
     """Choose radii, phases, grid and zones for a scene from some of its frames (`ends`).
+
+    sources : there are some, even if the scene does not hold them yet.
 
     A field's responses share radii, grid and reach: those that the worst of them asks for.
     """
     none = ResponsePlan(facts.blur, (), 0, 0.0, 0.0, STILL, facts.budget_e, field=facts.field)
-    if not (scene.stars or scene.targets):
+    if not (scene.stars or scene.targets or sources):
         return none
     blurs = none.blurs
     aberration = scene.star_effects["aberration"]
@@ -286,6 +290,12 @@ def point_curvature(blur: Blur) -> float:
     An upper bound for every radius: the bound itself grows at most with the square.
     """
     return point_error(blur, SMALL_RADIUS_PX) / SMALL_RADIUS_PX**2
+
+
+@lru_cache(maxsize=128)
+def point_slope(blur: Blur) -> float:
+    """Error of a pixel per unit light and pixel that a point stands off the centre of its light."""
+    return point_error(blur, 0.0, SMALL_RADIUS_PX) / SMALL_RADIUS_PX
 
 
 def _lost(blur: Blur, radius_px: float) -> float:

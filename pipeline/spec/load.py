@@ -181,6 +181,8 @@ PATH_FIELDS = (
     ("pointing", "path"),
     ("pointing", "attitude", "jitter", "*", "path"),
     ("dwells", "*", "pointing", "path"),
+    ("populations", "*", "path"),
+    ("populations", "*", "sizes"),
     ("targets", "*", "orbit", "path"),  # of each target
     ("targets", "*", "body", "path"),
     ("targets", "*", "body", "surface", "path"),

@@ -15,6 +15,7 @@ from pipeline.spec.mesh import MeshBody
 from pipeline.spec.observer import GroundObserver, Observer
 from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import Pointing, TargetPointing
+from pipeline.spec.population import MOST_POPULATIONS, Population
 from pipeline.spec.sensor import Sensor
 from pipeline.spec.strict import Positive, Strict
 
@@ -25,6 +26,7 @@ LAYERS = (
 )  # fmt: skip
 CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
 MAX_CATALOGUES, MAX_PATH = 8, 1024
+MOST_TARGETS = 100_000
 
 CataloguePath = Annotated[str, Field(min_length=1, max_length=MAX_PATH)]
 CatalogueList = Annotated[tuple[CataloguePath, ...], Field(min_length=1, max_length=MAX_CATALOGUES)]
@@ -167,7 +169,8 @@ class Scene(Strict):
     exposure: Exposure
     dwells: Dwells | None = Field(None, description="default: one, as pointing and exposure say")
     stars: Stars | None = None
-    targets: tuple[Target, ...] = Field((), max_length=100_000)
+    targets: tuple[Target, ...] = Field((), max_length=MOST_TARGETS)
+    populations: tuple[Population, ...] = Field((), max_length=MOST_POPULATIONS)
     background: Background | None = None
     cosmic_rays: CosmicRays | None = None
     output: Output = Output()

@@ -15,6 +15,8 @@ from pipeline.errors import BadInput, Damaged, Incomplete
 from pipeline.physics.noise.chain import dn_type
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, tile_shape
+from pipeline.plan.timing import frame_count
+from pipeline.spec.scene import Scene
 from pipeline.store.layout import COMPLETE, CUBE, sync_folder
 from pipeline.store.markers import Marker, cell_checksums, write_marker
 
@@ -76,22 +78,26 @@ def create_arrays(product: Path, plan: Plan) -> None:
 
     Until then the cube is no Zarr group, so that no reader takes it for a whole one.
     """
+    for name in layers_of(plan):
+        create_layer(product, name, plan.scene, tile_shape(plan.scene))
+
+
+def create_layer(product: Path, name: str, scene: Scene, chunk: tuple[int, int]) -> None:
+    """Make the metadata of one layer of a scene's product."""
     import zarr
 
-    rows, columns = plan.scene.sensor.shape
-    for name in layers_of(plan):
-        long_name, unit = LONG_NAMES[name]
-        zarr.create_array(
-            store=product / CUBE / name,
-            shape=(plan.frames, rows, columns),
-            chunks=(1, *tile_shape(plan.scene)),
-            dtype=dn_type(plan.scene.sensor.adc_bits) if name == "dn" else np.dtype("float32"),
-            fill_value=0,
-            dimension_names=("frame", "y", "x"),
-            compressors=_codecs(plan.scene.output.compression),
-            attributes={"long_name": long_name, "units": unit},
-            config={"write_empty_chunks": True},
-        )
+    long_name, unit = LONG_NAMES[name]
+    zarr.create_array(
+        store=product / CUBE / name,
+        shape=(frame_count(scene), *scene.sensor.shape),
+        chunks=(1, *chunk),
+        dtype=dn_type(scene.sensor.adc_bits) if name == "dn" else np.dtype("float32"),
+        fill_value=0,
+        dimension_names=("frame", "y", "x"),
+        compressors=_codecs(scene.output.compression),
+        attributes={"long_name": long_name, "units": unit},
+        config={"write_empty_chunks": True},
+    )
 
 
 def _codecs(compression: str) -> list[Any]:

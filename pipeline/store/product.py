@@ -13,14 +13,15 @@ from pipeline.errors import BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import tile_shape
 from pipeline.spec.load import scene_yaml
+from pipeline.spec.scene import Scene
 from pipeline.store import layout
-from pipeline.store.cube import CubeWriter, create_arrays, layers_of
+from pipeline.store.cube import CubeWriter, create_arrays, create_layer, layers_of
 from pipeline.store.markers import (
     chunk_fault,
     markers_present,
     read_marker,
 )
-from pipeline.store.truth import part_is_whole
+from pipeline.store.truth import drop_parts, part_is_whole
 
 FORMAT = "nightglass/product/1"
 
@@ -119,6 +120,25 @@ def _marker_fault(path: Path, marker: Path) -> str | None:
         return chunk_fault(path, read_marker(marker))
     except Damaged as damage:
         return str(damage)
+
+
+def tiles_of(path: Path) -> tuple[int, int]:
+    """Rows and columns of a product's tiles, as it was begun."""
+    rows, columns = _identity(path)["tile_shape"]
+    return int(rows), int(columns)
+
+
+def begin_copy(path: Path, source: Path, layers: tuple[str, ...], scene: Scene) -> CubeWriter:
+    """Make a product directory for other layers of the same scene and tiles as `source`."""
+    _make_folders(path)
+    for name in layers:
+        create_layer(path, name, scene, tiles_of(source))
+    for name in (layout.SCENE, layout.PLAN, layout.BEGUN):
+        shutil.copyfile(source / name, path / name)
+    for table in (source / layout.TRUTH).glob("*.parquet"):
+        shutil.copyfile(table, path / layout.TRUTH / table.name)
+    drop_parts(path)
+    return CubeWriter(str(path.resolve()), layers)
 
 
 def _make_folders(path: Path) -> None:

@@ -35,8 +35,12 @@ async def submit(
     check_key(idempotency_key)
     body = await read_body(request, service.settings.body_bytes, service.settings.body_s)
     data = parse_json(body)
-    sweep = await run_in_threadpool(accept_sweep, data, service.settings, service.has_file)
+    sweep, pixel_frames = await run_in_threadpool(
+        accept_sweep, data, service.settings, service.has_file
+    )
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
     name = str(data.get("name", "sweep"))[:128]
-    ask = service.store.ask(name, sweep, digest, idempotency_key, kind="sweep")
+    ask = service.store.ask(
+        name, sweep, digest, idempotency_key, kind="sweep", pixel_frames=pixel_frames
+    )
     return taken(service, *await service.intake.put(ask))

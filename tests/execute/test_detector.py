@@ -95,7 +95,9 @@ def together(*names):
 
 
 TOGETHER = {
-    "pixel by pixel": together("bad", "dead", "hot", "prnu", "table", "lines", "bias", "amplifiers"),
+    "pixel by pixel": together(
+        "bad", "dead", "hot", "prnu", "table", "lines", "bias", "amplifiers"
+    ),
     "columns": together("blooming", "smear", "polynomial"),
     "lag": together("lag"),
     "tdi": together("tdi", "prnu", "hot"),
@@ -222,7 +224,7 @@ def test_lag_against_frame_by_frame(tmp_path):
 
 
 def test_tdi_holds_an_image_that_moves_with_the_charge(tmp_path):
-    """A drifting camera and charge that follows give the sidereal frame, but for the clock steps."""
+    """A drifting camera and charge that follows its image hold the image still."""
     from pipeline.plan.geometry import plan_geometry, star_paths
 
     drift = {"mode": "rate", "boresight_ra_deg": 10.0, "boresight_dec_deg": 5.0}

@@ -17,15 +17,10 @@ from pipeline.physics.targets.frustum import cylinder_area_function
 from pipeline.physics.targets.plate import box_area_function
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.physics.vectors import unit
-from pipeline.plan.bodies import (
-    View,
-    earthshine_m2_sr,
-    flicker_share,
-    has_band_albedos,
-    light_curve_m2_sr,
-    reflected_m2_sr,
-    with_band_albedos,
-)
+from pipeline.plan.bodies import earthshine_m2_sr, flicker_share
+from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
+from pipeline.plan.body_attitudes import View
+from pipeline.plan.body_shapes import light_curve_m2_sr, reflected_m2_sr
 from pipeline.plan.geometry import plan_geometry
 from pipeline.spec.body import Body
 from pipeline.spec.load import parse_scene

@@ -102,13 +102,13 @@ class Server:
         self.log = home.parent / f"{home.name}.log"
         self.start()
 
-    def start(self) -> None:
+    def start(self, port: int = 0) -> None:
         code = "import sys; from pathlib import Path; from service.main import serve; "
-        code += "serve('127.0.0.1', 0, Path(sys.argv[1]))"
+        code += "serve('127.0.0.1', int(sys.argv[2]), Path(sys.argv[1]))"
         known = self.log.stat().st_size if self.log.exists() else 0
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", code, str(self.home)], stderr=log,
+                [sys.executable, "-c", code, str(self.home), str(port)], stderr=log,
                 env=os.environ | LIMITS | self.environment, start_new_session=True,
             )  # fmt: skip
         deadline = time.monotonic() + 60

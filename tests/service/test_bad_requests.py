@@ -143,6 +143,9 @@ def test_no_path_field_takes_a_file(
         scene["background"] = {"stray_light": {"pst": dict(pst)}}
     if field[0] == "cosmic_rays":
         scene["cosmic_rays"] = {"kind": "library"}
+    if field[0] == "populations":
+        ball = scene["targets"][0]["body"]
+        scene["populations"] = [{"name": "p", "path": "a.tle", "body": ball}]
     if "body" in field:
         scene["targets"][0]["body"] = {"kind": "mesh", "unit": "m", "path": "a.obj"}
     holder: Any = scene
@@ -170,6 +173,7 @@ TEXTS_THAT_ARE_NO_PATHS = {
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
     "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond", "scalar",
     "rotation", "interpolation", "profile", "axis",
+    "name_contains", "left_out",
 }  # fmt: skip
 
 

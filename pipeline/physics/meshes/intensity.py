@@ -85,6 +85,7 @@ def mesh_intensity(
     seen = np.abs(cross @ o) * 0.5
     whole = weight * seen
     if facets.convex or active.size == 0:
+        whole[facets.closed & (sign < 0.0)] = 0.0  # the inside of a closed shell is not seen
         return MeshLight(float(whole.sum()), 0.0, whole)
     geometry = _geometry(facets, normal, sign, s, plane_axes(o))
     allowed = min(PATIENCE / active.size, MOST) * error * float(whole.sum())

@@ -21,7 +21,7 @@ Value = float | Array
 
 _INT64 = np.iinfo(np.int64)
 BAND_PX = 1 << 15  # pixels that go through the whole chain while they are in the cache
-EXACT_BITS = 53  # digital numbers above 2^53 - 1 are counted in integers, not in float64
+EXACT_BITS = 40  # above, a float64 holds too few binary places beside the whole number
 
 
 @dataclass(frozen=True)
@@ -155,8 +155,8 @@ def digitise(
 ) -> NDArray[np.integer]:
     """Add the bias, round and clip to 0 ... 2^N - 1; the smallest unsigned type that holds it.
 
-    Above 53 bits whole parts are added as integers and fractions apart, because float64 holds no
-    whole numbers there: 2^63 - 1 would round up to 2^63 and come back negative.
+    Above 40 bits whole parts are added as integers and fractions apart: a float64 holds too few
+    binary places beside such numbers, and 2^63 - 1 would round up to 2^63 and come back negative.
     """
     top = (1 << adc_bits) - 1
     if adc_bits <= EXACT_BITS:

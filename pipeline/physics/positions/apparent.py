@@ -234,22 +234,28 @@ def target_apparent(
 
     Parameters
     ----------
-    target_state : offsets [s] (n,) -> geocentric GCRS positions [m] (n, 3).
+    target_state : offsets [s] (n,) -> geocentric GCRS positions [m] (n, 3); of m targets at once,
+        (m, n) -> (m, n, 3).
     observer_geocentric_m : (n, 3) GCRS.
     observer_velocity_m_s : (n, 3) BARYCENTRIC velocity, ICRS axes.
     earth : state of the Earth at the instants, from `earth_and_sun`.
-    offsets_s : (n,) times of reception.
+    offsets_s : (n,) times of reception, or (m, n).
     """
     offsets = np.asarray(offsets_s, float)
     sun = earth.sun_from_earth_m
     pull = _SUN_GM_M3_S2 * sun / np.sum(sun**2, -1, keepdims=True) ** 1.5
-    light_time = np.zeros_like(offsets)
+    light_time, found = np.zeros_like(offsets), np.zeros(offsets.shape, bool)
+    target = path = np.zeros((*offsets.shape, 3))
+    distance = light_time
     for _ in range(_MAX_ITERATIONS):
-        target = target_state(offsets - light_time)
-        path = target - observer_geocentric_m + 0.5 * pull * light_time[:, None] ** 2
+        # what is found stays as it is, so that it does not depend on the others
+        held, place = found[..., None], target_state(offsets - light_time)
+        way = place - observer_geocentric_m + 0.5 * pull * light_time[..., None] ** 2
+        target, path = np.where(held, target, place), np.where(held, path, way)
         distance = np.sqrt(np.sum(path**2, axis=-1))
         previous, light_time = light_time, distance / SPEED_OF_LIGHT_M_S
-        if np.all(np.abs(light_time - previous) <= 1e-15 + 4e-16 * light_time):
+        found = found | (np.abs(light_time - previous) <= 1e-15 + 4e-16 * light_time)
+        if found.all():
             break
     geometric = unit(path)
     in_space = unaberrate(geometric, earth.velocity_m_s / SPEED_OF_LIGHT_M_S)

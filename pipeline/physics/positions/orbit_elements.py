@@ -22,19 +22,29 @@ def keplerian_states(
     argument_of_perigee_rad: float,
     since_perigee_s: ArrayLike,
 ) -> tuple[Array, Array]:
-    """Positions [m] and velocities [m/s] (n, 3) at times since perigee, in the elements' axes.
+    """Positions [m] and velocities [m/s] (n, 3) at times since perigee, in the elements' axes."""
+    place, speed, inverse_axis = perigee_state(
+        perigee_radius_m, eccentricity, inclination_rad, raan_rad, argument_of_perigee_rad
+    )
+    return two_body(place, speed, since_perigee_s, inverse_axis_m=inverse_axis)
+
+
+def perigee_state(
+    perigee_radius_m: float,
+    eccentricity: float,
+    inclination_rad: float,
+    raan_rad: float,
+    argument_of_perigee_rad: float,
+) -> tuple[Array, Array, float]:
+    """Place [m], velocity [m/s] (3,) at perigee and 1/a [1/m], as `two_body` takes them.
 
     The state at perigee is exact for every eccentricity, and 1/a = (1 - e)/q is handed on as it
     is, so that nothing is lost near the parabola, whatever the time.
     """
     speed = math.sqrt(EARTH_GM_M3_S2 * (1.0 + eccentricity) / perigee_radius_m)
     to_perigee, ahead = _perifocal(inclination_rad, raan_rad, argument_of_perigee_rad)
-    return two_body(
-        perigee_radius_m * to_perigee,
-        speed * ahead,
-        since_perigee_s,
-        inverse_axis_m=(1.0 - eccentricity) / perigee_radius_m,
-    )
+    inverse_axis = (1.0 - eccentricity) / perigee_radius_m
+    return perigee_radius_m * to_perigee, speed * ahead, inverse_axis
 
 
 def perigee_radius(semi_major_axis_m: float, eccentricity: float) -> float:

@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 Place = Callable[[Array], tuple[Array, Array]]
 
 FIRST_STEP_S, SPLIT, LAST_STEP_S = 60.0, 4, 0.25
-BATCH = 4096
+BATCH, SAMPLES = 4096, 262_144  # satellites, and their moments, looked at in one go
+_WHOLE = -1  # where SGP4 found no error
 _TEME_TURN_RAD_S = 1e-11  # of TEME against GCRS, with room (7.7e-12)
 _EARTH_M_S = 30.5e3  # the Earth's speed about the Sun, with room: annual aberration
 _LOWEST_M = 6.3e6  # nothing above the ground is pulled more strongly than here
@@ -33,10 +34,16 @@ _SPEED_ROOM = 1.01  # SGP4's velocity is the derivative of its place to 1e-3
 
 @dataclass(frozen=True)
 class Screened:
-    """inside : indices of satellites that may come into the cone; failed : SGP4 ended for them."""
+    """inside : indices of satellites that may come into the cone; failed : SGP4 ended for them,
+    at any moment looked at: those are not among `inside`.
+
+    codes : SGP4's error code of each that failed, at the first moment looked at where it did; 0
+        where what it gave was not finite
+    """
 
     inside: NDArray[np.int64]
     failed: NDArray[np.int64]
+    codes: NDArray[np.int64]
 
 
 def screen_cone(
@@ -74,20 +81,24 @@ def screen_cone(
                observer_pull_m_s2, _TEME_TURN_RAD_S * 0.5 * duration_s)  # fmt: skip
     since_s = since_epochs_s(satellites, epoch_utc)
     inside = np.zeros(len(satellites), bool)
-    failed = np.zeros(len(satellites), bool)
-    who, when = [], []
-    for start in range(0, len(satellites), BATCH):
-        part = slice(start, start + BATCH)
-        place, speed, bad = _together(satellites[part], since_s[part], middles)
-        failed[part] |= bad.any(axis=1)
+    codes = np.full(len(satellites), _WHOLE)
+    who, when = [np.zeros(0, np.int64)], [np.zeros(0)]
+    step = max(64, min(BATCH, SAMPLES // count))
+    for start in range(0, len(satellites), step):
+        part = slice(start, start + step)
+        place, speed, errors = _together(satellites[part], since_s[part], middles)
+        bad = errors != _WHOLE
+        first = errors[np.arange(len(bad)), np.argmax(bad, axis=1)]
+        codes[part] = np.where(bad.any(axis=1), first, _WHOLE)
         hit, near = sky.judge(place, speed, np.broadcast_to(middles, bad.shape), half)
         inside[part] |= (hit & ~bad).any(axis=1)
         i, k = np.nonzero(near & ~bad & ~inside[part, None])
         who.append(i + start)
         when.append(middles[k])
     _refine(satellites, since_s, sky, (np.concatenate(who), np.concatenate(when), half),
-            inside, failed)  # fmt: skip
-    return Screened(np.flatnonzero(inside), np.flatnonzero(failed & ~inside))
+            inside, codes)  # fmt: skip
+    failed = np.flatnonzero(codes != _WHOLE)
+    return Screened(np.flatnonzero(inside & (codes == _WHOLE)), failed, codes[failed])
 
 
 @dataclass(frozen=True)
@@ -132,8 +143,8 @@ class _Sky:
 
 def _together(
     satellites: Sequence[Satrec], since_s: Array, middles: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """TEME places [m], velocities [m/s] (m, k, 3) and failures (m, k) at common times."""
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """TEME places [m], velocities [m/s] (m, k, 3) and error codes (m, k) at common times."""
     from sgp4.api import SatrecArray
 
     # SGP4 counts from each epoch: one common scale of dates serves all where no leap second lies
@@ -147,9 +158,15 @@ def _together(
                       for s in satellites])  # fmt: skip
     late = since_s - (since_s[0] - dates * DAY_S)
     place = place + late[:, None, None] * speed
+    codes = _codes(errors, place, speed)
+    bad = (codes != _WHOLE)[..., None]
+    return np.where(bad, 1e7, place * 1e3), np.where(bad, 0.0, speed * 1e3), codes
+
+
+def _codes(errors: NDArray[np.uint8], place: Array, speed: Array) -> NDArray[np.int64]:
+    """SGP4's codes (...), 0 where the result is not finite, _WHOLE where all is well."""
     bad = (errors != 0) | ~np.isfinite(place).all(axis=-1) | ~np.isfinite(speed).all(axis=-1)
-    place = np.where(bad[..., None], 1e7, place * 1e3)
-    return place, np.where(bad[..., None], 0.0, speed * 1e3), bad
+    return np.where(bad, errors.astype(np.int64), _WHOLE)
 
 
 def _refine(
@@ -158,21 +175,24 @@ def _refine(
     sky: _Sky,
     intervals: tuple[NDArray[np.int64], Array, float],
     inside: NDArray[np.bool_],
-    failed: NDArray[np.bool_],
+    codes: NDArray[np.int64],
 ) -> None:
-    """Split intervals (satellite, middle, half width) until they are settled; marks both masks."""
+    """Split intervals (satellite, middle, half width) until settled; marks what is found."""
     who, when, half = intervals
     offsets = (2.0 * np.arange(SPLIT) + 1.0) / SPLIT - 1.0
     while len(who):
         open_ = ~inside[who]
         who, when = who[open_], when[open_]
+        if not len(who):
+            return
         if 2.0 * half <= LAST_STEP_S:
             inside[who] = True
             return
         when = (when[:, None] + offsets * half).ravel()
         who, half = np.repeat(who, SPLIT), half / SPLIT
-        place, speed, bad = _apart(satellites, since_s, who, when)
-        failed[who[bad]] = True
+        place, speed, errors = _apart(satellites, since_s, who, when)
+        bad = errors != _WHOLE
+        codes[who[bad]] = errors[bad]
         hit, near = sky.judge(place, speed, when, half)
         inside[who[hit & ~bad]] = True
         who, when = who[near & ~bad], when[near & ~bad]
@@ -180,11 +200,11 @@ def _refine(
 
 def _apart(
     satellites: Sequence[Satrec], since_s: Array, who: NDArray[np.int64], when: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """TEME places, velocities (p, 3) and failures (p,) of pairs of satellite and time."""
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """TEME places, velocities (p, 3) and error codes (p,) of pairs of satellite and time."""
     order = np.argsort(who, kind="stable")
     place, speed = np.zeros((2, len(who), 3))
-    bad = np.zeros(len(who), bool)
+    codes = np.full(len(who), _WHOLE)
     edges = np.flatnonzero(np.diff(who[order])) + 1
     for pairs in np.split(order, edges):
         if not len(pairs):
@@ -196,6 +216,7 @@ def _apart(
             np.full_like(days, satellite.jdsatepoch), satellite.jdsatepochF + days
         )
         place[pairs], speed[pairs] = r * 1e3, v * 1e3
-        bad[pairs] = (errors != 0) | ~np.isfinite(r).all(axis=-1) | ~np.isfinite(v).all(axis=-1)
+        codes[pairs] = _codes(errors, r, v)
+    bad = codes != _WHOLE
     place[bad], speed[bad] = 1e7, 0.0
-    return place, speed, bad
+    return place, speed, codes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -77,15 +78,15 @@ def satellite_states(
     )
 
 
-def many_positions(
+def many_states(
     satellites: list[Satrec],
     labels: list[str],
     fields: list[str],
     since_s: Array,
     offsets_s: Array,
     matrices: Array,
-) -> Array:
-    """GCRS positions [m] (m, n, 3) of m SGP4 satellites at times of their own.
+) -> tuple[Array, Array]:
+    """GCRS positions [m] and velocities [m/s] (m, n, 3) of m SGP4 satellites, times of their own.
 
     Parameters
     ----------
@@ -96,18 +97,20 @@ def many_positions(
 
     Raises BadInput as `tle_states` does.
     """
-    out = np.empty((*offsets_s.shape, 3))
+    out = np.empty((2, *offsets_s.shape, 3))
     codes = np.empty(offsets_s.shape, np.uint8)
     days = (since_s[:, None] + offsets_s) / DAY_S
     for i, satellite in enumerate(satellites):
         start = np.full(days.shape[1], satellite.jdsatepoch)
-        codes[i], out[i], _ = satellite.sgp4_array(start, satellite.jdsatepochF + days[i])
-    bad = (codes != 0) | ~np.isfinite(out).all(axis=-1)
+        found = satellite.sgp4_array(start, satellite.jdsatepochF + days[i])
+        codes[i], out[0, i], out[1, i] = found
+    bad = (codes != 0) | ~np.isfinite(out[0]).all(axis=-1)
     if bad.any():
         i, k = np.argwhere(bad)[0]
         when = f"{offsets_s[i, k]:.3f} s after the scene's epoch"
         raise _ended(fields[i], labels[i], when, days[i, k], int(codes[i, k]))
-    return np.einsum("nij,mnj->mni", matrices, out, optimize=True) * 1e3
+    place, speed = (np.einsum("nij,mnj->mni", matrices, v, optimize=True) * 1e3 for v in out)
+    return place, speed
 
 
 def since_epochs_s(satellites: Sequence[Satrec], epoch_utc: tuple[float, float]) -> Array:
@@ -185,6 +188,7 @@ def mean_satellite(elements: Mapping[str, Any], field: str = "orbit") -> Satrec:
     return satellite
 
 
+@lru_cache(maxsize=100_000)  # the same lines are looked at in every window of frames
 def check_tle(line1: str, line2: str, field: str = "orbit") -> None:
     """BadInput, naming the line and what was expected, unless both lines are well formed."""
     for number, line in ((1, line1), (2, line2)):

@@ -15,43 +15,57 @@ def two_body(
     velocity_m_s: Array,
     dt_s: ArrayLike,
     gm_m3_s2: float = EARTH_GM_M3_S2,
-    inverse_axis_m: float | None = None,
+    inverse_axis_m: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
     """Two-body motion from one state (3,), (3,) by times dt (n,): positions, velocities (n, 3).
 
-    Universal variable and Stumpff functions (Battin 1999, section 4.5; Goodyear 1965): one form for
-    ellipse, parabola and hyperbola. Kepler's equation rises monotonically in the variable (its
-    slope is the radius), so Newton's method inside a bracket cannot fail. Ellipses are reduced by
-    whole periods first. Perturbations are left out. `inverse_axis_m`, 1/a [1/m], may be given where
-    it is known better than speed and radius tell it: near the parabola.
+    Of many states (m, 3), (m, 3) by times (m, n) at once: (m, n, 3). Universal variable and
+    Stumpff functions (Battin 1999, section 4.5; Goodyear 1965): one form for ellipse, parabola and
+    hyperbola. Kepler's equation rises monotonically in the variable (its slope is the radius), so
+    Newton's method inside a bracket cannot fail. Ellipses are reduced by whole periods first.
+    Perturbations are left out. `inverse_axis_m`, 1/a [1/m] (or (m,), NaN where not known), may be
+    given where it is known better than speed and radius tell it: near the parabola. The result of a
+    time does not depend on the others.
     """
     r0, v0 = np.asarray(position_m, float), np.asarray(velocity_m_s, float)
-    length = float(np.sqrt(r0 @ r0))
-    second = float(np.sqrt(length**3 / gm_m3_s2))
+    length = np.sqrt(_dot(r0, r0))
+    second = np.sqrt(length**3 / gm_m3_s2)
     # lengths in |r0|, times in sqrt(|r0|^3/GM): GM = |r0| = 1
-    r0, v0 = r0 / length, v0 * (second / length)
-    time = np.atleast_1d(np.asarray(dt_s, float)) / second
-    radial = float(r0 @ v0)
-    alpha = 2.0 - float(v0 @ v0) if inverse_axis_m is None else inverse_axis_m * length  # 1/a
-    if alpha > 0.0:
-        period = 2.0 * np.pi / alpha**1.5
-        if np.isfinite(period):
-            time = time - period * np.round(time / period)
+    r0, v0 = r0 / length[..., None], v0 * (second / length)[..., None]
+    time = np.atleast_1d(np.asarray(dt_s, float)) / second[..., None]
+    radial = np.broadcast_to(_dot(r0, v0)[..., None], time.shape)
+    alpha = 2.0 - _dot(v0, v0)  # 1/a
+    if inverse_axis_m is not None:
+        known = np.asarray(inverse_axis_m, float) * length
+        alpha = np.where(np.isnan(known), alpha, known)
+    alpha = np.broadcast_to(alpha[..., None], time.shape)
+    with np.errstate(divide="ignore", over="ignore"):
+        period = 2.0 * np.pi / np.maximum(alpha, 0.0) ** 1.5
+    turns = np.isfinite(period)
+    period = np.where(turns, period, 1.0)
+    time = np.where(turns, time - period * np.round(time / period), time)
     s = _universal_anomaly(time, radial, alpha)
     u0, u1, u2, _ = universal_functions(s, alpha)
     radius = u0 + radial * u1 + u2
     f, g = 1.0 - u2, u1 + radial * u2  # g = t - u3, in the form without a difference
     f_dot, g_dot = -u1 / radius, 1.0 - u2 / radius
-    position = f[:, None] * r0 + g[:, None] * v0
-    velocity = f_dot[:, None] * r0 + g_dot[:, None] * v0
-    return position * length, velocity * (length / second)
+    r0, v0 = r0[..., None, :], v0[..., None, :]
+    position = f[..., None] * r0 + g[..., None] * v0
+    velocity = f_dot[..., None] * r0 + g_dot[..., None] * v0
+    scale = length[..., None, None]
+    return position * scale, velocity * (scale / second[..., None, None])
 
 
-def _universal_anomaly(time: Array, radial: float, alpha: float) -> Array:
-    """Root s of U1 + radial U2 + U3 = time (units GM = |r0| = 1), by bracketed Newton: (n,)."""
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+def _universal_anomaly(time: Array, radial: Array, alpha: Array) -> Array:
+    """Root s of U1 + radial U2 + U3 = time (units GM = |r0| = 1), by bracketed Newton: (...)."""
     edge = _outer_edge(time, radial, alpha)
     low, high = np.where(time < 0, -edge, 0.0), np.where(time < 0, 0.0, edge)
     s = np.clip(time, low, high)
+    found = np.zeros(s.shape, bool)
     for _ in range(200):
         u0, u1, u2, u3 = universal_functions(s, alpha)
         excess = u1 + radial * u2 + u3 - time
@@ -60,17 +74,19 @@ def _universal_anomaly(time: Array, radial: float, alpha: float) -> Array:
         newton = s - excess / slope
         inside = (newton > low) & (newton < high)
         following = np.where(excess == 0, s, np.where(inside, newton, 0.5 * (low + high)))
-        moved = np.abs(following - s)
+        following = np.where(found, s, following)
+        found |= np.abs(following - s) <= 4e-16 * np.abs(following)
         s = following
-        if np.all(moved <= 4e-16 * np.abs(s)):
+        if found.all():
             break
     return s
 
 
-def _outer_edge(time: Array, radial: float, alpha: float) -> Array:
-    """|s| on the far side of the root for every time (n,), by growth; one turn at the most."""
-    turn = 2.0 * np.pi / np.sqrt(alpha) if alpha > 0.0 else np.inf
-    edge = np.full_like(time, min(1e-3, turn))
+def _outer_edge(time: Array, radial: Array, alpha: Array) -> Array:
+    """|s| on the far side of the root for every time (...), by growth; one turn at the most."""
+    with np.errstate(divide="ignore"):
+        turn = 2.0 * np.pi / np.sqrt(np.maximum(alpha, 0.0))
+    edge = np.minimum(1e-3, turn)
     sign = np.where(time < 0, -1.0, 1.0)
     for _ in range(1000):
         _, u1, u2, u3 = universal_functions(sign * edge, alpha)
@@ -81,13 +97,13 @@ def _outer_edge(time: Array, radial: float, alpha: float) -> Array:
     return edge
 
 
-def universal_functions(s: Array, alpha: float) -> tuple[Array, Array, Array, Array]:
-    """Battin's U0 to U3 of s for the reciprocal semi-major axis alpha: each (n,).
+def universal_functions(s: Array, alpha: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    """Battin's U0 to U3 of s for reciprocal semi-major axes alpha (one, or as s): each (...).
 
     U_k = s^k c_k(alpha s^2). Trigonometric or hyperbolic in half arguments away from zero, power
     series within |alpha s^2| < 1, so that no digits are lost near the parabola.
     """
-    psi = alpha * s * s
+    psi = np.asarray(alpha, float) * s * s
     root = np.sqrt(np.abs(psi))
     c2, c3 = np.empty_like(s), np.empty_like(s)
     near = np.abs(psi) < 1.0

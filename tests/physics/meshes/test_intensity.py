@@ -291,3 +291,13 @@ def test_a_picture_leaves_shadows_dark():
     dark = np.argwhere(image[1:-1, 1:-1] == 0.0) + 1
     assert len(dark) == 16  # the shadow, 0.5 m square, 0.5 m to the side
     assert dark[:, 1].max() < image.shape[1] // 2
+
+
+def test_the_inside_of_a_convex_shell_sends_nothing():
+    """Surfaces that reflect on both sides: the backs of a closed convex body stay in the dark."""
+    mesh = sphere(12, 24)
+    s, o = unit(np.array([1.0, 0.2, 0.1])), unit(np.array([0.1, 1.0, -0.3]))
+    for convex in (True, False):
+        closed = facets(mesh, True, convex)
+        once = g_of(closed, s, o)
+        assert g_of(closed, s, o, surfaces=(SHEET,)) == pytest.approx(once, rel=1e-9)

@@ -75,6 +75,19 @@ def test_against_radau_with_j2_written_out() -> None:
     assert np.linalg.norm(place[0] - end[:3]) < 0.05
 
 
+@pytest.mark.parametrize(("height_m", "least_m", "most_m"), [(5e5, 2e4, 8e4), (3.5786e7, 40, 60)])
+def test_what_two_body_motion_leaves_out(height_m: float, least_m: float, most_m: float) -> None:
+    """The oblateness after an hour, as the plan states it: the largest of three inclinations."""
+    radius = EARTH_EQUATORIAL_RADIUS_M + height_m
+    speed, missed = np.sqrt(EARTH_GM_M3_S2 / radius), []
+    for tilt in np.radians([30.0, 60.0, 98.0]):
+        start = np.array([radius, 0, 0, 0, speed * np.cos(tilt), speed * np.sin(tilt)])
+        place, _ = Trajectory(start, TT, Forces(zonals=6), 1e-10).states([3600.0])
+        plain, _ = two_body(start[:3], start[3:], [3600.0])
+        missed.append(np.linalg.norm(place - plain))
+    assert least_m < max(missed) <= most_m
+
+
 FULL = Forces(6, 0.02, 0.02, True, True, True)
 
 

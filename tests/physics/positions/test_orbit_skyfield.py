@@ -14,7 +14,7 @@ from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_sta
 from pipeline.physics.positions.orbit_sgp4 import satellite_states, tle_satellite
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.vectors import separation, unit
-from pipeline.plan.orbits import mean_sights
+from pipeline.plan.orbits import Movers
 from pipeline.spec.orbit import TleOrbit
 
 skyfield = pytest.importorskip("skyfield.api")
@@ -88,10 +88,11 @@ def test_against_skyfield(name: str, watcher: str) -> None:
         place, speed = satellite_states(tle_satellite(*WATCHER), "watcher", at)
     line1, line2 = ORBITS[name]
     orbit = TleOrbit(kind="tle", line1=line1, line2=line2)
-    sight = mean_sights(
-        {0: orbit}, epoch, seconds, at, earth, place, speed + earth.velocity_m_s
-    )[0]  # fmt: skip
-    difference = separation(sight.direction_proper, theirs) * ARCSEC
+    movers = Movers([orbit], ["targets.0.orbit"], epoch, at)
+    sight = target_apparent(
+        lambda when: movers.states(when)[0], place, speed + earth.velocity_m_s, earth, seconds[None]
+    )
+    difference = separation(sight.direction_proper[0], theirs) * ARCSEC
     assert difference.max() < 0.01
 
 

@@ -60,9 +60,7 @@ def test_against_hankel_transform_of_the_intensity(q: float, eps: float) -> None
     mtf = Airy(q, eps).transfer(np.zeros_like(radial), radial)
     for r in np.array([0.0, 0.3, 0.61, 1.22, 2.7, 5.0]) * q:
         value = np.trapezoid(mtf * j0(2 * np.pi * radial * r) * 2 * np.pi * radial, radial)
-        assert value == pytest.approx(
-            float(airy_intensity(np.array(r), q, eps)), abs=1e-6 / q**2
-        )
+        assert value == pytest.approx(float(airy_intensity(np.array(r), q, eps)), abs=1e-6 / q**2)
 
 
 def test_against_encircled_energy_of_the_airy_disc() -> None:

@@ -1,0 +1,42 @@
+"""Hooks of the documentation site: its navigation, and the pages made from the product itself."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+sys.path.insert(0, str(Path(__file__).parent))
+from reference import command_page, scene_page
+
+GENERATED = {"reference/scene.md": scene_page, "reference/commands.md": command_page}
+# Pages in order; those that are not there are left out, others come last, in `More`.
+NAVIGATION: dict[str, list[str]] = {
+    "Start": ["index.md", "tutorial.md"],
+    "How to": [
+        "howto/own-sensor.md", "howto/own-catalogue.md", "howto/exports.md", "howto/imports.md",
+        "howto/sweep-on-a-cluster.md", "howto/submit-jobs.md",
+    ],
+    "Guides": [
+        "catalogues.md", "pointing.md", "background.md", "detector.md", "distortion.md",
+        "cosmic_rays.md", "satellite_brightness.md", "sweeps.md", "cluster.md", "service.md",
+        "client.md",
+    ],
+    "Explanation": ["physics.md", "drawing.md", "accuracy.md", "validation.md"],
+    "Reference": ["reference/scene.md", "reference/commands.md", "reference/python.md"],
+}  # fmt: skip
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages, then make the navigation from what is there."""
+    for name, make in GENERATED.items():
+        files.append(File.generated(config, name, content=make()))
+    there = [f.src_uri for f in files.documentation_pages()]
+    listed = {name for names in NAVIGATION.values() for name in names}
+    config.nav = [{title: [n for n in names if n in there]} for title, names in NAVIGATION.items()]
+    others = sorted(set(there) - listed)
+    if others:
+        config.nav.append({"More": others})
+    return files

@@ -1,0 +1,110 @@
+"""A calibrated copy of a product: less bias and dark, divided by the flat, bad pixels masked."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.arrays import SensorMaps
+from pipeline.errors import BadInput, Damaged
+from pipeline.execute.detector import tile_chain
+from pipeline.export.picture import frame_picture, png_bytes
+from pipeline.inputs.sensor import gather_sensor_maps
+from pipeline.physics.noise.calibration import calibrated_e
+from pipeline.plan.tiles import cut_up
+from pipeline.plan.timing import frame_count, integration_s
+from pipeline.spec.load import parse_scene, parse_yaml
+from pipeline.spec.scene import Scene
+from pipeline.store import layout
+from pipeline.store.cube import CubeWriter, finish_cube, open_cube, read_layer
+from pipeline.store.product import begin_copy, content_digest, seal, tiles_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+LAYER = "calibrated_e"
+
+
+def calibrate(product: Path, output: Path) -> dict[str, Any]:
+    """Write a calibrated copy of a complete product; returns its report.
+
+    The copy is a product of its own, with the one layer `calibrated_e` [e-, float32], the
+    coordinates, truth and scene of the first. The sensor's images are read again from the files
+    that the scene names, and generated patterns drawn again from its seed. Raises BadInput for a
+    path that exists or a file that is gone, Incomplete and Damaged for the product.
+    """
+    cube = open_cube(product)
+    if "dn" not in cube.data_vars:
+        raise BadInput("PRODUCT", str(product), "a product with raw frames (`dn`)")
+    if output.exists():
+        raise BadInput("-o", str(output), "a path that does not exist yet")
+    scene = parse_scene(parse_yaml(str(cube.attrs["scene"]), f"{product}: scene"))
+    maps = gather_sensor_maps(scene)
+    partial = output.with_name(f"{output.name}.partial")
+    if partial.exists():
+        raise BadInput("-o", str(partial), "no such path: it is left of a calibration cut off")
+    try:
+        report = _write(product, partial, cube, scene, maps)
+        partial.rename(output)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    return report
+
+
+def _write(
+    product: Path, output: Path, cube: xr.Dataset, scene: Scene, maps: SensorMaps
+) -> dict[str, Any]:
+    writer = begin_copy(output, product, (LAYER,), scene)
+    masked = [
+        _write_frame(product, writer, scene, maps, frame) for frame in range(frame_count(scene))
+    ]
+    layers = {str(n) for n in cube.data_vars if cube[n].dims == ("frame", "y", "x")}
+    coordinates = {
+        name: _stored(product, name) for name in sorted(set(map(str, cube.variables)) - layers)
+    }
+    finish_cube(output, coordinates, dict(cube.attrs) | {"calibrated": True})
+    picture = frame_picture(output, 0, mark=bool(scene.targets), layer=LAYER)
+    layout.write_atomically(output / layout.PREVIEW, png_bytes(picture))
+    report = _stored_report(product) | {
+        "content_digest": content_digest(output),
+        "calibrated_from": str(product),
+        "masked_pixels": int(max(masked, default=0)),
+    }
+    layout.write_atomically(output / layout.REPORT, layout.to_json(report))
+    seal(output)
+    return report
+
+
+def _write_frame(
+    product: Path, writer: CubeWriter, scene: Scene, maps: SensorMaps, frame: int
+) -> int:
+    """Calibrate one frame, tile by tile; returns how many pixels are masked."""
+    dn, masked = read_layer(product, "dn", frame), 0
+    for tile in cut_up(scene.sensor.shape, tiles_of(product)):
+        part = dn[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
+        chain = tile_chain(scene, maps, tile, integration_s(scene, frame))
+        values = calibrated_e(part, chain).astype(np.float32)
+        masked += int(np.isnan(values).sum())
+        writer.write(frame, tile, {LAYER: values})
+    return masked
+
+
+def _stored(product: Path, name: str) -> tuple[tuple[str, ...], np.ndarray, dict[str, Any]]:
+    """A coordinate as it is stored: dimensions, numbers (times not decoded), attributes."""
+    import zarr
+
+    array = zarr.open_array(product / layout.CUBE / name, mode="r")
+    dimensions = tuple(str(d) for d in getattr(array.metadata, "dimension_names", None) or ())
+    return dimensions, np.asarray(array[...]), dict(array.attrs)
+
+
+def _stored_report(product: Path) -> dict[str, Any]:
+    try:
+        return json.loads((product / layout.REPORT).read_text())
+    except (OSError, ValueError) as error:
+        raise Damaged(str(product / layout.REPORT), f"not what was written ({error})") from None

@@ -1,0 +1,102 @@
+"""The ledger of omissions: what decides each rule of the plan, and the test that measures it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+_ENGINES = "tests/execute/test_engines.py::test_engines_agree_within_the_sum_of_their_bounds"
+_NEEDED = "tests/execute/test_only_needed.py::test_imports"
+_ALONE = "tests/acceptance/test_same_bits.py::test_components_leave_each_others_draws_alone"
+_CHAIN = "tests/physics/noise/test_chain.py"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What decides whether components of the plan are kept, and where the bound is measured.
+
+    components : names as in the plan, `*` for any text
+    test : path, or path::function, of the test that fails where the rule or its bound is broken
+    """
+
+    components: tuple[str, ...]
+    rule: str
+    test: str
+
+
+LEDGER = (
+    Rule(("stars", "targets", "background", "cosmic_rays"),
+         "kept where the scene has such a section; else no import, no task, no read", _NEEDED),
+    Rule(("flat", "dark", "photon_noise", "full_well", "read_noise", "bias"),
+         "kept where its value is not the neutral one", _ALONE),
+    Rule(("adc",), "always; exact to 63 bits", _CHAIN),
+    Rule(("gaussian_for_poisson",),
+         "above a mean of 1e8 e-: a rounded Gaussian, 7e-6 from the Poisson distribution function",
+         "tests/physics/noise/test_streams.py"),
+    Rule(("detector_extras", "detector.*"),
+         "each where the scene asks for it; nothing is computed or loaded otherwise",
+         "tests/execute/test_detector.py::test_nothing_of_it_unless_asked_for"),
+    Rule(("stars.space_motion", "stars.parallax", "stars.aberration", "stars.deflection"),
+         "switched in the scene; on by default", "tests/physics/positions/test_apparent.py"),
+    Rule(("stars.doppler",), "never: brightness and colour are those of an observer at rest",
+         "tests/physics/positions/test_apparent.py"),
+    Rule(("stars.faint", "stars.layer_*"),
+         "stars below the limit (given, or where the sum of all fainter ones is below a share of "
+         "the noise) become smooth light; in layers each star is drawn once",
+         "tests/plan/test_sky.py"),
+    Rule(("precession_nutation", "polar_motion"),
+         "IAU 2006/2000A always; polar motion never (10 m)",
+         "tests/physics/positions/test_earth.py::test_against_astropy_site"),
+    Rule(("atmosphere", "atmosphere.*"),
+         "each part where observer.atmosphere asks for it", "tests/plan/test_air.py"),
+    Rule(("earth_occultation",),
+         "never off the boresight: what stands behind the limb elsewhere in the field is drawn",
+         "tests/plan/test_geometry.py"),
+    Rule(("distortion",), "where the sensor has one", "tests/acceptance/test_distortion.py"),
+    Rule(("one_psf", "psf_over_the_field"),
+         "one response, or mixtures of those the scene gives for places of the field",
+         "tests/execute/test_psf_field.py::"
+         "test_a_star_at_a_place_is_its_own_and_between_two_their_mean"),
+    Rule(("monochromatic_psf", "few_wavelengths"),
+         "as few wavelengths as keep a pixel within a share of its source's light",
+         "tests/physics/psf/test_band.py::test_against_a_hundred_wavelengths"),
+    Rule(("uniform_background", "background.*", "stray_light.*", "starlight"),
+         "uniform where no part of the sky varies; else a grid refined until its measured error is "
+         "within the accuracy", "tests/physics/sky/test_grid.py"),
+    Rule(("phase_interpolation", "common_streak", "crowds_by_transforms"),
+         "the cheapest drawing whose bound is within a quarter of accuracy.noise_fraction",
+         _ENGINES),
+    Rule(("wings_on_a_coarse_grid", "wings_cut_off"),
+         "light far from a source on a coarse grid, up to a reach beyond which less than "
+         "accuracy.flux_fraction is left",
+         "tests/physics/drawing/test_wings.py::test_stated_wing_error_holds"),
+    Rule(("targets.point_sources", "targets.shapes_as_points", "targets.resolved*"),
+         "a point where its size changes no pixel by more than the budget",
+         "tests/physics/drawing/test_extended.py::test_point_error_bounds_what_is_left_out"),
+    Rule(("targets.eclipse",), "where eclipse is on; a disc's overlap, or the options of lighting",
+         "tests/physics/targets/test_eclipse.py::test_against_caps_on_the_sphere"),
+    Rule(("targets.earthshine",), "where lighting asks for it",
+         "tests/physics/targets/test_earthshine.py::test_against_a_fine_earth"),
+    Rule(("targets.ephemeris",), "tables are interpolated; the error is measured by leaving rows "
+         "out", "tests/physics/positions/test_orbit_table.py::test_stated_error_holds"),
+    Rule(("targets.forces", "targets.perturbations"),
+         "the forces that the orbit names; sizes of the others are said",
+         "tests/physics/positions/test_orbit_numerical.py::test_forces_one_by_one"),
+    Rule(("targets.light_between_nodes",),
+         "as many moments as keep the light within accuracy.flux_fraction",
+         "tests/plan/test_bodies.py::test_flicker_bounds_the_error_at_the_edge_of_the_shadow"),
+    Rule(("targets.light_between_facets", "targets.mesh_shadows", "targets.mutual_shadowing",
+          "targets.light_curve*"),
+         "shadows within a mesh always, to the error asked for; between facets and between the "
+         "parts of composites never",
+         "tests/physics/meshes/test_intensity.py::test_the_error_asked_for_is_met"),
+    Rule(("populations.*",), "objects that come near the field in the dwell; none is missed",
+         "tests/plan/test_populations.py"),
+)  # fmt: skip
+
+
+def rule_of(component: str) -> Rule | None:
+    """The rule of a component of the plan; None where the ledger has none."""
+    return next(
+        (r for r in LEDGER if any(fnmatchcase(component, c) for c in r.components)), None
+    )

@@ -1,0 +1,232 @@
+"""Which objects of a population come into the field during the dwell, and what targets they are."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput
+from pipeline.physics.positions.focal_plane import corner_radius, ifov_rad, stretch
+from pipeline.physics.positions.orbit_screen import screen_cone
+from pipeline.physics.positions.times import elapsed_s, parse_utc
+from pipeline.physics.vectors import separation
+from pipeline.plan.decision import Decision
+from pipeline.plan.geometry import camera_of, watch
+from pipeline.spec.body import Body, SphereBody
+from pipeline.spec.population import MOST_TOLD, Population, Screened
+from pipeline.spec.scene import MOST_TARGETS, Scene, Target
+
+if TYPE_CHECKING:
+    from sgp4.api import Satrec
+
+Array = NDArray[np.float64]
+Sizes = Mapping[int, tuple[float | None, float | None]]
+
+STEP_S, MOST_STEPS = 1.0, 100_000  # between looks at the pointing, to tell how fast it turns
+TURN_ROOM = 2.0  # times the change between looks
+LIGHT_S = 10.0  # the dwell is looked at from so long before on: light of targets up to 3e6 km
+
+
+@dataclass(frozen=True)
+class Look:
+    """Where the observer looks during the dwell, as a screen takes it.
+
+    half_angle_rad : the frame's corner and all beside the frame that may send light into it
+    turn_rad_s : the boresight's largest rate
+    """
+
+    scene: Scene
+    dut1_s: float
+    epoch: tuple[float, float]
+    dwell_s: float
+    half_angle_rad: float
+    turn_rad_s: float
+
+    def screen(self, satellites: list[Satrec]) -> Any:
+        """`screen_cone` of some satellites."""
+
+        def observer(at_s: Array) -> tuple[Array, Array]:
+            return watch(self.scene, at_s, self.dut1_s)[:2]
+
+        def boresight(at_s: Array) -> Array:
+            return watch(self.scene, at_s, self.dut1_s)[2]
+
+        return screen_cone(
+            satellites, self.epoch, self.dwell_s, observer, boresight, self.half_angle_rad,
+            self.turn_rad_s,
+        )  # fmt: skip
+
+
+def look_of(scene: Scene, halo_px: float, dut1_s: float) -> Look:
+    """The look of a scene; halo_px : how far off the frame a source may be and still be drawn.
+
+    The boresight's rate is that between looks STEP_S apart, plus TURN_ROOM times what it changes by
+    from one to the next.
+    """
+    e = scene.exposure
+    dwell_s = (e.frames - 1) * e.step_s + e.integration_s
+    count = int(np.clip(np.ceil(dwell_s / STEP_S), 8, MOST_STEPS)) + 1
+    axis = watch(scene, np.linspace(0.0, dwell_s, count), dut1_s)[2]
+    rate = separation(axis[:-1], axis[1:]) * (count - 1) / dwell_s
+    change = np.abs(np.diff(rate)).max(initial=0.0)
+    camera = camera_of(scene)
+    half = corner_radius(camera) + halo_px * stretch(camera) * ifov_rad(camera)
+    return Look(
+        scene, dut1_s, parse_utc(scene.epoch), dwell_s, min(half, np.pi),
+        float(rate.max() + TURN_ROOM * change),
+    )  # fmt: skip
+
+
+@dataclass
+class Sieve:
+    """What has been found in a population so far: a few numbers for each set, targets kept.
+
+    place : the population's in the scene, for messages
+    """
+
+    population: Population
+    look: Look
+    sizes: Sizes
+    place: str
+    read: int = 0
+    unreadable: int = 0
+    failed: Counter[int] = field(default_factory=Counter)
+    told: list[str] = field(default_factory=list)
+    numbers: list[NDArray[np.int64]] = field(default_factory=list)
+    ages_s: list[Array] = field(default_factory=list)
+    kept: list[tuple[int, int, float, Target]] = field(default_factory=list)
+
+    def take(self, sets: Iterable[Any]) -> None:
+        """Look at a batch of element sets (`pipeline.inputs.population_files.ElementSet`)."""
+        good = []
+        for one in sets:
+            self.read += 1
+            if one.orbit is None:
+                self.unreadable += 1
+                self._tell(f"{one.name or 'no name'}: {one.fault}")
+            else:
+                good.append(one)
+        if not good:
+            return
+        satellites = [one.satellite for one in good]
+        days = np.array([(s.jdsatepoch, s.jdsatepochF) for s in satellites])
+        age = np.abs(elapsed_s(self.look.epoch, days[:, 0], days[:, 1]))
+        number = np.array([one.number for one in good], np.int64)
+        found = self.look.screen(satellites)
+        for i, code in zip(found.failed, found.codes, strict=True):
+            self.failed[int(code)] += 1
+            self._tell(f"{_label(good[i])}: {_meaning(int(code))}")
+        usable = np.ones(len(good), bool)
+        usable[found.failed] = False
+        self.numbers.append(number[usable])
+        self.ages_s.append(age[usable])
+        for i in found.inside:
+            self.kept.append((int(number[i]), len(self.kept), float(age[i]), self._target(good[i])))
+        if len(self.kept) > MOST_TARGETS:
+            raise BadInput(
+                f"{self.place}.path", f"{len(self.kept)} objects that cross the field",
+                f"at most {MOST_TARGETS}: a smaller field, a shorter dwell, or a smaller file",
+            )  # fmt: skip
+
+    def _tell(self, text: str) -> None:
+        if len(self.told) < MOST_TOLD:
+            self.told.append(text[:400])
+
+    def _target(self, one: Any) -> Target:
+        return Target.model_construct(
+            name=f"{self.population.name}-{one.number}", orbit=one.orbit,
+            body=self._body(one.name, one.number), lighting=None, eclipse=self.population.eclipse,
+        )  # fmt: skip
+
+    def _body(self, name: str, number: int) -> Body:
+        """The default body, with the size that the table or else the first rule gives."""
+        body = self.population.body
+        if not isinstance(body, SphereBody):
+            return body
+        given: dict[str, Any] = {}
+        for rule in self.population.rules:
+            if rule.name_contains.lower() in name.lower():
+                given = {"diameter_m": rule.diameter_m, "albedo": rule.albedo}
+                break
+        diameter, albedo = self.sizes.get(number, (None, None))
+        given |= {} if diameter is None else {"diameter_m": diameter}
+        given |= {} if albedo is None else {"albedo": albedo}
+        return body.model_copy(update={k: v for k, v in given.items() if v is not None})
+
+    def close(self, digest: str) -> tuple[list[Target], Population]:
+        """The targets, and the population with what the screen found.
+
+        Of an object with several sets the one nearest to the scene's epoch counts, whether it comes
+        into the field or not. BadInput where no set of the file can be read.
+        """
+        if self.read == self.unreadable:
+            shown = self.told[0] if self.told else "nothing"
+            raise BadInput(f"{self.place}.path", shown, "element sets that can be read")
+        numbers = np.concatenate([np.zeros(0, np.int64), *self.numbers])
+        ages = np.concatenate([np.zeros(0), *self.ages_s])
+        order = np.lexsort((ages, numbers))
+        first = np.diff(numbers[order], prepend=-1) > 0
+        youngest = dict(zip(numbers[order][first], ages[order][first], strict=True))
+        chosen: dict[int, Target] = {}
+        for number, _, age, target in self.kept:
+            if number not in chosen and age <= youngest[number]:
+                chosen[number] = target
+        look = self.look
+        told = Screened(
+            digest=digest, read=self.read, kept=len(chosen), unreadable=self.unreadable,
+            superseded=len(numbers) - int(first.sum()), failed=tuple(sorted(self.failed.items())),
+            left_out=tuple(self.told), half_angle_deg=float(np.degrees(look.half_angle_rad)),
+            dwell_s=look.dwell_s,
+        )  # fmt: skip
+        return list(chosen.values()), self.population.model_copy(update={"screened": told})
+
+
+def _label(one: Any) -> str:
+    return f"{one.name} ({one.number})" if one.name else str(one.number)
+
+
+def _meaning(code: int) -> str:
+    from sgp4.api import SGP4_ERRORS  # only scenes with mean elements need it
+
+    told = SGP4_ERRORS.get(code, "the result is not finite")
+    return f"SGP4 code {code}: {told}"
+
+
+def with_members(scene: Scene, found: list[tuple[list[Target], Population]]) -> Scene:
+    """The scene with the populations' kept objects after its own targets. BadInput for names that
+    are taken, or too many targets."""
+    targets = [*scene.targets, *(t for members, _ in found for t in members)]
+    names = Counter(t.name for t in targets)
+    if len(names) < len(targets):
+        twice = names.most_common(1)[0][0]
+        raise BadInput("populations", twice, "names of targets and populations that do not clash")
+    if len(targets) > MOST_TARGETS:
+        raise BadInput("populations", f"{len(targets)} targets", f"at most {MOST_TARGETS} in all")
+    populations = tuple(population for _, population in found)
+    return scene.model_copy(update={"targets": tuple(targets), "populations": populations})
+
+
+def population_decisions(scene: Scene) -> list[Decision]:
+    """How many objects of each population are drawn, and why the others are not."""
+    out = []
+    for p in scene.populations:
+        s = p.screened
+        if s is None:
+            continue
+        parts = [
+            f"{s.kept} of {s.read} element sets come within {s.half_angle_deg:.4g} deg of the "
+            f"boresight (the frame's corner and all that sends light into it) during the "
+            f"{s.dwell_s:g} s of the dwell; for the others the screen proves that they do not"
+        ]
+        if s.superseded:
+            parts.append(f"{s.superseded} sets have a younger one of the same object")
+        parts += [f"{n} left out: {_meaning(code)}" for code, n in s.failed]
+        if s.unreadable:
+            parts.append(f"{s.unreadable} left out: not readable ({s.left_out[0]})")
+        out.append(Decision(f"populations.{p.name}", s.kept > 0, "; ".join(parts), 0.0, 0.0))
+    return out

@@ -1,0 +1,130 @@
+"""Where all targets are seen during some frames, and the light that they send: many together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.physics.positions.apparent import TargetSight, apparent_sun_m, target_apparent
+from pipeline.physics.positions.earth import EarthState
+from pipeline.physics.positions.focal_plane import Camera, project
+from pipeline.physics.positions.refraction import refract
+from pipeline.physics.positions.times import Instants
+from pipeline.plan.bodies import target_lights
+from pipeline.plan.body_attitudes import View, needs_velocity
+from pipeline.plan.orbits import Movers
+from pipeline.spec.mesh import MeshBody
+from pipeline.spec.scene import Scene
+
+Array = NDArray[np.float64]
+
+TOGETHER, SAMPLES = 1000, 200_000  # targets, and their moments, that are worked out in one go
+
+
+@dataclass(frozen=True)
+class Moments:
+    """The n moments at which targets are looked at, and who looks.
+
+    offset_s : (n,) after the scene's epoch (two-part UTC); times : the same instants
+    observer_m : (n, 3) geocentric GCRS; observer_m_s : (n, 3) barycentric
+    """
+
+    epoch: tuple[float, float]
+    offset_s: Array
+    times: Instants
+    earth: EarthState
+    observer_m: Array
+    observer_m_s: Array
+
+
+@dataclass(frozen=True)
+class TargetPaths:
+    """Of T targets at n moments (T, n): pixels, light over the Sun's at 1 au, phase [rad], sunlit
+    share, range [m]; direction (T, F, 3), proper, at mid-exposure of F frames; and of M meshes
+    pose (M, F, 4, 3), pose_s and turn_rad (M, F), as in `Geometry`."""
+
+    x_px: Array
+    y_px: Array
+    light: Array
+    phase_rad: Array
+    sunlit: Array
+    range_m: Array
+    direction: Array
+    pose: Array
+    pose_s: Array
+    turn_rad: Array
+
+
+def sights(scene: Scene, which: Sequence[int], at: Moments) -> tuple[TargetSight, View]:
+    """How the observer sees m of the targets at each moment, and what lights them: (m, n, ...)."""
+    targets = [scene.targets[i] for i in which]
+    movers = Movers(
+        [t.orbit for t in targets], [f"targets.{i}.orbit" for i in which], at.epoch, at.times
+    )
+    offsets = np.broadcast_to(at.offset_s, (len(targets), len(at.offset_s)))
+    seen = target_apparent(
+        lambda at_s: movers.states(at_s)[0], at.observer_m, at.observer_m_s, at.earth, offsets
+    )
+    at_s, place = offsets - seen.light_time_s, seen.target_geocentric_m
+    moves = [needs_velocity(t.body) for t in targets]
+    speed = movers.states(at_s)[1] if any(moves) else np.zeros_like(place)
+    sun = np.broadcast_to(apparent_sun_m(at.earth), place.shape)
+    return seen, View(at_s, place, speed, sun, np.broadcast_to(at.observer_m, place.shape))
+
+
+def target_paths(
+    scene: Scene,
+    camera: Camera,
+    attitude: Array,
+    at: Moments,
+    frames: int = 1,
+    air: Array | None = None,
+) -> TargetPaths:
+    """Paths and light of all targets, as observed through the air where there is any.
+
+    attitude : (n, 3, 3) observed; the moments are the nodes of `frames` exposures, one after
+    another; air : (n, 5) of `air_of`
+    """
+    count, moments = len(scene.targets), len(at.offset_s)
+    nodes = moments // frames
+    middles = np.arange(frames) * nodes + nodes // 2
+    six = np.zeros((6, count, moments))
+    direction = np.zeros((count, frames, 3))
+    poses: list[tuple[Array, Array, Array]] = []
+    by_row = np.moveaxis(attitude, 0, -1)  # (3, 3, n): rows of numbers, one for each moment
+    for which in _batches(count, moments):
+        seen, view = sights(scene, which, at)
+        some = slice(which[0], which[-1] + 1)
+        names = [f"targets.{i}.body" for i in which]
+        light = target_lights(
+            [scene.targets[i] for i in which], names, at.epoch, view, at.earth.sun_from_earth_m,
+            (at.times.tt1, at.times.tt2), seen.range_m,
+        )  # fmt: skip
+        observed = refract(seen.direction_proper, air)
+        six[:, some] = *project(camera, by_row, observed), *light, seen.range_m
+        direction[some] = observed[:, middles]
+        for k, i in enumerate(which):
+            body = scene.targets[i].body
+            if isinstance(body, MeshBody):
+                from pipeline.plan.meshes import mesh_poses  # only scenes with meshes need it
+
+                one = view.of(np.array([k]))
+                pose, turn = mesh_poses(body, at.epoch, one, attitude, names[k])
+                turn = turn.reshape(frames, nodes)
+                poses.append((pose[middles], one.time_s[0, middles], turn[:, -1] - turn[:, 0]))
+    x, y, bright, phase, lit, distance = six
+    if not poses:
+        poses_, pose_s, turned = np.zeros((0, frames, 4, 3)), *np.zeros((2, 0, frames))
+    else:
+        poses_, pose_s, turned = (np.stack(column) for column in zip(*poses, strict=True))
+    return TargetPaths(x, y, bright, phase, lit, distance, direction, poses_, pose_s, turned)
+
+
+def _batches(count: int, moments: int) -> Iterator[range]:
+    """Targets that are worked out together: so many that their arrays stay small."""
+    step = max(1, min(TOGETHER, SAMPLES // max(1, moments)))
+    for first in range(0, count, step):
+        yield range(first, min(first + step, count))

@@ -1,0 +1,308 @@
+"""The Python client: submit a scene to a server, wait for it, open or fetch its product."""
+
+from __future__ import annotations
+
+import os
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+
+from pipeline.errors import BadInput, NightglassError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+KEY_VARIABLE = "NIGHTGLASS_KEY"
+FINAL = ("COMPLETED", "ERROR", "ABORTED")
+LONG_POLL_S = 20.0
+AGAIN = (429, 503)  # worth another try
+Scene = Mapping[str, Any] | str | Path
+Listener = Callable[[dict[str, Any]], None]
+
+
+class ServiceError(NightglassError):
+    """The server refused or failed; `status` is its HTTP status, 0 where it did not answer."""
+
+    def __init__(self, message: str, status: int = 0) -> None:
+        self.status = status
+        super().__init__(message)
+
+
+class Refused(BadInput):
+    """The server does not accept what was sent; `mistakes` are its (field, value, allowed)."""
+
+    def __init__(self, mistakes: list[tuple[str, str, str]], status: int) -> None:
+        self.mistakes, self.status = mistakes, status
+        super().__init__(*mistakes[0])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.mistakes, self.status)
+
+    def __str__(self) -> str:
+        """Each mistake on a line; the values are as the server shows them."""
+        return "\n".join(f"{f}: {v} is not accepted; {_allowed(a)}" for f, v, a in self.mistakes)
+
+
+class JobFailed(NightglassError):
+    """A job ended as ERROR or ABORTED; `error` is what the server says of it."""
+
+    def __init__(self, message: str, error: dict[str, Any] | None) -> None:
+        self.error = error
+        super().__init__(message)
+
+
+class Client:
+    """A connection to a Nightglass server.
+
+    url : `http://127.0.0.1:8765`, `https://...`
+    key : the team's API key; default: the environment's NIGHTGLASS_KEY
+    patience_s : how long a server that does not answer, or is overloaded, is asked again
+    """
+
+    def __init__(self, url: str, key: str | None = None, *, patience_s: float = 60.0) -> None:
+        if not url.startswith(("http://", "https://")):
+            raise BadInput("--server", url, "an address like http://127.0.0.1:8765")
+        key = key if key is not None else os.environ.get(KEY_VARIABLE)
+        self.url, self.patience_s = url.rstrip("/"), patience_s
+        self.headers = {"Authorization": f"Bearer {key}"} if key else {}
+        timeout = httpx.Timeout(30.0, read=LONG_POLL_S + 40.0)
+        try:
+            self.http = httpx.Client(base_url=self.url, headers=self.headers, timeout=timeout)
+        except (httpx.InvalidURL, ValueError) as error:
+            raise BadInput("--server", url, f"an address; {error}") from None
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.http.close()
+
+    def submit(self, scene: Scene, idempotency_key: str | None = None) -> RemoteJob:
+        """Submit a scene: plain data, or the path of its YAML or JSON file.
+
+        With its Idempotency-Key (a new one by default) it becomes one job, however often the
+        connection breaks. Raises Refused with every field's message, ServiceError.
+        """
+        headers = {"Idempotency-Key": idempotency_key or str(uuid.uuid4())}
+        answer = self.ask("POST", "/v1/jobs", json=_data(scene), headers=headers)
+        return RemoteJob(self, answer.json())
+
+    def plan(self, scene: Scene) -> dict[str, Any]:
+        """What a scene needs and why, planned by the server; nothing is rendered."""
+        return self.ask("POST", "/v1/jobs", json=_data(scene), params={"dry_run": "1"}).json()
+
+    def job(self, job_id: str) -> RemoteJob:
+        """A job by its id."""
+        return RemoteJob(self, self.ask("GET", f"/v1/jobs/{_word(job_id)}").json())
+
+    def jobs(self, phase: str | None = None) -> Iterator[RemoteJob]:
+        """The team's jobs in order of submission, page by page."""
+        path = "/v1/jobs"
+        params = {"phase": phase} if phase else None
+        while path:
+            answer = self.ask("GET", path, params=params)
+            yield from (RemoteJob(self, facts) for facts in answer.json()["jobs"])
+            path, params = answer.links.get("next", {}).get("url", ""), None
+
+    def catalogues(self) -> list[dict[str, Any]]:
+        """The catalogues that a scene may name."""
+        return self.ask("GET", "/v1/catalogues").json()["catalogues"]
+
+    def ask(self, method: str, path: str, **request: Any) -> httpx.Response:
+        """One request, asked again while the server does not answer or is overloaded."""
+        deadline, pause_s = time.monotonic() + self.patience_s, 0.25
+        while True:
+            try:
+                answer = self.http.request(method, path, **request)
+                problem = None if answer.status_code in AGAIN else problem_of(answer)
+                if answer.status_code not in AGAIN:
+                    if problem is not None:
+                        raise problem
+                    return answer
+                problem = problem_of(answer)
+            except httpx.TransportError as error:
+                problem = ServiceError(f"{self.url} does not answer: {error}")
+            if time.monotonic() + pause_s > deadline:
+                assert problem is not None
+                raise problem
+            time.sleep(pause_s)
+            pause_s = min(5.0, 2 * pause_s)
+
+
+class RemoteJob:
+    """A job on a server; `facts` are what was last heard of it."""
+
+    def __init__(self, client: Client, facts: dict[str, Any]) -> None:
+        self.client, self.facts = client, facts
+        self.id: str = facts["id"]
+        self.path = f"/v1/jobs/{self.id}"
+
+    def __repr__(self) -> str:
+        return f"<job {self.id} {self.name!r}: {self.phase}>"
+
+    @property
+    def name(self) -> str:
+        return self.facts["name"]
+
+    @property
+    def phase(self) -> str:
+        """PENDING, QUEUED, EXECUTING, COMPLETED, ERROR or ABORTED, as last heard."""
+        return self.facts["phase"]
+
+    def refresh(self) -> RemoteJob:
+        """Ask the server how it is now."""
+        self.facts = self.client.ask("GET", self.path).json()
+        return self
+
+    def wait(
+        self, timeout_s: float | None = None, progress: bool | Listener = True
+    ) -> RemoteJob:
+        """Wait until the job has ended; a server that restarts meanwhile is waited for.
+
+        progress : a bar on stderr where that is a terminal; or a function called with the job's
+            facts at every change
+        Raises JobFailed for ERROR and ABORTED, TimeoutError after `timeout_s`, ServiceError.
+        """
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        shown = _bar(self.name) if progress is True else nullcontext(progress or None)
+        tag = ""
+        with shown as listen:
+            while True:
+                left = LONG_POLL_S if deadline is None else deadline - time.monotonic()
+                params = {"wait": f"{max(0.0, min(LONG_POLL_S, left)):.3f}"}
+                headers = {"If-None-Match": tag} if tag else {}
+                answer = self.client.ask("GET", self.path, params=params, headers=headers)
+                if answer.status_code == 200:
+                    self.facts, tag = answer.json(), answer.headers.get("etag", "")
+                    if listen is not None:
+                        listen(self.facts)
+                if self.phase in FINAL:
+                    break
+                if left <= 0:
+                    raise TimeoutError(f"job {self.id} is {self.phase} after {timeout_s:g} s")
+        if self.phase != "COMPLETED":
+            raise self._failure()
+        return self
+
+    def _failure(self) -> JobFailed:
+        error = self.facts.get("error")
+        told = error["message"] if error else "it was cancelled"
+        return JobFailed(f"job {self.id} ({self.name}) ended as {self.phase}: {told}", error)
+
+    def cancel(self) -> RemoteJob:
+        """Stop it; what it has drawn stays until it is deleted."""
+        self.facts = self.client.ask("POST", f"{self.path}/cancel").json()
+        return self
+
+    def delete(self) -> None:
+        """Stop it and remove it with all that it made."""
+        self.client.ask("DELETE", self.path)
+
+    def scene(self) -> dict[str, Any]:
+        """Its scene, defaults filled in."""
+        return self.client.ask("GET", f"{self.path}/scene").json()
+
+    def report(self) -> dict[str, Any]:
+        """The report of its product."""
+        return self.client.ask("GET", f"{self.path}/report").json()
+
+    def open(self, folder: Path | str | None = None) -> xr.Dataset:
+        """Its cube as an xarray Dataset.
+
+        Without `folder` chunks are read over HTTP when they are needed, each proved by its
+        checksum; with it the product is fetched there and verified first.
+        """
+        if folder is not None:
+            from pipeline.store.cube import open_cube
+
+            return open_cube(self.fetch(folder))
+        import xarray as xr
+
+        self._complete()
+        try:
+            import aiohttp  # noqa: F401
+        except ImportError:
+            raise BadInput("open", "no folder", "a folder to fetch the product into; or install "
+                           "`nightglass[remote]` to read it over HTTP") from None  # fmt: skip
+        address = f"{self.client.url}{self.path}/results/cube.zarr"
+        options = {"headers": self.client.headers} if self.client.headers else {}
+        return xr.open_zarr(address, storage_options=options, chunks=None)
+
+    def fetch(
+        self, folder: Path | str, parallel: int = 8, progress: bool | Listener = True
+    ) -> Path:
+        """Fetch its product into `folder`: files in parallel, what is there already gone on with,
+        all verified. Raises Damaged where a byte differs from what was rendered."""
+        from service.fetching import fetch_product
+
+        self._complete()
+        shown = _bar(f"fetching {self.name}", "MB") if progress is True else nullcontext(
+            progress or None
+        )  # fmt: skip
+        with shown as listen:
+            return fetch_product(self, Path(folder), parallel, listen)
+
+    def _complete(self) -> None:
+        if self.phase != "COMPLETED":
+            self.refresh()
+        if self.phase in ("ERROR", "ABORTED"):
+            raise self._failure()
+        if self.phase != "COMPLETED":
+            raise BadInput("job", self.id, f"a job that is COMPLETED; this one is {self.phase}")
+
+
+def problem_of(answer: httpx.Response) -> NightglassError | None:
+    """The error that an answer means, or None."""
+    if answer.status_code < 400:
+        return None
+    try:
+        answer.read()
+        body = answer.json()
+        detail = str(body.get("detail") or body.get("title"))
+        listed = body.get("errors") or []
+        found = [(_field(e["pointer"]), str(e["value"]), str(e["allowed"])) for e in listed]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        detail, found = f"status {answer.status_code} {answer.reason_phrase}", []
+    if found and answer.status_code < 500:
+        return Refused(found, answer.status_code)
+    return ServiceError(f"{answer.url.netloc.decode()}: {detail}", answer.status_code)
+
+
+def _field(pointer: str) -> str:
+    """`/sensor/shape` as `sensor.shape`."""
+    parts = pointer.removeprefix("/").split("/")
+    return ".".join(p.replace("~1", "/").replace("~0", "~") for p in parts) or "scene"
+
+
+def _allowed(text: str) -> str:
+    return text if text.startswith("allowed: ") else f"allowed: {text}"
+
+
+def _data(scene: Scene) -> Any:
+    """The scene as plain data; files are read here, so that the server never sees their path."""
+    if isinstance(scene, Mapping):
+        return dict(scene)
+    from pipeline.spec.load import MAX_BYTES, parse_text
+
+    path = Path(scene)
+    if not path.is_file() or path.stat().st_size > MAX_BYTES:
+        allowed = f"an existing scene file (YAML or JSON) of at most {MAX_BYTES} bytes"
+        raise BadInput("SCENE", str(path), allowed)
+    return parse_text(path.read_bytes(), str(path))
+
+
+def _word(job_id: str) -> str:
+    if not job_id.isalnum():
+        raise BadInput("JOB", job_id, "the id of a job, as `nightglass jobs list` shows it")
+    return job_id
+
+
+def _bar(name: str, unit: str = "") -> Any:
+    from service.client_bar import bar
+
+    return bar(name, unit)

@@ -1,0 +1,30 @@
+"""The client's progress bar: on stderr, where that is a terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+@contextmanager
+def bar(name: str, unit: str = "") -> Iterator[Callable[[dict[str, Any]], None] | None]:
+    """A listener for a job's facts (or bytes done and total, as MB) that shows them."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+               TextColumn(unit), TimeElapsedColumn())  # fmt: skip
+    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task(name, total=None)
+
+        def listen(facts: dict[str, Any]) -> None:
+            done, total = facts.get("tiles_done"), facts.get("tiles_total")
+            told = f"{name}: {facts['phase'].lower()}" if "phase" in facts else name
+            shown.update(task, description=told, completed=done or 0, total=total)
+
+        yield listen

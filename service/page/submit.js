@@ -1,0 +1,147 @@
+// Submit a scene: a form from the schema and the JSON itself, side by side; plan, then submit.
+
+import { json, send } from "./api.js";
+import { copier, el, fill, notice, number, seconds } from "./dom.js";
+import { SceneForm } from "./form.js";
+import { Schema } from "./schema.js";
+import { submitSnippets } from "./snippets.js";
+import { TEMPLATES } from "./templates.js";
+
+const DRAFT = "nightglass-draft";
+
+export async function submitView(main, begin) {
+  fill(main, el("p", { class: "quiet" }, "loading the schema…"));
+  const [root, known] = await Promise.all([
+    json("/v1/schema/scene"), json("/v1/catalogues").catch(() => ({ catalogues: [] }))]);
+  const names = known.catalogues.filter((c) => c.usable).map((c) => c.name);
+  const state = { scene: begin || draft() || Object.values(TEMPLATES)[0](names[0]) };
+  const text = el("textarea", { id: "json", spellcheck: "false", "aria-label": "the scene as JSON" });
+  const fault = el("p", { class: "mistake", role: "alert" });
+  const answer = el("div", { id: "answer", "aria-live": "polite" });
+  const form = new SceneForm(new Schema(root), names, () => { write(); fill(answer); });
+
+  const write = () => {
+    text.value = JSON.stringify(state.scene, null, 2);
+    fault.textContent = "";
+    sessionStorage.setItem(DRAFT, text.value);
+  };
+  const load = (scene) => {
+    state.scene = scene;
+    form.mistakes.clear();
+    form.show(scene);
+    write();
+    fill(answer);
+  };
+  text.addEventListener("input", () => {
+    try {
+      const scene = JSON.parse(text.value);
+      if (scene === null || typeof scene !== "object" || Array.isArray(scene)) throw new Error("a scene is an object {…}");
+      state.scene = scene;
+      form.mistakes.clear();
+      form.show(scene);
+      fault.textContent = "";
+      sessionStorage.setItem(DRAFT, text.value);
+    } catch (error) {
+      fault.textContent = `not JSON yet: ${error.message}`;
+    }
+  });
+
+  const refused = (error) => {
+    form.mark(error.errors || []);
+    fill(answer, el("div", { class: "card bad" }, el("strong", {}, error.message || "refused"),
+      el("ul", {}, (error.errors || []).map((e) =>
+        el("li", {}, el("code", {}, e.pointer || "scene"), ` is ${e.value}; ${e.allowed}`)))));
+  };
+  const busy = (button, work) => async () => {
+    if (fault.textContent) return notice("the text is not JSON");
+    button.disabled = true;
+    button.classList.add("busy");
+    try {
+      await work();
+    } catch (error) {
+      refused(error);
+    }
+    button.disabled = false;
+    button.classList.remove("busy");
+  };
+  const planner = el("button", { type: "button", id: "plan" }, "Plan");
+  planner.addEventListener("click", busy(planner, async () => {
+    fill(answer, el("p", { class: "quiet" }, "planning…"));
+    const plan = await send("/v1/jobs?dry_run=1", text.value);
+    fill(answer, planCard(plan));
+  }));
+  const sender = el("button", { type: "button", id: "submit", class: "strong" }, "Submit");
+  let again = crypto.randomUUID(); // a second press after a lost answer makes no second job
+  sender.addEventListener("click", busy(sender, async () => {
+    const job = await send("/v1/jobs", text.value, { "Idempotency-Key": again });
+    again = crypto.randomUUID();
+    location.hash = `#/job/${job.id}`;
+  }));
+  const starts = el("select", { "aria-label": "start from" },
+    el("option", { value: "" }, "start from…"),
+    Object.keys(TEMPLATES).map((name) => el("option", { value: name }, name)));
+  starts.addEventListener("change", () => {
+    if (starts.value) load(TEMPLATES[starts.value](names[0]));
+    starts.value = "";
+  });
+  const file = el("input", { type: "file", accept: ".json,application/json", class: "sr", id: "file" });
+  file.addEventListener("change", async () => {
+    if (!file.files.length) return;
+    text.value = await file.files[0].text();
+    text.dispatchEvent(new Event("input"));
+    file.value = "";
+  });
+
+  fill(main,
+    el("div", { class: "bar" }, el("h1", {}, "New scene"), starts,
+      el("label", { class: "button", for: "file" }, "Open JSON"), file,
+      el("span", { class: "spring" }), planner, sender),
+    el("div", { class: "split" },
+      el("section", { "aria-label": "form" }, form.node),
+      el("section", { class: "side", "aria-label": "JSON and answers" }, answer,
+        el("div", { class: "card" }, el("div", { class: "bar" }, el("h2", {}, "The scene as JSON"),
+          el("span", { class: "quiet" }, "edit or paste here"), el("span", { class: "spring" }),
+          copier(() => text.value, "the scene")), text, fault),
+        submitSnippets())));
+  load(state.scene);
+}
+
+function draft() {
+  try {
+    return JSON.parse(sessionStorage.getItem(DRAFT));
+  } catch {
+    return null;
+  }
+}
+
+// What a scene needs, and each decision with its bound.
+export function planCard(plan) {
+  const p = plan.predicted || {};
+  const facts = [
+    ["frames", `${plan.frames} of ${plan.shape.join(" × ")} px`],
+    ["field", `${plan.field_deg.map((v) => number(v, 3)).join(" × ")}°, ${number(plan.ifov_arcsec, 3)}″ a pixel`],
+    ["stars a frame", `about ${plan.stars_per_frame}`],
+    ["tiles", `${plan.tiles} of ${plan.tile_shape.join(" × ")} px`],
+    ["noise floor", `${number(plan.noise_floor_e, 3)} e⁻ (sky ${number(plan.background_e, 3)} e⁻)`],
+    ["predicted", `${seconds(p.cpu_s || 0)} of one core, ${number(p.worker_memory_mb, 3)} MB a worker, `
+      + `product ${number(p.product_mb, 3)} MB before compression`],
+  ];
+  return el("div", { class: "card", id: "planned" }, el("h2", {}, "Plan"),
+    el("dl", { class: "facts" }, facts.map(([k, v]) => [el("dt", {}, k), el("dd", {}, v)])),
+    decisions(plan.decisions), remarks(plan.remarks));
+}
+
+export function decisions(list = []) {
+  return el("details", {}, el("summary", {}, `${list.length} decisions, each with its bound`),
+    el("div", { class: "scroll" }, el("table", {},
+      el("thead", {}, el("tr", {}, ["component", "", "error at most", "reason"].map((h) => el("th", {}, h)))),
+      el("tbody", {}, list.map((d) => el("tr", {},
+        el("td", {}, String(d.component).replaceAll("_", " ")),
+        el("td", {}, el("span", { class: d.kept ? "chip on" : "chip" }, d.kept ? "in" : "left out")),
+        el("td", { class: "num" }, d.error_bound_e ? `${number(d.error_bound_e, 2)} e⁻` : "–"),
+        el("td", {}, d.reason)))))));
+}
+
+function remarks(list = []) {
+  return list.length ? el("ul", { class: "quiet" }, list.map((r) => el("li", {}, r))) : null;
+}

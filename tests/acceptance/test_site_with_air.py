@@ -1,0 +1,226 @@
+"""A site that looks through air: truth, pixels, WCS and an independent account agree."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from astropy.io import fits
+from astropy.wcs import WCS
+
+from catalog_tools.ingest import ingest
+from pipeline.errors import BadInput
+from pipeline.export.files import export_frames
+from pipeline.plan.geometry import plan_geometry
+from pipeline.run import plan_scene, prepare, render
+from pipeline.spec.load import parse_scene
+from pipeline.store.cube import open_cube
+
+SITE = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055}
+AIR = {
+    "extinction": {"mag_per_airmass": 0.3},
+    "refraction": {"pressure_hpa": 700, "temperature_c": 8, "humidity": 0.2, "wavelength_nm": 600},
+}
+SCENE = {
+    "schema": "nightglass/scene/1", "name": "air", "epoch": "2019-04-20T11:00:00Z", "seed": 4,
+    "observer": SITE | {"atmosphere": AIR},
+    "sensor": {
+        "shape": [512, 640], "pixel_pitch_um": 10.0, "focal_length_m": 0.3, "aperture_m": 0.1,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.3}, "read_noise_e": 5.0, "adc_bits": 24,
+    },
+    "pointing": {"mode": "sidereal", "boresight_ra_deg": 300.0, "boresight_dec_deg": 5.0,
+                 "roll_deg": 25.0},
+    "exposure": {"integration_s": 10.0},
+    "output": {"layers": ["dn", "stars_e"]},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory) -> str:
+    """Stars on a lattice, so that none disturbs another's centroid."""
+    folder = tmp_path_factory.mktemp("lattice")
+    n = np.arange(-12, 13) * 0.08
+    ra, dec = (g.ravel() for g in np.meshgrid(300.0 + n, 5.0 + n))
+    lines = ["source_id,ref_epoch,ra,dec,pmra,pmdec,phot_g_mean_mag"]
+    lines += [
+        f"{i + 1},2015.5,{a:.9f},{d:.9f},0,0,9.0"
+        for i, (a, d) in enumerate(zip(ra, dec, strict=True))
+    ]
+    (folder / "stars.csv").write_text("\n".join(lines) + "\n")
+    return str(ingest([folder / "stars.csv"], folder / "catalogue").catalogue.path)
+
+
+def scene_of(catalogue, **changes):
+    data = copy.deepcopy(SCENE) | changes
+    return parse_scene(data | {"stars": {"catalogue": catalogue}} if catalogue else data)
+
+
+def truth_of(product):
+    table = pq.read_table(product / "truth" / "stars.parquet")
+    return {name: np.asarray(table[name]) for name in table.column_names}
+
+
+def centroid(image, x, y):
+    x0, y0 = round(x), round(y)
+    part = image[y0 - 8 : y0 + 9, x0 - 8 : x0 + 9].astype(float)
+    rows, columns = np.mgrid[y0 - 8 : y0 + 9, x0 - 8 : x0 + 9]
+    return (part * columns).sum() / part.sum(), (part * rows).sum() / part.sum()
+
+
+def altaz(ra_deg, dec_deg, when, pressure_hpa):
+    """Elevations [deg] of catalogue places by astropy."""
+    from astropy import units as u
+    from astropy.coordinates import AltAz, EarthLocation, SkyCoord
+    from astropy.time import Time
+    from astropy.utils import iers
+
+    place = EarthLocation.from_geodetic(-156.3 * u.deg, 20.7 * u.deg, 3055 * u.m)
+    frame = AltAz(
+        obstime=Time(when, scale="utc"), location=place, pressure=pressure_hpa * u.hPa,
+        temperature=8 * u.deg_C, relative_humidity=0.2, obswl=0.6 * u.um,
+    )  # fmt: skip
+    with iers.conf.set_temp("auto_download", False):
+        return SkyCoord(ra_deg * u.deg, dec_deg * u.deg).transform_to(frame)
+
+
+def test_truth_pixels_and_wcs_agree(catalogue, tmp_path):
+    """Light where the truth says, the truth where the exported WCS has the catalogue's places."""
+    product = tmp_path / "run"
+    render(scene_of(catalogue), product)
+    truth, cube = truth_of(product), open_cube(product)
+    image = cube["stars_e"].values[0]
+    inside = (truth["x_px"] > 15) & (truth["x_px"] < 625)
+    inside &= (truth["y_px"] > 15) & (truth["y_px"] < 497)
+    assert inside.sum() > 100
+    for x, y in zip(truth["x_px"][inside], truth["y_px"][inside], strict=True):
+        assert centroid(image, x, y) == pytest.approx((x, y), abs=0.02)
+    (path,) = export_frames(product, "fits", tmp_path / "frame.fits", frame=0)
+    x, y = WCS(fits.getheader(path)).all_world2pix(truth["ra_deg"], truth["dec_deg"], 0)
+    np.testing.assert_allclose(x[inside], truth["x_px"][inside], atol=1e-3)
+    np.testing.assert_allclose(y[inside], truth["y_px"][inside], atol=1e-3)
+    centre = np.hypot(truth["x_px"] - 319.5, truth["y_px"] - 255.5).argmin()
+    assert truth["ra_deg"][centre] == pytest.approx(300.0, abs=1e-4)
+    # the names of places are those without air: the lattice's
+    assert (truth["ra_deg"] - 300.0) / 0.08 == pytest.approx(
+        np.round((truth["ra_deg"] - 300.0) / 0.08), abs=1e-3
+    )
+
+
+def test_elevations_against_astropy(catalogue, tmp_path):
+    """Refracted elevations of the drawn stars, and their extinction, star by star."""
+    product = tmp_path / "run"
+    scene = scene_of(catalogue)
+    render(scene, product)
+    truth = truth_of(product)
+    plan = prepare(scene).plan
+    g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
+    from pipeline.physics.positions.focal_plane import deproject
+
+    x, y = truth["x_px"], truth["y_px"]
+    observed = deproject(plan.camera, g.attitude[0, g.middle], x, y)
+    height = np.degrees(np.arcsin(observed @ g.air[0, g.middle, :3]))
+    seen = altaz(truth["ra_deg"], truth["dec_deg"], "2019-04-20T11:00:05", 700.0)
+    assert height.min() < 30.0
+    assert 3600.0 * np.abs(height - seen.alt.deg).max() < 0.5  # polar motion: 0.3 arcsec
+    dry = altaz(truth["ra_deg"], truth["dec_deg"], "2019-04-20T11:00:05", 0.0)
+    assert (seen.alt.deg - dry.alt.deg).max() * 3600.0 > 60.0
+    clear = scene_of(catalogue, observer=SITE | {"atmosphere": {"refraction": AIR["refraction"]}})
+    render(clear, tmp_path / "clear")
+    above = truth_of(tmp_path / "clear")
+    from pipeline.physics.sky.extinction import air_mass
+
+    expected = 10.0 ** (-0.4 * 0.3 * air_mass(np.sin(np.radians(height))))
+    np.testing.assert_allclose(truth["electrons"] / above["electrons"], expected, rtol=2e-5)
+    np.testing.assert_array_equal(truth["g_mag"], above["g_mag"])
+
+
+def test_a_tracked_target_stays_in_the_centre_and_fades(tmp_path):
+    """A rate track through air: the target at the centre, its light less the extinction."""
+    sphere = {"kind": "sphere", "diameter_m": 3.0, "albedo": 0.3}
+    state = {"kind": "state", "position_m": [-36.0e6, -21.9e6, 0.0],
+             "velocity_m_s": [1597.0, -2625.0, 0.0]}  # fmt: skip
+    target = {"name": "t", "orbit": state, "body": sphere}
+    changes = {"pointing": {"mode": "target", "target": "t"}, "targets": [target],
+               "output": {"layers": ["dn", "targets_e"]}}  # fmt: skip
+    electrons = []
+    for name, air in (("air", AIR), ("none", {"refraction": True})):
+        render(scene_of(None, **changes, observer=SITE | {"atmosphere": air}), tmp_path / name)
+        row = pq.read_table(tmp_path / name / "truth" / "targets.parquet").to_pylist()[0]
+        assert (row["x_px"], row["y_px"]) == pytest.approx((319.5, 255.5), abs=1e-5)
+        light = open_cube(tmp_path / name)["targets_e"].values[0]
+        assert light.sum() == pytest.approx(row["electrons"], rel=1e-3)
+        electrons.append(row["electrons"])
+    assert 0.4 < electrons[0] / electrons[1] < 0.76
+
+
+def test_the_horizon_is_refused():
+    low = {"mode": "sidereal", "boresight_ra_deg": 319.0, "boresight_dec_deg": 5.0}
+    for air, said in (({"refraction": True}, "3 degrees or more"),
+                      ({"extinction": True}, "0 degrees or more")):  # fmt: skip
+        pointing = dict(low, boresight_ra_deg=319.0 if "refraction" in air else 322.6)
+        data = copy.deepcopy(SCENE) | {"pointing": pointing}
+        data["observer"] = SITE | {"atmosphere": air}
+        with pytest.raises(BadInput, match=said):
+            plan_scene(parse_scene(data))
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        (("observer", "atmosphere", "extinction", "mag_per_airmass"), -0.1, "greater than or eq"),
+        (("observer", "atmosphere", "refraction", "humidity"), 1.5, "less than or equal"),
+        (("observer", "atmosphere", "refraction", "presure_hpa"), 700, "did you mean"),
+        (("observer", "atmosphere"), {}, "extinction, refraction or both"),
+        (("background",), {"moonlight": True}, "atmosphere.extinction"),
+        (("background",), {"airglow": {"solar_flux_sfu": 1000}}, "400"),
+    ],
+    ids=["negative", "humidity", "misspelt", "nothing", "moonlight", "activity"],
+)
+def test_mistakes(place, value, said):
+    data = copy.deepcopy(SCENE)
+    if place == ("background",) and "moonlight" in value:
+        del data["observer"]["atmosphere"]["extinction"]
+    holder = data
+    for part in place[:-1]:
+        holder = holder[part]
+    holder[place[-1]] = value
+    with pytest.raises(BadInput, match=said):
+        parse_scene(data)
+
+
+def test_light_of_the_air_needs_a_site():
+    data = copy.deepcopy(SCENE) | {
+        "observer": {"kind": "fixed", "position_au": [1, 0, 0]}, "background": {"airglow": True}
+    }
+    with pytest.raises(BadInput, match="kind ground"):
+        parse_scene(data)
+
+
+def test_daylight_is_refused():
+    data = copy.deepcopy(SCENE) | {"background": {"twilight": True}}
+    data["epoch"] = "2019-04-20T20:00:00Z"
+    data["pointing"] = {"mode": "sidereal", "boresight_ra_deg": 60.0, "boresight_dec_deg": 20.0}
+    with pytest.raises(BadInput, match=r"the Sun .* above the horizon"):
+        plan_scene(parse_scene(data))
+
+
+def test_parts_of_the_night_sky_add_up(tmp_path):
+    """Airglow, moonlight and zodiacal light: told in the plan, drawn in the frame."""
+    data = copy.deepcopy(SCENE) | {
+        "background": {"zodiacal": True, "airglow": True, "moonlight": True, "twilight": True},
+        "output": {"layers": ["dn", "background_e"]},
+    }
+    plan = plan_scene(parse_scene(data))
+    told = {d["component"]: d["reason"] for d in plan["decisions"]}
+    names = ("zodiacal", "airglow", "moonlight", "twilight")
+    spans = [
+        [float(v) for v in told[f"background.{n}"].split(" e-/s")[0].split(" to ")] for n in names
+    ]
+    render(parse_scene(data), tmp_path / "run")
+    image = open_cube(tmp_path / "run")["background_e"].values[0] / 10.0
+    low, high = np.sum(spans, axis=0)
+    assert 0.99 * low <= image.min() <= image.max() <= 1.01 * high
+    assert min(s[0] for s in spans[:3]) > 0.0

@@ -1,0 +1,82 @@
+"""The documentation builds without a warning, offline, and tells of every field and command."""
+
+from __future__ import annotations
+
+import logging
+import re
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The built site's folder; a warning fails the build, as `mkdocs build --strict` has it."""
+    pytest.importorskip("material")
+    pytest.importorskip("mkdocstrings_handlers.python")
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    warned = []
+
+    class Listener(logging.Handler):
+        def emit(self, record):
+            warned.append(record.getMessage())
+
+    listener = Listener(logging.WARNING)
+    logging.getLogger("mkdocs").addHandler(listener)
+    folder = tmp_path_factory.mktemp("site") / "site"
+    try:
+        build(load_config(str(ROOT / "mkdocs.yml"), site_dir=str(folder)))
+    finally:
+        logging.getLogger("mkdocs").removeHandler(listener)
+    assert not warned
+    return folder
+
+
+def _models(schema):
+    return {"Scene": schema} | schema["$defs"]
+
+
+def test_every_field_is_told_of(site):
+    from pipeline.spec.scene import Scene
+
+    page = unescape((site / "reference" / "scene.html").read_text())
+    for name, model in _models(Scene.model_json_schema(by_alias=True)).items():
+        section = page.split(f'id="{name.lower()}"', 1)[1].split("<h2", 1)[0]
+        for key in model.get("properties", {}):
+            assert f"<code>{key}</code>" in section, f"{name}.{key}"
+
+
+def test_every_command_is_told_of(site):
+    page = unescape((site / "reference" / "commands.html").read_text())
+    for name in ("render", "plan", "export", "import satsim", "report detection", "catalog ingest"):
+        assert f"nightglass {name}" in page
+    assert "--stars-snr" in page
+
+
+def test_python_reference_has_signatures(site):
+    page = (site / "reference" / "python.html").read_text()
+    for name in ("pipeline.run.render", "pipeline.store.cube.open_cube"):
+        assert f'id="{name}"' in page
+
+
+def test_site_needs_nothing_from_elsewhere(site):
+    """No page loads a script, style, font or picture from another host."""
+    pages = list(site.rglob("*.html"))
+    assert len(pages) > 15
+    loads = re.compile(r'(?:src|<link[^>]*href)="(?:https?:)?//([^"/]+)')
+    for page in pages:
+        text = re.sub(r'<link rel="canonical"[^>]*>', "", page.read_text())
+        assert not loads.findall(text), page.name
+
+
+def test_every_page_is_in_the_navigation(site):
+    start = (site / "index.html").read_text()
+    for page in site.rglob("*.html"):
+        name = page.relative_to(site).as_posix()
+        if name != "404.html":
+            assert f'href="{name}"' in start or name == "index.html", name

@@ -1,0 +1,166 @@
+"""The air's extinction and its own light against published values and formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.inputs.curves import named_filter, solar_spectrum
+from pipeline.inputs.night import gather_night
+from pipeline.inputs.reference import airglow as published
+from pipeline.physics.constants import ARCSEC2_SR, DEG_RAD
+from pipeline.physics.radiometry import ab_photon_rate, box, photon_integral
+from pipeline.physics.sky.extinction import air_mass, band_extinction, coefficients
+from pipeline.physics.sky.moon import irradiance_share, spectrum
+from pipeline.physics.sky.night import (
+    NightBand,
+    airglow,
+    airglow_pieces,
+    moonlight,
+    pieces_of,
+    twilight,
+)
+from pipeline.spec.background import Background
+
+SUN_W, SUN_E, *_ = solar_spectrum()
+PARANAL = (2635.0, 0.12, 1.3, 260.0)
+
+
+def test_air_mass_against_published_values():
+    """Kasten & Young's ends, and Pickering 2002 (DIO 12, 3) to 0.5% from 10 degrees on."""
+    assert air_mass(0.0) == pytest.approx(37.92, abs=0.01)
+    assert air_mass(1.0) == pytest.approx(0.9997, abs=1e-4)
+    h = np.linspace(10.0, 90.0, 33)
+    pickering = 1.0 / np.sin((h + 244.0 / (165.0 + 47.0 * h**1.1)) * DEG_RAD)
+    assert air_mass(np.sin(h * DEG_RAD)) == pytest.approx(pickering, rel=5e-3)
+    assert air_mass(-0.3) == air_mass(0.0)
+
+
+def test_coefficients_against_published_ones():
+    """Rayleigh at sea level in V as Schaefer 1998 has it; Paranal's mean curve (Patat et al. 2011,
+    A&A 527, A91) in B, V, R and I."""
+    assert coefficients(550e-9, 0.0, 0.1, 1.3, 300.0)[0] == pytest.approx(0.1066, abs=2e-4)
+    assert coefficients(550e-9, 0.0, 0.1, 1.3, 300.0)[2] == pytest.approx(0.031, abs=3e-3)
+    for nm, mag, tolerance in ((440, 0.22, 0.02), (550, 0.13, 0.02), (640, 0.09, 0.02),
+                               (790, 0.04, 0.015)):  # fmt: skip
+        assert sum(coefficients(nm * 1e-9, *PARANAL)) == pytest.approx(mag, abs=tolerance)
+
+
+@pytest.mark.parametrize("mass", [1.0, 3.0, 10.0])
+def test_band_against_direct_integration(mass):
+    """Pieces of the band against the spectrum dimmed wavelength by wavelength."""
+    response = box(400e-9, 900e-9)
+    extinction = band_extinction(SUN_W, SUN_E, response, PARANAL)
+    grid = np.union1d(np.linspace(400e-9, 900e-9, 20_001), SUN_W)
+    sun = np.interp(grid, SUN_W, SUN_E)
+    passed = 10.0 ** (-0.4 * mass * sum(coefficients(grid, *PARANAL)))
+    exact = photon_integral(grid, sun * passed, response) / photon_integral(grid, sun, response)
+    found = (10.0 ** (-0.4 * mass * extinction.mag)) @ extinction.share
+    assert found == pytest.approx(exact, rel=2e-4)
+
+
+def test_one_coefficient_is_exact_and_the_ground_hides():
+    extinction = band_extinction(SUN_W, SUN_E, box(500e-9, 600e-9), 0.17)
+    sine = np.array([1.0, 0.5, 1e-9, -1e-9])
+    expected = 10.0 ** (-0.4 * 0.17 * air_mass(sine))
+    assert extinction.transmission(sine)[:3] == pytest.approx(expected[:3], rel=1e-12)
+    assert extinction.transmission(sine)[3] == 0.0
+    assert extinction.transmission(sine[:1], 0.0) == pytest.approx(1.0)
+    assert extinction.colour_error_mag(0.1) == 0.0
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_lower_is_dimmer(a, b):
+    extinction = band_extinction(SUN_W, SUN_E, box(450e-9, 700e-9), PARANAL)
+    low, high = extinction.transmission(np.sort([a, b]))
+    assert 0.0 < low <= high <= 1.0
+
+
+def test_airglow_in_the_band(shared_data):
+    """Boxes against the model's full spectrum; airglow alone is somewhat fainter than V = 21.8."""
+    path = shared_data / "sky_spectra" / "eso_skycalc_airglow_130sfu.dat"
+    nm, photons = np.loadtxt(path).T
+    edges = np.array(published.EDGES_NM) * 1e-9
+    for response, tolerance in ((box(400e-9, 900e-9), 2e-3), (named_filter("bessell-V"), 0.05)):
+        found = airglow_pieces(edges, np.array(published.ZENITH), response, 1.0).sum()
+        ends = response.wavelength_m[[0, -1]] * 1e9
+        values = np.interp(nm * 1e-9, response.wavelength_m, response.value)
+        values[(nm < ends[0] - 1e-6) | (nm > ends[1] + 1e-6)] = 0.0
+        lit = values > 0.0
+        exact = np.trapezoid(photons[lit] * 1e6 * values[lit], nm[lit] * 1e-9) / ARCSEC2_SR
+        assert found == pytest.approx(exact, rel=tolerance)
+    v = named_filter("bessell-V")
+    light = airglow_pieces(edges, np.array(published.ZENITH), v, 1.0).sum() * ARCSEC2_SR
+    assert -2.5 * np.log10(light / ab_photon_rate(0.0, v)) == pytest.approx(22.2, abs=0.4)
+
+
+def test_airglow_brightens_towards_the_horizon():
+    """van Rhijn's factor at 60 degrees from the zenith, by hand; dimmed near the horizon."""
+    band = gather_night(Background.model_validate({"airglow": True}), box(500e-9, 600e-9))
+    sine = np.array([1.0, 0.5, 0.1])
+    clear = airglow(band, None, sine) / band.airglow.sum()
+    by_hand = 1.0 / np.sqrt(1.0 - (6371.0 / 6461.0 * np.sin(60.0 * DEG_RAD)) ** 2)
+    assert clear[:2] == pytest.approx([1.0, by_hand], rel=1e-12)
+    extinction = band_extinction(SUN_W, SUN_E, box(500e-9, 600e-9), PARANAL)
+    through = airglow(band, extinction, sine) / band.airglow.sum()
+    assert through[0] == pytest.approx(1.0, rel=1e-3)
+    assert 0.85 < through[1] / clear[1] < 1.0
+    assert through[2] < 0.75 * clear[2]
+
+
+def narrow(k):
+    """A band about 550 nm with one coefficient, and its Sun and Moon."""
+    response = box(545e-9, 555e-9)
+    extinction = band_extinction(SUN_W, SUN_E, response, k)
+    sun = pieces_of(SUN_W, SUN_E, response)
+    moon = pieces_of(SUN_W, spectrum(SUN_W, SUN_E), response)
+    return NightBand(np.zeros(len(sun)), sun, moon), extinction
+
+
+@pytest.mark.parametrize(
+    ("phase", "apart", "zenith", "moon_zenith"),
+    [(0.0, 30.0, 20.0, 40.0), (60.0, 90.0, 60.0, 50.0), (30.0, 5.0, 35.0, 40.0)],
+)
+def test_moonlight_is_the_published_formula(phase, apart, zenith, moon_zenith):
+    """Krisciunas & Schaefer 1991 in nanolamberts and V, their k = 0.172."""
+    k = 0.172
+    band, extinction = narrow(k)
+    mag = -12.73 + 0.026 * phase + 4e-9 * phase**4
+    mie = 10 ** (6.15 - apart / 40) if apart >= 10 else 6.2e7 / apart**2
+    f = 10**5.36 * (1.06 + np.cos(np.radians(apart)) ** 2) + mie
+    x, xm = ((1 - 0.96 * np.sin(np.radians(z)) ** 2) ** -0.5 for z in (zenith, moon_zenith))
+    bright = f * 10 ** (-0.4 * (mag + 16.57)) * 10 ** (-0.4 * k * xm) * (1 - 10 ** (-0.4 * k * x))
+    v = (20.7233 - np.log(bright / 34.08)) / 0.92104
+    share = irradiance_share(np.radians(phase), np.array(149_597_870_700.0), np.array(384.4e6))
+    found = moonlight(
+        band, extinction, np.cos(np.radians([zenith])), float(np.cos(np.radians(moon_zenith))),
+        np.radians([apart]), float(share),
+    )  # fmt: skip
+    sun_v = -26.76 - 2.5 * np.log10(found[0] * ARCSEC2_SR / band.sun.sum())
+    assert sun_v == pytest.approx(v, abs=0.02)
+    assert moonlight(band, extinction, np.array([1.0]), -0.01, np.array([1.0]), 1e-6)[0] == 0.0
+
+
+def test_twilight_fades_as_measured():
+    """Zenith in V from 5 to 14 degrees of depression: Patat et al. 2006 (A&A 455, 385), quadratic
+    fit; and a magnitude a degree."""
+    band, extinction = narrow(0.13)
+    depression = np.arange(5.0, 15.0)
+    seen = [
+        twilight(band, extinction, np.ones(1), -np.sin(d * DEG_RAD), np.array([(90 + d) * DEG_RAD]))
+        for d in depression
+    ]
+    v = -26.76 - 2.5 * np.log10(np.concatenate(seen) * ARCSEC2_SR / band.sun.sum())
+    x = depression - 5.0
+    assert np.abs(v - (11.84 + 1.411 * x - 0.041 * x**2)).max() < 1.6
+    assert np.diff(v) == pytest.approx(np.ones(9), abs=0.05)
+
+
+def test_twilight_is_brightest_above_the_sun():
+    band, extinction = narrow(0.2)
+    low = np.sin(20.0 * DEG_RAD) * np.ones(2)
+    apart = np.array([30.0, 150.0]) * DEG_RAD
+    near, far = twilight(band, extinction, low, -np.sin(8.0 * DEG_RAD), apart)
+    assert near == pytest.approx(5.0 * far, rel=1e-9)

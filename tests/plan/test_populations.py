@@ -1,0 +1,252 @@
+"""Populations: none that crosses the field is missed, every kind of file, faults told."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from sgp4 import exporter
+from sgp4.api import Satrec
+
+from benchmarks.targets import EPOCH, population
+from pipeline.errors import BadInput
+from pipeline.inputs import population_files
+from pipeline.inputs.populations import gather_populations
+from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.positions.times import instants, parse_utc
+from pipeline.plan.geometry import _attitudes, _followed, _observer, camera_of
+from pipeline.plan.target_paths import Moments, target_paths
+from pipeline.run import Options, plan_scene, prepare, render
+from pipeline.spec.load import load_scene, parse_scene
+from pipeline.spec.scene import Scene
+from pipeline.store.cube import open_cube
+
+COUNT = 1200
+BALL = {"kind": "sphere", "diameter_m": 2.0, "albedo": 0.2}
+SITE = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055}
+LOW = {"kind": "orbit", "orbit": {
+    "kind": "keplerian", "perigee_radius_m": 6.9e6, "eccentricity": 0.001, "inclination_deg": 60,
+    "true_anomaly_deg": 40.0}}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def lines() -> list[list[str]]:
+    """Two-line elements of many satellites, each after its name."""
+    out = []
+    for i, satellite in enumerate(population(COUNT, seed=5)):
+        satellite.classification, satellite.intldesg = "U", "00001A"
+        out.append([f"OBJECT {i} {'DEB' if i % 3 else 'R/B'}", *exporter.export_tle(satellite)])
+    return out
+
+
+@pytest.fixture(scope="module")
+def tle(lines: list[list[str]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("population") / "many.tle"
+    path.write_text("\n".join(line for three in lines for line in three) + "\n")
+    return path
+
+
+def scene(path: Path, **more: Any) -> Scene:
+    """A wide field over a site (or what is given), one population."""
+    extra = more.pop("population", {})
+    return parse_scene({
+        "schema": "nightglass/scene/1", "name": "crowd", "epoch": EPOCH, "observer": SITE,
+        "sensor": {
+            "shape": [256, 256], "pixel_pitch_um": 20.0, "focal_length_m": 0.008, "aperture_m": 0.1,
+            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+            "psf": {"kind": "gaussian", "sigma_px": 1.0}, "read_noise_e": 5.0,
+        },
+        "pointing": {"mode": "sidereal", "boresight_ra_deg": 95.0, "boresight_dec_deg": 20.0},
+        "exposure": {"integration_s": 5.0, "frames": 3, "cadence_s": 40.0},
+        "populations": [
+            {"name": "crowd", "path": str(path),
+             "body": BALL} | extra
+        ],
+    } | more)  # fmt: skip
+
+
+def kept(s: Scene) -> set[str]:
+    return {t.name for t in prepare(s).plan.scene.targets}
+
+
+POINTINGS: dict[str, dict[str, Any]] = {
+    "sidereal": {},
+    "rate": {"pointing": {
+        "mode": "rate", "boresight_ra_deg": 95.0, "boresight_dec_deg": 20.0,
+        "rate_ra_arcsec_s": 400.0, "rate_dec_arcsec_s": 200.0}},
+    "low orbit": {"observer": LOW, "pointing": {
+        "mode": "sidereal", "boresight_ra_deg": 60.0, "boresight_dec_deg": 70.0}},
+    "follows a low one": {
+        "pointing": {"mode": "target", "target": "t"},
+        "targets": [{
+            "name": "t", "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.5},
+            "orbit": {"kind": "state", "position_m": [1.5e5, 6.95e6, 2.6e6],
+                      "velocity_m_s": [-7.2e3, 0.2e3, 1.9e3]},
+        }],
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("pointing", POINTINGS)
+def test_none_is_missed(pointing: str, tle: Path) -> None:
+    """Against every satellite of the file followed in steps of a second."""
+    s = scene(tle, **POINTINGS[pointing])
+    found = kept(s)
+    every = []
+    for batch in population_files.element_sets(tle, "path"):
+        every += [
+            {"name": f"crowd-{one.number}", "orbit": one.orbit.model_dump(), "body": BALL}
+            for one in batch
+        ]
+    named = [t.model_dump() for t in s.targets]
+    whole = parse_scene(s.as_dict() | {"populations": [], "targets": [*named, *every]})
+    epoch, offsets = parse_utc(s.epoch), np.arange(0.0, 85.01, 1.0)
+    times = instants(epoch, offsets)
+    earth = earth_and_sun(times.tt1, times.tt2)
+    place, speed = _observer(whole, epoch, offsets, times, earth)
+    at = Moments(epoch, offsets, times, earth, place, speed)
+    sun = earth.position_m + earth.sun_from_earth_m
+    attitude = _attitudes(
+        whole, offsets, earth.position_m + place, speed, sun, _followed(whole, at)
+    )
+    paths = target_paths(whole, camera_of(whole), attitude, at)
+    with np.errstate(invalid="ignore"):
+        inside = (np.abs(paths.x_px - 127.5) <= 128.0) & (np.abs(paths.y_px - 127.5) <= 128.0)
+    crossing = {t.name for t, hit in zip(whole.targets, inside.any(axis=1), strict=True) if hit}
+    assert crossing <= found
+    assert len(crossing) >= 2
+    assert len(found) < 3 * len(crossing) + 8  # a circle, and its margin, about a square
+
+
+def test_truth_lists_them_and_the_product_needs_no_file(
+    lines: list[list[str]], tmp_path: Path
+) -> None:
+    file = tmp_path / "few.tle"
+    file.write_text("\n".join(line for three in lines[:400] for line in three))
+    s = scene(file)
+    render(s, tmp_path / "a", Options("synchronous"))
+    truth = pq.read_table(tmp_path / "a" / "truth" / "targets.parquet").to_pydict()
+    assert set(truth["name"]) == kept(s)
+    assert np.sum(truth["in_frame"]) > 0
+    file.unlink()
+    again = load_scene(tmp_path / "a" / "scene.yaml")
+    assert again.populations[0].screened is not None
+    render(again, tmp_path / "b", Options("threads", 2))
+    first, second = (open_cube(tmp_path / name)["dn"].values for name in "ab")
+    assert np.array_equal(first, second)
+
+
+def test_same_whatever_the_batches(tle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = prepare(scene(tle)).plan.scene
+    monkeypatch.setattr(population_files, "BATCH", 97)
+    assert prepare(scene(tle)).plan.scene == whole
+
+
+def test_against_other_kinds_of_file(lines: list[list[str]], tle: Path, tmp_path: Path) -> None:
+    """OMM as JSON, CSV and KVN, and lines without names, keep what the lines with names keep."""
+    sets = [exporter.export_omm(Satrec.twoline2rv(a, b), name) for name, a, b in lines]
+    (tmp_path / "a.json").write_text(json.dumps(sets, indent=1))
+    with (tmp_path / "b.csv").open("w", newline="") as stream:
+        table = csv.DictWriter(stream, list(sets[0]))
+        table.writeheader()
+        table.writerows(sets)
+    (tmp_path / "c.kvn").write_text(
+        "".join("CCSDS_OMM_VERS = 2.0\n" + "".join(f"{k} = {v}\n" for k, v in s.items())
+                for s in sets))  # fmt: skip
+    (tmp_path / "d.txt").write_text("\r\n".join(x for _, a, b in lines for x in (a, b)))
+    wanted = kept(scene(tle))
+    for name in ("a.json", "b.csv", "c.kvn", "d.txt"):
+        assert kept(scene(tmp_path / name)) == wanted, name
+
+
+def test_sizes_by_rule_and_table(tle: Path, tmp_path: Path) -> None:
+    names = sorted(kept(scene(tle)))
+    number = int(names[0].rpartition("-")[2])
+    table = tmp_path / "sizes.csv"
+    table.write_text(f"norad_id,diameter_m,albedo\n{number},7.5,\n999999,1,0.1\n")
+    rules = [{"name_contains": "r/b", "diameter_m": 5.0, "albedo": 0.6},
+             {"name_contains": "DEB", "diameter_m": 0.1}]  # fmt: skip
+    more = {"population": {"rules": rules, "sizes": str(table)}}
+    made = {t.name: t.body for t in prepare(scene(tle, **more)).plan.scene.targets}
+    for name, body in made.items():
+        one: Any = body
+        rocket = int(name.rpartition("-")[2]) % 3 == 0
+        assert one.albedo == (0.6 if rocket else 0.2)
+        assert one.diameter_m == (7.5 if name == names[0] else 5.0 if rocket else 0.1)
+
+
+def test_left_out_ones_are_told(lines: list[list[str]], tmp_path: Path) -> None:
+    """Decayed elements with SGP4's code, malformed lines with what is wrong, older sets counted."""
+    a = "1 99999U 98067A   19090.12345678  .00001000  00000-0  99999-1 0  999"
+    b = "2 99999  51.6400 100.0000 0002000  80.0000 280.0000 16.7000000016600"
+    a, b = (x + str(sum(int(c) if c.isdigit() else c == "-" for c in x) % 10) for x in (a, b))
+    text = [x for three in lines for x in three] + ["FALLEN", a, b, "TORN", lines[0][1][:50]]
+    text += [lines[1][0], lines[1][1][:-1] + "x", lines[1][2]]  # a wrong checksum
+    text += lines[2]  # once more: as old as the other, so that it counts once
+    file = tmp_path / "odd.tle"
+    file.write_text("\n".join(text))
+    s = prepare(scene(file)).plan.scene
+    told = s.populations[0].screened
+    assert told is not None
+    assert (told.read, told.unreadable, told.superseded) == (COUNT + 4, 2, 1)
+    assert sum(n for _, n in told.failed) == 1
+    assert any("FALLEN (99999): SGP4 code" in line for line in told.left_out)
+    assert any("without its other line" in line for line in told.left_out)
+    assert any("checksum" in line for line in told.left_out)
+    reasons = [d["reason"] for d in plan_scene(scene(file))["decisions"]
+               if d["component"] == "populations.crowd"]  # fmt: skip
+    assert f"{told.kept} of {COUNT + 4} element sets come within" in reasons[0]
+    assert "1 left out: SGP4 code" in reasons[0]
+
+
+BAD_FILES: dict[str, tuple[bytes, str]] = {
+    "empty": (b"", "not empty"),
+    "zip": (b"PK\x03\x04rest", "not an archive"),
+    "gzip": (b"\x1f\x8brest", "not an archive"),
+    "text": (b"hello\nworld\n", "two-line elements, or OMM"),
+    "binary": (b"1 \xff\xfe\xfd" * 30, "UTF-8"),
+    "json without elements": (b'[{"OBJECT_NAME": "X"}]', "can be read"),
+    "broken json": (b'[{"OBJECT_NAME": "X"', "whole OMMs"),
+    "long line": (b"1 " + b"x" * 100_000, "under 4096"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_files(name: str, tmp_path: Path) -> None:
+    content, allowed = BAD_FILES[name]
+    (tmp_path / "x").write_bytes(content)
+    with pytest.raises(BadInput, match=allowed):
+        prepare(scene(tmp_path / "x"))
+
+
+@pytest.mark.parametrize(
+    ("text", "allowed"),
+    [("", "columns norad_id"), ("norad_id\n1\n", "columns norad_id"),
+     ("norad_id,diameter_m\n1,-2\n", "line 2"), ("norad_id,diameter_m\n1,nan\n", "line 2"),
+     ("norad_id,albedo\n1,0.1\n1,0.2\n", "once"), ("norad_id,albedo\n1.5,0.1\n", "whole number")],
+    ids=["empty", "columns", "negative", "nan", "twice", "number"],
+)  # fmt: skip
+def test_bad_sizes(text: str, allowed: str, tle: Path, tmp_path: Path) -> None:
+    (tmp_path / "sizes.csv").write_text(text)
+    with pytest.raises(BadInput, match=allowed):
+        prepare(scene(tle, population={"sizes": str(tmp_path / "sizes.csv")}))
+
+
+def test_names_must_not_clash(tle: Path) -> None:
+    twice = scene(tle).as_dict()["populations"] * 2
+    with pytest.raises(BadInput, match="do not clash"):
+        prepare(scene(tle, populations=twice))
+    with pytest.raises(BadInput, match="sphere"):
+        scene(tle, population={
+            "body": {"kind": "cube", "edge_m": 1, "albedo": 0.1},
+            "rules": [{"name_contains": "X", "diameter_m": 1}]})  # fmt: skip
+
+
+def test_a_screened_population_is_not_read_again(tle: Path) -> None:
+    s = prepare(scene(tle)).plan.scene
+    assert gather_populations(s, 10.0, 0.0) is s

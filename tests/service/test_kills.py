@@ -1,0 +1,166 @@
+"""kill -9 of workers, dispatcher, API, all at once: nothing acknowledged lost, no bit differs."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+import pytest
+
+from pipeline.run import render
+from pipeline.spec.load import parse_scene
+from pipeline.store.product import check
+
+RIGHT_STATE_S = 15.0
+FINAL = ("COMPLETED", "ERROR", "ABORTED")
+
+
+class Group:
+    """Two processes on one data folder: one leads, both take jobs; they are killed and replaced."""
+
+    def __init__(self, make_server: Callable[..., Any], database: str | None) -> None:
+        more = {"NIGHTGLASS_DATABASE": database} if database else {}
+        self.first = make_server(**more)
+        self.second = make_server(self.first.home, **more)
+        self.home: Path = self.first.home
+
+    @property
+    def servers(self) -> list[Any]:
+        return [self.first, self.second]
+
+    def leader(self) -> Any:
+        """The process that runs jobs (None while nobody does)."""
+        for server in self.servers:
+            if "nightglass_leads 1.0" in server.client.get("/metrics").text:
+                return server
+        return None
+
+    def workers(self) -> list[psutil.Process]:
+        found = []
+        for server in self.servers:
+            found += psutil.Process(server.process.pid).children()
+        return found
+
+    def kill(self, what: str) -> None:
+        """kill -9 of one thing, or of everything; what was a server is started again."""
+        if what == "worker":
+            for worker in self.workers():
+                worker.kill()
+            return
+        leader = self.leader() or self.first
+        others = [server for server in self.servers if server is not leader]
+        dying = {"dispatcher": [leader], "api": others, "group": self.servers}[what]
+        if what == "group":
+            for worker in self.workers():
+                worker.kill()
+        for server in dying:
+            server.kill()
+        for server in dying:
+            server.start()
+
+
+def markers(home: Path) -> dict[Path, int]:
+    """Every finished tile of every product, and when its marker was written."""
+    return {p: p.stat().st_mtime_ns for p in home.glob("products/*/markers/f*.json")}
+
+
+def chaos(group: Group, scene: dict[str, Any], kills: int, seed: int, tmp_path: Path) -> None:
+    """Submit, kill, submit, kill...; then everything must come to its right end."""
+    dice = random.Random(seed)
+    scenes = [scene | {"seed": seed} for seed in range(max(2, kills // 8))]
+    jobs: dict[int, str] = {}
+    waiting = list(range(len(scenes)))
+    seen: dict[Path, int] = {}
+
+    def submit(which: int) -> None:
+        answer = group.second.client.post(
+            "/v1/jobs", json=scenes[which], headers={"idempotency-key": f"job-{which}"}
+        )
+        assert answer.status_code in (200, 202), answer.text
+        assert jobs.setdefault(which, answer.json()["id"]) == answer.json()["id"]
+
+    submit(waiting.pop(0))
+    kinds = ["worker", "dispatcher", "api", "group"]
+    for i in range(kills):
+        if waiting:
+            submit(waiting.pop(0))
+        before = len(markers(group.home))
+        deadline = time.monotonic() + 300
+        while len(markers(group.home)) <= before and not all_done(group, jobs):
+            assert time.monotonic() < deadline, group.first.logged()[-3000:]
+            time.sleep(0.02)
+        time.sleep(dice.uniform(0.0, 0.4))
+        seen |= {path: at for path, at in markers(group.home).items() if path not in seen}
+        group.kill(kinds[i] if i < len(kinds) else dice.choice(kinds))
+        right_state(group, jobs)
+    for which in waiting:
+        submit(which)
+    deadline = time.monotonic() + 120 + 2 * kills
+    while not all_done(group, jobs):
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    again = [p for p, at in markers(group.home).items() if p in seen and at != seen[p]]
+    assert again == [], "tiles that were finished before a kill were drawn again"
+    for which, job_id in jobs.items():
+        job = group.first.client.get(f"/v1/jobs/{job_id}").json()
+        assert (job["phase"], job["error"]) == ("COMPLETED", None), job
+        product = group.home / "products" / job_id
+        assert check(product).whole
+        alone = render(parse_scene(scenes[which]), tmp_path / f"alone{which}")
+        assert job["content_digest"] == alone["content_digest"]
+
+
+def right_state(group: Group, jobs: dict[int, str]) -> None:
+    """Within 15 s of a kill: all jobs are there, one process leads, and what can run runs."""
+    deadline = time.monotonic() + RIGHT_STATE_S
+    while True:
+        found = [group.first.client.get(f"/v1/jobs/{job_id}") for job_id in jobs.values()]
+        assert all(answer.status_code == 200 for answer in found)
+        phases = [answer.json()["phase"] for answer in found]
+        assert not {"ERROR", "ABORTED", "PENDING"} & set(phases), found[0].text
+        busy = "EXECUTING" in phases and group.workers()
+        if group.leader() is not None and (busy or set(phases) <= {"COMPLETED"}):
+            return
+        assert time.monotonic() < deadline, phases
+        time.sleep(0.05)
+
+
+def all_done(group: Group, jobs: dict[int, str]) -> bool:
+    for job_id in jobs.values():
+        try:
+            phase = group.first.client.get(f"/v1/jobs/{job_id}").json()["phase"]
+        except httpx.TransportError:
+            return False
+        if phase not in FINAL:
+            return False
+    return True
+
+
+@pytest.fixture
+def long_scene(scene: dict[str, Any]) -> dict[str, Any]:
+    """Some seconds of work in many tiles."""
+    scene["name"] = "long"
+    scene["sensor"]["shape"] = [640, 640]
+    scene["exposure"]["frames"] = 24
+    return scene
+
+
+def test_five_kills(
+    make_server: Callable[..., Any], long_scene: dict[str, Any], tmp_path: Path
+) -> None:
+    chaos(Group(make_server, None), long_scene, 5, 1, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_fifty_kills(
+    make_server: Callable[..., Any], long_scene: dict[str, Any], tmp_path: Path, kind: str,
+    request: pytest.FixtureRequest,
+) -> None:  # fmt: skip
+    database = request.getfixturevalue("postgres").database() if kind != "sqlite" else None
+    chaos(Group(make_server, database), long_scene, 50, 2, tmp_path)

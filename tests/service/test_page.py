@@ -1,0 +1,234 @@
+"""The web page in headless Chromium: submit, watch, look, compare coordinates; and its files."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from catalog_tools.synthetic import make_demo
+
+STRETCHED = "document.querySelector('[aria-label=\"low cut\"]')?.value"
+KEEP = os.environ.get("NIGHTGLASS_SCREENSHOTS")  # a folder for the pictures of docs/
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
+                None)  # fmt: skip
+    if path is None:
+        pytest.skip("no Chromium here (Debian: apt-get install chromium)")
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with sync_api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+class Page:
+    """A page that notes every fault: of scripts, of the policy, of answers."""
+
+    def __init__(self, browser: Any, url: str, **options: Any) -> None:
+        self.url, self.faults = url, []  # type: ignore[var-annotated]
+        context = browser.new_context(viewport={"width": 1440, "height": 900}, **options)
+        self.tab = context.new_page()
+        self.tab.set_default_timeout(60_000)
+        self.tab.on("pageerror", lambda e: self.faults.append(f"script: {e}"))
+        self.tab.on("console", self._said)
+
+    def _said(self, message: Any) -> None:
+        if message.type == "error":
+            self.faults.append(message.text)
+
+    def open(self, where: str = "") -> Any:
+        self.tab.goto(f"{self.url}/{where}")
+        return self.tab
+
+    def picture(self, name: str) -> None:
+        if KEEP:
+            self.tab.screenshot(path=Path(KEEP) / f"{name}.png")
+
+
+@pytest.fixture
+def page(chromium: Any, server: Any) -> Iterator[Page]:
+    page = Page(chromium, server.url, color_scheme="dark")
+    yield page
+    page.tab.context.close()
+    assert page.faults == []
+
+
+@pytest.fixture(scope="module")
+def field(server: Any) -> str:
+    """The path of a completed job with stars and a target, of four tiles."""
+    folder = server.home / "catalogues" / "field"
+    make_demo(folder, faintest_g_mag=5.0, deep_fields=[(276.0, -3.2, 0.6, 14.0)])
+    from tests.service.conftest import SCENE
+
+    scene = json.loads(json.dumps(SCENE))
+    scene |= {"name": "field", "epoch": "2019-07-20T09:00:00Z"}
+    scene["sensor"] |= {"shape": [512, 512], "pixel_pitch_um": 27.0}
+    scene["stars"] = {"catalogue": "field"}
+    scene["pointing"] = {"mode": "sidereal", "boresight_ra_deg": 276.0, "boresight_dec_deg": -3.2,
+                         "roll_deg": 20.0}  # fmt: skip
+    scene["output"] = {"tile_shape": [256, 256], "layers": ["dn", "mean_e"]}
+    job = server.submit(scene)
+    done = server.ended(job)
+    assert done["phase"] == "COMPLETED", done
+    return job
+
+
+def test_submit_by_the_form_and_see_it_drawn(page: Page, server: Any) -> None:
+    tab = page.open("#/new")
+    tab.wait_for_selector("#submit")
+    tab.locator("select[aria-label='start from']").select_option(index=1)
+    tab.fill("[data-path='/name'] input", "by-hand")
+    for i in (0, 1):
+        tab.locator("[data-path='/sensor/shape'] input").nth(i).fill("256")
+    for section in ("/stars", "/background"):  # there is one of stars where a catalogue is
+        if tab.locator(f"[data-path='{section}']").count():
+            tab.locator(f"[data-path='{section}'] .remove").first.click()
+    written = json.loads(tab.input_value("#json"))
+    assert (written["name"], written["sensor"]["shape"]) == ("by-hand", [256, 256])
+    assert "background" not in written
+    tab.click("#plan")
+    tab.wait_for_selector("#planned")
+    assert "3 of 256 × 256 px" in tab.inner_text("#planned")
+    page.picture("page-new")
+    tab.click("#submit")
+    tab.wait_for_selector(".phase.COMPLETED >> nth=0")
+    tab.wait_for_selector("[data-target='geo-1']")
+    assert "3 of 3 tiles" in tab.inner_text(".jobhead")
+    assert "by-hand" in tab.inner_text("#queue")
+    [job] = [j for j in server.client.get("/v1/queue").json()["jobs"] if j["name"] == "by-hand"]
+    assert job["id"] in tab.url
+    assert "by-hand" in tab.title() or tab.title() == "Nightglass"
+
+
+def test_pasted_json_and_mistakes_beside_their_fields(
+    page: Page, scene: dict[str, Any]
+) -> None:
+    tab = page.open("#/new")
+    tab.wait_for_selector("#submit")
+    tab.fill("#json", "{")
+    assert "not JSON" in tab.inner_text("#main")
+    scene["name"] = "pasted"
+    scene["sensor"]["aperture_m"] = -1
+    tab.fill("#json", json.dumps(scene))
+    assert tab.input_value("[data-path='/name'] input") == "pasted"
+    tab.click("#plan")
+    tab.wait_for_selector("[data-path='/sensor/aperture_m'].wrong")
+    assert "/sensor/aperture_m" in tab.inner_text("#answer")
+    tab.fill("[data-path='/sensor/aperture_m'] input", "0.5")
+    assert json.loads(tab.input_value("#json"))["sensor"]["aperture_m"] == 0.5
+    page.faults[:] = [f for f in page.faults if "422" not in f]  # the refusal itself
+
+
+def test_coordinates_values_truth_and_stretch(page: Page, server: Any, field: str) -> None:
+    from astropy.io import fits
+    from astropy.wcs import WCS
+
+    tab = page.open(f"#/job/{field.rpartition('/')[2]}")
+    tab.wait_for_selector(".columns")
+    tab.wait_for_function(STRETCHED)
+    image = fits.open(BytesIO(server.client.get(f"{field}/frames/0/fits").content))
+    wcs, values = WCS(image[0].header), image[0].data
+    box = tab.locator("canvas.sky").bounding_box()
+    side = min(box["width"], box["height"]) / 512
+    for x, y in ((100.0, 400.0), (480.0, 20.0)):
+        left = box["x"] + box["width"] / 2 + (x - 255.5) * side
+        top = box["y"] + box["height"] / 2 - (y - 255.5) * side
+        tab.mouse.move(left, top)
+        told = tab.locator("#radec")
+        at = [float(v) for v in tab.inner_text(".readout span >> nth=0").split()[1::2]]
+        assert at == pytest.approx([x, y], abs=1.0)
+        shown = [float(told.get_attribute(f"data-{n}")) for n in ("ra", "dec")]
+        # the pixel is shown rounded to 0.01 px: 0.0003 arcsec more than that
+        assert shown == pytest.approx([float(v) for v in wcs.all_pix2world(*at, 0)], abs=2e-5)
+        value = float(tab.inner_text(".readout span >> nth=1").split()[0])
+        assert value == values[round(at[1]), round(at[0])]
+    before = tab.locator("canvas.sky").screenshot()
+    tab.check("#show-stars")
+    with_stars = tab.locator("canvas.sky").screenshot()
+    assert with_stars != before
+    tab.keyboard.press("Escape")
+    tab.locator("canvas.sky").focus()
+    for key in ("s", "i", "+", "t", "ArrowLeft", "0", ".", "l"):
+        tab.keyboard.press(key)
+    assert tab.input_value("select[aria-label='stretch']") == "linear"
+    assert "2 of 2" in tab.inner_text(".panel")
+    page.picture("page-keys")
+    tab.locator("select[aria-label='layer']").select_option("mean_e")
+    tab.wait_for_function(STRETCHED)
+
+
+def test_curl_on_the_page_fetches_the_product(page: Page, server: Any, field: str) -> None:
+    tab = page.open(f"#/job/{field.rpartition('/')[2]}")
+    tab.wait_for_selector(".snippets pre")
+    text = tab.inner_text(".snippets pre")
+    assert f"{server.url}{field}/product.tar" in text
+    with tab.expect_download() as begun:
+        tab.click("summary.button")
+        tab.get_by_text("this frame, FITS").click()
+    assert Path(begun.value.path()).read_bytes().startswith(b"SIMPLE")
+
+
+def test_the_policy_lets_nothing_else_in(server: Any) -> None:
+    front = server.client.get("/")
+    policy = front.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert "script-src 'self'" in policy
+    assert "http" not in policy
+    for name in ("app.js", "style.css", "icon.svg"):
+        answer = server.client.get(f"/page/{name}")
+        assert answer.status_code == 200
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        tag = {"if-none-match": answer.headers["etag"]}
+        assert server.client.get(f"/page/{name}", headers=tag).status_code == 304
+    for name in ("../app.py", "..%2fapp.py", "none.js", "%2e%2e%2fmain.py"):
+        assert server.client.get(f"/page/{name}").status_code == 404
+    for text in ("<script>", "onclick=", "style=", "https://"):
+        assert text not in front.text
+
+
+def test_tiles_pictures_truth(server: Any, field: str) -> None:
+    about = server.client.get(f"{field}/frames").json()
+    assert (about["frames"], about["shape"], about["tile_shape"]) == (2, [512, 512], [256, 256])
+    frame = server.client.get(f"{field}/frames/1").json()
+    assert frame["drawn"] == [[0, 0], [0, 1], [1, 0], [1, 1]]
+    assert frame["times"]["start"] < frame["times"]["end"]
+    whole, size = server.client.get(f"{field}/frames/1/tiles/1/0"), (256, 256)
+    assert (whole.headers["x-shape"], whole.headers["x-type"]) == ("256,256", "<u2")
+    values = np.frombuffer(whole.content, "<u2").reshape(size)
+    binned = server.client.get(f"{field}/frames/1/tiles/1/0?bin=5")
+    got = np.frombuffer(binned.content, "<f4").reshape(52, 52)
+    block = values[5:10, 250:255].astype(float)
+    assert got[1, 50] == pytest.approx(0.5 * (block.mean() + block.max()), rel=1e-6)
+    assert got[51, 51] == values[255, 255]
+    from PIL import Image
+
+    png = server.client.get(f"{field}/frames/1/tiles/1/0/picture.png?low=0&high=65535"
+                            "&stretch=linear")  # fmt: skip
+    grey = np.asarray(Image.open(BytesIO(png.content)))[::-1]
+    assert np.array_equal(grey, (255.0 * (values / 65535.0) + 0.5).astype(np.uint8))
+    truth = server.client.get(f"{field}/frames/1/truth?limit=3").json()
+    light = [star["electrons"] for star in truth["stars"]]
+    assert len(light) == 3 < truth["stars_in_frame"]
+    assert light == sorted(light, reverse=True)
+    for path, status in (
+        ("frames/2", 404), ("frames/0/tiles/2/0", 404), ("frames/0/tiles/0/0?layer=odd", 404),
+        ("frames/0/tiles/0/0?bin=0", 422), ("frames/x", 422),
+        ("frames/0/tiles/0/0/picture.png?low=5&high=1", 422),
+        ("frames/0/tiles/0/0/picture.png?low=nan&high=1", 422), ("frames/9/truth", 404),
+        ("frames/0/fits?layer=odd", 404),
+    ):  # fmt: skip
+        answer = server.client.get(f"{field}/{path}")
+        assert answer.status_code == status, (path, answer.text)
+    assert server.client.get("/v1/jobs/none/frames").status_code == 404

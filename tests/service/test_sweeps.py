@@ -1,0 +1,73 @@
+"""Sweeps over REST: taken, run and fetched like jobs; no axis names a file or grows a point."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pipeline.sweep.run", reason="the runner of sweeps is not there")
+
+
+@pytest.fixture
+def sweep(scene: dict[str, Any]) -> dict[str, Any]:
+    """Four points of the small scene."""
+    return {
+        "schema": "nightglass/sweep/1",
+        "name": "four",
+        "scene": scene,
+        "axes": [{"field": "sensor.read_noise_e", "values": [1.0, 2.0, 4.0, 8.0]}],
+    }
+
+
+def test_a_sweep_is_a_job(server: Any, sweep: dict[str, Any]) -> None:
+    import pyarrow.parquet as pq
+
+    key = {"idempotency-key": "sweep"}
+    made = server.client.post("/v1/sweeps", json=sweep, headers=key)
+    assert made.status_code == 202, made.text
+    assert server.client.post("/v1/sweeps", json=sweep, headers=key).status_code == 200
+    job = made.headers["location"]
+    done = server.ended(job)
+    assert (done["phase"], done["kind"], done["tiles_done"]) == ("COMPLETED", "sweep", 4), done
+    files = {f["path"]: f["href"] for f in server.client.get(f"{job}/results").json()["files"]}
+    table = pq.read_table(io.BytesIO(server.client.get(files["points.parquet"]).content))
+    assert table.num_rows == 4
+    assert server.client.get(f"{job}/report").json()["points"] == 4
+    assert server.client.get(f"{job}/preview.png").status_code == 404
+    assert not list((server.home / "products").glob("*.sweep.json"))
+
+
+BAD: dict[str, list[dict[str, Any]]] = {
+    "a file": [{"field": "sensor.flat", "values": ["/etc/passwd", "x.npy"]}],
+    "a file inside": [{"field": "sensor.bandpass", "values": [{"kind": "table", "path": "/x"}]}],
+    "a URL": [{"field": "sensor.quantum_efficiency", "values": ["http://127.0.0.1/x"]}],
+    "in a table": [{"kind": "table", "fields": ["sensor.flat", "seed"], "rows": [["/etc/x", 1]]}],
+    "size": [{"field": "sensor.shape", "values": [[9999, 9999]]}],
+    "size inside": [{"field": "sensor", "values": [{}]}],
+    "frames": [{"field": "exposure.frames", "values": [10**6]}],
+    "catalogue": [{"field": "stars", "values": [{"catalogue": "/etc"}]}],
+    "targets": [{"field": "targets", "values": [[]]}],
+    "target": [{"field": "targets.0.body.path", "values": ["/etc/passwd"]}],
+    "points": [{"kind": "range", "field": f"x{i}", "start": 0, "stop": 1, "count": 9999}
+               for i in range(3)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("axes", BAD.values(), ids=BAD.keys())
+def test_axes_that_are_refused(server: Any, sweep: dict[str, Any], axes: Any) -> None:
+    answer = server.client.post("/v1/sweeps", json=sweep | {"axes": axes})
+    assert answer.status_code == 422, answer.text
+    assert json.loads(answer.text)["errors"]
+
+
+def test_base_scenes_that_are_refused(server: Any, sweep: dict[str, Any]) -> None:
+    for base in ("scene.yaml", "/etc/passwd", {}, None):
+        assert server.client.post("/v1/sweeps", json=sweep | {"scene": base}).status_code == 422
+    wrong = copy.deepcopy(sweep)
+    wrong["scene"]["sensor"]["flat"] = "/etc/passwd"
+    assert server.client.post("/v1/sweeps", json=wrong).status_code == 422
+    assert server.client.post("/v1/sweeps", json=sweep["scene"]).status_code == 422
