@@ -129,6 +129,24 @@ class Geometry:
         return Geometry(**values)
 
 
+class Refined(Geometry):
+    """A geometry of which some frames have more nodes; all share first, middle and last node.
+
+    finer : by the frame's place among the frames, its geometry of one frame
+    """
+
+    finer: dict[int, Geometry]
+
+    @classmethod
+    def of(cls, g: Geometry, finer: dict[int, Geometry]) -> Refined:
+        made = cls(**{f.name: getattr(g, f.name) for f in fields(g)})
+        object.__setattr__(made, "finer", finer)
+        return made
+
+    def frame_slice(self, index: int) -> Geometry:
+        return self.finer[index] if index in self.finer else super().frame_slice(index)
+
+
 @dataclass(frozen=True)
 class SensorMaps:
     """Each term a number or a (rows, columns) image; units as in the scene's keys.

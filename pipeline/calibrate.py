@@ -16,6 +16,7 @@ from pipeline.export.picture import frame_picture, png_bytes
 from pipeline.inputs.sensor import gather_sensor_maps
 from pipeline.physics.noise.calibration import calibrated_e
 from pipeline.plan.tiles import cut_up
+from pipeline.plan.timing import frame_count, integration_s
 from pipeline.spec.load import parse_scene, parse_yaml
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
@@ -60,7 +61,7 @@ def _write(
 ) -> dict[str, Any]:
     writer = begin_copy(output, product, (LAYER,), scene)
     masked = [
-        _write_frame(product, writer, scene, maps, frame) for frame in range(scene.exposure.frames)
+        _write_frame(product, writer, scene, maps, frame) for frame in range(frame_count(scene))
     ]
     layers = {str(n) for n in cube.data_vars if cube[n].dims == ("frame", "y", "x")}
     coordinates = {
@@ -86,7 +87,8 @@ def _write_frame(
     dn, masked = read_layer(product, "dn", frame), 0
     for tile in cut_up(scene.sensor.shape, tiles_of(product)):
         part = dn[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
-        values = calibrated_e(part, tile_chain(scene, maps, tile)).astype(np.float32)
+        chain = tile_chain(scene, maps, tile, integration_s(scene, frame))
+        values = calibrated_e(part, chain).astype(np.float32)
         masked += int(np.isnan(values).sum())
         writer.write(frame, tile, {LAYER: values})
     return masked

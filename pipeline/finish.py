@@ -17,6 +17,7 @@ from pipeline.export.picture import write_preview
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan
+from pipeline.plan.timing import dwell_of, dwell_plans, frame_times, integration_range_s
 from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
 from pipeline.store.clock import UNITS, utc_microseconds
@@ -90,6 +91,8 @@ FRAME_COLUMNS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
     "time_start": (("frame",), {"long_name": "UTC at the start of the exposure"} | _TIME),
     "time_mid": (("frame",), {"long_name": "UTC at the middle of the exposure"} | _TIME),
     "time_end": (("frame",), {"long_name": "UTC at the end of the exposure"} | _TIME),
+    "integration_s": (("frame",), {"long_name": "integration time", "units": "s"}),
+    "dwell": (("frame",), {"long_name": "which dwell a frame belongs to, from 0"}),
     "wcs_crval_deg": (
         ("frame", "world"), {"long_name": "ICRS place of the reference pixel", "units": "degree"}
     ),
@@ -120,7 +123,7 @@ def _frame_columns(plan: Plan, frames: np.ndarray) -> dict[str, np.ndarray]:
         name: utc_microseconds(g.utc1[:, k], g.utc2[:, k])
         for name, k in (("time_start", 0), ("time_mid", g.middle), ("time_end", -1))
     }
-    return times | {
+    return times | _dwell_columns(plan, frames) | {
         "wcs_crval_deg": np.array([f.crval_deg for f in fits]),
         "wcs_crpix_px": np.array([f.crpix for f in fits]),
         "wcs_cd_deg": np.array([f.cd_deg for f in fits]),
@@ -129,6 +132,16 @@ def _frame_columns(plan: Plan, frames: np.ndarray) -> dict[str, np.ndarray]:
         "wcs_sip_b": np.array([_padded(f, f.sip_b, size) for f in fits]),
         "wcs_residual_px": np.array([f.residual_px for f in fits]),
         "attitude": g.attitude[:, g.middle],
+    }
+
+
+def _dwell_columns(plan: Plan, frames: np.ndarray) -> dict[str, np.ndarray]:
+    """Integration times and dwell numbers of a scene with dwells."""
+    if plan.scene.dwells is None:
+        return {}
+    return {
+        "integration_s": frame_times(plan.scene, frames)[1],
+        "dwell": dwell_of(dwell_plans(plan.scene), frames).astype(np.int32),
     }
 
 
@@ -155,7 +168,7 @@ def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
         "scene": scene_yaml(plan.scene),
         "seed": plan.scene.seed,
         "ifov_rad": plan.facts.ifov_rad,
-        "integration_s": plan.scene.exposure.integration_s,
+        "integration_s": integration_range_s(plan.scene)[1],
         "catalogue": main.get("name"),
         "catalogue_digest": main.get("digest"),
         "synthetic_stars": any(c["synthetic"] for c in catalogues),

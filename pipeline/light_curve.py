@@ -24,6 +24,7 @@ from pipeline.plan.bodies import target_lights
 from pipeline.plan.body_albedos import with_band_albedos
 from pipeline.plan.geometry import _observer
 from pipeline.plan.target_paths import Moments, sights
+from pipeline.plan.timing import end_s
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
@@ -73,9 +74,8 @@ def light_curve(
     if name not in names:
         known = ", ".join(names[:10]) or "(the scene has no target)"
         raise BadInput("--target", name, f"the name of a target: {known}")
-    exposure = scene.exposure
     if stop_s is None:
-        stop_s = (exposure.frames - 1) * exposure.step_s + exposure.integration_s
+        stop_s = end_s(scene)
     if not (math.isfinite(start_s) and math.isfinite(stop_s) and stop_s > start_s):
         raise BadInput("--stop", stop_s, f"a time after the start, {start_s:g} s")
     if not 2 <= points <= MOST_POINTS:

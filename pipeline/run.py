@@ -29,6 +29,7 @@ from pipeline.inputs.distortion import gather_distortion
 from pipeline.inputs.earth_orientation import gather_dut1_s
 from pipeline.inputs.ephemerides import gather_ephemerides
 from pipeline.inputs.folders import cache_folder
+from pipeline.inputs.pointing_tables import gather_pointing
 from pipeline.inputs.psf_tables import gather_psf_table
 from pipeline.inputs.sensor import gather_sensor_maps
 from pipeline.inputs.stars import Catalogue, Shard, cones_of, gather_shards, rows_bright_enough
@@ -48,6 +49,7 @@ from pipeline.plan.geometry import (
 )
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
 from pipeline.plan.target_decisions import mesh_notices
+from pipeline.plan.timing import integration_range_s
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
@@ -103,7 +105,7 @@ class Prepared:
 
 def resolve(scene: Scene) -> Scene:
     """The scene with what its files of orbits and distortion say, and albedos over the band."""
-    scene = _banded(gather_ephemerides(gather_distortion(scene)))
+    scene = _banded(gather_pointing(gather_ephemerides(gather_distortion(scene))))
     if any(target.body.kind == "mesh" for target in scene.targets):
         from pipeline.inputs.meshes import gather_meshes  # an optional extra: trimesh
 
@@ -219,7 +221,7 @@ def _cosmic_rays(scene: Scene) -> CosmicRays | None:
         return None
     from pipeline.inputs.cosmic_rays import gather_cosmic_rays
 
-    return gather_cosmic_rays(scene.cosmic_rays, scene.sensor, scene.exposure.integration_s)
+    return gather_cosmic_rays(scene.cosmic_rays, scene.sensor, integration_range_s(scene)[1])
 
 
 def gather_response(scene: Scene) -> tuple[ResponseCurve, str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from pipeline.plan.timing import frame_count
 from pipeline.spec.load import parse_scene, path_holders
 from pipeline.spec.scene import Scene
 from service.catalogues import catalogue_mistakes
@@ -59,8 +60,9 @@ def _uploaded(value: str, has_file: HasFile | None) -> bool:
 
 def _size_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
     rows, columns = scene.sensor.shape
-    pixel_frames = rows * columns * scene.exposure.frames
+    pixel_frames = rows * columns * frame_count(scene)
     if pixel_frames <= settings.pixel_frames:
         return []
     allowed = f"frames x pixels of at most {settings.pixel_frames} (asked: {pixel_frames})"
-    return [("exposure.frames", scene.exposure.frames, allowed)]
+    field = "exposure.frames" if scene.dwells is None else "dwells"
+    return [(field, frame_count(scene), allowed)]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import BadInput
+from pipeline.plan.timing import frame_count
 from pipeline.spec.load import path_holders
 from service.problems import NotAllowed
 from service.scenes import HasFile, accept_scene
@@ -17,7 +18,10 @@ from service.uploads import engine_scene
 
 RUNNER, MODELS = "pipeline.sweep.run", "pipeline.spec.sweep_load"
 # What would change how large the points are, or what they read: every point is as the base scene.
-FIXED = ("sensor.shape", "exposure.frames", "targets", "populations", "stars.catalogue", "output")
+FIXED = (
+    "sensor.shape", "exposure.frames", "dwells", "targets", "populations", "stars.catalogue",
+    "output",
+)  # fmt: skip
 
 
 def can_run() -> bool:
@@ -46,7 +50,7 @@ def accept_sweep(
     for i, axis in enumerate(data["axes"]):
         _check_axis(i, axis)
     rows, columns = base.sensor.shape
-    each = rows * columns * base.exposure.frames
+    each = rows * columns * frame_count(base)
     if parsed.points > settings.sweep_points:
         allowed = f"at most {settings.sweep_points} points"
         raise NotAllowed(f"axes: {allowed}", (("axes", parsed.points, allowed),))

@@ -14,8 +14,8 @@ from pipeline.spec.scene import Scene
 NONE = Detector()
 
 
-def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile) -> Chain:
-    """The noise chain with the tile's part of each image."""
+def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float) -> Chain:
+    """The noise chain of an exposure with the tile's part of each image."""
     part = np.s_[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
     s = scene.sensor
     d = s.detector or NONE
@@ -25,7 +25,7 @@ def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile) -> Chain:
 
     return Chain(
         flat=cut(maps.flat),
-        dark_e=cut(maps.dark_e_per_s) * scene.exposure.integration_s,
+        dark_e=cut(maps.dark_e_per_s) * integration_s,
         full_well_e=s.full_well_e,
         read_noise_e=cut(maps.read_noise_e),
         gain_e_per_dn=cut(maps.gain_e_per_dn),
@@ -60,7 +60,7 @@ def stream_place(scene: Scene, tile: Tile, frame: int) -> StreamPlace:
     )  # fmt: skip
 
 
-def with_smear(scene: Scene, light_e: Array) -> Array:
+def with_smear(scene: Scene, light_e: Array, integration_s: float) -> Array:
     """Light of a tile's whole columns with what frame transfer adds; as it is without."""
     readout = (scene.sensor.detector or NONE).readout
     if not isinstance(readout, FrameTransfer):
@@ -68,7 +68,7 @@ def with_smear(scene: Scene, light_e: Array) -> Array:
     from pipeline.physics.noise.transfer import smear_e
 
     return light_e + smear_e(
-        light_e, scene.exposure.integration_s, readout.transfer_s,
+        light_e, integration_s, readout.transfer_s,
         readout.towards == "high_rows", readout.cleared,
     )  # fmt: skip
 

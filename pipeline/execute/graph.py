@@ -254,12 +254,15 @@ def target_truth_task(inputs: Inputs, g: Geometry) -> int:
 
 def ray_truth_task(inputs: Inputs, g: Geometry) -> int:
     """Task: the cosmic rays' truth of one frame; returns the rows."""
-    from pipeline.physics.cosmic_rays.frame import no_truth, truth_columns
+    from pipeline.physics.cosmic_rays.frame import exposed_for, no_truth, truth_columns
 
     frame = int(g.frame[0])
     columns = (
         no_truth() if inputs.rays is None
-        else truth_columns(inputs.rays, inputs.plan.scene.seed, frame)
+        else truth_columns(
+            exposed_for(inputs.rays, inputs.plan.integration_s(frame)),
+            inputs.plan.scene.seed, frame,
+        )
     )  # fmt: skip
     return _write_truth(inputs, "cosmic_rays", g, columns)
 

@@ -68,7 +68,7 @@ def place_stars(
     near = distance_px(x, y, *frame) < plan.halo_px + excursion_px(plan, g)
     ra, dec = to_angles(astrometric[near])
     kept = select(stars, near)
-    light = kept.rate_e_s * plan.scene.exposure.integration_s
+    light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
     if plan.extinction is not None:
         light = light * star_transmission(plan.extinction, g, observed[near])
     return FrameStars(
@@ -130,23 +130,40 @@ def zone_of(plan: Plan, x_px: Array, y_px: Array) -> np.ndarray:
 def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[FrameTarget]:
     """Targets that are in front of the camera and lit, with their light [e-] along their path.
 
+    One that is behind the camera for a part of the exposure sends light in the rest of it alone.
     everywhere : also those whose light does not reach the frame
     """
-    electrons = plan.sun_rate_e_s_m2 * plan.facts.area_m2 * plan.scene.exposure.integration_s
+    electrons = plan.sun_rate_e_s_m2 * plan.facts.area_m2 * plan.integration_s(int(g.frame[0]))
     out = []
     for i in range(len(plan.scene.targets)) if everywhere else _reaching(plan, g):
         x, y, light = g.target_x_px[i, 0], g.target_y_px[i, 0], g.target_light[i, 0]
-        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        seen = np.isfinite(x) & np.isfinite(y)
+        if not seen.any():
             continue
         if plan.extinction is not None:
             light = light * path_transmission(plan.extinction, plan.camera, g, x, y)
         share = 0.5 * (light[:-1] + light[1:]) / (g.nodes - 1)
+        share = np.where(seen[:-1] & seen[1:], share, 0.0)
+        nearest = _nearest(seen)
+        x, y = x[nearest], y[nearest]
         total = float(share.sum())
         x0, y0 = float(x[g.middle]), float(y[g.middle])
         weight = share / total if total > 0 else np.full(g.nodes - 1, 1.0 / (g.nodes - 1))
         path = path_through(x - x0, y - y0, weight, MERGE_TOLERANCE_PX)
         out.append(_seen(plan, g, FrameTarget(i, x0, y0, path, total * electrons)))
     return out
+
+
+def _nearest(seen: np.ndarray) -> np.ndarray:
+    """Of each node (K,) the nearest one that is seen: itself where it is."""
+    index = np.flatnonzero(seen)
+    if len(index) == len(seen):
+        return index
+    after = np.clip(np.searchsorted(index, np.arange(len(seen))), 0, len(index) - 1)
+    before = np.maximum(after - 1, 0)
+    k = np.arange(len(seen))
+    nearer = np.abs(index[before] - k) < np.abs(index[after] - k)
+    return np.where(nearer, index[before], index[after])
 
 
 def _reaching(plan: Plan, g: Geometry) -> list[int]:
@@ -156,8 +173,10 @@ def _reaching(plan: Plan, g: Geometry) -> list[int]:
     with np.errstate(invalid="ignore", divide="ignore"):
         radius = size / (g.target_range_m[:, 0].min(axis=-1) * plan.facts.ifov_rad)
         margin = plan.halo_px + plan.responses.reach_core_px + radius
-        inside = (x.max(axis=-1) > -margin) & (x.min(axis=-1) < plan.camera.columns + margin)
-        inside &= (y.max(axis=-1) > -margin) & (y.min(axis=-1) < plan.camera.rows + margin)
+        low_x, high_x = np.fmin.reduce(x, axis=-1), np.fmax.reduce(x, axis=-1)  # NaN: behind
+        low_y, high_y = np.fmin.reduce(y, axis=-1), np.fmax.reduce(y, axis=-1)
+        inside = (high_x > -margin) & (low_x < plan.camera.columns + margin)
+        inside &= (high_y > -margin) & (low_y < plan.camera.rows + margin)
     return [int(i) for i in np.flatnonzero(inside)]
 
 

@@ -49,9 +49,10 @@ def render_tile(
     in it. before : `charge_of_tile` of the frames before, where charge stays behind.
     light_e : what `tile_light` gave for this tile, where that is known already.
     """
-    chain = tile_chain(plan.scene, maps, tile)
+    exposed_s = plan.integration_s(int(g.frame[0]))
+    chain = tile_chain(plan.scene, maps, tile, exposed_s)
     light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
-    layers, own = _mean(plan, tile, chain, light, blocks)
+    layers, own = _mean(plan, tile, chain, light, blocks, exposed_s)
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
     if drawn is not None:
         layers["cosmic_rays_e"] = drawn
@@ -85,22 +86,28 @@ def charge_of_tile(
     light_e: dict[str, Array] | None = None,
 ) -> Array:
     """What the pixels of a tile collect in one frame [e-]: of it a share is left for the next."""
-    chain = tile_chain(plan.scene, maps, tile)
+    exposed_s = plan.integration_s(int(g.frame[0]))
+    chain = tile_chain(plan.scene, maps, tile, exposed_s)
     light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
-    _, mean = _mean(plan, tile, chain, light, blocks)
+    _, mean = _mean(plan, tile, chain, light, blocks, exposed_s)
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
     return collected_e(plan.scene, mean, drawn)
 
 
 def _mean(
-    plan: Plan, tile: Tile, chain: Chain, light: dict[str, Array], blocks: list[Block]
+    plan: Plan,
+    tile: Tile,
+    chain: Chain,
+    light: dict[str, Array],
+    blocks: list[Block],
+    exposed_s: float,
 ) -> tuple[dict[str, Array], Array]:
     """The noise-free layers of a tile, and their sum: the mean of what its pixels collect."""
     shape = (tile.rows, tile.columns)
     layers: dict[str, Array] = {
         name: np.broadcast_to(image * chain.flat, shape) for name, image in light.items()
     }
-    layers = {name: with_smear(plan.scene, layer) for name, layer in layers.items()}
+    layers = {name: with_smear(plan.scene, layer, exposed_s) for name, layer in layers.items()}
     if np.any(chain.dark_e):
         layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
     mean = np.zeros(shape)
@@ -127,23 +134,26 @@ def tile_light(
         light["targets_e"] = draw_targets(plan, g, tile, blocks)
     if "sky" not in which:
         return light
+    frame = int(g.frame[0])
     if plan.sky is not None:
         from pipeline.plan.sky import sky_tile
 
-        light_e_s = sky_tile(plan.sky, int(g.frame[0]), tile)
-        light["background_e"] = light_e_s * plan.scene.exposure.integration_s
+        light["background_e"] = sky_tile(plan.sky, frame, tile) * plan.integration_s(frame)
     elif plan.facts.background_e > 0:
-        light["background_e"] = np.full((1, 1), plan.facts.background_e)
+        background_e = plan.facts.background_e_s * plan.integration_s(frame)
+        light["background_e"] = np.full((1, 1), background_e)
     return light
 
 
 def _cosmic_rays_e(plan: Plan, rays: CosmicRays, chain: Chain, g: Geometry, tile: Tile) -> Array:
     """Charge of cosmic rays in a tile; before the flat, as in the paper, or after it."""
-    from pipeline.physics.cosmic_rays.frame import charge_e
+    from pipeline.physics.cosmic_rays.frame import charge_e, exposed_for
 
     assert plan.scene.cosmic_rays is not None
     place = (tile.y0, tile.x0, tile.rows, tile.columns)
-    charge = charge_e(rays, plan.scene.seed, int(g.frame[0]), *place)
+    frame = int(g.frame[0])
+    rays = exposed_for(rays, plan.integration_s(frame))
+    charge = charge_e(rays, plan.scene.seed, frame, *place)
     return charge if plan.scene.cosmic_rays.after_flat else charge * chain.flat
 
 

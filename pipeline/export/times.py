@@ -44,4 +44,5 @@ def exposure_of(cube: xr.Dataset, frame: int) -> Exposure:
         np.datetime64(str(one[f"time_{k}"].values.astype("datetime64[us]")), "us")
         for k in ("start", "mid", "end")
     )
-    return Exposure(start, middle, end, float(cube.attrs["integration_s"]))
+    seconds = one.get("integration_s", cube.attrs["integration_s"])  # its own, or of all
+    return Exposure(start, middle, end, float(seconds))

@@ -22,6 +22,7 @@ from pipeline.physics.constants import EARTH_ROTATION_RAD_S
 from pipeline.physics.positions.earth import teme_to_gcrs
 from pipeline.physics.positions.orbit_table import best_nodes
 from pipeline.physics.positions.times import elapsed_s, format_utc, instants, parse_utc
+from pipeline.plan.timing import end_s
 from pipeline.spec.load import parse_scene
 from pipeline.spec.orbit import MOST_ROWS, EphemerisOrbit, OmmOrbit, Orbit
 from pipeline.spec.scene import Scene
@@ -59,8 +60,7 @@ class _Reader:
     def __init__(self, scene: Scene) -> None:
         self._epoch = parse_utc(scene.epoch)
         self._text = scene.epoch
-        e = scene.exposure
-        self._dwell_s = (e.frames - 1) * e.step_s + e.integration_s
+        self._dwell_s = end_s(scene)
         self._files: dict[Any, Any] = {}
 
     def orbit(self, orbit: Orbit, field: str) -> dict[str, Any]:

@@ -147,20 +147,26 @@ def earthshine_m2_sr(
 
 
 def flicker_share(g: Geometry, which: NDArray[np.bool_] | None = None) -> float:
-    """How far the light between nodes may be off, as a share of a target's light in its exposure.
+    """The worst of `flicker_shares`."""
+    return float(flicker_shares(g, which).max(initial=0.0))
+
+
+def flicker_shares(g: Geometry, which: NDArray[np.bool_] | None = None) -> Array:
+    """How far the light between nodes may be off (F,), as a share of a target's in its exposure.
 
     The light of an exposure is the trapezium rule over the nodes, the light of an interval the mean
     of its ends. Rules of K and K/2 intervals are compared: for smooth light the finer one errs
     by a third of what they differ, for kinks and steps (a face that turns to the Sun, the edge of
-    the shadow) by at most about as much as they differ, which is returned: the worst of all targets
-    and frames, or of those that are true in `which` (T, F).
+    the shadow) by at most about as much as they differ, which is returned: the worst of a
+    frame's targets, or of those that are true in `which` (T, F).
     """
-    light = g.target_light if which is None else g.target_light[which]
+    light = g.target_light
     if not light.size:
-        return 0.0
+        return np.zeros(len(g.frame))
     fine = 0.5 * (light[..., :-1] + light[..., 1:])
     pairs = fine[..., 0::2] + fine[..., 1::2]
     coarse = light[..., :-2:2] + light[..., 2::2]
     total = fine.sum(axis=-1)
     off = np.abs(pairs - coarse).sum(axis=-1)
-    return float(np.max(np.divide(off, total, out=np.zeros_like(off), where=total > 0.0)))
+    counts = total > 0.0 if which is None else (total > 0.0) & which
+    return np.max(np.divide(off, total, out=np.zeros_like(off), where=counts), axis=0)

@@ -11,6 +11,7 @@ from pipeline.physics.noise.transfer import lag_frames
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, star_paths
+from pipeline.plan.timing import integration_range_s
 from pipeline.spec.detector import (
     Detector,
     Failing,
@@ -132,7 +133,7 @@ def _chord_error_e(d: Detector, full_well_e: float) -> float:
 def _moving(scene: Scene, d: Detector, ends: Geometry) -> list[tuple]:
     """Charge that moves under the light."""
     if isinstance(d.readout, FrameTransfer):
-        r, t = d.readout, scene.exposure.integration_s
+        r, t = d.readout, integration_range_s(scene)[0]
         passes = "the rows ahead of it" if r.cleared else "all other rows of its column"
         return [(
             "frame_transfer", f"charge passes {passes}, {r.transfer_s / scene.sensor.shape[0]:.3g} "

@@ -18,6 +18,7 @@ from pipeline.physics.radiometry import (
     surface_brightness_electron_rate,
 )
 from pipeline.plan.optics import blur_of, open_fraction
+from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import FieldPsf
 
@@ -67,10 +68,12 @@ def gather_facts(
 ) -> Facts:
     """Facts from the scene, its response curve and the typical values of its sensor maps.
 
+    Of several integration times the shortest: its frames have the least noise to hide errors in.
+
     table : the point-spread function that the scene names as a table, read; of a field, one for
         each of its places, row by row (None for those that are no table)
     """
-    s, t = scene.sensor, scene.exposure.integration_s
+    s, t = scene.sensor, integration_range_s(scene)[0]
     pitch = s.pixel_pitch_um * 1e-6
     wavelength = mean_wavelength_m(response)
     field = None

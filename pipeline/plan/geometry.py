@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Geometry
+from pipeline.arrays import Geometry, Refined
 from pipeline.errors import BadInput
 from pipeline.physics.constants import (
-    ARCSEC_RAD,
     ASTRONOMICAL_UNIT_M,
     DEG_RAD,
     EARTH_EQUATORIAL_RADIUS_M,
     JULIAN_YEAR_DAYS,
     SPEED_OF_LIGHT_M_S,
 )
-from pipeline.physics.motion.pointing import attitudes_drift, boresight_frame, proper_attitude
+from pipeline.physics.motion.disturbance import turned
 from pipeline.physics.positions.apparent import (
     TargetSight,
     aberrate,
-    proper_to_astrometric,
-    star_proper,
     unaberrate,
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
@@ -32,14 +28,24 @@ from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, 
 from pipeline.physics.positions.orbit import check_above_earth
 from pipeline.physics.positions.refraction import refract, unrefract
 from pipeline.physics.positions.times import Instants, instants, parse_utc
-from pipeline.physics.vectors import from_angles, separation
+from pipeline.physics.vectors import separation
 from pipeline.plan.air import air_of, lifted
-from pipeline.plan.bodies import flicker_share
+from pipeline.plan.attitude_motion import motion_plan, random_motion_rad
+from pipeline.plan.bodies import flicker_shares
 from pipeline.plan.orbits import orbit_states
+from pipeline.plan.paths import LONGEST_STREAK_PX, bends_px, check_paths, near_frame
+from pipeline.plan.pointing import Vantage, attitudes, pointing_field, swept_rad
 from pipeline.plan.target_paths import Moments, sights, target_paths
+from pipeline.plan.timing import (
+    dwell_of,
+    dwell_plans,
+    frame_count,
+    frame_times,
+    integration_range_s,
+)
 from pipeline.spec.detector import TimeDelay
 from pipeline.spec.observer import FixedObserver, GroundObserver
-from pipeline.spec.pointing import RatePointing, SiderealPointing, TargetPointing
+from pipeline.spec.pointing import RatePointing, TargetPointing
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
@@ -48,7 +54,8 @@ J2000_JD = 2_451_545.0
 PATH_TOLERANCE_PX = 2e-3  # how far linear motion between nodes may be from the real path
 FEWEST_NODES, MOST_NODES = 9, 1025
 MOST_LIGHT_NODES = 257  # what flickers faster is told in the plan
-LONGEST_STREAK_PX = 1e5  # a longer one in one exposure is taken for a mistake in the scene
+ROUGH_PX = 0.1  # how far a table of attitudes may be off between MOST_NODES nodes
+MOST_DWELLS_SAMPLED = 64
 
 
 def epochs_jyear(g: Geometry) -> Array:
@@ -78,45 +85,125 @@ def camera_of(scene: Scene) -> Camera:
 
 
 def sampled_frames(scene: Scene) -> NDArray[np.int64]:
-    """The frames that decisions look at: the first, the last, and up to seven between them."""
-    last = scene.exposure.frames - 1
-    return np.unique(np.linspace(0, last, 9).round()).astype(np.int64)
+    """The frames that decisions look at: the first, the last, and up to seven between them.
+
+    Of several dwells also the first and the last of each, of at most MOST_DWELLS_SAMPLED.
+    """
+    last = frame_count(scene) - 1
+    frames = np.linspace(0, last, 9).round()
+    if scene.dwells is not None:
+        plans = dwell_plans(scene)[:MOST_DWELLS_SAMPLED]
+        edges = [k for p in plans for k in (p.first, p.first + p.frames - 1)]
+        frames = np.concatenate([frames, edges])
+    return np.unique(frames).astype(np.int64)
 
 
 def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geometry:
     """Geometry of the given frames; nodes are doubled until paths and light are straight between.
 
     Each frame stands on its own: the same frame gives the same bits in whatever window it is asked
-    for, because the number of nodes is chosen from `sampled_frames` of the whole scene.
-    Raises BadInput for a sensor that looks at the Earth, orbits inside it and absurd motion.
+    for. The number of nodes follows from `sampled_frames` of the whole scene; a frame that needs
+    more gets more of its own (`Refined`). Raises BadInput for a sensor that looks at the Earth,
+    orbits inside it and absurd motion.
     """
-    looked_at = sampled_frames(scene)
-    nodes = FEWEST_NODES
+    nodes = _nodes(scene, dut1_s)
+    return _finer(scene, _geometry(scene, frames, nodes, dut1_s), dut1_s)
+
+
+_COUNTED: list[tuple[Scene, float, int]] = []  # the last scene whose nodes were counted
+
+
+def _nodes(scene: Scene, dut1_s: float) -> int:
+    """Nodes of an exposure that the sampled frames of a scene need."""
+    for known, dut1, nodes in tuple(_COUNTED):
+        if known is scene and dut1 == dut1_s:
+            return nodes
+    _check_rates(scene)
+    looked_at, nodes = sampled_frames(scene), FEWEST_NODES
+    while _needs_more(scene, _geometry(scene, looked_at, nodes, dut1_s), nodes).any():
+        nodes = 2 * nodes - 1
+    motion = motion_plan(scene)
+    if motion is not None:
+        nodes = max(nodes, motion.nodes)
+    _COUNTED[:] = [(scene, dut1_s, nodes)]
+    return nodes
+
+
+def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
+    """The geometry with the random motion, and more nodes for the frames that need them."""
+    finer: dict[int, Geometry] = {}
+    left, made, nodes = np.arange(len(geometry.frame)), geometry, geometry.nodes
     while True:
-        geometry = _geometry(scene, looked_at, nodes, dut1_s)
-        bend = _bend_px(scene, geometry)
-        flicker = flicker_share(geometry, near_frame(scene, geometry))
-        smooth = flicker <= scene.accuracy.flux_fraction
-        if bend <= PATH_TOLERANCE_PX and (smooth or nodes >= MOST_LIGHT_NODES):
+        more = _needs_more(scene, made, nodes)
+        if nodes > geometry.nodes:
+            finer |= {int(left[k]): made.frame_slice(int(k)) for k in np.flatnonzero(~more)}
+        left = left[more]
+        if not len(left):
             break
-        if nodes >= MOST_NODES:
+        nodes = 2 * nodes - 1
+        made = _geometry(scene, geometry.frame[left], nodes, dut1_s)
+    random = motion_plan(scene) is not None
+    if random:
+        finer = {
+            k: _geometry(scene, g.frame, g.nodes, dut1_s, random) for k, g in finer.items()
+        }
+        geometry = _geometry(scene, geometry.frame, geometry.nodes, dut1_s, random)
+    for g in (geometry, *finer.values()):
+        check_paths(scene, g, _star_paths(scene, g))
+    return Refined.of(geometry, finer) if finer else geometry
+
+
+def _needs_more(scene: Scene, g: Geometry, nodes: int) -> NDArray[np.bool_]:
+    """Frames (F,) whose paths or light are not straight between the nodes.
+
+    Raises BadInput for a path that still bends where there are most; a table of attitudes, whose
+    rows may be noisy, is drawn as it is there, and the plan says how far it is off.
+    """
+    bends = bends_px(scene, g, _star_paths(scene, g))
+    bent = bends > PATH_TOLERANCE_PX
+    if bent.any() and nodes >= MOST_NODES:
+        tables = [p for p in dwell_plans(scene) if p.pointing.mode == "table"]
+        if bends.max() > ROUGH_PX or not tables:
             raise BadInput(
                 "exposure.integration_s",
-                scene.exposure.integration_s,
-                f"an exposure whose streaks are smooth; this one bends by {bend:.3g} px between "
-                f"{nodes} nodes (see pointing and orbits)",
+                integration_range_s(scene)[1],
+                f"an exposure whose streaks are smooth; this one bends by {bends.max():.3g} px "
+                f"between {nodes} nodes (see pointing and orbits)",
             )
-        nodes = 2 * nodes - 1
-    if not np.array_equal(frames, looked_at):
-        geometry = _geometry(scene, frames, nodes, dut1_s)
-    _check_paths(scene, geometry)
-    return geometry
+        bent &= False
+    if nodes >= MOST_LIGHT_NODES:
+        return bent
+    return bent | (flicker_shares(g, near_frame(scene, g)) > scene.accuracy.flux_fraction)
 
 
-def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float) -> Geometry:
-    exposure = scene.exposure
-    within = np.linspace(0.0, 1.0, nodes) * exposure.integration_s
-    offset = frames[:, None] * exposure.step_s + within[None, :]
+def _star_paths(scene: Scene, g: Geometry) -> Array:
+    """Paths (2, 5, F, K) of stars in the middle and the corners of the field."""
+    camera = camera_of(scene)
+    return star_paths(camera, g, *_field_points(camera), scene.star_effects["aberration"])
+
+
+def _check_rates(scene: Scene) -> None:
+    """Refuse rates that sweep too far in an exposure."""
+    for plan in dwell_plans(scene):
+        p = plan.pointing
+        if isinstance(p, RatePointing):
+            swept = swept_rad(p, plan.end_s - plan.start_s, max(plan.times_s))
+            if swept > LONGEST_STREAK_PX * ifov_rad(camera_of(scene)) or swept > np.pi / 2:
+                raise BadInput(
+                    pointing_field(plan, "rate_ra_arcsec_s, rate_dec_arcsec_s"),
+                    (p.rate_ra_arcsec_s, p.rate_dec_arcsec_s),
+                    f"rates of at most {LONGEST_STREAK_PX:.0f} px and 90 degrees in one exposure",
+                )
+
+
+def _geometry(
+    scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float, random: bool = False
+) -> Geometry:
+    """Geometry of frames at a number of nodes; `random`: with the random motion of the pointing."""
+    within = np.linspace(0.0, 1.0, nodes)
+    start, time = frame_times(scene, frames)
+    since = within[None, :] * time[:, None]
+    offset = start[:, None] + since
     flat = offset.ravel()
     epoch = parse_utc(scene.epoch)
     times = instants(epoch, flat, dut1_s)
@@ -125,7 +212,10 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
     position = earth.position_m + geocentric
     sun = earth.position_m + earth.sun_from_earth_m
     at = Moments(epoch, flat, times, earth, geocentric, velocity)
-    attitude = _attitudes(scene, flat, position, velocity, sun, _followed(scene, at))
+    which = np.repeat(dwell_of(dwell_plans(scene), frames), nodes)
+    attitude = attitudes(scene, which, _vantage(scene, at))
+    if random:
+        attitude = turned(attitude, *random_motion_rad(scene, frames, nodes).reshape(-1, 3).T)
     camera, air = camera_of(scene), air_of(scene, times)
     if air is not None:
         attitude = lifted(camera, attitude, air)
@@ -138,7 +228,7 @@ def _geometry(scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
         t.x_px.reshape(each),
-        t.y_px.reshape(each) - camera.charge_px_s * (within - within[nodes // 2]),
+        t.y_px.reshape(each) - camera.charge_px_s * (since - since[:, [nodes // 2]]),
         t.light.reshape(each), t.range_m.reshape(each), t.phase_rad.reshape(each),
         t.sunlit.reshape(each), t.direction, t.pose, t.pose_s, t.turn_rad,
         np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
@@ -155,19 +245,35 @@ def watch(scene: Scene, offsets: Array, dut1_s: float) -> tuple[Array, Array, Ar
     earth = earth_and_sun(times.tt1, times.tt2)
     place, velocity = _observer(scene, epoch, flat, times, earth)
     at = Moments(epoch, flat, times, earth, place, velocity)
-    position, sun = earth.position_m + place, earth.position_m + earth.sun_from_earth_m
-    attitude = _attitudes(scene, flat, position, velocity, sun, _followed(scene, at))
+    ends = [plan.end_s for plan in dwell_plans(scene)]
+    which = np.searchsorted(ends[:-1], flat, side="right")
+    attitude = attitudes(scene, which, _vantage(scene, at))
     return place, velocity - earth.velocity_m_s, attitude[:, 2]
 
 
-def _followed(scene: Scene, at: Moments) -> dict[int, TargetSight]:
-    """How the observer sees the target that the pointing follows; nothing where it follows none."""
-    if not isinstance(scene.pointing, TargetPointing):
+def _vantage(scene: Scene, at: Moments) -> Vantage:
+    """What attitudes follow from at some moments."""
+    e = at.earth
+    return Vantage(
+        at.offset_s, at.times, e.position_m + at.observer_m, at.observer_m_s,
+        e.position_m + e.sun_from_earth_m, at.observer_m, at.observer_m_s - e.velocity_m_s,
+        _followed(scene, at),
+    )  # fmt: skip
+
+
+def _followed(scene: Scene, at: Moments) -> Mapping[int, TargetSight]:
+    """How the observer sees the targets that pointings follow; nothing where they follow none."""
+    followed = [p.pointing.target for p in dwell_plans(scene)
+                if isinstance(p.pointing, TargetPointing)]  # fmt: skip
+    if not followed:
         return {}
     names = [t.name for t in scene.targets]
-    index = names.index(scene.pointing.target)
-    seen, _ = sights(scene, [index], at)
-    return {index: TargetSight(*(getattr(seen, f.name)[0] for f in fields(seen)))}
+    which = sorted({names.index(name) for name in followed})
+    seen, _ = sights(scene, which, at)
+    return {
+        i: TargetSight(*(getattr(seen, f.name)[k] for f in fields(seen)))
+        for k, i in enumerate(which)
+    }
 
 
 def _observer(
@@ -192,46 +298,6 @@ def _observer(
     return place, speed + earth.velocity_m_s
 
 
-def _attitudes(
-    scene: Scene,
-    offsets: Array,
-    position: Array,
-    velocity: Array,
-    sun: Array,
-    sights: Mapping[int, TargetSight],
-) -> Array:
-    """Proper attitudes (n, 3, 3) of the pointing; stars and boresight share one set of effects."""
-    p, effects = scene.pointing, scene.star_effects
-    roll = p.roll_deg * DEG_RAD
-    if isinstance(p, TargetPointing):
-        names = [t.name for t in scene.targets]
-        proper = sights[names.index(p.target)].direction_proper
-        astrometric = np.concatenate([
-            proper_to_astrometric(u[None], r, v, s, **effects)
-            for u, r, v, s in zip(proper, position, velocity, sun, strict=True)
-        ])  # fmt: skip
-        return proper_attitude(boresight_frame(astrometric, roll), proper)
-    start = from_angles(
-        np.array(p.boresight_ra_deg * DEG_RAD), np.array(p.boresight_dec_deg * DEG_RAD)
-    )
-    if isinstance(p, RatePointing):
-        rates = (p.rate_ra_arcsec_s * ARCSEC_RAD, p.rate_dec_arcsec_s * ARCSEC_RAD)
-        swept = math.hypot(*rates) * scene.exposure.integration_s
-        if swept > LONGEST_STREAK_PX * ifov_rad(camera_of(scene)) or swept > np.pi / 2:
-            raise BadInput(
-                "pointing.rate_ra_arcsec_s, rate_dec_arcsec_s",
-                (p.rate_ra_arcsec_s, p.rate_dec_arcsec_s),
-                f"rates of at most {LONGEST_STREAK_PX:.0f} px and 90 degrees in one exposure",
-            )
-        frames = attitudes_drift(start, roll, *rates, offsets)
-    else:
-        assert isinstance(p, SiderealPointing)
-        frames = np.broadcast_to(boresight_frame(start, roll), (len(offsets), 3, 3))
-    proper = np.concatenate([
-        star_proper(a[2][None], r, v, s, **effects)
-        for a, r, v, s in zip(frames, position, velocity, sun, strict=True)
-    ])  # fmt: skip
-    return proper_attitude(frames, proper)
 
 
 def _check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
@@ -255,79 +321,6 @@ def _check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
         )  # fmt: skip
 
 
-def _check_paths(scene: Scene, g: Geometry) -> None:
-    """Refuse absurd streaks over the frame: a bad orbit, a near collision, a wild pointing."""
-    rows, columns = scene.sensor.shape
-    with np.errstate(invalid="ignore", over="ignore"):
-        x, y = g.target_x_px, g.target_y_px
-        length = np.hypot(np.diff(x, axis=-1), np.diff(y, axis=-1)).sum(axis=-1)
-        touches = (x.max(axis=-1) > 0) & (x.min(axis=-1) < columns)
-        touches &= (y.max(axis=-1) > 0) & (y.min(axis=-1) < rows)
-    absurd = touches & (length > LONGEST_STREAK_PX)
-    if absurd.any():
-        target, frame = np.argwhere(absurd)[0]
-        raise BadInput(
-            f"targets.{target}.orbit",
-            f"{length[target, frame]:.3g} px over the frame in exposure {g.frame[frame]}",
-            f"streaks of at most {LONGEST_STREAK_PX:.0f} px: a shorter exposure, or another orbit",
-        )
-    if scene.stars is None:
-        return
-    camera = camera_of(scene)
-    paths = star_paths(camera, g, *_field_points(camera), scene.star_effects["aberration"])
-    length = np.hypot(*np.diff(paths, axis=-1)).sum(axis=-1).max(axis=0)
-    absurd = ~(length <= LONGEST_STREAK_PX)
-    if absurd.any():
-        frame = int(np.argmax(absurd))
-        raise BadInput(
-            "pointing",
-            f"stars that streak {length[frame]:.3g} px in exposure {g.frame[frame]}",
-            f"streaks of at most {LONGEST_STREAK_PX:.0f} px: a shorter exposure, or a slower "
-            "pointing",
-        )
-
-
-def near_frame(scene: Scene, g: Geometry) -> NDArray[np.bool_]:
-    """Targets and frames (T, F) whose path in the exposure touches the frame or what is beside it.
-
-    Beside it: within the frame's longer side. Others must not slow down the rest, nor be smooth.
-    """
-    rows, columns = scene.sensor.shape
-    side = max(rows, columns)
-    x, y = g.target_x_px, g.target_y_px
-    with np.errstate(invalid="ignore"):
-        near = (x.max(axis=-1) > -side) & (x.min(axis=-1) < columns + side)
-        near &= (y.max(axis=-1) > -side) & (y.min(axis=-1) < rows + side)
-    return np.asarray(near)  # NaN, behind the camera, is not near
-
-
-def _bend_px(scene: Scene, g: Geometry) -> float:
-    """How far linear motion between the nodes is from the real one, at the worst place [px].
-
-    Linear interpolation between nodes twice as far apart errs four times as much, so a quarter of
-    what it misses at the nodes between is the error of the nodes themselves.
-    """
-    camera = camera_of(scene)
-    paths = star_paths(camera, g, *_field_points(camera), scene.star_effects["aberration"])
-    seen, near = np.isfinite(paths).all(axis=(0, -1)), near_frame(scene, g)
-    xs = np.concatenate([g.target_x_px[near], paths[0][seen]])
-    ys = np.concatenate([g.target_y_px[near], paths[1][seen]])
-    if not len(xs):
-        return 0.0
-    length = np.hypot(np.diff(xs, axis=-1), np.diff(ys, axis=-1)).sum(axis=-1)
-    if length.max() > LONGEST_STREAK_PX:
-        raise BadInput(
-            "exposure.integration_s", scene.exposure.integration_s,
-            f"streaks of at most {LONGEST_STREAK_PX:.0f} px; here {length.max():.3g} px in one "
-            "exposure (see pointing rates and orbits)",
-        )  # fmt: skip
-    bend = np.hypot(
-        xs[..., 1:-1:2] - 0.5 * (xs[..., :-2:2] + xs[..., 2::2]),
-        ys[..., 1:-1:2] - 0.5 * (ys[..., :-2:2] + ys[..., 2::2]),
-    )
-    return float(bend.max()) / 4.0
-
-
 def excursions_px(camera: Camera, g: Geometry, aberration: bool = True) -> Array:
     """Farthest (F,) that a star of each frame moves from its place at mid-exposure, in whole 16 px.
 
@@ -335,6 +328,9 @@ def excursions_px(camera: Camera, g: Geometry, aberration: bool = True) -> Array
     """
     paths = star_paths(camera, g, *_field_points(camera), aberration)
     worst = np.hypot(*(paths - paths[..., [g.middle]])).max(axis=(0, 2))
+    for k, finer in (g.finer if isinstance(g, Refined) else {}).items():
+        paths = star_paths(camera, finer, *_field_points(camera), aberration)
+        worst[k] = max(worst[k], np.hypot(*(paths - paths[..., [finer.middle]])).max())
     worst *= stretch(camera) ** 2  # between the points looked at
     return np.where(worst > 1e-3, 16.0 * np.ceil(worst / 16.0), 0.0)
 

@@ -13,6 +13,7 @@ from pipeline.physics.psf.sampled import Sampled
 from pipeline.physics.psf.seeing import Kolmogorov, Moffat, r0_at, r0_m
 from pipeline.physics.psf.zernike import defocus_rms
 from pipeline.physics.radiometry import ResponseCurve
+from pipeline.plan.attitude_motion import fast_blur_px
 from pipeline.spec.detector import TimeDelay
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import (
@@ -37,13 +38,19 @@ def blur_of(
     """
     s = scene.sensor
     rest = Blur(
-        Gaussian(1.0), psf.jitter_px, psf.diffusion_px(s.pixel_pitch_um), s.fill_factor,
+        Gaussian(1.0), _jitter_px(scene, psf), psf.diffusion_px(s.pixel_pitch_um), s.fill_factor,
         isinstance(psf, TablePsf) and psf.includes_pixel, clock_step_px(scene),
     )  # fmt: skip
     if isinstance(psf, AiryPsf | KolmogorovPsf):
         band = _band(scene, psf, rest, response, mean_m)
         return _with(rest, band.optics), band
     return _with(rest, _fixed(s, psf, table)), None
+
+
+def _jitter_px(scene: Scene, psf: OnePsf) -> float:
+    """Rms per axis of all motion that is drawn as blur: the PSF's own and fast pointing."""
+    fast = fast_blur_px(scene)
+    return math.hypot(psf.jitter_px, fast) if fast else psf.jitter_px
 
 
 def clock_step_px(scene: Scene) -> float:

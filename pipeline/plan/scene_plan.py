@@ -16,6 +16,7 @@ from pipeline.physics.positions.apparent import unaberrated_caps
 from pipeline.physics.positions.focal_plane import Camera, corner_radius, stretch
 from pipeline.plan.air import above_air
 from pipeline.plan.air_decisions import decide_air
+from pipeline.plan.attitude_motion import decide_motion
 from pipeline.plan.checks import CheckCell, choose_checks
 from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
@@ -23,6 +24,7 @@ from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, excursions_px
 from pipeline.plan.optics import describe
+from pipeline.plan.pointing_decisions import decide_pointing
 from pipeline.plan.responses import (
     BLOCK_PX,
     SPECTRAL_S,
@@ -34,6 +36,7 @@ from pipeline.plan.responses import (
 )
 from pipeline.plan.target_decisions import decide_targets
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
+from pipeline.plan.timing import frame_count, integration_s
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -69,7 +72,11 @@ class Plan:
 
     @property
     def frames(self) -> int:
-        return self.scene.exposure.frames
+        return frame_count(self.scene)
+
+    def integration_s(self, frame: int) -> float:
+        """Integration time of a frame."""
+        return integration_s(self.scene, frame)
 
     @property
     def lag_frames(self) -> int:
@@ -111,6 +118,7 @@ def make_plan(
         *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
         *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends),
+        *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
     )  # fmt: skip
     return Plan(
         scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),

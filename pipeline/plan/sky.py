@@ -24,6 +24,7 @@ from pipeline.plan.faint_stars import (
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.sky_light import ALL_G_MAG, Light, SkyInputs, background_of
 from pipeline.plan.tiles import Tile
+from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
@@ -69,7 +70,7 @@ def plan_sky(
     noise of the darkest place of the sky without the undrawn stars. Raises BadInput for a field too
     near the Sun, and an observer where the zodiacal light's distance law was not measured.
     """
-    t = scene.exposure.integration_s
+    t = integration_range_s(scene)[1]
     light = Light(scene, camera, facts, inputs, None, dut1_s)
     limit = None
     if limit_from_noise:
@@ -103,7 +104,7 @@ def facts_with_sky(facts: Facts, scene: Scene, sky: SkyPlan) -> Facts:
     return replace(
         facts,
         background_e_s=sky.least_e_s,
-        background_e=sky.least_e_s * scene.exposure.integration_s,
+        background_e=sky.least_e_s * integration_range_s(scene)[0],
         sigma_floor_e=sigma,
         budget_e=budget,
     )
@@ -129,7 +130,7 @@ def sky_tile(sky: SkyPlan, frame: int, tile: Tile) -> Array:
 
 def _noise(facts: Facts, scene: Scene, sky_e_s: float) -> tuple[float, float]:
     """Noise of a pixel under a sky of this light [e-], and one approximation's budget there."""
-    more = (sky_e_s - facts.background_e_s) * scene.exposure.integration_s
+    more = (sky_e_s - facts.background_e_s) * integration_range_s(scene)[0]
     sigma = math.sqrt(facts.sigma_floor_e**2 + max(more, 0.0))
     return sigma, error_budget_e(scene, sigma)
 
@@ -160,7 +161,7 @@ def _limit(light: Light, g: Geometry, budget_e: float) -> FaintLimit:
         found = [light.inputs.undrawn.fainter(m, u).g_squared.max() for m in limits_g_mag()]
         squared = np.array(found)
     peak = peak_share(light.facts.blur, light.camera, g, scene.star_effects["aberration"])
-    zero = zero_electrons(fit, light.facts.area_m2, scene.exposure.integration_s)
+    zero = zero_electrons(fit, light.facts.area_m2, integration_range_s(scene)[1])
     return faint_limit(squared, zero, peak, ifov_rad(light.camera) ** 2, budget_e)
 
 

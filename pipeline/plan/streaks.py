@@ -27,6 +27,7 @@ MERGE_TOLERANCE_PX = 2e-4
 SPREAD_TOLERANCE_PX = 4e-3
 USUAL_FRACTION = 0.05  # noise_fraction for which these tolerances are
 MOST_PIECES = 16
+SLACK = 1.5  # over the plan's spread, beyond which a frame gets more pieces of its own
 NODES = np.array([-1.0, 0.0, 1.0])  # of a zone, where paths are followed exactly
 CHECKS = np.array([-1.0, -0.5, 0.5, 1.0])  # where the spread is measured
 FINER_NODES = 16.0  # how much finer shapes for mixtures are rounded and merged
@@ -267,6 +268,12 @@ def _product(weights: Callable[[Array], Array], a: float, b: float) -> Array:
     return np.outer(weights(np.array([b]))[:, 0], weights(np.array([a]))[:, 0]).ravel()
 
 
+def _apart(parts: Array, means: Array) -> float:
+    """Largest distance between the shapes at a zone's NODES and the one in its middle [px]."""
+    shapes = parts - means[..., None]
+    return float(np.hypot(*(shapes - shapes[:, [NODES.size**2 // 2]])).max())
+
+
 def _shapes(offsets: Array, pieces: int) -> int:
     """Different shapes among the pieces of one zone's frame: one where it moves evenly."""
     parts, means = _in_pieces(offsets, pieces)
@@ -315,6 +322,10 @@ def zone_streak(
     longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
     count = max(plan.pieces, _power_of_two(longest / LONGEST_PIECE_PX))  # this frame may be faster
     parts, means = _in_pieces(offsets, count)
+    allowed = SLACK * max(plan.spread_px, SPREAD_TOLERANCE_PX * plan.step_px / PATH_STEP_PX)
+    while _apart(parts, means) > allowed and count < MOST_PIECES:  # or turn more
+        count *= 2
+        parts, means = _in_pieces(offsets, count)
     made = []
     fine = replace(plan, step_px=plan.step_px / FINER_NODES, merge_px=plan.merge_px / FINER_NODES)
     mixed = range(NODES.size**2) if plan.mixed_from_e_px[0] < math.inf else ()

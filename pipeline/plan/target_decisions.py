@@ -10,7 +10,7 @@ from pipeline.arrays import Geometry
 from pipeline.plan.bodies import flicker_share
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
-from pipeline.plan.geometry import near_frame
+from pipeline.plan.paths import near_frame
 from pipeline.spec.body import CompositeBody, SphereBody
 from pipeline.spec.mesh import MeshBody
 from pipeline.spec.orbit import KeplerianOrbit, NumericalOrbit, StateOrbit, TableOrbit

@@ -183,6 +183,9 @@ PATH_FIELDS = (
     ("sensor", "psf", "psfs", "*", "*", "path"),  # of each place of a field
     ("sensor", "distortion", "path"),
     ("observer", "orbit", "path"),
+    ("pointing", "path"),
+    ("pointing", "attitude", "jitter", "*", "path"),
+    ("dwells", "*", "pointing", "path"),
     ("populations", "*", "path"),
     ("populations", "*", "sizes"),
     ("targets", "*", "orbit", "path"),  # of each target
@@ -292,7 +295,9 @@ def _mistake(error: Any, data: Any) -> tuple[str, Any, str]:
     if "field" in context:
         names.append(context["field"])
         for part in context["field"].split("."):
+            index = int(part) if isinstance(value, list | tuple) and part.isdigit() else None
             value = value.get(part) if isinstance(value, dict) else value
+            value = value[index] if index is not None and index < len(value) else value
     if error["type"].startswith("union_tag"):
         names.append(str(context["discriminator"]).strip("'"))
         allowed = f"allowed: {context['expected_tags']}" if "tag" in context else "it must be given"

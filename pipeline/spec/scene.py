@@ -10,6 +10,7 @@ from pydantic_core import PydanticCustomError
 from pipeline.spec.background import Background
 from pipeline.spec.body import Body, Lighting
 from pipeline.spec.cosmic_rays import CosmicRays
+from pipeline.spec.dwell import Dwells
 from pipeline.spec.mesh import MeshBody
 from pipeline.spec.observer import GroundObserver, Observer
 from pipeline.spec.orbit import Orbit
@@ -169,6 +170,7 @@ class Scene(Strict):
     sensor: Sensor
     pointing: Pointing
     exposure: Exposure
+    dwells: Dwells | None = Field(None, description="default: one, as pointing and exposure say")
     stars: Stars | None = None
     targets: tuple[Target, ...] = Field((), max_length=MOST_TARGETS)
     populations: tuple[Population, ...] = Field((), max_length=MOST_POPULATIONS)
@@ -186,12 +188,16 @@ class Scene(Strict):
                 "allowed: different names; twice: {twice}",
                 {"twice": ", ".join(twice) or "a name", "field": "targets"},
             )
-        if isinstance(self.pointing, TargetPointing) and self.pointing.target not in names:
-            raise PydanticCustomError(
-                "target",
-                "allowed: the name of a target: {names}",
-                {"names": ", ".join(names[:10]) or "(there is none)", "field": "pointing.target"},
-            )
+        pointings = {"pointing": self.pointing} | {
+            f"dwells.{i}.pointing": d.pointing for i, d in enumerate(self.dwells or ())
+        }
+        for field, pointing in pointings.items():
+            if isinstance(pointing, TargetPointing) and pointing.target not in names:
+                shown = ", ".join(names[:10]) or "(there is none)"
+                raise PydanticCustomError(
+                    "target", "allowed: the name of a target: {names}",
+                    {"names": shown, "field": f"{field}.target"},
+                )  # fmt: skip
         return self
 
     @model_validator(mode="after")

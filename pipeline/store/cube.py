@@ -15,6 +15,7 @@ from pipeline.errors import BadInput, Damaged, Incomplete
 from pipeline.physics.noise.chain import dn_type
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, tile_shape
+from pipeline.plan.timing import frame_count
 from pipeline.spec.scene import Scene
 from pipeline.store.layout import COMPLETE, CUBE, sync_folder
 from pipeline.store.markers import Marker, cell_checksums, write_marker
@@ -88,7 +89,7 @@ def create_layer(product: Path, name: str, scene: Scene, chunk: tuple[int, int])
     long_name, unit = LONG_NAMES[name]
     zarr.create_array(
         store=product / CUBE / name,
-        shape=(scene.exposure.frames, *scene.sensor.shape),
+        shape=(frame_count(scene), *scene.sensor.shape),
         chunks=(1, *chunk),
         dtype=dn_type(scene.sensor.adc_bits) if name == "dn" else np.dtype("float32"),
         fill_value=0,

@@ -133,6 +133,11 @@ def test_no_path_field_takes_a_file(
         scene["observer"] = {"kind": "orbit", "orbit": orbit}
     if "orbit" in field and field[0] == "targets":
         scene["targets"] = [dict(scene["targets"][0], orbit=orbit)]
+    table = {"mode": "table", "frame": "icrs", "scalar": "last"}
+    if field == ("pointing", "path"):
+        scene["pointing"] = table
+    if field[0] == "dwells":
+        scene["dwells"] = [{"pointing": table}]
     if field[0] == "background":
         pst = {"kind": "table", "path": "x.csv"} if field[-1] == "path" else HARVEY
         scene["background"] = {"stray_light": {"pst": dict(pst)}}
@@ -146,6 +151,8 @@ def test_no_path_field_takes_a_file(
     holder: Any = scene
     for part, after in pairwise(field):
         several: Any = [{"name": "a", "path": "b.obj"}]
+        if part == "jitter":
+            several = [{"kind": "table"}]
         if part == "materials":
             several = {"0": {"kind": "table"}}
         made = several if after == "*" else {"kind": "table"} if part == "surface" else {}
@@ -164,8 +171,8 @@ TEXTS_THAT_ARE_NO_PATHS = {
     "name", "epoch", "line1", "line2", "target", "schema", "kind", "mode", "adc_rounding",
     "compression", "layers", "object", "frame", "shadow", "third_bodies", "source",
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
-    "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond",
-    "moonlight", "twilight",
+    "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond", "scalar",
+    "rotation", "interpolation", "profile", "axis", "moonlight", "twilight",
     "name_contains", "left_out",
 }  # fmt: skip
 

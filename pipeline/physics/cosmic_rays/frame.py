@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,13 @@ COMPONENT = "cosmic_rays"
 def events_a_frame(rays: CosmicRays) -> float:
     """Expected events that one frame draws."""
     return expected_count(rays) if isinstance(rays, Recorded) else mean_count(rays)
+
+
+def exposed_for(rays: CosmicRays, integration_s: float) -> CosmicRays:
+    """The same cosmic rays in an exposure of another length."""
+    if rays.integration_s == integration_s:
+        return rays
+    return replace(rays, integration_s=integration_s)
 
 
 def charge_e(

@@ -66,6 +66,46 @@ def attitudes_drift(
     return boresight_frame(boresight, roll_rad) @ np.swapaxes(rotations, -1, -2)
 
 
+def attitudes_swept(
+    boresight: Array,
+    roll_rad: float,
+    rate_rad_s: tuple[float, float],
+    acceleration_rad_s2: tuple[float, float],
+    offsets_s: ArrayLike,
+) -> Array:
+    """Attitudes (n, 3, 3) of a boresight that is accelerated: rates (east, north) at offset 0.
+
+    The frame of offset 0 is turned on the shortest way to where the arc d = rate t + a t^2 / 2,
+    laid from the boresight along its own direction, ends. Without acceleration `attitudes_drift`.
+    """
+    t = np.atleast_1d(np.asarray(offsets_s, float))
+    b = unit(np.asarray(boresight, float))
+    east, north = east_north(b)
+    e, n = (r * t + 0.5 * a * t**2 for r, a in zip(rate_rad_s, acceleration_rad_s2, strict=True))
+    axes = np.cross(b, unit(e[:, None] * east + n[:, None] * north))
+    rotations = rotate_about(axes, np.hypot(e, n))
+    return boresight_frame(boresight, roll_rad) @ np.swapaxes(rotations, -1, -2)
+
+
+def attitudes_local(
+    axes: Array, azimuth_rad: float, elevation_rad: float, roll_rad: float
+) -> Array:
+    """Attitudes (n, 3, 3) that hold a direction in local axes (n, 3, 3): forward, right, up.
+
+    Of a site: north, east, zenith. Azimuth from forward to the right, elevation from the plane of
+    both; at roll 0, +y points to the zenith's side and +x to the right; the roll turns +y from up
+    to the left (as from north through east on the sky).
+    """
+    forward, right, up = axes[:, 0], axes[:, 1], axes[:, 2]
+    ca, sa = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    ce, se = np.cos(elevation_rad), np.sin(elevation_rad)
+    level = ca * forward + sa * right
+    boresight, above = ce * level + se * up, ce * up - se * level
+    left = sa * forward - ca * right
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    return np.stack([s * above - c * left, c * above + s * left, boresight], axis=-2)
+
+
 def proper_attitude(attitude_astrometric: Array, boresight_proper: Array) -> Array:
     """Attitudes (n, 3, 3) turned so that the boresight becomes the proper direction (n, 3).
 

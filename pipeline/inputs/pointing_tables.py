@@ -1,0 +1,221 @@
+"""Tables of attitudes and of jitter spectra from files: CSV, FITS, NPY and Parquet."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Array
+from pipeline.errors import BadInput
+from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.physics.motion.attitude_table import table_error_rad
+from pipeline.physics.positions.times import elapsed_s, parse_utc
+from pipeline.plan.pointing import check_rows, pointing_field, quaternion_table
+from pipeline.plan.timing import DwellPlan, dwell_plans
+from pipeline.spec.attitude import MOST_POINTS, TableJitter
+from pipeline.spec.load import parse_scene
+from pipeline.spec.pointing import MOST_ROWS, TablePointing
+from pipeline.spec.scene import Scene
+
+LARGEST_BYTES = 500_000_000
+SPARE_ROWS = 8  # on either side of the exposures
+NAMED = ("qx", "qy", "qz", "qw")
+NUMBERED = (("q1", "q2", "q3", "q4"), ("q0", "q1", "q2", "q3"))
+COLUMNS = "time_s or time_utc, then qx, qy, qz, qw (or q1 to q4, or q0 to q3, with `scalar`)"
+
+
+def gather_pointing(scene: Scene) -> Scene:
+    """The scene with its tables of attitudes and spectra written out.
+
+    Of attitudes the rows around the exposures are kept, as seconds after the scene's epoch, with
+    the error measured on left-out rows. A scene without tables comes back as it is. BadInput where
+    a file cannot be used or does not cover the exposures.
+    """
+    model = scene.pointing.attitude
+    spectra = [] if model is None else [p for p in model.jitter if _is_file(p)]
+    plans = [p for p in dwell_plans(scene) if isinstance(p.pointing, TablePointing)]
+    if not plans and not spectra:
+        return scene
+    data, read = scene.as_dict(), dict[Any, Any]()
+    for plan in plans:
+        assert isinstance(plan.pointing, TablePointing)
+        own = plan.dwell is not None and plan.dwell.pointing is not None
+        holder = data["dwells"][plan.index] if own else data
+        span = None if own or scene.dwells is None else (0.0, dwell_plans(scene)[-1].end_s)
+        holder["pointing"] |= _table(scene, plan, plan.pointing, span, read)
+    for i, part in enumerate(() if model is None else model.jitter):
+        if isinstance(part, TableJitter) and part.path is not None:
+            name = f"pointing.attitude.jitter.{i}.path"
+            data["pointing"]["attitude"]["jitter"][i] |= _spectrum(Path(part.path), name)
+    return parse_scene(data)
+
+
+def _is_file(part: Any) -> bool:
+    return getattr(part, "path", None) is not None
+
+
+def _table(
+    scene: Scene,
+    plan: DwellPlan,
+    p: TablePointing,
+    span_s: tuple[float, float] | None,
+    read: dict[Any, Any],
+) -> dict[str, Any]:
+    """What a pointing's table becomes: rows in the scene, and the error between them."""
+    begin, end = span_s or (plan.slew_s[0] if plan.slew_s else plan.start_s, plan.end_s)
+    field = pointing_field(plan, "rows" if p.path is None else "path")
+    made: dict[str, Any] = {}
+    if p.path is not None:
+        path = Path(p.path)
+        if path not in read:
+            read[path] = _read(path, field)
+        columns = read[path]
+        rows, scalar = _rows(columns, p, scene.epoch, path, field)
+        check_rows(rows, field)
+        first = max(int(np.searchsorted(rows[:, 0], begin)) - SPARE_ROWS, 0)
+        kept = rows[first : int(np.searchsorted(rows[:, 0], end)) + SPARE_ROWS]
+        if rows[0, 0] > plan.start_s or rows[-1, 0] < plan.end_s:
+            raise BadInput(
+                field,
+                f"{path.name} from {rows[0, 0]:.6g} to {rows[-1, 0]:.6g} s after the epoch",
+                f"rows over all exposures, {plan.start_s:.6g} to {plan.end_s:.6g} s after it",
+            )
+        if len(kept) > MOST_ROWS:
+            allowed = f"at most {MOST_ROWS} rows around the exposures"
+            raise BadInput(field, f"{len(kept)} rows of {path.name}", allowed)
+        made = {"path": None, "rows": kept.tolist(), "scalar": scalar, "epoch": None,
+                "source": path.name[:200]}  # fmt: skip
+        p = TablePointing.model_validate(p.model_dump() | made)
+    table = quaternion_table(p, field)
+    shift = 0.0
+    if p.epoch is not None:
+        shift = float(elapsed_s(parse_utc(p.epoch), *parse_utc(scene.epoch)))
+    used = (table.time_s >= begin + shift) & (table.time_s <= end + shift)
+    used[1:] |= used[:-1]
+    used[:-1] |= used[1:]
+    error = table_error_rad(table, used)
+    return made | {"error_arcsec": None if error is None else error / ARCSEC_RAD}
+
+
+def _rows(
+    columns: dict[str, Any], p: TablePointing, epoch: str, path: Path, field: str
+) -> tuple[Array, str]:
+    """Rows (n, 5) of seconds after the scene's epoch and quaternion, and where the scalar is."""
+    times = [name for name in columns if name in ("time_s", "time_utc")]
+    names = next((n for n in (NAMED, *NUMBERED) if all(k in columns for k in n)), None)
+    if len(times) != 1 or names is None:
+        value = f"columns {', '.join(columns)} of {path.name}"
+        raise BadInput(field, value[:200], f"columns {COLUMNS}")
+    scalar = "last" if names == NAMED else p.scalar
+    if scalar is None:
+        name = field.rsplit(".", 1)[0] + ".scalar"
+        raise BadInput(name, None, f"first or last: {path.name} numbers its columns")
+    q = np.stack([_floats(columns[k], path, field) for k in names], axis=-1)
+    zero = parse_utc(epoch)
+    if times[0] == "time_s":
+        seconds = _floats(columns["time_s"], path, field)
+        if p.epoch is not None:
+            name = field.rsplit(".", 1)[0] + ".epoch"
+            seconds = seconds - float(elapsed_s(parse_utc(p.epoch, name), *zero))
+    else:
+        utc = np.array([_utc(t, path, field) for t in columns["time_utc"]])
+        seconds = elapsed_s(zero, utc[:, 0], utc[:, 1])
+    if len(seconds) < 2:
+        raise BadInput(field, f"{len(seconds)} rows in {path.name}", "two rows or more")
+    return np.column_stack([seconds, q]), scalar
+
+
+def _utc(value: Any, path: Path, field: str) -> tuple[float, float]:
+    text = value.decode() if isinstance(value, bytes) else str(value)
+    try:
+        return parse_utc(text.strip().replace(" ", "T", 1), field)
+    except BadInput as error:
+        raise BadInput(field, f"time {text[:40]!r} in {path.name}", error.allowed) from None
+
+
+def _floats(values: Any, path: Path, field: str) -> Array:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise BadInput(field, path.name, f"numbers in every column; {error}"[:200]) from None
+
+
+def _read(path: Path, field: str) -> dict[str, Any]:
+    """The columns of a file by their names in lower case."""
+    if not path.is_file():
+        raise BadInput(field, str(path), "an existing file: .csv, .fits, .npy or .parquet")
+    if path.stat().st_size > LARGEST_BYTES:
+        raise BadInput(field, path.name, f"a file of at most {LARGEST_BYTES} bytes")
+    kinds = {".csv": _csv, ".txt": _csv, ".npy": _npy, ".parquet": _parquet, ".fits": _fits,
+             ".fit": _fits}  # fmt: skip
+    kind = kinds.get(path.suffix.lower())
+    if kind is None:
+        raise BadInput(field, path.name, "a file that ends in .csv, .fits, .npy or .parquet")
+    try:
+        found = kind(path)
+    except BadInput:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:120]
+        raise BadInput(field, path.name, f"a readable {path.suffix} table; {reason}") from None
+    return {str(name).strip().lower(): values for name, values in found.items()}
+
+
+def _csv(path: Path) -> dict[str, Any]:
+    with path.open(newline="", encoding="utf-8-sig") as lines:
+        rows = [r for r in csv.reader(lines) if r and not r[0].lstrip().startswith("#")]
+    if not rows:
+        raise ValueError("it is empty")
+    head, body = rows[0], rows[1:]
+    uneven = next((k for k, r in enumerate(body) if len(r) != len(head)), None)
+    if uneven is not None:
+        raise ValueError(f"row {uneven + 1} has {len(body[uneven])} values, not {len(head)}")
+    return {name: [r[i] for r in body] for i, name in enumerate(head)}
+
+
+def _npy(path: Path) -> dict[str, Any]:
+    """A structured array by its field names, or (n, 5): time_s and four numbers."""
+    array = np.load(path, allow_pickle=False)
+    if array.dtype.names:
+        return {name: array[name] for name in array.dtype.names}
+    if array.ndim != 2 or array.shape[1] != 5:
+        raise ValueError(f"an array of shape {array.shape}; (n, 5) is time_s and the quaternion")
+    return dict(zip(("time_s", "q1", "q2", "q3", "q4"), array.T, strict=True))
+
+
+def _parquet(path: Path) -> dict[str, Any]:
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    return {name: table[name].to_pylist() for name in table.column_names}
+
+
+def _fits(path: Path) -> dict[str, Any]:
+    from astropy.io import fits
+
+    with fits.open(path) as units:
+        table = next((u for u in units if isinstance(u, fits.BinTableHDU)), None)
+        if table is None:
+            raise ValueError("it holds no binary table")
+        return {name: np.array(table.data[name]) for name in table.columns.names}
+
+
+def _spectrum(path: Path, field: str) -> dict[str, Any]:
+    """A spectrum's columns: frequency_hz and arcsec2_per_hz."""
+    columns = _read(path, field)
+    names = ("frequency_hz", "arcsec2_per_hz")
+    if any(n not in columns for n in names):
+        value = f"columns {', '.join(columns)} of {path.name}"
+        raise BadInput(field, value[:200], f"columns {' and '.join(names)}")
+    f, s = (_floats(columns[n], path, field) for n in names)
+    if len(f) > MOST_POINTS or len(f) < 2:
+        raise BadInput(field, f"{len(f)} rows of {path.name}", f"2 to {MOST_POINTS} rows")
+    if not (np.isfinite(f).all() and np.isfinite(s).all() and (s >= 0).all() and (f > 0).all()):
+        raise BadInput(field, path.name, "finite frequencies above 0 and densities of 0 or more")
+    if (np.diff(f) <= 0).any():
+        k = int(np.argmax(np.diff(f) <= 0)) + 1
+        raise BadInput(field, f"row {k + 1} of {path.name}", "increasing frequencies")
+    return {"path": None, "frequency_hz": f.tolist(), "arcsec2_per_hz": s.tolist()}

@@ -1,0 +1,196 @@
+"""Flexible modes of a body: linear systems, their exact runs, and what an exposure sees of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.physics.motion.linear_system import (
+    Step,
+    bridge,
+    discretise,
+    factor,
+    stationary_covariance,
+)
+
+Array = NDArray[np.float64]
+
+FAST_TURN_RAD = np.pi / 4  # of an oscillation between two nodes, from which it is blur
+FAST_STEP = 2.0  # time constants between two nodes, from which a process is blur
+CLEAN = 1e8  # condition of the eigenvectors up to which a system is split into slow and fast
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """dx = a x dt + b dw; c x moves (x, y, roll) [rad].
+
+    a (n, n), b (n, m), c (3, n); start (n, n) : covariance at the epoch, the stationary one, or
+    zero for states that have none
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    start: Array
+
+
+def oscillator(
+    axis: int, frequency_hz: float, damping: float, rms_rad: float | None, noise: float | None
+) -> Mode:
+    """x'' + 2 z w x' + w^2 x = noise: states x and x' / w, so that both have one size.
+
+    noise : two-sided density of the acceleration [rad / s^2 / sqrt(Hz)]; the variance of x is
+    noise^2 / (4 z w^3).
+    """
+    w = 2.0 * np.pi * frequency_hz
+    if rms_rad is None:
+        assert noise is not None
+        rms_rad = noise / np.sqrt(4.0 * damping * w**3)
+    a = np.array([[0.0, w], [-w, -2.0 * damping * w]])
+    b = np.array([[0.0], [rms_rad * np.sqrt(4.0 * damping * w)]])
+    return Mode(a, b, _output(axis, 2), rms_rad**2 * np.eye(2))
+
+
+def markov(axis: int, time_constant_s: float, rms_rad: float | None, noise: float | None) -> Mode:
+    """x' = -x / tau + noise; the variance is noise^2 tau / 2 (noise two-sided, rad/s/sqrt(Hz))."""
+    if rms_rad is None:
+        assert noise is not None
+        rms_rad = noise * np.sqrt(0.5 * time_constant_s)
+    b = rms_rad * np.sqrt(2.0 / time_constant_s)
+    return Mode(
+        np.array([[-1.0 / time_constant_s]]), np.array([[b]]), _output(axis, 1),
+        np.array([[rms_rad**2]]),
+    )  # fmt: skip
+
+
+def random_walk(axis: int, rad_rts: float) -> Mode:
+    """x' = noise, from zero at the epoch."""
+    return Mode(np.zeros((1, 1)), np.array([[rad_rts]]), _output(axis, 1), np.zeros((1, 1)))
+
+
+def rate_markov(axis: int, time_constant_s: float, rms_rad_s: float) -> Mode:
+    """x' = r, r' = -r / tau + noise: states x and r tau; x starts at zero."""
+    tau = time_constant_s
+    size = rms_rad_s * tau
+    a = np.array([[0.0, 1.0 / tau], [0.0, -1.0 / tau]])
+    b = np.array([[0.0], [size * np.sqrt(2.0 / tau)]])
+    return Mode(a, b, _output(axis, 2), np.diag([0.0, size**2]))
+
+
+def system(a: Array, b: Array, c_rad: Array) -> Mode:
+    """Any system; it starts in its stationary state, or at zero where it has none."""
+    settled = stationary_covariance(a, b)
+    return Mode(a, b, c_rad, np.zeros_like(a) if settled is None else settled)
+
+
+def _output(axis: int, states: int) -> Array:
+    c = np.zeros((3, states))
+    c[axis, 0] = 1.0
+    return c
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """What of a mode becomes path, and what blur, between nodes `step_s` apart.
+
+    c_slow : (3, n) output that is followed from node to node; variance : (3,) of the rest, blur;
+    mean_variance : (3,) of the rest's mean over an exposure, which blur leaves out
+    """
+
+    c_slow: Array
+    variance: Array
+    mean_variance: Array
+
+
+def split(mode: Mode, step_s: float, exposure_s: float) -> Split:
+    """Slow and fast part of a mode, told by its eigenvalues; the variance that lines lose is blur.
+
+    An eigenvalue is fast if it turns by more than FAST_TURN_RAD between nodes, or decays by more
+    than FAST_STEP time constants. Lines between nodes lose a sixth of E[(x(h) - x(0))^2].
+    """
+    value, vector = np.linalg.eig(mode.a)
+    turns, decays = np.abs(value) * step_s > FAST_TURN_RAD, -value.real * step_s > FAST_STEP
+    fast = np.where(value.imag != 0.0, turns, decays)
+    if fast.all():
+        c_slow = np.zeros_like(mode.c)
+    elif not fast.any() or np.linalg.cond(vector) > CLEAN:
+        c_slow = mode.c
+    else:
+        keep = np.where(fast, 0.0, 1.0)
+        c_slow = np.real((mode.c @ vector) * keep @ np.linalg.inv(vector))
+    c_fast = mode.c - c_slow
+    variance = np.einsum("ij,jk,ik->i", c_fast, mode.start, c_fast)
+    mean = mean_variance(mode, c_fast, exposure_s) if fast.any() else np.zeros(3)
+    step = discretise(mode.a, mode.b, step_s)
+    change = c_slow @ step.change
+    moved = np.einsum("ij,jk,ik->i", change, mode.start, change)
+    moved += np.einsum("ij,jk,ik->i", c_slow, step.noise, c_slow)
+    return Split(c_slow, variance + moved / 6.0, mean)
+
+
+def mean_variance(mode: Mode, c: Array, exposure_s: float) -> Array:
+    """Variance (3,) of the mean of c x over an exposure: the integral as three states more."""
+    n = len(mode.a)
+    a = np.zeros((n + 3, n + 3))
+    a[:n, :n], a[n:, :n] = mode.a, c / exposure_s
+    b = np.vstack([mode.b, np.zeros((3, mode.b.shape[1]))])
+    start = np.zeros((n + 3, n + 3))
+    start[:n, :n] = mode.start
+    step = discretise(a, b, exposure_s)
+    phi = step.transition
+    return np.maximum(np.diag(phi @ start @ phi.T + step.noise)[n:], 0.0)
+
+
+def run(mode: Mode, gaps_s: Array, normals: Array) -> Array:
+    """States (..., n, states) at n moments, the first `gaps_s[0]` after the epoch, then gap by gap.
+
+    normals : (..., n + 1, states) standard normal draws, the first for the state at the epoch
+    """
+    x = normals[..., 0, :] @ factor(mode.start).T
+    out = np.empty((*x.shape[:-1], len(gaps_s), x.shape[-1]))
+    steps: dict[float, tuple[Array, Array]] = {}
+    for k, gap in enumerate(gaps_s):
+        if gap > 0.0:
+            if gap not in steps:
+                step = discretise(mode.a, mode.b, float(gap))
+                steps[gap] = step.change, factor(step.noise)
+            change, spread = steps[gap]
+            x = x + x @ change.T + normals[..., k + 1, :] @ spread.T
+        out[..., k, :] = x
+    return out
+
+
+def between(
+    mode: Mode, first: Array, last: Array, span_s: float, levels: int, draw: Array
+) -> Array:
+    """States (F, 2^levels + 1, n) at equal steps between known ones (F, n) at both ends.
+
+    Halved again and again: a finer run passes through the states of a coarser one.
+    draw : (F, 2^levels - 1, n) standard normals, level by level
+    """
+    frames, states = first.shape
+    out = np.empty((frames, 2**levels + 1, states))
+    out[:, 0], out[:, -1] = first, last
+    used, stride = 0, 2**levels
+    for _ in range(levels):
+        made = bridge(_half(mode, span_s, stride, levels))
+        left, right = out[:, :-1:stride], out[:, stride::stride]
+        normals = draw[:, used : used + left.shape[1]]
+        middle = _times(left, made.start) + _times(right, made.stop) + _times(normals, made.spread)
+        out[:, stride // 2 :: stride] = middle
+        used, stride = used + left.shape[1], stride // 2
+    return out
+
+
+def _half(mode: Mode, span_s: float, stride: int, levels: int) -> Step:
+    return discretise(mode.a, mode.b, 0.5 * span_s * stride / 2**levels)
+
+
+def _times(x: Array, matrix: Array) -> Array:
+    """Products (F, m, n) of a matrix with states, in one order of sums for any number of them."""
+    out = np.zeros_like(x)
+    for j in range(x.shape[-1]):
+        out += x[..., j, None] * matrix[:, j]
+    return out

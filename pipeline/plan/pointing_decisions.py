@@ -1,0 +1,53 @@
+"""What the plan says of pointing and dwells: tables and their error, slews, several exposures."""
+
+from __future__ import annotations
+
+from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.plan.decision import Decision
+from pipeline.plan.geometry import ROUGH_PX
+from pipeline.plan.timing import dwell_plans, frame_count, integration_range_s
+from pipeline.spec.pointing import LocalPointing, TablePointing
+from pipeline.spec.scene import Scene
+
+
+def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
+    """Decisions of a scene's pointing; none for one dwell that holds, scans or tracks."""
+    out = []
+    plans = dwell_plans(scene)
+    if scene.dwells is not None:
+        shortest, longest = integration_range_s(scene)
+        slews = sum(p.slew is not None for p in plans)
+        out.append(
+            Decision(
+                "dwells", True,
+                f"{len(plans)} dwells with {frame_count(scene)} frames of {shortest:g} to "
+                f"{longest:g} s, {slews} slews; bounds are those of the shortest exposure's noise",
+            )
+        )  # fmt: skip
+    ifov = scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
+    for plan in plans:
+        p = plan.pointing
+        where = "" if scene.dwells is None else f" in dwell {plan.index}"
+        if isinstance(p, TablePointing):
+            told = "not known: too few rows"
+            if p.error_arcsec is not None:
+                px = p.error_arcsec * ARCSEC_RAD / ifov
+                told = f"{p.error_arcsec:.2g} arcsec ({px:.2g} px), from every other row left out"
+            out.append(
+                Decision(
+                    "pointing_table", True,
+                    f"{len(p.rows or ())} rows{where}, {p.interpolation} between them; error "
+                    f"between rows {told}; where rows are noisy, straight lines between an "
+                    f"exposure's nodes may be off by up to {ROUGH_PX:g} px"
+                    f"{'' if p.source is None else f'; {p.source}'}",
+                )
+            )  # fmt: skip
+        elif isinstance(p, LocalPointing):
+            out.append(
+                Decision(
+                    "pointing_refraction", False,
+                    f"azimuth and elevation{where} are those of the sky without air: with the "
+                    "site's refraction the camera is held as much higher (60 arcsec at 45 degrees)",
+                )
+            )  # fmt: skip
+    return tuple(out)

@@ -1,0 +1,61 @@
+"""A target that is behind the camera for a part of an exposure is drawn for the rest of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.execute.sources import place_targets
+from pipeline.execute.truth import target_truth
+from pipeline.plan.geometry import plan_geometry
+from pipeline.run import prepare
+from pipeline.spec.load import parse_scene
+
+SCENE = {
+    "schema": "nightglass/scene/1",
+    "name": "behind",
+    "epoch": "2019-07-20T09:00:00Z",
+    "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
+    "sensor": {
+        "shape": [256, 256], "pixel_pitch_um": 9.0, "focal_length_m": 0.5, "aperture_m": 0.1,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0},
+    },
+    "pointing": {"mode": "target", "target": "t"},
+    "exposure": {"integration_s": 1.0},
+    "targets": [{
+        "name": "t", "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.5},
+        "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]},
+    }],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("behind", "share"), [
+    ([], 1.0), ([0], 7 / 8), ([0, 1, 2, 3, 4], 3 / 8), ([3, 4, 5], 4 / 8), ([1, 3, 5, 7], 0.0),
+])  # fmt: skip
+def test_light_is_that_of_the_steps_in_view(behind: list[int], share: float) -> None:
+    plan = prepare(parse_scene(SCENE)).plan
+    g = plan_geometry(plan.scene, np.array([0]), 0.0)
+    whole = place_targets(plan, g)[0]
+    assert g.nodes == 9
+    g.target_x_px[0, 0] = 127.5 + 2.0 * np.arange(9)
+    g.target_x_px[0, 0, behind], g.target_y_px[0, 0, behind] = np.nan, np.nan
+    made = place_targets(plan, g)[0]
+    assert made.light_e == pytest.approx(share * whole.light_e, rel=1e-3, abs=1e-9)
+    assert np.isfinite(made.path.x_px).all()
+    middle = 0.5 * (made.path.x_px[1:] + made.path.x_px[:-1]) + made.x_px
+    if share:
+        lit = [k for k in range(8) if k not in behind and k + 1 not in behind]
+        expected = np.mean([127.5 + 2.0 * k + 1.0 for k in lit])
+        assert made.path.weight @ middle == pytest.approx(expected, abs=1e-3)
+    truth = target_truth(plan, g)
+    assert truth["electrons"][0] == pytest.approx(made.light_e)
+    assert np.isnan(truth["x_px"][0]) == (4 in behind)
+
+
+def test_one_that_is_behind_all_the_time_is_not_drawn() -> None:
+    plan = prepare(parse_scene(SCENE)).plan
+    g = plan_geometry(plan.scene, np.array([0]), 0.0)
+    g.target_x_px[:], g.target_y_px[:] = np.nan, np.nan
+    assert place_targets(plan, g) == []
+    assert place_targets(plan, g, everywhere=True) == []

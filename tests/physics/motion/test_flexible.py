@@ -1,0 +1,117 @@
+"""Flexible modes: runs against their covariances, and what blur leaves out against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.physics.motion.flexible import (
+    Mode,
+    between,
+    markov,
+    mean_variance,
+    oscillator,
+    random_walk,
+    rate_markov,
+    run,
+    split,
+    system,
+)
+
+MODES = {
+    "fast": markov(0, 1e-6, 1.0, None),
+    "slow": markov(1, 1e4, 1.0, None),
+    "swing": oscillator(0, 1.3, 0.02, 1.0, None),
+    "stiff": oscillator(2, 4e3, 0.5, 1.0, None),
+}
+
+
+@pytest.mark.parametrize("name", MODES)
+def test_runs_have_the_covariance_of_the_process(name: str) -> None:
+    """2000 runs of three exposures of 0.4 s with gaps: variances and lagged covariances."""
+    mode, count, levels = MODES[name], 2000, 3
+    n, rng = len(mode.a), np.random.default_rng(7)
+    gaps = np.array([0.1, 0.4, 0.6, 0.4])
+    ends = run(mode, gaps, rng.standard_normal((count, 5, n)))
+    first, last = ends[:, 2], ends[:, 3]
+    inside = between(mode, first, last, 0.4, levels, rng.standard_normal((count, 7, n)))
+    x = inside @ mode.c.T
+    x = x[..., np.argmax(np.abs(mode.c).sum(axis=1))]
+    sizes = (x**2).mean(axis=0)
+    assert np.allclose(sizes, 1.0, atol=5 * np.sqrt(2 / count))
+    from scipy.linalg import expm
+
+    for lag in (1, 4, 8):
+        expected = expm(mode.a * (0.05 * lag))[0, 0] if name != "stiff" else 0.0
+        found = (x[:, 0] * x[:, lag]).mean()
+        assert found == pytest.approx(expected, abs=5 / np.sqrt(count))
+    before = ends[:, 1] @ mode.c.T  # the end of the exposure before, 0.6 s earlier
+    before = before[:, np.argmax(np.abs(mode.c).sum(axis=1))]
+    expected = expm(mode.a * 0.6)[0, 0] if name != "stiff" else 0.0
+    assert (before * x[:, 0]).mean() == pytest.approx(expected, abs=5 / np.sqrt(count))
+
+
+def test_a_finer_run_passes_through_a_coarser_one() -> None:
+    mode, rng = MODES["swing"], np.random.default_rng(1)
+    first, last, draw = rng.standard_normal((3, 31, 2))
+    coarse = between(mode, first[:2], last[:2], 2.0, 2, draw[None, :3].repeat(2, 0))
+    fine = between(mode, first[:2], last[:2], 2.0, 5, draw[None].repeat(2, 0))
+    assert np.array_equal(fine[:, ::8], coarse)
+
+
+def test_against_the_mean_of_a_markov_process() -> None:
+    """Var of the mean over T: 2 s^2 tau / T (1 - tau / T (1 - exp(-T / tau)))."""
+    for tau, t in ((1e-6, 1.0), (0.3, 1.0), (1e4, 1.0), (10.0, 500.0)):
+        mode, r = markov(1, tau, 2.0, None), tau / t
+        exact = 4.0 * 2.0 * r * (1.0 + r * np.expm1(-1.0 / r)) if r < 100 else 4.0
+        assert mean_variance(mode, mode.c, t)[1] == pytest.approx(exact, rel=1e-4)
+
+
+def test_strengths_by_noise_density() -> None:
+    w, z = 2.0 * np.pi * 3.0, 0.1
+    by_noise = oscillator(0, 3.0, z, None, 5.0)
+    assert by_noise.start[0, 0] == pytest.approx(25.0 / (4.0 * z * w**3))
+    from scipy.linalg import solve_continuous_lyapunov
+
+    a = np.array([[0.0, 1.0], [-(w**2), -2.0 * z * w]])
+    b = np.array([[0.0], [5.0]])
+    assert by_noise.start[0, 0] == pytest.approx(solve_continuous_lyapunov(a, -b @ b.T)[0, 0])
+    assert markov(0, 4.0, None, 3.0).start[0, 0] == pytest.approx(9.0 * 4.0 / 2.0)
+
+
+def test_a_random_walk_and_an_integrated_rate_grow() -> None:
+    rng, gaps = np.random.default_rng(2), np.full(9, 2.0)
+    walk = random_walk(0, 3.0)
+    x = run(walk, gaps, rng.standard_normal((3000, 10, 1)))[:, -1, 0]
+    assert x.std() == pytest.approx(3.0 * np.sqrt(18.0), rel=0.06)
+    bias = rate_markov(0, 1e4, 0.5)  # hardly changes in 18 s: angle = rate t
+    y = run(bias, gaps, rng.standard_normal((3000, 10, 2)))[:, -1, 0]
+    assert y.std() == pytest.approx(0.5 * 18.0, rel=0.06)
+
+
+def test_split_of_a_system_into_path_and_blur() -> None:
+    """A mixed system's fast part becomes blur; path and blur together hold its variance."""
+    rng = np.random.default_rng(4)
+    v = np.eye(3) + 0.3 * rng.standard_normal((3, 3))
+    a = v @ np.diag([-1e6, -1e5, -0.01]) @ np.linalg.inv(v)
+    c = rng.standard_normal((3, 3))
+    mode = system(a, rng.standard_normal((3, 3)), c)
+    parts = split(mode, 1e-2, 1.0)
+    slow = np.einsum("ij,jk,ik->i", parts.c_slow, mode.start, parts.c_slow)
+    total = np.einsum("ij,jk,ik->i", c, mode.start, c)
+    assert np.allclose(slow + parts.variance, total, rtol=2e-2)  # but for their covariance
+    assert np.abs(parts.c_slow @ v[:, :2]).max() < 1e-9  # nothing fast is in the path
+    assert parts.mean_variance.max() < 1e-3 * parts.variance.max()
+
+
+@pytest.mark.parametrize(("mode", "fast"), [
+    (markov(0, 1e-5, 1.0, None), True), (markov(0, 10.0, 1.0, None), False),
+    (oscillator(0, 100.0, 0.01, 1.0, None), True), (oscillator(0, 1.0, 0.01, 1.0, None), False),
+])  # fmt: skip
+def test_which_modes_are_blur(mode: Mode, fast: bool) -> None:
+    parts = split(mode, 0.01, 1.0)
+    assert parts.c_slow.any() != fast
+    if fast:
+        assert parts.variance[0] == pytest.approx(1.0)
+    else:
+        assert parts.variance[0] < 1e-3

@@ -1,0 +1,105 @@
+"""Jitter: spectra against their integrals, runs against periodograms, bounds against sums."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.signal import welch
+
+from pipeline.physics.motion import jitter
+from pipeline.physics.motion.jitter import bins_of, fast_part, slow_loss, waves
+
+SPECTRA = {
+    "white": jitter.white(0.7, 0.1, 50.0),
+    "flicker": jitter.power_law(0.7, 1.0, 0.01, 100.0),
+    "resonance": jitter.resonance(0.7, 3.0, 0.01),
+    "table": jitter.table(np.array([0.1, 1.0, 10.0]), np.array([0.3, 0.03, 3e-4])),
+}
+
+
+def drawn(name: str, split_hz: float = 8.0, seed: int = 1) -> jitter.Waves:
+    bins = bins_of(SPECTRA[name], split_hz)
+    rng = np.random.default_rng(seed)
+    n = len(bins.variance)
+    return waves(bins, split_hz, rng.standard_normal((n, 4)), rng.random(n))
+
+
+@pytest.mark.parametrize("name", ["white", "flicker", "resonance"])
+def test_all_variance_is_there(name: str) -> None:
+    assert bins_of(SPECTRA[name], 8.0).variance.sum() == pytest.approx(0.49, rel=1e-4)
+
+
+def test_against_quadrature_of_each_spectrum() -> None:
+    for name, one in SPECTRA.items():
+        bins = bins_of(one, 8.0)
+        fast = bins.variance[bins.edge_hz[:-1] >= 8.0].sum()
+        scale = 1.0
+        points = [k for k in one.knots_hz if one.low_hz < k < one.high_hz] or None
+        if one.rms_rad is not None:
+            scale = one.rms_rad**2 / quad(one.density, one.low_hz, one.high_hz, limit=500)[0]
+
+        def density(f: float, s: jitter.Spectrum = one) -> float:
+            return float(s.density(np.array([f]))[0])
+
+        top = min(one.high_hz, 1000.0)
+        inside = [p for p in points or [] if 8.0 < p < top][:40] or None
+        expected = scale * quad(density, 8.0, top, points=inside, limit=500)[0]
+        assert fast == pytest.approx(expected, rel=1e-3), name
+
+
+@pytest.mark.parametrize("name", SPECTRA)
+def test_against_the_periodogram_of_a_run(name: str) -> None:
+    """The density of a long run, averaged over octaves and three seeds, is the one asked for."""
+    rate, t = 40.0, np.arange(4096) / 40.0
+    x = np.concatenate([drawn(name, seed=s).at(t) for s in range(3)], axis=1)
+    f, found = welch(x, rate, nperseg=1024, axis=0)
+    found = found.mean(axis=1)
+    one = SPECTRA[name]
+    bins = bins_of(one, 8.0)
+    for low in (0.5, 1.0, 2.0, 4.0):
+        mine = (f >= low) & (f < 2.0 * low)
+        power = found[mine].sum() * (f[1] - f[0])
+        inside = (bins.middle_hz >= low) & (bins.middle_hz < 2.0 * low)
+        assert power == pytest.approx(bins.variance[inside].sum(), rel=0.45, abs=2e-3), low
+
+
+@pytest.mark.parametrize("name", SPECTRA)
+def test_blur_leaves_out_no_more_than_it_says(name: str) -> None:
+    """Brute force: means and variances over exposures of many runs of the fast part alone."""
+    one, split_hz, time = SPECTRA[name], 4.0, 1.0
+    bins = bins_of(one, 1e-9)
+    keep = (bins.edge_hz[:-1] >= split_hz) & (bins.middle_hz < 60.0)
+    t = (np.arange(1024) + 0.5) / 1024
+    means, spreads = [], []
+    f, size = bins.middle_hz[keep], np.sqrt(bins.variance[keep])
+    cosines, sines = np.cos(2 * np.pi * f[:, None] * t), np.sin(2 * np.pi * f[:, None] * t)
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        x = (size * rng.standard_normal(len(f))) @ cosines
+        x = x + (size * rng.standard_normal(len(f))) @ sines
+        means.append(x.mean())
+        spreads.append((x**2).mean())
+    part = fast_part(bins_of(one, split_hz), split_hz, time)
+    assert np.var(means) <= part.mean_variance * 1.05
+    assert np.mean(spreads) == pytest.approx(np.sum(size**2), rel=0.1)
+    assert np.std(spreads) / np.mean(spreads) == pytest.approx(part.scatter, rel=0.35)
+
+
+def test_what_straight_lines_lose() -> None:
+    """Against runs: the variance of a polyline through the nodes, averaged over time."""
+    one, split_hz, step = SPECTRA["white"], 8.0, 1.0 / 64.0
+    lost, share = [], (np.arange(16) + 0.5) / 16
+    for seed in range(60):
+        x = drawn("white", seed=seed).at(np.arange(257) * step)
+        between = x[:-1, None] * (1 - share)[:, None] + x[1:, None] * share[:, None]
+        lost.append((x**2).mean() - (between**2).mean())
+    expected = slow_loss(bins_of(one, split_hz), split_hz, step)
+    assert np.mean(lost) == pytest.approx(expected, rel=0.1)
+
+
+def test_limits_of_tables() -> None:
+    empty = jitter.table(np.array([1.0, 2.0]), np.zeros(2))
+    assert fast_part(bins_of(empty, 1.5), 1.5, 1.0).variance == 0.0
+    assert bins_of(SPECTRA["white"], 1e-6).edge_hz[0] == 0.1
+    assert fast_part(bins_of(SPECTRA["white"], 1e-6), 1e-6, 1.0).variance == pytest.approx(0.49)

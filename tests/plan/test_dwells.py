@@ -1,0 +1,133 @@
+"""Dwells: times of every frame, slews and settling, and what does not fit together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.physics.vectors import separation
+from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames, star_paths
+from pipeline.plan.timing import (
+    end_s,
+    frame_count,
+    frame_times,
+    integration_range_s,
+    integration_s,
+)
+from pipeline.spec.load import InvalidScene
+from pipeline.spec.scene import Scene
+
+Make = Callable[..., Scene]
+ARCSEC = np.pi / 648_000
+
+
+def held(ra: float, **more: Any) -> dict[str, Any]:
+    return {"mode": "sidereal", "boresight_ra_deg": ra, "boresight_dec_deg": 25.0} | more
+
+
+PLAN: list[dict[str, Any]] = [
+    {"frames": 3, "integration_s": [0.5, 2.0]},
+    {"pointing": held(41.0), "slew": {"duration_s": 8.0}, "wait_s": 1.5, "frames": 2,
+     "integration_s": 1.0, "cadence_s": 4.0},
+    {"pointing": held(40.0), "slew": {"duration_s": 5.0, "profile": "bang_bang"},
+     "start_s": 60.0, "frames": 4, "integration_s": 2.0, "cadence_s": 2.0,
+     "settle": {"amplitude_arcsec": 20.0, "frequency_hz": 1.0, "damping": 0.1}},
+]  # fmt: skip
+
+
+def test_one_dwell_is_what_it_was(scene: Make) -> None:
+    s = scene()
+    start, time = frame_times(s, np.arange(5))
+    assert np.array_equal(start, np.arange(5) * 10.0)
+    assert np.array_equal(time, np.full(5, 2.0))
+    assert (frame_count(s), end_s(s), integration_range_s(s)) == (5, 42.0, (2.0, 2.0))
+
+
+def test_times_of_every_frame(scene: Make) -> None:
+    s = scene({"dwells": PLAN, "exposure.cadence_s": None})
+    start, time = frame_times(s, np.arange(9))
+    assert np.allclose(start, [0.0, 0.5, 2.5, 12.5, 16.5, 60.0, 62.0, 64.0, 66.0])
+    assert np.allclose(time, [0.5, 2.0, 0.5, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0])
+    assert np.array_equal(frame_times(s, np.array([7, 1]))[0], start[[7, 1]])
+    assert (frame_count(s), end_s(s), integration_range_s(s)) == (9, 68.0, (0.5, 2.0))
+    assert integration_s(s, 1) == 2.0
+    assert {0, 2, 3, 4, 5, 8} <= set(sampled_frames(s))
+    g = plan_geometry(s, np.arange(9), 0.0)
+    assert np.allclose(g.offset_s[:, 0], start)
+    assert np.allclose(g.offset_s[:, -1] - g.offset_s[:, 0], time)
+
+
+def test_a_dwell_alone_is_the_scene_without_it(scene: Make) -> None:
+    plain = scene()
+    same = scene({"dwells": [{}]})
+    a, b = (plan_geometry(s, np.arange(5), 0.0) for s in (plain, same))
+    assert np.array_equal(a.attitude, b.attitude)
+
+
+def test_frames_in_a_slew_are_on_the_way(scene: Make) -> None:
+    """Minimum jerk over 0.01 degrees: at half the time half the way, at rest at both ends."""
+    near = {"pointing": held(40.011), "slew": {"duration_s": 10.0}, "start_s": 2.0, "frames": 6,
+            "integration_s": 2.0, "cadence_s": 2.0}  # fmt: skip
+    still = {"stars.aberration": False, "stars.deflection": False}
+    s = scene({"dwells": [{"frames": 1}, near], "exposure.cadence_s": 2.0} | still)
+    g = plan_geometry(s, np.arange(7), 0.0)
+    total = separation(g.attitude[0, 0, 2], g.attitude[-1, -1, 2])
+    t = np.clip((g.offset_s - 2.0) / 10.0, 0.0, 1.0)
+    share = separation(g.attitude[0, 0, 2], g.attitude[:, :, 2]) / total
+    assert np.allclose(share, 10 * t**3 - 15 * t**4 + 6 * t**5, atol=1e-7)
+    camera = camera_of(s)
+    middle = star_paths(camera, g, np.array([383.5]), np.array([255.5]), False)[:, 0]
+    lengths = np.hypot(*np.diff(middle, axis=-1)).sum(axis=-1)
+    assert np.allclose(lengths.sum(), np.tan(total) / 1e-5, rtol=1e-3)
+    assert lengths[3] > 5 * lengths[1] > 0
+    assert lengths[6] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_settling_after_a_slew(scene: Make) -> None:
+    s = scene({"dwells": PLAN, "exposure.cadence_s": None})
+    rest = [{**d, "settle": None} if "settle" in d else d for d in PLAN]
+    rest = [{k: v for k, v in d.items() if v is not None} for d in rest]
+    moved, still = (
+        plan_geometry(x, np.arange(5, 9), 0.0)
+        for x in (s, scene({"dwells": rest, "exposure.cadence_s": None}))
+    )
+    t = moved.offset_s - 22.5  # the slew starts at 17.5 and lasts 5 s
+    w = 2 * np.pi
+    wave = 20.0 * ARCSEC * np.exp(-0.1 * w * t) * np.sin(w * np.sqrt(0.99) * t)
+    stride = (moved.nodes - 1) // (still.nodes - 1)
+    left = np.einsum(
+        "fkj,fkj->fk", moved.attitude[:, ::stride, 2], still.attitude[:, :, 0]
+    )
+    assert np.allclose(left, wave[:, ::stride], atol=1e-13)
+
+
+BAD: dict[str, tuple[list[dict[str, Any]], str, str]] = {
+    "overlap": ([{}, {"start_s": 3.0}], "dwells.1.start_s", "when the dwell before it ends"),
+    "first slew": ([{"slew": {"duration_s": 1.0}}], "dwells.0.slew", "after another dwell"),
+    "cadence": ([{"integration_s": 20.0}], "dwells.0.integration_s", "cadence"),
+    "own cadence": ([{"integration_s": [1, 5], "cadence_s": 2}], "dwells.0.cadence_s", "at least"),
+    "wait": ([{"start_s": 3, "wait_s": 1}], "dwells.0.wait_s", "allowed: 0"),
+    "no time": ([{"integration_s": []}], "dwells.0.integration_s", ""),
+    "none": ([], "dwells", "at least 1"),
+    "target": ([{"pointing": {"mode": "target", "target": "x"}}], "dwells.0.pointing.target",
+               "name of a target"),
+    "random": ([{"pointing": held(1.0, attitude={"modes": [
+        {"kind": "random_walk", "axis": "x", "arcsec_rts": 1.0}]})}],
+        "dwells.0.pointing.attitude", "drift"),
+    "too many": ([{"frames": 100_000}, {}], "dwells", "frames in all"),
+    "damping": ([{"settle": {"amplitude_arcsec": 1, "frequency_hz": 1, "damping": 1}}],
+                "dwells.0.settle.damping", "less than 1"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_dwells_that_do_not_fit(scene: Make, name: str) -> None:
+    plans, field, word = BAD[name]
+    with pytest.raises((BadInput, InvalidScene)) as caught:
+        frame_times(scene({"dwells": plans}), np.arange(1))
+    assert caught.value.field == field
+    assert word in str(caught.value)
