@@ -165,7 +165,7 @@ TEXTS_THAT_ARE_NO_PATHS = {
     "compression", "layers", "object", "frame", "shadow", "third_bodies", "source",
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
     "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond",
-    "name_contains", "left_out",
+    "name_contains", "left_out", "moonlight", "twilight",
 }  # fmt: skip
 
 
