@@ -98,10 +98,10 @@ def _explained(labels: Labels, found: Found) -> NDArray[np.bool_]:
     places = np.stack([found.x_px, found.y_px], axis=-1)
     near = tree.query_ball_point(places, float(far.max()))
     out = np.zeros(len(found), bool)
-    for i, members in enumerate(near):
+    for k, members in enumerate(near):
         if members:
-            gap = np.hypot(*(tree.data[members] - places[i]).T)
-            out[i] = bool((gap < far[members]).any())
+            gap = np.hypot(*(tree.data[members] - places[k]).T)
+            out[k] = bool((gap < far[members]).any())
     return out
 
 

@@ -61,7 +61,7 @@ def find_points(image: Array, noise: float, threshold_sigma: float) -> Found:
     return Found(rows["x"].astype(float), rows["y"].astype(float), snr, none, none)
 
 
-def _sep():  # type: ignore[no-untyped-def]
+def _sep():
     try:
         import sep
     except ImportError:

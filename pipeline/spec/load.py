@@ -297,7 +297,8 @@ def _mistake(error: Any, data: Any) -> tuple[str, Any, str]:
         for part in context["field"].split("."):
             index = int(part) if isinstance(value, list | tuple) and part.isdigit() else None
             value = value.get(part) if isinstance(value, dict) else value
-            value = value[index] if index is not None and index < len(value) else value
+            if isinstance(value, list | tuple) and index is not None and index < len(value):
+                value = value[index]
     if error["type"].startswith("union_tag"):
         names.append(str(context["discriminator"]).strip("'"))
         allowed = f"allowed: {context['expected_tags']}" if "tag" in context else "it must be given"
