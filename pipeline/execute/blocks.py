@@ -119,7 +119,7 @@ def _crowd(
     longest = max(found, key=lambda p: p.length_px)
     shape, radius = (place.rows, place.columns), r.classes[0].radius_px
     near = _near(plan, place, radius + _farthest(paths))
-    limit = r.classes[0].brightest_e
+    limit = min(r.classes[0].brightest_e, *(paths[zone].mixed_from_e for zone in np.unique(zones)))
     for blur in near:
         spectral = spectral_plan_of(blur, radius, longest, shape, len(stars))
         if spectral is None:

@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate
 from pipeline.execute.blocks import around, class_of, parts_of, target_class
 from pipeline.execute.sources import (
     FrameTarget,
+    distance_px,
     drawing_order,
     excursion_px,
     place_targets,
@@ -39,6 +41,7 @@ from pipeline.spec.scene import CELL_PX
 Part = tuple[slice, slice]
 
 WINDOW_PX = 16
+OWN_PATHS = 8  # of the brightest stars near a window
 MOST_TERMS = 4e8  # products that a window may cost: about a second
 LONGEST_PX = 48.0
 
@@ -114,9 +117,9 @@ def reference(plan: Plan, g: Geometry, at: Tile, stars: FrameStars) -> tuple[Arr
     """Light of all sources in a small window by the reference path, and how many sources.
 
     Every source stands at its exact place and streaks as stars in the window's middle do (targets
-    along their own path), with a core of twice the radius that its brightness asks for and the
-    wings on a grid of half the spacing: the sum of the phases of its spectrum, in float64. None
-    where that would cost more than MOST_TERMS.
+    and the brightest stars along their own path), with a core of twice the radius that its
+    brightness asks for and the wings on a grid of half the spacing: the sum of the phases of its
+    spectrum, in float64. None where that would cost more than MOST_TERMS.
     """
     near = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
     groups: list[tuple[Array, Array, Array, Path]] = []
@@ -124,7 +127,12 @@ def reference(plan: Plan, g: Geometry, at: Tile, stars: FrameStars) -> tuple[Arr
         middle = at.x0 + 0.5 * (at.columns - 1), at.y0 + 0.5 * (at.rows - 1)
         aberration = plan.scene.star_effects["aberration"]
         path = exact_path(plan.camera, g, *middle, aberration)
-        groups.append((near.x_px, near.y_px, near.light_e, path))
+        own = _brightest(near, at, radius=excursion_px(plan, g) + WINDOW_PX)
+        groups.append((near.x_px[~own], near.y_px[~own], near.light_e[~own], path))
+        for i in np.flatnonzero(own):
+            x, y, light = near.x_px[[i]], near.y_px[[i]], near.light_e[[i]]
+            its = exact_path(plan.camera, g, float(x[0]), float(y[0]), aberration)
+            groups.append((x, y, light, its))
     targets = place_targets(plan, g)
     groups += [
         (np.array([t.x_px]), np.array([t.y_px]), np.array([t.light_e]), t.path)
@@ -146,6 +154,15 @@ def reference(plan: Plan, g: Geometry, at: Tile, stars: FrameStars) -> tuple[Arr
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
+
+
+def _brightest(stars: FrameStars, at: Tile, radius: float) -> NDArray[np.bool_]:
+    """Which stars (n,) are the OWN_PATHS brightest of those that may pass through a window."""
+    near = distance_px(stars.x_px, stars.y_px, at.y0, at.x0, at.rows, at.columns) < radius
+    light = np.where(near, stars.light_e, -1.0)
+    chosen = np.zeros(len(stars), bool)
+    chosen[np.argsort(-light, kind="stable")[:OWN_PATHS]] = True
+    return chosen & near
 
 
 def _pieces(

@@ -72,10 +72,16 @@ def _draw_stamps(
         for zone in np.unique(zones[classes == k]):
             mine = select(stars, (classes == k) & (zones == zone))
             streak = paths[zone]
+            bright = mine.light_e > streak.mixed_from_e
+            usual, mixed = select(mine, ~bright), select(mine, bright)
             for piece in streak.pieces:
-                x, y = streak.at(piece.centre, mine.x_px, mine.y_px)
-                light = mine.light_e * piece.share
-                _draw_piece(plan, image, tile, k, piece.path, mine.x_px + x, mine.y_px + y, light)
+                x, y = streak.at(piece.centre, usual.x_px, usual.y_px)
+                x, y, light = usual.x_px + x, usual.y_px + y, usual.light_e * piece.share
+                _draw_piece(plan, image, tile, k, piece.path, x, y, light)
+                if len(mixed):
+                    places = mixed.x_px, mixed.y_px, mixed.light_e
+                    for path, x, y, light in streak.mixture(piece, *places):
+                        _draw_piece(plan, image, tile, k, path, x, y, light)
 
 
 def _draw_piece(

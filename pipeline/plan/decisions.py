@@ -238,18 +238,23 @@ def _over_the_field(r: ResponsePlan) -> Decision:
 def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
     """How the stars' streaks and crowds are drawn."""
     s = r.streaks
-    off = s.spread_px + 0.5 * s.step_px + s.merge_px if s.longest_px else 0.0
-    out = [
-        Decision(
-            "common_streak", True,
-            f"{s.zones} x {s.zones} zone(s) and {s.pieces} piece(s) of the exposure, each with one "
-            "shape for all its stars, set where each star's own light is. Ends are off by at most "
-            f"{off:.2g} px, {s.spread_px:.2g} px of it the field's: about that share of the light "
-            "of a pixel there, so that bright streaks err by more than the bound, which is that of "
-            "a pixel whose light equals the noise floor (`achieved_error` tells of the brightest)",
-            off * sigma_e, off,
+    reason = (
+        f"{s.zones} x {s.zones} zone(s) and {s.pieces} piece(s) of the exposure, each with one "
+        "shape for all its stars, set where each star's own light is. Ends are off by at most "
+        f"{s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that share of the light "
+        "of a pixel there"
+    )
+    bound = min(s.off_px * sigma_e, r.budget_e)
+    if s.mixed_from_e_px[0] < math.inf:
+        bound = r.budget_e
+        (first, second), (bilinear, curved) = s.mixed_from_e_px, s.mixed_off_px
+        reason += (
+            f". Stars of more than {first:.3g} e- a px of their path, of which that would be more "
+            "than the bound, get a bilinear mixture of the shapes at their zone's nodes, off by "
+            f"{bilinear:.2g} px; from {second:.3g} e- a px on a biquadratic one, off by "
+            f"{curved:.2g} px. The bound grows with a pixel's noise"
         )
-    ]  # fmt: skip
+    out = [Decision("common_streak", True, reason, bound, bound / sigma_e)]
     if r.spectral_from:
         out.append(
             Decision(

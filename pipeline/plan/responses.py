@@ -125,7 +125,10 @@ def plan_responses(
     aberration = scene.star_effects["aberration"]
     path, streaks = POINT, STILL
     if scene.stars is not None:
-        streaks = plan_streaks(camera, ends, aberration, scene.accuracy.noise_fraction)
+        streaks = plan_streaks(
+            camera, ends, aberration, scene.accuracy.noise_fraction, facts.sigma_floor_e,
+            facts.budget_e,
+        )  # fmt: skip
         path = _shortest_piece(camera, ends, streaks, aberration)
     if any(b.has_wings for b in blurs):
         for b in blurs:

@@ -3,12 +3,15 @@
 Stars of one frame move along almost the same path. In each piece of the exposure all stars of a
 zone get one shape, placed where each star's own light is in that piece; so what remains of the
 difference between two paths is divided by the number of pieces, and few tables serve all stars.
+Stars so bright that even that would show get a mixture of the shapes at the zone's nine nodes,
+which is right to second order in how the paths differ: bilinear, and biquadratic for the brightest.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +29,8 @@ USUAL_FRACTION = 0.05  # noise_fraction for which these tolerances are
 MOST_PIECES = 16
 NODES = np.array([-1.0, 0.0, 1.0])  # of a zone, where paths are followed exactly
 CHECKS = np.array([-1.0, -0.5, 0.5, 1.0])  # where the spread is measured
+FINER_NODES = 16.0  # how much finer shapes for mixtures are rounded and merged
+FARTHEST = 1.5  # in a zone's own units, to which mixtures follow stars off the frame
 
 
 @dataclass(frozen=True)
@@ -55,11 +60,14 @@ class Piece:
     path : on the PATH_STEP_PX grid, weights of sum one; share : part of the light
     centre : (2, 3, 3) x and y of the centroid, from the star's place at mid-exposure, for stars
         at the zone's NODES (rows of v, columns of u)
+    nodes : the same shape for stars at the nodes, and (9, 2, 3, 3) their `centre`; or none
     """
 
     path: Path
     share: float
     centre: Array
+    nodes: tuple[Path, ...]
+    node_centres: Array
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,7 @@ class Streak:
 
     path : of the star in the middle of the zone, from its place at mid-exposure
     start, end : (2, 3, 3) ends of the path for stars at the zone's NODES
+    mixed_from_e, curved_from_e : stars of more light are drawn by bilinear, biquadratic mixtures
     """
 
     zone: Zone
@@ -75,6 +84,23 @@ class Streak:
     pieces: tuple[Piece, ...]
     start: Array
     end: Array
+    mixed_from_e: float
+    curved_from_e: float
+
+    def mixture(
+        self, piece: Piece, x_px: Array, y_px: Array, light_e: Array
+    ) -> Iterator[tuple[Path, Array, Array, Array]]:
+        """Each shape that some of the stars have a part of, where it stands, and its light (m,)."""
+        u, v = (np.clip(a, -FARTHEST, FARTHEST) for a in self.zone.uv(x_px, y_px))
+        curved = light_e > self.curved_from_e
+        across, down = (np.where(curved, _lagrange(t), _hats(t)) for t in (u, v))
+        for k, (path, table) in enumerate(zip(piece.nodes, piece.node_centres, strict=True)):
+            part = down[k // 3] * across[k % 3]
+            some = part != 0.0
+            if some.any():
+                x, y = x_px[some], y_px[some]
+                dx, dy = self.at(table, x, y)
+                yield path, x + dx, y + dy, light_e[some] * part[some] * piece.share
 
     def at(self, table: Array, x_px: Array, y_px: Array) -> tuple[Array, Array]:
         """A quantity known at the zone's NODES for stars at (x, y): biquadratic interpolation."""
@@ -87,6 +113,8 @@ class StreakPlan:
 
     shapes : different pieces that a frame has at most
     step_px, merge_px : what shapes are rounded to, and how far their bends may be off
+    mixed_px : px from a bright star's own path, drawn as a bilinear and a biquadratic mixture
+    mixed_from_e_px : light per px of path from which it is so drawn
     """
 
     zones: int
@@ -96,14 +124,34 @@ class StreakPlan:
     shapes: int
     step_px: float
     merge_px: float
+    mixed_px: tuple[float, float] = (0.0, 0.0)
+    mixed_from_e_px: tuple[float, float] = (math.inf, math.inf)
+
+    @property
+    def off_px(self) -> float:
+        """How far light may be from where a star's own path has it, of stars with one shape."""
+        return self.spread_px + 0.5 * self.step_px + self.merge_px if self.longest_px else 0.0
+
+    @property
+    def mixed_off_px(self) -> tuple[float, float]:
+        """The same of stars drawn as bilinear and as biquadratic mixtures."""
+        rounded = (0.5 * self.step_px + self.merge_px) / FINER_NODES
+        return self.mixed_px[0] + rounded, self.mixed_px[1] + rounded
 
 
 def plan_streaks(
-    camera: Camera, ends: Geometry, aberration: bool, noise_fraction: float = USUAL_FRACTION
+    camera: Camera,
+    ends: Geometry,
+    aberration: bool,
+    noise_fraction: float = USUAL_FRACTION,
+    floor_e: float = 1.0,
+    budget_e: float = math.inf,
 ) -> StreakPlan:
     """Fewest zones, then fewest pieces, whose stars streak alike.
 
     They do to SPREAD_TOLERANCE_PX at the usual accuracy; a finer one makes all tolerances finer.
+    floor_e : noise of a pixel without sources; budget_e : what streaks may err by there. A pixel
+    with more light may err by as much more as it has noise.
     """
     finer = 2.0 ** min(0.0, max(-8.0, math.floor(math.log2(noise_fraction / USUAL_FRACTION))))
     tolerance = SPREAD_TOLERANCE_PX * finer
@@ -119,8 +167,20 @@ def plan_streaks(
         if spread <= tolerance or zones >= most:
             shapes = zones**2 * _shapes(offsets, pieces)
             step, merge = PATH_STEP_PX * finer, MERGE_TOLERANCE_PX * finer
-            return StreakPlan(zones, pieces, spread, longest, shapes, step, merge)
+            mixed = (_spread_px(offsets, pieces, _hats), _spread_px(offsets, pieces, _lagrange))
+            made = StreakPlan(zones, pieces, spread, longest, shapes, step, merge, mixed)
+            offs = made.off_px, made.mixed_off_px[0]
+            first, second = (_light_from(off, floor_e, budget_e) for off in offs)
+            return replace(made, mixed_from_e_px=(first, second)) if made.off_px else made
         zones = min(2 * zones, most)
+
+
+def _light_from(off_px: float, floor_e: float, budget_e: float) -> float:
+    """Light per px of path x [e-] where its error x off equals budget sqrt(1 + x/floor^2) [e-]."""
+    if off_px == 0.0 or not math.isfinite(budget_e):
+        return math.inf
+    rise = (budget_e / (off_px * floor_e)) ** 2
+    return 0.5 * (rise + math.sqrt(rise * rise + 4.0 * rise * floor_e * floor_e))
 
 
 def _power_of_two(n: float) -> int:
@@ -174,21 +234,37 @@ def _in_pieces(offsets: Array, pieces: int) -> tuple[Array, Array]:
     return parts, means
 
 
-def _spread_px(offsets: Array, pieces: int) -> float:
-    """Largest distance between a star's own path and the one that it is drawn along [px]."""
+def _spread_px(
+    offsets: Array, pieces: int, weights: Callable[[Array], Array] | None = None
+) -> float:
+    """Largest distance between a star's own path and the one that it is drawn along [px].
+
+    weights : of the shapes at the nodes; without, all stars have the one in the middle. The ends
+        of a mixture stand, to first order in how shapes differ, where the mixture of the ends does.
+    """
     parts, means = _in_pieces(offsets, pieces)
     nodes = NODES.size**2
-    shape = parts[:, :, nodes // 2] - means[:, :, nodes // 2, ..., None]
+    shapes = np.moveaxis(parts[:, :, :nodes] - means[:, :, :nodes, ..., None], 2, -1)
     table = np.moveaxis(means[:, :, :nodes], 2, -1)
-    u, v = (m.ravel() for m in np.meshgrid(CHECKS, CHECKS))
+
+    def off(at: int, a: float, b: float) -> float:
+        """At point `at`, which stands at (a, b) in the zone's own units."""
+        place = _product(_lagrange, a, b)
+        shape = shapes[..., nodes // 2] if weights is None else shapes @ _product(weights, a, b)
+        drawn = (table @ place)[..., None] + shape
+        return float(np.hypot(*(parts[:, :, at] - drawn)).max())
+
     worst = 0.0
-    at_nodes = parts[:, :, :nodes] - means[:, :, :nodes, ..., None] - shape[:, :, None]
-    worst = float(np.hypot(*at_nodes).max())
-    for k, (a, b) in enumerate(zip(u, v, strict=True)):
-        weight = (_lagrange(np.array([b]))[:, 0][:, None] * _lagrange(np.array([a]))[:, 0]).ravel()
-        drawn = (table * weight).sum(axis=-1)[..., None] + shape
-        worst = max(worst, float(np.hypot(*(parts[:, :, nodes + k] - drawn)).max()))
+    for first, axis in ((0, NODES), (nodes, CHECKS)):
+        u, v = (m.ravel() for m in np.meshgrid(axis, axis))
+        for k, (a, b) in enumerate(zip(u, v, strict=True)):
+            worst = max(worst, off(first + k, a, b))
     return worst
+
+
+def _product(weights: Callable[[Array], Array], a: float, b: float) -> Array:
+    """(9,) weights of the nodes at (a, b), row by row."""
+    return np.outer(weights(np.array([b]))[:, 0], weights(np.array([a]))[:, 0]).ravel()
 
 
 def _shapes(offsets: Array, pieces: int) -> int:
@@ -197,6 +273,12 @@ def _shapes(offsets: Array, pieces: int) -> int:
     shape = parts[:, :, NODES.size**2 // 2] - means[:, :, NODES.size**2 // 2, ..., None]
     apart = np.abs(shape - shape[..., :1, :]).max()
     return 1 if apart < 0.25 * PATH_STEP_PX else pieces
+
+
+def _hats(t: Array) -> Array:
+    """(3, n) weights of the values at NODES, straight between them and on beyond."""
+    inner, outer = 1.0 - np.abs(t), np.abs(t)
+    return np.stack([np.where(t < 0, outer, 0.0), inner, np.where(t < 0, 0.0, outer)])
 
 
 def _lagrange(t: Array) -> Array:
@@ -234,18 +316,26 @@ def zone_streak(
     count = max(plan.pieces, _power_of_two(longest / LONGEST_PIECE_PX))  # this frame may be faster
     parts, means = _in_pieces(offsets, count)
     made = []
+    fine = replace(plan, step_px=plan.step_px / FINER_NODES, merge_px=plan.merge_px / FINER_NODES)
+    mixed = range(NODES.size**2) if plan.mixed_from_e_px[0] < math.inf else ()
     for k in range(count):
-        dx, dy = parts[:, middle, k] - means[:, middle, k, None]
-        path = _rounded(dx, dy, plan)
-        table = means[:, :, k] - np.array(centroid(path))[:, None]
-        made.append(Piece(path, 1.0 / count, table.reshape(2, 3, 3)))
+        shapes = parts[:, :, k] - means[:, :, k, None]
+        path = _rounded(shapes[:, middle], plan)
+        nodes = tuple(_rounded(shapes[:, n], fine) for n in mixed)
+        tables = [
+            (means[:, :, k] - np.array(centroid(p))[:, None]).reshape(2, 3, 3)
+            for p in (path, *nodes)
+        ]
+        made.append(Piece(path, 1.0 / count, tables[0], nodes, np.array(tables[1:])))
     ends = [offsets[:, :, k].reshape(2, 3, 3) for k in (0, -1)]
-    dx, dy = offsets[:, middle]
-    return Streak(zone, _rounded(dx, dy, plan), tuple(made), *ends)
+    whole = _rounded(offsets[:, middle], plan)
+    bright = (e * max(1.0, whole.length_px) for e in plan.mixed_from_e_px)
+    return Streak(zone, whole, tuple(made), ends[0], ends[1], *bright)
 
 
-def _rounded(dx: Array, dy: Array, plan: StreakPlan) -> Path:
+def _rounded(places: Array, plan: StreakPlan) -> Path:
     """Path through places at equal times, straight runs merged, on the plan's grid."""
+    dx, dy = places
     steps = len(dx) - 1
     path = path_through(dx, dy, np.full(steps, 1.0 / steps), plan.merge_px)
     x, y = (np.round(a / plan.step_px) * plan.step_px + 0.0 for a in (path.x_px, path.y_px))
