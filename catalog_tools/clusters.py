@@ -47,7 +47,8 @@ def security_of(address: str) -> Any:
     files = {name: os.environ.get(name) for name in CERTIFICATES}
     if not any(files.values()):
         security = Security(require_encryption=True)  # distributed.comm.tls of Dask's settings
-        if security.tls_ca_file and security.tls_client_cert:
+        told = (getattr(security, name, None) for name in ("tls_ca_file", "tls_client_cert"))
+        if all(told):
             return security
     for name, path in files.items():
         if not path or not Path(path).is_file():
