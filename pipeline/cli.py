@@ -129,7 +129,13 @@ def render(
 
 @app.command()
 def plan(
-    scene: SceneFile, set_: Overrides = None, server: Server = None, as_json: Json = False
+    scene: SceneFile,
+    set_: Overrides = None,
+    server: Server = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="the rule of each decision, and the test of its bound")
+    ] = False,
+    as_json: Json = False,
 ) -> None:
     """Show what a scene needs: tiles, shards, time, memory, and each decision with its bound."""
     if server is not None:
@@ -146,7 +152,7 @@ def plan(
     else:
         from pipeline.pages import print_plan
 
-        print_plan(summary)
+        print_plan(summary, explain)
 
 
 @app.command()

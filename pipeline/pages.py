@@ -55,8 +55,8 @@ def _bar() -> Any:
     )  # fmt: skip
 
 
-def print_plan(plan: dict[str, Any]) -> None:
-    """The plan as a page: size, work, decisions with reasons and bounds."""
+def print_plan(plan: dict[str, Any], explain: bool = False) -> None:
+    """The plan as a page: size, work, decisions with reasons and bounds; their rules too."""
     from rich.console import Console
     from rich.table import Table
 
@@ -81,7 +81,10 @@ def print_plan(plan: dict[str, Any]) -> None:
     table = Table("component", "", "reason", "bound e-", "bound sigma", show_edge=False)
     for d in plan["decisions"]:
         bounds = (_number(d["error_bound_e"]), _number(d["error_bound_sigma"]))
-        table.add_row(d["component"], "kept" if d["kept"] else "out", d["reason"], *bounds)
+        reason = d["reason"]
+        if explain and "rule" in d:
+            reason += f"\nrule: {d['rule']}\nmeasured by: {d['measured_by']}"
+        table.add_row(d["component"], "kept" if d["kept"] else "out", reason, *bounds)
     console.print(table)
     for remark in plan["remarks"]:
         console.print(f"note: {remark}", highlight=False)

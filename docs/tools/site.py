@@ -11,7 +11,10 @@ from mkdocs.structure.files import File, Files
 sys.path.insert(0, str(Path(__file__).parent))
 from reference import command_page, scene_page
 
-GENERATED = {"reference/scene.md": scene_page, "reference/commands.md": command_page}
+from pipeline.plan.ledger import page as omissions_page
+
+GENERATED = {"reference/scene.md": scene_page, "reference/commands.md": command_page,
+             "reference/omissions.md": omissions_page}  # fmt: skip
 # Pages in order; those that are not there are left out, others come last, in `More`.
 NAVIGATION: dict[str, list[str]] = {
     "Start": ["index.md", "tutorial.md"],
@@ -21,11 +24,13 @@ NAVIGATION: dict[str, list[str]] = {
     ],
     "Guides": [
         "catalogues.md", "pointing.md", "background.md", "detector.md", "distortion.md",
-        "cosmic_rays.md", "satellite_brightness.md", "sweeps.md", "cluster.md", "service.md",
-        "client.md",
+        "cosmic_rays.md", "targets.md", "satellite_brightness.md", "sweeps.md", "cluster.md",
+        "service.md", "client.md",
     ],
-    "Explanation": ["physics.md", "drawing.md", "accuracy.md", "validation.md"],
-    "Reference": ["reference/scene.md", "reference/commands.md", "reference/python.md"],
+    "Explanation": ["physics.md", "drawing.md", "accuracy.md", "extremes.md", "detection.md",
+                    "validation.md"],
+    "Reference": ["reference/scene.md", "reference/commands.md", "reference/omissions.md",
+                  "reference/python.md"],
 }  # fmt: skip
 
 

@@ -33,7 +33,9 @@ LEDGER = (
     Rule(("gaussian_for_poisson",),
          "above a mean of 1e8 e-: a rounded Gaussian, 7e-6 from the Poisson distribution function",
          "tests/physics/noise/test_streams.py"),
-    Rule(("detector_extras", "detector.*"),
+    Rule(("detector_extras", "bad_pixels", "dead_pixels", "hot_pixels", "prnu", "bias_structure",
+          "amplifiers", "row_noise", "column_noise", "blooming", "nonlinearity", "lag",
+          "frame_transfer", "tdi"),
          "each where the scene asks for it; nothing is computed or loaded otherwise",
          "tests/execute/test_detector.py::test_nothing_of_it_unless_asked_for"),
     Rule(("stars.space_motion", "stars.parallax", "stars.aberration", "stars.deflection"),
@@ -54,6 +56,14 @@ LEDGER = (
          "never off the boresight: what stands behind the limb elsewhere in the field is drawn",
          "tests/plan/test_geometry.py"),
     Rule(("distortion",), "where the sensor has one", "tests/acceptance/test_distortion.py"),
+    Rule(("dwells",), "where the scene has them", "tests/plan/test_dwells.py"),
+    Rule(("pointing_table",), "rows are interpolated; the error is measured by leaving rows out",
+         "tests/inputs/test_pointing_tables.py"),
+    Rule(("pointing_motion",),
+         "jitter slower than the nodes of an exposure moves the path, faster one is blur; the "
+         "bound is of what lies between", "tests/physics/motion/test_jitter.py"),
+    Rule(("pointing_refraction",), "a pointing names the true place; the air lifts the camera",
+         "tests/acceptance/test_site_with_air.py"),
     Rule(("one_psf", "psf_over_the_field"),
          "one response, or mixtures of those the scene gives for places of the field",
          "tests/execute/test_psf_field.py::"
@@ -73,7 +83,7 @@ LEDGER = (
          "light far from a source on a coarse grid, up to a reach beyond which less than "
          "accuracy.flux_fraction is left",
          "tests/physics/drawing/test_wings.py::test_stated_wing_error_holds"),
-    Rule(("targets.point_sources", "targets.shapes_as_points", "targets.resolved*"),
+    Rule(("targets.point_sources", "targets.shapes_as_points", "targets.resolved_meshes"),
          "a point where its size changes no pixel by more than the budget",
          "tests/physics/drawing/test_extended.py::test_point_error_bounds_what_is_left_out"),
     Rule(("targets.eclipse",), "where eclipse is on; a disc's overlap, or the options of lighting",
@@ -96,6 +106,21 @@ LEDGER = (
     Rule(("populations.*",), "objects that come near the field in the dwell; none is missed",
          "tests/plan/test_populations.py"),
 )  # fmt: skip
+
+
+def page() -> str:
+    """The ledger as a page of the documentation (Markdown)."""
+    lines = [
+        "# What the plan may leave out", "",
+        "For each component and approximation: what decides, and the test that fails where the "
+        "rule or its bound is broken. `nightglass plan SCENE --explain` shows the same for a "
+        "scene, with the bounds that hold there; `plan.json` in each product keeps them.", "",
+        "| components | rule | measured by |", "| --- | --- | --- |",
+    ]  # fmt: skip
+    for r in LEDGER:
+        names = ", ".join(f"`{c}`" for c in r.components)
+        lines.append(f"| {names} | {r.rule} | `{r.test}` |")
+    return "\n".join(lines) + "\n"
 
 
 def rule_of(component: str) -> Rule | None:

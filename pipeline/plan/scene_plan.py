@@ -23,6 +23,7 @@ from pipeline.plan.decisions import decide
 from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of, excursions_px
+from pipeline.plan.ledger import rule_of
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
 from pipeline.plan.responses import (
@@ -211,7 +212,7 @@ def plan_dict(
             "residual_rms_mag": plan.colour.residual_rms_mag,
             "residual_max_mag": plan.colour.residual_max_mag,
         },
-        "decisions": [_finite(asdict(d)) for d in plan.decisions],
+        "decisions": [_finite(asdict(d)) | _rule(d) for d in plan.decisions],
         "remarks": list(plan.remarks),
     }  # fmt: skip
 
@@ -269,6 +270,12 @@ def _drawing_s(plan: Plan, stars: int) -> float:
     stamp = math.pi * radius**2 + 2.0 * radius * piece_px
     drawn = stars * min(4, len(r.blurs))  # by the responses around each
     return drawn * r.streaks.pieces * (STAMP_S + STAMP_S_PER_PIXEL * stamp)
+
+
+def _rule(decision: Decision) -> dict[str, Any]:
+    """What the ledger of omissions says of a decision."""
+    rule = rule_of(decision.component)
+    return {"rule": rule.rule, "measured_by": rule.test} if rule else {}
 
 
 def _finite(values: dict[str, Any]) -> dict[str, Any]:
