@@ -98,9 +98,10 @@ def _draw_piece(
             (table_of(blur, core.radius_px, piece, core.phases), mine, part)
             for blur, mine, part in plan.responses.parts(x, y, light)
         ]
-        exact = light * max(table.cubic_error for table, _, _ in parts) > budget_e
+        exact = np.abs(light) * max(table.cubic_error for table, _, _ in parts) > budget_e
         for table, mine, part in parts:
-            keep, linear = ~exact[mine], light[mine] * table.linear_error <= budget_e
+            keep = ~exact[mine]
+            linear = np.abs(light[mine]) * table.linear_error <= budget_e
             place = x[mine][keep], y[mine][keep], part[keep]
             draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
     for i in np.flatnonzero(exact):

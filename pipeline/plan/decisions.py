@@ -245,14 +245,12 @@ def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
         "of a pixel there"
     )
     bound = min(s.off_px * sigma_e, r.budget_e)
-    if s.mixed_from_e_px[0] < math.inf:
+    if s.mixed_from_e_px < math.inf:
         bound = r.budget_e
-        (first, second), (bilinear, curved) = s.mixed_from_e_px, s.mixed_off_px
         reason += (
-            f". Stars of more than {first:.3g} e- a px of their path, of which that would be more "
-            "than the bound, get a bilinear mixture of the shapes at their zone's nodes, off by "
-            f"{bilinear:.2g} px; from {second:.3g} e- a px on a biquadratic one, off by "
-            f"{curved:.2g} px. The bound grows with a pixel's noise"
+            f". Stars of more than {s.mixed_from_e_px:.3g} e- a px of their path, of which that "
+            "would be more than the bound, get a mixture of three shapes, off by at most "
+            f"{s.mixed_px:.2g} px. The bound grows with a pixel's noise"
         )
     out = [Decision("common_streak", True, reason, bound, bound / sigma_e)]
     if r.spectral_from:

@@ -3,14 +3,14 @@
 Stars of one frame move along almost the same path. In each piece of the exposure all stars of a
 zone get one shape, placed where each star's own light is in that piece; so what remains of the
 difference between two paths is divided by the number of pieces, and few tables serve all stars.
-Stars so bright that even that would show get a mixture of the shapes at the zone's nine nodes,
-which is right to second order in how the paths differ: bilinear, and biquadratic for the brightest.
+Stars so bright that even that would show get a mixture of three shapes whose ends stand, to second
+order, where the star's own do.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,8 +30,7 @@ MOST_PIECES = 16
 SLACK = 1.5  # over the plan's spread, beyond which a frame gets more pieces of its own
 NODES = np.array([-1.0, 0.0, 1.0])  # of a zone, where paths are followed exactly
 CHECKS = np.array([-1.0, -0.5, 0.5, 1.0])  # where the spread is measured
-FINER_NODES = 16.0  # how much finer shapes for mixtures are rounded and merged
-FARTHEST = 1.5  # in a zone's own units, to which mixtures follow stars off the frame
+STRETCH_PX = 2.0**-6  # by how much the ends of shapes for mixtures differ, and their rounding
 
 
 @dataclass(frozen=True)
@@ -61,14 +60,24 @@ class Piece:
     path : on the PATH_STEP_PX grid, weights of sum one; share : part of the light
     centre : (2, 3, 3) x and y of the centroid, from the star's place at mid-exposure, for stars
         at the zone's NODES (rows of v, columns of u)
-    nodes : the same shape for stars at the nodes, and (9, 2, 3, 3) their `centre`; or none
+    base : the shape that mixtures are of, base_centre : (2, 3, 3) its `centre`
+    stretch : (2, 3, 3) how much farther than the base's the ends of stars at the NODES are apart
+    stretch_px : the same of the other two shapes of a mixture
     """
 
     path: Path
     share: float
     centre: Array
-    nodes: tuple[Path, ...]
-    node_centres: Array
+    base: Path
+    base_centre: Array
+    stretch: Array
+    stretch_px: float
+
+    @property
+    def stretched(self) -> tuple[Path, Path]:
+        """The base with its ends farther apart, along x and along y; the centroid stays."""
+        p, ramp = self.base, self.stretch_px * (_times(self.base) - 0.5)
+        return Path(p.x_px + ramp, p.y_px, p.weight), Path(p.x_px, p.y_px + ramp, p.weight)
 
 
 @dataclass(frozen=True)
@@ -77,7 +86,7 @@ class Streak:
 
     path : of the star in the middle of the zone, from its place at mid-exposure
     start, end : (2, 3, 3) ends of the path for stars at the zone's NODES
-    mixed_from_e, curved_from_e : stars of more light are drawn by bilinear, biquadratic mixtures
+    mixed_from_e : stars of more light are drawn by mixtures
     """
 
     zone: Zone
@@ -86,22 +95,16 @@ class Streak:
     start: Array
     end: Array
     mixed_from_e: float
-    curved_from_e: float
 
     def mixture(
         self, piece: Piece, x_px: Array, y_px: Array, light_e: Array
     ) -> Iterator[tuple[Path, Array, Array, Array]]:
-        """Each shape that some of the stars have a part of, where it stands, and its light (m,)."""
-        u, v = (np.clip(a, -FARTHEST, FARTHEST) for a in self.zone.uv(x_px, y_px))
-        curved = light_e > self.curved_from_e
-        across, down = (np.where(curved, _lagrange(t), _hats(t)) for t in (u, v))
-        for k, (path, table) in enumerate(zip(piece.nodes, piece.node_centres, strict=True)):
-            part = down[k // 3] * across[k % 3]
-            some = part != 0.0
-            if some.any():
-                x, y = x_px[some], y_px[some]
-                dx, dy = self.at(table, x, y)
-                yield path, x + dx, y + dy, light_e[some] * part[some] * piece.share
+        """The three shapes of a piece, where each stands for stars at (x, y), its light (n,)."""
+        dx, dy = self.at(piece.base_centre, x_px, y_px)
+        a, b = (v / piece.stretch_px for v in self.at(piece.stretch, x_px, y_px))
+        parts = (1.0 - a - b, a, b)
+        for path, part in zip((piece.base, *piece.stretched), parts, strict=True):
+            yield path, x_px + dx, y_px + dy, light_e * piece.share * part
 
     def at(self, table: Array, x_px: Array, y_px: Array) -> tuple[Array, Array]:
         """A quantity known at the zone's NODES for stars at (x, y): biquadratic interpolation."""
@@ -114,7 +117,7 @@ class StreakPlan:
 
     shapes : different pieces that a frame has at most
     step_px, merge_px : what shapes are rounded to, and how far their bends may be off
-    mixed_px : px from a bright star's own path, drawn as a bilinear and a biquadratic mixture
+    mixed_px : px from a bright star's own path, drawn as a mixture
     mixed_from_e_px : light per px of path from which it is so drawn
     """
 
@@ -125,19 +128,13 @@ class StreakPlan:
     shapes: int
     step_px: float
     merge_px: float
-    mixed_px: tuple[float, float] = (0.0, 0.0)
-    mixed_from_e_px: tuple[float, float] = (math.inf, math.inf)
+    mixed_px: float = 0.0
+    mixed_from_e_px: float = math.inf
 
     @property
     def off_px(self) -> float:
         """How far light may be from where a star's own path has it, of stars with one shape."""
         return self.spread_px + 0.5 * self.step_px + self.merge_px if self.longest_px else 0.0
-
-    @property
-    def mixed_off_px(self) -> tuple[float, float]:
-        """The same of stars drawn as bilinear and as biquadratic mixtures."""
-        rounded = (0.5 * self.step_px + self.merge_px) / FINER_NODES
-        return self.mixed_px[0] + rounded, self.mixed_px[1] + rounded
 
 
 def plan_streaks(
@@ -168,11 +165,10 @@ def plan_streaks(
         if spread <= tolerance or zones >= most:
             shapes = zones**2 * _shapes(offsets, pieces)
             step, merge = PATH_STEP_PX * finer, MERGE_TOLERANCE_PX * finer
-            mixed = (_spread_px(offsets, pieces, _hats), _spread_px(offsets, pieces, _lagrange))
+            mixed = _spread_px(offsets, pieces, mixed=True)
             made = StreakPlan(zones, pieces, spread, longest, shapes, step, merge, mixed)
-            offs = made.off_px, made.mixed_off_px[0]
-            first, second = (_light_from(off, floor_e, budget_e) for off in offs)
-            return replace(made, mixed_from_e_px=(first, second)) if made.off_px else made
+            begin = _light_from(made.off_px, floor_e, budget_e)
+            return replace(made, mixed_from_e_px=begin) if made.off_px else made
         zones = min(2 * zones, most)
 
 
@@ -235,23 +231,25 @@ def _in_pieces(offsets: Array, pieces: int) -> tuple[Array, Array]:
     return parts, means
 
 
-def _spread_px(
-    offsets: Array, pieces: int, weights: Callable[[Array], Array] | None = None
-) -> float:
+def _spread_px(offsets: Array, pieces: int, mixed: bool = False) -> float:
     """Largest distance between a star's own path and the one that it is drawn along [px].
 
-    weights : of the shapes at the nodes; without, all stars have the one in the middle. The ends
-        of a mixture stand, to first order in how shapes differ, where the mixture of the ends does.
+    mixed : the shape in the middle, stretched to the distance of the star's own ends
     """
     parts, means = _in_pieces(offsets, pieces)
     nodes = NODES.size**2
     shapes = np.moveaxis(parts[:, :, :nodes] - means[:, :, :nodes, ..., None], 2, -1)
     table = np.moveaxis(means[:, :, :nodes], 2, -1)
+    ramp = np.linspace(-0.5, 0.5, shapes.shape[-2])[:, None]
 
     def off(at: int, a: float, b: float) -> float:
         """At point `at`, which stands at (a, b) in the zone's own units."""
-        place = _product(_lagrange, a, b)
-        shape = shapes[..., nodes // 2] if weights is None else shapes @ _product(weights, a, b)
+        place = np.outer(_lagrange(np.array([b]))[:, 0], _lagrange(np.array([a]))[:, 0]).ravel()
+        shape = shapes[..., nodes // 2]
+        if mixed:
+            ends = shapes[..., -1, :] - shapes[..., 0, :]
+            longer = ends @ place - ends[..., nodes // 2]
+            shape = shape + longer[..., None] * ramp[:, 0]
         drawn = (table @ place)[..., None] + shape
         return float(np.hypot(*(parts[:, :, at] - drawn)).max())
 
@@ -261,11 +259,6 @@ def _spread_px(
         for k, (a, b) in enumerate(zip(u, v, strict=True)):
             worst = max(worst, off(first + k, a, b))
     return worst
-
-
-def _product(weights: Callable[[Array], Array], a: float, b: float) -> Array:
-    """(9,) weights of the nodes at (a, b), row by row."""
-    return np.outer(weights(np.array([b]))[:, 0], weights(np.array([a]))[:, 0]).ravel()
 
 
 def _apart(parts: Array, means: Array) -> float:
@@ -280,12 +273,6 @@ def _shapes(offsets: Array, pieces: int) -> int:
     shape = parts[:, :, NODES.size**2 // 2] - means[:, :, NODES.size**2 // 2, ..., None]
     apart = np.abs(shape - shape[..., :1, :]).max()
     return 1 if apart < 0.25 * PATH_STEP_PX else pieces
-
-
-def _hats(t: Array) -> Array:
-    """(3, n) weights of the values at NODES, straight between them and on beyond."""
-    inner, outer = 1.0 - np.abs(t), np.abs(t)
-    return np.stack([np.where(t < 0, outer, 0.0), inner, np.where(t < 0, 0.0, outer)])
 
 
 def _lagrange(t: Array) -> Array:
@@ -327,21 +314,22 @@ def zone_streak(
         count *= 2
         parts, means = _in_pieces(offsets, count)
     made = []
-    fine = replace(plan, step_px=plan.step_px / FINER_NODES, merge_px=plan.merge_px / FINER_NODES)
-    mixed = range(NODES.size**2) if plan.mixed_from_e_px[0] < math.inf else ()
-    for k in range(count):
-        shapes = parts[:, :, k] - means[:, :, k, None]
-        path = _rounded(shapes[:, middle], plan)
-        nodes = tuple(_rounded(shapes[:, n], fine) for n in mixed)
-        tables = [
-            (means[:, :, k] - np.array(centroid(p))[:, None]).reshape(2, 3, 3)
-            for p in (path, *nodes)
-        ]
-        made.append(Piece(path, 1.0 / count, tables[0], nodes, np.array(tables[1:])))
+    paths = [_rounded(parts[:, middle, k] - means[:, middle, k, None], plan) for k in range(count)]
+    common = _common(parts[:, middle] - means[:, middle, :, None], plan)
+    for k, path in enumerate(paths):
+        base = path if common is None else common
+        longer = parts[:, :, k, -1] - parts[:, :, k, 0]
+        longer = longer - np.array([[v[-1] - v[0]] for v in (base.x_px, base.y_px)])
+        step = max(STRETCH_PX, float(2.0 ** math.ceil(math.log2(max(np.abs(longer).max(), 1e-9)))))
+        centre, base_centre = (
+            (means[:, :, k] - np.array(centroid(p))[:, None]).reshape(2, 3, 3) for p in (path, base)
+        )
+        stretch = longer.reshape(2, 3, 3)
+        made.append(Piece(path, 1.0 / count, centre, base, base_centre, stretch, step))
     ends = [offsets[:, :, k].reshape(2, 3, 3) for k in (0, -1)]
     whole = _rounded(offsets[:, middle], plan)
-    bright = (e * max(1.0, whole.length_px) for e in plan.mixed_from_e_px)
-    return Streak(zone, whole, tuple(made), ends[0], ends[1], *bright)
+    bright_e = plan.mixed_from_e_px * max(1.0, whole.length_px)
+    return Streak(zone, whole, tuple(made), ends[0], ends[1], bright_e)
 
 
 def _rounded(places: Array, plan: StreakPlan) -> Path:
@@ -351,6 +339,24 @@ def _rounded(places: Array, plan: StreakPlan) -> Path:
     path = path_through(dx, dy, np.full(steps, 1.0 / steps), plan.merge_px)
     x, y = (np.round(a / plan.step_px) * plan.step_px + 0.0 for a in (path.x_px, path.y_px))
     return Path(x, y, path.weight)
+
+
+def _common(shapes: Array, plan: StreakPlan) -> Path | None:
+    """One shape for all pieces (2, pieces, steps + 1) but for the distance of their ends.
+
+    None where stretching does not make them alike.
+    """
+    mean = shapes.mean(axis=1)
+    ends = shapes[..., -1] - shapes[..., 0]
+    longer = ends - (mean[:, -1] - mean[:, 0])[:, None]
+    ramp = np.linspace(-0.5, 0.5, shapes.shape[-1])
+    off = shapes - mean[:, None] - longer[..., None] * ramp
+    return _rounded(mean, plan) if np.hypot(*off).max() <= plan.merge_px else None
+
+
+def _times(path: Path) -> Array:
+    """When a path passes its nodes, 0 to 1: light falls evenly in time."""
+    return np.concatenate([[0.0], np.cumsum(path.weight)]) / path.weight.sum()
 
 
 def exact_path(camera: Camera, g: Geometry, x: float, y: float, aberration: bool) -> Path:
