@@ -19,7 +19,7 @@ from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core, oversampling_for
-from pipeline.plan.facts import Facts
+from pipeline.plan.facts import APPROXIMATIONS, Facts
 from pipeline.plan.optics import missing_light
 from pipeline.plan.streaks import StreakPlan, plan_streaks, zone_streak
 from pipeline.spec.scene import Scene
@@ -125,10 +125,9 @@ def plan_responses(
     aberration = scene.star_effects["aberration"]
     path, streaks = POINT, STILL
     if scene.stars is not None:
-        streaks = plan_streaks(
-            camera, ends, aberration, scene.accuracy.noise_fraction, facts.sigma_floor_e,
-            facts.budget_e,
-        )  # fmt: skip
+        asked = scene.accuracy.noise_fraction
+        floor_e = facts.budget_e * APPROXIMATIONS / asked  # that the budget is made for
+        streaks = plan_streaks(camera, ends, aberration, asked, floor_e, facts.budget_e)
         path = _shortest_piece(camera, ends, streaks, aberration)
     if any(b.has_wings for b in blurs):
         for b in blurs:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -37,11 +37,16 @@ class Strict(BaseModel):
                     raise unknown_key(str(key), sorted(known))
             for name, f in cls.model_fields.items():
                 key = f.alias or name
-                if f.annotation is not bool and _holds_bool(data.get(key)):
+                if not _takes_bool(f.annotation) and _holds_bool(data.get(key)):
                     raise PydanticCustomError(
                         "boolean", "allowed: a number or text, not true or false", {"field": key}
                     )
         return data
+
+
+def _takes_bool(annotation: Any) -> bool:
+    """True where a type is bool, anything, or a choice or list that has one of them."""
+    return annotation in (bool, Any) or any(_takes_bool(a) for a in get_args(annotation))
 
 
 def _holds_bool(value: Any) -> bool:

@@ -213,12 +213,14 @@ def test_same_bits_for_every_tile_shape(tile, layered, reference, tmp_path):
     assert_same(tmp_path / "run", render(scene, tmp_path / "run"), reference)
 
 
+@pytest.mark.slow
 def test_same_bits_for_processes(layered, reference, tmp_path):
     scene = layered(output={"tile_shape": [256, 256]})
     report = render(scene, tmp_path / "run", Options("processes", 2))
     assert_same(tmp_path / "run", report, reference)
 
 
+@pytest.mark.slow
 def test_same_bits_for_every_cut_of_the_catalogue(folders, reference, tmp_path):
     """Which leaves and row groups are read, and what else lies in them, changes nothing."""
     scene = scene_of([str(folders["cut"]), str(folders["bright"])])
@@ -228,6 +230,7 @@ def test_same_bits_for_every_cut_of_the_catalogue(folders, reference, tmp_path):
     assert_same(tmp_path / "run", render(scene, tmp_path / "run"), reference)
 
 
+@pytest.mark.slow
 def test_same_bits_window_by_window(layered, reference, tmp_path, monkeypatch):
     """A window reads the row groups of its own frames."""
     monkeypatch.setattr("pipeline.run.TASKS_PER_WINDOW", 1)
@@ -254,6 +257,7 @@ def test_same_bits_after_resume(layered, reference, folders, tmp_path):
         render(other, product, options)
 
 
+@pytest.mark.slow
 def test_a_list_of_one_is_that_one(folders, tmp_path):
     """Layers cost nothing where there are none: not even an import."""
     one, path = scene_of([str(folders["main"])]), str(folders["main"])
@@ -287,6 +291,7 @@ def test_limiting_magnitude_holds_for_all(folders, tmp_path):
     assert set(truth["source_id"][truth["catalogue"] == 1].tolist()) <= own
 
 
+@pytest.mark.slow
 def test_order_of_the_list_decides(folders, tmp_path):
     """With the bright list as the main catalogue its rows are drawn, the deep one's left out."""
     render(scene_of([str(folders["bright"]), str(folders["main"])]), tmp_path / "run")

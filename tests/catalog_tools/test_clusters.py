@@ -163,6 +163,7 @@ def test_half_a_certificate_is_named(certificates, monkeypatch):
         security_of("tls://somewhere:8786")
 
 
+@pytest.mark.slow
 def test_slurm_starts_workers(tmp_path, monkeypatch):
     """Our settings file through dask-jobqueue, with a stand-in for sbatch that runs the script."""
     pytest.importorskip("dask_jobqueue")

@@ -60,6 +60,7 @@ def product(tmp_path_factory) -> Path:
     return folder / "run"
 
 
+@pytest.mark.slow
 def test_a_product_of_its_own(product, tmp_path):
     done = nightglass("calibrate", product, "-o", tmp_path / "copy", "--json")
     assert done.returncode == 0, done.stderr

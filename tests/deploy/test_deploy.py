@@ -153,6 +153,7 @@ def test_shell_scripts(path):
     assert result.returncode == 0, result.stdout
 
 
+@pytest.mark.slow
 def test_slurm_array_runs_without_slurm(tmp_path):
     """The array's script itself, its tasks side by side as Slurm would start them; one repeated."""
     scene = {

@@ -166,7 +166,7 @@ def test_exact_drawing_and_tables_agree(catalogue):
     assert np.abs(one - other).max() <= plan.responses.budget_e + 1e-6 * one.max()
 
 
-@pytest.mark.parametrize("psfs", [CORNERS, TILTED], ids=["gaussian", "airy"])
+@pytest.mark.parametrize("psfs", [CORNERS, pytest.param(TILTED, marks=pytest.mark.slow)])
 def test_products_have_small_errors_and_the_same_bits(psfs, catalogue, tmp_path, monkeypatch):
     """Stamps and crowds, tiles of two shapes; the reference of the check draws the field too."""
     images = []

@@ -19,7 +19,8 @@ from pipeline.inputs import population_files
 from pipeline.inputs.populations import gather_populations
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.times import instants, parse_utc
-from pipeline.plan.geometry import _attitudes, _followed, _observer, camera_of
+from pipeline.plan.geometry import _observer, _vantage, camera_of
+from pipeline.plan.pointing import attitudes
 from pipeline.plan.target_paths import Moments, target_paths
 from pipeline.run import Options, plan_scene, prepare, render
 from pipeline.spec.load import load_scene, parse_scene
@@ -110,10 +111,7 @@ def test_none_is_missed(pointing: str, tle: Path) -> None:
     earth = earth_and_sun(times.tt1, times.tt2)
     place, speed = _observer(whole, epoch, offsets, times, earth)
     at = Moments(epoch, offsets, times, earth, place, speed)
-    sun = earth.position_m + earth.sun_from_earth_m
-    attitude = _attitudes(
-        whole, offsets, earth.position_m + place, speed, sun, _followed(whole, at)
-    )
+    attitude = attitudes(whole, np.zeros(len(offsets), np.int64), _vantage(whole, at))
     paths = target_paths(whole, camera_of(whole), attitude, at)
     with np.errstate(invalid="ignore"):
         inside = (np.abs(paths.x_px - 127.5) <= 128.0) & (np.abs(paths.y_px - 127.5) <= 128.0)

@@ -116,6 +116,7 @@ def test_failed_and_cancelled_jobs_raise(client: Client, scene: dict[str, Any]) 
         job.open()
 
 
+@pytest.mark.slow
 def test_the_wait_outlives_a_killed_server(
     make_server: Any, scene: dict[str, Any], tmp_path: Path
 ) -> None:

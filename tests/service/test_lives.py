@@ -30,6 +30,7 @@ def long_scene(scene: dict[str, Any]) -> dict[str, Any]:
     return scene
 
 
+@pytest.mark.slow
 def test_tampered_tiles_are_drawn_again(
     make_server: Callable[..., Any], long_scene: dict[str, Any], tmp_path: Path
 ) -> None:

@@ -149,7 +149,7 @@ def test_bad_catalogues_name_their_place(
         ("exposure.integration", "integration_s"), ("observer.latitude", "latitude_deg"),
         ("targets.0.body.diameter", "diameter_m"), ("sensor.psf.sigma", "sigma_px"),
         ("pointing.roll", "roll_deg"), ("stars.catalog", "catalogue"),
-        ("output.tileshape", "tile_shape"), ("accuracy.noise", "noise_fraction"),
+        ("output.tileshape", "tile_shape"), ("accuracy.noise_fracion", "noise_fraction"),
         ("sensor.bandpass.longnm", "long_nm"), ("targets.0.orbit.position", "position_m"),
     ],
 )  # fmt: skip

@@ -74,6 +74,7 @@ def test_one_failed_point_is_recorded_and_the_rest_go_on(sweep_file, tmp_path):
     assert list(report["messages"].values()) == [1]
 
 
+@pytest.mark.slow
 def test_same_table_by_every_scheduler(sweep_file, tmp_path):
     path = sweep_file([NOISE], SKY, seeds=3)
     found = []
