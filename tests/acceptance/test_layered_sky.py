@@ -207,7 +207,11 @@ def test_what_is_told(reference, folders):
     assert (alone["layers"], alone["catalogue"]["digest"]) == ([], digests[0])
 
 
-@pytest.mark.parametrize("tile", [[256, 256], [768, 256], [512, 512]], ids=str)
+@pytest.mark.parametrize(
+    "tile",
+    [[256, 256], *(pytest.param(t, marks=pytest.mark.slow) for t in ([768, 256], [512, 512]))],
+    ids=str,
+)
 def test_same_bits_for_every_tile_shape(tile, layered, reference, tmp_path):
     scene = layered(output={"tile_shape": tile})
     assert_same(tmp_path / "run", render(scene, tmp_path / "run"), reference)
@@ -278,6 +282,7 @@ def test_a_list_of_one_is_that_one(folders, tmp_path):
     assert set(truth_of(tmp_path / "run")["catalogue"].tolist()) == {0}
 
 
+@pytest.mark.slow
 def test_limiting_magnitude_holds_for_all(folders, tmp_path):
     """A star that the main catalogue holds below the limit is not drawn from the layer."""
     data = copy.deepcopy(SCENE)

@@ -94,6 +94,7 @@ def test_engines_agree_within_their_bounds(psf, streak, catalogue, tmp_path, mon
     assert report["errors"]["achieved_error_sigma"] <= 0.05
 
 
+@pytest.mark.slow
 def test_same_bits_for_every_tile_where_crowds_are_drawn(crowded, catalogue, tmp_path, monkeypatch):
     """Blocks of 256 px, so that tiles hold parts of several."""
     monkeypatch.setattr(pipeline.execute.blocks, "BLOCK_PX", 256)

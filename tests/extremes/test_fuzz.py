@@ -25,7 +25,7 @@ assert _spec.loader is not None
 random_scenes = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(random_scenes)
 
-FEW, MANY = 50, 1000
+FEW, MANY = 30, 1000
 CALM = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
 

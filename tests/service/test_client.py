@@ -136,6 +136,7 @@ def test_the_wait_outlives_a_killed_server(
         assert check(job.fetch(tmp_path / "product")).whole
 
 
+@pytest.mark.slow
 def test_command_line(server: Any, scene: dict[str, Any], tmp_path: Path) -> None:
     file = tmp_path / "scene.json"
     file.write_text(json.dumps(scene))

@@ -152,6 +152,7 @@ def long_scene(scene: dict[str, Any]) -> dict[str, Any]:
     return scene
 
 
+@pytest.mark.slow
 def test_five_kills(
     make_server: Callable[..., Any], long_scene: dict[str, Any], tmp_path: Path
 ) -> None:

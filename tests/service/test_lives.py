@@ -82,6 +82,7 @@ def test_a_job_may_be_given_little_time_and_a_short_life(
     store.close()
 
 
+@pytest.mark.slow
 def test_a_damaged_row_is_told_by_the_service_and_the_check(
     make_server: Callable[..., Any], scene: dict[str, Any]
 ) -> None:

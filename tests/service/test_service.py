@@ -76,6 +76,7 @@ def test_same_bits_with_a_catalogue_and_no_path_in_the_product(
     assert str(server.home) not in json.dumps(failed)
 
 
+@pytest.mark.slow
 def test_same_bits_with_layers(server: Any, scene: dict[str, Any], tmp_path: Path) -> None:
     """A list of registered names: planned, drawn and told as the engine does alone."""
     folder = server.home / "catalogues"

@@ -85,6 +85,7 @@ def test_same_table_by_every_scheduler(sweep_file, tmp_path):
     assert [r["point"] for r in found[0]] == list(range(6))
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_it_goes_on(sweep_file, tmp_path, monkeypatch):
     """Killed twice, then resumed: the same table, and no finished point done again."""
     path, out = sweep_file([NOISE], SKY, seeds=120), tmp_path / "out"
