@@ -240,7 +240,7 @@ def _spread_px(offsets: Array, pieces: int, mixed: bool = False) -> float:
     nodes = NODES.size**2
     shapes = np.moveaxis(parts[:, :, :nodes] - means[:, :, :nodes, ..., None], 2, -1)
     table = np.moveaxis(means[:, :, :nodes], 2, -1)
-    ramp = np.linspace(-0.5, 0.5, shapes.shape[-2])[:, None]
+    ramp = np.linspace(-0.5, 0.5, shapes.shape[-2])
 
     def off(at: int, a: float, b: float) -> float:
         """At point `at`, which stands at (a, b) in the zone's own units."""
@@ -249,7 +249,7 @@ def _spread_px(offsets: Array, pieces: int, mixed: bool = False) -> float:
         if mixed:
             ends = shapes[..., -1, :] - shapes[..., 0, :]
             longer = ends @ place - ends[..., nodes // 2]
-            shape = shape + longer[..., None] * ramp[:, 0]
+            shape = shape + longer[..., None] * ramp
         drawn = (table @ place)[..., None] + shape
         return float(np.hypot(*(parts[:, :, at] - drawn)).max())
 

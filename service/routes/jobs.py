@@ -27,13 +27,15 @@ from service.views import etag, job_dict
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
 INLINE_BYTES = 1 << 14  # smaller bodies are read in the loop: a thread costs more
-SCENE_BODY = {
-    "requestBody": {
-        "required": True,
-        "description": "A scene. Its JSON Schema is at /v1/schema/scene.",
-        "content": {"application/json": {"schema": {"type": "object"}}},
-    }
-}
+
+
+def json_body(description: str) -> dict[str, Any]:
+    """What OpenAPI says of a body of JSON that the route reads by itself."""
+    content = {"application/json": {"schema": {"type": "object"}}}
+    return {"requestBody": {"required": True, "description": description, "content": content}}
+
+
+SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.")
 
 
 @router.post("", status_code=202, openapi_extra=SCENE_BODY)

@@ -12,17 +12,11 @@ from starlette.concurrency import run_in_threadpool
 
 from service.bodies import parse_json, read_body
 from service.context import Service
-from service.routes.jobs import check_key, taken
+from service.routes.jobs import check_key, json_body, taken
 from service.sweeps import accept_sweep, can_run
 
 router = APIRouter(prefix="/v1/sweeps", tags=["sweeps"], include_in_schema=can_run())
-SWEEP_BODY = {
-    "requestBody": {
-        "required": True,
-        "description": "A sweep: a base scene and axes over its keys.",
-        "content": {"application/json": {"schema": {"type": "object"}}},
-    }
-}
+SWEEP_BODY = json_body("A sweep: a base scene and axes over its keys.")
 
 
 @router.post("", status_code=202, openapi_extra=SWEEP_BODY)

@@ -7,6 +7,7 @@ from numba import njit, uint64
 
 from pipeline.physics.noise.pixel_draws import (
     accepted,
+    central_quantile,
     inverted_poisson,
     log_factorial_rest,
     rejection_from,
@@ -81,17 +82,7 @@ def count_below(n, values, limit):
 def central_quantiles(n, p, out):
     """AS 241's rational function of the middle, for all; right where |p - 1/2| <= 0.425."""
     for i in range(n):
-        q = p[i] - 0.5
-        r = 0.180625 - q * q
-        top = ((((((2509.0809287301226727 * r + 33430.575583588128105) * r
-                   + 67265.770927008700853) * r + 45921.953931549871457) * r
-                 + 13731.693765509461125) * r + 1971.5909503065514427) * r
-               + 133.14166789178437745) * r + 3.387132872796366608  # fmt: skip
-        bottom = ((((((5226.495278852545925 * r + 28729.085735721942674) * r
-                      + 39307.89580009271061) * r + 21213.794301586595867) * r
-                    + 5394.1960214247511077) * r + 687.1870074920579083) * r
-                  + 42.313330701600911252) * r + 1.0  # fmt: skip
-        out[i] = q * top / bottom
+        out[i] = central_quantile(p[i] - 0.5)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
