@@ -22,6 +22,7 @@ from starlette.exceptions import HTTPException
 from pipeline.errors import BadInput, Damaged, NightglassError
 from pipeline.spec.load import InvalidScene
 from service import problems
+from service.accepted import Acceptance
 from service.auth import Authenticator
 from service.changes import Changes
 from service.context import Context
@@ -103,7 +104,7 @@ def create_app(settings: Settings) -> FastAPI:
         context = Context(
             settings, table, dispatcher, Authenticator(settings, table.engine), intake,
             Changes(table, settings.watchers), Uploads(settings, table.engine),
-            asyncio.Semaphore(settings.plans), numbers,
+            asyncio.Semaphore(settings.plans), numbers, Acceptance(settings),
         )  # fmt: skip
         app.state.context = context
         numbers.registry.register(Gauges(context))

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
 
+from service.accepted import Acceptance
 from service.auth import OPEN, Authenticator, Caller
 from service.changes import Changes
 from service.jobs import Queue
@@ -28,6 +29,7 @@ class Context:
     store : the job table; in a route it shows the caller's team alone
     table : the whole job table, for health and metrics only
     plans : how many dry runs may still start; numbers : what is counted
+    scenes : reads the bodies of submissions
     """
 
     settings: Settings
@@ -39,6 +41,7 @@ class Context:
     files: Uploads
     plans: asyncio.Semaphore
     numbers: Numbers
+    scenes: Acceptance
     caller: Caller = OPEN
     store: TeamStore = None  # type: ignore[assignment]
     damaged: int = 0
@@ -62,6 +65,11 @@ def _everyone(request: Request) -> Context:
 
 
 async def _context(request: Request, _: Annotated[Any, Depends(_bearer)]) -> Context:
+    return await context_of(request)
+
+
+async def context_of(request: Request) -> Context:
+    """The context bound to who sent a request. Unauthenticated, Forbidden, TooMany."""
     context: Context = request.app.state.context
     caller = await context.auth.caller(request.headers.get("authorization"))
     request.state.team = caller.team

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
+from fastapi.routing import APIRoute
 from starlette.concurrency import run_in_threadpool
 
-from pipeline.spec.scene import Scene
-from service.bodies import parse_json, read_body
-from service.context import Context, Service
+from service.bodies import read_body
+from service.context import Context, Service, context_of
 from service.gate import allow_time
 from service.jobs import FINAL, Job, Phase
 from service.problems import Malformed, NotThere
 from service.runner import plan_dry
-from service.scenes import accept_scene
 from service.uploads import engine_scene
 from service.views import etag, job_dict
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
-INLINE_BYTES = 1 << 14  # smaller bodies are read in the loop: a thread costs more
 
 
 def json_body(description: str) -> dict[str, Any]:
@@ -38,7 +35,23 @@ def json_body(description: str) -> dict[str, Any]:
 SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.")
 
 
-@router.post("", status_code=202, openapi_extra=SCENE_BODY)
+class Quick(APIRoute):
+    """A route whose plain requests, those without a query, go to `submit` at once: solving its
+    parameters would cost more than all its checks. With a query they go FastAPI's usual way."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        usual = super().get_route_handler()
+
+        async def handle(request: Request) -> Response:
+            if request.scope["query_string"]:
+                return await usual(request)
+            service = await context_of(request)
+            key = request.headers.get("idempotency-key")
+            return await submit(request, service, idempotency_key=key)
+
+        return handle
+
+
 async def submit(
     request: Request,
     service: Service,
@@ -49,16 +62,21 @@ async def submit(
     settings = service.settings
     check_key(idempotency_key)
     body = await read_body(request, settings.body_bytes, settings.body_s)
-    if len(body) <= INLINE_BYTES:
-        data, scene = _read(service, body)
-    else:
-        data, scene = await run_in_threadpool(_read, service, body)
+    found = await service.scenes.read(service.caller.team, body, service.has_file)
     if dry_run:
         allow_time(request, settings.plan_s + settings.answer_s)
-        return await _plan(service, scene)
-    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
-    ask = service.store.ask(scene.name, scene.as_dict(), digest, idempotency_key)
+        return await _plan(service, found.scene())
+    ask = service.store.ask(
+        found.name, found.text, found.body_sha256, idempotency_key,
+        pixel_frames=found.pixel_frames,
+    )  # fmt: skip
     return taken(service, *await service.intake.put(ask))
+
+
+router.add_api_route(
+    "", submit, methods=["POST"], status_code=202, openapi_extra=SCENE_BODY,
+    route_class_override=Quick,
+)  # fmt: skip
 
 
 def check_key(key: str | None) -> None:
@@ -76,13 +94,8 @@ def taken(service: Context, job: Job, made: bool) -> Response:
     return JSONResponse(job_dict(job), 202 if made else 200, headers)
 
 
-def _read(service: Context, body: bytes) -> tuple[Any, Scene]:
-    data = parse_json(body)
-    return data, accept_scene(data, service.settings, service.has_file)
-
-
-async def _plan(service: Context, scene: Scene) -> Response:
-    data = engine_scene(scene.as_dict(), service.settings)
+async def _plan(service: Context, scene: dict[str, Any]) -> Response:
+    data = engine_scene(scene, service.settings)
     async with service.plans:
         return JSONResponse(
             await run_in_threadpool(plan_dry, data, service.settings, service.dispatcher.stopping)
