@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
@@ -17,8 +18,8 @@ from service.jobs import Queue
 from service.metrics import Numbers
 from service.runner import Dispatcher
 from service.settings import Settings
-from service.submissions import Intake
-from service.teams import TeamStore, limits_of
+from service.submissions import Intake, Limits
+from service.teams import TeamStore
 from service.uploads import Uploads
 
 
@@ -29,7 +30,7 @@ class Context:
     store : the job table; in a route it shows the caller's team alone
     table : the whole job table, for health and metrics only
     plans : how many dry runs may still start; numbers : what is counted
-    scenes : reads the bodies of submissions
+    scenes : reads the bodies of submissions; limits : what one team may have
     """
 
     settings: Settings
@@ -42,6 +43,7 @@ class Context:
     plans: asyncio.Semaphore
     numbers: Numbers
     scenes: Acceptance
+    limits: Limits
     caller: Caller = OPEN
     store: TeamStore = None  # type: ignore[assignment]
     damaged: int = 0
@@ -49,8 +51,9 @@ class Context:
 
     def bound(self, caller: Caller) -> Context:
         """The same, as one caller sees it."""
-        store = TeamStore(self.table, caller, limits_of(self.settings))
-        return replace(self, caller=caller, store=store)
+        mine = copy(self)
+        mine.caller, mine.store = caller, TeamStore(self.table, caller, self.limits)
+        return mine
 
     def has_file(self, file_id: str) -> bool:
         """Whether the caller's team has an uploaded file of this id."""

@@ -60,7 +60,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "snr": matched_snr(
             plan, paths[len(paths) // 2].path, stars.light_e, stars.x_px, stars.y_px,
             int(g.frame[0]),
-        ),  # fmt: skip
+        ),
         "colour_flag": stars.colour_flag,
         "in_frame": inside,
         "catalogue": stars.catalogue,
@@ -143,8 +143,9 @@ def matched_snr(
     """Signal-to-noise of isolated sources under a matched filter, (n,); places in frame pixels.
 
     SNR^2 = sum (F p)^2 / (sigma0^2 + F p) over the pixels of the source's own response p; F light,
-    sigma0 the noise floor of the frame, with its own integration time. Evaluated on a grid of log F and interpolated (error < 1e-3). Over a
-    field, that of the responses around is interpolated, which is an upper bound.
+    sigma0 the noise floor of the frame, with its own integration time. Evaluated on a grid of log F
+    and interpolated (error < 1e-3). Over a field, that of the responses around is interpolated,
+    which is an upper bound.
     """
     snr = np.zeros(len(light_e))
     for blur, which, share in plan.responses.parts(x_px, y_px, np.ones(len(light_e))):

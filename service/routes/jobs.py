@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
-from fastapi.routing import APIRoute
+from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
+from starlette.routing import Match, Route
+from starlette.types import Receive, Scope, Send
 
 from service.bodies import read_body
 from service.context import Context, Service, context_of
@@ -35,23 +37,7 @@ def json_body(description: str) -> dict[str, Any]:
 SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.")
 
 
-class Quick(APIRoute):
-    """A route whose plain requests, those without a query, go to `submit` at once: solving its
-    parameters would cost more than all its checks. With a query they go FastAPI's usual way."""
-
-    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        usual = super().get_route_handler()
-
-        async def handle(request: Request) -> Response:
-            if request.scope["query_string"]:
-                return await usual(request)
-            service = await context_of(request)
-            key = request.headers.get("idempotency-key")
-            return await submit(request, service, idempotency_key=key)
-
-        return handle
-
-
+@router.post("", status_code=202, openapi_extra=SCENE_BODY)
 async def submit(
     request: Request,
     service: Service,
@@ -73,10 +59,26 @@ async def submit(
     return taken(service, *await service.intake.put(ask))
 
 
-router.add_api_route(
-    "", submit, methods=["POST"], status_code=202, openapi_extra=SCENE_BODY,
-    route_class_override=Quick,
-)  # fmt: skip
+class PlainSubmit(Route):
+    """Submissions without a query, taken before FastAPI's own routes: finding one of those and
+    solving its parameters would cost as much as all that `submit` does."""
+
+    def __init__(self) -> None:
+        super().__init__("/v1/jobs", submit, methods=["POST"], include_in_schema=False)
+
+    def matches(self, scope: Scope) -> tuple[Match, Scope]:
+        if (
+            scope["type"] == "http" and scope["method"] == "POST"
+            and not scope["query_string"] and scope["path"] == self.path
+        ):  # fmt: skip
+            return Match.FULL, {"endpoint": submit, "path_params": {}, "route": self}
+        return Match.NONE, {}
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        request = Request(scope, receive, send)
+        key = request.headers.get("idempotency-key")
+        answer = await submit(request, await context_of(request), idempotency_key=key)
+        await answer(scope, receive, send)
 
 
 def check_key(key: str | None) -> None:
@@ -91,7 +93,8 @@ def taken(service: Context, job: Job, made: bool) -> Response:
     if made:
         headers["Retry-After"] = "1"
         service.dispatcher.wake()
-    return JSONResponse(job_dict(job), 202 if made else 200, headers)
+    body = to_json(job_dict(job))
+    return Response(body, 202 if made else 200, headers, "application/json")
 
 
 async def _plan(service: Context, scene: dict[str, Any]) -> Response:
