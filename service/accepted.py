@@ -49,7 +49,7 @@ class Acceptance:
     """
 
     def __init__(self, settings: Settings, kept_bytes: int = KEPT_BYTES) -> None:
-        self._settings, self._most, self._bytes = settings, kept_bytes, 0
+        self._settings, self._most, self.kept_bytes = settings, kept_bytes, 0
         self._kept: OrderedDict[tuple[str, bytes], Accepted] = OrderedDict()
         self.reused = 0
 
@@ -78,9 +78,9 @@ class Acceptance:
 
     def _keep(self, key: tuple[str, bytes], found: Accepted) -> None:
         self._kept[key] = found
-        self._bytes += _size(key, found)
-        while self._bytes > self._most:
-            self._bytes -= _size(*self._kept.popitem(last=False))
+        self.kept_bytes += _size(key, found)
+        while self.kept_bytes > self._most:
+            self.kept_bytes -= _size(*self._kept.popitem(last=False))
 
 
 def _size(key: tuple[str, bytes], found: Accepted) -> int:
