@@ -23,6 +23,21 @@ def sweep(scene: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def test_a_dry_run_answers_size_and_plan_and_makes_no_job(
+    server: Any, sweep: dict[str, Any]
+) -> None:
+    def count() -> int:
+        return sum(server.client.get("/v1/usage").json()["jobs"].values())
+
+    before = count()
+    answer = server.client.post("/v1/sweeps?dry_run=1", json=sweep)
+    assert answer.status_code == 200, answer.text
+    told = answer.json()
+    assert (told["points"], told["pixel_frames"]) == (4, 4 * 2 * 64 * 64)
+    assert told["base"] == server.client.post("/v1/jobs?dry_run=1", json=sweep["scene"]).json()
+    assert count() == before
+
+
 def test_a_sweep_is_a_job(server: Any, sweep: dict[str, Any]) -> None:
     import pyarrow.parquet as pq
 
