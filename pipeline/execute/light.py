@@ -40,7 +40,7 @@ def draw_stars(
             if block.crowd_e is not None:
                 piece += _cut(block.crowd_e, block.place, part)
     for block in blocks:
-        _add_wings(image, tile, block, block.star_wings)
+        add_wings_of(image, tile, block, block.star_wings)
     return image
 
 
@@ -57,9 +57,9 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
             continue
         for x0, y0, piece, share in pieces(target.path):
             x, y = target.x_px + x0, target.y_px + y0
-            _draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
+            draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
     for block in blocks:
-        _add_wings(image, tile, block, block.target_wings)
+        add_wings_of(image, tile, block, block.target_wings)
     return image
 
 
@@ -105,10 +105,10 @@ def _draw_piece(
             place = x[mine][keep], y[mine][keep], part[keep]
             draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
     for i in np.flatnonzero(exact):
-        _draw_exact(plan, image, tile, k, piece, float(x[i]), float(y[i]), float(light[i]))
+        draw_exact(plan, image, tile, k, piece, float(x[i]), float(y[i]), float(light[i]))
 
 
-def _draw_exact(
+def draw_exact(
     plan: Plan, image: Array, tile: Tile, k: int, piece: Path, x: float, y: float, light: float
 ) -> None:
     """One source drawn at its exact place, without a table."""
@@ -139,7 +139,7 @@ def _cut(image: NDArray[Any], place: Tile, part: Tile) -> NDArray[Any]:
     return image[top : top + part.rows, left : left + part.columns]
 
 
-def _add_wings(image: Array, tile: Tile, block: Block, field: Array | None) -> None:
+def add_wings_of(image: Array, tile: Tile, block: Block, field: Array | None) -> None:
     """Add the part of a block's wings that falls in a tile."""
     part = overlap(tile, block.place)
     if field is not None and block.grid is not None and part.rows and part.columns:
