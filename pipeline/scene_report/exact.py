@@ -42,9 +42,10 @@ class Exact:
     def save(self, path: Path) -> None:
         """Write it where another process reads it."""
         place = np.array([(w.y0, w.x0, w.rows, w.columns) for w in self.windows])
-        parts = {f"mean{i}": m for i, m in enumerate(self.mean_e)}
+        parts: dict[str, np.ndarray] = {f"mean{i}": m for i, m in enumerate(self.mean_e)}
         parts |= {f"noise{i}": n for i, n in enumerate(self.noise_e)}
-        np.savez(path, windows=place, sources=self.sources, **parts)
+        parts |= {"windows": place, "sources": np.array(self.sources)}
+        np.savez(path, **parts)  # type: ignore[arg-type]
 
 
 def load_exact(path: Path) -> Exact:

@@ -54,7 +54,8 @@ def run_study(
 ) -> dict[str, Any]:  # fmt: skip
     """Measure scenes at a ladder of accuracies; everything found, as plain data.
 
-    names : of scenes; where there is none all, or QUICK_SCENES; rungs : noise_fraction, coarsest first
+    names : of scenes; where there is none all, or QUICK_SCENES
+    rungs : noise_fraction, coarsest first
     catalogue : of stars; None makes a synthetic one. folder : for work, its contents are lost
     """
     chosen = wishes(names or (QUICK_SCENES if quick else ()), quick)
