@@ -17,7 +17,7 @@ from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.response import stamp_at
 from pipeline.plan.scene_plan import Plan
-from pipeline.plan.streaks import Streak
+from pipeline.plan.streaks import Streak, exact_path
 from pipeline.plan.tiles import Tile, overlap
 
 
@@ -30,13 +30,13 @@ def draw_stars(
     reach = _core_reach(plan, paths)
     stars = drawing_order(around(concatenate(parts, FrameStars), tile, reach))
     if not any(b.crowd_e is not None for b in blocks):
-        _draw_stamps(plan, image, tile, paths, stars)
+        _draw_stamps(plan, g, image, tile, paths, stars)
     else:
         for block in blocks:
             part = overlap(tile, block.place)
             mine = around(select(stars, ~block.in_crowd(stars.light_e)), part, reach)
             piece = _cut(image, tile, part)
-            _draw_stamps(plan, piece, part, paths, mine)
+            _draw_stamps(plan, g, piece, part, paths, mine)
             if block.crowd_e is not None:
                 piece += _cut(block.crowd_e, block.place, part)
     for block in blocks:
@@ -64,7 +64,7 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
 
 
 def _draw_stamps(
-    plan: Plan, image: Array, tile: Tile, paths: list[Streak], stars: FrameStars
+    plan: Plan, g: Geometry, image: Array, tile: Tile, paths: list[Streak], stars: FrameStars
 ) -> None:
     """Stars by stamps, class by class and zone by zone."""
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
@@ -72,8 +72,9 @@ def _draw_stamps(
         for zone in np.unique(zones[classes == k]):
             mine = select(stars, (classes == k) & (zones == zone))
             streak = paths[zone]
-            bright = mine.light_e > streak.mixed_from_e
-            usual, mixed = select(mine, ~bright), select(mine, bright)
+            own, bright = mine.light_e > streak.own_from_e, mine.light_e > streak.mixed_from_e
+            usual, mixed = select(mine, ~bright), select(mine, bright & ~own)
+            draw_along(plan, g, image, tile, select(mine, own))
             for piece in streak.pieces:
                 x, y = streak.at(piece.centre, usual.x_px, usual.y_px)
                 x, y, light = usual.x_px + x, usual.y_px + y, usual.light_e * piece.share
@@ -82,6 +83,15 @@ def _draw_stamps(
                     places = mixed.x_px, mixed.y_px, mixed.light_e
                     for path, x, y, light in streak.mixture(piece, *places):
                         _draw_piece(plan, image, tile, k, path, x, y, light)
+
+
+def draw_along(plan: Plan, g: Geometry, image: Array, tile: Tile, stars: FrameStars) -> None:
+    """Stars one by one, each along its own path, without tables (adds to the image)."""
+    aberration = plan.scene.star_effects["aberration"]
+    for i, k in enumerate(class_of(plan, stars.light_e)):
+        x, y, light = (float(v[i]) for v in (stars.x_px, stars.y_px, stars.light_e))
+        for x0, y0, piece, share in pieces(exact_path(plan.camera, g, x, y, aberration)):
+            draw_exact(plan, image, tile, int(k), piece, x + x0, y + y0, light * share)
 
 
 def _draw_piece(

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Array
-from pipeline.execute.blocks import around, class_of
-from pipeline.execute.light import add_wings_of, draw_exact
+from pipeline.execute.blocks import around
+from pipeline.execute.light import add_wings_of, draw_along
 from pipeline.execute.sources import drawing_order, excursion_px
-from pipeline.physics.motion.streak import pieces
 from pipeline.plan.responses import LARGEST_CORE_SAMPLES
 from pipeline.plan.scene_plan import Plan
-from pipeline.plan.streaks import exact_path
 from pipeline.plan.tiles import Tile
 from pipeline.scene_report.exact import Exact, exact_sky
 from pipeline.scene_report.rung import brightest_e, cut_e
@@ -182,13 +180,7 @@ def _own_paths(stage: Stage, plan: Plan) -> Light:
         image = np.zeros((tile.rows, tile.columns))
         reach = plan.responses.classes[-1].radius_px + excursion_px(plan, stage.g) + 8.0
         stars = drawing_order(around(stage.stars, tile, reach))
-        aberration = plan.scene.star_effects["aberration"]
-        for i, k in enumerate(class_of(plan, stars.light_e)):
-            x, y = float(stars.x_px[i]), float(stars.y_px[i])
-            path = exact_path(plan.camera, stage.g, x, y, aberration)
-            for x0, y0, piece, share in pieces(path):
-                light = float(stars.light_e[i]) * share
-                draw_exact(plan, image, tile, int(k), piece, x + x0, y + y0, light)
+        draw_along(plan, stage.g, image, tile, stars)
         for block in blocks(tile):
             add_wings_of(image, tile, block, block.star_wings)
         return rest(tile) | {"stars_e": image}
