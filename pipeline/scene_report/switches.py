@@ -14,7 +14,6 @@ from pipeline.arrays import Array
 from pipeline.execute.blocks import around
 from pipeline.execute.light import add_wings_of, draw_along
 from pipeline.execute.sources import drawing_order, excursion_px
-from pipeline.plan.responses import LARGEST_CORE_SAMPLES
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.scene_report.exact import Exact, exact_sky
@@ -22,7 +21,8 @@ from pipeline.scene_report.rung import brightest_e, cut_e
 from pipeline.scene_report.stage import Light, Stage, blocks_by, light_by, mean_of, open_stage
 
 MANY = 12  # wavelengths
-FEW_STARS = 150  # that may be drawn one by one under the clock
+LARGEST_DOUBLED_PX = 72.0  # of cores: tables of larger ones take minutes
+FEW_STARS = 60  # that may be drawn one by one under the clock
 REGIONS_PX = (1024, 256, 128, 64, 32, 16)
 
 
@@ -57,7 +57,7 @@ def _measured(
         on, off = (mean_of(stage, f(window), window) for f in (switch.on, switch.off))
         error_e = max(error_e, float(np.abs(on - off).max()))
         error_sigma = max(error_sigma, float((np.abs(on - off) / noise).max()))
-    seconds_on = _seconds(switch.on, tiles)
+    seconds_on = _seconds(light_by(stage, stage.plan), tiles)
     scaled = 1.0
     region = tiles
     if switch.one_by_one:
@@ -138,9 +138,9 @@ def _without_tables(plan: Plan) -> Plan:
 def _finer_wings(plan: Plan) -> Plan:
     """Cores of twice the radius, and what is left on a grid of half the spacing (2 px at least)."""
     r = plan.responses
-    most = LARGEST_CORE_SAMPLES / 8.0
     classes = tuple(
-        replace(c, radius_px=max(c.radius_px, min(2.0 * c.radius_px, most))) for c in r.classes
+        replace(c, radius_px=max(c.radius_px, min(2.0 * c.radius_px, LARGEST_DOUBLED_PX)))
+        for c in r.classes
     )
     spacing = max(2, r.spacing_px // 2) if r.spacing_px else 0
     return replace(plan, responses=replace(r, classes=classes, spacing_px=spacing))
