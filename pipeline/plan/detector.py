@@ -21,6 +21,7 @@ from pipeline.spec.detector import (
 )
 from pipeline.spec.scene import Scene
 
+LISTED = "; each pixel is in truth/pixels.parquet"
 LAG_ERROR_SIGMA = 0.01  # charge left behind below it, in units of the noise floor, is forgotten
 
 
@@ -53,9 +54,9 @@ def decide_detector(scene: Scene, facts: Facts, ends: Geometry) -> tuple[Decisio
 def _faults(d: Detector) -> list[tuple]:
     out: list[tuple] = []
     if d.bad is not None:
-        out.append(("bad_pixels", f"{_listed(d.bad)}; each reads {d.bad.reads_dn} DN always"))
+        out.append(("bad_pixels", f"{_listed(d.bad)}; each reads {d.bad.reads_dn} DN always{LISTED}"))
     if d.dead is not None:
-        out.append(("dead_pixels", f"{_listed(d.dead)}; no light, but bias, dark and noise"))
+        out.append(("dead_pixels", f"{_listed(d.dead)}; no light, but bias, dark and noise{LISTED}"))
     if d.hot is not None:
         hot = f"{len(d.hot.pixels)} listed"
         if d.hot.fraction > 0:
@@ -63,7 +64,7 @@ def _faults(d: Detector) -> list[tuple]:
                 f", and {d.hot.fraction:g} of all with a log-normal dark current about "
                 f"{d.hot.median_e_per_s:g} e-/s ({d.hot.sigma_dex:g} dex)"
             )
-        out.append(("hot_pixels", f"{hot}; steady: no blinking ones"))
+        out.append(("hot_pixels", f"{hot}; steady: no blinking ones{LISTED}"))
     return out
 
 
@@ -146,6 +147,24 @@ def _moving(scene: Scene, d: Detector, ends: Geometry) -> list[tuple]:
     return []
 
 
+def _edges(scene: Scene, r: TimeDelay) -> str:
+    """What becomes of charge that comes in or leaves during a TDI exposure."""
+    rows, times = scene.sensor.shape[0], integration_range_s(scene)
+    part = min(1.0, abs(r.rows_per_s) * times[1] / rows)
+    if r.edges == "full":
+        return (
+            "charge that comes in at an edge is as full as any, as in a long strip: of a single "
+            f"exposure the outer {part:.3g} of the rows would hold less, down to half of the light"
+            " (`edges: partial` draws that)"
+        )
+    return (
+        f"the outer {part:.3g} of the rows are exposed while their charge is on the array, as a "
+        "share of all their light and dark: right for the sky and for images that keep pace; of "
+        "one that streaks through such rows the share stands for its own time there. The truth's "
+        "electrons are those of the whole exposure"
+    )
+
+
 def _time_delay(scene: Scene, r: TimeDelay, ends: Geometry) -> str:
     """What TDI does to a scene: the image's own motion against the charge's, and what is left."""
     camera = camera_of(scene)
@@ -159,8 +178,7 @@ def _time_delay(scene: Scene, r: TimeDelay, ends: Geometry) -> str:
         f"charge moves {r.rows_per_s:g} rows/s in {r.clock_phases} steps a row; a star in the "
         f"centre moves {worst + r.rows_per_s:.5g} rows/s, so that it streaks "
         f"{abs(worst) * took[0]:.3g} px along and {across:.3g} px across. Flat and dark are means "
-        "of their columns. All rows share the exposure's start and end, and charge that comes in "
-        "at an edge is as full as any"
+        f"of their columns. All rows share the exposure's start and end; {_edges(scene, r)}"
     )
     if not scene.targets or r.rows_per_s == 0:
         return text

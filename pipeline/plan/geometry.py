@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,13 +206,10 @@ def _geometry(
     since = within[None, :] * time[:, None]
     offset = start[:, None] + since
     flat = offset.ravel()
-    epoch = parse_utc(scene.epoch)
-    times = instants(epoch, flat, dut1_s)
-    earth = earth_and_sun(times.tt1, times.tt2)
-    geocentric, velocity = _observer(scene, epoch, flat, times, earth)
+    at = moments_at(scene, dut1_s, flat)
+    times, earth, geocentric, velocity = at.times, at.earth, at.observer_m, at.observer_m_s
     position = earth.position_m + geocentric
     sun = earth.position_m + earth.sun_from_earth_m
-    at = Moments(epoch, flat, times, earth, geocentric, velocity)
     which = np.repeat(dwell_of(dwell_plans(scene), frames), nodes)
     attitude = attitudes(scene, which, _vantage(scene, at))
     if random:
@@ -240,15 +238,22 @@ def watch(scene: Scene, offsets: Array, dut1_s: float) -> tuple[Array, Array, Ar
 
     offsets : (n,) seconds after the scene's epoch
     """
-    epoch, flat = parse_utc(scene.epoch), np.asarray(offsets, float)
-    times = instants(epoch, flat, dut1_s)
-    earth = earth_and_sun(times.tt1, times.tt2)
-    place, velocity = _observer(scene, epoch, flat, times, earth)
-    at = Moments(epoch, flat, times, earth, place, velocity)
+    at = moments_at(scene, dut1_s, np.asarray(offsets, float))
     ends = [plan.end_s for plan in dwell_plans(scene)]
-    which = np.searchsorted(ends[:-1], flat, side="right")
+    which = np.searchsorted(ends[:-1], at.offset_s, side="right")
     attitude = attitudes(scene, which, _vantage(scene, at))
-    return place, velocity - earth.velocity_m_s, attitude[:, 2]
+    return at.observer_m, at.observer_m_s - at.earth.velocity_m_s, attitude[:, 2]
+
+
+def moments_at(scene: Scene, dut1_s: float, offsets: Array) -> Moments:
+    """Moments at offsets (n,) from a scene's epoch [s], and where its observer is then."""
+    epoch = parse_utc(scene.epoch)
+    times = instants(epoch, offsets, dut1_s)
+    earth = earth_and_sun(times.tt1, times.tt2)
+    place, velocity = _observer(scene, epoch, offsets, times, earth)
+    return Moments(
+        epoch, offsets, times, earth, place, velocity, partial(moments_at, scene, dut1_s)
+    )
 
 
 def _vantage(scene: Scene, at: Moments) -> Vantage:

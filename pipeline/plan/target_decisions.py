@@ -83,6 +83,13 @@ def _lighting(scene: Scene) -> list[Decision]:
     ]  # fmt: skip
     meshes = [t for t in targets if isinstance(t.body, MeshBody)]
     if meshes:
+        from pipeline.plan.mesh_tables import decide_tables
+
+        out += decide_tables(scene)
+    glowing = [t for t in lamps if isinstance(t.body, MeshBody)]
+    if glowing:
+        out.append(_earthshine_on_meshes(glowing))
+    if meshes:
         shares = [t.body.error for t in meshes if isinstance(t.body, MeshBody) and t.body.error]
         out += [
             Decision(
@@ -105,6 +112,20 @@ def _lighting(scene: Scene) -> list[Decision]:
             )
         )  # fmt: skip
     return out
+
+
+def _earthshine_on_meshes(glowing: list[Target]) -> Decision:
+    """How the Earth's light falls on meshes, and what is left out of it."""
+    share = max(t.body.error or 0.0 for t in glowing if isinstance(t.body, MeshBody))
+    return Decision(
+        "targets.earthshine_on_meshes", True,
+        f"{_names(glowing)}: the Earth in ever smaller parts until the light of the body changes "
+        f"by less than {0.5 * share:.2g}, at most 1024 parts; its self-shadowing likewise, each of "
+        "at most 64 parts traced (highlights narrower than 1/32 of the Earth's disc, and shadows "
+        "finer than 1/8 of it, may be told less well). Straight lines in time, off by at most "
+        "3e-4 of earthshine. A body larger than a point is drawn with the picture that it has in "
+        "sunlight, its brightness with earthshine",
+    )  # fmt: skip
 
 
 def _sizes(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]:
