@@ -23,6 +23,7 @@ from pipeline.spec.scene import Scene
 Array = NDArray[np.float64]
 
 WORTH = 300  # moments to work out: below it a table is not tried
+FINER = 0.1  # of the error asked for: that of single moments, or the table would follow it
 SHARE = 3  # a table takes at most a third of the moments that it saves
 MOST_NODES = 257  # of a frame
 KEPT: dict[str, LightTable | None] = {}  # of this process, by what they follow from
@@ -100,9 +101,14 @@ def decide_tables(scene: Scene) -> list[Decision]:
             grid = f"{phases} phases of its spin by " if phases > 1 else ""
             why = (
                 f"{target.name}: worked out beforehand at {grid}{len(table.times_s)} times, "
-                f"{table.worked} moments instead of about {wanted}; straight lines between. Moments "
-                f"that were left out differ by at most {table.error:.2g} of the light, or of a "
-                "tenth of the brightest where it is fainter"
+                f"{table.worked} moments instead of about {wanted}; straight lines between. "
+            )
+            why += (
+                f"Moments that were left out differ by {table.error:.2g} of the mean light on "
+                f"average, by up to {table.worst:.2g} of the brightest where a face or a shadow "
+                "sets in" if phases > 1 else
+                f"Moments that were left out differ by at most {table.error:.2g} of the light, or "
+                "of a tenth of the brightest where it is fainter"
             )
         out.append(Decision("targets.light_table", table is not None, why))
     return out
@@ -117,8 +123,9 @@ class _Light:
     def __call__(self, phase: Array, time_s: Array) -> Array:
         assert self.at.elsewhere is not None
         target = self.scene.targets[self.index]
-        body: Any = target.body
         epoch, field = parse_utc(self.scene.epoch), f"targets.{self.index}.body"
+        body: Any = target.body
+        body = body.model_copy(update={"error": FINER * body.error})
         each, back = np.unique(time_s, return_inverse=True)
         _, seen = sights(self.scene, [self.index], self.at.elsewhere(each))
         view = View(*(getattr(seen, name)[:, back] for name in seen.__dataclass_fields__))

