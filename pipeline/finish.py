@@ -27,6 +27,8 @@ from pipeline.store.product import Begun, content_digest, seal, truth_kinds
 from pipeline.store.truth import drop_parts, join_parts, write_whole
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pyarrow as pa
 
 SIP_SIZE = 5  # SIP polynomials up to order 4

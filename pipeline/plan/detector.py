@@ -54,9 +54,9 @@ def decide_detector(scene: Scene, facts: Facts, ends: Geometry) -> tuple[Decisio
 def _faults(d: Detector) -> list[tuple]:
     out: list[tuple] = []
     if d.bad is not None:
-        out.append(("bad_pixels", f"{_listed(d.bad)}; each reads {d.bad.reads_dn} DN always{LISTED}"))
+        out.append(("bad_pixels", f"{_listed(d.bad)}; reads {d.bad.reads_dn} DN always{LISTED}"))
     if d.dead is not None:
-        out.append(("dead_pixels", f"{_listed(d.dead)}; no light, but bias, dark and noise{LISTED}"))
+        out.append(("dead_pixels", f"{_listed(d.dead)}; no light; dark and noise stay{LISTED}"))
     if d.hot is not None:
         hot = f"{len(d.hot.pixels)} listed"
         if d.hot.fraction > 0:

@@ -162,7 +162,7 @@ def knots_of(way: Array, step_rad: float) -> NDArray[np.int64]:
 
 
 def way_rad(model: MeshModel, looks: Sequence[Array], time_s: Array) -> Array:
-    """Angle (n,) [rad] that directions (n, 3) each and spinning joints turned by since the first."""
+    """Angle (n,) [rad] that directions (n, 3) and spinning joints turned by since the first."""
     steps = np.zeros(len(time_s))
     for directions in looks:
         steps[1:] += np.sqrt(np.sum(np.square(np.diff(directions, axis=0)), axis=-1))
