@@ -10,13 +10,15 @@ from pipeline.arrays import Geometry, SensorMaps
 from pipeline.physics.noise.transfer import lag_frames
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
-from pipeline.plan.geometry import camera_of, star_paths
+from pipeline.plan.geometry import camera_of
+from pipeline.plan.star_paths import star_paths
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.detector import (
     Detector,
     Failing,
     FrameTransfer,
     PolynomialResponse,
+    RollingShutter,
     TimeDelay,
 )
 from pipeline.spec.scene import Scene
@@ -41,13 +43,15 @@ def lag_depth(scene: Scene, sigma_e: float) -> int:
     return lag_frames(d.lag.fraction, full_well_e, LAG_ERROR_SIGMA * sigma_e)
 
 
-def decide_detector(scene: Scene, facts: Facts, ends: Geometry) -> tuple[Decision, ...]:
+def decide_detector(
+    scene: Scene, facts: Facts, ends: Geometry, dut1_s: float = 0.0
+) -> tuple[Decision, ...]:
     """Every extra of the detector that is asked for; one line where none is."""
     d = scene.sensor.detector
     if d is None:
         why = "no bad or hot pixels, patterns, bent response, blooming, lag, smear or TDI asked for"
         return (Decision("detector_extras", False, why, 0.0, 0.0),)
-    kept = [*_faults(d), *_patterns(d), *_charge(scene, d, facts), *_moving(scene, d, ends)]
+    kept = [*_faults(d), *_patterns(d), *_charge(scene, d, facts), *_moving(scene, d, ends, dut1_s)]
     return tuple(Decision(name, True, reason, *bound) for name, reason, *bound in kept)
 
 
@@ -131,7 +135,7 @@ def _chord_error_e(d: Detector, full_well_e: float) -> float:
     return float(1.05 * np.abs(bend(x)).max() * full_well_e / 8.0 / 4096**2)
 
 
-def _moving(scene: Scene, d: Detector, ends: Geometry) -> list[tuple]:
+def _moving(scene: Scene, d: Detector, ends: Geometry, dut1_s: float) -> list[tuple]:
     """Charge that moves under the light."""
     if isinstance(d.readout, FrameTransfer):
         r, t = d.readout, integration_range_s(scene)[0]
@@ -144,6 +148,10 @@ def _moving(scene: Scene, d: Detector, ends: Geometry) -> list[tuple]:
         )]  # fmt: skip
     if isinstance(d.readout, TimeDelay):
         return [("tdi", _time_delay(scene, d.readout, ends))]
+    if isinstance(d.readout, RollingShutter):
+        from pipeline.plan.rolling import rolling_shutter
+
+        return [("rolling_shutter", rolling_shutter(scene, d.readout, ends, dut1_s))]
     return []
 
 

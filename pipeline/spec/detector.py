@@ -167,7 +167,18 @@ class TimeDelay(Strict):
     edges: Literal["full", "partial"] = "full"
 
 
-Readout = Annotated[FrameTransfer | TimeDelay, Field(discriminator="kind")]
+class RollingShutter(Strict):
+    """Rows are exposed one after the other, each for the same time: row k starts k line_s later.
+
+    The frame's own times are those of the first row.
+    """
+
+    kind: Literal["rolling"]
+    line_s: Positive = Field(le=1.0, description="from the start of a row to that of the next")
+    first: Literal["low_rows", "high_rows"] = "low_rows"
+
+
+Readout = Annotated[FrameTransfer | TimeDelay | RollingShutter, Field(discriminator="kind")]
 
 
 class Detector(Strict):
