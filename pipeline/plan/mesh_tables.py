@@ -108,8 +108,8 @@ def decide_tables(scene: Scene) -> list[Decision]:
                 f"average, by up to {table.worst:.2g} of the brightest where a face or a shadow "
                 "sets in"
                 if phases > 1
-                else f"Moments that were left out differ by at most {table.error:.2g} of the light, or "
-                "of a tenth of the brightest where it is fainter"
+                else f"Moments that were left out differ by at most {table.error:.2g} of the "
+                "light, or of a tenth of the brightest where it is fainter"
             )
         out.append(Decision("targets.light_table", table is not None, why))
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -148,11 +149,38 @@ def _sizes(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]:
         out.append(
             Decision(
                 "targets.shapes_as_points", True,
-                f"{_names(others)}: points at any size; no bound is known where the body is "
-                "larger than a part of a pixel",
+                f"{_names(others)}: points at any size, up to {_largest_px(scene, facts, ends):.3g} "
+                "px in radius here; no bound is known where that is more than a part of a pixel: "
+                "only spheres and meshes have pictures, as parts of composites have no places",
             )
         )  # fmt: skip
     return out
+
+
+def _largest_px(scene: Scene, facts: Facts, ends: Geometry) -> float:
+    """Radius [px] of the largest simple shape, or part of one, in the frames looked at."""
+    drawn = (SphereBody, MeshBody)
+    which = [i for i, t in enumerate(scene.targets) if not isinstance(t.body, drawn)]
+    size_m = np.array([_radius_m(scene.targets[i].body) for i in which])
+    nearest_m = ends.target_range_m[which].min(axis=(1, 2))
+    return float((size_m / (nearest_m * facts.ifov_rad)).max(initial=0.0))
+
+
+def _radius_m(body: Any) -> float:
+    """Radius about its middle of a simple shape; 0 of a light curve."""
+    if isinstance(body, CompositeBody):
+        return max(_radius_m(part) for part in body.parts)
+    if body.kind == "sphere":
+        return 0.5 * float(body.diameter_m)
+    if body.kind == "plate":
+        return math.sqrt(0.5 * body.area_m2)  # a square's
+    if body.kind in ("box", "cube"):
+        sides = body.size_m if body.kind == "box" else 3 * (body.edge_m,)
+        return 0.5 * math.hypot(*sides)
+    if body.kind == "light_curve":
+        return 0.0
+    wide = getattr(body, "diameter_m", 0.0) or max(body.base_diameter_m, body.top_diameter_m)
+    return 0.5 * math.hypot(wide, body.length_m)
 
 
 def _mesh(target: Target) -> Any:
