@@ -149,8 +149,9 @@ def _sizes(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]:
         out.append(
             Decision(
                 "targets.shapes_as_points", True,
-                f"{_names(others)}: points at any size, up to {_largest_px(scene, facts, ends):.3g} "
-                "px in radius here; no bound is known where that is more than a part of a pixel: "
+                f"{_names(others)}: points at any size, up to "
+                f"{_largest_px(scene, facts, ends):.3g} px in radius here; no bound is known where "
+                "that is more than a part of a pixel: "
                 "only spheres and meshes have pictures, as parts of composites have no places",
             )
         )  # fmt: skip
