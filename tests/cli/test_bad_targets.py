@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.test_bad_input import ORBIT, SCENE, run
+from tests.cli.test_bad_input import ORBIT, SCENE
+from tests.command import nightglass
 
 trimesh = pytest.importorskip("trimesh")
 BALL = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}
@@ -23,7 +24,7 @@ def plan(folder: Path, target: dict[str, Any], **more: Any) -> Any:
     scene: dict[str, Any] = copy.deepcopy(SCENE) | more
     scene["targets"] = [{"name": "t", "orbit": ORBIT, "body": BALL} | target]
     (folder / "scene.json").write_text(json.dumps(scene).replace("Infinity", "1e999"))
-    return run("plan", folder / "scene.json", "--json")
+    return nightglass("plan", folder / "scene.json", "--json")
 
 
 def mesh(path: Path, **more: Any) -> dict[str, Any]:
