@@ -103,10 +103,12 @@ REFUSED: dict[str, tuple[Callable[[Path], dict[str, Any]], str]] = {
     "1e9 m": (
         lambda d: mesh(written(d / "m.stl", BOX.vertices * 1e9, BOX.faces)), "is the unit right?"
     ),
-    "earthshine on a mesh": (
-        lambda d: mesh(written(d / "m.stl", BOX.vertices, BOX.faces))
-        | {"lighting": {"earthshine_albedo": 0.3}},
-        "earthshine on a body of simple shapes",
+    "earthshine on a light curve": (
+        lambda _: {
+            "body": {"kind": "light_curve", "times_s": [-1e4, 1e4], "magnitudes": [5, 6]},
+            "lighting": {"earthshine_albedo": 0.3},
+        },
+        "earthshine on a body of shapes or a mesh",
     ),
     "decayed": (decayed, "SGP4 code"),
     "inside the Earth": (

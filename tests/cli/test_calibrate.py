@@ -154,9 +154,12 @@ BAD = {
         ["sensor.detector.amplifiers", "rows"],
     ),
     "lag": ({"lag": {"fraction": 0.5}}, ["sensor.detector.lag.fraction", "0.5", "0.1"]),
-    "rolling shutter": ({"readout": {"kind": "rolling"}}, ["sensor.detector.readout", "tdi"]),
+    "rolling shutter": ({"readout": {"kind": "rolling"}}, ["sensor.detector.readout", "line_s"]),
     "rolling shutter key": (
-        {"rolling_shutter": {}}, ["sensor.detector.rolling_shutter", "not in this version"],
+        {"rolling_shutter": {}}, ["sensor.detector.rolling_shutter", "readout"],
+    ),
+    "rolling shutter of an hour": (
+        {"readout": {"kind": "rolling", "line_s": 10}}, ["sensor.detector.readout", "line_s", "1"],
     ),
     "tile of half columns": ({"blooming": True}, ["output.tile_shape", "300"]),
     "tdi that blooms": (
