@@ -22,7 +22,7 @@ from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
 from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
-from pipeline.plan.geometry import camera_of, excursions_px
+from pipeline.plan.geometry import camera_of
 from pipeline.plan.ledger import rule_of
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
@@ -35,6 +35,7 @@ from pipeline.plan.responses import (
     ResponsePlan,
     plan_responses,
 )
+from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
 from pipeline.plan.timing import frame_count, integration_range_s, integration_s
@@ -128,7 +129,7 @@ def make_plan(
     decisions = (
         *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
         *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
-        *decide_detector(scene, facts, ends),
+        *decide_detector(scene, facts, ends, dut1_s),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
     )  # fmt: skip
     return Plan(

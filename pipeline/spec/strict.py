@@ -11,8 +11,6 @@ from pydantic_core import PydanticCustomError
 
 # Keys of the scene format that this version does not render yet, and what it says of them.
 NOT_YET = {
-    "rolling_shutter": "rows exposed one after the other are not in this version: all rows share "
-    "the exposure's start and end (detector.readout takes frame_transfer or tdi)",
     "pst": "a point-source transmittance belongs to background.stray_light.pst",
 }
 

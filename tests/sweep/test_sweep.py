@@ -19,6 +19,7 @@ from pipeline.run import Options
 from pipeline.spec.load import InvalidScene
 from pipeline.sweep import ledger
 from pipeline.sweep.run import sweep
+from tests.command import nightglass
 
 NOISE = {"field": "sensor.read_noise_e", "values": [2.0, 40.0]}
 SKY = {"stars": None, "targets": None}  # changes of the scene: the sky alone
@@ -206,18 +207,17 @@ def test_bad_sweeps_are_named_and_nothing_runs(name, sweep_file, tmp_path):
 
 def test_exit_code_of_a_bad_sweep(sweep_file, tmp_path):
     path = sweep_file([NOISE], {"stars.catalogue": str(tmp_path / "nowhere")})
-    command = [sys.executable, "-m", "pipeline", "sweep", str(path), "-o", str(tmp_path / "out")]
-    result = subprocess.run(command, capture_output=True, text=True)
+    result = nightglass("sweep", path, "-o", tmp_path / "out")
     assert result.returncode == 2
     assert "nowhere" in result.stderr
     assert "Traceback" not in result.stderr
     assert not (tmp_path / "out").exists()
 
 
-def test_point_shows_its_scene(sweep_file, tmp_path):
+def test_point_shows_its_scene(sweep_file):
     path = sweep_file([NOISE])
-    command = [sys.executable, "-m", "pipeline", "sweep", str(path), "--point", "1"]
-    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    result = nightglass("sweep", path, "--point", "1")
+    assert result.returncode == 0
     assert "read_noise_e: 40.0" in result.stdout
     assert "noise_floor_e" in result.stdout
     assert json.loads(path.read_text())["scene"]["name"] in result.stdout
