@@ -158,14 +158,14 @@ async def burst(server: Server) -> dict[str, Any]:
         return status, json.loads(body)["id"]
 
     keys = [f"burst-{i % (BURST // 2)}" for i in range(BURST)]
-    began = time.monotonic()
+    cpu, began = server.cpu_s(), time.monotonic()
     answers = await asyncio.gather(*(one(key) for key in keys))
-    took = time.monotonic() - began
+    took, cpu = time.monotonic() - began, server.cpu_s() - cpu
     by_key: dict[str, set[str]] = {}
     for key, (_, job) in zip(keys, answers, strict=True):
         by_key.setdefault(key, set()).add(job)
     return {
-        "seconds": took, "accepted": sum(s == 202 for s, _ in answers),
+        "seconds": took, "server_cpu_s": cpu, "accepted": sum(s == 202 for s, _ in answers),
         "replayed": sum(s == 200 for s, _ in answers),
         "one_job_per_key": all(len(ids) == 1 for ids in by_key.values()),
     }  # fmt: skip
