@@ -182,6 +182,11 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.scheduler.allowed-failures": 3,
         "distributed.worker.profile.enabled": False,
+        # Looked at 10 to 1000 times a second by default, in every process: a tenth of a short job.
+        "distributed.admin.tick.interval": "500ms",
+        "distributed.admin.system-monitor.interval": "5s",
+        "distributed.admin.system-monitor.gil.enabled": False,
+        "distributed.worker.memory.monitor-interval": "500ms",
         "distributed.logging.distributed": "error",
     })  # fmt: skip
     if kind == "processes":
