@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import ipaddress
 import os
 import socket
@@ -45,6 +46,8 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
         scheme = "https" if settings.tls_cert else "http"
         print(f"Nightglass serves {scheme}://{shown}:{at} from {settings.home}", file=sys.stderr)
         sys.stderr.flush()
+        gc.freeze()  # what is there now stays: collections need not look at it again
+        gc.set_threshold(20_000, 20, 20)
         uvicorn.Server(config).run(sockets=[listener])
 
 

@@ -20,7 +20,7 @@ from service.tables import audit, counters, jobs, scene_crc, seal_of, uploads, u
 
 DAY_S = 86_400.0
 MOST_AT_ONCE = 512
-LINGER_S = 0.002  # a commit waits while more comes: an fsync costs longer than this
+LINGER_S = 0.005  # a commit waits while more comes: an fsync costs longer than this
 _id_lock = threading.Lock()
 Answer = tuple[Job, bool] | Exception
 
