@@ -1,8 +1,8 @@
 """What the guards cost: their share of a frame's CPU time, as a ratio within one run.
 
 Run: python -m benchmarks.guards [--side PIXELS] [--stars N] [--json FILE]. The same tile of the
-same frame is drawn again and again, with stars and all noise; the CPU seconds inside of the guards
-are summed beside those of the tile and of placing its stars.
+same sky is drawn again and again, with stars and all noise, and written as a product's; the CPU
+seconds inside of the guards are summed beside those of placing, drawing and writing.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import argparse
 import json
 import os
 import platform
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -28,7 +29,7 @@ def measure(side: int, stars: int) -> dict[str, Any]:
     from pipeline.arrays import SensorMaps, StarTable
     from pipeline.execute import light, sources, tile
     from pipeline.plan.geometry import plan_geometry
-    from pipeline.plan.tiles import Tile
+    from pipeline.store.product import begin
 
     plan = _plan(side)
     g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
@@ -41,23 +42,26 @@ def measure(side: int, stars: int) -> dict[str, Any]:
         np.arange(stars), ra, dec, none, none, none, none, np.full(stars, 15.0),
         10.0 ** rng.uniform(1.5, 4.5, stars), np.zeros(stars, np.uint8),
     )  # fmt: skip
-    maps, whole = SensorMaps(1.0, 0.1, 5.0, 1.5, 500.0), Tile(0, 0, 0, 0, side, side)
+    maps, (whole,) = SensorMaps(1.0, 0.1, 5.0, 1.5, 500.0), plan.tiles
     spent: Counter[str] = Counter()
     for module in (light, sources, tile):
         for name in GUARDS:
             if hasattr(module, name):
                 setattr(module, name, _timed(getattr(module, name), name, spent))
 
-    def frame() -> None:
-        placed = sources.place_stars(plan, table, g, 2015.5)
-        tile.render_tile(plan, maps, g, whole, [placed], [])
+    with tempfile.TemporaryDirectory() as folder:
+        writer = begin(Path(folder) / "product", plan, None, resume=False).writer
 
-    frame()
-    spent.clear()
-    began = time.process_time()
-    for _ in range(REPEATS):
-        frame()
-    total = (time.process_time() - began) / REPEATS
+        def frame(k: int) -> None:
+            placed = sources.place_stars(plan, table, g, 2015.5)
+            writer.write(k, whole, *tile.render_tile(plan, maps, g, whole, [placed], []))
+
+        frame(0)
+        spent.clear()
+        began = time.process_time()
+        for k in range(REPEATS):
+            frame(k + 1)
+        total = (time.process_time() - began) / REPEATS
     each = {name: seconds / REPEATS for name, seconds in spent.items()}
     return {
         "side_px": side, "stars": stars, "frame_s": total, "guards_s": sum(each.values()),
@@ -92,7 +96,7 @@ def _plan(side: int) -> Any:
             "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
         },
         "pointing": {"mode": "sidereal", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0},
-        "exposure": {"integration_s": 1.0}, "stars": {"catalogue": "none"},
+        "exposure": {"integration_s": 1.0, "frames": REPEATS + 1}, "stars": {"catalogue": "none"},
         "background": {"uniform_e_per_s": 50.0}, "accuracy": {"check_cells": 0},
     })  # fmt: skip
     facts = gather_facts(scene, box(600e-9, 700e-9), 0.1, 5.0, 1.5)
