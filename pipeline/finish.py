@@ -24,9 +24,11 @@ from pipeline.store.clock import UNITS, utc_microseconds
 from pipeline.store.cube import finish_cube
 from pipeline.store.markers import markers_present, read_marker
 from pipeline.store.product import Begun, content_digest, seal, truth_kinds
-from pipeline.store.truth import drop_parts, join_parts
+from pipeline.store.truth import drop_parts, join_parts, write_whole
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pyarrow as pa
 
 SIP_SIZE = 5  # SIP polynomials up to order 4
@@ -49,6 +51,7 @@ def finish(
         kind: join_parts(product, kind, plan.frames, _empty(plan, kind))
         for kind in truth_kinds(plan)
     }
+    rows |= _faults(plan, product)
     coordinates = gather_coordinates(plan)
     finish_cube(product, coordinates, _attributes(plan, catalogues))
     write_preview(product, plan)
@@ -60,6 +63,18 @@ def finish(
     drop_parts(product)
     seal(product)
     return report
+
+
+def _faults(plan: Plan, product: Path) -> dict[str, int]:
+    """Write the table of pixels that fail, where the scene has any; its rows."""
+    detector = plan.scene.sensor.detector
+    if detector is None or (detector.bad, detector.dead, detector.hot) == (None, None, None):
+        return {}
+    import pyarrow as pa
+
+    from pipeline.inputs.detector import gather_faults
+
+    return {"pixels": write_whole(product, "pixels", pa.table(gather_faults(plan.scene) or {}))}
 
 
 def stored_report(begun: Begun) -> dict[str, Any]:

@@ -13,8 +13,7 @@ from pipeline.errors import BadInput
 from pipeline.inputs.curves import solar_spectrum
 from pipeline.inputs.earth_orientation import gather_dut1_s
 from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M
-from pipeline.physics.positions.earth import earth_and_sun
-from pipeline.physics.positions.times import format_utc, instants, parse_utc
+from pipeline.physics.positions.times import format_utc, parse_utc
 from pipeline.physics.radiometry import (
     ResponseCurve,
     ab_photon_rate,
@@ -22,9 +21,11 @@ from pipeline.physics.radiometry import (
 )
 from pipeline.plan.bodies import target_lights
 from pipeline.plan.body_albedos import with_band_albedos
-from pipeline.plan.geometry import _observer
+from pipeline.plan.body_attitudes import View
+from pipeline.plan.geometry import moments_at
 from pipeline.plan.target_paths import Moments, sights
 from pipeline.plan.timing import end_s
+from pipeline.spec.mesh import MeshBody
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
@@ -86,16 +87,15 @@ def light_curve(
     epoch = parse_utc(scene.epoch)
     dut1_s, _ = gather_dut1_s(*epoch)
     time_s = np.linspace(start_s, stop_s, points)
-    times = instants(epoch, time_s, dut1_s)
-    earth = earth_and_sun(times.tt1, times.tt2)
-    observer, velocity = _observer(scene, epoch, time_s, times, earth)
-    at = Moments(epoch, time_s, times, earth, observer, velocity)
+    at = moments_at(scene, dut1_s, time_s)
+    times, earth, observer = at.times, at.earth, at.observer_m
     sight, view = sights(scene, [index], at)
     light, phase, sunlit = (
         value[0]
         for value in target_lights(
             [scene.targets[index]], [f"targets.{index}.body"], epoch, view,
             earth.sun_from_earth_m, (times.tt1, times.tt2), sight.range_m,
+            known=_worked_out(scene, index, at, view),
         )
     )  # fmt: skip
     range_m, direction = sight.range_m[0], sight.direction_geometric[0]
@@ -104,6 +104,17 @@ def light_curve(
         magnitude = -2.5 * np.log10(rate / ab_photon_rate(0.0, response))
     seen = _in_view(scene, observer, direction, range_m)
     return LightCurve(time_s, times.utc1, times.utc2, magnitude, rate, phase, range_m, sunlit, seen)
+
+
+def _worked_out(scene: Scene, index: int, at: Moments, view: View) -> dict[int, Array]:
+    """A mesh's light from a table, where that takes fewer moments than the curve has points."""
+    if not isinstance(scene.targets[index].body, MeshBody):
+        return {}
+    from pipeline.plan.mesh_tables import table_between, table_phase
+
+    start, stop = (float(t) for t in at.offset_s[[0, -1]])
+    table = table_between(scene, index, at, start, stop, len(at.offset_s))
+    return {} if table is None else {0: table.at(at.offset_s, table_phase(scene, index, view))}
 
 
 def _in_view(scene: Scene, observer_m: Array, direction: Array, range_m: Array) -> NDArray:

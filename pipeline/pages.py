@@ -98,6 +98,7 @@ CONTENTS = {
     "cube.zarr": "the frames: open with xarray.open_zarr",
     "truth/stars.parquet": "every star drawn: place, streak, light, SNR",
     "truth/targets.parquet": "every target: place, path, range, phase, light, SNR",
+    "truth/pixels.parquet": "every bad, dead and hot pixel",
     "scene.yaml": "the scene as understood, defaults filled in",
     "plan.json": "what was used and left out, with error bounds",
     "report.json": "time, memory, errors, versions, digests",

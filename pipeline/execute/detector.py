@@ -8,7 +8,7 @@ from pipeline.arrays import Array, SensorMaps
 from pipeline.physics.noise.chain import Chain, StreamPlace
 from pipeline.physics.noise.streams import stream_key
 from pipeline.plan.tiles import Tile
-from pipeline.spec.detector import Detector, FrameTransfer
+from pipeline.spec.detector import Detector, FrameTransfer, TimeDelay
 from pipeline.spec.scene import Scene
 
 NONE = Detector()
@@ -23,9 +23,16 @@ def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float)
     def cut(value: float | Array) -> float | Array:
         return value[part] if isinstance(value, np.ndarray) else value
 
+    flat, dark_e = cut(maps.flat), cut(maps.dark_e_per_s) * integration_s
+    if isinstance(d.readout, TimeDelay) and d.readout.edges == "partial":
+        from pipeline.physics.noise.transfer import exposed_share
+
+        share = exposed_share(s.shape[0], d.readout.rows_per_s, integration_s)[part[0], None]
+        whole = np.ones((tile.rows, tile.columns))
+        flat, dark_e = flat * share * whole, dark_e * share * whole
     return Chain(
-        flat=cut(maps.flat),
-        dark_e=cut(maps.dark_e_per_s) * integration_s,
+        flat=flat,
+        dark_e=dark_e,
         full_well_e=s.full_well_e,
         read_noise_e=cut(maps.read_noise_e),
         gain_e_per_dn=cut(maps.gain_e_per_dn),

@@ -17,9 +17,9 @@ from pipeline.physics.positions.refraction import refract
 from pipeline.physics.targets.disc import Appearance, Sphere, photocentre_offset
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.air import path_transmission, star_transmission
-from pipeline.plan.geometry import excursions_px
 from pipeline.plan.responses import point_curvature, point_slope
 from pipeline.plan.scene_plan import Plan
+from pipeline.plan.star_paths import excursions_px, rolled_stars
 from pipeline.plan.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
 from pipeline.spec.body import SphereBody
 from pipeline.spec.mesh import MeshBody
@@ -66,11 +66,19 @@ def place_stars(
     observed = refract(proper, g.air_at(0, middle))
     x, y = project(plan.camera, g.attitude[0, middle], observed)
     frame = (0, 0, plan.camera.rows, plan.camera.columns)
-    near = distance_px(x, y, *frame) < plan.halo_px + excursion_px(plan, g)
+    reach = plan.halo_px + excursion_px(plan, g)
+    near = distance_px(x, y, *frame) < reach
+    longer = np.ones(len(x))
+    if plan.camera.line_s:
+        seen = rolled_stars(plan.camera, g, x[near], y[near], wish.aberration)
+        x[near], y[near], longer[near] = seen
+        near &= distance_px(x, y, *frame) < reach
     ra, dec = to_angles(astrometric[near])
     kept = select(stars, near)
     guard_some(plan, g, x[near], y[near], observed[near], kept.source_id)
     light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
+    if plan.camera.line_s:
+        light = light * longer[near]
     if plan.extinction is not None:
         light = light * star_transmission(plan.extinction, g, observed[near])
     return FrameStars(

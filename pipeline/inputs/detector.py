@@ -47,6 +47,38 @@ def with_detector(maps: SensorMaps, scene: Scene) -> SensorMaps:
     return maps
 
 
+def gather_faults(scene: Scene) -> dict[str, Array] | None:
+    """Which pixels fail, as columns of a table; None where no fault is asked for.
+
+    row, column (n,); fault : bad, dead or hot, a row for each that a pixel has; reads_dn : of bad
+    ones, else -1; dark_e_per_s : of hot ones beyond the sensor's own, else 0. Sorted by place.
+    In TDI a pixel is a place of the frame: dead and hot ones act on their whole columns.
+    """
+    d, shape, seed = scene.sensor.detector, scene.sensor.shape, scene.seed
+    parts = []
+    for name in ("bad", "dead"):
+        found = None if d is None else getattr(d, name)
+        if found is not None:
+            y, x = np.nonzero(gather_failing(found, name, shape, seed))
+            parts.append((y, x, name, getattr(found, "reads_dn", -1), np.zeros(y.shape)))
+    if d is not None and d.hot is not None:
+        extra = _hot(d.hot, shape, seed)
+        y, x = np.nonzero(extra)
+        parts.append((y, x, "hot", -1, extra[y, x]))
+    if not parts:
+        return None
+    rows, columns = (np.concatenate([p[k] for p in parts]).astype(np.int32) for k in (0, 1))
+    order = np.lexsort((columns, rows))
+    many = [len(p[0]) for p in parts]
+    return {
+        "row": rows[order],
+        "column": columns[order],
+        "fault": np.repeat([p[2] for p in parts], many)[order],
+        "reads_dn": np.repeat(np.array([p[3] for p in parts], np.int64), many)[order],
+        "dark_e_per_s": np.concatenate([p[4] for p in parts])[order],
+    }
+
+
 def gather_failing(
     found: Failing, name: str, shape: tuple[int, int], seed: int
 ) -> NDArray[np.bool_]:

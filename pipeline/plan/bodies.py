@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,15 +35,20 @@ def target_lights(
     sun_from_earth_m: Array,
     tt: tuple[Array, Array],
     range_m: Array,
+    frames: int = 1,
+    known: Mapping[int, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
     """Irradiance at the observer over that of the Sun at 1 au, phase [rad], sunlit share: (T, n).
 
     fields : the targets' places in the scene, for messages; epoch : the scene's, UTC
     sun_from_earth_m : (n, 3) geometric, for the distance; range_m : (T, n)
     tt : two-part Julian dates (n,), for the Moon
+    frames : of which the moments are the nodes, one after another: each stands on its own
+    known : of some targets, intensities (n, 1 or 2) [m2/sr] in sunlight and in earthshine
     """
+    known = known or {}
     alpha = phase_angle(view.place_m, view.sun_m, view.observer_m)
-    reflected = _reflected(targets, fields, epoch, view, alpha)
+    reflected = _reflected(targets, fields, epoch, view, alpha, frames, known)
     lit = _sunlit_shares(targets, view, tt)
     distance = sun_distance(view.place_m, sun_from_earth_m)
     light = photon_rate_at_aperture(1.0, distance, lit, reflected, range_m)
@@ -51,8 +56,14 @@ def target_lights(
     for i, target in enumerate(targets):
         lighting = target.lighting
         if lighting is not None and lighting.earthshine_albedo is not None:
-            one, albedo = view.of(np.array([i])), lighting.earthshine_albedo
-            extra = earthshine_m2_sr(target.body, epoch, one, albedo, fields[i])
+            if i in known:
+                extra = known[i][:, 1]
+            else:
+                one, albedo = view.of(np.array([i])), lighting.earthshine_albedo
+                besides = reflected[i] * lit[i]
+                extra = earthshine_m2_sr(
+                    target.body, epoch, one, albedo, fields[i], besides, frames
+                )
             light[i] += photon_rate_at_aperture(1.0, at_earth, 1.0, extra, range_m[i])
     return light, alpha, lit
 
@@ -63,6 +74,8 @@ def _reflected(
     epoch: tuple[float, float],
     view: View,
     alpha: Array,
+    frames: int,
+    known: Mapping[int, Array],
 ) -> Array:
     """Intensities (T, n) [m2/sr] of bodies of every kind."""
     out = np.zeros(alpha.shape)
@@ -77,7 +90,10 @@ def _reflected(
         from pipeline.plan.meshes import mesh_m2_sr  # only scenes with meshes need it
 
         body: Any = targets[i].body
-        out[i] = mesh_m2_sr(body, epoch, view.of(np.array([i])), fields[i])
+        if i in known:
+            out[i] = known[i][:, 0]
+        else:
+            out[i] = mesh_m2_sr(body, epoch, view.of(np.array([i])), fields[i], frames)
     others = sorted(set(range(len(targets))) - {*spheres, *meshes})
     if others:
         bodies: list[Any] = [targets[i].body for i in others]
@@ -125,14 +141,24 @@ def earthshine_m2_sr(
     view: View,
     albedo: float,
     field: str = "body",
+    besides_m2_sr: Array | None = None,
+    frames: int = 1,
 ) -> Array:
-    """Intensity (n,) of one body in earthshine over the solar irradiance at the Earth [m2/sr]."""
+    """Intensity (n,) of one body in earthshine over the solar irradiance at the Earth [m2/sr].
+
+    besides_m2_sr : (n,) what it sends besides; a mesh's shadows err by a share of both together
+    """
+    if isinstance(body, LightCurveBody):
+        raise BadInput(f"{field}.kind", body.kind, "earthshine on a body of shapes or a mesh")
+    if isinstance(body, MeshBody):
+        from pipeline.plan.meshes import mesh_earthshine_m2_sr
+
+        rest = np.zeros(view.time_s.shape[1]) if besides_m2_sr is None else besides_m2_sr
+        return mesh_earthshine_m2_sr(body, epoch, view, albedo, rest, field, frames)
     from pipeline.physics.targets.earthshine import earth_lamps
 
     place = view.place_m[0]
     directions, light = earth_lamps(place, view.sun_m[0], albedo)
-    if isinstance(body, LightCurveBody | MeshBody):
-        raise BadInput(f"{field}.kind", body.kind, "earthshine on a body of simple shapes")
     n, k = light.shape
     towards = directions.reshape(1, -1, 3)
 

@@ -6,6 +6,7 @@ import math
 
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.focal_plane import area_ratio_range, stretch
+from pipeline.physics.psf.band import BandOptics
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
@@ -185,17 +186,9 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
     def bound(e: float) -> dict[str, float]:
         return {"error_bound_e": e, "error_bound_sigma": e / sigma}
 
-    out = [_over_the_field(r)]
+    out = [_over_the_field(r, sigma)]
     if facts.band is not None:
-        b = facts.band
-        nm = ", ".join(f"{w * 1e9:.0f}" for w in b.wavelengths_m)
-        what = (
-            "as asked" if not b.error_of_one else f"a pixel differs by up to {b.error:.2g} of its "
-            f"source's light from the whole band ({b.error_of_one:.2g} with the mean wavelength "
-            "alone); the same for sources of all colours"
-        )  # fmt: skip
-        name = "monochromatic_psf" if len(b.wavelengths_m) == 1 else "few_wavelengths"
-        out.append(Decision(name, True, f"drawn at {nm} nm: {what}"))
+        out.append(_wavelengths(facts.band, budget, sigma))
     sky = scene.background
     if sky is not None and sky.uniform_mag_arcsec2 is not None and not sky.varies:
         camera = camera_of(scene)
@@ -227,12 +220,40 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
     return out
 
 
-def _over_the_field(r: ResponsePlan) -> Decision:
+def _over_the_field(r: ResponsePlan, sigma_e: float) -> Decision:
     """One response for the focal plane, or several; errors between places are per unit light."""
-    if r.field is not None:
-        return Decision("psf_over_the_field", True, r.field.reason(r.table_mb))
-    same = "one point-spread function for the whole focal plane, as in the paper"
-    return Decision("one_psf", True, same)
+    if r.field is None:
+        same = "one point-spread function for the whole focal plane, as in the paper"
+        return Decision("one_psf", True, same)
+    reason, known = r.field.reason(r.table_mb), [e for e in r.field.error if e is not None]
+    if len(known) < len(r.field.error):
+        return Decision("psf_over_the_field", True, reason)
+    return _per_source("psf_over_the_field", reason, sum(known), r.budget_e, sigma_e)
+
+
+def _wavelengths(band: BandOptics, budget_e: float, sigma_e: float) -> Decision:
+    """A few wavelengths, or one, for the whole band."""
+    nm = ", ".join(f"{w * 1e9:.0f}" for w in band.wavelengths_m)
+    name = "monochromatic_psf" if len(band.wavelengths_m) == 1 else "few_wavelengths"
+    if not band.error_of_one:
+        return Decision(name, True, f"drawn at {nm} nm: as asked")
+    reason = (
+        f"drawn at {nm} nm: a pixel differs by up to {band.error:.2g} of its source's light from "
+        f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone); the same for "
+        "sources of all colours"
+    )
+    return _per_source(name, reason, band.error, budget_e, sigma_e)
+
+
+def _per_source(
+    name: str, reason: str, error: float, budget_e: float, sigma_e: float
+) -> Decision:
+    """An approximation that errs by `error` of a source's light in a pixel: its bound is the
+    budget, which holds for the sources that it names."""
+    if error:
+        reason += f". The bound holds for sources of up to {budget_e / error:.3g} e-"
+    bound = budget_e if error else 0.0
+    return Decision(name, True, reason, bound, bound / sigma_e)
 
 
 def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:

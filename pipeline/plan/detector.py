@@ -10,17 +10,20 @@ from pipeline.arrays import Geometry, SensorMaps
 from pipeline.physics.noise.transfer import lag_frames
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
-from pipeline.plan.geometry import camera_of, star_paths
+from pipeline.plan.geometry import camera_of
+from pipeline.plan.star_paths import star_paths
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.detector import (
     Detector,
     Failing,
     FrameTransfer,
     PolynomialResponse,
+    RollingShutter,
     TimeDelay,
 )
 from pipeline.spec.scene import Scene
 
+LISTED = "; each pixel is in truth/pixels.parquet"
 LAG_ERROR_SIGMA = 0.01  # charge left behind below it, in units of the noise floor, is forgotten
 
 
@@ -40,22 +43,24 @@ def lag_depth(scene: Scene, sigma_e: float) -> int:
     return lag_frames(d.lag.fraction, full_well_e, LAG_ERROR_SIGMA * sigma_e)
 
 
-def decide_detector(scene: Scene, facts: Facts, ends: Geometry) -> tuple[Decision, ...]:
+def decide_detector(
+    scene: Scene, facts: Facts, ends: Geometry, dut1_s: float = 0.0
+) -> tuple[Decision, ...]:
     """Every extra of the detector that is asked for; one line where none is."""
     d = scene.sensor.detector
     if d is None:
         why = "no bad or hot pixels, patterns, bent response, blooming, lag, smear or TDI asked for"
         return (Decision("detector_extras", False, why, 0.0, 0.0),)
-    kept = [*_faults(d), *_patterns(d), *_charge(scene, d, facts), *_moving(scene, d, ends)]
+    kept = [*_faults(d), *_patterns(d), *_charge(scene, d, facts), *_moving(scene, d, ends, dut1_s)]
     return tuple(Decision(name, True, reason, *bound) for name, reason, *bound in kept)
 
 
 def _faults(d: Detector) -> list[tuple]:
     out: list[tuple] = []
     if d.bad is not None:
-        out.append(("bad_pixels", f"{_listed(d.bad)}; each reads {d.bad.reads_dn} DN always"))
+        out.append(("bad_pixels", f"{_listed(d.bad)}; reads {d.bad.reads_dn} DN always{LISTED}"))
     if d.dead is not None:
-        out.append(("dead_pixels", f"{_listed(d.dead)}; no light, but bias, dark and noise"))
+        out.append(("dead_pixels", f"{_listed(d.dead)}; no light; dark and noise stay{LISTED}"))
     if d.hot is not None:
         hot = f"{len(d.hot.pixels)} listed"
         if d.hot.fraction > 0:
@@ -63,7 +68,7 @@ def _faults(d: Detector) -> list[tuple]:
                 f", and {d.hot.fraction:g} of all with a log-normal dark current about "
                 f"{d.hot.median_e_per_s:g} e-/s ({d.hot.sigma_dex:g} dex)"
             )
-        out.append(("hot_pixels", f"{hot}; steady: no blinking ones"))
+        out.append(("hot_pixels", f"{hot}; steady: no blinking ones{LISTED}"))
     return out
 
 
@@ -130,7 +135,7 @@ def _chord_error_e(d: Detector, full_well_e: float) -> float:
     return float(1.05 * np.abs(bend(x)).max() * full_well_e / 8.0 / 4096**2)
 
 
-def _moving(scene: Scene, d: Detector, ends: Geometry) -> list[tuple]:
+def _moving(scene: Scene, d: Detector, ends: Geometry, dut1_s: float) -> list[tuple]:
     """Charge that moves under the light."""
     if isinstance(d.readout, FrameTransfer):
         r, t = d.readout, integration_range_s(scene)[0]
@@ -143,7 +148,29 @@ def _moving(scene: Scene, d: Detector, ends: Geometry) -> list[tuple]:
         )]  # fmt: skip
     if isinstance(d.readout, TimeDelay):
         return [("tdi", _time_delay(scene, d.readout, ends))]
+    if isinstance(d.readout, RollingShutter):
+        from pipeline.plan.rolling import rolling_shutter
+
+        return [("rolling_shutter", rolling_shutter(scene, d.readout, ends, dut1_s))]
     return []
+
+
+def _edges(scene: Scene, r: TimeDelay) -> str:
+    """What becomes of charge that comes in or leaves during a TDI exposure."""
+    rows, times = scene.sensor.shape[0], integration_range_s(scene)
+    part = min(1.0, abs(r.rows_per_s) * times[1] / rows)
+    if r.edges == "full":
+        return (
+            "charge that comes in at an edge is as full as any, as in a long strip: of a single "
+            f"exposure the outer {part:.3g} of the rows would hold less, down to half of the light"
+            " (`edges: partial` draws that)"
+        )
+    return (
+        f"the outer {part:.3g} of the rows are exposed while their charge is on the array, as a "
+        "share of all their light and dark: right for the sky and for images that keep pace; of "
+        "one that streaks through such rows the share stands for its own time there. The truth's "
+        "electrons are those of the whole exposure"
+    )
 
 
 def _time_delay(scene: Scene, r: TimeDelay, ends: Geometry) -> str:
@@ -159,8 +186,7 @@ def _time_delay(scene: Scene, r: TimeDelay, ends: Geometry) -> str:
         f"charge moves {r.rows_per_s:g} rows/s in {r.clock_phases} steps a row; a star in the "
         f"centre moves {worst + r.rows_per_s:.5g} rows/s, so that it streaks "
         f"{abs(worst) * took[0]:.3g} px along and {across:.3g} px across. Flat and dark are means "
-        "of their columns. All rows share the exposure's start and end, and charge that comes in "
-        "at an edge is as full as any"
+        f"of their columns. All rows share the exposure's start and end; {_edges(scene, r)}"
     )
     if not scene.targets or r.rows_per_s == 0:
         return text

@@ -13,7 +13,7 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.sky.starlight import brightest_correction
-from pipeline.plan.geometry import star_paths
+from pipeline.plan.star_paths import star_paths
 
 Array = NDArray[np.float64]
 

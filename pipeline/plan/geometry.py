@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,10 @@ from pipeline.physics.constants import (
 from pipeline.physics.motion.disturbance import turned
 from pipeline.physics.positions.apparent import (
     TargetSight,
-    aberrate,
-    unaberrate,
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
-from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad, project, stretch
+from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.positions.orbit import check_above_earth
-from pipeline.physics.positions.refraction import refract, unrefract
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import separation
 from pipeline.plan.air import air_of, lifted
@@ -35,6 +33,7 @@ from pipeline.plan.bodies import flicker_shares
 from pipeline.plan.orbits import orbit_states
 from pipeline.plan.paths import LONGEST_STREAK_PX, bends_px, check_paths, near_frame
 from pipeline.plan.pointing import Vantage, attitudes, pointing_field, swept_rad
+from pipeline.plan.star_paths import field_points, star_paths
 from pipeline.plan.target_paths import Moments, sights, target_paths
 from pipeline.plan.timing import (
     dwell_of,
@@ -43,7 +42,7 @@ from pipeline.plan.timing import (
     frame_times,
     integration_range_s,
 )
-from pipeline.spec.detector import TimeDelay
+from pipeline.spec.detector import RollingShutter, TimeDelay
 from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.pointing import RatePointing, TargetPointing
 from pipeline.spec.scene import Scene
@@ -75,6 +74,9 @@ def camera_of(scene: Scene) -> Camera:
     camera = Camera(s.shape[0], s.shape[1], s.pixel_pitch_um * 1e-6, s.focal_length_m)
     if s.detector is not None and isinstance(s.detector.readout, TimeDelay):
         camera = replace(camera, charge_px_s=s.detector.readout.rows_per_s)
+    if s.detector is not None and isinstance(s.detector.readout, RollingShutter):
+        r = s.detector.readout
+        camera = replace(camera, line_s=r.line_s if r.first == "low_rows" else -r.line_s)
     if s.distortion is None:
         return camera
     from pipeline.physics.positions.distortion import distortion_of
@@ -179,7 +181,7 @@ def _needs_more(scene: Scene, g: Geometry, nodes: int) -> NDArray[np.bool_]:
 def _star_paths(scene: Scene, g: Geometry) -> Array:
     """Paths (2, 5, F, K) of stars in the middle and the corners of the field."""
     camera = camera_of(scene)
-    return star_paths(camera, g, *_field_points(camera), scene.star_effects["aberration"])
+    return star_paths(camera, g, *field_points(camera), scene.star_effects["aberration"])
 
 
 def _check_rates(scene: Scene) -> None:
@@ -197,21 +199,27 @@ def _check_rates(scene: Scene) -> None:
 
 
 def _geometry(
-    scene: Scene, frames: NDArray[np.int64], nodes: int, dut1_s: float, random: bool = False
+    scene: Scene,
+    frames: NDArray[np.int64],
+    nodes: int,
+    dut1_s: float,
+    random: bool = False,
+    late_s: float = 0.0,
 ) -> Geometry:
-    """Geometry of frames at a number of nodes; `random`: with the random motion of the pointing."""
+    """Geometry of frames at a number of nodes; `random`: with the random motion of the pointing.
+
+    late_s : by which all exposures are shifted
+    """
     within = np.linspace(0.0, 1.0, nodes)
     start, time = frame_times(scene, frames)
+    start = start + late_s if late_s else start
     since = within[None, :] * time[:, None]
     offset = start[:, None] + since
     flat = offset.ravel()
-    epoch = parse_utc(scene.epoch)
-    times = instants(epoch, flat, dut1_s)
-    earth = earth_and_sun(times.tt1, times.tt2)
-    geocentric, velocity = _observer(scene, epoch, flat, times, earth)
+    at = moments_at(scene, dut1_s, flat)
+    times, earth, geocentric, velocity = at.times, at.earth, at.observer_m, at.observer_m_s
     position = earth.position_m + geocentric
     sun = earth.position_m + earth.sun_from_earth_m
-    at = Moments(epoch, flat, times, earth, geocentric, velocity)
     which = np.repeat(dwell_of(dwell_plans(scene), frames), nodes)
     attitude = attitudes(scene, which, _vantage(scene, at))
     if random:
@@ -223,16 +231,25 @@ def _geometry(
     t = target_paths(scene, camera, attitude, at, len(frames), air)
     grid, grid3 = offset.shape, (*offset.shape, 3)
     each = (len(scene.targets), *grid)
+    x, y, light = t.x_px.reshape(each), t.y_px.reshape(each), t.light.reshape(each)
+    if camera.line_s:
+        from pipeline.physics.motion.rolling import rolled_light
+
+        x, y, light = rolled_light(x, y, light, since, camera.line_s, camera.rows)
     return Geometry(
         frames, offset, times.tt1.reshape(grid), times.tt2.reshape(grid),
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
-        t.x_px.reshape(each),
-        t.y_px.reshape(each) - camera.charge_px_s * (since - since[:, [nodes // 2]]),
-        t.light.reshape(each), t.range_m.reshape(each), t.phase_rad.reshape(each),
+        x, y - camera.charge_px_s * (since - since[:, [nodes // 2]]), light,
+        t.range_m.reshape(each), t.phase_rad.reshape(each),
         t.sunlit.reshape(each), t.direction, t.pose, t.pose_s, t.turn_rad,
         np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
+
+
+def late_geometry(scene: Scene, g: Geometry, dut1_s: float, late_s: float) -> Geometry:
+    """The geometry of the frames of another one, all of them so much later."""
+    return _geometry(scene, g.frame, g.nodes, dut1_s, late_s=late_s)
 
 
 def watch(scene: Scene, offsets: Array, dut1_s: float) -> tuple[Array, Array, Array]:
@@ -240,15 +257,22 @@ def watch(scene: Scene, offsets: Array, dut1_s: float) -> tuple[Array, Array, Ar
 
     offsets : (n,) seconds after the scene's epoch
     """
-    epoch, flat = parse_utc(scene.epoch), np.asarray(offsets, float)
-    times = instants(epoch, flat, dut1_s)
-    earth = earth_and_sun(times.tt1, times.tt2)
-    place, velocity = _observer(scene, epoch, flat, times, earth)
-    at = Moments(epoch, flat, times, earth, place, velocity)
+    at = moments_at(scene, dut1_s, np.asarray(offsets, float))
     ends = [plan.end_s for plan in dwell_plans(scene)]
-    which = np.searchsorted(ends[:-1], flat, side="right")
+    which = np.searchsorted(ends[:-1], at.offset_s, side="right")
     attitude = attitudes(scene, which, _vantage(scene, at))
-    return place, velocity - earth.velocity_m_s, attitude[:, 2]
+    return at.observer_m, at.observer_m_s - at.earth.velocity_m_s, attitude[:, 2]
+
+
+def moments_at(scene: Scene, dut1_s: float, offsets: Array) -> Moments:
+    """Moments at offsets (n,) from a scene's epoch [s], and where its observer is then."""
+    epoch = parse_utc(scene.epoch)
+    times = instants(epoch, offsets, dut1_s)
+    earth = earth_and_sun(times.tt1, times.tt2)
+    place, velocity = _observer(scene, epoch, offsets, times, earth)
+    return Moments(
+        epoch, offsets, times, earth, place, velocity, partial(moments_at, scene, dut1_s)
+    )
 
 
 def _vantage(scene: Scene, at: Moments) -> Vantage:
@@ -298,8 +322,6 @@ def _observer(
     return place, speed + earth.velocity_m_s
 
 
-
-
 def _check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
     """Refuse a boresight that ends in the Earth: below the horizon, or inside its disc."""
     distance = np.sqrt(np.sum(observer_m**2, axis=-1))
@@ -319,43 +341,3 @@ def _check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
             "pointing", f"{-np.degrees(limb.min()):.2f} deg inside the Earth's limb",
             "a boresight beside the Earth's disc during all exposures",
         )  # fmt: skip
-
-
-def excursions_px(camera: Camera, g: Geometry, aberration: bool = True) -> Array:
-    """Farthest (F,) that a star of each frame moves from its place at mid-exposure, in whole 16 px.
-
-    Told from the centre and the corners of the field.
-    """
-    paths = star_paths(camera, g, *_field_points(camera), aberration)
-    worst = np.hypot(*(paths - paths[..., [g.middle]])).max(axis=(0, 2))
-    for k, finer in (g.finer if isinstance(g, Refined) else {}).items():
-        paths = star_paths(camera, finer, *_field_points(camera), aberration)
-        worst[k] = max(worst[k], np.hypot(*(paths - paths[..., [finer.middle]])).max())
-    worst *= stretch(camera) ** 2  # between the points looked at
-    return np.where(worst > 1e-3, 16.0 * np.ceil(worst / 16.0), 0.0)
-
-
-def star_paths(
-    camera: Camera, g: Geometry, x_px: Array, y_px: Array, aberration: bool = True
-) -> Array:
-    """Pixel places (2, n, F, K) of the stars that stand at (x, y) at mid-exposure of each frame."""
-    out = np.empty((2, len(x_px), *g.offset_s.shape))
-    beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
-    for f in range(len(g.frame)):
-        seen = deproject(camera, g.attitude[f, g.middle], x_px, y_px)
-        stars = unaberrate(unrefract(seen, g.air_at(f, g.middle)), beta[f, g.middle])
-        for k in range(g.nodes):
-            u = refract(aberrate(stars, beta[f, k]), g.air_at(f, k))
-            out[:, :, f, k] = project(camera, g.attitude[f, k], u)
-        if camera.charge_px_s:
-            out[1, :, f] -= camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
-    return out
-
-
-def _field_points(camera: Camera) -> tuple[Array, Array]:
-    """Centre and corners of the frame [px]."""
-    columns, rows = camera.columns - 1.0, camera.rows - 1.0
-    return (
-        np.array([columns / 2, 0.0, columns, 0.0, columns]),
-        np.array([rows / 2, 0.0, 0.0, rows, rows]),
-    )

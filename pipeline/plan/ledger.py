@@ -92,6 +92,11 @@ LEDGER = (
          "tests/physics/targets/test_eclipse.py::test_against_caps_on_the_sphere"),
     Rule(("targets.earthshine",), "where lighting asks for it",
          "tests/physics/targets/test_earthshine.py::test_against_a_fine_earth"),
+    Rule(("targets.earthshine_on_meshes",), "where lighting asks for it on a mesh",
+         "tests/plan/test_mesh_earthshine.py::test_against_every_lamp_traced"),
+    Rule(("targets.light_table",), "where the frames need many moments of a mesh's light, and a "
+         "table within the error asked for takes at most a third of them",
+         "tests/plan/test_mesh_tables.py::test_the_stated_error_holds"),
     Rule(("targets.ephemeris",), "tables are interpolated; the error is measured by leaving rows "
          "out", "tests/physics/positions/test_orbit_table.py::test_stated_error_holds"),
     Rule(("targets.forces", "targets.perturbations"),

@@ -22,7 +22,7 @@ from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
 from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
-from pipeline.plan.geometry import camera_of, excursions_px
+from pipeline.plan.geometry import camera_of
 from pipeline.plan.ledger import rule_of
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
@@ -35,9 +35,10 @@ from pipeline.plan.responses import (
     ResponsePlan,
     plan_responses,
 )
+from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
-from pipeline.plan.timing import frame_count, integration_s
+from pipeline.plan.timing import frame_count, integration_range_s, integration_s
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -79,6 +80,16 @@ class Plan:
         """Integration time of a frame."""
         return integration_s(self.scene, frame)
 
+    def floor_e(self, frame: int) -> float:
+        """Noise of a pixel of a frame that holds no source [e-]; the facts' is that of the shortest
+        exposure."""
+        f, time_s = self.facts, self.integration_s(frame)
+        least_s = integration_range_s(self.scene)[0]
+        if time_s == least_s:
+            return f.sigma_floor_e
+        more = (time_s - least_s) * (f.background_e_s + f.dark_e / least_s)
+        return math.sqrt(f.sigma_floor_e**2 + more)
+
     @property
     def lag_frames(self) -> int:
         """How many frames before leave charge in a frame."""
@@ -118,7 +129,7 @@ def make_plan(
     decisions = (
         *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
         *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
-        *decide_detector(scene, facts, ends),
+        *decide_detector(scene, facts, ends, dut1_s),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
     )  # fmt: skip
     return Plan(

@@ -20,7 +20,7 @@ from pipeline.arrays import Array, Geometry
 from pipeline.errors import BadInput
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
 from pipeline.physics.positions.focal_plane import Camera
-from pipeline.plan.geometry import star_paths
+from pipeline.plan.star_paths import star_paths
 from pipeline.spec.scene import CELL_PX
 
 PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables

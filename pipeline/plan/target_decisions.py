@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,13 @@ def _lighting(scene: Scene) -> list[Decision]:
     ]  # fmt: skip
     meshes = [t for t in targets if isinstance(t.body, MeshBody)]
     if meshes:
+        from pipeline.plan.mesh_tables import decide_tables
+
+        out += decide_tables(scene)
+    glowing = [t for t in lamps if isinstance(t.body, MeshBody)]
+    if glowing:
+        out.append(_earthshine_on_meshes(glowing))
+    if meshes:
         shares = [t.body.error for t in meshes if isinstance(t.body, MeshBody) and t.body.error]
         out += [
             Decision(
@@ -107,6 +115,20 @@ def _lighting(scene: Scene) -> list[Decision]:
     return out
 
 
+def _earthshine_on_meshes(glowing: list[Target]) -> Decision:
+    """How the Earth's light falls on meshes, and what is left out of it."""
+    share = max(t.body.error or 0.0 for t in glowing if isinstance(t.body, MeshBody))
+    return Decision(
+        "targets.earthshine_on_meshes", True,
+        f"{_names(glowing)}: the Earth in ever smaller parts until the light of the body changes "
+        f"by less than {0.5 * share:.2g}, at most 1024 parts; its self-shadowing likewise, each of "
+        "at most 64 parts traced (highlights narrower than 1/32 of the Earth's disc, and shadows "
+        "finer than 1/8 of it, may be told less well). Straight lines in time, off by at most "
+        "3e-4 of earthshine. A body larger than a point is drawn with the picture that it has in "
+        "sunlight, its brightness with earthshine",
+    )  # fmt: skip
+
+
 def _sizes(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]:
     """Which bodies are points, and which have a size."""
     out = []
@@ -127,11 +149,39 @@ def _sizes(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]:
         out.append(
             Decision(
                 "targets.shapes_as_points", True,
-                f"{_names(others)}: points at any size; no bound is known where the body is "
-                "larger than a part of a pixel",
+                f"{_names(others)}: points at any size, up to "
+                f"{_largest_px(scene, facts, ends):.3g} px in radius here; no bound is known where "
+                "that is more than a part of a pixel: "
+                "only spheres and meshes have pictures, as parts of composites have no places",
             )
         )  # fmt: skip
     return out
+
+
+def _largest_px(scene: Scene, facts: Facts, ends: Geometry) -> float:
+    """Radius [px] of the largest simple shape, or part of one, in the frames looked at."""
+    drawn = (SphereBody, MeshBody)
+    which = [i for i, t in enumerate(scene.targets) if not isinstance(t.body, drawn)]
+    size_m = np.array([_radius_m(scene.targets[i].body) for i in which])
+    nearest_m = ends.target_range_m[which].min(axis=(1, 2))
+    return float((size_m / (nearest_m * facts.ifov_rad)).max(initial=0.0))
+
+
+def _radius_m(body: Any) -> float:
+    """Radius about its middle of a simple shape; 0 of a light curve."""
+    if isinstance(body, CompositeBody):
+        return max(_radius_m(part) for part in body.parts)
+    if body.kind == "sphere":
+        return 0.5 * float(body.diameter_m)
+    if body.kind == "plate":
+        return math.sqrt(0.5 * body.area_m2)  # a square's
+    if body.kind in ("box", "cube"):
+        sides = body.size_m if body.kind == "box" else 3 * (body.edge_m,)
+        return 0.5 * math.hypot(*sides)
+    if body.kind == "light_curve":
+        return 0.0
+    wide = getattr(body, "diameter_m", 0.0) or max(body.base_diameter_m, body.top_diameter_m)
+    return 0.5 * math.hypot(wide, body.length_m)
 
 
 def _mesh(target: Target) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ class Moments:
 
     offset_s : (n,) after the scene's epoch (two-part UTC); times : the same instants
     observer_m : (n, 3) geocentric GCRS; observer_m_s : (n, 3) barycentric
+    elsewhere : from other offsets (m,) to the same of them
     """
 
     epoch: tuple[float, float]
@@ -38,6 +39,7 @@ class Moments:
     earth: EarthState
     observer_m: Array
     observer_m_s: Array
+    elsewhere: Callable[[Array], Moments] | None = None
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def target_paths(
         names = [f"targets.{i}.body" for i in which]
         light = target_lights(
             [scene.targets[i] for i in which], names, at.epoch, view, at.earth.sun_from_earth_m,
-            (at.times.tt1, at.times.tt2), seen.range_m,
+            (at.times.tt1, at.times.tt2), seen.range_m, frames, _tabled(scene, which, at, view),
         )  # fmt: skip
         observed = refract(seen.direction_proper, air)
         six[:, some] = *project(camera, by_row, observed), *light, seen.range_m
@@ -121,6 +123,20 @@ def target_paths(
     else:
         poses_, pose_s, turned = (np.stack(column) for column in zip(*poses, strict=True))
     return TargetPaths(x, y, bright, phase, lit, distance, direction, poses_, pose_s, turned)
+
+
+def _tabled(scene: Scene, which: range, at: Moments, view: View) -> dict[int, Array]:
+    """Lights (n, C) of meshes whose light was worked out beforehand, by their place in `which`."""
+    out = {}
+    for k, i in enumerate(which):
+        if isinstance(scene.targets[i].body, MeshBody):
+            from pipeline.plan.mesh_tables import table_of, table_phase
+
+            table = table_of(scene, i, at)
+            if table is not None:
+                phase = table_phase(scene, i, view.of(np.array([k])))
+                out[k] = table.at(at.offset_s, phase)
+    return out
 
 
 def _batches(count: int, moments: int) -> Iterator[range]:

@@ -92,5 +92,5 @@ def stiff_noise(_: Path) -> Found:
     assert ours is not None
     error = float(np.abs((ours - right) / np.outer(size, size)).max())
     found = np.sqrt(np.diag(ours))
-    want, got = (f"rms {rms[0]:.6g} to {rms[-1]:.6g}" for rms in (size, found))
-    return Found(want, got, error)
+    known, told = (f"rms {rms[0]:.6g} to {rms[-1]:.6g}" for rms in (size, found))
+    return Found(known, told, error)

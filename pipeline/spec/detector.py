@@ -157,15 +157,28 @@ class TimeDelay(Strict):
     """Time delay and integration: charge moves along the columns during the exposure.
 
     rows_per_s : towards higher rows if positive; an image that moves as fast stands still in the
-    frame. clock_phases : steps in which a row is moved.
+    frame. clock_phases : steps in which a row is moved. edges : rows that come in or leave during
+    the exposure are as full as any (of a long strip), or `partial`: exposed while on the array.
     """
 
     kind: Literal["tdi"]
     rows_per_s: float = Field(ge=-1e7, le=1e7)
     clock_phases: int = Field(3, ge=1, le=8)
+    edges: Literal["full", "partial"] = "full"
 
 
-Readout = Annotated[FrameTransfer | TimeDelay, Field(discriminator="kind")]
+class RollingShutter(Strict):
+    """Rows are exposed one after the other, each for the same time: row k starts k line_s later.
+
+    The frame's own times are those of the first row.
+    """
+
+    kind: Literal["rolling"]
+    line_s: Positive = Field(le=1.0, description="from the start of a row to that of the next")
+    first: Literal["low_rows", "high_rows"] = "low_rows"
+
+
+Readout = Annotated[FrameTransfer | TimeDelay | RollingShutter, Field(discriminator="kind")]
 
 
 class Detector(Strict):

@@ -21,6 +21,12 @@ def write_part(product: Path, kind: str, frame: int, table: pa.Table) -> None:
     _write(part_path(product, kind, frame), table)
 
 
+def write_whole(product: Path, kind: str, table: pa.Table) -> int:
+    """Store truth that is the same in all frames as truth/KIND.parquet; returns the rows."""
+    _write(product / TRUTH / f"{kind}.parquet", table)
+    return int(table.num_rows)
+
+
 def part_is_whole(product: Path, kind: str, frame: int) -> bool:
     """Whether the truth of a frame is stored and readable."""
     import pyarrow.parquet as pq

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
-import io
 import json
 import subprocess
 import sys
@@ -15,7 +13,7 @@ import pytest
 
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.synthetic import make_demo
-from pipeline.cli import main
+from tests.command import nightglass
 
 SCENE = {
     "schema": "nightglass/scene/1",
@@ -41,21 +39,6 @@ TLE = (
     "2 28238   0.0200  80.0000 0003000 100.0000 200.0000  1.00270000 54321",
 )
 ORBIT = {"kind": "state", "position_m": [7e6, 0, 0], "velocity_m_s": [0, 7546.0, 0]}
-
-
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """The command line in this process (its own entry point), with what it printed."""
-    out, err = io.StringIO(), io.StringIO()
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
-        patch.setattr(sys, "argv", ["nightglass", *map(str, arguments)])
-        with pytest.raises(SystemExit) as exit_:
-            main()
-    code = exit_.value.code
-    return subprocess.CompletedProcess([], int(code or 0), out.getvalue(), err.getvalue())
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +105,7 @@ CASES = {
 def test_bad_scene(name, tmp_path):
     changes, words = CASES[name]
     (tmp_path / "scene.json").write_text(json.dumps(changed(changes)))
-    result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run")
+    result = nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "run")
     assert result.returncode == 2, result.stderr
     assert "Traceback" not in result.stderr
     for word in words:
@@ -139,7 +122,7 @@ def test_bad_images(tmp_path):
     ):
         np.save(tmp_path / "map.npy", image)
         (tmp_path / "scene.json").write_text(json.dumps(changed({"sensor.flat": "map.npy"})))
-        result = run("render", tmp_path / "scene.json", "-o", tmp_path / name)
+        result = nightglass("render", tmp_path / "scene.json", "-o", tmp_path / name)
         assert result.returncode == 2
         assert "sensor.flat" in result.stderr
         assert word in result.stderr
@@ -151,7 +134,7 @@ def test_output_that_exists(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "mine.txt").write_text("kept")
     for more in ([], ["--replace"], ["--resume"]):
-        result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run", *more)
+        result = nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "run", *more)
         assert result.returncode == 2
         assert str(tmp_path / "run") in result.stderr
         assert [p.name for p in (tmp_path / "run").iterdir()] == ["mine.txt"]
@@ -162,7 +145,7 @@ def test_damaged_shard(catalogue, tmp_path):
     opened = open_catalogue(catalogue)
     data = changed({"stars": {"catalogue": str(catalogue)}})
     (tmp_path / "scene.json").write_text(json.dumps(data))
-    good = run("render", tmp_path / "scene.json", "-o", tmp_path / "good", "--json")
+    good = nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "good", "--json")
     assert good.returncode == 0, good.stderr
     assert json.loads(good.stdout)["catalogue"]["synthetic"] is True
     for leaf in opened.leaves:
@@ -170,7 +153,7 @@ def test_damaged_shard(catalogue, tmp_path):
         content = bytearray(path.read_bytes())
         content[len(content) // 2] ^= 4
         path.write_bytes(content)
-    result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run")
+    result = nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "run")
     assert result.returncode == 2, result.stderr
     assert "damaged" in result.stderr
     assert "Npix" in result.stderr
@@ -183,7 +166,7 @@ def test_other_catalogue_formats(tmp_path):
     (tmp_path / "hats" / "properties").write_text("obs_collection=gaia\n")
     data = changed({"stars": {"catalogue": str(tmp_path / "hats")}})
     (tmp_path / "scene.json").write_text(json.dumps(data))
-    result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run")
+    result = nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "run")
     assert result.returncode == 2
     assert "stars.catalogue" in result.stderr
 
@@ -199,10 +182,12 @@ def test_other_catalogue_formats(tmp_path):
         (["catalog", "info", "nowhere"], ["nowhere"]),
         (["catalog", "demo", "-o", "x", "--field", "1,2"], ["--field"]),
         (["serve", "--host", "0.0.0.0"], ["0.0.0.0"]),
+        (["render", "no.yaml", "-o", "s3://bucket/run"], ["s3:/bucket/run", "a file system"]),
+        (["sweep", "no.yaml", "-o", "memory://run"], ["memory:/run", "a file system"]),
     ],
 )
 def test_bad_commands(arguments, words, tmp_path):
-    result = run(*arguments)
+    result = nightglass(*arguments)
     assert result.returncode == 2, result.stderr
     assert "Traceback" not in result.stderr
     for word in words:
@@ -212,7 +197,9 @@ def test_bad_commands(arguments, words, tmp_path):
 def test_scheduler_names(tmp_path):
     (tmp_path / "scene.json").write_text(json.dumps(SCENE))
     for name in ("tcp://10.0.0.1:8786", "quick", "tcp://127.0.0.1:9"):
-        result = run("render", tmp_path / "scene.json", "-o", tmp_path / "run", "--scheduler", name)
+        result = nightglass(
+            "render", tmp_path / "scene.json", "-o", tmp_path / "run", "--scheduler", name
+        )
         assert result.returncode == 2
         assert "--scheduler" in result.stderr
         assert not (tmp_path / "run").exists()

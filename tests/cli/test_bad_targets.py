@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.test_bad_input import ORBIT, SCENE, run
+from tests.cli.test_bad_input import ORBIT, SCENE
+from tests.command import nightglass
 
 trimesh = pytest.importorskip("trimesh")
 BALL = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}
@@ -23,7 +24,7 @@ def plan(folder: Path, target: dict[str, Any], **more: Any) -> Any:
     scene: dict[str, Any] = copy.deepcopy(SCENE) | more
     scene["targets"] = [{"name": "t", "orbit": ORBIT, "body": BALL} | target]
     (folder / "scene.json").write_text(json.dumps(scene).replace("Infinity", "1e999"))
-    return run("plan", folder / "scene.json", "--json")
+    return nightglass("plan", folder / "scene.json", "--json")
 
 
 def mesh(path: Path, **more: Any) -> dict[str, Any]:
@@ -102,10 +103,12 @@ REFUSED: dict[str, tuple[Callable[[Path], dict[str, Any]], str]] = {
     "1e9 m": (
         lambda d: mesh(written(d / "m.stl", BOX.vertices * 1e9, BOX.faces)), "is the unit right?"
     ),
-    "earthshine on a mesh": (
-        lambda d: mesh(written(d / "m.stl", BOX.vertices, BOX.faces))
-        | {"lighting": {"earthshine_albedo": 0.3}},
-        "earthshine on a body of simple shapes",
+    "earthshine on a light curve": (
+        lambda _: {
+            "body": {"kind": "light_curve", "times_s": [-1e4, 1e4], "magnitudes": [5, 6]},
+            "lighting": {"earthshine_albedo": 0.3},
+        },
+        "earthshine on a body of shapes or a mesh",
     ),
     "decayed": (decayed, "SGP4 code"),
     "inside the Earth": (

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 from astropy.io import fits
 
 from pipeline.store.cube import open_cube
+from tests.command import nightglass
 
 SCENE = {
     "schema": "nightglass/scene/1",
@@ -40,11 +40,6 @@ SCENE = {
     "background": {"uniform_e_per_s": 400.0},
     "output": {"tile_shape": [256, 256], "layers": ["dn", "calibrated_e"]},
 }
-
-
-def nightglass(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pipeline", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300)
 
 
 @pytest.fixture(scope="module")
@@ -159,9 +154,12 @@ BAD = {
         ["sensor.detector.amplifiers", "rows"],
     ),
     "lag": ({"lag": {"fraction": 0.5}}, ["sensor.detector.lag.fraction", "0.5", "0.1"]),
-    "rolling shutter": ({"readout": {"kind": "rolling"}}, ["sensor.detector.readout", "tdi"]),
+    "rolling shutter": ({"readout": {"kind": "rolling"}}, ["sensor.detector.readout", "line_s"]),
     "rolling shutter key": (
-        {"rolling_shutter": {}}, ["sensor.detector.rolling_shutter", "not in this version"],
+        {"rolling_shutter": {}}, ["sensor.detector.rolling_shutter", "readout"],
+    ),
+    "rolling shutter of an hour": (
+        {"readout": {"kind": "rolling", "line_s": 10}}, ["sensor.detector.readout", "line_s", "1"],
     ),
     "tile of half columns": ({"blooming": True}, ["output.tile_shape", "300"]),
     "tdi that blooms": (

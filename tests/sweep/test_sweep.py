@@ -19,6 +19,7 @@ from pipeline.run import Options
 from pipeline.spec.load import InvalidScene
 from pipeline.sweep import ledger
 from pipeline.sweep.run import sweep
+from tests.command import nightglass
 
 NOISE = {"field": "sensor.read_noise_e", "values": [2.0, 40.0]}
 SKY = {"stars": None, "targets": None}  # changes of the scene: the sky alone
@@ -52,6 +53,28 @@ def test_metrics_follow_the_scene(sweep_file, tmp_path):
     assert len(list(drawn.iter("{http://www.w3.org/2000/svg}path"))) == 2 * 8
     names = {f.name for f in (tmp_path / "out").iterdir()}
     assert names >= {"points.parquet", "report.json", "summary.html", "sweep.json", "_COMPLETE"}
+
+
+def test_metrics_take_each_frames_own_time(sweep_file, tmp_path):
+    """Frames of 0.5 and 2 s: every metric is that of its own frame, as of scenes of one time."""
+    plain = {"background.uniform_mag_arcsec2": None, "background.uniform_e_per_s": 30.0,
+             "sensor.dark_e_per_s": 50.0, "exposure.cadence_s": 4.0}  # fmt: skip
+    found = {}
+    for name, times in {"both": [0.5, 2.0], "short": 0.5, "long": 2.0}.items():
+        changes = plain | {"dwells": [{"integration_s": times}]}
+        out = tmp_path / name
+        sweep(sweep_file([{"field": "sensor.bias_dn", "values": [300]}], changes), out,
+              Options("synchronous"))  # fmt: skip
+        [found[name]] = table(out).to_pylist()
+    both, short, long = found["both"], found["short"], found["long"]
+    assert short["background_e"] == pytest.approx(30.0 * 0.5, rel=0.2)  # with wings of stars
+    mean = 0.5 * (short["background_e"] + long["background_e"])
+    assert both["background_e"] == pytest.approx(mean, rel=0.01)
+    assert long["limiting_g_mag"] > short["limiting_g_mag"] + 0.5
+    for name in ("limiting_g_mag", "limiting_light_e", "snr.ball"):
+        assert both[name] == pytest.approx(long[name], rel=1e-3), name
+    assert both["peak_sigma.ball"] == pytest.approx(long["peak_sigma.ball"], rel=0.2)
+    assert (both["noise_floor_e"], both["sky_e"]) == (short["noise_floor_e"], short["sky_e"])
 
 
 def test_one_failed_point_is_recorded_and_the_rest_go_on(sweep_file, tmp_path):
@@ -184,18 +207,17 @@ def test_bad_sweeps_are_named_and_nothing_runs(name, sweep_file, tmp_path):
 
 def test_exit_code_of_a_bad_sweep(sweep_file, tmp_path):
     path = sweep_file([NOISE], {"stars.catalogue": str(tmp_path / "nowhere")})
-    command = [sys.executable, "-m", "pipeline", "sweep", str(path), "-o", str(tmp_path / "out")]
-    result = subprocess.run(command, capture_output=True, text=True)
+    result = nightglass("sweep", path, "-o", tmp_path / "out")
     assert result.returncode == 2
     assert "nowhere" in result.stderr
     assert "Traceback" not in result.stderr
     assert not (tmp_path / "out").exists()
 
 
-def test_point_shows_its_scene(sweep_file, tmp_path):
+def test_point_shows_its_scene(sweep_file):
     path = sweep_file([NOISE])
-    command = [sys.executable, "-m", "pipeline", "sweep", str(path), "--point", "1"]
-    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    result = nightglass("sweep", path, "--point", "1")
+    assert result.returncode == 0
     assert "read_noise_e: 40.0" in result.stdout
     assert "noise_floor_e" in result.stdout
     assert json.loads(path.read_text())["scene"]["name"] in result.stdout

@@ -101,6 +101,27 @@ def mesh_intensity(
     return MeshLight(total, bound, parts)
 
 
+def seen_areas(facets: Facets, observer: ArrayLike, error: float = 1e-3) -> tuple[Array, float]:
+    """Areas (F,) [m2] of facets that an observer sees, across the line of sight; error of the sum.
+
+    error : share of the sum of all that it may err by; bodies that hide nothing are exact
+    """
+    o, _ = _directions(observer, observer)
+    cross = facets.cross_m2
+    towards = cross @ o
+    whole = np.where(facets.closed & (towards < 0.0), 0.0, np.abs(towards) * 0.5)
+    normal = unit(cross)
+    active = np.flatnonzero((whole > 0.0) & (np.abs(normal @ o) > GRAZING))
+    out = np.zeros(len(facets))
+    if facets.convex or active.size == 0:
+        out[active] = whole[active]
+        return out, 0.0
+    geometry = _geometry(facets, normal, np.where(towards < 0.0, -1.0, 1.0), o, plane_axes(o))
+    allowed = np.full(active.size, error * float(whole.sum()) / active.size)
+    out[active], off = _areas(geometry, active, allowed, whole[active])
+    return out, float(off.sum())
+
+
 def facet_weights(
     normal: Array,
     surface_of: NDArray[np.int64],

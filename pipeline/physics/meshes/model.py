@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -138,12 +139,8 @@ def model_light(
     moments = np.asarray(time_s, float)
     if not len(moments):
         return np.zeros(0), np.zeros(0)
-    way = _way(model, suns, observers, moments)
-    turns = np.floor(way / step_rad) if step_rad > 0.0 else way
-    knots = np.flatnonzero(np.diff(turns, prepend=-1.0) > 0.0)
-    knots = np.unique(np.concatenate([knots, np.maximum(knots - 1, 0), [len(way) - 1]]))
-    if step_rad <= 0.0:
-        knots = np.unique(np.concatenate([[0], np.flatnonzero(np.diff(way) > 0.0) + 1]))
+    way = way_rad(model, (suns, observers), moments)
+    knots = knots_of(way, step_rad)
     out = np.zeros((2, len(knots)))
     for k, i in enumerate(knots):
         facets = posed(model, suns[i], float(moments[i]))
@@ -156,10 +153,18 @@ def model_light(
     return light_m2_sr, bound
 
 
-def _way(model: MeshModel, suns: Array, observers: Array, time_s: Array) -> Array:
-    """Angle (n,) [rad] that Sun, observer and spinning joints have turned by since the first."""
+def knots_of(way: Array, step_rad: float) -> NDArray[np.int64]:
+    """Moments that are worked out: `step_rad` of the way apart; all that differ where it is 0."""
+    if step_rad <= 0.0:
+        return np.unique(np.concatenate([[0], np.flatnonzero(np.diff(way) > 0.0) + 1]))
+    knots = np.flatnonzero(np.diff(np.floor(way / step_rad), prepend=-1.0) > 0.0)
+    return np.unique(np.concatenate([knots, np.maximum(knots - 1, 0), [len(way) - 1]]))
+
+
+def way_rad(model: MeshModel, looks: Sequence[Array], time_s: Array) -> Array:
+    """Angle (n,) [rad] that directions (n, 3) and spinning joints turned by since the first."""
     steps = np.zeros(len(time_s))
-    for directions in (suns, observers):
+    for directions in looks:
         steps[1:] += np.sqrt(np.sum(np.square(np.diff(directions, axis=0)), axis=-1))
     for part in model.parts:
         if part.joint is not None and part.joint.law == "spin":

@@ -48,6 +48,20 @@ def lagged_e(frames_e: list[Array], fraction: float) -> Array:
     return (1.0 - fraction) * out
 
 
+def exposed_share(rows: int, rows_per_s: float, integration_s: float) -> Array:
+    """Share (rows,) of an exposure that charge moved at an even rate spends on the array.
+
+    A row is told by where its charge is at mid-exposure; at time t from then on it is at
+    row + rate t, and on the array from -1/2 to rows - 1/2.
+    """
+    way = abs(rows_per_s) * integration_s
+    if way == 0.0:
+        return np.ones(rows)
+    row = np.arange(rows)
+    low, high = np.maximum(row - 0.5 * way, -0.5), np.minimum(row + 0.5 * way, rows - 0.5)
+    return np.asarray(np.clip((high - low) / way, 0.0, 1.0))
+
+
 def column_means(value: float | Array) -> float | Array:
     """What charge meets that is moved over all rows: the mean of each column, in every row."""
     if not isinstance(value, np.ndarray):

@@ -33,6 +33,8 @@ class Camera:
     left-handed and the determinant is -1. The distortion leaves the boresight where it is.
     charge_px_s : speed along +y of the charge that collects the light (TDI); what is drawn stands
     where its charge stands at mid-exposure.
+    line_s : how much later each row is exposed than the one before (rolling shutter); negative:
+    than the one after
     """
 
     rows: int
@@ -41,6 +43,7 @@ class Camera:
     focal_length_m: float
     distortion: Distortion | None = None
     charge_px_s: float = 0.0
+    line_s: float = 0.0
 
     @property
     def centre_px(self) -> tuple[float, float]:

@@ -1,0 +1,109 @@
+"""Where stars go on the focal plane during exposures, and how far they come."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Geometry, Refined
+from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
+from pipeline.physics.positions.apparent import aberrate, unaberrate
+from pipeline.physics.positions.focal_plane import Camera, deproject, project, stretch
+from pipeline.physics.positions.refraction import refract, unrefract
+
+Array = NDArray[np.float64]
+
+UNROLLED = 3  # turns of the search for where a star stands in the first row's time
+
+
+def excursions_px(camera: Camera, g: Geometry, aberration: bool = True) -> Array:
+    """Farthest (F,) that a star of each frame moves from its place at mid-exposure, in whole 16 px.
+
+    Told from the centre and the corners of the field.
+    """
+    paths = star_paths(camera, g, *field_points(camera), aberration)
+    worst = np.hypot(*(paths - paths[..., [g.middle]])).max(axis=(0, 2))
+    for k, finer in (g.finer if isinstance(g, Refined) else {}).items():
+        paths = star_paths(camera, finer, *field_points(camera), aberration)
+        worst[k] = max(worst[k], np.hypot(*(paths - paths[..., [finer.middle]])).max())
+    if camera.line_s:  # from where a star is in the first row's time
+        took = g.offset_s[:, -1] - g.offset_s[:, 0]
+        worst += worst / (0.5 * took) * abs(camera.line_s) * 1.5 * camera.rows
+    worst *= stretch(camera) ** 2  # between the points looked at
+    return np.where(worst > 1e-3, 16.0 * np.ceil(worst / 16.0), 0.0)
+
+
+def star_paths(
+    camera: Camera, g: Geometry, x_px: Array, y_px: Array, aberration: bool = True
+) -> Array:
+    """Pixel places (2, n, F, K) of the stars that stand at (x, y) at mid-exposure of each frame.
+
+    Of a rolling shutter: at mid-exposure of their own row, and followed during its exposure.
+    """
+    if not camera.line_s:
+        return still_paths(camera, g, x_px, y_px, aberration)
+    frames = (Geometry.frame_slice(g, f) for f in range(len(g.frame)))
+    return np.concatenate(
+        [_rolled_paths(camera, one, x_px, y_px, aberration) for one in frames], axis=2
+    )
+
+
+def rolled_stars(
+    camera: Camera, g: Geometry, x_px: Array, y_px: Array, aberration: bool
+) -> tuple[Array, Array, Array]:
+    """Where stars (n,) that stand at (x, y) at mid-exposure of a frame's first row are at that of
+    their own row, and how much longer than a row they are exposed (n,). g : one frame."""
+    from pipeline.physics.motion.rolling import exposed_longer, rolled
+
+    three = np.array([0, g.middle, g.nodes - 1])
+    parts = {name: getattr(g, name)[:, three] for name in _NODEWISE}
+    ends = replace(g, **parts)
+    still = still_paths(camera, ends, x_px, y_px, aberration)[:, :, 0]
+    times = ends.offset_s[0] - ends.offset_s[0, 0]
+    x, y, delay = rolled(still[0], still[1], times, camera.line_s, camera.rows)
+    return x[:, 1], y[:, 1], exposed_longer(delay, times)
+
+
+_NODEWISE = ("offset_s", "observer_m_s", "attitude", "air")  # all that star paths follow from
+
+
+def _rolled_paths(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bool) -> Array:
+    """The same of one frame of a rolling shutter."""
+    from pipeline.physics.motion.rolling import rolled
+
+    x0, y0, times = x, y, g.offset_s - g.offset_s[:, [0]]
+    for _ in range(UNROLLED):
+        still = still_paths(camera, g, x0, y0, aberration)
+        found = rolled(still[0], still[1], times, camera.line_s, camera.rows)
+        moved = np.stack(found[:2])
+        off_x, off_y = moved[:, :, 0, g.middle] - (x, y)
+        x0, y0 = x0 - off_x, y0 - off_y
+    return moved
+
+
+def still_paths(
+    camera: Camera, g: Geometry, x_px: Array, y_px: Array, aberration: bool = True
+) -> Array:
+    """The same where all rows are exposed together, or in the time of the first one."""
+    out = np.empty((2, len(x_px), *g.offset_s.shape))
+    beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
+    for f in range(len(g.frame)):
+        seen = deproject(camera, g.attitude[f, g.middle], x_px, y_px)
+        stars = unaberrate(unrefract(seen, g.air_at(f, g.middle)), beta[f, g.middle])
+        for k in range(g.nodes):
+            u = refract(aberrate(stars, beta[f, k]), g.air_at(f, k))
+            out[:, :, f, k] = project(camera, g.attitude[f, k], u)
+        if camera.charge_px_s:
+            out[1, :, f] -= camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
+    return out
+
+
+def field_points(camera: Camera) -> tuple[Array, Array]:
+    """Centre and corners of the frame [px]."""
+    columns, rows = camera.columns - 1.0, camera.rows - 1.0
+    return (
+        np.array([columns / 2, 0.0, columns, 0.0, columns]),
+        np.array([rows / 2, 0.0, 0.0, rows, rows]),
+    )
