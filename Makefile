@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# The tests start hundreds of processes: modules are compiled once, whatever the caller's setting.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: demo test test-slow lint lock benchmarks clean
 

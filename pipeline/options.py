@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-Output = Annotated[Path, typer.Option("-o", "--output", help="where the result goes")]
+from pipeline.errors import BadInput
+
+
+def _no_url(path: Path) -> Path:
+    """BadInput for a URL: results need a file system's rename and locks."""
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path)):
+        allowed = "a path of a file system (copy the complete result to a store like s3, "
+        raise BadInput("-o", str(path), f"{allowed}its _COMPLETE last; docs/cluster.md)")
+    return path
+
+
+Output = Annotated[
+    Path, typer.Option("-o", "--output", help="where the result goes", callback=_no_url)
+]
 Json = Annotated[bool, typer.Option("--json", help="machine-readable result on stdout")]
 SchedulerName = Annotated[
     str,

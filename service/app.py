@@ -22,6 +22,7 @@ from starlette.exceptions import HTTPException
 from pipeline.errors import BadInput, Damaged, NightglassError
 from pipeline.spec.load import InvalidScene
 from service import problems
+from service.accepted import Acceptance
 from service.auth import Authenticator
 from service.changes import Changes
 from service.context import Context
@@ -99,11 +100,12 @@ def create_app(settings: Settings) -> FastAPI:
         anyio.to_thread.current_default_thread_limiter().total_tokens = settings.request_threads
         table = Queue(settings.database_url)
         dispatcher = Dispatcher(settings, table)
-        intake = Intake(table, limits_of(settings))
+        limits = limits_of(settings)
+        intake = Intake(table, limits)
         context = Context(
             settings, table, dispatcher, Authenticator(settings, table.engine), intake,
             Changes(table, settings.watchers), Uploads(settings, table.engine),
-            asyncio.Semaphore(settings.plans), numbers,
+            asyncio.Semaphore(settings.plans), numbers, Acceptance(settings), limits,
         )  # fmt: skip
         app.state.context = context
         numbers.registry.register(Gauges(context))
@@ -123,6 +125,7 @@ def create_app(settings: Settings) -> FastAPI:
     )  # fmt: skip
     for room in ROOMS:
         app.include_router(room.router)
+    app.router.routes.insert(0, jobs.PlainSubmit())
     for kind in (NightglassError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, answer_problem)
     app.add_middleware(Gate, settings=settings, numbers=numbers, problem=answer_problem)

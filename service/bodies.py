@@ -25,17 +25,18 @@ async def read_body(
     _check_media_type(request, kind)
     declared = request.headers.get("content-length", "")
     too_large = declared.isdigit() and (len(declared) > 18 or int(declared) > limit_bytes)
-    body = bytearray()
+    body, more = bytearray(), True
     try:
         async with asyncio.timeout(limit_s):
-            stream = request.stream()
-            while not too_large and (piece := await anext(stream, None)) is not None:
-                body += piece
+            while more and not too_large:
+                message = await request.receive()
+                if message["type"] == "http.disconnect":
+                    raise Malformed("the body ended before it was whole")
+                body += message.get("body", b"")
+                more = message.get("more_body", False)
                 too_large = len(body) > limit_bytes
     except TimeoutError:
         raise TooSlow(f"a body must arrive within {limit_s:g} s") from None
-    except ClientDisconnect:
-        raise Malformed("the body ended before it was whole") from None
     if too_large:
         body.clear()
         await discard_rest(request)

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import time
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
 
+from service.accepted import Acceptance
 from service.auth import OPEN, Authenticator, Caller
 from service.changes import Changes
 from service.jobs import Queue
 from service.metrics import Numbers
 from service.runner import Dispatcher
 from service.settings import Settings
-from service.submissions import Intake
-from service.teams import TeamStore, limits_of
+from service.submissions import Intake, Limits
+from service.teams import TeamStore
 from service.uploads import Uploads
 
 
@@ -28,6 +30,7 @@ class Context:
     store : the job table; in a route it shows the caller's team alone
     table : the whole job table, for health and metrics only
     plans : how many dry runs may still start; numbers : what is counted
+    scenes : reads the bodies of submissions; limits : what one team may have
     """
 
     settings: Settings
@@ -39,6 +42,8 @@ class Context:
     files: Uploads
     plans: asyncio.Semaphore
     numbers: Numbers
+    scenes: Acceptance
+    limits: Limits
     caller: Caller = OPEN
     store: TeamStore = None  # type: ignore[assignment]
     damaged: int = 0
@@ -46,8 +51,9 @@ class Context:
 
     def bound(self, caller: Caller) -> Context:
         """The same, as one caller sees it."""
-        store = TeamStore(self.table, caller, limits_of(self.settings))
-        return replace(self, caller=caller, store=store)
+        mine = copy(self)
+        mine.caller, mine.store = caller, TeamStore(self.table, caller, self.limits)
+        return mine
 
     def has_file(self, file_id: str) -> bool:
         """Whether the caller's team has an uploaded file of this id."""
@@ -62,6 +68,11 @@ def _everyone(request: Request) -> Context:
 
 
 async def _context(request: Request, _: Annotated[Any, Depends(_bearer)]) -> Context:
+    return await context_of(request)
+
+
+async def context_of(request: Request) -> Context:
+    """The context bound to who sent a request. Unauthenticated, Forbidden, TooMany."""
     context: Context = request.app.state.context
     caller = await context.auth.caller(request.headers.get("authorization"))
     request.state.team = caller.team

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy.dialects import sqlite
+from sqlalchemy.dialects.postgresql import psycopg
 
 from pipeline.errors import BadInput
 from service.tables import HEAD
@@ -68,12 +71,31 @@ def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
     So numbers grow in the order of commits, and what is counted in it stays true until the end.
     """
     if engine.dialect.name == "sqlite":
-        with engine.execution_options(writes=True).begin() as db:
+        with engine.connect() as db, db.execution_options(writes=True).begin():
             yield db
         return
     with engine.begin() as db:
         db.execute(sa.select(sa.func.pg_advisory_xact_lock(LOCK_NUMBER)))
         yield db
+
+
+def insert(db: sa.Connection, table: sa.Table, rows: Sequence[dict[str, Any]]) -> None:
+    """Insert rows that all have the same columns, with values as the driver takes them: what
+    SQLAlchemy does for each row and value costs more than the database does."""
+    text, names = _insertion(table, tuple(rows[0]), db.dialect.name)
+    if names is None:
+        db.exec_driver_sql(text, list(rows))
+    else:
+        db.exec_driver_sql(text, [tuple([row[name] for name in names]) for row in rows])
+
+
+@cache
+def _insertion(table: sa.Table, columns: tuple[str, ...], kind: str) -> tuple[str, Any]:
+    """The statement, and the order of its values (None: they go by name)."""
+    dialect = sqlite.dialect() if kind == "sqlite" else psycopg.dialect()
+    made = sa.insert(table).inline().values({name: sa.bindparam(name) for name in columns})
+    compiled = made.compile(dialect=dialect)
+    return str(compiled), compiled.positiontup
 
 
 def now_s(db: sa.Connection) -> float:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from pipeline.errors import BadInput, Damaged
 from pipeline.store import layout
-from pipeline.store.cube import LONG_NAMES
 from pipeline.store.markers import marker_path
 from service.problems import NotReady, NotThere
 
@@ -38,8 +37,12 @@ def describe(product: Path) -> dict[str, Any]:
     """
     array = _array(product, "dn")
     frames, rows, columns = array.shape
-    found = [name for name in LONG_NAMES if (product / layout.CUBE / name / "zarr.json").is_file()]
-    layers = {n: dict(zip(("long_name", "units"), LONG_NAMES[n], strict=True)) for n in found}
+    cube, told = product / layout.CUBE, ("long_name", "units")
+    layers = {
+        name: dict(zip(told, names, strict=True))
+        for name, names in layout.LONG_NAMES.items()
+        if (cube / name / "zarr.json").is_file()
+    }
     return {
         "frames": frames,
         "shape": [rows, columns],

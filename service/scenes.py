@@ -16,6 +16,7 @@ from service.uploads import ID, PREFIX
 CATALOGUE_FIELD = "stars.catalogue"
 NO_FILES = "a number, or upload:ID of a file sent to /v1/files: no path or URL is taken"
 HasFile = Callable[[str], bool]
+Named = tuple[tuple[str, str | list[str]], ...]  # (dotted field, what it names)
 
 
 def accept_scene(data: Any, settings: Settings, has_file: HasFile | None = None) -> Scene:
@@ -25,31 +26,53 @@ def accept_scene(data: Any, settings: Settings, has_file: HasFile | None = None)
     for one that only this service refuses. `stars.catalogue` stays the registered name: the
     engine runs inside the folder of catalogues, so that no path of the server enters a product.
     """
+    scene = judge_scene(data, settings)
+    check_named(named_in(scene.as_dict()), settings, has_file)
+    return scene
+
+
+def judge_scene(data: Any, settings: Settings) -> Scene:
+    """The scene of a body, judged by itself alone: its form and its size."""
     targets = data.get("targets") if isinstance(data, dict) else None
     if isinstance(targets, list) and len(targets) > settings.targets:
         _refuse([("targets", len(targets), f"at most {settings.targets} targets")])
     scene = parse_scene(data)
-    _refuse([*_path_mistakes(scene, settings, has_file), *_size_mistakes(scene, settings)])
+    _refuse(_size_mistakes(scene, settings))
     return scene
+
+
+def named_in(scene: dict[str, Any]) -> Named:
+    """Every field that names something outside of the scene, looked for after parsing, so that no
+    spelling escapes."""
+    found = []
+    for name, holder, key in path_holders(scene):
+        value = holder.get(key)
+        if value is not None and (name == CATALOGUE_FIELD or isinstance(value, str | list)):
+            found.append((name, value))
+    return tuple(found)
+
+
+def check_named(named: Named, settings: Settings, has_file: HasFile | None) -> None:
+    """NotAllowed where something is named that is no registered catalogue or upload."""
+    mistakes: list[Mistake] = []
+    for name, value in named:
+        if name == CATALOGUE_FIELD:
+            mistakes += catalogue_mistakes(name, value, settings.catalogues)
+        elif not isinstance(value, str) or not _uploaded(value, has_file):
+            mistakes.append((name, value, NO_FILES))
+    _refuse(mistakes)
+
+
+def pixel_frames_of(scene: Scene) -> int:
+    """Frames x pixels that a scene asks for."""
+    rows, columns = scene.sensor.shape
+    return rows * columns * frame_count(scene)
 
 
 def _refuse(mistakes: list[Mistake]) -> None:
     if mistakes:
         field, _, allowed = mistakes[0]
         raise NotAllowed(f"{field}: allowed: {allowed}", tuple(mistakes))
-
-
-def _path_mistakes(scene: Scene, settings: Settings, has_file: HasFile | None) -> list[Mistake]:
-    """Every field that could name a file, looked at after parsing, so that no spelling escapes."""
-    data = scene.as_dict()
-    mistakes: list[Mistake] = []
-    for name, holder, key in path_holders(data):
-        value = holder.get(key)
-        if name == CATALOGUE_FIELD and value is not None:
-            mistakes += catalogue_mistakes(name, value, settings.catalogues)
-        elif isinstance(value, str) and not _uploaded(value, has_file):
-            mistakes.append((name, value, NO_FILES))
-    return mistakes
 
 
 def _uploaded(value: str, has_file: HasFile | None) -> bool:
@@ -59,10 +82,9 @@ def _uploaded(value: str, has_file: HasFile | None) -> bool:
 
 
 def _size_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
-    rows, columns = scene.sensor.shape
-    pixel_frames = rows * columns * frame_count(scene)
-    if pixel_frames <= settings.pixel_frames:
+    asked = pixel_frames_of(scene)
+    if asked <= settings.pixel_frames:
         return []
-    allowed = f"frames x pixels of at most {settings.pixel_frames} (asked: {pixel_frames})"
+    allowed = f"frames x pixels of at most {settings.pixel_frames} (asked: {asked})"
     field = "exposure.frames" if scene.dwells is None else "dwells"
     return [(field, frame_count(scene), allowed)]

@@ -13,7 +13,7 @@ from typing import Any
 import sqlalchemy as sa
 from pydantic_core import to_json
 
-from service.database import now_s, writing
+from service.database import insert, now_s, writing
 from service.jobs import LOCAL, SHOWN, WAITING, Job, JobStore, Phase, audit_line, job_of
 from service.problems import KeyReused, NotReady, QueueFull
 from service.tables import audit, counters, jobs, scene_crc, seal_of, uploads, usage
@@ -36,10 +36,10 @@ class Limits:
 
 @dataclass(frozen=True)
 class Ask:
-    """A submission that has passed every check which needs no table."""
+    """A submission that has passed every check which needs no table; its scene as data or text."""
 
     name: str
-    scene: dict[str, Any]
+    scene: dict[str, Any] | str
     body_sha256: str
     key: str | None = None
     team: str = LOCAL
@@ -93,8 +93,8 @@ def submit_many(store: JobStore, asks: Sequence[Ask], limits: Limits) -> list[An
             taken.append((row, True))
         if rows:
             _number(db, rows)
-            db.execute(sa.insert(jobs), rows)
-            db.execute(sa.insert(audit), [
+            insert(db, jobs, rows)
+            insert(db, audit, [
                 audit_line(now, r["team"], r["owner"], "submit", r["id"]) for r in rows
             ])  # fmt: skip
             for team in teams:
@@ -170,7 +170,9 @@ def _replay(ask: Ask, row: Any) -> tuple[Any, bool] | Exception:
 
 
 def _row(ask: Ask, now: float) -> dict[str, Any]:
-    text = to_json(ask.scene, inf_nan_mode="constants").decode()
+    text = ask.scene
+    if not isinstance(text, str):
+        text = to_json(text, inf_nan_mode="constants").decode()
     row = {
         "number": 0, "id": _new_id(), "team": ask.team, "owner": ask.owner,
         "kind": ask.kind, "name": ask.name, "run_id": ask.run_id, "phase": ask.phase.value,
@@ -199,9 +201,7 @@ def _new_id() -> str:
 
 def _number(db: sa.Connection, rows: list[dict[str, Any]]) -> None:
     """Number new rows; never a number twice, in the order of commits."""
-    query = sa.update(counters).where(counters.c.name == "jobs")
-    query = query.values(value=counters.c.value + len(rows))
-    last = db.execute(query.returning(counters.c.value)).scalar_one()
+    last = db.execute(NUMBER, {"more": len(rows)}).scalar_one()
     for number, row in enumerate(rows, last - len(rows) + 1):
         row["number"] = number
 
@@ -211,10 +211,25 @@ def _count(db: sa.Connection, team: str, day: int, used: Used) -> None:
     if not used.new_jobs:
         return
     new = {"jobs": used.new_jobs, "pixel_frames": used.new_pixel_frames}
-    query = sa.update(usage).where(usage.c.team == team, usage.c.day == day)
-    added = {name: usage.c[name] + more for name, more in new.items()}
-    if db.execute(query.values(**added)).rowcount == 0:
+    more = {"of": team, "on": day, "more_jobs": new["jobs"], "more_pixels": new["pixel_frames"]}
+    if db.execute(COUNT, more).rowcount == 0:
         db.execute(sa.insert(usage), [{"team": team, "day": day} | new])
+
+
+# Statements are made once: SQLAlchemy takes longer to make one than the database to run it.
+NUMBER = (
+    sa.update(counters).where(counters.c.name == "jobs")
+    .values(value=counters.c.value + sa.bindparam("more", type_=sa.BigInteger))
+    .returning(counters.c.value)
+)  # fmt: skip
+COUNT = (
+    sa.update(usage)
+    .where(usage.c.team == sa.bindparam("of"), usage.c.day == sa.bindparam("on"))
+    .values(
+        jobs=usage.c.jobs + sa.bindparam("more_jobs", type_=sa.BigInteger),
+        pixel_frames=usage.c.pixel_frames + sa.bindparam("more_pixels", type_=sa.BigInteger),
+    )
+)  # fmt: skip
 
 
 class Intake:

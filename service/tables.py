@@ -100,20 +100,6 @@ leases = sa.Table(
     sa.Column("until_s", sa.Double, nullable=False),
 )  # fmt: skip
 
-# The audit table only grows: the database itself refuses every other change.
-APPEND_ONLY = {
-    "sqlite": [
-        f"CREATE TRIGGER audit_no_{word.lower()} BEFORE {word} ON audit "
-        "BEGIN SELECT RAISE(ABORT, 'the audit table is append-only'); END"
-        for word in ("UPDATE", "DELETE")
-    ],
-    "postgresql": [
-        "CREATE FUNCTION audit_is_append_only() RETURNS trigger LANGUAGE plpgsql AS "
-        "$$ BEGIN RAISE EXCEPTION 'the audit table is append-only'; END $$",
-        "CREATE TRIGGER audit_append_only BEFORE UPDATE OR DELETE OR TRUNCATE ON audit "
-        "FOR EACH STATEMENT EXECUTE FUNCTION audit_is_append_only()",
-    ],
-}
 UNSEALED = frozenset({"number", "scene", "seal"})
 SEALED = tuple(c.name for c in jobs.c if c.name not in UNSEALED)
 

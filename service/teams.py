@@ -20,8 +20,10 @@ def pixel_frames_of(scene: dict[str, Any]) -> int:
     """Frames x pixels that a scene asks for (0 where it is not a whole scene yet)."""
     try:
         rows, columns = scene["sensor"]["shape"]
-        return int(rows) * int(columns) * int(scene["exposure"]["frames"])
-    except (KeyError, TypeError, ValueError):
+        each, dwells = scene["exposure"]["frames"], scene.get("dwells")
+        frames = each if dwells is None else sum(d.get("frames") or each for d in dwells)
+        return int(rows) * int(columns) * int(frames)
+    except (AttributeError, KeyError, TypeError, ValueError):
         return 0
 
 
@@ -71,11 +73,14 @@ class TeamStore:
         return run_pending(self._store, job_id, self._limits, self.team, self._caller.actor)
 
     def ask(
-        self, name: str, scene: dict[str, Any], body_sha256: str, key: str | None, **more: Any
-    ) -> Ask:
-        """A submission of this caller (`more`: kind, phase, run_id, destruction_s, ...)."""
+        self, name: str, scene: dict[str, Any] | str, body_sha256: str, key: str | None,
+        **more: Any,
+    ) -> Ask:  # fmt: skip
+        """A submission of this caller (`more`: kind, phase, run_id, destruction_s, ...; a scene
+        as text comes with its pixel_frames)."""
         whose: dict[str, Any] = {"team": self.team, "owner": self._caller.actor}
-        more.setdefault("pixel_frames", pixel_frames_of(scene))
+        if isinstance(scene, dict):
+            more.setdefault("pixel_frames", pixel_frames_of(scene))
         return Ask(name=name, scene=scene, body_sha256=body_sha256, key=key, **whose, **more)
 
     def submit(

@@ -7,6 +7,8 @@ from typing import Any
 
 from service.jobs import FINAL, Job, Phase
 
+MADE = {"scene": ("results", "preview.png", "plan", "report"), "sweep": ("results", "report")}
+
 
 def job_dict(job: Job, dashboard: str | None = None) -> dict[str, Any]:
     """A job as plain data; absent is null. `dashboard`: of the Dask scheduler that draws it."""
@@ -15,7 +17,7 @@ def job_dict(job: Job, dashboard: str | None = None) -> dict[str, Any]:
     if job.phase not in FINAL:
         links["cancel"] = f"{here}/cancel"
     if job.phase == Phase.COMPLETED:
-        for name in ("results", "preview.png", "plan", "report"):
+        for name in MADE[job.kind]:
             links[name.partition(".")[0]] = f"{here}/{name}"
     if dashboard and job.phase == Phase.EXECUTING:
         links["dashboard"] = dashboard

@@ -113,55 +113,67 @@ def _window(drawn_e: Array) -> Part:
     return slice(starts[0], starts[0] + sides[0]), slice(starts[1], starts[1] + sides[1])
 
 
-def reference(plan: Plan, g: Geometry, at: Tile, stars: FrameStars) -> tuple[Array | None, int]:
+def reference(
+    plan: Plan, g: Geometry, at: Tile, stars: FrameStars, own_paths: int = OWN_PATHS,
+    most_terms: float = MOST_TERMS,
+) -> tuple[Array | None, int]:  # fmt: skip
     """Light of all sources in a small window by the reference path, and how many sources.
 
     Every source stands at its exact place and streaks as stars in the window's middle do (targets
-    and the brightest stars along their own path), with a core of twice the radius that its
-    brightness asks for and the wings on a grid of half the spacing: the sum of the phases of its
-    spectrum, in float64. None where that would cost more than MOST_TERMS.
+    and the `own_paths` brightest stars along their own path), with a core of twice the radius that
+    its brightness asks for and the wings on a grid of half the spacing (along their own path for
+    the OWN_PATHS brightest): the sum of the phases of its spectrum, in float64. None where that
+    would cost more than `most_terms`.
     """
     near = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
-    groups: list[tuple[Array, Array, Array, Path]] = []
-    if len(near):
-        middle = at.x0 + 0.5 * (at.columns - 1), at.y0 + 0.5 * (at.rows - 1)
-        aberration = plan.scene.star_effects["aberration"]
-        path = exact_path(plan.camera, g, *middle, aberration)
-        own = _brightest(near, at, radius=excursion_px(plan, g) + WINDOW_PX)
-        groups.append((near.x_px[~own], near.y_px[~own], near.light_e[~own], path))
-        for i in np.flatnonzero(own):
-            x, y, light = near.x_px[[i]], near.y_px[[i]], near.light_e[[i]]
-            its = exact_path(plan.camera, g, float(x[0]), float(y[0]), aberration)
-            groups.append((x, y, light, its))
     targets = place_targets(plan, g)
-    groups += [
+    points = [
         (np.array([t.x_px]), np.array([t.y_px]), np.array([t.light_e]), t.path)
         for t in targets
         if t.body is None
     ]
+    groups = [*_star_groups(plan, g, at, near, own_paths), *points]
     work = list(_pieces(plan, at, groups))
     cost = sum(len(x) * terms(core, piece, (at.rows, at.columns)) for core, piece, x, _, _ in work)
     bodies = [t for t in targets if t.body is not None]
     sources = sum(len(group[0]) for group in groups) + len(bodies)
-    if cost > MOST_TERMS:
+    if cost > most_terms:
         return None, sources
     image = np.zeros((at.rows, at.columns))
     for core, piece, x, y, light in work:
         image += draw_direct(core, piece, image.shape, (at.y0, at.x0), x, y, light)
     if plan.responses.spacing_px:
-        for x, y, light, path in groups:
+        for x, y, light, path in [*_star_groups(plan, g, at, near, OWN_PATHS), *points]:
             _add_fine_wings(plan, image, at, x, y, light, path)
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
 
 
-def _brightest(stars: FrameStars, at: Tile, radius: float) -> NDArray[np.bool_]:
-    """Which stars (n,) are the OWN_PATHS brightest of those that may pass through a window."""
+def _star_groups(
+    plan: Plan, g: Geometry, at: Tile, near: FrameStars, own_paths: int
+) -> list[tuple[Array, Array, Array, Path]]:
+    """(x, y, light, path) of the stars near a window: of most together, of the brightest alone."""
+    if not len(near):
+        return []
+    middle = at.x0 + 0.5 * (at.columns - 1), at.y0 + 0.5 * (at.rows - 1)
+    aberration = plan.scene.star_effects["aberration"]
+    path = exact_path(plan.camera, g, *middle, aberration)
+    own = _brightest(near, at, excursion_px(plan, g) + WINDOW_PX, own_paths)
+    groups = [(near.x_px[~own], near.y_px[~own], near.light_e[~own], path)]
+    for i in np.flatnonzero(own):
+        x, y, light = near.x_px[[i]], near.y_px[[i]], near.light_e[[i]]
+        its = exact_path(plan.camera, g, float(x[0]), float(y[0]), aberration)
+        groups.append((x, y, light, its))
+    return groups
+
+
+def _brightest(stars: FrameStars, at: Tile, radius: float, count: int) -> NDArray[np.bool_]:
+    """Which stars (n,) are the `count` brightest of those that may pass through a window."""
     near = distance_px(stars.x_px, stars.y_px, at.y0, at.x0, at.rows, at.columns) < radius
     light = np.where(near, stars.light_e, -1.0)
     chosen = np.zeros(len(stars), bool)
-    chosen[np.argsort(-light, kind="stable")[:OWN_PATHS]] = True
+    chosen[np.argsort(-light, kind="stable")[:count]] = True
     return chosen & near
 
 

@@ -17,7 +17,7 @@ from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.response import stamp_at
 from pipeline.plan.scene_plan import Plan
-from pipeline.plan.streaks import Streak
+from pipeline.plan.streaks import Streak, exact_path
 from pipeline.plan.tiles import Tile, overlap
 
 
@@ -30,17 +30,17 @@ def draw_stars(
     reach = _core_reach(plan, paths)
     stars = drawing_order(around(concatenate(parts, FrameStars), tile, reach))
     if not any(b.crowd_e is not None for b in blocks):
-        _draw_stamps(plan, image, tile, paths, stars)
+        _draw_stamps(plan, g, image, tile, paths, stars)
     else:
         for block in blocks:
             part = overlap(tile, block.place)
             mine = around(select(stars, ~block.in_crowd(stars.light_e)), part, reach)
             piece = _cut(image, tile, part)
-            _draw_stamps(plan, piece, part, paths, mine)
+            _draw_stamps(plan, g, piece, part, paths, mine)
             if block.crowd_e is not None:
                 piece += _cut(block.crowd_e, block.place, part)
     for block in blocks:
-        _add_wings(image, tile, block, block.star_wings)
+        add_wings_of(image, tile, block, block.star_wings)
     return image
 
 
@@ -57,14 +57,14 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
             continue
         for x0, y0, piece, share in pieces(target.path):
             x, y = target.x_px + x0, target.y_px + y0
-            _draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
+            draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
     for block in blocks:
-        _add_wings(image, tile, block, block.target_wings)
+        add_wings_of(image, tile, block, block.target_wings)
     return image
 
 
 def _draw_stamps(
-    plan: Plan, image: Array, tile: Tile, paths: list[Streak], stars: FrameStars
+    plan: Plan, g: Geometry, image: Array, tile: Tile, paths: list[Streak], stars: FrameStars
 ) -> None:
     """Stars by stamps, class by class and zone by zone."""
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
@@ -72,8 +72,9 @@ def _draw_stamps(
         for zone in np.unique(zones[classes == k]):
             mine = select(stars, (classes == k) & (zones == zone))
             streak = paths[zone]
-            bright = mine.light_e > streak.mixed_from_e
-            usual, mixed = select(mine, ~bright), select(mine, bright)
+            own, bright = mine.light_e > streak.own_from_e, mine.light_e > streak.mixed_from_e
+            usual, mixed = select(mine, ~bright), select(mine, bright & ~own)
+            draw_along(plan, g, image, tile, select(mine, own))
             for piece in streak.pieces:
                 x, y = streak.at(piece.centre, usual.x_px, usual.y_px)
                 x, y, light = usual.x_px + x, usual.y_px + y, usual.light_e * piece.share
@@ -82,6 +83,15 @@ def _draw_stamps(
                     places = mixed.x_px, mixed.y_px, mixed.light_e
                     for path, x, y, light in streak.mixture(piece, *places):
                         _draw_piece(plan, image, tile, k, path, x, y, light)
+
+
+def draw_along(plan: Plan, g: Geometry, image: Array, tile: Tile, stars: FrameStars) -> None:
+    """Stars one by one, each along its own path, without tables (adds to the image)."""
+    aberration = plan.scene.star_effects["aberration"]
+    for i, k in enumerate(class_of(plan, stars.light_e)):
+        x, y, light = (float(v[i]) for v in (stars.x_px, stars.y_px, stars.light_e))
+        for x0, y0, piece, share in pieces(exact_path(plan.camera, g, x, y, aberration)):
+            draw_exact(plan, image, tile, int(k), piece, x + x0, y + y0, light * share)
 
 
 def _draw_piece(
@@ -105,10 +115,10 @@ def _draw_piece(
             place = x[mine][keep], y[mine][keep], part[keep]
             draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
     for i in np.flatnonzero(exact):
-        _draw_exact(plan, image, tile, k, piece, float(x[i]), float(y[i]), float(light[i]))
+        draw_exact(plan, image, tile, k, piece, float(x[i]), float(y[i]), float(light[i]))
 
 
-def _draw_exact(
+def draw_exact(
     plan: Plan, image: Array, tile: Tile, k: int, piece: Path, x: float, y: float, light: float
 ) -> None:
     """One source drawn at its exact place, without a table."""
@@ -139,7 +149,7 @@ def _cut(image: NDArray[Any], place: Tile, part: Tile) -> NDArray[Any]:
     return image[top : top + part.rows, left : left + part.columns]
 
 
-def _add_wings(image: Array, tile: Tile, block: Block, field: Array | None) -> None:
+def add_wings_of(image: Array, tile: Tile, block: Block, field: Array | None) -> None:
     """Add the part of a block's wings that falls in a tile."""
     part = overlap(tile, block.place)
     if field is not None and block.grid is not None and part.rows and part.columns:

@@ -71,7 +71,7 @@ def render_tile(
             out[name] = value.astype(np.float32)
     sources = [image for name, image in light.items() if name in ("stars_e", "targets_e")]
     return out, check_tile(
-        plan, g, tile, parts, sources, lambda part: _noise_e(mean, chain, part)
+        plan, g, tile, parts, sources, lambda part: noise_e(mean, chain, part)
     )
 
 
@@ -157,7 +157,7 @@ def _cosmic_rays_e(plan: Plan, rays: CosmicRays, chain: Chain, g: Geometry, tile
     return charge if plan.scene.cosmic_rays.after_flat else charge * chain.flat
 
 
-def _noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
+def noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
     """Noise of some pixels of a tile: of photons, of reading, of rounding [e-]."""
 
     def squared(value: float | Array) -> float | Array:

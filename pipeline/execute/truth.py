@@ -58,7 +58,8 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "g_mag": stars.g_mag,
         "electrons": stars.light_e,
         "snr": matched_snr(
-            plan, paths[len(paths) // 2].path, stars.light_e, stars.x_px, stars.y_px
+            plan, paths[len(paths) // 2].path, stars.light_e, stars.x_px, stars.y_px,
+            int(g.frame[0]),
         ),
         "colour_flag": stars.colour_flag,
         "in_frame": inside,
@@ -82,7 +83,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     ra, dec = to_angles(direction)
     apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
     light = np.array([drawn[i].light_e if i in drawn else 0.0 for i in range(count)])
-    snr = [_snr_of(plan, drawn[i]) if i in drawn else 0.0 for i in range(count)]
+    snr = [_snr_of(plan, drawn[i], int(g.frame[0])) if i in drawn else 0.0 for i in range(count)]
     centroid = np.array([_centroid(drawn.get(i)) for i in range(count)])
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     with np.errstate(invalid="ignore"):
@@ -130,29 +131,32 @@ def _centroid(t: FrameTarget | None) -> tuple[float, float]:
     return t.x_px + at[0] + off_x, t.y_px + at[1] + off_y
 
 
-def _snr_of(plan: Plan, t: FrameTarget) -> float:
+def _snr_of(plan: Plan, t: FrameTarget, frame: int) -> float:
     """Signal-to-noise of one target."""
     at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
-    return float(matched_snr(plan, t.path, *at)[0])
+    return float(matched_snr(plan, t.path, *at, frame)[0])
 
 
-def matched_snr(plan: Plan, path: Path, light_e: Array, x_px: Array, y_px: Array) -> Array:
+def matched_snr(
+    plan: Plan, path: Path, light_e: Array, x_px: Array, y_px: Array, frame: int = 0
+) -> Array:
     """Signal-to-noise of isolated sources under a matched filter, (n,); places in frame pixels.
 
     SNR^2 = sum (F p)^2 / (sigma0^2 + F p) over the pixels of the source's own response p; F light,
-    sigma0 the noise floor. Evaluated on a grid of log F and interpolated (error < 1e-3). Over a
-    field, that of the responses around is interpolated, which is an upper bound.
+    sigma0 the noise floor of the frame, with its own integration time. Evaluated on a grid of log F
+    and interpolated (error < 1e-3). Over a field, that of the responses around is interpolated,
+    which is an upper bound.
     """
     snr = np.zeros(len(light_e))
     for blur, which, share in plan.responses.parts(x_px, y_px, np.ones(len(light_e))):
-        snr[which] += share * _matched_snr(plan, blur, path, light_e[which])
+        snr[which] += share * _matched_snr(plan, blur, path, light_e[which], frame)
     return snr
 
 
-def _matched_snr(plan: Plan, blur: Blur, path: Path, light_e: Array) -> Array:
+def _matched_snr(plan: Plan, blur: Blur, path: Path, light_e: Array, frame: int) -> Array:
     """Signal-to-noise of sources that one response draws, (n,)."""
     response = _response_at_centre(plan, blur, path)
-    floor = plan.facts.sigma_floor_e**2
+    floor = plan.floor_e(frame) ** 2
     positive = light_e[light_e > 0]
     if positive.size == 0:
         return np.zeros(len(light_e))

@@ -271,7 +271,8 @@ def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
         reason += (
             f". Stars of more than {s.mixed_from_e_px:.3g} e- a px of their path, of which that "
             "would be more than the bound, get a mixture of three shapes, off by at most "
-            f"{s.mixed_px:.2g} px. The bound grows with a pixel's noise"
+            f"{s.mixed_px:.2g} px, and the brightest are drawn along their own path, one by one. "
+            "The bound grows with a pixel's noise"
         )
     out = [Decision("common_streak", True, reason, bound, bound / sigma_e)]
     if r.spectral_from:

@@ -127,7 +127,8 @@ def plan_responses(
     if scene.stars is not None:
         asked = scene.accuracy.noise_fraction
         floor_e = facts.budget_e * APPROXIMATIONS / asked  # that the budget is made for
-        streaks = plan_streaks(camera, ends, aberration, asked, floor_e, facts.budget_e)
+        edge = max(_edge(b) for b in blurs)
+        streaks = plan_streaks(camera, ends, aberration, asked, floor_e, facts.budget_e, edge)
         path = _shortest_piece(camera, ends, streaks, aberration)
     if any(b.has_wings for b in blurs):
         for b in blurs:
@@ -159,6 +160,19 @@ def plan_responses(
         each = sum(_table_bytes(c.phases, c.radius_px, path) for c in classes if c.phases)
         mb = each * len(blurs) * streaks.shapes / 1e6
     return replace(planned, spectral_from=_spectral_from(scene, planned), table_mb=mb)
+
+
+@lru_cache(maxsize=256)
+def _edge(blur: Blur) -> float:
+    """Steepest fall of the end of a streak along an axis, per px and light per px of path [1/px].
+
+    At most the integral of 2 pi f |T| along the streak times that of |T| across it.
+    """
+    f = np.linspace(0.0, blur.band_limit(1e-3), 2049)
+    none = np.zeros_like(f)
+    along, across = (np.abs(blur.transfer(*pair)) for pair in ((none, f), (f, none)))
+    steep = max(float(2.0 * np.trapezoid(2.0 * np.pi * f * t, f)) for t in (along, across))
+    return steep * max(float(2.0 * np.trapezoid(t, f)) for t in (along, across))
 
 
 def _check_scale(scene: Scene, blur: Blur) -> None:

@@ -38,7 +38,7 @@ from pipeline.plan.responses import (
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
-from pipeline.plan.timing import frame_count, integration_s
+from pipeline.plan.timing import frame_count, integration_range_s, integration_s
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -79,6 +79,16 @@ class Plan:
     def integration_s(self, frame: int) -> float:
         """Integration time of a frame."""
         return integration_s(self.scene, frame)
+
+    def floor_e(self, frame: int) -> float:
+        """Noise of a pixel of a frame that holds no source [e-]; the facts' is that of the shortest
+        exposure."""
+        f, time_s = self.facts, self.integration_s(frame)
+        least_s = integration_range_s(self.scene)[0]
+        if time_s == least_s:
+            return f.sigma_floor_e
+        more = (time_s - least_s) * (f.background_e_s + f.dark_e / least_s)
+        return math.sqrt(f.sigma_floor_e**2 + more)
 
     @property
     def lag_frames(self) -> int:

@@ -4,7 +4,8 @@ Stars of one frame move along almost the same path. In each piece of the exposur
 zone get one shape, placed where each star's own light is in that piece; so what remains of the
 difference between two paths is divided by the number of pieces, and few tables serve all stars.
 Stars so bright that even that would show get a mixture of three shapes whose ends stand, to second
-order, where the star's own do.
+order, where the star's own do; and those of which that second order would show are drawn along
+their own path, one by one.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ SLACK = 1.5  # over the plan's spread, beyond which a frame gets more pieces of 
 NODES = np.array([-1.0, 0.0, 1.0])  # of a zone, where paths are followed exactly
 CHECKS = np.array([-1.0, -0.5, 0.5, 1.0])  # where the spread is measured
 STRETCH_PX = 2.0**-6  # by how much the ends of shapes for mixtures differ, and their rounding
+FINER_SHAPE = 16.0  # times finer are shapes for mixtures rounded than the others
+USUAL_EDGE = 0.5  # of a response a pixel wide or so
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ class Streak:
     path : of the star in the middle of the zone, from its place at mid-exposure
     start, end : (2, 3, 3) ends of the path for stars at the zone's NODES
     mixed_from_e : stars of more light are drawn by mixtures
+    own_from_e : and of still more along their own path
     """
 
     zone: Zone
@@ -95,6 +99,7 @@ class Streak:
     start: Array
     end: Array
     mixed_from_e: float
+    own_from_e: float
 
     def mixture(
         self, piece: Piece, x_px: Array, y_px: Array, light_e: Array
@@ -119,6 +124,8 @@ class StreakPlan:
     step_px, merge_px : what shapes are rounded to, and how far their bends may be off
     mixed_px : px from a bright star's own path, drawn as a mixture
     mixed_from_e_px : light per px of path from which it is so drawn
+    floor_e, budget_e : noise of a pixel without sources, and what streaks may err by there
+    edge : steepest that the end of a streak falls off, per px and light per px of path [1 / px]
     """
 
     zones: int
@@ -130,6 +137,9 @@ class StreakPlan:
     merge_px: float
     mixed_px: float = 0.0
     mixed_from_e_px: float = math.inf
+    floor_e: float = 1.0
+    budget_e: float = math.inf
+    edge: float = USUAL_EDGE
 
     @property
     def off_px(self) -> float:
@@ -144,12 +154,13 @@ def plan_streaks(
     noise_fraction: float = USUAL_FRACTION,
     floor_e: float = 1.0,
     budget_e: float = math.inf,
+    edge: float = USUAL_EDGE,
 ) -> StreakPlan:
     """Fewest zones, then fewest pieces, whose stars streak alike.
 
     They do to SPREAD_TOLERANCE_PX at the usual accuracy; a finer one makes all tolerances finer.
     floor_e : noise of a pixel without sources; budget_e : what streaks may err by there. A pixel
-    with more light may err by as much more as it has noise.
+    with more light may err by as much more as it has noise. edge : see `StreakPlan`.
     """
     finer = 2.0 ** min(0.0, max(-8.0, math.floor(math.log2(noise_fraction / USUAL_FRACTION))))
     tolerance = SPREAD_TOLERANCE_PX * finer
@@ -166,7 +177,8 @@ def plan_streaks(
             shapes = zones**2 * _shapes(offsets, pieces)
             step, merge = PATH_STEP_PX * finer, MERGE_TOLERANCE_PX * finer
             mixed = _spread_px(offsets, pieces, mixed=True)
-            made = StreakPlan(zones, pieces, spread, longest, shapes, step, merge, mixed)
+            made = StreakPlan(zones, pieces, spread, longest, shapes, step, merge, mixed,
+                              math.inf, floor_e, budget_e, edge)  # fmt: skip
             begin = _light_from(made.off_px, floor_e, budget_e)
             return replace(made, mixed_from_e_px=begin) if made.off_px else made
         zones = min(2 * zones, most)
@@ -315,9 +327,13 @@ def zone_streak(
         parts, means = _in_pieces(offsets, count)
     made = []
     paths = [_rounded(parts[:, middle, k] - means[:, middle, k, None], plan) for k in range(count)]
-    common = _common(parts[:, middle] - means[:, middle, :, None], plan)
+    fine = replace(
+        plan, step_px=plan.step_px / FINER_SHAPE, merge_px=plan.merge_px / FINER_SHAPE
+    )
+    common, worst = _common(parts[:, middle] - means[:, middle, :, None], fine), 0.0
     for k, path in enumerate(paths):
-        base = path if common is None else common
+        own = _rounded(parts[:, middle, k] - means[:, middle, k, None], fine)
+        base = own if common is None else common
         longer = parts[:, :, k, -1] - parts[:, :, k, 0]
         longer = longer - np.array([[v[-1] - v[0]] for v in (base.x_px, base.y_px)])
         step = max(STRETCH_PX, float(2.0 ** math.ceil(math.log2(max(np.abs(longer).max(), 1e-9)))))
@@ -325,11 +341,27 @@ def zone_streak(
             (means[:, :, k] - np.array(centroid(p))[:, None]).reshape(2, 3, 3) for p in (path, base)
         )
         stretch = longer.reshape(2, 3, 3)
+        worst = max(worst, _blend_px2(longer, step))
         made.append(Piece(path, 1.0 / count, centre, base, base_centre, stretch, step))
     ends = [offsets[:, :, k].reshape(2, 3, 3) for k in (0, -1)]
     whole = _rounded(offsets[:, middle], plan)
-    bright_e = plan.mixed_from_e_px * max(1.0, whole.length_px)
-    return Streak(zone, whole, tuple(made), ends[0], ends[1], bright_e)
+    length_px = max(1.0, whole.length_px)
+    off_px = plan.mixed_px + 0.5 * fine.step_px + fine.merge_px + plan.edge * worst
+    own_e = max(plan.mixed_from_e_px, _light_from(off_px, plan.floor_e, plan.budget_e)) * length_px
+    return Streak(
+        zone, whole, tuple(made), ends[0], ends[1], plan.mixed_from_e_px * length_px, own_e
+    )
+
+
+def _blend_px2(longer: Array, step_px: float) -> float:
+    """What mixtures leave of the squared distance of ends from where they belong [px^2].
+
+    longer : (2, n) stretch of stars. Ends of the shapes stand 0, d and d apart along x and y
+    (d = step_px / 2), with weights 1 - a - b, a, b; to second order the mixture errs by
+    (|a (a - 1)| + |b (b - 1)| + 2 |a b|) d^2 / 2 times the second derivative of the light.
+    """
+    a, b = np.abs(longer) / step_px  # either sign: the larger of a (a - 1) and a (a + 1)
+    return float(np.max(a * (a + 1.0) + b * (b + 1.0) + 2.0 * a * b)) * step_px**2 / 8.0
 
 
 def _rounded(places: Array, plan: StreakPlan) -> Path:
@@ -344,14 +376,15 @@ def _rounded(places: Array, plan: StreakPlan) -> Path:
 def _common(shapes: Array, plan: StreakPlan) -> Path | None:
     """One shape for all pieces (2, pieces, steps + 1) but for the distance of their ends.
 
-    None where stretching does not make them alike.
+    None where stretching does not make them alike, or stretches so far that it would show.
     """
     mean = shapes.mean(axis=1)
     ends = shapes[..., -1] - shapes[..., 0]
     longer = ends - (mean[:, -1] - mean[:, 0])[:, None]
     ramp = np.linspace(-0.5, 0.5, shapes.shape[-1])
     off = shapes - mean[:, None] - longer[..., None] * ramp
-    return _rounded(mean, plan) if np.hypot(*off).max() <= plan.merge_px else None
+    alike = np.hypot(*off).max() <= plan.merge_px and np.abs(longer).max() <= STRETCH_PX
+    return _rounded(mean, plan) if alike else None
 
 
 def _times(path: Path) -> Array:

@@ -16,9 +16,9 @@ from pipeline.selftest.case import Case, Outcome, every, run_case
 
 def all_cases() -> tuple[Case, ...]:
     """Every case, in the order of the page."""
-    from pipeline.selftest import frames, light, places, stars
+    from pipeline.selftest import attitude, frames, light, many, places, stars
 
-    return every((places, light, frames, stars))
+    return every((places, attitude, light, frames, stars, many))
 
 
 def chosen(pattern: str | None) -> tuple[Case, ...]:

@@ -198,26 +198,39 @@ PATH_FIELDS = (
 )
 
 
+def _tree() -> dict[str, Any]:
+    """PATH_FIELDS as nested mappings; an empty one is a field that may name a file."""
+    tree: dict[str, Any] = {}
+    for names in PATH_FIELDS:
+        inner = tree
+        for name in names:
+            inner = inner.setdefault(name, {})
+    return tree
+
+
+TREE = _tree()
+
+
 def path_holders(data: Any) -> Iterator[tuple[str, dict[str, Any], str]]:
     """(dotted field, the mapping that holds it, its key) of every field that may name a file."""
-    for *sections, key in PATH_FIELDS:
-        places: list[tuple[tuple[str, ...], Any]] = [((), data)]
-        for section in sections:
-            places = [
-                ((*names, name), inner)
-                for names, holder in places
-                for name, inner in _inner(holder, section)
-            ]
-        yield from ((".".join((*n, key)), h, key) for n, h in places if isinstance(h, dict))
+    return _holders(TREE, data, "")
 
 
-def _inner(holder: Any, section: str) -> list[tuple[str, Any]]:
-    """What a mapping holds under a key, or with * everything that a list or mapping holds."""
-    if section == "*":
-        if isinstance(holder, dict):
-            return [(str(k), v) for k, v in holder.items()]
-        return [(str(i), v) for i, v in enumerate(holder)] if isinstance(holder, list) else []
-    return [(section, holder.get(section))] if isinstance(holder, dict) else []
+def _holders(
+    tree: dict[str, Any], holder: Any, at: str
+) -> Iterator[tuple[str, dict[str, Any], str]]:
+    """Those below a place in the data; * is everything that a list or mapping holds."""
+    if "*" in tree and isinstance(holder, dict | list):
+        items = holder.items() if isinstance(holder, dict) else enumerate(holder)
+        for name, value in items:
+            yield from _holders(tree["*"], value, f"{at}{name}.")
+    if not isinstance(holder, dict):
+        return
+    for name, inner in tree.items():
+        if not inner:
+            yield at + name, holder, name
+        elif holder.get(name) is not None:
+            yield from _holders(inner, holder[name], f"{at}{name}.")
 
 
 def resolve_paths(scene: Scene, base: Path) -> Scene:

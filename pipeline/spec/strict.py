@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from functools import cache
 from typing import Annotated, Any, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -29,17 +30,24 @@ class Strict(BaseModel):
     @classmethod
     def _refuse_unknown_keys(cls, data: Any) -> Any:
         if isinstance(data, dict):
-            known = {f.alias or name for name, f in cls.model_fields.items()}
+            known, not_bool = _keys(cls)
             for key in data:
                 if key not in known:
                     raise unknown_key(str(key), sorted(known))
-            for name, f in cls.model_fields.items():
-                key = f.alias or name
-                if not _takes_bool(f.annotation) and _holds_bool(data.get(key)):
+            for key in not_bool:
+                if key in data and _holds_bool(data[key]):
                     raise PydanticCustomError(
                         "boolean", "allowed: a number or text, not true or false", {"field": key}
                     )
         return data
+
+
+@cache
+def _keys(model: type[Strict]) -> tuple[frozenset[str], tuple[str, ...]]:
+    """The keys of a model, and in its order those that take no true or false."""
+    named = [(f.alias or name, f.annotation) for name, f in model.model_fields.items()]
+    not_bool = tuple(key for key, annotation in named if not _takes_bool(annotation))
+    return frozenset(key for key, _ in named), not_bool
 
 
 def _takes_bool(annotation: Any) -> bool:

@@ -17,24 +17,12 @@ from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, tile_shape
 from pipeline.plan.timing import frame_count
 from pipeline.spec.scene import Scene
-from pipeline.store.layout import COMPLETE, CUBE, sync_folder
+from pipeline.store.layout import COMPLETE, CUBE, LONG_NAMES, sync_folder
 from pipeline.store.markers import Marker, cell_checksums, write_marker
 
 if TYPE_CHECKING:
     import xarray as xr
     import zarr
-
-LONG_NAMES = {
-    "dn": ("raw sensor signal", "DN"),
-    "mean_e": ("mean signal before photon noise", "electron"),
-    "stars_e": ("light of the stars after the flat", "electron"),
-    "targets_e": ("light of the targets after the flat", "electron"),
-    "background_e": ("light of the sky after the flat", "electron"),
-    "dark_e": ("dark signal", "electron"),
-    "calibrated_e": ("dn less bias and dark, divided by the flat; NaN: bad pixel", "electron"),
-    "lag_e": ("what frames before left, less what stays for the next", "electron"),
-    "cosmic_rays_e": ("charge of cosmic rays, drawn; not in mean_e", "electron"),
-}
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,17 @@ PREVIEW = "preview.png"
 BEGUN = ".begun.json"
 COMPLETE = "_COMPLETE"
 LOCK = ".lock"
+LONG_NAMES = {  # layers of the cube: what they are, and their unit
+    "dn": ("raw sensor signal", "DN"),
+    "mean_e": ("mean signal before photon noise", "electron"),
+    "stars_e": ("light of the stars after the flat", "electron"),
+    "targets_e": ("light of the targets after the flat", "electron"),
+    "background_e": ("light of the sky after the flat", "electron"),
+    "dark_e": ("dark signal", "electron"),
+    "calibrated_e": ("dn less bias and dark, divided by the flat; NaN: bad pixel", "electron"),
+    "lag_e": ("what frames before left, less what stays for the next", "electron"),
+    "cosmic_rays_e": ("charge of cosmic rays, drawn; not in mean_e", "electron"),
+}
 
 
 def to_json(value: Any) -> bytes:

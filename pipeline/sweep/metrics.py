@@ -36,7 +36,6 @@ class Window:
         self.place, self.response, self.corner = place, response, corner
         self.image_e = np.zeros((place.rows, place.columns))
 
-
     def peak(self, wish: Detection, step_e: float) -> float:
         """Highest matched-filter statistic near the target's true place [sigma]."""
         statistic = filtered(self.image_e, self.response, step_e)
@@ -57,7 +56,7 @@ class Measurement:
         self._saturated, self._pixels = 0, 0
         self._peaks: dict[str, list[float]] = {name: [] for name in names}
         self._snr: dict[str, list[float]] = {name: [] for name in names}
-        self._limits: list[float] = []
+        self._limits: list[tuple[float, float]] = []  # light [e-], integration time [s]
         self._windows: list[tuple[str, Window]] = []
 
     def begin_frame(self, g: Geometry, windows: list[tuple[str, Window]]) -> None:
@@ -67,7 +66,8 @@ class Measurement:
             for name, snr in target_snr(self.plan, g, self.names).items():
                 self._snr[name].append(snr)
         if "limiting_magnitude" in self.metrics:
-            self._limits.append(limiting_light_e(self.plan, g))
+            time_s = self.plan.integration_s(int(g.frame[0]))
+            self._limits.append((limiting_light_e(self.plan, g), time_s))
 
     def take(self, tile: Tile, frame: int, dn: NDArray[Any], mean_e: Array) -> None:
         """One tile: digital numbers, and the mean before photon noise."""
@@ -75,13 +75,13 @@ class Measurement:
         self._cells += [["dn", frame, *cell] for cell in cells]
         if "background" in self.metrics:
             every = (slice(None, None, SAMPLED_PX),) * 2
-            light = self._calibrated(tile, tile, dn, every)
+            light = self._calibrated(frame, tile, tile, dn, every)
             self._backgrounds.append((float(np.median(light)), dn.size))
         for _, window in self._windows:
             part = overlap(window.place, tile)
             if part.rows and part.columns:
                 all_of = (slice(None),) * 2
-                light = self._calibrated(tile, part, dn, all_of)
+                light = self._calibrated(frame, tile, part, dn, all_of)
                 window.image_e[_cut(window.place, part)] = light
         if "saturation" in self.metrics:
             self._saturated += int(np.count_nonzero(mean_e >= self._full_e(tile)))
@@ -123,11 +123,12 @@ class Measurement:
         return hashlib.sha256(json.dumps(sorted(self._cells)).encode()).hexdigest()
 
     def _limit(self) -> dict[str, float | None]:
-        least, plan = min(self._limits, default=math.inf), self.plan
+        """Of the frame that sees the faintest: times may differ, so light alone does not tell."""
+        plan, none = self.plan, (math.inf, 1.0)
+        least, time_s = min(self._limits, key=lambda limit: limit[0] / limit[1], default=none)
         out: dict[str, float | None] = {"limiting_light_e": least if least < math.inf else None}
         if plan.colour is not None:
-            zero = plan.colour.zero_electrons_s_m2 * plan.facts.area_m2
-            zero *= plan.scene.exposure.integration_s
+            zero = plan.colour.zero_electrons_s_m2 * plan.facts.area_m2 * time_s
             out["limiting_g_mag"] = -2.5 * math.log10(least / zero) if least < math.inf else None
         return out
 
@@ -139,10 +140,10 @@ class Measurement:
         return full if s.full_well_e is None else np.minimum(full, s.full_well_e)
 
     def _calibrated(
-        self, tile: Tile, part: Tile, dn: NDArray[Any], which: tuple[slice, slice]
+        self, frame: int, tile: Tile, part: Tile, dn: NDArray[Any], which: tuple[slice, slice]
     ) -> Array:
         """Light that some pixels of a part of a tile tell of, by the detector's true maps [e-]."""
-        m, t = self.maps, self.plan.scene.exposure.integration_s
+        m, t = self.maps, self.plan.integration_s(frame)
 
         def term(value: float | Array) -> float | Array:
             found = _of(part, value)
@@ -162,7 +163,7 @@ def target_snr(plan: Plan, g: Geometry, names: tuple[str, ...]) -> dict[str, flo
         inside = -0.5 <= t.x_px < columns - 0.5 and -0.5 <= t.y_px < rows - 0.5
         if name in out and inside:
             at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
-            out[name] = float(matched_snr(plan, t.path, *at)[0])
+            out[name] = float(matched_snr(plan, t.path, *at, int(g.frame[0]))[0])
     return out
 
 
@@ -181,7 +182,7 @@ def limiting_light_e(plan: Plan, g: Geometry) -> float:
     rows, columns = plan.scene.sensor.shape
     light = np.geomspace(1e-3, 1e12, 601)
     at = np.full(601, (columns - 1) / 2), np.full(601, (rows - 1) / 2)
-    snr = matched_snr(plan, path, light, *at)
+    snr = matched_snr(plan, path, light, *at, int(g.frame[0]))
     if snr[-1] < SNR_AT_LIMIT:
         return math.inf
     return float(np.exp(np.interp(math.log(SNR_AT_LIMIT), np.log(snr), np.log(light))))

@@ -21,6 +21,7 @@ from pipeline.inputs.sensor import gather_sensor_maps
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, overlap
+from pipeline.plan.timing import integration_range_s
 from pipeline.run import Prepared, prepare, shards_of
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import CubeWriter
@@ -176,7 +177,7 @@ def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
     mine = base.plan.scene.model_copy(
         update={"sensor": sensor, "seed": scene.seed, "name": scene.name}
     )
-    dark_e = maps.typical("dark_e_per_s") * scene.exposure.integration_s
+    dark_e = maps.typical("dark_e_per_s") * integration_range_s(scene)[0]  # as in gather_facts
     read, gain = maps.typical("read_noise_e"), maps.typical("gain_e_per_dn")
     sigma = float(np.sqrt(base.plan.facts.background_e + dark_e + read**2 + gain**2 / 12.0))
     facts = replace(base.plan.facts, dark_e=dark_e, read_noise_e=read, sigma_floor_e=sigma)

@@ -61,8 +61,8 @@ function drawRow(job) {
   const bar = el("progress", { max: "1" });
   if (job.tiles_total) bar.value = job.tiles_done / job.tiles_total;
   const thumb = link.querySelector("img") || el("img", { alt: "", hidden: true, width: "44", height: "44" });
-  if (job.phase === "COMPLETED" && !thumb.src) {
-    picture(`/v1/jobs/${job.id}/preview.png`).then((src) => { thumb.src = src; thumb.hidden = false; }, () => {});
+  if (job.links.preview && !thumb.src) {
+    picture(job.links.preview).then((src) => { thumb.src = src; thumb.hidden = false; }, () => {});
   }
   const time = job.submitted.slice(0, 10) === new Date().toISOString().slice(0, 10)
     ? job.submitted.slice(11, 19) : job.submitted.slice(0, 10);

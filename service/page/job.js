@@ -5,6 +5,7 @@ import { el, fill, notice, number, seconds } from "./dom.js";
 import { jobSnippets } from "./snippets.js";
 import { KINDS } from "./stretch.js";
 import { decisions } from "./submit.js";
+import { downloads, showSweep, waiting } from "./sweep.js";
 import { Viewer } from "./viewer.js";
 import { Wcs, dms, hms } from "./wcs.js";
 
@@ -44,6 +45,13 @@ export class JobView {
     this.job = job;
     this.changed(job);
     this.heading();
+    if (job.kind === "sweep") {
+      if (!ended(job)) fill(this.stage, el("div", { class: "empty" }, waiting(job)));
+      else if (job.error) fill(this.stage, errorCard(job.error));
+      else if (job.phase === "COMPLETED") await showSweep(this.stage, this.path);
+      else fill(this.stage, el("div", { class: "empty" }, "It was stopped."));
+      return;
+    }
     if (!ended(job) && !this.viewer) {
       const text = job.phase === "EXECUTING" ? "The scene is planned and its stars are read; tiles follow."
         : "It waits for its turn; the frame appears here tile by tile.";
@@ -84,7 +92,8 @@ export class JobView {
     const spent = Math.max(0, ((job.ended ? Date.parse(job.ended) : Date.now()) - began) / 1000);
     const left = share > 0.02 && share < 1 && !ended(job)
       ? `about ${seconds(spent / share - spent)} to go` : "";
-    fill(this.spent, [job.tiles_total ? `${job.tiles_done ?? 0} of ${job.tiles_total} tiles` : "",
+    fill(this.spent, [job.tiles_total ?
+      `${job.tiles_done ?? 0} of ${job.tiles_total} ${job.kind === "sweep" ? "points" : "tiles"}` : "",
       job.started ? seconds(spent) : "", left,
       job.attempt > 1 ? `attempt ${job.attempt}` : ""].filter(Boolean).join(", "));
   }
@@ -94,13 +103,13 @@ export class JobView {
       download(path).catch((error) => notice(error.message));
     if (job.phase === "COMPLETED") {
       const menu = el("details", { class: "menu" }, el("summary", { class: "button strong" }, "Download"),
-        el("div", {},
+        el("div", {}, job.kind === "sweep" ? downloads(this.path) : [
           el("button", { type: "button", onclick: get(`${this.path}/product.tar`) }, "product, .tar"),
           el("button", { type: "button", onclick: () => get(
             `${this.path}/frames/${this.viewer?.frame ?? 0}/fits?layer=${this.viewer?.layer ?? "dn"}`)() },
           "this frame, FITS"),
           el("button", { type: "button", onclick: get(`${this.path}/results/truth/targets.parquet`) }, "targets' truth, Parquet"),
-          el("button", { type: "button", onclick: get(`${this.path}/report`) }, "report, JSON"),
+          el("button", { type: "button", onclick: get(`${this.path}/report`) }, "report, JSON")],
           el("a", { class: "button", href: `${this.path}/results` }, "all files")));
       return [menu, this.again(), this.remover()];
     }
@@ -115,6 +124,7 @@ export class JobView {
   }
 
   again() {
+    if (this.job.kind === "sweep") return null; // the form is of scenes
     return el("button", { type: "button", title: "a new scene that starts as this one", onclick: async () => {
       const scene = await json(`${this.path}/scene`);
       sessionStorage.setItem("nightglass-draft", JSON.stringify(trimmed(scene), null, 2));

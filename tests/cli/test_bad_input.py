@@ -182,6 +182,8 @@ def test_other_catalogue_formats(tmp_path):
         (["catalog", "info", "nowhere"], ["nowhere"]),
         (["catalog", "demo", "-o", "x", "--field", "1,2"], ["--field"]),
         (["serve", "--host", "0.0.0.0"], ["0.0.0.0"]),
+        (["render", "no.yaml", "-o", "s3://bucket/run"], ["s3:/bucket/run", "a file system"]),
+        (["sweep", "no.yaml", "-o", "memory://run"], ["memory:/run", "a file system"]),
     ],
 )
 def test_bad_commands(arguments, words, tmp_path):

@@ -44,8 +44,7 @@ class Page:
         self.tab.on("console", self._said)
 
     def _said(self, message: Any) -> None:
-        # Jobs of other tests are listed too, and some (sweeps, failed ones) have no picture.
-        if message.type == "error" and "/preview.png" not in message.location.get("url", ""):
+        if message.type == "error":
             self.faults.append(f"{message.text} {message.location.get('url', '')}")
 
     def open(self, where: str = "") -> Any:
@@ -207,6 +206,32 @@ def test_tiles_appear_while_it_is_drawn(
     tab.check("#show-stars")
     tab.wait_for_timeout(500)
     page.picture("page-zoom")
+
+
+def test_a_sweep_shows_what_it_measured_and_is_asked_for_no_picture(
+    page: Page, server: Any, scene: dict[str, Any]
+) -> None:
+    sweep = {
+        "schema": "nightglass/sweep/1", "name": "two", "scene": scene,
+        "axes": [{"field": "sensor.read_noise_e", "values": [1.0, 4.0]}],
+    }  # fmt: skip
+    made = server.client.post("/v1/sweeps", json=sweep)
+    assert made.status_code == 202, made.text
+    job = made.headers["location"]
+    done = server.ended(job)
+    assert set(done["links"]) == {"self", "events", "scene", "results", "report"}
+    asked: list[str] = []
+    page.tab.on("request", lambda request: asked.append(request.url))
+    tab = page.open(f"#/job/{done['id']}")
+    tab.wait_for_selector("#sweep [data-metric='snr.sat-1']")
+    assert "2 of 2 points" in tab.inner_text(".jobhead")
+    assert "2 points over sensor.read_noise_e: 0 failed" in tab.inner_text("#sweep")
+    assert [url for url in asked if job in url and "preview" in url] == []
+    assert [url for url in asked if f"{job}/frames" in url or f"{job}/plan" in url] == []
+    with tab.expect_download() as begun:
+        tab.click("summary.button")
+        tab.get_by_text("table of points").click()
+    assert Path(begun.value.path()).read_bytes().startswith(b"PAR1")
 
 
 @pytest.mark.slow

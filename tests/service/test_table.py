@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import sqlite3
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +22,7 @@ from service.jobs import FINAL, NEXT, Job, Phase, Queue
 from service.leases import give_up, take
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
 from service.submissions import Ask, Intake, Limits, run_pending, submit_many
-from service.tables import HEAD, audit, jobs
+from service.tables import audit, jobs
 
 
 def ask(key: str | None = None, team: str = "red", body: str = "b", **more: Any) -> Ask:
@@ -252,42 +250,6 @@ def test_damaged_pages_are_named(tmp_path: Path) -> None:
         again.close()
         broken.unlink()
     assert named > 0.8 * pages
-
-
-def test_jobs_of_the_first_form_go_along(tmp_path: Path) -> None:
-    path = tmp_path / "jobs.sqlite"
-    with sqlite3.connect(path) as db:
-        db.execute(
-            "CREATE TABLE jobs (number INTEGER PRIMARY KEY AUTOINCREMENT, id VARCHAR(32) UNIQUE, "
-            "name VARCHAR(128), phase VARCHAR(9), scene TEXT, idempotency_key VARCHAR(255) UNIQUE, "
-            "body_sha256 VARCHAR(64), submitted_s FLOAT, started_s FLOAT, ended_s FLOAT, "
-            "tiles_done INTEGER, tiles_total INTEGER, attempt INTEGER, deaths INTEGER, "
-            "cancel_asked BOOLEAN, deleted BOOLEAN, error JSON, content_digest VARCHAR(64), "
-            "version INTEGER)"
-        )
-        scene = json.dumps({"sensor": {"shape": [4, 5]}, "exposure": {"frames": 3}})
-        row = (7, "a" * 32, "old", "EXECUTING", scene, "key", "b" * 64, 1.0, 2.0, None, 1, 3, 2, 0,
-               0, 0, None, None, 5)  # fmt: skip
-        db.execute(f"INSERT INTO jobs VALUES ({', '.join('?' * len(row))})", row)
-        db.execute("PRAGMA user_version = 1")
-    store = Queue(path)
-    job = store.get("a" * 32)
-    assert (job.team, job.phase, job.pixel_frames, job.damaged) == ("local", "EXECUTING", 60, False)
-    [(new, _)] = submit_many(store, [ask()], Limits())
-    assert new.number == 8
-    store.close()
-    assert Queue(path).get("a" * 32) == job
-
-
-def test_the_newest_form_is_the_last_migration() -> None:
-    from alembic.config import Config
-    from alembic.script import ScriptDirectory
-
-    import service.migrations
-
-    config = Config()
-    config.set_main_option("script_location", str(Path(service.migrations.__path__[0])))
-    assert ScriptDirectory.from_config(config).get_current_head() == HEAD
 
 
 def test_an_intake_serves_many_with_few_commits(database: str) -> None:

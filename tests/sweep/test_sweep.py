@@ -55,6 +55,28 @@ def test_metrics_follow_the_scene(sweep_file, tmp_path):
     assert names >= {"points.parquet", "report.json", "summary.html", "sweep.json", "_COMPLETE"}
 
 
+def test_metrics_take_each_frames_own_time(sweep_file, tmp_path):
+    """Frames of 0.5 and 2 s: every metric is that of its own frame, as of scenes of one time."""
+    plain = {"background.uniform_mag_arcsec2": None, "background.uniform_e_per_s": 30.0,
+             "sensor.dark_e_per_s": 50.0, "exposure.cadence_s": 4.0}  # fmt: skip
+    found = {}
+    for name, times in {"both": [0.5, 2.0], "short": 0.5, "long": 2.0}.items():
+        changes = plain | {"dwells": [{"integration_s": times}]}
+        out = tmp_path / name
+        sweep(sweep_file([{"field": "sensor.bias_dn", "values": [300]}], changes), out,
+              Options("synchronous"))  # fmt: skip
+        [found[name]] = table(out).to_pylist()
+    both, short, long = found["both"], found["short"], found["long"]
+    assert short["background_e"] == pytest.approx(30.0 * 0.5, rel=0.2)  # with wings of stars
+    mean = 0.5 * (short["background_e"] + long["background_e"])
+    assert both["background_e"] == pytest.approx(mean, rel=0.01)
+    assert long["limiting_g_mag"] > short["limiting_g_mag"] + 0.5
+    for name in ("limiting_g_mag", "limiting_light_e", "snr.ball"):
+        assert both[name] == pytest.approx(long[name], rel=1e-3), name
+    assert both["peak_sigma.ball"] == pytest.approx(long["peak_sigma.ball"], rel=0.2)
+    assert (both["noise_floor_e"], both["sky_e"]) == (short["noise_floor_e"], short["sky_e"])
+
+
 def test_one_failed_point_is_recorded_and_the_rest_go_on(sweep_file, tmp_path):
     """An exposure longer than the cadence is no scene; its row says so."""
     path = sweep_file(

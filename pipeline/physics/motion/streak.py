@@ -127,22 +127,30 @@ def _flush(path: Path, group: list[int]) -> list[tuple[float, float, Path, float
     return [(float(x0), float(y0), Path(x - x0, y - y0, path.weight[group] / share), share)]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def transfer(fy: Array, fx: Array, x: Array, y: Array, weight: Array) -> NDArray[np.complex128]:
     """Transfer function of a path: sum of w sinc(f.d) exp(-2 pi i f.m) over its segments.
 
     fy (n,), fx (m,) in cycles per pixel; x, y (k + 1,) nodes in pixels; weight (k,).
     Returns (n, m). Exact for motion that is uniform along each segment: the time average of a
-    uniformly moving point is a box along its segment, whose transform is the sinc.
+    uniformly moving point is a box along its segment, whose transform is the sinc. Sines and
+    cosines of sums come from those of their parts, so that each frequency needs its own alone.
     """
     out = np.zeros((fy.size, fx.size), np.complex128)
     for k in range(weight.size):
-        dx, dy = x[k + 1] - x[k], y[k + 1] - y[k]
-        mx, my = 0.5 * (x[k + 1] + x[k]), 0.5 * (y[k + 1] + y[k])
+        dx, dy = np.pi * (x[k + 1] - x[k]), np.pi * (y[k + 1] - y[k])
+        mx, my = np.pi * (x[k + 1] + x[k]), np.pi * (y[k + 1] + y[k])
+        across, sines, cosines = fx * dx, np.sin(fx * dx), np.cos(fx * dx)
+        turns = np.cos(fx * mx) - 1j * np.sin(fx * mx)
         for i in range(fy.size):
+            half_y = fy[i] * dy
+            sin_y, cos_y = np.sin(half_y), np.cos(half_y)
+            turn = weight[k] * complex(np.cos(fy[i] * my), -np.sin(fy[i] * my))
             for j in range(fx.size):
-                half = np.pi * (fy[i] * dy + fx[j] * dx)
-                sinc = 1.0 - half * half / 6.0 if abs(half) < 1e-4 else np.sin(half) / half
-                turn = -2.0 * np.pi * (fy[i] * my + fx[j] * mx)
-                out[i, j] += weight[k] * sinc * complex(np.cos(turn), np.sin(turn))
+                half = half_y + across[j]
+                square = half * half
+                series = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+                ratio = (sin_y * cosines[j] + cos_y * sines[j]) / half
+                sinc = series if square < 2.5e-3 else ratio
+                out[i, j] += sinc * (turn * turns[j])
     return out

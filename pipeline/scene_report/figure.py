@@ -1,0 +1,102 @@
+"""The report's figures: error against run time of each scene, and each approximation's bound."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+Row = dict[str, Any]
+
+# Okabe & Ito's colours; shapes tell them apart too.
+MOST, RMS, AGAIN, ASKED = "#0072B2", "#009E73", "#56B4E9", "#D55E00"
+COLUMNS, PANEL_IN = 4, (3.1, 2.9)
+LEAST = 1e-7  # sigma: what is smaller stands on the lower edge
+
+
+def ladder_figure(study: dict[str, Any]) -> bytes:
+    """Error against CPU time, a panel a scene, as PNG."""
+    scenes = study["scenes"]
+    columns = min(COLUMNS, len(scenes))
+    rows = -(-len(scenes) // columns)
+    figure, axes = _figure(rows, columns)
+    for ax, scene in zip(axes.ravel(), scenes, strict=False):
+        _panel(ax, scene)
+    for ax in axes.ravel()[len(scenes) :]:
+        ax.set_axis_off()
+    for ax in axes[:, 0]:
+        ax.set_ylabel("error of a pixel / its noise")
+    handles, labels = axes.ravel()[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9)
+    return _png(figure)
+
+
+def _panel(ax: Any, scene: Row) -> None:
+    rungs = scene["rungs"]
+    first = [r["cpu_s"] for r in rungs]
+    again = [r["again_cpu_s"] for r in rungs]
+    most, rms = ([max(r[k], LEAST) for r in rungs] for k in ("max_sigma", "rms_sigma"))
+    ax.set(xscale="log", yscale="log", xlabel="CPU s of a render")
+    ax.set_title(scene["title"], fontsize=10)
+    ax.grid(True, which="major", color="#DDDDDD", linewidth=0.6)
+    ax.set_axisbelow(True)
+    asked = [r["noise_fraction"] for r in rungs]
+    ax.plot(first, asked, color=ASKED, marker="_", ms=14, mew=2, ls=":", lw=1, label="asked for")
+    ax.plot(first, most, color=MOST, marker="o", ms=6, label="largest error")
+    ax.plot(first, rms, color=RMS, marker="s", ms=5, label="rms error")
+    ax.plot(again, most, color=AGAIN, marker="o", ms=6, mfc="none", ls="--", lw=0.9,
+            label="largest, second render of the process")  # fmt: skip
+    low, high = min(first + again), max(first + again)
+    if high < 3.0 * low:
+        ax.set_xlim(low / 1.8, high * 1.8)
+    ax.xaxis.set_major_formatter(_plain)
+    ax.xaxis.set_minor_formatter(_few)
+
+
+def _plain(value: float, _: int) -> str:
+    return f"{value:g}"
+
+
+def _few(value: float, _: int) -> str:
+    """A tick between the decades: 2 and 5 alone."""
+    digit = f"{value:.0e}"[0]
+    return f"{value:g}" if digit in "25" else ""
+
+
+def omission_figure(study: dict[str, Any]) -> bytes:
+    """Each approximation's bound beside the error that it caused, as PNG."""
+    rows = [
+        (scene["title"], s) for scene in study["scenes"] for s in scene["switches"]
+        if not s["of_light"] and s["bound_sigma"] > 0
+    ]  # fmt: skip
+    figure, axes = _figure(1, 1, (9.5, max(2.2, 0.27 * len(rows) + 1.3)))
+    ax = axes[0][0]
+    for i, (_, s) in enumerate(rows):
+        error = max(s["error_sigma"], LEAST)
+        ax.plot([error, s["bound_sigma"]], [i, i], color="#BBBBBB", lw=1.2, zorder=1)
+        ax.plot(error, i, color=MOST, marker="o", ms=6, label="" if i else "error caused")
+        ax.plot(s["bound_sigma"], i, color=ASKED, marker="|", ms=12, mew=2.5, ls="none",
+                label="" if i else "bound stated")  # fmt: skip
+    ax.set_yticks(range(len(rows)), [f"{t}: {s['component']}" for t, s in rows], fontsize=8)
+    ax.invert_yaxis()
+    ax.set(xscale="log", xlabel="sigma of a pixel's noise")
+    ax.grid(True, axis="x", which="major", color="#DDDDDD", linewidth=0.6)
+    ax.set_axisbelow(True)
+    if rows:
+        ax.legend(fontsize=9, loc="best")
+    return _png(figure)
+
+
+def _figure(rows: int, columns: int, size: tuple[float, float] | None = None) -> tuple[Any, Any]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    size = size or (PANEL_IN[0] * columns + 0.4, PANEL_IN[1] * rows + 0.5)
+    figure = Figure(figsize=size, dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def _png(figure: Any) -> bytes:
+    out = io.BytesIO()
+    figure.savefig(out, format="png")
+    return out.getvalue()

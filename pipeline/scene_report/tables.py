@@ -1,0 +1,100 @@
+"""The report's tables: rungs of each scene, approximations one by one, and rules of the ledger."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+Row = dict[str, Any]
+Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+RUNG_HEADS = ("scene", "asked, sigma", "CPU s", "again", "wall s", "peak MB", "largest error, "
+              "sigma", "rms", "bias of light", "allowed, sigma", "of allowed")  # fmt: skip
+SWITCH_HEADS = ("scene", "approximation", "bound", "error caused", "CPU s with", "without", "holds")
+RULE_HEADS = ("rule", "where measured", "bound", "error caused", "unit", "CPU s saved", "test")
+NOTES = (
+    "CPU s: of a whole render by a process of its own: planning, tables, drawing, product on disk; "
+    "imports and the start of Python are not in it, the loading of compiled code is. `again`: the "
+    "same once more in that process. Peak: the process's own high-water mark (VmHWM).",
+    "Errors are those of the noise-free mean in windows of 16 x 16 pixels (around the brightest "
+    "stars and targets, at a streak's end, at random) against the reference path: every source at "
+    "its exact place, along its own path, by the sum of its phases in double precision, wings on "
+    "half the grid, the sky in each pixel, planned four times finer than the finest rung.",
+    "Allowed: the sum of all bounds that the plan states, in a pixel away from bright sources and "
+    "in the window's most favoured pixel (a source's wavelengths and wings may err by a share of "
+    "its light); `of allowed`: the largest share of it that any pixel used. 1 or less: it holds.",
+    "One approximation at a time was switched off, at 0.05 sigma; `CPU s`: drawing the light of "
+    "the frame once tables are there (~: scaled up from a part of the frame). Bounds marked * are "
+    "shares of a source's light, times the brightest one's.",
+)
+
+
+def rung_table(study: Row) -> Table:
+    """A row for each scene and rung."""
+    return RUNG_HEADS, [
+        (
+            scene["title"], f"{r['noise_fraction']:g}", f"{r['cpu_s']:.2f}",
+            f"{r['again_cpu_s']:.2f}", f"{r['wall_s']:.2f}", f"{r['peak_mb']:.0f}",
+            f"{r['max_sigma']:.1e}", f"{r['rms_sigma']:.1e}", f"{r['bias']:+.0e}",
+            f"{r['bound_sigma'][0]:.2g} to {r['bound_sigma'][1]:.2g}", f"{r['of_bound']:.2g}",
+        )
+        for scene in study["scenes"] for r in scene["rungs"]
+    ]  # fmt: skip
+
+
+def switch_table(study: Row) -> Table:
+    """A row for each scene and approximation."""
+    return SWITCH_HEADS, [(scene["title"], *_switch(s)) for scene, s in _switches(study)]
+
+
+def _switches(study: Row) -> Iterator[tuple[Row, Row]]:
+    for scene in study["scenes"]:
+        for s in scene["switches"]:
+            yield scene, s
+
+
+def _switch(s: Row) -> tuple[str, ...]:
+    if s["of_light"]:
+        bound, error = f"{s['bound_e']:.2g} e- *", f"{s['error_e']:.2g} e-"
+    else:
+        bound, error = f"{s['bound_sigma']:.2g} sigma", f"{s['error_sigma']:.2g} sigma"
+    scaled = "~" if s["scaled_from"] else ""
+    return (s["component"], bound, error, f"{s['seconds_on']:.2g}",
+            f"{scaled}{s['seconds_off']:.2g}", "yes" if s["holds"] else "NO")  # fmt: skip
+
+
+def explained(study: Row) -> list[str]:
+    """What was measured, and how."""
+    m = study["machine"]
+    load = "" if m["load_before"] is None else f", load {m['load_before']:.1f} before it"
+    head = (
+        f"Nightglass {study['nightglass']}, {m['cores']} cores of {m['processor']}{load}; "
+        f"{study['catalogue']} catalogue" + ("; quick" if study["quick"] else "") + "."
+    )
+    return [head, *NOTES]
+
+
+def markdown(table: Table) -> str:
+    """A table as Markdown; the first two columns are text."""
+    heads, rows = table
+    lines = ["| " + " | ".join(heads) + " |", "| --- | --- " + "| ---: " * (len(heads) - 2) + "|"]
+    lines += ["| " + " | ".join(c.replace("|", "\\|").replace("*", "\\*") for c in row) + " |"
+              for row in rows]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def print_study(study: Row) -> None:
+    """The study on the terminal."""
+    from rich.console import Console
+    from rich.table import Table as Printed
+
+    console = Console()
+    for heads, rows in (rung_table(study), switch_table(study)):
+        printed = Printed()
+        for i, head in enumerate(heads):
+            printed.add_column(head, justify="left" if i < 2 else "right")
+        for row in rows:
+            printed.add_row(*row)
+        console.print(printed)
+    for line in explained(study):
+        console.print(line, highlight=False, markup=False)

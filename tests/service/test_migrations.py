@@ -1,0 +1,121 @@
+"""Forms of the job table: every earlier one is brought to the newest, with its rows."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from alembic import command
+from alembic.autogenerate import compare_metadata
+from alembic.config import Config
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+
+import service.migrations
+from service.database import connect, writing
+from service.integrity import find_faults
+from service.jobs import Phase, Queue
+from service.submissions import Ask, Limits, submit_many
+from service.tables import HEAD, metadata
+
+SCENE = json.dumps({"sensor": {"shape": [4, 5]}, "exposure": {"frames": 3}})
+FIRST: dict[str, Any] = {
+    "number": 7, "id": "a" * 32, "name": "old", "phase": "EXECUTING", "scene": SCENE,
+    "idempotency_key": "key", "body_sha256": "b" * 64, "submitted_s": 1.0, "started_s": 2.0,
+    "ended_s": None, "tiles_done": 1, "tiles_total": 3, "attempt": 2, "deaths": 0,
+    "cancel_asked": False, "deleted": False, "error": None, "content_digest": None, "version": 5,
+}  # fmt: skip
+FAILED = FIRST | {
+    "number": 9, "id": "c" * 32, "phase": "ERROR", "idempotency_key": None, "ended_s": 3.0,
+    "error": json.dumps({"kind": "fault", "message": "it was so", "errors": []}),
+}  # fmt: skip
+
+
+def migrations(db: sa.Connection | None = None) -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(Path(service.migrations.__path__[0])))
+    config.attributes["connection"] = db
+    return config
+
+
+def differences(engine: sa.Engine) -> list[Any]:
+    """What alembic finds between a database and the tables that the program works with."""
+    with engine.connect() as db:
+        options = {"compare_type": True, "compare_server_default": True}
+        found = compare_metadata(MigrationContext.configure(db, opts=options), metadata)
+    return [d for d in found if "alembic_version" not in str(d)]
+
+
+def test_every_form_with_rows_becomes_the_newest(database: str) -> None:
+    """A database that alembic made in the first form, with rows; then one that was empty."""
+    url = sa.make_url(database)
+    if url.get_backend_name() == "postgresql":
+        url = url.set(drivername="postgresql+psycopg")
+    engine = sa.create_engine(url)
+    with engine.begin() as db:
+        command.upgrade(migrations(db), "0001")
+        told = sa.Table("jobs", sa.MetaData(), autoload_with=db)
+        assert "team" not in told.c
+        columns, values = ", ".join(FIRST), ", ".join(f":{name}" for name in FIRST)
+        db.execute(sa.text(f"INSERT INTO jobs ({columns}) VALUES ({values})"), [FIRST, FAILED])
+    engine.dispose()
+    store = Queue(database)
+    assert differences(store.engine) == []
+    left, failed = store.listing((), 0, 10)
+    assert (left.id, left.team, left.pixel_frames) == ("a" * 32, "local", 60)
+    assert left.phase == Phase.EXECUTING
+    assert (left.number, left.attempt, left.tiles_done, left.version) == (7, 2, 1, 5)
+    assert (left.damaged, failed.damaged) == (False, False)
+    assert (failed.phase, failed.error) == (Phase.ERROR, json.loads(FAILED["error"]))
+    assert store.scene("a" * 32) == json.loads(SCENE)
+    assert find_faults(store.engine) == []
+    again = Ask(name="old", scene=json.loads(SCENE), body_sha256="b" * 64, key="key")
+    new = Ask(name="new", scene={}, body_sha256="d" * 64)
+    (replayed, made), (fresh, _) = submit_many(store, [again, new], Limits())  # type: ignore[misc]
+    assert (replayed.id, made) == ("a" * 32, False)
+    assert fresh.number == 10
+    with store.engine.connect() as db:
+        assert MigrationContext.configure(db).get_current_revision() == HEAD
+    store.close()
+    assert Queue(database).get("a" * 32) == left
+
+
+def test_an_empty_database_becomes_the_newest_form(database: str) -> None:
+    engine = connect(database)
+    assert differences(engine) == []
+    with writing(engine) as db:
+        db.execute(sa.text("ALTER TABLE leases ADD COLUMN odd INTEGER"))
+    assert [d[0] for d in differences(engine)] == ["remove_column"]  # it would be seen
+    engine.dispose()
+
+
+def test_jobs_of_the_first_form_go_along(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.sqlite"
+    with sqlite3.connect(path) as db:
+        db.execute(
+            "CREATE TABLE jobs (number INTEGER PRIMARY KEY AUTOINCREMENT, id VARCHAR(32) UNIQUE, "
+            "name VARCHAR(128), phase VARCHAR(9), scene TEXT, idempotency_key VARCHAR(255) UNIQUE, "
+            "body_sha256 VARCHAR(64), submitted_s FLOAT, started_s FLOAT, ended_s FLOAT, "
+            "tiles_done INTEGER, tiles_total INTEGER, attempt INTEGER, deaths INTEGER, "
+            "cancel_asked BOOLEAN, deleted BOOLEAN, error JSON, content_digest VARCHAR(64), "
+            "version INTEGER)"
+        )
+        scene = json.dumps({"sensor": {"shape": [4, 5]}, "exposure": {"frames": 3}})
+        row = (7, "a" * 32, "old", "EXECUTING", scene, "key", "b" * 64, 1.0, 2.0, None, 1, 3, 2, 0,
+               0, 0, None, None, 5)  # fmt: skip
+        db.execute(f"INSERT INTO jobs VALUES ({', '.join('?' * len(row))})", row)
+        db.execute("PRAGMA user_version = 1")
+    store = Queue(path)
+    job = store.get("a" * 32)
+    assert (job.team, job.phase, job.pixel_frames, job.damaged) == ("local", "EXECUTING", 60, False)
+    [(new, _)] = submit_many(store, [Ask("new", {}, "b")], Limits())
+    assert new.number == 8
+    store.close()
+    assert Queue(path).get("a" * 32) == job
+
+
+def test_the_newest_form_is_the_last_migration() -> None:
+    assert ScriptDirectory.from_config(migrations()).get_current_head() == HEAD
