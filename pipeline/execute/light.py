@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import Block, around, class_of, parts_of, target_class
+from pipeline.execute.guards import guard_light, guard_stars, inside_tile
 from pipeline.execute.sources import drawing_order, place_targets, streaks, zone_of
 from pipeline.execute.tables import core_of, swept_core, table_of
 from pipeline.physics.drawing.extended import draw_body
@@ -27,8 +28,9 @@ def draw_stars(
     """Electrons of the stars in a tile: (rows, columns) float64, before the flat."""
     image = np.zeros((tile.rows, tile.columns))
     paths = streaks(plan, g)
-    reach = _core_reach(plan, paths)
-    stars = drawing_order(around(concatenate(parts, FrameStars), tile, reach))
+    reach, every = _core_reach(plan, paths), concatenate(parts, FrameStars)
+    guard_stars(g, tile, every)
+    stars = drawing_order(around(every, tile, reach))
     if not any(b.crowd_e is not None for b in blocks):
         _draw_stamps(plan, g, image, tile, paths, stars)
     else:
@@ -41,13 +43,16 @@ def draw_stars(
                 piece += _cut(block.crowd_e, block.place, part)
     for block in blocks:
         add_wings_of(image, tile, block, block.star_wings)
+    inside = inside_tile(plan, tile, every.x_px, every.y_px, _sweep(paths))
+    guard_light(plan, g, tile, "stars_e", image, every.light_e, inside)
     return image
 
 
 def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Array:
     """Electrons of the targets in a tile: (rows, columns) float64, before the flat."""
     image = np.zeros((tile.rows, tile.columns))
-    for target in place_targets(plan, g):
+    targets = place_targets(plan, g)
+    for target in targets:
         k = target_class(plan, target)
         if target.body is not None:
             place, radius = (target.y_px, target.x_px), plan.responses.classes[k].radius_px
@@ -60,6 +65,10 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
             draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
     for block in blocks:
         add_wings_of(image, tile, block, block.target_wings)
+    every = np.array([(t.x_px, t.y_px, t.light_e) for t in targets]).reshape(-1, 3)
+    sweep = max((t.path.length_px + t.radius_px for t in targets), default=0.0)
+    inside = inside_tile(plan, tile, every[:, 0], every[:, 1], sweep)
+    guard_light(plan, g, tile, "targets_e", image, every[:, 2], inside)
     return image
 
 
@@ -139,8 +148,12 @@ def draw_exact(
 
 def _core_reach(plan: Plan, paths: list[Streak]) -> float:
     """Farthest pixel that the largest core of a streaked star touches."""
-    sweep = max(float(np.hypot(s.path.x_px, s.path.y_px).max()) for s in paths)
-    return plan.responses.classes[-1].radius_px + sweep + 8.0
+    return plan.responses.classes[-1].radius_px + _sweep(paths) + 8.0
+
+
+def _sweep(paths: list[Streak]) -> float:
+    """Farthest that light of a star is from its place [px]."""
+    return max(float(np.hypot(s.path.x_px, s.path.y_px).max()) for s in paths)
 
 
 def _cut(image: NDArray[Any], place: Tile, part: Tile) -> NDArray[Any]:

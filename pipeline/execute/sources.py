@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
+from pipeline.execute.guards import LOOKED_AT, guard_places
 from pipeline.physics.motion.streak import Path, path_through
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
@@ -74,6 +75,7 @@ def place_stars(
         near &= distance_px(x, y, *frame) < reach
     ra, dec = to_angles(astrometric[near])
     kept = select(stars, near)
+    guard_some(plan, g, x[near], y[near], observed[near], kept.source_id)
     light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
     if plan.camera.line_s:
         light = light * longer[near]
@@ -83,6 +85,17 @@ def place_stars(
         kept.source_id, x[near], y[near], light, ra, dec, kept.g_mag, kept.colour_flag,
         np.full(len(kept), catalogue, np.uint8),
     )  # fmt: skip
+
+
+def guard_some(
+    plan: Plan, g: Geometry, x_px: Array, y_px: Array, observed: Array, source_id: Array
+) -> None:
+    """Look at the places of a few of the stars that stand on the frame."""
+    some = np.arange(0, len(x_px), max(1, len(x_px) // LOOKED_AT))
+    frame = (0, 0, plan.camera.rows, plan.camera.columns)
+    some = some[distance_px(x_px[some], y_px[some], *frame) <= 0.0]
+    names = [f"star {int(i)}" for i in source_id[some]]
+    guard_places(plan, g.attitude[0, g.middle], x_px[some], y_px[some], observed[some], names)
 
 
 def drawing_order(stars: FrameStars) -> FrameStars:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
-from pipeline.errors import NightglassError
 from pipeline.execute.blocks import Block
 from pipeline.execute.check import check_tile
 from pipeline.execute.detector import (
@@ -19,6 +18,7 @@ from pipeline.execute.detector import (
     with_lag,
     with_smear,
 )
+from pipeline.execute.guards import guard_mean
 from pipeline.execute.light import draw_stars, draw_targets
 from pipeline.physics.noise.chain import Chain, to_dn
 from pipeline.plan.scene_plan import Plan
@@ -26,8 +26,6 @@ from pipeline.plan.tiles import Tile
 
 if TYPE_CHECKING:
     from pipeline.physics.cosmic_rays.frame import CosmicRays
-
-NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, beyond it is a fault
 
 
 def render_tile(
@@ -52,7 +50,7 @@ def render_tile(
     exposed_s = plan.integration_s(int(g.frame[0]))
     chain = tile_chain(plan.scene, maps, tile, exposed_s)
     light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
-    layers, own = _mean(plan, tile, chain, light, blocks, exposed_s)
+    layers, own = _mean(plan, g, tile, chain, light, blocks)
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
     if drawn is not None:
         layers["cosmic_rays_e"] = drawn
@@ -89,21 +87,21 @@ def charge_of_tile(
     exposed_s = plan.integration_s(int(g.frame[0]))
     chain = tile_chain(plan.scene, maps, tile, exposed_s)
     light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
-    _, mean = _mean(plan, tile, chain, light, blocks, exposed_s)
+    _, mean = _mean(plan, g, tile, chain, light, blocks)
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
     return collected_e(plan.scene, mean, drawn)
 
 
 def _mean(
     plan: Plan,
+    g: Geometry,
     tile: Tile,
     chain: Chain,
     light: dict[str, Array],
     blocks: list[Block],
-    exposed_s: float,
 ) -> tuple[dict[str, Array], Array]:
     """The noise-free layers of a tile, and their sum: the mean of what its pixels collect."""
-    shape = (tile.rows, tile.columns)
+    shape, exposed_s = (tile.rows, tile.columns), plan.integration_s(int(g.frame[0]))
     layers: dict[str, Array] = {
         name: np.broadcast_to(image * chain.flat, shape) for name, image in light.items()
     }
@@ -113,7 +111,8 @@ def _mean(
     mean = np.zeros(shape)
     for layer in layers.values():
         mean += layer
-    return layers, _not_negative(plan, mean, max((b.brightest_e for b in blocks), default=0.0))
+    brightest = max((b.brightest_e for b in blocks), default=0.0)
+    return layers, guard_mean(plan, g, tile, mean, layers, brightest)
 
 
 LIGHTS = ("stars", "targets", "sky")  # in the order in which they are summed
@@ -167,23 +166,3 @@ def noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
     floor = squared(chain.read_noise_e) + squared(chain.gain_e_per_dn) / 12.0
     floor += chain.row_noise_e**2 + chain.column_noise_e**2
     return np.sqrt(photons + floor)
-
-
-def _not_negative(plan: Plan, mean_e: Array, brightest_e: float) -> Array:
-    """The mean with the errors of the transforms clipped at zero; a larger fault is refused.
-
-    Beside a source brighter than the plan's bounds hold for, its wings err in proportion to it.
-    """
-    low = float(mean_e.min(initial=0.0))
-    if not np.isfinite(low) or not np.isfinite(mean_e).all():
-        raise NightglassError("a pixel's mean is not finite: a source or sensor image is damaged")
-    if low < 0.0:
-        peak = float(mean_e.max())
-        allowed = NEGATIVE_FLOOR * plan.facts.sigma_floor_e + 1e-6 * peak + plan.facts.budget_e
-        allowed += 2.0 * plan.responses.classes[-1].wing_error * brightest_e
-        if low < -allowed:
-            raise NightglassError(
-                f"a pixel's mean is {low:.3g} e-, below zero by more than rounding"
-            )
-        return np.maximum(mean_e, 0.0)
-    return mean_e

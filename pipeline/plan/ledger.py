@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import Any
 
 _ENGINES = "tests/execute/test_engines.py::test_engines_agree_within_the_sum_of_their_bounds"
 _NEEDED = "tests/execute/test_only_needed.py::test_imports"
@@ -90,6 +92,9 @@ LEDGER = (
          "tests/physics/targets/test_eclipse.py::test_against_caps_on_the_sphere"),
     Rule(("targets.earthshine",), "where lighting asks for it",
          "tests/physics/targets/test_earthshine.py::test_against_a_fine_earth"),
+    Rule(("rolling_shutter",), "where the detector's readout asks for it; refused where its bounds "
+         "do not hold",
+         "tests/execute/test_rolling_shutter.py::test_stars_against_each_rows_own_exposure"),
     Rule(("targets.earthshine_on_meshes",), "where lighting asks for it on a mesh",
          "tests/plan/test_mesh_earthshine.py::test_against_every_lamp_traced"),
     Rule(("targets.light_table",), "where the frames need many moments of a mesh's light, and a "
@@ -113,19 +118,37 @@ LEDGER = (
 )  # fmt: skip
 
 
-def page() -> str:
-    """The ledger as a page of the documentation (Markdown)."""
+def page(measured: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The ledger as a page of the documentation (Markdown).
+
+    measured : a row for each rule, as `nightglass report scenes` found it; `rule` is the first
+    component's name, `why` stands where there is nothing to measure
+    """
+    rows = {row["rule"]: row for row in measured}
     lines = [
         "# What the plan may leave out", "",
         "For each component and approximation: what decides, and the test that fails where the "
         "rule or its bound is broken. `nightglass plan SCENE --explain` shows the same for a "
-        "scene, with the bounds that hold there; `plan.json` in each product keeps them.", "",
-        "| components | rule | measured by |", "| --- | --- | --- |",
+        "scene, with the bounds that hold there; `plan.json` in each product keeps them. The last "
+        "columns are one measurement by [`nightglass report scenes`](../report.md): the bound "
+        "stated, the error that the omission caused, the CPU seconds of a frame that it saved.", "",
+        "| components | rule | measured by | bound | error caused | seconds saved |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]  # fmt: skip
     for r in LEDGER:
         names = ", ".join(f"`{c}`" for c in r.components)
-        lines.append(f"| {names} | {r.rule} | `{r.test}` |")
+        cells = _measured(rows.get(r.components[0], {}))
+        lines.append(f"| {names} | {r.rule} | `{r.test}` | {cells} |")
     return "\n".join(lines) + "\n"
+
+
+def _measured(row: Mapping[str, Any]) -> str:
+    """Bound, error and seconds of a rule as three cells of a table."""
+    if "bound" not in row:
+        return f"{row.get('why', '')} | | "
+    unit = row["unit"]
+    one = f"{row['bound']:.2g} {unit} (`{row['component']}`, {row['scene']})"
+    return f"{one} | {row['error']:.2g} {unit} | {row['seconds_saved']:.2g}"
 
 
 def rule_of(component: str) -> Rule | None:

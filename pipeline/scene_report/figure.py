@@ -26,7 +26,10 @@ def ladder_figure(study: dict[str, Any]) -> bytes:
     for ax in axes[:, 0]:
         ax.set_ylabel("error of a pixel / its noise")
     handles, labels = axes.ravel()[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9)
+    across = 4 if columns > 2 else 2
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=across, fontsize=9, frameon=False
+    )
     return _png(figure)
 
 

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import base64
 import html
+import re
 from typing import Any
 
-from pipeline.scene_report.tables import Table, explained, rung_table, switch_table
+from pipeline.scene_report.tables import (
+    Table,
+    effect_table,
+    explained,
+    rung_table,
+    switch_table,
+)
 
 STYLE = (
     "body{font:15px/1.45 sans-serif;margin:2em auto;max-width:86em;padding:0 1em;color:#222}"
@@ -20,7 +27,7 @@ STYLE = (
 
 def page(study: dict[str, Any], ladder_png: bytes, omissions_png: bytes) -> str:
     """HTML of a study with its figures."""
-    notes = "".join(f"<li>{html.escape(line)}</li>" for line in explained(study))
+    notes = "".join(f"<li>{_coded(line)}</li>" for line in explained(study))
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"/>'
         '<meta name="viewport" content="width=device-width"/>'
@@ -31,8 +38,14 @@ def page(study: dict[str, Any], ladder_png: bytes, omissions_png: bytes) -> str:
         f"<h2>Scenes, rung by rung</h2>{_table(rung_table(study))}"
         "<h2>Approximations, one at a time switched off</h2>"
         f"{_picture(omissions_png, 'bound and error of each approximation')}"
-        f"{_table(switch_table(study))}</body></html>\n"
+        f"{_table(switch_table(study))}<h2>Components left out</h2>"
+        f"{_table(effect_table(study))}</body></html>\n"
     )
+
+
+def _coded(line: str) -> str:
+    """A line of text; what stands in back ticks is code."""
+    return re.sub(r"`([^`]*)`", r"<code>\1</code>", html.escape(line))
 
 
 def _picture(png: bytes, what: str) -> str:

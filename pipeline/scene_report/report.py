@@ -13,7 +13,13 @@ from pipeline.scene_report.figure import ladder_figure, omission_figure
 from pipeline.scene_report.page import page
 from pipeline.scene_report.scenes import wishes
 from pipeline.scene_report.study import Progress, checked_rungs, run_study
-from pipeline.scene_report.tables import explained, markdown, rung_table, switch_table
+from pipeline.scene_report.tables import (
+    effect_table,
+    explained,
+    markdown,
+    rung_table,
+    switch_table,
+)
 
 
 def report_scenes(
@@ -63,5 +69,6 @@ def text(study: dict[str, Any]) -> str:
     notes = "\n".join(f"- {line}" for line in explained(study))
     return (
         f"{notes}\n\n## Scenes, rung by rung\n\n{markdown(rung_table(study))}\n"
-        f"## Approximations, one at a time switched off\n\n{markdown(switch_table(study))}"
+        f"## Approximations, one at a time switched off\n\n{markdown(switch_table(study))}\n"
+        f"## Components left out\n\n{markdown(effect_table(study))}"
     )

@@ -14,7 +14,7 @@ from pipeline.accuracy.reference import GaussianStar, exact_pixels, straight
 from pipeline.arrays import FrameStars, Geometry
 from pipeline.execute.blocks import Block, render_block
 from pipeline.execute.check import reference
-from pipeline.execute.light import draw_stars
+from pipeline.execute.light import draw_along, draw_stars
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.geometry import plan_geometry
@@ -165,3 +165,32 @@ def test_no_stars_at_all():
     empty = field(*(np.zeros(0),) * 3)
     assert not drawn(plan, empty, True).any()
     assert not drawn(plan, empty, False).any()
+
+
+@pytest.mark.parametrize("light", [1e5, 1e6, 1e7])
+def test_bright_streaks_of_changing_speed(light):
+    """A camera that turns faster and faster: a bright star's pixels hold what its own path gives.
+
+    A mixture of shapes whose ends stand far apart errs at every seam of the streak's pieces.
+    """
+    plan = plan_of({"kind": "gaussian", "sigma_px": 0.7}, 250.0, 0.0, 400)
+    g = geometry_of(plan)
+    t = np.linspace(-0.5, 0.5, g.nodes)
+    turned = g.attitude.copy()
+    slow = 1e-5 * 3.0 * t**2  # 0.75 px at the ends: the speed changes by 1.2 percent
+    for k, angle in enumerate(slow):
+        c, s = np.cos(angle), np.sin(angle)
+        turned[0, k] = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) @ g.attitude[0, k]
+    g = replace(g, attitude=turned)
+    plan = make_plan(plan.scene, plan.facts, g, None, 0.0, (), 0.0)
+    assert plan.responses.streaks.pieces > 1
+    whole = Tile(0, 0, 0, 0, 400, 400)
+    stars = field(
+        np.array([200.3, 140.6]), np.array([199.7, 260.2]), np.array([light, 0.3 * light])
+    )
+    image = draw_stars(plan, g, whole, [stars], [])
+    own = np.zeros(image.shape)
+    draw_along(plan, g, own, whole, stars)
+    noise = np.sqrt(25.0 + np.maximum(own, 0.0))
+    assert image.sum() == pytest.approx(1.3 * light, rel=1e-4)
+    assert (np.abs(image - own) / noise).max() <= bounds_e(plan) / 5.0

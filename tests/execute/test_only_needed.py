@@ -49,9 +49,76 @@ UNNEEDED = {
 SCENES = {"sky": SKY, "target": SKY | {"targets": [TARGET]}}
 
 
+# Rooms and libraries that stars alone do not need, with everything in them.
+NOT_FOR_STARS = [
+    "pipeline.physics.sky", "pipeline.physics.cosmic_rays", "pipeline.physics.meshes",
+    "pipeline.physics.detection", "pipeline.physics.motion.jitter",
+    "pipeline.physics.motion.flexible", "pipeline.physics.motion.linear_system",
+    "pipeline.physics.noise.calibration", "pipeline.physics.positions.distortion",
+    "pipeline.physics.positions.orbit_screen", "pipeline.physics.positions.orbit_numerical",
+    "pipeline.plan.sky", "pipeline.plan.sky_light", "pipeline.plan.faint_stars",
+    "pipeline.plan.stray_light", "pipeline.plan.night_sky", "pipeline.plan.psf_field",
+    "pipeline.plan.populations", "pipeline.plan.meshes", "pipeline.inputs.sky",
+    "pipeline.inputs.starlight", "pipeline.inputs.stray_light", "pipeline.inputs.meshes",
+    "pipeline.inputs.cosmic_rays", "pipeline.inputs.populations", "pipeline.inputs.night",
+    "pipeline.execute.mesh_bodies", "pipeline.accuracy", "pipeline.detection",
+    "pipeline.scene_report", "pipeline.selftest", "pipeline.sweep", "pipeline.importers",
+    "catalog_tools.ingest", "catalog_tools.layers", "catalog_tools.synthetic",
+    "catalog_tools.fetch", "service", "healpy", "sgp4", "astropy", "speclite", "trimesh",
+    "distributed", "fastapi", "sqlalchemy", "xarray", "matplotlib",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory):
+    from catalog_tools.ingest import ingest
+
+    folder = tmp_path_factory.mktemp("one")
+    (folder / "stars.csv").write_text("source_id,ra,dec,phot_g_mean_mag\n1,10.0,5.0,12.0\n")
+    ingest([folder / "stars.csv"], folder / "catalogue", form="gaia_dr2", workers=1)
+    return str(folder / "catalogue")
+
+
+def only_stars(catalogue):
+    return {k: v for k, v in SKY.items() if k != "background"} | {"stars": {"catalogue": catalogue}}
+
+
+def test_imports_of_stars_alone(catalogue, tmp_path):
+    """No room of the sky, of rays, of meshes... is loaded for a scene that has only stars."""
+    loaded = modules_of(only_stars(catalogue), tmp_path)
+    assert "pipeline.physics.drawing.stamps" in loaded
+    rooms = tuple(f"{name}." for name in NOT_FOR_STARS)
+    found = [m for m in loaded if m in NOT_FOR_STARS or m.startswith(rooms)]
+    assert not found
+
+
+def test_tasks_of_stars_alone(catalogue):
+    """Stars are read once, placed once a frame; a tile, a block of wings, and their truth."""
+    from pipeline.run import shards_of
+
+    prepared = prepare(parse_scene(only_stars(catalogue)))
+    plan = prepared.plan
+    frames = np.arange(plan.frames, dtype=np.int64)
+    geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
+    shards = shards_of(plan, prepared.catalogues, geometry)
+    tiles = tuple((int(f), tile) for f in frames for tile in plan.tiles)
+    work = Work(geometry, tiles, tuple(range(plan.frames)), ())
+    inputs = Inputs(plan, prepared.maps, prepared.catalogues, prepared.left_out,
+                    CubeWriter("nowhere", ("dn",)))  # fmt: skip
+    graph, _ = window_graph(inputs, plan, work, dict.fromkeys(shards), (2015.5,))
+    kinds = [key[0] for key in graph]
+    counted = {kind: kinds.count(kind) for kind in set(kinds)}
+    assert counted == {"tile": 6, "place": 3, "block": 3, "star_truth": 3}
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_imports(name, tmp_path):
     """A render in a process of its own loads only what its components use."""
+    assert not modules_of(SCENES[name], tmp_path) & set(UNNEEDED[name])
+
+
+def modules_of(scene, tmp_path) -> set[str]:
+    """Modules that a process has loaded after it rendered a scene."""
     code = (
         "import sys, json, pathlib\n"
         "from pipeline.run import render\n"
@@ -59,10 +126,9 @@ def test_imports(name, tmp_path):
         "render(parse_scene(json.loads(sys.argv[1])), pathlib.Path(sys.argv[2]))\n"
         "print(json.dumps(sorted(sys.modules)))\n"
     )
-    command = [sys.executable, "-c", code, json.dumps(SCENES[name]), str(tmp_path / "run")]
+    command = [sys.executable, "-c", code, json.dumps(scene), str(tmp_path / "run")]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
-    loaded = set(json.loads(result.stdout.splitlines()[-1]))
-    assert not loaded & set(UNNEEDED[name])
+    return set(json.loads(result.stdout.splitlines()[-1]))
 
 
 def tasks(data) -> dict[str, int]:

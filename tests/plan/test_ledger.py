@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import ast
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from catalog_tools.ingest import ingest
 from pipeline.plan.ledger import LEDGER, page, rule_of
 from pipeline.run import plan_scene
+from pipeline.scene_report.rules import WHY
 from pipeline.spec.load import load_scene, parse_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,6 +44,21 @@ def test_the_test_of_a_rule_exists(rule):
     assert function in names if function else any(n.startswith("test_") for n in names)
 
 
+def test_every_rule_has_a_measured_row_or_says_why_not():
+    """docs/measured.json: one run of the report, rule by rule; no error is above its bound."""
+    rows = json.loads((ROOT / "docs" / "measured.json").read_text())["rules"]
+    assert [row["rule"] for row in rows] == [rule.components[0] for rule in LEDGER]
+    measured = [row for row in rows if "bound" in row]
+    assert all(row["holds"] and row["error"] <= row["bound"] for row in measured)
+    assert all(np.isfinite(row["seconds_saved"]) for row in measured)
+    assert len(measured) >= 8
+    assert all(row["test"] and (row.get("why") or "bound" in row) for row in rows)
+    assert set(WHY) <= {row["rule"] for row in rows if "why" in row}
+
+
 def test_page_and_unknown_names():
     assert page().count("\n| `") == len(LEDGER)
+    told = page([{"rule": "stars", "component": "stars", "scene": "s", "bound": 1.0, "error": 0.5,
+                  "unit": "sigma", "seconds_saved": 2.0}])  # fmt: skip
+    assert "| 1 sigma (`stars`, s) | 0.5 sigma | 2 |" in told
     assert rule_of("no such thing") is None

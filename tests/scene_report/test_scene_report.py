@@ -70,6 +70,8 @@ def test_bounds_hold_and_nothing_lacks(report):
             assert 50 < row["peak_mb"] < 4000
         for one in scene["switches"]:
             assert one["holds"], one
+        assert all(one["holds"] for one in scene["effects"])
+    assert len(found["scenes"][0]["effects"]) == 7
     names = {s["component"] for scene in found["scenes"] for s in scene["switches"]}
     assert names >= {"uniform_background", "background.grid", "phase_interpolation",
                      "wings_on_a_coarse_grid", "wings_cut_off", "common_streak"}  # fmt: skip
@@ -85,7 +87,8 @@ def test_page_stands_alone(report):
     assert not [link for link in links if not link.startswith("data:")]
     rows = body.findall(".//tbody/tr")
     found = json.loads((report / "report.json").read_text())
-    assert len(rows) == sum(len(s["rungs"]) + len(s["switches"]) for s in found["scenes"])
+    kinds = ("rungs", "switches", "effects")
+    assert len(rows) == sum(len(s[kind]) for s in found["scenes"] for kind in kinds)
     assert (report / "report.png").read_bytes().startswith(b"\x89PNG")
 
 

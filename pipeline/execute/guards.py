@@ -1,0 +1,118 @@
+"""Guards: cheap checks of what was drawn; they name frame and tile, and the source or layer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.arrays import Array, FrameStars, Geometry
+from pipeline.errors import NightglassError
+from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.vectors import separation
+from pipeline.plan.scene_plan import Plan
+from pipeline.plan.tiles import Tile
+
+NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, beyond it is a fault
+PLACE_PX = 1e-3  # that a source's pixel and its direction may be apart
+ROUNDING_RAD = 2e-15
+LOOKED_AT = 64  # sources of a task whose places are checked
+
+
+def where(g: Geometry, tile: Tile) -> str:
+    """A tile of a frame, for messages."""
+    return f"frame {int(g.frame[0])}, tile at row {tile.y0}, column {tile.x0}"
+
+
+def guard_stars(g: Geometry, tile: Tile, stars: FrameStars) -> None:
+    """Raise for a star whose light or place is not finite."""
+    good = np.isfinite(stars.light_e) & np.isfinite(stars.x_px) & np.isfinite(stars.y_px)
+    if not good.all():
+        k = int(np.argmin(good))
+        raise NightglassError(
+            f"{where(g, tile)}: star {int(stars.source_id[k])} has {stars.light_e[k]} e- at "
+            f"({stars.x_px[k]}, {stars.y_px[k]}): its row of the catalogue is damaged"
+        )
+
+
+def guard_places(
+    plan: Plan, attitude: Array, x_px: Array, y_px: Array, direction: Array, names: list[str]
+) -> None:
+    """Raise where a source's pixel (n,) is not where its observed direction (n, 3) is seen.
+
+    Both ways through the optics must agree to PLACE_PX. names : of the sources, for the message
+    """
+    if not len(x_px):
+        return
+    apart = separation(deproject(plan.camera, attitude, x_px, y_px), direction)
+    bad = ~(apart <= PLACE_PX * plan.facts.ifov_rad + ROUNDING_RAD)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise NightglassError(
+            f"{names[k]}: its pixel ({x_px[k]:.4f}, {y_px[k]:.4f}) is "
+            f"{apart[k] / plan.facts.ifov_rad:.3g} px from its direction: the optics' distortion "
+            "has no inverse there"
+        )
+
+
+def guard_light(
+    plan: Plan, g: Geometry, tile: Tile, layer: str, image_e: Array, light_e: Array,
+    inside: np.ndarray,
+) -> None:  # fmt: skip
+    """Raise where a tile holds more light than its sources send, or less than those inside it do.
+
+    image_e : light of the layer in the tile; light_e : (n,) of every source that may reach it;
+    inside : (n,) which of them send all but the light left out into the tile
+    """
+    total, most = float(image_e.sum()), float(light_e.sum())
+    r = plan.responses
+    least = float(light_e[inside].sum()) * r.blur.fill_factor * (1.0 - min(1.0, r.lost_light))
+    allowed = plan.scene.accuracy.flux_fraction * most + r.budget_e * np.sqrt(image_e.size)
+    if least - allowed <= total <= most + allowed:
+        return
+    if not np.isfinite(total):
+        return  # `guard_mean` says more
+    raise NightglassError(
+        f"{where(g, tile)}: {layer} holds {total:.8g} e-, where its sources send "
+        f"{least:.8g} to {most:.8g} e-"
+    )
+
+
+def inside_tile(plan: Plan, tile: Tile, x_px: Array, y_px: Array, sweep_px: float) -> np.ndarray:
+    """Which places (n,) are so far inside a tile that their light stays in it."""
+    margin = plan.responses.reach_px + sweep_px + 2.0
+    x0, y0 = tile.x0 + margin, tile.y0 + margin
+    x1, y1 = tile.x0 + tile.columns - margin, tile.y0 + tile.rows - margin
+    return np.asarray((x_px > x0) & (x_px < x1) & (y_px > y0) & (y_px < y1))
+
+
+def guard_mean(
+    plan: Plan, g: Geometry, tile: Tile, mean_e: Array, layers: dict[str, Array],
+    brightest_e: float,
+) -> Array:  # fmt: skip
+    """The mean with the errors of the transforms clipped at zero; a larger fault is refused.
+
+    Beside a source brighter than the plan's bounds hold for, its wings err in proportion to it.
+    """
+    low = float(mean_e.min(initial=0.0))
+    if not np.isfinite(low) or not np.isfinite(mean_e.max(initial=0.0)):
+        raise NightglassError(f"{where(g, tile)}: {_not_finite(layers)}")
+    if low < 0.0:
+        allowed = NEGATIVE_FLOOR * plan.facts.sigma_floor_e + 1e-6 * float(mean_e.max())
+        allowed += plan.facts.budget_e
+        allowed += 2.0 * plan.responses.classes[-1].wing_error * brightest_e
+        if low < -allowed:
+            lowest = min(layers, key=lambda name: float(layers[name].min()))
+            raise NightglassError(
+                f"{where(g, tile)}: a pixel's mean is {low:.3g} e-, below zero by more than "
+                f"rounding; lowest is {lowest}"
+            )
+        return np.maximum(mean_e, 0.0)
+    return mean_e
+
+
+def _not_finite(layers: dict[str, Array]) -> str:
+    """Which layer and pixel are at fault."""
+    for name, layer in layers.items():
+        if not np.isfinite(layer).all():
+            row, column = np.argwhere(~np.isfinite(layer))[0]
+            return f"{name} is not finite at row {row}, column {column} of it"
+    return "a pixel's mean is not finite: too much light"

@@ -1,0 +1,109 @@
+"""Guards: each trips on a fault of its kind, and names frame, tile, and the source or layer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.arrays import SensorMaps
+from pipeline.errors import NightglassError
+from pipeline.execute import light as light_module
+from pipeline.execute.guards import guard_places
+from pipeline.execute.sources import place_stars
+from pipeline.execute.tile import render_tile
+from pipeline.physics.drawing import stamps
+from pipeline.plan.tiles import Tile
+from tests.execute.test_engines import SIDE, WHOLE, field, geometry_of, plan_of
+
+MAPS = SensorMaps(1.0, 0.0, 5.0, 1.0, 100.0)
+GAUSS = {"kind": "gaussian", "sigma_px": 0.8}
+
+
+def render(plan, stars):
+    return render_tile(plan, MAPS, geometry_of(plan), WHOLE, [stars], [])
+
+
+def stars(light=1e4):
+    return field(np.array([60.2, 90.7]), np.array([70.7, 70.1]), np.array([light, 2e4]))
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return plan_of(GAUSS, 0.0, 0.0)
+
+
+def test_no_fault_no_word(plan):
+    layers, _ = render(plan, stars())
+    assert layers["dn"].shape == (SIDE, SIDE)
+
+
+@pytest.mark.parametrize("light", [np.nan, np.inf])
+def test_light_that_is_not_finite_names_the_star(plan, light):
+    with pytest.raises(NightglassError, match="frame 0, tile at row 0, column 0: star 0 has"):
+        render(plan, stars(light))
+
+
+def test_a_layer_that_is_not_finite_is_named(plan):
+    dark = np.zeros((SIDE, SIDE))
+    dark[7, 9] = np.nan
+    maps = replace(MAPS, dark_e_per_s=dark)
+    with pytest.raises(NightglassError, match=r"frame 0.*dark_e is not finite at row 7, column 9"):
+        render_tile(plan, maps, geometry_of(plan), WHOLE, [stars()], [])
+
+
+def test_a_negative_mean_names_the_layer(plan):
+    maps = replace(MAPS, dark_e_per_s=np.full((SIDE, SIDE), -50.0))
+    with pytest.raises(NightglassError, match=r"-50 e-, below zero.*lowest is dark_e"):
+        render_tile(plan, maps, geometry_of(plan), WHOLE, [stars()], [])
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_light_that_is_lost_or_made_is_seen(plan, factor, monkeypatch):
+    def wrong(image, origin, table, x, y, light, cubic):
+        stamps.draw_stamps(image, origin, table, x, y, factor * light, cubic)
+
+    monkeypatch.setattr(light_module, "draw_stamps", wrong)
+    with pytest.raises(NightglassError, match=r"frame 0.*stars_e holds .* e-, where its sources"):
+        render(plan, stars())
+
+
+def test_a_part_of_the_frame_holds_a_part_of_the_light(plan):
+    """Sources at and beyond the edge make no false alarm."""
+    x, y = np.meshgrid(np.linspace(-3.0, SIDE + 2.0, 23), np.linspace(-3.0, SIDE + 2.0, 23))
+    many = field(x.ravel(), y.ravel(), np.full(x.size, 1e5))
+    part = Tile(0, 0, 16, 32, 40, 24)
+    for tile in (WHOLE, part):
+        layers, _ = render_tile(plan, MAPS, geometry_of(plan), tile, [many], [])
+        assert layers["dn"].max() > 1000
+
+
+def test_a_place_off_its_direction_is_named(plan):
+    g = geometry_of(plan)
+    x = y = np.array([20.0, 30.0])
+    from pipeline.physics.positions.focal_plane import deproject
+
+    direction = deproject(plan.camera, g.attitude[0, g.middle], x, y)
+    guard_places(plan, g.attitude[0, g.middle], x, y, direction, ["star 1", "star 2"])
+    off = x + np.array([0.0, 2e-3])
+    with pytest.raises(NightglassError, match=r"star 2: its pixel \(30\.0020, 30\.0000\)"):
+        guard_places(plan, g.attitude[0, g.middle], off, y, direction, ["star 1", "star 2"])
+
+
+def test_placing_stars_looks_at_places(plan, monkeypatch):
+    """A projection that does not agree with its inverse is refused when stars are placed."""
+    from pipeline.arrays import StarTable
+    from pipeline.execute import sources
+
+    one = np.radians([[40.0], [25.0]])
+    table = StarTable(
+        np.array([77]), one[0], one[1], *(np.full(1, np.nan) for _ in range(4)), np.array([9.0]),
+        np.array([1e4]), np.zeros(1, np.uint8),
+    )  # fmt: skip
+    g = geometry_of(plan)
+    assert len(place_stars(plan, table, g, 2015.5)) == 1
+    right = sources.project
+    monkeypatch.setattr(sources, "project", lambda *a: tuple(v + 0.01 for v in right(*a)))
+    with pytest.raises(NightglassError, match="star 77: its pixel"):
+        place_stars(plan, table, g, 2015.5)
