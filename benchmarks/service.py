@@ -4,12 +4,15 @@
 
 Everything is measured in one run on one machine, server and client in processes of their own. The
 yardstick is the same server with the same checks whose submissions are answered without storage.
+Once the same body comes again and again, as from a client in a loop (its scene is judged once), and
+once every body is another (every scene is judged).
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import itertools
 import json
 import os
 import platform
@@ -18,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -25,6 +29,7 @@ from urllib.parse import urlsplit
 from service.openapi import SCENE
 
 CONNECTIONS, BURST, HALF_OPEN, LOOKS = 32, 1000, 2000, 300
+SEED = 100_000_000  # of as many digits as those that follow it
 SERVE = """
 import sys
 from pathlib import Path
@@ -85,23 +90,32 @@ async def ask(
     return int(head[9:12]), await reader.readexactly(int(length[1]) if length else 0)
 
 
-def post(server: Server, key: str | None = None) -> bytes:
-    body = json.dumps(SCENE).encode()
+def post(server: Server, key: str | None = None, seed: int = SEED) -> bytes:
+    body = json.dumps(SCENE | {"seed": seed}).encode()
     head = f"POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n"
     head += f"Content-Type: application/json\r\nContent-Length: {len(body)}\r\n"
     head += f"Idempotency-Key: {key}\r\n" if key else ""
     return head.encode() + b"\r\n" + body
 
 
-async def submissions_a_second(server: Server, seconds: float) -> dict[str, float]:
+async def submissions_a_second(
+    server: Server, seconds: float, distinct: bool = False
+) -> dict[str, float]:
     """POSTs a second over 32 connections, and the server's processor time for each."""
-    request, counts = post(server), [0] * CONNECTIONS
-    await one_connection(server, request, time.monotonic() + 1.0, counts, 0)  # warm
+    same = post(server)
+    before, after = same.split(str(SEED).encode())
+    seeds = itertools.count(SEED + 1)
+
+    def another() -> bytes:
+        return before + str(next(seeds)).encode() + after if distinct else same
+
+    counts = [0] * CONNECTIONS
+    await one_connection(server, another, time.monotonic() + 1.0, counts, 0)  # warm
     counts = [0] * CONNECTIONS
     cpu, began = server.cpu_s(), time.monotonic()
     end = began + seconds
     await asyncio.gather(
-        *(one_connection(server, request, end, counts, i) for i in range(CONNECTIONS))
+        *(one_connection(server, another, end, counts, i) for i in range(CONNECTIONS))
     )
     took, done = time.monotonic() - began, sum(counts)
     return {
@@ -124,11 +138,11 @@ async def jobs_per_commit(server: Server) -> float:
 
 
 async def one_connection(
-    server: Server, request: bytes, end: float, counts: list[int], which: int
+    server: Server, request: Callable[[], bytes], end: float, counts: list[int], which: int
 ) -> None:
     reader, writer = await asyncio.open_connection(server.host, server.port)
     while time.monotonic() < end:
-        status, body = await ask(reader, writer, request)
+        status, body = await ask(reader, writer, request())
         assert status == 202, body
         counts[which] += 1
     writer.close()
@@ -144,14 +158,14 @@ async def burst(server: Server) -> dict[str, Any]:
         return status, json.loads(body)["id"]
 
     keys = [f"burst-{i % (BURST // 2)}" for i in range(BURST)]
-    began = time.monotonic()
+    cpu, began = server.cpu_s(), time.monotonic()
     answers = await asyncio.gather(*(one(key) for key in keys))
-    took = time.monotonic() - began
+    took, cpu = time.monotonic() - began, server.cpu_s() - cpu
     by_key: dict[str, set[str]] = {}
     for key, (_, job) in zip(keys, answers, strict=True):
         by_key.setdefault(key, set()).add(job)
     return {
-        "seconds": took, "accepted": sum(s == 202 for s, _ in answers),
+        "seconds": took, "server_cpu_s": cpu, "accepted": sum(s == 202 for s, _ in answers),
         "replayed": sum(s == 200 for s, _ in answers),
         "one_job_per_key": all(len(ids) == 1 for ids in by_key.values()),
     }  # fmt: skip
@@ -182,15 +196,19 @@ async def health_behind_half_open(server: Server) -> dict[str, float]:
 async def measure(folder: Path, seconds: float) -> dict[str, Any]:
     with Server("bare", folder / "bare") as server:
         bare = await submissions_a_second(server, seconds)
+        bare_distinct = await submissions_a_second(server, seconds, distinct=True)
     with Server("durable", folder / "durable") as server:
         durable = await submissions_a_second(server, seconds)
         durable["jobs_per_commit"] = await jobs_per_commit(server)
+        distinct = await submissions_a_second(server, seconds, distinct=True)
         together = await burst(server)
         health = await health_behind_half_open(server)
     return {
         "bare_post": bare, "durable_post": durable,
         "durable_over_bare": durable["per_s"] / bare["per_s"],
         "durable_over_bare_by_cpu": durable["per_cpu_s"] / bare["per_cpu_s"],
+        "bare_post_distinct": bare_distinct, "durable_post_distinct": distinct,
+        "durable_over_bare_distinct": distinct["per_s"] / bare_distinct["per_s"],
         "burst_of_1000": together, "health_behind_2000_half_open": health,
         "connections": CONNECTIONS, "load_average": os.getloadavg()[0],
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import os
+import pickle
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from dataclasses import dataclass, is_dataclass
 from typing import Any, Protocol
 from uuid import uuid4
 
@@ -76,7 +78,6 @@ class LocalScheduler:
             finally:  # interrupted or not, nothing runs on behind the caller's back
                 pool.shutdown(wait=True, cancel_futures=True)
 
-
     def each(
         self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
     ) -> Iterator[tuple[Any, Any]]:
@@ -145,8 +146,8 @@ class ClusterScheduler:
 
     def _submit(self, graph: dict[Any, Any], keys: list[Any]) -> list[Any]:
         """Submit under names that no other run on this scheduler uses: it shares by name."""
-        names = {key: _unique(key, uuid4().hex) for key in graph}
-        graph = {names[key]: _tried(_renamed(task, names)) for key, task in graph.items()}
+        names, once = {key: _unique(key, uuid4().hex) for key in graph}, Once()
+        graph = {names[key]: _tried(_renamed(task, names), once) for key, task in graph.items()}
         return self.client.get(graph, [names[key] for key in keys], sync=False)
 
     def _wait(self, futures: list[Any], done: Progress) -> None:
@@ -181,6 +182,11 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.scheduler.allowed-failures": 3,
         "distributed.worker.profile.enabled": False,
+        # Looked at 10 to 1000 times a second by default, in every process: a tenth of a short job.
+        "distributed.admin.tick.interval": "500ms",
+        "distributed.admin.system-monitor.interval": "5s",
+        "distributed.admin.system-monitor.gil.enabled": False,
+        "distributed.worker.memory.monitor-interval": "500ms",
         "distributed.logging.distributed": "error",
     })  # fmt: skip
     if kind == "processes":
@@ -209,12 +215,43 @@ def _outcome(function: Callable[[Any, Any], Any], shared: Any, item: Any) -> Any
         return error
 
 
-def _tried(task: Any) -> Any:
-    return (_try, *task) if type(task) is tuple and callable(task[0]) else task
+@dataclass(frozen=True)
+class Packed:
+    """A value that tasks share, pickled: Dask would pickle it anew for every task, twice, with a
+    frame of its own for each of its arrays."""
+
+    name: str
+    data: bytes
+
+    def __dask_tokenize__(self) -> str:
+        return self.name
+
+
+class Once:
+    """Packs each dataclass among the arguments of tasks once, however many tasks it goes to."""
+
+    def __init__(self) -> None:
+        self._kept: dict[int, tuple[Any, Packed]] = {}
+
+    def pack(self, value: Any) -> Any:
+        """The value itself where it is no dataclass."""
+        if not is_dataclass(value) or isinstance(value, type):
+            return value
+        if id(value) not in self._kept:
+            packed = Packed(uuid4().hex, pickle.dumps(value, pickle.HIGHEST_PROTOCOL))
+            self._kept[id(value)] = value, packed
+        return self._kept[id(value)][1]
+
+
+def _tried(task: Any, once: Once) -> Any:
+    if type(task) is tuple and callable(task[0]):
+        return (_try, task[0], *map(once.pack, task[1:]))
+    return task
 
 
 def _try(function: Callable[..., Any], *arguments: Any) -> Any:
     """Call it; what fails is tried again, but not what one of our messages explains."""
+    arguments = tuple(pickle.loads(a.data) if type(a) is Packed else a for a in arguments)
     for _ in range(MOST_TRIES - 1):
         try:
             return function(*arguments)

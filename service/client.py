@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import time
 import uuid
@@ -15,6 +16,7 @@ import httpx
 from pipeline.errors import BadInput, NightglassError
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     import xarray as xr
 
 KEY_VARIABLE = "NIGHTGLASS_KEY"
@@ -91,6 +93,16 @@ class Client:
         headers = {"Idempotency-Key": idempotency_key or str(uuid.uuid4())}
         answer = self.ask("POST", "/v1/jobs", json=_data(scene), headers=headers)
         return RemoteJob(self, answer.json())
+
+    def sweep(self, sweep: Scene, idempotency_key: str | None = None) -> RemoteJob:
+        """Submit a sweep, as `submit` does a scene; its base scene may be a file beside it."""
+        data = _data(sweep)
+        base = data.get("scene") if isinstance(data, dict) else None
+        if isinstance(base, str):
+            folder = Path() if isinstance(sweep, Mapping) else Path(sweep).parent
+            data = data | {"scene": _data(folder / base)}
+        headers = {"Idempotency-Key": idempotency_key or str(uuid.uuid4())}
+        return RemoteJob(self, self.ask("POST", "/v1/sweeps", json=data, headers=headers).json())
 
     def plan(self, scene: Scene) -> dict[str, Any]:
         """What a scene needs and why, planned by the server; nothing is rendered."""
@@ -211,6 +223,14 @@ class RemoteJob:
         """The report of its product."""
         return self.client.ask("GET", f"{self.path}/report").json()
 
+    def points(self) -> pa.Table:
+        """The table of a sweep's points: their values and what was measured."""
+        import pyarrow.parquet as pq
+
+        self._complete("sweep")
+        answer = self.client.ask("GET", f"{self.path}/results/points.parquet")
+        return pq.read_table(io.BytesIO(answer.content))
+
     def open(self, folder: Path | str | None = None) -> xr.Dataset:
         """Its cube as an xarray Dataset.
 
@@ -247,7 +267,10 @@ class RemoteJob:
         with shown as listen:
             return fetch_product(self, Path(folder), parallel, listen)
 
-    def _complete(self) -> None:
+    def _complete(self, kind: str = "scene") -> None:
+        if self.facts["kind"] != kind:
+            allowed = "a scene's job; a sweep's table comes by points()"
+            raise BadInput("job", self.id, allowed if kind == "scene" else "a sweep's job")
         if self.phase != "COMPLETED":
             self.refresh()
         if self.phase in ("ERROR", "ABORTED"):

@@ -143,9 +143,11 @@ def _complete(document: dict[str, Any]) -> dict[str, Any]:
                 answers[status] = {"description": told}
     body = document["paths"]["/v1/jobs"]["post"]["requestBody"]["content"]["application/json"]
     body["examples"] = {"sidereal": {"summary": "two short frames, no stars", "value": SCENE}}
-    document["paths"]["/v1/jobs"]["post"]["responses"]["200"]["content"]["application/json"] = {
-        "schema": {"anyOf": [A_JOB, {"type": "object", "description": "a plan (dry_run)"}]}
-    }
+    planned = {"anyOf": [A_JOB, {"type": "object", "description": "a plan (dry_run)"}]}
+    for path in ("/v1/jobs", "/v1/sweeps"):
+        if path in document["paths"]:
+            answer = document["paths"][path]["post"]["responses"]["200"]
+            answer["content"]["application/json"] = {"schema": planned}
     if "/readyz" in document["paths"]:
         document["paths"]["/readyz"]["get"]["responses"]["503"]["content"] = {
             "application/json": {"schema": ANY_OBJECT}

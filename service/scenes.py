@@ -81,10 +81,19 @@ def _uploaded(value: str, has_file: HasFile | None) -> bool:
     return known and has_file is not None and has_file(file_id)
 
 
+def product_bytes_of(scene: Scene) -> int:
+    """Bytes of a scene's product before compression: the most that it takes on disk."""
+    dn = next(n for n in (1, 2, 4, 8) if 8 * n >= scene.sensor.adc_bits)
+    return pixel_frames_of(scene) * sum(dn if n == "dn" else 4 for n in scene.output.layers)
+
+
 def _size_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
-    asked = pixel_frames_of(scene)
-    if asked <= settings.pixel_frames:
-        return []
-    allowed = f"frames x pixels of at most {settings.pixel_frames} (asked: {asked})"
-    field = "exposure.frames" if scene.dwells is None else "dwells"
-    return [(field, frame_count(scene), allowed)]
+    asked, forecast = pixel_frames_of(scene), product_bytes_of(scene)
+    if asked > settings.pixel_frames:
+        allowed = f"frames x pixels of at most {settings.pixel_frames} (asked: {asked})"
+        field = "exposure.frames" if scene.dwells is None else "dwells"
+        return [(field, frame_count(scene), allowed)]
+    if forecast > settings.product_bytes:
+        allowed = f"layers of at most {settings.product_bytes} bytes in all (asked: {forecast})"
+        return [("output.layers", list(scene.output.layers), allowed)]
+    return []

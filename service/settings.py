@@ -31,6 +31,7 @@ class Settings:
     answer_s : how long an answer may be in the making, beside what ?wait= allows
     upload_bytes, upload_s : largest uploaded file, and how long sending it may take
     pixel_frames : most frames x pixels of one scene
+    product_bytes : most bytes of one scene's product before compression, all its layers
     targets : most targets of a scene
     sweep_points : most points of a sweep
     queued_jobs, running_jobs, pixel_frames_day, bytes_kept : what one team may have waiting, may
@@ -64,6 +65,7 @@ class Settings:
     upload_bytes: int = 1 << 26
     upload_s: float = 300.0
     pixel_frames: int = 1 << 32
+    product_bytes: int = 1 << 36
     targets: int = 10_000
     sweep_points: int = 1_000_000
     queued_jobs: int = 1000

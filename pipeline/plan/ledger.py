@@ -92,6 +92,9 @@ LEDGER = (
          "tests/physics/targets/test_eclipse.py::test_against_caps_on_the_sphere"),
     Rule(("targets.earthshine",), "where lighting asks for it",
          "tests/physics/targets/test_earthshine.py::test_against_a_fine_earth"),
+    Rule(("rolling_shutter",), "where the detector's readout asks for it; refused where its bounds "
+         "do not hold",
+         "tests/execute/test_rolling_shutter.py::test_stars_against_each_rows_own_exposure"),
     Rule(("targets.earthshine_on_meshes",), "where lighting asks for it on a mesh",
          "tests/plan/test_mesh_earthshine.py::test_against_every_lamp_traced"),
     Rule(("targets.light_table",), "where the frames need many moments of a mesh's light, and a "

@@ -51,7 +51,7 @@ async def submit(
     found = await service.scenes.read(service.caller.team, body, service.has_file)
     if dry_run:
         allow_time(request, settings.plan_s + settings.answer_s)
-        return await _plan(service, found.scene())
+        return JSONResponse(await plan_of(service, found.scene()))
     ask = service.store.ask(
         found.name, found.text, found.body_sha256, idempotency_key,
         pixel_frames=found.pixel_frames,
@@ -97,11 +97,12 @@ def taken(service: Context, job: Job, made: bool) -> Response:
     return Response(body, 202 if made else 200, headers, "application/json")
 
 
-async def _plan(service: Context, scene: dict[str, Any]) -> Response:
+async def plan_of(service: Context, scene: dict[str, Any]) -> dict[str, Any]:
+    """The plan of an accepted scene, made by a process of its own."""
     data = engine_scene(scene, service.settings)
     async with service.plans:
-        return JSONResponse(
-            await run_in_threadpool(plan_dry, data, service.settings, service.dispatcher.stopping)
+        return await run_in_threadpool(
+            plan_dry, data, service.settings, service.dispatcher.stopping
         )
 
 

@@ -6,14 +6,16 @@ import hashlib
 import json
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Request
-from fastapi.responses import Response
+from fastapi import APIRouter, Header, Query, Request
+from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.bodies import parse_json, read_body
 from service.context import Service
-from service.routes.jobs import check_key, json_body, taken
+from service.gate import allow_time
+from service.routes.jobs import check_key, json_body, plan_of, taken
 from service.sweeps import accept_sweep, can_run
+from service.teams import pixel_frames_of
 
 router = APIRouter(prefix="/v1/sweeps", tags=["sweeps"], include_in_schema=can_run())
 SWEEP_BODY = json_body("A sweep: a base scene and axes over its keys.")
@@ -23,15 +25,22 @@ SWEEP_BODY = json_body("A sweep: a base scene and axes over its keys.")
 async def submit(
     request: Request,
     service: Service,
+    dry_run: Annotated[bool, Query(description="answer the plan; make no job")] = False,
     idempotency_key: Annotated[str | None, Header()] = None,
 ) -> Response:
-    """Queue a sweep: 202 and where its job is; 200 for a key that was used with this body."""
+    """Queue a sweep: 202 and where its job is; 200 for a key that was used with this body. With
+    `dry_run` its size, and the plan of its base scene."""
     check_key(idempotency_key)
     body = await read_body(request, service.settings.body_bytes, service.settings.body_s)
     data = parse_json(body)
     sweep, pixel_frames = await run_in_threadpool(
         accept_sweep, data, service.settings, service.has_file
     )
+    if dry_run:
+        allow_time(request, service.settings.plan_s + service.settings.answer_s)
+        plan = await plan_of(service, sweep["scene"])
+        points = pixel_frames // pixel_frames_of(sweep["scene"])
+        return JSONResponse({"points": points, "pixel_frames": pixel_frames, "base": plan})
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
     name = str(data.get("name", "sweep"))[:128]
     ask = service.store.ask(

@@ -173,7 +173,8 @@ def test_slurm_starts_workers(tmp_path, monkeypatch):
     bin_ = tmp_path / "bin"
     bin_.mkdir()
     (bin_ / "sbatch").write_text(
-        f"#!/bin/sh\ncp \"$1\" {tmp_path}/script\nsetsid sh \"$1\" >{tmp_path}/log 2>&1 &\n"
+        f"#!/bin/sh\ncp \"$1\" {tmp_path}/script\n"  # the caller removes its own at once
+        f"setsid sh {tmp_path}/script >{tmp_path}/log 2>&1 &\n"
         "echo \"Submitted batch job $!\"\n"
     )  # fmt: skip
     (bin_ / "scancel").write_text('#!/bin/sh\nkill -- "-$1" 2>/dev/null\nexit 0\n')

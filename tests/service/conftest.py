@@ -79,9 +79,8 @@ def database(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return request.getfixturevalue("postgres").database()
 
 
-@pytest.fixture(scope="session")
-def make_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Server]]:
-    """Start more servers: `make_server(NIGHTGLASS_X="1")`, each on a folder of its own."""
+def _servers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Server]]:
+    """Make servers; all are stopped at the end, with what they still run."""
     made: list[Server] = []
 
     def make(home: Path | None = None, **environment: str) -> Server:
@@ -94,12 +93,25 @@ def make_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[.
             server.stop()
 
 
+@pytest.fixture
+def make_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Server]]:
+    """Start servers for one test: `make_server(NIGHTGLASS_X="1")`, each on a folder of its own."""
+    yield from _servers(tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def keep_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Server]]:
+    """Start servers that all tests of a module share."""
+    yield from _servers(tmp_path_factory)
+
+
 class Server:
     """`service.main.serve` as a process, and a client that talks to it; its log is a file."""
 
     def __init__(self, home: Path, **environment: str) -> None:
         self.home, self.environment = home, environment
-        self.log = home.parent / f"{home.name}.log"
+        # its own, also where several serve one folder: its address is read from it
+        self.log = home.parent / f"{home.name}-{time.monotonic_ns()}.log"
         self.start()
 
     def start(self, port: int = 0) -> None:

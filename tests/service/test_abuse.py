@@ -30,9 +30,9 @@ HUGE = 200 << 20
 
 
 @pytest.fixture(scope="module")
-def hasty(make_server: Callable[..., Any]) -> Any:
+def hasty(keep_server: Callable[..., Any]) -> Any:
     """A server that waits for nobody."""
-    server = make_server(
+    server = keep_server(
         NIGHTGLASS_HEAD_S="1.5", NIGHTGLASS_BODY_S="1.5", NIGHTGLASS_UPLOAD_BYTES=str(1 << 20)
     )
     for _ in range(3):  # imports and pools are there before memory is looked at

@@ -87,9 +87,9 @@ def test_the_command(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def guarded(make_server: Callable[..., Any]) -> Any:
+def guarded(keep_server: Callable[..., Any]) -> Any:
     """A server that was open, until a key was made while it ran."""
-    server = make_server()
+    server = keep_server()
     assert server.client.get("/v1/jobs").status_code == 200
     engine = connect(sqlite_url(server.home / "jobs.sqlite"))
     server.keys = {team: create_key(engine, team) for team in ("red", "blue")}

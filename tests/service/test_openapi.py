@@ -17,9 +17,9 @@ STREAMS = ("/events",)
 
 
 @pytest.fixture(scope="module")
-def quick(make_server: Callable[..., Any]) -> Any:
+def quick(keep_server: Callable[..., Any]) -> Any:
     """A server that plans for a second at most, and runs nothing large."""
-    return make_server(NIGHTGLASS_PLAN_S="1", NIGHTGLASS_PIXEL_FRAMES=str(1 << 14))
+    return keep_server(NIGHTGLASS_PLAN_S="1", NIGHTGLASS_PIXEL_FRAMES=str(1 << 14))
 
 
 def test_the_example_is_accepted(server: Any) -> None:

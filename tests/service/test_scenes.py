@@ -113,6 +113,19 @@ def test_each_name_of_a_list_is_registered(scene: dict[str, Any], tmp_path: Path
             accept_scene(scene, service)
 
 
+def test_a_product_may_not_be_too_large(tmp_path: Path, scene: dict[str, Any]) -> None:
+    """Frames x pixels of each layer: 2 bytes of dn (1 to 8 by its bits), 4 of any other."""
+    scene["output"] = {"layers": ["dn", "mean_e"]}
+    for bits, each in ((16, 6), (8, 5), (17, 8), (40, 12)):
+        scene["sensor"]["adc_bits"] = bits
+        most = each * 2 * 64 * 64
+        accept_scene(scene, Settings(tmp_path, product_bytes=most))
+        with pytest.raises(NotAllowed) as caught:
+            accept_scene(scene, Settings(tmp_path, product_bytes=most - 1))
+        [told] = caught.value.errors
+        assert (told["pointer"], str(most) in told["allowed"]) == ("/output/layers", True)
+
+
 def test_pointers() -> None:
     assert pointer("sensor.shape.0") == "/sensor/shape/0"
     assert pointer("stars.catalogue[1]") == "/stars/catalogue/1"

@@ -5,9 +5,13 @@ from __future__ import annotations
 import copy
 import io
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+from pipeline.errors import BadInput
+from service.client import Client
 
 pytest.importorskip("pipeline.sweep.run", reason="the runner of sweeps is not there")
 
@@ -21,6 +25,39 @@ def sweep(scene: dict[str, Any]) -> dict[str, Any]:
         "scene": scene,
         "axes": [{"field": "sensor.read_noise_e", "values": [1.0, 2.0, 4.0, 8.0]}],
     }
+
+
+def test_a_dry_run_answers_size_and_plan_and_makes_no_job(
+    server: Any, sweep: dict[str, Any]
+) -> None:
+    def count() -> int:
+        return sum(server.client.get("/v1/usage").json()["jobs"].values())
+
+    before = count()
+    answer = server.client.post("/v1/sweeps?dry_run=1", json=sweep)
+    assert answer.status_code == 200, answer.text
+    told = answer.json()
+    assert (told["points"], told["pixel_frames"]) == (4, 4 * 2 * 64 * 64)
+    assert told["base"] == server.client.post("/v1/jobs?dry_run=1", json=sweep["scene"]).json()
+    assert count() == before
+
+
+def test_by_the_client(server: Any, sweep: dict[str, Any], tmp_path: Path) -> None:
+    """A file whose base scene is another one beside it; the table of its points; no frames."""
+    (tmp_path / "base.json").write_text(json.dumps(sweep["scene"]))
+    (tmp_path / "sweep.json").write_text(json.dumps(sweep | {"scene": "base.json"}))
+    with Client(server.url) as client:
+        job = client.sweep(tmp_path / "sweep.json", "by-client")
+        assert client.sweep(sweep, "by-client").id == job.id  # the same body
+        table = job.wait(progress=False).points()
+        assert table["sensor.read_noise_e"].to_pylist() == [1.0, 2.0, 4.0, 8.0]
+        for ask in (job.open, lambda: job.fetch(tmp_path / "out")):
+            with pytest.raises(BadInput, match=r"points\(\)"):
+                ask()
+        job.delete()
+        (tmp_path / "base.json").unlink()
+        with pytest.raises(BadInput, match=r"base\.json"):
+            client.sweep(tmp_path / "sweep.json")
 
 
 def test_a_sweep_is_a_job(server: Any, sweep: dict[str, Any]) -> None:

@@ -30,24 +30,29 @@ def _crossing(work, k, y):
 def free_spans(work, near, y):
     """Pieces of a line across the facet that no polygon covers: into begin, end; their number.
 
-    near : how many rows of work.near hold polygons that the line may cross
+    near : how many rows of work.near hold polygons that the line may cross; they are put in the
+        order in which it enters them, so that the next line, which is close, finds them sorted
     """
-    begin, end = work.begin, work.end
+    begin, end, rows = work.begin, work.end, work.near
     a, b = _crossing(work, 0, y)
     if not a < b:
         return 0
     count = 0
     for n in range(near):
-        k = work.near[n]
+        k = rows[n]
         if work.low[k] <= y < work.high[k]:
             p, q = _crossing(work, k, y)
             p, q = max(p, a), min(q, b)
             if p < q:
+                if p == a and q == b:
+                    rows[n], rows[0] = rows[0], k
+                    return 0
+                rows[n] = rows[count]
                 i = count  # insertion by rising start
                 while i > 0 and begin[i - 1] > p:
-                    begin[i], end[i] = begin[i - 1], end[i - 1]
+                    begin[i], end[i], rows[i] = begin[i - 1], end[i - 1], rows[i - 1]
                     i -= 1
-                begin[i], end[i] = p, q
+                begin[i], end[i], rows[i] = p, q, k
                 count += 1
     free, reach = 0, a
     for i in range(count):
