@@ -13,7 +13,6 @@ from pipeline.arrays import Array, FrameStars, Geometry, concatenate
 from pipeline.execute.blocks import around, class_of, parts_of, target_class
 from pipeline.execute.sources import (
     FrameTarget,
-    distance_px,
     drawing_order,
     excursion_px,
     place_targets,
@@ -159,7 +158,7 @@ def _star_groups(
     middle = at.x0 + 0.5 * (at.columns - 1), at.y0 + 0.5 * (at.rows - 1)
     aberration = plan.scene.star_effects["aberration"]
     path = exact_path(plan.camera, g, *middle, aberration)
-    own = _brightest(near, at, excursion_px(plan, g) + WINDOW_PX, own_paths)
+    own = _brightest(near, middle, path, own_paths)
     groups = [(near.x_px[~own], near.y_px[~own], near.light_e[~own], path)]
     for i in np.flatnonzero(own):
         x, y, light = near.x_px[[i]], near.y_px[[i]], near.light_e[[i]]
@@ -168,9 +167,22 @@ def _star_groups(
     return groups
 
 
-def _brightest(stars: FrameStars, at: Tile, radius: float, count: int) -> NDArray[np.bool_]:
-    """Which stars (n,) are the `count` brightest of those that may pass through a window."""
-    near = distance_px(stars.x_px, stars.y_px, at.y0, at.x0, at.rows, at.columns) < radius
+def _brightest(
+    stars: FrameStars, middle: tuple[float, float], path: Path, count: int
+) -> NDArray[np.bool_]:
+    """Which stars (n,) are the `count` brightest of those that pass through a window or near it.
+
+    middle : (x, y) of the window; path : of a star there
+    """
+    x, y = middle[0] - stars.x_px, middle[1] - stars.y_px
+    apart = np.full(len(stars), np.inf)
+    for k in range(path.segments):
+        x0, y0, x1, y1 = path.x_px[k], path.y_px[k], path.x_px[k + 1], path.y_px[k + 1]
+        dx, dy = x1 - x0, y1 - y0
+        share = ((x - x0) * dx + (y - y0) * dy) / max(dx * dx + dy * dy, 1e-300)
+        share = np.clip(share, 0.0, 1.0)
+        apart = np.minimum(apart, np.hypot(x - x0 - share * dx, y - y0 - share * dy))
+    near = apart < 2.0 * WINDOW_PX
     light = np.where(near, stars.light_e, -1.0)
     chosen = np.zeros(len(stars), bool)
     chosen[np.argsort(-light, kind="stable")[:count]] = True

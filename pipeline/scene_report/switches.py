@@ -120,7 +120,11 @@ def switches(stage: Stage, tiles: tuple[Tile, ...]) -> Iterator[Switch]:
     if _in_crowds(stage, tiles):
         stamps = replace(plan, responses=replace(plan.responses, spectral_from=0))
         yield from told("crowds_by_transforms", light_by(stage, stamps))
-    yield from told("wings_on_a_coarse_grid", light_by(stage, _finer_wings(plan)))
+    finer = light_by(stage, _without_tables(_finer_wings(plan)))
+    yield from told(
+        "wings_on_a_coarse_grid", finer, on=light_by(stage, plain),
+        one_by_one=plan.scene.stars is not None,
+    )  # fmt: skip
     if "wings_cut_off" in bounds:
         bound = cut_e(plan, brightest_e(stage))
         yield Switch("wings_cut_off", on, light_by(stage, _farther(stage)), bound, of_light=True)
