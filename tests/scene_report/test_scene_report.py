@@ -18,7 +18,7 @@ from pipeline.scene_report.figure import ladder_figure
 from pipeline.scene_report.report import report_scenes
 from pipeline.spec.load import parse_scene
 
-NAMES, RUNGS = ("sidereal-sparse", "earth-limb"), "0.5,0.05"
+NAMES, RUNGS = ("sidereal-sparse", "earth-limb"), "0.05"
 ROW = {
     "noise_fraction", "flux_fraction", "cpu_s", "wall_s", "again_cpu_s", "again_wall_s", "peak_mb",
     "before_mb", "stars", "targets", "engine", "noise_floor_e", "light_left_out", "max_sigma",
@@ -60,7 +60,7 @@ def test_bounds_hold_and_nothing_lacks(report):
     found = json.loads((report / "report.json").read_text())
     assert [s["scene"] for s in found["scenes"]] == list(NAMES)
     for scene in found["scenes"]:
-        assert [r["noise_fraction"] for r in scene["rungs"]] == [0.5, 0.05]
+        assert [r["noise_fraction"] for r in scene["rungs"]] == [0.05]
         for row in scene["rungs"]:
             assert set(row) >= ROW
             assert row["of_bound"] <= 1.0
