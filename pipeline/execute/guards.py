@@ -54,25 +54,27 @@ def guard_places(
 
 
 def guard_light(
-    plan: Plan, g: Geometry, tile: Tile, layer: str, image_e: Array, light_e: Array,
-    inside: np.ndarray,
+    plan: Plan, g: Geometry, tile: Tile, layer: str, image_e: Array, cores_e: float,
+    light_e: Array, inside: np.ndarray,
 ) -> None:  # fmt: skip
     """Raise where a tile holds more light than its sources send, or less than those inside it do.
 
-    image_e : light of the layer in the tile; light_e : (n,) of every source that may reach it;
-    inside : (n,) which of them send all but the light left out into the tile
+    image_e : light of the layer in the tile, cores_e : that without wings, which come from farther
+    sources too; light_e : (n,) of every source whose core may reach it; inside : (n,) which of them
+    send all but the light left out into the tile
     """
     total, most = float(image_e.sum()), float(light_e.sum())
     r = plan.responses
     least = float(light_e[inside].sum()) * r.blur.fill_factor * (1.0 - min(1.0, r.lost_light))
     allowed = plan.scene.accuracy.flux_fraction * most + r.budget_e * np.sqrt(image_e.size)
-    if least - allowed <= total <= most + allowed:
+    wings_e = abs(total - cores_e)  # of very bright sources elsewhere they may ring below zero
+    if least - allowed <= cores_e + wings_e and cores_e <= most + allowed:
         return
     if not np.isfinite(total):
         return  # `guard_mean` says more
     raise NightglassError(
-        f"{where(g, tile)}: {layer} holds {total:.8g} e-, where its sources send "
-        f"{least:.8g} to {most:.8g} e-"
+        f"{where(g, tile)}: {layer} holds {total:.8g} e- with cores of {cores_e:.8g} e-, where its "
+        f"sources send {least:.8g} to {most:.8g} e-"
     )
 
 

@@ -41,10 +41,11 @@ def draw_stars(
             _draw_stamps(plan, g, piece, part, paths, mine)
             if block.crowd_e is not None:
                 piece += _cut(block.crowd_e, block.place, part)
+    cores_e = float(image.sum())
     for block in blocks:
         add_wings_of(image, tile, block, block.star_wings)
     inside = inside_tile(plan, tile, every.x_px, every.y_px, _sweep(paths))
-    guard_light(plan, g, tile, "stars_e", image, every.light_e, inside)
+    guard_light(plan, g, tile, "stars_e", image, cores_e, every.light_e, inside)
     return image
 
 
@@ -63,12 +64,13 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
         for x0, y0, piece, share in pieces(target.path):
             x, y = target.x_px + x0, target.y_px + y0
             draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
+    cores_e = float(image.sum())
     for block in blocks:
         add_wings_of(image, tile, block, block.target_wings)
     every = np.array([(t.x_px, t.y_px, t.light_e) for t in targets]).reshape(-1, 3)
     sweep = max((t.path.length_px + t.radius_px for t in targets), default=0.0)
     inside = inside_tile(plan, tile, every[:, 0], every[:, 1], sweep)
-    guard_light(plan, g, tile, "targets_e", image, every[:, 2], inside)
+    guard_light(plan, g, tile, "targets_e", image, cores_e, every[:, 2], inside)
     return image
 
 

@@ -90,7 +90,12 @@ def place_stars(
 def guard_some(
     plan: Plan, g: Geometry, x_px: Array, y_px: Array, observed: Array, source_id: Array
 ) -> None:
-    """Look at the places of a few of the stars that stand on the frame."""
+    """Look at the places of a few of the stars that stand on the frame.
+
+    Not with a rolling shutter, where each star's place is of its own row's time.
+    """
+    if plan.camera.line_s:
+        return
     some = np.arange(0, len(x_px), max(1, len(x_px) // LOOKED_AT))
     frame = (0, 0, plan.camera.rows, plan.camera.columns)
     some = some[distance_px(x_px[some], y_px[some], *frame) <= 0.0]

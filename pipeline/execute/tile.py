@@ -68,9 +68,7 @@ def render_tile(
             value = mean if name == "mean_e" else layers.get(name, np.zeros(mean.shape))
             out[name] = value.astype(np.float32)
     sources = [image for name, image in light.items() if name in ("stars_e", "targets_e")]
-    return out, check_tile(
-        plan, g, tile, parts, sources, lambda part: noise_e(mean, chain, part)
-    )
+    return out, check_tile(plan, g, tile, parts, sources, lambda part: noise_e(mean, chain, part))
 
 
 def charge_of_tile(

@@ -58,7 +58,11 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "g_mag": stars.g_mag,
         "electrons": stars.light_e,
         "snr": matched_snr(
-            plan, paths[len(paths) // 2].path, stars.light_e, stars.x_px, stars.y_px,
+            plan,
+            paths[len(paths) // 2].path,
+            stars.light_e,
+            stars.x_px,
+            stars.y_px,
             int(g.frame[0]),
         ),
         "colour_flag": stars.colour_flag,
