@@ -81,6 +81,7 @@ def test_same_bits_for_threads(workers, scene, reference, tmp_path):
     assert_same(tmp_path / "run", report, reference)
 
 
+@pytest.mark.slow
 def test_same_bits_for_processes(scene, reference, tmp_path):
     tile = {"output": {"layers": ["dn", "stars_e", "targets_e"], "tile_shape": [256, 256]}}
     report = render(scene(tile), tmp_path / "run", Options("processes", 2))

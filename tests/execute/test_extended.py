@@ -45,7 +45,11 @@ def drawn(tmp_path, *args):
 PSFS = [{"kind": "gaussian", "sigma_px": 0.8}, {"kind": "airy", "wavelengths": 1}]
 
 
-@pytest.mark.parametrize("psf", PSFS, ids=["gaussian", "airy"])
+@pytest.mark.parametrize(
+    "psf",
+    [pytest.param(PSFS[0], id="gaussian"),
+     pytest.param(PSFS[1], id="airy", marks=pytest.mark.slow)],
+)  # fmt: skip
 def test_disc_of_many_pixels(psf, tmp_path):
     image, truth, report = drawn(tmp_path, 400.0, psf)
     assert truth["extended"]

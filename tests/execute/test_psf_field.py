@@ -146,7 +146,10 @@ def test_all_light_is_drawn_at_every_place(catalogue):
         assert image.min() >= -1e-6 * image.max()
 
 
-@pytest.mark.parametrize("psfs", [CORNERS, TILTED], ids=["gaussian", "airy"])
+@pytest.mark.parametrize(
+    "psfs",
+    [pytest.param(CORNERS, id="gaussian"), pytest.param(TILTED, id="airy", marks=pytest.mark.slow)],
+)
 def test_same_bits_in_any_part(psfs, catalogue):
     made = planned(catalogue, field(psfs), 12.0)
     rng = np.random.default_rng(2)

@@ -104,7 +104,7 @@ def test_few_frames_need_none(tmp_path: Path) -> None:
     assert decide_tables(scene) == []
 
 
-@pytest.mark.parametrize("frames", [8, 900])
+@pytest.mark.parametrize("frames", [8, pytest.param(900, marks=pytest.mark.slow)])
 def test_same_frame_in_any_window(frames: int, tmp_path: Path) -> None:
     """With and without a table, also in earthshine and where the body turns slowly."""
     slow = {"kind": "spin", "rate_deg_s": 0.1, "axis": [1, 0.2, 0.1]}
