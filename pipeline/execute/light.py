@@ -21,6 +21,8 @@ from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak, exact_path
 from pipeline.plan.tiles import Tile, overlap
 
+FEW_FROM_CLASS = 2  # core class from which bright streaked stars are too few for tables
+
 
 def draw_stars(
     plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
@@ -77,13 +79,17 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
 def _draw_stamps(
     plan: Plan, g: Geometry, image: Array, tile: Tile, paths: list[Streak], stars: FrameStars
 ) -> None:
-    """Stars by stamps, class by class and zone by zone."""
+    """Stars by stamps, class by class and zone by zone.
+
+    Bright ones of large cores are few, and their tables large: each goes along its own path.
+    """
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
     for k in range(len(plan.responses.classes)):
         for zone in np.unique(zones[classes == k]):
             mine = select(stars, (classes == k) & (zones == zone))
             streak = paths[zone]
-            own, bright = mine.light_e > streak.own_from_e, mine.light_e > streak.mixed_from_e
+            bright = mine.light_e > streak.mixed_from_e
+            own = bright if k >= FEW_FROM_CLASS else mine.light_e > streak.own_from_e
             usual, mixed = select(mine, ~bright), select(mine, bright & ~own)
             draw_along(plan, g, image, tile, select(mine, own))
             for piece in streak.pieces:
