@@ -74,6 +74,7 @@ def test_small_and_faint_bodies_are_points(tmp_path):
     assert image.sum() == pytest.approx(truth["electrons"], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_same_bits_for_every_tile(tmp_path):
     whole, *_ = drawn(tmp_path, 400.0, PSFS[1])
     made = scene(400.0, PSFS[1]).as_dict()
