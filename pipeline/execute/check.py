@@ -131,7 +131,8 @@ def reference(
         for t in targets
         if t.body is None
     ]
-    groups = [*_star_groups(plan, g, at, near, own_paths), *points]
+    followed = _star_groups(plan, g, at, near, own_paths)
+    groups = [*followed, *points]
     work = list(_pieces(plan, at, groups))
     cost = sum(len(x) * terms(core, piece, (at.rows, at.columns)) for core, piece, x, _, _ in work)
     bodies = [t for t in targets if t.body is not None]
@@ -142,7 +143,9 @@ def reference(
     for core, piece, x, y, light in work:
         image += draw_direct(core, piece, image.shape, (at.y0, at.x0), x, y, light)
     if plan.responses.spacing_px:
-        for x, y, light, path in [*_star_groups(plan, g, at, near, OWN_PATHS), *points]:
+        if own_paths != OWN_PATHS:
+            followed = _star_groups(plan, g, at, near, OWN_PATHS)
+        for x, y, light, path in [*followed, *points]:
             _add_fine_wings(plan, image, at, x, y, light, path)
     for body in bodies:
         _add_body(plan, image, at, body)
