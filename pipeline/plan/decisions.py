@@ -7,6 +7,7 @@ import math
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.focal_plane import area_ratio_range, stretch
 from pipeline.physics.psf.band import BandOptics
+from pipeline.physics.psf.product import PHASES
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
@@ -204,12 +205,16 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         )  # fmt: skip
     if not (scene.stars or scene.targets):
         return out
+    how = (
+        f"column times row, interpolated cubically between {PHASES} phases a pixel" if r.products
+        else f"interpolated between {r.classes[0].phases} phases a pixel, linearly where that errs "
+        f"by at most {budget:.3g} e-, else cubically"
+    )  # fmt: skip
     out.append(
         Decision(
             "phase_interpolation", True,
-            f"stars are interpolated between {r.classes[0].phases} phases a pixel, linearly where "
-            f"that errs by at most {budget:.3g} e-, else cubically; the bound holds for a pixel at "
-            "the noise floor and grows with the noise of a pixel that holds more light",
+            f"stars are {how}; the bound holds for a pixel at the noise floor and grows with the "
+            "noise of a pixel that holds more light",
             **bound(budget),
         )
     )  # fmt: skip

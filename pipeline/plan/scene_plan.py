@@ -30,10 +30,9 @@ from pipeline.plan.responses import (
     BLOCK_PX,
     SPECTRAL_S,
     SPECTRAL_S_PER_PIXEL,
-    STAMP_S,
-    STAMP_S_PER_PIXEL,
     ResponsePlan,
     plan_responses,
+    stamp_s,
 )
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
@@ -277,10 +276,8 @@ def _drawing_s(plan: Plan, stars: int) -> float:
         pixels = math.prod(plan.scene.sensor.shape)
         many, together = len(r.blurs), stars * min(4, len(r.blurs))
         return SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many + SPECTRAL_S * together
-    radius, piece_px = r.classes[0].radius_px, r.streaks.longest_px / r.streaks.pieces
-    stamp = math.pi * radius**2 + 2.0 * radius * piece_px
     drawn = stars * min(4, len(r.blurs))  # by the responses around each
-    return drawn * r.streaks.pieces * (STAMP_S + STAMP_S_PER_PIXEL * stamp)
+    return drawn * r.streaks.pieces * stamp_s(r)
 
 
 def _rule(decision: Decision) -> dict[str, Any]:
