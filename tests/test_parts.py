@@ -71,7 +71,7 @@ def test_parts_one_after_the_other(tmp_path, whole):
 
 
 def test_parts_side_by_side_and_one_killed(tmp_path, whole):
-    """Three processes start at once into a folder that is not there; one is killed and run again."""
+    """Three processes start at once into a folder that is not there; a killed one is run again."""
     (tmp_path / "scene.json").write_text(json.dumps(SCENE))
 
     def start(k: int) -> subprocess.Popen:
