@@ -96,7 +96,7 @@ def _draw_stamps(
                 if len(mixed):
                     places = mixed.x_px, mixed.y_px, mixed.light_e
                     for path, x, y, light in streak.mixture(piece, *places):
-                        _draw_piece(plan, image, tile, k, core.mixed_phases, path, x, y, light)
+                        _draw_piece(plan, image, tile, k, core.mixed_phases, path, x, y, light, True)
 
 
 def draw_along(
@@ -130,10 +130,10 @@ def draw_along(
 
 def _draw_piece(
     plan: Plan, image: Array, tile: Tile, k: int, phases: int, piece: Path, x: Array, y: Array,
-    light: Array,
+    light: Array, cubic: bool = False,
 ) -> None:  # fmt: skip
     """One piece of the streaks of stars of one class, from a table of so many phases or (0)
-    star by star.
+    star by star. cubic : between phases in any case
 
     Stars so bright that the table's own rounding would show are drawn at their exact places too.
     """
@@ -147,7 +147,7 @@ def _draw_piece(
         exact = np.abs(light) * max(table.cubic_error for table, _, _ in parts) > budget_e
         for table, mine, part in parts:
             keep = ~exact[mine]
-            linear = np.abs(light[mine]) * table.linear_error <= budget_e
+            linear = np.abs(light[mine]) * table.linear_error <= (0.0 if cubic else budget_e)
             place = x[mine][keep], y[mine][keep], part[keep]
             draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
     for i in np.flatnonzero(exact):
