@@ -96,6 +96,20 @@ def swept_core(blur: Blur, radius_px: float, piece: Path) -> tuple[Core, np.ndar
     return core, spectrum, (half_y, half_x), (period_y, period_x)
 
 
+def still_core(blur: Blur, radius_px: float, piece: Path) -> tuple[Core, np.ndarray, tuple, tuple]:
+    """A core with its spectrum at rest in the window that a path sweeps; as of `swept_core`."""
+    core = core_of(blur, radius_px)
+    half_y, half_x, period_y, period_x = window(
+        core, float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max())
+    )
+    spectrum = _CACHE.get(
+        ("still", blur, radius_px, period_y, period_x),
+        lambda: core_spectrum(core, None, period_y, period_x),
+        _bytes,
+    )
+    return core, spectrum, (half_y, half_x), (period_y, period_x)
+
+
 def table_of(
     blur: Blur, radius_px: float, piece: Path, phases: int
 ) -> PixelResponse | ProductResponse:

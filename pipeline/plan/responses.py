@@ -53,12 +53,14 @@ class CoreClass:
 
     wing_error : largest error of a wing pixel per electron of the source (0 without wings)
     phases : sub-pixel phases of its tables; 0 draws each source by its own transform
+    mixed_phases : those of the tables of bright streaks; 0 draws each along its own path
     """
 
     radius_px: float
     brightest_e: float
     wing_error: float
     phases: int
+    mixed_phases: int = 0
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,7 @@ def plan_responses(
     )  # fmt: skip
     mb = 0.0
     if none.field is not None:
-        each = sum(_table_bytes(c.phases, c.radius_px, path) for c in classes if c.phases)
+        each = sum(table_bytes(c.phases, c.radius_px, path) for c in classes if c.phases)
         mb = each * len(blurs) * streaks.shapes / 1e6
     return replace(planned, spectral_from=_spectral_from(scene, planned), table_mb=mb)
 
@@ -302,13 +304,13 @@ def _table_phases(phases: int, radius_px: float, path: Path, most_bytes: float) 
     A response that is broad against a pixel needs few phases, so halving them costs nothing until
     the interpolation's own bound (checked for each source when it is drawn) says otherwise.
     """
-    while phases >= 16 and _table_bytes(phases, radius_px, path) > most_bytes:
+    while phases >= 16 and table_bytes(phases, radius_px, path) > most_bytes:
         phases //= 2
-    return phases if _table_bytes(phases, radius_px, path) <= most_bytes else 0
+    return phases if table_bytes(phases, radius_px, path) <= most_bytes else 0
 
 
-def _table_bytes(phases: int, radius_px: float, path: Path) -> float:
-    """Bytes of a table."""
+def table_bytes(phases: int, radius_px: float, path: Path) -> float:
+    """Bytes of a table of a core swept along a path."""
     pixels = math.pi * radius_px**2 + 2.0 * radius_px * path.length_px
     return 4.0 * pixels * (phases + 3) ** 2
 
