@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,18 +50,29 @@ def nothing(*_: Any) -> int:
     return 0
 
 
+def emptied(task: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A task whose tiles do nothing; all that is sent to it stays."""
+    from pipeline.execute.bundles import Bundle, run_bundle
+
+    if task[0] is not run_bundle:
+        return (nothing, *task[2:])
+    steps = tuple(replace(step, function=nothing) for step in task[1].steps)
+    return (run_bundle, Bundle(steps), *task[2:])
+
+
 class Wrapped:
     """A scheduler whose graphs are changed before they run, by `change(task)`."""
 
     def __init__(self, inner: Any, change: Any) -> None:
         self.inner, self.change, self.workers = inner, change, inner.workers
-        self.share = inner.share
+        self.share, self.least_task_s = inner.share, inner.least_task_s
 
     def keep(self, graph: dict[Any, Any]) -> Any:
         return self.inner.keep({k: self.change(t) for k, t in graph.items()})
 
-    def run(self, graph: dict[Any, Any], keys: list[Any], done: Any) -> Any:
-        return self.inner.run({k: self.change(t) for k, t in graph.items()}, keys, done)
+    def stream(self, graphs: Any, done: Any) -> None:
+        changed = (({k: self.change(t) for k, t in g.items()}, keys) for g, keys in graphs)
+        self.inner.stream(changed, done)
 
 
 def _processes() -> Iterator[psutil.Process]:
@@ -117,7 +129,7 @@ def scale(scheduler: str, tiles: int) -> dict[str, Any]:
     begun = Begun(Path("nowhere"), CubeWriter("nowhere", ("dn",)), frozenset(), frozenset(), ())
     done, started = [0], time.perf_counter()
     with open_scheduler(scheduler, 2) as inner:
-        wrapped = Wrapped(inner, lambda task: (nothing, *task[2:]))
+        wrapped = Wrapped(inner, emptied)
         draw(prepared, begun, wrapped, lambda p: done.__setitem__(0, p.done))
     return {
         "scheduler": scheduler, "tiles": done[0], "peak_mb": _peak_mb(),
