@@ -226,18 +226,20 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.scheduler.allowed-failures": 3,
         "distributed.worker.profile.enabled": False,
-        # Looked at 10 to 1000 times a second by default, in every process: a tenth of a short job.
-        "distributed.admin.tick.interval": "500ms",
+        # Looked at 1 to 1000 times a second by default, in every process: a tenth of a short job.
+        "distributed.admin.tick.interval": "5s",
         "distributed.admin.system-monitor.interval": "5s",
         "distributed.admin.system-monitor.gil.enabled": False,
-        "distributed.worker.memory.monitor-interval": "500ms",
+        "distributed.worker.memory.monitor-interval": "1s",
+        "distributed.client.scheduler-info-interval": "10s",
         "distributed.logging.distributed": "error",
     })  # fmt: skip
     if kind == "processes":
         with (
             LocalCluster(
                 n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
-                dashboard_address=None, silence_logs=50,
+                dashboard_address=None, silence_logs=50, scheduler_sync_interval=60,
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not 8787 of all networks
             ) as cluster,
             Client(cluster) as client,
         ):  # fmt: skip
