@@ -20,7 +20,6 @@ from pipeline.plan.geometry import epochs_jyear, observer_distances_au
 from pipeline.plan.scene_plan import Plan, catalogue_cones
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.store.cube import CubeWriter
-from pipeline.store.truth import write_part
 
 if TYPE_CHECKING:
     from pipeline.physics.cosmic_rays.frame import CosmicRays
@@ -266,10 +265,8 @@ def ray_truth_task(inputs: Inputs, g: Geometry) -> int:
 
 
 def _write_truth(inputs: Inputs, kind: str, g: Geometry, columns: dict[str, Any]) -> int:
-    from pathlib import Path
-
     import pyarrow as pa
 
     table = pa.table(columns)
-    write_part(Path(inputs.writer.product), kind, int(g.frame[0]), table)
+    inputs.writer.write_truth(kind, int(g.frame[0]), table)
     return int(table.num_rows)
