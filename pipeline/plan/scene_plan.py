@@ -236,14 +236,22 @@ def _engine(r: ResponsePlan) -> str:
     return engine
 
 
+def frame_seconds(plan: Plan, forecast: StarForecast | None) -> float:
+    """Predicted CPU seconds of one frame, from measured unit costs."""
+    pixels = math.prod(plan.scene.sensor.shape)
+    stars = forecast.stars_per_frame if forecast else 0
+    light_s = pixels * WING_S_PER_PIXEL if plan.responses.spacing_px else 0.0
+    return (
+        pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars) + light_s
+    )
+
+
 def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
     """Predicted CPU seconds and memory of one worker thread, from measured unit costs."""
     pixels = math.prod(plan.scene.sensor.shape)
     stars = forecast.stars_per_frame if forecast else 0
     r = plan.responses
-    frame_s = pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars)
-    if r.spacing_px:
-        frame_s += pixels * WING_S_PER_PIXEL
+    frame_s = frame_seconds(plan, forecast)
     rows, columns = tile_shape(plan.scene)
     layers = len(plan.scene.output.layers)
     grid = 0.0
