@@ -40,7 +40,7 @@ SCENE: dict[str, Any] = {
     "background": {"uniform_mag_arcsec2": 21.5},
 }  # fmt: skip
 SWEEP: dict[str, Any] = {
-    "schema": "nightglass/sweep/1", "scene": "scene.json", "cubes": [1, 3],
+    "schema": "nightglass/sweep/1", "name": "full", "scene": "scene.json", "cubes": [1, 3],
     "axes": [{"field": "exposure.integration_s", "values": [1.0, 2.0]},
              {"field": "sensor.read_noise_e", "values": [3.0, 5.0]}],
 }  # fmt: skip
@@ -119,8 +119,9 @@ def main() -> None:
     step, most = int(sys.argv[3]), int(sys.argv[4])
     store, disk = stores(folder)[name], Disk(Path(os.environ["FULL_DISK"]))
     ledger.PART_S = 0.0  # rows become durable group by group
-    whole = folder / f"{name}-whole"
-    disk.fill(whole, 0)
+    whole = folder / f"{name}-whole" / "out"
+    whole.parent.mkdir()
+    disk.fill(whole.parent, 0)
     first = nightglass(*store.command(whole, False))
     assert first.returncode == 0, first.stderr
     wanted = bits(whole, store.files)
