@@ -328,9 +328,16 @@ def render(
     """Render a scene into a product directory and return its report.
 
     Raises BadInput for a scene or path that cannot be used, Damaged for a damaged catalogue,
-    Incomplete where work stopped before everything was done (what is done is kept).
+    Incomplete where work stopped before everything was done (what is done is kept), DiskFull
+    where that was for want of room.
     """
-    options = options or Options()
+    with layout.full_disk(product):
+        return _render(scene, product, options or Options(), listen)
+
+
+def _render(
+    scene: Scene, product: Path, options: Options, listen: Listener | None
+) -> dict[str, Any]:
     started = time.perf_counter()
     prepared = prepare(scene)
     plan = prepared.plan
