@@ -50,7 +50,7 @@ def sizes(_: Bench) -> Iterator[Found]:
         for k, d in enumerate(sizes_m)
     ]  # fmt: skip
     balls.insert(0, before(TOWARDS, 3e4, "a", body=SPHERE | {"diameter_m": 1e-3}))
-    stage = open_stage(followed(*balls, **{"exposure.integration_s": 0.01}))
+    stage = open_stage(followed(*balls, **{"exposure.integration_s": 1e-4}))
     discs = replace(stage.plan, responses=replace(stage.plan.responses, budget_e=0.0))
     out_s, points = timed(lambda: mean_e(stage), 2)
     in_s, seen = timed(lambda: mean_e(stage, discs), 2)
