@@ -159,7 +159,7 @@ def _draw(
 def stamps(name: str, length_px: float) -> dict[str, Any]:
     """Seconds and error of the stamps engine: products, or linear between the phases of a table."""
     core, path = CORES[name](), line(length_px)
-    engine = "products" if is_product(BLURS[name], path) else "stamps"
+    engine = "products" if is_product(BLURS[name], length_px) else "stamps"
     row: dict[str, Any] = {"engine": engine, "response": name, "length": length_px}
     started = time.process_time()
     tables = [
@@ -187,7 +187,7 @@ _TABLES: dict[tuple[str, Path], PixelResponse | ProductResponse] = {}
 def stamp_table(name: str, core: Core, piece: Path) -> PixelResponse | ProductResponse:
     """The table of a piece of streak; equal pieces share one."""
     key = (name, piece)
-    if key not in _TABLES and is_product(BLURS[name], piece):
+    if key not in _TABLES and is_product(BLURS[name], piece.length_px):
         _TABLES[key] = product_table(core)
     elif key not in _TABLES:
         half = window(core, float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max()))

@@ -103,7 +103,7 @@ def our_settings(case: Case, quick: bool) -> list[Setting]:
     elif case.curved:
         out += [_polyline(n) for n in (1, 2, 4, 8, 16, 32, 64, 128)]
     else:
-        if is_product(blur_of(case.shape), path_of(case.track)):
+        if is_product(blur_of(case.shape), case.streak_px):
             out += [_product(phases) for phases in (4, 8, 16, 32, 64)]
         out += [_tiled(case, side) for side in (128, 256, 512)]
         if case.streak_px:

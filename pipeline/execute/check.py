@@ -47,6 +47,7 @@ OWN_PATHS = 8  # of the brightest stars near a window
 MOST_TERMS = 4e8  # products that a window may cost: about a second
 LONGEST_PX = 96.0
 NEAR_PX = 2.0 * WINDOW_PX  # from their path to the window: stars that may go along their own
+FINE_POINTS = 640  # of the finest grid from a source to the end of its wings
 
 
 def check_tile(
@@ -242,24 +243,23 @@ def _nearby_px(plan: Plan, at: Tile, groups: list[Group]) -> float:
 def _add_fine_wings(
     plan: Plan, image: Array, at: Tile, groups: list[Group], reach_px: float
 ) -> None:
-    """Wings of sources on a grid of half the planned spacing, swept by their own path.
+    """Wings of sources on grids of half the planned spacing, swept by their own path.
 
     reach_px : up to which the wings are needed
     """
-    r = plan.responses
-    grid = _fine_grid(plan, at, [path for *_, path in groups], reach_px)
-    total: Any = 0.0
-    for x, y, light, path in groups:
-        classes = class_of(plan, light)
-        swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
-        for k in np.unique(classes):
-            mine = np.flatnonzero(classes == k)
-            for blur, which, part in r.parts(x[mine], y[mine], light[mine]):
-                kernel = kernel_of(blur, _radius(plan, int(k), blur), grid, reach_px)
-                at_x, at_y = x[mine[which]], y[mine[which]]
-                total = total + scipy.fft.rfft2(spread(grid, at_x, at_y, part)) * kernel * swept
-    if np.ndim(total):
-        add_wings(image, (at.y0, at.x0), grid, convolve(total, grid))
+    for grid, ends in _fine_grids(plan, at, [path for *_, path in groups], reach_px):
+        total: Any = 0.0
+        for x, y, light, path in groups:
+            classes = class_of(plan, light)
+            swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+            for k in np.unique(classes):
+                mine = np.flatnonzero(classes == k)
+                for blur, which, part in plan.responses.parts(x[mine], y[mine], light[mine]):
+                    kernel = _wing(blur, _radius(plan, int(k), blur), grid, ends)
+                    at_x, at_y = x[mine[which]], y[mine[which]]
+                    total = total + scipy.fft.rfft2(spread(grid, at_x, at_y, part)) * kernel * swept
+        if np.ndim(total):
+            add_wings(image, (at.y0, at.x0), grid, convolve(total, grid))
 
 
 def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
@@ -270,20 +270,39 @@ def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         core = core_of(blur, _radius(plan, k, blur))
         draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)
-        if r.spacing_px:
-            grid = _fine_grid(plan, at, [path], r.reach_px)
+        for grid, ends in _fine_grids(plan, at, [path], r.reach_px) if r.spacing_px else ():
             light = scipy.fft.rfft2(spread_body(grid, target.body, place, light_e))
-            light = light * kernel_of(blur, core.radius_px, grid, r.reach_px)
+            light = light * _wing(blur, core.radius_px, grid, ends)
             swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
             add_wings(image, (at.y0, at.x0), grid, convolve(light * swept, grid))
 
 
-def _fine_grid(plan: Plan, at: Tile, paths: list[Path], reach_px: float) -> WingGrid:
-    """A grid around a window, of half the planned spacing."""
+def _fine_grids(
+    plan: Plan, at: Tile, paths: list[Path], reach_px: float
+) -> list[tuple[WingGrid, tuple[float, float]]]:
+    """Grids around a window, and from where to where [px] each has a source's wings.
+
+    One of half the planned spacing; where that takes more than FINE_POINTS to the reach it ends
+    there, and a coarser one has the rest, as smooth as it is so far out.
+    """
     sweep = max(float(max(np.abs(p.x_px).max(), np.abs(p.y_px).max())) for p in paths)
+    sweep = 8.0 * math.ceil(sweep / 8.0)  # so that grids alike share their kernels
     spacing = max(1, plan.responses.spacing_px // 2)
-    reach = reach_px + 8.0 * math.ceil(sweep / 8.0)  # so that grids alike share their kernels
-    return wing_grid((at.rows, at.columns), (at.y0, at.x0), spacing, reach)
+    ends = [(spacing, 0.0, min(reach_px, float(spacing * FINE_POINTS)))]
+    if ends[0][2] < reach_px:
+        ends.append((math.ceil(reach_px / FINE_POINTS), ends[0][2], reach_px))
+    return [
+        (wing_grid((at.rows, at.columns), (at.y0, at.x0), h, last + sweep), (first, last))
+        for h, first, last in ends
+    ]
+
+
+def _wing(
+    blur: Blur, radius_px: float, grid: WingGrid, ends: tuple[float, float]
+) -> NDArray[np.complex128]:
+    """Transfer function of a wing between two distances from its source."""
+    kernel = kernel_of(blur, radius_px, grid, ends[1])
+    return kernel - kernel_of(blur, radius_px, grid, ends[0]) if ends[0] else kernel
 
 
 def summary(records: list[dict[str, Any]]) -> dict[str, Any]:

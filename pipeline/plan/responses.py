@@ -95,7 +95,7 @@ class ResponsePlan:
     @property
     def products(self) -> bool:
         """Whether stars are drawn as column times row."""
-        return self.streaks.longest_px == 0.0 and all(is_product(b, POINT) for b in self.blurs)
+        return all(is_product(b, self.streaks.longest_px) for b in self.blurs)
 
     @property
     def reach_core_px(self) -> float:

@@ -24,6 +24,7 @@ from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.ledger import rule_of
+from pipeline.plan.occultation import decide_occultation
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
 from pipeline.plan.responses import (
@@ -126,7 +127,8 @@ def make_plan(
     camera = camera_of(scene)
     responses = plan_responses(scene, facts, camera, ends)
     decisions = (
-        *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
+        *decide(scene, facts, responses), *decide_occultation(scene, responses, ends),
+        *decide_targets(scene, facts, ends, responses.blur),
         *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends, dut1_s),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),

@@ -12,7 +12,6 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from pipeline.physics.motion.streak import Path
 from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.physics.psf.response import ROW_STEP, SPAN_FLOOR, Core, window
 
@@ -54,9 +53,9 @@ class ProductResponse:
         return self.columns.nbytes + self.rows.nbytes
 
 
-def is_product(blur: Blur, path: Path) -> bool:
-    """Whether a source that moves along `path` is drawn as column times row."""
-    return isinstance(blur.optics, Gaussian) and not path.length_px
+def is_product(blur: Blur, streak_px: float) -> bool:
+    """Whether a source that moves by so much is drawn as column times row."""
+    return isinstance(blur.optics, Gaussian) and not streak_px
 
 
 def product_table(core: Core, phases: int = PHASES) -> ProductResponse:
