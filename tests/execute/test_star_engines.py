@@ -24,11 +24,11 @@ from pipeline.plan.star_engines import StarCounts, choose_engines, cubic_bound
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
 
-SIDE = 160
+SIDE = 512
 NOTHING = StarCounts(np.zeros(0), np.zeros(0), np.zeros(0), 1e10)
 
 
-def plan_of(streak_px: float, tile: int = 512) -> Plan:
+def plan_of(streak_px: float, tile: int = SIDE) -> Plan:
     """A plan of one frame with a gaussian response; stars drift, and the camera rolls with them."""
     scene = parse_scene({
         "schema": "nightglass/scene/1", "name": "engines", "epoch": "2019-04-20T03:00:00Z",
