@@ -68,7 +68,7 @@ def test_few_stars_need_no_table_and_many_do():
     assert all(phases == (0, 0) for phases in engines(few))
     assert engines(many)[0][0] > 0
     assert engines(many)[0][1] > 0
-    assert any("one by one" in d.reason for d in few.decisions if d.component == "star_engines")
+    assert any("own path" in d.reason for d in few.decisions if d.component == "star_engines")
     assert any("mixtures" in d.reason for d in many.decisions if d.component == "star_engines")
 
 
