@@ -95,8 +95,9 @@ def _draw_stamps(
                 _draw_piece(plan, image, tile, k, core.phases, piece.path, x, y, light)
                 if len(mixed):
                     places = mixed.x_px, mixed.y_px, mixed.light_e
-                    for part in streak.mixture(piece, *places):
-                        _draw_piece(plan, image, tile, k, core.mixed_phases, *part, cubic=True)
+                    phases = core.mixed_phases
+                    for path, x, y, light in streak.mixture(piece, *places):
+                        _draw_piece(plan, image, tile, k, phases, path, x, y, light, cubic=True)
 
 
 def draw_along(
