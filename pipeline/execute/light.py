@@ -18,7 +18,7 @@ from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.response import stamp_at
-from pipeline.plan.own_paths import INTERPOLATED_PX, own_paths
+from pipeline.plan.own_paths import own_paths
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak
 from pipeline.plan.tiles import Tile, overlap
@@ -95,8 +95,9 @@ def _draw_stamps(
                 _draw_piece(plan, image, tile, k, core.phases, piece.path, x, y, light)
                 if len(mixed):
                     places = mixed.x_px, mixed.y_px, mixed.light_e
-                    for part in streak.mixture(piece, *places):
-                        _draw_piece(plan, image, tile, k, core.mixed_phases, *part, cubic=True)
+                    phases = core.mixed_phases
+                    for path, x, y, light in streak.mixture(piece, *places):
+                        _draw_piece(plan, image, tile, k, phases, path, x, y, light, cubic=True)
 
 
 def draw_along(
@@ -115,9 +116,10 @@ def draw_along(
     for zone in np.unique(zones):
         mine = np.flatnonzero(zones == zone)
         x, y, light = (v[mine] for v in (stars.x_px, stars.y_px, stars.light_e))
-        followed = paths[zone].followed if along.own_px <= INTERPOLATED_PX else None
-        merge = along.merged_px(light, paths[zone].path.length_px)
-        own = own_paths(plan.camera, g, paths[zone].zone, followed, x, y, merge, aberration)
+        streak, off_px = paths[zone], along.own_px
+        merge = along.merged_px(light, streak.path.length_px)
+        places = streak.zone, streak.followed, off_px, x, y
+        own = own_paths(plan.camera, g, *places, merge, aberration)
         for i, path in enumerate(own):
             radius = plan.responses.classes[int(classes[mine[i]])].radius_px
             for x0, y0, piece, share in pieces(path):

@@ -48,9 +48,6 @@ LEDGER = (
          "stars below the limit (given, or where the sum of all fainter ones is below a share of "
          "the noise) become smooth light; in layers each star is drawn once",
          "tests/plan/test_sky.py"),
-    Rule(("star_engines",),
-         "tables where so many stars share them that they cost less than drawing star by star",
-         "tests/plan/test_star_engines.py"),
     Rule(("precession_nutation", "polar_motion"),
          "IAU 2006/2000A always; polar motion never (10 m)",
          "tests/physics/positions/test_earth.py::test_against_astropy_site"),
@@ -81,7 +78,7 @@ LEDGER = (
     Rule(("uniform_background", "background.*", "starlight"),
          "uniform where no part of the sky varies; else a grid refined until its measured error is "
          "within the accuracy", "tests/physics/sky/test_grid.py"),
-    Rule(("phase_interpolation", "common_streak", "crowds_by_transforms"),
+    Rule(("phase_interpolation", "common_streak", "crowds_by_transforms", "star_engines"),
          "the cheapest drawing whose bound is within a quarter of accuracy.noise_fraction",
          _ENGINES),
     Rule(("wings_on_a_coarse_grid", "wings_cut_off"),

@@ -12,7 +12,6 @@ from pipeline.plan.star_paths import star_paths
 from pipeline.plan.zones import Zone, biquadratic
 
 EXACT_MERGE_PX = 1e-6
-INTERPOLATED_PX = 2e-6  # error of interpolation up to which it serves
 
 
 def star_offsets(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bool) -> Array:
@@ -36,7 +35,8 @@ def own_paths(
     camera: Camera,
     g: Geometry,
     zone: Zone,
-    followed: Array | None,
+    followed: Array,
+    off_px: float,
     x_px: Array,
     y_px: Array,
     merge_px: Array,
@@ -44,24 +44,21 @@ def own_paths(
 ) -> list[Path]:
     """The path of each of the stars (n,) of a zone in the one frame of `g`.
 
-    followed : (K, 2, 3, 3) places at equal times of stars at the zone's NODES, between which those
-        of the stars inside are interpolated; None to follow each star by itself, as those outside
-    merge_px : (n,) how far the nodes of straight runs that become one segment may be off
+    followed : (K, 2, 3, 3) places at equal times of stars at the zone's NODES; off_px : error of
+        interpolating between them
+    merge_px : (n,) how far the nodes of straight runs that become one segment may be off; where
+        interpolation is farther off, and outside of the zone, each star is followed by itself
     The numbers of a star do not depend on which others are asked for.
     """
     if not len(x_px):
         return []
     u, v = zone.uv(x_px, y_px)
-    inside = np.maximum(np.abs(u), np.abs(v)) <= 1.0
-    if followed is None:
-        inside[:] = False
-        places = np.empty((1, 2, len(x_px)))
-    else:
-        places = np.array([biquadratic(table, u, v) for table in followed])
-    weight = np.full(len(places) - 1, 1.0 / max(1, len(places) - 1))
+    near = (np.maximum(np.abs(u), np.abs(v)) <= 1.0) & (off_px <= merge_px)
+    places = np.array([biquadratic(table, u, v) for table in followed])
+    weight = np.full(len(places) - 1, 1.0 / (len(places) - 1))
     return [
         path_through(places[:, 0, i], places[:, 1, i], weight, float(merge_px[i]))
-        if inside[i]
+        if near[i]
         else exact_path(camera, g, float(x_px[i]), float(y_px[i]), aberration)
         for i in range(len(x_px))
     ]

@@ -36,6 +36,7 @@ SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_PX = 256.0
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
 SMALL_RADIUS_PX = 1e-2
+RINGS = 4.7  # times its mean: the rings of both edges of an obscured aperture, at the near end
 NOTHING_BEYOND = (1e-8, 1e-14)  # of the light, beyond the cores of a response without wings
 STILL = StreakPlan(1, 1, 0.0, 0.0, 1, 0.0, 0.0)
 BLOCK_PX = 2048  # wings and crowds are drawn in fixed blocks of the focal plane
@@ -333,6 +334,21 @@ def point_slope(blur: Blur) -> float:
 def _lost(blur: Blur, radius_px: float) -> float:
     """Share of a source's light beyond a radius, or outside of its optics' table altogether."""
     return min(1.0, blur.light_beyond(radius_px) + missing_light(blur.optics))
+
+
+def cut_share(r: ResponsePlan) -> float:
+    """Most that a pixel lacks where the wings of a source end, per unit light of the source.
+
+    RINGS times the mean surface brightness of a ring from there on, a tenth of its radius wide:
+    where the rings of an aperture and of its obscuration meet they peak at up to four times their
+    mean, and a wing of index -3 is a sixth brighter at the near end of such a ring than on its
+    mean. A mean over all directions: the spikes of vanes are brighter.
+    """
+    near, far = CUT_FROM * r.reach_px, 1.1 * CUT_FROM * r.reach_px
+    if not near:
+        return 0.0
+    area = math.pi * (far**2 - near**2)
+    return RINGS * max(b.light_beyond(near) - b.light_beyond(far) for b in r.blurs) / area
 
 
 def _radius_holding(blur: Blur, beyond: float) -> float:
