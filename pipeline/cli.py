@@ -67,7 +67,7 @@ def main() -> None:
 
 def _explain(error: BaseException) -> int:
     """Print what went wrong on one line (or a few) and return the exit code."""
-    from pipeline.errors import NightglassError, exit_code
+    from pipeline.errors import NO_ROOM, NightglassError, exit_code
 
     if isinstance(error, typer.Exit):
         return error.exit_code
@@ -82,8 +82,10 @@ def _explain(error: BaseException) -> int:
         )
         return 130
     if isinstance(error, OSError) and error.errno is not None:
-        print(f"nightglass: {error.filename or ''}: {error.strerror}", file=sys.stderr)
-        return 3 if error.errno == 28 else 1
+        full = error.errno in NO_ROOM
+        said = f"the disk is full ({os.strerror(error.errno)})" if full else error.strerror
+        print(f"nightglass: {error.filename or 'a file'}: {said}", file=sys.stderr)
+        return 3 if full else 1
     if isinstance(error, NightglassError):
         print(f"nightglass: {error}", file=sys.stderr)
         return exit_code(error)

@@ -33,7 +33,14 @@ from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.pointing_tables import gather_pointing
 from pipeline.inputs.psf_tables import gather_psf_table
 from pipeline.inputs.sensor import gather_sensor_maps
-from pipeline.inputs.stars import Catalogue, Shard, cones_of, gather_shards, rows_bright_enough
+from pipeline.inputs.stars import (
+    Catalogue,
+    Shard,
+    cones_of,
+    gather_shards,
+    groups_bright_enough,
+    rows_bright_enough,
+)
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
@@ -159,10 +166,25 @@ def prepare(scene: Scene) -> Prepared:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     remarks += mesh_notices(scene)
     plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction)
+    plan = _with_engines(plan, catalogues, geometry)
     left_out = _left_out(plan, catalogues)
     plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
     rays = _cosmic_rays(scene)
     return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started, rays)
+
+
+def _with_engines(plan: Plan, catalogues: tuple[Catalogue, ...], geometry: Geometry) -> Plan:
+    """The plan with the stars' engines chosen by how many of them its middle frame may hold."""
+    if plan.scene.stars is None:
+        return plan
+    from pipeline.plan.star_engines import choose_engines, star_counts
+
+    limit = plan.scene.stars.faintest_g_mag
+    shards = shards_of(plan, catalogues, geometry.frame_slice(len(geometry.frame) // 2))
+    groups = [
+        (s.leaf, groups_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards
+    ]
+    return choose_engines(plan, geometry, star_counts(plan, groups))
 
 
 def _sky(
@@ -306,9 +328,16 @@ def render(
     """Render a scene into a product directory and return its report.
 
     Raises BadInput for a scene or path that cannot be used, Damaged for a damaged catalogue,
-    Incomplete where work stopped before everything was done (what is done is kept).
+    Incomplete where work stopped before everything was done (what is done is kept), DiskFull
+    where that was for want of room.
     """
-    options = options or Options()
+    with layout.full_disk(product):
+        return _render(scene, product, options or Options(), listen)
+
+
+def _render(
+    scene: Scene, product: Path, options: Options, listen: Listener | None
+) -> dict[str, Any]:
     started = time.perf_counter()
     prepared = prepare(scene)
     plan = prepared.plan

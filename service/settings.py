@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import BadInput
+from pipeline.errors import NO_ROOM, BadInput, DiskFull
 
 PREFIX = "NIGHTGLASS_"
 
@@ -114,6 +114,8 @@ class Settings:
             for folder in (self.products, self.catalogues, self.uploads):
                 folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
+            if error.errno in NO_ROOM:
+                raise DiskFull(str(self.home), error.errno, "make room, then start again") from None
             raise BadInput(
                 "--home", str(self.home), f"a folder that can be written; {error.strerror}"
             ) from None

@@ -19,14 +19,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from pipeline.errors import BadInput, Damaged, NightglassError
+from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError
 from pipeline.spec.load import InvalidScene, parse_scene
 from service import logs
 from service.problems import cut, mistake_dict
 
 log = logging.getLogger("nightglass.engine")
 BETWEEN_LINES_S = 0.25
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def main() -> None:
@@ -144,11 +143,13 @@ def describe(error: Exception, product: str | None = None) -> dict[str, Any]:
     if isinstance(error, Damaged):
         place, reason = Path(error.path).name, _clean(error.reason, product)
         return {"kind": "damaged", "message": cut(str(Damaged(place, reason))), "errors": []}
+    if isinstance(error, DiskFull) or (isinstance(error, OSError) and error.errno in NO_ROOM):
+        code = error.code if isinstance(error, DiskFull) else error.errno
+        reason = os.strerror(code or errno.ENOSPC)
+        message = f"the server's disk is full ({reason}); submit again when there is room"
+        return {"kind": "disk full", "message": message, "errors": []}
     if isinstance(error, NightglassError):
         return {"kind": "incomplete", "message": cut(_clean(str(error), product)), "errors": []}
-    if isinstance(error, OSError) and error.errno in NO_ROOM:
-        message = f"the server's disk is full ({error.strerror}); submit again when there is room"
-        return {"kind": "disk full", "message": message, "errors": []}
     if isinstance(error, OSError):
         message = f"the server could not read or write: {error.strerror or type(error).__name__}"
     elif isinstance(error, MemoryError):

@@ -24,16 +24,16 @@ from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.ledger import rule_of
+from pipeline.plan.occultation import decide_occultation
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
 from pipeline.plan.responses import (
     BLOCK_PX,
     SPECTRAL_S,
     SPECTRAL_S_PER_PIXEL,
-    STAMP_S,
-    STAMP_S_PER_PIXEL,
     ResponsePlan,
     plan_responses,
+    stamp_s,
 )
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
@@ -127,7 +127,8 @@ def make_plan(
     camera = camera_of(scene)
     responses = plan_responses(scene, facts, camera, ends)
     decisions = (
-        *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
+        *decide(scene, facts, responses), *decide_occultation(scene, responses, ends),
+        *decide_targets(scene, facts, ends, responses.blur),
         *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends, dut1_s),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
@@ -285,10 +286,8 @@ def _drawing_s(plan: Plan, stars: int) -> float:
         pixels = math.prod(plan.scene.sensor.shape)
         many, together = len(r.blurs), stars * min(4, len(r.blurs))
         return SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many + SPECTRAL_S * together
-    radius, piece_px = r.classes[0].radius_px, r.streaks.longest_px / r.streaks.pieces
-    stamp = math.pi * radius**2 + 2.0 * radius * piece_px
     drawn = stars * min(4, len(r.blurs))  # by the responses around each
-    return drawn * r.streaks.pieces * (STAMP_S + STAMP_S_PER_PIXEL * stamp)
+    return drawn * r.streaks.pieces * stamp_s(r)
 
 
 def _rule(decision: Decision) -> dict[str, Any]:

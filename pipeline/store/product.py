@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from pipeline.errors import BadInput, Damaged
+from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import tile_shape
 from pipeline.spec.load import scene_yaml
@@ -190,6 +190,8 @@ def _make_folders(path: Path) -> None:
         for name in (layout.CUBE, layout.MARKERS, f"{layout.TRUTH}/{layout.PARTS}"):
             (path / name).mkdir(parents=True)
     except OSError as error:
+        if error.errno in NO_ROOM:
+            raise
         raise BadInput("-o", str(path), f"a path that can be written; {error.strerror}") from None
 
 
@@ -282,6 +284,9 @@ def seal(path: Path) -> None:
     """Write _COMPLETE, last of all, with the digests of all files that are no chunks."""
     files = {}
     for file in sorted(path.rglob("*")):
+        if file.name.startswith(".") and file.suffix == ".tmp":  # of a writer that was killed
+            file.unlink()
+            continue
         name = file.relative_to(path).as_posix()
         skip = name.startswith(f"{layout.MARKERS}/") or file.name == layout.COMPLETE
         skip |= file.name.startswith(layout.LOCK)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.store.layout import PARTS, TRUTH, sync_folder
+from catalog_tools.durable import whole_file
+from pipeline.store.layout import PARTS, TRUTH
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -60,15 +60,13 @@ def join_parts(product: Path, kind: str, frames: int, empty: Any) -> int:
     import pyarrow.parquet as pq
 
     target = product / TRUTH / f"{kind}.parquet"
-    temporary = target.with_suffix(".tmp")
     rows = 0
-    with pq.ParquetWriter(temporary, empty.schema, **_OPTIONS) as writer:
+    with whole_file(target) as own, pq.ParquetWriter(own, empty.schema, **_OPTIONS) as writer:
         for frame in range(frames):
             path = part_path(product, kind, frame)
             table = pq.read_table(path, page_checksum_verification=True)
             writer.write_table(table)
             rows += table.num_rows
-    _rename(temporary, target)
     return rows
 
 
@@ -89,13 +87,5 @@ _OPTIONS: dict[str, Any] = {
 def _write(path: Path, table: pa.Table) -> None:
     import pyarrow.parquet as pq
 
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    pq.write_table(table, temporary, **_OPTIONS)
-    _rename(temporary, path)
-
-
-def _rename(temporary: Path, path: Path) -> None:
-    with temporary.open("rb") as handle:
-        os.fsync(handle.fileno())
-    temporary.replace(path)
-    sync_folder(path.parent)
+    with whole_file(path) as own:
+        pq.write_table(table, own, **_OPTIONS)
