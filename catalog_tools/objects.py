@@ -82,7 +82,7 @@ class Objects:
         }
 
     def delete(self, names: Iterable[str]) -> None:
-        """Delete objects; those that are not there are passed over."""
+        """Delete objects that are there."""
         left = list(names)
         for start in range(0, len(left), TOGETHER):
             paths = [self._path(name) for name in left[start : start + TOGETHER]]
@@ -103,8 +103,8 @@ class Objects:
 
 
 def _all_of(paths: list[str], files: Any) -> dict[str, bytes]:
-    found = files.cat(paths)
-    return found if isinstance(found, dict) else {paths[0]: found}  # of one path alone
+    none = [None] * len(paths)  # whole objects; `cat` would ask after each first
+    return dict(zip(paths, files.cat_ranges(paths, none, none, on_error="raise"), strict=True))
 
 
 def _without(paths: list[str], files: Any) -> None:

@@ -77,7 +77,13 @@ def _taken(objects: Objects, kind: str) -> Lease:
         raise _busy(objects)
     number = 1 + max((int(name.rpartition("/")[2]) for name in found), default=0)
     lease = Lease(objects, f"{kind}/{number:012d}")
-    if not objects.create(lease.name, lease.content):
+    try:
+        won = objects.create(lease.name, lease.content)
+    except (Unreachable, FileNotFoundError) as error:
+        raise BadInput(
+            "-o", objects.url, f"a place that is there and can be written ({error})"
+        ) from None
+    if not won:
         raise _busy(objects)  # another was first
     return lease
 
