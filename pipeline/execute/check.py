@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -21,6 +22,7 @@ from pipeline.execute.tables import core_of, kernel_of
 from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
 from pipeline.physics.drawing.extended import draw_body, spread_body
 from pipeline.physics.drawing.wings import (
+    CUT_FROM,
     WingGrid,
     add_wings,
     convolve,
@@ -38,11 +40,14 @@ from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import CELL_PX
 
 Part = tuple[slice, slice]
+Group = tuple[Array, Array, Array, Path]  # (x, y, light) of sources, and the path of each
 
 WINDOW_PX = 16
 OWN_PATHS = 8  # of the brightest stars near a window
 MOST_TERMS = 4e8  # products that a window may cost: about a second
-LONGEST_PX = 48.0
+LONGEST_PX = 96.0
+NEAR_PX = 2.0 * WINDOW_PX  # from their path to the window: stars that may go along their own
+FINE_POINTS = 640  # of the finest grid from a source to the end of its wings
 
 
 def check_tile(
@@ -145,8 +150,10 @@ def reference(
     if plan.responses.spacing_px:
         if own_paths != OWN_PATHS:
             followed = _star_groups(plan, g, at, near, OWN_PATHS)
-        for x, y, light, path in [*followed, *points]:
-            _add_fine_wings(plan, image, at, x, y, light, path)
+        for group in [*followed[:1], *points]:
+            _add_fine_wings(plan, image, at, [group], plan.responses.reach_px)
+        if followed[1:]:
+            _add_fine_wings(plan, image, at, followed[1:], _nearby_px(plan, at, followed[1:]))
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
@@ -154,7 +161,7 @@ def reference(
 
 def _star_groups(
     plan: Plan, g: Geometry, at: Tile, near: FrameStars, own_paths: int
-) -> list[tuple[Array, Array, Array, Path]]:
+) -> list[Group]:
     """(x, y, light, path) of the stars near a window: of most together, of the brightest alone."""
     if not len(near):
         return []
@@ -185,7 +192,7 @@ def _brightest(
         share = ((x - x0) * dx + (y - y0) * dy) / max(dx * dx + dy * dy, 1e-300)
         share = np.clip(share, 0.0, 1.0)
         apart = np.minimum(apart, np.hypot(x - x0 - share * dx, y - y0 - share * dy))
-    near = apart < 2.0 * WINDOW_PX
+    near = apart < NEAR_PX
     light = np.where(near, stars.light_e, -1.0)
     chosen = np.zeros(len(stars), bool)
     chosen[np.argsort(-light, kind="stable")[:count]] = True
@@ -193,7 +200,7 @@ def _brightest(
 
 
 def _pieces(
-    plan: Plan, at: Tile, groups: list[tuple[Array, Array, Array, Path]]
+    plan: Plan, at: Tile, groups: list[Group]
 ) -> Iterator[tuple[Any, Path, Array, Array, Array]]:
     """(core, piece, x, y, light) of the sources that light a window, piece by piece of path."""
     for x, y, light, path in groups:
@@ -226,22 +233,33 @@ def _radius(plan: Plan, k: int, blur: Blur) -> float:
     return min(2.0 * r.classes[k].radius_px, max(most, r.classes[k].radius_px))
 
 
+def _nearby_px(plan: Plan, at: Tile, groups: list[Group]) -> float:
+    """A reach that holds the window for all stars that pass by it, in whole 32 px."""
+    longest = max(path.length_px for *_, path in groups)
+    needed = (NEAR_PX + math.hypot(at.rows, at.columns) + longest) / CUT_FROM
+    return min(plan.responses.reach_px, 32.0 * math.ceil(needed / 32.0))
+
+
 def _add_fine_wings(
-    plan: Plan, image: Array, at: Tile, x: Array, y: Array, light: Array, path: Path
+    plan: Plan, image: Array, at: Tile, groups: list[Group], reach_px: float
 ) -> None:
-    """Wings of sources on a grid of half the planned spacing, swept by their own path."""
-    r = plan.responses
-    grid = _fine_grid(plan, at, path)
-    swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
-    classes = class_of(plan, light)
-    total = np.zeros(swept.shape, complex)
-    for k in np.unique(classes):
-        mine = np.flatnonzero(classes == k)
-        for blur, which, part in r.parts(x[mine], y[mine], light[mine]):
-            kernel = kernel_of(blur, _radius(plan, int(k), blur), grid, r.reach_px)
-            at_x, at_y = x[mine[which]], y[mine[which]]
-            total += scipy.fft.rfft2(spread(grid, at_x, at_y, part)) * kernel
-    add_wings(image, (at.y0, at.x0), grid, convolve(total * swept, grid))
+    """Wings of sources on grids of half the planned spacing, swept by their own path.
+
+    reach_px : up to which the wings are needed
+    """
+    for grid, ends in _fine_grids(plan, at, [path for *_, path in groups], reach_px):
+        total: Any = 0.0
+        for x, y, light, path in groups:
+            classes = class_of(plan, light)
+            swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+            for k in np.unique(classes):
+                mine = np.flatnonzero(classes == k)
+                for blur, which, part in plan.responses.parts(x[mine], y[mine], light[mine]):
+                    kernel = _wing(blur, _radius(plan, int(k), blur), grid, ends)
+                    at_x, at_y = x[mine[which]], y[mine[which]]
+                    total = total + scipy.fft.rfft2(spread(grid, at_x, at_y, part)) * kernel * swept
+        if np.ndim(total):
+            add_wings(image, (at.y0, at.x0), grid, convolve(total, grid))
 
 
 def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
@@ -252,20 +270,39 @@ def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         core = core_of(blur, _radius(plan, k, blur))
         draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)
-        if r.spacing_px:
-            grid = _fine_grid(plan, at, path)
+        for grid, ends in _fine_grids(plan, at, [path], r.reach_px) if r.spacing_px else ():
             light = scipy.fft.rfft2(spread_body(grid, target.body, place, light_e))
-            light = light * kernel_of(blur, core.radius_px, grid, r.reach_px)
+            light = light * _wing(blur, core.radius_px, grid, ends)
             swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
             add_wings(image, (at.y0, at.x0), grid, convolve(light * swept, grid))
 
 
-def _fine_grid(plan: Plan, at: Tile, path: Path) -> WingGrid:
-    """A grid around a window, of half the planned spacing."""
-    r = plan.responses
-    sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
-    spacing = max(1, r.spacing_px // 2)
-    return wing_grid((at.rows, at.columns), (at.y0, at.x0), spacing, r.reach_px + sweep)
+def _fine_grids(
+    plan: Plan, at: Tile, paths: list[Path], reach_px: float
+) -> list[tuple[WingGrid, tuple[float, float]]]:
+    """Grids around a window, and from where to where [px] each has a source's wings.
+
+    One of half the planned spacing; where that takes more than FINE_POINTS to the reach it ends
+    there, and a coarser one has the rest, as smooth as it is so far out.
+    """
+    sweep = max(float(max(np.abs(p.x_px).max(), np.abs(p.y_px).max())) for p in paths)
+    sweep = 8.0 * math.ceil(sweep / 8.0)  # so that grids alike share their kernels
+    spacing = max(1, plan.responses.spacing_px // 2)
+    ends = [(spacing, 0.0, min(reach_px, float(spacing * FINE_POINTS)))]
+    if ends[0][2] < reach_px:
+        ends.append((math.ceil(reach_px / FINE_POINTS), ends[0][2], reach_px))
+    return [
+        (wing_grid((at.rows, at.columns), (at.y0, at.x0), h, last + sweep), (first, last))
+        for h, first, last in ends
+    ]
+
+
+def _wing(
+    blur: Blur, radius_px: float, grid: WingGrid, ends: tuple[float, float]
+) -> NDArray[np.complex128]:
+    """Transfer function of a wing between two distances from its source."""
+    kernel = kernel_of(blur, radius_px, grid, ends[1])
+    return kernel - kernel_of(blur, radius_px, grid, ends[0]) if ends[0] else kernel
 
 
 def summary(records: list[dict[str, Any]]) -> dict[str, Any]:

@@ -48,6 +48,9 @@ LEDGER = (
          "stars below the limit (given, or where the sum of all fainter ones is below a share of "
          "the noise) become smooth light; in layers each star is drawn once",
          "tests/plan/test_sky.py"),
+    Rule(("star_engines",),
+         "tables where so many stars share them that they cost less than drawing star by star",
+         "tests/plan/test_star_engines.py"),
     Rule(("precession_nutation", "polar_motion"),
          "IAU 2006/2000A always; polar motion never (10 m)",
          "tests/physics/positions/test_earth.py::test_against_astropy_site"),

@@ -21,6 +21,16 @@ def write_part(product: Path, kind: str, frame: int, table: pa.Table) -> None:
     _write(part_path(product, kind, frame), table)
 
 
+def part_content(table: pa.Table) -> bytes:
+    """The truth of one frame as it is stored."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    out = pa.BufferOutputStream()
+    pq.write_table(table, out, **_OPTIONS)
+    return bytes(out.getvalue())
+
+
 def write_whole(product: Path, kind: str, table: pa.Table) -> int:
     """Store truth that is the same in all frames as truth/KIND.parquet; returns the rows."""
     _write(product / TRUTH / f"{kind}.parquet", table)
@@ -29,14 +39,17 @@ def write_whole(product: Path, kind: str, table: pa.Table) -> int:
 
 def part_is_whole(product: Path, kind: str, frame: int) -> bool:
     """Whether the truth of a frame is stored and readable."""
+    path = part_path(product, kind, frame)
+    return path.is_file() and is_whole(path)
+
+
+def is_whole(table: Any) -> bool:
+    """Whether a Parquet file, or its bytes in a buffer, can be read to the end."""
     import pyarrow.parquet as pq
     from pyarrow import ArrowException
 
-    path = part_path(product, kind, frame)
-    if not path.is_file():
-        return False
     try:
-        pq.read_table(path, page_checksum_verification=True)
+        pq.read_table(table, page_checksum_verification=True)
     except (ArrowException, OSError):
         return False
     return True
