@@ -55,6 +55,8 @@ def full_disk_told(store: Path | str, remedy: str) -> Iterator[None]:
     """
     try:
         yield
+    except DiskFull as error:  # of a store inside of this one: what to do is said of the whole
+        raise DiskFull(str(store), error.code, remedy) from error
     except OSError as error:
         if error.errno not in NO_ROOM:
             raise

@@ -78,12 +78,14 @@ class Options:
 
     scheduler : threads, synchronous, processes, or an address; workers : None for all cores
     resume : go on with an unfinished product; replace : remove what stands at the path first
+    most_cpu_s : a scene whose plan predicts more is refused before anything is drawn
     """
 
     scheduler: str = "threads"
     workers: int | None = None
     resume: bool = False
     replace: bool = False
+    most_cpu_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -289,6 +291,15 @@ def plan_scene(scene: Scene) -> dict[str, Any]:
     return summary_of(prepare(scene))
 
 
+def check_cost(scene: Scene, summary: dict[str, Any], most_cpu_s: float | None) -> None:
+    """BadInput where a plan predicts more CPU seconds than are allowed; None allows any."""
+    asked = summary["predicted"]["cpu_s"]
+    if most_cpu_s is not None and asked > most_cpu_s:
+        field = "exposure.frames" if scene.dwells is None else "dwells"
+        allowed = f"a scene of at most {most_cpu_s:g} CPU s (predicted: {asked:.0f})"
+        raise BadInput(field, summary["frames"], allowed)
+
+
 def summary_of(prepared: Prepared) -> dict[str, Any]:
     return plan_dict(prepared.plan, _forecast(prepared), catalogue_facts_of(prepared))
 
@@ -340,13 +351,14 @@ def _render(
 ) -> dict[str, Any]:
     started = time.perf_counter()
     prepared = prepare(scene)
-    plan = prepared.plan
+    plan, summary = prepared.plan, summary_of(prepared)
+    check_cost(scene, summary, options.most_cpu_s)
     if options.replace and product.exists():
         _remove(product)
     digest = "+".join(c.digest for c in prepared.catalogues) or None
     begun = begin(product, plan, digest, options.resume)
     with layout.only_writer(product):
-        layout.write_atomically(product / layout.PLAN, layout.to_json(summary_of(prepared)))
+        layout.write_atomically(product / layout.PLAN, layout.to_json(summary))
         planned = time.perf_counter()
         if (product / layout.COMPLETE).is_file() and all_done(begun, plan):
             return stored_report(begun)

@@ -88,17 +88,21 @@ def _tiles_told(order: dict[str, Any]) -> Iterator[None]:
 
 
 def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
-    from pipeline.run import plan_scene
+    from pipeline.run import check_cost, plan_scene
 
-    return {"outcome": "done", "plan": plan_scene(parse_scene(order["scene"]))}
+    scene = parse_scene(order["scene"])
+    plan = plan_scene(scene)
+    check_cost(scene, plan, order["most_cpu_s"])
+    return {"outcome": "done", "plan": plan}
 
 
 def _render(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
     from pipeline.run import Options, render
 
     options = Options(
-        scheduler=order["scheduler"], workers=order["workers"], resume=order["resume"]
-    )
+        scheduler=order["scheduler"], workers=order["workers"], resume=order["resume"],
+        most_cpu_s=order["most_cpu_s"],
+    )  # fmt: skip
     with _tiles_told(order):
         report = render(
             parse_scene(order["scene"]), Path(order["product"]), options, _listener(answers)

@@ -18,6 +18,7 @@ from pipeline.plan.air import above_air
 from pipeline.plan.air_decisions import decide_air
 from pipeline.plan.attitude_motion import decide_motion
 from pipeline.plan.checks import CheckCell, choose_checks
+from pipeline.plan.cost import NOISE_S_PER_PIXEL, least_cpu_s
 from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
 from pipeline.plan.detector import decide_detector, lag_depth
@@ -46,11 +47,9 @@ if TYPE_CHECKING:
     from pipeline.plan.sky import SkyPlan
 
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
-NOISE_S_PER_PIXEL = 60e-9
 PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
 CROWD_BYTES_PER_PIXEL = 50.0
-START_S = 2.0
 FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # deflection: 1.75 arcsec at the Sun's limb
 
 
@@ -253,7 +252,7 @@ def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
     pixels = math.prod(plan.scene.sensor.shape)
     stars = forecast.stars_per_frame if forecast else 0
     r = plan.responses
-    frame_s = frame_seconds(plan, forecast)
+    light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
     rows, columns = tile_shape(plan.scene)
     layers = len(plan.scene.output.layers)
     grid = 0.0
@@ -265,7 +264,7 @@ def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
     memory = rows * columns * 8.0 * (8 + layers) + grid + stars * 150.0 + 180e6
     memory += 1e6 * r.table_mb
     return {
-        "cpu_s": START_S + plan.frames * frame_s,
+        "cpu_s": least_cpu_s(plan.scene) + plan.frames * light_s,
         "worker_memory_mb": memory / 1e6,
         "product_mb": pixels * plan.frames * (2.0 + 4.0 * (layers - 1)) / 1e6,
     }

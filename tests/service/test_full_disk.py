@@ -98,7 +98,7 @@ def test_a_full_disk_at_every_tenth_write(
     run(make_server, disk, scene, range(10, 401, 10))
 
 
-@pytest.mark.parametrize("at", [1, 5])
+@pytest.mark.parametrize("at", [8])
 def test_a_service_does_not_start_on_a_full_disk(disk: Any, tmp_path: Path, at: int) -> None:
     """One message, exit code 3."""
     control, environ = disk
