@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -44,7 +46,8 @@ WINDOW_PX = 16
 OWN_PATHS = 8  # of the brightest stars near a window
 MOST_TERMS = 4e8  # products that a window may cost: about a second
 LONGEST_PX = 48.0
-FINE_POINTS = 640  # of the finest grid from a source to the end of its wings
+SWEEP_STEP_PX = 32.0
+FINE_POINTS = 384  # of the finest grid from a source to the end of its wings
 
 
 def check_tile(
@@ -122,9 +125,8 @@ def reference(
 
     Every source stands at its exact place and streaks as stars in the window's middle do (targets
     and the `own_paths` brightest stars along their own path), with a core of twice the radius that
-    its brightness asks for and the wings on a grid of half the spacing (along their own path for
-    the OWN_PATHS brightest): the sum of the phases of its spectrum, in float64. None where that
-    would cost more than `most_terms`.
+    its brightness asks for and the wings on a grid of half the spacing: the sum of the phases of
+    its spectrum, in float64. None where that would cost more than `most_terms`.
     """
     near = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
     targets = place_targets(plan, g)
@@ -145,10 +147,7 @@ def reference(
     for core, piece, x, y, light in work:
         image += draw_direct(core, piece, image.shape, (at.y0, at.x0), x, y, light)
     if plan.responses.spacing_px:
-        if own_paths != OWN_PATHS:
-            followed = _star_groups(plan, g, at, near, OWN_PATHS)
-        for x, y, light, path in [*followed, *points]:
-            _add_fine_wings(plan, image, at, x, y, light, path)
+        _add_fine_wings(plan, image, at, groups)
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
@@ -229,20 +228,47 @@ def _radius(plan: Plan, k: int, blur: Blur) -> float:
 
 
 def _add_fine_wings(
-    plan: Plan, image: Array, at: Tile, x: Array, y: Array, light: Array, path: Path
+    plan: Plan, image: Array, at: Tile, groups: list[tuple[Array, Array, Array, Path]]
 ) -> None:
-    """Wings of sources on grids of half the planned spacing, swept by their own path."""
-    classes = class_of(plan, light)
-    for grid, ends in _fine_grids(plan, at, path):
-        swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
-        total = np.zeros(swept.shape, complex)
-        for k in np.unique(classes):
-            mine = np.flatnonzero(classes == k)
-            for blur, which, part in plan.responses.parts(x[mine], y[mine], light[mine]):
-                kernel = _wing(blur, _radius(plan, int(k), blur), grid, ends)
-                at_x, at_y = x[mine[which]], y[mine[which]]
-                total += scipy.fft.rfft2(spread(grid, at_x, at_y, part)) * kernel
-        add_wings(image, (at.y0, at.x0), grid, convolve(total * swept, grid))
+    """Wings of (x, y, light, path) of sources on grids of half the planned spacing.
+
+    Each source sends its wings from points all along its own path.
+    """
+    sweep = max((_sweep(path) for *_, path in groups), default=0.0)
+    sweep = SWEEP_STEP_PX * math.ceil(sweep / SWEEP_STEP_PX)  # windows share their kernels
+    for grid, ends in _fine_grids(plan, at, sweep):
+        lights: dict[tuple[int, Blur], Array] = {}
+        for x, y, light, path in groups:
+            dx, dy, share = _points(path, 0.5 * grid.spacing_px)
+            classes = class_of(plan, light)
+            for k in np.unique(classes):
+                mine = np.flatnonzero(classes == k)
+                for blur, which, part in plan.responses.parts(x[mine], y[mine], light[mine]):
+                    at_x, at_y = x[mine[which], None] + dx, y[mine[which], None] + dy
+                    sent = spread(grid, at_x.ravel(), at_y.ravel(), np.outer(part, share).ravel())
+                    key = int(k), blur
+                    lights[key] = lights[key] + sent if key in lights else sent
+        total = np.zeros((grid.rows, grid.columns // 2 + 1), complex)
+        for (k, blur), light in lights.items():
+            total += scipy.fft.rfft2(light) * _wing(blur, _radius(plan, k, blur), grid, ends)
+        add_wings(image, (at.y0, at.x0), grid, convolve(total, grid))
+
+
+def _points(path: Path, step_px: float) -> tuple[Array, Array, Array]:
+    """Points (n,) along a path, at most `step_px` apart, and the share of the light that each is
+    worth: the middles of even parts of its segments."""
+    x, y = np.diff(path.x_px), np.diff(path.y_px)
+    parts = np.maximum(1, np.ceil(np.hypot(x, y) / step_px)).astype(np.int64)
+    of = np.repeat(np.arange(path.segments), parts)
+    first = np.cumsum(parts) - parts
+    within = (np.arange(len(of)) - first[of] + 0.5) / parts[of]
+    return (path.x_px[of] + within * x[of], path.y_px[of] + within * y[of],
+            path.weight[of] / parts[of])  # fmt: skip
+
+
+def _sweep(path: Path) -> float:
+    """How far a path goes from its origin on either axis [px]."""
+    return float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
 
 
 def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
@@ -253,27 +279,28 @@ def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         core = core_of(blur, _radius(plan, k, blur))
         draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)
-        for grid, ends in _fine_grids(plan, at, path) if r.spacing_px else ():
+        for grid, ends in _fine_grids(plan, at, _sweep(path)) if r.spacing_px else ():
             light = scipy.fft.rfft2(spread_body(grid, target.body, place, light_e))
             light = light * _wing(blur, core.radius_px, grid, ends)
             swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
             add_wings(image, (at.y0, at.x0), grid, convolve(light * swept, grid))
 
 
-def _fine_grids(plan: Plan, at: Tile, path: Path) -> list[tuple[WingGrid, tuple[float, float]]]:
+def _fine_grids(
+    plan: Plan, at: Tile, sweep_px: float
+) -> list[tuple[WingGrid, tuple[float, float]]]:
     """Grids around a window, and from where to where [px] each has a source's wings.
 
     One of half the planned spacing; where that takes more than FINE_POINTS to the reach it ends
     there, and a coarser one has the rest, as smooth as it is so far out.
     """
     r = plan.responses
-    sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
     spacing = max(1, r.spacing_px // 2)
     ends = [(spacing, 0.0, min(r.reach_px, float(spacing * FINE_POINTS)))]
     if ends[0][2] < r.reach_px:
         ends.append((math.ceil(r.reach_px / FINE_POINTS), ends[0][2], r.reach_px))
     return [
-        (wing_grid((at.rows, at.columns), (at.y0, at.x0), h, last + sweep), (first, last))
+        (wing_grid((at.rows, at.columns), (at.y0, at.x0), h, last + sweep_px), (first, last))
         for h, first, last in ends
     ]
 
@@ -282,6 +309,13 @@ def _wing(
     blur: Blur, radius_px: float, grid: WingGrid, ends: tuple[float, float]
 ) -> NDArray[np.complex128]:
     """Transfer function of a wing between two distances from its source."""
+    return _wing_kept(blur, radius_px, replace(grid, y0_px=0.0, x0_px=0.0), ends)
+
+
+@lru_cache(maxsize=8)
+def _wing_kept(
+    blur: Blur, radius_px: float, grid: WingGrid, ends: tuple[float, float]
+) -> NDArray[np.complex128]:
     kernel = kernel_of(blur, radius_px, grid, ends[1])
     return kernel - kernel_of(blur, radius_px, grid, ends[0]) if ends[0] else kernel
 
