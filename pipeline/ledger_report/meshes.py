@@ -166,7 +166,7 @@ def table(bench: Bench) -> Iterator[Found]:
                 most(ours - true) / most(true), unit, out_s, in_s)  # fmt: skip
 
 
-@probe("targets.shapes_as_points")
+@probe("targets.point_sources")
 def shapes(bench: Bench) -> Iterator[Found]:
     """A square plate as a point, and as a mesh with its picture: the same light, spread out."""
     side = 2.0

@@ -29,7 +29,9 @@ SCENE: dict[str, Any] = {
     "accuracy": {"check_cells": 0},
     "output": {"layers": ["dn", "mean_e"]},
 }  # fmt: skip
-SITE: dict[str, Any] = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055.0}
+SITE: dict[str, Any] = {
+    "kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055.0,
+}  # fmt: skip
 PLACE_M, SPEED_M_S = [7131858.8, -812572.7, 0.0], [-117.404, -1030.438, 7379.381]
 ORBIT = {
     "kind": "orbit", "orbit": {"kind": "state", "position_m": PLACE_M, "velocity_m_s": SPEED_M_S},

@@ -53,7 +53,8 @@ def run_ledger(names: tuple[str, ...] = (), progress: Progress | None = None) ->
         for k, rule in enumerate(chosen):
             if progress is not None:
                 progress("rules", k, len(chosen))
-            rows.append(_row(rule, list(PROBES[rule.components[0]](bench))))
+            works = PROBES[rule.components[0]]
+            rows.append(_row(rule, [found for work in works for found in work(bench)]))
     if progress is not None:
         progress("rules", len(chosen), len(chosen))
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
