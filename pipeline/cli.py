@@ -25,7 +25,7 @@ from pipeline.options import (
     print_json,
 )
 from pipeline.parts_cli import join
-from pipeline.report_cli import report_scenes
+from pipeline.report_cli import report_ledger, report_scenes
 from pipeline.sweep_cli import sweep
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
@@ -47,6 +47,7 @@ app.command()(join)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 report_app.command("scenes")(report_scenes)
+report_app.command("ledger")(report_ledger)
 
 SceneFile = Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")]
 ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")]

@@ -69,10 +69,10 @@ def rays(_: Bench) -> Iterator[Found]:
     """Refraction, its spread over colours, and the shift of near things, against traced rays."""
     for elevation in (20.0, 45.0):
         parsed = parse_scene(_scene(elevation))
-        in_s, prepared = timed(lambda parsed=parsed: prepare(parsed))  # type: ignore[misc]
+        prepared = prepare(parsed)
         plan = prepared.plan
         pressure, celsius, _humidity = weather_of(plan.scene)
-        kelvin, height = celsius + 273.15, float(SITE["height_m"])  # type: ignore[arg-type]
+        kelvin, height = celsius + 273.15, float(SITE["height_m"])
         g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
         air = g.air[0, [g.middle]]
         sine = float(frame_sines(plan.camera, g.attitude[0, [g.middle]], air[:, :3]).min())

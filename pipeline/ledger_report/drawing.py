@@ -1,4 +1,4 @@
-"""Probes of how light is drawn: responses, wavelengths, streaks, crowds, wings, sky and stray light."""
+"""Probes of how light is drawn: responses, colours, streaks, crowds, wings, sky, stray light."""
 
 from __future__ import annotations
 

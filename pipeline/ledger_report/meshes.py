@@ -1,4 +1,4 @@
-"""Probes of meshes: pictures, shadows, light between facets, earthshine, light worked out before."""
+"""Probes of meshes: pictures, shadows, light between facets, earthshine, tables of light."""
 
 from __future__ import annotations
 
@@ -149,23 +149,24 @@ def table(bench: Bench) -> Iterator[Found]:
 
     path = write_obj(bench.folder / "groove.obj", groove())
     law = {"kind": "nadir", "quaternion": [-0.5, 0.5, 0.3, 0.8]}
-    data = followed(before(TOWARDS, 2e5, "a", body=body(path, attitude=law)), **{
-        "exposure": {"integration_s": 0.5, "frames": 900, "cadence_s": 1.0}})  # fmt: skip
+    exposure = {"integration_s": 0.5, "frames": 900, "cadence_s": 1.0}
+    target = before(TOWARDS, 2e5, "a", body=body(path, attitude=law))
+    data = followed(target, exposure=exposure)
     plan = prepare(parse_scene(data)).plan
     frames = np.array([0, 7, 211, 430])
     out_s, ours = timed(lambda: plan_geometry(plan.scene, frames, plan.dut1_s).target_light)
     worth = mesh_tables.WORTH
     try:
-        mesh_tables.WORTH = 10**9  # type: ignore[misc]
+        mesh_tables.WORTH = 10**9
         in_s, true = timed(lambda: plan_geometry(plan.scene, frames, plan.dut1_s).target_light)
     finally:
-        mesh_tables.WORTH = worth  # type: ignore[misc]
+        mesh_tables.WORTH = worth
     bound, unit = stated(plan, "targets.light_table")
     yield Found("targets.light_table", "a corner that turns in orbit, 4 of 900 frames", bound,
                 most(ours - true) / most(true), unit, out_s, in_s)  # fmt: skip
 
 
-@probe("targets.shapes_as_points")
+@probe("targets.point_sources")
 def shapes(bench: Bench) -> Iterator[Found]:
     """A square plate as a point, and as a mesh with its picture: the same light, spread out."""
     side = 2.0

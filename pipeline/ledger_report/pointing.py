@@ -1,10 +1,10 @@
-"""Probes of the camera's motion: tables between their rows, jitter as blur, dwells, rolling rows."""
+"""Probes of the camera's motion: tables between their rows, jitter, dwells, rolling shutters."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
-from pathlib import Path
 
 import numpy as np
 from scipy.special import erf
@@ -13,15 +13,34 @@ from pipeline.arrays import Array, FrameStars
 from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
 from pipeline.ledger_report.scenes import DEC_DEG, ORBIT, RA_DEG, mean_e, scene
 from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.physics.positions.distortion import to_detector
 from pipeline.plan.attitude_motion import SHARPEST_PX, motion_plan
 from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.star_paths import field_points, still_paths
 from pipeline.run import prepare
 from pipeline.scene_report.stage import gather_stars, open_stage
 from pipeline.spec.load import parse_scene
 
 RUNS, FINE = 400, 4097
 LINE_S, ROWS = 2e-3, 5
+
+
+@probe("distortion")
+def distortion(_: Bench) -> Iterator[Found]:
+    """Places through SIP terms and back by the product, the terms summed by numpy's powers."""
+    terms = {"2_0": 3e-5, "1_1": -2e-5, "0_2": 1e-5, "3_0": 4e-8, "1_2": -3e-8}
+    wish = {"kind": "sip", "a": terms, "b": {k: -0.7 * v for k, v in terms.items()}}
+    plan = prepare(parse_scene(scene({"sensor.distortion": wish}))).plan
+    d = plan.camera.distortion
+    assert d is not None
+    half = 0.5 * (plan.camera.rows - 1)
+    u, v = np.random.default_rng(8).uniform(-half, half, (2, 20_000))
+    powers = [(int(k[0]), int(k[2]), t) for k, t in terms.items()]
+    in_s, moved = timed(lambda: sum(t * u**p * v**q for p, q, t in powers), 3)
+    out_s, found = timed(lambda: to_detector(d, u + moved, v - 0.7 * moved), 3)
+    off = max(most(found[0] - u), most(found[1] - v))
+    bound, unit = stated(plan, "distortion")
+    yield Found("distortion", "20,000 places through SIP terms of up to 0.3 px, and back", bound,
+                off, unit, out_s, in_s)  # fmt: skip
 
 
 @probe("dwells")
@@ -63,9 +82,8 @@ def table(_: Bench) -> Iterator[Found]:
             "integration_s": 0.04, "frames": 100, "cadence_s": 0.0777}}))  # fmt: skip
         prepared = prepare(parsed)
         plan = prepared.plan
-        out_s, g = timed(
-            lambda p=plan: plan_geometry(p.scene, np.arange(100, dtype=np.int64), p.dut1_s)
-        )  # type: ignore[misc]
+        frames = np.arange(100, dtype=np.int64)
+        out_s, g = timed(partial(plan_geometry, plan.scene, frames, plan.dut1_s))
         moments = g.offset_s[:, g.middle]
         in_s, true = timed(lambda t=moments: _true_attitude(t)[:, 2])  # type: ignore[misc]
         told = g.attitude[:, g.middle, 2]
@@ -114,8 +132,8 @@ def jitter(_: Bench) -> Iterator[Found]:
         every = waves * np.sin(2 * np.pi * hz[k, ..., None] * t + phase[k, ..., None])
         slow = np.where(fast[k, ..., None], 0.0, every)
         path = [np.interp(t, nodes, s[:: (FINE - 1) // (motion.nodes - 1)]) for s in slow.sum(1)]
-        in_s, exact = timed(lambda e=every: image(*e.sum(1)[:, ::8], SHARPEST_PX))  # type: ignore[misc]
-        out_s, told = timed(lambda p=path, s=blurred: image(p[0][::64], p[1][::64], s))  # type: ignore[misc]
+        in_s, exact = timed(partial(image, *every.sum(1)[:, ::8], SHARPEST_PX))
+        out_s, told = timed(partial(image, path[0][::64], path[1][::64], blurred))
         worst.append(most(exact - told) / float(exact.max()))
         spent = [spent[0] + out_s, spent[1] + in_s]
     bound = stated(plan, "pointing_motion")[0] / plan.facts.sigma_floor_e

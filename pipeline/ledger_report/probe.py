@@ -39,7 +39,7 @@ class Found:
 
 
 Probe = Callable[["Bench"], Iterator[Found]]
-PROBES: dict[str, Probe] = {}
+PROBES: dict[str, list[Probe]] = {}
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def probe(rule: str) -> Callable[[Probe], Probe]:
     """Register a probe under the first component of its rule."""
 
     def keep(work: Probe) -> Probe:
-        PROBES[rule] = work
+        PROBES.setdefault(rule, []).append(work)
         return work
 
     return keep

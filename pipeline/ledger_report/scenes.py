@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.scene_report.stage import Stage, light_by, mean_of, open_stage
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
+from pipeline.scene_report.stage import Stage, light_by, mean_of, open_stage
 
 RA_DEG, DEC_DEG = 80.0, 20.0
 SIDE, STARS = 128, 260
@@ -29,7 +29,9 @@ SCENE: dict[str, Any] = {
     "accuracy": {"check_cells": 0},
     "output": {"layers": ["dn", "mean_e"]},
 }  # fmt: skip
-SITE = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055.0}
+SITE: dict[str, Any] = {
+    "kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055.0,
+}  # fmt: skip
 PLACE_M, SPEED_M_S = [7131858.8, -812572.7, 0.0], [-117.404, -1030.438, 7379.381]
 ORBIT = {
     "kind": "orbit", "orbit": {"kind": "state", "position_m": PLACE_M, "velocity_m_s": SPEED_M_S},
@@ -39,10 +41,10 @@ SPHERE = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}
 
 def scene(changes: dict[str, Any] | None = None, base: dict[str, Any] | None = None) -> Any:
     """A small scene with dotted changes, such as {"sensor.shape": [8, 8]}; None removes a key."""
-    data = copy.deepcopy(base or SCENE)
+    data: Any = copy.deepcopy(base or SCENE)
     for key, value in (changes or {}).items():
         *parents, last = key.split(".")
-        holder = data
+        holder: Any = data
         for part in parents:
             holder = holder[int(part)] if part.isdigit() else holder.setdefault(part, {})
         if value is None:

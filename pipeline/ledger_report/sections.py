@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from pipeline.arrays import Array
 from pipeline.execute.tile import tile_light
 from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
-from pipeline.ledger_report.scenes import PLACE_M, SIDE, before, mean_e, scene, whole
+from pipeline.ledger_report.scenes import SIDE, before, mean_e, scene, whole
 from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
 from pipeline.physics.noise.streams import poisson_image
 from pipeline.physics.noise.transfer import lagged_e

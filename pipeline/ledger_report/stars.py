@@ -1,4 +1,4 @@
-"""Probes of where and how bright stars are seen: motions, Doppler, polar motion, faint ones, Earth."""
+"""Probes of stars: effects on places and light, polar motion, faint ones, the Earth before them."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def polar_motion(_: Bench) -> Iterator[Found]:
         "mode": "local", "azimuth_deg": 90.0, "elevation_deg": 60.0},
         "stars": None}))).plan  # fmt: skip
     at = instants(parse_utc("2019-12-01T08:00:00Z"), [0.0])
-    args = SITE["longitude_deg"] * DEG_RAD, SITE["height_m"]  # type: ignore[operator]
+    args = SITE["longitude_deg"] * DEG_RAD, SITE["height_m"]
     lats = np.radians([-60.0, 20.7, 80.0])
     out_s, still = timed(lambda: [site_state(lat, *args, at)[0] for lat in lats])
     in_s, moved = timed(lambda: [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from pipeline.physics.positions.focal_plane import area_ratio_range, stretch
 from pipeline.physics.psf.band import BandOptics
@@ -134,7 +135,7 @@ def _optics(scene: Scene) -> list[Decision]:
 def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decision]:
     sigma, budget = facts.sigma_floor_e, r.budget_e
 
-    def bound(e: float) -> dict[str, float]:
+    def bound(e: float) -> dict[str, Any]:
         return {"error_bound_e": e, "error_bound_sigma": e / sigma}
 
     out = [_over_the_field(r, sigma)]

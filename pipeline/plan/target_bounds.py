@@ -52,7 +52,8 @@ def two_body_m(targets: Sequence[Target], scene: Scene, g: Geometry) -> float:
             continue
         r = max(_lowest_m(target.orbit, float(geocentric_m(g)[i].min())),
                 EARTH_EQUATORIAL_RADIUS_M)  # fmt: skip
-        start = parse_utc(target.orbit.epoch) if getattr(target.orbit, "epoch", None) else epoch
+        told = getattr(target.orbit, "epoch", None)
+        start = parse_utc(told) if told else epoch
         since = 86_400.0 * ((epoch[0] - start[0]) + (epoch[1] - start[1]))
         time_s = max(abs(since), abs(since + last))
         flat = 3.0 * J2 * EARTH_GM_M3_S2 * EARTH_EQUATORIAL_RADIUS_M**2 / r**4

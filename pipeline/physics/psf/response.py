@@ -27,7 +27,7 @@ TAPER_BAND = 0.3  # cycles/px that the taper adds to the band of the response
 TAPER_FROM = 0.7  # of the radius: where the taper begins; the best of 0.5 to 0.85 as measured
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Core:
     """The compact part of a response on a fine grid.
 
