@@ -242,9 +242,7 @@ def frame_seconds(plan: Plan, forecast: StarForecast | None) -> float:
     pixels = math.prod(plan.scene.sensor.shape)
     stars = forecast.stars_per_frame if forecast else 0
     light_s = pixels * WING_S_PER_PIXEL if plan.responses.spacing_px else 0.0
-    return (
-        pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars) + light_s
-    )
+    return pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars) + light_s
 
 
 def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
