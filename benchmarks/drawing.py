@@ -188,7 +188,7 @@ def stamp_table(name: str, core: Core, piece: Path) -> PixelResponse | ProductRe
     """The table of a piece of streak; equal pieces share one."""
     key = (name, piece)
     if key not in _TABLES and is_product(BLURS[name], piece.length_px):
-        _TABLES[key] = product_table(core)
+        _TABLES[key] = product_table(BLURS[name], core.radius_px)
     elif key not in _TABLES:
         half = window(core, float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max()))
         swept = transfer(*frequencies(core, *half[2:]), piece.x_px, piece.y_px, piece.weight)

@@ -198,7 +198,7 @@ def _product(phases: int) -> Setting:
 
 def _products(case: Case, phases: int) -> Drawn:
     """Stamps as column times row."""
-    table = product_table(compact_core(blur_of(case.shape), _radius(case)), phases)
+    table = product_table(blur_of(case.shape), _radius(case), phases)
 
     def draw(x: Array, y: Array, light: Array) -> Array:
         image = np.zeros(case.frame)

@@ -117,7 +117,7 @@ def table_of(
 
     def make() -> PixelResponse | ProductResponse:
         if is_product(blur, piece.length_px):
-            return product_table(core_of(blur, radius_px))
+            return product_table(blur, radius_px)
         core, spectrum, half, period = swept_core(blur, radius_px, piece)
         return phase_table(core, spectrum, half, period, phases)
 

@@ -13,11 +13,12 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pipeline.physics.psf.pupil import Blur, Gaussian
-from pipeline.physics.psf.response import ROW_STEP, SPAN_FLOOR, Core, window
+from pipeline.physics.psf.response import ROW_STEP, SPAN_FLOOR, compact_core, window
 
 Array = NDArray[np.float64]
 
 PHASES = 64  # a pixel, at least
+WIDER = 1.5
 LEBESGUE = 1.25  # largest sum of |weights| of cubic interpolation in its middle interval
 
 
@@ -58,15 +59,17 @@ def is_product(blur: Blur, streak_px: float) -> bool:
     return isinstance(blur.optics, Gaussian) and not streak_px
 
 
-def product_table(core: Core, phases: int = PHASES) -> ProductResponse:
-    """Tabulate the core of a source at rest, whose samples are a column times a row.
+def product_table(blur: Blur, radius_px: float, phases: int = PHASES) -> ProductResponse:
+    """Tabulate a response at rest that is a column times a row, up to a radius on either axis.
 
     Values between the samples come from trigonometric interpolation, exact for a band-limited
-    response. What the samples differ from the product of their sums is part of the stated errors.
+    response. What the samples differ from the product of their sums is part of the stated errors;
+    so they reach WIDER than the table, for a core is round.
     """
+    core = compact_core(blur, WIDER * radius_px)
     sums, light = (core.samples.sum(axis=1), core.samples.sum(axis=0)), core.samples.sum()
     off = float(np.abs(core.samples - np.outer(*sums) / light).max())
-    half, _, period, _ = window(core, 0.0, 0.0)
+    period, half = window(core, 0.0, 0.0)[2], int(np.ceil(radius_px)) + 1
     fines = [_fine(s, core.oversampling, phases, period) for s in sums]
     most = [float(np.abs(f).max()) for f in fines]
     peak = most[0] * most[1] / light

@@ -12,7 +12,6 @@ from pipeline.physics.drawing.products import draw_products
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.psf.product import is_product, product_table
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
-from pipeline.physics.psf.response import compact_core
 
 SIZE = 48
 
@@ -29,22 +28,21 @@ def exact(x: float, y: float, sigma: float, side: float) -> np.ndarray:
     st.sampled_from([1.0, 0.64]), st.sampled_from([8, 16, 64]),
 )  # fmt: skip
 def test_within_the_stated_error(sigma: float, x: float, y: float, fill: float, n: int) -> None:
-    core = compact_core(Blur(Gaussian(sigma), fill_factor=fill), 6.2 * sigma)
-    table = product_table(core, n)
+    table = product_table(Blur(Gaussian(sigma), fill_factor=fill), 6.2 * sigma, n)
     image = np.zeros((SIZE, SIZE))
     draw_products(image, (0, 0), table, np.array([x]), np.array([y]), np.ones(1))
     off = np.abs(image - exact(x, y, sigma, np.sqrt(fill))).max()
-    assert off <= table.cubic_error + 4e-8 * table.peak  # spans and the circle's edge
+    assert off <= table.cubic_error + 4e-8 * table.peak  # spans
 
 
 def test_many_phases_err_by_a_billionth() -> None:
-    table = product_table(compact_core(Blur(Gaussian(0.8)), 6.2 * 0.8))
+    table = product_table(Blur(Gaussian(0.8)), 6.2 * 0.8)
     assert table.cubic_error < 3e-8 * table.peak
 
 
 def test_whole_light_and_jitter_in_quadrature() -> None:
     blur = Blur(Gaussian(0.6), 0.8, 1.2)
-    table = product_table(compact_core(blur, 10.0))
+    table = product_table(blur, 10.0)
     image = np.zeros((SIZE, SIZE))
     draw_stamps(image, (0, 0), table, *np.full((2, 1), 20.3), np.ones(1), np.zeros(1, bool))
     assert image.sum() == pytest.approx(1.0, abs=1e-6)
@@ -53,7 +51,7 @@ def test_whole_light_and_jitter_in_quadrature() -> None:
 
 
 def test_same_bits_when_the_frame_is_cut() -> None:
-    table = product_table(compact_core(Blur(Gaussian(1.3)), 8.0))
+    table = product_table(Blur(Gaussian(1.3)), 8.0)
     rng = np.random.default_rng(1)
     x, y, light = rng.uniform(-30, 158, 500), rng.uniform(-30, 126, 500), rng.uniform(1, 1e5, 500)
     whole = np.zeros((96, 128))
