@@ -31,7 +31,7 @@ from pipeline.physics.drawing.wings import (
     spread,
     wing_grid,
 )
-from pipeline.physics.motion.streak import Path, pieces, transfer
+from pipeline.physics.motion.streak import POINT, Path, pieces, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.checks import CheckCell
 from pipeline.plan.responses import LARGEST_CORE_SAMPLES
@@ -41,11 +41,13 @@ from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import CELL_PX
 
 Part = tuple[slice, slice]
+Group = tuple[Array, Array, Array, Path]  # (x, y, light) of sources, and the path of each
 
 WINDOW_PX = 16
 OWN_PATHS = 8  # of the brightest stars near a window
 MOST_TERMS = 4e8  # products that a window may cost: about a second
-LONGEST_PX = 48.0
+LONGEST_PX = 96.0
+MOST_POINTS = 1e6  # along the paths of a group of sources whose wings are swept so
 SWEEP_STEP_PX = 32.0
 FINE_POINTS = 384  # of the finest grid from a source to the end of its wings
 
@@ -155,7 +157,7 @@ def reference(
 
 def _star_groups(
     plan: Plan, g: Geometry, at: Tile, near: FrameStars, own_paths: int
-) -> list[tuple[Array, Array, Array, Path]]:
+) -> list[Group]:
     """(x, y, light, path) of the stars near a window: of most together, of the brightest alone."""
     if not len(near):
         return []
@@ -194,7 +196,7 @@ def _brightest(
 
 
 def _pieces(
-    plan: Plan, at: Tile, groups: list[tuple[Array, Array, Array, Path]]
+    plan: Plan, at: Tile, groups: list[Group]
 ) -> Iterator[tuple[Any, Path, Array, Array, Array]]:
     """(core, piece, x, y, light) of the sources that light a window, piece by piece of path."""
     for x, y, light, path in groups:
@@ -228,29 +230,36 @@ def _radius(plan: Plan, k: int, blur: Blur) -> float:
 
 
 def _add_fine_wings(
-    plan: Plan, image: Array, at: Tile, groups: list[tuple[Array, Array, Array, Path]]
+    plan: Plan, image: Array, at: Tile, groups: list[Group]
 ) -> None:
-    """Wings of (x, y, light, path) of sources on grids of half the planned spacing.
+    """Wings of sources on grids of half the planned spacing.
 
-    Each source sends its wings from points all along its own path.
+    Each source sends its wings from points all along its own path, or, where those would be too
+    many, from one grid of sources that is swept as a whole.
     """
     sweep = max((_sweep(path) for *_, path in groups), default=0.0)
     sweep = SWEEP_STEP_PX * math.ceil(sweep / SWEEP_STEP_PX)  # windows share their kernels
     for grid, ends in _fine_grids(plan, at, sweep):
-        lights: dict[tuple[int, Blur], Array] = {}
+        lights: dict[tuple[int, Blur, Path], Array] = {}
         for x, y, light, path in groups:
             dx, dy, share = _points(path, 0.5 * grid.spacing_px)
+            rest = POINT
+            if len(dx) * len(x) > MOST_POINTS:
+                dx, dy, share, rest = np.zeros(1), np.zeros(1), np.ones(1), path
             classes = class_of(plan, light)
             for k in np.unique(classes):
                 mine = np.flatnonzero(classes == k)
                 for blur, which, part in plan.responses.parts(x[mine], y[mine], light[mine]):
                     at_x, at_y = x[mine[which], None] + dx, y[mine[which], None] + dy
                     sent = spread(grid, at_x.ravel(), at_y.ravel(), np.outer(part, share).ravel())
-                    key = int(k), blur
+                    key = int(k), blur, rest
                     lights[key] = lights[key] + sent if key in lights else sent
         total = np.zeros((grid.rows, grid.columns // 2 + 1), complex)
-        for (k, blur), light in lights.items():
-            total += scipy.fft.rfft2(light) * _wing(blur, _radius(plan, k, blur), grid, ends)
+        for (k, blur, path), light in lights.items():
+            wing = _wing(blur, _radius(plan, k, blur), grid, ends)
+            if path.length_px:
+                wing = wing * transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+            total += scipy.fft.rfft2(light) * wing
         add_wings(image, (at.y0, at.x0), grid, convolve(total, grid))
 
 

@@ -11,17 +11,17 @@ from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import Block, around, class_of, parts_of, target_class
 from pipeline.execute.guards import guard_light, guard_stars, inside_tile
 from pipeline.execute.sources import drawing_order, place_targets, streaks, zone_of
-from pipeline.execute.tables import core_of, swept_core, table_of
+from pipeline.execute.tables import core_of, still_core, swept_core, table_of
+from pipeline.physics.drawing.along import stamp_along
 from pipeline.physics.drawing.extended import draw_body
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.response import stamp_at
+from pipeline.plan.own_paths import own_paths
 from pipeline.plan.scene_plan import Plan
-from pipeline.plan.streaks import Streak, exact_path
+from pipeline.plan.streaks import Streak
 from pipeline.plan.tiles import Tile, overlap
-
-FEW_FROM_CLASS = 2  # core class from which bright streaked stars are too few for tables
 
 
 def draw_stars(
@@ -79,56 +79,77 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
 def _draw_stamps(
     plan: Plan, g: Geometry, image: Array, tile: Tile, paths: list[Streak], stars: FrameStars
 ) -> None:
-    """Stars by stamps, class by class and zone by zone.
-
-    Bright ones of large cores are few, and their tables large: each goes along its own path.
-    """
+    """Stars by stamps, class by class and zone by zone; bright streaks as the plan says."""
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
-    for k in range(len(plan.responses.classes)):
+    for k, core in enumerate(plan.responses.classes):
         for zone in np.unique(zones[classes == k]):
             mine = select(stars, (classes == k) & (zones == zone))
             streak = paths[zone]
             bright = mine.light_e > streak.mixed_from_e
-            own = bright if k >= FEW_FROM_CLASS else mine.light_e > streak.own_from_e
+            own = mine.light_e > streak.own_from_e if core.mixed_phases else bright
             usual, mixed = select(mine, ~bright), select(mine, bright & ~own)
-            draw_along(plan, g, image, tile, select(mine, own))
+            draw_along(plan, g, image, tile, select(mine, own), paths)
             for piece in streak.pieces:
                 x, y = streak.at(piece.centre, usual.x_px, usual.y_px)
                 x, y, light = usual.x_px + x, usual.y_px + y, usual.light_e * piece.share
-                _draw_piece(plan, image, tile, k, piece.path, x, y, light)
+                _draw_piece(plan, image, tile, k, core.phases, piece.path, x, y, light)
                 if len(mixed):
                     places = mixed.x_px, mixed.y_px, mixed.light_e
+                    phases = core.mixed_phases
                     for path, x, y, light in streak.mixture(piece, *places):
-                        _draw_piece(plan, image, tile, k, path, x, y, light)
+                        _draw_piece(plan, image, tile, k, phases, path, x, y, light, cubic=True)
 
 
-def draw_along(plan: Plan, g: Geometry, image: Array, tile: Tile, stars: FrameStars) -> None:
-    """Stars one by one, each along its own path, without tables (adds to the image)."""
-    aberration = plan.scene.star_effects["aberration"]
-    for i, k in enumerate(class_of(plan, stars.light_e)):
-        x, y, light = (float(v[i]) for v in (stars.x_px, stars.y_px, stars.light_e))
-        for x0, y0, piece, share in pieces(exact_path(plan.camera, g, x, y, aberration)):
-            draw_exact(plan, image, tile, int(k), piece, x + x0, y + y0, light * share)
+def draw_along(
+    plan: Plan, g: Geometry, image: Array, tile: Tile, stars: FrameStars,
+    paths: list[Streak] | None = None,
+) -> None:  # fmt: skip
+    """Stars one by one, each along its own path, without tables (adds to the image).
+
+    paths : `streaks` of the frame, where they are known already
+    """
+    if not len(stars):
+        return
+    paths, zones = paths or streaks(plan, g), zone_of(plan, stars.x_px, stars.y_px)
+    classes, aberration = class_of(plan, stars.light_e), plan.scene.star_effects["aberration"]
+    along = plan.responses.streaks
+    for zone in np.unique(zones):
+        mine = np.flatnonzero(zones == zone)
+        x, y, light = (v[mine] for v in (stars.x_px, stars.y_px, stars.light_e))
+        streak, off_px = paths[zone], along.own_px
+        merge = along.merged_px(light, streak.path.length_px)
+        places = streak.zone, streak.followed, off_px, x, y
+        own = own_paths(plan.camera, g, *places, merge, aberration)
+        for i, path in enumerate(own):
+            radius = plan.responses.classes[int(classes[mine[i]])].radius_px
+            for x0, y0, piece, share in pieces(path):
+                place = float(x[i]) + x0, float(y[i]) + y0, float(light[i]) * share
+                if _reaches(tile, radius, piece, *place[:2]):
+                    for blur, part in parts_of(plan, *place):
+                        swept = (*still_core(blur, radius, piece), piece)
+                        _add(image, tile, stamp_along(*swept, place[1], place[0]), part)
 
 
 def _draw_piece(
-    plan: Plan, image: Array, tile: Tile, k: int, piece: Path, x: Array, y: Array, light: Array
-) -> None:
-    """One piece of the streaks of stars of one class, from its table or star by star.
+    plan: Plan, image: Array, tile: Tile, k: int, phases: int, piece: Path, x: Array, y: Array,
+    light: Array, cubic: bool = False,
+) -> None:  # fmt: skip
+    """One piece of the streaks of stars of one class, from a table of so many phases or (0)
+    star by star. cubic : between phases in any case
 
     Stars so bright that the table's own rounding would show are drawn at their exact places too.
     """
     core, budget_e = plan.responses.classes[k], plan.responses.budget_e
     exact = np.ones(len(x), bool)
-    if core.phases and len(x):
+    if phases and len(x):
         parts = [
-            (table_of(blur, core.radius_px, piece, core.phases), mine, part)
+            (table_of(blur, core.radius_px, piece, phases), mine, part)
             for blur, mine, part in plan.responses.parts(x, y, light)
         ]
         exact = np.abs(light) * max(table.cubic_error for table, _, _ in parts) > budget_e
         for table, mine, part in parts:
             keep = ~exact[mine]
-            linear = np.abs(light[mine]) * table.linear_error <= budget_e
+            linear = np.abs(light[mine]) * table.linear_error <= (0.0 if cubic else budget_e)
             place = x[mine][keep], y[mine][keep], part[keep]
             draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
     for i in np.flatnonzero(exact):
@@ -140,18 +161,27 @@ def draw_exact(
 ) -> None:
     """One source drawn at its exact place, without a table."""
     radius = plan.responses.classes[k].radius_px
-    reach_x = radius + float(np.abs(piece.x_px).max()) + 4
-    reach_y = radius + float(np.abs(piece.y_px).max()) + 4
+    if _reaches(tile, radius, piece, x, y):
+        for blur, part in parts_of(plan, x, y, light):
+            _add(image, tile, stamp_at(*swept_core(blur, radius, piece), y, x), part)
+
+
+def _reaches(tile: Tile, radius_px: float, piece: Path, x: float, y: float) -> bool:
+    """Whether a core swept along a piece of path around (x, y) may light a tile."""
+    reach_x = radius_px + float(np.abs(piece.x_px).max()) + 4
+    reach_y = radius_px + float(np.abs(piece.y_px).max()) + 4
     inside_x = tile.x0 - reach_x < x < tile.x0 + tile.columns + reach_x
-    if not (inside_x and tile.y0 - reach_y < y < tile.y0 + tile.rows + reach_y):
-        return
-    for blur, part in parts_of(plan, x, y, light):
-        row, column, stamp = stamp_at(*swept_core(blur, radius, piece), y, x)
-        top, left = row - tile.y0, column - tile.x0
-        r0, r1 = max(0, -top), min(stamp.shape[0], tile.rows - top)
-        c0, c1 = max(0, -left), min(stamp.shape[1], tile.columns - left)
-        if r1 > r0 and c1 > c0:
-            image[top + r0 : top + r1, left + c0 : left + c1] += part * stamp[r0:r1, c0:c1]
+    return inside_x and tile.y0 - reach_y < y < tile.y0 + tile.rows + reach_y
+
+
+def _add(image: Array, tile: Tile, stamp: tuple[int, int, Array], light_e: float) -> None:
+    """Add a stamp (first row, first column, values) of a source to the image of a tile."""
+    row, column, values = stamp
+    top, left = row - tile.y0, column - tile.x0
+    r0, r1 = max(0, -top), min(values.shape[0], tile.rows - top)
+    c0, c1 = max(0, -left), min(values.shape[1], tile.columns - left)
+    if r1 > r0 and c1 > c0:
+        image[top + r0 : top + r1, left + c0 : left + c1] += light_e * values[r0:r1, c0:c1]
 
 
 def _core_reach(plan: Plan, paths: list[Streak]) -> float:

@@ -64,11 +64,20 @@ def rows_bright_enough(catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float |
     """Rows of a whole leaf in row groups that hold a star of the limit or brighter."""
     if faintest_g_mag is None:
         return leaf.rows
+    return int(groups_bright_enough(catalogue, leaf, faintest_g_mag)[0].sum())
+
+
+def groups_bright_enough(
+    catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, brightest and faintest G of a whole leaf's row groups that are bright enough (n,)."""
     table = catalogue.leaf_table
     (index,) = np.flatnonzero((table["order"] == leaf.order) & (table["pixel"] == leaf.pixel))
     first, end = catalogue.first_row_groups[index : index + 2]
     groups = catalogue.row_group_table[first:end]
-    return int(groups["rows"][groups["brightest_g_mag"] <= faintest_g_mag].sum())
+    if faintest_g_mag is not None:
+        groups = groups[groups["brightest_g_mag"] <= faintest_g_mag]
+    return groups["rows"], groups["brightest_g_mag"], groups["faintest_g_mag"]
 
 
 def leaf_pad_rad(leaf: Leaf, years: float, observer_distance_au: float) -> float:

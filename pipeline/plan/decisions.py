@@ -7,10 +7,11 @@ from typing import Any
 
 from pipeline.physics.positions.focal_plane import area_ratio_range, stretch
 from pipeline.physics.psf.band import BandOptics
+from pipeline.physics.psf.product import PHASES
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
-from pipeline.plan.responses import BLOCK_PX, ResponsePlan
+from pipeline.plan.responses import BLOCK_PX, ResponsePlan, cut_share
 from pipeline.plan.star_decisions import decide_star_effects
 from pipeline.spec.scene import Scene
 
@@ -155,12 +156,16 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         )  # fmt: skip
     if not (scene.stars or scene.targets):
         return out
+    how = (
+        f"column times row, interpolated cubically between {PHASES} phases a pixel" if r.products
+        else f"interpolated between {r.classes[0].phases} phases a pixel, linearly where that errs "
+        f"by at most {budget:.3g} e-, else cubically"
+    )  # fmt: skip
     out.append(
         Decision(
             "phase_interpolation", True,
-            f"stars are interpolated between {r.classes[0].phases} phases a pixel, linearly where "
-            f"that errs by at most {budget:.3g} e-, else cubically; the bound holds for a pixel at "
-            "the noise floor and grows with the noise of a pixel that holds more light",
+            f"stars are {how}; the bound holds for a pixel at the noise floor and grows with the "
+            "noise of a pixel that holds more light",
             **bound(budget),
         )
     )  # fmt: skip
@@ -240,31 +245,24 @@ def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
 
 
 def _wings(r: ResponsePlan, sigma_e: float) -> list[Decision]:
-    budget, cut, last = r.budget_e, _cut_bound(r), r.classes[-1].wing_error
-    lowest = min(c.brightest_e for c in r.classes)
+    budget, share, last = r.budget_e, cut_share(r), r.classes[-1].wing_error
+    limits = [c.brightest_e for c in r.classes if c.brightest_e < math.inf] or [budget / last]
+    cut = share * max(limits)
     return [
         Decision(
             "wings_on_a_coarse_grid", True,
             f"light beyond {r.classes[0].radius_px:.0f} px of a source is drawn on a grid of "
             f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px; sources "
-            f"above {lowest:.3g} e- get larger cores. The bound holds up to {budget / last:.3g} "
-            f"e-; above, a pixel errs by up to {last:.2g} of its source's light",
+            f"above {min(limits):.3g} e- get larger cores. The bound holds up to "
+            f"{budget / last:.3g} e-; above, a pixel errs by up to {last:.2g} of its source's "
+            "light",
             budget, budget / sigma_e,
         ),
         Decision(
             "wings_cut_off", True,
             f"light beyond {r.reach_px:.0f} px of a source is left out: {r.lost_light:.2g} of its "
-            "light; the bound is that of a source of the first core class",
+            f"light, and at most {share:.2g} of it in a pixel (the spikes of vanes apart); the "
+            f"bound holds for sources of up to {max(limits):.3g} e-, all core classes but the last",
             cut, cut / sigma_e,
         ),
     ]  # fmt: skip
-
-
-def _cut_bound(r: ResponsePlan) -> float:
-    """Light per pixel left out beyond the reach, of the brightest source of the first class [e-].
-
-    A power-law wing of index -3 that holds `lost_light` beyond R has the surface brightness
-    lost_light / (2 pi R^2) at R.
-    """
-    brightest = r.classes[0].brightest_e if math.isfinite(r.classes[0].brightest_e) else 0.0
-    return brightest * r.lost_light / (2.0 * math.pi * r.reach_px**2)

@@ -17,6 +17,7 @@ from pipeline.physics.drawing.extended import point_error
 from pipeline.physics.drawing.wings import CUT_FROM, wing_error
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.positions.focal_plane import Camera
+from pipeline.physics.psf.product import is_product
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core, oversampling_for
 from pipeline.plan.facts import APPROXIMATIONS, Facts
@@ -35,12 +36,14 @@ SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_PX = 256.0
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
 SMALL_RADIUS_PX = 1e-2
+RINGS = 4.7  # times its mean: the rings of both edges of an obscured aperture, at the near end
 NOTHING_BEYOND = (1e-8, 1e-14)  # of the light, beyond the cores of a response without wings
 STILL = StreakPlan(1, 1, 0.0, 0.0, 1, 0.0, 0.0)
 BLOCK_PX = 2048  # wings and crowds are drawn in fixed blocks of the focal plane
 # Seconds a star, a stamp's pixel, a star and a pixel of the spectral engine, a sample of a
 # transform: one core of the 2-core reference machine (benchmarks/drawing.py prints them anew).
 STAMP_S, STAMP_S_PER_PIXEL = 1e-7, 1.6e-9
+PRODUCT_S, PRODUCT_S_PER_PIXEL = 5e-8, 6e-10
 SPECTRAL_S, SPECTRAL_S_PER_PIXEL = 1.5e-7, 5.5e-8
 TRANSFORM_S_PER_SAMPLE = 4e-8
 
@@ -51,12 +54,14 @@ class CoreClass:
 
     wing_error : largest error of a wing pixel per electron of the source (0 without wings)
     phases : sub-pixel phases of its tables; 0 draws each source by its own transform
+    mixed_phases : those of the tables of bright streaks; 0 draws each along its own path
     """
 
     radius_px: float
     brightest_e: float
     wing_error: float
     phases: int
+    mixed_phases: int = 0
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,11 @@ class ResponsePlan:
     def blurs(self) -> tuple[Blur, ...]:
         """Every response."""
         return (self.blur,) if self.field is None else self.field.blurs
+
+    @property
+    def products(self) -> bool:
+        """Whether stars are drawn as column times row."""
+        return all(is_product(b, self.streaks.longest_px) for b in self.blurs)
 
     @property
     def reach_core_px(self) -> float:
@@ -157,7 +167,7 @@ def plan_responses(
     )  # fmt: skip
     mb = 0.0
     if none.field is not None:
-        each = sum(_table_bytes(c.phases, c.radius_px, path) for c in classes if c.phases)
+        each = sum(table_bytes(c.phases, c.radius_px, path) for c in classes if c.phases)
         mb = each * len(blurs) * streaks.shapes / 1e6
     return replace(planned, spectral_from=_spectral_from(scene, planned), table_mb=mb)
 
@@ -221,8 +231,7 @@ def _spectral_from(scene: Scene, r: ResponsePlan) -> int:
     side = 2.0 * core.radius_px + piece_px
     block = math.prod(min(BLOCK_PX, n) + side for n in scene.sensor.shape)
     if core.phases:
-        stamp = math.pi * core.radius_px**2 + 2.0 * core.radius_px * piece_px
-        star_s = STAMP_S + STAMP_S_PER_PIXEL * stamp
+        star_s = stamp_s(r)
     else:
         oversampling = max(oversampling_for(b) for b in r.blurs)
         star_s = TRANSFORM_S_PER_SAMPLE * (side * oversampling) ** 2
@@ -231,6 +240,14 @@ def _spectral_from(scene: Scene, r: ResponsePlan) -> int:
     fixed_s = SPECTRAL_S_PER_PIXEL * block * streaks.shapes
     near = _most_near(r, scene.sensor.shape, side)
     return math.ceil(fixed_s * near / min(near, 4) / (streaks.pieces * (star_s - SPECTRAL_S)))
+
+
+def stamp_s(r: ResponsePlan) -> float:
+    """CPU seconds of a piece of a usual star's streak, from its table."""
+    radius, piece_px = r.classes[0].radius_px, r.streaks.longest_px / r.streaks.pieces
+    if r.products:
+        return PRODUCT_S + PRODUCT_S_PER_PIXEL * (2.0 * radius + 2.0) ** 2
+    return STAMP_S + STAMP_S_PER_PIXEL * (math.pi * radius**2 + 2.0 * radius * piece_px)
 
 
 def _most_near(r: ResponsePlan, shape: tuple[int, int], margin_px: float) -> int:
@@ -288,13 +305,13 @@ def _table_phases(phases: int, radius_px: float, path: Path, most_bytes: float) 
     A response that is broad against a pixel needs few phases, so halving them costs nothing until
     the interpolation's own bound (checked for each source when it is drawn) says otherwise.
     """
-    while phases >= 16 and _table_bytes(phases, radius_px, path) > most_bytes:
+    while phases >= 16 and table_bytes(phases, radius_px, path) > most_bytes:
         phases //= 2
-    return phases if _table_bytes(phases, radius_px, path) <= most_bytes else 0
+    return phases if table_bytes(phases, radius_px, path) <= most_bytes else 0
 
 
-def _table_bytes(phases: int, radius_px: float, path: Path) -> float:
-    """Bytes of a table."""
+def table_bytes(phases: int, radius_px: float, path: Path) -> float:
+    """Bytes of a table of a core swept along a path."""
     pixels = math.pi * radius_px**2 + 2.0 * radius_px * path.length_px
     return 4.0 * pixels * (phases + 3) ** 2
 
@@ -317,6 +334,21 @@ def point_slope(blur: Blur) -> float:
 def _lost(blur: Blur, radius_px: float) -> float:
     """Share of a source's light beyond a radius, or outside of its optics' table altogether."""
     return min(1.0, blur.light_beyond(radius_px) + missing_light(blur.optics))
+
+
+def cut_share(r: ResponsePlan) -> float:
+    """Most that a pixel lacks where the wings of a source end, per unit light of the source.
+
+    RINGS times the mean surface brightness of a ring from there on, a tenth of its radius wide:
+    where the rings of an aperture and of its obscuration meet they peak at up to four times their
+    mean, and a wing of index -3 is a sixth brighter at the near end of such a ring than on its
+    mean. A mean over all directions: the spikes of vanes are brighter.
+    """
+    near, far = CUT_FROM * r.reach_px, 1.1 * CUT_FROM * r.reach_px
+    if not near:
+        return 0.0
+    area = math.pi * (far**2 - near**2)
+    return RINGS * max(b.light_beyond(near) - b.light_beyond(far) for b in r.blurs) / area
 
 
 def _radius_holding(blur: Blur, beyond: float) -> float:

@@ -17,11 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.arrays import Array, Geometry
-from pipeline.errors import BadInput
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
 from pipeline.physics.positions.focal_plane import Camera
-from pipeline.plan.star_paths import star_paths
+from pipeline.plan.own_paths import EXACT_MERGE_PX, exact_path, star_offsets
+from pipeline.plan.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
 from pipeline.spec.scene import CELL_PX
+
+__all__ = ["Piece", "Streak", "StreakPlan", "centroid", "exact_path", "plan_streaks", "zone_streak"]
 
 PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables
 MERGE_TOLERANCE_PX = 2e-4
@@ -29,31 +31,10 @@ SPREAD_TOLERANCE_PX = 4e-3
 USUAL_FRACTION = 0.05  # noise_fraction for which these tolerances are
 MOST_PIECES = 16
 SLACK = 1.5  # over the plan's spread, beyond which a frame gets more pieces of its own
-NODES = np.array([-1.0, 0.0, 1.0])  # of a zone, where paths are followed exactly
-CHECKS = np.array([-1.0, -0.5, 0.5, 1.0])  # where the spread is measured
 STRETCH_PX = 2.0**-6  # by how much the ends of shapes for mixtures differ, and their rounding
 FINER_SHAPE = 16.0  # times finer are shapes for mixtures rounded than the others
+SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
 USUAL_EDGE = 0.5  # of a response a pixel wide or so
-
-
-@dataclass(frozen=True)
-class Zone:
-    """A rectangle of the focal plane [px]; u and v run from -1 to 1 across it."""
-
-    y0: float
-    y1: float
-    x0: float
-    x1: float
-
-    def uv(self, x_px: Array, y_px: Array) -> tuple[Array, Array]:
-        """Places in the zone's own units."""
-        half_x, half_y = 0.5 * (self.x1 - self.x0), 0.5 * (self.y1 - self.y0)
-        return (x_px - self.x0) / half_x - 1.0, (y_px - self.y0) / half_y - 1.0
-
-    def places(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Pixels (x, y) of places in the zone's own units."""
-        half_x, half_y = 0.5 * (self.x1 - self.x0), 0.5 * (self.y1 - self.y0)
-        return self.x0 + (u + 1.0) * half_x, self.y0 + (v + 1.0) * half_y
 
 
 @dataclass(frozen=True)
@@ -88,18 +69,27 @@ class Streak:
     """How the stars of a zone move in one frame.
 
     path : of the star in the middle of the zone, from its place at mid-exposure
-    start, end : (2, 3, 3) ends of the path for stars at the zone's NODES
-    mixed_from_e : stars of more light are drawn by mixtures
-    own_from_e : and of still more along their own path
+    followed : (K, 2, 3, 3) places at equal times of stars at the zone's NODES, from mid-exposure
+    mixed_from_e : stars of more light are drawn by mixtures or along their own path
+    own_from_e : and of still more along their own path in any case
     """
 
     zone: Zone
     path: Path
     pieces: tuple[Piece, ...]
-    start: Array
-    end: Array
+    followed: Array
     mixed_from_e: float
     own_from_e: float
+
+    @property
+    def start(self) -> Array:
+        """(2, 3, 3) first places of the paths of stars at the zone's NODES."""
+        return self.followed[0]
+
+    @property
+    def end(self) -> Array:
+        """(2, 3, 3) and their last ones."""
+        return self.followed[-1]
 
     def mixture(
         self, piece: Piece, x_px: Array, y_px: Array, light_e: Array
@@ -113,7 +103,7 @@ class Streak:
 
     def at(self, table: Array, x_px: Array, y_px: Array) -> tuple[Array, Array]:
         """A quantity known at the zone's NODES for stars at (x, y): biquadratic interpolation."""
-        return _biquadratic(table, *self.zone.uv(x_px, y_px))
+        return biquadratic(table, *self.zone.uv(x_px, y_px))
 
 
 @dataclass(frozen=True)
@@ -126,6 +116,7 @@ class StreakPlan:
     mixed_from_e_px : light per px of path from which it is so drawn
     floor_e, budget_e : noise of a pixel without sources, and what streaks may err by there
     edge : steepest that the end of a streak falls off, per px and light per px of path [1 / px]
+    own_px : px from a star's own path, where that is interpolated across its zone
     """
 
     zones: int
@@ -140,11 +131,18 @@ class StreakPlan:
     floor_e: float = 1.0
     budget_e: float = math.inf
     edge: float = USUAL_EDGE
+    own_px: float = math.inf
 
     @property
     def off_px(self) -> float:
         """How far light may be from where a star's own path has it, of stars with one shape."""
         return self.spread_px + 0.5 * self.step_px + self.merge_px if self.longest_px else 0.0
+
+    def merged_px(self, light_e: Array, length_px: float) -> Array:
+        """How far straight runs of a star's own path may be off (n,): by SHOWN of the budget."""
+        along_e = np.maximum(light_e, 1e-9) / max(1.0, length_px)
+        allowed_e = self.budget_e * np.sqrt(1.0 + along_e / self.floor_e**2)
+        return np.clip(SHOWN * allowed_e / along_e, EXACT_MERGE_PX, MERGE_TOLERANCE_PX)
 
 
 def plan_streaks(
@@ -177,8 +175,9 @@ def plan_streaks(
             shapes = zones**2 * _shapes(offsets, pieces)
             step, merge = PATH_STEP_PX * finer, MERGE_TOLERANCE_PX * finer
             mixed = _spread_px(offsets, pieces, mixed=True)
+            own = _interpolated_px(offsets)
             made = StreakPlan(zones, pieces, spread, longest, shapes, step, merge, mixed,
-                              math.inf, floor_e, budget_e, edge)  # fmt: skip
+                              math.inf, floor_e, budget_e, edge, own)  # fmt: skip
             begin = _light_from(made.off_px, floor_e, budget_e)
             return replace(made, mixed_from_e_px=begin) if made.off_px else made
         zones = min(2 * zones, most)
@@ -206,19 +205,8 @@ def _followed(camera: Camera, g: Geometry, zones: int, aberration: bool) -> Arra
     u, v = (np.concatenate([np.meshgrid(a, a)[k].ravel() for a in (NODES, CHECKS)]) for k in (0, 1))
     places = [zone_of_frame(camera, r, c, zones).places(u, v) for r in looked_at for c in looked_at]
     x, y = np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places])
-    offsets = _offsets(camera, g, x, y, aberration)
+    offsets = star_offsets(camera, g, x, y, aberration)
     return offsets.reshape(2, len(places), u.size, *offsets.shape[2:])
-
-
-def _offsets(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bool) -> Array:
-    """(2, n, F, K) paths of the stars at (x, y) relative to their places at mid-exposure."""
-    paths = star_paths(camera, g, x, y, aberration)
-    if not np.isfinite(paths).all():
-        raise BadInput(
-            "exposure.integration_s", "a boresight that turns away from its field in one exposure",
-            "a shorter exposure or a slower pointing",
-        )  # fmt: skip
-    return paths - paths[..., [g.middle]]
 
 
 def _resampled(offsets: Array, pieces: int) -> Array:
@@ -256,7 +244,7 @@ def _spread_px(offsets: Array, pieces: int, mixed: bool = False) -> float:
 
     def off(at: int, a: float, b: float) -> float:
         """At point `at`, which stands at (a, b) in the zone's own units."""
-        place = np.outer(_lagrange(np.array([b]))[:, 0], _lagrange(np.array([a]))[:, 0]).ravel()
+        place = np.outer(lagrange(np.array([b]))[:, 0], lagrange(np.array([a]))[:, 0]).ravel()
         shape = shapes[..., nodes // 2]
         if mixed:
             ends = shapes[..., -1, :] - shapes[..., 0, :]
@@ -273,6 +261,15 @@ def _spread_px(offsets: Array, pieces: int, mixed: bool = False) -> float:
     return worst
 
 
+def _interpolated_px(offsets: Array) -> float:
+    """Largest error of paths that are interpolated across their zone from its NODES [px]."""
+    u, v = (m.ravel() for m in np.meshgrid(CHECKS, CHECKS))
+    weight = (lagrange(v)[:, None] * lagrange(u)[None, :]).reshape(NODES.size**2, -1)
+    at_nodes, at_checks = np.split(offsets, [NODES.size**2], axis=2)
+    off = at_checks - np.einsum("czpfk,pq->czqfk", at_nodes, weight)
+    return float(np.hypot(*off).max())
+
+
 def _apart(parts: Array, means: Array) -> float:
     """Largest distance between the shapes at a zone's NODES and the one in its middle [px]."""
     shapes = parts - means[..., None]
@@ -287,36 +284,13 @@ def _shapes(offsets: Array, pieces: int) -> int:
     return 1 if apart < 0.25 * PATH_STEP_PX else pieces
 
 
-def _lagrange(t: Array) -> Array:
-    """(3, n) Lagrange weights of the values at NODES."""
-    return np.stack([0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)])
-
-
-def _biquadratic(table: Array, u: Array, v: Array) -> tuple[Array, Array]:
-    """Values (n,) of x and y of a (2, 3, 3) table at (u, v), star by star in one order of sums."""
-    along, down = _lagrange(u), _lagrange(v)
-    x, y = np.zeros(u.shape), np.zeros(u.shape)
-    for j in range(3):
-        for i in range(3):
-            weight = down[j] * along[i]
-            x += weight * table[0, j, i]
-            y += weight * table[1, j, i]
-    return x, y
-
-
-def zone_of_frame(camera: Camera, row: int, column: int, zones: int) -> Zone:
-    """A zone of the focal plane."""
-    y, x = camera.rows / zones, camera.columns / zones
-    return Zone(row * y - 0.5, (row + 1) * y - 0.5, column * x - 0.5, (column + 1) * x - 0.5)
-
-
 def zone_streak(
     camera: Camera, g: Geometry, row: int, column: int, plan: StreakPlan, aberration: bool
 ) -> Streak:
     """The common streak of a zone's stars in the one frame of `g`."""
     zone = zone_of_frame(camera, row, column, plan.zones)
     u, v = (m.ravel() for m in np.meshgrid(NODES, NODES))
-    offsets = _offsets(camera, g, *zone.places(u, v), aberration)[:, :, 0]
+    offsets = star_offsets(camera, g, *zone.places(u, v), aberration)[:, :, 0]
     middle = NODES.size**2 // 2
     longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
     count = max(plan.pieces, _power_of_two(longest / LONGEST_PIECE_PX))  # this frame may be faster
@@ -343,14 +317,12 @@ def zone_streak(
         stretch = longer.reshape(2, 3, 3)
         worst = max(worst, _blend_px2(longer, step))
         made.append(Piece(path, 1.0 / count, centre, base, base_centre, stretch, step))
-    ends = [offsets[:, :, k].reshape(2, 3, 3) for k in (0, -1)]
+    followed = np.moveaxis(offsets, -1, 0).reshape(-1, 2, 3, 3)
     whole = _rounded(offsets[:, middle], plan)
     length_px = max(1.0, whole.length_px)
     off_px = plan.mixed_px + 0.5 * fine.step_px + fine.merge_px + plan.edge * worst
     own_e = max(plan.mixed_from_e_px, _light_from(off_px, plan.floor_e, plan.budget_e)) * length_px
-    return Streak(
-        zone, whole, tuple(made), ends[0], ends[1], plan.mixed_from_e_px * length_px, own_e
-    )
+    return Streak(zone, whole, tuple(made), followed, plan.mixed_from_e_px * length_px, own_e)
 
 
 def _blend_px2(longer: Array, step_px: float) -> float:
@@ -390,12 +362,6 @@ def _common(shapes: Array, plan: StreakPlan) -> Path | None:
 def _times(path: Path) -> Array:
     """When a path passes its nodes, 0 to 1: light falls evenly in time."""
     return np.concatenate([[0.0], np.cumsum(path.weight)]) / path.weight.sum()
-
-
-def exact_path(camera: Camera, g: Geometry, x: float, y: float, aberration: bool) -> Path:
-    """Path of the star at (x, y) at mid-exposure of the one frame of `g`, hardly merged."""
-    dx, dy = _offsets(camera, g, np.array([x]), np.array([y]), aberration)[:, 0, 0]
-    return path_through(dx, dy, np.full(g.nodes - 1, 1.0 / (g.nodes - 1)), 1e-6)
 
 
 def centroid(path: Path) -> tuple[float, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 import time
 from collections.abc import Iterable, Sequence
@@ -16,7 +15,7 @@ from pipeline.execute.blocks import around
 from pipeline.execute.sources import distance_px, excursion_px, place_targets
 from pipeline.finish import INSTEAD
 from pipeline.parts import render_part
-from pipeline.physics.drawing.wings import CUT_FROM
+from pipeline.plan.responses import cut_share
 from pipeline.plan.scene_plan import Plan, plan_dict
 from pipeline.plan.tiles import Tile
 from pipeline.run import Options, Share, render
@@ -132,14 +131,8 @@ def allowed_e(plan: Plan, noise_e: Array, light_e: float, all_e: float) -> Array
 
 
 def cut_e(plan: Plan, light_e: float) -> float:
-    """Light that a pixel lacks because the wings of sources end: of so much light in all [e-].
-
-    A wing of index -3 that holds `lost_light` beyond where its end begins (see `wings_cut_off` in
-    the plan, which says it for one source of the first core class).
-    """
-    r = plan.responses
-    begins_px = CUT_FROM * r.reach_px
-    return r.lost_light / (2.0 * math.pi * begins_px**2) * light_e
+    """Light that a pixel lacks because the wings of sources end: of so much light in all [e-]."""
+    return cut_share(plan.responses) * light_e
 
 
 def lights_near(stage: Stage, window: Tile) -> list[float]:

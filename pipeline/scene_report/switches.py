@@ -135,7 +135,7 @@ def switches(stage: Stage, tiles: tuple[Tile, ...]) -> Iterator[Switch]:
 
 def _without_tables(plan: Plan) -> Plan:
     """Every star drawn at its exact place by its own transform."""
-    classes = tuple(replace(c, phases=0) for c in plan.responses.classes)
+    classes = tuple(replace(c, phases=0, mixed_phases=0) for c in plan.responses.classes)
     return replace(plan, responses=replace(plan.responses, classes=classes))
 
 

@@ -15,13 +15,20 @@ from scipy.special import j1
 
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.stamps import draw_stamps
-from pipeline.physics.drawing.wings import add_wings, convolve, spread, wing_grid, wing_kernel
+from pipeline.physics.drawing.wings import (
+    CUT_FROM,
+    add_wings,
+    convolve,
+    spread,
+    wing_grid,
+    wing_kernel,
+)
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import compact_core, core_spectrum, phase_table, window
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.geometry import camera_of, plan_geometry
-from pipeline.plan.responses import ResponsePlan, plan_responses
+from pipeline.plan.responses import ResponsePlan, cut_share, plan_responses
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
 from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
@@ -178,6 +185,23 @@ def airy_pixel(dx: float, dy: float, q: float, eps: float) -> float:
     x = np.pi * np.maximum(np.hypot(dx + at, dy + at[:, None]), 1e-9) / q
     amplitude = 2 * j1(x) / x - (eps * 2 * j1(eps * x) / x if eps else 0.0)
     return float(w @ (np.pi / (4 * q * q * (1 - eps * eps)) * amplitude**2) @ w)
+
+
+@pytest.mark.parametrize(("q", "eps"), [(0.5, 0.3), (1.0, 0.3), (1.0, 0.6)])
+def test_what_ends_with_the_wings_is_within_its_bound_in_every_class(
+    scene: Make, q: float, eps: float
+) -> None:
+    """Light of pixels beyond where wings begin to end, against the plan's bound."""
+    plan = plan_of(scene({"background": {"uniform_mag_arcsec2": 21.0}}))
+    r = responses_of(scene(), Blur(Airy(q, eps)))
+    radii = CUT_FROM * r.reach_px + np.arange(0.0, 5.0 * q, 0.37 * q)
+    turned = 0.6 * radii, 0.8 * radii
+    found = [airy_pixel(x, 0.0, q, eps) for x in radii]
+    found += [airy_pixel(x, y, q, eps) for x, y in zip(*turned, strict=True)]
+    assert max(found) <= cut_share(r) <= 12.0 * max(found)
+    decision = next(d for d in plan.decisions if d.component == "wings_cut_off")
+    limits = [c.brightest_e for c in plan.responses.classes if math.isfinite(c.brightest_e)]
+    assert decision.error_bound_e == pytest.approx(cut_share(plan.responses) * max(limits))
 
 
 @pytest.mark.parametrize(("q", "eps"), [(0.5, 0.3), (1.0, 0.3), (2.0, 0.0)])

@@ -1,0 +1,219 @@
+"""Tables or star by star: the cheapest way to draw the stars of each core class and streak.
+
+The choice follows from the scene and from how many stars the catalogue's row groups tell of, never
+from tiles or workers. It changes costs alone: either way meets the bounds that the plan states.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.arrays import Array, Geometry
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, transfer
+from pipeline.physics.psf.pupil import Blur
+from pipeline.physics.psf.response import oversampling_for
+from pipeline.plan.decision import Decision
+from pipeline.plan.faint_stars import zero_electrons
+from pipeline.plan.forecast import LeafLike, share_in_field
+from pipeline.plan.responses import (
+    BLOCK_PX,
+    FIELD_BYTES,
+    STAMP_S,
+    STAMP_S_PER_PIXEL,
+    CoreClass,
+    ResponsePlan,
+    table_bytes,
+)
+from pipeline.plan.scene_plan import Plan
+from pipeline.plan.streaks import Streak, zone_streak
+
+# Seconds a star and a sample of its transform for each segment of its path, a value of a table:
+# one core of the 2-core reference machine. A cubic stamp costs as much more as it has points.
+ALONG_S, ALONG_S_PER_SAMPLE, TABLE_S_PER_VALUE = 2e-4, 9e-9, 4e-8
+CUBIC = 3.0
+FEWEST_PHASES, MOST_PHASES = 8, 32
+MIXTURE_BYTES = 48e6  # what the three tables of a mixture may take
+SURE = 4.0  # times cheaper must star by star be: counts are those of whole leaves
+SLOPE = 0.3  # of the logarithm of star counts over magnitude, within a row group
+FREQUENCIES = 65
+
+
+@dataclass(frozen=True)
+class StarCounts:
+    """How many stars of which G a frame holds: row groups (n,), in magnitude `SLOPE` steep.
+
+    rows : stars of each in a frame; brightest, faintest : magnitudes of each
+    zero_e : electrons of a star of G = 0
+    """
+
+    rows: Array
+    brightest: Array
+    faintest: Array
+    zero_e: float
+
+    def brighter(self, light_e: float) -> float:
+        """Stars of more light than so many electrons."""
+        if light_e <= 0.0:
+            return float(self.rows.sum())
+        g = 2.5 * math.log10(self.zero_e / light_e) if math.isfinite(light_e) else -math.inf
+        width = np.maximum(self.faintest - self.brightest, 1e-3)
+        at = np.clip(g - self.brightest, 0.0, width)
+        share = np.expm1(SLOPE * math.log(10.0) * at) / np.expm1(SLOPE * math.log(10.0) * width)
+        return float(np.where(g < self.brightest, 0.0, share) @ self.rows)
+
+    def between(self, low_e: float, high_e: float) -> float:
+        """Stars of more than `low_e` and at most `high_e` electrons."""
+        return max(0.0, self.brighter(low_e) - self.brighter(high_e)) if low_e < high_e else 0.0
+
+
+def star_counts(
+    plan: Plan, leaves: Iterable[tuple[LeafLike, tuple[Array, Array, Array]]]
+) -> StarCounts:
+    """Counts of a frame from the row groups of its leaves, at each leaf's mean density.
+
+    leaves : each with the rows, brightest and faintest G magnitudes of its row groups
+    """
+    assert plan.colour is not None
+    found = [np.empty((3, 0))]
+    for leaf, groups in leaves:
+        found.append(np.array(groups, float))
+        found[-1][0] *= share_in_field(plan, leaf)
+    zero_e = zero_electrons(plan.colour, plan.facts.area_m2, plan.integration_s(0))
+    rows, brightest, faintest = np.concatenate(found, axis=1)
+    return StarCounts(rows, brightest, faintest, zero_e)
+
+
+def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
+    """The plan with tables only where they are cheaper than drawing star by star.
+
+    g : some of the scene's frames
+    """
+    r = plan.responses
+    if not r.classes:
+        return plan
+    one = g.frame_slice(len(g.frame) // 2)
+    middle, aberration = r.streaks.zones // 2, plan.scene.star_effects["aberration"]
+    streak = zone_streak(plan.camera, one, middle, middle, r.streaks, aberration)
+    frames = plan.frames if not r.streaks.longest_px else 1.0  # that share their tables
+    classes, said, low_e = [], [], 0.0
+    for k, core in enumerate(r.classes):
+        split = float(np.clip(streak.mixed_from_e, low_e, core.brightest_e))
+        usual, bright = counts.between(low_e, split), counts.between(split, core.brightest_e)
+        if k == 0 and r.spectral_from and usual >= r.spectral_from * _blocks(plan):
+            usual = math.inf  # crowds have them
+        costs = _Costs(r, core, streak, frames)
+        tables = costs.tables(usual) <= SURE * costs.singly(usual)
+        mixtures = costs.mixtures(bright) <= costs.along(bright)
+        phases, mixed = core.phases * tables, costs.mixed_phases * mixtures
+        classes.append(replace(core, phases=phases, mixed_phases=mixed))
+        said += _said(core, usual, bright, phases, mixed, streak)
+        low_e = core.brightest_e
+    made = replace(r, classes=tuple(classes))
+    return replace(plan, responses=made, decisions=(*plan.decisions, _decision(said)))
+
+
+def _blocks(plan: Plan) -> int:
+    return math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
+
+
+class _Costs:
+    """Seconds of drawing stars of a class in one frame, by each way."""
+
+    def __init__(self, r: ResponsePlan, core: CoreClass, streak: Streak, frames: float) -> None:
+        self._core, self._frames, self._count = core, frames, len(streak.pieces)
+        self._tables = r.streaks.shapes * len(r.blurs)
+        self._each = min(4, len(r.blurs))  # responses that one star is drawn by
+        self._segments = streak.path.segments
+        self._os = max(oversampling_for(b) for b in r.blurs)
+        self._path = max((p.path for p in streak.pieces), key=lambda p: p.length_px)
+        self._sweep = streak.path
+        self.mixed_phases = self._phases_of_mixtures(r, streak)
+
+    def tables(self, stars: float) -> float:
+        """From tables of the common shapes."""
+        made = self._table_s(self._core.phases) * self._tables / self._frames
+        return made + stars * self._each * self._count * self._stamp_s(1.0)
+
+    def singly(self, stars: float) -> float:
+        """Each at its exact place, with the common shapes."""
+        one_s = self._transform_s(self._path, 0.5 + 0.5 / max(1, self._count))
+        return stars * self._each * self._count * one_s
+
+    def mixtures(self, stars: float) -> float:
+        """From tables of three shapes."""
+        if not self.mixed_phases or math.isinf(stars):
+            return math.inf
+        made = 3.0 * self._table_s(self.mixed_phases) * self._tables
+        return made + stars * self._each * self._count * 3.0 * self._stamp_s(CUBIC)
+
+    def along(self, stars: float) -> float:
+        """Each along its own path."""
+        pieces = max(1.0, math.ceil(self._sweep.length_px / LONGEST_PIECE_PX))
+        return stars * self._each * self._transform_s(self._sweep, self._segments, pieces)
+
+    def _stamp_s(self, more: float) -> float:
+        radius = self._core.radius_px
+        pixels = math.pi * radius**2 + 2.0 * radius * self._path.length_px
+        return STAMP_S + more * STAMP_S_PER_PIXEL * pixels
+
+    def _table_s(self, phases: int) -> float:
+        return TABLE_S_PER_VALUE * table_bytes(phases, self._core.radius_px, self._path) / 4.0
+
+    def _transform_s(self, path: Path, passes: float, pieces: float = 1.0) -> float:
+        """Transform of one star along a path, whose spectrum is gone through so many times."""
+        sides = [
+            2.0 * self._core.radius_px + float(np.ptp(v)) / pieces + 10.0
+            for v in (path.x_px, path.y_px)
+        ]
+        samples = 0.5 * math.prod(sides) * self._os**2
+        return ALONG_S * pieces + ALONG_S_PER_SAMPLE * samples * max(passes, pieces)
+
+    def _phases_of_mixtures(self, r: ResponsePlan, streak: Streak) -> int:
+        """Fewest phases whose cubic interpolation serves the class's brightest; 0 for none."""
+        piece = streak.pieces[len(streak.pieces) // 2]
+        brightest = self._core.brightest_e * piece.share
+        if not math.isfinite(brightest):
+            return 0
+        needed = max(cubic_bound(b, piece.base) for b in r.blurs) * brightest / r.budget_e
+        wanted = 2 ** math.ceil(0.25 * math.log2(max(needed, 1e-9)))
+        phases = max(FEWEST_PHASES, int(wanted)) if wanted <= MOST_PHASES else 0
+        together = 3.0 * table_bytes(phases, self._core.radius_px, piece.base) * self._tables
+        most = MIXTURE_BYTES * max(1, r.streaks.shapes) if r.field is None else FIELD_BYTES
+        return phases if together <= most else 0
+
+
+def cubic_bound(blur: Blur, path: Path) -> float:
+    """Upper bound of the error of cubic interpolation between phases, times their number^4.
+
+    Per unit light: 3/128 times the integral of ((2 pi fx)^4 + (2 pi fy)^4) |T| over frequencies.
+    """
+    end = blur.band_limit(1e-3)
+    f = np.linspace(-end, end, 2 * FREQUENCIES - 1)
+    swept = np.abs(transfer(f, f, path.x_px, path.y_px, path.weight))
+    swept *= np.abs(blur.transfer(f[:, None], f[None, :]))
+    fourth = (2.0 * np.pi * f) ** 4
+    integrand = (fourth[:, None] + fourth[None, :]) * swept
+    return 3.0 / 128.0 * float(np.trapezoid(np.trapezoid(integrand, f), f))
+
+
+def _said(
+    core: CoreClass, usual: float, bright: float, phases: int, mixed: int, streak: Streak
+) -> list[str]:
+    """What the decision says of a class."""
+    name = f"cores of {core.radius_px:.0f} px"
+    said = []
+    if core.phases and not phases and usual >= 0.5:
+        said.append(f"about {usual:.0f} stars with {name} one by one, without tables")
+    if bright >= 0.5 and math.isfinite(streak.mixed_from_e):
+        way = f"by mixtures of {mixed} phases" if mixed else "each along its own path"
+        said.append(f"about {bright:.0f} bright streaks with {name} {way}")
+    return said
+
+
+def _decision(said: list[str]) -> Decision:
+    reason = "the cheapest by the counts of the catalogue's row groups; the bounds are the same"
+    return Decision("star_engines", True, f"{'; '.join(said) or 'stamps from tables'}: {reason}")

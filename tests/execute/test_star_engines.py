@@ -1,0 +1,138 @@
+"""Tables or star by star: chosen by how many stars there are; the light is the same either way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.arrays import FrameStars
+from pipeline.execute.light import draw_stars
+from pipeline.execute.tables import table_of
+from pipeline.physics.motion.streak import POINT, Path
+from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
+from pipeline.physics.radiometry import box
+from pipeline.plan.facts import gather_facts
+from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.scene_plan import Plan, make_plan
+from pipeline.plan.star_engines import StarCounts, choose_engines, cubic_bound
+from pipeline.plan.tiles import Tile
+from pipeline.spec.load import parse_scene
+
+SIDE = 512
+NOTHING = StarCounts(np.zeros(0), np.zeros(0), np.zeros(0), 1e10)
+
+
+def plan_of(streak_px: float, tile: int = SIDE) -> Plan:
+    """A plan of one frame with a gaussian response; stars drift, and the camera rolls with them."""
+    scene = parse_scene({
+        "schema": "nightglass/scene/1", "name": "engines", "epoch": "2019-04-20T03:00:00Z",
+        "observer": {"kind": "fixed", "position_au": [1.0, 0.0, 0.0]},
+        "sensor": {
+            "shape": [SIDE, SIDE], "pixel_pitch_um": 10.0, "focal_length_m": 0.02,
+            "aperture_m": 0.015, "psf": {"kind": "gaussian", "sigma_px": 0.7},
+            "read_noise_e": 5.0,
+            "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
+        },
+        "pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,
+                     "rate_ra_arcsec_s": streak_px * np.degrees(5e-4) * 3600.0,
+                     "rate_dec_arcsec_s": 0.0},
+        "exposure": {"integration_s": 1.0}, "stars": {"catalogue": "none"},
+        "output": {"tile_shape": [tile, tile]},
+    })  # fmt: skip
+    facts = gather_facts(scene, box(600e-9, 700e-9), 0.0, 5.0, 1.0)
+    return make_plan(scene, facts, plan_geometry(scene, np.zeros(1, int), 0.0), None, 0.0, (), 0.0)
+
+
+def chosen(plan: Plan, stars: float, g_mag: tuple[float, float]) -> Plan:
+    """The plan for so many stars between two magnitudes, of 1e10 e- at G = 0."""
+    rows = StarCounts(np.array([stars]), np.array([g_mag[0]]), np.array([g_mag[1]]), 1e10)
+    return choose_engines(plan, plan_geometry(plan.scene, np.zeros(1, int), 0.0), rows)
+
+
+def engines(plan: Plan) -> list[tuple[int, int]]:
+    return [(c.phases, c.mixed_phases) for c in plan.responses.classes]
+
+
+def test_few_stars_need_no_table_and_many_do():
+    plan = plan_of(20.0)
+    assert plan.responses.streaks.mixed_from_e_px < np.inf
+    none = choose_engines(plan, plan_geometry(plan.scene, np.zeros(1, int), 0.0), NOTHING)
+    few, many = chosen(plan, 3.0, (8.0, 12.0)), chosen(plan, 3e5, (8.0, 21.0))
+    assert all(phases == (0, 0) for phases in engines(none))
+    assert all(phases == (0, 0) for phases in engines(few))
+    assert engines(many)[0][0] > 0
+    assert engines(many)[0][1] > 0
+    assert any("own path" in d.reason for d in few.decisions if d.component == "star_engines")
+    assert any("mixtures" in d.reason for d in many.decisions if d.component == "star_engines")
+
+
+def test_same_choice_for_any_tiles():
+    few, many = (plan_of(20.0, 256), 3.0), (plan_of(20.0, 256), 3e5)
+    for cut, stars in (few, many):
+        assert engines(chosen(cut, stars, (8.0, 21.0))) == engines(
+            chosen(plan_of(20.0), stars, (8.0, 21.0))
+        )
+
+
+@pytest.mark.parametrize("light", [3e3, 3e4, 3e5, 3e6])
+def test_every_engine_gives_the_same_light(light):
+    """Bright and faint streaks by tables, mixtures, and star by star: alike within the budget."""
+    plan = plan_of(20.0)
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(10.0, SIDE - 10.0, (2, 12))
+    nothing = np.zeros(len(x))
+    stars = FrameStars(
+        np.arange(len(x)), x, y, nothing + light, nothing, nothing, nothing,
+        np.zeros(len(x), np.uint8), np.zeros(len(x), np.uint8),
+    )  # fmt: skip
+    tile = Tile(0, 0, 0, 0, SIDE, SIDE)
+
+    def image(phases: int | None, mixed: int) -> Any:
+        classes = tuple(
+            replace(c, phases=c.phases if phases is None else phases, mixed_phases=mixed)
+            for c in plan.responses.classes
+        )
+        drawn = replace(plan, responses=replace(plan.responses, classes=classes))
+        return draw_stars(drawn, g, tile, [stars], [])
+
+    alone, tables, mixtures = image(0, 0), image(None, 0), image(None, 32)
+    noise = np.sqrt(plan.facts.sigma_floor_e**2 + np.maximum(alone, 0.0)) / plan.facts.sigma_floor_e
+    for other in (tables, mixtures):
+        assert (np.abs(other - alone) / noise).max() <= 3.0 * plan.responses.budget_e
+
+
+@pytest.mark.parametrize("optics", [Gaussian(0.6), Gaussian(2.0), Airy(1.0, 0.3)], ids=repr)
+@pytest.mark.parametrize("length_px", [0.0, 25.0])
+def test_bound_of_cubic_interpolation(optics, length_px):
+    path = POINT
+    if length_px:
+        path = Path(
+            np.array([-0.4, 0.4]) * length_px, np.array([-0.3, 0.3]) * length_px, np.ones(1)
+        )
+    blur = Blur(optics)
+    for phases in (8, 16):
+        rounding = 2.0**-22
+        measured = table_of(blur, 7.0, path, phases).cubic_error
+        assert measured <= cubic_bound(blur, path) / phases**4 + rounding
+
+
+@given(
+    at=st.lists(st.tuples(st.floats(1, 1e6), st.floats(3, 15), st.floats(0, 4)), max_size=5),
+    edges=st.lists(st.floats(1e-3, 1e12), min_size=2, max_size=6),
+)
+def test_counts_add_up(at, edges):
+    rows, brightest, width = (
+        np.array(v, float) for v in (zip(*at, strict=True) if at else ((),) * 3)
+    )
+    counts = StarCounts(rows, brightest, brightest + width, 1e10)
+    edges = [0.0, *sorted(edges), np.inf]
+    parts = [counts.between(a, b) for a, b in pairwise(edges)]
+    assert min(parts) >= 0.0
+    assert sum(parts) == pytest.approx(rows.sum(), rel=1e-9, abs=1e-9)
