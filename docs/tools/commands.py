@@ -30,7 +30,7 @@ NOT_RUN = {
     "tls://": "needs a cluster; tests of TLS start their own",
     "serve": "a server that runs on; tests/service/test_walkthrough.py runs it",
 }
-PEERS = {"satsim": "config.json", "simsit": "target.yaml"}
+PEERS = {"satsim": ("config.json", "config_static.json"), "simsit": ("target.yaml",) * 2}
 NO_PEERS = "needs a scene file of the peer (shared/data/peer_scenes)"
 
 
@@ -74,23 +74,34 @@ def prepare(folder: Path) -> dict[str, str]:
     (folder / "my_form.toml").write_text(FORM)
     missing = {}
     peers = ROOT.parent / "shared" / "data" / "peer_scenes"
-    for kind, name in PEERS.items():
-        found = sorted(peers.rglob(f"*{kind}*/*{Path(name).suffix}"))
-        if found:
-            shutil.copy(found[0], folder / name)
+    for kind, (name, theirs) in PEERS.items():
+        if (peers / kind / theirs).is_file():
+            shutil.copy(peers / kind / theirs, folder / name)
         else:
             missing[f"import {kind}"] = NO_PEERS
     return missing
 
 
 FORM = """name = "mine"
-epoch_jyear = 2016.0
+description = "My stars."
+credit = "me"
+ref_epoch_jyear = 2016.0
+epoch_scale = "TCB"
 
-[columns]
-source_id = {from = "name"}
-ra_deg = {from = "ra"}
-dec_deg = {from = "dec"}
-g_mag = {from = "mag"}
+[source_id]
+from = "name"
+
+[ra]
+from = "ra"
+unit = "deg"
+
+[dec]
+from = "dec"
+unit = "deg"
+
+[phot_g_mean_mag]
+from = "mag"
+unit = "mag"
 """
 
 

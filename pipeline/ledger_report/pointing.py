@@ -132,7 +132,8 @@ def jitter(_: Bench) -> Iterator[Found]:
         every = waves * np.sin(2 * np.pi * hz[k, ..., None] * t + phase[k, ..., None])
         slow = np.where(fast[k, ..., None], 0.0, every)
         path = [np.interp(t, nodes, s[:: (FINE - 1) // (motion.nodes - 1)]) for s in slow.sum(1)]
-        in_s, exact = timed(partial(image, *every.sum(1)[:, ::8], SHARPEST_PX))
+        true_x, true_y = every.sum(1)[:, ::8]
+        in_s, exact = timed(partial(image, true_x, true_y, SHARPEST_PX))
         out_s, told = timed(partial(image, path[0][::64], path[1][::64], blurred))
         worst.append(most(exact - told) / float(exact.max()))
         spent = [spent[0] + out_s, spent[1] + in_s]

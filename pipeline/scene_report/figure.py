@@ -85,7 +85,8 @@ def omission_figure(study: dict[str, Any]) -> bytes:
     ax.grid(True, axis="x", which="major", color="#DDDDDD", linewidth=0.6)
     ax.set_axisbelow(True)
     if rows:
-        ax.legend(fontsize=9, loc="best")
+        ax.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2,
+                  frameon=False)  # fmt: skip
     return _png(figure)
 
 
