@@ -1,7 +1,10 @@
 # Nightglass as an image: the command line and the service, non-root, read-only root.
 # Every package is pinned by hash; nothing but the lock files decides what is installed.
+# BASE: any image with Python 3.11 as `python`, its venv, and CA certificates;
+# deploy/build-from-debian.sh makes one of Debian's packages alone.
+ARG BASE=python:3.11-slim
 
-FROM python:3.11-slim AS build
+FROM ${BASE} AS build
 ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
 WORKDIR /src
 COPY requirements.lock ./
@@ -20,7 +23,7 @@ RUN /build/bin/pip wheel --no-deps --no-build-isolation -w dist . \
     && /opt/nightglass/bin/pip install --no-deps --no-index dist/*.whl \
     && /opt/nightglass/bin/python -m compileall -q /opt/nightglass
 
-FROM python:3.11-slim
+FROM ${BASE}
 LABEL org.opencontainers.image.title="nightglass" \
       org.opencontainers.image.licenses="BSD-3-Clause"
 RUN groupadd --gid 10001 nightglass \

@@ -28,6 +28,7 @@ from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import SpectralPlan, plan_spectral
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.motion.streak import Path, pieces, transfer
+from pipeline.physics.psf.product import ProductResponse, is_product, product_table
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import (
     Core,
@@ -51,9 +52,10 @@ GOALS = {  # CPU seconds, by response and length, of each count
     ("gaussian", 60.0): (0.3, 0.33, 0.4), ("airy", 60.0): (0.3, 0.33, 0.4),
     ("gaussian", 300.0): (0.35, 0.4, 0.5), ("airy", 300.0): (0.35, 0.4, 0.5),
 }  # fmt: skip
+BLURS = {"gaussian": Blur(Gaussian(SIGMA_PX)), "airy": Blur(Airy(1.0, OBSCURED))}
 CORES = {
-    "gaussian": lambda: compact_core(Blur(Gaussian(SIGMA_PX)), 6.1 * SIGMA_PX),
-    "airy": lambda: compact_core(Blur(Airy(1.0, OBSCURED)), AIRY_RADIUS_PX),
+    "gaussian": lambda: compact_core(BLURS["gaussian"], 6.1 * SIGMA_PX),
+    "airy": lambda: compact_core(BLURS["airy"], AIRY_RADIUS_PX),
 }
 SHOWN = {
     "error": "error {:.1e}", "stated": "stated {:.1e}", "plan_s": "plan {:.2f} s",
@@ -155,13 +157,13 @@ def _draw(
 
 
 def stamps(name: str, length_px: float) -> dict[str, Any]:
-    """Seconds and error of the stamps engine, with linear interpolation between phases."""
+    """Seconds and error of the stamps engine: products, or linear between the phases of a table."""
     core, path = CORES[name](), line(length_px)
-    row: dict[str, Any] = {"engine": "stamps", "response": name, "length": length_px}
+    engine = "products" if is_product(BLURS[name], length_px) else "stamps"
+    row: dict[str, Any] = {"engine": engine, "response": name, "length": length_px}
     started = time.process_time()
     tables = [
-        (x0, y0, stamp_table(core, piece, PHASES[name]), share)
-        for x0, y0, piece, share in pieces(path)
+        (x0, y0, stamp_table(name, core, piece), share) for x0, y0, piece, share in pieces(path)
     ]
     row["table_s"] = time.process_time() - started
 
@@ -179,17 +181,19 @@ def stamps(name: str, length_px: float) -> dict[str, Any]:
     return row
 
 
-_TABLES: dict[tuple[int, Path], PixelResponse] = {}
+_TABLES: dict[tuple[str, Path], PixelResponse | ProductResponse] = {}
 
 
-def stamp_table(core: Core, piece: Path, phases: int) -> PixelResponse:
+def stamp_table(name: str, core: Core, piece: Path) -> PixelResponse | ProductResponse:
     """The table of a piece of streak; equal pieces share one."""
-    key = (id(core), piece)
-    if key not in _TABLES:
+    key = (name, piece)
+    if key not in _TABLES and is_product(BLURS[name], piece.length_px):
+        _TABLES[key] = product_table(core)
+    elif key not in _TABLES:
         half = window(core, float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max()))
         swept = transfer(*frequencies(core, *half[2:]), piece.x_px, piece.y_px, piece.weight)
         spectrum = core_spectrum(core, swept, *half[2:])
-        _TABLES[key] = phase_table(core, spectrum, half[:2], half[2:], phases)
+        _TABLES[key] = phase_table(core, spectrum, half[:2], half[2:], PHASES[name])
     return _TABLES[key]
 
 

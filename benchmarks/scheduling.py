@@ -1,6 +1,7 @@
 """What scheduling costs: its share of a job's CPU time, and the memory of a plan of 1e6 tiles.
 
 Run: python -m benchmarks.scheduling overhead|scale [--scheduler NAME] [--tiles N] [--json FILE].
+NAME "apart" is a Dask scheduler and two workers as processes of their own.
 "overhead" renders real frames at default tiles and compares the CPU seconds inside of the tasks
 with those of all processes (of one thread each: synchronous, processes); "scale" streams a plan of
 very many tiles whose body does nothing.
@@ -12,15 +13,20 @@ import argparse
 import json
 import os
 import platform
+import subprocess
+import sys
 import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import psutil
 
+IDLE_S = 10.0
 SKY = {
     "schema": "nightglass/scene/1", "name": "load", "epoch": "2019-07-20T09:00:00Z",
     "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
@@ -49,18 +55,38 @@ def nothing(*_: Any) -> int:
     return 0
 
 
+def emptied(task: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A task whose tiles do nothing; all that is sent to it stays."""
+    from pipeline.execute.bundles import Bundle, run_bundle
+
+    if task[0] is not run_bundle:
+        return (nothing, *task[2:])
+    steps = tuple(replace(step, function=nothing) for step in task[1].steps)
+    return (run_bundle, Bundle(steps), *task[2:])
+
+
 class Wrapped:
     """A scheduler whose graphs are changed before they run, by `change(task)`."""
 
     def __init__(self, inner: Any, change: Any) -> None:
         self.inner, self.change, self.workers = inner, change, inner.workers
-        self.share = inner.share
+        self.share, self.least_task_s = inner.share, inner.least_task_s
+        self.planning_s = 0.0  # of windows: their geometry, and their graphs
 
     def keep(self, graph: dict[Any, Any]) -> Any:
         return self.inner.keep({k: self.change(t) for k, t in graph.items()})
 
-    def run(self, graph: dict[Any, Any], keys: list[Any], done: Any) -> Any:
-        return self.inner.run({k: self.change(t) for k, t in graph.items()}, keys, done)
+    def stream(self, graphs: Any, done: Any) -> None:
+        self.inner.stream(self._changed(graphs), done)
+
+    def _changed(self, graphs: Any) -> Iterator[Any]:
+        while True:
+            started = time.thread_time()
+            graph, keys = next(graphs, ({}, []))
+            self.planning_s += time.thread_time() - started
+            if not keys:
+                return
+            yield {k: self.change(t) for k, t in graph.items()}, keys
 
 
 def _processes() -> Iterator[psutil.Process]:
@@ -89,15 +115,51 @@ def overhead(scheduler: str, frames: int) -> dict[str, Any]:
             times = Path(name) / f"times{k}"
             times.mkdir()
             wrapped = Wrapped(inner, lambda task, to=str(times): (timed, to, *task))
-            before = _cpu_s()
+            before, began = _cpu_s(), time.perf_counter()
             draw(prepared, begun, wrapped, None)
-            total = _cpu_s() - before
+            total, wall_s = _cpu_s() - before, time.perf_counter() - began
             useful = sum(float(p.read_text()) for p in times.iterdir())
+        idle = _cpu_s()
+        time.sleep(IDLE_S)
+        idle_s = (_cpu_s() - idle) / IDLE_S
     tiles = len(prepared.plan.tiles) * frames
+    waited_s = max(0.0, wall_s - total / (1 if scheduler == "synchronous" else 2))
+    steady = total - idle_s * waited_s
     return {
         "scheduler": scheduler, "tiles": tiles, "cpu_s": total, "in_tasks_s": useful,
-        "overhead": 1.0 - useful / total, "ms_a_tile": 1e3 * (total - useful) / tiles,
+        "planning_s": wrapped.planning_s, "wall_s": wall_s, "overhead": 1.0 - useful / total,
+        "overhead_less_planning": 1.0 - (useful + wrapped.planning_s) / total,
+        "ms_a_tile": 1e3 * (total - useful) / tiles,
+        # Processes that wait for a loaded machine go on ticking; without that:
+        "idle_cpu_s_a_s": idle_s, "overhead_less_waiting": 1.0 - useful / steady,
     }  # fmt: skip
+
+
+@contextmanager
+def apart(name: str) -> Iterator[tuple[str, int | None]]:
+    """Name of a scheduler and its process: of its own for "apart", else none."""
+    if name != "apart":
+        yield name, None
+        return
+    with ExitStack() as stack:
+        file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "scheduler.json"
+        dask = [sys.executable, "-m", "distributed.cli.dask_"]
+        told = ["--scheduler-file", str(file), "--no-dashboard"]
+        scheduler = _started(stack, [*dask[:2], f"{dask[2]}scheduler", *told, "--port", "0",
+                                     "--host", "127.0.0.1"])  # fmt: skip
+        while not file.is_file() or not file.read_text().strip():
+            time.sleep(0.2)
+        for _ in range(2):
+            _started(stack, [*dask[:2], f"{dask[2]}worker", *told, "--nthreads", "1"])
+        os.environ["NIGHTGLASS_WORKERS_WAIT_S"] = "120"
+        yield json.loads(file.read_text())["address"], scheduler.pid
+
+
+def _started(stack: ExitStack, command: list[str]) -> subprocess.Popen[bytes]:
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    stack.callback(process.wait)
+    stack.callback(process.terminate)
+    return process
 
 
 def scale(scheduler: str, tiles: int) -> dict[str, Any]:
@@ -116,18 +178,22 @@ def scale(scheduler: str, tiles: int) -> dict[str, Any]:
     prepared = prepare(parse_scene(data))
     begun = Begun(Path("nowhere"), CubeWriter("nowhere", ("dn",)), frozenset(), frozenset(), ())
     done, started = [0], time.perf_counter()
-    with open_scheduler(scheduler, 2) as inner:
-        wrapped = Wrapped(inner, lambda task: (nothing, *task[2:]))
+    with apart(scheduler) as (name, its_process), open_scheduler(name, 2) as inner:
+        wrapped, cpu_s = Wrapped(inner, emptied), time.process_time()
         draw(prepared, begun, wrapped, lambda p: done.__setitem__(0, p.done))
+        cpu_s = time.process_time() - cpu_s
+        scheduler_mb = _peak_mb(its_process) if its_process else None
     return {
         "scheduler": scheduler, "tiles": done[0], "peak_mb": _peak_mb(),
+        "scheduler_peak_mb": scheduler_mb,  # none: it runs in this process
         "us_a_tile": 1e6 * (time.perf_counter() - started) / done[0],
+        "cpu_us_a_tile": 1e6 * cpu_s / done[0],  # of this process
     }  # fmt: skip
 
 
-def _peak_mb() -> float:
-    """Most memory of this process since its program began (getrusage counts its parent's too)."""
-    status = Path("/proc/self/status").read_text()
+def _peak_mb(process: int | str = "self") -> float:
+    """Most memory of a process since its program began (getrusage counts its parent's too)."""
+    status = Path(f"/proc/{process}/status").read_text()
     line = next(one for one in status.splitlines() if one.startswith("VmHWM"))
     return float(line.split()[1]) / 1024.0
 
@@ -151,4 +217,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from benchmarks.scheduling import main as imported  # workers find its functions by name
+
+    imported()

@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow as pa
 
 from .columns import HEALPIX_COLUMN
-from .durable import sync, write_atomically
+from .durable import save_array, sync, write_atomically
 from .errors import Damaged
 from .judging import PLACE_COLUMN, REJECTS, Columns, judge
 from .partition import Pixels, coarser_counts
@@ -114,7 +114,7 @@ def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> dict[str, Any
         records.append(record)
     held.write()
     pixels, counts = held.counts()
-    np.save(folder / COUNTS_NAME, np.stack([pixels, counts]))
+    save_array(folder / COUNTS_NAME, np.stack([pixels, counts]))
     rejects.close()
     return {
         "folder": name,

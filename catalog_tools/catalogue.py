@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .durable import save_array
 from .errors import BadInput, Damaged
 from .stores import LocalStore, Store, Unreachable, open_store
 
@@ -182,8 +183,8 @@ def write_manifest(
     folder `nightglass` and of HATS_NAMES become part of it.
     """
     (folder / LEAVES_NAME).parent.mkdir(exist_ok=True)
-    np.save(folder / LEAVES_NAME, leaves)
-    np.save(folder / ROW_GROUPS_NAME, row_groups)
+    save_array(folder / LEAVES_NAME, leaves)
+    save_array(folder / ROW_GROUPS_NAME, row_groups)
     beside = [folder / name for name in HATS_NAMES if (folder / name).is_file()]
     files = {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
+
+import numpy as np
+
+from .errors import NO_ROOM, DiskFull
 
 
 @contextmanager
@@ -29,6 +35,36 @@ def write_atomically(path: Path, content: bytes | str) -> None:
     """Write a small file (text as UTF-8) whole or not at all."""
     with whole_file(path) as own:
         own.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def save_array(path: Path, array: np.ndarray[Any, Any]) -> None:
+    """`numpy.save` whose error on a full disk says so: numpy's own, on a real file, has no number.
+
+    The array is small: its bytes are held twice.
+    """
+    held = io.BytesIO()
+    np.save(held, array, allow_pickle=False)
+    path.write_bytes(held.getbuffer())
+
+
+@contextmanager
+def full_disk_told(store: Path | str, remedy: str) -> Iterator[None]:
+    """A full disk as one message: which store, and what to do. Raises DiskFull.
+
+    A file elsewhere (a cache on another disk) is named itself.
+    """
+    try:
+        yield
+    except DiskFull as error:  # of a store inside of this one: what to do is said of the whole
+        raise DiskFull(str(store), error.code, remedy) from error
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        where = str(store)
+        if isinstance(error.filename, str):
+            there = Path(error.filename).absolute().is_relative_to(Path(store).absolute())
+            where = where if there else error.filename
+        raise DiskFull(where, error.errno, remedy) from error
 
 
 def sync(path: Path) -> None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from typing import Any
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class NightglassError(Exception):
@@ -40,6 +44,22 @@ class Damaged(NightglassError):
 
 class Incomplete(NightglassError):
     """Work ended before everything was done; `--resume` goes on from what is stored."""
+
+
+class DiskFull(Incomplete):
+    """A store has no room: what is whole is kept, and the same work goes on when there is room."""
+
+    def __init__(self, store: str, code: int, remedy: str) -> None:
+        self.store, self.code, self.remedy = store, code, remedy
+        super().__init__(store, code, remedy)
+
+    def __str__(self) -> str:
+        return f"{self.store}: the disk is full ({os.strerror(self.code)}); {self.remedy}"
+
+
+def is_full(error: BaseException) -> bool:
+    """Whether an error says that a disk is full (or a quota used up, or a file too large)."""
+    return isinstance(error, DiskFull) or (isinstance(error, OSError) and error.errno in NO_ROOM)
 
 
 def shorten(value: Any, limit: int = 80) -> str:

@@ -13,10 +13,11 @@ from typing import IO, NamedTuple
 
 from .catalogue import MANIFEST_NAME
 from .durable import sync
-from .errors import BadInput, Incomplete
+from .errors import NO_ROOM, BadInput, DiskFull, Incomplete
 
 # renameat2(2) of Linux: both paths are relative to the current folder; swap the two.
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+AGAIN = "run the same command again"
 
 
 class Work(NamedTuple):
@@ -44,6 +45,8 @@ def publishing(
         destination.parent.mkdir(parents=True, exist_ok=True)
         lock = (destination.parent / f".{destination.name}.lock").open("a")
     except OSError as error:
+        if error.errno in NO_ROOM:
+            raise DiskFull(str(destination), error.errno, f"make room and {AGAIN}") from error
         raise BadInput(field, str(destination), f"a place that can be written ({error})") from None
     part = destination.parent / f".{destination.name}.part"
     work = Work(part / "catalogue", part / "progress")
@@ -61,9 +64,13 @@ def publishing(
             _swap_in(work.catalogue, destination)
             shutil.rmtree(work.progress, ignore_errors=True)
         except OSError as error:
+            kept = holds_any(work.progress)
+            if error.errno in NO_ROOM:
+                told = f"what is finished is kept: make room and {AGAIN} to go on"
+                told = told if kept else f"make room and {AGAIN}"
+                raise DiskFull(str(destination), error.errno, told) from error
             text = f"{destination}: could not be written ({error})"
-            if holds_any(work.progress):
-                text += "; what is finished is kept: run the same command again to go on"
+            text += f"; what is finished is kept: {AGAIN} to go on" if kept else ""
             raise Incomplete(text) from error
         finally:
             if not holds_any(work.progress):

@@ -17,18 +17,24 @@ from .clusters import check_address, connected, slurm
 from .errors import Incomplete, NightglassError
 
 Progress = Callable[[str], None]  # called with the kind of each task that is done
+Graph = tuple[dict[Any, Any], list[Any]]  # tasks by key, and the keys that are wanted
 LOCAL_KINDS = ("threads", "synchronous", "processes", "slurm")
 TASKS_PER_WINDOW = 256
 # What glibc comes to by itself; Dask's 64 KiB cost a worker eight times the page faults.
 MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(64 << 20)}
 MOST_TRIES = 3  # of a task, on a cluster
 AHEAD = 3  # items in work or waiting for each thread
+FEWEST_WAITING = 64  # tasks of a stream, so that a cluster that scales itself sees work
 
 
 class Scheduler(Protocol):
-    """Runs graphs whose tasks are tuples (function, arguments...)."""
+    """Runs graphs whose tasks are tuples (function, arguments...).
+
+    least_task_s : CPU seconds that a task should last at least, so that sending it costs little
+    """
 
     workers: int
+    least_task_s: float
 
     def share(self, value: Any) -> Any:
         """Make a value available to all tasks, sent at most once to each worker."""
@@ -38,6 +44,12 @@ class Scheduler(Protocol):
 
     def run(self, graph: dict[Any, Any], keys: list[Any], done: Progress) -> list[Any]:
         """Compute `keys`; `done` hears the kind (first part of the key) of each finished task."""
+
+    def stream(self, graphs: Iterable[Graph], done: Progress) -> None:
+        """Compute the keys of very many graphs, their results dropped; `done` as in `run`.
+
+        A graph is taken when there is little left of those before.
+        """
 
     def each(
         self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
@@ -50,6 +62,8 @@ class Scheduler(Protocol):
 
 class LocalScheduler:
     """Dask's threaded or synchronous scheduler: nothing to start."""
+
+    least_task_s = 0.05
 
     def __init__(self, kind: str, workers: int) -> None:
         self.kind, self.workers = kind, workers
@@ -78,6 +92,10 @@ class LocalScheduler:
             finally:  # interrupted or not, nothing runs on behind the caller's back
                 pool.shutdown(wait=True, cancel_futures=True)
 
+    def stream(self, graphs: Iterable[Graph], done: Progress) -> None:
+        for graph, keys in graphs:
+            self.run(graph, keys, done)
+
     def each(
         self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
     ) -> Iterator[tuple[Any, Any]]:
@@ -102,6 +120,8 @@ class LocalScheduler:
 class ClusterScheduler:
     """A distributed cluster: a LocalCluster of processes, or the one at an address."""
 
+    least_task_s = 1.0
+
     def __init__(self, client: Any, workers: int) -> None:
         self.client, self.workers = client, workers
 
@@ -118,6 +138,21 @@ class ClusterScheduler:
         self._wait(futures, done)
         return self.client.gather(futures)
 
+    def stream(self, graphs: Iterable[Graph], done: Progress) -> None:
+        from distributed import as_completed
+
+        ended = as_completed([], loop=self.client.loop, raise_errors=False)
+        left, running, most = iter(graphs), 0, FEWEST_WAITING
+        while running or most:
+            while running < most:
+                graph, keys = next(left, ({}, []))
+                ended.update(self._submit(graph, keys) if keys else [])
+                running += len(keys)
+                most = max(FEWEST_WAITING, AHEAD * self._threads()) if keys else 0
+            if running:
+                self._told(next(ended), done)
+                running -= 1
+
     def each(
         self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
     ) -> Iterator[tuple[Any, Any]]:
@@ -129,7 +164,7 @@ class ClusterScheduler:
         done = as_completed([], loop=self.client.loop, raise_errors=False)
 
         def fill() -> None:
-            most = AHEAD * max(1, sum(self.client.nthreads().values()))
+            most = AHEAD * max(1, self._threads())
             for item in itertools.islice(left, max(0, most - len(running))):
                 future = self.client.submit(_outcome, function, sent, item, pure=False)
                 running[future.key] = item
@@ -144,6 +179,10 @@ class ClusterScheduler:
             yield running.pop(future.key), future.result() if error is None else error
             fill()
 
+    def _threads(self) -> int:
+        """Threads of all workers that are there now: they come and go."""
+        return sum(self.client.nthreads().values())
+
     def _submit(self, graph: dict[Any, Any], keys: list[Any]) -> list[Any]:
         """Submit under names that no other run on this scheduler uses: it shares by name."""
         names, once = {key: _unique(key, uuid4().hex) for key in graph}, Once()
@@ -152,17 +191,22 @@ class ClusterScheduler:
 
     def _wait(self, futures: list[Any], done: Progress) -> None:
         from distributed import as_completed
+
+        for future in as_completed(futures, loop=self.client.loop, raise_errors=False):
+            self._told(future, done)
+
+    def _told(self, future: Any, done: Progress) -> None:
+        """Tell of a future that has ended. Raises its error, Incomplete where it will not end."""
         from distributed.scheduler import KilledWorker
 
-        try:
-            for future in as_completed(futures, loop=self.client.loop, raise_errors=False):
-                if future.status == "error":
-                    raise future.exception()
-                if future.status == "cancelled":
-                    raise Incomplete("the cluster cancelled tasks; what is finished is kept")
-                done(future.key[0] if isinstance(future.key, tuple) else str(future.key))
-        except KilledWorker as error:
-            raise Incomplete(f"a task keeps killing its workers: {error}") from None
+        if future.status == "cancelled":
+            raise Incomplete("the cluster cancelled tasks; what is finished is kept")
+        if future.status == "error":
+            error = future.exception()
+            if isinstance(error, KilledWorker):
+                raise Incomplete(f"a task keeps killing its workers: {error}") from None
+            raise error
+        done(future.key[0] if isinstance(future.key, tuple) else str(future.key))
 
 
 @contextmanager
@@ -182,18 +226,20 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.scheduler.allowed-failures": 3,
         "distributed.worker.profile.enabled": False,
-        # Looked at 10 to 1000 times a second by default, in every process: a tenth of a short job.
-        "distributed.admin.tick.interval": "500ms",
+        # Looked at 1 to 1000 times a second by default, in every process: a tenth of a short job.
+        "distributed.admin.tick.interval": "5s",
         "distributed.admin.system-monitor.interval": "5s",
         "distributed.admin.system-monitor.gil.enabled": False,
-        "distributed.worker.memory.monitor-interval": "500ms",
+        "distributed.worker.memory.monitor-interval": "1s",
+        "distributed.client.scheduler-info-interval": "10s",
         "distributed.logging.distributed": "error",
     })  # fmt: skip
     if kind == "processes":
         with (
             LocalCluster(
                 n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
-                dashboard_address=None, silence_logs=50,
+                dashboard_address=None, silence_logs=50, scheduler_sync_interval=60,
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not 8787 of all networks
             ) as cluster,
             Client(cluster) as client,
         ):  # fmt: skip

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .catalogue import Catalogue
-from .errors import BadInput, Damaged
+from .errors import NO_ROOM, BadInput, Damaged, DiskFull
 from .healpix_interpolation import neighbours
 from .star_counts import EDGES_G_MAG, all_sky_count, interval_density
 from .stores import LocalStore, Unreachable
@@ -298,6 +298,9 @@ def _write(path: Path, made: StarlightMap) -> None:
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)
+        if error.errno in NO_ROOM:
+            again = "make room and run the same command again"
+            raise DiskFull(str(path), error.errno, again) from error
         raise BadInput("catalogue", str(path.parent), f"a folder to write to ({error})") from None
 
 

@@ -148,7 +148,7 @@ class RemoteStore:
                 if isinstance(error, FileNotFoundError):
                     raise FileNotFoundError(self.root) from None
                 if delay_s is None or not _is_transient(error):
-                    raise Unreachable(_reason(error)) from None
+                    raise Unreachable(reason_of(error)) from None
                 time.sleep(delay_s)
         raise AssertionError
 
@@ -180,7 +180,7 @@ def open_store(path: str | os.PathLike[str], field: str = "catalogue") -> Store:
     except ValueError as error:
         raise BadInput(field, root, f"a path, or a URL that fsspec knows ({error})") from None
     except Exception as error:  # each protocol checks its configuration in its own way
-        raise BadInput(field, root, f"a place that can be read ({_reason(error)})") from None
+        raise BadInput(field, root, f"a place that can be read ({reason_of(error)})") from None
     return RemoteStore(root)
 
 
@@ -250,7 +250,7 @@ def _is_transient(error: Exception) -> bool:
     return network or isinstance(error, (TimeoutError, ConnectionError))
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """An error in few words, without secrets."""
     status = getattr(error, "status", None)
     if isinstance(status, int):

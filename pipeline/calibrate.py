@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from catalog_tools.durable import full_disk_told
 from pipeline.arrays import SensorMaps
 from pipeline.errors import BadInput, Damaged
 from pipeline.execute.detector import tile_chain
@@ -48,7 +49,8 @@ def calibrate(product: Path, output: Path) -> dict[str, Any]:
     if partial.exists():
         raise BadInput("-o", str(partial), "no such path: it is left of a calibration cut off")
     try:
-        report = _write(product, partial, cube, scene, maps)
+        with full_disk_told(output, "make room and run the same command again"):
+            report = _write(product, partial, cube, scene, maps)
         partial.rename(output)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)

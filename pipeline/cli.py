@@ -13,9 +13,19 @@ from pipeline.catalog_cli import catalog
 from pipeline.cosmic_rays_cli import cosmic_rays
 from pipeline.export_cli import export, import_app
 from pipeline.jobs_cli import Server, jobs
-from pipeline.options import Json, Output, SchedulerName, Slurm, Workers, print_json
+from pipeline.options import (
+    Json,
+    Output,
+    OutputOrUrl,
+    ProductOrUrl,
+    SchedulerName,
+    Slurm,
+    Workers,
+    local_path,
+    print_json,
+)
 from pipeline.parts_cli import join
-from pipeline.report_cli import report_scenes
+from pipeline.report_cli import report_ledger, report_scenes
 from pipeline.sweep_cli import sweep
 
 os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
@@ -37,6 +47,7 @@ app.command()(join)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 report_app.command("scenes")(report_scenes)
+report_app.command("ledger")(report_ledger)
 
 SceneFile = Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")]
 ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")]
@@ -57,7 +68,7 @@ def main() -> None:
 
 def _explain(error: BaseException) -> int:
     """Print what went wrong on one line (or a few) and return the exit code."""
-    from pipeline.errors import NightglassError, exit_code
+    from pipeline.errors import NO_ROOM, NightglassError, exit_code
 
     if isinstance(error, typer.Exit):
         return error.exit_code
@@ -72,8 +83,10 @@ def _explain(error: BaseException) -> int:
         )
         return 130
     if isinstance(error, OSError) and error.errno is not None:
-        print(f"nightglass: {error.filename or ''}: {error.strerror}", file=sys.stderr)
-        return 3 if error.errno == 28 else 1
+        full = error.errno in NO_ROOM
+        said = f"the disk is full ({os.strerror(error.errno)})" if full else error.strerror
+        print(f"nightglass: {error.filename or 'a file'}: {said}", file=sys.stderr)
+        return 3 if full else 1
     if isinstance(error, NightglassError):
         print(f"nightglass: {error}", file=sys.stderr)
         return exit_code(error)
@@ -91,7 +104,7 @@ def _explain(error: BaseException) -> int:
 @app.command()
 def render(
     scene: SceneFile,
-    output: Output,
+    output: OutputOrUrl,
     set_: Overrides = None,
     scheduler: SchedulerName = "threads",
     workers: Workers = None,
@@ -111,7 +124,8 @@ def render(
 
         elsewhere = scheduler != "threads" or part is not None
         _only_here(resume, replace, workers is not None, elsewhere)
-        _print_result(render_there(scene, output, set_ or [], server, as_json), output, as_json)
+        to = local_path(output)
+        _print_result(render_there(scene, to, set_ or [], server, as_json), output, as_json)
         return
     if part is not None:
         from pipeline.parts_cli import render_part
@@ -125,7 +139,12 @@ def render(
     loaded = load_scene(scene, set_ or [])
     options = Options(scheduler, workers, resume, replace)
     with _progress(quiet=as_json) as listen:
-        report = run(loaded, output, options, listen)
+        if "://" in output:
+            from pipeline.remote import render_to_url
+
+            report = render_to_url(loaded, output, options, listen)
+        else:
+            report = run(loaded, Path(output), options, listen)
     _print_result(report, output, as_json)
 
 
@@ -158,11 +177,16 @@ def plan(
 
 
 @app.command()
-def check(product: ProductPath, as_json: Json = False) -> None:
+def check(product: ProductOrUrl, as_json: Json = False) -> None:
     """Verify a product whole: markers, chunk checksums, tables. Exit 3 if it is not complete."""
-    from pipeline.store.product import check as verify
+    if "://" in product:
+        from pipeline.remote import check_url
 
-    verdict = verify(product)
+        verdict = check_url(product)
+    else:
+        from pipeline.store.product import check as verify
+
+        verdict = verify(Path(product))
     if as_json:
         print_json(verdict.__dict__ | {"whole": verdict.whole})
     else:
@@ -358,14 +382,14 @@ def _only_here(*given: bool) -> None:
         raise BadInput("--server", "with them", allowed)
 
 
-def _print_result(report: dict[str, Any], output: Path, as_json: bool) -> None:
+def _print_result(report: dict[str, Any], output: Path | str, as_json: bool) -> None:
     if as_json:
         print_json(report)
     else:
         _print_report(report, output)
 
 
-def _print_report(report: dict[str, Any], product: Path) -> None:
+def _print_report(report: dict[str, Any], product: Path | str) -> None:
     seconds = report["seconds"]
     errors = report["errors"]
     print(

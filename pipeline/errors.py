@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from catalog_tools.errors import BadInput, Damaged, Incomplete, NightglassError, shorten
+from catalog_tools.errors import (
+    NO_ROOM,
+    BadInput,
+    Damaged,
+    DiskFull,
+    Incomplete,
+    NightglassError,
+    shorten,
+)
 
-__all__ = ["BadInput", "Damaged", "Incomplete", "NightglassError", "exit_code", "shorten"]
+__all__ = [
+    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "NightglassError", "exit_code",
+    "shorten",
+]  # fmt: skip
 
 EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
     (BadInput, 2),

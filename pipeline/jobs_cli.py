@@ -13,7 +13,7 @@ from pipeline.options import Json, Output, print_json
 
 jobs = typer.Typer(help="Jobs on a server (key: NIGHTGLASS_KEY).", no_args_is_help=True)
 Server = Annotated[
-    str | None, typer.Option(help="render there: http://host:port (key: NIGHTGLASS_KEY)")
+    str | None, typer.Option(help="work there: http://host:port (key: NIGHTGLASS_KEY)")
 ]
 Address = Annotated[
     str, typer.Option("--server", envvar="NIGHTGLASS_SERVER", help="http://host:port")
@@ -57,6 +57,26 @@ def render_there(
             job.wait(progress=not as_json).fetch(output, progress=not as_json)
         except KeyboardInterrupt:
             print(f"the job goes on: nightglass jobs fetch {job.id} --server {server} -o {output}",
+                  file=sys.stderr)  # fmt: skip
+            raise
+        return job.report()
+
+
+def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> dict[str, Any]:
+    """Submit a sweep, wait, fetch what it made into `output`; returns the report.
+
+    Interrupted, the job goes on; `nightglass jobs show` tells of it.
+    """
+    from pipeline.errors import BadInput
+
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise BadInput("-o", str(output), "a path that does not exist yet")
+    with connect(server) as client:
+        job = client.sweep(file)
+        try:
+            job.wait(progress=not as_json).fetch_sweep(output)
+        except KeyboardInterrupt:
+            print(f"the job goes on: nightglass jobs show {job.id} --server {server}",
                   file=sys.stderr)  # fmt: skip
             raise
         return job.report()

@@ -13,15 +13,29 @@ from pipeline.errors import BadInput
 
 
 def _no_url(path: Path) -> Path:
-    """BadInput for a URL: results need a file system's rename and locks."""
+    """BadInput for a URL: only products of a scene are written to an object store."""
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path)):
-        allowed = "a path of a file system (copy the complete result to a store like s3, "
-        raise BadInput("-o", str(path), f"{allowed}its _COMPLETE last; docs/cluster.md)")
+        allowed = "a path of a file system (only `nightglass render` writes to s3://BUCKET/NAME; "
+        raise BadInput("-o", str(path), f"{allowed}docs/cluster.md)")
     return path
 
 
 Output = Annotated[
     Path, typer.Option("-o", "--output", help="where the result goes", callback=_no_url)
+]
+
+
+def local_path(place: str) -> Path:
+    """A path of a file system. BadInput for a URL."""
+    return _no_url(Path(place))
+
+
+OutputOrUrl = Annotated[
+    str,
+    typer.Option("-o", "--output", help="where the product goes: a folder, or s3://BUCKET/NAME"),
+]
+ProductOrUrl = Annotated[
+    str, typer.Argument(help="product directory, or s3://BUCKET/NAME", metavar="PRODUCT")
 ]
 Json = Annotated[bool, typer.Option("--json", help="machine-readable result on stdout")]
 SchedulerName = Annotated[

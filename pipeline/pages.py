@@ -78,9 +78,10 @@ def print_plan(plan: dict[str, Any], explain: bool = False) -> None:
     ]  # fmt: skip
     for name, text in facts:
         console.print(f"{name:>14}  {text}", highlight=False)
-    table = Table("component", "", "reason", "bound e-", "bound sigma", show_edge=False)
+    table = Table("component", "", "reason", "bound e-", "bound sigma", "bound", show_edge=False)
     for d in plan["decisions"]:
-        bounds = (_number(d["error_bound_e"]), _number(d["error_bound_sigma"]))
+        other = "" if d.get("bound") is None else f"{d['bound']:.2g} {d['unit']}"
+        bounds = (_number(d["error_bound_e"]), _number(d["error_bound_sigma"]), other)
         reason = d["reason"]
         if explain and "rule" in d:
             reason += f"\nrule: {d['rule']}\nmeasured by: {d['measured_by']}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,12 +51,23 @@ def render_part(
     options, started = options or Options(), time.perf_counter()
     prepared = prepare(scene)
     plan = prepared.plan
-    digest = "+".join(c.digest for c in prepared.catalogues) or None
     numbers = {(t.row, t.column): i for i, t in enumerate(plan.tiles)}
 
     def mine(frame: int, row: int, column: int) -> bool:
         return share.holds(plan, frame, numbers.get((row, column), -1))
 
+    with layout.full_disk(product):
+        return _render_share(prepared, product, share, (options, listen, started, mine))
+
+
+def _render_share(
+    prepared: Prepared, product: Path, share: Share,
+    how: tuple[Options, Listener | None, float, Callable[[int, int, int], bool]],
+) -> dict[str, Any]:  # fmt: skip
+    """A part, prepared: drawn, and the product finished where it was the last."""
+    options, listen, started, mine = how
+    plan = prepared.plan
+    digest = "+".join(c.digest for c in prepared.catalogues) or None
     begun = begin_together(product, plan, digest, mine)
     if (product / layout.COMPLETE).is_file():
         return stored_report(begun)
@@ -100,7 +112,7 @@ def join(product: Path, scene: Path | None = None) -> dict[str, Any]:
 def _finish(prepared: Prepared, product: Path, times: dict[str, Any]) -> dict[str, Any]:
     plan = prepared.plan
     digest = "+".join(c.digest for c in prepared.catalogues) or None
-    with layout.only_writer(product):
+    with layout.full_disk(product), layout.only_writer(product):
         begun = begin(product, plan, digest, resume=True)  # every chunk against its marker
         if (product / layout.COMPLETE).is_file():
             return stored_report(begun)

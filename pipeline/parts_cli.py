@@ -8,13 +8,11 @@ from typing import Annotated
 
 import typer
 
-from pipeline.options import Json, print_json
-
-ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")]
+from pipeline.options import Json, ProductOrUrl, print_json
 
 
 def render_part(
-    scene: Path, product: Path, overrides: list[str], part: str,
+    scene: Path, product: str, overrides: list[str], part: str,
     options: tuple[str, int | None, bool], as_json: bool,
 ) -> None:  # fmt: skip
     """Render one part of a scene; the last one finishes the product."""
@@ -31,7 +29,13 @@ def render_part(
     share = parse_part(part)
     with tile_progress(as_json or not sys.stderr.isatty()) as listen:
         options_ = Options(scheduler, workers)
-        report = run(load_scene(scene, overrides), product, share, options_, listen)
+        loaded = load_scene(scene, overrides)
+        if "://" in product:
+            from pipeline.remote import render_to_url
+
+            report = render_to_url(loaded, product, options_, listen, share)
+        else:
+            report = run(loaded, Path(product), share, options_, listen)
     if as_json:
         print_json(report)
     elif report["complete"]:
@@ -41,14 +45,19 @@ def render_part(
 
 
 def join(
-    product: ProductPath,
+    product: ProductOrUrl,
     scene: Annotated[Path | None, typer.Argument(help="default: the product's own")] = None,
     as_json: Json = False,
 ) -> None:
     """Finish a product whose parts are all done. Exit 3 where tiles are missing."""
-    from pipeline.parts import join as run
+    if "://" in product:
+        from pipeline.remote import join_url
 
-    report = run(product, scene)
+        report = join_url(product, scene=scene)
+    else:
+        from pipeline.parts import join as run
+
+        report = run(Path(product), scene)
     if as_json:
         print_json(report)
     else:

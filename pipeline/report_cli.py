@@ -1,4 +1,4 @@
-"""The command line's `nightglass report scenes`: error against run time of whole scenes."""
+"""The command line's `nightglass report scenes` and `report ledger`: error against run time."""
 
 from __future__ import annotations
 
@@ -36,3 +36,23 @@ def report_scenes(
         print_json(study)
     else:
         print_study(study)
+
+
+def report_ledger(
+    output: Output = Path("ledger"),
+    rule: Annotated[
+        list[str] | None, typer.Option("--rule", help="only this component (may be repeated)")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Every rule of the plan measured: the bound, the error of an omission, the seconds saved."""
+    from pipeline.ledger_report.report import print_ledger
+    from pipeline.ledger_report.report import report_ledger as study_all
+    from pipeline.pages import stage_progress
+
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        study = study_all(output, tuple(rule or ()), listen)
+    if as_json:
+        print_json(study)
+    else:
+        print_ledger(study)

@@ -14,6 +14,7 @@ import numpy as np
 from catalog_tools.schedulers import TASKS_PER_WINDOW, Scheduler, open_scheduler
 from pipeline.arrays import Geometry, SensorMaps
 from pipeline.errors import BadInput, NightglassError
+from pipeline.execute.bundles import bundled, tiles_a_bundle, tiles_done
 from pipeline.execute.graph import Inputs, Work, shard_graph, shard_key, window_graph
 from pipeline.finish import finish, stored_report
 from pipeline.inputs.catalogues import (
@@ -54,7 +55,7 @@ from pipeline.plan.geometry import (
     plan_geometry,
     sampled_frames,
 )
-from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
+from pipeline.plan.scene_plan import Plan, field_cones, frame_seconds, make_plan, plan_dict
 from pipeline.plan.target_decisions import mesh_notices
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.observer import GroundObserver
@@ -77,12 +78,14 @@ class Options:
 
     scheduler : threads, synchronous, processes, or an address; workers : None for all cores
     resume : go on with an unfinished product; replace : remove what stands at the path first
+    most_cpu_s : a scene whose plan predicts more is refused before anything is drawn
     """
 
     scheduler: str = "threads"
     workers: int | None = None
     resume: bool = False
     replace: bool = False
+    most_cpu_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -164,9 +167,7 @@ def prepare(scene: Scene) -> Prepared:
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     remarks += mesh_notices(scene)
-    plan = make_plan(
-        scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction
-    )
+    plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction)
     plan = _with_engines(plan, catalogues, geometry)
     left_out = _left_out(plan, catalogues)
     plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
@@ -290,6 +291,15 @@ def plan_scene(scene: Scene) -> dict[str, Any]:
     return summary_of(prepare(scene))
 
 
+def check_cost(scene: Scene, summary: dict[str, Any], most_cpu_s: float | None) -> None:
+    """BadInput where a plan predicts more CPU seconds than are allowed; None allows any."""
+    asked = summary["predicted"]["cpu_s"]
+    if most_cpu_s is not None and asked > most_cpu_s:
+        field = "exposure.frames" if scene.dwells is None else "dwells"
+        allowed = f"a scene of at most {most_cpu_s:g} CPU s (predicted: {asked:.0f})"
+        raise BadInput(field, summary["frames"], allowed)
+
+
 def summary_of(prepared: Prepared) -> dict[str, Any]:
     return plan_dict(prepared.plan, _forecast(prepared), catalogue_facts_of(prepared))
 
@@ -329,18 +339,26 @@ def render(
     """Render a scene into a product directory and return its report.
 
     Raises BadInput for a scene or path that cannot be used, Damaged for a damaged catalogue,
-    Incomplete where work stopped before everything was done (what is done is kept).
+    Incomplete where work stopped before everything was done (what is done is kept), DiskFull
+    where that was for want of room.
     """
-    options = options or Options()
+    with layout.full_disk(product):
+        return _render(scene, product, options or Options(), listen)
+
+
+def _render(
+    scene: Scene, product: Path, options: Options, listen: Listener | None
+) -> dict[str, Any]:
     started = time.perf_counter()
     prepared = prepare(scene)
-    plan = prepared.plan
+    plan, summary = prepared.plan, summary_of(prepared)
+    check_cost(scene, summary, options.most_cpu_s)
     if options.replace and product.exists():
         _remove(product)
     digest = "+".join(c.digest for c in prepared.catalogues) or None
     begun = begin(product, plan, digest, options.resume)
     with layout.only_writer(product):
-        layout.write_atomically(product / layout.PLAN, layout.to_json(summary_of(prepared)))
+        layout.write_atomically(product / layout.PLAN, layout.to_json(summary))
         planned = time.perf_counter()
         if (product / layout.COMPLETE).is_file() and all_done(begun, plan):
             return stored_report(begun)
@@ -398,23 +416,38 @@ def draw(
     shards: dict[Shard, Any] = {}
 
     def done(kind: str) -> None:
-        state["done"] += kind == "tile"
+        state["done"] += tiles_done(kind)
         if listen is not None:
             listen(Progress(state["done"], total, kind))
 
     if listen is not None:
         listen(Progress(state["done"], total, "start"))
-    for window in _windows(plan, share):
-        work = missing(plan, begun, window, share)
-        if work is None:
-            continue
-        needed = shards_of(plan, catalogues, work.geometry)
-        shards = {shard: shards[shard] for shard in needed if shard in shards}
-        fresh = [shard for shard in needed if shard not in shards]
-        kept = scheduler.keep(shard_graph(inputs, fresh))
-        shards |= {shard: kept[shard_key(shard)] for shard in fresh}
-        graph, keys = window_graph(inputs, plan, work, shards, ref_epochs)
-        scheduler.run(graph, keys, done)
+    size = _tiles_a_task(prepared, scheduler, total)
+
+    def graphs() -> Iterator[tuple[dict[Any, Any], list[Any]]]:
+        nonlocal shards
+        for window in _windows(plan, share):
+            work = missing(plan, begun, window, share)
+            if work is None:
+                continue
+            needed = shards_of(plan, catalogues, work.geometry)
+            shards = {shard: shards[shard] for shard in needed if shard in shards}
+            fresh = [shard for shard in needed if shard not in shards]
+            kept = scheduler.keep(shard_graph(inputs, fresh))
+            shards |= {shard: kept[shard_key(shard)] for shard in fresh}
+            graph, keys = window_graph(inputs, plan, work, shards, ref_epochs)
+            yield bundled(graph, keys, size) if size > 1 else (graph, keys)
+
+    scheduler.stream(graphs(), done)
+
+
+def _tiles_a_task(prepared: Prepared, scheduler: Scheduler, tiles: int) -> int:
+    """How many tiles of a job a task draws, by the plan's estimate of their work."""
+    if tiles < 2 * scheduler.workers:
+        return 1
+    plan = prepared.plan
+    tile_s = frame_seconds(plan, _forecast(prepared)) / len(plan.tiles)
+    return tiles_a_bundle(tile_s, scheduler.least_task_s, tiles, scheduler.workers)
 
 
 def _windows(plan: Plan, share: Share) -> Iterator[np.ndarray]:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pipeline.jobs_cli import Server
 from pipeline.options import Json, Output, SchedulerName, Slurm, Workers, print_json
 
 SweepFile = Annotated[Path, typer.Argument(help="sweep file, YAML or JSON", metavar="SWEEP")]
@@ -28,9 +29,17 @@ def sweep(
     point: Annotated[
         int | None, typer.Option("--point", help="only print the scene of this point")
     ] = None,
+    server: Server = None,
     as_json: Json = False,
 ) -> None:
-    """Run a sweep: many scenes that differ in some fields, measured into one table of points."""
+    """Run a sweep: many scenes that differ in some fields, measured into one table of points.
+
+    With --server it runs there, and its results are fetched.
+    """
+    if server is not None:
+        decided = scheduler != "threads" or workers is not None or slurm
+        _there(file, output, server, as_json, decided or resume or retry_failed, point)
+        return
     from pipeline.sweep.run import Options, point_scene
     from pipeline.sweep.run import sweep as run
 
@@ -42,6 +51,22 @@ def sweep(
     options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
     with _progress(as_json or not sys.stderr.isatty()) as listen:
         report = run(file, output, options, retry_failed, listen)
+    if as_json:
+        print_json(report)
+    else:
+        _print(report, output)
+
+
+def _there(
+    file: Path, output: Path, server: str, as_json: bool, decided: bool, point: int | None
+) -> None:
+    from pipeline.errors import BadInput
+    from pipeline.jobs_cli import sweep_there
+
+    if decided or point is not None:
+        allowed = "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point"
+        raise BadInput("--server", "with them", allowed)
+    report = sweep_there(file, output, server, as_json)
     if as_json:
         print_json(report)
     else:

@@ -11,6 +11,7 @@ from typing import Any
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
+from pipeline.plan.cost import least_cpu_s
 from service.bodies import parse_json
 from service.scenes import HasFile, Named, check_named, judge_scene, named_in, pixel_frames_of
 from service.settings import Settings
@@ -25,6 +26,7 @@ class Accepted:
 
     text : the scene as JSON, defaults filled in
     body_sha256 : of the body's data, whatever its spaces and the order of its keys
+    least_cpu_s : CPU seconds that it is forecast to take, its stars not counted
     named : what it names outside of itself, which may come and go: looked at every time
     """
 
@@ -33,6 +35,7 @@ class Accepted:
     body_sha256: str
     pixel_frames: int
     named: Named
+    least_cpu_s: float = 0.0
 
     def scene(self) -> dict[str, Any]:
         """The scene as plain data, the caller's own."""
@@ -74,7 +77,9 @@ class Acceptance:
         plain = scene.as_dict()
         digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
         text = to_json(plain, inf_nan_mode="constants").decode()
-        return Accepted(scene.name, text, digest, pixel_frames_of(scene), named_in(plain))
+        return Accepted(
+            scene.name, text, digest, pixel_frames_of(scene), named_in(plain), least_cpu_s(scene)
+        )
 
     def _keep(self, key: tuple[str, bytes], found: Accepted) -> None:
         self._kept[key] = found

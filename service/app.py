@@ -73,6 +73,7 @@ HTTP_STATUS: tuple[tuple[type[Exception], int], ...] = (
     (problems.PlanTooSlow, 503),
     (problems.Overloaded, 503),
     (problems.TableFault, 503),
+    (problems.StoreFull, 503),
     (BadInput, 422),
     (RequestValidationError, 422),
     (Damaged, 500),

@@ -99,6 +99,7 @@ class Attempt:
             "resume": resume,
             "workers": settings.workers,
             "scheduler": settings.scheduler,
+            "most_cpu_s": settings.job_cpu_s,
         } | self._said
 
     def _watch(self, answers: Answers) -> dict[str, Any] | None:

@@ -267,6 +267,14 @@ class RemoteJob:
         with shown as listen:
             return fetch_product(self, Path(folder), parallel, listen)
 
+    def fetch_sweep(self, folder: Path | str) -> Path:
+        """Fetch what a sweep made into `folder`, which is not there yet: its table of points,
+        report and page, each proved. Raises Damaged where a byte differs."""
+        from service.fetching import fetch_sweep
+
+        self._complete("sweep")
+        return fetch_sweep(self, Path(folder))
+
     def _complete(self, kind: str = "scene") -> None:
         if self.facts["kind"] != kind:
             allowed = "a scene's job; a sweep's table comes by points()"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -13,7 +15,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import sqlite
 from sqlalchemy.dialects.postgresql import psycopg
 
-from pipeline.errors import BadInput
+from pipeline.errors import NO_ROOM, BadInput, DiskFull
 from service.tables import HEAD
 
 LOCK_NUMBER = 7_316_881  # of PostgreSQL's advisory locks: writers of jobs, one at a time
@@ -51,10 +53,23 @@ def connect(url: str) -> sa.Engine:
     except sa.exc.DBAPIError as error:
         engine.dispose()
         reason = " ".join(str(error.orig).split())[:200]
+        if kind == "sqlite" and _no_room(parts.database or "", reason):
+            raise DiskFull(shown, errno.ENOSPC, "make room, then start again") from None
         if parts.password:
             reason = reason.replace(str(parts.password), "***")
         raise BadInput("NIGHTGLASS_DATABASE", shown, f"a database that answers; {reason}") from None
     return engine
+
+
+def _no_room(path: str, reason: str) -> bool:
+    """Whether a database of SQLite could not be opened for want of room, which it says or hides."""
+    if "unable to open" in reason:  # it, or a file beside it
+        try:
+            with tempfile.TemporaryFile(dir=Path(path).parent) as probe:
+                probe.write(bytes(4096))
+        except OSError as error:
+            return error.errno in NO_ROOM
+    return "disk is full" in reason or "disk I/O error" in reason
 
 
 ALLOWED = "sqlite:////path/to/jobs.sqlite or postgresql://user@host/name"

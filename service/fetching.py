@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,6 +13,7 @@ import httpx
 
 from pipeline.errors import BadInput, Damaged, Incomplete
 from pipeline.store import layout
+from pipeline.store.product import file_digest
 from service.client import AGAIN, problem_of
 
 if TYPE_CHECKING:
@@ -46,6 +48,23 @@ def fetch_product(
         list(pool.map(lambda file: _fetch(job, folder, file[0], file[1], count), files))
     seal = job.client.ask("GET", f"{job.path}/results/{layout.COMPLETE}").content
     _prove(job, folder, seal)
+    return folder
+
+
+def fetch_sweep(job: RemoteJob, folder: Path, parallel: int = 8) -> Path:
+    """Bring what a sweep made (its table, report, page, cubes) into `folder`, each file of its seal
+    proved by its digest; the seal comes last. Raises as `fetch_product` does."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise BadInput("-o", str(folder), "a path that does not exist yet")
+    folder.mkdir(parents=True, exist_ok=True)
+    seal = job.client.ask("GET", f"{job.path}/results/{layout.COMPLETE}").content
+    files = [(path, size) for path, size in _listing(job) if path != layout.COMPLETE]
+    with ThreadPoolExecutor(parallel) as pool:
+        list(pool.map(lambda file: _fetch(job, folder, file[0], file[1], lambda _: None), files))
+    for name, digest in json.loads(seal)["files"].items():
+        if not (folder / name).is_file() or file_digest(folder / name) != digest:
+            raise Damaged(name, "not what the sweep made; fetch it again")
+    layout.write_atomically(folder / layout.COMPLETE, seal)
     return folder
 
 

@@ -30,10 +30,12 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
 
         from service import logs
         from service.app import create_app
+        from service.database import connect
         from service.wire import bounded
 
         logs.set_up()
         settings.make_folders()
+        connect(settings.database_url).dispose()  # what is wrong with it is said before all else
         app = create_app(settings)
         config = uvicorn.Config(
             app, log_config=None, access_log=False, server_header=False, backlog=LISTEN,

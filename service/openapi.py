@@ -48,6 +48,8 @@ JOB = {
         "cancel_asked": {"type": "boolean"},
         "error": {"type": ["object", "null"]},
         "content_digest": TEXT,
+        "least_cpu_s": {"type": "number", "description": "in the answer to a submission alone: "
+                        "CPU seconds forecast, the light of the stars not counted"},
         "links": ANY_OBJECT,
     },
     "example": {

@@ -88,6 +88,10 @@ class TableFault(Refusal):
     """The job table cannot be read or written now: its disk is full, or it is locked."""
 
 
+class StoreFull(Refusal):
+    """The disk of the uploaded files is full: nothing of the file is kept."""
+
+
 class PlanTooSlow(Refusal):
     """A dry run that took longer than the service allows."""
 

@@ -74,7 +74,8 @@ def plan_dry(
     data = scene if isinstance(scene, dict) else scene.as_dict()
     deadline = time.monotonic() + settings.plan_s
     outcome = None
-    with worker(settings, {"do": "plan", "scene": data}) as answers:
+    order = {"do": "plan", "scene": data, "most_cpu_s": settings.job_cpu_s}
+    with worker(settings, order) as answers:
         while not stopping.is_set():
             try:
                 outcome = answers.get(timeout=POLL_S)

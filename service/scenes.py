@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from pipeline.plan.cost import least_cpu_s
 from pipeline.plan.timing import frame_count
 from pipeline.spec.load import parse_scene, path_holders
 from pipeline.spec.scene import Scene
@@ -96,4 +97,8 @@ def _size_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:
     if forecast > settings.product_bytes:
         allowed = f"layers of at most {settings.product_bytes} bytes in all (asked: {forecast})"
         return [("output.layers", list(scene.output.layers), allowed)]
+    if (least := least_cpu_s(scene)) > settings.job_cpu_s:
+        allowed = f"a scene of at most {settings.job_cpu_s:g} CPU s (forecast: {least:.0f})"
+        field = "exposure.frames" if scene.dwells is None else "dwells"
+        return [(field, frame_count(scene), allowed)]
     return []

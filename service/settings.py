@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import BadInput
+from pipeline.errors import NO_ROOM, BadInput, DiskFull
 
 PREFIX = "NIGHTGLASS_"
 
@@ -32,6 +32,8 @@ class Settings:
     upload_bytes, upload_s : largest uploaded file, and how long sending it may take
     pixel_frames : most frames x pixels of one scene
     product_bytes : most bytes of one scene's product before compression, all its layers
+    job_cpu_s : most CPU seconds that a scene may be forecast to take: by its frames and pixels
+        when it is submitted, with its stars and responses when it is planned
     targets : most targets of a scene
     sweep_points : most points of a sweep
     queued_jobs, running_jobs, pixel_frames_day, bytes_kept : what one team may have waiting, may
@@ -66,6 +68,7 @@ class Settings:
     upload_s: float = 300.0
     pixel_frames: int = 1 << 32
     product_bytes: int = 1 << 36
+    job_cpu_s: float = 200_000.0
     targets: int = 10_000
     sweep_points: int = 1_000_000
     queued_jobs: int = 1000
@@ -114,6 +117,8 @@ class Settings:
             for folder in (self.products, self.catalogues, self.uploads):
                 folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
+            if error.errno in NO_ROOM:
+                raise DiskFull(str(self.home), error.errno, "make room, then start again") from None
             raise BadInput(
                 "--home", str(self.home), f"a folder that can be written; {error.strerror}"
             ) from None

@@ -20,7 +20,6 @@ from service.tables import audit, counters, jobs, scene_crc, seal_of, uploads, u
 
 DAY_S = 86_400.0
 MOST_AT_ONCE = 512
-LINGER_S = 0.005  # a commit waits while more comes: an fsync costs longer than this
 _id_lock = threading.Lock()
 Answer = tuple[Job, bool] | Exception
 
@@ -264,13 +263,13 @@ class Intake:
 
     def _run(self) -> None:
         last = False
-        pairs: list[Any] = []
         while not last:
+            # Nothing is waited for: what comes while this commit runs is the next one, and the
+            # requests behind it are read meanwhile. A pause would let them all fall into step.
             batch = [self._waiting.get()]
-            pause_s = LINGER_S if len(pairs) > 1 else 0.0  # who comes alone is not kept waiting
             while len(batch) < MOST_AT_ONCE:
                 try:
-                    batch.append(self._waiting.get(timeout=pause_s))
+                    batch.append(self._waiting.get_nowait())
                 except queue.Empty:
                     break
             last = None in batch

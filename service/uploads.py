@@ -15,12 +15,21 @@ import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
+from pipeline.errors import NO_ROOM
 from pipeline.spec.load import path_holders
 from service.auth import Caller
 from service.bodies import discard_rest
 from service.database import writing
 from service.jobs import record
-from service.problems import Malformed, NotAllowed, NotThere, QueueFull, TooLarge, TooSlow
+from service.problems import (
+    Malformed,
+    NotAllowed,
+    NotThere,
+    QueueFull,
+    StoreFull,
+    TooLarge,
+    TooSlow,
+)
 from service.settings import Settings
 from service.tables import uploads
 
@@ -44,7 +53,8 @@ class Uploads:
     async def receive(self, request: Request, name: str, caller: Caller) -> dict[str, Any]:
         """Store a request's body under the digest of its content. Memory stays a piece's size.
 
-        NotAllowed for a name, kind or content that is not taken; TooLarge, TooSlow, QueueFull.
+        NotAllowed for a name, kind or content that is not taken; TooLarge, TooSlow, QueueFull,
+        StoreFull.
         """
         kind = name.rpartition(".")[2].lower()
         if not NAME.fullmatch(name) or kind not in KINDS:
@@ -58,6 +68,10 @@ class Uploads:
             file_id = f"{digest[:32]}.{kind}"
             row = {"team": caller.team, "id": file_id, "name": name, "bytes": size}
             await run_in_threadpool(self._keep, part, row, caller)
+        except OSError as error:
+            if error.errno not in NO_ROOM:
+                raise
+            raise StoreFull("the disk of the uploads is full: the file was not stored") from error
         finally:
             part.unlink(missing_ok=True)
         return {"id": PREFIX + file_id, "name": name, "bytes": size, "sha256": digest}

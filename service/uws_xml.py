@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Any
@@ -20,6 +21,8 @@ LINK_FIELDS = (
     ("semantics", "char", "meta.code"), ("description", "char", "meta.note"),
     ("content_type", "char", "meta.code.mime"), ("content_length", "long", "phys.size;meta.file"),
 )  # fmt: skip
+# What XML 1.0 has no way to write: a document with one of them is none.
+NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 Result = tuple[str, str, str]  # id, address, media type
 
 
@@ -129,7 +132,7 @@ def _child(parent: ET.Element, name: str, text: str | None) -> ET.Element:
     if text is None:
         child.set(f"{{{XSI}}}nil", "true")
     elif text:
-        child.text = text
+        child.text = NOT_XML.sub("\N{REPLACEMENT CHARACTER}", text)
     return child
 
 

@@ -19,14 +19,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from pipeline.errors import BadInput, Damaged, NightglassError
+from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError
 from pipeline.spec.load import InvalidScene, parse_scene
 from service import logs
 from service.problems import cut, mistake_dict
 
 log = logging.getLogger("nightglass.engine")
 BETWEEN_LINES_S = 0.25
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def main() -> None:
@@ -89,17 +88,21 @@ def _tiles_told(order: dict[str, Any]) -> Iterator[None]:
 
 
 def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
-    from pipeline.run import plan_scene
+    from pipeline.run import check_cost, plan_scene
 
-    return {"outcome": "done", "plan": plan_scene(parse_scene(order["scene"]))}
+    scene = parse_scene(order["scene"])
+    plan = plan_scene(scene)
+    check_cost(scene, plan, order["most_cpu_s"])
+    return {"outcome": "done", "plan": plan}
 
 
 def _render(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
     from pipeline.run import Options, render
 
     options = Options(
-        scheduler=order["scheduler"], workers=order["workers"], resume=order["resume"]
-    )
+        scheduler=order["scheduler"], workers=order["workers"], resume=order["resume"],
+        most_cpu_s=order["most_cpu_s"],
+    )  # fmt: skip
     with _tiles_told(order):
         report = render(
             parse_scene(order["scene"]), Path(order["product"]), options, _listener(answers)
@@ -144,11 +147,13 @@ def describe(error: Exception, product: str | None = None) -> dict[str, Any]:
     if isinstance(error, Damaged):
         place, reason = Path(error.path).name, _clean(error.reason, product)
         return {"kind": "damaged", "message": cut(str(Damaged(place, reason))), "errors": []}
+    if isinstance(error, DiskFull) or (isinstance(error, OSError) and error.errno in NO_ROOM):
+        code = error.code if isinstance(error, DiskFull) else error.errno
+        reason = os.strerror(code or errno.ENOSPC)
+        message = f"the server's disk is full ({reason}); submit again when there is room"
+        return {"kind": "disk full", "message": message, "errors": []}
     if isinstance(error, NightglassError):
         return {"kind": "incomplete", "message": cut(_clean(str(error), product)), "errors": []}
-    if isinstance(error, OSError) and error.errno in NO_ROOM:
-        message = f"the server's disk is full ({error.strerror}); submit again when there is room"
-        return {"kind": "disk full", "message": message, "errors": []}
     if isinstance(error, OSError):
         message = f"the server could not read or write: {error.strerror or type(error).__name__}"
     elif isinstance(error, MemoryError):

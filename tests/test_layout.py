@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -23,8 +24,13 @@ def files() -> list[Path]:
     return sorted(ROOT / name for name in listed.stdout.split() if name.endswith(".py"))
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
 def caption(path: Path) -> str:
-    return (ast.get_docstring(ast.parse(path.read_text())) or "").splitlines()[0]
+    return (ast.get_docstring(parsed(path)) or "").splitlines()[0]
 
 
 def test_captions_are_the_docstrings():
@@ -44,7 +50,7 @@ def test_captions_are_sentences():
 def test_functions_are_short():
     """No function's code is longer than 70 lines without its docstring."""
     for path in files():
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 doc = len((ast.get_docstring(node, clean=False) or "").splitlines())
                 assert node.end_lineno - node.lineno + 1 - doc <= 70, f"{path}:{node.name}"

@@ -1,4 +1,4 @@
-"""docs/report.md, its picture and docs/measured.json: `python docs/tools/scene_report.py`."""
+"""docs/report.md, its pictures and docs/report.json: `python docs/tools/scene_report.py`."""
 
 from __future__ import annotations
 
@@ -17,10 +17,13 @@ off one approximation at a time. It writes `report.json`, `report.html` (one pag
 beside it), `report.md` and two figures. `--quick` takes smaller frames and fewer rungs, `--scene`
 and `--rungs` choose, `--catalog` takes another catalogue than the synthetic one it makes.
 
-This page is one run, made by `python docs/tools/scene_report.py`; its rows of the
-[ledger](reference/omissions.md) are in `docs/measured.json`. {remark}
+This page is one run, made by `python docs/tools/scene_report.py`; all its figures are in
+`docs/report.json`. What components that are left out are worth, each rule of the plan has measured
+in the [ledger](reference/omissions.md). {remark}
 
 ![error of a pixel over its noise against CPU seconds of a render](pictures/report.png)
+
+![bound and error of each approximation, scene by scene](pictures/omissions.png)
 
 """
 GUARDS = """
@@ -37,9 +40,8 @@ with {stars:,} stars, written to disk (`python -m benchmarks.guards`; `benchmark
 
 def main() -> None:
     """Run the report (or take finished ones), and write page, picture and rows."""
-    from pipeline.scene_report.figure import ladder_figure
+    from pipeline.scene_report.figure import ladder_figure, omission_figure
     from pipeline.scene_report.report import report_scenes, text
-    from pipeline.scene_report.rules import measured_rules
     from pipeline.scene_report.scenes import MAKERS
 
     parser = argparse.ArgumentParser(description=__doc__)
@@ -59,8 +61,8 @@ def main() -> None:
     (wish.docs / "report.md").write_text(page.rstrip() + "\n", encoding="utf-8")
     (wish.docs / "pictures").mkdir(parents=True, exist_ok=True)
     (wish.docs / "pictures" / "report.png").write_bytes(ladder_figure(study))
-    rules = {"machine": study["machine"], "rules": measured_rules(study)}
-    (wish.docs / "measured.json").write_text(json.dumps(rules, indent=1) + "\n")
+    (wish.docs / "pictures" / "omissions.png").write_bytes(omission_figure(study))
+    (wish.docs / "report.json").write_text(json.dumps(study, indent=1) + "\n")
 
 
 def joined(studies: list[dict[str, Any]]) -> dict[str, Any]:

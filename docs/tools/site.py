@@ -18,7 +18,7 @@ MEASURED = Path(__file__).parents[1] / "measured.json"
 
 
 def omissions() -> str:
-    """The ledger with the rows that docs/tools/scene_report.py measured."""
+    """The ledger with the rows that docs/tools/ledger.py measured."""
     return omissions_page(json.loads(MEASURED.read_text())["rules"])
 
 

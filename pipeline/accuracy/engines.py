@@ -12,6 +12,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pipeline.accuracy.reference import AiryStar, GaussianStar, Shape, Track
+from pipeline.physics.drawing.products import draw_products
 from pipeline.physics.drawing.spectral import Sources, draw_spectral, transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import plan_spectral
@@ -26,6 +27,7 @@ from pipeline.physics.drawing.wings import (
     wing_kernel,
 )
 from pipeline.physics.motion.streak import Path, pieces, transfer
+from pipeline.physics.psf.product import is_product, product_table
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import (
     Core,
@@ -101,6 +103,8 @@ def our_settings(case: Case, quick: bool) -> list[Setting]:
     elif case.curved:
         out += [_polyline(n) for n in (1, 2, 4, 8, 16, 32, 64, 128)]
     else:
+        if is_product(blur_of(case.shape), case.streak_px):
+            out += [_product(phases) for phases in (4, 8, 16, 32, 64)]
         out += [_tiled(case, side) for side in (128, 256, 512)]
         if case.streak_px:
             densities = (0.5, 1.0, 2.0, 4.0) if case.streak_px <= 100 else (0.5, 1.0)
@@ -186,6 +190,22 @@ def _table(core: Core, path: Path, phases: int) -> PixelResponse:
     swept = transfer(*frequencies(core, *period), path.x_px, path.y_px, path.weight)
     spectrum = core_spectrum(core, swept, *period)
     return phase_table(core, spectrum, (half_y, half_x), (period[0], period[1]), phases)
+
+
+def _product(phases: int) -> Setting:
+    return Setting("products", f"{phases} phases", partial(_products, phases=phases))
+
+
+def _products(case: Case, phases: int) -> Drawn:
+    """Stamps as column times row."""
+    table = product_table(compact_core(blur_of(case.shape), _radius(case)), phases)
+
+    def draw(x: Array, y: Array, light: Array) -> Array:
+        image = np.zeros(case.frame)
+        draw_products(image, (0, 0), table, x, y, light)
+        return image
+
+    return Drawn(draw, table.nbytes)
 
 
 def _stamps(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,6 @@ from pipeline.execute.tables import core_of, kernel_of
 from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
 from pipeline.physics.drawing.extended import draw_body, spread_body
 from pipeline.physics.drawing.wings import (
-    CUT_FROM,
     WingGrid,
     add_wings,
     convolve,
@@ -30,7 +31,7 @@ from pipeline.physics.drawing.wings import (
     spread,
     wing_grid,
 )
-from pipeline.physics.motion.streak import Path, pieces, transfer
+from pipeline.physics.motion.streak import POINT, Path, pieces, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.checks import CheckCell
 from pipeline.plan.responses import LARGEST_CORE_SAMPLES
@@ -46,7 +47,9 @@ WINDOW_PX = 16
 OWN_PATHS = 8  # of the brightest stars near a window
 MOST_TERMS = 4e8  # products that a window may cost: about a second
 LONGEST_PX = 96.0
-NEAR_PX = 2.0 * WINDOW_PX  # from their path to the window: stars that may go along their own
+MOST_POINTS = 1e6  # along the paths of a group of sources whose wings are swept so
+SWEEP_STEP_PX = 32.0
+FINE_POINTS = 384  # of the finest grid from a source to the end of its wings
 
 
 def check_tile(
@@ -124,9 +127,8 @@ def reference(
 
     Every source stands at its exact place and streaks as stars in the window's middle do (targets
     and the `own_paths` brightest stars along their own path), with a core of twice the radius that
-    its brightness asks for and the wings on a grid of half the spacing (along their own path for
-    the OWN_PATHS brightest): the sum of the phases of its spectrum, in float64. None where that
-    would cost more than `most_terms`.
+    its brightness asks for and the wings on a grid of half the spacing: the sum of the phases of
+    its spectrum, in float64. None where that would cost more than `most_terms`.
     """
     near = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
     targets = place_targets(plan, g)
@@ -147,12 +149,7 @@ def reference(
     for core, piece, x, y, light in work:
         image += draw_direct(core, piece, image.shape, (at.y0, at.x0), x, y, light)
     if plan.responses.spacing_px:
-        if own_paths != OWN_PATHS:
-            followed = _star_groups(plan, g, at, near, OWN_PATHS)
-        for group in [*followed[:1], *points]:
-            _add_fine_wings(plan, image, at, [group], plan.responses.reach_px)
-        if followed[1:]:
-            _add_fine_wings(plan, image, at, followed[1:], _nearby_px(plan, at, followed[1:]))
+        _add_fine_wings(plan, image, at, groups)
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
@@ -191,7 +188,7 @@ def _brightest(
         share = ((x - x0) * dx + (y - y0) * dy) / max(dx * dx + dy * dy, 1e-300)
         share = np.clip(share, 0.0, 1.0)
         apart = np.minimum(apart, np.hypot(x - x0 - share * dx, y - y0 - share * dy))
-    near = apart < NEAR_PX
+    near = apart < 2.0 * WINDOW_PX
     light = np.where(near, stars.light_e, -1.0)
     chosen = np.zeros(len(stars), bool)
     chosen[np.argsort(-light, kind="stable")[:count]] = True
@@ -232,34 +229,55 @@ def _radius(plan: Plan, k: int, blur: Blur) -> float:
     return min(2.0 * r.classes[k].radius_px, max(most, r.classes[k].radius_px))
 
 
-def _nearby_px(plan: Plan, at: Tile, groups: list[Group]) -> float:
-    """A reach that holds the window for all stars that pass by it, in whole 32 px."""
-    longest = max(path.length_px for *_, path in groups)
-    needed = (NEAR_PX + math.hypot(at.rows, at.columns) + longest) / CUT_FROM
-    return min(plan.responses.reach_px, 32.0 * math.ceil(needed / 32.0))
-
-
 def _add_fine_wings(
-    plan: Plan, image: Array, at: Tile, groups: list[Group], reach_px: float
+    plan: Plan, image: Array, at: Tile, groups: list[Group]
 ) -> None:
-    """Wings of sources on a grid of half the planned spacing, swept by their own path.
+    """Wings of sources on grids of half the planned spacing.
 
-    reach_px : up to which the wings are needed
+    Each source sends its wings from points all along its own path, or, where those would be too
+    many, from one grid of sources that is swept as a whole.
     """
-    r = plan.responses
-    grid = _fine_grid(plan, at, [path for *_, path in groups], reach_px)
-    total: Any = 0.0
-    for x, y, light, path in groups:
-        classes = class_of(plan, light)
-        swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
-        for k in np.unique(classes):
-            mine = np.flatnonzero(classes == k)
-            for blur, which, part in r.parts(x[mine], y[mine], light[mine]):
-                kernel = kernel_of(blur, _radius(plan, int(k), blur), grid, reach_px)
-                at_x, at_y = x[mine[which]], y[mine[which]]
-                total = total + scipy.fft.rfft2(spread(grid, at_x, at_y, part)) * kernel * swept
-    if np.ndim(total):
+    sweep = max((_sweep(path) for *_, path in groups), default=0.0)
+    sweep = SWEEP_STEP_PX * math.ceil(sweep / SWEEP_STEP_PX)  # windows share their kernels
+    for grid, ends in _fine_grids(plan, at, sweep):
+        lights: dict[tuple[int, Blur, Path], Array] = {}
+        for x, y, light, path in groups:
+            dx, dy, share = _points(path, 0.5 * grid.spacing_px)
+            rest = POINT
+            if len(dx) * len(x) > MOST_POINTS:
+                dx, dy, share, rest = np.zeros(1), np.zeros(1), np.ones(1), path
+            classes = class_of(plan, light)
+            for k in np.unique(classes):
+                mine = np.flatnonzero(classes == k)
+                for blur, which, part in plan.responses.parts(x[mine], y[mine], light[mine]):
+                    at_x, at_y = x[mine[which], None] + dx, y[mine[which], None] + dy
+                    sent = spread(grid, at_x.ravel(), at_y.ravel(), np.outer(part, share).ravel())
+                    key = int(k), blur, rest
+                    lights[key] = lights[key] + sent if key in lights else sent
+        total = np.zeros((grid.rows, grid.columns // 2 + 1), complex)
+        for (k, blur, path), light in lights.items():
+            wing = _wing(blur, _radius(plan, k, blur), grid, ends)
+            if path.length_px:
+                wing = wing * transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+            total += scipy.fft.rfft2(light) * wing
         add_wings(image, (at.y0, at.x0), grid, convolve(total, grid))
+
+
+def _points(path: Path, step_px: float) -> tuple[Array, Array, Array]:
+    """Points (n,) along a path, at most `step_px` apart, and the share of the light that each is
+    worth: the middles of even parts of its segments."""
+    x, y = np.diff(path.x_px), np.diff(path.y_px)
+    parts = np.maximum(1, np.ceil(np.hypot(x, y) / step_px)).astype(np.int64)
+    of = np.repeat(np.arange(path.segments), parts)
+    first = np.cumsum(parts) - parts
+    within = (np.arange(len(of)) - first[of] + 0.5) / parts[of]
+    return (path.x_px[of] + within * x[of], path.y_px[of] + within * y[of],
+            path.weight[of] / parts[of])  # fmt: skip
+
+
+def _sweep(path: Path) -> float:
+    """How far a path goes from its origin on either axis [px]."""
+    return float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
 
 
 def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
@@ -270,20 +288,45 @@ def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         core = core_of(blur, _radius(plan, k, blur))
         draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)
-        if r.spacing_px:
-            grid = _fine_grid(plan, at, [path], r.reach_px)
+        for grid, ends in _fine_grids(plan, at, _sweep(path)) if r.spacing_px else ():
             light = scipy.fft.rfft2(spread_body(grid, target.body, place, light_e))
-            light = light * kernel_of(blur, core.radius_px, grid, r.reach_px)
+            light = light * _wing(blur, core.radius_px, grid, ends)
             swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
             add_wings(image, (at.y0, at.x0), grid, convolve(light * swept, grid))
 
 
-def _fine_grid(plan: Plan, at: Tile, paths: list[Path], reach_px: float) -> WingGrid:
-    """A grid around a window, of half the planned spacing."""
-    sweep = max(float(max(np.abs(p.x_px).max(), np.abs(p.y_px).max())) for p in paths)
-    spacing = max(1, plan.responses.spacing_px // 2)
-    reach = reach_px + 8.0 * math.ceil(sweep / 8.0)  # so that grids alike share their kernels
-    return wing_grid((at.rows, at.columns), (at.y0, at.x0), spacing, reach)
+def _fine_grids(
+    plan: Plan, at: Tile, sweep_px: float
+) -> list[tuple[WingGrid, tuple[float, float]]]:
+    """Grids around a window, and from where to where [px] each has a source's wings.
+
+    One of half the planned spacing; where that takes more than FINE_POINTS to the reach it ends
+    there, and a coarser one has the rest, as smooth as it is so far out.
+    """
+    r = plan.responses
+    spacing = max(1, r.spacing_px // 2)
+    ends = [(spacing, 0.0, min(r.reach_px, float(spacing * FINE_POINTS)))]
+    if ends[0][2] < r.reach_px:
+        ends.append((math.ceil(r.reach_px / FINE_POINTS), ends[0][2], r.reach_px))
+    return [
+        (wing_grid((at.rows, at.columns), (at.y0, at.x0), h, last + sweep_px), (first, last))
+        for h, first, last in ends
+    ]
+
+
+def _wing(
+    blur: Blur, radius_px: float, grid: WingGrid, ends: tuple[float, float]
+) -> NDArray[np.complex128]:
+    """Transfer function of a wing between two distances from its source."""
+    return _wing_kept(blur, radius_px, replace(grid, y0_px=0.0, x0_px=0.0), ends)
+
+
+@lru_cache(maxsize=8)
+def _wing_kept(
+    blur: Blur, radius_px: float, grid: WingGrid, ends: tuple[float, float]
+) -> NDArray[np.complex128]:
+    kernel = kernel_of(blur, radius_px, grid, ends[1])
+    return kernel - kernel_of(blur, radius_px, grid, ends[0]) if ends[0] else kernel
 
 
 def summary(records: list[dict[str, Any]]) -> dict[str, Any]:

@@ -13,14 +13,13 @@ from pipeline.execute.blocks import Block, plan_blocks, render_block
 from pipeline.execute.sources import excursion_px, place_stars, truth_order
 from pipeline.execute.tile import charge_of_tile, render_tile
 from pipeline.execute.truth import star_truth, target_truth
-from pipeline.inputs.stars import Catalogue, Leaf, Shard, gather_leaf, leaf_pad_rad
+from pipeline.inputs.stars import Catalogue, Shard, gather_leaf, leaf_pad_rad
 from pipeline.physics.positions.focal_plane import deproject, stretch
 from pipeline.physics.vectors import separation
 from pipeline.plan.geometry import epochs_jyear, observer_distances_au
 from pipeline.plan.scene_plan import Plan, catalogue_cones
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.store.cube import CubeWriter
-from pipeline.store.truth import write_part
 
 if TYPE_CHECKING:
     from pipeline.physics.cosmic_rays.frame import CosmicRays
@@ -94,8 +93,9 @@ def window_graph(
     blocks = plan_blocks(plan, sum(rows_wanted(shard) for shard in shards))
     lag = plan.lag_frames
     needed = {i - j for i, _ in work.tiles for j in range(min(i, lag) + 1)} | set(work.star_truth)
+    rectangles = (*dict.fromkeys(tile for _, tile in work.tiles), *blocks)
     views = {
-        index: _view(plan, work.geometry.frame_slice(index), shards, ref_epochs_jyear)
+        index: _view(plan, work.geometry.frame_slice(index), shards, ref_epochs_jyear, rectangles)
         for index in sorted(needed)
     }
     for index, tile in work.tiles:
@@ -103,17 +103,17 @@ def window_graph(
         for earlier in range(max(0, index - lag), index):
             key = ("charge", int(views[earlier].g.frame[0]), tile.row, tile.column)
             if key not in graph:
-                seen = _seen_by(graph, inputs, plan, views[earlier], tile, blocks)
+                seen = _seen_by(graph, inputs, views[earlier], tile, blocks)
                 graph[key] = (charge_task, inputs, views[earlier].g, tile, *seen)
             before.append(key)
         view = views[index]
         name = ("tile", int(view.g.frame[0]), tile.row, tile.column)
-        seen = _seen_by(graph, inputs, plan, view, tile, blocks)
+        seen = _seen_by(graph, inputs, view, tile, blocks)
         graph[name] = (tile_task, inputs, view.g, tile, *seen, before)
         wanted.append(name)
     for index in work.star_truth:
         view = views[index]
-        everywhere = _places(graph, inputs, plan, view, None)
+        everywhere = _places(graph, inputs, view, None)
         graph["star_truth", int(view.g.frame[0])] = (star_truth_task, inputs, view.g, everywhere)
         wanted.append(("star_truth", int(view.g.frame[0])))
     for index in work.target_truth:
@@ -128,17 +128,17 @@ def window_graph(
 
 
 def _seen_by(
-    graph: dict[Key, Any], inputs: Any, plan: Plan, view: _View, tile: Tile, blocks: Iterable[Tile]
+    graph: dict[Key, Any], inputs: Any, view: _View, tile: Tile, blocks: Iterable[Tile]
 ) -> tuple[list[Key], list[Key]]:
     """Keys of what a tile of a frame is drawn from: its stars' places, and its blocks."""
-    parts = _places(graph, inputs, plan, view, tile)
+    parts = _places(graph, inputs, view, tile)
     frame, around = int(view.g.frame[0]), []
     for block in blocks:
         shared = overlap(tile, block)
         if shared.rows and shared.columns:
             key = ("block", frame, block.row, block.column)
             if key not in graph:
-                near = _places(graph, inputs, plan, view, block)
+                near = _places(graph, inputs, view, block)
                 graph[key] = (block_task, inputs, view.g, block, near)
             around.append(key)
     return parts, around
@@ -146,58 +146,55 @@ def _seen_by(
 
 @dataclass(frozen=True)
 class _View:
-    """One frame: its geometry, each shard's stars with how far they may stand from their catalogue
-    places [rad], and how far off a tile a star may be at mid-exposure and still light it [px]."""
+    """One frame: its geometry, each shard's stars, and which of the shards may send light to each
+    of its tiles and blocks (never wrongly left out)."""
 
     g: Geometry
-    shards: dict[Shard, tuple[Any, float]]
-    reach_px: float
+    shards: dict[Shard, Any]
+    near: dict[Tile, list[Shard]]
 
 
 def _view(
-    plan: Plan, g: Geometry, shards: dict[Shard, Any], ref_epochs_jyear: tuple[float, ...]
-) -> _View:
+    plan: Plan, g: Geometry, shards: dict[Shard, Any], ref_epochs_jyear: tuple[float, ...],
+    rectangles: tuple[Tile, ...],
+) -> _View:  # fmt: skip
+    near: dict[Tile, list[Shard]] = {tile: [] for tile in rectangles}
+    if not shards or not rectangles:
+        return _View(g, shards, near)
     epoch, distance = float(epochs_jyear(g)[0]), float(observer_distances_au(g)[0])
-    padded = {}
-    for shard, table in shards.items():
-        years = epoch - ref_epochs_jyear[shard.catalogue]
-        padded[shard] = (table, leaf_pad_rad(shard.leaf, years, distance))
-    return _View(g, padded, plan.halo_px + (excursion_px(plan, g) if shards else 0.0))
+    # A star may be so far off a tile at mid-exposure and still light it.
+    centres, radii_rad = _cones(plan, g, rectangles, plan.halo_px + excursion_px(plan, g))
+    for shard in shards:
+        leaf, years = shard.leaf, epoch - ref_epochs_jyear[shard.catalogue]
+        pad_rad = leaf_pad_rad(leaf, years, distance)  # how far from their catalogue places
+        apart = separation(centres, np.array(leaf.centre))
+        for i in np.flatnonzero(apart <= radii_rad + leaf.radius_rad + pad_rad):
+            near[rectangles[i]].append(shard)
+    return _View(g, shards, near)
 
 
-def _places(
-    graph: dict[Key, Any], inputs: Any, plan: Plan, view: _View, tile: Tile | None
-) -> list[Key]:
+def _cones(
+    plan: Plan, g: Geometry, rectangles: tuple[Tile, ...], reach_px: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cones of the catalogue's sky (centres, radii [rad]) that may send light to rectangles."""
+    x = np.array([r.x0 + (r.columns - 1) / 2 for r in rectangles])
+    y = np.array([r.y0 + (r.rows - 1) / 2 for r in rectangles])
+    centres = deproject(plan.camera, g.attitude[0, g.middle], x, y)
+    half_px = 0.5 * np.hypot([r.rows for r in rectangles], [r.columns for r in rectangles])
+    radii_rad = (half_px + reach_px) * stretch(plan.camera) * plan.facts.ifov_rad
+    return catalogue_cones(plan, g, centres, radii_rad)
+
+
+def _places(graph: dict[Key, Any], inputs: Any, view: _View, tile: Tile | None) -> list[Key]:
     """Keys of the place tasks of the shards that can reach a tile (None: the whole frame)."""
     keys = []
-    cone = None if tile is None else _tile_cone(plan, view, tile)
-    for shard, (table, pad_rad) in view.shards.items():
-        if cone is not None and not _meets(shard.leaf, pad_rad, *cone):
-            continue
+    for shard in view.shards if tile is None else view.near[tile]:
         place = shard.catalogue, shard.leaf.order, shard.leaf.pixel
         key = ("place", int(view.g.frame[0]), *place)
         if key not in graph:
-            graph[key] = (place_task, inputs, table, view.g, shard.catalogue)
+            graph[key] = (place_task, inputs, view.shards[shard], view.g, shard.catalogue)
         keys.append(key)
     return keys
-
-
-def _tile_cone(plan: Plan, view: _View, tile: Tile) -> tuple[np.ndarray, float]:
-    """Cone of the catalogue's sky (centre, radius [rad]) that may send light to a tile."""
-    g = view.g
-    x, y = tile.x0 + (tile.columns - 1) / 2, tile.y0 + (tile.rows - 1) / 2
-    centre = deproject(plan.camera, g.attitude[0, g.middle], np.array([x]), np.array([y]))
-    half_px = 0.5 * float(np.hypot(tile.rows, tile.columns)) + view.reach_px
-    centres, radii = catalogue_cones(
-        plan, g, centre, half_px * stretch(plan.camera) * plan.facts.ifov_rad
-    )
-    return centres[0], float(radii[0])
-
-
-def _meets(leaf: Leaf, pad_rad: float, centre: np.ndarray, radius_rad: float) -> bool:
-    """Whether a star of a leaf may stand in a cone (never wrongly no)."""
-    apart = float(separation(centre, np.array(leaf.centre)))
-    return apart <= radius_rad + leaf.radius_rad + pad_rad
 
 
 def read_shard(inputs: Inputs, shard: Shard) -> StarTable:
@@ -268,10 +265,8 @@ def ray_truth_task(inputs: Inputs, g: Geometry) -> int:
 
 
 def _write_truth(inputs: Inputs, kind: str, g: Geometry, columns: dict[str, Any]) -> int:
-    from pathlib import Path
-
     import pyarrow as pa
 
     table = pa.table(columns)
-    write_part(Path(inputs.writer.product), kind, int(g.frame[0]), table)
+    inputs.writer.write_truth(kind, int(g.frame[0]), table)
     return int(table.num_rows)

@@ -17,6 +17,7 @@ from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import SpectralPlan, plan_spectral
 from pipeline.physics.drawing.wings import WingGrid, grid_frequencies, wing_kernel
 from pipeline.physics.motion.streak import Path, transfer
+from pipeline.physics.psf.product import ProductResponse, is_product, product_table
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import (
     Core,
@@ -109,15 +110,19 @@ def still_core(blur: Blur, radius_px: float, piece: Path) -> tuple[Core, np.ndar
     return core, spectrum, (half_y, half_x), (period_y, period_x)
 
 
-def table_of(blur: Blur, radius_px: float, piece: Path, phases: int) -> PixelResponse:
-    """The phase table of a core swept along a piece of a streak."""
+def table_of(
+    blur: Blur, radius_px: float, piece: Path, phases: int
+) -> PixelResponse | ProductResponse:
+    """The table of a core swept along a piece of a streak."""
 
-    def make() -> PixelResponse:
+    def make() -> PixelResponse | ProductResponse:
+        if is_product(blur, piece.length_px):
+            return product_table(core_of(blur, radius_px))
         core, spectrum, half, period = swept_core(blur, radius_px, piece)
         return phase_table(core, spectrum, half, period, phases)
 
     key = ("table", blur, radius_px, piece, phases)
-    return _CACHE.get(key, make, lambda t: t.values.nbytes)
+    return _CACHE.get(key, make, lambda t: t.nbytes)
 
 
 def kernel_of(blur: Blur, radius_px: float, grid: WingGrid, reach_px: float) -> np.ndarray:

@@ -19,6 +19,7 @@ from pipeline.spec.scene import Scene
 if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
 
+KNOWN_ARCSEC, LOW_SINE = 0.06, 0.2588  # ERFA's own account of its refraction, above 15 degrees
 FINITE_M = 2.3  # of (refractivity at sea level) x (scale height): how far a bent ray is displaced
 
 
@@ -55,7 +56,7 @@ def _refraction(scene: Scene, facts: Facts, sine: float) -> list[Decision]:
             )
         ]  # fmt: skip
     bent = (a * tangent + b * tangent**3) / ARCSEC_RAD
-    known = "0.06 arcsec" if sine > 0.2588 else "a few arcsec and more this low"
+    known = f"{KNOWN_ARCSEC:g} arcsec" if sine > LOW_SINE else "a few arcsec and more this low"
     near = FINITE_M * tangent / sine
     blue, red = (refraction_terms(*weather_of(scene), nm * 1e-9)[0] for nm in (400.0, 700.0))
     return [
@@ -65,16 +66,19 @@ def _refraction(scene: Scene, facts: Facts, sine: float) -> list[Decision]:
             f"frame's lowest place ({np.degrees(np.arcsin(sine)):.1f} deg up), good to {known} "
             "in the weather given; stars, targets, sky and WCS go through the same; a pointing "
             "names the true place, which the camera holds where the air lifts it to",
+            bound=KNOWN_ARCSEC if sine > LOW_SINE else None, unit="arcsec",
         ),
         Decision(
             "atmosphere.dispersion", False,
             "one refraction for the whole band: from its blue to its red end a star is "
             f"drawn out: by {(blue - red) * tangent / ARCSEC_RAD:.2g} arcsec from 400 to 700 nm",
+            bound=float(1.02 * (blue - red) * tangent / ARCSEC_RAD), unit="arcsec",
         ),
         Decision(
             "atmosphere.finite_distance", False,
             f"targets are lifted as stars are: {near:.2g} m of their path, "
             f"{near / 500e3 / ARCSEC_RAD:.2g} arcsec at 500 km",
+            bound=float(near), unit="m",
         ),
     ]  # fmt: skip
 

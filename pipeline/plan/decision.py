@@ -13,6 +13,8 @@ class Decision:
         approximation or no bound is known (the reason then says so)
     error_bound_sigma : the same over the noise of a pixel that holds no source
     seconds_saved : estimated, per frame; None where nothing is saved
+    bound, unit : upper bound of what it may change where that is no pixel's charge: a place, a
+        share of light, a length
     """
 
     component: str
@@ -21,3 +23,5 @@ class Decision:
     error_bound_e: float | None = None
     error_bound_sigma: float | None = None
     seconds_saved: float | None = None
+    bound: float | None = None
+    unit: str | None = None

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.focal_plane import area_ratio_range, stretch
 from pipeline.physics.psf.band import BandOptics
+from pipeline.physics.psf.product import PHASES
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.responses import BLOCK_PX, ResponsePlan, cut_share
-from pipeline.spec.observer import FixedObserver, GroundObserver
+from pipeline.plan.star_decisions import decide_star_effects
 from pipeline.spec.scene import Scene
+
+ROUNDING_PX = 1e-8  # of a distorted place, or back from it
 
 
 def decide(scene: Scene, facts: Facts, responses: ResponsePlan) -> tuple[Decision, ...]:
@@ -20,8 +23,7 @@ def decide(scene: Scene, facts: Facts, responses: ResponsePlan) -> tuple[Decisio
     return (
         *_components(scene, facts),
         *_noise_terms(scene),
-        *_star_effects(scene),
-        *_occultation(scene),
+        *decide_star_effects(scene, facts),
         *_optics(scene),
         *_approximations(scene, facts, responses),
     )
@@ -100,6 +102,7 @@ def _noise_terms(scene: Scene) -> list[Decision]:
             "adc", True,
             f"{s.adc_bits} bits, rounding {s.adc_rounding}, clipped at both ends"
             + (" (floor lowers the mean by 0.5 DN)" if s.adc_rounding == "floor" else ""),
+            bound=1.0 if s.adc_rounding == "floor" else 0.5, unit="DN",
         )
     )  # fmt: skip
     if s.photon_noise:
@@ -108,62 +111,10 @@ def _noise_terms(scene: Scene) -> list[Decision]:
                 "gaussian_for_poisson", True,
                 "means above 1e8 e- are drawn as a rounded Gaussian; its distribution function "
                 "differs by less than 7e-6",
+                bound=7e-6, unit="of the distribution function",
             )
         )  # fmt: skip
     return out
-
-
-def _star_effects(scene: Scene) -> list[Decision]:
-    out = []
-    if scene.stars is not None:
-        bounds = {
-            "space_motion": "up to 10.4 arcsec a year (Barnard's star)",
-            "parallax": "up to 0.77 arcsec (Proxima) for an observer near 1 au",
-            "aberration": "common 20.5 arcsec stay with the boresight; differences in the field go",
-            "deflection": "4 mas at 90 deg from the Sun, 1.75 arcsec at its limb",
-        }
-        for name, size in bounds.items():
-            kept = getattr(scene.stars, name)
-            reason = "applied to each star" if kept else f"switched off in the scene: {size}"
-            out.append(Decision(f"stars.{name}", kept, reason))
-        speed = 38e3  # the Earth's and a low satellite's
-        if isinstance(scene.observer, FixedObserver):
-            speed = math.hypot(*scene.observer.velocity_m_s)
-        out.append(
-            Decision(
-                "stars.doppler", False,
-                "the observer's motion changes directions but neither brightness nor colour: about "
-                f"{3.0 * speed / SPEED_OF_LIGHT_M_S:.1g} of a star's light at {speed:.3g} m/s",
-            )
-        )  # fmt: skip
-    if isinstance(scene.observer, GroundObserver):
-        out += [
-            Decision(
-                "precession_nutation", True,
-                "IAU 2006/2000A turns the site into the stars' frame; the stars of an image whose "
-                "boresight is given in ICRS do not move by it",
-            ),
-            Decision(
-                "polar_motion",
-                False,
-                "up to 0.3 arcsec of the site's place (10 m): it moves no star, and a satellite at "
-                "1000 km by 2 arcsec",
-            ),
-        ]  # fmt: skip
-    return out
-
-
-def _occultation(scene: Scene) -> list[Decision]:
-    """What the Earth hides."""
-    if not (scene.stars or scene.targets):
-        return []
-    return [
-        Decision(
-            "earth_occultation", False,
-            "the Earth's limb and the horizon bound the boresight only: stars and targets that "
-            "stand behind them elsewhere in the field are drawn",
-        )
-    ]  # fmt: skip
 
 
 def _optics(scene: Scene) -> list[Decision]:
@@ -176,6 +127,7 @@ def _optics(scene: Scene) -> list[Decision]:
             "distortion", True,
             f"{scene.sensor.distortion.kind} terms, exact to rounding; lengths change by at most "
             f"{100.0 * (stretch(camera) - 1.0):.3g}%",
+            bound=ROUNDING_PX, unit="px",
         )
     ]  # fmt: skip
 
@@ -183,7 +135,7 @@ def _optics(scene: Scene) -> list[Decision]:
 def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decision]:
     sigma, budget = facts.sigma_floor_e, r.budget_e
 
-    def bound(e: float) -> dict[str, float]:
+    def bound(e: float) -> dict[str, Any]:
         return {"error_bound_e": e, "error_bound_sigma": e / sigma}
 
     out = [_over_the_field(r, sigma)]
@@ -204,12 +156,16 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         )  # fmt: skip
     if not (scene.stars or scene.targets):
         return out
+    how = (
+        f"column times row, interpolated cubically between {PHASES} phases a pixel" if r.products
+        else f"interpolated between {r.classes[0].phases} phases a pixel, linearly where that errs "
+        f"by at most {budget:.3g} e-, else cubically"
+    )  # fmt: skip
     out.append(
         Decision(
             "phase_interpolation", True,
-            f"stars are interpolated between {r.classes[0].phases} phases a pixel, linearly where "
-            f"that errs by at most {budget:.3g} e-, else cubically; the bound holds for a pixel at "
-            "the noise floor and grows with the noise of a pixel that holds more light",
+            f"stars are {how}; the bound holds for a pixel at the noise floor and grows with the "
+            "noise of a pixel that holds more light",
             **bound(budget),
         )
     )  # fmt: skip

@@ -151,7 +151,8 @@ def _moving(scene: Scene, d: Detector, ends: Geometry, dut1_s: float) -> list[tu
     if isinstance(d.readout, RollingShutter):
         from pipeline.plan.rolling import rolling_shutter
 
-        return [("rolling_shutter", rolling_shutter(scene, d.readout, ends, dut1_s))]
+        told, off_px = rolling_shutter(scene, d.readout, ends, dut1_s)
+        return [("rolling_shutter", told, None, None, None, off_px, "px")]
     return []
 
 

@@ -122,7 +122,10 @@ def _nodes(scene: Scene, dut1_s: float) -> int:
             return nodes
     _check_rates(scene)
     looked_at, nodes = sampled_frames(scene), FEWEST_NODES
-    while _needs_more(scene, _geometry(scene, looked_at, nodes, dut1_s), nodes).any():
+    while True:
+        g = _geometry(scene, looked_at, nodes, dut1_s)
+        if not _needs_more(scene, g, nodes, _star_paths(scene, g)).any():
+            break
         nodes = 2 * nodes - 1
     motion = motion_plan(scene)
     if motion is not None:
@@ -135,8 +138,9 @@ def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
     """The geometry with the random motion, and more nodes for the frames that need them."""
     finer: dict[int, Geometry] = {}
     left, made, nodes = np.arange(len(geometry.frame)), geometry, geometry.nodes
+    paths = first = _star_paths(scene, geometry)
     while True:
-        more = _needs_more(scene, made, nodes)
+        more = _needs_more(scene, made, nodes, paths)
         if nodes > geometry.nodes:
             finer |= {int(left[k]): made.frame_slice(int(k)) for k in np.flatnonzero(~more)}
         left = left[more]
@@ -144,24 +148,25 @@ def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
             break
         nodes = 2 * nodes - 1
         made = _geometry(scene, geometry.frame[left], nodes, dut1_s)
+        paths = _star_paths(scene, made)
     random = motion_plan(scene) is not None
     if random:
-        finer = {
-            k: _geometry(scene, g.frame, g.nodes, dut1_s, random) for k, g in finer.items()
-        }
+        finer = {k: _geometry(scene, g.frame, g.nodes, dut1_s, random) for k, g in finer.items()}
         geometry = _geometry(scene, geometry.frame, geometry.nodes, dut1_s, random)
-    for g in (geometry, *finer.values()):
+        first = _star_paths(scene, geometry)
+    check_paths(scene, geometry, first)
+    for g in finer.values():
         check_paths(scene, g, _star_paths(scene, g))
     return Refined.of(geometry, finer) if finer else geometry
 
 
-def _needs_more(scene: Scene, g: Geometry, nodes: int) -> NDArray[np.bool_]:
-    """Frames (F,) whose paths or light are not straight between the nodes.
+def _needs_more(scene: Scene, g: Geometry, nodes: int, paths: Array) -> NDArray[np.bool_]:
+    """Frames (F,) whose paths (of stars: `paths`) or light are not straight between the nodes.
 
     Raises BadInput for a path that still bends where there are most; a table of attitudes, whose
     rows may be noisy, is drawn as it is there, and the plan says how far it is off.
     """
-    bends = bends_px(scene, g, _star_paths(scene, g))
+    bends = bends_px(scene, g, paths)
     bent = bends > PATH_TOLERANCE_PX
     if bent.any() and nodes >= MOST_NODES:
         tables = [p for p in dwell_plans(scene) if p.pointing.mode == "table"]

@@ -121,8 +121,8 @@ LEDGER = (
 def page(measured: Sequence[Mapping[str, Any]] = ()) -> str:
     """The ledger as a page of the documentation (Markdown).
 
-    measured : a row for each rule, as `nightglass report scenes` found it; `rule` is the first
-    component's name, `why` stands where there is nothing to measure
+    measured : a row for each rule, as `nightglass report ledger` writes them; `rule` is the first
+    component's name
     """
     rows = {row["rule"]: row for row in measured}
     lines = [
@@ -130,8 +130,10 @@ def page(measured: Sequence[Mapping[str, Any]] = ()) -> str:
         "For each component and approximation: what decides, and the test that fails where the "
         "rule or its bound is broken. `nightglass plan SCENE --explain` shows the same for a "
         "scene, with the bounds that hold there; `plan.json` in each product keeps them. The last "
-        "columns are one measurement by [`nightglass report scenes`](../report.md): the bound "
-        "stated, the error that the omission caused, the CPU seconds of a frame that it saved.", "",
+        "columns are one measurement by `nightglass report ledger` (below: how): the bound that "
+        "the plan of a small scene states, the error that the omission causes there against the "
+        "same with it undone, the CPU seconds that it saves. Seconds below 0: what is left out "
+        "costs less than what is done to leave it out, in so small a scene.", "",
         "| components | rule | measured by | bound | error caused | seconds saved |",
         "| --- | --- | --- | --- | --- | --- |",
     ]  # fmt: skip
@@ -139,16 +141,27 @@ def page(measured: Sequence[Mapping[str, Any]] = ()) -> str:
         names = ", ".join(f"`{c}`" for c in r.components)
         cells = _measured(rows.get(r.components[0], {}))
         lines.append(f"| {names} | {r.rule} | `{r.test}` | {cells} |")
+    every = [one for row in measured for one in row.get("all", (row,))]
+    if every:
+        lines += ["", "## How each was measured", "",
+                  "| component | scene and reference | bound | error caused | seconds saved |",
+                  "| --- | --- | --- | --- | --- |"]  # fmt: skip
+        lines += [f"| `{one['component']}` | {one['how']} | {_cells(one)} |" for one in every]
     return "\n".join(lines) + "\n"
 
 
 def _measured(row: Mapping[str, Any]) -> str:
     """Bound, error and seconds of a rule as three cells of a table."""
     if "bound" not in row:
-        return f"{row.get('why', '')} | | "
-    unit = row["unit"]
-    one = f"{row['bound']:.2g} {unit} (`{row['component']}`, {row['scene']})"
-    return f"{one} | {row['error']:.2g} {unit} | {row['seconds_saved']:.2g}"
+        return " | | "
+    bound, rest = _cells(row).split(" | ", 1)
+    return f"{bound} (`{row['component']}`) | {rest}"
+
+
+def _cells(one: Mapping[str, Any]) -> str:
+    unit = one["unit"]
+    saved = f"{one['seconds_saved']:.1g}"
+    return f"{one['bound']:.2g} {unit} | {one['error']:.2g} {unit} | {saved}"
 
 
 def rule_of(component: str) -> Rule | None:

@@ -90,6 +90,7 @@ def decide_tables(scene: Scene) -> list[Decision]:
             continue
         wanted = moments_wanted(scene, body)
         table = KEPT.get(_key(scene, index, *_span(scene), wanted))
+        bound = None if table is None else table.worst if len(table.values) > 1 else table.error
         if table is None:
             why = (
                 f"{target.name}: none within a third of the about {wanted} moments that the frames "
@@ -111,7 +112,8 @@ def decide_tables(scene: Scene) -> list[Decision]:
                 else f"Moments that were left out differ by at most {table.error:.2g} of the "
                 "light, or of a tenth of the brightest where it is fainter"
             )
-        out.append(Decision("targets.light_table", table is not None, why))
+        unit = "of the brightest light"
+        out.append(Decision("targets.light_table", table is not None, why, bound=bound, unit=unit))
     return out
 
 

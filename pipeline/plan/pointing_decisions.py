@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.plan.air import needs_air, terms_of
 from pipeline.plan.decision import Decision
 from pipeline.plan.geometry import ROUGH_PX
 from pipeline.plan.timing import dwell_plans, frame_count, integration_range_s
+from pipeline.spec.observer import GroundObserver
 from pipeline.spec.pointing import LocalPointing, TablePointing
 from pipeline.spec.scene import Scene
+
+OVER_ROWS = 1.25  # more than left-out rows tell: motions with eight rows or more in a period
+
+def _lift_arcsec(scene: Scene, p: LocalPointing) -> float | None:
+    """By how much the air lifts a boresight, at most [arcsec]; 0 without refraction."""
+    if not isinstance(scene.observer, GroundObserver) or not needs_air(scene):
+        return 0.0
+    if p.elevation_deg <= 0.0:
+        return None
+    return float(terms_of(scene)[0] / np.tan(np.radians(p.elevation_deg)) / ARCSEC_RAD)
 
 
 def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
@@ -22,6 +36,7 @@ def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
                 "dwells", True,
                 f"{len(plans)} dwells with {frame_count(scene)} frames of {shortest:g} to "
                 f"{longest:g} s, {slews} slews; bounds are those of the shortest exposure's noise",
+                bound=0.0, unit="e-",
             )
         )  # fmt: skip
     ifov = scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
@@ -40,6 +55,8 @@ def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
                     f"between rows {told}; where rows are noisy, straight lines between an "
                     f"exposure's nodes may be off by up to {ROUGH_PX:g} px"
                     f"{'' if p.source is None else f'; {p.source}'}",
+                    bound=None if p.error_arcsec is None else OVER_ROWS * p.error_arcsec,
+                    unit="arcsec",
                 )
             )  # fmt: skip
         elif isinstance(p, LocalPointing):
@@ -48,6 +65,7 @@ def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
                     "pointing_refraction", False,
                     f"azimuth and elevation{where} are those of the sky without air: with the "
                     "site's refraction the camera is held as much higher (60 arcsec at 45 degrees)",
+                    bound=_lift_arcsec(scene, p), unit="arcsec",
                 )
             )  # fmt: skip
     return tuple(out)

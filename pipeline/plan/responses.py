@@ -17,6 +17,7 @@ from pipeline.physics.drawing.extended import point_error
 from pipeline.physics.drawing.wings import CUT_FROM, wing_error
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.positions.focal_plane import Camera
+from pipeline.physics.psf.product import is_product
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core, oversampling_for
 from pipeline.plan.facts import APPROXIMATIONS, Facts
@@ -42,6 +43,7 @@ BLOCK_PX = 2048  # wings and crowds are drawn in fixed blocks of the focal plane
 # Seconds a star, a stamp's pixel, a star and a pixel of the spectral engine, a sample of a
 # transform: one core of the 2-core reference machine (benchmarks/drawing.py prints them anew).
 STAMP_S, STAMP_S_PER_PIXEL = 1e-7, 1.6e-9
+PRODUCT_S, PRODUCT_S_PER_PIXEL = 5e-8, 6e-10
 SPECTRAL_S, SPECTRAL_S_PER_PIXEL = 1.5e-7, 5.5e-8
 TRANSFORM_S_PER_SAMPLE = 4e-8
 
@@ -90,6 +92,11 @@ class ResponsePlan:
     def blurs(self) -> tuple[Blur, ...]:
         """Every response."""
         return (self.blur,) if self.field is None else self.field.blurs
+
+    @property
+    def products(self) -> bool:
+        """Whether stars are drawn as column times row."""
+        return all(is_product(b, self.streaks.longest_px) for b in self.blurs)
 
     @property
     def reach_core_px(self) -> float:
@@ -224,8 +231,7 @@ def _spectral_from(scene: Scene, r: ResponsePlan) -> int:
     side = 2.0 * core.radius_px + piece_px
     block = math.prod(min(BLOCK_PX, n) + side for n in scene.sensor.shape)
     if core.phases:
-        stamp = math.pi * core.radius_px**2 + 2.0 * core.radius_px * piece_px
-        star_s = STAMP_S + STAMP_S_PER_PIXEL * stamp
+        star_s = stamp_s(r)
     else:
         oversampling = max(oversampling_for(b) for b in r.blurs)
         star_s = TRANSFORM_S_PER_SAMPLE * (side * oversampling) ** 2
@@ -234,6 +240,14 @@ def _spectral_from(scene: Scene, r: ResponsePlan) -> int:
     fixed_s = SPECTRAL_S_PER_PIXEL * block * streaks.shapes
     near = _most_near(r, scene.sensor.shape, side)
     return math.ceil(fixed_s * near / min(near, 4) / (streaks.pieces * (star_s - SPECTRAL_S)))
+
+
+def stamp_s(r: ResponsePlan) -> float:
+    """CPU seconds of a piece of a usual star's streak, from its table."""
+    radius, piece_px = r.classes[0].radius_px, r.streaks.longest_px / r.streaks.pieces
+    if r.products:
+        return PRODUCT_S + PRODUCT_S_PER_PIXEL * (2.0 * radius + 2.0) ** 2
+    return STAMP_S + STAMP_S_PER_PIXEL * (math.pi * radius**2 + 2.0 * radius * piece_px)
 
 
 def _most_near(r: ResponsePlan, shape: tuple[int, int], margin_px: float) -> int:

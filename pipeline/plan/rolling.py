@@ -26,8 +26,13 @@ MOST_SHEAR = 0.05  # px that a source may move in the time from one row to the n
 MOST_OFF_PX = 0.1  # that the parabola of its motion may be off at the last row
 
 
-def rolling_shutter(scene: Scene, r: RollingShutter, ends: Geometry, dut1_s: float) -> str:
-    """What a rolling shutter does to a scene; BadInput where it cannot be drawn rightly."""
+def rolling_shutter(
+    scene: Scene, r: RollingShutter, ends: Geometry, dut1_s: float
+) -> tuple[str, float]:
+    """What a rolling shutter does to a scene, and how far places are off by it [px].
+
+    BadInput where it cannot be drawn rightly.
+    """
     if motion_plan(scene) is not None:
         raise BadInput(
             "sensor.detector.readout", "rolling",
@@ -56,7 +61,7 @@ def rolling_shutter(scene: Scene, r: RollingShutter, ends: Geometry, dut1_s: flo
             f"a shorter readout: in {readout_s:.3g} s a source comes {off:.3g} px off the parabola "
             f"through its exposure ({MOST_OFF_PX:g} px are allowed)",
         )  # fmt: skip
-    return (
+    told = (
         f"row by row in {readout_s:.4g} s, {r.line_s:.3g} s each; a frame's times are those of its "
         f"first row. The fastest source moves {speed:.3g} px/s, {speed * readout_s:.3g} px in the "
         "readout: each is drawn with the path and light of its own row's exposure, told by a "
@@ -65,6 +70,7 @@ def rolling_shutter(scene: Scene, r: RollingShutter, ends: Geometry, dut1_s: flo
         "than that share of its brightest pixel. Sky, ranges and the WCS are of the first row's "
         "time; light that changes beyond the first row's exposure stays as it is at its end"
     )
+    return told, off
 
 
 def _fastest_px_s(scene: Scene, g: Geometry) -> float:

@@ -18,22 +18,23 @@ from pipeline.plan.air import above_air
 from pipeline.plan.air_decisions import decide_air
 from pipeline.plan.attitude_motion import decide_motion
 from pipeline.plan.checks import CheckCell, choose_checks
+from pipeline.plan.cost import NOISE_S_PER_PIXEL, least_cpu_s
 from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
 from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.ledger import rule_of
+from pipeline.plan.occultation import decide_occultation
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
 from pipeline.plan.responses import (
     BLOCK_PX,
     SPECTRAL_S,
     SPECTRAL_S_PER_PIXEL,
-    STAMP_S,
-    STAMP_S_PER_PIXEL,
     ResponsePlan,
     plan_responses,
+    stamp_s,
 )
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
@@ -46,11 +47,9 @@ if TYPE_CHECKING:
     from pipeline.plan.sky import SkyPlan
 
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
-NOISE_S_PER_PIXEL = 60e-9
 PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
 CROWD_BYTES_PER_PIXEL = 50.0
-START_S = 2.0
 FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # deflection: 1.75 arcsec at the Sun's limb
 
 
@@ -127,7 +126,8 @@ def make_plan(
     camera = camera_of(scene)
     responses = plan_responses(scene, facts, camera, ends)
     decisions = (
-        *decide(scene, facts, responses), *decide_targets(scene, facts, ends),
+        *decide(scene, facts, responses), *decide_occultation(scene, responses, ends),
+        *decide_targets(scene, facts, ends, responses.blur),
         *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends, dut1_s),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
@@ -237,14 +237,22 @@ def _engine(r: ResponsePlan) -> str:
     return engine
 
 
+def frame_seconds(plan: Plan, forecast: StarForecast | None) -> float:
+    """Predicted CPU seconds of one frame, from measured unit costs."""
+    pixels = math.prod(plan.scene.sensor.shape)
+    stars = forecast.stars_per_frame if forecast else 0
+    light_s = pixels * WING_S_PER_PIXEL if plan.responses.spacing_px else 0.0
+    return (
+        pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars) + light_s
+    )
+
+
 def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
     """Predicted CPU seconds and memory of one worker thread, from measured unit costs."""
     pixels = math.prod(plan.scene.sensor.shape)
     stars = forecast.stars_per_frame if forecast else 0
     r = plan.responses
-    frame_s = pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars)
-    if r.spacing_px:
-        frame_s += pixels * WING_S_PER_PIXEL
+    light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
     rows, columns = tile_shape(plan.scene)
     layers = len(plan.scene.output.layers)
     grid = 0.0
@@ -256,7 +264,7 @@ def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
     memory = rows * columns * 8.0 * (8 + layers) + grid + stars * 150.0 + 180e6
     memory += 1e6 * r.table_mb
     return {
-        "cpu_s": START_S + plan.frames * frame_s,
+        "cpu_s": least_cpu_s(plan.scene) + plan.frames * light_s,
         "worker_memory_mb": memory / 1e6,
         "product_mb": pixels * plan.frames * (2.0 + 4.0 * (layers - 1)) / 1e6,
     }
@@ -277,10 +285,8 @@ def _drawing_s(plan: Plan, stars: int) -> float:
         pixels = math.prod(plan.scene.sensor.shape)
         many, together = len(r.blurs), stars * min(4, len(r.blurs))
         return SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many + SPECTRAL_S * together
-    radius, piece_px = r.classes[0].radius_px, r.streaks.longest_px / r.streaks.pieces
-    stamp = math.pi * radius**2 + 2.0 * radius * piece_px
     drawn = stars * min(4, len(r.blurs))  # by the responses around each
-    return drawn * r.streaks.pieces * (STAMP_S + STAMP_S_PER_PIXEL * stamp)
+    return drawn * r.streaks.pieces * stamp_s(r)
 
 
 def _rule(decision: Decision) -> dict[str, Any]:

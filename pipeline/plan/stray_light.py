@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 FIELD = "background.stray_light"
+OVER_ENDS = 1.02  # a part of the frame or a moment between those looked at may get so much more
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +223,8 @@ def stray_told(wish: StrayLight, ends: list[dict[str, Array]]) -> list[Decision]
         if name in ends[0]:
             values = np.concatenate([e[name] for e in ends])
             span = f"{values.min():.4g} to {values.max():.4g} e-/s per pixel"
-            out.append(Decision(component, True, f"{span}: {how}"))
+            most, unit = OVER_ENDS * float(values.max()), "e-/s per pixel"
+            out.append(Decision(component, True, f"{span}: {how}", bound=most, unit=unit))
         elif name == "earth" and wish.earth:
             out.append(Decision(component, False, "a site on the ground sees no disc", 0.0, 0.0))
         else:

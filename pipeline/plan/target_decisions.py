@@ -8,20 +8,33 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Geometry
+from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.bodies import flicker_share
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.paths import near_frame
+from pipeline.plan.responses import point_slope
+from pipeline.plan.target_bounds import (
+    between_facets,
+    earthshine_share,
+    table_told,
+    two_body_m,
+)
 from pipeline.spec.body import CompositeBody, SphereBody
 from pipeline.spec.mesh import MeshBody
 from pipeline.spec.orbit import KeplerianOrbit, NumericalOrbit, StateOrbit, TableOrbit
 from pipeline.spec.scene import Scene, Target
 
+FINER_SHADOW = 1.5e-4  # of sunlight: shadows with an ellipsoid, limb darkening, the Moon
+LAMPS_ERROR = 5e-4  # of earthshine, in 256 lamps
 
-def decide_targets(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]:
+
+def decide_targets(
+    scene: Scene, facts: Facts, ends: Geometry, blur: Blur
+) -> list[Decision]:
     """Every decision about the targets of a scene; none without targets.
 
-    ends : some of the scene's frames
+    ends : some of the scene's frames; blur : the response
     """
     screened = []
     if scene.populations:
@@ -32,14 +45,15 @@ def decide_targets(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]
         return screened
     return [
         *screened,
-        *_lighting(scene),
-        *_orbits(scene),
-        *_sizes(scene, facts, ends),
+        *_lighting(scene, ends),
+        *_orbits(scene, ends),
+        *_sizes(scene, facts, ends, blur),
         Decision(
             "targets.light_between_nodes", True,
             f"linear between {ends.nodes} nodes of an exposure: off by at most "
             f"{flicker_share(ends, near_frame(scene, ends)):.2g} of the light of a target in or "
             "beside the frame, of the frames looked at",
+            bound=flicker_share(ends, near_frame(scene, ends)), unit="of a target's light",
         ),
     ]  # fmt: skip
 
@@ -59,7 +73,7 @@ def _names(targets: list[Target]) -> str:
     return shown + (f" and {len(targets) - 5} more" if len(targets) > 5 else "")
 
 
-def _lighting(scene: Scene) -> list[Decision]:
+def _lighting(scene: Scene, ends: Geometry) -> list[Decision]:
     """Eclipse, earthshine, and what parts of a body do to each other."""
     targets = list(scene.targets)
     dark = [t for t in targets if not t.eclipse]
@@ -73,6 +87,7 @@ def _lighting(scene: Scene) -> list[Decision]:
             + (f"; switched off for {_names(dark)}" if dark else "")
             + (f"; ellipsoid, limb darkening or Moon as asked for {_names(finer)}, to 1.5e-4 of "
                "sunlight" if finer else ""),
+            bound=1.0 if dark else FINER_SHADOW if finer else None, unit="of sunlight",
         ),
         Decision(
             "targets.earthshine", bool(lamps),
@@ -80,6 +95,8 @@ def _lighting(scene: Scene) -> list[Decision]:
             "5e-4 of albedo (R/r)^2 of direct sunlight" if lamps else
             "not asked for: at most albedo (R/r)^2 of direct sunlight on a surface that faces the "
             "Earth, 0.7% at GEO, 26% at 500 km (albedo 0.3), all of it in the shadow of the body",
+            bound=(LAMPS_ERROR if lamps else 1.0) * earthshine_share(lamps, ends),
+            unit="of direct sunlight",
         ),
     ]  # fmt: skip
     meshes = [t for t in targets if isinstance(t.body, MeshBody)]
@@ -97,19 +114,17 @@ def _lighting(scene: Scene) -> list[Decision]:
                 "targets.mesh_shadows", True,
                 f"{_names(meshes)}: self-shadowing and mutual occlusion, areas to within "
                 f"{max(shares, default=0.0):.2g} of the light; a convex body needs none",
+                bound=max(shares, default=0.0), unit="of the light",
             ),
-            Decision(
-                "targets.light_between_facets", False,
-                "one reflection only: in concave corners of bright diffuse surfaces a part of the "
-                "light is missing; no bound is known",
-            ),
+            between_facets(meshes),
         ]  # fmt: skip
     if composite:
         out.append(
             Decision(
                 "targets.mutual_shadowing", False,
                 f"parts of {_names(composite)} neither shade nor hide each other: their light is "
-                "an upper bound, and no bound of the excess is known",
+                "an upper bound; as much as all of it may be in excess",
+                bound=1.0, unit="of the light drawn",
             )
         )  # fmt: skip
     return out
@@ -122,14 +137,15 @@ def _earthshine_on_meshes(glowing: list[Target]) -> Decision:
         "targets.earthshine_on_meshes", True,
         f"{_names(glowing)}: the Earth in ever smaller parts until the light of the body changes "
         f"by less than {0.5 * share:.2g}, at most 1024 parts; its self-shadowing likewise, each of "
-        "at most 64 parts traced (highlights narrower than 1/32 of the Earth's disc, and shadows "
-        "finer than 1/8 of it, may be told less well). Straight lines in time, off by at most "
+        "at most 1024 parts traced (highlights and shadows finer than 1/32 of the Earth's disc "
+        "may be told less well). Straight lines in time, off by at most "
         "3e-4 of earthshine. A body larger than a point is drawn with the picture that it has in "
         "sunlight, its brightness with earthshine",
+        bound=share, unit="of the light",
     )  # fmt: skip
 
 
-def _sizes(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]:
+def _sizes(scene: Scene, facts: Facts, ends: Geometry, blur: Blur) -> list[Decision]:
     """Which bodies are points, and which have a size."""
     out = []
     others = [t for t in scene.targets if not isinstance(t.body, SphereBody | MeshBody)]
@@ -146,13 +162,13 @@ def _sizes(scene: Scene, facts: Facts, ends: Geometry) -> list[Decision]:
             )
         )  # fmt: skip
     if others:
+        largest = _largest_px(scene, facts, ends)
         out.append(
             Decision(
                 "targets.shapes_as_points", True,
-                f"{_names(others)}: points at any size, up to "
-                f"{_largest_px(scene, facts, ends):.3g} px in radius here; no bound is known where "
-                "that is more than a part of a pixel: "
+                f"{_names(others)}: points at any size, up to {largest:.3g} px in radius here: "
                 "only spheres and meshes have pictures, as parts of composites have no places",
+                bound=min(1.0, point_slope(blur) * largest), unit="of the target's light",
             )
         )  # fmt: skip
     return out
@@ -209,7 +225,7 @@ def _resolved_meshes(scene: Scene, facts: Facts, ends: Geometry) -> Decision:
     )  # fmt: skip
 
 
-def _orbits(scene: Scene) -> list[Decision]:
+def _orbits(scene: Scene, ends: Geometry) -> list[Decision]:
     """What the kinds of orbit leave out."""
     found = []
     plain = [t for t in scene.targets if isinstance(t.orbit, StateOrbit | KeplerianOrbit)]
@@ -218,7 +234,9 @@ def _orbits(scene: Scene) -> list[Decision]:
             Decision(
                 "targets.perturbations", False,
                 f"two-body motion for {_names(plain)}: the Earth's oblateness is left out, up to "
-                "80 km an hour after the state at 500 km, 60 m at GEO, and all smaller forces",
+                "80 km an hour after the state at 500 km, 60 m at GEO, and all smaller forces (the "
+                "bound is without drag)",
+                bound=two_body_m(plain, scene, ends), unit="m",
             )
         )  # fmt: skip
     forced = [t for t in scene.targets if isinstance(t.orbit, NumericalOrbit)]
@@ -231,13 +249,4 @@ def _orbits(scene: Scene) -> list[Decision]:
                 "0.4 to 2.2 km in a day at 500 km, 0.1 to 0.4 km at GEO",
             )
         )  # fmt: skip
-    found += [
-        Decision(
-            "targets.ephemeris", True,
-            f"{t.name}: {t.orbit.source}, polynomials through {t.orbit.nodes} rows, at most "
-            f"{t.orbit.error_m:.2g} m off on rows left out",
-        )
-        for t in scene.targets
-        if isinstance(t.orbit, TableOrbit)
-    ]  # fmt: skip
-    return found
+    return found + [table_told(t) for t in scene.targets if isinstance(t.orbit, TableOrbit)]

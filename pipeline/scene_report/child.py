@@ -27,7 +27,6 @@ def _reference(order: dict[str, Any]) -> dict[str, Any]:
 
     The scene is rendered once before, so that no other process has to compile what it draws with.
     """
-    from pipeline.scene_report.effects import measure_effects
     from pipeline.scene_report.exact import find_exact
     from pipeline.scene_report.rung import render_once
     from pipeline.scene_report.stage import open_stage, tiles_of
@@ -42,7 +41,6 @@ def _reference(order: dict[str, Any]) -> dict[str, Any]:
     return {
         "sources": exact.sources, "windows": len(exact.windows),
         "switches": measure_switches(usual, tiles, exact),
-        "effects": measure_effects(usual) if order["effects"] else [],
     }  # fmt: skip
 
 

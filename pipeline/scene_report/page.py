@@ -9,7 +9,6 @@ from typing import Any
 
 from pipeline.scene_report.tables import (
     Table,
-    effect_table,
     explained,
     rung_table,
     switch_table,
@@ -38,8 +37,7 @@ def page(study: dict[str, Any], ladder_png: bytes, omissions_png: bytes) -> str:
         f"<h2>Scenes, rung by rung</h2>{_table(rung_table(study))}"
         "<h2>Approximations, one at a time switched off</h2>"
         f"{_picture(omissions_png, 'bound and error of each approximation')}"
-        f"{_table(switch_table(study))}<h2>Components left out</h2>"
-        f"{_table(effect_table(study))}</body></html>\n"
+        f"{_table(switch_table(study))}</body></html>\n"
     )
 
 

@@ -14,7 +14,6 @@ from pipeline.scene_report.page import page
 from pipeline.scene_report.scenes import wishes
 from pipeline.scene_report.study import Progress, checked_rungs, run_study
 from pipeline.scene_report.tables import (
-    effect_table,
     explained,
     markdown,
     rung_table,
@@ -69,6 +68,5 @@ def text(study: dict[str, Any]) -> str:
     notes = "\n".join(f"- {line}" for line in explained(study))
     return (
         f"{notes}\n\n## Scenes, rung by rung\n\n{markdown(rung_table(study))}\n"
-        f"## Approximations, one at a time switched off\n\n{markdown(switch_table(study))}\n"
-        f"## Components left out\n\n{markdown(effect_table(study))}"
+        f"## Approximations, one at a time switched off\n\n{markdown(switch_table(study))}"
     )

@@ -24,13 +24,12 @@ from pipeline.scene_report.scenes import (
 
 Progress = Callable[[str, int, int], None]
 
-RUNGS, QUICK_RUNGS = (0.5, 0.2, 0.05, 0.0125, 0.003), (0.5, 0.05)
+RUNGS, QUICK_RUNGS = (0.5, 0.2, 0.05, 0.0125), (0.5, 0.05)
 USUAL = 0.05  # the default of a scene, at which approximations are switched off one by one
 FLUX_OF_NOISE = 0.02  # accuracy.flux_fraction of a rung, over its noise_fraction
 FINER = 0.25  # accuracy of the reference, of the finest rung's
 MOST_RUNGS, LEAST_RUNG = 12, 1e-4
 WINDOWS, QUICK_WINDOWS = 12, 5
-OF_EFFECTS = "sidereal-sparse"  # where components are left out one by one
 QUICK_SCENES = ("sidereal-sparse", "rate-track", "many-targets")
 CHILD_S = 3600.0
 
@@ -95,7 +94,7 @@ def _reference_order(
         "finest": with_accuracy(wish, finest, FLUX_OF_NOISE * finest, stars),
         "scene": with_accuracy(wish, USUAL, FLUX_OF_NOISE * USUAL, stars),
         "share": wish.share, "exact": str(folder / f"{wish.name}.npz"),
-        "folder": str(folder / f"{wish.name}-first"), "effects": wish.name == OF_EFFECTS,
+        "folder": str(folder / f"{wish.name}-first"),
     }  # fmt: skip
 
 
@@ -115,7 +114,6 @@ def _told(wish: Wish, found: dict[str, Any], rows: list[dict[str, Any]]) -> dict
         "stars": rows[0]["stars"], "targets": rows[0]["targets"],
         "windows": found["windows"], "sources_drawn_again": found["sources"],
         "rungs": rows, "switches": found["switches"],
-        "effects": found["effects"],
     }  # fmt: skip
 
 

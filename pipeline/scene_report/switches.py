@@ -17,7 +17,7 @@ from pipeline.execute.sources import drawing_order, excursion_px
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.scene_report.exact import Exact, exact_sky
-from pipeline.scene_report.rung import brightest_e, cut_e
+from pipeline.scene_report.rung import cut_e, lights_e
 from pipeline.scene_report.stage import Light, Stage, blocks_by, light_by, mean_of, open_stage
 
 MANY = 12  # wavelengths
@@ -32,7 +32,7 @@ class Switch:
 
     off : light without it; on : light that differs in nothing else
     bound_e : what the plan says that a pixel may err by at the noise floor [e-]; where it is of a
-        source's light, that times the brightest one's
+        source's light, that times the brightest one's (all of theirs for the end of their wings)
     one_by_one : `off` draws star by star, too slow for a whole frame
     """
 
@@ -126,7 +126,7 @@ def switches(stage: Stage, tiles: tuple[Tile, ...]) -> Iterator[Switch]:
         one_by_one=plan.scene.stars is not None,
     )  # fmt: skip
     if "wings_cut_off" in bounds:
-        bound = cut_e(plan, brightest_e(stage))
+        bound = cut_e(plan, sum(lights_e(stage)))
         yield Switch("wings_cut_off", on, light_by(stage, _farther(stage)), bound, of_light=True)
     yield from told("targets.point_sources", light_by(stage, _with_discs(plan)))
     if plan.facts.band is not None:
@@ -207,5 +207,5 @@ def _wavelengths(stage: Stage, on: Light) -> Iterator[Switch]:
         stage.plan, facts=finer.plan.facts,
         responses=replace(stage.plan.responses, blur=finer.plan.responses.blur),
     )  # fmt: skip
-    bound = band.error * brightest_e(stage)
+    bound = band.error * max(lights_e(stage))
     yield Switch(name, on, light_by(stage, plan), bound, of_light=True)

@@ -1,4 +1,4 @@
-"""The report's tables: rungs of each scene, approximations one by one, and rules of the ledger."""
+"""The report's tables: the rungs of each scene, and its approximations one by one."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 RUNG_HEADS = ("scene", "asked, sigma", "CPU s", "again", "wall s", "peak MB", "largest error, "
               "sigma", "rms", "bias of light", "allowed, sigma", "of allowed")  # fmt: skip
 SWITCH_HEADS = ("scene", "approximation", "bound", "error caused", "CPU s with", "without", "holds")
-EFFECT_HEADS = (
-    "scene", "component", "bound", "error caused", "CPU s without", "with", "holds"
-)  # fmt: skip
 NOTES = (
     "CPU s: of a whole render by a process of its own: planning, tables, drawing, product on disk; "
     "imports and the start of Python are not in it, the loading of compiled code is. `again`: the "
@@ -27,10 +24,7 @@ NOTES = (
     "its light); `of allowed`: the largest share of it that any pixel used. 1 or less: it holds.",
     "One approximation at a time was switched off, at 0.05 sigma; `CPU s`: drawing the light of "
     "the frame once tables are there (~: scaled up from a part of the frame). Bounds marked * are "
-    "shares of a source's light, times the brightest one's.",
-    "Components left out: stars' places without an effect on directions; the stars' light of a "
-    "scene that has only stars (`stars`), and digital numbers of a detector whose terms are all "
-    "neutral (`flat` and the rest), beside the same with everything there: not a bit differs.",
+    "shares of a source's light, times the brightest one's (all of it where wings end).",
 )
 
 
@@ -50,16 +44,6 @@ def rung_table(study: Row) -> Table:
 def switch_table(study: Row) -> Table:
     """A row for each scene and approximation."""
     return SWITCH_HEADS, [(scene["title"], *_switch(s)) for scene, s in _switches(study)]
-
-
-def effect_table(study: Row) -> Table:
-    """A row for each component that was left out."""
-    return EFFECT_HEADS, [
-        (scene["title"], e["component"], f"{e['bound']:.2g} {e['unit']}",
-         f"{e['error']:.2g} {e['unit']}", f"{e['seconds_on']:.2g}", f"{e['seconds_off']:.2g}",
-         "yes" if e["holds"] else "NO")
-        for scene in study["scenes"] for e in scene["effects"]
-    ]  # fmt: skip
 
 
 def _switches(study: Row) -> Iterator[tuple[Row, Row]]:
@@ -104,7 +88,7 @@ def print_study(study: Row) -> None:
     from rich.table import Table as Printed
 
     console = Console()
-    for heads, rows in (rung_table(study), switch_table(study), effect_table(study)):
+    for heads, rows in (rung_table(study), switch_table(study)):
         printed = Printed()
         for i, head in enumerate(heads):
             printed.add_column(head, justify="left" if i < 2 else "right")

@@ -19,8 +19,10 @@ from pipeline.plan.timing import frame_count
 from pipeline.spec.scene import Scene
 from pipeline.store.layout import COMPLETE, CUBE, LONG_NAMES, sync_folder
 from pipeline.store.markers import Marker, cell_checksums, write_marker
+from pipeline.store.truth import write_part
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     import xarray as xr
     import zarr
 
@@ -54,6 +56,10 @@ class CubeWriter:
         marker = Marker(frame, tile.row, tile.column, chunks, cells, checks or [])
         write_marker(product, marker)
         return marker
+
+    def write_truth(self, kind: str, frame: int, table: pa.Table) -> None:
+        """Store the truth of one frame."""
+        write_part(Path(self.product), kind, frame, table)
 
 
 def layers_of(plan: Plan) -> tuple[str, ...]:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.durable import full_disk_told, write_atomically
 from catalog_tools.durable import sync as sync_folder
-from catalog_tools.durable import write_atomically
-from pipeline.errors import BadInput
+from pipeline.errors import NO_ROOM, BadInput
 
-__all__ = ["only_writer", "sync_folder", "to_json", "write_atomically"]
+__all__ = ["full_disk", "only_writer", "sync_folder", "to_json", "write_atomically"]
 
 CUBE = "cube.zarr"
 MARKERS = "markers"
@@ -43,6 +43,12 @@ def to_json(value: Any) -> bytes:
     return (json.dumps(value, indent=2, allow_nan=False) + "\n").encode()
 
 
+def full_disk(product: Path) -> AbstractContextManager[None]:
+    """Whatever writes a product writes it inside of this: DiskFull names the product."""
+    told = "what is finished is kept: make room, then go on with --resume"
+    return full_disk_told(product, told)
+
+
 @contextmanager
 def only_writer(product: Path, shared: str | None = None) -> Iterator[None]:
     """Hold the product's lock; another running writer is refused, a dead one is not.
@@ -59,7 +65,9 @@ def only_writer(product: Path, shared: str | None = None) -> Iterator[None]:
                 fcntl.flock(own, fcntl.LOCK_EX | fcntl.LOCK_NB)
             handle = open_files.enter_context((product / LOCK).open("w"))
             fcntl.flock(handle, kind | fcntl.LOCK_NB)
-        except OSError:
+        except OSError as error:
+            if error.errno in NO_ROOM:
+                raise
             raise BadInput(
                 "-o", str(product), "a product that no other render is writing now"
             ) from None

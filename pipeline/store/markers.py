@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -47,17 +47,24 @@ def place_of(marker: Path) -> tuple[int, int, int]:
 
 
 def write_marker(product: Path, marker: Marker) -> None:
-    """Store a marker whole or not at all; its own checksum is in it."""
-    body = json.dumps(marker.__dict__, sort_keys=True)
-    content = {"marker": body, "crc32c": google_crc32c.value(body.encode())}
+    """Store a marker whole or not at all."""
     path = marker_path(product, marker.frame, marker.row, marker.column)
-    write_atomically(path, json.dumps(content).encode())
+    write_atomically(path, marker_content(marker))
 
 
-def read_marker(path: Path) -> Marker:
-    """A stored marker. Raises Damaged where it is not what was written."""
+def marker_content(marker: Marker) -> bytes:
+    """A marker as it is stored; its own checksum is in it."""
+    body = json.dumps(marker.__dict__, sort_keys=True)
+    return json.dumps({"marker": body, "crc32c": google_crc32c.value(body.encode())}).encode()
+
+
+def read_marker(path: Path | str, stored: bytes | None = None) -> Marker:
+    """A stored marker. Raises Damaged where it is not what was written.
+
+    stored : its bytes, where they do not lie at the path
+    """
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(Path(path).read_bytes() if stored is None else stored)
         body = content["marker"]
         if google_crc32c.value(body.encode()) != content["crc32c"]:
             raise ValueError("checksum")
@@ -68,15 +75,25 @@ def read_marker(path: Path) -> Marker:
 
 def chunk_fault(product: Path, marker: Marker) -> str | None:
     """What is wrong with a tile's chunks (path and reason), or None where they are whole."""
-    for name, (relative, length, crc) in marker.chunks.items():
-        path = product / CUBE / relative
-        if not path.is_file():
-            return f"{CUBE}/{relative}: the chunk of layer {name} is missing"
-        content = path.read_bytes()
+
+    def read(name: str) -> bytes | None:
+        path = product / name
+        return path.read_bytes() if path.is_file() else None
+
+    return fault_of(read, marker)
+
+
+def fault_of(read: Callable[[str], bytes | None], marker: Marker) -> str | None:
+    """The same for chunks that `read` gives by their name in the product; None where absent."""
+    for layer, (relative, length, crc) in marker.chunks.items():
+        name = f"{CUBE}/{relative}"
+        content = read(name)
+        if content is None:
+            return f"{name}: the chunk of layer {layer} is missing"
         if len(content) != length:
-            return f"{CUBE}/{relative}: {len(content)} bytes instead of {length}"
+            return f"{name}: {len(content)} bytes instead of {length}"
         if google_crc32c.value(content) != crc:
-            return f"{CUBE}/{relative}: the checksum differs"
+            return f"{name}: the checksum differs"
     return None
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from pipeline.errors import BadInput, Damaged
+from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import tile_shape
 from pipeline.spec.load import scene_yaml
@@ -46,7 +46,7 @@ def begin(path: Path, plan: Plan, catalogue_digest: str | None, resume: bool) ->
     Raises BadInput where the path exists and is not to be resumed, or is to be and comes from
     another scene, catalogue or version of the format.
     """
-    identity = _identity_of(plan, catalogue_digest)
+    identity = identity_of(plan, catalogue_digest)
     if path.exists() and not resume:
         raise BadInput(
             "-o", str(path), "a path that does not exist yet; or give --resume or --replace"
@@ -69,7 +69,7 @@ def begin_together(
 
     mine : whether a tile (frame, row, column) is this writer's; others' markers are left alone.
     """
-    identity = _identity_of(plan, catalogue_digest)
+    identity = identity_of(plan, catalogue_digest)
     if not path.exists():
         own = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
         try:
@@ -83,7 +83,7 @@ def begin_together(
     return _take_up(path, plan, identity, mine)
 
 
-def _identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
+def identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
     """What makes two products the same."""
     return {
         "format": FORMAT,
@@ -103,11 +103,8 @@ def _take_up(
             raise BadInput("--resume", str(path), "a product begun by `nightglass render`")
         shutil.rmtree(path)  # it stopped before its first task: begin anew
         return begin(path, plan, identity["catalogue_digest"], resume=False)
-    found = _identity(path)
     (path / layout.TRUTH / layout.PARTS).mkdir(exist_ok=True)
-    for key, wanted in identity.items():
-        if found.get(key) != wanted:
-            raise BadInput("--resume", str(path), f"a product of the same {key}: {wanted}")
+    check_same(str(path), _identity(path), identity)
     done, faults = set(), []
     for marker in markers_present(path):
         if mine is not None and not mine(*place_of(marker)):
@@ -128,6 +125,13 @@ def _take_up(
     return Begun(path, _writer(path, plan), frozenset(done), frozenset(truth), tuple(faults))
 
 
+def check_same(place: str, found: dict[str, Any], identity: dict[str, Any]) -> None:
+    """Refuse to go on with a product that was begun as another one."""
+    for key, wanted in identity.items():
+        if found.get(key) != wanted:
+            raise BadInput("--resume", place, f"a product of the same {key}: {wanted}")
+
+
 def _is_bare_beginning(path: Path) -> bool:
     """Whether a folder without a record holds only what `begin` makes before it: safe to remove.
 
@@ -142,11 +146,16 @@ def _is_bare_beginning(path: Path) -> bool:
 
 def _identity(path: Path) -> dict[str, Any]:
     """What the product was begun as. Raises Damaged where the record is not what was written."""
+    return identity_in((path / layout.BEGUN).read_bytes(), str(path / layout.BEGUN))
+
+
+def identity_in(content: bytes, place: str) -> dict[str, Any]:
+    """What the record of a beginning says. Raises Damaged naming `place`."""
     try:
-        found = json.loads((path / layout.BEGUN).read_text())
+        found = json.loads(content)
         return found | {"tiles": int(found["tiles"])}
     except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
-        raise Damaged(str(path / layout.BEGUN), f"not what was written ({error})") from None
+        raise Damaged(place, f"not what was written ({error})") from None
 
 
 def _marker_fault(path: Path, marker: Path) -> str | None:
@@ -181,6 +190,8 @@ def _make_folders(path: Path) -> None:
         for name in (layout.CUBE, layout.MARKERS, f"{layout.TRUTH}/{layout.PARTS}"):
             (path / name).mkdir(parents=True)
     except OSError as error:
+        if error.errno in NO_ROOM:
+            raise
         raise BadInput("-o", str(path), f"a path that can be written; {error.strerror}") from None
 
 
@@ -229,14 +240,18 @@ class Verdict:
         return self.complete and not self.faults
 
 
-def check(path: Path) -> Verdict:
-    """Verify a product: every tile has its marker, every chunk its checksum, every table reads."""
+def check(path: Path, fault_of_tile: Callable[[Path, Path], str | None] | None = None) -> Verdict:
+    """Verify a product: every tile has its marker, every chunk its checksum, every table reads.
+
+    fault_of_tile : (product, marker's path) -> what is wrong, for chunks that lie elsewhere
+    """
+    fault_of_tile = fault_of_tile or _marker_fault
     if not (path / layout.BEGUN).is_file():
         raise BadInput("PRODUCT", str(path), "a product directory made by `nightglass render`")
     complete = (path / layout.COMPLETE).is_file()
     verdict = Verdict(str(path), complete, 0, int(_identity(path)["tiles"]))
     for marker in markers_present(path):
-        fault = _marker_fault(path, marker)
+        fault = fault_of_tile(path, marker)
         verdict.tiles += fault is None
         if fault:
             verdict.faults.append(fault)
@@ -269,21 +284,23 @@ def seal(path: Path) -> None:
     """Write _COMPLETE, last of all, with the digests of all files that are no chunks."""
     files = {}
     for file in sorted(path.rglob("*")):
+        if file.name.startswith(".") and file.suffix == ".tmp":  # of a writer that was killed
+            file.unlink()
+            continue
         name = file.relative_to(path).as_posix()
         skip = name.startswith(f"{layout.MARKERS}/") or file.name == layout.COMPLETE
         skip |= file.name.startswith(layout.LOCK)
-        tile_chunk = name.startswith(f"{layout.CUBE}/") and _has_marker(name)
+        tile_chunk = has_marker(name)
         if file.is_file() and not skip and not tile_chunk:
             files[name] = file_digest(file)
     content = {"format": FORMAT, "content_digest": content_digest(path), "files": files}
     layout.write_atomically(path / layout.COMPLETE, layout.to_json(content))
 
 
-LAYER_CHUNK_DEPTH = 6  # cube.zarr / layer / c / frame / row / column
-
-
-def _has_marker(name: str) -> bool:
-    return len(name.split("/")) == LAYER_CHUNK_DEPTH
+def has_marker(name: str) -> bool:
+    """Whether a file of a product is a chunk of a layer, which its tile's marker vouches for."""
+    parts = name.split("/")  # cube.zarr / layer / c / frame / row / column
+    return len(parts) == 6 and parts[0] == layout.CUBE and parts[1] in layout.LONG_NAMES
 
 
 def file_digest(path: Path) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.store.layout import PARTS, TRUTH, sync_folder
+from catalog_tools.durable import whole_file
+from pipeline.store.layout import PARTS, TRUTH
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -21,6 +21,16 @@ def write_part(product: Path, kind: str, frame: int, table: pa.Table) -> None:
     _write(part_path(product, kind, frame), table)
 
 
+def part_content(table: pa.Table) -> bytes:
+    """The truth of one frame as it is stored."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    out = pa.BufferOutputStream()
+    pq.write_table(table, out, **_OPTIONS)
+    return bytes(out.getvalue())
+
+
 def write_whole(product: Path, kind: str, table: pa.Table) -> int:
     """Store truth that is the same in all frames as truth/KIND.parquet; returns the rows."""
     _write(product / TRUTH / f"{kind}.parquet", table)
@@ -29,14 +39,17 @@ def write_whole(product: Path, kind: str, table: pa.Table) -> int:
 
 def part_is_whole(product: Path, kind: str, frame: int) -> bool:
     """Whether the truth of a frame is stored and readable."""
+    path = part_path(product, kind, frame)
+    return path.is_file() and is_whole(path)
+
+
+def is_whole(table: Any) -> bool:
+    """Whether a Parquet file, or its bytes in a buffer, can be read to the end."""
     import pyarrow.parquet as pq
     from pyarrow import ArrowException
 
-    path = part_path(product, kind, frame)
-    if not path.is_file():
-        return False
     try:
-        pq.read_table(path, page_checksum_verification=True)
+        pq.read_table(table, page_checksum_verification=True)
     except (ArrowException, OSError):
         return False
     return True
@@ -47,15 +60,13 @@ def join_parts(product: Path, kind: str, frames: int, empty: Any) -> int:
     import pyarrow.parquet as pq
 
     target = product / TRUTH / f"{kind}.parquet"
-    temporary = target.with_suffix(".tmp")
     rows = 0
-    with pq.ParquetWriter(temporary, empty.schema, **_OPTIONS) as writer:
+    with whole_file(target) as own, pq.ParquetWriter(own, empty.schema, **_OPTIONS) as writer:
         for frame in range(frames):
             path = part_path(product, kind, frame)
             table = pq.read_table(path, page_checksum_verification=True)
             writer.write_table(table)
             rows += table.num_rows
-    _rename(temporary, target)
     return rows
 
 
@@ -76,13 +87,5 @@ _OPTIONS: dict[str, Any] = {
 def _write(path: Path, table: pa.Table) -> None:
     import pyarrow.parquet as pq
 
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    pq.write_table(table, temporary, **_OPTIONS)
-    _rename(temporary, path)
-
-
-def _rename(temporary: Path, path: Path) -> None:
-    with temporary.open("rb") as handle:
-        os.fsync(handle.fileno())
-    temporary.replace(path)
-    sync_folder(path.parent)
+    with whole_file(path) as own:
+        pq.write_table(table, own, **_OPTIONS)

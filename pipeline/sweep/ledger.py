@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from catalog_tools.durable import whole_file, write_atomically
-from pipeline.errors import BadInput, Damaged
+from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.spec.sweep import Sweep
 from pipeline.sweep.design import Design
 
@@ -177,6 +177,8 @@ def begin(out: Path, identity: dict[str, Any], resume: bool) -> None:
         try:
             (out / PARTS).mkdir(parents=True)
         except OSError as error:
+            if error.errno in NO_ROOM:
+                raise
             allowed = f"a path that can be written; {error.strerror}"
             raise BadInput("-o", str(out), allowed) from None
         write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))

@@ -13,13 +13,13 @@ from uuid import uuid4
 
 from catalog_tools.durable import write_atomically
 from catalog_tools.schedulers import Scheduler, open_scheduler
-from pipeline.errors import BadInput, Incomplete, NightglassError
+from pipeline.errors import BadInput, DiskFull, Incomplete, NightglassError
 from pipeline.run import Options, Prepared, prepare
 from pipeline.spec.load import parse_text, path_holders
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep
 from pipeline.spec.sweep_load import load_sweep
-from pipeline.store.layout import only_writer
+from pipeline.store.layout import full_disk, only_writer
 from pipeline.sweep import ledger
 from pipeline.sweep.dependence import AFTER_LIGHT
 from pipeline.sweep.ledger import Ledger
@@ -61,7 +61,13 @@ def run_course(
     listen: Listener | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Run a sweep that was read already, as `sweep` does."""
-    options = options or Options()
+    with full_disk(out):
+        return _run_course(course, out, options or Options(), retry_failed, listen)
+
+
+def _run_course(
+    course: Course, out: Path, options: Options, retry_failed: bool, listen: Listener | None
+) -> dict[str, Any]:
     started = time.perf_counter()
     names, digests = check(course)
     ledger.begin(out, ledger.identity_of(course.sweep, course.data, digests), options.resume)
@@ -197,7 +203,7 @@ def _run(
     for numbers, rows in scheduler.each(run_points, course, work):
         if type(rows).__name__ == "KilledWorker":
             yield numbers
-        elif isinstance(rows, OSError) and rows.errno is not None:
+        elif isinstance(rows, DiskFull) or (isinstance(rows, OSError) and rows.errno is not None):
             raise rows
         elif isinstance(rows, Exception):
             raise Incomplete(f"{type(rows).__name__}: {rows}; what is finished is kept") from rows

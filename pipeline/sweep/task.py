@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Array, Geometry, SensorMaps
-from pipeline.errors import NightglassError, shorten
+from pipeline.errors import NO_ROOM, DiskFull, NightglassError, shorten
 from pipeline.execute.tile import charge_of_tile, render_tile
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
@@ -27,7 +27,6 @@ from pipeline.sweep.metrics import Measurement, Window, target_windows
 from pipeline.sweep.points import Course, scene_of, with_floor
 from pipeline.sweep.stages import Base, Stages, maps_of, point_plan, stages
 
-DISK_FULL = 28
 CUBES = "cubes"
 Row = dict[str, Any]
 
@@ -69,7 +68,7 @@ class _Point:
 def run_points(course: Course, numbers: tuple[int, ...]) -> list[Row]:
     """Render and measure some points; a point that fails is a row with its message.
 
-    Raises OSError where the disk is full: that is no fault of a point.
+    Raises DiskFull or OSError where the disk is full: that is no fault of a point.
     """
     kept, design = stages(course.run), course.design
     rows = _rows(course, kept, design, numbers, whole=False)
@@ -228,10 +227,12 @@ def _tried(point: _Point, work: Callable[[], Any]) -> None:
         work()
     except ReadsBarredError:
         point.again = True
+    except DiskFull:
+        raise
     except NightglassError as error:
         point.fault = str(error)
     except OSError as error:
-        if error.errno == DISK_FULL:
+        if error.errno in NO_ROOM:
             raise
         point.fault = f"{error.filename or ''}: {error.strerror}"
     except Exception as error:

@@ -51,12 +51,13 @@ async def submit(
     found = await service.scenes.read(service.caller.team, body, service.has_file)
     if dry_run:
         allow_time(request, settings.plan_s + settings.answer_s)
-        return JSONResponse(await plan_of(service, found.scene()))
+        plan = await plan_of(service, found.scene())
+        return JSONResponse({"estimated_cpu_s": plan["predicted"]["cpu_s"]} | plan)
     ask = service.store.ask(
         found.name, found.text, found.body_sha256, idempotency_key,
         pixel_frames=found.pixel_frames,
     )  # fmt: skip
-    return taken(service, *await service.intake.put(ask))
+    return taken(service, *await service.intake.put(ask), found.least_cpu_s)
 
 
 class PlainSubmit(Route):
@@ -87,13 +88,16 @@ def check_key(key: str | None) -> None:
         raise Malformed("an Idempotency-Key is 1 to 255 visible ASCII characters")
 
 
-def taken(service: Context, job: Job, made: bool) -> Response:
-    """The answer to a submission that is on disk."""
+def taken(
+    service: Context, job: Job, made: bool, least_cpu_s: float | None = None
+) -> Response:
+    """The answer to a submission that is on disk, with what a scene is forecast to take."""
     headers = {"Location": f"/v1/jobs/{job.id}", "ETag": etag(job)}
     if made:
         headers["Retry-After"] = "1"
         service.dispatcher.wake()
-    body = to_json(job_dict(job))
+    told = {} if least_cpu_s is None else {"least_cpu_s": round(least_cpu_s, 1)}
+    body = to_json(job_dict(job) | told)
     return Response(body, 202 if made else 200, headers, "application/json")
 
 

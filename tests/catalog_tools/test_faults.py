@@ -34,7 +34,7 @@ def run(destination):
     if child:
         return child
     try:
-        ingest([source], destination, rows_per_leaf=500, workers=1)
+        ingest([source], destination, rows_per_leaf=150, workers=1)
     except BaseException as error:
         print(error, file=sys.stderr, flush=True)
         os._exit(1)
@@ -80,11 +80,11 @@ def content(root: Path) -> dict[str, str]:
 
 
 def test_killed_at_random_moments_the_content_is_that_of_an_undisturbed_ingest(tmp_path):
-    stars = random_stars(16_000, 3)
+    stars = random_stars(4_800, 3)
     source = tmp_path / "in"
     source.mkdir()
     for i in range(8):
-        write_csv(source / f"part{i}.csv.gz", stars.slice(2000 * i, 2000))
+        write_csv(source / f"part{i}.csv.gz", stars.slice(600 * i, 600))
     write_csv(source / "zagain.csv.gz", pa.concat_tables([stars.slice(0, 10), stars.slice(9, 2)]))
     (tmp_path / "out").mkdir()
     command = [sys.executable, "-c", DRIVER, str(source), str(tmp_path / "out"), str(KILLS)]

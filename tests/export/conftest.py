@@ -39,8 +39,30 @@ def _target(name, position_m, velocity_m_s):
 def labelled(tmp_path_factory):
     """A tracked satellite and a drifting one before 36 stars: two frames, layers of light."""
     folder = tmp_path_factory.mktemp("labelled")
+    render(parse_scene(_scene(folder)), folder / "run")
+    return folder / "run"
+
+
+@pytest.fixture(scope="session")
+def distorted(tmp_path_factory):
+    """The same through optics that distort and whose response varies; the camera turned."""
+    folder = tmp_path_factory.mktemp("distorted")
+    scene, edge = _scene(folder), float(SIDE - 1)
+    a = {"2_0": 2e-5, "1_1": -1e-5, "0_2": 1.5e-5, "3_0": 4e-8, "1_2": -3e-8}
+    scene["sensor"]["distortion"] = {"kind": "sip", "a": a, "b": {k: -v for k, v in a.items()}}
+    widths = ((0.8, 1.0, 0.9), (1.0, 0.7, 1.2), (0.9, 1.1, 1.3))
+    scene["sensor"]["psf"] = {
+        "kind": "field", "rows_px": [0.0, 255.0, edge], "columns_px": [0.0, 255.0, edge],
+        "psfs": [[{"kind": "gaussian", "sigma_px": s} for s in row] for row in widths],
+    }  # fmt: skip
+    scene["pointing"]["roll_deg"] = 30.0
+    render(parse_scene(scene), folder / "run")
+    return folder / "run"
+
+
+def _scene(folder):
     x, y, z, speed = 4407338.1, -41933005.2, -36593.5, [3057.8229, 321.39, 0.2805]
-    scene = {
+    return {
         "schema": "nightglass/scene/1", "name": "labelled", "epoch": "2019-07-20T09:00:00Z",
         "seed": 7,
         "observer": {
@@ -64,5 +86,3 @@ def labelled(tmp_path_factory):
         "background": {"uniform_mag_arcsec2": 20.8},
         "output": {"layers": ["dn", "stars_e", "targets_e", "mean_e"]},
     }  # fmt: skip
-    render(parse_scene(scene), folder / "run")
-    return folder / "run"

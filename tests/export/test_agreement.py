@@ -16,21 +16,29 @@ TOLERANCE_PX = 1e-3
 HALF = 24  # of the window around a source that its centroid is taken in
 
 
+@pytest.fixture(scope="module", params=["labelled", "distorted"])
+def product(request):
+    """A rate-tracked product; the same through optics that distort, with a response that varies."""
+    return request.getfixturevalue(request.param)
+
+
 @pytest.fixture(scope="module")
-def satnet(labelled, tmp_path_factory):
+def satnet(product, tmp_path_factory):
     folder = tmp_path_factory.mktemp("satnet") / "out"
-    return list(export_product(labelled, "satnet", folder, Wish(stars_snr=10.0)))
+    return list(export_product(product, "satnet", folder, Wish(stars_snr=10.0)))
 
 
 @pytest.mark.parametrize("frame", [0, 1])
 @pytest.mark.parametrize("kind", ["Satellite", "Star"])
-def test_label_light_and_wcs_agree(labelled, satnet, frame, kind):
+def test_label_light_and_wcs_agree(product, satnet, frame, kind):
     """Centroids of the noise-free layers, labels of the file, astropy's reading of its WCS."""
     image, label = satnet[2 * frame], satnet[2 * frame + 1]
-    light = read_layer(labelled, {"Satellite": "targets_e", "Star": "stars_e"}[kind], frame)
+    light = read_layer(product, {"Satellite": "targets_e", "Star": "stars_e"}[kind], frame)
     told = [o for o in json.loads(label.read_text())["data"]["objects"] if o["class_name"] == kind]
     inside = [o for o in told if all(0.08 < o[f"{a}_mid"] < 0.92 for a in "xy")]
     assert len(inside) >= {"Satellite": 2, "Star": 20}[kind]
+    streaks = [np.hypot(o["x_end"] - o["x_start"], o["y_end"] - o["y_start"]) for o in inside]
+    assert max(streaks) * 512 > 2.5  # of stars, and of the drifting target
     world = WCS(fits.getheader(image))
     for o in inside:
         middle = np.array([o[f"{a}_mid"] * 512 - 0.5 for a in "xy"])
@@ -40,6 +48,37 @@ def test_label_light_and_wcs_agree(labelled, satnet, frame, kind):
         assert np.abs(middle - drawn).max() < 2 * TOLERANCE_PX  # a lit side, a bend
         at = world.all_world2pix([[o["ra"], o["dec"]]], 0)[0]
         assert np.abs(at - middle).max() < TOLERANCE_PX, o["object_id"]
+
+
+@pytest.mark.parametrize("frame", [0, 1])
+def test_boxes_are_where_the_light_is(product, satnet, frame, tmp_path):
+    """SatNet's boxes hold the path to 0.001 px; COCO's hold path and light, and no more rows or
+    columns than they need."""
+    objects = json.loads(satnet[2 * frame + 1].read_text())["data"]["objects"]
+    for o in objects:
+        for axis in "xy":
+            ends = [o[f"{axis}_{w}"] for w in ("start", "mid", "end")]
+            assert abs(o[f"{axis}_min"] - min(ends)) * 512 < TOLERANCE_PX
+            assert abs(o[f"{axis}_max"] - max(ends)) * 512 < TOLERANCE_PX
+            assert o[f"{axis}_min"] - 1e-9 <= o[f"{axis}_light"] <= o[f"{axis}_max"] + 1e-5
+    (*_, coco) = export_product(product, "coco", tmp_path / "coco", Wish(stars_snr=10.0))
+    whole = json.loads(coco.read_text())
+    mine = [a for a in whole["annotations"] if a["image_id"] == whole["images"][frame]["id"]]
+    layers = [read_layer(product, name, frame).astype(float) for name in ("targets_e", "stars_e")]
+    named = {o["object_id"]: o for o in objects}
+    assert {a["name"] for a in mine} <= set(named)
+    assert len(mine) > 20
+    for a in mine:
+        o, (x0, y0, width, height) = named[a["name"]], map(int, a["bbox"])
+        light = np.array([o["x_light"], o["y_light"]]) * 512 - 0.5
+        assert np.abs(np.array(a["streak"]["light"]) - light).max() < TOLERANCE_PX
+        if not all(0.08 < o[f"{axis}_mid"] < 0.92 for axis in "xy"):
+            continue
+        for place in (a["streak"]["start"], a["streak"]["middle"], a["streak"]["end"]):
+            assert x0 - 0.5 <= place[0] <= x0 + width - 0.5
+            assert y0 - 0.5 <= place[1] <= y0 + height - 0.5
+        drawn = layers[0 if o["class_name"] == "Satellite" else 1]
+        assert drawn[y0 : y0 + height, x0 : x0 + width].sum() > 0.8 * a["electrons"]
 
 
 def _centroid(image, at):

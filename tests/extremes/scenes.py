@@ -26,8 +26,8 @@ def _psfs() -> st.SearchStrategy[dict[str, Any]]:
     )
 
 
+LARGE_PX, SMALL_PX = 70, 24  # sides of the frames
 SENSORS = st.fixed_dictionaries({
-    "shape": st.tuples(st.integers(1, 70), st.integers(1, 70)).map(list),
     "pixel_pitch_um": spread(3, 30), "focal_length_m": spread(0.02, 5),
     "aperture_m": spread(0.01, 1), "obscuration": st.sampled_from([0.0, 0.3]),
     "fill_factor": st.sampled_from([1.0, 0.6]),
@@ -78,8 +78,9 @@ COSMIC_RAYS = st.sampled_from([None, None, {"kind": "generated", "rate_per_cm2_s
 
 
 @st.composite
-def scenes(draw: st.DrawFn, catalogue: str) -> dict[str, Any]:
+def scenes(draw: st.DrawFn, catalogue: str, side_px: int = LARGE_PX) -> dict[str, Any]:
     """A scene that the schema accepts; what it describes may still be refused for its physics."""
+    shape = [draw(st.integers(1, side_px)), draw(st.integers(1, side_px))]
     targets = draw(st.lists(TARGETS, max_size=3))
     pointing = draw(POINTINGS)
     if pointing["mode"] == "target" and not targets:
@@ -90,7 +91,7 @@ def scenes(draw: st.DrawFn, catalogue: str) -> dict[str, Any]:
             "2095-12-31T23:59:59.999999Z",
         ])),
         "seed": draw(st.integers(0, 2**63 - 1)), "observer": draw(OBSERVERS),
-        "sensor": draw(SENSORS), "pointing": pointing,
+        "sensor": {"shape": shape, **draw(SENSORS)}, "pointing": pointing,
         "exposure": {"integration_s": draw(spread(1e-9, 1e3)), "frames": draw(st.integers(1, 2))},
         "targets": [{"name": f"t{i}", **t} for i, t in enumerate(targets)],
         "background": draw(BACKGROUNDS), "cosmic_rays": draw(COSMIC_RAYS),
@@ -109,9 +110,9 @@ WRONG = (None, "", "x", -1, 0, 1e400, float("nan"), -1e30, 2**70, [], {}, [[]], 
 
 
 @st.composite
-def broken(draw: st.DrawFn, catalogue: str) -> dict[str, Any]:
+def broken(draw: st.DrawFn, catalogue: str, side_px: int = LARGE_PX) -> dict[str, Any]:
     """A scene with one to three of its values replaced, removed, or unknown ones added."""
-    data = copy.deepcopy(draw(scenes(catalogue)))
+    data = copy.deepcopy(draw(scenes(catalogue, side_px)))
     for _ in range(draw(st.integers(1, 3))):
         holder: Any = data
         while True:

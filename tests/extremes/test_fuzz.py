@@ -25,7 +25,7 @@ assert _spec.loader is not None
 random_scenes = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(random_scenes)
 
-FEW, MANY = 30, 1000
+FEW, MANY = 50, 1000
 CALM = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
 
@@ -101,11 +101,11 @@ def _fuzz(check, strategy, count: int) -> None:
 
 
 def test_random_scenes(catalogue):
-    _fuzz(whole, random_scenes.scenes(catalogue), FEW)
+    _fuzz(whole, random_scenes.scenes(catalogue, random_scenes.SMALL_PX), FEW)
 
 
 def test_broken_scenes(catalogue):
-    _fuzz(refused_or_planned, random_scenes.broken(catalogue), FEW)
+    _fuzz(refused_or_planned, random_scenes.broken(catalogue, random_scenes.SMALL_PX), FEW)
 
 
 @pytest.mark.slow

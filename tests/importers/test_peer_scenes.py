@@ -89,7 +89,9 @@ def test_dynamic_satsim_renders(shared_data, tmp_path):
     assert report["truth_rows"]["targets"] == 2 * len(scene.targets)
 
 
-@pytest.mark.parametrize("name", ["sidereal", "target", "empty_target"])
+@pytest.mark.parametrize(
+    "name", ["sidereal", "target", pytest.param("empty_target", marks=pytest.mark.slow)]
+)
 def test_simsit_renders(shared_data, name, tmp_path):
     """The satellite stands in the middle at mid-exposure, with the light of its magnitude."""
     imported = read(shared_data / "peer_scenes" / "simsit" / f"{name}.yaml")

@@ -65,7 +65,7 @@ def _try(operation: Any, server: Any) -> None:
     documented = {int(s) for s in operation.definition.raw["responses"] if s.isdigit()}
 
     @settings(
-        max_examples=12, deadline=None, database=None,
+        max_examples=8, deadline=None, database=None,
         suppress_health_check=list(HealthCheck),
     )  # fmt: skip
     @given(case=operation.as_strategy())

@@ -8,9 +8,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.sweep.ledger import is_complete
 from service.client import Client
 
 pytest.importorskip("pipeline.sweep.run", reason="the runner of sweeps is not there")
@@ -54,15 +56,39 @@ def test_by_the_client(server: Any, sweep: dict[str, Any], tmp_path: Path) -> No
         for ask in (job.open, lambda: job.fetch(tmp_path / "out")):
             with pytest.raises(BadInput, match=r"points\(\)"):
                 ask()
+        job.fetch_sweep(tmp_path / "out")
+        fetched = pq.read_table(tmp_path / "out" / "points.parquet")
+        assert fetched.equals(table)
+        assert is_complete(tmp_path / "out")
+        with pytest.raises(BadInput, match="does not exist yet"):
+            job.fetch_sweep(tmp_path / "out")
         job.delete()
         (tmp_path / "base.json").unlink()
         with pytest.raises(BadInput, match=r"base\.json"):
             client.sweep(tmp_path / "sweep.json")
 
 
-def test_a_sweep_is_a_job(server: Any, sweep: dict[str, Any]) -> None:
-    import pyarrow.parquet as pq
+def test_by_the_command_line(
+    server: Any, sweep: dict[str, Any], tmp_path: Path, capsys: Any
+) -> None:
+    """`nightglass sweep FILE --server URL`: its results come into the folder."""
+    from pipeline.sweep_cli import sweep as command
 
+    file, out = tmp_path / "sweep.json", tmp_path / "run"
+    file.write_text(json.dumps(sweep))
+    command(file, out, server=server.url, as_json=True)
+    assert json.loads(capsys.readouterr().out)["points"] == 4
+    assert pq.read_table(out / "points.parquet").num_rows == 4
+    for options in ({"workers": 2}, {"point": 1}, {"resume": True}):
+        with pytest.raises(BadInput, match="--server"):
+            command(file, tmp_path / "other", server=server.url, **options)
+    with pytest.raises(BadInput, match="-o"):
+        command(file, out, server=server.url)
+    with pytest.raises(BadInput, match=r"no\.yaml"):
+        command(tmp_path / "no.yaml", tmp_path / "other", server=server.url)
+
+
+def test_a_sweep_is_a_job(server: Any, sweep: dict[str, Any]) -> None:
     key = {"idempotency-key": "sweep"}
     made = server.client.post("/v1/sweeps", json=sweep, headers=key)
     assert made.status_code == 202, made.text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
@@ -51,13 +53,19 @@ def draw_direct(
         down = np.exp(-2j * np.pi * fy[:, None] * (y_px[part] - origin[0])[None, :])
         along = np.exp(-2j * np.pi * (x_px[part] - origin[1])[:, None] * fx[None, :])
         total += (down * light_e[part]) @ along
-    total *= core_spectrum(core, None, *period)
+    total *= _spectrum(core, *period)
     if path.length_px or path.x_px.any() or path.y_px.any():
         total *= transfer(fy, fx, path.x_px, path.y_px, path.weight)
     rows = total.reshape(os, period[0], -1).sum(axis=0) / os
     swept = scipy.fft.ifft(rows, axis=0)[: shape[0]]
     fine = scipy.fft.irfft(swept, n=period[1] * os, axis=1)
     return np.ascontiguousarray(fine[:, : shape[1] * os : os])
+
+
+@lru_cache(maxsize=6)
+def _spectrum(core: Core, rows_px: int, columns_px: int) -> NDArray[np.complex128]:
+    """The core's spectrum over a period; sources of one class have one between them."""
+    return core_spectrum(core, None, rows_px, columns_px)
 
 
 def _period(side: int, core: Core, path: Path) -> int:

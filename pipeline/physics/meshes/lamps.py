@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Lamps = tuple[Array, Array]
 
 PLAIN = (8, 16, 32)  # parts across the lamp, for its light without shadows
-SHADED = (2, 3, 4, 6, 8)  # and for what shadows take of it
+SHADED = (2, 3, 4, 6, 8, 12, 16, 24, 32)  # and for what shadows take of it
 COARSEST = 0.02  # of one part's light: what its shadows may err by at most
 
 
@@ -33,7 +33,7 @@ def wide_lamp_intensity(
     observer : (3,) unit vector
     error : share of this light and `besides_m2_sr` (what else the body sends) that it may err by.
         Parts are made smaller until the light changes by less than half of that (at most 32 across
-        for the light, 8 for its shadows): the second number returned is the last changes' sum,
+        for the light and for its shadows): the second number returned is the last changes' sum,
         with the bounds on the areas.
     Shadows are those of `mesh_intensity`, traced for each part; none on convex bodies.
     """

@@ -52,7 +52,7 @@ def test_zonals_are_the_slope_of_the_potential(highest: int) -> None:
 
 
 def test_without_forces_it_is_two_body() -> None:
-    t = np.linspace(-43_200.0, 86_400.0, 200)
+    t = np.linspace(-7_200.0, 14_400.0, 200)
     place, speed = Trajectory(START, TT, Forces(zonals=0), 1e-12).states(t)
     exact, exact_speed = two_body(START[:3], START[3:], t)
     assert np.abs(place - exact).max() < 1e-3

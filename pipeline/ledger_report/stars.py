@@ -1,0 +1,172 @@
+"""Probes of stars: effects on places and light, polar motion, faint ones, the Earth before them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.arrays import Array
+from pipeline.execute.graph import Inputs, read_shard
+from pipeline.execute.sources import place_stars
+from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
+from pipeline.ledger_report.scenes import DEC_DEG, RA_DEG, SITE, mean_e, scene, whole
+from pipeline.physics.constants import (
+    ARCSEC_RAD,
+    BOLTZMANN_J_K,
+    DEG_RAD,
+    PLANCK_J_S,
+    SPEED_OF_LIGHT_M_S,
+)
+from pipeline.physics.positions.earth import site_state
+from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.positions.times import instants, parse_utc
+from pipeline.physics.vectors import separation
+from pipeline.plan.geometry import epochs_jyear, plan_geometry
+from pipeline.plan.occultation import earth_disc
+from pipeline.run import gather_response, prepare, shards_of
+from pipeline.scene_report.stage import Stage, light_by, mean_of, open_stage
+from pipeline.spec.load import parse_scene
+from pipeline.store.cube import CubeWriter
+
+EFFECTS = ("space_motion", "parallax", "aberration", "deflection")
+COLD_K, HOT_K = 2500.0, 50_000.0
+
+
+@probe("stars.space_motion")
+def effects(bench: Bench) -> Iterator[Found]:
+    """How far stars of a small frame are displaced where an effect on directions is left out."""
+    stage = open_stage(scene({"stars": {"catalogue": bench.catalogue}}))
+    years = float(np.abs(epochs_jyear(stage.g)[0] - stage.prepared.catalogues[0].ref_epoch_jyear))
+    in_s, full = timed(lambda: _places(stage, None), 2)
+    for name in EFFECTS:
+        out_s, less = timed(lambda name=name: _places(stage, name), 2)  # type: ignore[misc]
+        off = np.array([np.hypot(*(full[i] - p)) for i, p in less.items() if i in full])
+        arcsec = most(off) * stage.plan.facts.ifov_rad / ARCSEC_RAD
+        per = years if name == "space_motion" else 1.0
+        bound, unit = stated(stage.plan, f"stars.{name}")
+        yield Found(f"stars.{name}", f"{len(off)} stars, one like Barnard's, with and without",
+                    bound, arcsec / per, unit, out_s, in_s)  # fmt: skip
+
+
+def _places(stage: Stage, without: str | None) -> dict[int, Array]:
+    """Places [px] of the frame's stars by their source_id; one effect left out.
+
+    What aberration does to all of the field alike goes with the boresight, which is guided.
+    """
+    prepared, plan = stage.prepared, stage.plan
+    assert plan.scene.stars is not None
+    if without is not None:
+        stars = plan.scene.stars.model_copy(update={without: False})
+        plan = replace(plan, scene=plan.scene.model_copy(update={"stars": stars}))
+    writer = CubeWriter("nowhere", ("dn",))
+    inputs = Inputs(plan, prepared.maps, prepared.catalogues, prepared.left_out, writer)
+    g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
+    found: dict[int, Array] = {}
+    for shard in shards_of(plan, prepared.catalogues, g):
+        epoch = prepared.catalogues[shard.catalogue].ref_epoch_jyear
+        placed = place_stars(plan, read_shard(inputs, shard), g, epoch, shard.catalogue)
+        pairs = np.stack([placed.x_px, placed.y_px], axis=1)
+        found.update(zip(placed.source_id.tolist(), pairs, strict=True))
+    return found
+
+
+@probe("stars.doppler")
+def doppler(bench: Bench) -> Iterator[Found]:
+    """Electrons of black bodies that come towards a fast observer, by the band's own response."""
+    speed = 3e5
+    data = scene({"stars": {"catalogue": bench.catalogue},
+                  "observer.velocity_m_s": [0.0, 0.0, speed]})  # fmt: skip
+    parsed = parse_scene(data)
+    plan, curve = prepare(parsed).plan, gather_response(parsed)[0]
+    beta = speed / SPEED_OF_LIGHT_M_S
+    factor = np.sqrt((1.0 + beta) / (1.0 - beta))
+    at = np.linspace(curve.wavelength_m[0], curve.wavelength_m[-1], 4001)
+    taken = np.interp(at, curve.wavelength_m, curve.value)
+
+    def electrons(kelvin: float, d: float) -> float:
+        x = PLANCK_J_S * SPEED_OF_LIGHT_M_S / (BOLTZMANN_J_K * kelvin * at * d)
+        return float(np.trapezoid(taken * d**2 / (at * d) ** 4 / np.expm1(x), at))
+
+    kelvins = np.geomspace(COLD_K, HOT_K, 30)
+    out_s, rest = timed(lambda: [electrons(k, 1.0) for k in kelvins], 3)
+    in_s, moved = timed(lambda: [electrons(k, factor) for k in kelvins], 3)
+    bound, unit = stated(plan, "stars.doppler")
+    off = most(np.array(moved) / np.array(rest) - 1.0)
+    yield Found("stars.doppler", f"an observer at {speed:g} m/s, black bodies of {COLD_K:g} to "
+                f"{HOT_K:g} K", bound, off, unit, out_s, in_s)  # fmt: skip
+
+
+@probe("precession_nutation")
+def polar_motion(_: Bench) -> Iterator[Found]:
+    """A site with the pole where the Earth-orientation tables have it, month by month."""
+    from astropy.time import Time
+    from astropy.utils import iers
+
+    table = iers.IERS_B.open()
+    mjd = np.arange(41_700.0, 58_800.0, 30.0)
+    x, y = (v.to_value("rad") for v in table.pm_xy(Time(mjd, format="mjd")))
+    plan = prepare(parse_scene(scene({"observer": SITE, "pointing": {
+        "mode": "local", "azimuth_deg": 90.0, "elevation_deg": 60.0},
+        "stars": None}))).plan  # fmt: skip
+    at = instants(parse_utc("2019-12-01T08:00:00Z"), [0.0])
+    args = SITE["longitude_deg"] * DEG_RAD, SITE["height_m"]
+    lats = np.radians([-60.0, 20.7, 80.0])
+    out_s, still = timed(lambda: [site_state(lat, *args, at)[0] for lat in lats])
+    in_s, moved = timed(lambda: [
+        [site_state(lat, *args, at, a, b)[0] for a, b in zip(x, y, strict=True)] for lat in lats
+    ])  # fmt: skip
+    off = max(np.linalg.norm(np.array(m)[:, 0] - s[0], axis=-1).max()
+              for m, s in zip(moved, still, strict=True))  # fmt: skip
+    bound, unit = stated(plan, "polar_motion")
+    yield Found("polar_motion", f"three sites, the pole of IERS B in {len(x)} months since 1973",
+                bound, float(off), unit, out_s, in_s / len(x))  # fmt: skip
+
+
+@probe("stars.faint")
+def faint(bench: Bench) -> Iterator[Found]:
+    """A frame without the stars beyond the limit that the noise sets, beside one of all stars."""
+    sky = {"uniform_e_per_s": 4e5, "starlight": "all"}
+    auto = scene({"stars": {"catalogue": bench.catalogue, "faintest_g_mag": "auto"},
+                  "background": sky, "sensor.read_noise_e": 100.0,
+                  "sensor.aperture_m": 0.02})  # fmt: skip
+    every = scene({"stars.faintest_g_mag": 21.0}, auto)
+    few, many = open_stage(auto), open_stage(every)
+    out_s, less = timed(lambda: mean_e(few), 2)
+    in_s, all_of_them = timed(lambda: mean_e(many), 2)
+    bound, unit = stated(few.plan, "stars.faint")
+    assert few.plan.scene.stars is not None
+    limit = few.plan.scene.stars.faintest_g_mag
+    yield Found("stars.faint", f"{len(many.stars) - len(few.stars)} stars beyond G = {limit:g} as "
+                "smooth light, beside all stars drawn", bound, most(all_of_them - less), unit,
+                out_s, in_s)  # fmt: skip
+
+
+@probe("earth_occultation")
+def hidden(bench: Bench) -> Iterator[Found]:
+    """Which pixels get light of stars that stand behind the Earth's limb."""
+    middle = np.array([np.cos(DEC_DEG * DEG_RAD) * np.cos(RA_DEG * DEG_RAD),
+                       np.cos(DEC_DEG * DEG_RAD) * np.sin(RA_DEG * DEG_RAD),
+                       np.sin(DEC_DEG * DEG_RAD)])  # fmt: skip
+    across = np.cross(middle, [0.0, 0.0, 1.0])
+    across /= np.sqrt(across @ across)
+    radius = 4.2164e7
+    limb = np.arcsin(6_378_137.0 / radius) + 0.0008
+    place = -radius * (np.cos(limb) * middle + np.sin(limb) * across)
+    speed = 3075.0 * np.cross(across, middle)
+    observer = {"kind": "orbit", "orbit": {"kind": "state", "position_m": place.tolist(),
+                                           "velocity_m_s": speed.tolist()}}  # fmt: skip
+    stage = open_stage(scene({"observer": observer, "stars": {"catalogue": bench.catalogue}}))
+    tile, stars, g = whole(stage), stage.stars, stage.g
+    down, disc = earth_disc(stage.plan.scene, g, 0)
+    u = deproject(stage.plan.camera, g.attitude[0, g.middle], stars.x_px, stars.y_px)
+    seen = separation(u, down[None]) >= disc
+    in_s, kept = timed(lambda: type(stars)(**{
+        f: getattr(stars, f)[seen] for f in stars.__dataclass_fields__}))  # fmt: skip
+    light = [mean_of(s, light_by(s, s.plan)(tile), tile) for s in
+             (stage, replace(stage, stars=kept))]  # fmt: skip
+    changed = np.abs(light[0] - light[1]) > 0.01 * stage.plan.facts.sigma_floor_e
+    bound, unit = stated(stage.plan, "earth_occultation")
+    yield Found("earth_occultation", f"the limb in the frame: {int((~seen).sum())} of {len(seen)} "
+                "stars stand behind it", bound, float(changed.mean()), unit, 0.0, in_s)  # fmt: skip

@@ -1,0 +1,29 @@
+"""What a scene costs at least, told from the scene alone: CPU seconds before any plan is made."""
+
+from __future__ import annotations
+
+import math
+
+from pipeline.plan.tiles import tile_shape
+from pipeline.plan.timing import frame_count
+from pipeline.spec.scene import Scene
+
+# CPU seconds on one core of the 2-core reference machine; what was measured of the examples, and
+# how far off the forecast was, is in docs/service.md.
+START_S = 3.5  # a process that imports, plans, and writes the last of a product
+TILE_S = 0.03  # of one tile's task: geometry, light, truth, marker
+CHUNK_S = 0.015  # one chunk packed, synced, and its cells' checksums
+NOISE_S_PER_PIXEL = 60e-9
+
+
+def least_cpu_s(scene: Scene) -> float:
+    """CPU seconds that a scene takes without the light of its stars: pixels, tiles, layers.
+
+    Its stars are counted by the plan (`predict`), which needs their catalogue.
+    """
+    pixels = math.prod(scene.sensor.shape)
+    sides = zip(scene.sensor.shape, tile_shape(scene), strict=True)
+    tiles = math.prod(-(-length // side) for length, side in sides)
+    layers = len({"dn", *scene.output.layers})
+    frame_s = pixels * NOISE_S_PER_PIXEL + tiles * (TILE_S + layers * CHUNK_S)
+    return START_S + frame_count(scene) * frame_s

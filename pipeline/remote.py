@@ -1,0 +1,201 @@
+"""Products at s3 URLs: rendered straight into an object store, in parts, gone on with, verified."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from catalog_tools.objects import Objects, is_url, open_objects
+from catalog_tools.schedulers import open_scheduler
+from catalog_tools.stores import Unreachable
+from pipeline.errors import BadInput, Incomplete, NightglassError
+from pipeline.finish import finish
+from pipeline.run import (
+    WHOLE,
+    Listener,
+    Options,
+    Prepared,
+    Share,
+    all_done,
+    catalogue_facts_of,
+    draw,
+    prepare,
+    summary_of,
+)
+from pipeline.spec.load import load_scene, parse_text
+from pipeline.spec.scene import Scene
+from pipeline.store import layout
+from pipeline.store import remote as store
+from pipeline.store.lease import Lease, only_writer_of
+from pipeline.store.product import Begun, Verdict
+
+__all__ = ["check_url", "is_url", "join_url", "render_to_url"]
+
+
+def render_to_url(
+    scene: Scene, url: str, options: Options | None = None, listen: Listener | None = None,
+    share: Share = WHOLE,
+) -> dict[str, Any]:  # fmt: skip
+    """Render a scene, or a share of it, into a product below an s3 URL and return its report.
+
+    The bits are those of a product in a folder. Of parts the one that ends last finishes the
+    product; before that `complete` is false. Raises as `pipeline.run.render` does; Incomplete also
+    where the store is not reached any more.
+    """
+    options, started = options or Options(), time.perf_counter()
+    objects = open_objects(url)
+    store.reached(objects, "-o")
+    prepared = prepare(scene)
+    whole = share.parts == 1
+    part = None if whole else f"part-{share.part}-of-{share.parts}"
+    with _held(objects, part) as (stage, lease):
+        if options.replace:
+            store.remove_remote(objects)
+        resume = (options.resume if not options.replace else False) if whole else None
+        begun = _begun(objects, stage, prepared, resume, _mine(prepared, share))
+        sealed = objects.get(layout.COMPLETE) is not None
+        if sealed and (not whole or all_done(begun, prepared.plan)):
+            return _stored_report(objects)
+        if whole:
+            store.unseal_remote(objects)
+        objects.put(layout.PLAN, layout.to_json(summary_of(prepared)))
+        planned = time.perf_counter()
+        with (
+            _nothing_left_behind(objects, whole),
+            open_scheduler(options.scheduler, options.workers) as scheduler,
+        ):
+            draw(prepared, begun, scheduler, listen, share)
+            workers = scheduler.workers
+        times = {
+            "plan_s": planned - started, "draw_s": time.perf_counter() - planned,
+            "workers": workers, "scheduler": options.scheduler,
+        }  # fmt: skip
+        if whole:
+            return _finished(objects, stage, prepared, begun, times, lease)
+    first, end = share.span(prepared.plan)
+    told = {
+        "part": f"{share.part}/{share.parts}", "tiles": end - first, "complete": False,
+        "seconds": times,
+    }  # fmt: skip
+    if any(store.lacking(objects, prepared.plan)):
+        return told
+    try:
+        return join_url(url, prepared, times)
+    except BadInput:  # another part is still at work, or is finishing it
+        return told
+
+
+def join_url(
+    url: str, prepared: Prepared | None = None, times: dict[str, Any] | None = None,
+    scene: Path | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Finish a product below an s3 URL whose parts are all done, and return its report.
+
+    scene : default the one in the product. Raises Incomplete where tiles are missing.
+    """
+    objects = open_objects(url, "PRODUCT")
+    store.reached(objects, "PRODUCT")
+    if prepared is None:
+        prepared = prepare(load_scene(scene) if scene else _scene_of(objects))
+    times = times or {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
+    with _held(objects, None) as (stage, lease):
+        begun = _begun(objects, stage, prepared, True, _mine(prepared, WHOLE))
+        if objects.get(layout.COMPLETE) is not None:
+            return _stored_report(objects)
+        tiles, truth = store.lacking(objects, prepared.plan)
+        if tiles or truth:
+            damaged = f"; damaged: {'; '.join(begun.redrawn[:5])}" if begun.redrawn else ""
+            raise Incomplete(
+                f"{url}: {tiles} tile(s) and {truth} truth part(s) are missing: run the parts "
+                f"that were cut off again, then `nightglass join`{damaged}"
+            )
+        return _finished(objects, stage, prepared, begun, times, lease)
+
+
+def check_url(url: str) -> Verdict:
+    """Verify a product below an s3 URL, as `pipeline.store.product.check` does one in a folder."""
+    objects = open_objects(url, "PRODUCT")
+    store.reached(objects, "PRODUCT")
+    with TemporaryDirectory(prefix="nightglass-") as folder, _explained(objects):
+        return store.check_remote(objects, Path(folder) / "product")
+
+
+@contextmanager
+def _held(objects: Objects, part: str | None) -> Iterator[tuple[Path, Lease]]:
+    """The product's lease, and a folder for its small files."""
+    with (
+        _explained(objects),
+        TemporaryDirectory(prefix="nightglass-") as folder,
+        only_writer_of(objects, part) as lease,
+    ):
+        yield Path(folder) / "product", lease
+
+
+@contextmanager
+def _nothing_left_behind(objects: Objects, whole: bool) -> Iterator[None]:
+    """Remove a product of which nothing was finished when its drawing failed."""
+    try:
+        yield
+    except NightglassError:
+        if whole and not objects.names(f"{layout.MARKERS}/"):
+            store.remove_remote(objects)
+        raise
+
+
+@contextmanager
+def _explained(objects: Objects) -> Iterator[None]:
+    try:
+        yield
+    except Unreachable as error:
+        raise Incomplete(f"{error}; what is finished is kept (--resume)") from None
+    except FileNotFoundError as error:  # an object or the bucket went while we worked
+        raise Incomplete(f"{objects.url}: not found: {error}; what is finished is kept") from None
+
+
+def _begun(
+    objects: Objects, stage: Path, prepared: Prepared, resume: bool | None,
+    mine: Callable[[int, int, int], bool],
+) -> Begun:  # fmt: skip
+    digest = "+".join(c.digest for c in prepared.catalogues) or None
+    return store.begin_remote(objects, stage, prepared.plan, digest, resume, mine)
+
+
+def _mine(prepared: Prepared, share: Share) -> Callable[[int, int, int], bool]:
+    """Whether a tile (frame, row, column) is of a share."""
+    plan = prepared.plan
+    numbers = {(t.row, t.column): i for i, t in enumerate(plan.tiles)}
+
+    def mine(frame: int, row: int, column: int) -> bool:
+        return share.holds(plan, frame, numbers.get((row, column), -1))
+
+    return mine
+
+
+def _finished(
+    objects: Objects, stage: Path, prepared: Prepared, begun: Begun, times: dict[str, Any],
+    lease: Lease,
+) -> dict[str, Any]:  # fmt: skip
+    """Finish a product in a folder that holds all but most of its chunks, and put what it made."""
+    lease.check()
+    store.bring(objects, stage)
+    report = finish(prepared.plan, catalogue_facts_of(prepared), begun, times)
+    lease.check()
+    store.publish(objects, stage)
+    return report
+
+
+def _stored_report(objects: Objects) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(objects.get(layout.REPORT) or b"{}")
+    return found
+
+
+def _scene_of(objects: Objects) -> Scene:
+    from pipeline.spec.load import parse_scene
+
+    content = objects.get(layout.SCENE) or b""
+    return parse_scene(parse_text(content, f"{objects.url}/{layout.SCENE}"))

@@ -1,0 +1,247 @@
+"""Products on s3: the bits of a folder's, never half there, gone on with, proved, one writer."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.run import Options, Share, render
+from pipeline.spec.load import parse_scene
+from pipeline.store.markers import place_of
+
+pytestmark = pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("s3fs", "moto", "flask")),
+    reason="s3fs or moto's server is not installed",
+)
+SECRET = "wJalrXUtnFEMI"
+HERE = Options("synchronous")
+SCENE = {
+    "schema": "nightglass/scene/1", "name": "afar", "epoch": "2019-07-20T09:00:00Z", "seed": 5,
+    "observer": {"kind": "orbit", "orbit": {
+        "kind": "state", "position_m": [7.0e6, 0.0, 0.0], "velocity_m_s": [0.0, 7546.0, 0.0],
+    }},
+    "sensor": {
+        "shape": [300, 256], "pixel_pitch_um": 9.0, "focal_length_m": 0.5, "aperture_m": 0.1,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900}, "read_noise_e": 4.0,
+        "psf": {"kind": "gaussian", "sigma_px": 0.8},
+    },
+    "pointing": {"mode": "target", "target": "sat"},
+    "targets": [{
+        "name": "sat", "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2},
+        "orbit": {"kind": "state", "position_m": [4.2e7, 0.0, 0.0],
+                  "velocity_m_s": [0.0, 3070.0, 0.0]},
+    }],
+    "exposure": {"integration_s": 0.1, "frames": 2},
+    "background": {"uniform_e_per_s": 9.0},
+    "output": {"tile_shape": [256, 256], "layers": ["dn", "mean_e"]},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bucket():
+    """A bucket of a local S3 server, and credentials that are secret."""
+    import s3fs
+    from moto.server import ThreadedMotoServer
+
+    from catalog_tools import objects
+
+    server = ThreadedMotoServer(port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in {
+            "AWS_ENDPOINT_URL": f"http://{host}:{port}", "AWS_ACCESS_KEY_ID": "AKIDEXAMPLE",
+            "AWS_SECRET_ACCESS_KEY": SECRET, "AWS_DEFAULT_REGION": "us-east-1",
+        }.items():  # fmt: skip
+            patch.setenv(name, value)
+        s3fs.S3FileSystem.clear_instance_cache()
+        objects._files.cache_clear()
+        s3fs.S3FileSystem().mkdir("runs")
+        yield "s3://runs"
+        s3fs.S3FileSystem.clear_instance_cache()
+        objects._files.cache_clear()
+    server.stop()
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory):
+    path = tmp_path_factory.mktemp("local") / "run"
+    return path, render(parse_scene(SCENE), path, HERE)
+
+
+@pytest.fixture(scope="module")
+def made(bucket):
+    """A product that two parts made, the second of them finishing it."""
+    from pipeline.remote import render_to_url
+
+    url, scene = f"{bucket}/team/run", parse_scene(SCENE)
+    first = render_to_url(scene, url, HERE, share=Share(1, 2))
+    assert not first["complete"]
+    return url, render_to_url(scene, url, HERE, share=Share(2, 2))
+
+
+def test_same_product_as_in_a_folder(local, made):
+    """Every chunk and marker has the bytes of the folder's; xarray opens it."""
+    import xarray as xr
+
+    from catalog_tools.objects import Objects
+    from pipeline.remote import check_url
+
+    (path, report), (url, remote) = local, made
+    assert remote["complete"]
+    assert remote["content_digest"] == report["content_digest"]
+    objects = Objects(url)
+    for file in path.rglob("*"):
+        name = file.relative_to(path).as_posix()
+        if file.is_file() and not file.name.startswith(".lock"):
+            content = objects.get(name)
+            assert content is not None, name
+            if "/c/" in name or "markers" in name or name.endswith("zarr.json"):
+                assert content == file.read_bytes(), name
+    assert not [n for n in objects.names() if ".parts" in n]
+    verdict = check_url(url)
+    assert verdict.whole, verdict.faults
+    assert (verdict.tiles, verdict.tiles_expected) == (4, 4)
+    cube = xr.open_zarr(f"{url}/cube.zarr", chunks=None)
+    here = xr.open_zarr(path / "cube.zarr", chunks=None)
+    assert np.array_equal(cube["dn"], here["dn"])
+    assert SECRET not in json.dumps(remote) + "".join(
+        str(objects.get(n)) for n in objects.names() if "/c/" not in n
+    )
+
+
+def test_damage_is_named(made):
+    from catalog_tools.objects import Objects
+    from pipeline.remote import check_url, render_to_url
+
+    url, objects, scene = made[0], Objects(made[0]), parse_scene(SCENE)
+    names = ("cube.zarr/dn/c/1/1/0", "cube.zarr/mean_e/c/0/1/0", "plan.json", ".begun.json")
+    chunk, gone, plan, begun = names
+    good = {name: objects.get(name) for name in names}
+    objects.put(chunk, good[chunk][:-1] + bytes([good[chunk][-1] ^ 1]))
+    objects.put(plan, b"{}")
+    objects.delete([gone])
+    assert sorted(check_url(url).faults) == [
+        f"{chunk}: the checksum differs", f"{gone}: the chunk of layer mean_e is missing",
+        "plan.json: the digest differs",
+    ]  # fmt: skip
+    with pytest.raises(BadInput, match="--resume"):
+        render_to_url(scene, url, HERE)
+    with pytest.raises(BadInput, match="same scene_sha256"):
+        render_to_url(parse_scene(SCENE | {"seed": 6}), url, replace(HERE, resume=True))
+    objects.put(begun, b"{")
+    with pytest.raises(Damaged, match=r"\.begun\.json"):
+        check_url(url)
+    for name, content in good.items():
+        objects.put(name, content)
+    assert check_url(url).whole
+
+
+def test_an_interrupted_product_is_not_whole_and_goes_on(bucket, local):
+    """What is cut off shows no cube; --resume draws what is missing or damaged, and only that."""
+    from catalog_tools.objects import Objects
+    from pipeline.remote import check_url, join_url, render_to_url
+    from pipeline.store.remote import remove_remote
+
+    url, scene = f"{bucket}/cut", parse_scene(SCENE)
+
+    def stop(progress):
+        if progress.done >= 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render_to_url(scene, url, HERE, stop)
+    objects = Objects(url)
+    assert objects.get("cube.zarr/zarr.json") is None
+    assert objects.get("_COMPLETE") is None
+    assert not check_url(url).complete
+    frame, row, column = place_of(Path(min(objects.names("markers/"))))
+    objects.put(f"cube.zarr/dn/c/{frame}/{row}/{column}", b"?")
+    with pytest.raises(Incomplete, match="3 tile"):
+        join_url(url)
+    done = []
+    report = render_to_url(scene, url, replace(HERE, resume=True), done.append)
+    assert (done[0].done, done[-1].done) == (1, 4)
+    assert report["tiles_resumed"] == 1
+    assert report["content_digest"] == local[1]["content_digest"]
+    assert render_to_url(scene, url, replace(HERE, resume=True)) == report
+    begun = objects.get(".begun.json")
+    objects.delete([".begun.json"])
+    with pytest.raises(BadInput, match="--replace"):
+        remove_remote(objects)
+    objects.put(".begun.json", begun)
+    remove_remote(objects)
+    assert all(name.startswith(".lock") for name in objects.names())
+
+
+def test_one_writer_at_a_time(bucket, monkeypatch):
+    from catalog_tools.objects import Objects
+    from pipeline.remote import render_to_url
+    from pipeline.store import lease
+
+    objects, scene = Objects(f"{bucket}/busy"), parse_scene(SCENE)
+    with lease.only_writer_of(objects) as mine:
+        for shared in (None, "part-1-of-2"):
+            with pytest.raises(BadInput, match="no other render"), lease.only_writer_of(
+                objects, shared
+            ):  # fmt: skip
+                pass
+        with pytest.raises(BadInput, match="no other render"):
+            render_to_url(scene, objects.url, HERE)
+        monkeypatch.setattr(lease, "RUNS_OUT_S", 0.0)  # as if it had died long ago
+        with lease.only_writer_of(objects) as other:
+            mine.renew()
+            with pytest.raises(Incomplete, match="taken this product over"):
+                mine.check()
+            other.renew()
+            other.check()
+    monkeypatch.undo()
+    with lease.only_writer_of(objects, "part-1-of-2"):
+        with lease.only_writer_of(objects, "part-2-of-2"):
+            pass
+        with pytest.raises(BadInput, match="no other render"), lease.only_writer_of(objects):
+            pass
+    with lease.only_writer_of(objects):
+        pass
+
+
+def test_a_conditional_put_has_one_winner(bucket):
+    from concurrent.futures import ThreadPoolExecutor
+
+    from catalog_tools.objects import Objects
+
+    objects = Objects(f"{bucket}/race")
+    with ThreadPoolExecutor(8) as pool:
+        won = list(pool.map(lambda i: objects.create("one", b"%d" % i), range(8)))
+    assert sum(won) == 1
+    assert objects.get("one") == b"%d" % won.index(True)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "s3://bucket", "s3:///x", "http://h/x", "memory://x", "s3://b/../x", "file:///x",
+        "s3://AKID:hunter2@b/x", "s3://b/x?key=hunter2",
+    ],
+)  # fmt: skip
+def test_bad_urls(url):
+    from pipeline.remote import render_to_url
+
+    with pytest.raises(BadInput, match="s3://BUCKET/NAME") as caught:
+        render_to_url(parse_scene(SCENE), url)
+    assert "hunter2" not in str(caught.value)
+
+
+def test_places_that_do_not_answer(bucket, monkeypatch):
+    from pipeline.remote import check_url, render_to_url
+
+    with pytest.raises(BadInput, match="no-such-bucket"):
+        render_to_url(parse_scene(SCENE), "s3://no-such-bucket/x", HERE)
+    with pytest.raises(BadInput, match="PRODUCT"):
+        check_url(f"{bucket}/nothing")
