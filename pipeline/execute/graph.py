@@ -93,7 +93,7 @@ def window_graph(
     blocks = plan_blocks(plan, sum(rows_wanted(shard) for shard in shards))
     lag = plan.lag_frames
     needed = {i - j for i, _ in work.tiles for j in range(min(i, lag) + 1)} | set(work.star_truth)
-    rectangles = tuple(dict.fromkeys((*(tile for _, tile in work.tiles), *blocks)))
+    rectangles = tuple(dict.fromkeys((*(tile for _, tile in work.tiles), *blocks)))  # each once
     views = {
         index: _view(plan, work.geometry.frame_slice(index), shards, ref_epochs_jyear, rectangles)
         for index in sorted(needed)
