@@ -106,7 +106,7 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
         if k == 0 and r.spectral_from and usual >= r.spectral_from * _blocks(plan):
             usual = math.inf  # crowds have them
         costs = _Costs(r, core, streak, frames)
-        tables = costs.tables(usual) <= SURE * costs.singly(usual)
+        tables = r.products or costs.tables(usual) <= SURE * costs.singly(usual)
         mixtures = costs.mixtures(bright) <= costs.along(bright)
         phases, mixed = core.phases * tables, costs.mixed_phases * mixtures
         classes.append(replace(core, phases=phases, mixed_phases=mixed))
