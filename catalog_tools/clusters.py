@@ -15,6 +15,7 @@ LOOPBACK = ("localhost", "::1")
 CERTIFICATES = ("NIGHTGLASS_CLUSTER_CA", "NIGHTGLASS_CLUSTER_CERT", "NIGHTGLASS_CLUSTER_KEY")
 WAIT_S = "NIGHTGLASS_WORKERS_WAIT_S"  # how long to wait for the first worker
 MOST_JOBS = 16
+ANSWER_S = 10.0  # how long a scheduler may take to answer
 
 
 def check_address(address: str, others: tuple[str, ...]) -> None:
@@ -66,7 +67,7 @@ def connected(address: str) -> Iterator[Any]:
 
     security = security_of(address)
     try:
-        client = Client(address, timeout=10, security=security)
+        client = Client(address, timeout=ANSWER_S, security=security)
     except (OSError, TimeoutError, ValueError) as error:
         raise BadInput(
             "--scheduler", address, f"the address of a running scheduler; {error}"

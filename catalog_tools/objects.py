@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -108,7 +109,11 @@ def _all_of(paths: list[str], files: Any) -> dict[str, bytes]:
 
 
 def _without(paths: list[str], files: Any) -> None:
-    files.rm(paths)
+    for path in (p for p in paths if set("*?[]") & set(p)):
+        files.rm_file(path)  # `rm` would delete all that the name matches
+    plain = [p for p in paths if not set("*?[]") & set(p)]
+    if plain:
+        files.rm(plain)
 
 
 @cache
@@ -121,7 +126,7 @@ def _files() -> Any:
 
 def is_url(place: str | os.PathLike[str]) -> bool:
     """Whether a result is to go to a URL, and not to a file system."""
-    return "://" in os.fspath(place)
+    return re.match("[A-Za-z][A-Za-z0-9+.-]+:/", os.fspath(place)) is not None
 
 
 def open_objects(url: str, field: str = "-o") -> Objects:
@@ -136,7 +141,8 @@ def open_objects(url: str, field: str = "-o") -> Objects:
         told = f"{allowed} (credentials come from the environment, never from a URL)"
         raise BadInput(field, without_secrets(url), told)
     steps = parts.path.strip("/").split("/")
-    if parts.scheme != SCHEME or not parts.netloc or {"", ".", ".."} & set(steps):
+    odd = {"", ".", ".."} & set(steps) or set("*?[]") & set(parts.path)  # the client takes globs
+    if parts.scheme != SCHEME or not parts.netloc or odd:
         raise BadInput(field, without_secrets(url), allowed)
     try:
         _files()

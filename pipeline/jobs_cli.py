@@ -138,7 +138,8 @@ def fetch(
     output: Output,
     wait: Annotated[bool, typer.Option(help="wait until the job has ended")] = True,
 ) -> None:
-    """Fetch the product of a job and verify it; goes on with what is there already."""
+    """Fetch the product of a job, or what a sweep made, and verify it; a product is gone on with."""
     with connect(server) as client:
         found = client.job(job)
-        print((found.wait() if wait else found).fetch(output))
+        found = found.wait() if wait else found
+        print(found.fetch_sweep(output) if found.facts["kind"] == "sweep" else found.fetch(output))

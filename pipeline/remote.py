@@ -20,6 +20,7 @@ from pipeline.run import (
     Listener,
     Options,
     Prepared,
+    Progress,
     Share,
     all_done,
     catalogue_facts_of,
@@ -33,6 +34,8 @@ from pipeline.store import layout
 from pipeline.store import remote as store
 from pipeline.store.lease import Lease, only_writer_of
 from pipeline.store.product import Begun, Verdict
+
+JOIN_TRIES, JOIN_AGAIN_S = 10, 1.0
 
 __all__ = ["check_url", "is_url", "join_url", "render_to_url"]
 
@@ -66,10 +69,10 @@ def render_to_url(
         objects.put(layout.PLAN, layout.to_json(summary_of(prepared)))
         planned = time.perf_counter()
         with (
-            _nothing_left_behind(objects, whole),
+            _nothing_left_behind(objects, whole, lease),
             open_scheduler(options.scheduler, options.workers) as scheduler,
         ):
-            draw(prepared, begun, scheduler, listen, share)
+            draw(prepared, begun, scheduler, _watched(lease, listen), share)
             workers = scheduler.workers
         times = {
             "plan_s": planned - started, "draw_s": time.perf_counter() - planned,
@@ -84,10 +87,23 @@ def render_to_url(
     }  # fmt: skip
     if any(store.lacking(objects, prepared.plan)):
         return told
-    try:
-        return join_url(url, prepared, times)
-    except BadInput:  # another part is still at work, or is finishing it
-        return told
+    for _ in range(JOIN_TRIES):
+        try:
+            return join_url(url, prepared, times)
+        except BadInput:  # another part is closing, or is finishing it
+            time.sleep(JOIN_AGAIN_S)
+    return told
+
+
+def _watched(lease: Lease, listen: Listener | None) -> Listener:
+    """Ends a drawing whose lease was lost, at the next tile."""
+
+    def heard(progress: Progress) -> None:
+        lease.check()
+        if listen is not None:
+            listen(progress)
+
+    return heard
 
 
 def join_url(
@@ -101,7 +117,8 @@ def join_url(
     objects = open_objects(url, "PRODUCT")
     store.reached(objects, "PRODUCT")
     if prepared is None:
-        prepared = prepare(load_scene(scene) if scene else _scene_of(objects))
+        with _explained(objects):
+            prepared = prepare(load_scene(scene) if scene else _scene_of(objects))
     times = times or {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
     with _held(objects, None) as (stage, lease):
         begun = _begun(objects, stage, prepared, True, _mine(prepared, WHOLE))
@@ -137,12 +154,12 @@ def _held(objects: Objects, part: str | None) -> Iterator[tuple[Path, Lease]]:
 
 
 @contextmanager
-def _nothing_left_behind(objects: Objects, whole: bool) -> Iterator[None]:
+def _nothing_left_behind(objects: Objects, whole: bool, lease: Lease) -> Iterator[None]:
     """Remove a product of which nothing was finished when its drawing failed."""
     try:
         yield
     except NightglassError:
-        if whole and not objects.names(f"{layout.MARKERS}/"):
+        if whole and not lease.lost and not objects.names(f"{layout.MARKERS}/"):
             store.remove_remote(objects)
         raise
 
@@ -197,5 +214,7 @@ def _stored_report(objects: Objects) -> dict[str, Any]:
 def _scene_of(objects: Objects) -> Scene:
     from pipeline.spec.load import parse_scene
 
-    content = objects.get(layout.SCENE) or b""
+    content = objects.get(layout.SCENE)
+    if content is None:
+        raise BadInput("PRODUCT", objects.url, "a product begun by `nightglass render`")
     return parse_scene(parse_text(content, f"{objects.url}/{layout.SCENE}"))

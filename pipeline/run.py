@@ -45,6 +45,7 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
 from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
+from pipeline.plan.cost import CHUNK_S, TILE_S
 from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
@@ -70,6 +71,8 @@ if TYPE_CHECKING:
     from pipeline.plan.sky import SkyPlan
 
 Listener = Callable[["Progress"], None]
+
+LOOKED_AT = 5  # frames, spread over the scene, whose stars are counted
 
 
 @dataclass(frozen=True)
@@ -176,17 +179,20 @@ def prepare(scene: Scene) -> Prepared:
 
 
 def _with_engines(plan: Plan, catalogues: tuple[Catalogue, ...], geometry: Geometry) -> Plan:
-    """The plan with the stars' engines chosen by how many of them its middle frame may hold."""
+    """The plan with the stars' engines chosen by how many of them its fullest frame may hold."""
     if plan.scene.stars is None:
         return plan
     from pipeline.plan.star_engines import choose_engines, star_counts
 
-    limit = plan.scene.stars.faintest_g_mag
-    shards = shards_of(plan, catalogues, geometry.frame_slice(len(geometry.frame) // 2))
-    groups = [
-        (s.leaf, groups_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards
-    ]
-    return choose_engines(plan, geometry, star_counts(plan, groups))
+    limit, last = plan.scene.stars.faintest_g_mag, len(geometry.frame) - 1
+    counts = []
+    for frame in np.unique(np.linspace(0, last, LOOKED_AT).astype(int)):
+        shards = shards_of(plan, catalogues, geometry.frame_slice(int(frame)))
+        groups = [
+            (s.leaf, groups_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards
+        ]
+        counts.append(star_counts(plan, groups))
+    return choose_engines(plan, geometry, max(counts, key=lambda c: float(c.rows.sum())))
 
 
 def _sky(
@@ -447,7 +453,9 @@ def _tiles_a_task(prepared: Prepared, scheduler: Scheduler, tiles: int) -> int:
         return 1
     plan = prepared.plan
     tile_s = frame_seconds(plan, _forecast(prepared)) / len(plan.tiles)
-    return tiles_a_bundle(tile_s, scheduler.least_task_s, tiles, scheduler.workers)
+    tile_s += TILE_S + CHUNK_S * len(prepared.plan.scene.output.layers)
+    window = max(TASKS_PER_WINDOW, len(plan.tiles))  # at most so many are sent at a time
+    return tiles_a_bundle(tile_s, scheduler.least_task_s, min(tiles, window), scheduler.workers)
 
 
 def _windows(plan: Plan, share: Share) -> Iterator[np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -56,15 +57,18 @@ def fetch_sweep(job: RemoteJob, folder: Path, parallel: int = 8) -> Path:
     proved by its digest; the seal comes last. Raises as `fetch_product` does."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise BadInput("-o", str(folder), "a path that does not exist yet")
-    folder.mkdir(parents=True, exist_ok=True)
+    stage = folder.with_name(folder.name + PART)  # of an earlier try: begun anew
+    shutil.rmtree(stage, ignore_errors=True)
+    stage.mkdir(parents=True)
     seal = job.client.ask("GET", f"{job.path}/results/{layout.COMPLETE}").content
     files = [(path, size) for path, size in _listing(job) if path != layout.COMPLETE]
     with ThreadPoolExecutor(parallel) as pool:
-        list(pool.map(lambda file: _fetch(job, folder, file[0], file[1], lambda _: None), files))
+        list(pool.map(lambda file: _fetch(job, stage, file[0], file[1], lambda _: None), files))
     for name, digest in json.loads(seal)["files"].items():
-        if not (folder / name).is_file() or file_digest(folder / name) != digest:
+        if not (stage / name).is_file() or file_digest(stage / name) != digest:
             raise Damaged(name, "not what the sweep made; fetch it again")
-    layout.write_atomically(folder / layout.COMPLETE, seal)
+    layout.write_atomically(stage / layout.COMPLETE, seal)
+    stage.replace(folder)  # over an empty folder too
     return folder
 
 

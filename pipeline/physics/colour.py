@@ -140,3 +140,10 @@ def _rates(g, bp, rp, coefficients, low, high, default, zero, rate, flag):
         if not np.isfinite(g[i]):
             bad = i
     return bad
+
+
+def brightest_electrons(fit: ColourFit, area_m2: float, integration_s: float) -> float:
+    """Electrons in the exposure of a star of G = 0, of the colour that gives most."""
+    colours = np.linspace(*fit.colour_range, 257)
+    most = float(10.0 ** (-0.4 * colour_correction_mag(colours, fit).min()))
+    return fit.zero_electrons_s_m2 * area_m2 * integration_s * most

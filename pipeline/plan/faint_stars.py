@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
-from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.pupil import Blur
-from pipeline.physics.sky.starlight import brightest_correction
 from pipeline.plan.star_paths import star_paths
 
 Array = NDArray[np.float64]
@@ -59,11 +57,6 @@ def faint_limit(
 def limits_g_mag() -> Array:
     """All limits that are tried, bright first."""
     return np.arange(BRIGHTEST_G_MAG, FAINTEST_G_MAG + 0.01, STEP_G_MAG)
-
-
-def zero_electrons(fit: ColourFit, area_m2: float, integration_s: float) -> float:
-    """Electrons in the exposure of a star of G = 0, of the colour that gives most."""
-    return fit.zero_electrons_s_m2 * area_m2 * integration_s * brightest_correction(fit)
 
 
 def peak_share(blur: Blur, camera: Camera, g: Geometry, aberration: bool) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
+from pipeline.physics.colour import brightest_electrons
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.sky.galactic import RELATIVE_ERROR
 from pipeline.physics.sky.grid import FrameGrid, at_nodes, refine, tile_light
@@ -19,7 +20,6 @@ from pipeline.plan.faint_stars import (
     faint_limit,
     limits_g_mag,
     peak_share,
-    zero_electrons,
 )
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.sky_light import ALL_G_MAG, Light, SkyInputs, background_of
@@ -161,7 +161,7 @@ def _limit(light: Light, g: Geometry, budget_e: float) -> FaintLimit:
         found = [light.inputs.undrawn.fainter(m, u).g_squared.max() for m in limits_g_mag()]
         squared = np.array(found)
     peak = peak_share(light.facts.blur, light.camera, g, scene.star_effects["aberration"])
-    zero = zero_electrons(fit, light.facts.area_m2, integration_range_s(scene)[1])
+    zero = brightest_electrons(fit, light.facts.area_m2, integration_range_s(scene)[1])
     return faint_limit(squared, zero, peak, ifov_rad(light.camera) ** 2, budget_e)
 
 

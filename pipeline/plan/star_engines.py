@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.arrays import Array, Geometry
+from pipeline.physics.colour import brightest_electrons
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.decision import Decision
-from pipeline.plan.faint_stars import zero_electrons
 from pipeline.plan.forecast import LeafLike, share_in_field
 from pipeline.plan.responses import (
     BLOCK_PX,
@@ -82,7 +82,7 @@ def star_counts(
     for leaf, groups in leaves:
         found.append(np.array(groups, float))
         found[-1][0] *= share_in_field(plan, leaf)
-    zero_e = zero_electrons(plan.colour, plan.facts.area_m2, plan.integration_s(0))
+    zero_e = brightest_electrons(plan.colour, plan.facts.area_m2, plan.integration_s(0))
     rows, brightest, faintest = np.concatenate(found, axis=1)
     return StarCounts(rows, brightest, faintest, zero_e)
 

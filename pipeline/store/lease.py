@@ -40,7 +40,7 @@ class Lease:
 
     def renew(self) -> None:
         """Show that the owner lives; learn whether another has taken over."""
-        newest = max(_of(self.objects.names(LOCK), _kind(self.name)))
+        newest = max(_of(self.objects.names(LOCK), _kind(self.name)), default=None)
         self.lost |= newest != self.name
         if not self.lost:
             self.objects.put(self.name, self.content)
@@ -85,6 +85,11 @@ def _taken(objects: Objects, kind: str) -> Lease:
         ) from None
     if not won:
         raise _busy(objects)  # another was first
+    if objects.create(lease.name, FREE):
+        objects.delete([lease.name])
+        raise BadInput(
+            "-o", objects.url, "a store that keeps conditional PUTs (If-None-Match: *)"
+        )  # else two writers might both believe to be the only one
     return lease
 
 
@@ -123,7 +128,11 @@ def _now(objects: Objects) -> datetime:
 
 
 def _of(names: dict[str, Listed], kind: str) -> dict[str, Listed]:
-    return {name: facts for name, facts in names.items() if _kind(name) == kind}
+    return {
+        name: facts
+        for name, facts in names.items()
+        if _kind(name) == kind and name.rpartition("/")[2].isdigit()
+    }
 
 
 def _kind(name: str) -> str:

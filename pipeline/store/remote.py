@@ -6,7 +6,7 @@ record of the beginning is put after the metadata, _COMPLETE after all else; not
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -110,17 +110,20 @@ def begin_remote(
     Raises BadInput as `begin` does.
     """
     there = {n: o for n, o in objects.names().items() if not n.startswith(layout.LOCK)}
+    bare = layout.BEGUN not in there and _is_bare_beginning(there)
+    if bare:  # cut off before it was begun: begun anew
+        there = {}
     if there and resume is False:
         raise BadInput(
             "-o", objects.url, "a place where nothing is yet; or give --resume or --replace"
         )
-    if resume and layout.BEGUN not in there:
+    if resume and layout.BEGUN not in there and not bare:
         raise BadInput("--resume", objects.url, "a product begun by `nightglass render`")
     begin(stage, plan, catalogue_digest, resume=False)
     metadata = {n: (stage / layout.CUBE / n / "zarr.json").read_bytes() for n in layers_of(plan)}
     writer = RemoteWriter(objects.url, layers_of(plan), metadata)
     if layout.BEGUN not in there:
-        if there and resume is None and not _is_bare_beginning(there):
+        if there and resume is None:
             raise BadInput("-o", objects.url, "a place where nothing is yet")
         for name, content in _files_in(stage):
             if name != layout.BEGUN:
@@ -133,9 +136,9 @@ def begin_remote(
     return Begun(stage, writer, frozenset(done), frozenset(truth), tuple(faults))
 
 
-def _is_bare_beginning(there: dict[str, Listed]) -> bool:
-    """Whether all that is there is what a beginning puts before its record."""
-    return all(n == layout.SCENE or n.endswith("/zarr.json") for n in there)
+def _is_bare_beginning(names: Collection[str]) -> bool:
+    """Whether something is there, and all of it is what a beginning puts before its record."""
+    return bool(names) and all(n == layout.SCENE or n.endswith("/zarr.json") for n in names)
 
 
 def _done(
@@ -181,9 +184,15 @@ def _truth_done(objects: Objects, plan: Plan, there: dict[str, Listed]) -> set[t
 
 
 def bring(objects: Objects, stage: Path, chunks_of: int | None = 0) -> None:
-    """Copy a product's objects into a folder; of the chunks only those of one frame, or none."""
+    """Copy a product's objects into a folder; of the chunks only those of one frame, or none.
+
+    Raises Damaged for a name that would lie outside of the folder.
+    """
     names = [n for n in objects.names() if not n.startswith(layout.LOCK)]
-    wanted = [n for n in names if not has_marker(n) or int(n.split("/")[3]) == chunks_of]
+    for name in names:
+        if {"", ".", ".."} & set(name.split("/")):
+            raise Damaged(objects.url, f"an object has a name that no product has: {name!r}")
+    wanted = [n for n in names if not has_marker(n) or n.split("/")[3] == str(chunks_of)]
     for name, content in objects.get_many(wanted):
         path = stage / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -209,7 +218,7 @@ def unseal_remote(objects: Objects) -> None:
 def remove_remote(objects: Objects) -> None:
     """Remove an old product (only a product), its seal and record last."""
     names = [n for n in objects.names() if not n.startswith(layout.LOCK)]
-    if names and layout.BEGUN not in names:
+    if names and layout.BEGUN not in names and not _is_bare_beginning(names):
         raise BadInput("--replace", objects.url, "a product made by `nightglass render`")
     objects.delete(name for name in SEALS if name in names)
     objects.delete(name for name in names if name not in (*SEALS, layout.BEGUN))
@@ -234,9 +243,10 @@ def check_remote(objects: Objects, stage: Path) -> Verdict:
 def lacking(objects: Objects, plan: Plan) -> tuple[int, int]:
     """How many tiles and truth parts are not there yet."""
     names = objects.names()
-    tiles = sum(n.startswith(f"{layout.MARKERS}/") for n in names)
-    parts = (_part_name(k, frame) for k in truth_kinds(plan) for frame in range(plan.frames))
-    return len(plan.tiles) * plan.frames - tiles, sum(part not in names for part in parts)
+    frames = range(plan.frames)
+    tiles = (_marker_name(frame, t.row, t.column) for frame in frames for t in plan.tiles)
+    parts = (_part_name(k, frame) for k in truth_kinds(plan) for frame in frames)
+    return sum(tile not in names for tile in tiles), sum(part not in names for part in parts)
 
 
 def reached(objects: Objects, field_name: str) -> None:

@@ -37,6 +37,11 @@ def json_body(description: str) -> dict[str, Any]:
 SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.")
 
 
+def with_time(plan: dict[str, Any]) -> dict[str, Any]:
+    """A plan with its predicted CPU seconds first, where a client looks."""
+    return {"estimated_cpu_s": plan["predicted"]["cpu_s"]} | plan
+
+
 @router.post("", status_code=202, openapi_extra=SCENE_BODY)
 async def submit(
     request: Request,
@@ -52,7 +57,7 @@ async def submit(
     if dry_run:
         allow_time(request, settings.plan_s + settings.answer_s)
         plan = await plan_of(service, found.scene())
-        return JSONResponse({"estimated_cpu_s": plan["predicted"]["cpu_s"]} | plan)
+        return JSONResponse(with_time(plan))
     ask = service.store.ask(
         found.name, found.text, found.body_sha256, idempotency_key,
         pixel_frames=found.pixel_frames,

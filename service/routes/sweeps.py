@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from service.bodies import parse_json, read_body
 from service.context import Service
 from service.gate import allow_time
-from service.routes.jobs import check_key, json_body, plan_of, taken
+from service.routes.jobs import check_key, json_body, plan_of, taken, with_time
 from service.sweeps import accept_sweep, can_run
 from service.teams import pixel_frames_of
 
@@ -40,7 +40,8 @@ async def submit(
         allow_time(request, service.settings.plan_s + service.settings.answer_s)
         plan = await plan_of(service, sweep["scene"])
         points = pixel_frames // pixel_frames_of(sweep["scene"])
-        return JSONResponse({"points": points, "pixel_frames": pixel_frames, "base": plan})
+        size = {"points": points, "pixel_frames": pixel_frames}
+        return JSONResponse(size | {"base": with_time(plan)})
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
     name = str(data.get("name", "sweep"))[:128]
     ask = service.store.ask(

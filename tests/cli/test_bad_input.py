@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from catalog_tools import clusters
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.synthetic import make_demo
 from tests.command import nightglass
@@ -196,7 +197,8 @@ def test_bad_commands(arguments, words, tmp_path):
         assert word in result.stderr
 
 
-def test_scheduler_names(tmp_path):
+def test_scheduler_names(tmp_path, monkeypatch):
+    monkeypatch.setattr(clusters, "ANSWER_S", 1.0)
     (tmp_path / "scene.json").write_text(json.dumps(SCENE))
     for name in ("tcp://10.0.0.1:8786", "quick", "tcp://127.0.0.1:9"):
         result = nightglass(

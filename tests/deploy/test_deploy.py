@@ -26,7 +26,8 @@ SHELL = sorted([*DEPLOY.glob("**/*.sh"), *DEPLOY.glob("**/*.sbatch")])
 
 
 def tool(name: str) -> str:
-    found = shutil.which(name)
+    beside = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    found = shutil.which(name, path=beside)
     if found is None:
         pytest.skip(f"{name} is not installed")
     return found

@@ -104,7 +104,9 @@ TOGETHER = {
 }
 
 
-@pytest.mark.parametrize("name", TOGETHER)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n == "lag" else n for n in TOGETHER]
+)
 def test_same_bits_in_every_tiling(name, tmp_path):
     detector = TOGETHER[name]
     more = {"exposure": {"integration_s": 2.0, "frames": 2 if name == "lag" else 1}, **BRIGHT}

@@ -74,10 +74,11 @@ def bounds_e(plan: Plan) -> float:
     return sum(d.error_bound_e or 0.0 for d in plan.decisions if d.error_bound_sigma)
 
 
+SIGMAS_PX, FWHM_PX = (0.4, 0.73, 1.1, 1.9, 3.0), (1.5, 2.1, 2.9, 4.0)
 PSFS = st.one_of(
-    st.builds(lambda s: {"kind": "gaussian", "sigma_px": s}, st.floats(0.4, 3.0)),
+    st.builds(lambda s: {"kind": "gaussian", "sigma_px": s}, st.sampled_from(SIGMAS_PX)),
     st.just({"kind": "airy", "wavelength_nm": 650.0}),
-    st.builds(lambda f: {"kind": "moffat", "fwhm_px": f}, st.floats(1.5, 4.0)),
+    st.builds(lambda f: {"kind": "moffat", "fwhm_px": f}, st.sampled_from(FWHM_PX)),
 )
 
 

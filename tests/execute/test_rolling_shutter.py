@@ -94,7 +94,7 @@ def row_by_row(x: Any, y: Any, at_s: Any, rate_e_s: Any, delay_s: np.ndarray) ->
     return image
 
 
-@pytest.mark.parametrize("first", ["low_rows", "high_rows"])
+@pytest.mark.parametrize("first", [pytest.param("low_rows", marks=pytest.mark.slow), "high_rows"])
 def test_stars_against_each_rows_own_exposure(first: str, catalogue: str, tmp_path: Path) -> None:
     """Streaks at an angle, shifted by a few pixels from row to row of the frame, and longer."""
     speed = 12.0

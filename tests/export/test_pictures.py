@@ -25,5 +25,5 @@ def test_pictures_are_made_by_the_product(labelled, tmp_path, monkeypatch):
     made = {p.name for p in (tmp_path / "docs" / "pictures").iterdir()}
     assert made == {"demo.jpg", "masks.png", "detection.png"}
     wanted = {p.name for p in (ROOT / "docs" / "pictures").iterdir()}
-    assert wanted == made | {"report.png"}  # which docs/tools/scene_report.py makes
+    assert wanted == made | {"report.png", "omissions.png"}  # of docs/tools/scene_report.py
     assert "Detection results" in (tmp_path / "docs" / "detection.md").read_text()

@@ -77,7 +77,9 @@ def shape(**values: Any) -> Any:
 
 
 @pytest.mark.parametrize("height_m", [5e5, 3.6e7])
-@pytest.mark.parametrize("what", ["sphere", "plate", "two-sided plate"])
+@pytest.mark.parametrize(
+    "what", ["sphere", "plate", pytest.param("two-sided plate", marks=pytest.mark.slow)]
+)
 def test_against_simple_shapes(what: str, height_m: float) -> None:
     at = view(height_m)
     if what == "sphere":

@@ -204,7 +204,9 @@ def test_what_ends_with_the_wings_is_within_its_bound_in_every_class(
     assert decision.error_bound_e == pytest.approx(cut_share(plan.responses) * max(limits))
 
 
-@pytest.mark.parametrize(("q", "eps"), [(0.5, 0.3), (1.0, 0.3), (2.0, 0.0)])
+@pytest.mark.parametrize(
+    ("q", "eps"), [(0.5, 0.3), (2.0, 0.0), pytest.param(1.0, 0.3, marks=pytest.mark.slow)]
+)
 def test_brightest_source_of_each_class_stays_within_the_budget(
     scene: Make, q: float, eps: float
 ) -> None:

@@ -34,7 +34,9 @@ def rows_of(path, out, **options):
     return pq.read_table(out / "points.parquet").to_pylist()
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=pytest.mark.slow) if c == "optics" else c for c in CASES]
+)
 def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
     """Also by other schedulers, and by the cube that is kept of a point."""
     path = sweep_file(CASES[case], cubes=[1])

@@ -32,9 +32,3 @@ def band_light(
     plain = colour_correction_mag(np.array([fit.default_colour]), fit)[0]
     light = coloured + g_without_colour * 10.0 ** (-0.4 * plain)
     return np.asarray(fit.zero_electrons_s_m2 * light, float)
-
-
-def brightest_correction(fit: ColourFit) -> float:
-    """Most electrons, per those of an A0V star of the same G, that any colour of the fit gives."""
-    colours = np.linspace(*fit.colour_range, 257)
-    return float(10.0 ** (-0.4 * colour_correction_mag(colours, fit).min()))

@@ -91,7 +91,8 @@ def test_band_holds_all_of_a_positive_response() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sigma", "length"), [(0.8, 0.0), (0.8, 300.0), (0.8, 3000.0), (30.0, 300.0)]
+    ("sigma", "length"),
+    [(0.8, 0.0), (0.8, 300.0), (0.8, 3000.0), pytest.param(30.0, 300.0, marks=pytest.mark.slow)],
 )
 def test_memory_is_bounded_and_foretold(sigma: float, length: float) -> None:
     core, path = gaussian_core(sigma), line(length)

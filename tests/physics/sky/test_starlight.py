@@ -7,9 +7,9 @@ import pytest
 
 from pipeline.inputs.colour_fit import gather_colour_fit
 from pipeline.inputs.curves import resolve_response
-from pipeline.physics.colour import star_electron_rate
+from pipeline.physics.colour import brightest_electrons, star_electron_rate
 from pipeline.physics.sky.galactic import diffuse_light
-from pipeline.physics.sky.starlight import band_light, brightest_correction
+from pipeline.physics.sky.starlight import band_light
 
 BANDS = [
     ({"kind": "box", "short_nm": 400.0, "long_nm": 900.0}, 0.005),
@@ -49,7 +49,7 @@ def test_limits():
     assert one[0] == pytest.approx(rate[0], rel=1e-7)
     colours = np.linspace(*fit.colour_range, 50)
     rate, _ = star_electron_rate(np.zeros(50), colours, np.zeros(50), fit)
-    assert brightest_correction(fit) * fit.zero_electrons_s_m2 >= rate.max() * (1 - 1e-4)
+    assert brightest_electrons(fit, 1.0, 1.0) >= rate.max() * (1 - 1e-4)
 
 
 def test_diffuse_light_is_its_share_of_the_sum():
