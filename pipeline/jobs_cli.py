@@ -138,7 +138,7 @@ def fetch(
     output: Output,
     wait: Annotated[bool, typer.Option(help="wait until the job has ended")] = True,
 ) -> None:
-    """Fetch the product of a job, or what a sweep made, and verify it; a product is gone on with."""
+    """Fetch and verify a job's product, or what a sweep made; a product is gone on with."""
     with connect(server) as client:
         found = client.job(job)
         found = found.wait() if wait else found

@@ -227,7 +227,7 @@ def test_a_conditional_put_has_one_winner(bucket):
     "url",
     [
         "s3://bucket", "s3:///x", "http://h/x", "memory://x", "s3://b/../x", "file:///x",
-        "s3://AKID:hunter2@b/x", "s3://b/x?key=hunter2",
+        "s3://AKID:hunter2@b/x", "s3://b/x?key=hunter2", "s3://b/run*", "s3://b/run[1]", "s3:/b/x",
     ],
 )  # fmt: skip
 def test_bad_urls(url):
@@ -236,6 +236,37 @@ def test_bad_urls(url):
     with pytest.raises(BadInput, match="s3://BUCKET/NAME") as caught:
         render_to_url(parse_scene(SCENE), url)
     assert "hunter2" not in str(caught.value)
+
+
+def test_names_are_never_patterns_and_never_lead_outside(bucket, tmp_path):
+    """What others put into a bucket deletes nothing and writes no file of this machine."""
+    from catalog_tools.objects import Objects
+    from pipeline.store.remote import bring
+
+    objects = Objects(f"{bucket}/odd")
+    for name in ("a*", "ab", "ac"):
+        objects.put(name, b"1")
+    objects.delete(["a*"])
+    assert set(objects.names()) == {"ab", "ac"}
+    for name in ("../outside", f"/{tmp_path}/outside"):
+        objects.put(name, b"1")
+        with pytest.raises(Damaged, match="name that no product has"):
+            bring(objects, tmp_path / "stage")
+        assert not list(tmp_path.rglob("outside"))
+        objects.delete(n for n in objects.names() if "outside" in n)
+
+
+@pytest.mark.parametrize("options", [HERE, replace(HERE, resume=True), replace(HERE, replace=True)])
+def test_cut_off_before_it_was_begun(bucket, local, options):
+    """Only what is put before the record of the beginning: begun anew, whatever is asked."""
+    from catalog_tools.objects import Objects
+    from pipeline.remote import render_to_url
+
+    objects = Objects(f"{bucket}/bare-{options.resume}-{options.replace}")
+    objects.put("cube.zarr/dn/zarr.json", b"{}")
+    objects.put("scene.yaml", b"{}")
+    made = render_to_url(parse_scene(SCENE), objects.url, options)
+    assert made["content_digest"] == local[1]["content_digest"]
 
 
 def test_places_that_do_not_answer(bucket, monkeypatch):
