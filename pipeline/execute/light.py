@@ -86,7 +86,7 @@ def _draw_stamps(
             mine = select(stars, (classes == k) & (zones == zone))
             streak = paths[zone]
             bright = mine.light_e > streak.mixed_from_e
-            own = mine.light_e > streak.own_from_e if core.mixed_phases else bright
+            own = bright & (mine.light_e > streak.own_from_e) if core.mixed_phases else bright
             usual, mixed = select(mine, ~bright), select(mine, bright & ~own)
             draw_along(plan, g, image, tile, select(mine, own), paths)
             for piece in streak.pieces:

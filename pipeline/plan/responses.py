@@ -96,7 +96,8 @@ class ResponsePlan:
     @property
     def products(self) -> bool:
         """Whether stars are drawn as column times row."""
-        return all(is_product(b, self.streaks.longest_px) for b in self.blurs)
+        streak_px = 0.0 if self.streaks.still else self.streaks.longest_px
+        return all(is_product(b, streak_px) for b in self.blurs)
 
     @property
     def reach_core_px(self) -> float:

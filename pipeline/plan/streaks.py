@@ -136,7 +136,12 @@ class StreakPlan:
     @property
     def off_px(self) -> float:
         """How far light may be from where a star's own path has it, of stars with one shape."""
-        return self.spread_px + 0.5 * self.step_px + self.merge_px if self.longest_px else 0.0
+        return min(self.spread_px + 0.5 * self.step_px + self.merge_px, self.longest_px)
+
+    @property
+    def still(self) -> bool:
+        """Whether every shape is a point: the longest is rounded to none."""
+        return self.longest_px <= 0.25 * self.step_px
 
     def merged_px(self, light_e: Array, length_px: float) -> Array:
         """How far straight runs of a star's own path may be off (n,): by SHOWN of the budget."""
