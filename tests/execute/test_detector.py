@@ -197,6 +197,7 @@ def test_smear_against_brute_force(towards, cleared, tmp_path, plain):
     assert frames(tmp_path / "run")["targets_e"][0] == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_lag_against_frame_by_frame(tmp_path):
     """Reading frame after frame, keeping a share each time; also when only the last is redrawn."""
     target = copy.deepcopy(SCENE["targets"])

@@ -90,7 +90,8 @@ def test_dynamic_satsim_renders(shared_data, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["sidereal", "target", pytest.param("empty_target", marks=pytest.mark.slow)]
+    "name",
+    ["sidereal", *(pytest.param(n, marks=pytest.mark.slow) for n in ("target", "empty_target"))],
 )
 def test_simsit_renders(shared_data, name, tmp_path):
     """The satellite stands in the middle at mid-exposure, with the light of its magnitude."""

@@ -15,6 +15,7 @@ from pipeline.run import plan_scene
 from pipeline.spec.load import load_scene, parse_scene
 
 ROOT = Path(__file__).resolve().parents[2]
+DEAR = "step-and-settle"  # to plan
 SCENES = [*sorted((ROOT / "examples").glob("*.yaml")), ROOT / "pipeline" / "scenes" / "demo.yaml"]
 
 
@@ -26,7 +27,10 @@ def catalogue(tmp_path_factory) -> str:
     return str(folder / "catalogue")
 
 
-@pytest.mark.parametrize("path", SCENES, ids=[p.stem for p in SCENES])
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, id=p.stem, marks=[pytest.mark.slow] * (p.stem == DEAR)) for p in SCENES],
+)
 def test_every_decision_has_a_rule(path, catalogue):
     data = load_scene(path).as_dict()
     if data.get("stars"):

@@ -232,6 +232,7 @@ def test_images_that_lie(hasty: Any, tmp_path: Path) -> None:
     assert [p.name for p in (hasty.home / "uploads").iterdir() if p.suffix != ".csv"] == []
 
 
+@pytest.mark.slow
 def test_an_uploaded_image_gives_the_same_bits(
     server: Any, scene: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -339,6 +340,7 @@ def test_quotas_over_http(make_server: Callable[..., Any], scene: dict[str, Any]
     assert used["queued_jobs"]["limit"] == 3
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_named_and_loses_nothing(
     make_server: Callable[..., Any], scene: dict[str, Any]
 ) -> None:

@@ -43,6 +43,7 @@ def test_same_bits_as_the_engine(
     assert check(server.home / "products" / job["id"]).whole
 
 
+@pytest.mark.slow
 def test_same_bits_with_a_catalogue_and_no_path_in_the_product(
     server: Any, scene: dict[str, Any], tmp_path: Path
 ) -> None:
