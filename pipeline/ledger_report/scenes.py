@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.scene_report.stage import Stage, light_by, mean_of, open_stage
+from pipeline.spec.dotted import changed
 
 RA_DEG, DEC_DEG = 80.0, 20.0
 SIDE, STARS = 128, 260
@@ -41,17 +41,7 @@ SPHERE = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}
 
 def scene(changes: dict[str, Any] | None = None, base: dict[str, Any] | None = None) -> Any:
     """A small scene with dotted changes, such as {"sensor.shape": [8, 8]}; None removes a key."""
-    data: Any = copy.deepcopy(base or SCENE)
-    for key, value in (changes or {}).items():
-        *parents, last = key.split(".")
-        holder: Any = data
-        for part in parents:
-            holder = holder[int(part)] if part.isdigit() else holder.setdefault(part, {})
-        if value is None:
-            holder.pop(last, None)
-        else:
-            holder[last] = copy.deepcopy(value)
-    return data
+    return changed(base or SCENE, changes or {})
 
 
 def before(towards: Any, range_m: float, name: str = "t", **more: Any) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.run import Options, render
+from pipeline.spec.dotted import changed
 from pipeline.spec.load import parse_scene
 
 Array = np.ndarray
@@ -56,16 +56,7 @@ class Frames:
 
 def scene(changes: dict[str, Any]) -> dict[str, Any]:
     """The small scene with dotted changes, such as {"sensor.shape": [8, 8]}; None removes a key."""
-    data = copy.deepcopy(SCENE)
-    for key, value in changes.items():
-        *parents, last = key.split(".")
-        holder: Any = data
-        for part in parents:
-            holder = holder[int(part)] if part.isdigit() else holder.setdefault(part, {})
-        if value is None:
-            holder.pop(last, None)
-        else:
-            holder[last] = value
+    data: dict[str, Any] = changed(SCENE, changes)
     return data
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.errors import BadInput, shorten
+from pipeline.spec.dotted import NoFieldError, set_dotted
 from pipeline.spec.scene import Scene
 
 MAX_BYTES = 1 << 20
@@ -258,23 +259,11 @@ def apply_override(data: Any, override: str) -> None:
     if not sep or not re.fullmatch(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*", key):
         raise BadInput("--set", override, "dotted.key=value")
     value = parse_yaml(text, f"--set {key}") if text.strip() else None
-    *parents, last = key.split(".")
-    holder = data
-    for part in parents:
-        if isinstance(holder, list) and part.isdigit() and int(part) < len(holder):
-            holder = holder[int(part)]
-        elif isinstance(holder, dict):
-            if holder.get(part) is None:
-                holder[part] = {}
-            holder = holder[part]
-        else:
-            raise BadInput("--set", override, f"a key that exists up to {part!r}")
-    if isinstance(holder, list) and last.isdigit() and int(last) < len(holder):
-        holder[int(last)] = value
-    elif isinstance(holder, dict):
-        holder[last] = value
-    else:
-        raise BadInput("--set", override, f"a key that exists up to {last!r}")
+    try:
+        set_dotted(data, key, value)
+    except NoFieldError as missing:
+        part = missing.args[0].rpartition(".")[2]
+        raise BadInput("--set", override, f"a key that exists up to {part!r}") from None
 
 
 def scene_yaml(scene: Scene) -> str:

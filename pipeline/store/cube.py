@@ -42,20 +42,28 @@ class CubeWriter:
         checks: list[dict[str, Any]] | None = None,
     ) -> Marker:
         """Store one tile of one frame as whole chunks, then its marker. Idempotent."""
-        product = Path(self.product)
         chunks: dict[str, tuple[str, int, int]] = {}
         cells = {}
         for name in self.layers:
-            array = _open_array(product / CUBE / name)
-            rows, columns = tile.y0 + tile.rows, tile.x0 + tile.columns
-            array[frame, tile.y0 : rows, tile.x0 : columns] = values[name]
             relative = f"{name}/c/{frame}/{tile.row}/{tile.column}"
-            content = _synced(product / CUBE / relative)
+            content = self.write_chunk(name, relative, frame, tile, values[name])
             chunks[name] = (relative, len(content), google_crc32c.value(content))
             cells[name] = cell_checksums(tile, values[name])
         marker = Marker(frame, tile.row, tile.column, chunks, cells, checks or [])
-        write_marker(product, marker)
+        self.write_marker(marker)
         return marker
+
+    def write_chunk(
+        self, name: str, relative: str, frame: int, tile: Tile, values: NDArray[Any]
+    ) -> bytes:
+        """Store a tile of a layer as its whole chunk `relative`; returns what was stored."""
+        array = _open_array(Path(self.product) / CUBE / name)
+        array[frame, tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns] = values
+        return _synced(Path(self.product) / CUBE / relative)
+
+    def write_marker(self, marker: Marker) -> None:
+        """Store a marker whole or not at all."""
+        write_marker(Path(self.product), marker)
 
     def write_truth(self, kind: str, frame: int, table: pa.Table) -> None:
         """Store the truth of one frame."""

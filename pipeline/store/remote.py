@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import google_crc32c
 from numpy.typing import NDArray
 
 from catalog_tools.objects import Listed, Objects
@@ -24,7 +23,6 @@ from pipeline.store import layout
 from pipeline.store.cube import CubeWriter, layers_of
 from pipeline.store.markers import (
     Marker,
-    cell_checksums,
     fault_of,
     marker_content,
     marker_path,
@@ -61,26 +59,16 @@ class RemoteWriter(CubeWriter):
 
     metadata: dict[str, bytes] = field(default_factory=dict)
 
-    def write(
-        self,
-        frame: int,
-        tile: Tile,
-        values: dict[str, NDArray[Any]],
-        checks: list[dict[str, Any]] | None = None,
-    ) -> Marker:
-        """Put one tile of one frame as whole chunks, then its marker. Idempotent."""
-        objects = Objects(self.product)
-        chunks: dict[str, tuple[str, int, int]] = {}
-        cells = {}
-        for name in self.layers:
-            content = _encoded(self.metadata[name], frame, tile, values[name])
-            relative = f"{name}/c/{frame}/{tile.row}/{tile.column}"
-            objects.put(f"{layout.CUBE}/{relative}", content)
-            chunks[name] = (relative, len(content), google_crc32c.value(content))
-            cells[name] = cell_checksums(tile, values[name])
-        marker = Marker(frame, tile.row, tile.column, chunks, cells, checks or [])
-        objects.put(_marker_name(frame, tile.row, tile.column), marker_content(marker))
-        return marker
+    def write_chunk(
+        self, name: str, relative: str, frame: int, tile: Tile, values: NDArray[Any]
+    ) -> bytes:
+        content = _encoded(self.metadata[name], frame, tile, values)
+        Objects(self.product).put(f"{layout.CUBE}/{relative}", content)
+        return content
+
+    def write_marker(self, marker: Marker) -> None:
+        place = _marker_name(marker.frame, marker.row, marker.column)
+        Objects(self.product).put(place, marker_content(marker))
 
     def write_truth(self, kind: str, frame: int, table: pa.Table) -> None:
         Objects(self.product).put(_part_name(kind, frame), part_content(table))

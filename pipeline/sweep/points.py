@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor import read_image
+from pipeline.spec.dotted import NoFieldError, set_dotted
 from pipeline.spec.load import InvalidScene, parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep
@@ -73,24 +74,11 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
 
 def set_field(data: dict[str, Any], name: str, value: Any) -> None:
     """Set a dotted field of plain data: `sensor.read_noise_e`, `targets.0.body.albedo`."""
-    *parents, last = name.split(".")
-    holder: Any = data
-    for i, part in enumerate(parents):
-        if isinstance(holder, list) and part.isdigit() and int(part) < len(holder):
-            holder = holder[int(part)]
-        elif isinstance(holder, dict):
-            if holder.get(part) is None:
-                holder[part] = {}
-            holder = holder[part]
-        else:
-            there = ".".join(parents[: i + 1])
-            raise BadInput(name, value, f"a field of the scene; there is no {there}")
-    if isinstance(holder, list) and last.isdigit() and int(last) < len(holder):
-        holder[int(last)] = value
-    elif isinstance(holder, dict):
-        holder[last] = value
-    else:
-        raise BadInput(name, value, f"a field of the scene; there is no {name}")
+    try:
+        set_dotted(data, name, value)
+    except NoFieldError as missing:
+        allowed = f"a field of the scene; there is no {missing.args[0]}"
+        raise BadInput(name, value, allowed) from None
 
 
 def with_floor(course: Course, kept: Stages, scene: Scene, whole: bool) -> tuple[Scene, Base]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.fft
 from numba import njit
 from numpy.typing import NDArray
 
-from pipeline.physics.motion.streak import Path
-from pipeline.physics.psf.response import Core, frequencies
+from pipeline.physics.motion.streak import Path, sinc_of
+from pipeline.physics.psf.response import Core, frequencies, stamp_of
 
 Array = NDArray[np.float64]
 
@@ -33,11 +32,7 @@ def stamp_along(
     fy, fx = frequencies(core, *period)
     x, y = path.x_px + (x_px - ix), path.y_px + (y_px - iy)
     rows = _swept_rows(spectrum, fy, fx, x, y, path.weight, period[0]) / core.oversampling
-    swept = scipy.fft.ifft(rows, axis=0, overwrite_x=True)
-    at_y, at_x = np.arange(-half[0], half[0] + 2), np.arange(-half[1], half[1] + 2)
-    width = period[1] * core.oversampling
-    fine = scipy.fft.irfft(swept[at_y % period[0]], n=width, axis=1)
-    return iy - half[0], ix - half[1], fine[:, (at_x * core.oversampling) % width]
+    return iy - half[0], ix - half[1], stamp_of(rows, half, period, core.oversampling)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -55,10 +50,6 @@ def _swept_rows(spectrum, fy, fx, x, y, weight, rows):
             turn = complex(np.cos(fy[i] * my), -np.sin(fy[i] * my))
             row, line = out[i % rows], spectrum[i]
             for j in range(fx.size):
-                half = half_y + across[j]
-                square = half * half
-                series = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
-                ratio = (sin_y * cosines[j] + cos_y * sines[j]) / half
-                sinc = series if square < 2.5e-3 else ratio
+                sinc = sinc_of(half_y + across[j], sin_y * cosines[j] + cos_y * sines[j])
                 row[j] += sinc * (line[j] * (turn * turns[j]))
     return out

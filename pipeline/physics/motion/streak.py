@@ -127,6 +127,15 @@ def _flush(path: Path, group: list[int]) -> list[tuple[float, float, Path, float
     return [(float(x0), float(y0), Path(x - x0, y - y0, path.weight[group] / share), share)]
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def sinc_of(half, sine):
+    """sin(half) / half, given the sine; by its series near zero."""
+    square = half * half
+    series = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+    ratio = sine / half
+    return series if square < 2.5e-3 else ratio
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def transfer(fy: Array, fx: Array, x: Array, y: Array, weight: Array) -> NDArray[np.complex128]:
     """Transfer function of a path: sum of w sinc(f.d) exp(-2 pi i f.m) over its segments.
@@ -147,10 +156,6 @@ def transfer(fy: Array, fx: Array, x: Array, y: Array, weight: Array) -> NDArray
             sin_y, cos_y = np.sin(half_y), np.cos(half_y)
             turn = weight[k] * complex(np.cos(fy[i] * my), -np.sin(fy[i] * my))
             for j in range(fx.size):
-                half = half_y + across[j]
-                square = half * half
-                series = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
-                ratio = (sin_y * cosines[j] + cos_y * sines[j]) / half
-                sinc = series if square < 2.5e-3 else ratio
+                sinc = sinc_of(half_y + across[j], sin_y * cosines[j] + cos_y * sines[j])
                 out[i, j] += sinc * (turn * turns[j])
     return out

@@ -201,14 +201,21 @@ def stamp_at(
     fy, fx = frequencies(core, *period)
     turned = spectrum * np.exp(-2j * np.pi * fx * (x - ix))[None, :]
     rows = _fold(turned * np.exp(-2j * np.pi * fy * (y - iy))[:, None], os)
-    swept = scipy.fft.ifft(rows, axis=0)
+    return iy - half[0], ix - half[1], stamp_of(rows, half, period, os)
+
+
+def stamp_of(
+    rows: NDArray[np.complex128], half: tuple[int, int], period: tuple[int, int], os: int
+) -> Array:
+    """The pixels of a window from its spectrum folded along y (`_fold`), which is used up."""
+    swept = scipy.fft.ifft(rows, axis=0, overwrite_x=True)
     at_y, at_x = np.arange(-half[0], half[0] + 2), np.arange(-half[1], half[1] + 2)
     # Along x the half spectrum is inverted whole and every `os`-th sample kept: rows are few now.
-    fine = scipy.fft.irfft(swept[at_y % period[0]], n=period[1] * os, axis=1)
-    return iy - half[0], ix - half[1], fine[:, (at_x * os) % (period[1] * os)]
+    fine: Array = scipy.fft.irfft(swept[at_y % period[0]], n=period[1] * os, axis=1)
+    return fine[:, (at_x * os) % (period[1] * os)]
 
 
-def _fold(spectrum: NDArray[np.complex128], os: int) -> Array:
+def _fold(spectrum: NDArray[np.complex128], os: int) -> NDArray[np.complex128]:
     """Spectrum (rows x os, ...) of the samples at whole pixels: the copies `1 px^-1` apart add up.
 
     Scaled so that the inverse transform of the folded rows gives the samples themselves.

@@ -1,0 +1,51 @@
+"""Fields of plain data by dotted names: `sensor.read_noise_e`, `targets.0.body.albedo`."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+
+class NoFieldError(LookupError):
+    """There is no place for a field; `args[0]` is the dotted name up to which there is none."""
+
+
+def set_dotted(data: Any, name: str, value: Any) -> None:
+    """Set one field in place; mappings that are missing on the way are made.
+
+    Raises NoFieldError where the way leads through a plain value or beyond a list's end.
+    """
+    holder, key = _holder(data, name)
+    holder[key] = value
+
+
+def changed(data: Any, changes: dict[str, Any]) -> Any:
+    """A copy of plain data with dotted changes; None removes a key. Raises as `set_dotted`."""
+    out = copy.deepcopy(data)
+    for name, value in changes.items():
+        holder, key = _holder(out, name)
+        if value is None:
+            holder.pop(key, None)
+        else:
+            holder[key] = copy.deepcopy(value)
+    return out
+
+
+def _holder(data: Any, name: str) -> tuple[Any, Any]:
+    """What holds a field, and its key there."""
+    *parents, last = name.split(".")
+    holder = data
+    for i, part in enumerate(parents):
+        if isinstance(holder, list) and part.isdigit() and int(part) < len(holder):
+            holder = holder[int(part)]
+        elif isinstance(holder, dict):
+            if holder.get(part) is None:
+                holder[part] = {}
+            holder = holder[part]
+        else:
+            raise NoFieldError(".".join(parents[: i + 1]))
+    if isinstance(holder, list) and last.isdigit() and int(last) < len(holder):
+        return holder, int(last)
+    if isinstance(holder, dict):
+        return holder, last
+    raise NoFieldError(name)
