@@ -164,7 +164,7 @@ def plan(
 
         summary = plan_there(scene, set_ or [], server)
     else:
-        from pipeline.run import plan_scene
+        from pipeline.prepare import plan_scene
         from pipeline.spec.load import load_scene
 
         summary = plan_scene(load_scene(scene, set_ or []))
@@ -222,7 +222,7 @@ def color_fit(scene: SceneFile, set_: Overrides = None, as_json: Json = False) -
     """Show the colour correction from Gaia G to the sensor's band, with its residuals."""
     from pipeline.inputs.colour_fit import describe, gather_colour_fit, gather_colour_points
     from pipeline.inputs.folders import cache_folder
-    from pipeline.run import gather_response
+    from pipeline.prepare import gather_response
     from pipeline.spec.load import load_scene
 
     response, band, digest = gather_response(load_scene(scene, set_ or []))
@@ -249,7 +249,7 @@ def light_curve(
     """Magnitude, phase angle, range and eclipse of a target against time, as Parquet."""
     from pipeline.light_curve import light_curve as follow
     from pipeline.light_curve import write_light_curve
-    from pipeline.run import gather_response, resolve
+    from pipeline.prepare import gather_response, resolve
     from pipeline.spec.load import load_scene
 
     loaded = resolve(load_scene(scene, set_ or []))

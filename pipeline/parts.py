@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from catalog_tools.schedulers import open_scheduler
 from pipeline.errors import BadInput, Incomplete
 from pipeline.finish import finish, stored_report
-from pipeline.run import (
-    Listener,
-    Options,
-    Prepared,
-    Share,
-    catalogue_facts_of,
-    draw,
-    prepare,
-    summary_of,
-)
+from pipeline.prepare import Prepared, catalogue_facts_of, prepare, summary_of
+from pipeline.run import Listener, Options, draw, times_of
+from pipeline.shares import Share, still_missing
 from pipeline.spec.load import load_scene
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
@@ -50,51 +42,34 @@ def render_part(
     """
     options, started = options or Options(), time.perf_counter()
     prepared = prepare(scene)
-    plan = prepared.plan
-    numbers = {(t.row, t.column): i for i, t in enumerate(plan.tiles)}
-
-    def mine(frame: int, row: int, column: int) -> bool:
-        return share.holds(plan, frame, numbers.get((row, column), -1))
-
     with layout.full_disk(product):
-        return _render_share(prepared, product, share, (options, listen, started, mine))
+        return _render_share(prepared, product, share, options, listen, started)
 
 
 def _render_share(
-    prepared: Prepared, product: Path, share: Share,
-    how: tuple[Options, Listener | None, float, Callable[[int, int, int], bool]],
+    prepared: Prepared, product: Path, share: Share, options: Options, listen: Listener | None,
+    started: float,
 ) -> dict[str, Any]:  # fmt: skip
     """A part, prepared: drawn, and the product finished where it was the last."""
-    options, listen, started, mine = how
     plan = prepared.plan
-    digest = "+".join(c.digest for c in prepared.catalogues) or None
-    begun = begin_together(product, plan, digest, mine)
+    begun = begin_together(product, plan, prepared.catalogue_digest, share.mine(plan))
     if (product / layout.COMPLETE).is_file():
         return stored_report(begun)
-    with layout.only_writer(product, f"part-{share.part}-of-{share.parts}"):
+    with layout.only_writer(product, share.name):
         if not (product / layout.PLAN).is_file():
-            layout.write_atomically(
-                product / layout.PLAN, layout.to_json(summary_of(prepared))
-            )
-        planned = time.perf_counter()
+            summary = layout.to_json(summary_of(prepared))
+            layout.write_atomically(product / layout.PLAN, summary)
+        drawing = time.perf_counter()
         with open_scheduler(options.scheduler, options.workers) as scheduler:
             draw(prepared, begun, scheduler, listen, share)
             workers = scheduler.workers
-    times = {
-        "plan_s": planned - started, "draw_s": time.perf_counter() - planned,
-        "workers": workers, "scheduler": options.scheduler,
-    }  # fmt: skip
-    first, end = share.span(plan)
-    told = {
-        "part": f"{share.part}/{share.parts}", "tiles": end - first, "complete": False,
-        "seconds": times,
-    }  # fmt: skip
+    times = times_of(options, started, drawing, workers)
     if _lacking(prepared, product)[0]:
-        return told
+        return share.told(plan, times)
     try:
         return _finish(prepared, product, times)
     except BadInput:  # another part is still at work, or is finishing it
-        return told
+        return share.told(plan, times)
 
 
 def join(product: Path, scene: Path | None = None) -> dict[str, Any]:
@@ -111,18 +86,14 @@ def join(product: Path, scene: Path | None = None) -> dict[str, Any]:
 
 def _finish(prepared: Prepared, product: Path, times: dict[str, Any]) -> dict[str, Any]:
     plan = prepared.plan
-    digest = "+".join(c.digest for c in prepared.catalogues) or None
     with layout.full_disk(product), layout.only_writer(product):
-        begun = begin(product, plan, digest, resume=True)  # every chunk against its marker
+        # Every chunk against its marker.
+        begun = begin(product, plan, prepared.catalogue_digest, resume=True)
         if (product / layout.COMPLETE).is_file():
             return stored_report(begun)
         tiles, truth = _lacking(prepared, product)
         if tiles or truth:
-            damaged = f"; damaged: {'; '.join(begun.redrawn[:5])}" if begun.redrawn else ""
-            raise Incomplete(
-                f"{product}: {tiles} tile(s) and {truth} truth part(s) are missing: run the parts "
-                f"that were cut off again, then `nightglass join`{damaged}"
-            )
+            raise Incomplete(still_missing(str(product), tiles, truth, begun.redrawn))
         return finish(plan, catalogue_facts_of(prepared), begun, times)
 
 

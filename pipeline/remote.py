@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,19 +15,9 @@ from catalog_tools.schedulers import open_scheduler
 from catalog_tools.stores import Unreachable
 from pipeline.errors import BadInput, Incomplete, NightglassError
 from pipeline.finish import finish
-from pipeline.run import (
-    WHOLE,
-    Listener,
-    Options,
-    Prepared,
-    Progress,
-    Share,
-    all_done,
-    catalogue_facts_of,
-    draw,
-    prepare,
-    summary_of,
-)
+from pipeline.prepare import Prepared, catalogue_facts_of, prepare, summary_of
+from pipeline.run import Listener, Options, Progress, all_done, draw, times_of
+from pipeline.shares import WHOLE, Share, still_missing
 from pipeline.spec.load import load_scene, parse_text
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
@@ -55,44 +45,35 @@ def render_to_url(
     store.reached(objects, "-o")
     prepared = prepare(scene)
     whole = share.parts == 1
-    part = None if whole else f"part-{share.part}-of-{share.parts}"
-    with _held(objects, part) as (stage, lease):
+    with _held(objects, None if whole else share.name) as (stage, lease):
         if options.replace:
             store.remove_remote(objects)
         resume = (options.resume if not options.replace else False) if whole else None
-        begun = _begun(objects, stage, prepared, resume, _mine(prepared, share))
+        begun = _begun(objects, stage, prepared, resume, share)
         sealed = objects.get(layout.COMPLETE) is not None
         if sealed and (not whole or all_done(begun, prepared.plan)):
             return _stored_report(objects)
         if whole:
             store.unseal_remote(objects)
         objects.put(layout.PLAN, layout.to_json(summary_of(prepared)))
-        planned = time.perf_counter()
+        drawing = time.perf_counter()
         with (
             _nothing_left_behind(objects, whole, lease),
             open_scheduler(options.scheduler, options.workers) as scheduler,
         ):
             draw(prepared, begun, scheduler, _watched(lease, listen), share)
             workers = scheduler.workers
-        times = {
-            "plan_s": planned - started, "draw_s": time.perf_counter() - planned,
-            "workers": workers, "scheduler": options.scheduler,
-        }  # fmt: skip
+        times = times_of(options, started, drawing, workers)
         if whole:
             return _finished(objects, stage, prepared, begun, times, lease)
-    first, end = share.span(prepared.plan)
-    told = {
-        "part": f"{share.part}/{share.parts}", "tiles": end - first, "complete": False,
-        "seconds": times,
-    }  # fmt: skip
     if any(store.lacking(objects, prepared.plan)):
-        return told
+        return share.told(prepared.plan, times)
     for _ in range(JOIN_TRIES):
         try:
             return join_url(url, prepared, times)
         except BadInput:  # another part is closing, or is finishing it
             time.sleep(JOIN_AGAIN_S)
-    return told
+    return share.told(prepared.plan, times)
 
 
 def _watched(lease: Lease, listen: Listener | None) -> Listener:
@@ -121,16 +102,12 @@ def join_url(
             prepared = prepare(load_scene(scene) if scene else _scene_of(objects))
     times = times or {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
     with _held(objects, None) as (stage, lease):
-        begun = _begun(objects, stage, prepared, True, _mine(prepared, WHOLE))
+        begun = _begun(objects, stage, prepared, True, WHOLE)
         if objects.get(layout.COMPLETE) is not None:
             return _stored_report(objects)
         tiles, truth = store.lacking(objects, prepared.plan)
         if tiles or truth:
-            damaged = f"; damaged: {'; '.join(begun.redrawn[:5])}" if begun.redrawn else ""
-            raise Incomplete(
-                f"{url}: {tiles} tile(s) and {truth} truth part(s) are missing: run the parts "
-                f"that were cut off again, then `nightglass join`{damaged}"
-            )
+            raise Incomplete(still_missing(url, tiles, truth, begun.redrawn))
         return _finished(objects, stage, prepared, begun, times, lease)
 
 
@@ -175,22 +152,10 @@ def _explained(objects: Objects) -> Iterator[None]:
 
 
 def _begun(
-    objects: Objects, stage: Path, prepared: Prepared, resume: bool | None,
-    mine: Callable[[int, int, int], bool],
-) -> Begun:  # fmt: skip
-    digest = "+".join(c.digest for c in prepared.catalogues) or None
-    return store.begin_remote(objects, stage, prepared.plan, digest, resume, mine)
-
-
-def _mine(prepared: Prepared, share: Share) -> Callable[[int, int, int], bool]:
-    """Whether a tile (frame, row, column) is of a share."""
-    plan = prepared.plan
-    numbers = {(t.row, t.column): i for i, t in enumerate(plan.tiles)}
-
-    def mine(frame: int, row: int, column: int) -> bool:
-        return share.holds(plan, frame, numbers.get((row, column), -1))
-
-    return mine
+    objects: Objects, stage: Path, prepared: Prepared, resume: bool | None, share: Share
+) -> Begun:
+    plan, digest = prepared.plan, prepared.catalogue_digest
+    return store.begin_remote(objects, stage, plan, digest, resume, share.mine(plan))
 
 
 def _finished(

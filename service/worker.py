@@ -88,7 +88,7 @@ def _tiles_told(order: dict[str, Any]) -> Iterator[None]:
 
 
 def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
-    from pipeline.run import check_cost, plan_scene
+    from pipeline.prepare import check_cost, plan_scene
 
     scene = parse_scene(order["scene"])
     plan = plan_scene(scene)

@@ -21,7 +21,8 @@ def files() -> list[Path]:
     )  # fmt: skip
     if listed.returncode:
         pytest.skip("not a git checkout")
-    return sorted(ROOT / name for name in listed.stdout.split() if name.endswith(".py"))
+    found = [ROOT / name for name in listed.stdout.split() if name.endswith(".py")]
+    return sorted(found, key=lambda path: (path.parent, path.name))
 
 
 @cache

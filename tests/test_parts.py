@@ -13,7 +13,8 @@ import pytest
 
 from pipeline.errors import BadInput, Incomplete
 from pipeline.parts import join, parse_part, render_part
-from pipeline.run import Options, Share, render
+from pipeline.run import Options, render
+from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import check, content_digest
 
@@ -45,7 +46,7 @@ def whole(tmp_path_factory):
 @pytest.mark.parametrize("parts", [1, 2, 7, 18, 40])
 def test_parts_hold_every_tile_once(parts):
     """Also where there are more parts than tiles."""
-    from pipeline.run import prepare
+    from pipeline.prepare import prepare
 
     plan = prepare(parse_scene(SCENE)).plan
     spans = [Share(k + 1, parts).span(plan) for k in range(parts)]

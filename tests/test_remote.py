@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,15 +10,13 @@ import numpy as np
 import pytest
 
 from pipeline.errors import BadInput, Damaged, Incomplete
-from pipeline.run import Options, Share, render
+from pipeline.run import Options, render
+from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.markers import place_of
+from tests.object_store import SECRET, needs_s3, s3_bucket
 
-pytestmark = pytest.mark.skipif(
-    any(importlib.util.find_spec(name) is None for name in ("s3fs", "moto", "flask")),
-    reason="s3fs or moto's server is not installed",
-)
-SECRET = "wJalrXUtnFEMI"
+pytestmark = needs_s3
 HERE = Options("synchronous")
 SCENE = {
     "schema": "nightglass/scene/1", "name": "afar", "epoch": "2019-07-20T09:00:00Z", "seed": 5,
@@ -45,28 +42,8 @@ SCENE = {
 
 @pytest.fixture(scope="module")
 def bucket():
-    """A bucket of a local S3 server, and credentials that are secret."""
-    import s3fs
-    from moto.server import ThreadedMotoServer
-
-    from catalog_tools import objects
-
-    server = ThreadedMotoServer(port=0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in {
-            "AWS_ENDPOINT_URL": f"http://{host}:{port}", "AWS_ACCESS_KEY_ID": "AKIDEXAMPLE",
-            "AWS_SECRET_ACCESS_KEY": SECRET, "AWS_DEFAULT_REGION": "us-east-1",
-        }.items():  # fmt: skip
-            patch.setenv(name, value)
-        s3fs.S3FileSystem.clear_instance_cache()
-        objects._files.cache_clear()
-        s3fs.S3FileSystem().mkdir("runs")
-        yield "s3://runs"
-        s3fs.S3FileSystem.clear_instance_cache()
-        objects._files.cache_clear()
-    server.stop()
+    with s3_bucket("runs") as url:
+        yield url
 
 
 @pytest.fixture(scope="module")

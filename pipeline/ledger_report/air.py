@@ -13,7 +13,7 @@ from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.positions.refraction import refraction_terms
 from pipeline.plan.air import frame_sines, weather_of
 from pipeline.plan.geometry import plan_geometry
-from pipeline.run import prepare
+from pipeline.prepare import prepare
 from pipeline.spec.load import parse_scene
 
 EARTH_M, TOP_M, TROPOPAUSE_M = 6.371e6, 80_000.0, 11_000.0

@@ -21,7 +21,7 @@ from pipeline.physics.meshes.lamps import wide_lamp_intensity
 from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.vectors import unit as normal
 from pipeline.plan.geometry import plan_geometry
-from pipeline.run import prepare
+from pipeline.prepare import prepare
 from pipeline.scene_report.stage import open_stage
 from pipeline.spec.load import parse_scene
 

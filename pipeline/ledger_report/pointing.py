@@ -16,7 +16,7 @@ from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.positions.distortion import to_detector
 from pipeline.plan.attitude_motion import SHARPEST_PX, motion_plan
 from pipeline.plan.geometry import plan_geometry
-from pipeline.run import prepare
+from pipeline.prepare import prepare
 from pipeline.scene_report.stage import gather_stars, open_stage
 from pipeline.spec.load import parse_scene
 

@@ -14,7 +14,7 @@ from pipeline.ledger_report.scenes import SIDE, before, mean_e, scene, whole
 from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
 from pipeline.physics.noise.streams import poisson_image
 from pipeline.physics.noise.transfer import lagged_e
-from pipeline.run import prepare
+from pipeline.prepare import prepare
 from pipeline.scene_report.stage import blocks_by, open_stage
 from pipeline.spec.load import parse_scene
 

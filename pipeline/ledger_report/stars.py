@@ -25,7 +25,7 @@ from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.vectors import separation
 from pipeline.plan.geometry import epochs_jyear, plan_geometry
 from pipeline.plan.occultation import earth_disc
-from pipeline.run import gather_response, prepare, shards_of
+from pipeline.prepare import gather_response, prepare, shards_of
 from pipeline.scene_report.stage import Stage, light_by, mean_of, open_stage
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import CubeWriter

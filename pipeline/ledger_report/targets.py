@@ -22,7 +22,7 @@ from pipeline.physics.constants import (
 from pipeline.physics.targets.shadow import sunlit_past_earth
 from pipeline.physics.vectors import unit as normal
 from pipeline.plan.geometry import plan_geometry
-from pipeline.run import prepare
+from pipeline.prepare import prepare
 from pipeline.scene_report.stage import open_stage
 from pipeline.spec.load import parse_scene
 

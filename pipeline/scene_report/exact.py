@@ -18,7 +18,7 @@ from pipeline.plan.facts import gather_facts
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.sky_light import ALL_G_MAG, Light
 from pipeline.plan.tiles import Tile
-from pipeline.run import gather_response
+from pipeline.prepare import gather_response
 from pipeline.scene_report.stage import Stage, mean_of, noise_of
 
 OWN_PATHS = 400  # of the brightest stars that pass a window: all, but in the densest fields

@@ -18,9 +18,10 @@ from pipeline.parts import render_part
 from pipeline.plan.responses import cut_share
 from pipeline.plan.scene_plan import Plan, plan_dict
 from pipeline.plan.tiles import Tile
-from pipeline.run import Options, Share, render
+from pipeline.run import Options, render
 from pipeline.scene_report.exact import Exact, load_exact
 from pipeline.scene_report.stage import Light, Stage, light_by, mean_of, open_stage
+from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
 
 

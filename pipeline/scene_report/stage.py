@@ -16,7 +16,8 @@ from pipeline.execute.tile import noise_e, tile_light
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, overlap
-from pipeline.run import Prepared, Share, prepare, shards_of
+from pipeline.prepare import Prepared, prepare, shards_of
+from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import CubeWriter
 

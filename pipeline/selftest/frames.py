@@ -144,7 +144,7 @@ def no_light(folder: Path) -> Found:
 def huge(_: Path) -> Found:
     from pipeline.execute.tile import render_tile
     from pipeline.plan.geometry import plan_geometry
-    from pipeline.run import prepare
+    from pipeline.prepare import prepare
     from pipeline.spec.load import parse_scene
 
     sky = {"background": {"uniform_e_per_s": 3.0}, "sensor.shape": [30_000, 30_000],

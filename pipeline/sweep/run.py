@@ -14,7 +14,8 @@ from uuid import uuid4
 from catalog_tools.durable import write_atomically
 from catalog_tools.schedulers import Scheduler, open_scheduler
 from pipeline.errors import BadInput, DiskFull, Incomplete, NightglassError
-from pipeline.run import Options, Prepared, prepare
+from pipeline.prepare import Prepared, prepare
+from pipeline.run import Options
 from pipeline.spec.load import parse_text, path_holders
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep

@@ -22,7 +22,7 @@ from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.plan.timing import integration_range_s
-from pipeline.run import Prepared, prepare, shards_of
+from pipeline.prepare import Prepared, prepare, shards_of
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import CubeWriter
 from pipeline.sweep.dependence import DETECTOR, Barred, Part, barred, parts_of

@@ -13,7 +13,8 @@ from astropy.wcs import WCS
 from catalog_tools.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.export.files import export_frames
-from pipeline.run import Options, plan_scene, render
+from pipeline.prepare import plan_scene
+from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

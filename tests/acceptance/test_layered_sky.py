@@ -21,7 +21,8 @@ from catalog_tools.build import About, build
 from catalog_tools.columns import INCOMING
 from catalog_tools.sphere import angles_deg, moved
 from pipeline.errors import BadInput
-from pipeline.run import Options, plan_scene, render
+from pipeline.prepare import plan_scene
+from pipeline.run import Options, render
 from pipeline.spec.load import load_scene, parse_scene, scene_yaml
 from pipeline.store.cube import open_cube
 from pipeline.store.product import check
@@ -239,7 +240,8 @@ def test_same_bits_for_every_cut_of_the_catalogue(folders, reference, tmp_path):
 @pytest.mark.slow
 def test_same_bits_window_by_window(layered, reference, tmp_path, monkeypatch):
     """A window reads the row groups of its own frames."""
-    monkeypatch.setattr("pipeline.run.TASKS_PER_WINDOW", 1)
+    for module in ("prepare", "run"):
+        monkeypatch.setattr(f"pipeline.{module}.TASKS_PER_WINDOW", 1)
     assert_same(tmp_path / "run", render(layered(), tmp_path / "run"), reference)
 
 

@@ -14,7 +14,8 @@ from catalog_tools.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.export.files import export_frames
 from pipeline.plan.geometry import plan_geometry
-from pipeline.run import plan_scene, prepare, render
+from pipeline.prepare import plan_scene, prepare
+from pipeline.run import render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

@@ -20,13 +20,10 @@ from catalog_tools.info import info
 from catalog_tools.query import cone, read_leaf
 from catalog_tools.stores import joined, open_store, without_secrets
 from catalog_tools.verify import verify
+from tests.object_store import needs_s3, s3_bucket
 
 needs_http = pytest.mark.skipif(
     importlib.util.find_spec("aiohttp") is None, reason="aiohttp is not installed"
-)
-needs_s3 = pytest.mark.skipif(
-    any(importlib.util.find_spec(name) is None for name in ("s3fs", "moto", "flask")),
-    reason="s3fs or moto's server is not installed",
 )
 
 
@@ -212,26 +209,12 @@ def test_damage_over_http_is_named(tmp_path, catalogue, quick):
 
 @pytest.fixture(scope="module")
 def bucket(catalogue):
-    """A bucket of a local S3 server with the catalogue in it, and credentials that are secret."""
+    """A bucket with the catalogue in it."""
     import s3fs
-    from moto.server import ThreadedMotoServer
 
-    server = ThreadedMotoServer(port=0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in {
-            "AWS_ENDPOINT_URL": f"http://{host}:{port}", "AWS_ACCESS_KEY_ID": "AKIDEXAMPLE",
-            "AWS_SECRET_ACCESS_KEY": "wJalrXUtnFEMI", "AWS_DEFAULT_REGION": "us-east-1",
-        }.items():  # fmt: skip
-            patch.setenv(name, value)
-        s3fs.S3FileSystem.clear_instance_cache()
-        files = s3fs.S3FileSystem()
-        files.mkdir("sky")
-        files.put(catalogue.path, "sky/made", recursive=True)
-        yield "s3://sky/made"
-        s3fs.S3FileSystem.clear_instance_cache()
-    server.stop()
+    with s3_bucket("sky") as url:
+        s3fs.S3FileSystem().put(catalogue.path, "sky/made", recursive=True)
+        yield f"{url}/made"
 
 
 @needs_s3

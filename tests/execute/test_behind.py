@@ -8,7 +8,7 @@ import pytest
 from pipeline.execute.sources import place_targets
 from pipeline.execute.truth import target_truth
 from pipeline.plan.geometry import plan_geometry
-from pipeline.run import prepare
+from pipeline.prepare import prepare
 from pipeline.spec.load import parse_scene
 
 SCENE = {

@@ -11,6 +11,7 @@ import pipeline.execute.blocks
 import pipeline.execute.tile
 import pipeline.plan.responses
 from catalog_tools.ingest import ingest
+from pipeline.prepare import plan_scene
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
@@ -124,7 +125,7 @@ def test_blocks_join_without_a_seam(crowded, catalogue, tmp_path, monkeypatch):
 
 def test_few_stars_get_no_block(catalogue, tmp_path):
     made = scene(catalogue, GAUSS, 0.0)
-    plan = json.loads(json.dumps(pipeline.run.plan_scene(made)))
+    plan = json.loads(json.dumps(plan_scene(made)))
     assert (
         plan["response"]["spectral_from_stars"] > 3000
         or not plan["response"]["spectral_from_stars"]

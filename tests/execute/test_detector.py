@@ -8,7 +8,8 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.run import Options, plan_scene, prepare, render
+from pipeline.prepare import plan_scene, prepare
+from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

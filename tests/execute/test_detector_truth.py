@@ -10,7 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.physics.noise.transfer import exposed_share
-from pipeline.run import Options, plan_scene, prepare, render
+from pipeline.prepare import plan_scene, prepare
+from pipeline.run import Options, render
 from pipeline.store.product import check
 from tests.execute.test_detector import ALL_LAYERS, SIDE, frames, scene
 

@@ -9,7 +9,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.run import Options, plan_scene, render
+from pipeline.prepare import plan_scene
+from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 from tests.execute.test_extended import scene

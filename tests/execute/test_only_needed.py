@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.execute.graph import Inputs, Work, window_graph
 from pipeline.plan.geometry import plan_geometry
-from pipeline.run import prepare
+from pipeline.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import CubeWriter
 
@@ -95,7 +95,7 @@ def test_imports_of_stars_alone(catalogue, tmp_path):
 
 def test_tasks_of_stars_alone(catalogue):
     """Stars are read once, placed once a frame; a tile, a block of wings, and their truth."""
-    from pipeline.run import shards_of
+    from pipeline.prepare import shards_of
 
     prepared = prepare(parse_scene(only_stars(catalogue)))
     plan = prepared.plan

@@ -21,7 +21,8 @@ from pipeline.execute.truth import matched_snr
 from pipeline.physics.motion.streak import POINT
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.tiles import Tile
-from pipeline.run import Options, prepare, render
+from pipeline.prepare import prepare
+from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 
@@ -252,7 +253,7 @@ def test_tables_from_files_at_their_places(catalogue, tmp_path):
 def test_without_a_field_nothing_of_it_is_loaded(catalogue, tmp_path):
     code = (
         "import sys, json, pathlib\n"
-        "from pipeline.run import prepare\n"
+        "from pipeline.prepare import prepare\n"
         "from pipeline.spec.load import parse_scene\n"
         "prepare(parse_scene(json.loads(sys.argv[1])))\n"
         "print('pipeline.plan.psf_field' in sys.modules)\n"

@@ -17,7 +17,8 @@ from pipeline.errors import BadInput
 from pipeline.physics.motion.rolling import exposed_longer, rolled, rolled_light, row_delay_s
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.star_paths import star_paths
-from pipeline.run import Options, plan_scene, prepare, render
+from pipeline.prepare import plan_scene, prepare
+from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from catalog_tools.ingest import ingest
 from pipeline.errors import BadInput
-from pipeline.run import Options, plan_scene, render
+from pipeline.prepare import plan_scene
+from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 
 _spec = importlib.util.spec_from_file_location("fuzz_scenes", Path(__file__).with_name("scenes.py"))

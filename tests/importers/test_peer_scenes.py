@@ -13,7 +13,8 @@ from scipy.special import erf, erfinv
 from pipeline.errors import BadInput
 from pipeline.importers.satsim import read_satsim, sphere_mag
 from pipeline.importers.simsit import radial_terms, read_simsit
-from pipeline.run import plan_scene, render
+from pipeline.prepare import plan_scene
+from pipeline.run import render
 from pipeline.spec.load import load_scene
 
 EPOCH = "2019-07-20T09:00:00Z"

@@ -11,7 +11,7 @@ import pytest
 
 from catalog_tools.ingest import ingest
 from pipeline.plan.ledger import LEDGER, page, rule_of
-from pipeline.run import plan_scene
+from pipeline.prepare import plan_scene
 from pipeline.spec.load import load_scene, parse_scene
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -22,7 +22,8 @@ from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.plan.geometry import _observer, _vantage, camera_of
 from pipeline.plan.pointing import attitudes
 from pipeline.plan.target_paths import Moments, target_paths
-from pipeline.run import Options, plan_scene, prepare, render
+from pipeline.prepare import plan_scene, prepare
+from pipeline.run import Options, render
 from pipeline.spec.load import load_scene, parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import open_cube

@@ -26,7 +26,7 @@ from pipeline.plan.faint_stars import faint_limit, limits_g_mag
 from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.sky import facts_with_sky, plan_sky, sky_grid, sky_tile
 from pipeline.plan.tiles import Tile, plan_tiles
-from pipeline.run import gather_response
+from pipeline.prepare import gather_response
 
 FIELD_DEG = (200.0, 60.0)
 WIDE = {

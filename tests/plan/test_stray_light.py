@@ -14,7 +14,7 @@ from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.sky import plan_sky, sky_tile
 from pipeline.plan.sky_light import Light
 from pipeline.plan.tiles import Tile
-from pipeline.run import gather_response
+from pipeline.prepare import gather_response
 
 PST = "angle_deg,pst\n1,1e-4\n3,1e-5\n10,1e-6\n30,1e-8\n60,1e-10\n90,1e-12\n"
 HIGH = {"kind": "orbit", "orbit": {

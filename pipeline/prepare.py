@@ -1,0 +1,307 @@
+"""A scene made ready to be drawn: its facts gathered, its plan made."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from catalog_tools.schedulers import TASKS_PER_WINDOW
+from pipeline.arrays import Geometry, SensorMaps
+from pipeline.errors import BadInput
+from pipeline.inputs.catalogues import (
+    catalogue_facts,
+    catalogue_remarks,
+    gather_left_out,
+    layer_decisions,
+    open_catalogues,
+)
+from pipeline.inputs.colour_fit import gather_colour_fit
+from pipeline.inputs.curves import resolve_response, solar_spectrum
+from pipeline.inputs.distortion import gather_distortion
+from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.ephemerides import gather_ephemerides
+from pipeline.inputs.folders import cache_folder
+from pipeline.inputs.pointing_tables import gather_pointing
+from pipeline.inputs.psf_tables import gather_psf_table
+from pipeline.inputs.sensor import gather_sensor_maps
+from pipeline.inputs.stars import (
+    Catalogue,
+    Shard,
+    cones_of,
+    gather_shards,
+    groups_bright_enough,
+    rows_bright_enough,
+)
+from pipeline.physics.colour import ColourFit
+from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
+from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
+from pipeline.plan.detector import typical_read_noise_e
+from pipeline.plan.facts import Facts, gather_facts
+from pipeline.plan.forecast import forecast_stars
+from pipeline.plan.geometry import (
+    camera_of,
+    epochs_jyear,
+    observer_distances_au,
+    plan_geometry,
+    sampled_frames,
+)
+from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
+from pipeline.plan.target_decisions import mesh_notices
+from pipeline.plan.timing import integration_range_s
+from pipeline.spec.observer import GroundObserver
+from pipeline.spec.scene import Scene
+
+if TYPE_CHECKING:
+    from pipeline.physics.cosmic_rays.frame import CosmicRays
+    from pipeline.physics.sky.extinction import BandExtinction
+    from pipeline.plan.sky import SkyPlan
+
+LOOKED_AT = 5  # frames, spread over the scene, whose stars are counted
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A plan with what was read to make it.
+
+    catalogues : the main one and the layers over it; left_out : of each, the sorted source_ids of
+    stars that an earlier one holds
+    """
+
+    plan: Plan
+    maps: SensorMaps
+    catalogues: tuple[Catalogue, ...]
+    left_out: tuple[np.ndarray, ...]
+    seconds: float
+    rays: CosmicRays | None = None
+
+    @property
+    def catalogue_digest(self) -> str | None:
+        """Of all catalogues that it looked into; None without any."""
+        return "+".join(c.digest for c in self.catalogues) or None
+
+
+def resolve(scene: Scene) -> Scene:
+    """The scene with what its files of orbits and distortion say, and albedos over the band."""
+    scene = _banded(gather_pointing(gather_ephemerides(gather_distortion(scene))))
+    if any(target.body.kind == "mesh" for target in scene.targets):
+        from pipeline.inputs.meshes import gather_meshes  # an optional extra: trimesh
+
+        scene = gather_meshes(scene)
+    if _site_with_air(scene):
+        from pipeline.inputs.air import with_wavelength
+
+        scene = with_wavelength(scene, gather_response(scene)[0])
+    return scene
+
+
+def _site_with_air(scene: Scene) -> bool:
+    o = scene.observer
+    return isinstance(o, GroundObserver) and o.atmosphere is not None
+
+
+def _banded(scene: Scene) -> Scene:
+    """The scene with numbers for tables of reflectance."""
+    if not has_band_albedos(scene):
+        return scene
+    wavelength, irradiance, *_ = solar_spectrum()
+    return with_band_albedos(scene, wavelength, irradiance, gather_response(scene)[0])
+
+
+def prepare(scene: Scene) -> Prepared:
+    """Read curves, fit, sensor images and the catalogues' manifests; decide.
+
+    No star is read but where there are layers: theirs in the field, and the main catalogue's
+    bright ones around them.
+    """
+    started = time.perf_counter()
+    scene = resolve(scene)
+    catalogues = open_catalogues(scene.stars.catalogues) if scene.stars is not None else ()
+    maps = gather_sensor_maps(scene)
+    response, band, digest = gather_response(scene)
+    dut1_s, remark = gather_dut1_s(*parse_utc(scene.epoch))
+    remarks = [remark] if remark else []
+    colour, sun = _light(scene, response, band, digest, remarks)
+    facts = gather_facts(
+        scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
+        maps.typical("gain_e_per_dn"), gather_psf_table(scene),
+    )  # fmt: skip
+    geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
+    extinction = _extinction(scene, response)
+    scene, facts, sky = _sky(
+        scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s, extinction
+    )
+    scene, geometry = _populated(scene, facts, geometry, dut1_s)
+    if scene.stars is not None:
+        remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
+    remarks += mesh_notices(scene)
+    plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction)
+    plan = _with_engines(plan, catalogues, geometry)
+    left_out = _left_out(plan, catalogues)
+    plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
+    rays = _cosmic_rays(scene)
+    return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started, rays)
+
+
+def _with_engines(plan: Plan, catalogues: tuple[Catalogue, ...], geometry: Geometry) -> Plan:
+    """The plan with the stars' engines chosen by how many of them its fullest frame may hold."""
+    if plan.scene.stars is None:
+        return plan
+    from pipeline.plan.star_engines import choose_engines, star_counts
+
+    limit, last = plan.scene.stars.faintest_g_mag, len(geometry.frame) - 1
+    counts = []
+    for frame in np.unique(np.linspace(0, last, LOOKED_AT).astype(int)):
+        shards = shards_of(plan, catalogues, geometry.frame_slice(int(frame)))
+        groups = [
+            (s.leaf, groups_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards
+        ]
+        counts.append(star_counts(plan, groups))
+    return choose_engines(plan, geometry, max(counts, key=lambda c: float(c.rows.sum())))
+
+
+def _sky(
+    scene: Scene,
+    sensor: tuple[ResponseCurve, str, str],
+    catalogues: tuple[Catalogue, ...],
+    colour: ColourFit | None,
+    facts: Facts,
+    geometry: Geometry,
+    dut1_s: float,
+    extinction: BandExtinction | None,
+) -> tuple[Scene, Facts, SkyPlan | None]:
+    """The sky that varies, the facts with it, and the scene with the limit that the noise set."""
+    b, stars = scene.background, scene.stars
+    from_noise = stars is not None and stars.limit_from_noise
+    if not from_noise and (b is None or not b.varies):
+        return scene, facts, None
+    from pipeline.inputs.sky import gather_sky
+    from pipeline.plan.sky import facts_with_sky, plan_sky
+
+    inputs = gather_sky(scene, *sensor, catalogues, colour, from_noise, extinction)
+    sky = plan_sky(scene, camera_of(scene), geometry, facts, inputs, dut1_s, from_noise)
+    if stars is not None and from_noise:
+        limit = {"faintest_g_mag": sky.faintest_g_mag, "limit_from_noise": False}
+        scene = scene.model_copy(update={"stars": stars.model_copy(update=limit)})
+    return scene, facts_with_sky(facts, scene, sky), sky
+
+
+def _extinction(scene: Scene, response: ResponseCurve) -> BandExtinction | None:
+    """Extinction by the air above a site; nothing is imported or read for a scene without."""
+    if not _site_with_air(scene):
+        return None
+    from pipeline.inputs.air import gather_extinction
+
+    return gather_extinction(scene, response)
+
+
+def _populated(
+    scene: Scene, facts: Facts, geometry: Geometry, dut1_s: float
+) -> tuple[Scene, Geometry]:
+    """The scene with the objects of its populations that come into the field, and its geometry."""
+    if all(p.screened is not None for p in scene.populations):
+        return scene, geometry
+    from pipeline.inputs.populations import gather_populations
+    from pipeline.plan.responses import plan_responses
+
+    r = plan_responses(scene, facts, camera_of(scene), geometry, sources=True)
+    full = _banded(gather_populations(scene, r.reach_px + r.reach_core_px + 2.0, dut1_s))
+    return full, plan_geometry(full, sampled_frames(full), dut1_s)
+
+
+def _cosmic_rays(scene: Scene) -> CosmicRays | None:
+    """What draws the scene's cosmic rays; nothing is imported or read for a scene without."""
+    if scene.cosmic_rays is None:
+        return None
+    from pipeline.inputs.cosmic_rays import gather_cosmic_rays
+
+    return gather_cosmic_rays(scene.cosmic_rays, scene.sensor, integration_range_s(scene)[1])
+
+
+def gather_response(scene: Scene) -> tuple[ResponseCurve, str, str]:
+    """Bandpass x optics x quantum efficiency of a scene's sensor, its name and digest."""
+    s = scene.sensor
+    return resolve_response(s.bandpass.model_dump(), s.transmission, s.quantum_efficiency)
+
+
+def _light(
+    scene: Scene, response: ResponseCurve, band: str, digest: str, remarks: list[str]
+) -> tuple[ColourFit | None, float]:
+    """The colour fit if there are stars and the Sun's electron rate if there are targets."""
+    colour, sun = None, 0.0
+    if scene.stars is not None:
+        colour = gather_colour_fit(response, band, digest, cache_folder())
+        remarks.append(
+            f"star colours: {colour.source}; fit residual {colour.residual_rms_mag:.3f} mag rms"
+        )
+    if scene.targets or scene.populations:
+        wavelength, irradiance, source, error = solar_spectrum()
+        sun = band_photon_irradiance_sun(wavelength, irradiance, response)
+        remarks.append(f"solar spectrum: {source}; {error}")
+    return colour, sun
+
+
+def _left_out(plan: Plan, catalogues: tuple[Catalogue, ...]) -> tuple[np.ndarray, ...]:
+    """Of each catalogue, the stars in the field of any frame that an earlier one holds."""
+    if len(catalogues) < 2:
+        return gather_left_out(catalogues, (), None)
+    assert plan.scene.stars is not None
+    frames = np.arange(plan.frames, dtype=np.int64)
+    cones = [
+        cone
+        for start in range(0, plan.frames, TASKS_PER_WINDOW)
+        for cone in _cones(
+            plan, plan_geometry(plan.scene, frames[start:][:TASKS_PER_WINDOW], plan.dut1_s)
+        )
+    ]
+    return gather_left_out(catalogues, cones, plan.scene.stars.faintest_g_mag)
+
+
+def plan_scene(scene: Scene) -> dict[str, Any]:
+    """The plan of a scene as plain data (`nightglass plan`); what it reads, `prepare` says."""
+    return summary_of(prepare(scene))
+
+
+def check_cost(scene: Scene, summary: dict[str, Any], most_cpu_s: float | None) -> None:
+    """BadInput where a plan predicts more CPU seconds than are allowed; None allows any."""
+    asked = summary["predicted"]["cpu_s"]
+    if most_cpu_s is not None and asked > most_cpu_s:
+        field = "exposure.frames" if scene.dwells is None else "dwells"
+        allowed = f"a scene of at most {most_cpu_s:g} CPU s (predicted: {asked:.0f})"
+        raise BadInput(field, summary["frames"], allowed)
+
+
+def summary_of(prepared: Prepared) -> dict[str, Any]:
+    return plan_dict(prepared.plan, forecast(prepared), catalogue_facts_of(prepared))
+
+
+def catalogue_facts_of(prepared: Prepared) -> list[dict[str, Any]]:
+    return catalogue_facts(prepared.catalogues, prepared.left_out)
+
+
+def forecast(prepared: Prepared) -> Any:
+    plan, catalogues = prepared.plan, prepared.catalogues
+    if plan.scene.stars is None:
+        return None
+    frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
+    shards = shards_of(plan, catalogues, plan_geometry(plan.scene, frames, plan.dut1_s))
+    limit = plan.scene.stars.faintest_g_mag
+    return forecast_stars(
+        plan, [(s.leaf, rows_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards]
+    )
+
+
+def _cones(plan: Plan, g: Geometry) -> tuple[Any, ...]:
+    """Cones of the catalogues' sky that hold all stars of the frames of a geometry."""
+    centres, radii = field_cones(plan, g)
+    return cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
+
+
+def shards_of(plan: Plan, catalogues: tuple[Catalogue, ...], g: Geometry) -> tuple[Shard, ...]:
+    """Shards that the frames of a geometry need."""
+    if plan.scene.stars is None:
+        return ()
+    return gather_shards(catalogues, _cones(plan, g), plan.scene.stars.faintest_g_mag)
