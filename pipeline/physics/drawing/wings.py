@@ -144,7 +144,7 @@ def _core_transfer(core: Core, fy: Array, fx: Array, most: int) -> NDArray[np.co
     left, right = (2.0 * np.pi * np.outer(f, at) for f in (fy, fx))
     rows = _product(np.vstack([np.cos(left), -np.sin(left)]), samples)
     real, imag = rows[: fy.size], rows[fy.size :]
-    turns = np.vstack([np.cos(right).T, -np.sin(right).T])
+    turns = np.ascontiguousarray(np.vstack([np.cos(right).T, -np.sin(right).T]))
     out = _product(np.block([[real, -imag], [imag, real]]), turns) / per_px**2
     return out[: fy.size] + 1j * out[fy.size :]
 

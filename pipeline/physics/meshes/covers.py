@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import int64, njit
 from numpy.typing import NDArray
 
 CORNERS = 4  # of a triangle cut by a plane, at most
@@ -38,7 +38,6 @@ class Work(NamedTuple):
     levels: NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
 def room_for(facets):
     """Work for a mesh of so many facets: each may cover another one twice."""
     n = 2 * facets + 2
@@ -131,6 +130,7 @@ def covers(f, view, bins, tilt, shift, room, stamp, work, found):
     """
     flat, low, high = view.flat_m, bins.low, bins.high
     height = np.empty(3)
+    me = int64(0)  # its row; typed, for a literal would compile the callees once more
     level_me = tilt[0] * flat[f, 0, 0] + tilt[1] * flat[f, 0, 1] + tilt[2] * flat[f, 0, 2]
     x_low, x_high = low[f, 0] + room, high[f, 0] - room
     y_low, y_high = low[f, 1] + room, high[f, 1] - room
@@ -157,9 +157,9 @@ def covers(f, view, bins, tilt, shift, room, stamp, work, found):
                     floor = -2.0 * room
                 row = found + 1
                 lay_down(flat, j, height, shift, floor, work, row)
-                if work.size[row] < 3 or apart(work, 0, row, room) or apart(work, row, 0, room):
+                if work.size[row] < 3 or apart(work, me, row, room) or apart(work, row, me, room):
                     continue
-                if holds(work, row, 0, room):
+                if holds(work, row, me, room):
                     return -1
                 found += 1
     return found
@@ -181,7 +181,7 @@ def covered(f, view, light, sign, normal, sun, axes, room, work):
         work.x[0, i], work.y[0, i] = view.flat_m[f, i, 0], view.flat_m[f, i, 1]
     work.size[0] = 3
     shift = np.zeros(2)
-    found = covers(f, view, view, tilt, shift, room, 2 * f, work, 0)
+    found = covers(f, view, view, tilt, shift, room, 2 * f, work, int64(0))
     if found >= 0:
         up = tilt[0] * here[0] + tilt[1] * here[1] + tilt[2] * here[2]
         shift[0], shift[1] = here[0] / up, here[1] / up

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import int64, njit
 
 DEPTH = 24  # how often a slab is halved at most
 FLOOR = 0.02  # of the tolerance: what a single piece may be off, however low it is
@@ -34,7 +34,7 @@ def free_spans(work, near, y):
         order in which it enters them, so that the next line, which is close, finds them sorted
     """
     begin, end, rows = work.begin, work.end, work.near
-    a, b = _crossing(work, 0, y)
+    a, b = _crossing(work, int64(0), y)
     if not a < b:
         return 0
     count = 0
@@ -89,6 +89,25 @@ def _rectangle(work, k):
 
 
 @njit(cache=True, nogil=True)
+def _sort(values, carried, count):
+    """Shell's sort of `count` values in place; what is carried goes along.
+
+    It compiles in a tenth of the time of numba's quicksort, and is as quick for some hundred.
+    """
+    gap = 1
+    while gap < count:
+        gap = 3 * gap + 1
+    while gap > 1:
+        gap //= 3
+        for i in range(gap, count):
+            value, load, j = values[i], carried[i], i
+            while j >= gap and values[j - gap] > value:
+                values[j], carried[j] = values[j - gap], carried[j - gap]
+                j -= gap
+            values[j], carried[j] = value, load
+
+
+@njit(cache=True, nogil=True)
 def _steps(work, found, least, smallest):
     """Heights y at which the free length may jump or bend, at least `least` apart.
 
@@ -109,7 +128,7 @@ def _steps(work, found, least, smallest):
                 marks[count] = work.y[k, i]
                 count += 1
     marks[count] = top
-    marks[: count + 1] = np.sort(marks[: count + 1])
+    _sort(marks, np.empty(count + 1, np.int64), count + 1)
     steps = np.empty(count + 2)
     steps[0], kept = bottom, 1
     for i in range(count):
@@ -178,7 +197,8 @@ def free_area(work, found, tolerance):
         return 0.0, 0.0
     least = min(0.25 * tolerance / width, 0.51 * (top - bottom))
     steps, overlooked = _steps(work, found, least, SMALL * tolerance)
-    order = np.argsort(work.low[1 : found + 1])
+    order = np.arange(1, found + 1)
+    _sort(work.low[1 : found + 1].copy(), order, found)
     area, error, near, waiting = 0.0, 0.0, 0, 0
     share = tolerance / (top - bottom)
     # a gap that opens and closes between the lines looked at is a triangle of less than tolerance
@@ -191,8 +211,8 @@ def free_area(work, found, tolerance):
                 work.near[kept] = work.near[n]
                 kept += 1
         near = kept
-        while waiting < found and work.low[order[waiting] + 1] < steps[m + 1]:
-            work.near[near] = order[waiting] + 1
+        while waiting < found and work.low[order[waiting]] < steps[m + 1]:
+            work.near[near] = order[waiting]
             waiting += 1
             near += 1
         pieces = int(np.ceil((steps[m + 1] - steps[m]) / tallest))

@@ -88,10 +88,11 @@ def mesh_intensity(
         whole[facets.closed & (sign < 0.0)] = 0.0  # the inside of a closed shell is not seen
         return MeshLight(float(whole.sum()), 0.0, whole)
     geometry = _geometry(facets, normal, sign, s, plane_axes(o))
+    work = room_for(len(facets))
     allowed = min(PATIENCE / active.size, MOST) * error * float(whole.sum())
     todo, parts, off = active, np.zeros(len(facets)), np.zeros(len(facets))
     for _ in range(ROUNDS):
-        area, unsure = _areas(geometry, todo, allowed / weight[todo], seen[todo])
+        area, unsure = _areas(geometry, work, todo, allowed / weight[todo], seen[todo])
         parts[todo], off[todo] = weight[todo] * area, weight[todo] * unsure
         total, bound = float(parts.sum()), float(off.sum())
         if bound <= error * total or total == 0.0:
@@ -118,7 +119,7 @@ def seen_areas(facets: Facets, observer: ArrayLike, error: float = 1e-3) -> tupl
         return out, 0.0
     geometry = _geometry(facets, normal, np.where(towards < 0.0, -1.0, 1.0), o, plane_axes(o))
     allowed = np.full(active.size, error * float(whole.sum()) / active.size)
-    out[active], off = _areas(geometry, active, allowed, whole[active])
+    out[active], off = _areas(geometry, room_for(len(facets)), active, allowed, whole[active])
     return out, float(off.sum())
 
 
@@ -202,7 +203,8 @@ def mesh_picture(
         raise BadInput("cell_m", cell_m, f"at most {MOST_CELLS} cells along a side of the body")
     x0, y0 = (float(np.floor(v / cell_m)) * cell_m for v in low)
     nx, ny = (int(np.floor((h - v) / cell_m)) + 1 for h, v in zip(high, (x0, y0), strict=True))
-    image = _image(geometry, active, light.facet_m2_sr, (x0, y0, float(cell_m)), np.zeros((ny, nx)))
+    frame, image = (x0, y0, float(cell_m)), np.zeros((ny, nx))
+    _image(geometry, room_for(len(facets)), active, light.facet_m2_sr, frame, image)
     return image, (-y0 / cell_m - 0.5, -x0 / cell_m - 0.5)
 
 
@@ -232,11 +234,11 @@ def _directions(sun: ArrayLike, observer: ArrayLike) -> tuple[Array, Array]:
 
 
 @njit(cache=True, nogil=True)
-def _areas(geometry, active, tolerance, whole):
+def _areas(geometry, work, active, tolerance, whole):
     """Lit and seen areas of facets in the observer's plane, with bounds on their errors [m2]."""
     view, light, sign, normal, sun, axes, room = geometry
-    work = room_for(view.flat_m.shape[0])
     area, error = np.zeros(active.size), np.zeros(active.size)
+    work.seen[:] = -1  # an earlier round's looks
     for i in range(active.size):
         found = covered(active[i], view, light, sign, normal, sun, axes, room, work)
         if found == 0:
@@ -269,10 +271,9 @@ def _spread(work, near, frame, lines, part, length, image):
 
 
 @njit(cache=True, nogil=True)
-def _image(geometry, active, parts, frame, image):
-    """Each facet's light over the cells that its lit and seen part covers; thin ones whole."""
+def _image(geometry, work, active, parts, frame, image):
+    """Each facet's light onto the cells that its lit and seen part covers; thin ones whole."""
     view, light, sign, normal, sun, axes, room = geometry
-    work = room_for(view.flat_m.shape[0])
     x0, y0, side = frame
     for f in active:
         found = max(covered(f, view, light, sign, normal, sun, axes, room, work), 0)
@@ -283,4 +284,3 @@ def _image(geometry, active, parts, frame, image):
         else:
             row = int((work.y[0, :3].mean() - y0) / side)
             image[row, int((work.x[0, :3].mean() - x0) / side)] += parts[f]
-    return image

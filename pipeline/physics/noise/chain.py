@@ -123,6 +123,7 @@ def _collected_e(mean_e: Array, chain: Chain, place: StreamPlace, first_row: int
     if not chain.photon_noise:
         return mean_e.copy()
     k0, k1 = place.photon_key
+    mean_e = np.ascontiguousarray(mean_e)  # one compiled form is enough
     return poisson_image(mean_e, place.y0 + first_row, place.x0, place.frame, k0, k1)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, uint64
+from numba import int64, njit, uint64
 
 from pipeline.physics.noise.pixel_draws import (
     accepted,
@@ -234,10 +234,10 @@ def draw_middle(which, mean_e, u_of, v_of, place, out, scratch, ints):
     for j in range(n):
         i = which[j]
         at[j], mean[j], u[j], v[j] = i, mean_e[i], u_of[i], v_of[i]
-    draw = 0
+    draw = int64(0)  # typed, as all counts are: a literal would compile callees once more
     while n > FEW:
         _candidates(n, mean, u, v, k, us, settled)
-        doubts = 0
+        doubts = int64(0)
         for j in range(n):
             out[at[j]] = k[j]
             doubtful[doubts] = j
@@ -247,7 +247,7 @@ def draw_middle(which, mean_e, u_of, v_of, place, out, scratch, ints):
             at[i], mean[i], k[i], us[i], v[i] = at[j], mean[j], k[j], us[j], v[j]
         _arguments(doubts, k, mean, us, v, w, bend)
         _logarithms(doubts, w, w_bits, part, part_bits, power, power_bits)
-        n = 0
+        n = int64(0)
         for i in range(doubts):
             over = w[i] - bend[i]
             taken = over < 0.0

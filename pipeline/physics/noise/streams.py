@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 
 import numpy as np
-from numba import njit
+from numba import int64, njit
 
 from pipeline.physics.noise.pixel_draws import (
     EXACT_BELOW,
@@ -73,7 +73,7 @@ def standard_normals(rows, columns, y0, x0, frame, k0, k1):
             line = out[r, start : start + n]
             for i in range(n):
                 x[i] = x0 + start + i
-            words(n, x, y0 + r, frame, 0, k0, k1, first, second)
+            words(n, x, y0 + r, frame, int64(0), k0, k1, first, second)
             to_uniforms(n, p)
             central_quantiles(n, p, line)
             for i in range(n):
@@ -88,7 +88,8 @@ def poisson_image(mean_e, y0, x0, frame, k0, k1):
     out = np.empty_like(mean_e)
     first, second = np.empty(RUN_PX, np.uint64), np.empty(RUN_PX, np.uint64)
     u, v = first.view(np.float64), second.view(np.float64)
-    x, low, middle = np.empty((3, RUN_PX), np.uint64)
+    x, low = np.empty(RUN_PX, np.uint64), np.empty(RUN_PX, np.uint64)
+    middle = np.empty(RUN_PX, np.uint64)
     scratch, ints = np.empty((10, RUN_PX)), np.empty((5, RUN_PX), np.uint64)
     for r in range(mean_e.shape[0]):
         for start in range(0, mean_e.shape[1], RUN_PX):
@@ -96,7 +97,7 @@ def poisson_image(mean_e, y0, x0, frame, k0, k1):
             mean, line = mean_e[r, start : start + n], out[r, start : start + n]
             for i in range(n):
                 x[i] = x0 + start + i
-            words(n, x, y0 + r, frame, 0, k0, k1, first, second)
+            words(n, x, y0 + r, frame, int64(0), k0, k1, first, second)
             to_uniforms(n, u)
             if count_below(n, mean, EXACT_BELOW) == n:
                 draw_low(n, mean, u, line, scratch)

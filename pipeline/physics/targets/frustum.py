@@ -40,9 +40,10 @@ def frustum_area_function(
     s, o = np.asarray(sun, float), np.asarray(observer, float)
     given = (base_radius_m, top_radius_m, height_m, base_closed, top_closed)
     shape = np.broadcast_shapes(s.shape[:-1], o.shape[:-1], *(np.shape(v) for v in given))
-    lit, seen = (np.broadcast_to(v, (*shape, 3)).reshape(-1, 3) for v in (s, o))
+    # Copies: writable and contiguous, so that the loop is compiled once.
+    lit, seen = (np.array(np.broadcast_to(v, (*shape, 3))).reshape(-1, 3) for v in (s, o))
     r0, r1, height, base, top = (
-        np.broadcast_to(np.asarray(v, float), shape).ravel() for v in given
+        np.array(np.broadcast_to(np.asarray(v, float), shape)).ravel() for v in given
     )
     areas = _areas(lit, seen, r0, r1, height, base, top, _NODES, _WEIGHTS)
     return np.asarray(areas).reshape(shape)
