@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from pipeline.physics.constants import (
     AB_ZERO_FLUX_W_M2_HZ,
@@ -190,6 +189,8 @@ def spectrum_from_box_means(edges_m: Array, means: Array, step_m: float) -> tupl
     edges_m : (n+1,) ascending, metres; means : (n,) not negative, any unit
     Returns wavelength_m (k,) and values (k,) in the unit of `means`.
     """
+    from scipy.interpolate import PchipInterpolator  # a quarter second that few scenes need
+
     cumulative = np.concatenate([[0.0], np.cumsum(means * np.diff(edges_m))])
     slope = PchipInterpolator(edges_m, cumulative).derivative()
     counts = np.maximum(1, np.rint(np.diff(edges_m) / step_m)).astype(int)

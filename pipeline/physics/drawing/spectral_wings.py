@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import TAPER_FROM, Core, taper
@@ -70,6 +69,8 @@ def _copies(blur: Blur, period: int, at_px: Array) -> Array:
     A Fourier sum holds them all. Far from their source they are smooth, so the nearest
     COPIES x COPIES are summed on a coarse grid, COPIES periods wide, and interpolated.
     """
+    from scipy.interpolate import RectBivariateSpline
+
     m, h = period // COARSE_PX, float(COARSE_PX)
     n = COPIES * m
     fy, fx = scipy.fft.fftfreq(n, h)[:, None], scipy.fft.rfftfreq(n, h)[None, :]

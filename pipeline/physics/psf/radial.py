@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 from scipy.special import j0, j1
 
 Array = NDArray[np.float64]
@@ -176,6 +175,8 @@ def light_table(mtf: Mtf, top: float, scale_px: float, farthest: float) -> Calla
 
     farthest : last radius in units of `scale_px`; beyond, the last power law goes on.
     """
+    from scipy.interpolate import PchipInterpolator
+
     radii = scale_px * np.geomspace(NEAREST, farthest, LIGHT_RADII)
     light = np.array([light_beyond(mtf, top, r) for r in radii])
     light = np.minimum.accumulate(np.clip(light, 1e-12, 1.0))
