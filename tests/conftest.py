@@ -14,6 +14,11 @@ settings.register_profile("search", deadline=None)
 settings.load_profile("steady")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The service's tests first: they wait on processes, and run longest for their number."""
+    items.sort(key=lambda item: "service" not in item.path.parts)
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real data beside the repository; tests that need it skip where it is absent."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 from pathlib import Path
 
@@ -14,8 +15,10 @@ from catalog_tools.query import cone
 from catalog_tools.synthetic import make_demo
 from catalog_tools.verify import verify
 
-hats = pytest.importorskip("hats", reason="hats is not installed")
-lsdb = pytest.importorskip("lsdb", reason="LSDB is not installed")
+pytestmark = pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("hats", "lsdb")),
+    reason="hats or LSDB is not installed",
+)
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +56,8 @@ def test_hats_finds_it_valid(made, caplog):
 
 
 def test_hats_reads_what_the_manifest_says(made):
+    import hats
+
     held = hats.read_hats(made.path)
     assert held.catalog_info.total_rows == made.rows
     assert held.catalog_info.catalog_name == made.name
@@ -64,6 +69,8 @@ def test_hats_reads_what_the_manifest_says(made):
 
 
 def test_same_stars_as_lsdb_in_cones(made):
+    import lsdb
+
     some, _ = cone(made, 0, 0, 180)
     rng = np.random.default_rng(0)
     places = [some.slice(int(i), 1).to_pylist()[0] for i in rng.integers(0, some.num_rows, 1)]
@@ -75,6 +82,8 @@ def test_same_stars_as_lsdb_in_cones(made):
 
 
 def test_same_stars_as_lsdb_with_a_magnitude_limit(made):
+    import lsdb
+
     limit = 14.0
     region = lsdb.ConeSearch(0.7, -1.0, 20 * 3600.0)
     theirs = lsdb.open_catalog(
@@ -87,6 +96,8 @@ def test_same_stars_as_lsdb_with_a_magnitude_limit(made):
 
 def test_same_columns_in_lsdb(made):
     """Every column by name, with degrees, magnitudes and nulls as they are stored."""
+    import lsdb
+
     ours, _ = cone(made, 0.7, -1.0, 20.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
