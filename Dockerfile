@@ -30,11 +30,10 @@ RUN groupadd --gid 10001 nightglass \
     && useradd --uid 10001 --gid 10001 --no-create-home --home-dir /data --shell /usr/sbin/nologin nightglass \
     && install -d -o 10001 -g 10001 /data
 COPY --from=build /opt/nightglass /opt/nightglass
-# MALLOC_TRIM_THRESHOLD_ must stand before Python starts; what numba compiles lies on the volume.
+# What numba compiles lies on the volume.
 ENV PATH=/opt/nightglass/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \
-    MALLOC_TRIM_THRESHOLD_=65536 \
     NIGHTGLASS_HOME=/data \
     NIGHTGLASS_CACHE=/data/cache \
     NUMBA_CACHE_DIR=/data/cache/numba

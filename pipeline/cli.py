@@ -28,8 +28,6 @@ from pipeline.parts_cli import join
 from pipeline.report_cli import report_ledger, report_scenes
 from pipeline.sweep_cli import sweep
 
-os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")
-
 app = typer.Typer(
     name="nightglass",
     help="Electro-optical scene simulator for Space Domain Awareness.",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import resource
 import time
+from collections.abc import Iterable
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -231,7 +232,7 @@ def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
 
     Above the last core class's limit this is more than the plan's bound, and the report says so.
     """
-    light = 0.0
+    light = error_e = 0.0
     for kind in truth_kinds(plan):
         import pyarrow.compute as pc
         import pyarrow.parquet as pq
@@ -239,10 +240,18 @@ def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
         column = pq.read_table(
             begun.path / layout.TRUTH / f"{kind}.parquet", columns=["electrons"]
         )["electrons"]
-        light = max(light, pc.max(column).as_py() or 0.0)
-    classes = plan.responses.classes
-    error = next((c.wing_error for c in classes if light <= c.brightest_e), 0.0)
-    return {"brightest_source_e": light, "wing_error_of_brightest_e": light * error}
+        most = pc.max(column).as_py() or 0.0
+        each = (
+            (c.target_e, c.target_error) if kind == "targets" else (c.brightest_e, c.wing_error)
+            for c in plan.responses.classes
+        )
+        light, error_e = max(light, most), max(error_e, most * _error_of(most, each))
+    return {"brightest_source_e": light, "wing_error_of_brightest_e": error_e}
+
+
+def _error_of(light_e: float, classes: Iterable[tuple[float, float]]) -> float:
+    """Error per electron of the first class that a light does not exceed: of (limit, error)."""
+    return next((error for limit, error in classes if light_e <= limit), 0.0)
 
 
 def _achieved(begun: Begun) -> dict[str, Any]:

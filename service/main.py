@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import ipaddress
-import os
 import socket
 import sys
 from pathlib import Path
@@ -21,7 +20,6 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
 
     Beyond loopback it serves only where requests need a key or token. Port 0 takes a free one.
     """
-    os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", "65536")  # for the workers
     from service.settings import read_settings
 
     settings = read_settings(home)

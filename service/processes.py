@@ -28,7 +28,6 @@ def worker(settings: Settings, order: dict[str, Any]) -> Iterator[Answers]:
     Leaving the block ends the process, whatever it does: a product survives that at any moment.
     """
     environment = {k: v for k, v in os.environ.items() if not _secret(k)}
-    environment["MALLOC_TRIM_THRESHOLD_"] = "65536"
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "service.worker"], cwd=settings.catalogues, env=environment,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,

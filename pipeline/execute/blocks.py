@@ -72,14 +72,17 @@ def plan_blocks(plan: Plan, most_stars: float) -> tuple[Tile, ...]:
 
 
 def class_of(plan: Plan, light_e: Array) -> np.ndarray:
-    """Core class (n,) of sources by their light: the first whose limit they do not exceed."""
-    limits = np.array([c.brightest_e for c in plan.responses.classes])
-    return np.searchsorted(limits, light_e, side="left").clip(0, len(limits) - 1)
+    """Core class (n,) of stars by their light: the first whose limit they do not exceed."""
+    return _first_above(light_e, [c.brightest_e for c in plan.responses.classes])
 
 
-def target_class(plan: Plan, target: FrameTarget) -> int:
-    """Core class of a target."""
-    return int(class_of(plan, np.array([target.light_e]))[0])
+def target_class(plan: Plan, light_e: Array | float) -> np.ndarray:
+    """Core class (n,) of targets by their light."""
+    return _first_above(np.atleast_1d(light_e), [c.target_e for c in plan.responses.classes])
+
+
+def _first_above(light_e: Array, limits: list[float]) -> np.ndarray:
+    return np.searchsorted(np.array(limits), light_e, side="left").clip(0, len(limits) - 1)
 
 
 def parts_of(plan: Plan, x_px: float, y_px: float, light_e: float) -> list[tuple[Blur, float]]:
@@ -172,9 +175,11 @@ def _wings(
     grid = wing_grid((place.rows, place.columns), (place.y0, place.x0), r.spacing_px, reach)
     path = paths[_middle_zone(plan, place)].path if paths else None
     light = stars.light_e
-    star_wings = _wing_field(plan, grid, stars.x_px, stars.y_px, light, light, path)
+    classes = class_of(plan, light)
+    star_wings = _wing_field(plan, grid, stars.x_px, stars.y_px, light, classes, path)
     points = [t for t in targets if t.body is None]
-    target_wings = _wing_field(plan, grid, *_target_points(plan, points), None)
+    x, y, part, whole = _target_points(plan, points)
+    target_wings = _wing_field(plan, grid, x, y, part, target_class(plan, whole), None)
     for target in targets:
         if target.body is not None:
             field = _body_field(plan, grid, target)
@@ -183,11 +188,11 @@ def _wings(
 
 
 def _wing_field(
-    plan: Plan, grid: WingGrid, x: Array, y: Array, light: Array, whole: Array, path: Path | None
-) -> Array | None:
-    """Grid values of the wings of points; `whole` is the light of the source each belongs to."""
+    plan: Plan, grid: WingGrid, x: Array, y: Array, light: Array, classes: np.ndarray,
+    path: Path | None,
+) -> Array | None:  # fmt: skip
+    """Grid values of the wings of points; classes : (n,) core classes of their sources."""
     total: np.ndarray | None = None
-    classes = class_of(plan, whole)
     r = plan.responses
     for k, core in enumerate(r.classes):
         mine = np.flatnonzero(classes == k)
@@ -207,7 +212,7 @@ def _body_field(plan: Plan, grid: WingGrid, target: FrameTarget) -> Array:
     """Grid values of the wings of an extended body."""
     assert target.body is not None
     r = plan.responses
-    core = r.classes[target_class(plan, target)]
+    core = r.classes[target_class(plan, target.light_e)[0]]
     field = np.zeros((grid.rows, grid.columns))
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         light = spread_body(grid, target.body, (target.y_px, target.x_px), light_e)

@@ -245,17 +245,24 @@ def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
 
 
 def _wings(r: ResponsePlan, sigma_e: float) -> list[Decision]:
-    budget, share, last = r.budget_e, cut_share(r), r.classes[-1].wing_error
-    limits = [c.brightest_e for c in r.classes if c.brightest_e < math.inf] or [budget / last]
-    cut = share * max(limits)
+    budget, share, last = r.budget_e, cut_share(r), r.classes[-1]
+    limits = [c.brightest_e for c in r.classes if c.brightest_e < math.inf]
+    limits = limits or [budget / last.wing_error]
+    cut, first, targets = share * max(limits), r.classes[0], ""
+    if first.target_e < first.brightest_e:
+        targets = (
+            f". For targets, which may stand still among streaked stars, these are "
+            f"{first.target_e:.3g} e-, {budget / last.target_error:.3g} e- and "
+            f"{last.target_error:.2g}"
+        )
     return [
         Decision(
             "wings_on_a_coarse_grid", True,
             f"light beyond {r.classes[0].radius_px:.0f} px of a source is drawn on a grid of "
             f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px; sources "
             f"above {min(limits):.3g} e- get larger cores. The bound holds up to "
-            f"{budget / last:.3g} e-; above, a pixel errs by up to {last:.2g} of its source's "
-            "light",
+            f"{budget / last.wing_error:.3g} e-; above, a pixel errs by up to "
+            f"{last.wing_error:.2g} of its source's light{targets}",
             budget, budget / sigma_e,
         ),
         Decision(

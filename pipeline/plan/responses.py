@@ -50,16 +50,19 @@ TRANSFORM_S_PER_SAMPLE = 4e-8
 
 @dataclass(frozen=True)
 class CoreClass:
-    """Sources up to `brightest_e` electrons get cores of `radius_px`.
+    """Stars up to `brightest_e` electrons, targets up to `target_e`, get cores of `radius_px`.
 
-    wing_error : largest error of a wing pixel per electron of the source (0 without wings)
+    wing_error : largest error of a wing pixel per electron of a star on its streak, target_error :
+        of a target, which may stand still where stars do not (0 without wings)
     phases : sub-pixel phases of its tables; 0 draws each source by its own transform
     mixed_phases : those of the tables of bright streaks; 0 draws each along its own path
     """
 
     radius_px: float
     brightest_e: float
+    target_e: float
     wing_error: float
+    target_error: float
     phases: int
     mixed_phases: int = 0
 
@@ -149,18 +152,26 @@ def plan_responses(
         reach = max(_radius_holding(b, scene.accuracy.flux_fraction) for b in blurs)
         reach = max(reach / CUT_FROM, 2.0 * first)
         cores = _cores(blurs, first, spacing, path, facts.budget_e)
+        # Errors at rest are the largest: a path takes their mean.
+        at_rest = path if not (scene.targets or scene.populations) else POINT
+        for_targets = _cores(blurs, first, spacing, at_rest, facts.budget_e)
         reach = max(reach, 2.0 * cores[-1][0])  # a wing is not cut off where its core still fades
         cut = CUT_FROM * reach
     else:
         usual, reach = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
         brightest = facts.budget_e / NOTHING_BEYOND[0]
         cores, spacing, cut = ((usual, brightest, 0.0), (reach, math.inf, 0.0)), 0, usual
+        for_targets = cores
     most_bytes = TABLE_BYTES
     if none.field is not None:
         most_bytes = min(most_bytes, FIELD_BYTES / (len(blurs) * streaks.shapes))
     needed = max(_phases(_asked_phases(scene), b) for b in blurs)
+    tables = [_table_phases(needed, core[0], path, most_bytes) for core in cores]
     classes = tuple(
-        CoreClass(*core, _table_phases(needed, core[0], path, most_bytes)) for core in cores
+        CoreClass(radius, bright, min(target, bright), error, max(still, error), phases)
+        for (radius, bright, error), (_, target, still), phases in zip(
+            cores, for_targets, tables, strict=True
+        )
     )
     planned = replace(
         none, classes=classes, spacing_px=spacing, reach_px=reach,

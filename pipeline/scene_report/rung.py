@@ -90,7 +90,7 @@ def errors_against(stage: Stage, light: Light, exact: Exact) -> dict[str, Any]:
         mean_of(stage, light(w), w) - m for w, m in zip(exact.windows, exact.mean_e, strict=True)
     ]
     allowed = [
-        allowed_e(stage.plan, n, max(lights_near(stage, w)), sum(lights_near(stage, w)))
+        allowed_e(stage.plan, n, *lights_near(stage, w))
         for w, n in zip(exact.windows, exact.noise_e, strict=True)
     ]
     total = sum(float(m.sum()) for m in exact.mean_e)
@@ -116,18 +116,21 @@ def bound_sigma(plan: Plan) -> float:
     return sum(d.error_bound_sigma or 0.0 for d in told)
 
 
-def allowed_e(plan: Plan, noise_e: Array, light_e: float, all_e: float) -> Array:
+def allowed_e(plan: Plan, noise_e: Array, stars_e: list[float], targets_e: list[float]) -> Array:
     """What the plan says that pixels of this noise may err by [e-].
 
-    light_e : of the brightest source whose light reaches them: the wavelengths, and of a source
-    beyond the core classes its wings, err by the plan's share of it; all_e : of all sources that
-    reach them, of each of which the end of the wings is missing.
+    stars_e, targets_e : light of the sources that reaches them. Of the brightest one the
+    wavelengths, and beyond the core classes the wings, err by the plan's share of it; of all the
+    end of the wings is missing.
     """
     r, band = plan.responses, plan.facts.band
-    allowed = bound_sigma(plan) * noise_e + (band.error if band else 0.0) * light_e
+    star, target = max(stars_e, default=0.0), max(targets_e, default=0.0)
+    allowed = bound_sigma(plan) * noise_e + (band.error if band else 0.0) * max(star, target)
     if r.spacing_px:
-        allowed = allowed + max(0.0, r.classes[-1].wing_error * light_e - r.budget_e)
-        allowed = allowed + cut_e(plan, all_e)
+        last = r.classes[-1]
+        wings = max(last.wing_error * star, last.target_error * target)
+        allowed = allowed + max(0.0, wings - r.budget_e)
+        allowed = allowed + cut_e(plan, sum(stars_e) + sum(targets_e))
     return allowed
 
 
@@ -136,8 +139,8 @@ def cut_e(plan: Plan, light_e: float) -> float:
     return cut_share(plan.responses) * light_e
 
 
-def lights_near(stage: Stage, window: Tile) -> list[float]:
-    """Light of each source that reaches a window [e-]."""
+def lights_near(stage: Stage, window: Tile) -> tuple[list[float], list[float]]:
+    """Light of each star and of each target that reaches a window [e-]."""
     reach = stage.plan.halo_px + excursion_px(stage.plan, stage.g)
     stars = around(stage.stars, window, reach).light_e
     place = window.y0, window.x0, window.rows, window.columns
@@ -146,10 +149,11 @@ def lights_near(stage: Stage, window: Tile) -> list[float]:
         if distance_px(np.array([t.x_px]), np.array([t.y_px]), *place)[0]
         < stage.plan.halo_px + t.radius_px + t.path.length_px
     ]  # fmt: skip
-    return [0.0, *stars.tolist(), *targets]
+    return stars.tolist(), targets
 
 
 def lights_e(stage: Stage) -> list[float]:
     """Light of each source of the frame [e-]."""
     whole = Tile(0, 0, 0, 0, stage.plan.camera.rows, stage.plan.camera.columns)
-    return lights_near(stage, whole)
+    stars, targets = lights_near(stage, whole)
+    return [0.0, *stars, *targets]
