@@ -29,10 +29,9 @@ from pipeline.physics.drawing.spectral_plan import brightest_for
 from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
 from pipeline.physics.motion.streak import Path
 from pipeline.physics.psf.pupil import Blur
-from pipeline.plan.responses import BLOCK_PX
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak
-from pipeline.plan.tiles import Tile, cut_up
+from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from pipeline.physics.psf.product import PHASES
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
-from pipeline.plan.responses import BLOCK_PX, ResponsePlan, cut_share
+from pipeline.plan.responses import ResponsePlan, cut_share
 from pipeline.plan.star_decisions import decide_star_effects
+from pipeline.plan.tiles import BLOCK_PX
 from pipeline.spec.scene import Scene
 
 ROUNDING_PX = 1e-8  # of a distorted place, or back from it
@@ -259,7 +260,8 @@ def _wings(r: ResponsePlan, sigma_e: float) -> list[Decision]:
         Decision(
             "wings_on_a_coarse_grid", True,
             f"light beyond {r.classes[0].radius_px:.0f} px of a source is drawn on a grid of "
-            f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px; sources "
+            f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px, which the "
+            f"limits of cores take into account; sources "
             f"above {min(limits):.3g} e- get larger cores. The bound holds up to "
             f"{budget / last.wing_error:.3g} e-; above, a pixel errs by up to "
             f"{last.wing_error:.2g} of its source's light{targets}",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array, Geometry
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.extended import point_error
-from pipeline.physics.drawing.wings import CUT_FROM, wing_error
+from pipeline.physics.drawing.wings import CUT_FROM, swept_apart, wing_error, wing_slope
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.product import is_product
@@ -23,6 +23,8 @@ from pipeline.physics.psf.response import compact_core, oversampling_for
 from pipeline.plan.facts import APPROXIMATIONS, Facts
 from pipeline.plan.optics import missing_light
 from pipeline.plan.streaks import StreakPlan, plan_streaks, zone_streak
+from pipeline.plan.tiles import BLOCK_PX
+from pipeline.plan.wing_sweeps import WingSweeps, wing_sweeps
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import FieldPsf
 
@@ -39,7 +41,9 @@ SMALL_RADIUS_PX = 1e-2
 RINGS = 4.7  # times its mean: the rings of both edges of an obscured aperture, at the near end
 NOTHING_BEYOND = (1e-8, 1e-14)  # of the light, beyond the cores of a response without wings
 STILL = StreakPlan(1, 1, 0.0, 0.0, 1, 0.0, 0.0)
-BLOCK_PX = 2048  # wings and crowds are drawn in fixed blocks of the focal plane
+NEGLIGIBLE = 0.1  # of the error of the wings' grid
+MARGIN = 1.25  # for stars whose paths were not compared
+HARDLY = 0.5  # of the middle's streak: stars that move less are at rest
 # Seconds a star, a stamp's pixel, a star and a pixel of the spectral engine, a sample of a
 # transform: one core of the 2-core reference machine (benchmarks/drawing.py prints them anew).
 STAMP_S, STAMP_S_PER_PIXEL = 1e-7, 1.6e-9
@@ -137,13 +141,16 @@ def plan_responses(
         return none
     blurs = none.blurs
     aberration = scene.star_effects["aberration"]
-    path, streaks = POINT, STILL
+    path, swept, streaks, sweeps = POINT, POINT, STILL, None
     if scene.stars is not None:
         asked = scene.accuracy.noise_fraction
         floor_e = facts.budget_e * APPROXIMATIONS / asked  # that the budget is made for
         edge = max(_edge(b) for b in blurs)
         streaks = plan_streaks(camera, ends, aberration, asked, floor_e, facts.budget_e, edge)
-        path = _shortest_piece(camera, ends, streaks, aberration)
+        path = swept = _shortest_piece(camera, ends, streaks, aberration)
+        sweeps = wing_sweeps(camera, ends, streaks.zones, aberration)
+        if sweeps.slowest_px < HARDLY * streaks.pieces * path.length_px:
+            swept = POINT  # somewhere, as where the field turns about, stars stand still
     if any(b.has_wings for b in blurs):
         for b in blurs:
             _check_scale(scene, b)
@@ -151,9 +158,9 @@ def plan_responses(
         spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
         reach = max(_radius_holding(b, scene.accuracy.flux_fraction) for b in blurs)
         reach = max(reach / CUT_FROM, 2.0 * first)
-        cores = _cores(blurs, first, spacing, path, facts.budget_e)
+        cores = _cores(blurs, first, spacing, swept, facts.budget_e, sweeps)
         # Errors at rest are the largest: a path takes their mean.
-        at_rest = path if not (scene.targets or scene.populations) else POINT
+        at_rest = swept if not (scene.targets or scene.populations) else POINT
         for_targets = _cores(blurs, first, spacing, at_rest, facts.budget_e)
         reach = max(reach, 2.0 * cores[-1][0])  # a wing is not cut off where its core still fades
         cut = CUT_FROM * reach
@@ -273,12 +280,13 @@ def _most_near(r: ResponsePlan, shape: tuple[int, int], margin_px: float) -> int
 
 
 def _cores(
-    blurs: tuple[Blur, ...], first: float, spacing: int, path: Path, budget_e: float
-) -> tuple[tuple[float, float, float], ...]:
+    blurs: tuple[Blur, ...], first: float, spacing: int, path: Path, budget_e: float,
+    sweeps: WingSweeps | None = None,
+) -> tuple[tuple[float, float, float], ...]:  # fmt: skip
     """(radius [px], brightest [e-], wing's error) of cores of doubling radius.
 
     The wing's error is measured for the first of all responses, for the second of the two that
-    erred most then, and falls as told after.
+    erred most then, and falls as told after. sweeps : adds what a block's one streak errs by.
     """
     largest = LARGEST_CORE_SAMPLES / max(oversampling_for(b) for b in blurs)
     worst, winged = list(blurs), [b for b in blurs if b.has_wings]
@@ -287,6 +295,11 @@ def _cores(
         radius = first * 2.0**k
         if k < 2:
             errors = [_measured_wing_error(b, radius, spacing, path) for b in worst]
+            if sweeps is not None:
+                errors = [
+                    e + _sweep_error(b, radius, sweeps, NEGLIGIBLE * e)
+                    for e, b in zip(errors, worst, strict=True)
+                ]
             error = max(errors)
             order = sorted(range(len(worst)), key=lambda i: -errors[i])
             worst = [worst[i] for i in order[:2]]
@@ -303,6 +316,24 @@ def _cores(
 def _measured_wing_error(blur: Blur, radius_px: float, spacing_px: int, piece: Path) -> float:
     """The wing's error of a core of some radius, measured once for each response and streak."""
     return wing_error(blur, compact_core(blur, radius_px), spacing_px, piece)
+
+
+@lru_cache(maxsize=256)
+def _measured_wing_slope(blur: Blur, radius_px: float) -> float:
+    return wing_slope(blur, compact_core(blur, radius_px))
+
+
+def _sweep_error(blur: Blur, radius_px: float, sweeps: WingSweeps, enough: float) -> float:
+    """What a star's wing errs by that is swept as its block's, per unit light.
+
+    At most its slope times how far the paths are apart; where that is more than `enough`, measured
+    for the paths that are farthest apart.
+    """
+    bound = sweeps.off_px * _measured_wing_slope(blur, radius_px) if sweeps.off_px else 0.0
+    if bound <= enough:
+        return bound
+    core = compact_core(blur, radius_px)
+    return min(bound, MARGIN * max(swept_apart(blur, core, *pair) for pair in sweeps.pairs))
 
 
 def _phases(asked: int, blur: Blur) -> int:

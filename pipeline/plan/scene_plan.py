@@ -29,7 +29,6 @@ from pipeline.plan.occultation import decide_occultation
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
 from pipeline.plan.responses import (
-    BLOCK_PX,
     SPECTRAL_S,
     SPECTRAL_S_PER_PIXEL,
     ResponsePlan,
@@ -38,7 +37,7 @@ from pipeline.plan.responses import (
 )
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
-from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
+from pipeline.plan.tiles import BLOCK_PX, Tile, plan_tiles, tile_shape
 from pipeline.plan.timing import frame_count, integration_range_s, integration_s
 from pipeline.spec.scene import Scene
 

@@ -20,7 +20,6 @@ from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.decision import Decision
 from pipeline.plan.forecast import LeafLike, share_in_field
 from pipeline.plan.responses import (
-    BLOCK_PX,
     FIELD_BYTES,
     STAMP_S,
     STAMP_S_PER_PIXEL,
@@ -30,6 +29,7 @@ from pipeline.plan.responses import (
 )
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak, zone_streak
+from pipeline.plan.tiles import BLOCK_PX
 
 # Seconds a star and a sample of its transform for each segment of its path, a value of a table:
 # one core of the 2-core reference machine. A cubic stamp costs as much more as it has points.

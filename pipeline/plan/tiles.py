@@ -9,6 +9,9 @@ from pipeline.spec.scene import CELL_PX, Scene
 DEFAULT_TILE_PX = 1024
 
 
+BLOCK_PX = 2048  # wings and crowds are drawn in fixed blocks of the focal plane
+
+
 @dataclass(frozen=True)
 class Tile:
     """A rectangle of one frame that one task renders and one chunk holds."""

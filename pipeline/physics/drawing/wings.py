@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 GRID_SAMPLES = 2  # samples a pixel of the core that hold what a grid of 2 px or more can see
 TEST_SAMPLES = 8  # and what single pixels can see
+TEST_SIDE = 1024  # samples across from which fewer a pixel are taken, and most pixels
 CUT_FROM = 0.9  # of the reach: where the wing's cut-off begins
 SPLINE_PX = 3  # grid points that the splines need beyond the range they serve
 
@@ -132,6 +133,39 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
         index = (np.arange(size) - size // 2) * os - shift
         worst = max(worst, float(np.abs(image - exact[np.ix_(index, index)]).max()))
     return worst
+
+
+def wing_slope(blur: Blur, core: Core) -> float:
+    """Steepest fall of the wing of a source at rest, per px and unit light [1/px]."""
+    spectrum, fy, fx, os = _wing_spectrum(blur, core, 6.0 * core.radius_px)
+    n = fy.size
+    dy, dx = (
+        scipy.fft.irfft2(2j * np.pi * f * spectrum, s=(n, n)) for f in (fy[:, None], fx[None, :])
+    )
+    return float(np.hypot(dy, dx).max() * os**2)
+
+
+def swept_apart(blur: Blur, core: Core, one: Path, other: Path) -> float:
+    """Largest difference of a pixel of the wing swept along two paths, per unit light."""
+    ends = [float(np.abs(v).max()) for path in (one, other) for v in (path.x_px, path.y_px)]
+    spectrum, fy, fx, os = _wing_spectrum(blur, core, 2.0 * max(ends) + 6.0 * core.radius_px)
+    a, b = (transfer(fy, fx, p.x_px, p.y_px, p.weight) for p in (one, other))
+    n = fy.size
+    return float(np.abs(scipy.fft.irfft2(spectrum * (a - b), s=(n, n))).max() * os**2)
+
+
+def _wing_spectrum(
+    blur: Blur, core: Core, side_px: float
+) -> tuple[NDArray[np.complex128], Array, Array, int]:
+    """Transform of a wing at rest on a square: itself, fy (n,), fx (n // 2 + 1,), samples a px."""
+    most = next((os for os in (TEST_SAMPLES, 4) if side_px * os <= TEST_SIDE), 2)
+    os = min(core.oversampling, most)
+    n = scipy.fft.next_fast_len(int(np.ceil(min(side_px, TEST_SIDE))) + 1) * os
+    fy, fx = scipy.fft.fftfreq(n, 1.0 / os), scipy.fft.rfftfreq(n, 1.0 / os)
+    whole = blur.transfer(fy[:, None], fx[None, :])
+    if core.oversampling > os:
+        whole = whole * _low_pass(fy, os)[:, None] * _low_pass(fx, os)[None, :]
+    return whole - _core_transfer(core, fy, fx, os), fy, fx, os
 
 
 def _core_transfer(core: Core, fy: Array, fx: Array, most: int) -> NDArray[np.complex128]:

@@ -12,11 +12,13 @@ from pipeline.physics.drawing.wings import (
     convolve,
     grid_frequencies,
     spread,
+    swept_apart,
     wing_error,
     wing_grid,
     wing_kernel,
+    wing_slope,
 )
-from pipeline.physics.motion.streak import Path, transfer
+from pipeline.physics.motion.streak import POINT, Path, transfer
 from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.physics.psf.response import compact_core, core_spectrum, stamp_at, window
 
@@ -214,3 +216,32 @@ def test_streaked_wing_is_the_time_average_of_still_ones() -> None:
     stated = wing_error(blur, draw.core, 2, path)
     assert stated < 0.3 * average.max()
     assert np.abs(image - average).max() < stated + 1e-3 * average.max()
+
+
+@pytest.mark.parametrize("length", [1, 6, 30])
+def test_a_wing_swept_as_its_neighbours_is_off_by_what_is_stated(length: int) -> None:
+    """One star at rest, the other on a straight path: against a mean of shifted responses."""
+    blur, radius, n, os = Blur(Airy(1.6, 0.3)), 16.0, 160, 8
+    path = Path(np.array([-0.5, 0.5]) * length, np.zeros(2), np.ones(1))
+    core = compact_core(blur, radius)
+    stated = swept_apart(blur, core, POINT, path)
+    f, half = scipy.fft.fftfreq(n * os, 1.0 / os), scipy.fft.rfftfreq(n * os, 1.0 / os)
+    whole = scipy.fft.irfft2(blur.transfer(f[:, None], half[None, :]), s=(n * os, n * os)) * os**2
+    draw = Drawer(blur, radius, 2, n, 6.0 * radius)
+
+    def wing(samples: int) -> np.ndarray:
+        """Of a star so many eighths of a pixel from the middle."""
+        middle = n * os // 2
+        image = np.roll(whole, (middle, middle + samples), axis=(0, 1))[::os, ::os].copy()
+        iy, ix, stamp = stamp_at(*draw.swept, n / 2.0, n / 2.0 + samples / os)
+        image[iy : iy + stamp.shape[0], ix : ix + stamp.shape[1]] -= stamp
+        return image
+
+    ends = length * os // 2
+    weight = np.ones(2 * ends + 1)
+    weight[[0, -1]] = 0.5
+    shifted = (w * wing(k) for k, w in zip(range(-ends, ends + 1), weight, strict=True))
+    found = float(np.abs(sum(shifted) / weight.sum() - wing(0)).max())
+    assert found <= 1.05 * stated
+    assert stated <= 1.5 * found  # between the pixels' middles it may be more
+    assert stated <= wing_slope(blur, core) * 0.25 * length

@@ -1,0 +1,80 @@
+"""Fields that turn: stars in the middle stand still while others streak; wings hold their bound."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.execute.check import reference
+from pipeline.physics.radiometry import box
+from pipeline.plan.facts import gather_facts
+from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.scene_plan import Plan, make_plan
+from pipeline.plan.tiles import Tile
+from pipeline.plan.wing_sweeps import wing_sweeps
+from pipeline.spec.load import parse_scene
+from tests.execute.test_engines import drawn, field, geometry_of
+
+SIDE = 160
+
+
+def turning(roll_deg: float, psf: dict) -> Plan:
+    """A plan of one frame that turns about its middle; nothing is read."""
+    scene = parse_scene({
+        "schema": "nightglass/scene/1", "name": "turning", "epoch": "2019-04-20T03:00:00Z",
+        "observer": {"kind": "fixed", "position_au": [1.0, 0.0, 0.0]},
+        "sensor": {
+            "shape": [SIDE, SIDE], "pixel_pitch_um": 10.0, "focal_length_m": 1.0,
+            "aperture_m": 0.065, "obscuration": 0.3, "psf": psf, "read_noise_e": 5.0,
+            "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
+        },
+        "pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,
+                     "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 0.0,
+                     "roll_rate_deg_s": roll_deg},
+        "exposure": {"integration_s": 1.0}, "stars": {"catalogue": "none"},
+    })  # fmt: skip
+    facts = gather_facts(scene, box(600e-9, 700e-9), 0.0, 5.0, 1.0)
+    return make_plan(scene, facts, plan_geometry(scene, np.zeros(1, int), 0.0), None, 0.0, (), 0.0)
+
+
+@pytest.mark.parametrize("psf", [{"kind": "airy", "wavelength_nm": 650.0},
+                                 {"kind": "moffat", "fwhm_px": 2.1}])  # fmt: skip
+def test_limits_of_cores_know_of_the_turn(psf):
+    still, turns = turning(0.0, psf), turning(20.0, psf)
+    for one, other in zip(still.responses.classes, turns.responses.classes, strict=True):
+        assert other.radius_px == one.radius_px
+        assert other.wing_error > one.wing_error or one.wing_error == 0.0
+    sweeps = wing_sweeps(turns.camera, geometry_of(turns), turns.responses.streaks.zones, True)
+    corner_px = np.radians(20.0) * np.hypot(SIDE, SIDE) / 2.0
+    assert sweeps.slowest_px < 1.0
+    assert 0.2 * corner_px < sweeps.off_px < 0.5 * corner_px
+
+
+@pytest.mark.parametrize("at", [(79.6, 79.8), (30.2, 130.7)])
+def test_wings_of_every_star_hold_their_bound(at):
+    """Stars as bright as their class may hold, in its middle and in a corner."""
+    plan = turning(20.0, {"kind": "airy", "wavelength_nm": 650.0})
+    told = [d.error_bound_e for d in plan.decisions if d.error_bound_sigma and d.error_bound_e]
+    for core in plan.responses.classes[:2]:
+        stars = field(*(np.array([v]) for v in (*at, 0.95 * core.brightest_e)))
+        image = drawn(plan, stars, together=False)
+        for row, column in ((-26, -8), (10, 4), (-8, -26), (-8, 10)):
+            window = Tile(0, 0, int(at[1]) + row, int(at[0]) + column, 16, 16)
+            exact, _ = reference(plan, geometry_of(plan), window, stars)
+            off = image[window.y0 : window.y0 + 16, window.x0 : window.x0 + 16] - exact
+            assert np.abs(off).max() <= sum(told) * np.sqrt(1.0 + exact.max() / 25.0)
+
+
+def test_by_the_limits_of_a_field_that_does_not_turn_they_err_more():
+    """What the rule is for: ten times the light, as if only the grid erred."""
+    plan = turning(20.0, {"kind": "airy", "wavelength_nm": 650.0})
+    careless = tuple(
+        replace(c, brightest_e=10.0 * c.brightest_e) for c in plan.responses.classes
+    )
+    plan = replace(plan, responses=replace(plan.responses, classes=careless))
+    star = field(*(np.array([v]) for v in (79.6, 79.8, 0.95 * careless[0].brightest_e)))
+    image, window = drawn(plan, star, together=False), Tile(0, 0, 71, 89, 16, 16)
+    exact, _ = reference(plan, geometry_of(plan), window, star)
+    assert np.abs(image[71:87, 89:105] - exact).max() > plan.responses.budget_e
