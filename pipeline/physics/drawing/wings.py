@@ -108,7 +108,7 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     Draws one source (swept along `path`) at three sub-pixel places with the coarse grid, and
     compares with the response sampled directly.
     """
-    os, reach = min(core.oversampling, TEST_SAMPLES), 6.0 * core.radius_px
+    reach = 6.0 * core.radius_px
     sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
     size = 2 * int(np.ceil(2.0 * core.radius_px + sweep)) + 1
     grid = wing_grid((size, size), (0, 0), spacing_px, reach)
@@ -116,6 +116,8 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
         *grid_frequencies(grid), path.x_px, path.y_px, path.weight
     )
     n = scipy.fft.next_fast_len(2 * size + 2 * int(2.0 * core.radius_px))
+    enough = 4 if n * TEST_SAMPLES > TEST_SIDE and blur.band_limit(1e-2) <= 1.0 else TEST_SAMPLES
+    os = min(core.oversampling, enough)
     fy, fx = scipy.fft.fftfreq(n * os, 1.0 / os), scipy.fft.rfftfreq(n * os, 1.0 / os)
     swept = transfer(fy, fx, path.x_px, path.y_px, path.weight)
     whole = blur.transfer(fy[:, None], fx[None, :])
