@@ -20,7 +20,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     A worker that a test kills would compile what it draws with again.
     """
     order = {"acceptance": 0, "service": 1}
-    items.sort(key=lambda item: min(order.get(part, 2) for part in item.path.parts))
+    here = Path(__file__).parent
+    items.sort(key=lambda item: order.get(item.path.relative_to(here).parts[0], 2))
 
 
 @pytest.fixture(scope="session")

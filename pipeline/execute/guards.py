@@ -100,7 +100,8 @@ def guard_mean(
     if low < 0.0:
         allowed = NEGATIVE_FLOOR * plan.facts.sigma_floor_e + 1e-6 * float(mean_e.max())
         allowed += plan.facts.budget_e
-        allowed += 2.0 * plan.responses.classes[-1].target_error * brightest_e
+        last = plan.responses.classes[-1]
+        allowed += 2.0 * max(last.wing_error, last.target_error) * brightest_e
         if low < -allowed:
             lowest = min(layers, key=lambda name: float(layers[name].min()))
             raise NightglassError(

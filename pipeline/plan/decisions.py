@@ -171,7 +171,7 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         )
     )  # fmt: skip
     if r.spacing_px:
-        out += _wings(r, sigma)
+        out += _wings(r, sigma, bool(scene.targets or scene.populations))
     if scene.stars is not None:
         out += _streaks(r, sigma)
     return out
@@ -245,12 +245,12 @@ def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
     return out
 
 
-def _wings(r: ResponsePlan, sigma_e: float) -> list[Decision]:
+def _wings(r: ResponsePlan, sigma_e: float, targets_there: bool) -> list[Decision]:
     budget, share, last = r.budget_e, cut_share(r), r.classes[-1]
     limits = [c.brightest_e for c in r.classes if c.brightest_e < math.inf]
     limits = limits or [budget / last.wing_error]
     cut, first, targets = share * max(limits), r.classes[0], ""
-    if first.target_e < first.brightest_e:
+    if first.target_e != first.brightest_e and targets_there:
         targets = (
             f". For targets, which may stand still among streaked stars, these are "
             f"{first.target_e:.3g} e-, {budget / last.target_error:.3g} e- and "

@@ -42,7 +42,8 @@ RINGS = 4.7  # times its mean: the rings of both edges of an obscured aperture, 
 NOTHING_BEYOND = (1e-8, 1e-14)  # of the light, beyond the cores of a response without wings
 STILL = StreakPlan(1, 1, 0.0, 0.0, 1, 0.0, 0.0)
 NEGLIGIBLE = 0.1  # of the error of the wings' grid
-MARGIN = 1.25  # for stars whose paths were not compared
+PASSING = 3.2  # radii of a streak's way
+MARGIN = 1.6  # for stars whose paths were not compared
 HARDLY = 0.5  # of the middle's streak: stars that move less are at rest
 # Seconds a star, a stamp's pixel, a star and a pixel of the spectral engine, a sample of a
 # transform: one core of the 2-core reference machine (benchmarks/drawing.py prints them anew).
@@ -141,16 +142,13 @@ def plan_responses(
         return none
     blurs = none.blurs
     aberration = scene.star_effects["aberration"]
-    path, swept, streaks, sweeps = POINT, POINT, STILL, None
+    path, streaks = POINT, STILL
     if scene.stars is not None:
         asked = scene.accuracy.noise_fraction
         floor_e = facts.budget_e * APPROXIMATIONS / asked  # that the budget is made for
         edge = max(_edge(b) for b in blurs)
         streaks = plan_streaks(camera, ends, aberration, asked, floor_e, facts.budget_e, edge)
-        path = swept = _shortest_piece(camera, ends, streaks, aberration)
-        sweeps = wing_sweeps(camera, ends, streaks.zones, aberration)
-        if sweeps.slowest_px < HARDLY * streaks.pieces * path.length_px:
-            swept = POINT  # somewhere, as where the field turns about, stars stand still
+        path = _shortest_piece(camera, ends, streaks, aberration)
     if any(b.has_wings for b in blurs):
         for b in blurs:
             _check_scale(scene, b)
@@ -158,6 +156,11 @@ def plan_responses(
         spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
         reach = max(_radius_holding(b, scene.accuracy.flux_fraction) for b in blurs)
         reach = max(reach / CUT_FROM, 2.0 * first)
+        swept, sweeps = path, None
+        if not streaks.still:
+            sweeps = wing_sweeps(camera, ends, streaks.zones, aberration)
+            if sweeps.slowest_px < HARDLY * streaks.pieces * path.length_px:
+                swept = POINT  # somewhere, as where the field turns about, stars stand still
         cores = _cores(blurs, first, spacing, swept, facts.budget_e, sweeps)
         # Errors at rest are the largest: a path takes their mean.
         at_rest = swept if not (scene.targets or scene.populations) else POINT
@@ -175,7 +178,7 @@ def plan_responses(
     needed = max(_phases(_asked_phases(scene), b) for b in blurs)
     tables = [_table_phases(needed, core[0], path, most_bytes) for core in cores]
     classes = tuple(
-        CoreClass(radius, bright, min(target, bright), error, max(still, error), phases)
+        CoreClass(radius, bright, target, error, still, phases)
         for (radius, bright, error), (_, target, still), phases in zip(
             cores, for_targets, tables, strict=True
         )
@@ -326,14 +329,20 @@ def _measured_wing_slope(blur: Blur, radius_px: float) -> float:
 def _sweep_error(blur: Blur, radius_px: float, sweeps: WingSweeps, enough: float) -> float:
     """What a star's wing errs by that is swept as its block's, per unit light.
 
-    At most its slope times how far the paths are apart; where that is more than `enough`, measured
-    for the paths that are farthest apart.
+    At most its slope times how far the paths are apart, while the streak passes by (a slope that
+    falls as r^-4 is felt for 1.6 radii of the way, and the paths may be twice as far apart then);
+    where that is more than `enough`, measured for the paths that differ most.
     """
-    bound = sweeps.off_px * _measured_wing_slope(blur, radius_px) if sweeps.off_px else 0.0
+    near = min(1.0, PASSING * radius_px / max(sweeps.slowest_px, 1e-9))
+    slope = _measured_wing_slope(blur, radius_px) if sweeps.off_px else 0.0
+    bound = sweeps.off_px * slope * near
     if bound <= enough:
         return bound
     core = compact_core(blur, radius_px)
-    return min(bound, MARGIN * max(swept_apart(blur, core, *pair) for pair in sweeps.pairs))
+    found = [
+        error for pair in sweeps.pairs if (error := swept_apart(blur, core, *pair)) is not None
+    ]
+    return min(bound, MARGIN * max(found)) if len(found) == len(sweeps.pairs) else bound
 
 
 def _phases(asked: int, blur: Blur) -> int:

@@ -20,14 +20,16 @@ def set_dotted(data: Any, name: str, value: Any) -> None:
 
 
 def changed(data: Any, changes: dict[str, Any]) -> Any:
-    """A copy of plain data with dotted changes; None removes a key. Raises as `set_dotted`."""
+    """A copy of plain data with dotted changes; None removes one. Raises as `set_dotted`."""
     out = copy.deepcopy(data)
     for name, value in changes.items():
         holder, key = _holder(out, name)
-        if value is None:
-            holder.pop(key, None)
-        else:
+        if value is not None:
             holder[key] = copy.deepcopy(value)
+        elif isinstance(holder, list):
+            del holder[key]
+        else:
+            holder.pop(key, None)
     return out
 
 

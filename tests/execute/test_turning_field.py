@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from pipeline.execute.check import reference
+from pipeline.physics.drawing.wings import swept_apart
+from pipeline.physics.psf.response import compact_core
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.responses import MARGIN
 from pipeline.plan.scene_plan import Plan, make_plan
+from pipeline.plan.streaks import exact_path
 from pipeline.plan.tiles import Tile
 from pipeline.plan.wing_sweeps import wing_sweeps
 from pipeline.spec.load import parse_scene
@@ -20,8 +24,8 @@ from tests.execute.test_engines import drawn, field, geometry_of
 SIDE = 160
 
 
-def turning(roll_deg: float, psf: dict) -> Plan:
-    """A plan of one frame that turns about its middle; nothing is read."""
+def turning(roll_deg: float, psf: dict, dec_arcsec: float = 0.0) -> Plan:
+    """A plan of one frame that turns about its middle, or drifts too; nothing is read."""
     scene = parse_scene({
         "schema": "nightglass/scene/1", "name": "turning", "epoch": "2019-04-20T03:00:00Z",
         "observer": {"kind": "fixed", "position_au": [1.0, 0.0, 0.0]},
@@ -31,7 +35,7 @@ def turning(roll_deg: float, psf: dict) -> Plan:
             "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
         },
         "pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,
-                     "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 0.0,
+                     "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": dec_arcsec,
                      "roll_rate_deg_s": roll_deg},
         "exposure": {"integration_s": 1.0}, "stars": {"catalogue": "none"},
     })  # fmt: skip
@@ -78,3 +82,20 @@ def test_by_the_limits_of_a_field_that_does_not_turn_they_err_more():
     image, window = drawn(plan, star, together=False), Tile(0, 0, 71, 89, 16, 16)
     exact, _ = reference(plan, geometry_of(plan), window, star)
     assert np.abs(image[71:87, 89:105] - exact).max() > plan.responses.budget_e
+
+
+@pytest.mark.parametrize(("roll_deg", "dec_arcsec"), [(20.0, 60.0), (10.0, 60.0), (20.0, 30.0)])
+def test_a_turn_about_another_place_is_looked_at_where_it_stands_still(roll_deg, dec_arcsec):
+    """What is measured for a few pairs of paths holds for stars all over the frame."""
+    plan = turning(roll_deg, {"kind": "airy", "wavelength_nm": 650.0}, dec_arcsec)
+    zones = plan.responses.streaks.zones
+    sweeps = wing_sweeps(plan.camera, geometry_of(plan), zones, True)
+    shortest = min(pair[0].length_px for pair in sweeps.pairs)
+    assert shortest == pytest.approx(sweeps.slowest_px, abs=0.05)
+    blur = plan.responses.blur
+    core = compact_core(blur, plan.responses.classes[0].radius_px)
+    measured = max(swept_apart(blur, core, *pair) for pair in sweeps.pairs)
+    common = sweeps.pairs[0][1]
+    for x, y in ((20.0, 20.0), (140.0, 20.0), (79.5, 140.0), (20.0, 120.0), (120.0, 79.5)):
+        own = exact_path(plan.camera, geometry_of(plan), x, y, True)
+        assert swept_apart(blur, core, own, common) <= MARGIN * measured

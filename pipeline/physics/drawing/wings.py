@@ -147,10 +147,16 @@ def wing_slope(blur: Blur, core: Core) -> float:
     return float(np.hypot(dy, dx).max() * os**2)
 
 
-def swept_apart(blur: Blur, core: Core, one: Path, other: Path) -> float:
-    """Largest difference of a pixel of the wing swept along two paths, per unit light."""
+def swept_apart(blur: Blur, core: Core, one: Path, other: Path) -> float | None:
+    """Largest difference of a pixel of the wing swept along two paths, per unit light.
+
+    None for paths too long to be compared: TEST_SIDE pixels and more with what is around them.
+    """
     ends = [float(np.abs(v).max()) for path in (one, other) for v in (path.x_px, path.y_px)]
-    spectrum, fy, fx, os = _wing_spectrum(blur, core, 2.0 * max(ends) + 6.0 * core.radius_px)
+    side_px = 2.0 * max(ends) + 6.0 * core.radius_px
+    if side_px > TEST_SIDE:
+        return None
+    spectrum, fy, fx, os = _wing_spectrum(blur, core, side_px)
     a, b = (transfer(fy, fx, p.x_px, p.y_px, p.weight) for p in (one, other))
     n = fy.size
     return float(np.abs(scipy.fft.irfft2(spectrum * (a - b), s=(n, n))).max() * os**2)
