@@ -169,6 +169,7 @@ def long_scene(scene: dict[str, Any]) -> dict[str, Any]:
     return scene
 
 
+@pytest.mark.slow
 def test_five_kills(
     make_server: Callable[..., Any], scene: dict[str, Any], tmp_path: Path
 ) -> None:

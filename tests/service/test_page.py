@@ -174,6 +174,7 @@ def geo(name: str, position_m: list[float], velocity_m_s: list[float]) -> dict[s
             "body": {"kind": "sphere", "diameter_m": 4.0, "albedo": 0.25}}  # fmt: skip
 
 
+@pytest.mark.slow
 def test_tiles_appear_while_it_is_drawn(
     page: Page, server: Any, field: str, scene: dict[str, Any]
 ) -> None:
