@@ -56,9 +56,11 @@ from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
+    from pipeline.execute.graph import Inputs
     from pipeline.physics.cosmic_rays.frame import CosmicRays
     from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky import SkyPlan
+    from pipeline.store.cube import CubeWriter
 
 LOOKED_AT = 5  # frames, spread over the scene, whose stars are counted
 
@@ -82,6 +84,13 @@ class Prepared:
     def catalogue_digest(self) -> str | None:
         """Of all catalogues that it looked into; None without any."""
         return "+".join(c.digest for c in self.catalogues) or None
+
+    def inputs(self, writer: CubeWriter, plan: Plan | None = None) -> Inputs:
+        """What tasks need; plan : in place of its own."""
+        from pipeline.execute.graph import Inputs  # drawing: a plan alone does without
+
+        used = plan or self.plan
+        return Inputs(used, self.maps, self.catalogues, self.left_out, writer, self.rays)
 
 
 def resolve(scene: Scene) -> Scene:

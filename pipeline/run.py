@@ -14,7 +14,7 @@ import numpy as np
 from catalog_tools.schedulers import TASKS_PER_WINDOW, Scheduler, open_scheduler
 from pipeline.errors import BadInput, NightglassError
 from pipeline.execute.bundles import bundled, tiles_a_bundle, tiles_done
-from pipeline.execute.graph import Inputs, Work, shard_graph, shard_key, window_graph
+from pipeline.execute.graph import Work, shard_graph, shard_key, window_graph
 from pipeline.finish import finish, stored_report
 from pipeline.inputs.stars import Shard
 from pipeline.plan.cost import CHUNK_S, TILE_S
@@ -118,9 +118,7 @@ def draw(
 ) -> None:  # fmt: skip
     """Run every missing task of a share, window by window of frames."""
     plan, catalogues = prepared.plan, prepared.catalogues
-    inputs = scheduler.share(
-        Inputs(plan, prepared.maps, catalogues, prepared.left_out, begun.writer, prepared.rays)
-    )
+    inputs = scheduler.share(prepared.inputs(begun.writer))
     total = share.span(plan)[1] - share.span(plan)[0]
     ref_epochs = tuple(c.ref_epoch_jyear for c in catalogues)
     state = {"done": len(begun.done)}

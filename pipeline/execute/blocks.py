@@ -75,9 +75,14 @@ def class_of(plan: Plan, light_e: Array) -> np.ndarray:
     return _first_above(light_e, [c.brightest_e for c in plan.responses.classes])
 
 
-def target_class(plan: Plan, light_e: Array | float) -> np.ndarray:
+def target_classes(plan: Plan, light_e: Array) -> np.ndarray:
     """Core class (n,) of targets by their light."""
-    return _first_above(np.atleast_1d(light_e), [c.target_e for c in plan.responses.classes])
+    return _first_above(light_e, [c.target_e for c in plan.responses.classes])
+
+
+def target_class(plan: Plan, target: FrameTarget) -> int:
+    """Core class of a target."""
+    return int(target_classes(plan, np.array([target.light_e]))[0])
 
 
 def _first_above(light_e: Array, limits: list[float]) -> np.ndarray:
@@ -178,7 +183,7 @@ def _wings(
     star_wings = _wing_field(plan, grid, stars.x_px, stars.y_px, light, classes, path)
     points = [t for t in targets if t.body is None]
     x, y, part, whole = _target_points(plan, points)
-    target_wings = _wing_field(plan, grid, x, y, part, target_class(plan, whole), None)
+    target_wings = _wing_field(plan, grid, x, y, part, target_classes(plan, whole), None)
     for target in targets:
         if target.body is not None:
             field = _body_field(plan, grid, target)
@@ -211,7 +216,7 @@ def _body_field(plan: Plan, grid: WingGrid, target: FrameTarget) -> Array:
     """Grid values of the wings of an extended body."""
     assert target.body is not None
     r = plan.responses
-    core = r.classes[target_class(plan, target.light_e)[0]]
+    core = r.classes[target_class(plan, target)]
     field = np.zeros((grid.rows, grid.columns))
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         light = spread_body(grid, target.body, (target.y_px, target.x_px), light_e)

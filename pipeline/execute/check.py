@@ -284,7 +284,7 @@ def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     """An extended body with the reference's core, and its wings on the finer grid."""
     assert target.body is not None
     r, place, path = plan.responses, (target.y_px, target.x_px), target.path
-    k = int(target_class(plan, target.light_e)[0])
+    k = target_class(plan, target)
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         core = core_of(blur, _radius(plan, k, blur))
         draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)

@@ -56,7 +56,7 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
     image = np.zeros((tile.rows, tile.columns))
     targets = place_targets(plan, g)
     for target in targets:
-        k = int(target_class(plan, target.light_e)[0])
+        k = target_class(plan, target)
         if target.body is not None:
             place, radius = (target.y_px, target.x_px), plan.responses.classes[k].radius_px
             for blur, light in parts_of(plan, target.x_px, target.y_px, target.light_e):

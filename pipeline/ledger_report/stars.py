@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.arrays import Array
-from pipeline.execute.graph import Inputs, read_shard
+from pipeline.execute.graph import read_shard
 from pipeline.execute.sources import place_stars
 from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
 from pipeline.ledger_report.scenes import DEC_DEG, RA_DEG, SITE, mean_e, scene, whole
@@ -60,8 +60,7 @@ def _places(stage: Stage, without: str | None) -> dict[int, Array]:
     if without is not None:
         stars = plan.scene.stars.model_copy(update={without: False})
         plan = replace(plan, scene=plan.scene.model_copy(update={"stars": stars}))
-    writer = CubeWriter("nowhere", ("dn",))
-    inputs = Inputs(plan, prepared.maps, prepared.catalogues, prepared.left_out, writer)
+    inputs = prepared.inputs(CubeWriter("nowhere", ("dn",)), plan)
     g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
     found: dict[int, Array] = {}
     for shard in shards_of(plan, prepared.catalogues, g):

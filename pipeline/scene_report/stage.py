@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate
 from pipeline.execute.blocks import Block, plan_blocks, render_block
 from pipeline.execute.detector import tile_chain
-from pipeline.execute.graph import Inputs, read_shard, rows_wanted
+from pipeline.execute.graph import read_shard, rows_wanted
 from pipeline.execute.sources import place_stars
 from pipeline.execute.tile import noise_e, tile_light
 from pipeline.plan.geometry import plan_geometry
@@ -59,9 +59,7 @@ def gather_stars(prepared: Prepared, plan: Plan, g: Geometry) -> tuple[FrameStar
     """Stars that may light the one frame of a geometry, and the rows that were read for them."""
     if plan.scene.stars is None:
         return concatenate([], FrameStars), 0
-    inputs = Inputs(
-        plan, prepared.maps, prepared.catalogues, prepared.left_out, CubeWriter("nowhere", ("dn",))
-    )
+    inputs = prepared.inputs(CubeWriter("nowhere", ("dn",)), plan)
     shards, parts = shards_of(plan, prepared.catalogues, g), []
     for shard in shards:
         epoch = prepared.catalogues[shard.catalogue].ref_epoch_jyear

@@ -235,11 +235,7 @@ def _make_base(key: str, scene: Scene, whole: bool) -> Base:
         kind: (part, _token((key, kind) if whole else part.content))
         for kind, part in parts_of(inner, whole).items()
     }
-    inputs = Inputs(
-        plan, prepared.maps, prepared.catalogues, prepared.left_out, CubeWriter("", ()),
-        prepared.rays,
-    )  # fmt: skip
-    return Base(key, prepared, inputs, parts)
+    return Base(key, prepared, prepared.inputs(CubeWriter("", ()), plan), parts)
 
 
 def _read_key(base: Base, plan: Plan) -> str:

@@ -26,8 +26,10 @@ SIDE = 160
 WHOLE = Tile(0, 0, 0, 0, SIDE, SIDE)
 
 
-def plan_of(psf: dict[str, Any], dx_px: float, dy_px: float, side: int = SIDE) -> Plan:
-    """A plan of one frame whose stars streak by (dx, dy) px; nothing is read."""
+def plan_of(
+    psf: dict[str, Any], dx_px: float, dy_px: float, side: int = SIDE, roll_deg: float = 0.0
+) -> Plan:
+    """A plan of one frame whose stars streak by (dx, dy) px and turn about; nothing is read."""
     ifov_arcsec = np.degrees(1e-5) * 3600.0
     scene = parse_scene({
         "schema": "nightglass/scene/1", "name": "engines", "epoch": "2019-04-20T03:00:00Z",
@@ -39,7 +41,7 @@ def plan_of(psf: dict[str, Any], dx_px: float, dy_px: float, side: int = SIDE) -
         },
         "pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,
                      "rate_ra_arcsec_s": dx_px * ifov_arcsec,
-                     "rate_dec_arcsec_s": -dy_px * ifov_arcsec},
+                     "rate_dec_arcsec_s": -dy_px * ifov_arcsec, "roll_rate_deg_s": roll_deg},
         "exposure": {"integration_s": 1.0}, "stars": {"catalogue": "none"},
     })  # fmt: skip
     facts = gather_facts(scene, box(600e-9, 700e-9), 0.0, 5.0, 1.0)

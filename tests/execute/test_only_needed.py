@@ -104,8 +104,7 @@ def test_tasks_of_stars_alone(catalogue):
     shards = shards_of(plan, prepared.catalogues, geometry)
     tiles = tuple((int(f), tile) for f in frames for tile in plan.tiles)
     work = Work(geometry, tiles, tuple(range(plan.frames)), ())
-    inputs = Inputs(plan, prepared.maps, prepared.catalogues, prepared.left_out,
-                    CubeWriter("nowhere", ("dn",)))  # fmt: skip
+    inputs = prepared.inputs(CubeWriter("nowhere", ("dn",)))
     graph, _ = window_graph(inputs, plan, work, dict.fromkeys(shards), (2015.5,))
     kinds = [key[0] for key in graph]
     counted = {kind: kinds.count(kind) for kind in set(kinds)}

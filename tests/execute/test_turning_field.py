@@ -10,37 +10,19 @@ import pytest
 from pipeline.execute.check import reference
 from pipeline.physics.drawing.wings import swept_apart
 from pipeline.physics.psf.response import compact_core
-from pipeline.physics.radiometry import box
-from pipeline.plan.facts import gather_facts
-from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.responses import MARGIN
-from pipeline.plan.scene_plan import Plan, make_plan
+from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import exact_path
 from pipeline.plan.tiles import Tile
 from pipeline.plan.wing_sweeps import wing_sweeps
-from pipeline.spec.load import parse_scene
-from tests.execute.test_engines import drawn, field, geometry_of
+from tests.execute.test_engines import SIDE, drawn, field, geometry_of, plan_of
 
-SIDE = 160
+PIXEL_ARCSEC = np.degrees(1e-5) * 3600.0
 
 
 def turning(roll_deg: float, psf: dict, dec_arcsec: float = 0.0) -> Plan:
     """A plan of one frame that turns about its middle, or drifts too; nothing is read."""
-    scene = parse_scene({
-        "schema": "nightglass/scene/1", "name": "turning", "epoch": "2019-04-20T03:00:00Z",
-        "observer": {"kind": "fixed", "position_au": [1.0, 0.0, 0.0]},
-        "sensor": {
-            "shape": [SIDE, SIDE], "pixel_pitch_um": 10.0, "focal_length_m": 1.0,
-            "aperture_m": 0.065, "obscuration": 0.3, "psf": psf, "read_noise_e": 5.0,
-            "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
-        },
-        "pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,
-                     "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": dec_arcsec,
-                     "roll_rate_deg_s": roll_deg},
-        "exposure": {"integration_s": 1.0}, "stars": {"catalogue": "none"},
-    })  # fmt: skip
-    facts = gather_facts(scene, box(600e-9, 700e-9), 0.0, 5.0, 1.0)
-    return make_plan(scene, facts, plan_geometry(scene, np.zeros(1, int), 0.0), None, 0.0, (), 0.0)
+    return plan_of(psf, 0.0, -dec_arcsec / PIXEL_ARCSEC, roll_deg=roll_deg)
 
 
 @pytest.mark.parametrize("psf", [{"kind": "airy", "wavelength_nm": 650.0},

@@ -120,10 +120,7 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     os = min(core.oversampling, enough)
     fy, fx = scipy.fft.fftfreq(n * os, 1.0 / os), scipy.fft.rfftfreq(n * os, 1.0 / os)
     swept = transfer(fy, fx, path.x_px, path.y_px, path.weight)
-    whole = blur.transfer(fy[:, None], fx[None, :])
-    if core.oversampling > os:
-        whole = whole * _low_pass(fy, os)[:, None] * _low_pass(fx, os)[None, :]
-    spectrum = whole - _core_transfer(core, fy, fx, os)
+    spectrum = _wing_at(blur, core, fy, fx, os)
     exact = scipy.fft.irfft2(spectrum * swept, s=(n * os, n * os)) * os**2
     worst = 0.0
     for step in range(3):
@@ -170,10 +167,15 @@ def _wing_spectrum(
     os = min(core.oversampling, most)
     n = scipy.fft.next_fast_len(int(np.ceil(min(side_px, TEST_SIDE))) + 1) * os
     fy, fx = scipy.fft.fftfreq(n, 1.0 / os), scipy.fft.rfftfreq(n, 1.0 / os)
+    return _wing_at(blur, core, fy, fx, os), fy, fx, os
+
+
+def _wing_at(blur: Blur, core: Core, fy: Array, fx: Array, os: int) -> NDArray[np.complex128]:
+    """Transform of a wing at rest at fy (n,), fx (m,) -> (n, m), for `os` samples a pixel."""
     whole = blur.transfer(fy[:, None], fx[None, :])
     if core.oversampling > os:
         whole = whole * _low_pass(fy, os)[:, None] * _low_pass(fx, os)[None, :]
-    return whole - _core_transfer(core, fy, fx, os), fy, fx, os
+    return np.asarray(whole - _core_transfer(core, fy, fx, os))
 
 
 def _core_transfer(core: Core, fy: Array, fx: Array, most: int) -> NDArray[np.complex128]:
