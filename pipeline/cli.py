@@ -14,14 +14,18 @@ from pipeline.cosmic_rays_cli import cosmic_rays
 from pipeline.export_cli import export, import_app
 from pipeline.jobs_cli import Server, jobs
 from pipeline.options import (
+    Accepts,
+    AcceptsError,
     Json,
     Output,
     OutputOrUrl,
+    Overrides,
     ProductOrUrl,
     SchedulerName,
     Slurm,
     Workers,
     local_path,
+    overrides_of,
     print_json,
 )
 from pipeline.parts_cli import join
@@ -49,9 +53,6 @@ report_app.command("ledger")(report_ledger)
 
 SceneFile = Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")]
 ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")]
-Overrides = Annotated[
-    list[str] | None, typer.Option("--set", help="override a key: --set sensor.read_noise_e=3")
-]
 
 
 def main() -> None:
@@ -113,9 +114,12 @@ def render(
         str | None, typer.Option("--part", help="only part k/n of the tiles, beside other parts")
     ] = None,
     server: Server = None,
+    accept: Accepts = None,
+    accept_error: AcceptsError = False,
     as_json: Json = False,
 ) -> None:
     """Render a scene into a product directory, here or on a server."""
+    overrides = overrides_of(set_, accept, accept_error)
     scheduler = "slurm" if slurm else scheduler
     if server is not None:
         from pipeline.jobs_cli import render_there
@@ -123,18 +127,18 @@ def render(
         elsewhere = scheduler != "threads" or part is not None
         _only_here(resume, replace, workers is not None, elsewhere)
         to = local_path(output)
-        _print_result(render_there(scene, to, set_ or [], server, as_json), output, as_json)
+        _print_result(render_there(scene, to, overrides, server, as_json), output, as_json)
         return
     if part is not None:
         from pipeline.parts_cli import render_part
 
-        render_part(scene, output, set_ or [], part, (scheduler, workers, replace), as_json)
+        render_part(scene, output, overrides, part, (scheduler, workers, replace), as_json)
         return
     from pipeline.run import Options
     from pipeline.run import render as run
     from pipeline.spec.load import load_scene
 
-    loaded = load_scene(scene, set_ or [])
+    loaded = load_scene(scene, overrides)
     options = Options(scheduler, workers, resume, replace)
     with _progress(quiet=as_json) as listen:
         if "://" in output:
@@ -154,18 +158,21 @@ def plan(
     explain: Annotated[
         bool, typer.Option("--explain", help="the rule of each decision, and the test of its bound")
     ] = False,
+    accept: Accepts = None,
+    accept_error: AcceptsError = False,
     as_json: Json = False,
 ) -> None:
     """Show what a scene needs: tiles, shards, time, memory, and each decision with its bound."""
+    overrides = overrides_of(set_, accept, accept_error)
     if server is not None:
         from pipeline.jobs_cli import plan_there
 
-        summary = plan_there(scene, set_ or [], server)
+        summary = plan_there(scene, overrides, server)
     else:
         from pipeline.prepare import plan_scene
         from pipeline.spec.load import load_scene
 
-        summary = plan_scene(load_scene(scene, set_ or []))
+        summary = plan_scene(load_scene(scene, overrides))
     if as_json:
         print_json(summary)
     else:
@@ -388,8 +395,11 @@ def _print_result(report: dict[str, Any], output: Path | str, as_json: bool) -> 
 
 
 def _print_report(report: dict[str, Any], product: Path | str) -> None:
+    from pipeline.pages import print_warnings
+
     seconds = report["seconds"]
     errors = report["errors"]
+    print_warnings(report["warnings"])
     print(
         f"{product}: {report['frames']} frame(s), {report['tiles']} tile(s) "
         f"in {seconds['plan_s'] + seconds['draw_s'] + seconds['finish_s']:.2f} s"

@@ -189,6 +189,7 @@ def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
         "catalogue_digest": main.get("digest"),
         "synthetic_stars": any(c["synthetic"] for c in catalogues),
         "pixel_convention": "pixel (0, 0) is the centre of the first pixel; axes (y, x)",
+        "warnings": list(plan.warnings),
     } | (over if layers else {}) | ({"distorted": True} if plan.camera.distortion else {})
 
 
@@ -203,6 +204,7 @@ def _report(
     bounds = [d for d in plan.decisions if d.error_bound_e and d.component not in INSTEAD]
     return {
         "scene": plan.scene.name,
+        "warnings": list(plan.warnings),
         "complete": True,
         "content_digest": content_digest(begun.path),
         "frames": plan.frames,

@@ -46,6 +46,25 @@ Slurm = Annotated[bool, typer.Option("--slurm", help="the same as --scheduler sl
 Workers = Annotated[int | None, typer.Option(min=1, help="threads or processes; default: all")]
 
 
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="override a key: --set sensor.read_noise_e=3"),
+]
+Accepts = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--accept", help="draw what would be refused: error, sun, moon, daylight, coverage"
+    ),
+]
+AcceptsError = Annotated[bool, typer.Option("--accept-error", help="the same as --accept error")]
+
+
+def overrides_of(set_: list[str] | None, accept: list[str] | None, error: bool) -> list[str]:
+    """The overrides of a scene that its command asks for: `--set`, then `--accept`."""
+    words = [*(accept or []), *(["error"] if error else [])]
+    return [*(set_ or []), *(f"accept+={word}" for word in words)]
+
+
 def print_json(value: Any) -> None:
     """A value as indented JSON on stdout."""
     print(json.dumps(value, indent=2, allow_nan=False))

@@ -76,6 +76,7 @@ def print_plan(plan: dict[str, Any], explain: bool = False) -> None:
         ("predicted", f"{predicted['cpu_s']:.1f} CPU s, {predicted['worker_memory_mb']:.0f} MB "
                       f"a worker, product {predicted['product_mb']:.0f} MB before compression"),
     ]  # fmt: skip
+    print_warnings(plan["warnings"])
     for name, text in facts:
         console.print(f"{name:>14}  {text}", highlight=False)
     table = Table("component", "", "reason", "bound e-", "bound sigma", "bound", show_edge=False)
@@ -89,6 +90,14 @@ def print_plan(plan: dict[str, Any], explain: bool = False) -> None:
     console.print(table)
     for remark in plan["remarks"]:
         console.print(f"note: {remark}", highlight=False)
+
+
+def print_warnings(warnings: list[str]) -> None:
+    """What is wrong in a product though the scene accepts it: before everything else."""
+    from rich.console import Console
+
+    for warning in warnings:
+        Console().print(f"WARNING: {warning}", style="bold yellow", highlight=False, markup=False)
 
 
 def _number(value: float | None) -> str:

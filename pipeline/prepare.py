@@ -133,6 +133,7 @@ def prepare(scene: Scene) -> Prepared:
     response, band, digest = gather_response(scene)
     dut1_s, remark = gather_dut1_s(*parse_utc(scene.epoch))
     remarks = [remark] if remark else []
+    warnings: list[str] = []  # what the scene accepts though the product is wrong there
     colour, sun = _light(scene, response, band, digest, remarks)
     facts = gather_facts(
         scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
@@ -147,7 +148,10 @@ def prepare(scene: Scene) -> Prepared:
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     remarks += mesh_notices(scene)
-    plan = make_plan(scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction)
+    plan = make_plan(
+        scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction,
+        tuple(warnings),
+    )  # fmt: skip
     plan = _with_engines(plan, catalogues, geometry)
     left_out = _left_out(plan, catalogues)
     plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))

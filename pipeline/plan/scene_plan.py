@@ -69,6 +69,7 @@ class Plan:
     dut1_s: float
     sky: SkyPlan | None = None
     extinction: BandExtinction | None = None
+    warnings: tuple[str, ...] = ()
 
     @property
     def frames(self) -> int:
@@ -120,6 +121,7 @@ def make_plan(
     dut1_s: float,
     sky: SkyPlan | None = None,
     extinction: BandExtinction | None = None,
+    warnings: tuple[str, ...] = (),
 ) -> Plan:
     """Decide everything from facts and the geometry of some of its frames."""
     camera = camera_of(scene)
@@ -134,6 +136,7 @@ def make_plan(
     return Plan(
         scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),
         choose_checks(scene, ends), decisions, remarks, dut1_s, sky, extinction,
+        warnings,
     )  # fmt: skip
 
 
@@ -185,6 +188,7 @@ def plan_dict(
     needs = predict(plan, forecast)
     return {
         "scene": plan.scene.name,
+        "warnings": list(plan.warnings),
         "frames": plan.frames,
         "shape": list(plan.scene.sensor.shape),
         "tile_shape": list(tile_shape(plan.scene)),

@@ -19,6 +19,19 @@ def set_dotted(data: Any, name: str, value: Any) -> None:
     holder[key] = value
 
 
+def add_dotted(data: Any, name: str, value: Any) -> None:
+    """Add a value to a list in place, unless it is there; a missing list is made.
+
+    Raises NoFieldError where there is no list of that name, and none can be made.
+    """
+    holder, key = _holder(data, name)
+    held = holder.get(key) if isinstance(holder, dict) else holder[key]
+    if held is not None and not isinstance(held, list):
+        raise NoFieldError(name)
+    held = held or []
+    holder[key] = held if value in held else [*held, value]
+
+
 def changed(data: Any, changes: dict[str, Any]) -> Any:
     """A copy of plain data with dotted changes; None removes one. Raises as `set_dotted`."""
     out = copy.deepcopy(data)

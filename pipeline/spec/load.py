@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.errors import BadInput, shorten
-from pipeline.spec.dotted import NoFieldError, set_dotted
+from pipeline.spec.dotted import NoFieldError, add_dotted, set_dotted
 from pipeline.spec.scene import Scene
 
 MAX_BYTES = 1 << 20
@@ -254,13 +254,17 @@ def _absolute(path: str, base: Path) -> str:
 
 
 def apply_override(data: Any, override: str) -> None:
-    """Set one dotted key: `sensor.read_noise_e=3`, `targets.0.body.albedo=0.3`."""
+    """Set one dotted key: `sensor.read_noise_e=3`; `accept+=sun` adds to a list."""
     key, sep, text = override.partition("=")
+    key, adds = key.removesuffix("+"), key.endswith("+")
     if not sep or not re.fullmatch(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*", key):
         raise BadInput("--set", override, "dotted.key=value")
     value = parse_yaml(text, f"--set {key}") if text.strip() else None
     try:
-        set_dotted(data, key, value)
+        if adds:
+            add_dotted(data, key, value)
+        else:
+            set_dotted(data, key, value)
     except NoFieldError as missing:
         part = missing.args[0].rpartition(".")[2]
         raise BadInput("--set", override, f"a key that exists up to {part!r}") from None

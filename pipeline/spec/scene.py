@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from pipeline.spec.accept import ACCEPTABLE, Accepted
 from pipeline.spec.background import Background
 from pipeline.spec.body import Body, Lighting
 from pipeline.spec.cosmic_rays import CosmicRays
@@ -166,6 +167,11 @@ class Scene(Strict):
     epoch: str = Field(max_length=40, description="UTC of the start of the first exposure")
     seed: int = Field(0, ge=0, lt=2**63)
     accuracy: Accuracy = Accuracy()
+    accept: tuple[Accepted, ...] = Field(
+        (), max_length=len(ACCEPTABLE),
+        description="what is drawn though the frame is wrong there, and said first in the product: "
+        + "; ".join(f"{word}: {what}" for word, what in ACCEPTABLE.items()),
+    )  # fmt: skip
     observer: Observer
     sensor: Sensor
     pointing: Pointing

@@ -27,7 +27,7 @@ SKY_FLOOR = ("background.uniform_e_per_s", "background.uniform_mag_arcsec2")
 NOISE_FACTS = ("sigma_floor_e", "dark_e", "read_noise_e")
 SKY_FACTS = ("background_e", "background_e_s")
 # What each kind of light does not take from the plan. A new part of the plan is taken to matter.
-_TOLD = ("scene", "facts", "decisions", "remarks", "checks", "tiles")
+_TOLD = ("scene", "facts", "decisions", "remarks", "warnings", "checks", "tiles")
 NOT_OF: dict[str, tuple[str, ...]] = {
     "stars": (*_TOLD, "sky", "sun_rate_e_s_m2"),
     "targets": (*_TOLD, "sky", "colour"),
@@ -113,7 +113,7 @@ def _part(plan: Plan, kind: str) -> Part:
     without: dict[str, Any] = {name: Barred(name) for name in hidden}
     reduced = replace(
         plan, scene=kept, facts=replace(facts, **without),
-        sky=plan.sky if kind == "sky" else None, decisions=(), remarks=(), checks=(),
+        sky=plan.sky if kind == "sky" else None, decisions=(), remarks=(), warnings=(), checks=(),
     )  # fmt: skip
     return Part(kind, reduced, tuple(content))
 

@@ -4,7 +4,7 @@ import { ask, download, ended, follow, json } from "./api.js";
 import { el, fill, notice, number, seconds } from "./dom.js";
 import { jobSnippets } from "./snippets.js";
 import { KINDS } from "./stretch.js";
-import { decisions } from "./submit.js";
+import { decisions, warnings } from "./submit.js";
 import { downloads, showSweep, waiting } from "./sweep.js";
 import { Viewer } from "./viewer.js";
 import { Wcs, dms, hms } from "./wcs.js";
@@ -333,7 +333,7 @@ export class JobView {
       ["content", el("code", {}, report.content_digest.slice(0, 16))],
     ];
     fill(this.more, el("div", { class: "columns" },
-      el("div", { class: "card" }, el("h2", {}, "Report"),
+      el("div", { class: "card" }, el("h2", {}, "Report"), warnings(report.warnings),
         el("dl", { class: "facts" }, facts.map(([k, v]) => [el("dt", {}, k), el("dd", {}, v)])),
         el("ul", { class: "quiet" }, report.remarks.map((r) => el("li", {}, r))), decisions(plan.decisions)),
       jobSnippets(this.job)));

@@ -127,6 +127,7 @@ export function planCard(plan) {
       + `product ${number(p.product_mb, 3)} MB before compression`],
   ];
   return el("div", { class: "card", id: "planned" }, el("h2", {}, "Plan"),
+    warnings(plan.warnings),
     el("dl", { class: "facts" }, facts.map(([k, v]) => [el("dt", {}, k), el("dd", {}, v)])),
     decisions(plan.decisions), remarks(plan.remarks));
 }
@@ -140,6 +141,11 @@ export function decisions(list = []) {
         el("td", {}, el("span", { class: d.kept ? "chip on" : "chip" }, d.kept ? "in" : "left out")),
         el("td", { class: "num" }, d.error_bound_e ? `${number(d.error_bound_e, 2)} e⁻` : "–"),
         el("td", {}, d.reason)))))));
+}
+
+// What is wrong in the product though the scene accepts it: before everything else.
+export function warnings(list = []) {
+  return list.map((w) => el("p", { class: "warning", role: "alert" }, `Warning: ${w}`));
 }
 
 function remarks(list = []) {
