@@ -24,6 +24,7 @@ from pipeline.options import (
     SchedulerName,
     Slurm,
     Workers,
+    as_stated,
     local_path,
     overrides_of,
     print_json,
@@ -388,10 +389,12 @@ def _only_here(*given: bool) -> None:
 
 
 def _print_result(report: dict[str, Any], output: Path | str, as_json: bool) -> None:
+    """What came out; exit code 5 where a product errs by more than was stated."""
     if as_json:
         print_json(report)
     else:
         _print_report(report, output)
+    as_stated(report)
 
 
 def _print_report(report: dict[str, Any], product: Path | str) -> None:

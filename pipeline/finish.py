@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import resource
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +18,7 @@ from pipeline.execute.check import summary
 from pipeline.execute.truth import star_truth, target_truth, world_of
 from pipeline.export.picture import write_preview
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
+from pipeline.plan.accuracy import doubts_of, total_e, total_sigma
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.timing import dwell_of, dwell_plans, frame_times, integration_range_s
@@ -35,7 +38,6 @@ if TYPE_CHECKING:
 SIP_SIZE = 5  # SIP polynomials up to order 4
 SIP_SIZE_DISTORTED = 10  # and up to order 9
 WINDOW = 256
-INSTEAD = ("crowds_by_transforms",)  # of another approximation, of which the bound is counted
 LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
 Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
 
@@ -54,11 +56,13 @@ def finish(
     }
     rows |= _faults(plan, product)
     coordinates = gather_coordinates(plan)
+    errors = _errors(plan, begun)
+    plan = replace(plan, warnings=(*_doubts(plan, errors), *plan.warnings))
     finish_cube(product, coordinates, _attributes(plan, catalogues))
     write_preview(product, plan)
     residual = float(coordinates["wcs_residual_px"][1].max())
-    report = _report(plan, catalogues, begun, rows, residual)
-    report["errors"] |= _brightest(plan, begun) | _achieved(begun)
+    report = _report(plan, catalogues, begun, rows, {"wcs_residual_px": residual} | errors)
+    report["errors"]["as_stated"] = not _doubts(plan, errors)
     report["seconds"] = times | {"finish_s": time.perf_counter() - started}
     layout.write_atomically(product / layout.REPORT, layout.to_json(report))
     drop_parts(product)
@@ -198,10 +202,9 @@ def _report(
     catalogues: list[dict[str, Any]],
     begun: Begun,
     rows: dict[str, int],
-    wcs_residual_px: float,
+    errors: dict[str, Any],
 ) -> dict[str, Any]:
     usage = resource.getrusage(resource.RUSAGE_SELF)
-    bounds = [d for d in plan.decisions if d.error_bound_e and d.component not in INSTEAD]
     return {
         "scene": plan.scene.name,
         "warnings": list(plan.warnings),
@@ -214,19 +217,32 @@ def _report(
         "truth_rows": rows,
         "catalogue": catalogues[0] if catalogues else None,
         "layers": catalogues[1:],
-        "errors": {
-            "wcs_residual_px": wcs_residual_px,
-            "noise_floor_e": plan.facts.sigma_floor_e,
-            "bound_of_all_approximations_e": sum(d.error_bound_e or 0.0 for d in bounds),
-            "bound_of_all_approximations_sigma": sum(d.error_bound_sigma or 0.0 for d in bounds),
-            "asked_sigma": plan.scene.accuracy.noise_fraction,
-            "light_left_out": plan.responses.lost_light,
-            "common_streak_px": plan.responses.streaks.spread_px,
-        },
+        "errors": errors,
         "remarks": list(plan.remarks),
         "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
         "versions": {"nightglass": version("nightglass")} | {n: version(n) for n in LIBRARIES},
     }  # fmt: skip
+
+
+def _errors(plan: Plan, begun: Begun) -> dict[str, Any]:
+    """What the product may err by, for the sources that were drawn, and what was found."""
+    found = _brightest(plan, begun)
+    brighter = found["brightest_source_e"] / (plan.facts.brightest_e or math.inf)
+    return {
+        "noise_floor_e": plan.facts.sigma_floor_e,
+        "bound_of_all_approximations_e": total_e(plan.decisions, brighter),
+        "bound_of_all_approximations_sigma": total_sigma(plan.decisions, brighter),
+        "asked_sigma": plan.scene.accuracy.noise_fraction,
+        "light_left_out": plan.responses.lost_light,
+        "common_streak_px": plan.responses.streaks.spread_px,
+    } | found | _achieved(begun)
+
+
+def _doubts(plan: Plan, errors: dict[str, Any]) -> list[str]:
+    return doubts_of(
+        errors["asked_sigma"], errors["bound_of_all_approximations_sigma"],
+        errors["achieved_error_sigma"], "error" in plan.scene.accept,
+    )  # fmt: skip
 
 
 def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:

@@ -65,6 +65,12 @@ def overrides_of(set_: list[str] | None, accept: list[str] | None, error: bool) 
     return [*(set_ or []), *(f"accept+={word}" for word in words)]
 
 
+def as_stated(report: dict[str, Any]) -> None:
+    """Exit code 5 for a finished product whose error is more than its plan stated."""
+    if not report.get("errors", {}).get("as_stated", True):
+        raise typer.Exit(5)
+
+
 def print_json(value: Any) -> None:
     """A value as indented JSON on stdout."""
     print(json.dumps(value, indent=2, allow_nan=False))

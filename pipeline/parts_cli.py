@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.options import Json, ProductOrUrl, print_json
+from pipeline.options import Json, ProductOrUrl, as_stated, print_json
 
 
 def render_part(
@@ -42,6 +42,7 @@ def render_part(
         print(f"{product}: part {part} done, and with it the product")
     else:
         print(f"{product}: part {part} done, {report['tiles']} tile(s); other parts are not yet")
+    as_stated(report)
 
 
 def join(
@@ -62,3 +63,4 @@ def join(
         print_json(report)
     else:
         print(f"{product}: complete, {report['tiles']} tile(s)")
+    as_stated(report)

@@ -38,7 +38,9 @@ from pipeline.inputs.stars import (
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
+from pipeline.plan.accuracy import judge
 from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
+from pipeline.plan.brightest import brightest_star_e, brightest_target_e, star_radius_rad
 from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
@@ -49,7 +51,7 @@ from pipeline.plan.geometry import (
     plan_geometry,
     sampled_frames,
 )
-from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
+from pipeline.plan.scene_plan import Plan, catalogue_cones, field_cones, make_plan, plan_dict
 from pipeline.plan.target_decisions import mesh_notices
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.observer import GroundObserver
@@ -135,11 +137,12 @@ def prepare(scene: Scene) -> Prepared:
     remarks = [remark] if remark else []
     warnings: list[str] = []  # what the scene accepts though the product is wrong there
     colour, sun = _light(scene, response, band, digest, remarks)
+    geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
     facts = gather_facts(
         scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
+        _brightest_e(scene, catalogues, geometry, colour, sun),
     )  # fmt: skip
-    geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
     extinction = _extinction(scene, response)
     scene, facts, sky = _sky(
         scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s, extinction
@@ -154,9 +157,28 @@ def prepare(scene: Scene) -> Prepared:
     )  # fmt: skip
     plan = _with_engines(plan, catalogues, geometry)
     left_out = _left_out(plan, catalogues)
-    plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
+    decisions = (*plan.decisions, *layer_decisions(catalogues, left_out))
+    doubts = (*judge(scene, decisions), *plan.warnings)
+    plan = replace(plan, decisions=decisions, warnings=doubts)
     rays = _cosmic_rays(scene)
     return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started, rays)
+
+
+def _brightest_e(
+    scene: Scene, catalogues: tuple[Catalogue, ...], g: Geometry, colour: ColourFit | None,
+    sun_rate_e_s_m2: float,
+) -> float:  # fmt: skip
+    """Light of the brightest source in or beside the frames of a geometry [e-]."""
+    stars_e = 0.0
+    if scene.stars is not None and colour is not None:
+        cones = _cones_around(scene, g, star_radius_rad(scene, g))
+        limit = scene.stars.faintest_g_mag
+        groups = [
+            groups_bright_enough(catalogues[s.catalogue], s.leaf, limit)[1]
+            for s in gather_shards(catalogues, cones, limit)
+        ]
+        stars_e = brightest_star_e(scene, colour, (float(m) for g_mag in groups for m in g_mag))
+    return max(stars_e, brightest_target_e(scene, g, sun_rate_e_s_m2) if scene.targets else 0.0)
 
 
 def _with_engines(plan: Plan, catalogues: tuple[Catalogue, ...], geometry: Geometry) -> Plan:
@@ -310,6 +332,12 @@ def forecast(prepared: Prepared) -> Any:
 def _cones(plan: Plan, g: Geometry) -> tuple[Any, ...]:
     """Cones of the catalogues' sky that hold all stars of the frames of a geometry."""
     centres, radii = field_cones(plan, g)
+    return cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
+
+
+def _cones_around(scene: Scene, g: Geometry, radius_rad: np.ndarray) -> tuple[Any, ...]:
+    """Cones of the catalogues' sky that hold all stars so near the boresight of each frame."""
+    centres, radii = catalogue_cones(scene, g, g.attitude[:, g.middle, 2], radius_rad)
     return cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
 
 

@@ -182,7 +182,7 @@ def _cones(
     centres = deproject(plan.camera, g.attitude[0, g.middle], x, y)
     half_px = 0.5 * np.hypot([r.rows for r in rectangles], [r.columns for r in rectangles])
     radii_rad = (half_px + reach_px) * stretch(plan.camera) * plan.facts.ifov_rad
-    return catalogue_cones(plan, g, centres, radii_rad)
+    return catalogue_cones(plan.scene, g, centres, radii_rad)
 
 
 def _places(graph: dict[Key, Any], inputs: Any, view: _View, tile: Tile | None) -> list[Key]:

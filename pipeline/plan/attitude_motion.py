@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.decision import Decision
 from pipeline.plan.timing import frame_count, frame_times, integration_range_s
 from pipeline.spec.attitude import (
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from pipeline.physics.motion.flexible import Split
     from pipeline.physics.motion.jitter import Bins, Spectrum, Waves
 
-FEWEST, MOST = 9, 257  # nodes of a random path
+FEWEST, MOST = 9, 1025  # nodes of a random path
 PER_PERIOD = 8  # nodes in a period of the fastest wave that is path
 LEFT_PX = 5e-3  # rms of an exposure's mean that blur may leave out
 SHARPEST_PX = 0.5  # rms of the images for which a wrong variance of blur is bounded
@@ -64,6 +65,12 @@ class MotionPlan:
     roll_px: float
 
     @property
+    def error_sigma(self) -> float:
+        """Three times what the blur leaves out, in a pixel whose light equals the noise floor."""
+        wrong_px2 = self.uneven_px**2 + self.roll_px**2 + 3.0 * self.scatter * self.blur_px**2
+        return 3.0 * self.left_px + wrong_px2 / (2.0 * SHARPEST_PX**2)
+
+    @property
     def split_hz(self) -> float:
         return split_hz(self.nodes, self.longest_s)
 
@@ -80,7 +87,8 @@ def motion_plan(scene: Scene) -> MotionPlan | None:
         return None
     s = scene.sensor
     ifov = s.pixel_pitch_um * 1e-6 / s.focal_length_m
-    return _plan(model, *integration_range_s(scene), ifov, 0.5 * math.hypot(*s.shape))
+    times = integration_range_s(scene)
+    return _plan(model, *times, ifov, 0.5 * math.hypot(*s.shape), part_sigma(scene))
 
 
 def fast_blur_px(scene: Scene) -> float:
@@ -91,12 +99,14 @@ def fast_blur_px(scene: Scene) -> float:
 
 @lru_cache(maxsize=16)
 def _plan(
-    model: AttitudeModel, shortest_s: float, longest_s: float, ifov_rad: float, corner_px: float
-) -> MotionPlan:
+    model: AttitudeModel, shortest_s: float, longest_s: float, ifov_rad: float, corner_px: float,
+    part: float,
+) -> MotionPlan:  # fmt: skip
+    """Fewest nodes whose blur leaves out little: `part` is the error allowed, over the noise."""
     nodes = FEWEST
     while True:
         made = _plan_with(model, nodes, shortest_s, longest_s, ifov_rad, corner_px)
-        if made.left_px <= LEFT_PX or nodes >= MOST:
+        if (made.left_px <= LEFT_PX and made.error_sigma <= part) or nodes >= MOST:
             return made
         nodes = 2 * nodes - 1
 
@@ -289,8 +299,6 @@ def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
     plan, model = motion_plan(scene), scene.pointing.attitude
     if plan is None or model is None:
         return ()
-    wrong_px2 = plan.uneven_px**2 + plan.roll_px**2 + 3.0 * plan.scatter * plan.blur_px**2
-    left = 3.0 * plan.left_px + wrong_px2 / (2.0 * SHARPEST_PX**2)
     parts = f"{len(model.jitter)} spectra, {len(model.modes)} modes"
     more = ""
     if plan.uneven_px > 1e-4:
@@ -307,6 +315,6 @@ def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
             f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
             "is three times these, in a pixel whose light equals the noise floor, for images of "
             f"{SHARPEST_PX:g} px rms or more",
-            left * sigma_floor_e, left,
+            plan.error_sigma * sigma_floor_e, plan.error_sigma,
         ),
     )  # fmt: skip

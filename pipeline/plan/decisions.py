@@ -8,8 +8,9 @@ from typing import Any
 from pipeline.physics.positions.focal_plane import area_ratio_range, stretch
 from pipeline.physics.psf.band import BandOptics
 from pipeline.physics.psf.product import PHASES
+from pipeline.plan.accuracy import by_wavelength
 from pipeline.plan.decision import Decision
-from pipeline.plan.facts import Facts
+from pipeline.plan.facts import Facts, planned_floor_e
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.responses import ResponsePlan, cut_share
 from pipeline.plan.star_decisions import decide_star_effects
@@ -139,9 +140,9 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
     def bound(e: float) -> dict[str, Any]:
         return {"error_bound_e": e, "error_bound_sigma": e / sigma}
 
-    out = [_over_the_field(r, sigma)]
+    out = [_over_the_field(r)]
     if facts.band is not None:
-        out.append(_wavelengths(facts.band, budget, sigma))
+        out.append(_wavelengths(scene, facts, facts.band))
     sky = scene.background
     if sky is not None and sky.uniform_mag_arcsec2 is not None and not sky.varies:
         camera = camera_of(scene)
@@ -171,46 +172,37 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         )
     )  # fmt: skip
     if r.spacing_px:
-        out += _wings(r, sigma, bool(scene.targets or scene.populations))
+        out += _wings(r, facts, bool(scene.targets or scene.populations))
     if scene.stars is not None:
         out += _streaks(r, sigma)
     return out
 
 
-def _over_the_field(r: ResponsePlan, sigma_e: float) -> Decision:
-    """One response for the focal plane, or several; errors between places are per unit light."""
+def _over_the_field(r: ResponsePlan) -> Decision:
+    """One response for the focal plane, or several, which bilinear mixtures lie between."""
     if r.field is None:
-        same = "one point-spread function for the whole focal plane, as in the paper"
-        return Decision("one_psf", True, same)
-    reason, known = r.field.reason(r.table_mb), [e for e in r.field.error if e is not None]
-    if len(known) < len(r.field.error):
-        return Decision("psf_over_the_field", True, reason)
-    return _per_source("psf_over_the_field", reason, sum(known), r.budget_e, sigma_e)
+        return Decision("one_psf", True, "one point-spread function for the whole focal plane")
+    known = [e for e in r.field.error if e is not None]
+    bound = sum(known) if len(known) == len(r.field.error) else None
+    unit = "of a source's light, from a response that varies smoothly between the places"
+    return Decision(
+        "psf_over_the_field", True, r.field.reason(r.table_mb), bound=bound, unit=unit
+    )
 
 
-def _wavelengths(band: BandOptics, budget_e: float, sigma_e: float) -> Decision:
+def _wavelengths(scene: Scene, facts: Facts, band: BandOptics) -> Decision:
     """A few wavelengths, or one, for the whole band."""
     nm = ", ".join(f"{w * 1e9:.0f}" for w in band.wavelengths_m)
     name = "monochromatic_psf" if len(band.wavelengths_m) == 1 else "few_wavelengths"
-    if not band.error_of_one:
+    if not by_wavelength(scene):
         return Decision(name, True, f"drawn at {nm} nm: as asked")
     reason = (
         f"drawn at {nm} nm: a pixel differs by up to {band.error:.2g} of its source's light from "
         f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone); the same for "
-        "sources of all colours"
+        f"sources of all colours. The bound is beside a source of {facts.brightest_e:.3g} e-"
     )
-    return _per_source(name, reason, band.error, budget_e, sigma_e)
-
-
-def _per_source(
-    name: str, reason: str, error: float, budget_e: float, sigma_e: float
-) -> Decision:
-    """An approximation that errs by `error` of a source's light in a pixel: its bound is the
-    budget, which holds for the sources that it names."""
-    if error:
-        reason += f". The bound holds for sources of up to {budget_e / error:.3g} e-"
-    bound = budget_e if error else 0.0
-    return Decision(name, True, reason, bound, bound / sigma_e)
+    sigma = band.error_sigma * planned_floor_e(scene, facts.sigma_floor_e) / facts.sigma_floor_e
+    return Decision(name, True, reason, band.error * facts.brightest_e, sigma)
 
 
 def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
@@ -245,11 +237,13 @@ def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
     return out
 
 
-def _wings(r: ResponsePlan, sigma_e: float, targets_there: bool) -> list[Decision]:
-    budget, share, last = r.budget_e, cut_share(r), r.classes[-1]
+def _wings(r: ResponsePlan, facts: Facts, targets_there: bool) -> list[Decision]:
+    budget, last, sigma_e = r.budget_e, r.classes[-1], facts.sigma_floor_e
     limits = [c.brightest_e for c in r.classes if c.brightest_e < math.inf]
     limits = limits or [budget / last.wing_error]
-    cut, first, targets = share * max(limits), r.classes[0], ""
+    brightest = facts.brightest_e or max(limits)
+    share, first, targets = cut_share(r.blurs, r.reach_px), r.classes[0], ""
+    cut = share * brightest
     if first.target_e != first.brightest_e and targets_there:
         targets = (
             f". For targets, which may stand still among streaked stars, these are "
@@ -269,9 +263,9 @@ def _wings(r: ResponsePlan, sigma_e: float, targets_there: bool) -> list[Decisio
         ),
         Decision(
             "wings_cut_off", True,
-            f"light beyond {r.reach_px:.0f} px of a source is left out: {r.lost_light:.2g} of its "
+            f"light beyond {r.reach_px:.0f} px of a source is omitted: {r.lost_light:.2g} of its "
             f"light, and at most {share:.2g} of it in a pixel (the spikes of vanes apart); the "
-            f"bound holds for sources of up to {max(limits):.3g} e-, all core classes but the last",
+            f"bound is beside a source of {brightest:.3g} e-",
             cut, cut / sigma_e,
         ),
     ]  # fmt: skip

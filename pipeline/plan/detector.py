@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.arrays import Geometry, SensorMaps
 from pipeline.physics.noise.transfer import lag_frames
+from pipeline.plan.accuracy import SMALL, part_sigma
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
@@ -24,7 +25,6 @@ from pipeline.spec.detector import (
 from pipeline.spec.scene import Scene
 
 LISTED = "; each pixel is in truth/pixels.parquet"
-LAG_ERROR_SIGMA = 0.01  # charge left behind below it, in units of the noise floor, is forgotten
 
 
 def typical_read_noise_e(scene: Scene, maps: SensorMaps) -> float:
@@ -40,7 +40,7 @@ def lag_depth(scene: Scene, sigma_e: float) -> int:
     if d is None or d.lag is None:
         return 0
     full_well_e = float(scene.sensor.full_well_e or 0.0)
-    return lag_frames(d.lag.fraction, full_well_e, LAG_ERROR_SIGMA * sigma_e)
+    return lag_frames(d.lag.fraction, full_well_e, SMALL * part_sigma(scene) * sigma_e)
 
 
 def decide_detector(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.physics.psf.band import BandOptics
+from pipeline.physics.psf.band import BandOptics, NoiseLimit
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.sampled import Sampled
 from pipeline.physics.radiometry import (
@@ -17,7 +17,8 @@ from pipeline.physics.radiometry import (
     pixel_solid_angle_sr,
     surface_brightness_electron_rate,
 )
-from pipeline.plan.optics import blur_of, open_fraction
+from pipeline.plan.accuracy import part_sigma
+from pipeline.plan.optics import blur_of, open_fraction, open_past_vanes
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import FieldPsf
@@ -39,6 +40,7 @@ class Facts:
     sigma_floor_e : noise of a pixel that holds no source: sky, dark, read noise, quantisation
     budget_e : error that one approximation may make in such a pixel
     field : the responses over the field; None where one serves it all
+    brightest_e : light of the brightest source in the longest exposure; 0 where not known
     """
 
     area_m2: float
@@ -53,9 +55,8 @@ class Facts:
     sigma_floor_e: float
     budget_e: float
     field: PsfField | None = None
+    brightest_e: float = 0.0
 
-
-APPROXIMATIONS = 4  # they share the noise budget equally: interpolation, wings, spans, streaks
 
 
 def gather_facts(
@@ -65,6 +66,7 @@ def gather_facts(
     read_noise_e: float,
     gain_e_per_dn: float,
     table: Sampled | tuple[Sampled | None, ...] | None = None,
+    brightest_e: float = 0.0,
 ) -> Facts:
     """Facts from the scene, its response curve and the typical values of its sensor maps.
 
@@ -72,23 +74,34 @@ def gather_facts(
 
     table : the point-spread function that the scene names as a table, read; of a field, one for
         each of its places, row by row (None for those that are no table)
+    brightest_e : light of the brightest source in the longest exposure, as far as it is known
     """
     s, t = scene.sensor, integration_range_s(scene)[0]
     pitch = s.pixel_pitch_um * 1e-6
     wavelength = mean_wavelength_m(response)
+    dark = dark_e_s * t
+    annulus_m2 = collecting_area_m2(s.aperture_m, s.obscuration)
+
+    def noise_e(area_m2: float) -> tuple[float, float]:
+        """Light of the sky [e-/s], and the noise of a pixel without sources [e-]."""
+        sky = background_rate_e_s(scene, response, area_m2, pitch)
+        return sky, math.sqrt(sky * t + dark + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
+
+    floor_e = noise_e(annulus_m2 * open_past_vanes(s))[1]
+    limit = None
+    if brightest_e > 0.0:
+        limit = NoiseLimit(brightest_e, planned_floor_e(scene, floor_e), part_sigma(scene))
     field = None
     if isinstance(s.psf, FieldPsf):
         from pipeline.plan.psf_field import plan_psf_field
 
         tables = table if isinstance(table, tuple) else ()
-        field, blur, band = plan_psf_field(scene, s.psf, response, wavelength, tables)
+        field, blur, band = plan_psf_field(scene, s.psf, response, wavelength, tables, limit)
     else:
         assert not isinstance(table, tuple)
-        blur, band = blur_of(scene, s.psf, response, wavelength, table)
-    area = collecting_area_m2(s.aperture_m, s.obscuration) * open_fraction(blur.optics, band)
-    sky = background_rate_e_s(scene, response, area, pitch)
-    dark = dark_e_s * t
-    sigma = math.sqrt(sky * t + dark + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
+        blur, band = blur_of(scene, s.psf, response, wavelength, table, limit)
+    area = annulus_m2 * open_fraction(blur.optics, band)
+    sky, sigma = noise_e(area)
     return Facts(
         area_m2=area,
         ifov_rad=pitch / s.focal_length_m,
@@ -102,14 +115,19 @@ def gather_facts(
         sigma_floor_e=sigma,
         budget_e=error_budget_e(scene, sigma),
         field=field,
+        brightest_e=brightest_e,
     )
 
 
 def error_budget_e(scene: Scene, sigma_e: float) -> float:
     """Error that one approximation may make in a pixel of this noise [e-]."""
+    return part_sigma(scene) * planned_floor_e(scene, sigma_e)
+
+
+def planned_floor_e(scene: Scene, sigma_e: float) -> float:
+    """Noise of a pixel without sources that drawing is planned for [e-]."""
     floor = scene.accuracy.noise_floor_e
-    sigma = sigma_e if floor is None else min(sigma_e, floor)
-    return scene.accuracy.noise_fraction * sigma / APPROXIMATIONS
+    return sigma_e if floor is None else min(sigma_e, floor)
 
 
 def mean_wavelength_m(response: ResponseCurve) -> float:

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from pipeline.physics.psf.aperture import Pupil, Vanes
-from pipeline.physics.psf.band import BandOptics, Chromatic, choose_wavelengths
+from pipeline.physics.psf.band import BandOptics, Chromatic, NoiseLimit, choose_wavelengths
 from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian, Optics
 from pipeline.physics.psf.sampled import Sampled
 from pipeline.physics.psf.seeing import Kolmogorov, Moffat, r0_at, r0_m
@@ -18,6 +18,7 @@ from pipeline.spec.detector import TimeDelay
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import (
     AiryPsf,
+    FieldPsf,
     GaussianPsf,
     KolmogorovPsf,
     MoffatPsf,
@@ -25,16 +26,19 @@ from pipeline.spec.sensor import (
     Sensor,
     TablePsf,
 )
+from pipeline.spec.sensor import Vanes as VanesGiven
 
 ARCSEC_RAD = math.radians(1.0 / 3600.0)
 
 
 def blur_of(
-    scene: Scene, psf: OnePsf, response: ResponseCurve, mean_m: float, table: Sampled | None
+    scene: Scene, psf: OnePsf, response: ResponseCurve, mean_m: float, table: Sampled | None,
+    limit: NoiseLimit | None = None,
 ) -> tuple[Blur, BandOptics | None]:
     """All that blurs a star, and how its band was resolved (None where nothing depends on it).
 
     psf : the scene's, or one of its field's; table : its table of light, where it names one
+    limit : what the brightest source may err by where the band is resolved
     """
     s = scene.sensor
     rest = Blur(
@@ -42,7 +46,7 @@ def blur_of(
         isinstance(psf, TablePsf) and psf.includes_pixel, clock_step_px(scene),
     )  # fmt: skip
     if isinstance(psf, AiryPsf | KolmogorovPsf):
-        band = _band(scene, psf, rest, response, mean_m)
+        band = _band(scene, psf, rest, response, mean_m, limit)
         return _with(rest, band.optics), band
     return _with(rest, _fixed(s, psf, table)), None
 
@@ -88,6 +92,7 @@ def _band(
     rest: Blur,
     response: ResponseCurve,
     mean_m: float,
+    limit: NoiseLimit | None,
 ) -> BandOptics:
     """Optics of one wavelength where one is asked for, else as many as the accuracy asks for."""
     wave_m = mean_m if psf.wavelength_nm is None else psf.wavelength_nm * 1e-9
@@ -98,9 +103,10 @@ def _band(
     if psf.wavelength_nm is not None or psf.wavelengths == 1:
         return BandOptics(make(wave_m), (wave_m,), (1.0,), 0.0, 0.0)
     curve = (response.wavelength_m, response.value)
-    chosen = choose_wavelengths(make, rest, *curve, scene.accuracy.flux_fraction, psf.wavelengths)
+    most = scene.accuracy.flux_fraction
+    chosen = choose_wavelengths(make, rest, *curve, most, psf.wavelengths, limit)
     if len(chosen.wavelengths_m) == 1:  # the mean, to the last bit
-        return BandOptics(make(mean_m), (mean_m,), (1.0,), chosen.error, chosen.error_of_one)
+        return replace(chosen, optics=make(mean_m), wavelengths_m=(mean_m,), weights=(1.0,))
     return chosen
 
 
@@ -128,10 +134,7 @@ def _chromatic(
         terms[4] = terms.get(4, 0.0) + rms / wavelength_m
     if psf.vanes is None and not terms:
         return Airy(q, s.obscuration)
-    v = psf.vanes
-    vanes = None
-    if v is not None:
-        vanes = Vanes(v.count, v.width_m / s.aperture_m, math.radians(v.angle_deg))
+    vanes = None if psf.vanes is None else _vanes(s, psf.vanes)
     return Pupil(q, s.obscuration, vanes, tuple(sorted(terms.items())))
 
 
@@ -139,6 +142,20 @@ def open_fraction(optics: Optics, band: BandOptics | None) -> float:
     """Share of the annular aperture that vanes leave open."""
     parts = getattr(optics, "parts", (optics,)) if band else ()
     return min((p.open_fraction for p in parts if isinstance(p, Pupil)), default=1.0)
+
+
+def open_past_vanes(s: Sensor) -> float:
+    """Fraction of the annular aperture that the vanes leave open, whatever the wavefront."""
+    every = [one for row in s.psf.psfs for one in row] if isinstance(s.psf, FieldPsf) else [s.psf]
+    vanes = {one.vanes for one in every if isinstance(one, AiryPsf) and one.vanes is not None}
+    return min(
+        (Pupil(1.0, s.obscuration, _vanes(s, v)).open_fraction for v in vanes), default=1.0
+    )
+
+
+def _vanes(s: Sensor, given: VanesGiven) -> Vanes:
+    """Vanes in units of the aperture and radians."""
+    return Vanes(given.count, given.width_m / s.aperture_m, math.radians(given.angle_deg))
 
 
 def missing_light(optics: Optics) -> float:

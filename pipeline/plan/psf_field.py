@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.extended import point_error
-from pipeline.physics.psf.band import BandOptics
+from pipeline.physics.psf.band import BandOptics, NoiseLimit
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core
 from pipeline.physics.psf.sampled import Sampled
@@ -132,10 +132,12 @@ def plan_psf_field(
     response: ResponseCurve,
     mean_m: float,
     tables: tuple[Sampled | None, ...],
+    limit: NoiseLimit | None = None,
 ) -> tuple[PsfField, Blur, BandOptics | None]:
     """The field's responses, the sharpest of them, and the band of the one that errs most by it.
 
     tables : of each place, row by row, its table of light where it names one
+    limit : what the brightest source may err by where a band is resolved
     """
     every = [one for row in psf.psfs for one in row]
     given = tables or (None,) * len(every)
@@ -145,7 +147,7 @@ def plan_psf_field(
         if key in made:
             continue
         try:
-            blur, band = made[key] = blur_of(scene, key[0], response, mean_m, key[1])
+            blur, band = made[key] = blur_of(scene, key[0], response, mean_m, key[1], limit)
             sharpness[blur] = point_error(blur, SMALL_RADIUS_PX)
         except BadInput as mistake:
             name = psf.name_of(mistake.field, node)
@@ -155,7 +157,7 @@ def plan_psf_field(
     which = tuple(blurs.index(b) for b in all_blurs)
     error = _between(psf.rows_px, psf.columns_px, all_blurs)
     bands = [band for _, band in made.values() if band is not None]
-    band = max(bands, key=lambda b: b.error, default=None)
+    band = max(bands, key=lambda b: (b.error_sigma, b.error), default=None)
     sharpest = max(blurs, key=sharpness.__getitem__)
     return PsfField(psf.rows_px, psf.columns_px, blurs, which, error), sharpest, band
 

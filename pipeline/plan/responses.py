@@ -20,7 +20,8 @@ from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.product import is_product
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core, oversampling_for
-from pipeline.plan.facts import APPROXIMATIONS, Facts
+from pipeline.plan.accuracy import part_sigma
+from pipeline.plan.facts import Facts
 from pipeline.plan.optics import missing_light
 from pipeline.plan.streaks import StreakPlan, plan_streaks, zone_streak
 from pipeline.plan.tiles import BLOCK_PX
@@ -36,6 +37,7 @@ FIELD_BYTES = 80e6  # what the tables of one core class may take together, over 
 MOST_CLASSES = 5
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_PX = 256.0
+FARTHEST_PX = 4096.0  # that the wings of the brightest source are drawn to, if need be
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
 SMALL_RADIUS_PX = 1e-2
 RINGS = 4.7  # times its mean: the rings of both edges of an obscured aperture, at the near end
@@ -145,7 +147,7 @@ def plan_responses(
     path, streaks = POINT, STILL
     if scene.stars is not None:
         asked = scene.accuracy.noise_fraction
-        floor_e = facts.budget_e * APPROXIMATIONS / asked  # that the budget is made for
+        floor_e = facts.budget_e / part_sigma(scene)  # that the budget is made for
         edge = max(_edge(b) for b in blurs)
         streaks = plan_streaks(camera, ends, aberration, asked, floor_e, facts.budget_e, edge)
         path = _shortest_piece(camera, ends, streaks, aberration)
@@ -155,7 +157,7 @@ def plan_responses(
         first = max(b.core_px if b.has_wings else _radius_holding(b, 1e-8) for b in blurs)
         spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
         reach = max(_radius_holding(b, scene.accuracy.flux_fraction) for b in blurs)
-        reach = max(reach / CUT_FROM, 2.0 * first)
+        reach = _farther(blurs, max(reach / CUT_FROM, 2.0 * first), facts)
         swept, sweeps = path, None
         if not streaks.still:
             sweeps = wing_sweeps(camera, ends, streaks.zones, aberration)
@@ -388,7 +390,19 @@ def _lost(blur: Blur, radius_px: float) -> float:
     return min(1.0, blur.light_beyond(radius_px) + missing_light(blur.optics))
 
 
-def cut_share(r: ResponsePlan) -> float:
+def _farther(blurs: tuple[Blur, ...], reach_px: float, facts: Facts) -> float:
+    """A reach of at least so many px where the brightest source's wings end within the budget.
+
+    At most FARTHEST_PX: what is cut off then shows in the plan.
+    """
+    while facts.brightest_e * cut_share(blurs, reach_px) > facts.budget_e:
+        if reach_px >= FARTHEST_PX:
+            break
+        reach_px = min(1.25 * reach_px, FARTHEST_PX)
+    return reach_px
+
+
+def cut_share(blurs: tuple[Blur, ...], reach_px: float) -> float:
     """Most that a pixel lacks where the wings of a source end, per unit light of the source.
 
     RINGS times the mean surface brightness of a ring from there on, a tenth of its radius wide:
@@ -396,11 +410,11 @@ def cut_share(r: ResponsePlan) -> float:
     mean, and a wing of index -3 is a sixth brighter at the near end of such a ring than on its
     mean. A mean over all directions: the spikes of vanes are brighter.
     """
-    near, far = CUT_FROM * r.reach_px, 1.1 * CUT_FROM * r.reach_px
+    near, far = CUT_FROM * reach_px, 1.1 * CUT_FROM * reach_px
     if not near:
         return 0.0
     area = math.pi * (far**2 - near**2)
-    return RINGS * max(b.light_beyond(near) - b.light_beyond(far) for b in r.blurs) / area
+    return RINGS * max(b.light_beyond(near) - b.light_beyond(far) for b in blurs) / area
 
 
 def _radius_holding(blur: Blur, beyond: float) -> float:

@@ -152,11 +152,11 @@ def field_cones(plan: Plan, g: Geometry) -> tuple[np.ndarray, np.ndarray]:
         corner_radius(plan.camera)
         + (plan.halo_px + way) * stretch(plan.camera) * plan.facts.ifov_rad
     )
-    return catalogue_cones(plan, g, g.attitude[:, g.middle, 2], radius)
+    return catalogue_cones(plan.scene, g, g.attitude[:, g.middle, 2], radius)
 
 
 def catalogue_cones(
-    plan: Plan, g: Geometry, centres: np.ndarray, radius_rad: float | np.ndarray
+    scene: Scene, g: Geometry, centres: np.ndarray, radius_rad: float | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cones of the catalogue's sky for cones seen at mid-exposure: (F, 3) and (F,) [rad].
 
@@ -164,7 +164,7 @@ def catalogue_cones(
     margin for deflection. The stars' own motion and parallax are the caller's.
     """
     beta = g.observer_m_s[:, g.middle] / SPEED_OF_LIGHT_M_S
-    if plan.scene.stars is not None and not plan.scene.stars.aberration:
+    if scene.stars is not None and not scene.stars.aberration:
         beta = np.zeros_like(beta)
     seen = np.minimum(radius_rad + FIELD_MARGIN_RAD + np.zeros(len(centres)), math.pi)
     centres, seen = above_air(g, centres, seen)

@@ -13,8 +13,8 @@ import numpy as np
 from pipeline.arrays import Array
 from pipeline.execute.blocks import around
 from pipeline.execute.sources import distance_px, excursion_px, place_targets
-from pipeline.finish import INSTEAD
 from pipeline.parts import render_part
+from pipeline.plan.accuracy import total_sigma
 from pipeline.plan.responses import cut_share
 from pipeline.plan.scene_plan import Plan, plan_dict
 from pipeline.plan.tiles import Tile
@@ -101,19 +101,13 @@ def errors_against(stage: Stage, light: Light, exact: Exact) -> dict[str, Any]:
         "max_sigma": float(np.abs(share).max()), "rms_sigma": float(np.sqrt(np.mean(share**2))),
         "max_e": max(float(np.abs(o).max()) for o in off),
         "bias": sum(float(o.sum()) for o in off) / total if total else 0.0,
-        "bound_sigma": [bound_sigma(stage.plan), float(bounds.max())],
+        "bound_sigma": [total_sigma(stage.plan.decisions), float(bounds.max())],
         "of_bound": float(used.max()), "windows": len(off),
     }  # fmt: skip
 
 
 def _joined(parts: Iterable[Array]) -> Array:
     return np.concatenate([p.ravel() for p in parts])
-
-
-def bound_sigma(plan: Plan) -> float:
-    """Sum of the bounds that the plan states, in units of a pixel's noise."""
-    told = [d for d in plan.decisions if d.error_bound_sigma and d.component not in INSTEAD]
-    return sum(d.error_bound_sigma or 0.0 for d in told)
 
 
 def allowed_e(plan: Plan, noise_e: Array, stars_e: list[float], targets_e: list[float]) -> Array:
@@ -125,7 +119,8 @@ def allowed_e(plan: Plan, noise_e: Array, stars_e: list[float], targets_e: list[
     """
     r, band = plan.responses, plan.facts.band
     star, target = max(stars_e, default=0.0), max(targets_e, default=0.0)
-    allowed = bound_sigma(plan) * noise_e + (band.error if band else 0.0) * max(star, target)
+    allowed = total_sigma(plan.decisions) * noise_e
+    allowed = allowed + (band.error if band else 0.0) * max(star, target)
     if r.spacing_px:
         last = r.classes[-1]
         wings = max(last.wing_error * star, last.target_error * target)
@@ -136,7 +131,7 @@ def allowed_e(plan: Plan, noise_e: Array, stars_e: list[float], targets_e: list[
 
 def cut_e(plan: Plan, light_e: float) -> float:
     """Light that a pixel lacks because the wings of sources end: of so much light in all [e-]."""
-    return cut_share(plan.responses) * light_e
+    return cut_share(plan.responses.blurs, plan.responses.reach_px) * light_e
 
 
 def lights_near(stage: Stage, window: Tile) -> tuple[list[float], list[float]]:

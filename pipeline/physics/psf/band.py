@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
 import scipy.fft
@@ -17,8 +18,11 @@ from pipeline.physics.psf.seeing import Kolmogorov
 Array = NDArray[np.float64]
 Chromatic = Airy | Pupil | Kolmogorov
 
-COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12)  # of wavelengths, tried in this order
-REFERENCE = 20  # wavelengths that stand for all of them
+COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20)  # of wavelengths, tried in this order
+MANY = (40, 80, 160, 320)  # and of round optics, which cost a table along a radius alone
+REFERENCE = 32  # wavelengths that stand for all of them; for more, twice as many
+PANEL = 8  # of many wavelengths: nodes of Gauss and Legendre in each of as many even panels
+WIDTHS, MOST_WIDTHS = 10.0, 80.0  # of the response: the field over which two are compared
 BAND_CELLS = 500  # that a response curve is cut into, besides its own points
 
 
@@ -28,6 +32,14 @@ class Mixture:
 
     parts: tuple[Chromatic, ...]
     weights: tuple[float, ...]
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        """Worked out once: responses are the keys of many caches."""
+        return hash((self.parts, self.weights))
 
     def radial(self, f: Array) -> Array:
         """The round part of the transfer function along a radius."""
@@ -71,6 +83,33 @@ class Mixture:
 
 
 @dataclass(frozen=True)
+class NoiseLimit:
+    """The error that a pixel may have beside a source, in units of that pixel's noise.
+
+    light_e : of the brightest source; floor_e : noise of a pixel without sources; sigma : the error
+    that is allowed, over the noise of floor and light together
+    """
+
+    light_e: float
+    floor_e: float
+    sigma: float
+
+    def error_sigma(self, difference: Array, response: Array) -> float:
+        """Largest error in units of noise where responses per unit light differ so much."""
+        noise_e = np.sqrt(self.floor_e**2 + self.light_e * np.maximum(response, 0.0))
+        return float((self.light_e * np.abs(difference) / noise_e).max())
+
+    @property
+    def widths(self) -> float:
+        """How many of its widths from a source on a pixel's light is lost in the noise.
+
+        Diffraction's light falls as the cube of the distance, a tenth of it or less at one width.
+        """
+        seen = 0.1 * self.light_e / max(self.sigma * self.floor_e, 1e-30)
+        return 2.0 * min(seen, MOST_WIDTHS**3) ** (1.0 / 3.0)
+
+
+@dataclass(frozen=True)
 class BandOptics:
     """Optics for a band, and what was left out.
 
@@ -78,6 +117,7 @@ class BandOptics:
     wavelengths_m, weights : used
     error : largest difference of any pixel of a star to that of REFERENCE wavelengths, over its
         light; error_of_one : the same for the mean wavelength alone
+    error_sigma : largest error beside the brightest source of a NoiseLimit, over the noise there
     """
 
     optics: Optics
@@ -85,6 +125,7 @@ class BandOptics:
     weights: tuple[float, ...]
     error: float
     error_of_one: float
+    error_sigma: float = 0.0
 
 
 def band_wavelengths(wavelength_m: Array, value: Array, count: int) -> tuple[Array, Array]:
@@ -106,6 +147,8 @@ def band_wavelengths(wavelength_m: Array, value: Array, count: int) -> tuple[Arr
     middle, half = 0.5 * (edges[0] + edges[-1]), 0.5 * (edges[-1] - edges[0])
     x = (at - middle) / half
     count = min(count, int(np.count_nonzero(mass)))
+    if count > REFERENCE:
+        return _in_panels(wavelength_m, value, count)
     a, b = np.zeros(count), np.zeros(count)
     before, now, norm = np.zeros(x.size), np.ones(x.size), 1.0
     for k in range(count):
@@ -121,6 +164,18 @@ def band_wavelengths(wavelength_m: Array, value: Array, count: int) -> tuple[Arr
     return middle + half * nodes, weights / weights.sum()
 
 
+def _in_panels(wavelength_m: Array, value: Array, count: int) -> tuple[Array, Array]:
+    """Many wavelengths: PANEL nodes in each of count / PANEL panels, for recurrences that long
+    lose their digits."""
+    edges = np.linspace(wavelength_m[0], wavelength_m[-1], count // PANEL + 1)
+    step, weight = np.polynomial.legendre.leggauss(PANEL)
+    half = 0.5 * np.diff(edges)[:, None]
+    at = (0.5 * (edges[1:] + edges[:-1])[:, None] + half * step).ravel()
+    mass = np.interp(at, wavelength_m, value) * (half * weight).ravel()
+    kept = mass > 0.0
+    return at[kept], mass[kept] / mass[kept].sum()
+
+
 def choose_wavelengths(
     make: Callable[[float], Chromatic],
     blur: Blur,
@@ -128,12 +183,14 @@ def choose_wavelengths(
     value: Array,
     tolerance: float,
     count: int | None = None,
+    limit: NoiseLimit | None = None,
 ) -> BandOptics:
     """Fewest wavelengths whose star differs from the whole band's by at most `tolerance`.
 
     make : optics at a wavelength [m]; blur : what else blurs (its own optics are not looked at)
     tolerance : in any pixel, over the star's light
     count : use so many in any case
+    limit : what the brightest source may err by; None where nothing is known of it
 
     The error is measured with the round parts of the optics, whose size is what the wavelength
     changes most.
@@ -147,22 +204,32 @@ def choose_wavelengths(
         optics = parts[0] if len(parts) == 1 else Mixture(parts, tuple(map(float, weights)))
         return optics, nodes, weights
 
-    whole = replace(blur, optics=mixed(REFERENCE, True)[0])
+    round_ = not isinstance(make(float(wavelength_m[0])), Pupil)
+    counts = COUNTS + MANY if round_ and limit is not None else COUNTS
 
-    def error(n: int) -> float:
-        return response_difference(replace(blur, optics=mixed(n, True)[0]), whole)
+    widths = WIDTHS if limit is None else min(max(WIDTHS, limit.widths), MOST_WIDTHS)
 
-    errors = {1: error(1)}
+    @cache
+    def errors(n: int) -> tuple[float, float]:
+        """Of n wavelengths: over the light, and beside the brightest source over the noise."""
+        of_n, whole = (
+            replace(blur, optics=mixed(k, True)[0]) for k in (n, 2 * n if n in MANY else REFERENCE)
+        )
+        difference, light = _compared(of_n, whole, widths)
+        beside = 0.0 if limit is None else limit.error_sigma(difference, light)
+        return float(np.abs(difference).max()), beside
+
+    def enough(n: int) -> bool:
+        of_light, of_noise = errors(n)
+        return of_light <= tolerance and (limit is None or of_noise <= limit.sigma)
+
     if count is None:
-        for count in COUNTS:
-            if errors.setdefault(count, errors.get(count) or error(count)) <= tolerance:
-                break
-    assert count is not None
+        count = next((n for n in counts if enough(n)), counts[-1])
     optics, nodes, weights = mixed(count, False)
-    kept = errors.get(count)
+    error, error_sigma = errors(count)
     return BandOptics(
-        optics, tuple(map(float, nodes)), tuple(map(float, weights)),
-        error(count) if kept is None else kept, errors[1],
+        optics, tuple(map(float, nodes)), tuple(map(float, weights)), error, errors(1)[0],
+        error_sigma,
     )  # fmt: skip
 
 
@@ -172,10 +239,17 @@ def response_difference(one: Blur, other: Blur) -> float:
     Both responses are sampled so finely that what lies between is within two percent; the light
     near the core decides, so that a field of some widths is enough.
     """
+    return float(np.abs(_compared(one, other, WIDTHS)[0]).max())
+
+
+def _compared(one: Blur, other: Blur, widths: float) -> tuple[Array, Array]:
+    """The difference of two responses, and the other one, per unit light over a field of widths."""
     band = max(one.band_limit(1e-3), other.band_limit(1e-3))
     scale = max(one.optics.scale_px, other.optics.scale_px, one.jitter_px, one.diffusion_px)
-    period = int(np.ceil(10.0 * scale)) + 12
+    period = int(np.ceil(widths * scale)) + 12
     n = scipy.fft.next_fast_len(int(np.ceil(period * 6.0 * max(band, 1.0))))
     fy, fx = scipy.fft.fftfreq(n, period / n)[:, None], scipy.fft.rfftfreq(n, period / n)[None, :]
-    difference = one.transfer(fy, fx) - other.transfer(fy, fx)
-    return float(np.abs(scipy.fft.irfft2(difference, s=(n, n))).max()) * (n / period) ** 2
+    density = (n / period) ** 2
+    first, second = one.transfer(fy, fx), other.transfer(fy, fx)
+    found = [scipy.fft.irfft2(t, s=(n, n)) * density for t in (first - second, second)]
+    return found[0], found[1]

@@ -1,0 +1,117 @@
+"""What all approximations of a scene may err together: the part of each, and the judgement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from pipeline.plan.acceptance import accept_or_refuse
+from pipeline.plan.decision import Decision
+from pipeline.spec.scene import Scene
+from pipeline.spec.sensor import AiryPsf, FieldPsf, GaussianPsf, KolmogorovPsf
+
+SMALL = 0.25  # of a part: what is refined until it errs by little, at no cost
+INSTEAD = ("crowds_by_transforms",)  # of phase_interpolation, whose bound is counted
+BESIDE_BRIGHTEST = ("few_wavelengths", "monochromatic_psf", "wings_cut_off")  # as its light
+ROUNDING = 1.0 + 1e-9
+
+
+def parts(scene: Scene) -> float:
+    """How many parts the error that a scene asks for is divided into.
+
+    One for each approximation that its drawing may take: sub-pixel phases, the grid and the end of
+    wings, common streaks, the wavelengths of a band, bodies as points, the limit of faint stars,
+    motion as blur; SMALL for the grid of the sky and for charge that stays from earlier frames.
+    """
+    sources = bool(scene.stars or scene.targets or scene.populations)
+    drawn = [
+        True,  # sub-pixel phases
+        *(2 * [not isinstance(scene.sensor.psf, GaussianPsf)]),  # the wings' grid, and their end
+        scene.stars is not None,  # common streaks
+        by_wavelength(scene),
+        bool(scene.targets or scene.populations),  # bodies as points
+        scene.stars is not None and scene.stars.limit_from_noise,
+        scene.pointing.attitude is not None and scene.pointing.attitude.random,
+    ]
+    detector = scene.sensor.detector
+    small = [scene.background is not None, detector is not None and detector.lag is not None]
+    return max(1.0, sources * sum(drawn) + SMALL * sum(small))
+
+
+def by_wavelength(scene: Scene) -> bool:
+    """Whether the response follows the wavelength, over a band that the plan resolves."""
+    psf = scene.sensor.psf
+    every = [one for row in psf.psfs for one in row] if isinstance(psf, FieldPsf) else [psf]
+    return any(
+        isinstance(one, AiryPsf | KolmogorovPsf)
+        and one.wavelength_nm is None
+        and one.wavelengths is None
+        for one in every
+    )
+
+
+def part_sigma(scene: Scene) -> float:
+    """Error that one approximation may make in a pixel, in units of the pixel's noise."""
+    return scene.accuracy.noise_fraction / parts(scene)
+
+
+def total_sigma(decisions: Iterable[Decision], brighter: float = 1.0) -> float:
+    """Sum of the bounds of all approximations, in units of the noise of a pixel.
+
+    brighter : how many times as bright the brightest source is as the plan took it to be
+    """
+    return math.fsum(_counted(d, d.error_bound_sigma, brighter) for d in decisions)
+
+
+def total_e(decisions: Iterable[Decision], brighter: float = 1.0) -> float:
+    """Sum of the bounds of all approximations [e-]."""
+    return math.fsum(_counted(d, d.error_bound_e, brighter) for d in decisions)
+
+
+def _counted(d: Decision, bound: float | None, brighter: float = 1.0) -> float:
+    if not bound or d.component in INSTEAD:
+        return 0.0
+    return bound * max(1.0, brighter) if d.component in BESIDE_BRIGHTEST else bound
+
+
+def judge(scene: Scene, decisions: tuple[Decision, ...]) -> list[str]:
+    """The warning that bounds sum to more than was asked and accepted; none where they do not.
+
+    Raises
+    ------
+    BadInput : where they do and the scene does not accept it (`accept: [error]`)
+    """
+    asked, total = scene.accuracy.noise_fraction, total_sigma(decisions)
+    if total <= asked * ROUNDING:
+        return []
+    largest = sorted(decisions, key=lambda d: -_counted(d, d.error_bound_sigma))[:3]
+    named = ", ".join(f"{d.component} {d.error_bound_sigma:.3g}" for d in largest)
+    return [
+        accept_or_refuse(
+            scene, "error", "accuracy.noise_fraction", asked,
+            f"at least {math.ceil(total * 1e3) / 1e3:g}, the sum of this scene's bounds in units "
+            f"of a pixel's noise ({named})",
+            f"pixels may err by {total:.3g} of their noise where {asked:g} was asked ({named})",
+        )
+    ]  # fmt: skip
+
+
+def doubts_of(asked: float, stated: float, achieved: float | None, accepted: bool) -> list[str]:
+    """What a finished product says first where its error is not the one that was promised.
+
+    asked, stated, achieved : errors in units of a pixel's noise: of the scene, the sum of all
+        bounds for the sources that were drawn, and what drawing small windows again found (None
+        where none was drawn); accepted : the scene accepts a bound above what it asks for
+    """
+    doubts = []
+    if achieved is not None and achieved > stated * ROUNDING:
+        doubts.append(
+            f"pixels were found to err by {achieved:.3g} of their noise where at most "
+            f"{stated:.3g} was stated"
+        )
+    if stated > asked * ROUNDING and not accepted:
+        doubts.append(
+            f"the brightest source drawn is brighter than the plan expected: pixels beside it may "
+            f"err by {stated:.3g} of their noise where {asked:g} was asked"
+        )
+    return doubts
