@@ -79,7 +79,7 @@ LEDGER = (
          "uniform where no part of the sky varies; else a grid refined until its measured error is "
          "within the accuracy", "tests/physics/sky/test_grid.py"),
     Rule(("phase_interpolation", "common_streak", "crowds_by_transforms", "star_engines"),
-         "the cheapest drawing whose bound is within a quarter of accuracy.noise_fraction",
+         "the cheapest drawing whose bound is within its part of accuracy.noise_fraction",
          _ENGINES),
     Rule(("wings_on_a_coarse_grid", "wings_cut_off"),
          "light far from a source on a coarse grid, up to a reach beyond which less than "
