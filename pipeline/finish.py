@@ -17,7 +17,7 @@ from pipeline.execute.truth import star_truth, target_truth, world_of
 from pipeline.export.picture import write_preview
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
 from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.scene_plan import Plan, colour_facts
 from pipeline.plan.timing import dwell_of, dwell_plans, frame_times, integration_range_s
 from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
@@ -214,6 +214,7 @@ def _report(
         "truth_rows": rows,
         "catalogue": catalogues[0] if catalogues else None,
         "layers": catalogues[1:],
+        "colour_fit": colour_facts(plan),
         "errors": {
             "wcs_residual_px": wcs_residual_px,
             "noise_floor_e": plan.facts.sigma_floor_e,

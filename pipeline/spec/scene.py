@@ -83,6 +83,9 @@ class Stars(Strict):
         json_schema_extra={"anyOf": [{"type": "number"}, {"const": "auto"}, {"type": "null"}]},
     )  # fmt: skip
     limit_from_noise: bool = Field(False, description="what faintest_g_mag: auto stands for")
+    colour_fit: CataloguePath | None = Field(
+        None, description="file of `nightglass color-fit -o`; default: the stellar library's fit"
+    )
     space_motion: bool = True
     parallax: bool = True
     aberration: bool = True
