@@ -18,7 +18,7 @@ from pipeline.export.picture import write_preview
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan, colour_facts
-from pipeline.plan.timing import dwell_of, dwell_plans, frame_times, integration_range_s
+from pipeline.plan.timing import dwell_of, dwell_plans, frame_times, longest_s
 from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
 from pipeline.store.clock import UNITS, utc_microseconds
@@ -184,7 +184,7 @@ def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
         "scene": scene_yaml(plan.scene),
         "seed": plan.scene.seed,
         "ifov_rad": plan.facts.ifov_rad,
-        "integration_s": integration_range_s(plan.scene)[1],
+        "integration_s": longest_s(plan.scene),
         "catalogue": main.get("name"),
         "catalogue_digest": main.get("digest"),
         "synthetic_stars": any(c["synthetic"] for c in catalogues),

@@ -52,12 +52,16 @@ class Accuracy(Strict):
 class Exposure(Strict):
     """Integration time and the frames of one dwell; frame k starts at epoch + k cadence."""
 
-    integration_s: float = Field(gt=0, le=1e5)
+    integration_s: float = Field(ge=0, le=1e5, description="0: bias frames, without any light")
     frames: int = Field(1, ge=1, le=100_000)
     cadence_s: Positive | None = Field(None, description="default: the integration time")
 
     @model_validator(mode="after")
     def _cadence_holds_exposure(self) -> Exposure:
+        if self.integration_s == 0 and self.frames > 1 and self.cadence_s is None:
+            raise PydanticCustomError(
+                "cadence", "allowed: a time above 0, as integration_s is 0", {"field": "cadence_s"}
+            )
         if self.cadence_s is not None and self.cadence_s < self.integration_s:
             raise PydanticCustomError(
                 "cadence",
