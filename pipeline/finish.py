@@ -243,7 +243,8 @@ def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
         column = pq.read_table(
             begun.path / layout.TRUTH / f"{kind}.parquet", columns=["electrons"]
         )["electrons"]
-        most = pc.max(column).as_py() or 0.0
+        fill = plan.responses.blur.fill_factor  # truth has what is collected, bounds what falls
+        most = (pc.max(column).as_py() or 0.0) / fill
         each = (
             (c.target_e, c.target_error) if kind == "targets" else (c.brightest_e, c.wing_error)
             for c in plan.responses.classes
