@@ -224,15 +224,25 @@ def schema() -> None:
 
 
 @app.command(name="color-fit")
-def color_fit(scene: SceneFile, set_: Overrides = None, as_json: Json = False) -> None:
+def color_fit(
+    scene: SceneFile,
+    set_: Overrides = None,
+    as_json: Json = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="also a file, for stars.colour_fit")
+    ] = None,
+) -> None:
     """Show the colour correction from Gaia G to the sensor's band, with its residuals."""
-    from pipeline.inputs.colour_fit import describe, gather_colour_fit, gather_colour_points
-    from pipeline.inputs.folders import cache_folder
+    from pipeline.inputs.colour_fit import describe, gather_colour_points
+    from pipeline.inputs.colour_fit_files import colour_fit_of, write_colour_fit
     from pipeline.prepare import gather_response
     from pipeline.spec.load import load_scene
 
-    response, band, digest = gather_response(load_scene(scene, set_ or []))
-    fit = gather_colour_fit(response, band, digest, cache_folder())
+    loaded = load_scene(scene, set_ or [])
+    response, band, digest = gather_response(loaded)
+    fit = colour_fit_of(loaded, response, band, digest)
+    if output is not None:
+        write_colour_fit(output, fit, digest)
     described = describe(fit, gather_colour_points(response) if as_json else None)
     if as_json:
         print_json(described)

@@ -20,8 +20,8 @@ from pipeline.export.picture import write_preview
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
 from pipeline.plan.accuracy import doubts_of, total_e, total_sigma
 from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.scene_plan import Plan
-from pipeline.plan.timing import dwell_of, dwell_plans, frame_times, integration_range_s
+from pipeline.plan.scene_plan import Plan, colour_facts
+from pipeline.plan.timing import dwell_of, dwell_plans, frame_times, longest_s
 from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
 from pipeline.store.clock import UNITS, utc_microseconds
@@ -188,7 +188,7 @@ def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
         "scene": scene_yaml(plan.scene),
         "seed": plan.scene.seed,
         "ifov_rad": plan.facts.ifov_rad,
-        "integration_s": integration_range_s(plan.scene)[1],
+        "integration_s": longest_s(plan.scene),
         "catalogue": main.get("name"),
         "catalogue_digest": main.get("digest"),
         "synthetic_stars": any(c["synthetic"] for c in catalogues),
@@ -217,6 +217,7 @@ def _report(
         "truth_rows": rows,
         "catalogue": catalogues[0] if catalogues else None,
         "layers": catalogues[1:],
+        "colour_fit": colour_facts(plan),
         "errors": errors,
         "remarks": list(plan.remarks),
         "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
@@ -258,7 +259,8 @@ def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
         column = pq.read_table(
             begun.path / layout.TRUTH / f"{kind}.parquet", columns=["electrons"]
         )["electrons"]
-        most = pc.max(column).as_py() or 0.0
+        fill = plan.responses.blur.fill_factor  # truth has what is collected, bounds what falls
+        most = (pc.max(column).as_py() or 0.0) / fill
         each = (
             (c.target_e, c.target_error) if kind == "targets" else (c.brightest_e, c.wing_error)
             for c in plan.responses.classes

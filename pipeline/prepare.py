@@ -18,12 +18,11 @@ from pipeline.inputs.catalogues import (
     layer_decisions,
     open_catalogues,
 )
-from pipeline.inputs.colour_fit import gather_colour_fit
+from pipeline.inputs.colour_fit_files import colour_fit_of
 from pipeline.inputs.curves import resolve_response, solar_spectrum
 from pipeline.inputs.distortion import gather_distortion
 from pipeline.inputs.earth_orientation import gather_dut1_s
 from pipeline.inputs.ephemerides import gather_ephemerides
-from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.pointing_tables import gather_pointing
 from pipeline.inputs.psf_tables import gather_psf_table
 from pipeline.inputs.sensor import gather_sensor_maps
@@ -268,7 +267,7 @@ def _light(
     """The colour fit if there are stars and the Sun's electron rate if there are targets."""
     colour, sun = None, 0.0
     if scene.stars is not None:
-        colour = gather_colour_fit(response, band, digest, cache_folder())
+        colour = colour_fit_of(scene, response, band, digest)
         remarks.append(
             f"star colours: {colour.source}; fit residual {colour.residual_rms_mag:.3f} mag rms"
         )

@@ -10,6 +10,7 @@ import sys
 import time
 
 import pytest
+import xarray as xr
 
 from pipeline.errors import BadInput, Incomplete
 from pipeline.parts import join, parse_part, render_part
@@ -66,6 +67,7 @@ def test_parts_one_after_the_other(tmp_path, whole):
     assert report["complete"]
     assert report["content_digest"] == whole == content_digest(product)
     assert check(product).whole
+    assert xr.open_zarr(product / "cube.zarr").chunks["frame"] == (1, 1, 1)
     assert join(product) == report == render_part(scene, product, Share(1, 3))
     with pytest.raises(BadInput, match="same scene"):
         render_part(parse_scene(SCENE | {"seed": 9}), tmp_path / "run", Share(1, 3))

@@ -88,6 +88,7 @@ def test_same_product_as_in_a_folder(local, made):
     cube = xr.open_zarr(f"{url}/cube.zarr", chunks=None)
     here = xr.open_zarr(path / "cube.zarr", chunks=None)
     assert np.array_equal(cube["dn"], here["dn"])
+    assert xr.open_zarr(f"{url}/cube.zarr").chunks["frame"] == (1,) * cube.sizes["frame"]
     assert SECRET not in json.dumps(remote) + "".join(
         str(objects.get(n)) for n in objects.names() if "/c/" not in n
     )

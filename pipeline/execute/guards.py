@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry
 from pipeline.errors import NightglassError
 from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.vectors import separation
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
@@ -61,12 +64,15 @@ def guard_light(
 
     image_e : light of the layer in the tile, cores_e : that without wings, which come from farther
     sources too; light_e : (n,) of every source whose core may reach it; inside : (n,) which of them
-    send all but the light left out into the tile
+    send all but the light left out into the tile. Pixels with gaps collect what the response's
+    `collected_range` allows for.
     """
-    total, most = float(image_e.sum()), float(light_e.sum())
     r = plan.responses
-    least = float(light_e[inside].sum()) * r.blur.fill_factor * (1.0 - min(1.0, r.lost_light))
-    allowed = plan.scene.accuracy.flux_fraction * most + r.budget_e * np.sqrt(image_e.size)
+    low, high = _collected_range(r.blurs)
+    total, sent = float(image_e.sum()), float(light_e.sum())
+    most = sent * high
+    least = float(light_e[inside].sum()) * low * (1.0 - min(1.0, r.lost_light))
+    allowed = plan.scene.accuracy.flux_fraction * sent + r.budget_e * np.sqrt(image_e.size)
     wings_e = abs(total - cores_e)  # of very bright sources elsewhere they may ring below zero
     if least - allowed <= cores_e + wings_e and cores_e <= most + allowed:
         return
@@ -76,6 +82,13 @@ def guard_light(
         f"{where(g, tile)}: {layer} holds {total:.8g} e- with cores of {cores_e:.8g} e-, where its "
         f"sources send {least:.8g} to {most:.8g} e-"
     )
+
+
+@lru_cache(maxsize=8)
+def _collected_range(blurs: tuple[Blur, ...]) -> tuple[float, float]:
+    """Least and most of a source's light that pixels collect, over all responses of a field."""
+    ranges = [blur.collected_range() for blur in blurs]
+    return min(low for low, _ in ranges), max(high for _, high in ranges)
 
 
 def inside_tile(plan: Plan, tile: Tile, x_px: Array, y_px: Array, sweep_px: float) -> np.ndarray:

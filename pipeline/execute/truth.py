@@ -27,8 +27,8 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
 
     x_px, y_px at mid-exposure (pixel (0, 0) is the centre of the first), start and end of its own
     path, x_light_px, y_light_px the centroid of the light as drawn, ra/dec astrometric (what the
-    WCS gives), light in electrons, matched-filter SNR of the isolated source; catalogue is 0 for
-    the main one, then counts the layers.
+    WCS gives), electrons that pixels collect (`collected_e`), matched-filter SNR of the isolated
+    source; catalogue is 0 for the main one, then counts the layers.
     """
     paths = streaks(plan, g)
     zones = zone_of(plan, stars.x_px, stars.y_px)
@@ -56,7 +56,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "ra_deg": np.degrees(stars.ra_rad),
         "dec_deg": np.degrees(stars.dec_rad),
         "g_mag": stars.g_mag,
-        "electrons": stars.light_e,
+        "electrons": collected_e(plan, stars.light_e),
         "snr": matched_snr(
             plan,
             paths[len(paths) // 2].path,
@@ -69,6 +69,16 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "in_frame": inside,
         "catalogue": stars.catalogue,
     }
+
+
+def collected_e(plan: Plan, light_e: Array) -> Array:
+    """Truth's electrons (n,) of the light (n,) that falls on an unbounded focal plane [e-].
+
+    What its pixels collect: the fill factor of the light, the mean over places within a pixel (of a
+    response as sharp as the gaps between pixels a single place collects more or less). Before the
+    flat, dead pixels and the full well.
+    """
+    return light_e * plan.responses.blur.fill_factor
 
 
 def target_truth(plan: Plan, g: Geometry) -> Columns:
@@ -111,7 +121,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         "range_m": g.target_range_m[:, 0, middle],
         "phase_deg": np.degrees(g.target_phase_rad[:, 0, middle]),
         "sunlit_fraction": g.target_sunlit[:, 0, middle],
-        "electrons": light,
+        "electrons": collected_e(plan, light),
         "radius_px": np.array([drawn[i].radius_px if i in drawn else 0.0 for i in range(count)]),
         "extended": np.array([i in drawn and drawn[i].body is not None for i in range(count)]),
         "snr": np.array(snr),

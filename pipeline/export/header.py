@@ -24,9 +24,8 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> Cards:
 
     Times follow FITS 4.0 section 9: DATE-OBS and DATE-BEG are the start, DATE-AVG the middle and
     DATE-END the end of the exposure, in UTC. The primary WCS is astrometric ICRS at the middle
-    (where the catalogue's stars are drawn); the alternate `A` gives apparent directions, which are
-    exactly TAN about the boresight. A product of a distorted camera has the primary one alone: SIP
-    terms cannot be given twice.
+    (where the catalogue's stars are drawn); the alternate `A` gives apparent directions: TAN about
+    the boresight, written as TPV where the header has SIP terms or the camera a distortion.
     """
     one = cube.isel(frame=frame)
     scene = scene_of(cube)
@@ -42,10 +41,9 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> Cards:
         cards.append(("CATALOG", str(cube.attrs["catalogue"])[:68], "star catalogue"))
         digest = str(cube.attrs["catalogue_digest"])
         cards.append(("CATDIG", digest[:16], "first digits of the catalogue's digest"))
-    apparent = [] if cube.attrs.get("distorted") else _apparent_cards(one)
     return [
         *cards, *_times(cube, frame), *_site(scene), *_sensor(scene, layer),
-        *_astrometric_cards(one), *apparent,
+        *_astrometric_cards(one), *_apparent_cards(scene, one),
     ]  # fmt: skip
 
 
@@ -136,6 +134,7 @@ def _sensor(scene: Scene, layer: str) -> Cards:
 
 
 def _astrometric_cards(one: xr.Dataset) -> Cards:
+    """Cards of the primary WCS of one frame: TAN, or TAN-SIP."""
     from pipeline.physics.positions.focal_plane import WcsFit, wcs_header
 
     order = int(one["wcs_sip_order"])
@@ -148,10 +147,14 @@ def _astrometric_cards(one: xr.Dataset) -> Cards:
     return [(key, value, "") for key, value in wcs_header(fit).items()]
 
 
-def _apparent_cards(one: xr.Dataset) -> Cards:
-    from pipeline.physics.positions.focal_plane import Camera, apparent_wcs_header
+def _apparent_cards(scene: Scene, one: xr.Dataset) -> Cards:
+    """Cards of the alternate WCS `A`, or a comment that says why there is none."""
+    from pipeline.physics.positions.apparent_wcs import LARGEST_RESIDUAL_PX, apparent_wcs_header
+    from pipeline.plan.geometry import camera_of
 
-    rows, columns = one.sizes["y"], one.sizes["x"]
-    camera = Camera(rows, columns, float(one.attrs["ifov_rad"]), 1.0)
-    header = apparent_wcs_header(camera, one["attitude"].values)
+    has_sip = int(one["wcs_sip_order"]) > 0
+    header = apparent_wcs_header(camera_of(scene), one["attitude"].values, has_sip)
+    if header is None:
+        reason = f"No WCS A: TPV terms leave over {LARGEST_RESIDUAL_PX:g} px of the distortion."
+        return [("COMMENT", reason, "")]
     return [(f"{key}A", value, "") for key, value in header.items()]

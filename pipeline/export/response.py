@@ -53,10 +53,12 @@ class SourceLight:
     ) -> tuple[int, int, Array]:
         """(first row, first column, electrons in the pixels of a window).
 
-        path : about (x_px, y_px). The window holds every pixel of `least_e` or more, up to
-        LARGEST_PX from the path; light beyond is left out.
+        light_e : as in the truth, of what pixels collect. path : about (x_px, y_px). The window
+        holds every pixel of `least_e` or more, up to LARGEST_PX from the path; light beyond is
+        left out.
         """
         out: list[tuple[int, int, Array]] = []
+        light_e = light_e / self.blur.fill_factor  # what falls on the focal plane
         for blur, share in self._blurs(x_px, y_px):
             number = self._radius_number(blur, light_e * share, least_e)
             for x0, y0, piece, part in pieces(path):

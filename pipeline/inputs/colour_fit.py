@@ -121,18 +121,27 @@ def _read_fit(path: Path) -> ColourFit | None:
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
         content = stored["fit"]
-        if stored["format"] != FORMAT or stored["sha256"] != _checksum(content):
+        if stored["format"] != FORMAT or stored["sha256"] != checksum(content):
             return None
-        content["coefficients"] = np.array(content["coefficients"], dtype=np.float64)
-        content["colour_range"] = tuple(content["colour_range"])
-        return ColourFit(**{field.name: content[field.name] for field in fields(ColourFit)})
+        return fit_of(content)
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
+def fit_of(content: dict[str, Any]) -> ColourFit:
+    """A fit from its plain data. KeyError, TypeError or ValueError for what is none."""
+    low, high = content["colour_range"]
+    arrays = {
+        "coefficients": np.array(content["coefficients"], dtype=np.float64),
+        "colour_range": (float(low), float(high)),
+        "digest": None,
+    }
+    return ColourFit(**{f.name: ({**content, **arrays})[f.name] for f in fields(ColourFit)})
+
+
 def _write_fit(path: Path, fit: ColourFit) -> None:
-    content = _plain(fit)
-    text = json.dumps({"format": FORMAT, "sha256": _checksum(content), "fit": content}, indent=1)
+    content = plain_fit(fit)
+    text = json.dumps({"format": FORMAT, "sha256": checksum(content), "fit": content}, indent=1)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
     try:
@@ -144,20 +153,22 @@ def _write_fit(path: Path, fit: ColourFit) -> None:
         raise
 
 
-def _plain(fit: ColourFit) -> dict[str, Any]:
+def plain_fit(fit: ColourFit) -> dict[str, Any]:
+    """A fit as plain data."""
     return asdict(fit) | {
         "coefficients": [float(c) for c in fit.coefficients],
         "colour_range": list(fit.colour_range),
     }
 
 
-def _checksum(content: dict[str, Any]) -> str:
+def checksum(content: dict[str, Any]) -> str:
+    """SHA-256 of a fit's plain data."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def describe(fit: ColourFit, points: ColourPoints | None = None) -> dict[str, Any]:
     """What `nightglass color-fit` shows: the fit and, with points, each spectrum's residual."""
-    described = _plain(fit)
+    described = plain_fit(fit)
     described["formula"] = "band - G = sum of coefficients[k] (BP-RP)^k, zero at A0V"
     if points is not None:
         residual = points.band_minus_g - colour_correction_mag(points.bp_rp, fit)

@@ -45,7 +45,7 @@ def _gather(scene: Scene, name: str) -> Value:
     if low < least or (low == least and not inclusive):
         bound = "at least" if inclusive else "greater than"
         raise BadInput(field, f"{given} with a pixel of {low:g}", f"pixels {bound} {least:g}")
-    return image
+    return image * scene.sensor.dark_scale if name == "dark_e_per_s" else image
 
 
 def gather_image(given: str, field: str, shape: tuple[int, int]) -> Array:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from catalog_tools.catalogue import Catalogue
-from pipeline.inputs.colour_fit import gather_colour_fit
+from pipeline.inputs.colour_fit_files import colour_fit_of
 from pipeline.inputs.curves import solar_spectrum
-from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.starlight import gather_starlight
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.radiometry import ResponseCurve
@@ -55,7 +54,7 @@ def gather_sky(
         every = CountedLight()
     undrawn = gather_starlight(scene, catalogues, limit_from_noise)
     if fit is None and (every is not None or undrawn is not None or limit_from_noise):
-        fit = gather_colour_fit(response, band, digest, cache_folder())
+        fit = colour_fit_of(scene, response, band, digest)
     stray = None
     if b is not None and b.stray_light is not None:
         from pipeline.inputs.stray_light import gather_stray_light

@@ -29,6 +29,7 @@ class ColourFit:
     default_error_mag : what that scatter makes of the band's magnitude
     zero_electrons_s_m2 : electrons/s per m2 of pupil from an A0V star of G = 0
     source, spectra_count : which spectra were fitted, and how many
+    digest : SHA-256 of the file that the fit was read from; None for one that was not
     """
 
     band_name: str
@@ -42,6 +43,7 @@ class ColourFit:
     zero_electrons_s_m2: float
     source: str
     spectra_count: int
+    digest: str | None = None
 
 
 def fit_colour(bp_rp: Array, band_minus_g: Array, degree: int) -> Array:

@@ -180,7 +180,8 @@ def _time_delay(scene: Scene, r: TimeDelay, ends: Geometry) -> str:
     x, y = (np.array([c]) for c in camera.centre_px)
     path = star_paths(camera, ends, x, y, scene.star_effects["aberration"])
     took = ends.offset_s[:, -1] - ends.offset_s[:, 0]
-    left = (path[1, 0, :, -1] - path[1, 0, :, 0]) / took
+    per_s = np.divide(1.0, took, out=np.zeros_like(took), where=took > 0.0)  # 0: bias frames
+    left = (path[1, 0, :, -1] - path[1, 0, :, 0]) * per_s
     across = np.abs(path[0, 0, :, -1] - path[0, 0, :, 0]).max()
     worst = left[np.argmax(np.abs(left))]
     text = (
@@ -197,7 +198,7 @@ def _time_delay(scene: Scene, r: TimeDelay, ends: Geometry) -> str:
                 ends.target_x_px[..., -1] - ends.target_x_px[..., 0],
                 ends.target_y_px[..., -1] - ends.target_y_px[..., 0],
             )
-            / took
+            * per_s
         )
     speed = float(np.nanmax(length, initial=0.0))
     late_s = 0.5 * scene.sensor.shape[0] / abs(r.rows_per_s)

@@ -46,7 +46,8 @@ def rolling_shutter(
             "the time of the first row",
         )  # fmt: skip
     readout_s = r.line_s * (scene.sensor.shape[0] - 1)
-    speed = _fastest_px_s(scene, ends)
+    lit = _exposed(ends)
+    speed = max((_fastest_px_s(scene, g) for g in lit), default=0.0)
     shear = speed * r.line_s
     if shear > MOST_SHEAR:
         raise BadInput(
@@ -54,7 +55,7 @@ def rolling_shutter(
             f"at most {MOST_SHEAR / speed:.3g} s here, where a source moves {speed:.3g} px/s: "
             f"{MOST_SHEAR:g} px from row to row",
         )  # fmt: skip
-    off = _off_px(scene, ends, dut1_s, readout_s)
+    off = max((_off_px(scene, g, dut1_s, readout_s) for g in lit), default=0.0)
     if off > MOST_OFF_PX:
         raise BadInput(
             FIELD, r.line_s,
@@ -71,6 +72,14 @@ def rolling_shutter(
         "time; light that changes beyond the first row's exposure stays as it is at its end"
     )
     return told, off
+
+
+def _exposed(g: Geometry) -> list[Geometry]:
+    """The frames of a geometry without bias frames, in which nothing is seen to move."""
+    took = g.offset_s[:, -1] - g.offset_s[:, 0]
+    if (took > 0.0).all():
+        return [g]
+    return [g.frame_slice(int(k)) for k in np.flatnonzero(took > 0.0)]
 
 
 def _fastest_px_s(scene: Scene, g: Geometry) -> float:

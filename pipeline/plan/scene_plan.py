@@ -220,15 +220,24 @@ def plan_dict(
             "streak_spread_px": r.streaks.spread_px,
             "spectral_from_stars": r.spectral_from,
         },
-        "colour_fit": None if plan.colour is None else {
-            "band": plan.colour.band_name,
-            "source": plan.colour.source,
-            "residual_rms_mag": plan.colour.residual_rms_mag,
-            "residual_max_mag": plan.colour.residual_max_mag,
-        },
+        "colour_fit": colour_facts(plan),
         "decisions": [_finite(asdict(d)) | _rule(d) for d in plan.decisions],
         "remarks": list(plan.remarks),
     }  # fmt: skip
+
+
+def colour_facts(plan: Plan) -> dict[str, Any] | None:
+    """Which colour fit the stars are drawn with; None for a scene without stars."""
+    fit = plan.colour
+    if fit is None:
+        return None
+    return {
+        "band": fit.band_name,
+        "source": fit.source,
+        "digest": fit.digest,
+        "residual_rms_mag": fit.residual_rms_mag,
+        "residual_max_mag": fit.residual_max_mag,
+    }
 
 
 def _engine(r: ResponsePlan) -> str:

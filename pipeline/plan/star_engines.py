@@ -30,6 +30,7 @@ from pipeline.plan.responses import (
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak, zone_streak
 from pipeline.plan.tiles import BLOCK_PX
+from pipeline.plan.timing import integration_range_s
 
 # Seconds a star and a sample of its transform for each segment of its path, a value of a table:
 # one core of the 2-core reference machine. A cubic stamp costs as much more as it has points.
@@ -82,7 +83,8 @@ def star_counts(
     for leaf, groups in leaves:
         found.append(np.array(groups, float))
         found[-1][0] *= share_in_field(plan, leaf)
-    zero_e = brightest_electrons(plan.colour, plan.facts.area_m2, plan.integration_s(0))
+    time_s = plan.integration_s(0) or integration_range_s(plan.scene)[0]  # 0: a bias frame
+    zero_e = brightest_electrons(plan.colour, plan.facts.area_m2, time_s)
     rows, brightest, faintest = np.concatenate(found, axis=1)
     return StarCounts(rows, brightest, faintest, zero_e)
 

@@ -30,6 +30,7 @@ def excursions_px(camera: Camera, g: Geometry, aberration: bool = True) -> Array
         worst[k] = max(worst[k], np.hypot(*(paths - paths[..., [finer.middle]])).max())
     if camera.line_s:  # from where a star is in the first row's time
         took = g.offset_s[:, -1] - g.offset_s[:, 0]
+        took = np.where(took > 0.0, took, np.inf)  # bias frames: no light, no motion
         worst += worst / (0.5 * took) * abs(camera.line_s) * 1.5 * camera.rows
     worst *= stretch(camera) ** 2  # between the points looked at
     return np.where(worst > 1e-3, 16.0 * np.ceil(worst / 16.0), 0.0)

@@ -14,6 +14,7 @@ from pipeline.spec.pointing import Pointing
 from pipeline.spec.scene import Scene
 
 MOST_FRAMES = 100_000
+BIAS_PLANNED_AS_S = 1e-6  # what plans take for the exposure of bias frames: no light, no division
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ def dwell_plans(scene: Scene) -> tuple[DwellPlan, ...]:
     out: list[DwellPlan] = []
     first, end = 0, 0.0
     for i, dwell in enumerate(scene.dwells):
-        times = dwell.integration_s or exposure.integration_s
+        own = dwell.integration_s
+        times = exposure.integration_s if own is None else own
         times = times if isinstance(times, tuple) else (times,)
         step = dwell.cadence_s or exposure.cadence_s
         if step is None and len(times) == 1:
@@ -140,6 +142,16 @@ def integration_s(scene: Scene, frame: int) -> float:
 
 
 def integration_range_s(scene: Scene) -> tuple[float, float]:
-    """Shortest and longest integration time of a scene's frames [s]."""
+    """Shortest and longest integration time of a scene's frames [s], for planning.
+
+    Bias frames (0 s) hold no light that could be drawn wrong and do not count; a scene of them
+    alone is planned for BIAS_PLANNED_AS_S.
+    """
     times = [t for p in dwell_plans(scene) for t in p.times_s[: p.frames]]
-    return min(times), max(times)
+    exposed = [t for t in times if t > 0.0] or [BIAS_PLANNED_AS_S]
+    return min(exposed), max(exposed)
+
+
+def longest_s(scene: Scene) -> float:
+    """Longest integration time of a scene's frames [s]; 0 for bias frames alone."""
+    return max(max(p.times_s[: p.frames]) for p in dwell_plans(scene))

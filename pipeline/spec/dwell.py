@@ -11,7 +11,7 @@ from pipeline.spec.pointing import Pointing
 from pipeline.spec.strict import NotNegative, Positive, Strict
 
 MOST_DWELLS = 1000
-Exposure_s = Annotated[float, Field(gt=0, le=1e5)]
+Exposure_s = Annotated[float, Field(ge=0, le=1e5)]
 
 
 class Slew(Strict):
@@ -41,7 +41,7 @@ class Dwell(Strict):
 
     start_s : of its first exposure after the epoch; default: when the slew is over and `wait_s`
         has passed. Given earlier than that, its first frames fall into the slew.
-    integration_s : one time, or several that its frames take in turn
+    integration_s : one time, or several that its frames take in turn; 0: bias frames
     """
 
     pointing: Pointing | None = None

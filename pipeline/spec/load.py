@@ -167,6 +167,7 @@ def mistakes_of(error: ValidationError, data: dict[str, Any]) -> list[tuple[str,
 
 PATH_FIELDS = (
     ("stars", "catalogue"),
+    ("stars", "colour_fit"),
     ("cosmic_rays", "path"),
     ("background", "stray_light", "pst", "path"),
     ("background", "stray_light", "earth_albedo"),

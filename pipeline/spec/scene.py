@@ -52,12 +52,16 @@ class Accuracy(Strict):
 class Exposure(Strict):
     """Integration time and the frames of one dwell; frame k starts at epoch + k cadence."""
 
-    integration_s: float = Field(gt=0, le=1e5)
+    integration_s: float = Field(ge=0, le=1e5, description="0: bias frames, without any light")
     frames: int = Field(1, ge=1, le=100_000)
     cadence_s: Positive | None = Field(None, description="default: the integration time")
 
     @model_validator(mode="after")
     def _cadence_holds_exposure(self) -> Exposure:
+        if self.integration_s == 0 and self.frames > 1 and self.cadence_s is None:
+            raise PydanticCustomError(
+                "cadence", "allowed: a time above 0, as integration_s is 0", {"field": "cadence_s"}
+            )
         if self.cadence_s is not None and self.cadence_s < self.integration_s:
             raise PydanticCustomError(
                 "cadence",
@@ -83,6 +87,9 @@ class Stars(Strict):
         json_schema_extra={"anyOf": [{"type": "number"}, {"const": "auto"}, {"type": "null"}]},
     )  # fmt: skip
     limit_from_noise: bool = Field(False, description="what faintest_g_mag: auto stands for")
+    colour_fit: CataloguePath | None = Field(
+        None, description="file of `nightglass color-fit -o`; default: the stellar library's fit"
+    )
     space_motion: bool = True
     parallax: bool = True
     aberration: bool = True

@@ -307,9 +307,18 @@ class Sensor(Strict):
     bias_dn: Annotated[float, Field(ge=-1e18, le=1e19)] | ImagePath = 0.0
     flat: Annotated[float, Field(ge=0, le=1e3)] | ImagePath = 1.0
     dark_e_per_s: Annotated[float, Field(ge=0, le=1e12)] | ImagePath = 0.0
+    dark_scale: float = Field(
+        1.0, ge=1e-12, le=1e12, description="e-/s for each unit of the image in dark_e_per_s"
+    )
     read_noise_e: Annotated[float, Field(ge=0, le=1e9)] | ImagePath = 0.0
     photon_noise: bool = True
     detector: Detector | None = Field(None, description="bad pixels, patterns, ways of reading out")
+
+    @model_validator(mode="after")
+    def _scale_is_of_an_image(self) -> Sensor:
+        if self.dark_scale != 1.0 and not isinstance(self.dark_e_per_s, str):
+            raise _error("dark_scale", "allowed: 1, or any with an image in dark_e_per_s")
+        return self
 
     @model_validator(mode="after")
     def _detector_fits(self) -> Sensor:

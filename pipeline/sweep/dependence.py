@@ -17,12 +17,14 @@ from pipeline.spec.scene import Scene
 # Fields of the sensor that act on light already drawn. A new field of the detector that is not
 # among them is taken to change the light: slower, and the same bits.
 DETECTOR = (
-    "flat", "dark_e_per_s", "full_well_e", "read_noise_e", "gain_e_per_dn", "bias_dn", "adc_bits",
-    "adc_rounding", "photon_noise",
+    "flat", "dark_e_per_s", "dark_scale", "full_well_e", "read_noise_e", "gain_e_per_dn",
+    "bias_dn", "adc_bits", "adc_rounding", "photon_noise",
 )  # fmt: skip
 AFTER_LIGHT = ("seed", *(f"sensor.{name}" for name in DETECTOR))
 # Fields that the noise floor falls with, and so the error that drawing may make.
-FLOOR = ("sensor.read_noise_e", "sensor.gain_e_per_dn", "sensor.dark_e_per_s")
+FLOOR = (
+    "sensor.read_noise_e", "sensor.gain_e_per_dn", "sensor.dark_e_per_s", "sensor.dark_scale",
+)  # fmt: skip
 SKY_FLOOR = ("background.uniform_e_per_s", "background.uniform_mag_arcsec2")
 NOISE_FACTS = ("sigma_floor_e", "dark_e", "read_noise_e")
 SKY_FACTS = ("background_e", "background_e_s")

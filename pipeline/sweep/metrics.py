@@ -67,7 +67,8 @@ class Measurement:
                 self._snr[name].append(snr)
         if "limiting_magnitude" in self.metrics:
             time_s = self.plan.integration_s(int(g.frame[0]))
-            self._limits.append((limiting_light_e(self.plan, g), time_s))
+            if time_s > 0.0:  # a bias frame sees nothing
+                self._limits.append((limiting_light_e(self.plan, g), time_s))
 
     def take(self, tile: Tile, frame: int, dn: NDArray[Any], mean_e: Array) -> None:
         """One tile: digital numbers, and the mean before photon noise."""

@@ -92,6 +92,8 @@ def with_floor(course: Course, kept: Stages, scene: Scene, whole: bool) -> tuple
         name: course.floors.get(f"sensor.{name}", _typical(kept, scene, name))
         for name in ("read_noise_e", "gain_e_per_dn", "dark_e_per_s")
     }
+    scale = course.floors.get("sensor.dark_scale", scene.sensor.dark_scale)
+    numbers["dark_e_per_s"] *= scale / scene.sensor.dark_scale
     if course.floors and scene.accuracy.noise_floor_e is None:
         darkest = {
             name: course.floors.get(f"background.{name}", getattr(scene.background, name))

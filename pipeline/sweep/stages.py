@@ -196,7 +196,7 @@ def maps_of(kept: Stages, base: Base, scene: Scene) -> SensorMaps:
     """The detector's maps of a point; images are read once for points that share them."""
     if not is_plain(scene):
         return base.prepared.maps
-    names = DETECTOR[:2] + ("read_noise_e", "gain_e_per_dn", "bias_dn")
+    names = DETECTOR[:3] + ("read_noise_e", "gain_e_per_dn", "bias_dn")
     key = (tuple(getattr(scene.sensor, n) for n in names), scene.sensor.shape)
     return kept.get("sensor maps", key, lambda: gather_sensor_maps(scene), _bytes_of)
 

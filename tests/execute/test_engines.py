@@ -27,7 +27,8 @@ WHOLE = Tile(0, 0, 0, 0, SIDE, SIDE)
 
 
 def plan_of(
-    psf: dict[str, Any], dx_px: float, dy_px: float, side: int = SIDE, roll_deg: float = 0.0
+    psf: dict[str, Any], dx_px: float, dy_px: float, side: int = SIDE, roll_deg: float = 0.0,
+    fill: float = 1.0,
 ) -> Plan:
     """A plan of one frame whose stars streak by (dx, dy) px and turn about; nothing is read."""
     ifov_arcsec = np.degrees(1e-5) * 3600.0
@@ -37,6 +38,7 @@ def plan_of(
         "sensor": {
             "shape": [side, side], "pixel_pitch_um": 10.0, "focal_length_m": 1.0,
             "aperture_m": 0.065, "obscuration": 0.3, "psf": psf, "read_noise_e": 5.0,
+            "fill_factor": fill,
             "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
         },
         "pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,

@@ -46,4 +46,5 @@ def test_all_are_found() -> None:
 def test_limits_what_is_no_scene() -> None:
     for data in (None, 1, "x", [], [{}], {"stars": None}, {"stars": 3}, {"targets": {"a": 1}}):
         assert [name for name, *_ in path_holders(data)] == []
-    assert [name for name, *_ in path_holders({"stars": {}})] == ["stars.catalogue"]
+    found = [name for name, *_ in path_holders({"stars": {}})]
+    assert found == ["stars.catalogue", "stars.colour_fit"]

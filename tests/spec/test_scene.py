@@ -81,7 +81,7 @@ def refusal(data: Any) -> BadInput:
         ("observer.kind", "balloon", "'ground', 'orbit', 'fixed'"),
         ("pointing.mode", "stare", "'sidereal', 'rate', 'target'"),
         ("pointing.boresight_dec_deg", -90.5, "-90"),
-        ("exposure.integration_s", 0.0, "greater than"),
+        ("exposure.integration_s", -1.0, "equal to 0"),
         ("exposure.integration_s", "2 min", "number"),
         ("exposure.integration_s", None, "number"),
         ("exposure.frames", 0, "1"),

@@ -12,6 +12,7 @@ import pytest
 import xarray as xr
 import zarr
 
+from pipeline.calibrate import calibrate
 from pipeline.errors import BadInput, Damaged, Incomplete
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -186,3 +187,17 @@ def test_codecs(compression, tmp_path, made):
     )
     assert np.array_equal(other["dn"][...], one["dn"][...])
     assert "crc32c" in (tmp_path / "run" / "cube.zarr" / "dn" / "zarr.json").read_text()
+
+
+def test_one_chunking_along_frames(made, tmp_path):
+    """Dask sees one chunking of all variables, in a product and in its calibrated copy."""
+    calibrate(made, tmp_path / "calibrated")
+    for path in (made, tmp_path / "calibrated"):
+        cube = xr.open_zarr(path / "cube.zarr")
+        assert cube.chunks["frame"] == (1, 1)
+        assert cube.chunks["y"] == (256, 44)
+        same = cube.map_blocks(lambda block: block).compute()
+        assert same.identical(xr.open_zarr(path / "cube.zarr", chunks=None).compute())
+        for name in set(cube.variables) - {"dn", "targets_e", "dark_e", "calibrated_e"}:
+            chunks = [p for p in (path / "cube.zarr" / name / "c").rglob("*") if p.is_file()]
+            assert len(chunks) == 1, "one file whatever the number of frames"

@@ -21,14 +21,21 @@ def row_delay_s(y_px: Array, line_s: float, rows: int) -> Array:
 
 def later(places: Array, time_s: Array, delay_s: Array | float) -> Array:
     """Places (..., K) at K even times, so much later: along the parabola through the first, middle
-    and last of them, on top of what each differs from that."""
+    and last of them, on top of what each differs from that; of a bias frame, which took no time, as
+    they are."""
     middle = places.shape[-1] // 2
-    took = time_s[..., -1:] - time_s[..., :1]
+    took = _took(time_s)
     since = time_s - time_s[..., middle : middle + 1]
     first, mid, last = (places[..., k : k + 1] for k in (0, middle, places.shape[-1] - 1))
     speed = (last - first) / took
     bend = 4.0 * (last - 2.0 * mid + first) / np.square(took)
     return np.asarray(places + (speed + bend * (since + 0.5 * delay_s)) * delay_s)
+
+
+def _took(time_s: Array) -> Array:
+    """Time (..., 1) from the first node to the last; infinite, so that rates are 0, where none."""
+    took = time_s[..., -1:] - time_s[..., :1]
+    return np.where(took > 0.0, took, np.inf)
 
 
 def rolled(
@@ -60,8 +67,7 @@ def exposed_longer(delay_s: Array, time_s: Array) -> Array:
 
     Its time runs at dt/du = 1 + d delay/du of the rows' own time u: 1 / (1 - line rate).
     """
-    took = time_s[..., -1] - time_s[..., 0]
-    return np.asarray(1.0 + (delay_s[..., -1] - delay_s[..., 0]) / took)
+    return np.asarray(1.0 + (delay_s[..., -1] - delay_s[..., 0]) / _took(time_s)[..., 0])
 
 
 def rolled_light(
@@ -74,7 +80,7 @@ def rolled_light(
     x, y, delay = rolled(x_px, y_px, time_s, line_s, rows)
     steps = light.shape[-1] - 1
     times = np.broadcast_to(time_s, light.shape)
-    took = times[..., -1:] - times[..., :1]
+    took = _took(times)
     at = np.clip((times - times[..., :1] + delay) / took * steps, 0.0, float(steps))
     low = np.minimum(at.astype(np.int64), steps - 1)
     before, after = (np.take_along_axis(light, low + k, axis=-1) for k in (0, 1))

@@ -18,8 +18,11 @@ def smear_e(
     light_e : (ny, nx) mean electrons of an exposure, after the flat. While the rows are moved out,
     in steps of transfer_s / ny, the charge of a row passes all rows on its way and collects their
     light; unless the charge was `cleared` before, it has also passed the rows on the other side,
-    when the frame before was moved out. Sources send what they send on average.
+    when the frame before was moved out. Sources send what they send on average. A bias frame (0 s)
+    is read without any light.
     """
+    if integration_s == 0.0:
+        return np.zeros_like(light_e)
     step = transfer_s / light_e.shape[0] / integration_s
     below = np.cumsum(light_e, axis=0) - light_e  # light of all rows before
     total = below[-1] + light_e[-1]

@@ -169,10 +169,10 @@ def fit_wcs(camera: Camera, to_world: Callable[[Array, Array], Array]) -> WcsFit
     x0, y0 = camera.centre_px
     centre = to_world(np.array([x0]), np.array([y0]))[0]
     lon, lat = to_angles(centre)
-    plane = _TangentPlane(float(lon), float(lat))
-    u, v = _grid(camera, 21, 0.0)
+    plane = TangentPlane(float(lon), float(lat))
+    u, v = frame_grid(camera, 21, 0.0)
     world = plane.project(to_world(x0 + u, y0 + v))
-    check_u, check_v = _grid(camera, 16, 0.02)
+    check_u, check_v = frame_grid(camera, 16, 0.02)
     check_world = plane.project(to_world(x0 + check_u, y0 + check_v))
     fit = None
     orders = _SIP_ORDERS if camera.distortion is None else _SIP_ORDERS_DISTORTED
@@ -199,8 +199,8 @@ def fit_wcs(camera: Camera, to_world: Callable[[Array, Array], Array]) -> WcsFit
 
 def wcs_header(fit: WcsFit) -> dict[str, str | int | float]:
     """FITS keywords of a fit; LONPOLE is written out because its default differs at the pole."""
-    kind = "-SIP" if fit.sip_order else ""
-    header = _tan_keywords(fit.crval_deg, fit.crpix, fit.cd_deg, kind)
+    projection = "TAN-SIP" if fit.sip_order else "TAN"
+    header = tan_keywords(fit.crval_deg, fit.crpix, fit.cd_deg, projection)
     for name, table in (("A", fit.sip_a), ("B", fit.sip_b)):
         if not fit.sip_order:
             break
@@ -212,31 +212,8 @@ def wcs_header(fit: WcsFit) -> dict[str, str | int | float]:
     return header
 
 
-def apparent_wcs_header(camera: Camera, attitude: Array) -> dict[str, str | int | float]:
-    """FITS keywords of the exact TAN map in proper (aberrated) directions on ICRS axes.
-
-    Keywords without suffix; as an alternate WCS the exporter appends its letter. A distorted camera
-    has none (ValueError): FITS has one set of SIP terms, which are those of the primary WCS.
-    """
-    if camera.distortion is not None:
-        raise ValueError("the apparent WCS of a distorted camera is no TAN")
-    a = np.asarray(attitude, float)
-    lon, lat = to_angles(a[2])
-    plane = _TangentPlane(float(lon), float(lat))
-    axes = np.stack([plane.east, plane.north])
-    x0, y0 = camera.centre_px
-    header = _tan_keywords(
-        np.degrees([float(lon), float(lat)]),
-        np.array([x0 + 1.0, y0 + 1.0]),
-        np.degrees(ifov_rad(camera) * (axes @ a[:2].T)),
-        "",
-    )
-    header["WCSNAME"] = "APPARENT"
-    return header
-
-
 @dataclass(frozen=True)
-class _TangentPlane:
+class TangentPlane:
     """The plane that touches the sphere at a longitude and latitude [rad]; (east, north) axes."""
 
     lon_rad: float
@@ -267,7 +244,7 @@ def _edge(camera: Camera) -> tuple[Array, Array]:
     return u, v
 
 
-def _grid(camera: Camera, side: int, shift: float) -> tuple[Array, Array]:
+def frame_grid(camera: Camera, side: int, shift: float) -> tuple[Array, Array]:
     """Pixel offsets u, v (side^2,) from the centre: Chebyshev points, the outer edge included."""
     nodes = np.cos(np.pi * (np.arange(side) + shift) / (side - 1 + 2 * shift))
     u, v = np.meshgrid(0.5 * camera.columns * nodes, 0.5 * camera.rows * nodes)
@@ -293,13 +270,14 @@ def _evaluate(table: Array, u: Array, v: Array) -> Array:
     return np.asarray(np.polynomial.polynomial.polyval2d(u, v, table))
 
 
-def _tan_keywords(
-    crval_deg: Array, crpix: Array, cd_deg: Array, kind: str
+def tan_keywords(
+    crval_deg: Array, crpix: Array, cd_deg: Array, projection: str
 ) -> dict[str, str | int | float]:
+    """FITS keywords of a WCS about a zenithal `projection` (TAN, TAN-SIP, TPV), without suffix."""
     return {
         "WCSAXES": 2,
-        "CTYPE1": "RA---TAN" + kind,
-        "CTYPE2": "DEC--TAN" + kind,
+        "CTYPE1": f"RA---{projection}",
+        "CTYPE2": f"DEC--{projection}",
         "CUNIT1": "deg",
         "CUNIT2": "deg",
         "CRVAL1": float(crval_deg[0]),

@@ -197,6 +197,9 @@ class Airy:
         return 4.0
 
 
+RANGE_TERMS, RANGE_FLOOR = 8, 1e-9  # of the sum over whole frequencies; its last terms
+
+
 @dataclass(frozen=True)
 class Blur:
     """Everything that shapes a star before sampling: optics, jitter, charge diffusion, pixel.
@@ -232,6 +235,24 @@ class Blur:
     def transfer(self, fy: Array, fx: Array) -> Transfer:
         """The whole response: image x pixel, at (fy, fx) [cycles/px]."""
         return self.image(fy, fx) * self.pixel(fy, fx)
+
+    def collected_range(self) -> tuple[float, float]:
+        """Least and most of a source's light that all pixels collect, wherever it stands in one.
+
+        The sum over pixels of a response T at a place p is sum_k T(k) exp(2 pi i k p) over whole
+        frequencies k (Poisson's sum), so it is within sum_{k != 0} |T(k)| of the fill factor T(0).
+        Of pixels without gaps T(k) is 0. (0, 1) where the sum does not end within RANGE_TERMS.
+        """
+        fill = self.fill_factor
+        if fill == 1.0:
+            return 1.0, 1.0
+        k = np.arange(-RANGE_TERMS, RANGE_TERMS + 1, dtype=np.float64)
+        terms = np.abs(self.transfer(k[:, None], k[None, :]))
+        edge = np.concatenate([terms[0], terms[-1], terms[:, 0], terms[:, -1]])
+        if edge.max() > RANGE_FLOOR:
+            return 0.0, 1.0
+        spread = float(terms.sum()) - float(terms[RANGE_TERMS, RANGE_TERMS])
+        return max(0.0, fill - spread), min(1.0, fill + spread)
 
     def band_limit(self, floor: float) -> float:
         """Frequency [cycles/px] beyond which the whole response is below `floor`."""

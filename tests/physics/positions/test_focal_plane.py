@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.motion.pointing import boresight_frame, proper_attitude
 from pipeline.physics.positions.apparent import aberrate, unaberrate
+from pipeline.physics.positions.apparent_wcs import apparent_wcs_header
 from pipeline.physics.positions.focal_plane import (
     Camera,
-    apparent_wcs_header,
     corner_radius,
     deproject,
     fit_wcs,
