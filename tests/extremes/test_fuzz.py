@@ -69,13 +69,18 @@ def test_verdicts(answer, wrong):
     assert (wrong is None and not said) or said[0].startswith(wrong)
 
 
+def told(refusal: BadInput) -> None:
+    """A refusal names its field, is short, and can be printed."""
+    assert refusal.field
+    assert len(str(refusal).encode()) < 1000
+
+
 def refused_or_planned(data) -> None:
     """A broken scene is refused by name of the field, or is no broken one and can be planned."""
     try:
         plan_scene(parse_scene(data))
     except BadInput as refusal:
-        assert refusal.field
-        assert len(str(refusal).encode()) < 1000
+        told(refusal)
 
 
 def _broken(stock: Stock, count: int, side_px: int) -> None:
