@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry
 from pipeline.errors import NightglassError
 from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.vectors import separation
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 
 NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, beyond it is a fault
 PLACE_PX = 1e-3  # that a source's pixel and its direction may be apart
+ALIASES = 8  # cycles a pixel up to which gaps between pixels are looked at
 ROUNDING_RAD = 2e-15
 LOOKED_AT = 64  # sources of a task whose places are checked
 
@@ -65,7 +69,8 @@ def guard_light(
     """
     total, most = float(image_e.sum()), float(light_e.sum())
     r = plan.responses
-    least = float(light_e[inside].sum()) * r.blur.fill_factor * (1.0 - min(1.0, r.lost_light))
+    held = min(least_held(b) for b in r.blurs) * (1.0 - min(1.0, r.lost_light))
+    least = float(light_e[inside].sum()) * held
     allowed = plan.scene.accuracy.flux_fraction * most + r.budget_e * np.sqrt(image_e.size)
     wings_e = abs(total - cores_e)  # of very bright sources elsewhere they may ring below zero
     if least - allowed <= cores_e + wings_e and cores_e <= most + allowed:
@@ -76,6 +81,19 @@ def guard_light(
         f"{where(g, tile)}: {layer} holds {total:.8g} e- with cores of {cores_e:.8g} e-, where its "
         f"sources send {least:.8g} to {most:.8g} e-"
     )
+
+
+@lru_cache(maxsize=128)
+def least_held(blur: Blur) -> float:
+    """Least part of a source's light that pixels with gaps between them collect, at any phase.
+
+    The sum over all pixels is that of the transfer function at whole cycles a pixel (Poisson's
+    sum), with a phase each: at least its value at zero less those of all others.
+    """
+    f = np.arange(-ALIASES, ALIASES + 1.0)
+    others = np.abs(blur.transfer(f[:, None], f[None, :]))
+    whole = float(others[ALIASES, ALIASES])
+    return max(0.0, 2.0 * whole - float(others.sum()))
 
 
 def inside_tile(plan: Plan, tile: Tile, x_px: Array, y_px: Array, sweep_px: float) -> np.ndarray:

@@ -125,7 +125,7 @@ def _light_curve(dice: Dice) -> Data:
 
 
 def lighting(dice: Dice) -> Data | None:
-    if dice.chance(0.7):
+    if dice.chance(0.85):
         return None
     return {"oblate_earth": True, "limb_darkening": 0.6, "moon": dice.chance(0.5),
             "earthshine_albedo": dice.pick(None, 0.3)}  # fmt: skip

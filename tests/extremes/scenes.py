@@ -93,7 +93,7 @@ def _direction(dice: Dice) -> Data:
 
 def _pointing(dice: Dice, stock: Stock, observer: Data, targets: list[Data], epoch: str) -> Data:
     modes = ["sidereal", "sidereal", "rate", "table", "target", "target"]
-    local = {"fixed": [], "orbit": ["local"], "ground": ["local"] * 6}[observer["kind"]]
+    local = {"fixed": [], "orbit": ["local"], "ground": ["local"] * 12}[observer["kind"]]
     mode = dice.pick(*modes, *local)
     if mode == "target" and not targets:
         mode = "sidereal"
@@ -170,7 +170,7 @@ def _stray_light(dice: Dice, stock: Stock) -> Data:
         {"kind": "table", "path": stock.pst, "beyond": "clip"},
         {"kind": "harvey", "b0_per_sr": 0.1, "shoulder": 0.01, "slope": -1.5},
     )
-    return {"pst": pst, "earth_albedo": dice.pick(0.3, stock.albedo_map),
+    return {"pst": pst, "earth_albedo": dice.pick(*[0.3] * 9, stock.albedo_map),
             "inside": dice.pick("clip", "extrapolate", "refuse")}  # fmt: skip
 
 
