@@ -259,8 +259,8 @@ def _on_grid(
         low[0], low[0] + 2.0 * far + grid.columns * grid.spacing_px,
         low[1], low[1] + 2.0 * far + grid.rows * grid.spacing_px,
     )  # fmt: skip
-    segment = ends[0], ends[2], ends[1] - ends[0], ends[3] - ends[2]
-    first, last = (float(v) for v in within(*(np.asarray(v) for v in segment), box))
+    x0, y0, dx, dy = np.array([ends[0], ends[2], ends[1] - ends[0], ends[3] - ends[2]])
+    first, last = (float(v) for v in within(x0, y0, dx, dy, box))
     if first > last:
         return np.empty(0, np.int64)
     return np.arange(max(0, int(first * count) - 1), min(count, int(last * count) + 2))

@@ -20,7 +20,7 @@ WING_S_PER_PIXEL = 25e-9
 GRID_S_PER_POINT = 1.5e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
 KERNEL_S_PER_POINT = 4e-7  # of the grid that a wing is made on, for each wavelength
-CHECK_S = 0.3  # of one window that is drawn again
+CHECK_S = 0.1  # of one window that is drawn again
 CROWD_BYTES_PER_PIXEL = 50.0
 BASE_MB = 180.0  # of a process that has imported all and draws nothing
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
@@ -70,7 +70,9 @@ def predict(
     layers = len(plan.scene.output.layers)
     light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
     light_s += _wings_s(plan, spent) + 2.0 * spent.geometry_s / spent.frames
-    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan) + CHECK_S * len(plan.checks)
+    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan)
+    if plan.responses.classes:
+        once_s += CHECK_S * len(plan.checks)
     return {
         "cpu_s": least_cpu_s(plan.scene) + once_s + plan.frames * light_s,
         "worker_memory_mb": sum(_memory_mb(plan, forecast, spent).values()),

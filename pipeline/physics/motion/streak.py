@@ -179,8 +179,8 @@ def _cut(
     dx, dy = (path.x_px[k + 1] - path.x_px[k]) / count, (path.y_px[k + 1] - path.y_px[k]) / count
     first, last = 0, count
     if near is not None:
-        whole = path.x_px[k], path.y_px[k], dx * count, dy * count
-        start, end = (float(t) for t in within(*(np.asarray(v) for v in whole), near))
+        whole = np.array([path.x_px[k], path.y_px[k], dx * count, dy * count])
+        start, end = (float(t) for t in within(whole[0], whole[1], whole[2], whole[3], near))
         if start > end:
             return []
         first, last = max(0, int(start * count) - 1), min(count, int(end * count) + 2)
