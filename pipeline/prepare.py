@@ -23,6 +23,7 @@ from pipeline.inputs.curves import resolve_response, solar_spectrum
 from pipeline.inputs.distortion import gather_distortion
 from pipeline.inputs.earth_orientation import gather_dut1_s
 from pipeline.inputs.ephemerides import gather_ephemerides
+from pipeline.inputs.memory import free_mb
 from pipeline.inputs.pointing_tables import gather_pointing
 from pipeline.inputs.psf_tables import gather_psf_table
 from pipeline.inputs.sensor import gather_sensor_maps
@@ -50,7 +51,9 @@ from pipeline.plan.geometry import (
     plan_geometry,
     sampled_frames,
 )
+from pipeline.plan.needs import Spent, check_memory
 from pipeline.plan.scene_plan import Plan, catalogue_cones, field_cones, make_plan, plan_dict
+from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import mesh_notices
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.observer import GroundObserver
@@ -71,14 +74,14 @@ class Prepared:
     """A plan with what was read to make it.
 
     catalogues : the main one and the layers over it; left_out : of each, the sorted source_ids of
-    stars that an earlier one holds
+    stars that an earlier one holds; spent : what planning took
     """
 
     plan: Plan
     maps: SensorMaps
     catalogues: tuple[Catalogue, ...]
     left_out: tuple[np.ndarray, ...]
-    seconds: float
+    spent: Spent
     rays: CosmicRays | None = None
 
     @property
@@ -127,7 +130,7 @@ def prepare(scene: Scene) -> Prepared:
     No star is read but where there are layers: theirs in the field, and the main catalogue's
     bright ones around them.
     """
-    started = time.perf_counter()
+    started = time.thread_time()
     scene = resolve(scene)
     catalogues = open_catalogues(scene.stars.catalogues) if scene.stars is not None else ()
     maps = gather_sensor_maps(scene)
@@ -136,7 +139,9 @@ def prepare(scene: Scene) -> Prepared:
     remarks = [remark] if remark else []
     warnings: list[str] = []  # what the scene accepts though the product is wrong there
     colour, sun = _light(scene, response, band, digest, remarks)
+    before = time.thread_time()
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
+    geometry_s = time.thread_time() - before
     facts = gather_facts(
         scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
@@ -160,7 +165,10 @@ def prepare(scene: Scene) -> Prepared:
     doubts = (*judge(scene, decisions), *plan.warnings)
     plan = replace(plan, decisions=decisions, warnings=doubts)
     rays = _cosmic_rays(scene)
-    return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started, rays)
+    moved = excursions_px(plan.camera, geometry, scene.star_effects["aberration"])
+    far = float(moved.max()) if scene.stars is not None else 0.0
+    spent = Spent(time.thread_time() - started, geometry_s, len(geometry.frame), far)
+    return Prepared(plan, maps, catalogues, left_out, spent, rays)
 
 
 def _brightest_e(
@@ -309,7 +317,16 @@ def check_cost(scene: Scene, summary: dict[str, Any], most_cpu_s: float | None) 
 
 
 def summary_of(prepared: Prepared) -> dict[str, Any]:
-    return plan_dict(prepared.plan, forecast(prepared), catalogue_facts_of(prepared))
+    facts = catalogue_facts_of(prepared)
+    return plan_dict(prepared.plan, forecast(prepared), facts, prepared.spent)
+
+
+def check_room(prepared: Prepared, most_mb: float | None = None, processes: int = 1) -> None:
+    """BadInput where a plan forecasts more memory than this machine has free for each of so many
+    processes; most_mb : than so much, whatever is free."""
+    if most_mb is None:
+        most_mb = free_mb() / processes
+    check_memory(prepared.plan, forecast(prepared), prepared.spent, most_mb)
 
 
 def catalogue_facts_of(prepared: Prepared) -> list[dict[str, Any]]:

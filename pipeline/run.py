@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -19,11 +20,13 @@ from pipeline.finish import finish, stored_report
 from pipeline.inputs.stars import Shard
 from pipeline.plan.cost import CHUNK_S, TILE_S
 from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.scene_plan import Plan, frame_seconds
+from pipeline.plan.needs import frame_seconds
+from pipeline.plan.scene_plan import Plan
 from pipeline.prepare import (
     Prepared,
     catalogue_facts_of,
     check_cost,
+    check_room,
     forecast,
     prepare,
     shards_of,
@@ -45,6 +48,7 @@ class Options:
     scheduler : threads, synchronous, processes, or an address; workers : None for all cores
     resume : go on with an unfinished product; replace : remove what stands at the path first
     most_cpu_s : a scene whose plan predicts more is refused before anything is drawn
+    most_memory_mb : likewise of memory; None: what this machine has free, unless others draw
     """
 
     scheduler: str = "threads"
@@ -52,6 +56,13 @@ class Options:
     resume: bool = False
     replace: bool = False
     most_cpu_s: float | None = None
+    most_memory_mb: float | None = None
+
+    @property
+    def processes(self) -> int:
+        """How many processes of this machine draw; 0 where those of others do."""
+        own = {"threads": 1, "synchronous": 1, "processes": self.workers or os.cpu_count() or 1}
+        return own.get(self.scheduler, 0)
 
 
 @dataclass(frozen=True)
@@ -83,6 +94,8 @@ def _render(
     prepared = prepare(scene)
     plan, summary = prepared.plan, summary_of(prepared)
     check_cost(scene, summary, options.most_cpu_s)
+    if options.processes or options.most_memory_mb:
+        check_room(prepared, options.most_memory_mb, options.processes)
     if options.replace and product.exists():
         _remove(product)
     begun = begin(product, plan, prepared.catalogue_digest, options.resume)

@@ -27,7 +27,7 @@ from pipeline.physics.drawing.extended import spread_body
 from pipeline.physics.drawing.spectral import Sources, draw_spectral
 from pipeline.physics.drawing.spectral_plan import brightest_for
 from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
-from pipeline.physics.motion.streak import Path
+from pipeline.physics.motion.streak import Path, within
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak
@@ -182,7 +182,7 @@ def _wings(
     classes = class_of(plan, light)
     star_wings = _wing_field(plan, grid, stars.x_px, stars.y_px, light, classes, path)
     points = [t for t in targets if t.body is None]
-    x, y, part, whole = _target_points(plan, points)
+    x, y, part, whole = _target_points(plan, points, grid)
     target_wings = _wing_field(plan, grid, x, y, part, target_classes(plan, whole), None)
     for target in targets:
         if target.body is not None:
@@ -225,8 +225,11 @@ def _body_field(plan: Plan, grid: WingGrid, target: FrameTarget) -> Array:
     return field
 
 
-def _target_points(plan: Plan, targets: list[FrameTarget]) -> tuple[Array, Array, Array, Array]:
-    """Targets as points along their paths, dense enough for the wings' grid."""
+def _target_points(
+    plan: Plan, targets: list[FrameTarget], grid: WingGrid
+) -> tuple[Array, Array, Array, Array]:
+    """Targets as points along their paths, dense enough for the wings' grid, where they are near
+    it: (x, y, light, light of the whole target)."""
     step = plan.responses.spacing_px / 2.0
     x: list[Array] = []
     y: list[Array] = []
@@ -236,14 +239,31 @@ def _target_points(plan: Plan, targets: list[FrameTarget]) -> tuple[Array, Array
         for k in range(t.path.segments):
             ends = (t.path.x_px[k], t.path.x_px[k + 1], t.path.y_px[k], t.path.y_px[k + 1])
             count = int(np.ceil(np.hypot(ends[1] - ends[0], ends[3] - ends[2]) / step)) or 1
-            at = (np.arange(count) + 0.5) / count
+            at = (_on_grid(grid, t, ends, count) + 0.5) / count
             x.append(t.x_px + ends[0] + at * (ends[1] - ends[0]))
             y.append(t.y_px + ends[2] + at * (ends[3] - ends[2]))
-            light.append(np.full(count, t.light_e * t.path.weight[k] / count))
-            whole.append(np.full(count, t.light_e))
+            light.append(np.full(len(at), t.light_e * t.path.weight[k] / count))
+            whole.append(np.full(len(at), t.light_e))
     if not x:
         return (np.empty(0),) * 4
     return np.concatenate(x), np.concatenate(y), np.concatenate(light), np.concatenate(whole)
+
+
+def _on_grid(
+    grid: WingGrid, t: FrameTarget, ends: tuple[float, float, float, float], count: int
+) -> NDArray[np.int64]:
+    """Which of the even parts of a segment may have their middle on a grid."""
+    far = 2.0 * grid.spacing_px
+    low = grid.x0_px - far - t.x_px, grid.y0_px - far - t.y_px
+    box = (
+        low[0], low[0] + 2.0 * far + grid.columns * grid.spacing_px,
+        low[1], low[1] + 2.0 * far + grid.rows * grid.spacing_px,
+    )  # fmt: skip
+    x0, y0, dx, dy = np.array([ends[0], ends[2], ends[1] - ends[0], ends[3] - ends[2]])
+    first, last = (float(v) for v in within(x0, y0, dx, dy, box))
+    if first > last:
+        return np.empty(0, np.int64)
+    return np.arange(max(0, int(first * count) - 1), min(count, int(last * count) + 2))
 
 
 def _middle_zone(plan: Plan, block: Tile) -> int:

@@ -31,10 +31,10 @@ from pipeline.physics.drawing.wings import (
     spread,
     wing_grid,
 )
-from pipeline.physics.motion.streak import POINT, Path, pieces, transfer
+from pipeline.physics.motion.streak import POINT, Path, part_within, pieces, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.checks import CheckCell
-from pipeline.plan.responses import LARGEST_CORE_SAMPLES
+from pipeline.plan.optics import LARGEST_CORE_SAMPLES
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import exact_path
 from pipeline.plan.tiles import Tile
@@ -132,11 +132,7 @@ def reference(
     """
     near = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
     targets = place_targets(plan, g)
-    points = [
-        (np.array([t.x_px]), np.array([t.y_px]), np.array([t.light_e]), t.path)
-        for t in targets
-        if t.body is None
-    ]
+    points = [group for t in targets if t.body is None for group in _near_part(plan, at, t)]
     followed = _star_groups(plan, g, at, near, own_paths)
     groups = [*followed, *points]
     work = list(_pieces(plan, at, groups))
@@ -153,6 +149,17 @@ def reference(
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
+
+
+def _near_part(plan: Plan, at: Tile, t: FrameTarget) -> Iterator[Group]:
+    """A target with the part of its path whose light may reach a window; none if none may."""
+    reach = plan.halo_px + 2.0 * plan.responses.reach_core_px + LONGEST_PX
+    low_x, low_y = at.x0 - reach - t.x_px, at.y0 - reach - t.y_px
+    box = (low_x, low_x + 2.0 * reach + at.columns, low_y, low_y + 2.0 * reach + at.rows)
+    part = part_within(t.path, box)
+    if part is not None:
+        path, share = part
+        yield np.array([t.x_px]), np.array([t.y_px]), np.array([share * t.light_e]), path
 
 
 def _star_groups(

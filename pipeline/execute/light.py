@@ -16,7 +16,7 @@ from pipeline.physics.drawing.along import stamp_along
 from pipeline.physics.drawing.extended import draw_body
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
-from pipeline.physics.motion.streak import Path, pieces
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Box, Path, pieces
 from pipeline.physics.psf.response import stamp_at
 from pipeline.plan.own_paths import own_paths
 from pipeline.plan.scene_plan import Plan
@@ -63,7 +63,8 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
                 core = core_of(blur, radius)
                 draw_body(image, (tile.y0, tile.x0), target.body, core, place, light, target.path)
             continue
-        for x0, y0, piece, share in pieces(target.path):
+        near = _box(tile, plan.responses.classes[k].radius_px, target.x_px, target.y_px)
+        for x0, y0, piece, share in pieces(target.path, near=near):
             x, y = target.x_px + x0, target.y_px + y0
             draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
     cores_e = float(image.sum())
@@ -122,7 +123,8 @@ def draw_along(
         own = own_paths(plan.camera, g, *places, merge, aberration)
         for i, path in enumerate(own):
             radius = plan.responses.classes[int(classes[mine[i]])].radius_px
-            for x0, y0, piece, share in pieces(path):
+            near = _box(tile, radius, float(x[i]), float(y[i]))
+            for x0, y0, piece, share in pieces(path, near=near):
                 place = float(x[i]) + x0, float(y[i]) + y0, float(light[i]) * share
                 if _reaches(tile, radius, piece, *place[:2]):
                     for blur, part in parts_of(plan, *place):
@@ -172,6 +174,14 @@ def _reaches(tile: Tile, radius_px: float, piece: Path, x: float, y: float) -> b
     reach_y = radius_px + float(np.abs(piece.y_px).max()) + 4
     inside_x = tile.x0 - reach_x < x < tile.x0 + tile.columns + reach_x
     return inside_x and tile.y0 - reach_y < y < tile.y0 + tile.rows + reach_y
+
+
+def _box(tile: Tile, radius_px: float, x: float, y: float) -> Box:
+    """Where a path from (x, y) must come by for one of its pieces to light a tile."""
+    margin = radius_px + LONGEST_PIECE_PX
+    low_x, low_y = tile.x0 - margin - x, tile.y0 - margin - y
+    across = 2.0 * margin
+    return low_x, low_x + across + tile.columns, low_y, low_y + across + tile.rows
 
 
 def _add(image: Array, tile: Tile, stamp: tuple[int, int, Array], light_e: float) -> None:

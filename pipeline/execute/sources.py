@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
 from pipeline.execute.guards import LOOKED_AT, guard_places
-from pipeline.physics.motion.streak import Path, path_through
+from pipeline.physics.motion.streak import Path, path_through, within
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.positions.refraction import refract
@@ -161,7 +161,7 @@ def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[Fra
     """
     electrons = plan.sun_rate_e_s_m2 * plan.facts.area_m2 * plan.integration_s(int(g.frame[0]))
     out = []
-    for i in range(len(plan.scene.targets)) if everywhere else _reaching(plan, g):
+    for i in range(len(plan.scene.targets)) if everywhere else reaching(plan, g):
         x, y, light = g.target_x_px[i, 0], g.target_y_px[i, 0], g.target_light[i, 0]
         seen = np.isfinite(x) & np.isfinite(y)
         if not seen.any():
@@ -192,7 +192,7 @@ def _nearest(seen: np.ndarray) -> np.ndarray:
     return np.where(nearer, index[before], index[after])
 
 
-def _reaching(plan: Plan, g: Geometry) -> list[int]:
+def reaching(plan: Plan, g: Geometry) -> list[int]:
     """Targets whose path, with all that may be drawn around it, touches the frame."""
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     size = np.array([_radius_m(t.body) for t in plan.scene.targets])
@@ -203,7 +203,17 @@ def _reaching(plan: Plan, g: Geometry) -> list[int]:
         low_y, high_y = np.fmin.reduce(y, axis=-1), np.fmax.reduce(y, axis=-1)
         inside = (high_x > -margin) & (low_x < plan.camera.columns + margin)
         inside &= (high_y > -margin) & (low_y < plan.camera.rows + margin)
-    return [int(i) for i in np.flatnonzero(inside)]
+    return [int(i) for i in np.flatnonzero(inside) if _comes_by(plan, x[i], y[i], float(margin[i]))]
+
+
+def _comes_by(plan: Plan, x: Array, y: Array, margin_px: float) -> bool:
+    """Whether a path through places (K,), NaN where it is behind the camera, touches the frame
+    and a margin around it."""
+    box = (-margin_px, plan.camera.columns + margin_px, -margin_px, plan.camera.rows + margin_px)
+    seen = _nearest(np.isfinite(x) & np.isfinite(y))
+    x, y = x[seen], y[seen]
+    first, last = within(x[:-1], y[:-1], np.diff(x), np.diff(y), box)
+    return bool((first <= last).any())
 
 
 def _radius_m(body: Any) -> float:

@@ -6,11 +6,18 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry
-from pipeline.execute.sources import FrameTarget, place_targets, streaks, zone_of
+from pipeline.execute.sources import (
+    FrameTarget,
+    place_targets,
+    reaching,
+    streaks,
+    zone_of,
+)
 from pipeline.execute.tables import swept_core
-from pipeline.physics.motion.streak import Path, pieces
+from pipeline.physics.motion.streak import Path, piece_counts, pieces
 from pipeline.physics.positions.apparent import proper_to_astrometric
 from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.positions.refraction import unrefract
@@ -20,6 +27,8 @@ from pipeline.physics.vectors import to_angles
 from pipeline.plan.scene_plan import Plan
 
 Columns = dict[str, Any]
+
+MOST_PIECES = 256  # of a path whose SNR counts each of its pixels once
 
 
 def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
@@ -86,7 +95,8 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
 
     x_px, y_px is the body's centre at mid-exposure, x_light_px, y_light_px the centroid of its
     light over the exposure (NaN where none is drawn): they differ where a body of visible size is
-    lit from a side, and where it brightens, turns or bends while it is exposed.
+    lit from a side, and where it brightens, turns or bends while it is exposed. snr is that of all
+    its light, as if the focal plane had no end; 0 where none of it can reach the frame.
     """
     middle, count = g.middle, len(plan.scene.targets)
     drawn = {t.index: t for t in place_targets(plan, g, everywhere=True)}
@@ -97,7 +107,11 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     ra, dec = to_angles(direction)
     apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
     light = np.array([drawn[i].light_e if i in drawn else 0.0 for i in range(count)])
-    snr = [_snr_of(plan, drawn[i], int(g.frame[0])) if i in drawn else 0.0 for i in range(count)]
+    near = set(reaching(plan, g))
+    snr = [
+        _snr_of(plan, drawn[i], int(g.frame[0])) if i in drawn and i in near else 0.0
+        for i in range(count)
+    ]
     centroid = np.array([_centroid(drawn.get(i)) for i in range(count)])
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     with np.errstate(invalid="ignore"):
@@ -169,7 +183,7 @@ def matched_snr(
 
 def _matched_snr(plan: Plan, blur: Blur, path: Path, light_e: Array, frame: int) -> Array:
     """Signal-to-noise of sources that one response draws, (n,)."""
-    response = _response_at_centre(plan, blur, path)
+    response, times = _response_at_centre(plan, blur, path)
     floor = plan.floor_e(frame) ** 2
     positive = light_e[light_e > 0]
     if positive.size == 0:
@@ -177,24 +191,41 @@ def _matched_snr(plan: Plan, blur: Blur, path: Path, light_e: Array, frame: int)
     low, high = np.log(positive.min()), np.log(positive.max())
     grid = np.linspace(low, high, 128 if high > low else 1)
     signal = np.exp(grid)[:, None] * response[None, :]
-    snr = np.sqrt(np.sum(signal**2 / (floor + signal), axis=1))
+    snr = np.sqrt(np.sum(times * signal**2 / (floor + signal), axis=1))
     with np.errstate(divide="ignore"):
         at = np.log(np.maximum(light_e, 0.0))
     return np.where(light_e > 0, np.exp(np.interp(at, grid, np.log(snr))), 0.0)
 
 
-def _response_at_centre(plan: Plan, blur: Blur, path: Path) -> Array:
-    """Pixel values of the core response for a source swept along a path, at one phase, (m,)."""
-    core = plan.responses.classes[0]
+def _response_at_centre(plan: Plan, blur: Blur, path: Path) -> tuple[Array, Array | float]:
+    """Pixel values (m,) of the core response for a source swept along a path, at one phase, and
+    how often each of them occurs.
+
+    Of a path of more than MOST_PIECES pieces each different one is drawn once, by itself: their
+    ends, where two of them share pixels, are a small part of it.
+    """
+    radius = plan.responses.classes[0].radius_px
+    counts = piece_counts(path)
+    if sum(count for *_, count in counts) > MOST_PIECES:
+        values = [share * _kept(blur, radius, piece)[2] for piece, share, _ in counts]
+        times = [np.full(len(v), float(n)) for v, (*_, n) in zip(values, counts, strict=True)]
+        return np.concatenate(values), np.concatenate(times)
     places, values = [], []
     for x0, y0, piece, share in pieces(path):
-        swept = swept_core(blur, core.radius_px, piece)
-        row, column, stamp = stamp_at(*swept, y0, x0)
-        r, c = np.nonzero(stamp > 1e-7 * stamp.max())
-        places.append((row + r).astype(np.int64) * (1 << 32) + column + c)
-        values.append(share * stamp[r, c])
+        row, column, value = _kept(blur, radius, piece, y0, x0)
+        places.append(row.astype(np.int64) * (1 << 32) + column)
+        values.append(share * value)
     _, index = np.unique(np.concatenate(places), return_inverse=True)
-    return np.bincount(index, weights=np.concatenate(values)).astype(np.float64)
+    return np.bincount(index, weights=np.concatenate(values)).astype(np.float64), 1.0
+
+
+def _kept(
+    blur: Blur, radius_px: float, piece: Path, y0: float = 0.0, x0: float = 0.0
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Rows, columns and values (m,) of the pixels that a piece lights."""
+    row, column, stamp = stamp_at(*swept_core(blur, radius_px, piece), y0, x0)
+    r, c = np.nonzero(stamp > 1e-7 * stamp.max())
+    return row + r, column + c, stamp[r, c]
 
 
 def world_of(plan: Plan, g: Geometry, index: int = 0) -> Any:

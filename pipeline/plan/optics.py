@@ -6,9 +6,11 @@ import math
 from dataclasses import asdict, replace
 from typing import Any
 
+from pipeline.errors import BadInput
 from pipeline.physics.psf.aperture import Pupil, Vanes
 from pipeline.physics.psf.band import BandOptics, Chromatic, NoiseLimit, choose_wavelengths
 from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian, Optics
+from pipeline.physics.psf.response import oversampling_for
 from pipeline.physics.psf.sampled import Sampled
 from pipeline.physics.psf.seeing import Kolmogorov, Moffat, r0_at, r0_m
 from pipeline.physics.psf.zernike import defocus_rms
@@ -29,6 +31,10 @@ from pipeline.spec.sensor import (
 from pipeline.spec.sensor import Vanes as VanesGiven
 
 ARCSEC_RAD = math.radians(1.0 / 3600.0)
+SMALLEST_Q, LARGEST_Q = 0.02, 64.0
+LARGEST_CORE_PX = 256.0
+LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
+MOST_BLUR_PX = 50.0  # rms per axis, of fast motion of the pointing and of charge diffusion
 
 
 def blur_of(
@@ -41,8 +47,13 @@ def blur_of(
     limit : what the brightest source may err by where the band is resolved
     """
     s = scene.sensor
+    diffusion = psf.diffusion_px(s.pixel_pitch_um)
+    if diffusion > MOST_BLUR_PX:
+        raise BadInput(
+            "sensor.psf.charge_diffusion_um", f"{diffusion:.4g} px rms", f"{MOST_BLUR_PX:g} px"
+        )
     rest = Blur(
-        Gaussian(1.0), _jitter_px(scene, psf), psf.diffusion_px(s.pixel_pitch_um), s.fill_factor,
+        Gaussian(1.0), _jitter_px(scene, psf), diffusion, s.fill_factor,
         isinstance(psf, TablePsf) and psf.includes_pixel, clock_step_px(scene),
     )  # fmt: skip
     if isinstance(psf, AiryPsf | KolmogorovPsf):
@@ -54,6 +65,11 @@ def blur_of(
 def _jitter_px(scene: Scene, psf: OnePsf) -> float:
     """Rms per axis of all motion that is drawn as blur: the PSF's own and fast pointing."""
     fast = fast_blur_px(scene)
+    if fast > MOST_BLUR_PX:
+        raise BadInput(
+            "pointing.attitude", f"motion that blurs by {fast:.4g} px rms",
+            f"at most {MOST_BLUR_PX:g} px: weaker or slower motion, or larger pixels",
+        )  # fmt: skip
     return math.hypot(psf.jitter_px, fast) if fast else psf.jitter_px
 
 
@@ -102,6 +118,9 @@ def _band(
 
     if psf.wavelength_nm is not None or psf.wavelengths == 1:
         return BandOptics(make(wave_m), (wave_m,), (1.0,), 0.0, 0.0)
+    if not (scene.stars or scene.targets or scene.populations):  # nothing is drawn with it
+        return BandOptics(make(mean_m), (mean_m,), (1.0,), 0.0, 0.0)
+    check_scale(psf.kind, _with(rest, make(wave_m)))  # before work that grows with it
     curve = (response.wavelength_m, response.value)
     most = scene.accuracy.flux_fraction
     chosen = choose_wavelengths(make, rest, *curve, most, psf.wavelengths, limit)
@@ -136,6 +155,26 @@ def _chromatic(
         return Airy(q, s.obscuration)
     vanes = None if psf.vanes is None else _vanes(s, psf.vanes)
     return Pupil(q, s.obscuration, vanes, tuple(sorted(terms.items())))
+
+
+def check_scale(kind: str, blur: Blur) -> None:
+    """BadInput for a response with wings that is too sharp or too wide for the pixels."""
+    optics = blur.optics
+    if not optics.has_wings:
+        return
+    q, core = optics.scale_px, optics.core_px
+    most = LARGEST_CORE_PX
+    if SMALLEST_Q <= q <= LARGEST_Q:
+        most = min(most, LARGEST_CORE_SAMPLES / oversampling_for(blur))
+        if core <= most:
+            return
+    raise BadInput(
+        "sensor.psf",
+        f"{kind} of a scale (Q = lambda F / (D pitch), or FWHM) of {q:.3g} px and a core of "
+        f"{core:.3g} px",
+        f"{SMALLEST_Q} px to {LARGEST_Q:g} px, a core of at most {most:.4g} px: another pitch, "
+        "focal length or wavelength, weaker aberrations, or a gaussian",
+    )
 
 
 def open_fraction(optics: Optics, band: BandOptics | None) -> float:

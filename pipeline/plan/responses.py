@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
-from pipeline.errors import BadInput
 from pipeline.physics.drawing.extended import point_error
 from pipeline.physics.drawing.wings import CUT_FROM, swept_apart, wing_error, wing_slope
 from pipeline.physics.motion.streak import POINT, Path
@@ -22,7 +21,12 @@ from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core, oversampling_for
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.facts import Facts
-from pipeline.plan.optics import missing_light
+from pipeline.plan.optics import (
+    LARGEST_CORE_PX,
+    LARGEST_CORE_SAMPLES,
+    check_scale,
+    missing_light,
+)
 from pipeline.plan.streaks import StreakPlan, plan_streaks, zone_streak
 from pipeline.plan.tiles import BLOCK_PX
 from pipeline.plan.wing_sweeps import WingSweeps, wing_sweeps
@@ -35,12 +39,10 @@ if TYPE_CHECKING:
 TABLE_BYTES = 48e6
 FIELD_BYTES = 80e6  # what the tables of one core class may take together, over a field
 MOST_CLASSES = 5
-SMALLEST_Q, LARGEST_Q = 0.02, 64.0
-LARGEST_CORE_PX = 256.0
 FARTHEST_PX = 4096.0  # that the wings of the brightest source are drawn to, if need be
-LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
 SMALL_RADIUS_PX = 1e-2
 RINGS = 4.7  # times its mean: the rings of both edges of an obscured aperture, at the near end
+USUAL_FRACTION = 1e-3  # of each source's light that scenes leave out where they say nothing else
 NOTHING_BEYOND = (1e-8, 1e-14)  # of the light, beyond the cores of a response without wings
 STILL = StreakPlan(1, 1, 0.0, 0.0, 1, 0.0, 0.0)
 NEGLIGIBLE = 0.1  # of the error of the wings' grid
@@ -153,10 +155,10 @@ def plan_responses(
         path = _shortest_piece(camera, ends, streaks, aberration)
     if any(b.has_wings for b in blurs):
         for b in blurs:
-            _check_scale(scene, b)
+            check_scale(scene.sensor.psf.kind, b)
         first = max(b.core_px if b.has_wings else _radius_holding(b, 1e-8) for b in blurs)
         spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
-        reach = max(_radius_holding(b, scene.accuracy.flux_fraction) for b in blurs)
+        reach = max(_reach(b, scene) for b in blurs)
         reach = _farther(blurs, max(reach / CUT_FROM, 2.0 * first), facts)
         swept, sweeps = path, None
         if not streaks.still:
@@ -207,19 +209,6 @@ def _edge(blur: Blur) -> float:
     along, across = (np.abs(blur.transfer(*pair)) for pair in ((none, f), (f, none)))
     steep = max(float(2.0 * np.trapezoid(2.0 * np.pi * f * t, f)) for t in (along, across))
     return steep * max(float(2.0 * np.trapezoid(t, f)) for t in (along, across))
-
-
-def _check_scale(scene: Scene, blur: Blur) -> None:
-    """BadInput for a response with wings that is too sharp or too wide for the pixels."""
-    q = blur.optics.scale_px
-    largest = min(LARGEST_Q, LARGEST_CORE_PX * q / blur.core_px) if blur.has_wings else 0.0
-    if blur.has_wings and not (SMALLEST_Q <= q <= LARGEST_Q and blur.core_px <= LARGEST_CORE_PX):
-        raise BadInput(
-            "sensor.psf",
-            f"{scene.sensor.psf.kind} of a scale (Q = lambda F / (D pitch), or FWHM) of {q:.3g} px",
-            f"{SMALLEST_Q} px to about {largest:.3g} px: "
-            "another pitch, focal length or wavelength, or a gaussian",
-        )
 
 
 def _asked_phases(scene: Scene) -> int:
@@ -291,14 +280,15 @@ def _cores(
     """(radius [px], brightest [e-], wing's error) of cores of doubling radius.
 
     The wing's error is measured for the first of all responses, for the second of the two that
-    erred most then, and falls as told after. sweeps : adds what a block's one streak errs by.
+    erred most then (up to LARGEST_CORE_PX), and falls as told after. sweeps : adds what a block's
+    one streak errs by.
     """
     largest = LARGEST_CORE_SAMPLES / max(oversampling_for(b) for b in blurs)
     worst, winged = list(blurs), [b for b in blurs if b.has_wings]
     out: list[tuple[float, float, float]] = []
     for k in range(MOST_CLASSES):
         radius = first * 2.0**k
-        if k < 2:
+        if k == 0 or (k == 1 and radius <= LARGEST_CORE_PX):
             errors = [_measured_wing_error(b, radius, spacing, path) for b in worst]
             if sweeps is not None:
                 errors = [
@@ -415,6 +405,19 @@ def cut_share(blurs: tuple[Blur, ...], reach_px: float) -> float:
         return 0.0
     area = math.pi * (far**2 - near**2)
     return RINGS * max(b.light_beyond(near) - b.light_beyond(far) for b in blurs) / area
+
+
+def _reach(blur: Blur, scene: Scene) -> float:
+    """Radius [px] up to which a source's light is drawn: what the accuracy asks for.
+
+    Light that falls off the frame needs no drawing: no radius is larger than the frame's diagonal
+    and the radius that the usual accuracy asks for, up to which sources off the frame are drawn.
+    """
+    asked = scene.accuracy.flux_fraction
+    radius = _radius_holding(blur, asked)
+    if asked >= USUAL_FRACTION:
+        return radius
+    return min(radius, math.hypot(*scene.sensor.shape) + _radius_holding(blur, USUAL_FRACTION))
 
 
 def _radius_holding(blur: Blur, beyond: float) -> float:

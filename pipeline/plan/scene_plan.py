@@ -18,26 +18,20 @@ from pipeline.plan.air import above_air
 from pipeline.plan.air_decisions import decide_air
 from pipeline.plan.attitude_motion import decide_motion
 from pipeline.plan.checks import CheckCell, choose_checks
-from pipeline.plan.cost import NOISE_S_PER_PIXEL, least_cpu_s
 from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
 from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.ledger import rule_of
+from pipeline.plan.needs import NOTHING_SPENT, Spent, predict
 from pipeline.plan.occultation import decide_occultation
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
-from pipeline.plan.responses import (
-    SPECTRAL_S,
-    SPECTRAL_S_PER_PIXEL,
-    ResponsePlan,
-    plan_responses,
-    stamp_s,
-)
+from pipeline.plan.responses import ResponsePlan, plan_responses
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
-from pipeline.plan.tiles import BLOCK_PX, Tile, plan_tiles, tile_shape
+from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
 from pipeline.plan.timing import frame_count, integration_range_s, integration_s
 from pipeline.spec.scene import Scene
 
@@ -45,10 +39,6 @@ if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky import SkyPlan
 
-# Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
-PLACE_S_PER_STAR = 0.6e-6
-WING_S_PER_PIXEL = 25e-9
-CROWD_BYTES_PER_PIXEL = 50.0
 FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # deflection: 1.75 arcsec at the Sun's limb
 
 
@@ -178,14 +168,16 @@ def field_area_sr(plan: Plan) -> float:
 
 
 def plan_dict(
-    plan: Plan, forecast: StarForecast | None, catalogues: Sequence[dict[str, Any]] = ()
+    plan: Plan, forecast: StarForecast | None, catalogues: Sequence[dict[str, Any]] = (),
+    spent: Spent = NOTHING_SPENT,
 ) -> dict[str, Any]:
     """The plan as plain data, for plan.json and `nightglass plan`.
 
     catalogues : name, digest and what else is told of each, the main one first
+    spent : what planning took, and how far its stars move
     """
     f, r = plan.facts, plan.responses
-    needs = predict(plan, forecast)
+    needs = predict(plan, forecast, spent)
     return {
         "scene": plan.scene.name,
         "warnings": list(plan.warnings),
@@ -247,56 +239,6 @@ def _engine(r: ResponsePlan) -> str:
     if r.spectral_from:
         engine += f"; transforms where {r.spectral_from} stars or more light a block"
     return engine
-
-
-def frame_seconds(plan: Plan, forecast: StarForecast | None) -> float:
-    """Predicted CPU seconds of one frame, from measured unit costs."""
-    pixels = math.prod(plan.scene.sensor.shape)
-    stars = forecast.stars_per_frame if forecast else 0
-    light_s = pixels * WING_S_PER_PIXEL if plan.responses.spacing_px else 0.0
-    return pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars) + light_s
-
-
-def predict(plan: Plan, forecast: StarForecast | None) -> dict[str, float]:
-    """Predicted CPU seconds and memory of one worker thread, from measured unit costs."""
-    pixels = math.prod(plan.scene.sensor.shape)
-    stars = forecast.stars_per_frame if forecast else 0
-    r = plan.responses
-    light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
-    rows, columns = tile_shape(plan.scene)
-    layers = len(plan.scene.output.layers)
-    grid = 0.0
-    if r.spacing_px:
-        side = (BLOCK_PX + 2.0 * plan.halo_px) / r.spacing_px
-        grid = side * side * 8.0 * (2.0 + len(r.classes))
-    if _in_crowds(plan, stars):
-        grid += CROWD_BYTES_PER_PIXEL * min(pixels, BLOCK_PX**2)
-    memory = rows * columns * 8.0 * (8 + layers) + grid + stars * 150.0 + 180e6
-    memory += 1e6 * r.table_mb
-    return {
-        "cpu_s": least_cpu_s(plan.scene) + plan.frames * light_s,
-        "worker_memory_mb": memory / 1e6,
-        "product_mb": pixels * plan.frames * (2.0 + 4.0 * (layers - 1)) / 1e6,
-    }
-
-
-def _in_crowds(plan: Plan, stars: int) -> bool:
-    """Whether the frame's stars, spread evenly, are enough for transforms."""
-    blocks = math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
-    return 0 < plan.responses.spectral_from <= stars / blocks
-
-
-def _drawing_s(plan: Plan, stars: int) -> float:
-    """CPU seconds of drawing the stars of a frame, with stamps or in crowds."""
-    r = plan.responses
-    if not r.classes or not stars:
-        return 0.0
-    if _in_crowds(plan, stars):
-        pixels = math.prod(plan.scene.sensor.shape)
-        many, together = len(r.blurs), stars * min(4, len(r.blurs))
-        return SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many + SPECTRAL_S * together
-    drawn = stars * min(4, len(r.blurs))  # by the responses around each
-    return drawn * r.streaks.pieces * stamp_s(r)
 
 
 def _rule(decision: Decision) -> dict[str, Any]:

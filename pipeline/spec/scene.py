@@ -39,7 +39,8 @@ class Accuracy(Strict):
     noise_fraction : per pixel, in units of that pixel's noise sigma
     noise_floor_e : plan as for a pixel of this noise where the scene's least noise is larger, so
         that scenes whose detectors differ are drawn alike (sweeps set it)
-    flux_fraction : of each source's light, summed over an unbounded focal plane
+    flux_fraction : of each source's light, summed over the frame; of sources off the frame at
+        least those are drawn whose light reaches it at the default
     check_cells : how many small windows are drawn again by the reference path, and compared
     """
 

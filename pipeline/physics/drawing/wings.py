@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 GRID_SAMPLES = 2  # samples a pixel of the core that hold what a grid of 2 px or more can see
 TEST_SAMPLES = 8  # and what single pixels can see
 TEST_SIDE = 1024  # samples across from which fewer a pixel are taken, and most pixels
+LARGEST_SIDE = 4096  # samples across that any test may take
 CUT_FROM = 0.9  # of the reach: where the wing's cut-off begins
 SPLINE_PX = 3  # grid points that the splines need beyond the range they serve
 
@@ -117,6 +118,7 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     )
     n = scipy.fft.next_fast_len(2 * size + 2 * int(2.0 * core.radius_px))
     enough = 4 if n * TEST_SAMPLES > TEST_SIDE and blur.band_limit(1e-2) <= 1.0 else TEST_SAMPLES
+    enough = min(enough, next((k for k in (TEST_SAMPLES, 4) if n * k <= LARGEST_SIDE), 2))
     os = min(core.oversampling, enough)
     fy, fx = scipy.fft.fftfreq(n * os, 1.0 / os), scipy.fft.rfftfreq(n * os, 1.0 / os)
     swept = transfer(fy, fx, path.x_px, path.y_px, path.weight)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Box = tuple[float, float, float, float]  # x0, x1, y0, y1 [px]
 
 LONGEST_PIECE_PX = 96.0
 
@@ -80,40 +82,112 @@ def _longest_run(x: Array, y: Array, w: Array, start: int, tolerance_px: float) 
 
 
 def pieces(
-    path: Path, longest_px: float = LONGEST_PIECE_PX
+    path: Path, longest_px: float = LONGEST_PIECE_PX, near: Box | None = None
 ) -> list[tuple[float, float, Path, float]]:
     """Cut a path into pieces short enough to draw from one small table.
 
     Returns (x0_px, y0_px, piece, share): the piece is relative to (x0, y0), its weights sum to
     one, and `share` is its part of the light. A straight uniform streak gives equal pieces, so
     that one table serves all of them.
+
+    near : (x0, x1, y0, y1) from the path's origin [px]: of the equal pieces of a long segment those
+        alone that touch this box, however long the path is
     """
     out: list[tuple[float, float, Path, float]] = []
+    for run, count in _runs(path, longest_px):
+        out += _flush(path, run) if count == 1 else _cut(path, run[0], count, near)
+    return out
+
+
+def piece_counts(path: Path) -> list[tuple[Path, float, int]]:
+    """The different pieces of a path: (piece, part of the light, how many are equal)."""
+    out = []
+    for run, count in _runs(path, LONGEST_PIECE_PX):
+        if count == 1:
+            out += [(piece, share, 1) for _, _, piece, share in _flush(path, run)]
+        else:
+            out.append((_piece_of(path, run[0], count), float(path.weight[run[0]]) / count, count))
+    return out
+
+
+def _runs(path: Path, longest_px: float) -> Iterator[tuple[list[int], int]]:
+    """Segments that are one piece together, count 1; or one that is cut into `count` pieces."""
     group: list[int] = []
     used = 0.0
     for k in range(path.segments):
         dx, dy = path.x_px[k + 1] - path.x_px[k], path.y_px[k + 1] - path.y_px[k]
         length = float(np.hypot(dx, dy))
+        if length > longest_px or (group and used + length > longest_px):
+            yield group, 1
+            group, used = [], 0.0
         if length > longest_px:
-            out += _flush(path, group)
-            group, used = [], 0.0
-            out += _cut(path, k, int(np.ceil(length / longest_px)))
+            yield [k], int(np.ceil(length / longest_px))
             continue
-        if group and used + length > longest_px:
-            out += _flush(path, group)
-            group, used = [], 0.0
         group.append(k)
         used += length
-    return out + _flush(path, group)
+    yield group, 1
 
 
-def _cut(path: Path, k: int, count: int) -> list[tuple[float, float, Path, float]]:
+def within(x0: Array, y0: Array, dx: Array, dy: Array, box: Box) -> tuple[Array, Array]:
+    """From which to which part (0 to 1) segments (n,) lie in a box; the first is larger if never.
+
+    x0, y0 : their beginnings; dx, dy : their ways. Slabs (Kay & Kajiya 1986, SIGGRAPH 20, 269).
+    """
+    first, last = np.zeros(np.shape(x0)), np.ones(np.shape(x0))
+    for at, way, low, high in ((x0, dx, *box[:2]), (y0, dy, *box[2:])):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            one, other = (low - at) / way, (high - at) / way
+        still = way == 0.0
+        inside = (low <= at) & (at <= high)
+        one = np.where(still, np.where(inside, 0.0, 2.0), one)
+        other = np.where(still, np.where(inside, 1.0, 2.0), other)
+        first = np.maximum(first, np.minimum(one, other))
+        last = np.minimum(last, np.maximum(one, other))
+    return first, last
+
+
+def part_within(path: Path, box: Box) -> tuple[Path, float] | None:
+    """A path from where it first enters a box to where it last leaves it, and its part of the
+    light; None for one that does not come there."""
+    x, y = np.diff(path.x_px), np.diff(path.y_px)
+    first, last = within(path.x_px[:-1], path.y_px[:-1], x, y, box)
+    inside = np.flatnonzero(first <= last)
+    if not inside.size:
+        return None
+    i, k = int(inside[0]), int(inside[-1])
+    start, end = float(first[i]), float(last[k])
+    if (i, k, start, end) == (0, path.segments - 1, 0.0, 1.0):
+        return path, 1.0
+    xs, ys = path.x_px[i : k + 2].copy(), path.y_px[i : k + 2].copy()
+    weight = path.weight[i : k + 1].copy()
+    xs[-1], ys[-1] = path.x_px[k] + end * x[k], path.y_px[k] + end * y[k]
+    weight[-1] *= end
+    xs[0], ys[0] = path.x_px[i] + start * x[i], path.y_px[i] + start * y[i]
+    weight[0] *= (end - start) / end if i == k and end > 0.0 else 1.0 - start
+    share = float(weight.sum())
+    return (Path(xs, ys, weight / share), share) if share > 0.0 else None
+
+
+def _piece_of(path: Path, k: int, count: int) -> Path:
     dx, dy = (path.x_px[k + 1] - path.x_px[k]) / count, (path.y_px[k + 1] - path.y_px[k]) / count
-    piece = Path(np.array([-dx / 2, dx / 2]), np.array([-dy / 2, dy / 2]), np.ones(1))
-    share = float(path.weight[k]) / count
+    return Path(np.array([-dx / 2, dx / 2]), np.array([-dy / 2, dy / 2]), np.ones(1))
+
+
+def _cut(
+    path: Path, k: int, count: int, near: Box | None
+) -> list[tuple[float, float, Path, float]]:
+    dx, dy = (path.x_px[k + 1] - path.x_px[k]) / count, (path.y_px[k + 1] - path.y_px[k]) / count
+    first, last = 0, count
+    if near is not None:
+        whole = np.array([path.x_px[k], path.y_px[k], dx * count, dy * count])
+        start, end = (float(t) for t in within(whole[0], whole[1], whole[2], whole[3], near))
+        if start > end:
+            return []
+        first, last = max(0, int(start * count) - 1), min(count, int(end * count) + 2)
+    piece, share = _piece_of(path, k, count), float(path.weight[k]) / count
     return [
         (path.x_px[k] + (i + 0.5) * dx, path.y_px[k] + (i + 0.5) * dy, piece, share)
-        for i in range(count)
+        for i in range(first, last)
     ]
 
 

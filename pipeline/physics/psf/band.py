@@ -23,6 +23,7 @@ MANY = (40, 80, 160, 320)  # and of round optics, which cost a table along a rad
 REFERENCE = 32  # wavelengths that stand for all of them; for more, twice as many
 PANEL = 8  # of many wavelengths: nodes of Gauss and Legendre in each of as many even panels
 WIDTHS, MOST_WIDTHS = 10.0, 80.0  # of the response: the field over which two are compared
+SAMPLES = 1024  # across, of responses that are compared
 BAND_CELLS = 500  # that a response curve is cut into, besides its own points
 
 
@@ -236,8 +237,9 @@ def choose_wavelengths(
 def response_difference(one: Blur, other: Blur) -> float:
     """Largest difference of any pixel at any sub-pixel place, over the source's light.
 
-    Both responses are sampled so finely that what lies between is within two percent; the light
-    near the core decides, so that a field of some widths is enough.
+    Both responses are sampled so finely that what lies between is within two percent (six times
+    as finely as pixels, where that takes no more than SAMPLES); the light near the core decides,
+    so that a field of some widths is enough.
     """
     return float(np.abs(_compared(one, other, WIDTHS)[0]).max())
 
@@ -247,7 +249,8 @@ def _compared(one: Blur, other: Blur, widths: float) -> tuple[Array, Array]:
     band = max(one.band_limit(1e-3), other.band_limit(1e-3))
     scale = max(one.optics.scale_px, other.optics.scale_px, one.jitter_px, one.diffusion_px)
     period = int(np.ceil(widths * scale)) + 12
-    n = scipy.fft.next_fast_len(int(np.ceil(period * 6.0 * max(band, 1.0))))
+    finer = max(band, min(1.0, SAMPLES / (6.0 * period)))
+    n = scipy.fft.next_fast_len(int(np.ceil(period * 6.0 * finer)))
     fy, fx = scipy.fft.fftfreq(n, period / n)[:, None], scipy.fft.rfftfreq(n, period / n)[None, :]
     density = (n / period) ** 2
     first, second = one.transfer(fy, fx), other.transfer(fy, fx)

@@ -1,0 +1,186 @@
+"""What a plan needs: CPU seconds and memory, from measured unit costs, and what is too much."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pipeline.errors import BadInput
+from pipeline.plan.cost import NOISE_S_PER_PIXEL, START_S, least_cpu_s
+from pipeline.plan.responses import SPECTRAL_S, SPECTRAL_S_PER_PIXEL, stamp_s
+from pipeline.plan.tiles import BLOCK_PX, tile_shape
+
+if TYPE_CHECKING:
+    from pipeline.plan.scene_plan import Plan, StarForecast
+
+# Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
+PLACE_S_PER_STAR = 0.6e-6
+WING_S_PER_PIXEL = 25e-9
+GRID_S_PER_POINT = 1.5e-7  # of a block's grid of wings, for each core class
+SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
+KERNEL_S_PER_POINT = 4e-7  # of the grid that a wing is made on, for each wavelength
+CHECK_S = 0.1  # of one window that is drawn again
+CROWD_BYTES_PER_PIXEL = 50.0
+BASE_MB = 180.0  # of a process that has imported all and draws nothing
+LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
+STAR_BYTES = 150.0
+KERNEL_BYTES_PER_POINT = 60.0  # while a wing is made
+TEST_BYTES_PER_POINT = 60.0  # while a wing's error is measured
+CLASSES_USED = 3  # of the core classes, by the sources of a usual scene
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What planning took, which drawing takes again for every frame, and how far stars move.
+
+    cpu_s : CPU seconds of planning; geometry_s : of them for the geometry of `frames` frames
+    excursion_px : farthest that a star moves from its place at mid-exposure
+    """
+
+    cpu_s: float = 0.0
+    geometry_s: float = 0.0
+    frames: int = 1
+    excursion_px: float = 0.0
+
+
+NOTHING_SPENT = Spent()
+
+
+def frame_seconds(plan: Plan, forecast: StarForecast | None) -> float:
+    """Predicted CPU seconds of one frame, from measured unit costs."""
+    pixels = math.prod(plan.scene.sensor.shape)
+    stars = forecast.stars_per_frame if forecast else 0
+    light_s = pixels * WING_S_PER_PIXEL if plan.responses.spacing_px else 0.0
+    return pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars) + light_s
+
+
+def predict(
+    plan: Plan, forecast: StarForecast | None, spent: Spent = NOTHING_SPENT
+) -> dict[str, float]:
+    """Predicted CPU seconds, and memory of a process with one thread that draws.
+
+    cpu_s : of one core, for planning, drawing and finishing, with START_S for a process that
+        starts; what compiling takes, once on a machine, is not in it
+    worker_memory_mb : all that such a process holds at its most, with the BASE_MB that it holds
+        before it draws anything
+    Of scenes that take less than some 2 s and 400 MB neither says more than that.
+    """
+    pixels = math.prod(plan.scene.sensor.shape)
+    layers = len(plan.scene.output.layers)
+    light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
+    light_s += _wings_s(plan, spent) + 2.0 * spent.geometry_s / spent.frames
+    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan)
+    if plan.responses.classes:
+        once_s += CHECK_S * len(plan.checks)
+    return {
+        "cpu_s": least_cpu_s(plan.scene) + once_s + plan.frames * light_s,
+        "worker_memory_mb": sum(_memory_mb(plan, forecast, spent).values()),
+        "product_mb": pixels * plan.frames * (2.0 + 4.0 * (layers - 1)) / 1e6,
+    }
+
+
+def check_memory(
+    plan: Plan, forecast: StarForecast | None, spent: Spent, most_mb: float
+) -> None:
+    """BadInput, naming what takes most, where a plan's memory is more than there is."""
+    parts = _memory_mb(plan, forecast, spent)
+    needed = sum(parts.values())
+    if needed <= most_mb:
+        return
+    r, scene = plan.responses, plan.scene
+    what = max(parts, key=parts.__getitem__)
+    field, value, remedy = {
+        "tile": ("output.tile_shape", list(tile_shape(scene)), "smaller tiles, or fewer layers"),
+        "stars": ("stars.faintest_g_mag", scene.stars and scene.stars.faintest_g_mag,
+                  "a brighter limit"),
+        "tables": ("sensor.psf", scene.sensor.psf.kind, "fewer places, or less oversampling"),
+        "wings": ("accuracy.flux_fraction", scene.accuracy.flux_fraction,
+                  f"a larger fraction (light is drawn up to {r.reach_px:.0f} px from its source)"),
+        "sweeps": ("exposure.integration_s", scene.exposure.integration_s,
+                   f"a shorter exposure (stars move by {spent.excursion_px:.0f} px in it)"),
+    }.get(what, ("sensor.shape", list(scene.sensor.shape), "a smaller frame"))  # fmt: skip
+    raise BadInput(
+        field, value,
+        f"what needs at most the {most_mb:.0f} MB of memory that there are, not {needed:.0f} MB: "
+        f"{remedy}, or more memory",
+    )  # fmt: skip
+
+
+def _memory_mb(plan: Plan, forecast: StarForecast | None, spent: Spent) -> dict[str, float]:
+    """Memory by what takes it [MB]."""
+    stars = forecast.stars_per_frame if forecast else 0
+    rows, columns = tile_shape(plan.scene)
+    r = plan.responses
+    out = {
+        "base": BASE_MB + (LIBRARY_MB if r.classes else 0.0),
+        "tile": rows * columns * 8.0 * (8 + len(plan.scene.output.layers)) / 1e6,
+        "stars": stars * STAR_BYTES / 1e6, "tables": r.table_mb,
+    }  # fmt: skip
+    if _in_crowds(plan, stars):
+        pixels = min(math.prod(plan.scene.sensor.shape), BLOCK_PX**2)
+        out["crowds"] = CROWD_BYTES_PER_PIXEL * pixels / 1e6
+    if r.spacing_px:
+        classes = 4.0 + min(CLASSES_USED, len(r.classes))
+        still = _grid_points(plan, 0.0) * 8.0 * classes
+        making = KERNEL_BYTES_PER_POINT * _kernel_points(plan)
+        out["wings"] = (still + max(making, TEST_BYTES_PER_POINT * _test_points(plan))) / 1e6
+        out["sweeps"] = _grid_points(plan, spent.excursion_px) * 8.0 * classes / 1e6 - still / 1e6
+    return out
+
+
+def _grid_points(plan: Plan, excursion_px: float) -> float:
+    """Points of a block's grid of wings."""
+    around = 2.0 * (plan.halo_px + excursion_px)
+    sides = (min(n, BLOCK_PX) + around for n in plan.scene.sensor.shape)
+    return math.prod(side / plan.responses.spacing_px + 8.0 for side in sides)
+
+
+def _kernel_points(plan: Plan) -> float:
+    """Points of the grid that a wing is made on."""
+    return (4.0 * plan.responses.reach_px / plan.responses.spacing_px) ** 2
+
+
+def _test_points(plan: Plan) -> float:
+    """Points that the measuring of a wing's error takes at most."""
+    return min(6.0 * 2.0 * plan.responses.classes[0].radius_px * 4.0, 4096.0) ** 2
+
+
+def _wings_s(plan: Plan, spent: Spent) -> float:
+    """CPU seconds of the grids of wings of a frame."""
+    r = plan.responses
+    if not r.spacing_px:
+        return 0.0
+    blocks = math.prod(math.ceil(n / BLOCK_PX) for n in plan.scene.sensor.shape)
+    each = GRID_S_PER_POINT * min(CLASSES_USED, len(r.classes))
+    if spent.excursion_px:
+        each += SWEEP_S_PER_POINT * 8.0
+    return blocks * each * _grid_points(plan, spent.excursion_px)
+
+
+def _kernels_s(plan: Plan) -> float:
+    """CPU seconds of making the wings, once in a process."""
+    r = plan.responses
+    if not r.spacing_px:
+        return 0.0
+    parts = sum(len(getattr(b.optics, "parts", (b.optics,))) for b in r.blurs)
+    return KERNEL_S_PER_POINT * _kernel_points(plan) * parts * min(CLASSES_USED, len(r.classes))
+
+
+def _in_crowds(plan: Plan, stars: int) -> bool:
+    """Whether the frame's stars, spread evenly, are enough for transforms."""
+    blocks = math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
+    return 0 < plan.responses.spectral_from <= stars / blocks
+
+
+def _drawing_s(plan: Plan, stars: int) -> float:
+    """CPU seconds of drawing the stars of a frame, with stamps or in crowds."""
+    r = plan.responses
+    if not r.classes or not stars:
+        return 0.0
+    if _in_crowds(plan, stars):
+        pixels = math.prod(plan.scene.sensor.shape)
+        many, together = len(r.blurs), stars * min(4, len(r.blurs))
+        return SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many + SPECTRAL_S * together
+    drawn = stars * min(4, len(r.blurs))  # by the responses around each
+    return drawn * r.streaks.pieces * stamp_s(r)

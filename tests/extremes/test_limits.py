@@ -1,0 +1,184 @@
+"""What would take too long or too much memory is limited, or refused in one line before work."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+from scipy import integrate
+from scipy.special import j1
+
+from pipeline.errors import BadInput
+from pipeline.execute import truth
+from pipeline.execute.sources import place_targets
+from pipeline.physics.motion.streak import Path, part_within, piece_counts, pieces
+from pipeline.physics.psf import band
+from pipeline.physics.psf.pupil import Airy, Blur
+from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.needs import Spent, check_memory, predict
+from pipeline.prepare import prepare
+from pipeline.run import Options, render
+from pipeline.spec.load import parse_scene
+
+PITCH_UM, FOCAL_M, APERTURE_M, WAVE_NM = 10.0, 1.0, 0.1, 600.0  # Q = 0.6 px
+MONO = {"kind": "airy", "wavelength_nm": WAVE_NM}
+
+
+def scene_data(psf: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """A body 1e7 m off in the middle of 33 x 33 pixels."""
+    return {
+        "schema": "nightglass/scene/1", "name": "limits", "epoch": "2019-07-20T09:00:00Z",
+        "observer": {"kind": "orbit", "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0],
+                                                "velocity_m_s": [0, 3080.0, 0]}},
+        "sensor": {"shape": [33, 33], "pixel_pitch_um": PITCH_UM, "focal_length_m": FOCAL_M,
+                   "aperture_m": APERTURE_M, "psf": psf, "read_noise_e": 5.0,
+                   "bandpass": {"kind": "box", "short_nm": 500, "long_nm": 700}},
+        "pointing": {"mode": "target", "target": "t"}, "exposure": {"integration_s": 0.01},
+        "targets": [{"name": "t", "orbit": {"kind": "state", "position_m": [4.2e7, 1e7, 0],
+                                            "velocity_m_s": [0, 3080.0, 0]},
+                     "body": {"kind": "sphere", "diameter_m": 10.0, "albedo": 0.3}}],
+        "output": {"layers": ["dn", "targets_e"]},
+    } | more  # fmt: skip
+
+
+def airy_px(x: float, y: float, q: float) -> float:
+    """Light in the pixel at (x, y) of a star at the origin: Airy's pattern by quadrature."""
+
+    def at(v: float, u: float) -> float:
+        z = np.pi * np.hypot(u, v) / q
+        return float(np.pi / (4 * q**2) * (2 * j1(z) / z) ** 2)
+
+    return float(integrate.dblquad(at, x - 0.5, x + 0.5, y - 0.5, y + 0.5, epsrel=1e-4)[0])
+
+
+def test_a_wing_reaches_no_farther_than_the_frame(tmp_path):
+    """One part in a million of a star's light needs no grid of 3 TiB; the corners have theirs."""
+    data = scene_data(MONO, accuracy={"flux_fraction": 1e-6, "check_cells": 0})
+    plan = prepare(parse_scene(data)).plan
+    usual = prepare(parse_scene(scene_data(MONO))).plan.responses.reach_px
+    assert plan.responses.reach_px <= usual + math.hypot(33, 33) / 0.9 + 1e-6
+    assert predict(plan, None)["worker_memory_mb"] < 1000.0
+    render(parse_scene(data), tmp_path / "p", Options("synchronous"))
+    light = np.asarray(zarr.open_group(tmp_path / "p" / "cube.zarr", mode="r")["targets_e"])[0]
+    q = WAVE_NM * 1e-9 * FOCAL_M / (APERTURE_M * PITCH_UM * 1e-6)
+    far = light[1:4, 1:4].sum() / light[16, 16]
+    by_hand = sum(airy_px(x - 16.0, y - 16.0, q) for x in (1, 2, 3) for y in (1, 2, 3))
+    assert far == pytest.approx(by_hand / airy_px(1e-9, 1e-9, q), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("psf", "more", "field"),
+    [
+        ({"kind": "airy", "aberrations": [{"noll": 11, "rms_nm": 2e4}]}, {}, "sensor.psf"),
+        ({"kind": "airy"}, {"jitter": 1e4}, "pointing.attitude"),
+        ({"kind": "gaussian", "sigma_px": 1.0, "charge_diffusion_um": 1000.0}, {}, "sensor.psf"),
+    ],
+)
+def test_what_is_too_wide_is_refused_before_bands_are_compared(psf, more, field, monkeypatch):
+    def never(*_):
+        raise AssertionError("bands were compared")
+
+    monkeypatch.setattr(band, "response_difference", never)
+    data = scene_data(psf)
+    if "jitter" in more:
+        data["pointing"]["attitude"] = {"jitter": [
+            {"kind": "white", "rms_arcsec": more["jitter"], "low_hz": 1e3, "high_hz": 1e4}]}
+    started = time.process_time()
+    with pytest.raises(BadInput) as refusal:
+        prepare(parse_scene(data))
+    assert refusal.value.field.startswith(field)
+    assert "\n" not in str(refusal.value)
+    assert time.process_time() - started < 5.0
+
+
+def test_bands_of_blurred_stars_are_compared_on_few_samples(monkeypatch):
+    sides = []
+    usual = band.scipy.fft.irfft2
+    monkeypatch.setattr(band.scipy.fft, "irfft2", lambda a, s: sides.append(s[0]) or usual(a, s=s))
+    one, other = (Blur(Airy(q), jitter_px=50.0) for q in (0.5, 0.6))
+    assert band.response_difference(one, other) < 1e-5
+    assert max(sides) <= 1100
+
+
+def test_more_memory_than_there_is_names_what_takes_it():
+    plan = prepare(parse_scene(scene_data(MONO))).plan
+    check_memory(plan, None, Spent(), 2000.0)
+    with pytest.raises(BadInput, match=r"^sensor\.shape: .* most the 100 MB of memory"):
+        check_memory(plan, None, Spent(), 100.0)
+    with pytest.raises(BadInput, match=r"^exposure\.integration_s: .* stars move by 1000000 px"):
+        check_memory(plan, None, Spent(excursion_px=1e6), 1e5)
+
+
+def test_a_render_beyond_the_memory_draws_nothing(tmp_path):
+    asked = Options("synchronous", most_memory_mb=100.0)
+    with pytest.raises(BadInput, match="MB of memory that there are, not"):
+        render(parse_scene(scene_data(MONO)), tmp_path / "p", asked)
+    assert not (tmp_path / "p").exists()
+
+
+def test_pieces_near_a_box_are_those_of_the_whole_path():
+    """None that touches the box is missing, and the others are the same, to the last bit."""
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        path = Path(*np.cumsum(rng.normal(0, 400, (2, 4)), axis=1), rng.dirichlet([1, 1, 1]))
+        low = rng.uniform(-500, 500, 2)
+        box = (low[0], low[0] + 100, low[1], low[1] + 50)
+        every = pieces(path)
+        near = pieces(path, near=box)
+        held = {(x, y, share) for x, y, _, share in near}
+        assert held <= {(x, y, share) for x, y, _, share in every}
+        for x, y, piece, share in every:
+            at = np.linspace(0, 1, 300)
+            px, py = x + np.interp(at, [0, 1], piece.x_px[[0, -1]]), y + np.interp(
+                at, [0, 1], piece.y_px[[0, -1]])
+            inside = (px > box[0]) & (px < box[1]) & (py > box[2]) & (py < box[3])
+            if inside.any() and piece.segments == 1:
+                assert (x, y, share) in held
+        assert sum(n for *_, n in piece_counts(path)) == len(every)
+
+
+def test_the_part_of_a_path_in_a_box_has_its_light():
+    path = Path(np.array([-100.0, 0.0, 100.0]), np.zeros(3), np.array([0.25, 0.75]))
+    part, share = part_within(path, (-20.0, 40.0, -1.0, 1.0))
+    assert share == pytest.approx(0.2 * 0.25 + 0.4 * 0.75)
+    assert part.x_px == pytest.approx([-20.0, 0.0, 40.0])
+    assert part.weight * share == pytest.approx([0.05, 0.3])
+    one = Path(np.array([-100.0, 100.0]), np.zeros(2), np.ones(1))
+    assert part_within(one, (-20.0, 30.0, -1.0, 1.0))[1] == pytest.approx(0.25)
+    assert part_within(path, (-20.0, 40.0, 5.0, 9.0)) is None
+    assert part_within(path, (-200.0, 200.0, -1.0, 1.0)) == (path, 1.0)
+
+
+def far_scene() -> dict[str, Any]:
+    """The body drifts by some 6000 px, half a degree off the frame."""
+    data = scene_data({"kind": "gaussian", "sigma_px": 1.0}, exposure={"integration_s": 2.0})
+    data["pointing"] = {"mode": "sidereal", "boresight_ra_deg": 90.5, "boresight_dec_deg": 0.0}
+    data["targets"][0]["orbit"]["velocity_m_s"] = [0, 3080.0, 3e5]
+    return data
+
+
+def test_targets_whose_light_reaches_no_pixel_are_not_swept(monkeypatch):
+    plan = prepare(parse_scene(far_scene())).plan
+    g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
+    [target] = place_targets(plan, g, everywhere=True)
+    assert target.path.length_px > 1000.0
+
+    def never(*_):
+        raise AssertionError("a target off the frame was swept")
+
+    monkeypatch.setattr(truth, "swept_core", never)
+    assert truth.target_truth(plan, g)["snr"] == [0.0]
+
+
+def test_snr_of_a_long_path_counts_its_equal_pieces(monkeypatch):
+    """Each different piece once: as all of them together, but for the pixels that two share."""
+    plan = prepare(parse_scene(far_scene())).plan
+    path = Path(np.array([-1000.0, 1000.0]), np.array([-300.0, 300.0]), np.ones(1))
+    at = np.array([1e6]), np.zeros(1), np.zeros(1)
+    whole = truth.matched_snr(plan, path, *at)
+    monkeypatch.setattr(truth, "MOST_PIECES", 2)
+    assert truth.matched_snr(plan, path, *at) == pytest.approx(whole, rel=0.03)
