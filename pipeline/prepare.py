@@ -186,10 +186,10 @@ def _sky(
     dut1_s: float,
     extinction: BandExtinction | None,
 ) -> tuple[Scene, Facts, SkyPlan | None]:
-    """The sky that varies, the facts with it, and the scene with the limit that the noise set."""
+    """The sky, the facts with it, and the scene with the limit that the noise set."""
     b, stars = scene.background, scene.stars
     from_noise = stars is not None and stars.limit_from_noise
-    if not from_noise and (b is None or not b.varies):
+    if not from_noise and b is None:
         return scene, facts, None
     from pipeline.inputs.sky import gather_sky
     from pipeline.plan.sky import facts_with_sky, plan_sky

@@ -28,6 +28,7 @@ from pipeline.plan.ledger import rule_of
 from pipeline.plan.occultation import decide_occultation
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
+from pipeline.plan.pupil import decide_pupil
 from pipeline.plan.responses import (
     SPECTRAL_S,
     SPECTRAL_S_PER_PIXEL,
@@ -129,7 +130,8 @@ def make_plan(
     decisions = (
         *decide(scene, facts, responses), *decide_occultation(scene, responses, ends),
         *decide_targets(scene, facts, ends, responses.blur),
-        *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
+        *decide_pupil(scene, ends), *decide_air(scene, facts, ends, extinction),
+        *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends, dut1_s),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
     )  # fmt: skip
