@@ -50,6 +50,7 @@ from pipeline.plan.geometry import (
     sampled_frames,
 )
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
+from pipeline.plan.sky_doubts import sky_doubts
 from pipeline.plan.target_decisions import mesh_notices
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.observer import GroundObserver
@@ -140,6 +141,9 @@ def prepare(scene: Scene) -> Prepared:
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
     )  # fmt: skip
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
+    doubts = sky_doubts(scene, facts, response, dut1_s)
+    warnings += doubts.warnings
+    remarks += doubts.remarks
     extinction = _extinction(scene, response)
     scene, facts, sky = _sky(
         scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s, extinction

@@ -139,6 +139,19 @@ def skies(_: Bench) -> Iterator[Found]:
                 yield _measured(stage, s, (whole(stage),), how)
 
 
+@probe("pupil_projection")
+def pupil(_: Bench) -> Iterator[Found]:
+    """A uniform sky of a wide field, with the pupil seen from off axis and without."""
+    wide = {"sensor.focal_length_m": 0.004, "background": {"uniform_mag_arcsec2": 18.0}}
+    data = scene(wide | {"sensor.pupil_projection": False})
+    stage = open_stage(data)
+    out_s, without = timed(lambda: mean_e(data))
+    in_s, full = timed(lambda: mean_e(scene(wide)))
+    bound, unit = stated(stage.plan, "pupil_projection")
+    yield Found("pupil_projection", f"a field of 16 degrees, {SIDE} x {SIDE}",
+                bound, most(1.0 - full / without), unit, out_s, in_s)  # fmt: skip
+
+
 @probe("stray_light.*")
 def stray(_: Bench) -> Iterator[Found]:
     """The light of each body in a frame with it and without."""

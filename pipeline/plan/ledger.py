@@ -79,9 +79,8 @@ LEDGER = (
     Rule(("stray_light.*",), "each body where background.stray_light asks for it",
          "tests/plan/test_stray_light.py::test_sources_are_switched"),
     Rule(("background.*", "starlight"),
-         "each part as light per solid angle where a pixel looks, through the pixel's own solid angle "
-         "and the pupil's cosine; on a grid, of one value or refined until its measured error is "
-         "within the accuracy",
+         "light per solid angle where a pixel looks, through its own solid angle and the pupil's "
+         "cosine; on a grid, of one value or refined until its error is within the accuracy",
          "tests/acceptance/test_wide_field.py::test_a_uniform_sky_falls_with_the_cosine"),
     Rule(("phase_interpolation", "common_streak", "crowds_by_transforms", "star_engines"),
          "the cheapest drawing whose bound is within a quarter of accuracy.noise_fraction",

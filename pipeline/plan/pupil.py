@@ -1,4 +1,4 @@
-"""The projected pupil in the plan: light falls with the cosine of its angle off the optical axis."""
+"""The projected pupil in the plan: light falls with the cosine of its angle off axis."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def pupil_fraction(scene: Scene, camera: Camera, x_px: Array, y_px: Array) -> Ar
 
 
 def pupil_along(scene: Scene, camera: Camera, g: Geometry, x_px: Array, y_px: Array) -> Array:
-    """The same (..., K) at the nodes of exposures, for places x, y (..., K) of the one frame of `g`.
+    """The same (..., K) at the nodes of the one frame of `g`, of places x, y (..., K).
 
     Under TDI a place moves with the charge: the light falls where the charge stands then.
     """

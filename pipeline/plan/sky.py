@@ -71,9 +71,9 @@ def plan_sky(
 ) -> SkyPlan:
     """The sky's light in all frames, and the limiting magnitude if the noise is to choose it.
 
-    geometry : of `sampled_frames`; facts : of the uniform sky in the central pixel. The limit rests on the
-    noise of the darkest place of the sky without the undrawn stars. Raises BadInput for a field too
-    near the Sun, and an observer where the zodiacal light's distance law was not measured.
+    geometry : of `sampled_frames`; facts : of `gather_facts`. The limit rests on the noise of the
+    darkest place of the sky without the undrawn stars. Raises BadInput for a field too near the
+    Sun, and an observer where the zodiacal light's distance law was not measured.
     """
     t = integration_range_s(scene)[1]
     light = Light(scene, camera, facts, inputs, None, dut1_s)

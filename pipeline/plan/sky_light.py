@@ -67,8 +67,8 @@ class StarlightLike(Protocol):
 class SkyInputs:
     """What was read for the sky; None for a part that the scene does not ask for.
 
-    uniform_m2_sr : electrons/s per m2 of pupil and sr of a uniform sky; uniform_e_s : electrons/s of
-        each pixel, where the scene gives that
+    uniform_m2_sr : electrons/s per m2 of pupil and sr of a uniform sky; uniform_e_s : electrons/s
+        of each pixel, where the scene gives that
     zodiacal_rates : of `physics.sky.zodiacal.band_rates`
     undrawn : stars that are left to the sky; every : all stars of the sky, for the Galaxy's dust
     """

@@ -124,7 +124,7 @@ def _within(tiles: tuple[Tile, ...], x_px: float, y_px: float) -> Tile | None:
 
 
 def exact_sky(stage: Stage) -> Callable[[Tile], Array]:
-    """The sky's light in the pixels of a tile, each at its own place: a function of the tile [e-]."""
+    """The sky's light [e-] in a tile's pixels, each at its own place: a function of the tile."""
     plan, light = stage.plan, None
     seconds = plan.integration_s(0)
     if plan.sky is not None:

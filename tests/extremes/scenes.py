@@ -91,6 +91,7 @@ def scenes(draw: st.DrawFn, catalogue: str, side_px: int = LARGE_PX) -> dict[str
             "2095-12-31T23:59:59.999999Z",
         ])),
         "seed": draw(st.integers(0, 2**63 - 1)), "observer": draw(OBSERVERS),
+        "accept": ["sun", "moon", "daylight"],
         "sensor": {"shape": shape, **draw(SENSORS)}, "pointing": pointing,
         "exposure": {"integration_s": draw(spread(1e-9, 1e3)), "frames": draw(st.integers(1, 2))},
         "targets": [{"name": f"t{i}", **t} for i, t in enumerate(targets)],
