@@ -26,9 +26,11 @@ from pipeline.physics.positions.focal_plane import (
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
 from pipeline.physics.vectors import separation, unit
 from pipeline.plan.geometry import aimed, camera_of
+from pipeline.plan.pointing import swept_rad
 from pipeline.plan.target_paths import Moments
 from pipeline.plan.timing import dwell_of, dwell_plans, frame_count, frame_times
 from pipeline.spec.observer import GroundObserver
+from pipeline.spec.pointing import RatePointing
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
@@ -36,7 +38,8 @@ Ticks = NDArray[np.int64]
 
 TICKS = 65  # moments of an exposure that may be looked at
 STEP_S = 300.0  # most between two moments looked at first: orbits turn by 20 degrees in it
-MOST_FIRST, MOST_MOMENTS = 2049, 8192
+STEP_RAD = 20.0 * DEG_RAD  # most that a rate turns by in it
+FIRST, MOST_FIRST, MOST_MOMENTS = 256, 2049, 8192
 REFRACTED_RAD = 0.57 * DEG_RAD  # by which the air lifts what stands at the horizon
 
 
@@ -96,12 +99,19 @@ def look(scene: Scene, dut1_s: float, margin: Callable[[Look], Array]) -> tuple[
 
 
 def _first(scene: Scene) -> Ticks:
-    """Moments looked at first: the first and the last of all, and others at even steps."""
-    last = frame_count(scene) * TICKS - 1
-    (start, _), (end, time) = (frame_times(scene, np.array([t // TICKS])) for t in (0, last))
-    span_s = float(end[0] + time[0] - start[0])
-    count = min(MOST_FIRST, 3 + math.ceil(span_s / STEP_S))
-    return np.unique(np.linspace(0, last, count).round().astype(np.int64))
+    """Moments looked at first: at even steps, and where each dwell begins and ends."""
+    plans, frames = dwell_plans(scene), frame_count(scene)
+    steps = max((plans[-1].end_s - plans[0].start_s) / STEP_S, min(2 * frames, FIRST))
+    if any(p.pointing.mode == "table" for p in plans):  # may turn as it likes
+        steps = 2 * frames
+    for p in plans:
+        if isinstance(p.pointing, RatePointing):
+            span_s = p.end_s - p.start_s
+            steps = max(steps, swept_rad(p.pointing, span_s, span_s) / STEP_RAD)
+    even = np.linspace(0, frames * TICKS - 1, min(MOST_FIRST, 2 + math.ceil(steps)))
+    ends = [(p.first * TICKS, (p.first + p.frames) * TICKS - 1) for p in plans]
+    edges = np.array(ends).ravel()[:: math.ceil(2 * len(ends) / MOST_MOMENTS)]
+    return np.union1d(even.round().astype(np.int64), edges)
 
 
 def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> Look:
