@@ -53,6 +53,7 @@ from pipeline.plan.geometry import (
 )
 from pipeline.plan.needs import Spent, check_memory
 from pipeline.plan.scene_plan import Plan, catalogue_cones, field_cones, make_plan, plan_dict
+from pipeline.plan.sky_doubts import sky_doubts
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import mesh_notices
 from pipeline.plan.timing import integration_range_s
@@ -147,6 +148,9 @@ def prepare(scene: Scene) -> Prepared:
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
         _brightest_e(scene, catalogues, geometry, colour, sun),
     )  # fmt: skip
+    found = sky_doubts(scene, facts, response, dut1_s)
+    warnings += found.warnings
+    remarks += found.remarks
     extinction = _extinction(scene, response)
     scene, facts, sky = _sky(
         scene, (response, band, digest), catalogues, colour, facts, geometry, dut1_s, extinction
@@ -215,10 +219,10 @@ def _sky(
     dut1_s: float,
     extinction: BandExtinction | None,
 ) -> tuple[Scene, Facts, SkyPlan | None]:
-    """The sky that varies, the facts with it, and the scene with the limit that the noise set."""
+    """The sky, the facts with it, and the scene with the limit that the noise set."""
     b, stars = scene.background, scene.stars
     from_noise = stars is not None and stars.limit_from_noise
-    if not from_noise and (b is None or not b.varies):
+    if not from_noise and b is None:
         return scene, facts, None
     from pipeline.inputs.sky import gather_sky
     from pipeline.plan.sky import facts_with_sky, plan_sky

@@ -17,6 +17,7 @@ from pipeline.physics.positions.refraction import refract
 from pipeline.physics.targets.disc import Appearance, Sphere, photocentre_offset
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.air import path_transmission, star_transmission
+from pipeline.plan.pupil import pupil_along, pupil_fraction
 from pipeline.plan.responses import point_curvature, point_slope
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.star_paths import excursions_px, rolled_stars
@@ -77,6 +78,7 @@ def place_stars(
     kept = select(stars, near)
     guard_some(plan, g, x[near], y[near], observed[near], kept.source_id)
     light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
+    light = light * pupil_fraction(plan.scene, plan.camera, x[near], y[near])
     if plan.camera.line_s:
         light = light * longer[near]
     if plan.extinction is not None:
@@ -166,6 +168,7 @@ def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[Fra
         seen = np.isfinite(x) & np.isfinite(y)
         if not seen.any():
             continue
+        light = light * pupil_along(plan.scene, plan.camera, g, x, y)
         if plan.extinction is not None:
             light = light * path_transmission(plan.extinction, plan.camera, g, x, y)
         share = 0.5 * (light[:-1] + light[1:]) / (g.nodes - 1)

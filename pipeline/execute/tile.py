@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -135,10 +136,8 @@ def tile_light(
     if plan.sky is not None:
         from pipeline.plan.sky import sky_tile
 
-        light["background_e"] = sky_tile(plan.sky, frame, tile) * plan.integration_s(frame)
-    elif plan.facts.background_e > 0:
-        background_e = plan.facts.background_e_s * plan.integration_s(frame)
-        light["background_e"] = np.full((1, 1), background_e)
+        part = replace(tile, rows=1, columns=1) if plan.sky.even else tile  # one value for all
+        light["background_e"] = sky_tile(plan.sky, frame, part) * plan.integration_s(frame)
     return light
 
 

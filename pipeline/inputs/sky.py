@@ -10,10 +10,10 @@ import numpy as np
 from catalog_tools.catalogue import Catalogue
 from pipeline.inputs.colour_fit_files import colour_fit_of
 from pipeline.inputs.curves import solar_spectrum
-from pipeline.inputs.starlight import gather_starlight
 from pipeline.physics.colour import ColourFit
-from pipeline.physics.radiometry import ResponseCurve
-from pipeline.plan.sky_light import SkyInputs
+from pipeline.physics.radiometry import ResponseCurve, surface_brightness_electron_rate
+from pipeline.plan.sky_light import SkyInputs, StarlightLike
+from pipeline.spec.background import Background
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def gather_sky(
         from catalog_tools.starlight import CountedLight
 
         every = CountedLight()
-    undrawn = gather_starlight(scene, catalogues, limit_from_noise)
+    undrawn = _undrawn(scene, catalogues, limit_from_noise)
     if fit is None and (every is not None or undrawn is not None or limit_from_noise):
         fit = colour_fit_of(scene, response, band, digest)
     stray = None
@@ -65,4 +65,25 @@ def gather_sky(
         from pipeline.inputs.night import gather_night
 
         air = gather_night(b, response)
-    return SkyInputs(table, rates, undrawn, every, fit, stray, extinction, air)
+    return SkyInputs(
+        *_uniform(b, response), table, rates, undrawn, every, fit, stray, extinction, air
+    )
+
+
+def _undrawn(
+    scene: Scene, catalogues: Sequence[Catalogue], limit_from_noise: bool
+) -> StarlightLike | None:
+    """Light of the stars that are not drawn; nothing is imported for a scene without."""
+    b = scene.background
+    if not limit_from_noise and (b is None or b.starlight != "all"):
+        return None
+    from pipeline.inputs.starlight import gather_starlight
+
+    return gather_starlight(scene, catalogues, limit_from_noise)
+
+
+def _uniform(b: Background | None, response: ResponseCurve) -> tuple[float | None, float | None]:
+    """A uniform sky: electrons/s per m2 of pupil and sr, and electrons/s of each pixel."""
+    if b is None or b.uniform_mag_arcsec2 is None:
+        return None, b.uniform_e_per_s if b is not None else None
+    return surface_brightness_electron_rate(b.uniform_mag_arcsec2, response, 1.0, 1.0), None

@@ -126,16 +126,30 @@ def over_the_field(bench: Bench) -> Iterator[Found]:
                 bound, most(a - b), "e-", out_s, in_s)  # fmt: skip
 
 
-@probe("uniform_background")
+@probe("background.*")
 def skies(_: Bench) -> Iterator[Found]:
-    """One value for a uniform sky of a wide field; a grid for the zodiacal light; each pixel's."""
+    """Grids for a uniform sky of a wide field and for the zodiacal light; each pixel's own."""
     wide = {"sensor.focal_length_m": 0.02}
     even = open_stage(scene(wide | {"background": {"uniform_mag_arcsec2": 18.0}}))
     varying = open_stage(scene(wide | {"background": {"zodiacal": True, "galactic": True}}))
-    for stage, name in ((even, "uniform_background"), (varying, "background.grid")):
+    for stage, what in ((even, "a uniform sky"), (varying, "zodiacal and galactic light")):
         for s in switches(stage, (whole(stage),)):
-            if s.component == name:
-                yield _measured(stage, s, (whole(stage),), f"a field of 3 degrees, {SIDE} x {SIDE}")
+            if s.component == "background.grid":
+                how = f"{what} in a field of 3 degrees, {SIDE} x {SIDE}"
+                yield _measured(stage, s, (whole(stage),), how)
+
+
+@probe("pupil_projection")
+def pupil(_: Bench) -> Iterator[Found]:
+    """A uniform sky of a wide field, with the pupil seen from off axis and without."""
+    wide = {"sensor.focal_length_m": 0.004, "background": {"uniform_mag_arcsec2": 18.0}}
+    data = scene(wide | {"sensor.pupil_projection": False})
+    stage = open_stage(data)
+    out_s, without = timed(lambda: mean_e(data))
+    in_s, full = timed(lambda: mean_e(scene(wide)))
+    bound, unit = stated(stage.plan, "pupil_projection")
+    yield Found("pupil_projection", f"a field of 16 degrees, {SIDE} x {SIDE}",
+                bound, most(1.0 - full / without), unit, out_s, in_s)  # fmt: skip
 
 
 @probe("stray_light.*")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pipeline.physics.positions.focal_plane import area_ratio_range, stretch
+from pipeline.physics.positions.focal_plane import stretch
 from pipeline.physics.psf.band import BandOptics
 from pipeline.physics.psf.product import PHASES
 from pipeline.plan.accuracy import by_wavelength
@@ -42,8 +42,6 @@ def _components(scene: Scene, facts: Facts) -> list[Decision]:
         if targets
         else Decision("targets", False, absent, 0.0, 0.0),
         Decision("background", True, f"{facts.background_e_s:.4g} e-/s per pixel, or more")
-        if sky and sky.varies
-        else Decision("background", True, f"uniform, {facts.background_e_s:.4g} e-/s per pixel")
         if sky
         else Decision("background", False, absent, 0.0, 0.0),
         _cosmic_rays(scene),
@@ -143,19 +141,6 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
     out = [_over_the_field(r)]
     if facts.band is not None:
         out.append(_wavelengths(scene, facts, facts.band))
-    sky = scene.background
-    if sky is not None and sky.uniform_mag_arcsec2 is not None and not sky.varies:
-        camera = camera_of(scene)
-        low, high = area_ratio_range(camera)
-        edge = facts.background_e * max(1.0 - low, high - 1.0)
-        out.append(
-            Decision(
-                "uniform_background", True,
-                f"the same in all pixels; they see {low:.6g} to {high:.6g} of the sky of the "
-                "central one",
-                **bound(edge),
-            )
-        )  # fmt: skip
     if not (scene.stars or scene.targets):
         return out
     how = (

@@ -36,7 +36,9 @@ class Facts:
     blur : the response of optics, jitter, diffusion and pixel; of a field, the sharpest
     band : how the optics' band was resolved; None where the optics do not follow the wavelength;
         of a field, the one that errs most
-    background_e : sky per pixel and exposure; dark_e, read_noise_e : typical values (medians)
+    background_e_s : sky of the darkest pixel, per second; of `gather_facts` alone the uniform sky
+        in the central pixel; background_e : the same in an exposure
+    dark_e, read_noise_e : typical values (medians)
     sigma_floor_e : noise of a pixel that holds no source: sky, dark, read noise, quantisation
     budget_e : error that one approximation may make in such a pixel
     field : the responses over the field; None where one serves it all
@@ -140,7 +142,8 @@ def mean_wavelength_m(response: ResponseCurve) -> float:
 def background_rate_e_s(
     scene: Scene, response: ResponseCurve, area_m2: float, pitch_m: float
 ) -> float:
-    """Electrons per second and pixel of the uniform part of the sky; 0 where there is none."""
+    """Electrons per second of the uniform part of the sky in the central pixel; 0 where there is
+    none."""
     b = scene.background
     if b is None:
         return 0.0

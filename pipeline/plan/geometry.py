@@ -262,11 +262,23 @@ def watch(scene: Scene, offsets: Array, dut1_s: float) -> tuple[Array, Array, Ar
 
     offsets : (n,) seconds after the scene's epoch
     """
-    at = moments_at(scene, dut1_s, np.asarray(offsets, float))
-    ends = [plan.end_s for plan in dwell_plans(scene)]
-    which = np.searchsorted(ends[:-1], at.offset_s, side="right")
-    attitude = attitudes(scene, which, _vantage(scene, at))
+    at, attitude = aimed(scene, offsets, dut1_s)
     return at.observer_m, at.observer_m_s - at.earth.velocity_m_s, attitude[:, 2]
+
+
+def aimed(
+    scene: Scene, offsets: Array, dut1_s: float, dwells: NDArray[np.int64] | None = None
+) -> tuple[Moments, Array]:
+    """The observer and the proper attitudes (n, 3, 3) at any moments, before the air lifts them.
+
+    offsets : (n,) seconds after the scene's epoch; dwells : (n,) which dwell holds each; default:
+        the first one that has not ended
+    """
+    at = moments_at(scene, dut1_s, np.asarray(offsets, float))
+    if dwells is None:
+        ends = [plan.end_s for plan in dwell_plans(scene)]
+        dwells = np.searchsorted(ends[:-1], at.offset_s, side="right")
+    return at, attitudes(scene, dwells, _vantage(scene, at))
 
 
 def moments_at(scene: Scene, dut1_s: float, offsets: Array) -> Moments:

@@ -57,6 +57,9 @@ LEDGER = (
     Rule(("earth_occultation",),
          "never off the boresight: what stands behind the limb elsewhere in the field is drawn",
          "tests/plan/test_geometry.py"),
+    Rule(("pupil_projection",),
+         "always, but where flat is an image (a measured flat holds it) or the sensor says no",
+         "tests/acceptance/test_wide_field.py::test_stars_fall_with_the_cosine"),
     Rule(("distortion",), "where the sensor has one", "tests/acceptance/test_distortion.py"),
     Rule(("dwells",), "where the scene has them", "tests/plan/test_dwells.py"),
     Rule(("pointing_table",), "rows are interpolated; the error is measured by leaving rows out",
@@ -75,9 +78,10 @@ LEDGER = (
          "tests/physics/psf/test_band.py::test_against_a_hundred_wavelengths"),
     Rule(("stray_light.*",), "each body where background.stray_light asks for it",
          "tests/plan/test_stray_light.py::test_sources_are_switched"),
-    Rule(("uniform_background", "background.*", "starlight"),
-         "uniform where no part of the sky varies; else a grid refined until its measured error is "
-         "within the accuracy", "tests/physics/sky/test_grid.py"),
+    Rule(("background.*", "starlight"),
+         "light per solid angle where a pixel looks, through its own solid angle and the pupil's "
+         "cosine; on a grid, of one value or refined until its error is within the accuracy",
+         "tests/acceptance/test_wide_field.py::test_a_uniform_sky_falls_with_the_cosine"),
     Rule(("phase_interpolation", "common_streak", "crowds_by_transforms", "star_engines"),
          "the cheapest drawing whose bound is within its part of accuracy.noise_fraction",
          _ENGINES),

@@ -60,7 +60,8 @@ def night_parts(
 ) -> dict[str, Array]:
     """Electrons/s per m2 of pupil and sr (n,) of the light of the air; observed : (n, 3).
 
-    Raises BadInput for twilight with the Sun above the horizon.
+    Raises BadInput for twilight with the Sun above the horizon, unless the scene accepts daylight:
+    then it is that of a Sun at the horizon.
     """
     b, band, out = scene.background or Background(starlight="none"), inputs.night, {}
     if band is None or not b.of_the_air:
@@ -85,13 +86,14 @@ def night_parts(
     if b.twilight:
         up = unit(sun - place)
         height_deg = float(np.degrees(np.arcsin(np.clip(up @ air[:3], -1.0, 1.0))))
-        if height_deg > HIGHEST_SUN_DEG:
+        if height_deg > HIGHEST_SUN_DEG and "daylight" not in scene.accept:
             raise BadInput(
                 "background.twilight", f"the Sun {height_deg:.2f} deg above the horizon",
                 "a Sun below the horizon: daylight is not in this version",
             )  # fmt: skip
         apart = separation(observed, up[None])
-        out["twilight"] = twilight(band, inputs.extinction, sine, float(up @ air[:3]), apart)
+        sun_sine = min(float(up @ air[:3]), np.sin(np.radians(HIGHEST_SUN_DEG)))
+        out["twilight"] = twilight(band, inputs.extinction, sine, sun_sine, apart)
     return out
 
 

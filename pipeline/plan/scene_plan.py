@@ -28,6 +28,7 @@ from pipeline.plan.needs import NOTHING_SPENT, Spent, predict
 from pipeline.plan.occultation import decide_occultation
 from pipeline.plan.optics import describe
 from pipeline.plan.pointing_decisions import decide_pointing
+from pipeline.plan.pupil import decide_pupil
 from pipeline.plan.responses import ResponsePlan, plan_responses
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
@@ -119,7 +120,8 @@ def make_plan(
     decisions = (
         *decide(scene, facts, responses), *decide_occultation(scene, responses, ends),
         *decide_targets(scene, facts, ends, responses.blur),
-        *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
+        *decide_pupil(scene, ends), *decide_air(scene, facts, ends, extinction),
+        *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends, dut1_s),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
     )  # fmt: skip

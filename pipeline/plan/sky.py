@@ -38,10 +38,10 @@ _Light = Light
 
 @dataclass(frozen=True, eq=False)
 class SkyPlan:
-    """Light of the sky in every frame, the uniform part included.
+    """Light of the sky in every frame.
 
     knots : (k,) frames, ascending; grids : (k, ny, nx) e-/s and pixel at nodes over the frame (see
-        `physics.sky.grid`), linear between knots
+        `physics.sky.grid`), linear between knots; one knot where all frames are the same
     least_e_s : smallest of all; error_e : of the interpolation, in an exposure
     faintest_g_mag : the limit that was chosen from the noise; None where the scene gave it
     """
@@ -53,6 +53,11 @@ class SkyPlan:
     error_e: float
     faintest_g_mag: float | None
     decisions: tuple[Decision, ...]
+
+    @property
+    def even(self) -> bool:
+        """Whether one value serves all pixels of a frame."""
+        return self.grids.shape[-2:] == (1, 1)
 
 
 def plan_sky(
@@ -66,12 +71,13 @@ def plan_sky(
 ) -> SkyPlan:
     """The sky's light in all frames, and the limiting magnitude if the noise is to choose it.
 
-    geometry : of `sampled_frames`; facts : of the uniform background alone. The limit rests on the
-    noise of the darkest place of the sky without the undrawn stars. Raises BadInput for a field too
-    near the Sun, and an observer where the zodiacal light's distance law was not measured.
+    geometry : of `sampled_frames`; facts : of `gather_facts`. The limit rests on the noise of the
+    darkest place of the sky without the undrawn stars. Raises BadInput for a field too near the
+    Sun, and an observer where the zodiacal light's distance law was not measured.
     """
     t = integration_range_s(scene)[1]
     light = Light(scene, camera, facts, inputs, None, dut1_s)
+    geometry = geometry.frame_slice(0) if light.still and not limit_from_noise else geometry
     limit = None
     if limit_from_noise:
         least = float(light.at(geometry)(*_field(camera)).min())
@@ -131,7 +137,7 @@ def sky_tile(sky: SkyPlan, frame: int, tile: Tile) -> Array:
 def _noise(facts: Facts, scene: Scene, sky_e_s: float) -> tuple[float, float]:
     """Noise of a pixel under a sky of this light [e-], and one approximation's budget there."""
     more = (sky_e_s - facts.background_e_s) * integration_range_s(scene)[0]
-    sigma = math.sqrt(facts.sigma_floor_e**2 + max(more, 0.0))
+    sigma = math.sqrt(max(facts.sigma_floor_e**2 + more, 0.0))
     return sigma, error_budget_e(scene, sigma)
 
 
@@ -203,6 +209,8 @@ def _parts_told(light: Light, g: Geometry) -> list[Decision]:
     area = light.pixel_m2_sr(x, y)
     b, inputs, out = background_of(light.scene), light.inputs, []
     known = {
+        "uniform": "as bright in all directions; each pixel sees it through its own solid angle"
+        + (" and the pupil's cosine" if light.scene.sensor.pupil_projection else ""),
         "zodiacal": "Leinert et al. 1998, table 17 (good to 10%; bilinear in the logarithm, 2%), "
         "the Sun's spectrum with their colour, R^-2.3 with distance from the Sun",
         "galactic": "a share of all starlight (Leinert et al. 1998), of the stars' own colour; "
@@ -215,12 +223,15 @@ def _parts_told(light: Light, g: Geometry) -> list[Decision]:
     dim = "" if inputs.extinction is None else "; dimmed by the air (observer.atmosphere)"
     for name, how in known.items():
         if name in ends[0]:
-            how += dim
+            how += dim if name != "uniform" else ""
             values = np.concatenate([e[name] * area for e in ends])
             span = f"{values.min():.4g} to {values.max():.4g} e-/s per pixel"
             out.append(Decision(f"background.{name}", True, f"{span}: {how}"))
-        elif name != "starlight" or b.starlight == "none":
+        elif name != "uniform" and (name != "starlight" or b.starlight == "none"):
             out.append(Decision(f"background.{name}", False, "not asked for", 0.0, 0.0))
+    if inputs.uniform_e_s is not None:
+        how = "the same in every pixel, as the scene gives it of a pixel: no solid angle, no pupil"
+        out.append(Decision("background.uniform", True, f"{inputs.uniform_e_s:.4g} e-/s: {how}"))
     if inputs.stray is not None and b.stray_light is not None:
         from pipeline.plan.stray_light import stray_told
 

@@ -14,13 +14,14 @@ from pipeline.errors import BadInput
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, DEG_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrate
-from pipeline.physics.positions.focal_plane import Camera, deproject, ifov_rad
+from pipeline.physics.positions.focal_plane import Camera, deproject, solid_angle_sr
 from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.sky import zodiacal as z
 from pipeline.physics.sky.galactic import diffuse_light
 from pipeline.physics.sky.smooth import smooth
 from pipeline.physics.sky.starlight import band_light
 from pipeline.plan.facts import Facts
+from pipeline.plan.pupil import pupil_fraction
 from pipeline.spec.background import Background, Galactic, Zodiacal
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
@@ -66,10 +67,14 @@ class StarlightLike(Protocol):
 class SkyInputs:
     """What was read for the sky; None for a part that the scene does not ask for.
 
+    uniform_m2_sr : electrons/s per m2 of pupil and sr of a uniform sky; uniform_e_s : electrons/s
+        of each pixel, where the scene gives that
     zodiacal_rates : of `physics.sky.zodiacal.band_rates`
     undrawn : stars that are left to the sky; every : all stars of the sky, for the Galaxy's dust
     """
 
+    uniform_m2_sr: float | None = None
+    uniform_e_s: float | None = None
     zodiacal: z.ZodiacalTable | None = None
     zodiacal_rates: tuple[float, float] = (0.0, 0.0)
     undrawn: StarlightLike | None = None
@@ -84,6 +89,8 @@ class SkyInputs:
 class Light:
     """The light of a sky as a function of place: what the grids are made from.
 
+    Each part is light per solid angle in a direction, which `pixel_m2_sr` turns into a pixel's;
+    light that comes as a rate of each pixel (`per_pixel`) is added to it.
     limit_g_mag : stars beyond it are left to the sky; None while that is not known: no star is
     """
 
@@ -105,16 +112,30 @@ class Light:
         if turned > MOVED:
             nodes = {0: 1.0 / 6.0, g.middle: 4.0 / 6.0, g.nodes - 1: 1.0 / 6.0}
         total = sum(w * sum(self.parts(g, f, k, x, y).values()) for k, w in nodes.items())
-        light = total * self.pixel_m2_sr(x, y) + self.facts.background_e_s
-        if self.inputs.stray is not None:
-            for k, w in nodes.items():
-                light = light + w * sum(self.stray(g, f, k, x, y).values())
+        light = total * self.pixel_m2_sr(x, y)
+        for k, w in nodes.items():
+            light = light + w * sum(self.per_pixel(g, f, k, x, y).values())
         return light
+
+    @property
+    def still(self) -> bool:
+        """Whether it is the same in all frames: a uniform sky alone."""
+        i, b = self.inputs, background_of(self.scene)
+        return not any((i.zodiacal, i.undrawn, i.every, i.stray, b.of_the_air))
 
     def parts(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
         """Each part's electrons/s per m2 of pupil and sr (n,)."""
+        out = {"none": np.zeros(len(x))}
+        if not self.still:
+            out |= self._directed(g, f, node, x, y)
+        if self.inputs.uniform_m2_sr is not None:  # as it reaches the site: below the air
+            out["uniform"] = np.full(len(x), self.inputs.uniform_m2_sr)
+        return out
+
+    def _directed(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
+        """The parts that follow from where a pixel looks."""
         u = self.directions(g, f, node, x, y)
-        out = {"none": np.zeros(len(u))}
+        out: dict[str, Array] = {}
         if self.inputs.zodiacal is not None:
             out["zodiacal"] = self._zodiacal(u, g.sun_m[f, node] - g.observer_m[f, node])
         galactic = background_of(self.scene).galactic
@@ -132,6 +153,15 @@ class Light:
         observed = deproject(self.camera, g.attitude[f, node], x, y)
         out = dimmed(self.scene, self.inputs.extinction, g.air[f, node], observed, out)
         return out | night_parts(self.scene, self.inputs, g, f, node, observed)
+
+    def per_pixel(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
+        """Each part that is a pixel's own rate (n,) [e-/s]: as given, and stray light."""
+        out = {"none": np.zeros(len(x))}
+        if self.inputs.uniform_e_s is not None:
+            out["uniform"] = np.full(len(x), self.inputs.uniform_e_s)
+        if self.inputs.stray is not None:
+            out |= self.stray(g, f, node, x, y)
+        return out
 
     def stray(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
         """Each body's stray light (n,) [e-/s and pixel]."""
@@ -183,18 +213,10 @@ class Light:
         return band_light(moments, found.g_without_colour, self.inputs.fit)
 
     def pixel_m2_sr(self, x: Array, y: Array) -> Array:
-        """Pupil area times the solid angle that a pixel at x, y (n,) collects from."""
-        x0, y0 = self.camera.centre_px
-        u, v = x - x0, y - y0
-        jacobian = np.ones(len(u))
-        if self.camera.distortion is not None:
-            from pipeline.physics.positions.distortion import scale_matrices, to_plane
-
-            jacobian = np.linalg.det(scale_matrices(self.camera.distortion, u, v))
-            u, v = to_plane(self.camera.distortion, u, v)
-        tangent = np.hypot(u, v) * ifov_rad(self.camera)
-        solid = ifov_rad(self.camera) ** 2 * jacobian / (1.0 + tangent**2) ** 1.5
-        return self.facts.area_m2 * self.scene.sensor.fill_factor * solid
+        """Area of the pupil as a pixel at x, y (n,) sees it, times the solid angle that it collects
+        from."""
+        pupil_m2 = self.facts.area_m2 * pupil_fraction(self.scene, self.camera, x, y)
+        return pupil_m2 * self.scene.sensor.fill_factor * solid_angle_sr(self.camera, x, y)
 
 
 def background_of(scene: Scene) -> Background:

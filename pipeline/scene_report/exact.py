@@ -12,9 +12,6 @@ from pipeline.arrays import Array, FrameStars
 from pipeline.errors import NightglassError
 from pipeline.execute.check import WINDOW_PX, reference
 from pipeline.execute.sources import place_targets
-from pipeline.physics.positions.focal_plane import ifov_rad
-from pipeline.plan.detector import typical_read_noise_e
-from pipeline.plan.facts import gather_facts
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.sky_light import ALL_G_MAG, Light
 from pipeline.plan.tiles import Tile
@@ -127,10 +124,7 @@ def _within(tiles: tuple[Tile, ...], x_px: float, y_px: float) -> Tile | None:
 
 
 def exact_sky(stage: Stage) -> Callable[[Tile], Array]:
-    """The sky's light in the pixels of a tile, each at its own place: a function of the tile [e-].
-
-    A uniform sky is seen by each pixel through its own solid angle.
-    """
+    """The sky's light [e-] in a tile's pixels, each at its own place: a function of the tile."""
     plan, light = stage.plan, None
     seconds = plan.integration_s(0)
     if plan.sky is not None:
@@ -141,9 +135,7 @@ def exact_sky(stage: Stage) -> Callable[[Tile], Array]:
         if light is not None:
             rate = light.at(stage.g)(x.ravel().astype(float), y.ravel().astype(float))[0]
             return np.asarray(rate.reshape(x.shape) * seconds)
-        x0, y0 = plan.camera.centre_px
-        tangent = np.hypot(x - x0, y - y0) * ifov_rad(plan.camera)
-        return np.asarray(plan.facts.background_e_s * seconds / (1.0 + tangent**2) ** 1.5)
+        return np.zeros(x.shape)
 
     return sky
 
@@ -152,14 +144,10 @@ def sky_light(stage: Stage) -> Light:
     """The light that the plan's grids are made from, as a function of place."""
     from pipeline.inputs.sky import gather_sky
 
-    scene, maps, plan = stage.plan.scene, stage.prepared.maps, stage.plan
+    scene, plan = stage.plan.scene, stage.plan
     response, band, digest = gather_response(scene)
-    facts = gather_facts(
-        scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
-        maps.typical("gain_e_per_dn"),
-    )  # fmt: skip
     catalogues, colour = stage.prepared.catalogues, plan.colour
     inputs = gather_sky(scene, response, band, digest, catalogues, colour, False, plan.extinction)
     given = scene.stars.faintest_g_mag if scene.stars is not None else None
     limit = ALL_G_MAG if given is None else given
-    return Light(scene, plan.camera, facts, inputs, limit, plan.dut1_s)
+    return Light(scene, plan.camera, plan.facts, inputs, limit, plan.dut1_s)

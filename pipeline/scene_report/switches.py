@@ -106,7 +106,6 @@ def switches(stage: Stage, tiles: tuple[Tile, ...]) -> Iterator[Switch]:
         if component in bounds:
             yield Switch(component, more.pop("on", on), off, float(bounds[component] or 0), **more)
 
-    yield from told("uniform_background", _with_exact_sky(stage, on))
     yield from told("background.grid", _with_exact_sky(stage, on))
     if not plan.responses.classes:
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -312,7 +312,23 @@ class Sensor(Strict):
     )
     read_noise_e: Annotated[float, Field(ge=0, le=1e9)] | ImagePath = 0.0
     photon_noise: bool = True
+    pupil_projection: bool = Field(
+        True, description="dim light by the cosine of its angle off axis, as the pupil is seen "
+        "from there; default: not where flat is an image, as a measured flat holds it",
+    )  # fmt: skip
+    sun_exclusion_deg: float = Field(
+        30.0, ge=0, le=180, description="angle from the boresight within which the Sun would show "
+        "in a frame: refused where no stray light of it is drawn",
+    )  # fmt: skip
     detector: Detector | None = Field(None, description="bad pixels, patterns, ways of reading out")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _pupil_unless_in_the_flat(cls, data: Any) -> Any:
+        """A measured flat holds the projected pupil: an image switches it off unless asked for."""
+        if not isinstance(data, dict) or data.get("pupil_projection") is not None:
+            return data
+        return data | {"pupil_projection": not isinstance(data.get("flat"), str)}
 
     @model_validator(mode="after")
     def _scale_is_of_an_image(self) -> Sensor:

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array], Array]  # x, y (n,) [px] -> light (..., n)
 
 FIRST_INTERVALS, MOST_INTERVALS = 8, 64
+MOST_VALUES = 4_000_000  # of light, in all that a grid is compared with
+STALLED = 0.5  # of the error before: smooth light falls to a quarter from grid to grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,8 @@ def refine(evaluate: Evaluate, rows: int, columns: int, tolerance: float) -> Fra
     """The coarsest grid that errs by at most a tolerance: uniform, 1, 2, 4... intervals an axis.
 
     Each grid is compared with the light at the nodes of the next finer one, where bilinear
-    interpolation errs most.
+    interpolation errs most. Beyond MOST_INTERVALS light that is not smooth is refined no more, and
+    none beyond MOST_VALUES.
     """
     intervals = FIRST_INTERVALS
     fine = at_nodes(evaluate, rows, columns, intervals + 1, intervals + 1)
@@ -50,11 +53,16 @@ def refine(evaluate: Evaluate, rows: int, columns: int, tolerance: float) -> Fra
         if error <= tolerance:
             return FrameGrid(rows, columns, coarse.copy(), error, True)
     while True:
-        coarse, intervals = fine, 2 * intervals
+        coarse, before, intervals = fine, error, 2 * intervals
         fine = at_nodes(evaluate, rows, columns, intervals + 1, intervals + 1)
         error = _error(coarse, fine)
-        if error <= tolerance or intervals > MOST_INTERVALS:
+        if error <= tolerance or _finest(intervals, error > STALLED * before, fine.size):
             return FrameGrid(rows, columns, coarse, error, error <= tolerance)
+
+
+def _finest(intervals: int, stalled: bool, values: int) -> bool:
+    """Whether no finer grid is tried."""
+    return intervals > MOST_INTERVALS and (stalled or 4 * values > MOST_VALUES)
 
 
 def tile_light(values: Array, shape: tuple[int, int], corner: tuple[int, int],

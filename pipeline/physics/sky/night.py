@@ -21,6 +21,8 @@ PER_NANOLAMBERT = np.exp(-20.7233) / 34.08 * 10.0 ** (-0.4 * -SUN_V_MAG) / ARCSE
 PER_ERG = 10.0 ** (-0.4 * -SUN_V_MAG) / V_ZERO_ERG / ARCSEC2_SR
 TWILIGHT_V = -26.74 + 11.05 + 32.5  # the Sun's V, the unit's zero point, a fit
 V_M = 550e-9
+USUAL_V_MAG = 0.2  # of extinction at the zenith, where a site's own is not known
+NEAREST_MOON_RAD = 5.0 * DEG_RAD
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,8 @@ def moonlight(
     Krisciunas & Schaefer 1991, PASP 103, 1033, equations 3, 15, 18, 20 and 21, wavelength by
     wavelength with the band's own extinction: their formula in V, 8 to 23% from measurements there;
     for a band that scatters otherwise a fair guess. On the Moon's own path the air mass is Kasten &
-    Young's, so that it fades at the horizon.
+    Young's, so that it fades at the horizon. Their aureole within 10 degrees (equation 21) grows
+    without end towards the Moon: it is held within NEAREST_MOON_RAD, a choice.
 
     sine (n,), apart_rad (n,) : of lines of sight: sine of the elevation, angle from the Moon
     irradiance_share : of the Moon above the air, over the solar irradiance at 1 au, in V
@@ -101,9 +104,8 @@ def moonlight(
     if moon_sine <= 0.0:
         return np.zeros(np.shape(sine))
     apart = np.asarray(apart_rad) / DEG_RAD
-    mie = np.where(
-        apart >= 10.0, 10.0 ** (6.15 - apart / 40.0), 6.2e7 / np.maximum(apart, 0.25) ** 2
-    )
+    nearest = np.maximum(apart, NEAREST_MOON_RAD / DEG_RAD)
+    mie = np.where(apart >= 10.0, 10.0 ** (6.15 - apart / 40.0), 6.2e7 / nearest**2)
     scatter = 10.0**5.36 * (1.06 + np.cos(apart_rad) ** 2) + mie
     candle = 10.0 ** (-0.4 * (16.57 + SUN_V_MAG)) * irradiance_share  # 10^(-0.4 (V + 16.57))
     mass = 1.0 / np.sqrt(1.0 - 0.96 * (1.0 - np.square(np.clip(sine, 0.0, 1.0))))
@@ -136,6 +138,18 @@ def twilight(
     level = 10.0 ** (-0.4 * exponent) * 100.0 / np.maximum(apart_rad / DEG_RAD, 1.0)
     scattered = 1.0 - 10.0 ** (-0.4 * extinction.scattered_mag * mass[..., None])
     return PER_ERG * level * (scattered @ band.sun)
+
+
+def twilight_zenith_v_mag(sun_elevation_rad: float) -> float:
+    """V magnitudes per square arcsecond of twilight at the zenith, the Sun below the horizon.
+
+    The same formula, with USUAL_V_MAG of extinction: 19.7 at 12 degrees of depression, and fainter
+    than a dark sky from 15 on.
+    """
+    h = sun_elevation_rad / DEG_RAD
+    light = 10.0 ** (-0.4 * (TWILIGHT_V - h)) * 100.0 / (90.0 - h)
+    light *= 1.0 - 10.0 ** (-0.4 * USUAL_V_MAG)
+    return float(-2.5 * np.log10(light / V_ZERO_ERG))
 
 
 def pieces_of(wavelength_m: Array, f_lambda: Array, response: ResponseCurve) -> Array:

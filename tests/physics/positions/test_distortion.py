@@ -32,12 +32,13 @@ from pipeline.physics.positions.distortion import (
 from pipeline.physics.positions.focal_plane import (
     Camera,
     apparent_wcs_header,
-    area_ratio_range,
     corner_radius,
     deproject,
     fit_wcs,
     ifov_rad,
+    off_axis_cosine,
     project,
+    solid_angle_sr,
     stretch,
     wcs_header,
 )
@@ -313,14 +314,16 @@ def _solid_angles(camera: Camera, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @ALL
-def test_area_ratio_range(wish: dict) -> None:
+def test_solid_angle_of_pixels(wish: dict) -> None:
     camera = distorted(wish)
     x, y = (g.ravel() for g in np.meshgrid(np.linspace(0, 2047, 33), np.linspace(0, 1499, 33)))
-    ratio = _solid_angles(camera, x, y) / ifov_rad(camera) ** 2
-    low, high = area_ratio_range(camera)
-    assert low == pytest.approx(ratio.min(), abs=2e-4)
-    assert high == pytest.approx(ratio.max(), abs=2e-4)
-    assert area_ratio_range(CAMERA) == (np.cos(corner_radius(CAMERA)) ** 3, 1.0)
+    found = solid_angle_sr(camera, x, y)
+    np.testing.assert_allclose(found, _solid_angles(camera, x, y), rtol=1e-6)
+    axis = deproject(camera, np.eye(3), *(np.array([c]) for c in camera.centre_px))
+    cosine = deproject(camera, np.eye(3), x, y) @ axis[0]
+    np.testing.assert_allclose(off_axis_cosine(camera, x, y), cosine, rtol=1e-12)
+    corner = off_axis_cosine(CAMERA, np.array([-0.5]), np.array([-0.5]))
+    assert corner[0] == pytest.approx(np.cos(corner_radius(CAMERA)), rel=1e-12)
     slopes = scale_matrices(camera.distortion, np.array([100.0]), np.array([-300.0]))[0]
     step = 1e-3
     for axis in (0, 1):
