@@ -19,6 +19,8 @@ from pipeline.execute.sources import (
     drawing_order,
     excursion_px,
     place_targets,
+    setting_stars,
+    whole_stars,
 )
 from pipeline.execute.tables import core_of, kernel_of
 from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
@@ -130,11 +132,11 @@ def reference(
     its brightness asks for and the wings on a grid of half the spacing: the sum of the phases of
     its spectrum, in float64. None where that would cost more than `most_terms`.
     """
-    near = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
-    targets = place_targets(plan, g)
+    every = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
+    near, setting, targets = whole_stars(every), setting_stars(plan, g, every), place_targets(plan, g)
     points = [
         (np.array([t.x_px]), np.array([t.y_px]), np.array([t.light_e]), t.path)
-        for t in targets
+        for t in (*setting, *targets)
         if t.body is None
     ]
     followed = _star_groups(plan, g, at, near, own_paths)

@@ -237,17 +237,19 @@ def _geometry(
     grid, grid3 = offset.shape, (*offset.shape, 3)
     each = (len(scene.targets), *grid)
     x, y, light = t.x_px.reshape(each), t.y_px.reshape(each), t.light.reshape(each)
+    clear = t.clear.reshape(each)
     if camera.line_s:
-        from pipeline.physics.motion.rolling import rolled_light
+        from pipeline.physics.motion.rolling import rolled_sources
 
-        x, y, light = rolled_light(x, y, light, since, camera.line_s, camera.rows)
+        seen = x, y, light, clear
+        x, y, light, clear = rolled_sources(*seen, since, camera.line_s, camera.rows)
     return Geometry(
         frames, offset, times.tt1.reshape(grid), times.tt2.reshape(grid),
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
         x, y - camera.charge_px_s * (since - since[:, [nodes // 2]]), light,
         t.range_m.reshape(each), t.phase_rad.reshape(each),
-        t.sunlit.reshape(each), t.direction, t.pose, t.pose_s, t.turn_rad,
+        t.sunlit.reshape(each), clear, t.direction, t.pose, t.pose_s, t.turn_rad,
         np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
 

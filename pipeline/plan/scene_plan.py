@@ -127,7 +127,8 @@ def make_plan(
     camera = camera_of(scene)
     responses = plan_responses(scene, facts, camera, ends)
     decisions = (
-        *decide(scene, facts, responses), *decide_occultation(scene, responses, ends),
+        *decide(scene, facts, responses),
+        *decide_occultation(scene, camera, responses.reach_px, ends),
         *decide_targets(scene, facts, ends, responses.blur),
         *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends, dut1_s),
