@@ -54,9 +54,10 @@ LEDGER = (
     Rule(("atmosphere", "atmosphere.*"),
          "each part where observer.atmosphere asks for it",
          "tests/acceptance/test_site_with_air.py::test_elevations_against_astropy"),
-    Rule(("earth_occultation",),
-         "never off the boresight: what stands behind the limb elsewhere in the field is drawn",
-         "tests/plan/test_geometry.py"),
+    Rule(("earth_occultation", "earth_occultation.air"),
+         "each source by itself where the limb or the horizon comes near the field; the air at a "
+         "limb seen from space never, that of a site where its refraction is asked for",
+         "tests/acceptance/test_behind_the_earth.py::test_stars_behind_the_limb_against_rays"),
     Rule(("distortion",), "where the sensor has one", "tests/acceptance/test_distortion.py"),
     Rule(("dwells",), "where the scene has them", "tests/plan/test_dwells.py"),
     Rule(("pointing_table",), "rows are interpolated; the error is measured by leaving rows out",
