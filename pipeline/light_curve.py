@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
 from pipeline.inputs.curves import solar_spectrum
-from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.times import format_utc, parse_utc
 from pipeline.physics.radiometry import (
@@ -82,7 +82,7 @@ def light_curve(
         raise BadInput("--points", points, f"2 to {MOST_POINTS}")
     wavelength, irradiance, _, _ = solar_spectrum()
     index = names.index(name)
-    scene = with_band_albedos(scene, wavelength, irradiance, response)
+    scene = with_band_albedos(with_pole(scene), wavelength, irradiance, response)
     epoch = parse_utc(scene.epoch)
     dut1_s, _ = gather_dut1_s(*epoch)
     time_s = np.linspace(start_s, stop_s, points)

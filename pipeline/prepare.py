@@ -21,7 +21,7 @@ from pipeline.inputs.catalogues import (
 from pipeline.inputs.colour_fit import gather_colour_fit
 from pipeline.inputs.curves import resolve_response, solar_spectrum
 from pipeline.inputs.distortion import gather_distortion
-from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
 from pipeline.inputs.ephemerides import gather_ephemerides
 from pipeline.inputs.folders import cache_folder
 from pipeline.inputs.pointing_tables import gather_pointing
@@ -95,6 +95,7 @@ class Prepared:
 
 def resolve(scene: Scene) -> Scene:
     """The scene with what its files of orbits and distortion say, and albedos over the band."""
+    scene = with_pole(scene)
     scene = _banded(gather_pointing(gather_ephemerides(gather_distortion(scene))))
     if any(target.body.kind == "mesh" for target in scene.targets):
         from pipeline.inputs.meshes import gather_meshes  # an optional extra: trimesh

@@ -133,7 +133,8 @@ def reference(
     its spectrum, in float64. None where that would cost more than `most_terms`.
     """
     every = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
-    near, setting, targets = whole_stars(every), setting_stars(plan, g, every), place_targets(plan, g)
+    near, setting = whole_stars(every), setting_stars(plan, g, every)
+    targets = place_targets(plan, g)
     points = [
         (np.array([t.x_px]), np.array([t.y_px]), np.array([t.light_e]), t.path)
         for t in (*setting, *targets)

@@ -118,7 +118,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     seen = targets_seen(g)
     for i, t in drawn.items():
         if 0.0 < seen[i] < 1.0:
-            px, py = g.target_x_px[i, 0, middle] + t.path.x_px, g.target_y_px[i, 0, middle] + t.path.y_px
+            px, py = x[i, middle] + t.path.x_px, y[i, middle] + t.path.y_px
             ends[:, i] = px[0], py[0], px[-1], py[-1]
     with np.errstate(invalid="ignore"):
         inside = np.abs(x[:, middle] - (plan.camera.columns - 1) / 2) <= plan.camera.columns / 2

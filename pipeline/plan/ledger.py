@@ -49,8 +49,9 @@ LEDGER = (
          "the noise) become smooth light; in layers each star is drawn once",
          "tests/plan/test_sky.py"),
     Rule(("precession_nutation", "polar_motion"),
-         "IAU 2006/2000A always; polar motion never (10 m)",
-         "tests/physics/positions/test_earth.py::test_against_astropy_site"),
+         "IAU 2006/2000A always; the pole of the epoch where the IERS tables cover it, else the "
+         "origin (10 m)",
+         "tests/inputs/test_earth_orientation.py::test_a_scenes_site_against_astropy"),
     Rule(("atmosphere", "atmosphere.*"),
          "each part where observer.atmosphere asks for it",
          "tests/acceptance/test_site_with_air.py::test_elevations_against_astropy"),

@@ -101,8 +101,9 @@ def visible_path(
     """The part of a path in which its source is seen, and the mean light of the exposure.
 
     x_px, y_px, light : (K,) at nodes at equal steps, straight between them; clear : (K,) positive
-    where it is seen; front : (K - 1,) between which nodes it is before the camera. The path begins and ends where the source appears and disappears, and has no
-    light where it is hidden between; nothing of it is left where the light is zero.
+    where it is seen; front : (K - 1,) between which nodes it is before the camera. The path begins
+    and ends where the source appears and disappears, and has no light where it is hidden between.
+    One that sends none has the path of the whole exposure.
     """
     fine, nodes = finer(clear), np.arange(len(clear))
     at = np.unique(np.concatenate([nodes, crossings(fine) / FINER]))
@@ -113,7 +114,7 @@ def visible_path(
     share = np.where(seen, 0.5 * (bright[1:] + bright[:-1]) * np.diff(at) / nodes[-1], 0.0)
     lit = np.flatnonzero(share > 0.0)
     if not len(lit):
-        return Path(x_px[[0, -1]], y_px[[0, -1]], np.ones(1)), 0.0
+        return path_through(x_px, y_px, np.full(nodes[-1], 1.0 / nodes[-1]), merge_px), 0.0
     kept = slice(lit[0], lit[-1] + 1)
     total = float(share.sum())
     ends = slice(lit[0], lit[-1] + 2)

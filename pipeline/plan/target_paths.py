@@ -48,8 +48,9 @@ class Moments:
 @dataclass(frozen=True)
 class TargetPaths:
     """Of T targets at n moments (T, n): pixels, light over the Sun's at 1 au, phase [rad], sunlit
-    share, range [m], how clear of the Earth (`Geometry.target_clear`); direction (T, F, 3), proper, at mid-exposure of F frames; and of M meshes
-    pose (M, F, 4, 3), pose_s and turn_rad (M, F), as in `Geometry`."""
+    share, range [m], how clear of the Earth (`Geometry.target_clear`); direction (T, F, 3), proper,
+    at mid-exposure of F frames; and of M meshes pose (M, F, 4, 3), pose_s and turn_rad (M, F), as
+    in `Geometry`."""
 
     x_px: Array
     y_px: Array
