@@ -49,9 +49,11 @@ from pipeline.plan.geometry import (
     plan_geometry,
     sampled_frames,
 )
+from pipeline.plan.orbit_age import orbit_remarks
 from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
 from pipeline.plan.target_decisions import mesh_notices
 from pipeline.plan.timing import integration_range_s
+from pipeline.plan.umbra import umbra_remarks
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
@@ -149,6 +151,7 @@ def prepare(scene: Scene) -> Prepared:
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     remarks += mesh_notices(scene)
+    remarks += orbit_remarks(scene, geometry, facts.ifov_rad) + umbra_remarks(scene, geometry)
     plan = make_plan(
         scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction,
         tuple(warnings),

@@ -18,6 +18,7 @@ from pipeline.physics.positions.refraction import refract
 from pipeline.physics.targets.disc import Appearance, Sphere, photocentre_offset
 from pipeline.physics.vectors import from_angles, to_angles
 from pipeline.plan.air import path_transmission, star_transmission
+from pipeline.plan.body_sizes import limb_px
 from pipeline.plan.occultation import seen_fraction, stars_clear, visible_path
 from pipeline.plan.own_paths import star_offsets
 from pipeline.plan.responses import point_curvature, point_slope
@@ -242,7 +243,7 @@ def _reaching(plan: Plan, g: Geometry) -> list[int]:
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     size = np.array([_radius_m(t.body) for t in plan.scene.targets])
     with np.errstate(invalid="ignore", divide="ignore"):
-        radius = size / (g.target_range_m[:, 0].min(axis=-1) * plan.facts.ifov_rad)
+        radius = limb_px(size, g.target_range_m[:, 0].min(axis=-1), plan.facts.ifov_rad)
         margin = plan.halo_px + plan.responses.reach_core_px + radius
         low_x, high_x = np.fmin.reduce(x, axis=-1), np.fmax.reduce(x, axis=-1)  # NaN: behind
         low_y, high_y = np.fmin.reduce(y, axis=-1), np.fmax.reduce(y, axis=-1)
@@ -269,8 +270,8 @@ def _mesh_seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
     body: Any = targets[target.index].body
     number = sum(isinstance(t.body, MeshBody) for t in targets[: target.index])
     distance = float(g.target_range_m[target.index, 0, g.middle])
-    scale = 1.0 / (distance * plan.facts.ifov_rad)
-    radius = body.model.radius_m * scale
+    radius = float(limb_px(body.model.radius_m, distance, plan.facts.ifov_rad))
+    scale = radius / body.model.radius_m  # of the whole picture, as of its outermost point
     if radius < POINT_RADIUS_PX or target.light_e <= 0.0:
         return replace(target, radius_px=radius)
     blur = plan.responses.blur
@@ -296,7 +297,7 @@ def _seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
     if not isinstance(body, SphereBody):
         return target
     distance = float(g.target_range_m[target.index, 0, g.middle])
-    radius = 0.5 * body.diameter_m / (distance * plan.facts.ifov_rad)
+    radius = float(limb_px(0.5 * body.diameter_m, distance, plan.facts.ifov_rad))
     if radius < POINT_RADIUS_PX:
         return replace(target, radius_px=radius)
     phase = min(math.pi, max(0.0, float(g.target_phase_rad[target.index, 0, g.middle])))

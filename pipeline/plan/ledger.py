@@ -90,7 +90,9 @@ LEDGER = (
     Rule(("targets.point_sources", "targets.shapes_as_points", "targets.resolved_meshes"),
          "a point where its size changes no pixel by more than the budget",
          "tests/physics/drawing/test_extended.py::test_point_error_bounds_what_is_left_out"),
-    Rule(("targets.eclipse",), "where eclipse is on; a disc's overlap, or the options of lighting",
+    Rule(("targets.eclipse", "targets.umbra_light"),
+         "where eclipse is on; a disc's overlap, or the options of lighting; light that the air "
+         "sends into the umbra never",
          "tests/physics/targets/test_eclipse.py::test_against_caps_on_the_sphere"),
     Rule(("targets.earthshine",), "where lighting asks for it",
          "tests/physics/targets/test_earthshine.py::test_against_a_fine_earth"),

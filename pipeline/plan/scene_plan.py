@@ -39,6 +39,7 @@ from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
 from pipeline.plan.tiles import BLOCK_PX, Tile, plan_tiles, tile_shape
 from pipeline.plan.timing import frame_count, integration_range_s, integration_s
+from pipeline.plan.umbra import decide_umbra
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -130,6 +131,7 @@ def make_plan(
         *decide(scene, facts, responses),
         *decide_occultation(scene, camera, responses.reach_px, ends),
         *decide_targets(scene, facts, ends, responses.blur),
+        *decide_umbra(scene, facts, ends, sun_rate_e_s_m2, dut1_s),
         *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends, dut1_s),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import BadInput
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.apparent import TargetSight, apparent_sun_m, target_apparent
 from pipeline.physics.positions.earth import EarthState
@@ -16,6 +17,7 @@ from pipeline.physics.positions.limb import height_of_line_m, pole_at, zenith_of
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.positions.times import Instants
 from pipeline.plan.bodies import target_lights
+from pipeline.plan.body_sizes import radius_m
 from pipeline.plan.body_attitudes import View, needs_velocity
 from pipeline.plan.orbits import Movers
 from pipeline.spec.mesh import MeshBody
@@ -24,6 +26,7 @@ from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
 
+LEAST_RANGE_M = 0.01  # nearer than that a target is where the observer is
 TOGETHER, SAMPLES = 1000, 200_000  # targets, and their moments, that are worked out in one go
 
 
@@ -75,11 +78,25 @@ def sights(scene: Scene, which: Sequence[int], at: Moments) -> tuple[TargetSight
     seen = target_apparent(
         lambda at_s: movers.states(at_s)[0], at.observer_m, at.observer_m_s, at.earth, offsets
     )
+    _check_ranges(scene, which, seen.range_m)
     at_s, place = offsets - seen.light_time_s, seen.target_geocentric_m
     moves = [needs_velocity(t.body) for t in targets]
     speed = movers.states(at_s)[1] if any(moves) else np.zeros_like(place)
     sun = np.broadcast_to(apparent_sun_m(at.earth), place.shape)
     return seen, View(at_s, place, speed, sun, np.broadcast_to(at.observer_m, place.shape))
+
+
+def _check_ranges(scene: Scene, which: Sequence[int], range_m: Array) -> None:
+    """Refuse an observer inside of a target, or at its place. range_m : (m, n)"""
+    for i, nearest in zip(which, range_m.min(axis=-1), strict=True):
+        least = max(radius_m(scene.targets[i].body), LEAST_RANGE_M)
+        if nearest > least:
+            continue
+        where = "at one place with" if nearest < LEAST_RANGE_M else "inside of"
+        raise BadInput(
+            f"targets.{i}", f"the observer {where} {scene.targets[i].name}, {nearest:.3g} m from it",
+            f"a target farther from it than its own radius ({least:.3g} m) at all times",
+        )  # fmt: skip
 
 
 def target_paths(
@@ -160,6 +177,7 @@ def _tabled(scene: Scene, which: range, at: Moments, view: View) -> dict[int, Ar
 
 def _batches(count: int, moments: int) -> Iterator[range]:
     """Targets that are worked out together: so many that their arrays stay small."""
-    step = max(1, min(TOGETHER, SAMPLES // max(1, moments)))
+    step = max(1, min(LEAST_RANGE_M = 0.01  # nearer than that a target is where the observer is
+TOGETHER, SAMPLES // max(1, moments)))
     for first in range(0, count, step):
         yield range(first, min(first + step, count))
