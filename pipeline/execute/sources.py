@@ -79,7 +79,7 @@ def place_stars(
         near &= distance_px(x, y, *frame) < reach
     ra, dec = to_angles(astrometric[near])
     kept = select(stars, near)
-    seen = seen_fraction(plan.scene, plan.camera, g, proper[near], y[near], reach)
+    visible = seen_fraction(plan.scene, plan.camera, g, proper[near], y[near], reach)
     guard_some(plan, g, x[near], y[near], observed[near], kept.source_id)
     light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
     if plan.camera.line_s:
@@ -87,8 +87,8 @@ def place_stars(
     if plan.extinction is not None:
         light = light * star_transmission(plan.extinction, g, observed[near])
     return FrameStars(
-        kept.source_id, x[near], y[near], light * seen, ra, dec, kept.g_mag, kept.colour_flag,
-        np.full(len(kept), catalogue, np.uint8), seen,
+        kept.source_id, x[near], y[near], light * visible, ra, dec, kept.g_mag, kept.colour_flag,
+        np.full(len(kept), catalogue, np.uint8), visible,
     )  # fmt: skip
 
 
@@ -110,7 +110,10 @@ def _setting_star(plan: Plan, g: Geometry, stars: FrameStars, index: int) -> Fra
     effects, middle = plan.scene.star_effects, g.middle
     observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     star = select(stars, [index])
-    proper = star_proper(from_angles(star.ra_rad, star.dec_rad), *observer, **effects)
+    proper = star_proper(
+        from_angles(star.ra_rad, star.dec_rad), *observer,
+        deflection=effects["deflection"], aberration=effects["aberration"],
+    )  # fmt: skip
     clear = stars_clear(plan.scene, plan.camera, g, proper, star.y_px)[0]
     x, y = star_offsets(plan.camera, g, star.x_px, star.y_px, effects["aberration"])[:, 0, 0]
     front = np.ones(g.nodes - 1, bool)

@@ -115,9 +115,9 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     centroid = np.array([_centroid(drawn.get(i)) for i in range(count)])
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     ends = np.stack([x[:, 0], y[:, 0], x[:, -1], y[:, -1]])
-    seen = targets_seen(g)
+    visible = targets_seen(g)
     for i, t in drawn.items():
-        if 0.0 < seen[i] < 1.0:
+        if 0.0 < visible[i] < 1.0:
             px, py = x[i, middle] + t.path.x_px, y[i, middle] + t.path.y_px
             ends[:, i] = px[0], py[0], px[-1], py[-1]
     with np.errstate(invalid="ignore"):
@@ -146,7 +146,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         "extended": np.array([i in drawn and drawn[i].body is not None for i in range(count)]),
         "snr": np.array(snr),
         "in_frame": inside,
-        **_hidden(plan, seen),
+        **_hidden(plan, visible),
     }
 
 

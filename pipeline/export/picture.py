@@ -116,7 +116,7 @@ def _mark_targets(picture: Image, product: Path, frame: int, factor: int) -> Non
         return
     import pyarrow.parquet as pq
 
-    shown = [("frame", "=", frame), ("in_frame", "=", True)]
+    shown: list[tuple[str, str, float]] = [("frame", "=", frame), ("in_frame", "=", True)]
     if "visible_fraction" in pq.read_schema(table).names:  # not in products of earlier versions
         shown.append(("visible_fraction", ">", 0.0))
     rows = pq.read_table(table, filters=shown)

@@ -17,8 +17,8 @@ from pipeline.physics.positions.limb import height_of_line_m, pole_at, zenith_of
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.positions.times import Instants
 from pipeline.plan.bodies import target_lights
-from pipeline.plan.body_sizes import radius_m
 from pipeline.plan.body_attitudes import View, needs_velocity
+from pipeline.plan.body_sizes import radius_m
 from pipeline.plan.orbits import Movers
 from pipeline.spec.mesh import MeshBody
 from pipeline.spec.observer import GroundObserver
@@ -92,9 +92,10 @@ def _check_ranges(scene: Scene, which: Sequence[int], range_m: Array) -> None:
         least = max(radius_m(scene.targets[i].body), LEAST_RANGE_M)
         if nearest > least:
             continue
-        where = "at one place with" if nearest < LEAST_RANGE_M else "inside of"
+        where, name = "at one place with", scene.targets[i].name
+        where = where if nearest < LEAST_RANGE_M else "inside of"
         raise BadInput(
-            f"targets.{i}", f"the observer {where} {scene.targets[i].name}, {nearest:.3g} m from it",
+            f"targets.{i}", f"the observer {where} {name}, {nearest:.3g} m from it",
             f"a target farther from it than its own radius ({least:.3g} m) at all times",
         )  # fmt: skip
 
@@ -177,7 +178,6 @@ def _tabled(scene: Scene, which: range, at: Moments, view: View) -> dict[int, Ar
 
 def _batches(count: int, moments: int) -> Iterator[range]:
     """Targets that are worked out together: so many that their arrays stay small."""
-    step = max(1, min(LEAST_RANGE_M = 0.01  # nearer than that a target is where the observer is
-TOGETHER, SAMPLES // max(1, moments)))
+    step = max(1, min(TOGETHER, SAMPLES // max(1, moments)))
     for first in range(0, count, step):
         yield range(first, min(first + step, count))

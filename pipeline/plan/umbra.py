@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.arrays import Array, Geometry
+from pipeline.arrays import Geometry
 from pipeline.physics.targets.umbra import umbra_fraction
 from pipeline.plan.bodies import target_lights
 from pipeline.plan.decision import Decision
@@ -13,6 +14,8 @@ from pipeline.plan.geometry import moments_at
 from pipeline.plan.target_paths import sights
 from pipeline.plan.timing import integration_s
 from pipeline.spec.scene import Scene
+
+Indices = NDArray[np.int64]
 
 MOST_NAMED = 5
 
@@ -52,7 +55,7 @@ def umbra_remarks(scene: Scene, ends: Geometry) -> list[str]:
 
 
 def _most_light(
-    scene: Scene, facts: Facts, ends: Geometry, which: Array, sun_rate_e_s_m2: float, dut1_s: float
+    scene: Scene, facts: Facts, ends: Geometry, which: Indices, sun_rate_e_s_m2: float, dut1_s: float
 ) -> tuple[float, float]:
     """Most electrons in an exposure, and of full sunlight, at mid-exposure of the frames."""
     bare = scene.model_copy(update={"targets": [
@@ -71,7 +74,7 @@ def _most_light(
     return float(electrons.max()), float(share.max())
 
 
-def _names(scene: Scene, which: Array) -> str:
+def _names(scene: Scene, which: Indices) -> str:
     shown = ", ".join(scene.targets[int(i)].name for i in which[:MOST_NAMED])
     left = len(which) - MOST_NAMED
     return shown + (f" and {left} more" if left > 0 else "")

@@ -93,7 +93,8 @@ def test_a_target_in_the_umbra_is_named_with_the_light_that_is_left_out():
     g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
     assert g.target_light[0].max() == 0.0
     phase, range_m = g.target_phase_rad[0, 0, 4], g.target_range_m[0, 0, 4]
-    intensity = float(sphere_intensity_per_irradiance(np.array(phase), np.array(1.0), np.array(0.3)))
+    sphere = np.array(phase), np.array(1.0), np.array(0.3)
+    intensity = float(sphere_intensity_per_irradiance(*sphere))
     full = intensity / range_m**2 * plan.sun_rate_e_s_m2 * plan.facts.area_m2 * 0.1
     assert found.bound == pytest.approx(1e-4 * full, rel=0.02)  # deep: what is scattered alone
     lit = planned([shown], pointing={"mode": "target", "target": "lit"})

@@ -1,4 +1,4 @@
-"""Sunlight in the umbra: the bound against rays through bending air, and against the eclipsed Moon."""
+"""Sunlight in the umbra: its bound against rays through bending air, and the eclipsed Moon."""
 
 from __future__ import annotations
 
