@@ -44,7 +44,8 @@ class FrameStars:
     x_px, y_px : place at mid-exposure; light_e : electrons in the exposure
     ra_rad, dec_rad : astrometric direction (space motion and parallax applied, no aberration), the
     coordinates of the product's WCS; catalogue : which of the scene's it is from, 0 the main one;
-    the rest as in StarTable
+    visible_fraction : of the exposure in which the Earth does not hide it; its light is what is
+    left; the rest as in StarTable
     """
 
     source_id: NDArray[np.int64]
@@ -56,6 +57,7 @@ class FrameStars:
     g_mag: Array
     colour_flag: NDArray[np.uint8]
     catalogue: NDArray[np.uint8]
+    visible_fraction: Array
 
     def __len__(self) -> int:
         return len(self.source_id)
@@ -72,6 +74,8 @@ class Geometry:
     target_x_px, target_y_px : (T, F, K); target_light : (T, F, K) in-band irradiance at the
         observer over the solar irradiance at 1 au (dimensionless)
     target_range_m, target_phase_rad, target_sunlit : (T, F, K)
+    target_clear : (T, F, K) positive where the Earth does not hide it: least height of the line of
+        sight above the ellipsoid [m]; of a site the sine of the apparent elevation
     target_direction : (T, F, 3) observed direction at mid-exposure: proper, and refracted
     target_pose : (M, F, 4, 3) of the M targets that are meshes, in their order: the directions of
         Sun, observer, +x and +y of the focal plane at mid-exposure, in the body's axes
@@ -96,6 +100,7 @@ class Geometry:
     target_range_m: Array
     target_phase_rad: Array
     target_sunlit: Array
+    target_clear: Array
     target_direction: Array
     target_pose: Array
     target_pose_s: Array

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
 from pipeline.inputs.curves import solar_spectrum
-from pipeline.inputs.earth_orientation import gather_dut1_s
-from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M
+from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
+from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.times import format_utc, parse_utc
 from pipeline.physics.radiometry import (
     ResponseCurve,
@@ -23,10 +23,9 @@ from pipeline.plan.bodies import target_lights
 from pipeline.plan.body_albedos import with_band_albedos
 from pipeline.plan.body_attitudes import View
 from pipeline.plan.geometry import moments_at
-from pipeline.plan.target_paths import Moments, sights
+from pipeline.plan.target_paths import Moments, clear_of_earth, sights
 from pipeline.plan.timing import end_s
 from pipeline.spec.mesh import MeshBody
-from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
@@ -42,7 +41,7 @@ class LightCurve:
     mag_ab : AB magnitude in the sensor's own band, above the air; inf where no light comes
     irradiance_e_s_m2 : electrons per second and square metre of pupil
     phase_rad, range_m, sunlit : phase angle, distance, share of the Sun not eclipsed
-    above_horizon : the site's horizon, or the Earth's body between target and observer
+    above_horizon : above the site's horizon (without refraction), or no Earth before the target
     """
 
     time_s: Array
@@ -83,12 +82,12 @@ def light_curve(
         raise BadInput("--points", points, f"2 to {MOST_POINTS}")
     wavelength, irradiance, _, _ = solar_spectrum()
     index = names.index(name)
-    scene = with_band_albedos(scene, wavelength, irradiance, response)
+    scene = with_band_albedos(with_pole(scene), wavelength, irradiance, response)
     epoch = parse_utc(scene.epoch)
     dut1_s, _ = gather_dut1_s(*epoch)
     time_s = np.linspace(start_s, stop_s, points)
     at = moments_at(scene, dut1_s, time_s)
-    times, earth, observer = at.times, at.earth, at.observer_m
+    times, earth = at.times, at.earth
     sight, view = sights(scene, [index], at)
     light, phase, sunlit = (
         value[0]
@@ -98,11 +97,11 @@ def light_curve(
             known=_worked_out(scene, index, at, view),
         )
     )  # fmt: skip
-    range_m, direction = sight.range_m[0], sight.direction_geometric[0]
+    range_m = sight.range_m[0]
     rate = light * band_photon_irradiance_sun(wavelength, irradiance, response)
     with np.errstate(divide="ignore"):
         magnitude = -2.5 * np.log10(rate / ab_photon_rate(0.0, response))
-    seen = _in_view(scene, observer, direction, range_m)
+    seen = clear_of_earth(scene, at, sight, sight.direction_proper)[0] > 0.0
     return LightCurve(time_s, times.utc1, times.utc2, magnitude, rate, phase, range_m, sunlit, seen)
 
 
@@ -115,15 +114,6 @@ def _worked_out(scene: Scene, index: int, at: Moments, view: View) -> dict[int, 
     start, stop = (float(t) for t in at.offset_s[[0, -1]])
     table = table_between(scene, index, at, start, stop, len(at.offset_s))
     return {} if table is None else {0: table.at(at.offset_s, table_phase(scene, index, view))}
-
-
-def _in_view(scene: Scene, observer_m: Array, direction: Array, range_m: Array) -> NDArray:
-    """True (n,) where no Earth stands between observer and target."""
-    toward = np.sum(observer_m * direction, axis=-1)  # rises where positive
-    if isinstance(scene.observer, GroundObserver):
-        return np.asarray(toward > 0.0)
-    nearest = np.clip(-toward, 0.0, range_m)[:, None] * direction + observer_m
-    return np.asarray(np.sum(nearest * nearest, axis=-1) > EARTH_EQUATORIAL_RADIUS_M**2)
 
 
 def write_light_curve(curve: LightCurve, name: str, table: Path, plot: Path | None) -> None:

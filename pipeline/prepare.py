@@ -21,7 +21,7 @@ from pipeline.inputs.catalogues import (
 from pipeline.inputs.colour_fit_files import colour_fit_of
 from pipeline.inputs.curves import resolve_response, solar_spectrum
 from pipeline.inputs.distortion import gather_distortion
-from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
 from pipeline.inputs.ephemerides import gather_ephemerides
 from pipeline.inputs.memory import free_mb
 from pipeline.inputs.pointing_tables import gather_pointing
@@ -52,11 +52,13 @@ from pipeline.plan.geometry import (
     sampled_frames,
 )
 from pipeline.plan.needs import Spent, check_memory
+from pipeline.plan.orbit_age import orbit_remarks
 from pipeline.plan.scene_plan import Plan, catalogue_cones, field_cones, make_plan, plan_dict
 from pipeline.plan.sky_doubts import sky_doubts
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import mesh_notices
 from pipeline.plan.timing import integration_range_s
+from pipeline.plan.umbra import umbra_remarks
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
@@ -100,6 +102,7 @@ class Prepared:
 
 def resolve(scene: Scene) -> Scene:
     """The scene with what its files of orbits and distortion say, and albedos over the band."""
+    scene = with_pole(scene)
     scene = _banded(gather_pointing(gather_ephemerides(gather_distortion(scene))))
     if any(target.body.kind == "mesh" for target in scene.targets):
         from pipeline.inputs.meshes import gather_meshes  # an optional extra: trimesh
@@ -159,6 +162,7 @@ def prepare(scene: Scene) -> Prepared:
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
     remarks += mesh_notices(scene)
+    remarks += orbit_remarks(scene, geometry, facts.ifov_rad) + umbra_remarks(scene, geometry)
     plan = make_plan(
         scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction,
         tuple(warnings),

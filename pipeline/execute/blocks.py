@@ -19,7 +19,9 @@ from pipeline.execute.sources import (
     drawing_order,
     excursion_px,
     place_targets,
+    setting_stars,
     streaks,
+    whole_stars,
     zone_of,
 )
 from pipeline.execute.tables import kernel_of, spectral_of, spectral_plan_of, streak_of
@@ -104,12 +106,13 @@ def around(stars: FrameStars, tile: Tile, reach: float) -> FrameStars:
 def render_block(plan: Plan, g: Geometry, place: Tile, parts: list[FrameStars]) -> Block:
     """Wings of all sources around a block, and its stars where they are many."""
     reach = plan.halo_px + excursion_px(plan, g)
-    stars = drawing_order(around(concatenate(parts, FrameStars), place, reach))
+    every = drawing_order(around(concatenate(parts, FrameStars), place, reach))
+    stars, setting = whole_stars(every), setting_stars(plan, g, every)
     targets = place_targets(plan, g) if plan.responses.spacing_px else []
-    brightest = float(stars.light_e.max(initial=0.0))
+    brightest = float(every.light_e.max(initial=0.0))
     brightest = max([brightest, *(t.light_e for t in targets)])
     paths = streaks(plan, g) if len(stars) else []
-    grid, star_wings, target_wings = _wings(plan, place, reach, stars, paths, targets)
+    grid, star_wings, target_wings = _wings(plan, place, reach, stars, paths, setting, targets)
     crowd, limit = _crowd(plan, place, stars, paths)
     return Block(place, grid, star_wings, target_wings, crowd, limit, brightest)
 
@@ -170,9 +173,13 @@ def _wings(
     reach: float,
     stars: FrameStars,
     paths: list[Streak],
+    setting: list[FrameTarget],
     targets: list[FrameTarget],
 ) -> tuple[WingGrid | None, Array | None, Array | None]:
-    """The wings' grid around a block, and the fields of its stars and of the targets."""
+    """The wings' grid around a block, and the fields of its stars and of the targets.
+
+    setting : stars with paths of their own
+    """
     r = plan.responses
     if not r.spacing_px:
         return None, None, None
@@ -181,14 +188,25 @@ def _wings(
     light = stars.light_e
     classes = class_of(plan, light)
     star_wings = _wing_field(plan, grid, stars.x_px, stars.y_px, light, classes, path)
-    points = [t for t in targets if t.body is None]
-    x, y, part, whole = _target_points(plan, points, grid)
-    target_wings = _wing_field(plan, grid, x, y, part, target_classes(plan, whole), None)
+    star_wings = _sum(star_wings, _point_field(plan, grid, setting))
+    target_wings = _point_field(plan, grid, [t for t in targets if t.body is None])
     for target in targets:
         if target.body is not None:
-            field = _body_field(plan, grid, target)
-            target_wings = field if target_wings is None else target_wings + field
+            target_wings = _sum(target_wings, _body_field(plan, grid, target))
     return grid, star_wings, target_wings
+
+
+def _sum(one: Array | None, other: Array | None) -> Array | None:
+    """Two fields together; None where there is neither."""
+    if one is None or other is None:
+        return other if one is None else one
+    return one + other
+
+
+def _point_field(plan: Plan, grid: WingGrid, points: list[FrameTarget]) -> Array | None:
+    """Grid values of the wings of points along paths of their own."""
+    x, y, part, whole = _target_points(plan, points, grid)
+    return _wing_field(plan, grid, x, y, part, target_classes(plan, whole), None)
 
 
 def _wing_field(

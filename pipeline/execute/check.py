@@ -19,6 +19,8 @@ from pipeline.execute.sources import (
     drawing_order,
     excursion_px,
     place_targets,
+    setting_stars,
+    whole_stars,
 )
 from pipeline.execute.tables import core_of, kernel_of
 from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
@@ -130,9 +132,11 @@ def reference(
     its brightness asks for and the wings on a grid of half the spacing: the sum of the phases of
     its spectrum, in float64. None where that would cost more than `most_terms`.
     """
-    near = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
+    every = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
+    near, setting = whole_stars(every), setting_stars(plan, g, every)
     targets = place_targets(plan, g)
-    points = [group for t in targets if t.body is None for group in _near_part(plan, at, t)]
+    every_point = [t for t in (*setting, *targets) if t.body is None]
+    points = [group for t in every_point for group in _near_part(plan, at, t)]
     followed = _star_groups(plan, g, at, near, own_paths)
     groups = [*followed, *points]
     work = list(_pieces(plan, at, groups))

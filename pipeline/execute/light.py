@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import Block, around, class_of, parts_of, target_class
 from pipeline.execute.guards import guard_light, guard_stars, inside_tile
-from pipeline.execute.sources import drawing_order, place_targets, streaks, zone_of
+from pipeline.execute.sources import (
+    FrameTarget,
+    drawing_order,
+    place_targets,
+    setting_stars,
+    streaks,
+    whole_stars,
+    zone_of,
+)
 from pipeline.execute.tables import core_of, still_core, swept_core, table_of
 from pipeline.physics.drawing.along import stamp_along
 from pipeline.physics.drawing.extended import draw_body
@@ -32,7 +40,8 @@ def draw_stars(
     paths = streaks(plan, g)
     reach, every = _core_reach(plan, paths), concatenate(parts, FrameStars)
     guard_stars(g, tile, every)
-    stars = drawing_order(around(every, tile, reach))
+    around_it = drawing_order(around(every, tile, reach))
+    stars = whole_stars(around_it)
     if not any(b.crowd_e is not None for b in blocks):
         _draw_stamps(plan, g, image, tile, paths, stars)
     else:
@@ -43,6 +52,8 @@ def draw_stars(
             _draw_stamps(plan, g, piece, part, paths, mine)
             if block.crowd_e is not None:
                 piece += _cut(block.crowd_e, block.place, part)
+    for star in setting_stars(plan, g, around_it):
+        _draw_point(plan, image, tile, star)
     cores_e = float(image.sum())
     for block in blocks:
         add_wings_of(image, tile, block, block.star_wings)
@@ -56,17 +67,14 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
     image = np.zeros((tile.rows, tile.columns))
     targets = place_targets(plan, g)
     for target in targets:
-        k = target_class(plan, target)
         if target.body is not None:
+            k = target_class(plan, target)
             place, radius = (target.y_px, target.x_px), plan.responses.classes[k].radius_px
             for blur, light in parts_of(plan, target.x_px, target.y_px, target.light_e):
                 core = core_of(blur, radius)
                 draw_body(image, (tile.y0, tile.x0), target.body, core, place, light, target.path)
             continue
-        near = _box(tile, plan.responses.classes[k].radius_px, target.x_px, target.y_px)
-        for x0, y0, piece, share in pieces(target.path, near=near):
-            x, y = target.x_px + x0, target.y_px + y0
-            draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
+        _draw_point(plan, image, tile, target)
     cores_e = float(image.sum())
     for block in blocks:
         add_wings_of(image, tile, block, block.target_wings)
@@ -75,6 +83,15 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
     inside = inside_tile(plan, tile, every[:, 0], every[:, 1], sweep)
     guard_light(plan, g, tile, "targets_e", image, cores_e, every[:, 2], inside)
     return image
+
+
+def _draw_point(plan: Plan, image: Array, tile: Tile, target: FrameTarget) -> None:
+    """A point of light along its own path."""
+    k = target_class(plan, target)
+    near = _box(tile, plan.responses.classes[k].radius_px, target.x_px, target.y_px)
+    for x0, y0, piece, share in pieces(target.path, near=near):
+        x, y = target.x_px + x0, target.y_px + y0
+        draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
 
 
 def _draw_stamps(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
 from pipeline.execute.guards import LOOKED_AT, guard_places
@@ -15,8 +16,11 @@ from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.targets.disc import Appearance, Sphere, photocentre_offset
-from pipeline.physics.vectors import to_angles
+from pipeline.physics.vectors import from_angles, to_angles
 from pipeline.plan.air import path_transmission, star_transmission
+from pipeline.plan.body_sizes import limb_px
+from pipeline.plan.occultation import seen_fraction, stars_clear, visible_path
+from pipeline.plan.own_paths import star_offsets
 from pipeline.plan.pupil import pupil_along, pupil_fraction
 from pipeline.plan.responses import point_curvature, point_slope
 from pipeline.plan.scene_plan import Plan
@@ -76,6 +80,7 @@ def place_stars(
         near &= distance_px(x, y, *frame) < reach
     ra, dec = to_angles(astrometric[near])
     kept = select(stars, near)
+    visible = seen_fraction(plan.scene, plan.camera, g, proper[near], y[near], reach)
     guard_some(plan, g, x[near], y[near], observed[near], kept.source_id)
     light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
     light = light * pupil_fraction(plan.scene, plan.camera, x[near], y[near])
@@ -84,9 +89,39 @@ def place_stars(
     if plan.extinction is not None:
         light = light * star_transmission(plan.extinction, g, observed[near])
     return FrameStars(
-        kept.source_id, x[near], y[near], light, ra, dec, kept.g_mag, kept.colour_flag,
-        np.full(len(kept), catalogue, np.uint8),
+        kept.source_id, x[near], y[near], light * visible, ra, dec, kept.g_mag, kept.colour_flag,
+        np.full(len(kept), catalogue, np.uint8), visible,
     )  # fmt: skip
+
+
+def whole_stars(stars: FrameStars) -> FrameStars:
+    """The stars that are seen during all of an exposure: most often all that there are."""
+    seen = stars.visible_fraction >= 1.0
+    return stars if seen.all() else select(stars, seen)
+
+
+def setting_stars(plan: Plan, g: Geometry, stars: FrameStars) -> list[FrameTarget]:
+    """The stars that the Earth hides for a part of the one exposure of `g`: points like targets,
+    each with its own path, where it is seen. Their index is that among `stars`."""
+    which = np.flatnonzero((stars.visible_fraction > 0.0) & (stars.visible_fraction < 1.0))
+    return [_setting_star(plan, g, stars, int(i)) for i in which]
+
+
+def _setting_star(plan: Plan, g: Geometry, stars: FrameStars, index: int) -> FrameTarget:
+    """One of them, worked out alone, so that it is the same whatever others a tile sees."""
+    effects, middle = plan.scene.star_effects, g.middle
+    observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
+    star = select(stars, [index])
+    proper = star_proper(
+        from_angles(star.ra_rad, star.dec_rad), *observer,
+        deflection=effects["deflection"], aberration=effects["aberration"],
+    )  # fmt: skip
+    clear = stars_clear(plan.scene, plan.camera, g, proper, star.y_px)[0]
+    x, y = star_offsets(plan.camera, g, star.x_px, star.y_px, effects["aberration"])[:, 0, 0]
+    front = np.ones(g.nodes - 1, bool)
+    path, _ = visible_path(x, y, np.ones(g.nodes), clear, front, MERGE_TOLERANCE_PX)
+    place = float(star.x_px[0]), float(star.y_px[0])
+    return FrameTarget(index, *place, path, float(star.light_e[0]))
 
 
 def guard_some(
@@ -171,16 +206,30 @@ def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[Fra
         light = light * pupil_along(plan.scene, plan.camera, g, x, y)
         if plan.extinction is not None:
             light = light * path_transmission(plan.extinction, plan.camera, g, x, y)
-        share = 0.5 * (light[:-1] + light[1:]) / (g.nodes - 1)
-        share = np.where(seen[:-1] & seen[1:], share, 0.0)
         nearest = _nearest(seen)
         x, y = x[nearest], y[nearest]
-        total = float(share.sum())
         x0, y0 = float(x[g.middle]), float(y[g.middle])
-        weight = share / total if total > 0 else np.full(g.nodes - 1, 1.0 / (g.nodes - 1))
-        path = path_through(x - x0, y - y0, weight, MERGE_TOLERANCE_PX)
+        lit = light, seen[:-1] & seen[1:], g.target_clear[i, 0]
+        path, total = _lit_path(x - x0, y - y0, *lit)
         out.append(_seen(plan, g, FrameTarget(i, x0, y0, path, total * electrons)))
     return out
+
+
+def _lit_path(
+    x_px: Array, y_px: Array, light: Array, front: NDArray[np.bool_], clear: Array
+) -> tuple[Path, float]:
+    """A target's path around its place at mid-exposure, and the mean of its light.
+
+    x_px, y_px, light : (K,) at the nodes; front : (K - 1,) where it is before the camera
+    clear : (K,) of the Earth; where that is far above zero nothing is cut
+    """
+    if clear.min() <= np.abs(np.diff(clear, 2)).max():
+        return visible_path(x_px, y_px, light, clear, front, MERGE_TOLERANCE_PX)
+    steps = len(light) - 1
+    share = np.where(front, 0.5 * (light[:-1] + light[1:]) / steps, 0.0)
+    total = float(share.sum())
+    weight = share / total if total > 0 else np.full(steps, 1.0 / steps)
+    return path_through(x_px, y_px, weight, MERGE_TOLERANCE_PX), total
 
 
 def _nearest(seen: np.ndarray) -> np.ndarray:
@@ -200,7 +249,7 @@ def reaching(plan: Plan, g: Geometry) -> list[int]:
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     size = np.array([_radius_m(t.body) for t in plan.scene.targets])
     with np.errstate(invalid="ignore", divide="ignore"):
-        radius = size / (g.target_range_m[:, 0].min(axis=-1) * plan.facts.ifov_rad)
+        radius = limb_px(size, g.target_range_m[:, 0].min(axis=-1), plan.facts.ifov_rad)
         margin = plan.halo_px + plan.responses.reach_core_px + radius
         low_x, high_x = np.fmin.reduce(x, axis=-1), np.fmax.reduce(x, axis=-1)  # NaN: behind
         low_y, high_y = np.fmin.reduce(y, axis=-1), np.fmax.reduce(y, axis=-1)
@@ -237,8 +286,8 @@ def _mesh_seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
     body: Any = targets[target.index].body
     number = sum(isinstance(t.body, MeshBody) for t in targets[: target.index])
     distance = float(g.target_range_m[target.index, 0, g.middle])
-    scale = 1.0 / (distance * plan.facts.ifov_rad)
-    radius = body.model.radius_m * scale
+    radius = float(limb_px(body.model.radius_m, distance, plan.facts.ifov_rad))
+    scale = radius / body.model.radius_m  # of the whole picture, as of its outermost point
     if radius < POINT_RADIUS_PX or target.light_e <= 0.0:
         return replace(target, radius_px=radius)
     blur = plan.responses.blur
@@ -264,7 +313,7 @@ def _seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
     if not isinstance(body, SphereBody):
         return target
     distance = float(g.target_range_m[target.index, 0, g.middle])
-    radius = 0.5 * body.diameter_m / (distance * plan.facts.ifov_rad)
+    radius = float(limb_px(0.5 * body.diameter_m, distance, plan.facts.ifov_rad))
     if radius < POINT_RADIUS_PX:
         return replace(target, radius_px=radius)
     phase = min(math.pi, max(0.0, float(g.target_phase_rad[target.index, 0, g.middle])))

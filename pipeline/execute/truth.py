@@ -13,6 +13,7 @@ from pipeline.execute.sources import (
     FrameTarget,
     place_targets,
     reaching,
+    setting_stars,
     streaks,
     zone_of,
 )
@@ -24,6 +25,7 @@ from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import stamp_at
 from pipeline.physics.vectors import to_angles
+from pipeline.plan.occultation import hidden_by, targets_seen
 from pipeline.plan.scene_plan import Plan
 
 Columns = dict[str, Any]
@@ -47,6 +49,15 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         x, y = stars.x_px[mine], stars.y_px[mine]
         ends[:, mine] = [*s.at(s.start, x, y), *s.at(s.end, x, y)]
         light[:, mine] = sum(p.share * np.array(s.at(p.centre, x, y)) for p in s.pieces)
+    snr = matched_snr(
+        plan, paths[len(paths) // 2].path, stars.light_e, stars.x_px, stars.y_px, int(g.frame[0])
+    )  # fmt: skip
+    light[:, stars.visible_fraction <= 0.0] = np.nan
+    for star in setting_stars(plan, g, stars):
+        i, path = star.index, star.path
+        ends[:, i] = path.x_px[0], path.y_px[0], path.x_px[-1], path.y_px[-1]
+        light[:, i] = np.array(_centroid(star)) - (star.x_px, star.y_px)
+        snr[i] = _snr_of(plan, star, int(g.frame[0]))
     rows, columns = plan.camera.rows, plan.camera.columns
     inside = (np.abs(stars.x_px - (columns - 1) / 2) <= columns / 2) & (
         np.abs(stars.y_px - (rows - 1) / 2) <= rows / 2
@@ -66,17 +77,23 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "dec_deg": np.degrees(stars.dec_rad),
         "g_mag": stars.g_mag,
         "electrons": collected_e(plan, stars.light_e),
-        "snr": matched_snr(
-            plan,
-            paths[len(paths) // 2].path,
-            stars.light_e,
-            stars.x_px,
-            stars.y_px,
-            int(g.frame[0]),
-        ),
+        "snr": snr,
         "colour_flag": stars.colour_flag,
         "in_frame": inside,
         "catalogue": stars.catalogue,
+        **_hidden(plan, stars.visible_fraction),
+    }
+
+
+def _hidden(plan: Plan, seen: Array) -> Columns:
+    """Columns of what the Earth hides: what stands before sources (n,), and how much is seen."""
+    import pyarrow as pa
+
+    index = pa.array(np.zeros(len(seen), np.int8), mask=seen >= 1.0)
+    names = pa.array([hidden_by(plan.scene)])
+    return {
+        "hidden_by": pa.DictionaryArray.from_arrays(index, names),
+        "visible_fraction": seen.astype(np.float32),
     }
 
 
@@ -96,7 +113,9 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     x_px, y_px is the body's centre at mid-exposure, x_light_px, y_light_px the centroid of its
     light over the exposure (NaN where none is drawn): they differ where a body of visible size is
     lit from a side, and where it brightens, turns or bends while it is exposed. snr is that of all
-    its light, as if the focal plane had no end; 0 where none of it can reach the frame.
+    its light, as if the focal plane had no end; 0 where none of it can reach the frame. hidden_by
+    and visible_fraction as of stars; the path of one that the Earth hides for a part of the exposure
+    begins and ends where it is seen.
     """
     middle, count = g.middle, len(plan.scene.targets)
     drawn = {t.index: t for t in place_targets(plan, g, everywhere=True)}
@@ -114,6 +133,12 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     ]
     centroid = np.array([_centroid(drawn.get(i)) for i in range(count)])
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
+    ends = np.stack([x[:, 0], y[:, 0], x[:, -1], y[:, -1]])
+    visible = targets_seen(g)
+    for i, t in drawn.items():
+        if 0.0 < visible[i] < 1.0:
+            px, py = x[i, middle] + t.path.x_px, y[i, middle] + t.path.y_px
+            ends[:, i] = px[0], py[0], px[-1], py[-1]
     with np.errstate(invalid="ignore"):
         inside = np.abs(x[:, middle] - (plan.camera.columns - 1) / 2) <= plan.camera.columns / 2
         inside &= np.abs(y[:, middle] - (plan.camera.rows - 1) / 2) <= plan.camera.rows / 2
@@ -122,10 +147,10 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         "name": [t.name for t in plan.scene.targets],
         "x_px": x[:, middle],
         "y_px": y[:, middle],
-        "x_start_px": x[:, 0],
-        "y_start_px": y[:, 0],
-        "x_end_px": x[:, -1],
-        "y_end_px": y[:, -1],
+        "x_start_px": ends[0],
+        "y_start_px": ends[1],
+        "x_end_px": ends[2],
+        "y_end_px": ends[3],
         "x_light_px": centroid[:, 0],
         "y_light_px": centroid[:, 1],
         "ra_deg": np.degrees(ra),
@@ -140,6 +165,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         "extended": np.array([i in drawn and drawn[i].body is not None for i in range(count)]),
         "snr": np.array(snr),
         "in_frame": inside,
+        **_hidden(plan, visible),
     }
 
 

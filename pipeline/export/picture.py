@@ -108,7 +108,7 @@ def png_bytes(picture: Image) -> bytes:
 
 
 def _mark_targets(picture: Image, product: Path, frame: int, factor: int) -> None:
-    """Green circles round the targets in view."""
+    """Green circles round the targets in view that the Earth does not hide."""
     from PIL import ImageDraw
 
     table = product / TRUTH / "targets.parquet"
@@ -116,7 +116,10 @@ def _mark_targets(picture: Image, product: Path, frame: int, factor: int) -> Non
         return
     import pyarrow.parquet as pq
 
-    rows = pq.read_table(table, filters=[("frame", "=", frame), ("in_frame", "=", True)])
+    shown: list[tuple[str, str, float]] = [("frame", "=", frame), ("in_frame", "=", True)]
+    if "visible_fraction" in pq.read_schema(table).names:  # not in products of earlier versions
+        shown.append(("visible_fraction", ">", 0.0))
+    rows = pq.read_table(table, filters=shown)
     draw = ImageDraw.Draw(picture)
     for x, y, name in zip(*(rows[c].to_pylist() for c in ("x_px", "y_px", "name")), strict=True):
         cx, cy = (x + 0.5) / factor, picture.height - (y + 0.5) / factor

@@ -15,10 +15,10 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
-from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.earth_orientation import gather_dut1_s, gather_pole_arcsec
 from pipeline.inputs.ephemeris_files import Ephemeris, read_ephemeris
 from pipeline.inputs.omm_files import read_omm
-from pipeline.physics.constants import EARTH_ROTATION_RAD_S
+from pipeline.physics.constants import ARCSEC_RAD, EARTH_ROTATION_RAD_S
 from pipeline.physics.positions.earth import teme_to_gcrs
 from pipeline.physics.positions.orbit_table import best_nodes
 from pipeline.physics.positions.times import elapsed_s, format_utc, instants, parse_utc
@@ -153,7 +153,7 @@ def to_gcrs(table: Ephemeris, keep: slice) -> tuple[Array, Array | None]:
         share = offsets / float(offsets[-1])
         drift_s = gather_dut1_s(*end)[0] - gather_dut1_s(*start)[0]
         drift_s -= round(drift_s)  # a leap second in between
-        poles = np.array([gather_pole_rad(*start), gather_pole_rad(*end)])
+        poles = ARCSEC_RAD * np.array([gather_pole_arcsec(*t) or (0.0, 0.0) for t in (start, end)])
         x_rad, y_rad = poles[0][:, None] + share * (poles[1] - poles[0])[:, None]
         ut12 = at.ut12 + drift_s * share / 86_400.0
         fixed = era.c2t06a(at.tt1, at.tt2, at.ut11, ut12, x_rad, y_rad)
@@ -163,31 +163,6 @@ def to_gcrs(table: Ephemeris, keep: slice) -> tuple[Array, Array | None]:
             speed = speed + np.cross(spin, place)
     moved = np.einsum("nij,nj->ni", turn, place)
     return moved, None if speed is None else np.einsum("nij,nj->ni", turn, speed)
-
-
-def gather_pole_rad(utc1: float, utc2: float) -> tuple[float, float]:
-    """The pole's coordinates x, y [rad] of IERS finals2000A at a UTC date; 0 where it has none.
-
-    Columns of finals2000A (IERS readme.finals2000A): 8-15 MJD, 19-27 and 38-46 Bulletin A's x and y
-    [arcsec], 135-144 and 145-154 Bulletin B's; interpolated between midnights.
-    """
-    from astropy_iers_data import IERS_A_FILE
-
-    mjd = (utc1 - 2_400_000.5) + utc2
-    days = (str(int(mjd)), str(int(mjd) + 1))
-    found: dict[str, Array] = {}
-    with Path(IERS_A_FILE).open() as lines:
-        for line in lines:
-            if line[7:12] in days:
-                final = line[134:144].strip(), line[144:154].strip()
-                rapid = line[18:27].strip(), line[37:46].strip()
-                pair = final if all(final) else rapid
-                if all(pair):
-                    found[line[7:12]] = np.radians(np.array(pair, dtype=np.float64) / 3600.0)
-    if len(found) < 2:
-        return 0.0, 0.0
-    x, y = found[days[0]] + (mjd - int(mjd)) * (found[days[1]] - found[days[0]])
-    return float(x), float(y)
 
 
 def _utc(table: Ephemeris, i: int) -> str:

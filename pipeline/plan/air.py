@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
 from pipeline.errors import BadInput
-from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.motion.pointing import proper_attitude
-from pipeline.physics.positions.earth import gcrs_to_itrs
 from pipeline.physics.positions.focal_plane import Camera, deproject
 from pipeline.physics.positions.refraction import (
     refract,
@@ -21,7 +19,7 @@ from pipeline.physics.positions.refraction import (
     unrefract,
 )
 from pipeline.physics.positions.times import Instants
-from pipeline.physics.vectors import from_angles
+from pipeline.plan.site import axes_of
 from pipeline.spec.atmosphere import Refraction
 from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
@@ -53,8 +51,7 @@ def air_of(scene: Scene, times: Instants) -> Array | None:
     if not needs_air(scene):
         return None
     assert isinstance(o, GroundObserver)
-    up = from_angles(np.array(o.longitude_deg * DEG_RAD), np.array(o.latitude_deg * DEG_RAD))
-    zenith = np.einsum("nji,j->ni", gcrs_to_itrs(times), up)
+    zenith = axes_of(o, times)[:, 2]
     terms = terms_of(scene)
     return np.concatenate([zenith, np.broadcast_to(terms, (len(zenith), 2))], axis=1)
 

@@ -13,7 +13,6 @@ from pipeline.arrays import Geometry, Refined
 from pipeline.errors import BadInput
 from pipeline.physics.constants import (
     ASTRONOMICAL_UNIT_M,
-    DEG_RAD,
     EARTH_EQUATORIAL_RADIUS_M,
     JULIAN_YEAR_DAYS,
     SPEED_OF_LIGHT_M_S,
@@ -22,7 +21,7 @@ from pipeline.physics.motion.disturbance import turned
 from pipeline.physics.positions.apparent import (
     TargetSight,
 )
-from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_state
+from pipeline.physics.positions.earth import EarthState, earth_and_sun
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.positions.orbit import check_above_earth
 from pipeline.physics.positions.times import Instants, instants, parse_utc
@@ -33,6 +32,7 @@ from pipeline.plan.bodies import flicker_shares
 from pipeline.plan.orbits import orbit_states
 from pipeline.plan.paths import LONGEST_STREAK_PX, bends_px, check_paths, near_frame
 from pipeline.plan.pointing import Vantage, attitudes, pointing_field, swept_rad
+from pipeline.plan.site import place_of
 from pipeline.plan.star_paths import field_points, star_paths
 from pipeline.plan.target_paths import Moments, sights, target_paths
 from pipeline.plan.timing import (
@@ -237,17 +237,19 @@ def _geometry(
     grid, grid3 = offset.shape, (*offset.shape, 3)
     each = (len(scene.targets), *grid)
     x, y, light = t.x_px.reshape(each), t.y_px.reshape(each), t.light.reshape(each)
+    clear = t.clear.reshape(each)
     if camera.line_s:
-        from pipeline.physics.motion.rolling import rolled_light
+        from pipeline.physics.motion.rolling import rolled_sources
 
-        x, y, light = rolled_light(x, y, light, since, camera.line_s, camera.rows)
+        seen = x, y, light, clear
+        x, y, light, clear = rolled_sources(*seen, since, camera.line_s, camera.rows)
     return Geometry(
         frames, offset, times.tt1.reshape(grid), times.tt2.reshape(grid),
         times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
         velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
         x, y - camera.charge_px_s * (since - since[:, [nodes // 2]]), light,
         t.range_m.reshape(each), t.phase_rad.reshape(each),
-        t.sunlit.reshape(each), t.direction, t.pose, t.pose_s, t.turn_rad,
+        t.sunlit.reshape(each), clear, t.direction, t.pose, t.pose_s, t.turn_rad,
         np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )  # fmt: skip
 
@@ -323,9 +325,7 @@ def _observer(
     """Geocentric place and barycentric velocity of the observer: (n, 3) each."""
     o = scene.observer
     if isinstance(o, GroundObserver):
-        place, speed = site_state(
-            o.latitude_deg * DEG_RAD, o.longitude_deg * DEG_RAD, o.height_m, times
-        )
+        place, speed = place_of(o, times)
     elif isinstance(o, FixedObserver):
         fixed = np.array(o.position_au) * ASTRONOMICAL_UNIT_M
         velocity = np.array(o.velocity_m_s)

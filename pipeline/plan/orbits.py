@@ -136,6 +136,13 @@ def _satellite(orbit: TleOrbit | OmmOrbit, field: str) -> Satrec:
     return mean_satellite(orbit.elements.model_dump(), f"{field}.elements")
 
 
+def elements_epoch(orbit: TleOrbit | OmmOrbit) -> tuple[tuple[float, float], float]:
+    """Two-part UTC date of mean elements, and revolutions a day."""
+    satellite = _satellite(orbit, "orbit")
+    rev_day = satellite.no_kozai * 1440.0 / (2.0 * math.pi)
+    return (satellite.jdsatepoch, satellite.jdsatepochF), rev_day
+
+
 def _label(orbit: TleOrbit | OmmOrbit) -> str:
     if isinstance(orbit, TleOrbit):
         return orbit.line1.rstrip()

@@ -28,9 +28,9 @@ from pipeline.physics.motion.pointing import (
     proper_attitude,
 )
 from pipeline.physics.positions.apparent import TargetSight, proper_to_astrometric, star_proper
-from pipeline.physics.positions.earth import site_axes
 from pipeline.physics.positions.times import Instants, elapsed_s, parse_utc
 from pipeline.physics.vectors import from_angles, unit
+from pipeline.plan.site import axes_of
 from pipeline.plan.timing import DwellPlan, dwell_plans
 from pipeline.spec.observer import FixedObserver, GroundObserver
 from pipeline.spec.pointing import (
@@ -189,7 +189,7 @@ def _local(scene: Scene, plan: DwellPlan, p: LocalPointing, m: Vantage) -> Array
         allowed = "a ground site or an orbit as observer for mode local"
         raise BadInput(pointing_field(plan, "mode"), "local", allowed)
     if isinstance(o, GroundObserver):
-        axes = site_axes(o.latitude_deg * DEG_RAD, o.longitude_deg * DEG_RAD, m.times)
+        axes = axes_of(o, m.times)
     else:
         up = unit(m.place_m)
         along = m.speed_m_s - np.sum(m.speed_m_s * up, axis=-1, keepdims=True) * up

@@ -34,6 +34,7 @@ from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import decide_targets
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
 from pipeline.plan.timing import frame_count, integration_range_s, integration_s
+from pipeline.plan.umbra import decide_umbra
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -118,10 +119,11 @@ def make_plan(
     camera = camera_of(scene)
     responses = plan_responses(scene, facts, camera, ends)
     decisions = (
-        *decide(scene, facts, responses), *decide_occultation(scene, responses, ends),
+        *decide(scene, facts, responses),
+        *decide_occultation(scene, camera, responses.reach_px, ends),
         *decide_targets(scene, facts, ends, responses.blur),
-        *decide_pupil(scene, ends), *decide_air(scene, facts, ends, extinction),
-        *(sky.decisions if sky else ()),
+        *decide_umbra(scene, facts, ends, sun_rate_e_s_m2, dut1_s), *decide_pupil(scene, ends),
+        *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends, dut1_s),
         *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
     )  # fmt: skip

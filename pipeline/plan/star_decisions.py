@@ -23,6 +23,7 @@ USUAL_M_S = 38e3  # the Earth's speed and a low satellite's
 FARTHEST_AU = 1.02  # of the Earth and what orbits it
 COOLEST_K = 2500.0
 POLE_ARCSEC = 0.65  # farthest of the pole in the series since 1962 (IERS EOP C04): 0.62
+POLE_DRIFT_ARCSEC = 0.08  # in two weeks, or of predictions of a year (IERS Bulletin A)
 EARTH_RADIUS_M = 6.378e6
 
 
@@ -46,21 +47,37 @@ def decide_star_effects(scene: Scene, facts: Facts) -> list[Decision]:
             )
         )  # fmt: skip
     if isinstance(scene.observer, GroundObserver):
-        moved_m = POLE_ARCSEC * ARCSEC_RAD * EARTH_RADIUS_M
         out += [
             Decision(
                 "precession_nutation", True,
                 "IAU 2006/2000A turns the site into the stars' frame; the stars of an image whose "
                 "boresight is given in ICRS do not move by it",
             ),
-            Decision(
-                "polar_motion", False,
-                f"up to {POLE_ARCSEC:g} arcsec of the site's place ({moved_m:.0f} m): it moves no "
-                f"star, and a satellite at 1000 km by {moved_m / 1e6 / ARCSEC_RAD:.1g} arcsec",
-                bound=moved_m, unit="m",
-            ),
+            _polar_motion(scene.observer.polar_motion_arcsec),
         ]  # fmt: skip
     return out
+
+
+def _polar_motion(pole_arcsec: tuple[float, float] | None) -> Decision:
+    """Where the pole is taken to be, and what that leaves out of a site's place."""
+    off = POLE_ARCSEC if pole_arcsec is None else POLE_DRIFT_ARCSEC
+    moved_m = off * ARCSEC_RAD * EARTH_RADIUS_M
+    near = f"a satellite at 1000 km by {moved_m / 1e6 / ARCSEC_RAD:.1g} arcsec"
+    if pole_arcsec is None:
+        return Decision(
+            "polar_motion", False,
+            "no table of the Earth's rotation covers the epoch: the pole is taken at the origin, "
+            f"up to {off:g} arcsec off ({moved_m:.0f} m of the site's place): it moves no star, "
+            f"and {near}", bound=moved_m, unit="m",
+        )  # fmt: skip
+    x, y = pole_arcsec
+    return Decision(
+        "polar_motion", True,
+        f"the pole at x = {x:.4f}, y = {y:.4f} arcsec, that of the epoch, in all frames: it moves "
+        f"by up to 6 mas a day, so that in two weeks, or where it is a prediction of a year, it is "
+        f"up to {off:g} arcsec off: {moved_m:.2g} m of the site's place, {near}",
+        bound=moved_m, unit="m",
+    )  # fmt: skip
 
 
 def doppler_share(speed_m_s: float, mean_m: float) -> float:

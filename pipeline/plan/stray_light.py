@@ -106,7 +106,8 @@ def _sun(inputs: StrayInputs, place: Array, sun: Array) -> _Body:
     distance = float(np.sqrt(to_sun @ to_sun))
     lit = float(sunlit_fraction(place[None], sun)[0])
     rate = inputs.sun_rate * lit * (ASTRONOMICAL_UNIT_M / distance) ** 2
-    return _Body(to_sun / distance, SUN_RADIUS_M / distance, rate)
+    radius = float(np.arcsin(min(1.0, SUN_RADIUS_M / distance)))
+    return _Body(to_sun / distance, radius, rate)
 
 
 def _moon(inputs: StrayInputs, place: Array, sun: Array, moon: Array) -> _Body:
@@ -116,7 +117,7 @@ def _moon(inputs: StrayInputs, place: Array, sun: Array, moon: Array) -> _Body:
     # The Earth before the Moon's disc, and its shadow on the Moon.
     lit = _seen_past_earth(place, to_moon, MOON_RADIUS_M)
     lit *= float(sunlit_past_earth(moon[None], sun)[0])
-    radius = MOON_RADIUS_M / distance
+    radius = float(np.arcsin(min(1.0, MOON_RADIUS_M / distance)))
     return _Body(to_moon / distance, radius, float(share) * inputs.moon_rate * lit)
 
 
@@ -127,7 +128,7 @@ def _seen_past_earth(place: Array, to_body: Array, radius_m: float) -> float:
     range_m = float(np.sqrt(to_body @ to_body))
     if range_m < distance:
         return 1.0  # nearer than the Earth
-    radius = radius_m / range_m
+    radius = float(np.arcsin(min(1.0, radius_m / range_m)))
     above = float(separation(to_body, -place)) - limb
     return float(np.clip(0.5 + 0.5 * above / radius, 0.0, 1.0))
 

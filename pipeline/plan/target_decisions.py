@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from pipeline.arrays import Geometry
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.bodies import flicker_share
+from pipeline.plan.body_sizes import limb_px, radius_m
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.paths import near_frame
@@ -178,26 +178,9 @@ def _largest_px(scene: Scene, facts: Facts, ends: Geometry) -> float:
     """Radius [px] of the largest simple shape, or part of one, in the frames looked at."""
     drawn = (SphereBody, MeshBody)
     which = [i for i, t in enumerate(scene.targets) if not isinstance(t.body, drawn)]
-    size_m = np.array([_radius_m(scene.targets[i].body) for i in which])
+    size_m = np.array([radius_m(scene.targets[i].body) for i in which])
     nearest_m = ends.target_range_m[which].min(axis=(1, 2))
-    return float((size_m / (nearest_m * facts.ifov_rad)).max(initial=0.0))
-
-
-def _radius_m(body: Any) -> float:
-    """Radius about its middle of a simple shape; 0 of a light curve."""
-    if isinstance(body, CompositeBody):
-        return max(_radius_m(part) for part in body.parts)
-    if body.kind == "sphere":
-        return 0.5 * float(body.diameter_m)
-    if body.kind == "plate":
-        return math.sqrt(0.5 * body.area_m2)  # a square's
-    if body.kind in ("box", "cube"):
-        sides = body.size_m if body.kind == "box" else 3 * (body.edge_m,)
-        return 0.5 * math.hypot(*sides)
-    if body.kind == "light_curve":
-        return 0.0
-    wide = getattr(body, "diameter_m", 0.0) or max(body.base_diameter_m, body.top_diameter_m)
-    return 0.5 * math.hypot(wide, body.length_m)
+    return float(limb_px(size_m, nearest_m, facts.ifov_rad).max(initial=0.0))
 
 
 def _mesh(target: Target) -> Any:
@@ -208,9 +191,9 @@ def _mesh(target: Target) -> Any:
 def _resolved_meshes(scene: Scene, facts: Facts, ends: Geometry) -> Decision:
     """How meshes are drawn, and what their turning in an exposure is worth."""
     which = [i for i, t in enumerate(scene.targets) if isinstance(t.body, MeshBody)]
-    radius_m = np.array([_mesh(scene.targets[i]).radius_m for i in which])
+    size_m = np.array([_mesh(scene.targets[i]).radius_m for i in which])
     distance = ends.target_range_m[which]
-    radius_px = radius_m[:, None] / (distance.min(axis=-1) * facts.ifov_rad)
+    radius_px = limb_px(size_m[:, None], distance.min(axis=-1), facts.ifov_rad)
     turned = float((radius_px * ends.target_turn_rad).max(initial=0.0))
     grown = float((np.ptp(distance, axis=-1) / distance.min(axis=-1) * radius_px).max(initial=0.0))
     return Decision(

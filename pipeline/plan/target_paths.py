@@ -8,19 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import BadInput
+from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.apparent import TargetSight, apparent_sun_m, target_apparent
 from pipeline.physics.positions.earth import EarthState
 from pipeline.physics.positions.focal_plane import Camera, project
+from pipeline.physics.positions.limb import height_of_line_m, pole_at, zenith_of
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.positions.times import Instants
 from pipeline.plan.bodies import target_lights
 from pipeline.plan.body_attitudes import View, needs_velocity
+from pipeline.plan.body_sizes import radius_m
 from pipeline.plan.orbits import Movers
 from pipeline.spec.mesh import MeshBody
+from pipeline.spec.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
 
+LEAST_RANGE_M = 0.01  # nearer than that a target is where the observer is
 TOGETHER, SAMPLES = 1000, 200_000  # targets, and their moments, that are worked out in one go
 
 
@@ -45,8 +51,9 @@ class Moments:
 @dataclass(frozen=True)
 class TargetPaths:
     """Of T targets at n moments (T, n): pixels, light over the Sun's at 1 au, phase [rad], sunlit
-    share, range [m]; direction (T, F, 3), proper, at mid-exposure of F frames; and of M meshes
-    pose (M, F, 4, 3), pose_s and turn_rad (M, F), as in `Geometry`."""
+    share, range [m], how clear of the Earth (`Geometry.target_clear`); direction (T, F, 3), proper,
+    at mid-exposure of F frames; and of M meshes pose (M, F, 4, 3), pose_s and turn_rad (M, F), as
+    in `Geometry`."""
 
     x_px: Array
     y_px: Array
@@ -54,6 +61,7 @@ class TargetPaths:
     phase_rad: Array
     sunlit: Array
     range_m: Array
+    clear: Array
     direction: Array
     pose: Array
     pose_s: Array
@@ -70,11 +78,26 @@ def sights(scene: Scene, which: Sequence[int], at: Moments) -> tuple[TargetSight
     seen = target_apparent(
         lambda at_s: movers.states(at_s)[0], at.observer_m, at.observer_m_s, at.earth, offsets
     )
+    _check_ranges(scene, which, seen.range_m)
     at_s, place = offsets - seen.light_time_s, seen.target_geocentric_m
     moves = [needs_velocity(t.body) for t in targets]
     speed = movers.states(at_s)[1] if any(moves) else np.zeros_like(place)
     sun = np.broadcast_to(apparent_sun_m(at.earth), place.shape)
     return seen, View(at_s, place, speed, sun, np.broadcast_to(at.observer_m, place.shape))
+
+
+def _check_ranges(scene: Scene, which: Sequence[int], range_m: Array) -> None:
+    """Refuse an observer inside of a target, or at its place. range_m : (m, n)"""
+    for i, nearest in zip(which, range_m.min(axis=-1), strict=True):
+        least = max(radius_m(scene.targets[i].body), LEAST_RANGE_M)
+        if nearest > least:
+            continue
+        where, name = "at one place with", scene.targets[i].name
+        where = where if nearest < LEAST_RANGE_M else "inside of"
+        raise BadInput(
+            f"targets.{i}", f"the observer {where} {name}, {nearest:.3g} m from it",
+            f"a target farther from it than its own radius ({least:.3g} m) at all times",
+        )  # fmt: skip
 
 
 def target_paths(
@@ -93,7 +116,7 @@ def target_paths(
     count, moments = len(scene.targets), len(at.offset_s)
     nodes = moments // frames
     middles = np.arange(frames) * nodes + nodes // 2
-    six = np.zeros((6, count, moments))
+    seven = np.zeros((7, count, moments))
     direction = np.zeros((count, frames, 3))
     poses: list[tuple[Array, Array, Array]] = []
     by_row = np.moveaxis(attitude, 0, -1)  # (3, 3, n): rows of numbers, one for each moment
@@ -106,7 +129,8 @@ def target_paths(
             (at.times.tt1, at.times.tt2), seen.range_m, frames, _tabled(scene, which, at, view),
         )  # fmt: skip
         observed = refract(seen.direction_proper, air)
-        six[:, some] = *project(camera, by_row, observed), *light, seen.range_m
+        clear = clear_of_earth(scene, at, seen, observed)
+        seven[:, some] = *project(camera, by_row, observed), *light, seen.range_m, clear
         direction[some] = observed[:, middles]
         for k, i in enumerate(which):
             body = scene.targets[i].body
@@ -117,12 +141,25 @@ def target_paths(
                 pose, turn = mesh_poses(body, at.epoch, one, attitude, names[k])
                 turn = turn.reshape(frames, nodes)
                 poses.append((pose[middles], one.time_s[0, middles], turn[:, -1] - turn[:, 0]))
-    x, y, bright, phase, lit, distance = six
+    x, y, bright, phase, lit, distance, clear = seven
     if not poses:
         poses_, pose_s, turned = np.zeros((0, frames, 4, 3)), *np.zeros((2, 0, frames))
     else:
         poses_, pose_s, turned = (np.stack(column) for column in zip(*poses, strict=True))
-    return TargetPaths(x, y, bright, phase, lit, distance, direction, poses_, pose_s, turned)
+    return TargetPaths(x, y, bright, phase, lit, distance, clear, direction, poses_, pose_s, turned)
+
+
+def clear_of_earth(scene: Scene, at: Moments, seen: TargetSight, observed: Array) -> Array:
+    """How clear of the Earth targets (m, n) are: positive where they are seen.
+
+    From space the least height [m] of the line of sight above the ellipsoid, of a site the sine of
+    the apparent elevation. observed : (m, n, 3) apparent directions
+    """
+    pole = pole_at(at.epoch)
+    if isinstance(scene.observer, GroundObserver):
+        up = zenith_of(at.observer_m, pole, scene.observer.latitude_deg * DEG_RAD)
+        return np.asarray(np.sum(observed * up, axis=-1))
+    return height_of_line_m(at.observer_m, seen.direction_geometric, pole, seen.range_m)
 
 
 def _tabled(scene: Scene, which: range, at: Moments, view: View) -> dict[int, Array]:

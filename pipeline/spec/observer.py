@@ -10,6 +10,8 @@ from pipeline.spec.atmosphere import Atmosphere
 from pipeline.spec.orbit import Orbit, Speed
 from pipeline.spec.strict import Strict
 
+PoleOffset = Annotated[float, Field(ge=-2.0, le=2.0)]
+
 
 class GroundObserver(Strict):
     """A geodetic site (WGS 84)."""
@@ -18,6 +20,9 @@ class GroundObserver(Strict):
     latitude_deg: float = Field(ge=-90, le=90)
     longitude_deg: float = Field(ge=-360, le=360, description="east positive")
     height_m: float = Field(0.0, ge=-500, le=100_000)
+    polar_motion_arcsec: tuple[PoleOffset, PoleOffset] | None = Field(
+        None, description="x, y of the pole; absent: of the IERS tables at the epoch"
+    )
     atmosphere: Atmosphere | None = Field(None, description="absent: none is in the way")
 
 

@@ -54,7 +54,7 @@ def field(x: np.ndarray, y: np.ndarray, light: np.ndarray) -> FrameStars:
     n, nothing = len(x), np.zeros(len(x))
     return FrameStars(
         np.arange(n), x, y, light, nothing, nothing, nothing, np.zeros(n, np.uint8),
-        np.zeros(n, np.uint8),
+        np.zeros(n, np.uint8), np.ones(n),
     )  # fmt: skip
 
 

@@ -90,7 +90,7 @@ def stars_at(x, y, light):
     x, y, light = (np.asarray(v, float) for v in (x, y, light))
     zero = np.zeros(n)
     return FrameStars(np.arange(n), x, y, light, zero, zero, zero, np.zeros(n, np.uint8),
-                      np.zeros(n, np.uint8))  # fmt: skip
+                      np.zeros(n, np.uint8), np.ones(n))  # fmt: skip
 
 
 def drawn(planned, stars, tile=None):

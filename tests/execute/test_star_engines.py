@@ -91,7 +91,7 @@ def test_every_engine_gives_the_same_light(light):
     nothing = np.zeros(len(x))
     stars = FrameStars(
         np.arange(len(x)), x, y, nothing + light, nothing, nothing, nothing,
-        np.zeros(len(x), np.uint8), np.zeros(len(x), np.uint8),
+        np.zeros(len(x), np.uint8), np.zeros(len(x), np.uint8), np.ones(len(x)),
     )  # fmt: skip
     tile = Tile(0, 0, 0, 0, SIDE, SIDE)
 

@@ -70,12 +70,13 @@ def exposed_longer(delay_s: Array, time_s: Array) -> Array:
     return np.asarray(1.0 + (delay_s[..., -1] - delay_s[..., 0]) / _took(time_s)[..., 0])
 
 
-def rolled_light(
-    x_px: Array, y_px: Array, light: Array, time_s: Array, line_s: float, rows: int
-) -> tuple[Array, Array, Array]:
-    """Paths and light (..., K) of sources as the rows of a rolling shutter see them; see `rolled`.
+def rolled_sources(
+    x_px: Array, y_px: Array, light: Array, clear: Array, time_s: Array, line_s: float, rows: int
+) -> tuple[Array, Array, Array, Array]:
+    """Paths, light and clearance (..., K) of sources as the rows of a rolling shutter see them.
 
-    The light is that of the later moment, straight between nodes, and beyond the last one as there.
+    See `rolled`. Light and clearance of the Earth are those of the later moment, straight between
+    nodes, and beyond the last one the light as there.
     """
     x, y, delay = rolled(x_px, y_px, time_s, line_s, rows)
     steps = light.shape[-1] - 1
@@ -85,4 +86,4 @@ def rolled_light(
     low = np.minimum(at.astype(np.int64), steps - 1)
     before, after = (np.take_along_axis(light, low + k, axis=-1) for k in (0, 1))
     seen = before + (at - low) * (after - before)
-    return x, y, seen * exposed_longer(delay, times)[..., None]
+    return x, y, seen * exposed_longer(delay, times)[..., None], later(clear, times, delay)

@@ -71,12 +71,18 @@ def site_state(
     return _apply(from_cirs, pv["p"]), _apply(from_cirs, pv["v"])
 
 
-def site_axes(latitude_rad: float, longitude_rad: float, instants: Instants) -> Array:
+def site_axes(
+    latitude_rad: float,
+    longitude_rad: float,
+    instants: Instants,
+    xp_rad: float = 0.0,
+    yp_rad: float = 0.0,
+) -> Array:
     """North, east and zenith (n, 3, 3: rows) of a site in GCRS axes; zenith of the ellipsoid."""
     cp, sp = np.cos(latitude_rad), np.sin(latitude_rad)
     cl, sl = np.cos(longitude_rad), np.sin(longitude_rad)
     local = np.array([[-sp * cl, -sp * sl, cp], [-sl, cl, 0.0], [cp * cl, cp * sl, sp]])
-    return np.einsum("ij,njk->nik", local, gcrs_to_itrs(instants))
+    return np.einsum("ij,njk->nik", local, gcrs_to_itrs(instants, xp_rad, yp_rad))
 
 
 def teme_to_gcrs(instants: Instants) -> Array:

@@ -1,0 +1,137 @@
+"""Old elements, far orbits, shadows and places that cannot be: told or refused, by name."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.execute.truth import target_truth
+from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
+from pipeline.plan.body_sizes import limb_px
+from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.orbit_age import elements_error_m
+from pipeline.prepare import prepare
+from pipeline.spec.load import parse_scene
+
+GEO_M = 4.2164e7
+SCENE: dict[str, Any] = {
+    "schema": "nightglass/scene/1", "name": "remarks", "epoch": "2019-03-21T09:00:00Z",
+    "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
+    "sensor": {
+        "shape": [64, 64], "pixel_pitch_um": 10.0, "focal_length_m": 1.0, "aperture_m": 0.2,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0},
+    },
+    "pointing": {"mode": "target", "target": "t"},
+    "exposure": {"integration_s": 0.1, "frames": 3, "cadence_s": 1.0},
+}  # fmt: skip
+TLE = {
+    "kind": "tle",
+    "line1": "1 25544U 98067A   19100.50000000  .00001500  00000-0  30000-4 0  9990",
+    "line2": "2 25544  51.6400 200.0000 0002000  90.0000 270.0000 15.52000000    10",
+}  # fmt: skip
+
+
+def checksum(line: str) -> str:
+    digits = sum(int(c) if c.isdigit() else c == "-" for c in line[:68])
+    return line[:68] + str(digits % 10)
+
+
+def state(place: list[float], speed: list[float]) -> dict[str, Any]:
+    return {"kind": "state", "position_m": place, "velocity_m_s": speed}
+
+
+def target(orbit: dict[str, Any], diameter_m: float = 1.0, name: str = "t") -> dict[str, Any]:
+    body = {"kind": "sphere", "diameter_m": diameter_m, "albedo": 0.3}
+    return {"name": name, "orbit": orbit, "body": body}
+
+
+def planned(targets: list[dict[str, Any]], **changes: Any) -> Any:
+    return prepare(parse_scene(copy.deepcopy(SCENE) | {"targets": targets} | changes)).plan
+
+
+def test_elements_of_seven_years_ago_are_told_with_their_error():
+    lines = {"kind": "tle", "line1": checksum(TLE["line1"]), "line2": checksum(TLE["line2"])}
+    fresh = planned([target(lines)], epoch="2019-04-11T09:00:00Z")
+    assert not [r for r in fresh.remarks if "elements of" in r]
+    old = planned([target(lines)], epoch="2026-04-11T09:00:00Z")
+    (told,) = [r for r in old.remarks if "elements of" in r]
+    assert told.startswith("t: elements of 255")
+    assert " km off" in told
+    assert " px at " in told
+    assert elements_error_m(2556.0, 15.52) == pytest.approx(7.669e6, rel=1e-3)
+    assert elements_error_m(1e5, 15.52) == pytest.approx(2 * 6.79e6, rel=2e-3)  # the orbit itself
+
+
+def test_an_orbit_beyond_the_earths_reach_is_told():
+    """4.4 million km away for a day: the Sun pulls it off by half a t^2."""
+    far = state([4.4e9, 0.0, 0.0], [0.0, 100.0, 0.0]) | {"epoch": "2019-03-20T09:00:00Z"}
+    (told,) = [r for r in planned([target(far)]).remarks if "sphere of influence" in r]
+    km = 0.5 * 2.0 * 1.327e20 * 4.4e9 / 1.496e11**3 * 86402.1**2 / 1e3
+    assert f"{km:.3g} km after 1 days" in told
+    near = state([4.2e7, 0.0, 0.0], [0.0, 3070.0, 0.0])
+    assert not [r for r in planned([target(near)]).remarks if "influence" in r]
+
+
+def behind(at_rad: float) -> dict[str, Any]:
+    """At GEO, at an angle in the equator from the direction away from the Sun at the equinox."""
+    c, s = np.cos(np.pi + at_rad), np.sin(np.pi + at_rad)
+    return state([GEO_M * c, GEO_M * s, 0.0], [-3074.7 * s, 3074.7 * c, 0.0])
+
+
+def test_a_target_in_the_umbra_is_named_with_the_light_that_is_left_out():
+    shown = target(state([GEO_M, 0.0, 0.0], [0.0, 3074.7, 0.0]), name="lit")
+    plan = planned([target(behind(0.0)), shown], pointing={"mode": "target", "target": "lit"})
+    (told,) = [r for r in plan.remarks if "Earth's shadow" in r]
+    assert told.startswith("t: in the Earth's shadow during all frames looked at (3): no light")
+    found = {d.component: d for d in plan.decisions}["targets.umbra_light"]
+    assert not found.kept
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    assert g.target_light[0].max() == 0.0
+    phase, range_m = g.target_phase_rad[0, 0, 4], g.target_range_m[0, 0, 4]
+    sphere = np.array(phase), np.array(1.0), np.array(0.3)
+    intensity = float(sphere_intensity_per_irradiance(*sphere))
+    full = intensity / range_m**2 * plan.sun_rate_e_s_m2 * plan.facts.area_m2 * 0.1
+    assert found.bound == pytest.approx(1e-4 * full, rel=0.02)  # deep: what is scattered alone
+    lit = planned([shown], pointing={"mode": "target", "target": "lit"})
+    assert "targets.umbra_light" not in {d.component for d in lit.decisions}
+
+
+OBSERVER = [7.0e6, 0.0, 0.0], [0.0, 7546.0, 0.0]
+
+
+def test_an_observer_inside_a_target_is_refused_by_name():
+    orbiting = {"kind": "orbit", "orbit": state(*OBSERVER)}
+    place = state([7.0e6, 30.0, 0.0], OBSERVER[1])
+    with pytest.raises(BadInput, match=r"targets\.0.*inside of t, 30 m.*own radius \(50 m\)"):
+        planned([target(place, 100.0)], observer=orbiting)
+    planned([target(place, 50.0)], observer=orbiting)
+
+
+def test_an_observer_at_a_targets_place_is_refused():
+    orbiting = {"kind": "orbit", "orbit": state(*OBSERVER)}
+    with pytest.raises(BadInput, match=r"targets\.0.*at one place with t"):
+        planned([target(state(*OBSERVER))], observer=orbiting, pointing={
+            "mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 20.0})  # fmt: skip
+
+
+@pytest.mark.parametrize("diameter_m", [0.2, 60.0, 99.0])
+def test_the_radius_of_a_near_body_is_that_of_its_limb(diameter_m):
+    """asin(r/d) of a line that touches it, on a gnomonic focal plane; r/d is 70% off at 99 m."""
+    orbiting = {"kind": "orbit", "orbit": state(*OBSERVER)}
+    sensor = SCENE["sensor"] | {"focal_length_m": 0.001}
+    place = state([7.0e6, 0.0, 60.0], OBSERVER[1])
+    plan = planned([target(place, diameter_m)], observer=orbiting, sensor=sensor)
+    truth = target_truth(plan, plan_geometry(plan.scene, np.zeros(1, int), 0.0))
+    angle = np.arctan(truth["radius_px"][0] * plan.facts.ifov_rad)
+    assert angle == pytest.approx(np.arcsin(0.5 * diameter_m / truth["range_m"][0]), rel=1e-9)
+
+
+def test_limits_of_limbs():
+    assert limb_px(1.0, 1e8, 1e-5) == pytest.approx(1e-3, rel=1e-12)
+    assert np.isinf(limb_px(2.0, 1.0, 1e-5))
+    assert limb_px(0.0, 0.0, 1e-5) == 0.0
