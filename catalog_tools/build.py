@@ -32,6 +32,7 @@ from .catalogue import (
     shard_name,
     write_manifest,
 )
+from .coverage import of_rows
 from .durable import write_atomically
 from .errors import BadInput, Damaged, Incomplete
 from .judging import DUPLICATE, REJECTS
@@ -43,7 +44,7 @@ from .publish import Work, publishing
 from .schedulers import LocalScheduler, Scheduler
 
 REQUEST_NAME = "request.json"
-PROGRESS_VERSION = 2  # of everything that is kept of an unfinished build
+PROGRESS_VERSION = 3  # of everything that is kept of an unfinished build
 BATCH_BYTES = 96 << 20  # of files as they come: some 300,000 gzipped rows of Gaia
 BATCH_SOURCES = 64
 REJECTS_ROWS = 100_000
@@ -57,13 +58,17 @@ def silent(stage: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class About:
-    """What a new catalogue says of itself."""
+    """What a new catalogue says of itself.
+
+    coverage : as `coverage.Coverage.to_json` gives it; None where the rows are to tell.
+    """
 
     name: str
     description: str
     synthetic: bool
     ref_epoch_jyear: float
     facts: dict[str, Any]
+    coverage: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -122,11 +127,13 @@ def build(
         leaves = np.concatenate([np.empty(0, LEAVES_DTYPE), *(leaf.leaf for leaf in done)])
         groups = np.concatenate([np.empty(0, ROW_GROUPS_DTYPE), *(d.row_groups for d in done)])
         rows_in = sum(record["rows"] for s in splits for record in s.records)
-        content = _content(about, leaves, len(sources), rows_in, reasons)
+        final = _final_counts(counts, context, done)
+        content = _content(about, leaves, len(sources), rows_in, reasons) | {
+            "coverage": about.coverage or of_rows(final).to_json(),
+        }
         if rows_in != content["rows"] + sum(reasons.values()):
             raise Damaged(str(work.progress), "rows kept and rejected don't add up to those read")
-        counts = _final_counts(counts, context, done)
-        shape = hats.write_hats_files(work.catalogue, leaves, counts)
+        shape = hats.write_hats_files(work.catalogue, leaves, final)
         digest = write_manifest(work.catalogue, content, leaves, groups)
         hats.write_properties(work.catalogue, content, digest, rows_per_leaf, shape)
     return IngestReport(open_catalogue(destination), rows_in, reasons, continued)

@@ -13,7 +13,9 @@ import pyarrow as pa
 
 from .ahead import cores
 from .build import About, IngestReport, Progress, build, silent
+from .coverage import Coverage, all_sky
 from .errors import BadInput, Damaged
+from .fetched import stated_coverage
 from .forms import Form, load_form
 from .memory import DEFAULT_BYTES, Budget
 from .partition import ROWS_PER_LEAF
@@ -86,6 +88,7 @@ def ingest(
     meaning = load_form(form) if form is not None else detect_form(paths[0], most_bytes=most_bytes)
     files = _look_at(paths, meaning, most_bytes, tell)
     _refuse_twins(files)
+    coverage, notes = _coverage(paths, meaning)
     synthetic = any((path.parent / SYNTHETIC_MARK).is_file() for path in paths)
     about = About(
         name=name or meaning.name,
@@ -99,6 +102,7 @@ def ingest(
             "epoch_scale": meaning.epoch_scale,
             **({"subfolders_left_out": left_out} if left_out else {}),
         },
+        coverage=None if coverage is None else coverage.to_json(),
     )
     report = build(
         files,
@@ -112,7 +116,7 @@ def ingest(
         overwrite=overwrite,
         restart=restart,
     )
-    notes = _md5_notes(files)
+    notes += _md5_notes(files)
     if left_out:
         notes += (f"{left_out} subfolders were not looked into: name them to take their files",)
     return replace(report, notes=notes)
@@ -143,6 +147,20 @@ def list_files(sources: Sequence[str | Path]) -> tuple[list[Path], int]:
     if not paths:
         raise BadInput("source", [], "at least one file")
     return paths, left_out
+
+
+def _coverage(paths: Sequence[Path], form: Form) -> tuple[Coverage | None, tuple[str, ...]]:
+    """What the sources say that they cover: as a whole release, or as they were fetched."""
+    from .fetch.layout import RELEASES
+
+    release = RELEASES.get(form.name.replace("_", "-"))
+    names = {path.name for path in paths}
+    if release is not None and len(paths) == len(names) >= release.files:
+        listed = {n for folder in {p.parent for p in paths} for n in _md5_sums(folder)}
+        wanted = {name for name in listed if release.file_name.fullmatch(name)}
+        if len(wanted) == release.files and wanted <= names:
+            return all_sky(f"all files of {release.title}"), ()
+    return stated_coverage(paths)
 
 
 def _holds_rows(name: str) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .catalogue import Catalogue, Leaf, RowGroup
 from .columns import HEALPIX_COLUMN, HEALPIX_ORDER, NAMES, REQUIRED
 from .errors import Damaged, Incomplete
-from .partition import coarser, healpix_29
+from .partition import COUNT_ORDER, coarser, healpix_29
 from .reading import Bytes, parse_footer
 from .sphere import directions
 from .stores import Unreachable
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-COUNT_ORDER = 8  # the finest order of the HATS maps
 ROUNDING_RAD = 1e-12
 
 

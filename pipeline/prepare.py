@@ -19,6 +19,7 @@ from pipeline.inputs.catalogues import (
     open_catalogues,
 )
 from pipeline.inputs.colour_fit import gather_colour_fit
+from pipeline.inputs.coverage import coverage_sentences, gather_coverage
 from pipeline.inputs.curves import resolve_response, solar_spectrum
 from pipeline.inputs.distortion import gather_distortion
 from pipeline.inputs.earth_orientation import gather_dut1_s
@@ -39,6 +40,7 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
 from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
+from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
@@ -147,6 +149,7 @@ def prepare(scene: Scene) -> Prepared:
     scene, geometry = _populated(scene, facts, geometry, dut1_s)
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
+    coverage = _coverage(scene, catalogues, geometry, warnings, remarks)
     remarks += mesh_notices(scene)
     plan = make_plan(
         scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction,
@@ -154,9 +157,27 @@ def prepare(scene: Scene) -> Prepared:
     )  # fmt: skip
     plan = _with_engines(plan, catalogues, geometry)
     left_out = _left_out(plan, catalogues)
-    plan = replace(plan, decisions=(*plan.decisions, *layer_decisions(catalogues, left_out)))
+    decisions = (*plan.decisions, *layer_decisions(catalogues, left_out))
+    plan = replace(plan, decisions=decisions, coverage=coverage)
     rays = _cosmic_rays(scene)
     return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started, rays)
+
+
+def _coverage(
+    scene: Scene,
+    catalogues: tuple[Catalogue, ...],
+    geometry: Geometry,
+    warnings: list[str],
+    remarks: list[str],
+) -> FieldCoverage | None:
+    """How much of the frames the main catalogue covers; what there is to say of it is added."""
+    if not catalogues:
+        return None
+    coverage = gather_coverage(scene, catalogues[0], geometry)
+    new_warnings, new_remarks = coverage_sentences(scene, catalogues[0], coverage)
+    warnings += new_warnings
+    remarks += new_remarks
+    return coverage
 
 
 def _with_engines(plan: Plan, catalogues: tuple[Catalogue, ...], geometry: Geometry) -> Plan:

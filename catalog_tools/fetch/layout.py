@@ -18,7 +18,9 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from ..coverage import Coverage, of_pixels
 from ..errors import BadInput
+from ..partition import COUNT_ORDER
 from .cones import Cone
 
 ID_ORDER = 12
@@ -152,6 +154,18 @@ def choose(entries: Sequence[Entry], cones: Sequence[Cone]) -> list[Entry]:
         before = np.searchsorted(starts, last, side="right") - 1
         hit |= (before >= 0) & (ends[before] > first)
     return [entry for entry, chosen in zip(entries, hit, strict=True) if chosen]
+
+
+def files_coverage(release: Release, entries: Sequence[Entry]) -> Coverage:
+    """The part of the sky that files bring whole: from each one's first source_id to its last.
+
+    In pixels of COUNT_ORDER (7 arcmin), so that files which follow each other leave no gap.
+    """
+    shift = ID_SHIFT + 2 * (ID_ORDER - COUNT_ORDER)
+    first = np.array([entry.first_id for entry in entries], np.int64) >> shift
+    last = np.array([entry.last_id for entry in entries], np.int64) >> shift
+    last = np.minimum(last, (12 << (2 * COUNT_ORDER)) - 1)
+    return of_pixels(f"fetched files of {release.title}", COUNT_ORDER, first, last + 1)
 
 
 def cone_ranges(cone: Cone) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
