@@ -130,6 +130,7 @@ def build(
         final = _final_counts(counts, context, done)
         content = _content(about, leaves, len(sources), rows_in, reasons) | {
             "coverage": about.coverage or of_rows(final).to_json(),
+            "without_colour": sum(leaf.without_colour for leaf in done),
         }
         if rows_in != content["rows"] + sum(reasons.values()):
             raise Damaged(str(work.progress), "rows kept and rejected don't add up to those read")

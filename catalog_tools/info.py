@@ -35,6 +35,11 @@ def info(catalogue: Catalogue) -> dict[str, Any]:
         ),
         "max_parallax_mas": float(leaves["max_parallax_mas"].max()) if some else None,
         "coverage": coverage_of(catalogue).describe(),
+        "without_colour": (
+            "unknown: it was ingested before this was counted"
+            if catalogue.without_colour is None
+            else catalogue.without_colour
+        ),
         "sources": catalogue.sources,
         "rows_in": catalogue.rows_in,
         "rejected": dict(catalogue.rejected),

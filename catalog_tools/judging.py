@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pyarrow as pa
 
@@ -11,6 +13,7 @@ from .partition import healpix_29
 Columns = dict[str, np.ndarray]
 
 PLACE_COLUMN = "_place"  # the row's place among all rows of its batch, counted from 0
+COLOURS = ("phot_bp_mean_mag", "phot_rp_mean_mag")  # without both a star has no colour
 DUPLICATE = "source_id occurs more than once"
 
 # In this order; the first reason that holds is the one given.
@@ -60,6 +63,12 @@ def rejects(rows: pa.Table, label: str, places: np.ndarray, reasons: list[str]) 
     source = pa.array([label] * rows.num_rows, pa.string())
     values = (rows[name] for name in REJECTS.names[3:])
     return pa.table([source, pa.array(places), pa.array(reasons, pa.string()), *values], REJECTS)
+
+
+def without_colour(magnitudes: Iterable[np.ndarray]) -> int:
+    """How many rows lack a magnitude; magnitudes : (n,) each of COLOURS, NaN where it is absent."""
+    absent = [np.isnan(each) for each in magnitudes]
+    return int(np.count_nonzero(np.logical_or.reduce(absent)))
 
 
 def _numbers(column: pa.ChunkedArray, limit: float) -> np.ndarray:

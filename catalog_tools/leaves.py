@@ -21,7 +21,7 @@ from .catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
 from .columns import STORED
 from .duplicates import Repeated
 from .durable import sync, whole_file, write_atomically
-from .judging import DUPLICATE, PLACE_COLUMN, REJECTS, Columns
+from .judging import COLOURS, DUPLICATE, PLACE_COLUMN, REJECTS, Columns, without_colour
 from .memory import give_back
 from .partition import Cell
 from .pieces import Pieces
@@ -52,12 +52,16 @@ class Written:
 
 
 class LeafDone(NamedTuple):
-    """A finished leaf: its records for the manifest's tables (none if all its rows are surplus)."""
+    """A finished leaf: its records for the manifest's tables (none if all its rows are surplus).
+
+    without_colour : rows in it without a BP or RP magnitude.
+    """
 
     cell: Cell
     leaf: np.ndarray
     row_groups: np.ndarray
     surplus: int
+    without_colour: int
 
 
 def written(work: Work, pieces: Pieces, splits: Sequence[Split]) -> Written:
@@ -88,6 +92,7 @@ def write_leaf(context: Written, cell: Cell) -> None:
         rows = {name: np.delete(values, surplus) for name, values in rows.items()}
     rows.pop(PLACE_COLUMN, None)
     marker: dict[str, Any] = {"basis": context.basis, "surplus": int(surplus.size), "leaf": None}
+    marker["without_colour"] = without_colour(rows[name] for name in COLOURS)
     if rows["source_id"].size:
         leaf, groups = _write_shard(work, cell, rows)
         marker |= {"leaf": leaf.tolist(), "row_groups": groups.tolist()}
@@ -121,7 +126,7 @@ def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone
         return None
     if marker["leaf"] is None:
         none = np.empty(0, LEAVES_DTYPE), np.empty(0, ROW_GROUPS_DTYPE)
-        return LeafDone(cell, *none, marker["surplus"])
+        return LeafDone(cell, *none, marker["surplus"], 0)
     leaf = np.array([_record(marker["leaf"])], LEAVES_DTYPE)
     if verify:
         try:
@@ -131,7 +136,7 @@ def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone
         if google_crc32c.value(data) != leaf["crc32c"][0]:
             return None
     groups = np.array([_record(group) for group in marker["row_groups"]], ROW_GROUPS_DTYPE)
-    return LeafDone(cell, leaf, groups, marker["surplus"])
+    return LeafDone(cell, leaf, groups, marker["surplus"], marker["without_colour"])
 
 
 def surplus_of(context: Written, done: LeafDone) -> Iterator[pa.Table]:

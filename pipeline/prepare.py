@@ -14,6 +14,7 @@ from pipeline.errors import BadInput
 from pipeline.inputs.catalogues import (
     catalogue_facts,
     catalogue_remarks,
+    colour_sentences,
     gather_left_out,
     layer_decisions,
     open_catalogues,
@@ -149,7 +150,7 @@ def prepare(scene: Scene) -> Prepared:
     scene, geometry = _populated(scene, facts, geometry, dut1_s)
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
-    coverage = _coverage(scene, catalogues, geometry, warnings, remarks)
+    coverage = _judge_catalogues(scene, catalogues, geometry, colour, warnings, remarks)
     remarks += mesh_notices(scene)
     plan = make_plan(
         scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction,
@@ -163,20 +164,23 @@ def prepare(scene: Scene) -> Prepared:
     return Prepared(plan, maps, catalogues, left_out, time.perf_counter() - started, rays)
 
 
-def _coverage(
+def _judge_catalogues(
     scene: Scene,
     catalogues: tuple[Catalogue, ...],
     geometry: Geometry,
+    colour: ColourFit | None,
     warnings: list[str],
     remarks: list[str],
 ) -> FieldCoverage | None:
-    """How much of the frames the main catalogue covers; what there is to say of it is added."""
-    if not catalogues:
+    """How much of the frames the main catalogue covers; warnings and remarks on that, and on stars
+    without a colour, are added."""
+    if not catalogues or colour is None:
         return None
     coverage = gather_coverage(scene, catalogues[0], geometry)
-    new_warnings, new_remarks = coverage_sentences(scene, catalogues[0], coverage)
-    warnings += new_warnings
-    remarks += new_remarks
+    of_coverage = coverage_sentences(scene, catalogues[0], coverage)
+    of_colours = colour_sentences(catalogues, colour)
+    warnings += of_coverage[0] + of_colours[0]
+    remarks += of_coverage[1] + of_colours[1]
     return coverage
 
 

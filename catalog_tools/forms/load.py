@@ -186,6 +186,7 @@ def _source(table: _Table, column: str) -> Source:
         nulls=table.numbers("null"),
         positive=table.texts("positive", ()),
         optional=table.flag("optional"),
+        fallback=table.flag("fallback"),
         **given,
     )
     table.done()

@@ -8,6 +8,7 @@ import math
 import re
 import shutil
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -139,8 +140,7 @@ def test_what_is_no_coverage_is_refused(broken):
 def test_the_files_of_a_whole_release_leave_no_gap():
     ids = 12 << 59  # of nested pixels of order 12, above 35 bits
     edges = [ids * i // 1000 for i in range(1001)]
-    pairs = zip(edges[:-1], edges[1:], strict=True)
-    entries = [Entry(str(a), "", a + 5, b - 7) for a, b in pairs]
+    entries = [Entry(str(a), "", a + 5, b - 7) for a, b in pairwise(edges)]
     coverage = files_coverage(RELEASES["gaia-dr2"], entries)
     assert coverage.ranges.tolist() == [[0, 12 * 4**9]]
     assert files_coverage(RELEASES["gaia-dr2"], entries[:10]).sky_fraction == pytest.approx(
