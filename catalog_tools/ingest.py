@@ -38,6 +38,11 @@ class FileSource:
     expected_md5: str | None
     most_bytes: int
 
+    @property
+    def ids_hold_place(self) -> bool:
+        """Whether its source_ids are Gaia's, from which places follow."""
+        return self.form.source_id.holds_place
+
     def identity(self) -> list[Any]:
         return [self.path, self.size, self.mtime_ns, self.expected_md5]
 
@@ -119,7 +124,7 @@ def ingest(
     notes += _md5_notes(files)
     if left_out:
         notes += (f"{left_out} subfolders were not looked into: name them to take their files",)
-    return replace(report, notes=notes)
+    return replace(report, notes=report.notes + notes)
 
 
 def list_files(sources: Sequence[str | Path]) -> tuple[list[Path], int]:
@@ -230,7 +235,6 @@ def _refuse_twins(files: Sequence[FileSource]) -> None:
             with Path(file.path).open("rb") as stream:
                 digest = hashlib.file_digest(stream, "sha256").hexdigest()
             if digest in seen:
-                twins = [seen[digest], file.path]
-                allowed = "each file once (these have the same content)"
-                raise BadInput("source", twins, allowed)
+                allowed = f"each file once ({seen[digest]} and {file.path} have the same content)"
+                raise BadInput("source", "a file given twice", allowed)
             seen[digest] = file.path

@@ -107,11 +107,13 @@ class IdRule:
     text, as in "Gaia DR2 123", times `factor`. `position`: -1 - pixel, the nested HEALPix pixel
     of order 29 (0.4 mas); rows of one pixel are duplicates. `text`: 62 bits of the BLAKE2b hash
     of the text, minus 2**63. The last two are negative, and so never an id of Gaia.
+    holds_place : whether they are Gaia's, from which a row's place follows (`gaia_ids`).
     """
 
     rule: str
     names: tuple[str, ...] = ()
     factor: int = 1
+    holds_place: bool = False
 
 
 @dataclass(frozen=True)
