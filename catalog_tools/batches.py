@@ -20,19 +20,25 @@ from uuid import uuid4
 import google_crc32c
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from .columns import HEALPIX_COLUMN
 from .durable import save_array, sync, write_atomically
 from .errors import Damaged
-from .judging import PLACE_COLUMN, REJECTS, Columns, judge
+from .gaia_ids import LEAST_CHECKED, MOST_LOOKED_AT, refuse_most
+from .judging import MISPLACED, PLACE_COLUMN, REJECTS, Columns, judge
 from .partition import Pixels, coarser_counts
 from .pieces import CHANGED, Piece, is_whole, write_piece
 
+ROWS_THAT_TELL = 10_000  # of a source, of which most must stand where their source_ids say
 COUNTS_NAME, REJECTS_NAME = "counts.npy", "rejects.arrow"
 
 
 class Source(Protocol):
-    """Anything that yields rows: an input file, or a part of a synthetic sky."""
+    """Anything that yields rows: an input file, or a part of a synthetic sky.
+
+    One whose attribute `ids_hold_place` is true has Gaia's source_ids, which tell their places.
+    """
 
     @property
     def label(self) -> str:
@@ -104,13 +110,17 @@ def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> dict[str, Any
     rejects = pa.ipc.new_file(str(folder / REJECTS_NAME), REJECTS)
     for source in batch.sources:
         record: dict[str, Any] = {"name": source.label, "bytes": None, "md5": None, "rows": 0}
+        places = _Places(source)
         for table in source.tables(record):
-            kept, columns, bad = judge(table, source.label, record["rows"])
+            kept, columns, bad = judge(table, source.label, record["rows"], places.compared)
+            places.add(columns["source_id"], bad)
             if bad.num_rows:
                 rejects.write_table(bad)
                 reasons.update(bad["reason"].to_pylist())
             held.add({**columns, PLACE_COLUMN: held.rows_in + kept}, table.num_rows)
             record["rows"] += table.num_rows
+        places.check()
+        record["unlike_gaia"] = places.unlike_gaia
         records.append(record)
     held.write()
     pixels, counts = held.counts()
@@ -123,6 +133,39 @@ def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> dict[str, Any
         "pieces": held.pieces,
         "reasons": reasons,
     }
+
+
+class _Places:
+    """The rows of a source whose places were compared with its source_ids, where these are Gaia's.
+
+    unlike_gaia : rows that were not, as their numbers are too small.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.where = f"source {source.label}"
+        self.compared: bool = getattr(source, "ids_hold_place", False)
+        self.rows = self.wrong = self.unlike_gaia = 0
+        self.some_wrong = REJECTS.empty_table()
+
+    def add(self, kept_ids: np.ndarray, bad: pa.Table) -> None:
+        """Count rows kept and rows that stand elsewhere; where they are many, `check` at once."""
+        if not self.compared:
+            return
+        own = kept_ids.size - int(np.count_nonzero(kept_ids < LEAST_CHECKED))
+        wrong = bad.filter(pc.equal(bad["reason"], MISPLACED))
+        self.wrong += wrong.num_rows
+        self.rows += own + wrong.num_rows
+        if self.some_wrong.num_rows < MOST_LOOKED_AT:
+            held = pa.concat_tables([self.some_wrong, wrong])
+            self.some_wrong = held.slice(0, MOST_LOOKED_AT)
+        self.unlike_gaia += kept_ids.size - own
+        if self.rows >= ROWS_THAT_TELL:
+            self.check()
+
+    def check(self) -> None:
+        """BadInput where most of the rows so far stand elsewhere."""
+        ids, ra, dec = (self.some_wrong[name].to_numpy() for name in ("source_id", "ra", "dec"))
+        refuse_most(self.where, self.rows, self.wrong, ids, ra, dec)
 
 
 class _Held:

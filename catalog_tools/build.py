@@ -32,9 +32,10 @@ from .catalogue import (
     shard_name,
     write_manifest,
 )
+from .coverage import of_rows
 from .durable import write_atomically
 from .errors import BadInput, Damaged, Incomplete
-from .judging import DUPLICATE, REJECTS
+from .judging import DUPLICATE, ELSEWHERE, REJECTS
 from .leaves import LeafDone, Written, leaf_done, surplus_of, write_leaf, written
 from .memory import Budget
 from .partition import COUNT_ORDER, Cell, Pixels, choose_leaves, coarser, healpix_29
@@ -43,10 +44,11 @@ from .publish import Work, publishing
 from .schedulers import LocalScheduler, Scheduler
 
 REQUEST_NAME = "request.json"
-PROGRESS_VERSION = 2  # of everything that is kept of an unfinished build
+PROGRESS_VERSION = 3  # of everything that is kept of an unfinished build
 BATCH_BYTES = 96 << 20  # of files as they come: some 300,000 gzipped rows of Gaia
 BATCH_SOURCES = 64
 REJECTS_ROWS = 100_000
+MOST_NAMED = 20  # files without a row
 Progress = Callable[[str, int, int], None]  # stage, done, total
 Reasons = dict[str, int]
 
@@ -57,13 +59,17 @@ def silent(stage: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class About:
-    """What a new catalogue says of itself."""
+    """What a new catalogue says of itself.
+
+    coverage : as `coverage.Coverage.to_json` gives it; None where the rows are to tell.
+    """
 
     name: str
     description: str
     synthetic: bool
     ref_epoch_jyear: float
     facts: dict[str, Any]
+    coverage: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -109,6 +115,7 @@ def build(
     with publishing(destination, overwrite=overwrite, restart=restart) as work:
         _begin(work, about, rows_per_leaf, sources)
         splits, continued = _read_all(batches, work.progress, budget, scheduler, progress)
+        notes = _notes_on(splits, about, work.progress)
         pieces = Pieces(work.progress, [piece for s in splits for piece in s.pieces])
         counts = _total_counts(splits, work.progress)
         cells = choose_leaves(counts, rows_per_leaf, pieces.rows_between)
@@ -122,14 +129,17 @@ def build(
         leaves = np.concatenate([np.empty(0, LEAVES_DTYPE), *(leaf.leaf for leaf in done)])
         groups = np.concatenate([np.empty(0, ROW_GROUPS_DTYPE), *(d.row_groups for d in done)])
         rows_in = sum(record["rows"] for s in splits for record in s.records)
-        content = _content(about, leaves, len(sources), rows_in, reasons)
+        final = _final_counts(counts, context, done)
+        content = _content(about, leaves, len(sources), rows_in, reasons) | {
+            "coverage": about.coverage or of_rows(final).to_json(),
+            "without_colour": sum(leaf.without_colour for leaf in done),
+        }
         if rows_in != content["rows"] + sum(reasons.values()):
             raise Damaged(str(work.progress), "rows kept and rejected don't add up to those read")
-        counts = _final_counts(counts, context, done)
-        shape = hats.write_hats_files(work.catalogue, leaves, counts)
+        shape = hats.write_hats_files(work.catalogue, leaves, final)
         digest = write_manifest(work.catalogue, content, leaves, groups)
         hats.write_properties(work.catalogue, content, digest, rows_per_leaf, shape)
-    return IngestReport(open_catalogue(destination), rows_in, reasons, continued)
+    return IngestReport(open_catalogue(destination), rows_in, reasons, continued, notes)
 
 
 def _begin(work: Work, about: About, rows_per_leaf: int, sources: Sequence[Source]) -> None:
@@ -157,6 +167,27 @@ def _begin(work: Work, about: About, rows_per_leaf: int, sources: Sequence[Sourc
             f"--restart to discard it ({' and '.join(differs)} differ)"
         )
         raise BadInput("output", str(work.progress.parent), allowed)
+
+
+def _notes_on(splits: Sequence[Split], about: About, folder: Path) -> tuple[str, ...]:
+    """What a person should know of the sources; BadInput where none of them has a row.
+
+    Sources that say what they cover, such as a cone without a star, need none.
+    """
+    records = [record for s in splits for record in s.records]
+    empty = [record["name"] for record in records if not record["rows"]]
+    if empty and len(empty) == len(records) and about.coverage is None:
+        shutil.rmtree(folder, ignore_errors=True)  # there is nothing to go on with
+        more = f" and {len(empty) - 1} more" if len(empty) > 1 else ""
+        raise BadInput("source", "no row", f"at least one star ({empty[0]}{more}: no row in it)")
+    notes = [f"{name} holds no row" for name in empty[:MOST_NAMED]]
+    if len(empty) > MOST_NAMED:
+        notes.append(f"{len(empty) - MOST_NAMED} more files hold no row")
+    unlike = sum(record["unlike_gaia"] for record in records)
+    if 1000 * unlike > sum(record["rows"] for record in records):
+        text = f"{unlike} rows have source_ids below 2**45, which are hardly Gaia's"
+        notes.append(f"{text}: their places were not compared with them")
+    return tuple(notes)
 
 
 def _run(scheduler: Scheduler, stage: str, tasks: Sequence[Any], tell: Progress) -> None:
@@ -229,8 +260,10 @@ def _write_rejects(context: Written, splits: Sequence[Split], done: Sequence[Lea
     reasons: Counter[str] = Counter()
     for s in splits:
         reasons.update(s.reasons)
-    surplus = sum(leaf.surplus for leaf in done)
+    elsewhere = sum(leaf.elsewhere for leaf in done)
+    surplus = sum(leaf.surplus for leaf in done) - elsewhere
     reasons.update({DUPLICATE: surplus} if surplus else {})
+    reasons.update({ELSEWHERE: elsewhere} if elsewhere else {})
     if reasons:
         path = context.work.catalogue / REJECTS_NAME
         path.parent.mkdir(exist_ok=True)

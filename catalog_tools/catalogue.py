@@ -26,7 +26,8 @@ from .stores import LocalStore, Store, Unreachable, open_store
 
 MANIFEST_NAME = "nightglass.json"
 FORMAT = "nightglass/catalogue"
-VERSION = 3
+VERSION = 4
+READABLE = (3, 4)  # 3 says neither what is covered nor which stars have a colour
 LEAVES_NAME = "nightglass/leaves.npy"
 ROW_GROUPS_NAME = "nightglass/row_groups.npy"
 SOURCES_NAME = "nightglass/sources.parquet"
@@ -107,6 +108,8 @@ class Catalogue:
 
     leaf_table, row_group_table : structured arrays (LEAVES_DTYPE, ROW_GROUPS_DTYPE), leaves by
     their place on the nested HEALPix curve, the row groups of each after those of the last.
+    coverage : which part of the sky it covers, for `coverage.coverage_of`; without_colour : rows
+    without a BP or RP magnitude. Both None where an older manifest does not say.
     """
 
     path: str
@@ -125,6 +128,8 @@ class Catalogue:
     digest: str
     leaf_table: np.ndarray
     row_group_table: np.ndarray
+    coverage: dict[str, Any] | None = None
+    without_colour: int | None = None
 
     @cached_property
     def first_row_groups(self) -> np.ndarray:
@@ -220,10 +225,10 @@ def open_catalogue(path: str | os.PathLike[str], *, field: str = "catalogue") ->
         raise Damaged(f"{store.root}/{MANIFEST_NAME}", f"is not JSON ({error})") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise BadInput(field, store.root, f"a manifest of format {FORMAT!r}")
-    if document.get("version") != VERSION:
+    if document.get("version") not in READABLE:
         allowed = (
-            f"manifest version {VERSION} (this program is older or newer than the catalogue; "
-            "ingest its sources again, or use the program that wrote it)"
+            f"manifest version {' or '.join(map(str, READABLE))} (this program is older or newer "
+            "than the catalogue; ingest its sources again, or use the program that wrote it)"
         )
         raise BadInput(field, document.get("version"), allowed)
     content = document.get("catalogue")

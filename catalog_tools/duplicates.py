@@ -8,11 +8,14 @@ from typing import Literal
 
 import numpy as np
 
-from .columns import HEALPIX_COLUMN, NAMES
+from .columns import HEALPIX_COLUMN, HEALPIX_ORDER, NAMES
 from .durable import whole_file
+from .healpix import centres_of
 from .judging import PLACE_COLUMN, Columns
 from .pieces import Pieces, column, some_ids
+from .sphere import directions, separation_rad
 
+SAME_PLACE_ARCSEC = 1.0
 IDS_NAME, PIXELS_NAME = "repeated-ids.i8", "repeated-pixels.i8"
 
 
@@ -61,6 +64,17 @@ class Repeated:
         first = np.unique(at[wins], return_index=True)[1]
         stays[np.flatnonzero(wins)[first]] = True
         return np.sort(mine[~stays])
+
+
+    def stand_elsewhere(self, rows: Columns, surplus: np.ndarray) -> np.ndarray:
+        """Which of the surplus rows (n,) stand apart from the row that stays by more than
+        SAME_PLACE_ARCSEC: no repetition of it, but another star, or a place gone wrong."""
+        if not surplus.size:
+            return np.zeros(0, bool)
+        at = np.searchsorted(self.ids, rows["source_id"][surplus])
+        stays = directions(*centres_of(HEALPIX_ORDER, self.pixels[at]))
+        apart = separation_rad(stays, directions(rows["ra"][surplus], rows["dec"][surplus]))
+        return np.asarray(np.degrees(apart) * 3600.0 > SAME_PLACE_ARCSEC)
 
 
 def _comparable(values: np.ndarray) -> np.ndarray:

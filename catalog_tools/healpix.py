@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 CHUNK = 1 << 15  # rows at a time: the temporaries stay in the cache
+FINEST_ORDER = 29  # of pixels whose numbers fit in 63 bits
 
 # Steps that move the lower 32 bits of a number to its even bits.
 _SPREAD = (
@@ -74,6 +75,94 @@ def _polar(
     x = np.where(north, sides - 1 - rising, falling)
     y = np.where(north, sides - 1 - falling, rising)
     return face, x, y
+
+
+def centres_of(order: int, pixels: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Right ascension and declination (n,) [deg] of the centres of nested pixels (n,): equations
+    4 to 9, by half-angles in the polar caps."""
+    nside = 1 << order
+    face, x, y = _face_and_place(order, np.asarray(pixels, np.int64))
+    ring = ((2 + face // 4) << order) - x - y - 1  # from the north, 1 to 4 nside - 1
+    polar = np.minimum(np.minimum(ring, 4 * nside - ring), nside)  # quarter of the ring's pixels
+    cap = 90.0 - np.degrees(2.0 * np.arcsin(np.minimum(polar / (nside * np.sqrt(6.0)), 1.0)))
+    belt = np.degrees(np.arcsin(np.clip((2 * nside - ring) * (2.0 / 3.0 / nside), -1.0, 1.0)))
+    dec_deg = np.where(polar < nside, np.where(ring < 2 * nside, cap, -cap), belt)
+    eighth = np.where(face // 4 == 1, 2 * (face & 3), 2 * (face & 3) + 1) * polar + x - y
+    return (eighth * 45.0 / polar) % 360.0, dec_deg
+
+
+def neighbours_of(order: int, pixels: ArrayLike) -> NDArray[np.int64]:
+    """The 8 nested pixels around each of some pixels (n,): (8, n); -1 where only 7 meet."""
+    face, x, y = _face_and_place(order, np.asarray(pixels, np.int64))
+    out = [
+        _stepped(order, face, x + dx, y + dy)
+        for dx in (-1, 0, 1)
+        for dy in (-1, 0, 1)
+        if (dx, dy) != (0, 0)
+    ]
+    return np.stack(out)
+
+
+# The base pixel beyond each edge and corner of a base pixel, by row (north, belt, south) and by
+# the step (x, y) over its border: how much it lies to the east within its own row, that row, and
+# whether the axes (x, y) are exchanged there, or counted from the other end (figure 4).
+_BEYOND: dict[tuple[int, int, int], tuple[int, int, bool, bool]] = {
+    (0, 1, 0): (1, 0, True, True),
+    (0, 0, 1): (3, 0, True, True),
+    (0, 1, 1): (2, 0, False, True),
+    (0, -1, 0): (0, 1, False, False),
+    (0, 0, -1): (1, 1, False, False),
+    (0, -1, -1): (0, 2, False, False),
+    (1, 1, 0): (0, 0, False, False),
+    (1, 0, 1): (3, 0, False, False),
+    (1, -1, 0): (3, 2, False, False),
+    (1, 0, -1): (0, 2, False, False),
+    (1, 1, -1): (1, 1, False, False),
+    (1, -1, 1): (3, 1, False, False),
+    (2, 1, 0): (1, 1, False, False),
+    (2, 0, 1): (0, 1, False, False),
+    (2, 1, 1): (0, 0, False, False),
+    (2, -1, 0): (3, 2, True, True),
+    (2, 0, -1): (1, 2, True, True),
+    (2, -1, -1): (2, 2, False, True),
+}
+
+
+def _stepped(order: int, face: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Pixels at places (x, y) that may lie one step outside of their base pixels; -1 for none."""
+    side = 1 << order
+    over_x, over_y = x >> order, y >> order  # -1, 0 or 1
+    pixel = (face << (2 * order)) | _even_bits(x & (side - 1)) | (_even_bits(y & (side - 1)) << 1)
+    outside = np.flatnonzero((over_x | over_y) != 0)
+    pixel[outside] = -1
+    way = (face[outside] // 4, over_x[outside], over_y[outside])
+    for (row, dx, dy), (east, beyond, exchanged, turned) in _BEYOND.items():
+        some = outside[(way[0] == row) & (way[1] == dx) & (way[2] == dy)]
+        px, py = x[some] & (side - 1), y[some] & (side - 1)
+        if turned:
+            px, py = (px if dx == 0 else side - 1 - px), (py if dy == 0 else side - 1 - py)
+        if exchanged:
+            px, py = py, px
+        there = 4 * beyond + ((face[some] + east) & 3)
+        pixel[some] = (there << (2 * order)) | _even_bits(px) | (_even_bits(py) << 1)
+    return pixel
+
+
+def _face_and_place(order: int, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Base pixel and place within it of nested pixels."""
+    x, y = (_from_even_bits(pixels >> bit, order) for bit in (0, 1))
+    return pixels >> (2 * order), x, y
+
+
+def _from_even_bits(values: np.ndarray, order: int) -> np.ndarray:
+    """The lowest `order` even bits of integers, side by side."""
+    values = values & 0x5555555555555555 & ((1 << (2 * order)) - 1)
+    for (shift, _), mask in zip(reversed(_SPREAD), _GATHERED, strict=True):
+        values = (values | (values >> shift)) & mask
+    return values
+
+
+_GATHERED = tuple(mask for _, mask in reversed(_SPREAD[:-1])) + (0x00000000FFFFFFFF,)
 
 
 def _even_bits(values: np.ndarray) -> np.ndarray:

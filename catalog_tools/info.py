@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from .catalogue import Catalogue
+from .coverage import coverage_of
 
 
 def info(catalogue: Catalogue) -> dict[str, Any]:
@@ -33,6 +34,12 @@ def info(catalogue: Catalogue) -> dict[str, Any]:
             float(leaves["max_proper_motion_mas_yr"].max()) if some else None
         ),
         "max_parallax_mas": float(leaves["max_parallax_mas"].max()) if some else None,
+        "coverage": coverage_of(catalogue).describe(),
+        "without_colour": (
+            "unknown: it was ingested before this was counted"
+            if catalogue.without_colour is None
+            else catalogue.without_colour
+        ),
         "sources": catalogue.sources,
         "rows_in": catalogue.rows_in,
         "rejected": dict(catalogue.rejected),

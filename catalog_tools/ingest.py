@@ -13,7 +13,9 @@ import pyarrow as pa
 
 from .ahead import cores
 from .build import About, IngestReport, Progress, build, silent
+from .coverage import Coverage, all_sky
 from .errors import BadInput, Damaged
+from .fetched import stated_coverage
 from .forms import Form, load_form
 from .memory import DEFAULT_BYTES, Budget
 from .partition import ROWS_PER_LEAF
@@ -35,6 +37,11 @@ class FileSource:
     form: Form
     expected_md5: str | None
     most_bytes: int
+
+    @property
+    def ids_hold_place(self) -> bool:
+        """Whether its source_ids are Gaia's, from which places follow."""
+        return self.form.source_id.holds_place
 
     def identity(self) -> list[Any]:
         return [self.path, self.size, self.mtime_ns, self.expected_md5]
@@ -86,6 +93,7 @@ def ingest(
     meaning = load_form(form) if form is not None else detect_form(paths[0], most_bytes=most_bytes)
     files = _look_at(paths, meaning, most_bytes, tell)
     _refuse_twins(files)
+    coverage, notes = _coverage(paths, meaning)
     synthetic = any((path.parent / SYNTHETIC_MARK).is_file() for path in paths)
     about = About(
         name=name or meaning.name,
@@ -99,6 +107,7 @@ def ingest(
             "epoch_scale": meaning.epoch_scale,
             **({"subfolders_left_out": left_out} if left_out else {}),
         },
+        coverage=None if coverage is None else coverage.to_json(),
     )
     report = build(
         files,
@@ -112,10 +121,10 @@ def ingest(
         overwrite=overwrite,
         restart=restart,
     )
-    notes = _md5_notes(files)
+    notes += _md5_notes(files)
     if left_out:
         notes += (f"{left_out} subfolders were not looked into: name them to take their files",)
-    return replace(report, notes=notes)
+    return replace(report, notes=report.notes + notes)
 
 
 def list_files(sources: Sequence[str | Path]) -> tuple[list[Path], int]:
@@ -143,6 +152,20 @@ def list_files(sources: Sequence[str | Path]) -> tuple[list[Path], int]:
     if not paths:
         raise BadInput("source", [], "at least one file")
     return paths, left_out
+
+
+def _coverage(paths: Sequence[Path], form: Form) -> tuple[Coverage | None, tuple[str, ...]]:
+    """What the sources say that they cover: as a whole release, or as they were fetched."""
+    from .fetch.layout import RELEASES
+
+    release = RELEASES.get(form.name.replace("_", "-"))
+    names = {path.name for path in paths}
+    if release is not None and len(paths) == len(names) >= release.files:
+        listed = {n for folder in {p.parent for p in paths} for n in _md5_sums(folder)}
+        wanted = {name for name in listed if release.file_name.fullmatch(name)}
+        if len(wanted) == release.files and wanted <= names:
+            return all_sky(f"all files of {release.title}"), ()
+    return stated_coverage(paths)
 
 
 def _holds_rows(name: str) -> bool:
@@ -212,7 +235,6 @@ def _refuse_twins(files: Sequence[FileSource]) -> None:
             with Path(file.path).open("rb") as stream:
                 digest = hashlib.file_digest(stream, "sha256").hexdigest()
             if digest in seen:
-                twins = [seen[digest], file.path]
-                allowed = "each file once (these have the same content)"
-                raise BadInput("source", twins, allowed)
+                allowed = f"each file once ({seen[digest]} and {file.path} have the same content)"
+                raise BadInput("source", "a file given twice", allowed)
             seen[digest] = file.path

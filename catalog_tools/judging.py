@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pyarrow as pa
 
 from .columns import HEALPIX_COLUMN, INCOMING, LIMITS, STEPS
+from .gaia_ids import misplaced
 from .partition import healpix_29
 
 Columns = dict[str, np.ndarray]
 
 PLACE_COLUMN = "_place"  # the row's place among all rows of its batch, counted from 0
+COLOURS = ("phot_bp_mean_mag", "phot_rp_mean_mag")  # without both a star has no colour
 DUPLICATE = "source_id occurs more than once"
+ELSEWHERE = "source_id occurs more than once, at another place"
+MISPLACED = "place is not that of its source_id"
 
 # In this order; the first reason that holds is the one given.
 REASONS = (
@@ -20,6 +26,7 @@ REASONS = (
     "ra outside 0 to 360",
     "dec outside -90 to 90",
     "G magnitude absent or not finite",
+    MISPLACED,
 )
 
 REJECTS = pa.schema(
@@ -35,15 +42,20 @@ REJECTS = pa.schema(
 )
 
 
-def judge(table: pa.Table, label: str, first_row: int) -> tuple[np.ndarray, Columns, pa.Table]:
+def judge(
+    table: pa.Table, label: str, first_row: int, ids_hold_place: bool = False
+) -> tuple[np.ndarray, Columns, pa.Table]:
     """Split incoming rows into kept ones and rejected ones.
 
     table : schema INCOMING, nulls and NaN anywhere; label : the source's name; first_row : the
-    place of the table's first row in its source. Returns the kept rows' places in the table, their
-    columns (those of STORED, NaN for an absent value, rounded to STEPS), and the rejects.
+    place of the table's first row in its source; ids_hold_place : whether source_ids are Gaia's,
+    with which places must agree. Returns the kept rows' places in the table, their columns (those
+    of STORED, NaN for an absent value, rounded to STEPS), and the rejects.
     """
     columns = {name: _numbers(table[name], LIMITS[name]) for name in LIMITS}
     reason = _reasons(table, columns)
+    if ids_hold_place:
+        _find_misplaced(table, columns, reason)
     kept = np.flatnonzero(reason < 0)
     bad = np.flatnonzero(reason >= 0)
     rejected = REJECTS.empty_table()
@@ -60,6 +72,12 @@ def rejects(rows: pa.Table, label: str, places: np.ndarray, reasons: list[str]) 
     source = pa.array([label] * rows.num_rows, pa.string())
     values = (rows[name] for name in REJECTS.names[3:])
     return pa.table([source, pa.array(places), pa.array(reasons, pa.string()), *values], REJECTS)
+
+
+def without_colour(magnitudes: Iterable[np.ndarray]) -> int:
+    """How many rows lack a magnitude; magnitudes : (n,) each of COLOURS, NaN where it is absent."""
+    absent = [np.isnan(each) for each in magnitudes]
+    return int(np.count_nonzero(np.logical_or.reduce(absent)))
 
 
 def _numbers(column: pa.ChunkedArray, limit: float) -> np.ndarray:
@@ -81,9 +99,17 @@ def _reasons(table: pa.Table, columns: Columns) -> np.ndarray:
             np.isnan(g_mag),
         )
     reason = np.full(table.num_rows, -1, np.int8)
-    for i in reversed(range(len(REASONS))):
+    for i in reversed(range(len(against))):
         reason[against[i]] = i
     return reason
+
+
+def _find_misplaced(table: pa.Table, columns: Columns, reason: np.ndarray) -> None:
+    """Give the rows that have no other reason against them MISPLACED where it holds."""
+    sound = np.flatnonzero(reason < 0)
+    ids = table["source_id"].fill_null(0).to_numpy()[sound]
+    wrong = misplaced(ids, columns["ra"][sound], columns["dec"][sound])
+    reason[sound[wrong]] = REASONS.index(MISPLACED)
 
 
 def _stored(source_id: np.ndarray, columns: Columns) -> Columns:

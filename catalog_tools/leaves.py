@@ -21,7 +21,15 @@ from .catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
 from .columns import STORED
 from .duplicates import Repeated
 from .durable import sync, whole_file, write_atomically
-from .judging import DUPLICATE, PLACE_COLUMN, REJECTS, Columns
+from .judging import (
+    COLOURS,
+    DUPLICATE,
+    ELSEWHERE,
+    PLACE_COLUMN,
+    REJECTS,
+    Columns,
+    without_colour,
+)
 from .memory import give_back
 from .partition import Cell
 from .pieces import Pieces
@@ -52,12 +60,18 @@ class Written:
 
 
 class LeafDone(NamedTuple):
-    """A finished leaf: its records for the manifest's tables (none if all its rows are surplus)."""
+    """A finished leaf: its records for the manifest's tables (none if all its rows are surplus).
+
+    surplus : rows left out as their source_id occurs before, `elsewhere` of them at another place;
+    without_colour : rows in it without a BP or RP magnitude.
+    """
 
     cell: Cell
     leaf: np.ndarray
     row_groups: np.ndarray
     surplus: int
+    elsewhere: int
+    without_colour: int
 
 
 def written(work: Work, pieces: Pieces, splits: Sequence[Split]) -> Written:
@@ -77,17 +91,21 @@ def write_leaf(context: Written, cell: Cell) -> None:
     names = [*STORED.names, PLACE_COLUMN] if repeated.ids.size else STORED.names
     rows = {name: pieces.gather(runs, name) for name in names}
     surplus = repeated.surplus(rows)
+    elsewhere = repeated.stand_elsewhere(rows, surplus)
     if surplus.size:
         with (
             whole_file(_surplus_path(work, cell)) as path,
             pa.ipc.new_file(str(path), REJECTS) as writer,
         ):
             for start in range(0, surplus.size, SURPLUS_ROWS):
-                some = surplus[start : start + SURPLUS_ROWS]
-                writer.write_table(_surplus_table(context, runs, rows, some))
+                some = slice(start, start + SURPLUS_ROWS)
+                reasons = [ELSEWHERE if e else DUPLICATE for e in elsewhere[some].tolist()]
+                writer.write_table(_surplus_table(context, runs, rows, surplus[some], reasons))
         rows = {name: np.delete(values, surplus) for name, values in rows.items()}
     rows.pop(PLACE_COLUMN, None)
     marker: dict[str, Any] = {"basis": context.basis, "surplus": int(surplus.size), "leaf": None}
+    marker["elsewhere"] = int(np.count_nonzero(elsewhere))
+    marker["without_colour"] = without_colour(rows[name] for name in COLOURS)
     if rows["source_id"].size:
         leaf, groups = _write_shard(work, cell, rows)
         marker |= {"leaf": leaf.tolist(), "row_groups": groups.tolist()}
@@ -121,7 +139,7 @@ def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone
         return None
     if marker["leaf"] is None:
         none = np.empty(0, LEAVES_DTYPE), np.empty(0, ROW_GROUPS_DTYPE)
-        return LeafDone(cell, *none, marker["surplus"])
+        return LeafDone(cell, *none, marker["surplus"], marker["elsewhere"], 0)
     leaf = np.array([_record(marker["leaf"])], LEAVES_DTYPE)
     if verify:
         try:
@@ -131,7 +149,9 @@ def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone
         if google_crc32c.value(data) != leaf["crc32c"][0]:
             return None
     groups = np.array([_record(group) for group in marker["row_groups"]], ROW_GROUPS_DTYPE)
-    return LeafDone(cell, leaf, groups, marker["surplus"])
+    return LeafDone(
+        cell, leaf, groups, marker["surplus"], marker["elsewhere"], marker["without_colour"]
+    )
 
 
 def surplus_of(context: Written, done: LeafDone) -> Iterator[pa.Table]:
@@ -142,7 +162,7 @@ def surplus_of(context: Written, done: LeafDone) -> Iterator[pa.Table]:
 
 def _surplus_table(
     context: Written, runs: Sequence[tuple[int, int, int]], rows: dict[str, np.ndarray],
-    surplus: np.ndarray,
+    surplus: np.ndarray, reasons: list[str],
 ) -> pa.Table:  # fmt: skip
     """The surplus rows with the source and the row that each came from."""
     ends = np.cumsum([stop - start for _, start, stop in runs])
@@ -157,8 +177,8 @@ def _surplus_table(
         names[mine] = np.array(context.labels[b], object)[source]
         row[mine] = place[mine] - starts[source]
     columns = [pa.array(rows[name][surplus]) for name in REJECTS.names[3:]]
-    reasons = pa.array([DUPLICATE] * surplus.size, pa.string())
-    return pa.table([pa.array(names, pa.string()), pa.array(row), reasons, *columns], REJECTS)
+    texts = pa.array(names, pa.string()), pa.array(row), pa.array(reasons, pa.string())
+    return pa.table([*texts, *columns], REJECTS)
 
 
 def _record(values: list[Any]) -> tuple[Any, ...]:

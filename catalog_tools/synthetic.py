@@ -20,6 +20,7 @@ import pyarrow as pa
 
 from .build import About, IngestReport, Progress, build, silent
 from .columns import HEALPIX_ORDER, INCOMING
+from .coverage import all_sky
 from .errors import BadInput
 from .partition import positions_of
 from .schedulers import LocalScheduler
@@ -225,6 +226,7 @@ def make_demo(
             "complete_to_g_mag": float(faintest_g_mag),
             "deep_fields": [list(map(float, field)) for field in deep_fields],
         },
+        coverage=all_sky("a synthetic sky", faintest_g_mag, deep_fields).to_json(),
     )
     return build(
         parts,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .build import About, IngestReport, Progress, build, silent
 from .columns import HEALPIX_ORDER, INCOMING
+from .coverage import all_sky
 from .errors import BadInput
 from .partition import ROWS_PER_LEAF, positions_of
 from .schedulers import LocalScheduler
@@ -76,6 +77,7 @@ def make_sample(
         synthetic=True,
         ref_epoch_jyear=2015.5,
         facts={"seed": seed, "sample_rows": rows},
+        coverage=all_sky("a sample of a synthetic sky").to_json(),
     )
     return build(
         parts,

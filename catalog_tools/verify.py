@@ -13,9 +13,10 @@ from .ahead import ahead, cores
 from .catalogue import MANIFEST_NAME, Catalogue
 from .distinct import temporary_distinct
 from .errors import BadInput, Damaged
+from .partition import COUNT_ORDER
 from .query import read_leaf
-from .verify_files import check_files, check_hats, check_tables
-from .verify_shards import COUNT_ORDER, Finding, check_shard
+from .verify_files import check_coverage, check_files, check_hats, check_tables
+from .verify_shards import Finding, check_shard
 
 __all__ = ["Finding", "VerifyReport", "verify"]
 
@@ -49,10 +50,10 @@ def verify(
     Checked: lengths and crc32c of shards, footers and row groups; page checksums; that each row is
     in its shard's HEALPix pixel and its `_healpix_29` that of its place; magnitudes, places,
     motions and parallaxes within what the manifest says of row group and leaf; all counts; the
-    HATS files; that no source_id occurs twice; files missing and extra. Damage is returned, not
-    raised. `workers` threads take one shard each in memory; source_ids (8 bytes a row) go to a
-    temporary folder. Raises BadInput, and Incomplete where a remote store gives no answer or that
-    folder has no room.
+    HATS files; the coverage that follows from the rows, and the number without a colour; that no
+    source_id occurs twice; files missing and extra. Damage is returned, not raised. `workers`
+    threads take one shard each in memory; source_ids (8 bytes a row) go to a temporary folder.
+    Raises BadInput, and Incomplete where a remote store gives no answer or that folder has no room.
     """
     workers = cores() if workers is None else workers
     if workers < 1:
@@ -62,18 +63,23 @@ def verify(
     findings = check_tables(catalogue)
     more, notes = check_files(catalogue)
     findings += more
-    rows, counts = 0, np.zeros(12 * 4**COUNT_ORDER, np.int64)
+    rows, colourless, counts = 0, 0, np.zeros(12 * 4**COUNT_ORDER, np.int64)
     with temporary_distinct(catalogue.rows) as ids, ThreadPoolExecutor(workers) as pool:
         tell("verify", 0, total)
         checks = ahead(pool, lambda i: check_shard(catalogue, i), range(total), 2 * workers)
         for i, check in enumerate(checks):
             findings += check.findings
             rows += check.rows
+            colourless += check.without_colour
             np.add.at(counts, check.pixels, check.counts)
             ids.add(check.source_ids)
             tell("verify", i + 1, total)
         findings += _repeated(catalogue, list(islice(ids.repeated(), MOST_REPEATED + 1)))
     findings += check_hats(catalogue, counts, all_rows=rows == catalogue.rows)
+    findings += check_coverage(catalogue, counts, all_rows=rows == catalogue.rows)
+    if rows == catalogue.rows and catalogue.without_colour not in (None, colourless):
+        what = f"says {catalogue.without_colour} rows have no colour; there are {colourless}"
+        findings.append(Finding(MANIFEST_NAME, what))
     if rows != catalogue.rows and not findings:
         findings.append(Finding(MANIFEST_NAME, f"says {catalogue.rows} rows; there are {rows}"))
     return VerifyReport(

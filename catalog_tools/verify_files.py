@@ -12,11 +12,12 @@ import numpy as np
 
 from .catalogue import MANIFEST_NAME, REJECTS_NAME, SOURCES_NAME, Catalogue, open_catalogue
 from .columns import HEALPIX_COLUMN, HEALPIX_ORDER
+from .coverage import ROWS, from_json, of_rows
 from .errors import BadInput, Damaged, Incomplete
-from .partition import Pixels
+from .partition import COUNT_ORDER, Pixels
 from .starlight import STARLIGHT_NAME, read_starlight
 from .stores import Unreachable
-from .verify_shards import COUNT_ORDER, Finding
+from .verify_shards import Finding
 
 PARTITIONS_NAME = "partition_info.csv"
 SCHEMA_NAME = "dataset/_common_metadata"
@@ -111,6 +112,20 @@ def check_hats(catalogue: Catalogue, counts: Pixels, *, all_rows: bool) -> list[
     if None not in pair and pair[0] != pair[1]:
         wrong.append(Finding(PROPERTIES_NAMES[0], f"differs from {PROPERTIES_NAMES[1]}"))
     return wrong
+
+
+def check_coverage(catalogue: Catalogue, counts: Pixels, *, all_rows: bool) -> list[Finding]:
+    """What the manifest says of coverage: that it is understood, and follows from the rows if it
+    claims so. counts, all_rows : as in `check_hats`."""
+    if catalogue.coverage is None:
+        return []
+    try:
+        said = from_json(catalogue.coverage)
+    except ValueError as error:
+        return [Finding(MANIFEST_NAME, f"its coverage cannot be understood ({error})")]
+    if said.source.startswith(ROWS) and all_rows and of_rows(counts).to_json() != said.to_json():
+        return [Finding(MANIFEST_NAME, "its coverage is not that of its rows")]
+    return []
 
 
 def _check_accounts(catalogue: Catalogue, name: str, data: bytes) -> list[Finding]:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from .catalogue import Catalogue, Leaf, RowGroup
 from .columns import HEALPIX_COLUMN, HEALPIX_ORDER, NAMES, REQUIRED
 from .errors import Damaged, Incomplete
-from .partition import coarser, healpix_29
+from .judging import COLOURS, without_colour
+from .partition import COUNT_ORDER, coarser, healpix_29
 from .reading import Bytes, parse_footer
 from .sphere import directions
 from .stores import Unreachable
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-COUNT_ORDER = 8  # the finest order of the HATS maps
 ROUNDING_RAD = 1e-12
 
 
@@ -38,7 +38,7 @@ class ShardCheck(NamedTuple):
     """What a shard holds, and what is wrong with it.
 
     pixels, counts : pixels of COUNT_ORDER that occur, and their rows; source_ids : of all rows
-    that could be read.
+    that could be read; without_colour : rows without a BP or RP magnitude.
     """
 
     findings: list[Finding]
@@ -46,6 +46,7 @@ class ShardCheck(NamedTuple):
     pixels: NDArray[np.int64]
     counts: NDArray[np.int64]
     source_ids: NDArray[np.int64]
+    without_colour: int
 
 
 def check_shard(catalogue: Catalogue, index: int) -> ShardCheck:
@@ -181,4 +182,5 @@ def _summary(leaf: Leaf, wrong: list[str], tables: list[pa.Table]) -> ShardCheck
     ids = np.concatenate([none, *(t["source_id"].to_numpy() for t in tables)])
     pixels, counts = np.unique(coarser(pixels, COUNT_ORDER), return_counts=True)
     findings = [Finding(leaf.path, what) for what in wrong]
-    return ShardCheck(findings, ids.size, pixels, counts.astype(np.int64), ids)
+    colourless = sum(without_colour(t[name].to_numpy() for name in COLOURS) for t in tables)
+    return ShardCheck(findings, ids.size, pixels, counts.astype(np.int64), ids, colourless)

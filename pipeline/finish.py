@@ -39,6 +39,7 @@ SIP_SIZE = 5  # SIP polynomials up to order 4
 SIP_SIZE_DISTORTED = 10  # and up to order 9
 WINDOW = 256
 LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
+COVERAGE_KEY = "nightglass:coverage"  # in the schema's metadata of truth/stars.parquet
 Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
 
 
@@ -218,6 +219,7 @@ def _report(
         "catalogue": catalogues[0] if catalogues else None,
         "layers": catalogues[1:],
         "colour_fit": colour_facts(plan),
+        "coverage": plan.coverage.as_dict() if plan.coverage else None,
         "errors": errors,
         "remarks": list(plan.remarks),
         "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
@@ -292,4 +294,7 @@ def _empty(plan: Plan, kind: str) -> pa.Table:
     g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
     if kind == "targets":
         return pa.table(target_truth(plan, g)).slice(0, 0)
-    return pa.table(star_truth(plan, g, concatenate([], FrameStars)))
+    stars = pa.table(star_truth(plan, g, concatenate([], FrameStars)))
+    if plan.coverage is None:
+        return stars
+    return stars.replace_schema_metadata({COVERAGE_KEY: json.dumps(plan.coverage.as_dict())})

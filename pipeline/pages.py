@@ -70,6 +70,7 @@ def print_plan(plan: dict[str, Any], explain: bool = False) -> None:
         ("shards", f"{plan['shards']} ({plan['row_groups']} row groups, "
                    f"{plan['star_rows_to_read']} rows, {plan['bytes_to_read'] / 1e6:.1f} MB)"),
         ("stars a frame", f"about {plan['stars_per_frame']}"),
+        ("coverage", _coverage(plan["coverage"])),
         ("targets", str(plan["targets"])),
         ("engine", plan["engine"]),
         ("noise floor", f"{plan['noise_floor_e']:.3g} e- (sky {plan['background_e']:.3g} e-)"),
@@ -90,6 +91,19 @@ def print_plan(plan: dict[str, Any], explain: bool = False) -> None:
     console.print(table)
     for remark in plan["remarks"]:
         console.print(f"note: {remark}", highlight=False)
+
+
+def _coverage(said: dict[str, Any] | None) -> str:
+    """How much of the frames the catalogue covers."""
+    if said is None:
+        return "no catalogue"
+    if said["source"] is None:
+        return "cannot be told from the catalogue's few rows"
+    worst, mean = said["worst_frame_fraction"], said["mean_fraction"]
+    return (
+        f"{100 * worst:.3g}% of frame {said['worst_frame']}, {100 * mean:.3g}% of all "
+        f"(by {said['source']})"
+    )
 
 
 def print_warnings(warnings: list[str]) -> None:

@@ -14,11 +14,13 @@ from pipeline.errors import BadInput
 from pipeline.inputs.catalogues import (
     catalogue_facts,
     catalogue_remarks,
+    colour_sentences,
     gather_left_out,
     layer_decisions,
     open_catalogues,
 )
 from pipeline.inputs.colour_fit_files import colour_fit_of
+from pipeline.inputs.coverage import coverage_sentences, gather_coverage
 from pipeline.inputs.curves import resolve_response, solar_spectrum
 from pipeline.inputs.distortion import gather_distortion
 from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
@@ -41,6 +43,7 @@ from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_su
 from pipeline.plan.accuracy import judge
 from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
 from pipeline.plan.brightest import brightest_star_e, brightest_target_e, star_radius_rad
+from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.forecast import forecast_stars
@@ -161,6 +164,7 @@ def prepare(scene: Scene) -> Prepared:
     scene, geometry = _populated(scene, facts, geometry, dut1_s)
     if scene.stars is not None:
         remarks += catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
+    coverage = _judge_catalogues(scene, catalogues, geometry, colour, warnings, remarks)
     remarks += mesh_notices(scene)
     remarks += orbit_remarks(scene, geometry, facts.ifov_rad) + umbra_remarks(scene, geometry)
     plan = make_plan(
@@ -171,7 +175,7 @@ def prepare(scene: Scene) -> Prepared:
     left_out = _left_out(plan, catalogues)
     decisions = (*plan.decisions, *layer_decisions(catalogues, left_out))
     doubts = (*judge(scene, decisions), *plan.warnings)
-    plan = replace(plan, decisions=decisions, warnings=doubts)
+    plan = replace(plan, decisions=decisions, coverage=coverage, warnings=doubts)
     rays = _cosmic_rays(scene)
     moved = excursions_px(plan.camera, geometry, scene.star_effects["aberration"])
     far = float(moved.max()) if scene.stars is not None else 0.0
@@ -194,6 +198,26 @@ def _brightest_e(
         ]
         stars_e = brightest_star_e(scene, colour, (float(m) for g_mag in groups for m in g_mag))
     return max(stars_e, brightest_target_e(scene, g, sun_rate_e_s_m2) if scene.targets else 0.0)
+
+
+def _judge_catalogues(
+    scene: Scene,
+    catalogues: tuple[Catalogue, ...],
+    geometry: Geometry,
+    colour: ColourFit | None,
+    warnings: list[str],
+    remarks: list[str],
+) -> FieldCoverage | None:
+    """How much of the frames the main catalogue covers; warnings and remarks on that, and on stars
+    without a colour, are added."""
+    if not catalogues or colour is None:
+        return None
+    coverage = gather_coverage(scene, catalogues[0], geometry)
+    of_coverage = coverage_sentences(scene, catalogues[0], coverage)
+    of_colours = colour_sentences(catalogues, colour)
+    warnings += of_coverage[0] + of_colours[0]
+    remarks += of_coverage[1] + of_colours[1]
+    return coverage
 
 
 def _with_engines(plan: Plan, catalogues: tuple[Catalogue, ...], geometry: Geometry) -> Plan:

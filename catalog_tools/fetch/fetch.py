@@ -9,10 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ..coverage import Coverage, all_sky
 from ..errors import BadInput, Incomplete
+from ..fetched import note_coverage
 from .cones import Cone, parse_cone
 from .download import Progress, download
-from .layout import Entry, Release, choose, parse_md5sum, release_named
+from .layout import Entry, Release, choose, files_coverage, parse_md5sum, release_named
 from .ledger import Ledger, file_md5, folder_for, write_whole
 from .patience import Patience, Refused, Unavailable
 from .remote import Remote, open_remote, read_whole
@@ -88,10 +90,12 @@ def fetch(
             remote, entries, ledger,
             connections=connections, patience=patience, progress=tell, verify=verify,
         )  # fmt: skip
+        names = [entry.name for entry in entries]
+        note_coverage(ledger.folder, names, _coverage(found, listed, entries))
     return FetchReport(
         release,
         str(destination),
-        tuple(entry.name for entry in entries),
+        tuple(names),
         tally.downloaded,
         tally.bytes_downloaded,
         tally.present,
@@ -136,6 +140,13 @@ def _listed(remote: Remote, release: Release, ledger: Ledger, patience: Patience
     return entries
 
 
+def _coverage(release: Release, listed: Sequence[Entry], chosen: Sequence[Entry]) -> Coverage:
+    """What files of the archive cover: all of the sky, or the pixels of their source_ids."""
+    if len(chosen) == len(listed) == release.files:
+        return all_sky(f"the whole of {release.title}")
+    return files_coverage(release, chosen)
+
+
 def _by_tap(
     release: Release,
     url: str,
@@ -145,7 +156,7 @@ def _by_tap(
     tell: Progress,
     verify: bool,
 ) -> FetchReport:
-    from .tap import fetch_cone, file_name
+    from .tap import cone_coverage, fetch_cone, file_name
     from .tap_service import TapService
 
     service, names = TapService(url, patience), [file_name(release, cone) for cone in cones]
@@ -157,6 +168,8 @@ def _by_tap(
             continue
         fetch_cone(service, release, cone, ledger, lambda done, total: tell("query", done, total))
         brought.append(size_of(ledger.folder / name))
+    for cone, name in zip(cones, names, strict=True):
+        note_coverage(ledger.folder, [name], cone_coverage(release, cone))
     return FetchReport(
         release.name, str(ledger.folder), tuple(names),
         len(brought), sum(brought), len(there), sum(there), (),

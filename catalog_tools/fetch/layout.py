@@ -18,22 +18,11 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from ..coverage import Coverage, of_pixels
 from ..errors import BadInput
+from ..gaia_ids import ID_ORDER, ID_SHIFT, MOVED_DEG
+from ..partition import COUNT_ORDER
 from .cones import Cone
-
-ID_ORDER = 12
-ID_SHIFT = 35
-
-# How far a source may stand from the place that its identifier tells. Identifiers come from the
-# Initial Gaia Source List (positions at J2000.0) or from the first detection (2014 or later); the
-# catalogue's positions are of 2015.5 (DR3: 2016.0). No known star moves faster than Barnard's,
-# 10.4 arcsec/yr: 161 arcsec in 15.5 years, 166 in 16; its identifier is indeed that of its place
-# of J2000. What is left of 180 arcsec, and a ring of neighbouring pixels, is for errors of the
-# first position: of 22,000 real DR2 rows none stands more than 15 arcsec outside its pixel. DR2's
-# documentation counts 1,972 sources more than 54 arcsec from their pixel's centre, "largely" by
-# proper motion, and gives no upper limit: one whose first position was wrong by more than what
-# is left here would be missed.
-MOVED_DEG = 0.05
 
 DR2_NAME = re.compile(r"GaiaSource_(\d{1,19})_(\d{1,19})\.csv\.gz")
 DR3_NAME = re.compile(r"GaiaSource_(\d{6})-(\d{6})\.csv\.gz")
@@ -152,6 +141,18 @@ def choose(entries: Sequence[Entry], cones: Sequence[Cone]) -> list[Entry]:
         before = np.searchsorted(starts, last, side="right") - 1
         hit |= (before >= 0) & (ends[before] > first)
     return [entry for entry, chosen in zip(entries, hit, strict=True) if chosen]
+
+
+def files_coverage(release: Release, entries: Sequence[Entry]) -> Coverage:
+    """The part of the sky that files bring whole: from each one's first source_id to its last.
+
+    In pixels of COUNT_ORDER (7 arcmin), so that files which follow each other leave no gap.
+    """
+    shift = ID_SHIFT + 2 * (ID_ORDER - COUNT_ORDER)
+    first = np.array([entry.first_id for entry in entries], np.int64) >> shift
+    last = np.array([entry.last_id for entry in entries], np.int64) >> shift
+    last = np.minimum(last, (12 << (2 * COUNT_ORDER)) - 1)
+    return of_pixels(f"fetched files of {release.title}", COUNT_ORDER, first, last + 1)
 
 
 def cone_ranges(cone: Cone) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

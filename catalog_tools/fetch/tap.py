@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import gzip
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from ..columns import NAMES
+from ..coverage import Coverage
 from ..errors import BadInput, Damaged, Incomplete
 from .cones import Cone
 from .layout import Release
@@ -109,6 +112,13 @@ def file_name(release: Release, cone: Cone) -> str:
     limit = "" if cone.faintest_g_mag is None else f"_g{cone.faintest_g_mag!r}"
     place = f"{cone.ra_deg % 360.0!r}_{cone.dec_deg!r}_{cone.radius_deg!r}"
     return f"{release.name}_cone_{place}{limit}.csv.gz"
+
+
+def cone_coverage(release: Release, cone: Cone) -> Coverage:
+    """What a cone's file covers: the cone, to its limit."""
+    limit = math.inf if cone.faintest_g_mag is None else cone.faintest_g_mag
+    cones = np.array([[cone.ra_deg, cone.dec_deg, cone.radius_deg, limit]])
+    return Coverage(f"fetched cones of {release.title}", cones=cones)
 
 
 def fetch_cone(

@@ -51,7 +51,8 @@ class Source:
     that stand for an absent value. positive : columns that must be above 0 for a value to be
     there. colour : one column, or two whose difference it is; outside colour_range the value is
     absent, or the colour is taken at the end of the range where `clip`. is_ : for pmra, whether
-    cos(dec) is in it. optional : the table may lack the column.
+    cos(dec) is in it. optional : the table may lack the column. fallback : this way is for tables
+    that offer none of the earlier ones and have all of its columns.
     """
 
     column: str
@@ -67,6 +68,15 @@ class Source:
     clip: bool = False
     is_: str | None = None
     optional: bool = False
+    fallback: bool = False
+
+    def is_offered(self, table: Names) -> bool:
+        """Whether a table may be asked for it: one that lacks its columns either does without it
+        (optional, fallback), or is refused where they are looked for."""
+        if self.fallback:
+            needed = (self.names, *((name,) for name in (*self.positive, *self.colour)))
+            return all(table.first(names) is not None for names in needed)
+        return not self.optional or table.first(self.names) is not None
 
     @property
     def scale(self) -> float:
@@ -97,11 +107,13 @@ class IdRule:
     text, as in "Gaia DR2 123", times `factor`. `position`: -1 - pixel, the nested HEALPix pixel
     of order 29 (0.4 mas); rows of one pixel are duplicates. `text`: 62 bits of the BLAKE2b hash
     of the text, minus 2**63. The last two are negative, and so never an id of Gaia.
+    holds_place : whether they are Gaia's, from which a row's place follows (`gaia_ids`).
     """
 
     rule: str
     names: tuple[str, ...] = ()
     factor: int = 1
+    holds_place: bool = False
 
 
 @dataclass(frozen=True)
@@ -155,6 +167,14 @@ class Form:
     def of(self, column: str) -> tuple[Source, ...]:
         return tuple(source for source in self.sources if source.column == column)
 
+    def ways(self, column: str, table: Names) -> tuple[Source, ...]:
+        """The ways to a canonical column that a table offers, in the order of trial."""
+        found: list[Source] = []
+        for source in self.of(column):
+            if source.is_offered(table) and not (source.fallback and found):
+                found.append(source)
+        return tuple(found)
+
     def choose(self, names: Iterable[str], where: str) -> dict[str, str]:
         """The columns to read of a table with these columns: `integer`, `number` or `text` by name.
 
@@ -167,9 +187,8 @@ class Form:
         if self.source_id.rule != "position":
             kind = "integer" if self.source_id.rule == "integer" else "text"
             chosen[self._find(table, self.source_id.names, where, "source_id")] = kind
-        for source in self.sources:
-            if source.optional and table.first(source.names) is None:
-                continue
+        columns = dict.fromkeys(source.column for source in self.sources)
+        for source in (way for column in columns for way in self.ways(column, table)):
             chosen.setdefault(self._find(table, source.names, where, source.column), "number")
             for name in (*source.positive, *source.colour):
                 chosen.setdefault(self._find(table, (name,), where, source.column), "number")

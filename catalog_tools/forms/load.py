@@ -186,6 +186,7 @@ def _source(table: _Table, column: str) -> Source:
         nulls=table.numbers("null"),
         positive=table.texts("positive", ()),
         optional=table.flag("optional"),
+        fallback=table.flag("fallback"),
         **given,
     )
     table.done()
@@ -198,8 +199,9 @@ def _id_rule(table: _Table) -> IdRule:
     factor = table.number("factor", 1.0) if rule.endswith("integer") else 1.0
     if factor not in (1.0, -1.0):
         raise table.refuse("factor", factor, "1 or -1")
+    holds_place = table.flag("holds_place")
     table.done()
-    return IdRule(rule, names, int(factor))
+    return IdRule(rule, names, int(factor), holds_place)
 
 
 def _epoch(table: _Table) -> Epoch:

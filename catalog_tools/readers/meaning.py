@@ -45,7 +45,7 @@ def _column(
     where: str,
     made: dict[str, pa.Array | pa.ChunkedArray],
 ) -> pa.Array | pa.ChunkedArray:
-    ways = [s for s in form.of(field.name) if not s.optional or names.first(s.names) is not None]
+    ways = form.ways(field.name, names)
     if not ways:
         return pa.nulls(table.num_rows, field.type)
     if len(ways) == 1 and ways[0].is_plain:

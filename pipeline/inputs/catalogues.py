@@ -9,13 +9,16 @@ import numpy as np
 
 from catalog_tools.catalogue import Catalogue, open_catalogue
 from pipeline.errors import BadInput
+from pipeline.inputs.colour_fit import default_colour_error_mag
 from pipeline.plan.decisions import Decision
 
 if TYPE_CHECKING:
     from catalog_tools.regions import Cone
+    from pipeline.physics.colour import ColourFit
 
 FIELD = "stars.catalogue"
 BRIGHT_END_G_MAG = 2.0
+MANY = 0.5  # of a catalogue's stars without a colour are a warning
 GAP_G_MAG = 0.5  # stars missing over a smaller range are not worth a remark
 
 
@@ -85,9 +88,34 @@ def catalogue_facts(
             "synthetic": c.synthetic,
             "ref_epoch_jyear": c.ref_epoch_jyear,
             "left_out": int(ids.size),
+            "rows": c.rows,
+            "without_colour": c.without_colour,
         }
         for c, ids in zip(catalogues, left_out, strict=True)
     ]
+
+
+def colour_sentences(
+    catalogues: Sequence[Catalogue], fit: ColourFit
+) -> tuple[list[str], list[str]]:
+    """Warnings and remarks: how many stars have no colour, and what that may cost in the band."""
+    rms, most = default_colour_error_mag(fit)
+    cost = (
+        f"drawn with BP-RP = {fit.default_colour:g}, which errs by {rms:.2f} mag rms of typical "
+        f"stars in {fit.band_name}, at most {most:.2f}"
+    )
+    warnings: list[str] = []
+    remarks: list[str] = []
+    for c in catalogues:
+        many = c.without_colour is not None and c.without_colour > MANY * c.rows
+        if c.without_colour is None:
+            remarks.append(f"it is unknown how many of {c.name} have no colour; they are {cost}")
+        elif c.without_colour:
+            part = f"{c.without_colour} of {c.rows} ({100.0 * c.without_colour / c.rows:.3g}%)"
+            (warnings if many else remarks).append(
+                f"{part} stars of {c.name} have no colour: {cost}"
+            )
+    return warnings, remarks
 
 
 def catalogue_remarks(

@@ -33,6 +33,11 @@ REDDEST_BP_RP_MAG = 3.4
 DEFAULT_BP_RP_MAG, DEFAULT_SCATTER_MAG = 1.44, 0.50
 
 
+# Of 921 random stars of DR2 with colours, G 12 to 21: BP-RP at 5, 15 ... 95%, and of all.
+TYPICAL_BP_RP_MAG = (0.81, 1.01, 1.13, 1.24, 1.37, 1.50, 1.66, 1.83, 2.04, 2.58)
+BLUEST_AND_REDDEST_MAG = (-0.47, 4.09)
+
+
 class ColourPoints(NamedTuple):
     """Synthetic colours of the library relative to its A0V: names, BP-RP (n,), band - G (n,)."""
 
@@ -88,6 +93,17 @@ def fit_band(points: ColourPoints, band_name: str, degree: int | None = None) ->
         source=points.source,
         spectra_count=int(x.size),
     )
+
+
+def default_colour_error_mag(fit: ColourFit) -> tuple[float, float]:
+    """What the default colour may cost a star's magnitude in the band: rms and largest.
+
+    From the fit at the colours of typical stars, against that at the default one.
+    """
+    taken = colour_correction_mag(np.array([fit.default_colour]), fit)
+    typical = colour_correction_mag(np.array(TYPICAL_BP_RP_MAG), fit) - taken
+    extreme = colour_correction_mag(np.array(BLUEST_AND_REDDEST_MAG), fit) - taken
+    return float(np.sqrt(np.mean(typical**2))), float(np.abs([*typical, *extreme]).max())
 
 
 def gather_colour_fit(

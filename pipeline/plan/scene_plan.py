@@ -18,6 +18,7 @@ from pipeline.plan.air import above_air
 from pipeline.plan.air_decisions import decide_air
 from pipeline.plan.attitude_motion import decide_motion
 from pipeline.plan.checks import CheckCell, choose_checks
+from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
 from pipeline.plan.detector import decide_detector, lag_depth
@@ -62,6 +63,7 @@ class Plan:
     sky: SkyPlan | None = None
     extinction: BandExtinction | None = None
     warnings: tuple[str, ...] = ()
+    coverage: FieldCoverage | None = None
 
     @property
     def frames(self) -> int:
@@ -196,6 +198,7 @@ def plan_dict(
         "stars_per_frame": forecast.stars_per_frame if forecast else 0,
         "catalogue": catalogues[0] if catalogues else None,
         "layers": list(catalogues[1:]),
+        "coverage": plan.coverage.as_dict() if plan.coverage else None,
         "targets": len(plan.scene.targets),
         "engine": _engine(r),
         "predicted": needs,

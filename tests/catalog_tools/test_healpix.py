@@ -6,7 +6,7 @@ import healpy
 import numpy as np
 import pytest
 
-from catalog_tools.healpix import pixels_of
+from catalog_tools.healpix import centres_of, neighbours_of, pixels_of
 
 
 def healpy_pixels(order, ra, dec):
@@ -61,3 +61,17 @@ def _apart_rad(order, ours, theirs):
         return 0.0
     one, two = (np.array(healpy.pix2vec(1 << order, p, nest=True)) for p in (ours, theirs))
     return float(np.sqrt(((one - two) ** 2).sum(axis=0)).max())
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3, 6, 12, 29])
+def test_centres_and_neighbours(order):
+    count = 12 * 4**order
+    pixels = np.arange(count) if count < 50_000 else np.random.default_rng(order).integers(
+        0, count, 50_000
+    )  # fmt: skip
+    ra, dec = healpy.pix2ang(1 << order, pixels, nest=True, lonlat=True)
+    ours_ra, ours_dec = centres_of(order, pixels)
+    assert np.abs((ours_ra - ra + 180.0) % 360.0 - 180.0).max() < 1e-12
+    assert np.abs(ours_dec - dec).max() < 1e-12
+    theirs = healpy.get_all_neighbours(1 << order, pixels, nest=True)
+    assert (np.sort(neighbours_of(order, pixels), axis=0) == np.sort(theirs, axis=0)).all()

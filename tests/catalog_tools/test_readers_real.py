@@ -9,14 +9,17 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from astropy.table import Table
 from lsst_refcat import convert
 from scipy.spatial import cKDTree
 
 from catalog_tools.columns import INCOMING
 from catalog_tools.errors import BadInput
 from catalog_tools.forms import load_form
+from catalog_tools.ingest import ingest
 from catalog_tools.judging import judge
 from catalog_tools.readers import detect_form, read_tables
+from catalog_tools.verify import verify
 
 FORMS = Path(__file__).parent / "forms"
 TABLES = {  # form, rows
@@ -202,3 +205,37 @@ def test_detected_forms(shared_data):
     for name, (form, _) in TABLES.items():
         if form is None:
             assert detect_form(shared_data / "gaia_dr2" / name).name == "gaia_dr2"
+
+
+BANDS = ("phot_bp_mean_mag", "phot_rp_mean_mag")
+COLOUR_TABLES = {  # columns beside G, and whether BP and RP follow exactly
+    ("bp_rp", "g_rp"): True, ("bp_g", "g_rp"): True, ("bp_rp", "bp_g"): True,
+    ("phot_bp_mean_mag", "bp_rp"): True, ("phot_rp_mean_mag", "bp_rp"): True,
+    ("phot_rp_mean_mag", "bp_g"): True, ("bp_rp",): False,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("columns", COLOUR_TABLES, ids="+".join)
+def test_colours_of_the_archive_give_bp_and_rp(shared_data, tmp_path, columns):
+    """1,000 random rows of the whole schema, reduced to some of its colours."""
+    source = shared_data / "gaia_dr2" / "full_schema_random" / "gdr2_sm.fits"
+    whole = Table.read(source)
+    kept = ["source_id", "ra", "dec", "phot_g_mean_mag", *columns]
+    whole[kept].write(tmp_path / "some.fits")
+    made = ingest([tmp_path / "some.fits"], tmp_path / "made", form="gaia_dr2").catalogue
+    rows = {row["source_id"]: row for row in read(tmp_path / "some.fits").to_pylist()}
+    apart, bright = [], []
+    for true in read(source).to_pylist():
+        mine = rows[true["source_id"]]
+        assert all((mine[band] is None) == (true[band] is None) for band in BANDS)
+        if true[BANDS[0]] is not None:
+            apart.append([mine[band] - true[band] for band in BANDS])
+            bright.append(true["phot_g_mean_mag"] < 17.0)
+    assert np.abs(np.diff(apart, axis=1)).max() < 1e-5  # BP - RP; float32 of 20 mag
+    if COLOUR_TABLES[columns]:
+        assert np.abs(apart).max() < 1e-5
+    else:  # the mean of bright stars of that colour
+        assert np.median(np.abs(apart)[bright]) < 0.02
+        assert np.median(np.abs(apart)) < 0.15
+    assert made.without_colour == 1000 - len(apart) == 79
+    assert verify(made).whole

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from catalog_tools.build import About, build
-from pipeline.inputs.catalogues import catalogue_facts, catalogue_remarks, gather_left_out
+from pipeline.inputs.catalogues import (
+    catalogue_facts,
+    catalogue_remarks,
+    colour_sentences,
+    gather_left_out,
+)
+from pipeline.inputs.colour_fit import gather_colour_fit
+from pipeline.inputs.curves import resolve_response
 
 
 @pytest.fixture(scope="module")
@@ -69,4 +76,19 @@ def test_facts_and_nothing_left_out_of_the_main_catalogue(empty):
         "synthetic": False,
         "ref_epoch_jyear": 2015.5,
         "left_out": 2,
+        "rows": 0,
+        "without_colour": 0,
     }
+
+
+def test_stars_without_a_colour_are_counted_with_what_it_may_cost(empty):
+    """Few are a remark, most of a catalogue a warning; an older catalogue did not count them."""
+    fit = gather_colour_fit(*resolve_response({"kind": "named", "name": "bessell-V"}, 1, 1), None)
+    counts = {0: (0, 0), 80: (0, 1), 600: (1, 0), None: (0, 1)}
+    for count, (warned, remarked) in counts.items():
+        held = replace(empty, rows=1000, without_colour=count)
+        warnings, remarks = colour_sentences([held], fit)
+        assert (len(warnings), len(remarks)) == (warned, remarked), count
+    (warning,), _ = colour_sentences([replace(empty, rows=1000, without_colour=600)], fit)
+    assert warning.startswith("600 of 1000 (60%) stars of empty have no colour")
+    assert "mag rms" in warning

@@ -155,3 +155,20 @@ def test_same_description_carries_every_spectrum(embedded):
     low = colour_fit.fit_band(points, "two", degree=2)
     assert low.coefficients.size == 3
     assert 0.0 < fit.default_error_mag < 0.05
+
+
+def test_what_the_default_colour_costs_is_what_it_costs_real_stars(shared_data):
+    """921 random DR2 rows, and V - G of Evans et al. 2018 at their colours and at the default."""
+    table = Table.read(shared_data / "gaia_dr2" / "full_schema_random" / "gdr2_sm.fits")
+    name = {column.lower(): column for column in table.colnames}["bp_rp"]
+    colours = np.ma.filled(np.ma.array(table[name], dtype=float), np.nan)
+    colours = colours[np.isfinite(colours)]
+    assert colours.size == 921
+    rms, most = colour_fit.default_colour_error_mag(fitted(named("bessell-V")))
+    coefficients, _ = EVANS["V"]
+    inside = np.append(colours[(colours > -0.5) & (colours < 2.75)], colour_fit.DEFAULT_BP_RP_MAG)
+    g_minus_v = np.polynomial.polynomial.polyval(inside, coefficients)
+    error = g_minus_v[:-1] - g_minus_v[-1]
+    assert rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.2)  # no reddest
+    assert most > np.abs(error).max()
+    assert most < 2.5
