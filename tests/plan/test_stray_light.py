@@ -225,3 +225,15 @@ def test_the_paper_s_four_corners_are_told(scene, curve):
     reason = told(sky)["background.grid"].reason
     assert "four corners differ by up to 0." in reason
     assert "which the paper would take for the frame and err by" in reason
+
+
+def test_fill_factor_takes_its_fraction(scene, curve):
+    """Stray light, too, is collected only where the pixel collects."""
+    wish = {"pst": {"kind": "table", "path": curve}, "inside": "extrapolate"}
+    images = [
+        sky_tile(planned(scene, wish, at(190.0, 0.0) | {"sensor.fill_factor": fill})[-1], 0,
+                 Tile(0, 0, 0, 0, 256, 256))
+        for fill in (1.0, 0.55)
+    ]  # fmt: skip
+    assert images[0].min() > 0.0
+    assert images[1] == pytest.approx(0.55 * images[0], rel=1e-3)
