@@ -43,7 +43,7 @@ from .publish import Work, publishing
 from .schedulers import LocalScheduler, Scheduler
 
 REQUEST_NAME = "request.json"
-PROGRESS_VERSION = 2  # of everything that is kept of an unfinished build
+PROGRESS_VERSION = 3  # of everything that is kept of an unfinished build
 BATCH_BYTES = 96 << 20  # of files as they come: some 300,000 gzipped rows of Gaia
 BATCH_SOURCES = 64
 REJECTS_ROWS = 100_000
