@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from catalog_tools.durable import sync, sync_all
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import tile_shape
@@ -60,6 +61,7 @@ def begin(
             raise BadInput("--resume", str(path), "a product that was begun before")
         _make_folders(path)
         create_arrays(path, plan)
+        sync_all(path / layout.CUBE)  # the record of the beginning vouches for it
         layout.write_atomically(path / layout.SCENE, scene_yaml(plan.scene).encode())
         layout.write_atomically(path / layout.BEGUN, layout.to_json(identity))
         return Begun(path, _writer(path, plan), frozenset(), frozenset(), ())
@@ -292,7 +294,10 @@ def _finished_faults(path: Path) -> list[str]:
 
 
 def seal(path: Path) -> None:
-    """Write _COMPLETE, last of all, with the digests of all files that are no chunks."""
+    """Write _COMPLETE, last of all, with the digests of all files that are no chunks.
+
+    They, and all folders, are brought to the disk first; chunks were, before their markers.
+    """
     files = {}
     for file in sorted(path.rglob("*")):
         if file.name.startswith(".") and file.suffix == ".tmp":  # of a writer that was killed
@@ -300,10 +305,11 @@ def seal(path: Path) -> None:
             continue
         name = file.relative_to(path).as_posix()
         skip = name.startswith(f"{layout.MARKERS}/") or file.name == layout.COMPLETE
-        skip |= file.name.startswith(layout.LOCK)
-        tile_chunk = has_marker(name)
-        if file.is_file() and not skip and not tile_chunk:
+        skip |= file.name.startswith(layout.LOCK) or has_marker(name)
+        if file.is_file() and not skip:
             files[name] = file_digest(file)
+        if file.is_dir() or name in files:
+            sync(file)
     content = {"format": FORMAT, "content_digest": content_digest(path), "files": files}
     layout.write_atomically(path / layout.COMPLETE, layout.to_json(content))
 
