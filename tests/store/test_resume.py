@@ -97,6 +97,31 @@ def test_another_catalogue_at_the_same_place_is_refused(starry, product):
     assert check(product).whole
 
 
+@pytest.mark.parametrize(
+    ("output", "key"),
+    [({"layers": ["dn", "mean_e"]}, "scene_sha256"), ({"tile_shape": [256, 512]}, "tile_shape")],
+)
+def test_other_layers_or_tiles_are_refused(starry, product, output, key):
+    """What was begun with some layers and tiles is gone on with as that alone."""
+    data = starry[0].as_dict()
+    data["output"] |= output
+    unfinished(product)
+    with pytest.raises(BadInput, match=f"same {key}"):
+        render(parse_scene(data), product, AGAIN)
+
+
+def test_what_a_killed_writer_left_is_no_part_of_the_product(starry, product):
+    """Files that had no name yet, anywhere in it: gone with the seal, and in no list."""
+    unfinished(product)
+    left = [product / ".plan.json.0f.tmp", product / "markers" / ".f000000_r000_c000.json.1e.tmp"]
+    for path in left:
+        path.write_bytes(b"{")
+    render(starry[0], product, AGAIN)
+    assert not any(path.exists() for path in left)
+    assert not [n for n in json.loads((product / "_COMPLETE").read_text())["files"] if "tmp" in n]
+    assert check(product).whole
+
+
 def test_a_marker_that_was_changed_is_not_believed(starry, product):
     """Whole JSON with one checksum of a cell altered: only the marker's own checksum tells."""
     path = min((product / "markers").glob("*.json"))
