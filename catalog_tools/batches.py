@@ -128,7 +128,7 @@ def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> dict[str, Any
     rejects.close()
     return {
         "folder": name,
-        "crcs": {each: _crc32c(folder / each) for each in (COUNTS_NAME, REJECTS_NAME)},
+        "crcs": {each: crc32c_of(folder / each) for each in (COUNTS_NAME, REJECTS_NAME)},
         "records": records,
         "pieces": held.pieces,
         "reasons": reasons,
@@ -227,7 +227,7 @@ def finished(batch: Batch, folder: Path, *, verify: bool = False) -> Split | Non
     names, crcs = marker["folder"], marker["crcs"]
     if verify and not all(is_whole(folder, piece) for piece in pieces):
         return None
-    if verify and any(_crc32c(folder / names / name) != crc for name, crc in crcs.items()):
+    if verify and any(crc32c_of(folder / names / name) != crc for name, crc in crcs.items()):
         return None
     records, reasons = tuple(marker["records"]), marker["reasons"]
     return Split(batch.number, names, crcs, records, pieces, reasons)
@@ -256,7 +256,7 @@ def rejects_of(split: Split, folder: Path) -> Iterator[pa.Table]:
     if not split.reasons:
         return
     path = folder / split.folder / REJECTS_NAME
-    if _crc32c(path) != split.crcs[REJECTS_NAME]:
+    if crc32c_of(path) != split.crcs[REJECTS_NAME]:
         raise Damaged(str(path), CHANGED)
     yield from stored_tables(path)
 
@@ -289,7 +289,7 @@ def _marker_path(folder: Path, batch: Batch) -> Path:
     return folder / f"{batch.number:06d}.json"
 
 
-def _crc32c(path: Path) -> int | None:
+def crc32c_of(path: Path) -> int | None:
     """Checksum of a file; None where there is none."""
     crc = 0
     try:

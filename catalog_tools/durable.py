@@ -74,3 +74,9 @@ def sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def sync_all(folder: Path) -> None:
+    """Bring a folder to the disk with all files and folders in it, itself last."""
+    for path in (*sorted(folder.rglob("*")), folder):
+        sync(path)

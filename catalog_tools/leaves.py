@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
-import google_crc32c
 import numpy as np
 import pyarrow as pa
 
-from .batches import Split, stored_tables
+from .batches import Split, crc32c_of, stored_tables
 from .catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
 from .columns import STORED
 from .duplicates import Repeated
 from .durable import sync, whole_file, write_atomically
+from .errors import Damaged
 from .judging import (
     COLOURS,
     DUPLICATE,
@@ -32,7 +32,7 @@ from .judging import (
 )
 from .memory import give_back
 from .partition import Cell
-from .pieces import Pieces
+from .pieces import CHANGED, Pieces
 from .publish import Work
 from .shards import write_shard
 
@@ -63,13 +63,15 @@ class LeafDone(NamedTuple):
     """A finished leaf: its records for the manifest's tables (none if all its rows are surplus).
 
     surplus : rows left out as their source_id occurs before, `elsewhere` of them at another place;
-    without_colour : rows in it without a BP or RP magnitude.
+    surplus_crc32c : of the file that holds them, None where there is none; without_colour : rows in
+    it without a BP or RP magnitude.
     """
 
     cell: Cell
     leaf: np.ndarray
     row_groups: np.ndarray
     surplus: int
+    surplus_crc32c: int | None
     elsewhere: int
     without_colour: int
 
@@ -103,9 +105,12 @@ def write_leaf(context: Written, cell: Cell) -> None:
                 writer.write_table(_surplus_table(context, runs, rows, surplus[some], reasons))
         rows = {name: np.delete(values, surplus) for name, values in rows.items()}
     rows.pop(PLACE_COLUMN, None)
-    marker: dict[str, Any] = {"basis": context.basis, "surplus": int(surplus.size), "leaf": None}
-    marker["elsewhere"] = int(np.count_nonzero(elsewhere))
-    marker["without_colour"] = without_colour(rows[name] for name in COLOURS)
+    marker: dict[str, Any] = {
+        "basis": context.basis, "leaf": None, "surplus": int(surplus.size),
+        "surplus_crc32c": crc32c_of(_surplus_path(work, cell)) if surplus.size else None,
+        "elsewhere": int(np.count_nonzero(elsewhere)),
+        "without_colour": without_colour(rows[name] for name in COLOURS),
+    }  # fmt: skip
     if rows["source_id"].size:
         leaf, groups = _write_shard(work, cell, rows)
         marker |= {"leaf": leaf.tolist(), "row_groups": groups.tolist()}
@@ -129,7 +134,7 @@ def _write_shard(work: Work, cell: Cell, rows: Columns) -> tuple[np.ndarray, np.
 
 
 def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone | None:
-    """A leaf that was written from the same pieces; `verify` compares its shard's checksum."""
+    """A leaf that was written from the same pieces; `verify` compares its files' checksums."""
     work = context.work
     try:
         marker = json.loads(_marker_path(work, cell).read_text(encoding="utf-8"))
@@ -137,27 +142,29 @@ def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone
         return None
     if marker["basis"] != context.basis:
         return None
+    surplus = marker["surplus"], marker["surplus_crc32c"]
+    if verify and surplus[0] and crc32c_of(_surplus_path(work, cell)) != surplus[1]:
+        return None
     if marker["leaf"] is None:
         none = np.empty(0, LEAVES_DTYPE), np.empty(0, ROW_GROUPS_DTYPE)
-        return LeafDone(cell, *none, marker["surplus"], marker["elsewhere"], 0)
+        return LeafDone(cell, *none, *surplus, marker["elsewhere"], 0)
     leaf = np.array([_record(marker["leaf"])], LEAVES_DTYPE)
-    if verify:
-        try:
-            data = (work.catalogue / shard_name(cell.order, cell.pixel)).read_bytes()
-        except OSError:
-            return None
-        if google_crc32c.value(data) != leaf["crc32c"][0]:
-            return None
+    shard = work.catalogue / shard_name(cell.order, cell.pixel)
+    if verify and crc32c_of(shard) != leaf["crc32c"][0]:
+        return None
     groups = np.array([_record(group) for group in marker["row_groups"]], ROW_GROUPS_DTYPE)
     return LeafDone(
-        cell, leaf, groups, marker["surplus"], marker["elsewhere"], marker["without_colour"]
+        cell, leaf, groups, *surplus, marker["elsewhere"], marker["without_colour"]
     )
 
 
 def surplus_of(context: Written, done: LeafDone) -> Iterator[pa.Table]:
     """The rows of a leaf that were left out, as the rejects table shows them."""
     if done.surplus:
-        yield from stored_tables(_surplus_path(context.work, done.cell))
+        path = _surplus_path(context.work, done.cell)
+        if crc32c_of(path) != done.surplus_crc32c:
+            raise Damaged(str(path), CHANGED)
+        yield from stored_tables(path)
 
 
 def _surplus_table(

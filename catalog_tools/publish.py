@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from .catalogue import MANIFEST_NAME
-from .durable import sync
+from .durable import sync, sync_all
 from .errors import NO_ROOM, BadInput, DiskFull, Incomplete
 
 # renameat2(2) of Linux: both paths are relative to the current folder; swap the two.
@@ -116,8 +116,7 @@ def _check(destination: Path, overwrite: bool, field: str) -> None:
 
 
 def _swap_in(work: Path, destination: Path) -> None:
-    for path in (*sorted(work.rglob("*")), work):
-        sync(path)
+    sync_all(work)
     if os.path.lexists(destination):
         _exchange(work, destination)
         shutil.rmtree(work, ignore_errors=True)

@@ -11,14 +11,13 @@ from catalog_tools.schedulers import open_scheduler
 from pipeline.errors import BadInput, Incomplete
 from pipeline.finish import finish, stored_report
 from pipeline.prepare import Prepared, catalogue_facts_of, prepare, summary_of
-from pipeline.run import Listener, Options, draw, times_of
-from pipeline.shares import Share, still_missing
+from pipeline.run import Listener, Options, draw, times_of, unseal
+from pipeline.shares import WHOLE, Share, still_missing
 from pipeline.spec.load import load_scene
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
-from pipeline.store.product import begin, begin_together, truth_kinds
-from pipeline.store.truth import part_path
+from pipeline.store.product import Begun, begin, is_sealed, make_together, truth_kinds
 
 MOST_PARTS = 1_000_000
 
@@ -51,11 +50,13 @@ def _render_share(
     started: float,
 ) -> dict[str, Any]:  # fmt: skip
     """A part, prepared: drawn, and the product finished where it was the last."""
-    plan = prepared.plan
-    begun = begin_together(product, plan, prepared.catalogue_digest, share.mine(plan))
-    if (product / layout.COMPLETE).is_file():
-        return stored_report(begun)
+    plan, digest = prepared.plan, prepared.catalogue_digest
+    make_together(product, plan, digest)
     with layout.only_writer(product, share.name):
+        begun = begin(product, plan, digest, True, share.mine(plan))
+        if is_sealed(begun, share.tiles(plan)):
+            return stored_report(begun)
+        unseal(product)
         if not (product / layout.PLAN).is_file():
             summary = layout.to_json(summary_of(prepared))
             layout.write_atomically(product / layout.PLAN, summary)
@@ -64,7 +65,7 @@ def _render_share(
             draw(prepared, begun, scheduler, listen, share)
             workers = scheduler.workers
     times = times_of(options, started, drawing, workers)
-    if _lacking(prepared, product)[0]:
+    if WHOLE.tiles(plan) > sum(1 for _ in markers_present(product)):
         return share.told(plan, times)
     try:
         return _finish(prepared, product, times)
@@ -89,23 +90,17 @@ def _finish(prepared: Prepared, product: Path, times: dict[str, Any]) -> dict[st
     with layout.full_disk(product), layout.only_writer(product):
         # Every chunk against its marker.
         begun = begin(product, plan, prepared.catalogue_digest, resume=True)
-        if (product / layout.COMPLETE).is_file():
+        if is_sealed(begun, WHOLE.tiles(plan)):
             return stored_report(begun)
-        tiles, truth = _lacking(prepared, product)
+        unseal(product)
+        tiles, truth = _lacking(prepared, begun)
         if tiles or truth:
             raise Incomplete(still_missing(str(product), tiles, truth, begun.redrawn))
         return finish(plan, catalogue_facts_of(prepared), begun, times)
 
 
-def _lacking(prepared: Prepared, product: Path) -> tuple[int, int]:
-    """How many tiles and truth parts are not there yet."""
+def _lacking(prepared: Prepared, begun: Begun) -> tuple[int, int]:
+    """How many tiles and truth parts are not there, or not whole."""
     plan = prepared.plan
-    tiles = len(plan.tiles) * plan.frames - sum(1 for _ in markers_present(product))
-    if tiles:
-        return tiles, 0
-    truth = sum(
-        not part_path(product, kind, frame).is_file()
-        for kind in truth_kinds(plan)
-        for frame in range(plan.frames)
-    )
-    return 0, truth
+    tiles = WHOLE.tiles(plan) - len(begun.done)
+    return tiles, len(truth_kinds(plan)) * plan.frames - len(begun.truth_done)

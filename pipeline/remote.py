@@ -16,7 +16,7 @@ from catalog_tools.stores import Unreachable
 from pipeline.errors import BadInput, Incomplete, NightglassError
 from pipeline.finish import finish
 from pipeline.prepare import Prepared, catalogue_facts_of, prepare, summary_of
-from pipeline.run import Listener, Options, Progress, all_done, draw, times_of
+from pipeline.run import Listener, Options, Progress, draw, times_of
 from pipeline.shares import WHOLE, Share, still_missing
 from pipeline.spec.load import load_scene, parse_text
 from pipeline.spec.scene import Scene
@@ -50,11 +50,9 @@ def render_to_url(
             store.remove_remote(objects)
         resume = (options.resume if not options.replace else False) if whole else None
         begun = _begun(objects, stage, prepared, resume, share)
-        sealed = objects.get(layout.COMPLETE) is not None
-        if sealed and (not whole or all_done(begun, prepared.plan)):
+        if _is_sealed(objects, begun, share.tiles(prepared.plan)):
             return _stored_report(objects)
-        if whole:
-            store.unseal_remote(objects)
+        store.unseal_remote(objects)
         objects.put(layout.PLAN, layout.to_json(summary_of(prepared)))
         drawing = time.perf_counter()
         with (
@@ -103,8 +101,9 @@ def join_url(
     times = times or {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
     with _held(objects, None) as (stage, lease):
         begun = _begun(objects, stage, prepared, True, WHOLE)
-        if objects.get(layout.COMPLETE) is not None:
+        if _is_sealed(objects, begun, WHOLE.tiles(prepared.plan)):
             return _stored_report(objects)
+        store.unseal_remote(objects)
         tiles, truth = store.lacking(objects, prepared.plan)
         if tiles or truth:
             raise Incomplete(still_missing(url, tiles, truth, begun.redrawn))
@@ -169,6 +168,11 @@ def _finished(
     lease.check()
     store.publish(objects, stage)
     return report
+
+
+def _is_sealed(objects: Objects, begun: Begun, tiles: int) -> bool:
+    """Whether a product taken up is complete: sealed, and its `tiles` whole."""
+    return objects.get(layout.COMPLETE) is not None and len(begun.done) == tiles
 
 
 def _stored_report(objects: Objects) -> dict[str, Any]:

@@ -36,7 +36,7 @@ from pipeline.shares import WHOLE, Share
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
-from pipeline.store.product import Begun, begin, truth_kinds
+from pipeline.store.product import Begun, begin, is_begun, is_sealed, truth_kinds
 
 Listener = Callable[["Progress"], None]
 
@@ -98,13 +98,16 @@ def _render(
         check_room(prepared, options.most_memory_mb, options.processes)
     if options.replace and product.exists():
         _remove(product)
-    begun = begin(product, plan, prepared.catalogue_digest, options.resume)
-    with layout.only_writer(product):
-        layout.write_atomically(product / layout.PLAN, layout.to_json(summary))
-        drawing = time.perf_counter()
-        if (product / layout.COMPLETE).is_file() and all_done(begun, plan):
+    digest = prepared.catalogue_digest
+    if not (options.resume and is_begun(product)):
+        begin(product, plan, digest, options.resume)
+    with layout.only_writer(product):  # taken up inside: another writer may just have ended
+        begun = begin(product, plan, digest, resume=True)
+        if is_sealed(begun, WHOLE.tiles(plan)):
             return stored_report(begun)
         unseal(product)
+        layout.write_atomically(product / layout.PLAN, layout.to_json(summary))
+        drawing = time.perf_counter()
         try:
             with open_scheduler(options.scheduler, options.workers) as scheduler:
                 draw(prepared, begun, scheduler, listen)
@@ -132,7 +135,7 @@ def draw(
     """Run every missing task of a share, window by window of frames."""
     plan, catalogues = prepared.plan, prepared.catalogues
     inputs = scheduler.share(prepared.inputs(begun.writer))
-    total = share.span(plan)[1] - share.span(plan)[0]
+    total = share.tiles(plan)
     ref_epochs = tuple(c.ref_epoch_jyear for c in catalogues)
     state = {"done": len(begun.done)}
     shards: dict[Shard, Any] = {}
@@ -209,10 +212,6 @@ def missing(plan: Plan, begun: Begun, frames: np.ndarray, share: Share = WHOLE) 
         geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()),
         truth.get("cosmic_rays", ()),
     )  # fmt: skip
-
-
-def all_done(begun: Begun, plan: Plan) -> bool:
-    return len(begun.done) == len(plan.tiles) * plan.frames
 
 
 def unseal(product: Path) -> None:

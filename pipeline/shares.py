@@ -26,6 +26,11 @@ class Share:
         total = len(plan.tiles) * plan.frames
         return (self.part - 1) * total // self.parts, self.part * total // self.parts
 
+    def tiles(self, plan: Plan) -> int:
+        """How many tiles it has."""
+        first, end = self.span(plan)
+        return end - first
+
     def holds(self, plan: Plan, frame: int, tile: int) -> bool:
         """Whether tile number `tile` of a frame is in it."""
         first, end = self.span(plan)
@@ -38,9 +43,8 @@ class Share:
 
     def told(self, plan: Plan, times: dict[str, Any]) -> dict[str, Any]:
         """The report of a part that is done while others are not."""
-        first, end = self.span(plan)
         return {
-            "part": f"{self.part}/{self.parts}", "tiles": end - first, "complete": False,
+            "part": f"{self.part}/{self.parts}", "tiles": self.tiles(plan), "complete": False,
             "seconds": times,
         }  # fmt: skip
 

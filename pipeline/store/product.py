@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from catalog_tools.durable import sync, sync_all
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import tile_shape
@@ -40,9 +41,13 @@ class Begun:
     redrawn: tuple[str, ...]
 
 
-def begin(path: Path, plan: Plan, catalogue_digest: str | None, resume: bool) -> Begun:
+def begin(
+    path: Path, plan: Plan, catalogue_digest: str | None, resume: bool,
+    mine: Callable[[int, int, int], bool] | None = None,
+) -> Begun:  # fmt: skip
     """Make a new product directory, or take up an unfinished one (`resume`).
 
+    mine : whether a tile (frame, row, column) is this writer's; others' markers are left alone
     Raises BadInput where the path exists and is not to be resumed, or is to be and comes from
     another scene, catalogue or version of the format.
     """
@@ -56,31 +61,33 @@ def begin(path: Path, plan: Plan, catalogue_digest: str | None, resume: bool) ->
             raise BadInput("--resume", str(path), "a product that was begun before")
         _make_folders(path)
         create_arrays(path, plan)
+        sync_all(path / layout.CUBE)  # the record of the beginning vouches for it
         layout.write_atomically(path / layout.SCENE, scene_yaml(plan.scene).encode())
         layout.write_atomically(path / layout.BEGUN, layout.to_json(identity))
         return Begun(path, _writer(path, plan), frozenset(), frozenset(), ())
-    return _take_up(path, plan, identity)
-
-
-def begin_together(
-    path: Path, plan: Plan, catalogue_digest: str | None, mine: Callable[[int, int, int], bool]
-) -> Begun:
-    """Make a product that several writers share, or take part in one: whoever comes first.
-
-    mine : whether a tile (frame, row, column) is this writer's; others' markers are left alone.
-    """
-    identity = identity_of(plan, catalogue_digest)
-    if not path.exists():
-        own = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
-        try:
-            begin(own, plan, catalogue_digest, resume=False)
-            own.rename(path)  # fails where another writer was first
-        except OSError:
-            if not path.exists():
-                raise
-        finally:
-            shutil.rmtree(own, ignore_errors=True)
     return _take_up(path, plan, identity, mine)
+
+
+def is_begun(path: Path) -> bool:
+    """Whether a product was begun at a path; its writer's lock may then be taken."""
+    return (path / layout.BEGUN).is_file()
+
+
+def make_together(path: Path, plan: Plan, catalogue_digest: str | None) -> None:
+    """Make a product that several writers share, unless one of them was first."""
+    if path.exists():
+        if not is_begun(path):
+            begin(path, plan, catalogue_digest, resume=True)  # refused, or begun anew
+        return
+    own = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+    try:
+        begin(own, plan, catalogue_digest, resume=False)
+        own.rename(path)  # fails where another writer was first
+    except OSError:
+        if not path.exists():
+            raise
+    finally:
+        shutil.rmtree(own, ignore_errors=True)
 
 
 def identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
@@ -98,7 +105,7 @@ def _take_up(
     path: Path, plan: Plan, identity: dict[str, Any],
     mine: Callable[[int, int, int], bool] | None = None,
 ) -> Begun:  # fmt: skip
-    if not (path / layout.BEGUN).is_file():
+    if not is_begun(path):
         if not _is_bare_beginning(path):
             raise BadInput("--resume", str(path), "a product begun by `nightglass render`")
         shutil.rmtree(path)  # it stopped before its first task: begin anew
@@ -264,6 +271,12 @@ def check(path: Path, fault_of_tile: Callable[[Path, Path], str | None] | None =
     return verdict
 
 
+def is_sealed(begun: Begun, tiles: int) -> bool:
+    """Whether a product taken up is complete: sealed, its `tiles` whole, and all sealed files."""
+    sealed = (begun.path / layout.COMPLETE).is_file()
+    return sealed and len(begun.done) == tiles and not _finished_faults(begun.path)
+
+
 def _finished_faults(path: Path) -> list[str]:
     """Damage to what `finish` wrote: files named in _COMPLETE with length and digest."""
     try:
@@ -281,7 +294,10 @@ def _finished_faults(path: Path) -> list[str]:
 
 
 def seal(path: Path) -> None:
-    """Write _COMPLETE, last of all, with the digests of all files that are no chunks."""
+    """Write _COMPLETE, last of all, with the digests of all files that are no chunks.
+
+    They, and all folders, are brought to the disk first; chunks were, before their markers.
+    """
     files = {}
     for file in sorted(path.rglob("*")):
         if file.name.startswith(".") and file.suffix == ".tmp":  # of a writer that was killed
@@ -289,10 +305,11 @@ def seal(path: Path) -> None:
             continue
         name = file.relative_to(path).as_posix()
         skip = name.startswith(f"{layout.MARKERS}/") or file.name == layout.COMPLETE
-        skip |= file.name.startswith(layout.LOCK)
-        tile_chunk = has_marker(name)
-        if file.is_file() and not skip and not tile_chunk:
+        skip |= file.name.startswith(layout.LOCK) or has_marker(name)
+        if file.is_file() and not skip:
             files[name] = file_digest(file)
+        if file.is_dir() or name in files:
+            sync(file)
     content = {"format": FORMAT, "content_digest": content_digest(path), "files": files}
     layout.write_atomically(path / layout.COMPLETE, layout.to_json(content))
 

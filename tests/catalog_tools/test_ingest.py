@@ -262,6 +262,48 @@ def test_an_interrupted_ingest_goes_on(tmp_path, parts, monkeypatch, broken):
     assert left_behind(tmp_path) == []
 
 
+@pytest.mark.parametrize("damage", ["bit", "cut", "gone"])
+def test_a_shard_that_was_damaged_meanwhile_is_written_again(tmp_path, parts, monkeypatch, damage):
+    """All leaves stood when the ingest was cut off; one has changed before it goes on."""
+    files = parts[1]
+    whole = ingest(files, tmp_path / "whole", rows_per_leaf=800, workers=1).catalogue
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "write_manifest", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            ingest(files, tmp_path / "c", rows_per_leaf=800, workers=1)
+    shard = min((tmp_path / ".c.part" / "catalogue").rglob("Npix*.parquet"))
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.unlink() if damage == "gone" else shard.write_bytes(
+        content if damage == "bit" else content[:-3]
+    )
+    found = ingest(files, tmp_path / "c", rows_per_leaf=800, workers=1).catalogue
+    assert found.digest == whole.digest
+    assert shard_bits(found) == shard_bits(whole)
+    assert verify(found).findings == ()
+
+
+@pytest.mark.parametrize("damage", ["bit", "gone"])
+def test_surplus_rows_that_were_damaged_meanwhile_are_gathered_again(tmp_path, monkeypatch, damage):
+    """Rows left out as repeated wait in a file of their own until the end: it is proved, too."""
+    stars = random_stars(300, 4)
+    files = [write_csv(tmp_path / f"{name}.csv", stars) for name in "ab"]
+    write_csv(files[1], pa.concat_tables([stars.slice(0, 40), random_stars(9, 5)]))
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "_write_rejects", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            ingest(files, tmp_path / "c", workers=1)
+    surplus = min((tmp_path / ".c.part" / "progress").glob("leaf-*.arrow"))
+    content = bytearray(surplus.read_bytes())
+    content[content.index(b"source_id occurs")] ^= 1
+    surplus.unlink() if damage == "gone" else surplus.write_bytes(content)
+    report = ingest(files, tmp_path / "c", workers=1)
+    whole = ingest(files, tmp_path / "whole", workers=1)
+    rejects = [pq.read_table(tmp_path / name / REJECTS_NAME) for name in ("c", "whole")]
+    assert report.catalogue.digest == whole.catalogue.digest
+    assert rejects[0].equals(rejects[1])
+
+
 def test_an_unfinished_ingest_of_other_arguments_is_refused(tmp_path, parts, monkeypatch):
     files = parts[1]
     with monkeypatch.context() as patch:

@@ -8,6 +8,10 @@ import json
 import numpy as np
 import pytest
 
+from pipeline.execute.detector import stream_place, tile_chain
+from pipeline.physics.noise.chain import to_dn
+from pipeline.physics.noise.streams import stream_key
+from pipeline.plan.tiles import Tile
 from pipeline.prepare import plan_scene, prepare
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -264,3 +268,36 @@ def test_tdi_streaks_by_the_difference_and_by_its_clock(tmp_path):
     across = (((x - column) ** 2) * light).sum() / total
     along = (((y - row) ** 2) * light).sum() / total
     assert along - across == pytest.approx((12.0**2 + 0.5**2) / 12.0, rel=2e-3)
+
+
+def test_streams_of_the_chain_are_named_and_independent():
+    """Each part of the noise draws from the stream of its own name, and no two go together."""
+    one = scene({"row_noise_e": 1.0, "column_noise_e": 1.0}, sensor__full_well_e=None)
+    place = stream_place(one, Tile(0, 0, 0, 0, SIDE, SIDE), 0)
+    keys = {
+        "photon_noise": place.photon_key, "read_noise": place.read_key,
+        "row_noise": place.row_key, "column_noise": place.column_key,
+    }  # fmt: skip
+    assert keys == {name: stream_key(5, name) for name in keys}
+    assert len(set(keys.values())) == 4
+
+
+def test_read_noise_is_not_the_photon_noise_again():
+    """Drawn apart, the two are uncorrelated; variances of the whole chain add up."""
+    mean = np.full((SIDE, SIDE), 1e4)
+    fine = {"sensor__gain_e_per_dn": 0.01, "sensor__adc_bits": 32, "sensor__full_well_e": None}
+
+    def drawn(read_noise_e, photon_noise):
+        made = scene(
+            sensor__read_noise_e=read_noise_e, sensor__photon_noise=photon_noise, **fine
+        )
+        tile = Tile(0, 0, 0, 0, SIDE, SIDE)
+        chain = tile_chain(made, prepare(made).maps, tile, 2.0)
+        dn = to_dn(mean, chain, stream_place(made, tile, 0)).astype(float).ravel()
+        return 0.01 * (dn - 100.0) - 1e4
+
+    photons, read, both = drawn(0.0, True), drawn(100.0, False), drawn(100.0, True)
+    assert photons.std() == pytest.approx(100.0, rel=0.02)
+    assert read.std() == pytest.approx(100.0, rel=0.02)
+    assert abs(np.corrcoef(photons, read)[0, 1]) < 4.0 / SIDE  # its own scatter is 1 / SIDE
+    assert both.var() == pytest.approx(2e4, rel=4.0 * np.sqrt(2.0) / SIDE)

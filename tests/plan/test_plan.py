@@ -14,6 +14,7 @@ import scipy.fft
 from scipy.special import j1
 
 from pipeline.errors import BadInput
+from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S, SUN_RADIUS_M
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import (
     CUT_FROM,
@@ -23,13 +24,19 @@ from pipeline.physics.drawing.wings import (
     wing_grid,
     wing_kernel,
 )
+from pipeline.physics.positions.apparent import (
+    aberrate,
+    proper_to_astrometric,
+    unaberrated_caps,
+)
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import compact_core, core_spectrum, phase_table, window
 from pipeline.physics.radiometry import box
+from pipeline.physics.vectors import separation, unit
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.geometry import camera_of, plan_geometry
 from pipeline.plan.responses import ResponsePlan, cut_share, plan_responses
-from pipeline.plan.scene_plan import Plan, field_cones, make_plan, plan_dict
+from pipeline.plan.scene_plan import Plan, catalogue_cones, field_cones, make_plan, plan_dict
 from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 
@@ -174,6 +181,37 @@ def test_field_cone_holds_the_frame(scene: Make) -> None:
     assert np.degrees(np.arccos(np.clip(centres @ star, -1, 1))).max() < 0.001
     assert (radii > np.arctan(np.hypot(256, 384) * 1e-5)).all()
     assert (radii < 0.02).all()
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_cones_hold_stars_that_the_sun_has_moved_into_them(scene: Make, side: float) -> None:
+    """A degree and less from the Sun: catalogue places of all that is seen in a small cone.
+
+    Light is bent by up to 1.75 arcsec, so that the stars of a cone of 0.4 arcsec at the limb are
+    all of them outside of the same cone of the catalogue.
+    """
+    plan = plan_of(scene())
+    g = plan_geometry(plan.scene, np.zeros(1, np.int64), 0.0)
+    observer = g.observer_m[0, g.middle], g.observer_m_s[0, g.middle], g.sun_m[0, g.middle]
+    to_sun = observer[2] - observer[0]
+    distance, sunward = np.linalg.norm(to_sun), unit(to_sun)
+    across = unit(np.cross(sunward, [0.0, 0.0, side]))
+    outside = []
+    beta, radius = observer[1] / SPEED_OF_LIGHT_M_S, 0.4 * ARCSEC_RAD
+    for angle in (1.001 * SUN_RADIUS_M / distance, np.radians(0.5), np.radians(1.0)):
+        centre = np.cos(angle) * sunward + np.sin(angle) * across
+        centre = aberrate(centre, beta)
+        centres, radii = catalogue_cones(plan, g, centre[None], radius)
+        turn = np.linspace(0.0, 2.0 * np.pi, 40)[:, None]
+        one = unit(np.cross(centre, [0.3, 0.5, 0.8]))
+        rim = np.cos(turn) * one + np.sin(turn) * np.cross(centre, one)
+        seen = unit(np.cos(radius) * centre + np.sin(radius) * rim)
+        places = proper_to_astrometric(seen, *observer)
+        assert (separation(places, centres[0]) <= radii[0]).all()
+        bare = unaberrated_caps(centre[None], np.array([radius]), beta[None])
+        outside.append((separation(places, bare[0][0]) > bare[1][0]).mean())
+    assert outside[0] == 1.0  # without the margin for deflection not one star of it is found
+    assert outside[1] > 0.0
 
 
 def airy_pixel(dx: float, dy: float, q: float, eps: float) -> float:

@@ -288,3 +288,23 @@ def test_uniform_sky_keeps_its_value(scene):
         facts.background_e + facts.read_noise_e**2 + 1 / 12, rel=1e-9
     )
     assert replace(facts) == facts
+
+
+PARTS = {
+    "uniform": {"uniform_mag_arcsec2": 19.0, "starlight": "none"},
+    "zodiacal": {"zodiacal": True, "starlight": "none"},
+    "galactic": {"galactic": True, "starlight": "none"},
+    "starlight": {"starlight": "all"},
+}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_fill_factor_takes_its_fraction_of_every_part(scene, mapped, part):
+    """A pixel that collects on 55 per cent of its area gets that fraction of each sky light."""
+    changes = {"stars.faintest_g_mag": 14.0, "background": PARTS[part]}
+    images = {}
+    for fill in (1.0, 0.55):
+        s, _, sky, _ = planned(scene, changes | {"sensor.fill_factor": fill}, (mapped,))
+        images[fill] = whole(s, sky)
+    assert images[1.0].min() > 0.0
+    assert images[0.55] == pytest.approx(0.55 * images[1.0], rel=1e-3)

@@ -219,9 +219,46 @@ def test_the_moon_behind_the_earth_gives_none(scene, curve):
     assert _seen_past_earth(before, moon - before, 1.74e6) == 1.0
 
 
+@pytest.mark.parametrize("radii", [-2.0, -1.0, -0.5, 0.0, 0.3, 1.0, 1.5])
+def test_the_moon_at_the_limb_is_cut_in_proportion(radii):
+    """So many of its own radii above the limb: the fraction of its height that is free."""
+    from pipeline.plan.stray_light import _seen_past_earth
+
+    place, moon_radius_m, range_m = np.array([4.2e7, 0.0, 0.0]), 1.74e6, 4e8
+    limb = np.arcsin(EARTH_EQUATORIAL_RADIUS_M / 4.2e7)
+    angle = limb + radii * moon_radius_m / range_m
+    to_moon = range_m * np.array([-np.cos(angle), np.sin(angle), 0.0])
+    free = np.clip(0.5 * (1.0 + radii), 0.0, 1.0)
+    assert _seen_past_earth(place, to_moon, moon_radius_m) == pytest.approx(free, abs=1e-6)
+
+
+def test_the_moon_in_the_shadow_of_the_earth_gives_none(scene, curve):
+    """The total eclipse of 2019-01-21: totality from 04:41 to 05:43 UTC, no penumbra before
+    02:36 (Espenak, NASA)."""
+    wish = {"pst": {"kind": "table", "path": curve}, "sun": False, "earth": False}
+    light = {
+        time: planned(scene, wish, at(160.0, 20.0) | {"epoch": f"2019-01-21T{time}:00Z"})[-1]
+        for time in ("02:00", "04:55", "05:12", "05:30")
+    }
+    assert light["02:00"].grids.min() > 0.0
+    assert [light[time].grids.max() for time in ("04:55", "05:12", "05:30")] == [0.0] * 3
+
+
 def test_the_paper_s_four_corners_are_told(scene, curve):
     wish = {"pst": {"kind": "table", "path": curve}, "sun": False}
     sky = planned(scene, wish, at(191.0, 0.0))[-1]
     reason = told(sky)["background.grid"].reason
     assert "four corners differ by up to 0." in reason
     assert "which the paper would take for the frame and err by" in reason
+
+
+def test_fill_factor_takes_its_fraction(scene, curve):
+    """Stray light, too, is collected only where the pixel collects."""
+    wish = {"pst": {"kind": "table", "path": curve}, "inside": "extrapolate"}
+    images = [
+        sky_tile(planned(scene, wish, at(190.0, 0.0) | {"sensor.fill_factor": fill})[-1], 0,
+                 Tile(0, 0, 0, 0, 256, 256))
+        for fill in (1.0, 0.55)
+    ]  # fmt: skip
+    assert images[0].min() > 0.0
+    assert images[1] == pytest.approx(0.55 * images[0], rel=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import subprocess
@@ -9,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -18,6 +20,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from pipeline.errors import BadInput
 from service.app import ROOMS
+from service.auth import Authenticator, Caller
 from service.database import connect, sqlite_url
 from service.keys import TOKEN, any_key, create_key, list_keys, matches, revoke_key
 from service.logs import redact
@@ -63,6 +66,30 @@ def test_only_the_secret_itself_matches(engine: Any) -> None:
     assert row.hash.startswith("$argon2id$")
     assert matches(row, token[16:])
     assert not matches(row, token[16:-1] + ("A" if token[-1] != "A" else "B"))
+
+
+def test_a_key_ends_with_its_days(engine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Accepted until the moment that it was made for, then refused, also where it is known."""
+    token = create_key(engine, "red", days=2.0)
+    [row] = list_keys(engine)
+    assert row["expires_s"] - row["created_s"] == pytest.approx(2 * 86_400)
+    now = [row["expires_s"] - 1.0]
+    monkeypatch.setattr("service.keys.time", SimpleNamespace(time=lambda: now[0]))
+    monkeypatch.setattr("service.auth.FRESH_S", 0.0)
+    door = Authenticator(Settings(Path()), engine)
+
+    def caller() -> Caller:
+        return asyncio.run(door.caller(f"Bearer {token}"))
+
+    assert caller() == caller() == Caller("red", f"key:{row['id']}")
+    for late_s in (0.0, 1.0, 1e9):
+        now[0] = row["expires_s"] + late_s
+        with pytest.raises(Unauthenticated):
+            caller()
+        with pytest.raises(Unauthenticated):  # and by a process that has not seen it before
+            asyncio.run(Authenticator(Settings(Path()), engine).caller(f"Bearer {token}"))
+    lasting = create_key(engine, "red")
+    assert asyncio.run(door.caller(f"Bearer {lasting}")).team == "red"
 
 
 @pytest.mark.parametrize("team", ["", "Red", "a/b", "../x", "a" * 65, "a b", "é"])

@@ -123,6 +123,22 @@ def test_pending_jobs_are_amended_and_run_once(database: str) -> None:
     store.close()
 
 
+def test_a_pending_job_does_not_stand_in_its_own_way(database: str) -> None:
+    """A full quota counts the job that asks to run; one more than the quota is refused."""
+    store, limits = Queue(database), Limits(queued_jobs=2)
+    [(first, _), (second, _)] = submit_many(
+        store, [ask(phase=Phase.PENDING) for _ in range(2)], limits
+    )
+    assert isinstance(submit_many(store, [ask()], limits)[0], QueueFull)
+    for job in (first, second):
+        assert run_pending(store, job.id, limits, "red", "x").phase == Phase.QUEUED
+    [(third, _)] = submit_many(store, [ask(phase=Phase.PENDING)], Limits())
+    with pytest.raises(QueueFull):
+        run_pending(store, third.id, limits, "red", "x")
+    assert store.get(third.id).phase == Phase.PENDING
+    store.close()
+
+
 def test_the_lease_has_one_holder(database: str) -> None:
     store = Queue(database)
     submit_many(store, [ask()], Limits())

@@ -126,7 +126,8 @@ def test_every_flipped_bit_is_named(product, layer):
 @pytest.mark.parametrize(
     "name",
     ["truth/targets.parquet", "scene.yaml", "plan.json", "report.json", "cube.zarr/dn/zarr.json",
-     "cube.zarr/zarr.json", "preview.png"],
+     "cube.zarr/zarr.json", "preview.png", "cube.zarr/time_mid/c/0", "cube.zarr/x/zarr.json",
+     "cube.zarr/wcs_cd_deg/c/0/0/0"],
 )  # fmt: skip
 def test_other_files_are_watched(product, name):
     path = product / name

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.physics.noise.calibration import calibrated_e
 from pipeline.physics.noise.chain import (
     Chain,
     StreamPlace,
@@ -19,6 +20,7 @@ from pipeline.physics.noise.chain import (
     to_dn,
 )
 from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
+from pipeline.physics.noise.wells import levels
 
 PLACE = StreamPlace(0, 0, 0, stream_key(1, "photon_noise"), stream_key(1, "read_noise"))
 
@@ -213,3 +215,29 @@ def test_same_levels_in_one_pass_and_step_by_step(rounding: str, images: bool) -
             **terms, adc_bits=bits, rounding=rounding, photon_noise=True, linearity=straight
         )
         assert np.array_equal(to_dn(mean, plain, PLACE), to_dn(mean, steps, PLACE))
+
+
+def test_halves_in_one_pass_go_to_even_or_down() -> None:
+    """Levels exactly between two numbers, in the pass that plain chains take."""
+    charge = np.array([[0.5, 1.5, 2.5, 3.5, 2.4999, 2.9999, -0.5, 254.5, 255.5, 1e9]])
+    for down, expected in (
+        (False, [0, 2, 2, 4, 2, 3, 0, 254, 255, 255]), (True, [0, 1, 2, 3, 2, 2, 0, 254, 255, 255]),
+    ):  # fmt: skip
+        one = np.ones_like(charge)
+        out = np.zeros_like(charge)  # the draws, all nil
+        levels(charge.copy(), out, np.inf * one, one, one, 0.0 * one, 255.0, down)
+        assert out.tolist() == [expected]
+
+
+@pytest.mark.parametrize("rounding", ["half_even", "floor"])
+@pytest.mark.parametrize("bent", [False, True])
+def test_calibrated_frames_have_the_light_on_average(rounding: str, bent: bool) -> None:
+    """Through the chain and back: 40 e- of light by either converter (half a DN is 1.25 e-)."""
+    table = (np.array([0.0, 100.0, 1e4]), np.array([0.0, 95.0, 9e3])) if bent else None
+    noisy = chain(
+        flat=0.8, dark_e=2.0, read_noise_e=8.0, gain_e_per_dn=2.0, bias_dn=100.3,
+        photon_noise=True, rounding=rounding, linearity=table,
+    )  # fmt: skip
+    dn = to_dn(mean_electrons(np.full((900, 900), 40.0), noisy), noisy, PLACE)
+    scatter = np.sqrt((34.0 + 64.0 / 0.95**2 + 4.0 / 12.0) / 0.64) / 900
+    assert calibrated_e(dn, noisy).mean() == pytest.approx(40.0, abs=4.0 * scatter)

@@ -277,6 +277,50 @@ def test_target_against_both_chains(radius: float, tilt: float, phase: float) ->
     assert 3 < separation(there[0], sight.direction_geometric[0]) / ARCSEC_RAD < 21
 
 
+def test_light_time_holds_the_pull_of_the_sun_on_the_earth() -> None:
+    """Seen from 1 au away: while light travels for 8 minutes the Earth falls 740 m sunwards.
+
+    By hand, for an Earth at rest when the light comes in: at emission it was a t^2 / 2 nearer to
+    the Sun than where a straight way leads back to, and the target with it.
+    """
+    au, pull = ASTRONOMICAL_UNIT_M, 1.327_124_400_18e20 / ASTRONOMICAL_UNIT_M**2
+    earth = EarthState(np.zeros((1, 3)), np.zeros((1, 3)), np.array([[au, 0.0, 0.0]]))
+    own = np.array([[0.0, 0.0, 4.2e7]])
+    away = au * np.array([[0.0, 0.8, 0.6]])
+    sight = target_apparent(lambda _: own, away, np.zeros((1, 3)), earth, np.zeros(1))
+    delay = np.linalg.norm(own - away) / SPEED_OF_LIGHT_M_S
+    fallen = np.array([[0.5 * pull * delay**2, 0.0, 0.0]])
+    assert fallen[0, 0] == pytest.approx(740.0, rel=0.01)
+    expected = unit(own + fallen - away)
+    assert separation(sight.direction_proper, expected)[0] < 1e-14
+    assert separation(unit(own - away), expected)[0] == pytest.approx(1.02 * MAS_RAD, rel=0.01)
+
+
+def test_light_time_from_far_away_against_the_ephemeris() -> None:
+    """The Earth's place at emission from ERFA, seen from a spacecraft a fifth of an au away.
+
+    Both chains see the target where the Earth was; what is left is the Lorentz contraction of the
+    way in the Earth's frame (second order in v/c), added here as in the test above.
+    """
+    t = np.zeros(1)
+    at = instants(parse_utc("2019-04-20T03:00:00Z"), t)
+    earth = earth_and_sun(at.tt1, at.tt2)
+    away = 0.2 * ASTRONOMICAL_UNIT_M * unit(np.array([[0.3, -0.8, 0.5]]))
+    own, c = np.array([[4.2e7, 0.0, 0.0]]), SPEED_OF_LIGHT_M_S
+    sight = target_apparent(lambda _: own, away, earth.velocity_m_s, earth, t)
+    v, delay = earth.velocity_m_s, np.zeros(1)
+    for _ in range(20):
+        shift = np.sum(v * (own - away), -1) / c**2
+        past = earth_and_sun(at.tt1, at.tt2 - (delay - shift) / 86400)
+        way = past.position_m - earth.position_m
+        path = own - away + way - 0.5 * v * shift[:, None]
+        delay = np.linalg.norm(path, axis=1) / c + shift
+    seen = aberrate(unit(path), v / c)
+    fell = 0.5 * (earth_and_sun(at.tt1, at.tt2 + 0.01).velocity_m_s - v) / 864.0 * delay**2
+    assert np.linalg.norm(fell) / np.linalg.norm(away) > 8e-10
+    assert separation(sight.direction_proper, seen)[0] < 1e-10
+
+
 def test_limits_one_kilometre_away() -> None:
     """Two satellites in formation: light time and aberration cancel, and 1e-9 rad remain."""
     t = np.array([0.0, 100.0])

@@ -164,3 +164,16 @@ def test_twilight_is_brightest_above_the_sun():
     apart = np.array([30.0, 150.0]) * DEG_RAD
     near, far = twilight(band, extinction, low, -np.sin(8.0 * DEG_RAD), apart)
     assert near == pytest.approx(5.0 * far, rel=1e-9)
+
+
+@pytest.mark.parametrize(("zenith", "k"), [(30.0, 0.13), (60.0, 0.2), (75.0, 0.4)])
+def test_twilight_off_the_zenith_is_the_published_formula(zenith, k):
+    """Schaefer 1993: 10^(0.4 z / (360 k)) and the extinction's factor, against the zenith's."""
+    band, extinction = narrow(k)
+    z = np.radians(np.array([zenith, 0.0]))
+    apart = np.full(2, 100.0) * DEG_RAD
+    off, up = twilight(band, extinction, np.cos(z), -np.sin(9.0 * DEG_RAD), apart)
+    mass = 1.0 / (np.cos(z) + 0.025 * np.exp(-11.0 * np.cos(z)))
+    scattered = 1.0 - 10.0 ** (-0.4 * k * mass)
+    by_hand = 10.0 ** (0.4 * zenith / (360.0 * k)) * scattered[0] / scattered[1]
+    assert off / up == pytest.approx(by_hand, rel=1e-6)

@@ -1,0 +1,73 @@
+"""Labels of a frame: which sources it holds, and which way their streaks run."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.export.formats import Wish, export_product
+from pipeline.export.labels import frame_labels
+from pipeline.store.cube import read_layer
+
+SHAPE = 100, 300  # rows, columns
+
+
+def labels_of(folder, paths):
+    """Labels of targets with given straight paths ((x, y) of start and end) [px]."""
+    start, end = np.array(paths, float).transpose(1, 2, 0)
+    middle = 0.5 * (start + end)
+    n = len(paths)
+    table = {
+        "frame": np.zeros(n, np.int32), "name": [f"t{i}" for i in range(n)],
+        "x_px": middle[0], "y_px": middle[1], "x_start_px": start[0], "y_start_px": start[1],
+        "x_end_px": end[0], "y_end_px": end[1], "ra_deg": np.zeros(n), "dec_deg": np.zeros(n),
+        "electrons": np.arange(n, 0.0, -1.0), "snr": np.full(n, 9.0), "radius_px": np.zeros(n),
+    }  # fmt: skip
+    (folder / "truth").mkdir()
+    pq.write_table(pa.table(table), folder / "truth" / "targets.parquet")
+    return frame_labels(folder, 0, SHAPE)
+
+
+def test_a_frame_wider_than_high_keeps_what_crosses_it(tmp_path):
+    """Columns bound x and rows bound y, to half a pixel beyond the outermost centres."""
+    within = [
+        ((250, 50), (250, 50)), ((299.4, 99.4), (299.4, 99.4)), ((-0.4, -0.4), (-0.4, -0.4)),
+        ((250, -40), (250, 140)), ((-50, 50), (400, 50)), ((270, -20), (330, 40)),
+    ]  # fmt: skip
+    beyond = [
+        ((50, 150), (50, 150)), ((299.6, 50), (299.6, 50)), ((50, 99.6), (50, 99.6)),
+        ((50, 120), (90, 280)), ((301, -20), (330, 20)), ((320, -40), (320, 140)),
+    ]  # fmt: skip
+    kept = labels_of(tmp_path, [*within, *beyond])
+    assert kept.name.tolist() == [f"t{i}" for i in range(len(within))]
+
+
+def test_angles_run_from_columns_towards_rows(tmp_path):
+    """30 columns and 40 rows: 53.13 degrees; and every quadrant from start to end."""
+    steps = [(30, 40), (-30, 40), (-30, -40), (30, -40), (20, 0), (0, 20), (-20, 0), (0, -20)]
+    start = np.array([150.0, 50.0])
+    labels = labels_of(tmp_path, [(start, start + step) for step in steps])
+    expected = [53.130102, 126.869898, -126.869898, -53.130102, 0.0, 90.0, 180.0, -90.0]
+    assert labels.angle_deg == pytest.approx(expected, abs=1e-6)
+    assert labels.length_px.tolist() == [50.0] * 4 + [20.0] * 4
+
+
+def test_angle_of_a_streak_is_that_of_its_light(labelled, tmp_path):
+    """The drifting satellite: its angle in the file against second moments of its drawn light."""
+    (*_, coco) = export_product(labelled, "coco", tmp_path / "coco", Wish(0))
+    told = {a["name"]: a for a in json.loads(coco.read_text())["annotations"]}["drifter"]["streak"]
+    light = read_layer(labelled, "targets_e", 0).astype(float)
+    x0, y0 = np.round(told["light"]).astype(int) - 40
+    cut = light[y0 : y0 + 81, x0 : x0 + 81]
+    y, x = np.mgrid[: cut.shape[0], : cut.shape[1]] - 40.0
+    total = cut.sum()
+    x, y = x - (x * cut).sum() / total, y - (y * cut).sum() / total
+    xx, yy, xy = ((a * cut).sum() / total for a in (x * x, y * y, x * y))
+    angle = 0.5 * np.degrees(np.arctan2(2.0 * xy, xx - yy))
+    assert np.hypot(xx - yy, 2.0 * xy) > 0.5 * (xx + yy)  # a streak that has a direction
+    assert abs(abs(angle) - 45.0) > 10.0  # and would have another with its axes swapped
+    assert (told["angle_deg"] - angle + 90.0) % 180.0 - 90.0 == pytest.approx(0.0, abs=0.5)

@@ -1,0 +1,299 @@
+"""Going on with a product: what is kept, what is drawn again, and what is refused."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import json
+import shutil
+
+import pyarrow.parquet as pq
+import pytest
+
+from catalog_tools.ingest import ingest
+from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.parts import join, render_part
+from pipeline.run import Options, render
+from pipeline.shares import Share
+from pipeline.spec.load import parse_scene
+from pipeline.store.cube import open_cube
+from pipeline.store.layout import only_writer
+from pipeline.store.markers import read_marker
+from pipeline.store.product import check, content_digest
+from pipeline.store.truth import part_is_whole, part_path
+
+SCENE = {
+    "schema": "nightglass/scene/1",
+    "name": "resumed",
+    "epoch": "2019-07-20T09:00:00Z",
+    "observer": {"kind": "fixed", "position_au": [1.0, 0.1, 0.0]},
+    "sensor": {
+        "shape": [256, 512], "pixel_pitch_um": 9.0, "focal_length_m": 0.5, "aperture_m": 0.1,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900}, "read_noise_e": 3.0,
+        "psf": {"kind": "gaussian", "sigma_px": 1.0},
+    },
+    "pointing": {"mode": "sidereal", "boresight_ra_deg": 60.0, "boresight_dec_deg": 5.0},
+    "exposure": {"integration_s": 1.0, "frames": 2},
+    "background": {"uniform_e_per_s": 20.0},
+    "output": {"layers": ["dn"], "tile_shape": [256, 256]},
+}  # fmt: skip
+TILES = 2 * 2
+HERE = Options("synchronous")
+AGAIN = Options("synchronous", resume=True)
+
+
+def make_catalogue(folder, g_mag):
+    """Twenty stars of one magnitude about the boresight, in a catalogue at `folder`/stars."""
+    rows = [f"{i + 1},{60.0 + 0.01 * (i - 10)},{5.0 + 0.003 * i},{g_mag}" for i in range(20)]
+    csv = folder / "stars.csv"
+    csv.write_text("\n".join(["source_id,ra,dec,phot_g_mean_mag", *rows]) + "\n")
+    return ingest([csv], folder / "stars", form="gaia_dr2", workers=1, overwrite=True).catalogue
+
+
+@pytest.fixture(scope="module")
+def starry(tmp_path_factory):
+    """A scene with a small catalogue, and its product: (scene, product, catalogue's folder)."""
+    folder = tmp_path_factory.mktemp("starry")
+    catalogue = make_catalogue(folder, 9.0)
+    data = copy.deepcopy(SCENE) | {"stars": {"catalogue": str(catalogue.path)}}
+    scene = parse_scene(data)
+    render(scene, folder / "run", HERE)
+    return scene, folder / "run", folder
+
+
+@pytest.fixture
+def product(starry, tmp_path):
+    """A copy of the product that a test may damage."""
+    shutil.copytree(starry[1], tmp_path / "run")
+    return tmp_path / "run"
+
+
+def unfinished(product):
+    """The product as a kill left it: no seal, its last marker not there yet."""
+    for name in ("_COMPLETE", "cube.zarr/zarr.json"):
+        (product / name).unlink()
+    max((product / "markers").glob("*.json")).unlink()
+    (product / "truth" / ".parts").mkdir()
+
+
+def test_another_catalogue_at_the_same_place_is_refused(starry, product):
+    """The same scene to the letter, its catalogue made anew from other stars: not gone on with."""
+    scene, _, folder = starry
+    unfinished(product)
+    kept = sorted(p.name for p in (product / "markers").iterdir())
+    make_catalogue(folder, 9.5)
+    try:
+        for work in (
+            lambda: render(scene, product, AGAIN),
+            lambda: render_part(scene, product, Share(2, 2), HERE),
+            lambda: join(product),
+        ):
+            with pytest.raises(BadInput, match="same catalogue_digest"):
+                work()
+    finally:
+        make_catalogue(folder, 9.0)
+    assert sorted(p.name for p in (product / "markers").iterdir()) == kept
+    assert render(scene, product, AGAIN)["tiles_resumed"] == TILES - 1
+    assert check(product).whole
+
+
+@pytest.mark.parametrize(
+    ("output", "key"),
+    [({"layers": ["dn", "mean_e"]}, "scene_sha256"), ({"tile_shape": [256, 512]}, "tile_shape")],
+)
+def test_other_layers_or_tiles_are_refused(starry, product, output, key):
+    """What was begun with some layers and tiles is gone on with as that alone."""
+    data = starry[0].as_dict()
+    data["output"] |= output
+    unfinished(product)
+    with pytest.raises(BadInput, match=f"same {key}"):
+        render(parse_scene(data), product, AGAIN)
+
+
+def test_what_a_killed_writer_left_is_no_part_of_the_product(starry, product):
+    """Files that had no name yet, anywhere in it: gone with the seal, and in no list."""
+    unfinished(product)
+    left = [product / ".plan.json.0f.tmp", product / "markers" / ".f000000_r000_c000.json.1e.tmp"]
+    for path in left:
+        path.write_bytes(b"{")
+    render(starry[0], product, AGAIN)
+    assert not any(path.exists() for path in left)
+    assert not [n for n in json.loads((product / "_COMPLETE").read_text())["files"] if "tmp" in n]
+    assert check(product).whole
+
+
+def test_a_marker_that_was_changed_is_not_believed(starry, product):
+    """Whole JSON with one checksum of a cell altered: only the marker's own checksum tells."""
+    path = min((product / "markers").glob("*.json"))
+    whole = path.read_text()
+    outer = json.loads(whole)
+    marker = json.loads(outer["marker"])
+    marker["cells"]["dn"][0][2] ^= 1
+    path.write_text(json.dumps(outer | {"marker": json.dumps(marker, sort_keys=True)}))
+    with pytest.raises(Damaged, match=path.name):
+        read_marker(path)
+    assert any(path.name in fault for fault in check(product).faults)
+    report = render(starry[0], product, AGAIN)
+    assert len(report["redrawn"]) == 1
+    assert path.read_text() == whole
+    assert report["content_digest"] == content_digest(starry[1])
+
+
+def test_every_flipped_bit_of_a_marker_is_noticed(starry):
+    """Each byte of a marker with one bit flipped: refused, or the same marker as before."""
+    path = min((starry[1] / "markers").glob("*.json"))
+    whole, good = path.read_bytes(), read_marker(path)
+    for at in range(len(whole)):
+        damaged = bytearray(whole)
+        damaged[at] ^= 1 << (at % 8)
+        with contextlib.suppress(Damaged):
+            assert read_marker(path, bytes(damaged)) == good
+
+
+def stopped_before_the_end(scene, product, monkeypatch):
+    """Render until all tiles and truth are stored and nothing is joined."""
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.run.finish", stop)
+        with pytest.raises(KeyboardInterrupt):
+            render(scene, product, HERE)
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "bit"])
+def test_truth_that_cannot_be_read_is_made_again(starry, tmp_path, monkeypatch, damage):
+    """A part of the truth cut short, emptied, or with a bit flipped in its data: drawn again."""
+    scene, made, _ = starry
+    product = tmp_path / "run"
+    stopped_before_the_end(scene, product, monkeypatch)
+    path = part_path(product, "stars", 1)
+    whole = bytearray(path.read_bytes())
+    flipped = bytearray(whole)
+    flipped[first_page_bytes(path)] ^= 1
+    path.write_bytes({"cut": whole[:-9], "empty": b"", "bit": flipped}[damage])
+    assert part_is_whole(product, "stars", 0)
+    assert not part_is_whole(product, "stars", 1)
+    render(scene, product, AGAIN)
+    tables = [pq.read_table(p / "truth" / "stars.parquet") for p in (product, made)]
+    assert tables[0].equals(tables[1])
+    assert check(product).whole
+
+
+def first_page_bytes(path):
+    """A place inside the first page's values of a Parquet file, behind the page's header."""
+    column = pq.read_metadata(path).row_group(0).column(2)
+    start = column.dictionary_page_offset or column.data_page_offset
+    return start + column.total_compressed_size - 5
+
+
+@pytest.mark.parametrize("damage", ["cut", "bit"])
+def test_parts_name_truth_that_cannot_be_read(starry, tmp_path, damage):
+    """Of a product in parts: the last part and `join` say what is missing; its part mends it."""
+    scene, made, _ = starry
+    product = tmp_path / "run"
+    render_part(scene, product, Share(1, 2), HERE)
+    path = part_path(product, "stars", 0)
+    whole = bytearray(path.read_bytes())
+    whole[first_page_bytes(path)] ^= 1
+    path.write_bytes(whole if damage == "bit" else whole[:-9])
+    for finish in (lambda: render_part(scene, product, Share(2, 2), HERE), lambda: join(product)):
+        with pytest.raises(Incomplete, match=r"1 truth part"):
+            finish()
+    report = render_part(scene, product, Share(1, 2), HERE)
+    assert report["complete"]
+    assert report["content_digest"] == content_digest(made)
+    assert check(product).whole
+
+
+def test_no_seal_while_tiles_are_drawn_again(starry, product):
+    """A finished product with a damaged chunk shows no cube from the first task on."""
+    scene = starry[0]
+    (product / "cube.zarr" / "dn" / "c" / "1" / "0" / "1").write_bytes(b"")
+    seen = []
+
+    def stop(progress):
+        seen.append([(product / n).exists() for n in ("_COMPLETE", "cube.zarr/zarr.json")])
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render(scene, product, AGAIN, stop)
+    assert seen == [[False, False]]
+    with pytest.raises(Incomplete):
+        open_cube(product)
+    assert not check(product).complete
+    assert render(scene, product, AGAIN)["content_digest"] == content_digest(starry[1])
+    assert check(product).whole
+
+
+def test_a_part_that_finds_damage_takes_the_seal_away(starry, product):
+    """A part of a finished product is run again: a chunk of its own that is damaged is redrawn."""
+    scene = starry[0]
+    (product / "cube.zarr" / "dn" / "c" / "1" / "0" / "1").write_bytes(b"")
+    assert render_part(scene, product, Share(1, 2), HERE)["complete"]  # not one of its tiles
+    with pytest.raises(Incomplete, match="1 truth part"):  # of the other part's frame
+        render_part(scene, product, Share(2, 2), HERE)
+    assert not check(product).complete
+    report = render_part(scene, product, Share(1, 2), HERE)
+    assert report["complete"]
+    assert report["content_digest"] == content_digest(starry[1])
+    assert check(product).whole
+
+
+@pytest.mark.parametrize("name", ["truth/stars.parquet", "preview.png", "plan.json"])
+def test_files_that_were_sealed_are_made_again(starry, product, name):
+    """Of a finished product a table of truth or another file is damaged: --resume mends it."""
+    content = bytearray((product / name).read_bytes())
+    content[len(content) // 2] ^= 1
+    (product / name).write_bytes(content)
+    report = render(starry[0], product, AGAIN)
+    assert report["tiles_resumed"] == TILES
+    assert check(product).whole
+    tables = [pq.read_table(p / "truth" / "stars.parquet") for p in (product, starry[1])]
+    assert tables[0].equals(tables[1])
+
+
+def test_join_does_not_call_a_damaged_product_complete(starry, product):
+    """Joining a finished product reads all chunks: one that is damaged is named."""
+    chunk = product / "cube.zarr" / "dn" / "c" / "1" / "0" / "1"
+    chunk.write_bytes(chunk.read_bytes()[:-1])
+    with pytest.raises(Incomplete, match="dn/c/1/0/1"):
+        join(product)
+    with pytest.raises(Incomplete):
+        open_cube(product)
+
+
+def lets_in(product, shared):
+    """Whether another writer, whole or a part, is let in now."""
+    try:
+        with only_writer(product, shared):
+            return True
+    except BadInput:
+        return False
+
+
+def test_one_whole_writer_or_parts_of_different_names(tmp_path):
+    """The lock of each pair of writers: whole or part inside of another one that writes."""
+    inside = {None: {None: False, "part-1": False}, "part-1": {
+        None: False, "part-1": False, "part-2": True}}  # fmt: skip
+    for holder, others in inside.items():
+        with only_writer(tmp_path, holder):
+            assert {other: lets_in(tmp_path, other) for other in others} == others, holder
+        assert lets_in(tmp_path, holder)  # it has ended
+
+
+def test_what_another_writer_ends_while_one_waits_is_seen(starry, product, monkeypatch):
+    """Another --resume finishes the product just before this one gets its lock: nothing to do."""
+    scene = starry[0]
+    unfinished(product)
+    rivals = []
+
+    def waits(path, shared=None):
+        if not rivals:
+            rivals.append("at work")
+            rivals.append(render(scene, product, AGAIN))
+        return only_writer(path, shared)
+
+    monkeypatch.setattr("pipeline.store.layout.only_writer", waits)
+    assert render(scene, product, AGAIN) == rivals[1]
+    assert check(product).whole
