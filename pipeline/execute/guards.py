@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry
-from pipeline.errors import NightglassError
+from pipeline.errors import BadInput, NightglassError
+from pipeline.physics.drawing.quadrature import RELATIVE
 from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.vectors import separation
+from pipeline.plan.facts import APPROXIMATIONS
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 
@@ -50,6 +52,19 @@ def guard_places(
             f"{names[k]}: its pixel ({x_px[k]:.4f}, {y_px[k]:.4f}) is "
             f"{apart[k] / plan.facts.ifov_rad:.3g} px from its direction: the optics' distortion "
             "has no inverse there"
+        )
+
+
+def guard_brightness(plan: Plan, tile: Tile, x_px: float, y_px: float, light_e: float) -> None:
+    """Refuse a source of which the very rounding of a pixel would show in its noise."""
+    most_e = (plan.scene.accuracy.noise_fraction / APPROXIMATIONS / RELATIVE) ** 2
+    if light_e > most_e:
+        raise BadInput(
+            "accuracy.noise_fraction",
+            f"a source of {light_e:.3g} e- at row {y_px:.1f}, column {x_px:.1f} with "
+            f"{plan.scene.accuracy.noise_fraction:g}",
+            f"sources of at most {most_e:.3g} e- in one exposure: a fainter one, a shorter "
+            "exposure or more noise_fraction",
         )
 
 

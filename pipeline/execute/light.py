@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,12 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import Block, around, class_of, parts_of, target_class
-from pipeline.execute.guards import guard_light, guard_stars, inside_tile
-from pipeline.execute.sources import drawing_order, place_targets, streaks, zone_of
+from pipeline.execute.guards import guard_brightness, guard_light, guard_stars, inside_tile
+from pipeline.execute.sources import drawing_order, excursion_px, place_targets, streaks, zone_of
 from pipeline.execute.tables import core_of, still_core, swept_core, table_of
 from pipeline.physics.drawing.along import stamp_along
 from pipeline.physics.drawing.extended import draw_body
+from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.streak import Path, pieces
@@ -43,6 +45,9 @@ def draw_stars(
             _draw_stamps(plan, g, piece, part, paths, mine)
             if block.crowd_e is not None:
                 piece += _cut(block.crowd_e, block.place, part)
+    far = around(every, tile, plan.halo_px + excursion_px(plan, g))
+    beyond = class_of(plan, far.light_e) == len(plan.responses.classes)
+    draw_along(plan, g, image, tile, drawing_order(select(far, beyond)), paths)
     cores_e = float(image.sum())
     for block in blocks:
         add_wings_of(image, tile, block, block.star_wings)
@@ -62,6 +67,10 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
             for blur, light in parts_of(plan, target.x_px, target.y_px, target.light_e):
                 core = core_of(blur, radius)
                 draw_body(image, (tile.y0, tile.x0), target.body, core, place, light, target.path)
+            continue
+        if k == len(plan.responses.classes):
+            place = target.x_px, target.y_px, target.light_e
+            add_beyond(plan, image, tile, target.path, *place)
             continue
         for x0, y0, piece, share in pieces(target.path):
             x, y = target.x_px + x0, target.y_px + y0
@@ -121,13 +130,32 @@ def draw_along(
         places = streak.zone, streak.followed, off_px, x, y
         own = own_paths(plan.camera, g, *places, merge, aberration)
         for i, path in enumerate(own):
-            radius = plan.responses.classes[int(classes[mine[i]])].radius_px
+            k = int(classes[mine[i]])
+            if k == len(plan.responses.classes):
+                place = float(x[i]), float(y[i]), float(light[i])
+                add_beyond(plan, image, tile, path, *place, plan.responses.reach_px)
+                continue
+            radius = plan.responses.classes[k].radius_px
             for x0, y0, piece, share in pieces(path):
                 place = float(x[i]) + x0, float(y[i]) + y0, float(light[i]) * share
                 if _reaches(tile, radius, piece, *place[:2]):
                     for blur, part in parts_of(plan, *place):
                         swept = (*still_core(blur, radius, piece), piece)
                         _add(image, tile, stamp_along(*swept, place[1], place[0]), part)
+
+
+def add_beyond(
+    plan: Plan, image: Array, tile: Tile, path: Path, x: float, y: float, light_e: float,
+    reach_px: float = math.inf, finer: bool = False,
+) -> None:  # fmt: skip
+    """A source brighter than all core classes serve, by quadrature (adds to the image).
+
+    reach_px : where its light ends
+    """
+    guard_brightness(plan, tile, x, y, light_e)
+    for blur, part_e in parts_of(plan, x, y, light_e):
+        seen = draw_quadrature(blur, path, image.shape, (tile.y0, tile.x0), y, x, reach_px, finer)
+        image += part_e * seen
 
 
 def _draw_piece(

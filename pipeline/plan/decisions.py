@@ -247,7 +247,7 @@ def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
 
 def _wings(r: ResponsePlan, sigma_e: float, targets_there: bool) -> list[Decision]:
     budget, share, last = r.budget_e, cut_share(r), r.classes[-1]
-    limits = [c.brightest_e for c in r.classes if c.brightest_e < math.inf]
+    limits = [c.brightest_e for c in r.classes[:-1]]
     limits = limits or [budget / last.wing_error]
     cut, first, targets = share * max(limits), r.classes[0], ""
     if first.target_e != first.brightest_e and targets_there:
