@@ -21,6 +21,7 @@ from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.product import is_product
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core, oversampling_for
+from pipeline.physics.psf.sampled import READ_ERROR, Sampled
 from pipeline.plan.facts import APPROXIMATIONS, Facts
 from pipeline.plan.optics import missing_light
 from pipeline.plan.streaks import StreakPlan, plan_streaks, zone_streak
@@ -59,8 +60,9 @@ TRANSFORM_S_PER_SAMPLE = 4e-8
 class CoreClass:
     """Stars up to `brightest_e` electrons, targets up to `target_e`, get cores of `radius_px`.
 
-    wing_error : largest error of a wing pixel per electron of a star on its streak, target_error :
-        of a target, which may stand still where stars do not (0 without wings)
+    wing_error : largest error of a pixel per electron of a star on its streak, target_error :
+        of a target, which may stand still where stars do not; 0 where the limit says it all
+    Sources above the last class's limits, where these are finite, are drawn by quadrature.
     phases : sub-pixel phases of its tables; 0 draws each source by its own transform
     mixed_phases : those of the tables of bright streaks; 0 draws each along its own path
     """
@@ -178,7 +180,8 @@ def plan_responses(
     else:
         usual, reach = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
         brightest = facts.budget_e / NOTHING_BEYOND[0]
-        cores, spacing, cut = ((usual, brightest, 0.0), (reach, math.inf, 0.0)), 0, usual
+        far = NOTHING_BEYOND[1]
+        cores, spacing, cut = ((usual, brightest, 0.0), (reach, math.inf, far)), 0, usual
         for_targets = _limited(cores, facts.budget_e, targets_served)
         cores = _limited(cores, facts.budget_e, served)
     most_bytes = TABLE_BYTES
@@ -329,7 +332,7 @@ def _limited(
 ) -> tuple[tuple[float, float, float], ...]:
     """Cores of which the last has a limit too, where quadrature serves sources above it."""
     radius, _, error = cores[-1]
-    limit = budget_e / max(error, NOTHING_BEYOND[1]) if served else math.inf
+    limit = budget_e / error if served else math.inf
     return (*cores[:-1], (radius, limit, error))
 
 
@@ -337,6 +340,15 @@ def _limited(
 def _measured_wing_error(blur: Blur, radius_px: float, spacing_px: int, piece: Path) -> float:
     """The wing's error of a core of some radius, measured once for each response and streak."""
     return PLACES * wing_error(blur, compact_core(blur, radius_px), spacing_px, piece)
+
+
+def table_error(blur: Blur) -> float:
+    """What a pixel errs by because a table's band is cut, and by reading it, per unit light."""
+    if not isinstance(blur.optics, Sampled):
+        return 0.0
+    band = blur.optics.band
+    alone = blur.pixel_in_optics or blur.fill_factor < 1.0
+    return (band.left_out_bare if alone else band.left_out) + READ_ERROR
 
 
 @lru_cache(maxsize=256)
