@@ -20,6 +20,7 @@ from pipeline.export.picture import write_preview
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
 from pipeline.plan.accuracy import doubts_of, total_e, total_sigma
 from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.responses import table_error
 from pipeline.plan.scene_plan import Plan, colour_facts
 from pipeline.plan.timing import dwell_of, dwell_plans, frame_times, longest_s
 from pipeline.spec.load import scene_yaml
@@ -249,10 +250,13 @@ def _doubts(plan: Plan, errors: dict[str, Any]) -> list[str]:
 
 
 def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
-    """The brightest source drawn, and what the wings' grid may err in one pixel of its light [e-].
+    """The brightest source drawn, and what its core class may err in one pixel of its light [e-].
 
-    Above the last core class's limit this is more than the plan's bound, and the report says so.
+    Above the last core class's limit sources are drawn by quadrature and err by no more than the
+    plan's bound, where the response's profile is known; where it is not, or a table's band is cut,
+    this may be more, and the report says so.
     """
+    table = max(table_error(b) for b in plan.responses.blurs)
     light = error_e = 0.0
     for kind in truth_kinds(plan):
         import pyarrow.compute as pc
@@ -267,7 +271,7 @@ def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
             (c.target_e, c.target_error) if kind == "targets" else (c.brightest_e, c.wing_error)
             for c in plan.responses.classes
         )
-        light, error_e = max(light, most), max(error_e, most * _error_of(most, each))
+        light, error_e = max(light, most), max(error_e, most * (_error_of(most, each) + table))
     return {"brightest_source_e": light, "wing_error_of_brightest_e": error_e}
 
 

@@ -26,6 +26,7 @@ from pipeline.execute.sources import (
 )
 from pipeline.execute.tables import kernel_of, spectral_of, spectral_plan_of, streak_of
 from pipeline.physics.drawing.extended import spread_body
+from pipeline.physics.drawing.quadrature import affordable
 from pipeline.physics.drawing.spectral import Sources, draw_spectral
 from pipeline.physics.drawing.spectral_plan import brightest_for
 from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
@@ -73,22 +74,28 @@ def plan_blocks(plan: Plan, most_stars: float) -> tuple[Tile, ...]:
 
 
 def class_of(plan: Plan, light_e: Array) -> np.ndarray:
-    """Core class (n,) of stars by their light: the first whose limit they do not exceed."""
+    """Core class (n,) of stars by their light: the first whose limit they do not exceed.
+
+    One more than the last for stars that exceed all: these are drawn by quadrature.
+    """
     return _first_above(light_e, [c.brightest_e for c in plan.responses.classes])
 
 
-def target_classes(plan: Plan, light_e: Array) -> np.ndarray:
-    """Core class (n,) of targets by their light."""
-    return _first_above(light_e, [c.target_e for c in plan.responses.classes])
-
-
 def target_class(plan: Plan, target: FrameTarget) -> int:
-    """Core class of a target."""
-    return int(target_classes(plan, np.array([target.light_e]))[0])
+    """Core class of a target; one more than the last where it is drawn by quadrature.
+
+    Bodies with a size and too long paths are in the last class however bright they are.
+    """
+    r, shape = plan.responses, plan.scene.sensor.shape
+    k = int(_first_above(np.array([target.light_e]), [c.target_e for c in r.classes])[0])
+    if k < len(r.classes):
+        return k
+    serves = target.body is None and all(affordable(b, target.path, shape) for b in r.blurs)
+    return k if serves else k - 1
 
 
 def _first_above(light_e: Array, limits: list[float]) -> np.ndarray:
-    return np.searchsorted(np.array(limits), light_e, side="left").clip(0, len(limits) - 1)
+    return np.searchsorted(np.array(limits), light_e, side="left")
 
 
 def parts_of(plan: Plan, x_px: float, y_px: float, light_e: float) -> list[tuple[Blur, float]]:
@@ -205,8 +212,8 @@ def _sum(one: Array | None, other: Array | None) -> Array | None:
 
 def _point_field(plan: Plan, grid: WingGrid, points: list[FrameTarget]) -> Array | None:
     """Grid values of the wings of points along paths of their own."""
-    x, y, part, whole = _target_points(plan, points, grid)
-    return _wing_field(plan, grid, x, y, part, target_classes(plan, whole), None)
+    x, y, part, classes = _target_points(plan, points, grid)
+    return _wing_field(plan, grid, x, y, part, classes, None)
 
 
 def _wing_field(
@@ -247,13 +254,14 @@ def _target_points(
     plan: Plan, targets: list[FrameTarget], grid: WingGrid
 ) -> tuple[Array, Array, Array, Array]:
     """Targets as points along their paths, dense enough for the wings' grid, where they are near
-    it: (x, y, light, light of the whole target)."""
+    it: (x, y, light, core class of the target)."""
     step = plan.responses.spacing_px / 2.0
     x: list[Array] = []
     y: list[Array] = []
     light: list[Array] = []
-    whole: list[Array] = []
+    classes: list[Array] = []
     for t in targets:
+        k_of = float(target_class(plan, t))
         for k in range(t.path.segments):
             ends = (t.path.x_px[k], t.path.x_px[k + 1], t.path.y_px[k], t.path.y_px[k + 1])
             count = int(np.ceil(np.hypot(ends[1] - ends[0], ends[3] - ends[2]) / step)) or 1
@@ -261,10 +269,10 @@ def _target_points(
             x.append(t.x_px + ends[0] + at * (ends[1] - ends[0]))
             y.append(t.y_px + ends[2] + at * (ends[3] - ends[2]))
             light.append(np.full(len(at), t.light_e * t.path.weight[k] / count))
-            whole.append(np.full(len(at), t.light_e))
+            classes.append(np.full(len(at), k_of))
     if not x:
         return (np.empty(0),) * 4
-    return np.concatenate(x), np.concatenate(y), np.concatenate(light), np.concatenate(whole)
+    return np.concatenate(x), np.concatenate(y), np.concatenate(light), np.concatenate(classes)
 
 
 def _on_grid(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate
 from pipeline.execute.blocks import around, class_of, parts_of, target_class
+from pipeline.execute.light import add_beyond
 from pipeline.execute.sources import (
     FrameTarget,
     drawing_order,
@@ -25,6 +26,7 @@ from pipeline.execute.sources import (
 from pipeline.execute.tables import core_of, kernel_of
 from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
 from pipeline.physics.drawing.extended import draw_body, spread_body
+from pipeline.physics.drawing.quadrature import has_profile, nodes_of, points_along
 from pipeline.physics.drawing.wings import (
     WingGrid,
     add_wings,
@@ -49,6 +51,7 @@ WINDOW_PX = 16
 OWN_PATHS = 8  # of the brightest stars near a window
 MOST_TERMS = 4e8  # products that a window may cost: about a second
 LONGEST_PX = 96.0
+MOST_VALUES = 5e7  # of a profile that one source may cost: half a second
 MOST_POINTS = 1e6  # along the paths of a group of sources whose wings are swept so
 SWEEP_STEP_PX = 32.0
 FINE_POINTS = 384  # of the finest grid from a source to the end of its wings
@@ -130,17 +133,22 @@ def reference(
     Every source stands at its exact place and streaks as stars in the window's middle do (targets
     and the `own_paths` brightest stars along their own path), with a core of twice the radius that
     its brightness asks for and the wings on a grid of half the spacing: the sum of the phases of
-    its spectrum, in float64. None where that would cost more than `most_terms`.
+    its spectrum, in float64. Those alone on their path are integrated over each pixel instead
+    where the profile of the response is known. None where that would cost more than `most_terms`.
     """
     every = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
     near, setting = whole_stars(every), setting_stars(plan, g, every)
     targets = place_targets(plan, g)
-    every_point = [t for t in (*setting, *targets) if t.body is None]
-    points = [group for t in every_point for group in _near_part(plan, at, t)]
+    points = [t for t in (*setting, *targets) if t.body is None]
     followed = _star_groups(plan, g, at, near, own_paths)
-    groups = [*followed, *points]
-    work = list(_pieces(plan, at, groups))
-    cost = sum(len(x) * terms(core, piece, (at.rows, at.columns)) for core, piece, x, _, _ in work)
+    alone = [(_alone(plan, at, t), _end(plan, t)) for t in points]
+    groups = [*followed, *(group for group, _ in alone if group is not None)]
+    ends = [plan.responses.reach_px] * len(followed)
+    ends += [end for group, end in alone if group is not None]
+    costs = [_quadrature_cost(plan, at, group) for group in groups]
+    work = list(_pieces(plan, at, [of for of, c in zip(groups, costs, strict=True) if c is None]))
+    cost: float = sum(len(x) * terms(core, piece, (at.rows, at.columns)) for core, piece, x, _, _ in work)
+    cost += sum(c for c in costs if c is not None)
     bodies = [t for t in targets if t.body is not None]
     sources = sum(len(group[0]) for group in groups) + len(bodies)
     if cost > most_terms:
@@ -148,22 +156,53 @@ def reference(
     image = np.zeros((at.rows, at.columns))
     for core, piece, x, y, light in work:
         image += draw_direct(core, piece, image.shape, (at.y0, at.x0), x, y, light)
+    for (x, y, light, path), end, c in zip(groups, ends, costs, strict=True):
+        if c is not None:
+            place = float(x[0]), float(y[0]), float(light[0])
+            add_beyond(plan, image, at, path, *place, end, finer=True)
     if plan.responses.spacing_px:
-        _add_fine_wings(plan, image, at, groups)
+        rest = [of for of, c in zip(groups, costs, strict=True) if c is None]
+        _add_fine_wings(plan, image, at, rest)
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
 
 
-def _near_part(plan: Plan, at: Tile, t: FrameTarget) -> Iterator[Group]:
-    """A target with the part of its path whose light may reach a window; none if none may."""
+def _end(plan: Plan, t: FrameTarget) -> float:
+    """Radius [px] where a point's light ends: that of one drawn by quadrature has none."""
+    r = plan.responses
+    return math.inf if target_class(plan, t) == len(r.classes) else r.reach_px
+
+
+def _alone(plan: Plan, at: Tile, t: FrameTarget) -> Group | None:
+    """A source as a group, with the part of its path whose light may reach a window.
+
+    The whole path of one that is drawn by quadrature, whose light has no end; None if none may.
+    """
+    place = np.array([t.x_px]), np.array([t.y_px])
+    if target_class(plan, t) == len(plan.responses.classes):
+        return *place, np.array([t.light_e]), t.path
     reach = plan.halo_px + 2.0 * plan.responses.reach_core_px + LONGEST_PX
     low_x, low_y = at.x0 - reach - t.x_px, at.y0 - reach - t.y_px
     box = (low_x, low_x + 2.0 * reach + at.columns, low_y, low_y + 2.0 * reach + at.rows)
     part = part_within(t.path, box)
-    if part is not None:
-        path, share = part
-        yield np.array([t.x_px]), np.array([t.y_px]), np.array([share * t.light_e]), path
+    return None if part is None else (*place, np.array([part[1] * t.light_e]), part[0])
+
+
+def _quadrature_cost(plan: Plan, at: Tile, group: Group) -> float | None:
+    """Values that a single source costs by quadrature in a window.
+
+    None for a group that is drawn by transforms: of several sources, of a response without a
+    known profile, or of too long a path where it is no brighter than the core classes serve.
+    """
+    _, _, light, path = group
+    r = plan.responses
+    if len(light) != 1 or not all(has_profile(b) for b in r.blurs):
+        return None
+    values = max(points_along(b, path) * (1.5 * nodes_of(b)) ** 2 for b in r.blurs)
+    cost = at.rows * at.columns * values
+    limits = r.classes[-1].brightest_e, r.classes[-1].target_e
+    return cost if cost <= MOST_VALUES or light[0] > min(limits) else None
 
 
 def _star_groups(
@@ -176,6 +215,7 @@ def _star_groups(
     aberration = plan.scene.star_effects["aberration"]
     path = exact_path(plan.camera, g, *middle, aberration)
     own = _brightest(near, middle, path, own_paths)
+    own |= class_of(plan, near.light_e) == len(plan.responses.classes)
     groups = [(near.x_px[~own], near.y_px[~own], near.light_e[~own], path)]
     for i in np.flatnonzero(own):
         x, y, light = near.x_px[[i]], near.y_px[[i]], near.light_e[[i]]
@@ -211,7 +251,7 @@ def _pieces(
 ) -> Iterator[tuple[Any, Path, Array, Array, Array]]:
     """(core, piece, x, y, light) of the sources that light a window, piece by piece of path."""
     for x, y, light, path in groups:
-        classes = class_of(plan, light)
+        classes = _core_class(plan, light)
         for k in np.unique(classes):
             near = [core_of(b, _radius(plan, int(k), b)) for b in _near_window(plan, int(k), at)]
             for x0, y0, piece, share in pieces(path, LONGEST_PX):
@@ -224,6 +264,11 @@ def _pieces(
                     for blur, which, part in plan.responses.parts(*found):
                         core = core_of(blur, _radius(plan, int(k), blur))
                         yield core, piece, found[0][which], found[1][which], part
+
+
+def _core_class(plan: Plan, light_e: Array) -> np.ndarray:
+    """The class (n,) whose cores stand for sources of so much light."""
+    return np.minimum(class_of(plan, light_e), len(plan.responses.classes) - 1)
 
 
 def _near_window(plan: Plan, k: int, at: Tile) -> tuple[Blur, ...]:
@@ -257,7 +302,7 @@ def _add_fine_wings(
             rest = POINT
             if len(dx) * len(x) > MOST_POINTS:
                 dx, dy, share, rest = np.zeros(1), np.zeros(1), np.ones(1), path
-            classes = class_of(plan, light)
+            classes = _core_class(plan, light)
             for k in np.unique(classes):
                 mine = np.flatnonzero(classes == k)
                 for blur, which, part in plan.responses.parts(x[mine], y[mine], light[mine]):

@@ -7,10 +7,12 @@ from functools import lru_cache
 import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry
-from pipeline.errors import NightglassError
+from pipeline.errors import BadInput, NightglassError
+from pipeline.physics.drawing.quadrature import RELATIVE
 from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.vectors import separation
+from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 
@@ -54,6 +56,19 @@ def guard_places(
             f"{names[k]}: its pixel ({x_px[k]:.4f}, {y_px[k]:.4f}) is "
             f"{apart[k] / plan.facts.ifov_rad:.3g} px from its direction: the optics' distortion "
             "has no inverse there"
+        )
+
+
+def guard_brightness(plan: Plan, x_px: float, y_px: float, light_e: float) -> None:
+    """Refuse a source of which the very rounding of a pixel would show in its noise."""
+    most_e = (part_sigma(plan.scene) / RELATIVE) ** 2
+    if light_e > most_e:
+        raise BadInput(
+            "accuracy.noise_fraction",
+            f"a source of {light_e:.3g} e- at row {y_px:.1f}, column {x_px:.1f} with "
+            f"{plan.scene.accuracy.noise_fraction:g}",
+            f"sources of at most {most_e:.3g} e- in one exposure: a fainter one, a shorter "
+            "exposure or more noise_fraction",
         )
 
 

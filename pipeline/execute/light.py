@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,11 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import Block, around, class_of, parts_of, target_class
-from pipeline.execute.guards import guard_light, guard_stars, inside_tile
+from pipeline.execute.guards import guard_brightness, guard_light, guard_stars, inside_tile
 from pipeline.execute.sources import (
     FrameTarget,
     drawing_order,
+    excursion_px,
     place_targets,
     setting_stars,
     streaks,
@@ -22,6 +24,7 @@ from pipeline.execute.sources import (
 from pipeline.execute.tables import core_of, still_core, swept_core, table_of
 from pipeline.physics.drawing.along import stamp_along
 from pipeline.physics.drawing.extended import draw_body
+from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Box, Path, pieces
@@ -52,8 +55,12 @@ def draw_stars(
             _draw_stamps(plan, g, piece, part, paths, mine)
             if block.crowd_e is not None:
                 piece += _cut(block.crowd_e, block.place, part)
-    for star in setting_stars(plan, g, around_it):
+    far = drawing_order(around(every, tile, plan.halo_px + excursion_px(plan, g)))
+    for star in setting_stars(plan, g, far):
         _draw_point(plan, image, tile, star)
+    far = whole_stars(far)
+    beyond = class_of(plan, far.light_e) == len(plan.responses.classes)
+    draw_along(plan, g, image, tile, select(far, beyond), paths)
     cores_e = float(image.sum())
     for block in blocks:
         add_wings_of(image, tile, block, block.star_wings)
@@ -88,6 +95,10 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
 def _draw_point(plan: Plan, image: Array, tile: Tile, target: FrameTarget) -> None:
     """A point of light along its own path."""
     k = target_class(plan, target)
+    if k == len(plan.responses.classes):
+        place = target.x_px, target.y_px, target.light_e
+        add_beyond(plan, image, tile, target.path, *place)
+        return
     near = _box(tile, plan.responses.classes[k].radius_px, target.x_px, target.y_px)
     for x0, y0, piece, share in pieces(target.path, near=near):
         x, y = target.x_px + x0, target.y_px + y0
@@ -139,7 +150,12 @@ def draw_along(
         places = streak.zone, streak.followed, off_px, x, y
         own = own_paths(plan.camera, g, *places, merge, aberration)
         for i, path in enumerate(own):
-            radius = plan.responses.classes[int(classes[mine[i]])].radius_px
+            k = int(classes[mine[i]])
+            if k == len(plan.responses.classes):
+                place = float(x[i]), float(y[i]), float(light[i])
+                add_beyond(plan, image, tile, path, *place, plan.responses.reach_px)
+                continue
+            radius = plan.responses.classes[k].radius_px
             near = _box(tile, radius, float(x[i]), float(y[i]))
             for x0, y0, piece, share in pieces(path, near=near):
                 place = float(x[i]) + x0, float(y[i]) + y0, float(light[i]) * share
@@ -147,6 +163,20 @@ def draw_along(
                     for blur, part in parts_of(plan, *place):
                         swept = (*still_core(blur, radius, piece), piece)
                         _add(image, tile, stamp_along(*swept, place[1], place[0]), part)
+
+
+def add_beyond(
+    plan: Plan, image: Array, tile: Tile, path: Path, x: float, y: float, light_e: float,
+    reach_px: float = math.inf, finer: bool = False,
+) -> None:  # fmt: skip
+    """A source brighter than all core classes serve, by quadrature (adds to the image).
+
+    reach_px : where its light ends
+    """
+    guard_brightness(plan, x, y, light_e)
+    for blur, part_e in parts_of(plan, x, y, light_e):
+        seen = draw_quadrature(blur, path, image.shape, (tile.y0, tile.x0), y, x, reach_px, finer)
+        image += part_e * seen
 
 
 def _draw_piece(

@@ -224,7 +224,7 @@ def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
 
 def _wings(r: ResponsePlan, facts: Facts, targets_there: bool) -> list[Decision]:
     budget, last, sigma_e = r.budget_e, r.classes[-1], facts.sigma_floor_e
-    limits = [c.brightest_e for c in r.classes if c.brightest_e < math.inf]
+    limits = [c.brightest_e for c in r.classes[:-1]]
     limits = limits or [budget / last.wing_error]
     brightest = facts.brightest_e or max(limits)
     share, first, targets = cut_share(r.blurs, r.reach_px), r.classes[0], ""

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.drawing.extended import point_error
+from pipeline.physics.drawing.quadrature import affordable
 from pipeline.physics.drawing.wings import CUT_FROM, swept_apart, wing_error, wing_slope
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.product import is_product
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core, oversampling_for
+from pipeline.physics.psf.sampled import READ_ERROR, Sampled
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.facts import Facts
 from pipeline.plan.optics import (
@@ -47,6 +49,7 @@ NOTHING_BEYOND = (1e-8, 1e-14)  # of the light, beyond the cores of a response w
 STILL = StreakPlan(1, 1, 0.0, 0.0, 1, 0.0, 0.0)
 NEGLIGIBLE = 0.1  # of the error of the wings' grid
 PASSING = 3.2  # radii of a streak's way
+PLACES = 1.5  # for sub-pixel places at which the grid's error was not measured
 MARGIN = 1.6  # for stars whose paths were not compared
 HARDLY = 0.5  # of the middle's streak: stars that move less are at rest
 # Seconds a star, a stamp's pixel, a star and a pixel of the spectral engine, a sample of a
@@ -61,8 +64,9 @@ TRANSFORM_S_PER_SAMPLE = 4e-8
 class CoreClass:
     """Stars up to `brightest_e` electrons, targets up to `target_e`, get cores of `radius_px`.
 
-    wing_error : largest error of a wing pixel per electron of a star on its streak, target_error :
-        of a target, which may stand still where stars do not (0 without wings)
+    wing_error : largest error of a pixel per electron of a star on its streak, target_error :
+        of a target, which may stand still where stars do not; 0 where the limit says it all
+    Sources above the last class's limits, where these are finite, are drawn by quadrature.
     phases : sub-pixel phases of its tables; 0 draws each source by its own transform
     mixed_phases : those of the tables of bright streaks; 0 draws each along its own path
     """
@@ -153,6 +157,10 @@ def plan_responses(
         edge = max(_edge(b) for b in blurs)
         streaks = plan_streaks(camera, ends, aberration, asked, floor_e, facts.budget_e, edge)
         path = _shortest_piece(camera, ends, streaks, aberration)
+    shape, length = scene.sensor.shape, 0.5 * streaks.longest_px
+    longest = Path(np.array([-length, length]), np.zeros(2), np.ones(1))
+    served = all(affordable(b, longest, shape) for b in blurs)
+    targets_served = all(affordable(b, POINT, shape) for b in blurs)
     if any(b.has_wings for b in blurs):
         for b in blurs:
             check_scale(scene.sensor.psf.kind, b)
@@ -166,16 +174,20 @@ def plan_responses(
             if sweeps.slowest_px < HARDLY * streaks.pieces * path.length_px:
                 swept = POINT  # somewhere, as where the field turns about, stars stand still
         cores = _cores(blurs, first, spacing, swept, facts.budget_e, sweeps)
+        cores = _limited(cores, facts.budget_e, served)
         # Errors at rest are the largest: a path takes their mean.
         at_rest = swept if not (scene.targets or scene.populations) else POINT
         for_targets = _cores(blurs, first, spacing, at_rest, facts.budget_e)
+        for_targets = _limited(for_targets, facts.budget_e, targets_served)
         reach = max(reach, 2.0 * cores[-1][0])  # a wing is not cut off where its core still fades
         cut = CUT_FROM * reach
     else:
         usual, reach = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
         brightest = facts.budget_e / NOTHING_BEYOND[0]
-        cores, spacing, cut = ((usual, brightest, 0.0), (reach, math.inf, 0.0)), 0, usual
-        for_targets = cores
+        far = NOTHING_BEYOND[1]
+        cores, spacing, cut = ((usual, brightest, 0.0), (reach, math.inf, far)), 0, usual
+        for_targets = _limited(cores, facts.budget_e, targets_served)
+        cores = _limited(cores, facts.budget_e, served)
     most_bytes = TABLE_BYTES
     if none.field is not None:
         most_bytes = min(most_bytes, FIELD_BYTES / (len(blurs) * streaks.shapes))
@@ -307,10 +319,28 @@ def _cores(
     return tuple(out)
 
 
+def _limited(
+    cores: tuple[tuple[float, float, float], ...], budget_e: float, served: bool
+) -> tuple[tuple[float, float, float], ...]:
+    """Cores of which the last has a limit too, where quadrature serves sources above it."""
+    radius, _, error = cores[-1]
+    limit = budget_e / error if served else math.inf
+    return (*cores[:-1], (radius, limit, error))
+
+
 @lru_cache(maxsize=256)
 def _measured_wing_error(blur: Blur, radius_px: float, spacing_px: int, piece: Path) -> float:
     """The wing's error of a core of some radius, measured once for each response and streak."""
-    return wing_error(blur, compact_core(blur, radius_px), spacing_px, piece)
+    return PLACES * wing_error(blur, compact_core(blur, radius_px), spacing_px, piece)
+
+
+def table_error(blur: Blur) -> float:
+    """What a pixel errs by because a table's band is cut, and by reading it, per unit light."""
+    if not isinstance(blur.optics, Sampled):
+        return 0.0
+    band = blur.optics.band
+    alone = blur.pixel_in_optics or blur.fill_factor < 1.0
+    return (band.left_out_bare if alone else band.left_out) + READ_ERROR
 
 
 @lru_cache(maxsize=256)

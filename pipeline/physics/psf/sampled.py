@@ -3,7 +3,7 @@
 The image is taken as samples of light that has no detail finer than they can hold, so that what
 lies between them follows (Whittaker and Shannon). The Fourier transform of the samples is read at
 any frequency from a fast transform twice as fine, through a kernel whose own transform is divided
-out first: a non-uniform FFT (Barnett et al. 2019, SIAM J. Sci. Comput. 41, C479), error 1e-7.
+out first: a non-uniform FFT (Barnett et al. 2019, SIAM J. Sci. Comput. 41, C479), error 1e-13.
 """
 
 from __future__ import annotations
@@ -22,10 +22,14 @@ from pipeline.physics.psf.pupil import Transfer
 
 Array = NDArray[np.float64]
 
-WIDTH = 8  # of the reading kernel, in points of the fine transform
+WIDTH = 14  # of the reading kernel, in points of the fine transform
 SHAPE = 2.3 * WIDTH
 FINER = 2  # times as fine as the samples need
-LEFT_OUT = 1e-5  # of the light: what a pixel may lose by cutting the band
+LEFT_OUT = 1e-13  # of the light: what a pixel may lose by cutting the band
+MOST_LEFT_OUT = 1e-5  # and where the band is wider than FINE_BAND
+FINE_BAND = 3.6  # cycles/px: eight samples a pixel hold it
+BETWEEN = 2.0  # times what is found on the samples is the most between them
+READ_ERROR = 1e-13  # of a pixel, of the light, by reading the fine transform
 LARGEST_SIDE = 2048
 WHOLE_STAMP_PX = 48.0  # tables that reach farther have wings
 FIELD = "sensor.psf"
@@ -112,7 +116,8 @@ class Band:
     """The band of a table.
 
     limit : frequency beyond which it is taken as empty [cycles/px]
-    left_out : largest change of a pixel by that, over the source's light (upper bound)
+    left_out : largest change of a pixel by that, over the source's light, as measured;
+        left_out_bare : of light that no pixel has collected yet, per px^2
     nyquist : largest value at the highest frequencies that the samples hold: near 0 for a table
         that is fine enough
     largest, step : largest value in rings of width `step` beyond each frequency
@@ -120,6 +125,7 @@ class Band:
 
     limit: float
     left_out: float
+    left_out_bare: float
     nyquist: float
     largest: Array
     step: float
@@ -205,9 +211,14 @@ def _rings(table: Sampled) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=8)
 def _band(table: Sampled) -> Band:
-    """The smallest band beyond which no more than LEFT_OUT is lost, from a plain transform."""
+    """The smallest band beyond which no more than LEFT_OUT is lost, from a plain transform.
+
+    Where that is finer than FINE_BAND more is lost, up to MOST_LEFT_OUT: sources of which it would
+    show are the plan's matter.
+    """
     ny, nx = (scipy.fft.next_fast_len(2 * n, real=True) for n in table.samples.shape)
-    size = np.abs(scipy.fft.rfft2(table.samples, s=(ny, nx)))
+    spectrum = scipy.fft.rfft2(table.samples, s=(ny, nx))
+    size = np.abs(spectrum)
     h = table.spacing_px
     fy, fx = scipy.fft.fftfreq(ny, h), scipy.fft.rfftfreq(nx, h)
     cell = 1.0 / (ny * nx * h * h)
@@ -219,16 +230,24 @@ def _band(table: Sampled) -> Band:
     step = 1.0 / (max(ny, nx) * h)
     ring = np.minimum((f / step).astype(np.int64), int(0.5 * np.sqrt(2.0) / h / step)).ravel()
     lost = np.bincount(ring, weights=(size * pixel * weight[None, :]).ravel())
-    lost = np.cumsum(lost[::-1])[::-1]
-    largest = np.zeros(lost.size)
+    lost = np.append(np.cumsum(lost[::-1])[::-1], 0.0)
+    largest = np.zeros(lost.size - 1)
     np.maximum.at(largest, ring, size.ravel())
     largest = np.maximum.accumulate(largest[::-1])[::-1]
-    cut = int(np.argmax(lost <= LEFT_OUT)) if (lost <= LEFT_OUT).any() else lost.size
+    fine = int(FINE_BAND / step)
+    cut = int(np.argmax(lost <= LEFT_OUT))
+    if cut > fine:
+        cut = min(cut, max(fine, int(np.argmax(lost <= MOST_LEFT_OUT))))
     last = np.maximum(np.abs(fy)[:, None], fx[None, :]) > 0.45 / h
     nyquist = float(size[last].max())
-    left = float(lost[cut]) if cut < lost.size else 0.0
     limit = min(max(cut, 1) * step, np.sqrt(0.5) / h)
-    return Band(limit, left, nyquist, largest * table.light, step)
+    rest = np.where(f >= limit, spectrum, 0.0)
+    square = np.sinc(fy)[:, None] * np.sinc(fx)[None, :]
+    left, bare = (
+        BETWEEN * float(np.abs(scipy.fft.irfft2(part, s=(ny, nx))).max()) / h**2
+        for part in (rest * square, rest)
+    )
+    return Band(limit, left, bare, nyquist, largest * table.light, step)
 
 
 @lru_cache(maxsize=4)

@@ -1,0 +1,133 @@
+"""Pixels by quadrature: against scipy's adaptive integration and the error function."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import erfc, i0e
+
+from pipeline.physics.drawing.quadrature import (
+    RELATIVE,
+    affordable,
+    draw_quadrature,
+    has_profile,
+)
+from pipeline.physics.motion.streak import POINT, Path
+from pipeline.physics.psf.band import Mixture
+from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian
+from pipeline.physics.psf.seeing import Kolmogorov, Moffat
+
+SIDE, Y, X = 64, 30.3, 27.8
+AIRY, MOFFAT = Airy(1.2, 0.35), Moffat(2.0, 2.5)
+TWO = Mixture((Airy(1.0, 0.3), Airy(1.3, 0.3)), (0.4, 0.6))
+PIXELS = ((30, 28), (31, 27), (33, 30), (30, 35), (45, 20), (3, 60), (63, 0))
+
+
+def two(r: np.ndarray) -> np.ndarray:
+    return np.sum([w * p.intensity(r) for p, w in zip(TWO.parts, TWO.weights, strict=True)], axis=0)
+
+
+def pixel(intensity: Callable, y: float, x: float, side: float = 1.0) -> float:
+    """Integral over a square by panels of Gauss-Legendre, none of them shared with the engine."""
+    at, weight = np.polynomial.legendre.leggauss(40)
+    edges = np.linspace(-0.5, 0.5, 6) * side
+    nodes = (0.5 * (edges[1:] + edges[:-1])[:, None] + 0.1 * side * at).ravel()
+    w = np.tile(weight, 5) * 0.1 * side
+    return float(w @ intensity(np.hypot(y + nodes[:, None], x + nodes)) @ w)
+
+
+@pytest.mark.parametrize(
+    ("optics", "intensity"),
+    [(AIRY, AIRY.intensity), (Airy(0.4), Airy(0.4).intensity), (MOFFAT, MOFFAT.intensity),
+     (TWO, two)],
+)  # fmt: skip
+def test_pixels_at_rest(optics: object, intensity: Callable) -> None:
+    """Near and far: to 1e-12 of each pixel's own light."""
+    seen = draw_quadrature(Blur(optics, fill_factor=0.8), POINT, (SIDE, SIDE), (0, 0), Y, X)
+    for row, column in PIXELS:
+        exact = pixel(intensity, row - Y, column - X, 0.8**0.5)
+        assert seen[row, column] == pytest.approx(exact, rel=RELATIVE)
+
+
+def test_a_gaussian_is_the_error_function() -> None:
+    """Until it is less than 1e-25 of the light, also where it is blurred and elliptical."""
+
+    def side(sigma: float, at: float) -> np.ndarray:
+        x = np.abs(np.arange(SIDE) - at)
+        return 0.5 * (erfc((x - 0.5) / sigma / 2**0.5) - erfc((x + 0.5) / sigma / 2**0.5))
+
+    wide = math.hypot(1.6, 0.3)
+    for optics, narrow in ((Gaussian(1.6), wide), (EllipticalGaussian(1.6, 0.7), math.hypot(0.7, 0.3))):
+        seen = draw_quadrature(Blur(optics, 0.3), POINT, (SIDE, SIDE), (0, 0), Y, X)
+        exact = np.outer(side(narrow, Y), side(wide, X))
+        assert (np.abs(seen - exact) <= RELATIVE * exact + 1e-25).all()
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.5])
+def test_a_blurred_pattern(sigma: float) -> None:
+    """Jitter: the mean over rings by adaptive quadrature, to 1e-11."""
+    blur = Blur(AIRY, sigma)
+
+    def ring(r: float) -> float:
+        def part(s: float) -> float:
+            near = math.exp(-0.5 * ((r - s) / sigma) ** 2) * i0e(r * s / sigma**2)
+            return float(AIRY.intensity(np.array(s))) * s / sigma**2 * near
+
+        ends = max(0.0, r - 9.0 * sigma), r + 9.0 * sigma
+        return float(quad(part, *ends, epsrel=1e-13, epsabs=0.0, limit=200)[0])
+
+    seen = draw_quadrature(blur, POINT, (SIDE, SIDE), (0, 0), Y, X)
+    at, weight = np.polynomial.legendre.leggauss(12)
+    for row, column in ((30, 28), (36, 33)):
+        r = np.hypot(row - Y + 0.5 * at[:, None], column - X + 0.5 * at)
+        light = np.array([ring(v) for v in r.ravel()]).reshape(r.shape)
+        exact = 0.25 * weight @ light @ weight
+        assert seen[row, column] == pytest.approx(exact, rel=1e-11)
+
+
+@pytest.mark.parametrize("optics", [AIRY, MOFFAT, Gaussian(0.9)])
+def test_a_streak_is_the_sum_of_its_points(optics: object) -> None:
+    """A bent path, whatever the window is: against ten times as many points, midpoint rule."""
+    blur = Blur(optics)
+    path = Path(np.array([-9.0, 1.0, 4.0]), np.array([-2.0, 2.0, -1.0]), np.array([0.7, 0.3]))
+    seen = draw_quadrature(blur, path, (SIDE, SIDE), (0, 0), Y, X)
+    part = draw_quadrature(blur, path, (9, 7), (25, 20), Y, X)
+    assert np.array_equal(part, seen[25:34, 20:27])
+    finer = draw_quadrature(blur, path, (9, 7), (25, 20), Y, X, finer=True)
+    assert np.abs(finer / part - 1.0).max() < 10.0 * RELATIVE
+    step = (np.arange(4000) + 0.5) / 4000
+    for row, column in ((30, 20), (45, 40)):
+        total = 0.0
+        for k, w in enumerate(path.weight):
+            ends = (path.y_px[k], path.y_px[k + 1], path.x_px[k], path.x_px[k + 1])
+            y, x = (a + step * (b - a) for a, b in (ends[:2], ends[2:]))
+            at, weight = np.polynomial.legendre.leggauss(16)
+            nodes = np.meshgrid(0.5 * at, 0.5 * at, indexing="ij")
+            area = 0.25 * np.outer(weight, weight)
+            r = np.hypot(row - Y - y[:, None, None] + nodes[0], column - X - x[:, None, None] + nodes[1])
+            total += w * float((optics.intensity(r) * area).sum(axis=(1, 2)).mean())
+        assert seen[row, column] == pytest.approx(total, rel=1e-6, abs=1e-20)
+
+
+def test_where_light_ends() -> None:
+    """As wings do: over the last tenth of the reach."""
+    blur, place = Blur(AIRY), (POINT, (1, 80), (0, 0), 0.0, 0.0)
+    whole, cut = draw_quadrature(blur, *place), draw_quadrature(blur, *place, 50.0)
+    r = np.arange(80)
+    assert np.array_equal(cut[0, r <= 45], whole[0, r <= 45])
+    assert (cut[0, r >= 50] == 0.0).all()
+    assert cut[0, 47] / whole[0, 47] == pytest.approx(0.6**3 * (10 + 0.6 * (6 * 0.6 - 15)))
+
+
+def test_what_it_serves() -> None:
+    frame = (2048, 2048)
+    assert has_profile(Blur(TWO))
+    assert not has_profile(Blur(Kolmogorov(2.0)))
+    assert affordable(Blur(AIRY), POINT, frame)
+    long = Path(np.array([0.0, 300.0]), np.zeros(2), np.ones(1))
+    assert not affordable(Blur(AIRY), long, frame)
+    assert affordable(Blur(AIRY), long, (256, 256))
