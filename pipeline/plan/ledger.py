@@ -75,7 +75,7 @@ LEDGER = (
          "tests/physics/psf/test_band.py::test_against_a_hundred_wavelengths"),
     Rule(("stray_light.*",), "each body where background.stray_light asks for it",
          "tests/plan/test_stray_light.py::test_sources_are_switched"),
-    Rule(("uniform_background", "background.*", "starlight"),
+    Rule(("uniform_background", "background.*"),
          "uniform where no part of the sky varies; else a grid refined until its measured error is "
          "within the accuracy", "tests/physics/sky/test_grid.py"),
     Rule(("phase_interpolation", "common_streak", "crowds_by_transforms", "star_engines"),
@@ -108,8 +108,7 @@ LEDGER = (
     Rule(("targets.light_between_nodes",),
          "as many moments as keep the light within accuracy.flux_fraction",
          "tests/plan/test_bodies.py::test_flicker_bounds_the_error_at_the_edge_of_the_shadow"),
-    Rule(("targets.light_between_facets", "targets.mesh_shadows", "targets.mutual_shadowing",
-          "targets.light_curve*"),
+    Rule(("targets.light_between_facets", "targets.mesh_shadows", "targets.mutual_shadowing"),
          "shadows within a mesh always, to the error asked for; between facets and between the "
          "parts of composites never",
          "tests/physics/meshes/test_intensity.py::test_the_error_asked_for_is_met"),

@@ -516,9 +516,9 @@ SCENES: dict[str, Changes] = {
         "sensor.psf": {"kind": "gaussian", "sigma_px": 0.7},
     },
     "mesh-in-many-frames": seen(MESH | {
-        "surface": PAINT, "attitude": {"kind": "nadir"}, "error": 1e-2,
-    }, 7e6) | {"exposure": {"integration_s": 0.5, "frames": 40, "cadence_s": 5.0},
-                 "sensor.shape": [4, 4], "accuracy.flux_fraction": 0.02},
+        "surface": PAINT, "attitude": SPIN | {"rate_deg_s": 300.0}, "error": 1e-2,
+    }, 7e6) | {"exposure": {"integration_s": 1.0, "frames": 6, "cadence_s": 5.0},
+               "sensor.shape": [8, 8], "accuracy.flux_fraction": 0.02},
     "population": {
         "observer": SITE, "pointing": FOLLOW,
         "targets": [{"name": "t", "orbit": GEO, "body": SPHERE | {"diameter_m": 6.0}}],

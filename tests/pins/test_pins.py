@@ -11,8 +11,6 @@ from tests.pins.draw import draw
 from tests.pins.files import write_files
 from tests.pins.scenes import NAMES
 
-pytest.importorskip("trimesh")  # the meshes among the scenes
-
 
 @pytest.fixture(scope="session")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
