@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The tests start hundreds of processes: modules are compiled once, whatever the caller's setting.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-slow lint lock benchmarks clean
+.PHONY: demo test test-slow lint lock benchmarks pins clean
 
 demo: $(VENV)/.runtime
 	$(BIN)/nightglass demo -o demo --replace
@@ -26,6 +26,10 @@ lint: $(VENV)/.tests
 
 benchmarks: $(VENV)/.tests
 	$(BIN)/python -m benchmarks.frame
+
+# After what is drawn has changed on purpose; PINS="NAME ..." makes some of them (docs/pins.md).
+pins: $(VENV)/.tests
+	$(BIN)/python tests/pins/make.py $(PINS)
 
 # The product's own dependencies, each pinned by hash.
 $(VENV)/.runtime: requirements.lock pyproject.toml

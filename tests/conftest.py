@@ -31,3 +31,9 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no real data beside the repository (shared/data)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def published() -> Path:
+    """The folder of published figures that come with the tests (tests/data/SOURCE.txt)."""
+    return Path(__file__).resolve().parent / "data"

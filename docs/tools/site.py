@@ -37,7 +37,7 @@ NAVIGATION: dict[str, list[str]] = {
         "service.md", "client.md",
     ],
     "Explanation": ["physics.md", "drawing.md", "accuracy.md", "report.md", "extremes.md",
-                    "detection.md", "validation.md"],
+                    "detection.md", "validation.md", "pins.md"],
     "Reference": ["reference/scene.md", "reference/commands.md", "reference/omissions.md",
                   "reference/python.md"],
 }  # fmt: skip

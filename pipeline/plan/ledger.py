@@ -80,7 +80,7 @@ LEDGER = (
          "tests/physics/psf/test_band.py::test_against_a_hundred_wavelengths"),
     Rule(("stray_light.*",), "each body where background.stray_light asks for it",
          "tests/plan/test_stray_light.py::test_sources_are_switched"),
-    Rule(("background.*", "starlight"),
+    Rule(("background.*",),
          "light per solid angle where a pixel looks, through its own solid angle and the pupil's "
          "cosine; on a grid, of one value or refined until its error is within the accuracy",
          "tests/acceptance/test_wide_field.py::test_a_uniform_sky_falls_with_the_cosine"),
@@ -116,8 +116,7 @@ LEDGER = (
     Rule(("targets.light_between_nodes",),
          "as many moments as keep the light within accuracy.flux_fraction",
          "tests/plan/test_bodies.py::test_flicker_bounds_the_error_at_the_edge_of_the_shadow"),
-    Rule(("targets.light_between_facets", "targets.mesh_shadows", "targets.mutual_shadowing",
-          "targets.light_curve*"),
+    Rule(("targets.light_between_facets", "targets.mesh_shadows", "targets.mutual_shadowing"),
          "shadows within a mesh always, to the error asked for; between facets and between the "
          "parts of composites never",
          "tests/physics/meshes/test_intensity.py::test_the_error_asked_for_is_met"),

@@ -28,8 +28,34 @@ SENSOR = {
     "dark_e_per_s": 0.1,
     "read_noise_e": 5.0,
 }
-# The field lies inside the four complete level-7 trixels 131072 to 131075.
+GEO_TLE = (
+    "1 00001U 19001A   19099.72314174  .00000000  00000-0  00000-0 0  9999",
+    "2 00001   0.0300 100.0000 0002500 265.0000 318.0950  1.00272800    14",
+)
+# Every star of DR2 with G < 18 around it is in tests/data; those of the four level-7 trixels 131072
+# to 131075, in which it lies, in `wide_catalogue`.
 FIELD = {"boresight_ra_deg": 0.70, "boresight_dec_deg": -0.45}
+
+
+@pytest.fixture(scope="session")
+def real_catalogue(published, tmp_path_factory) -> Path:
+    """The real stars of the field (tests/data/SOURCE.txt), in shards of at most 100 rows."""
+    folder = tmp_path_factory.mktemp("real")
+    field = published / "gaia_dr2_field.csv"
+    report = ingest([field], folder / "gaia_dr2", form="gaia_dr2", rows_per_leaf=100)
+    assert report.rows_in == 359 == report.catalogue.rows + sum(report.rejected.values())
+    return folder / "gaia_dr2"
+
+
+@pytest.fixture(scope="session")
+def wide_catalogue(shared_data, tmp_path_factory) -> Path:
+    """The eight complete HTM trixels of DR2 around it, ingested in shards of at most 500 rows."""
+    folder = tmp_path_factory.mktemp("wide")
+    csv = folder / "trixels.csv.gz"
+    rows = _lsst_refcat().convert(shared_data / "gaia_dr2" / "lsst_refcat_htm7", csv)
+    report = ingest([csv], folder / "gaia_dr2", name="gaia_dr2_trixels", rows_per_leaf=500)
+    assert report.rows_in == rows == report.catalogue.rows + sum(report.rejected.values())
+    return folder / "gaia_dr2"
 
 
 def _lsst_refcat():
@@ -38,17 +64,6 @@ def _lsst_refcat():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-@pytest.fixture(scope="session")
-def real_catalogue(shared_data, tmp_path_factory) -> Path:
-    """The eight complete HTM trixels of DR2, ingested in shards of at most 500 rows."""
-    folder = tmp_path_factory.mktemp("real")
-    csv = folder / "trixels.csv.gz"
-    rows = _lsst_refcat().convert(shared_data / "gaia_dr2" / "lsst_refcat_htm7", csv)
-    report = ingest([csv], folder / "gaia_dr2", name="gaia_dr2_trixels", rows_per_leaf=500)
-    assert report.rows_in == rows == report.catalogue.rows + sum(report.rejected.values())
-    return folder / "gaia_dr2"
 
 
 @pytest.fixture(scope="session")
@@ -70,11 +85,9 @@ def sidereal(real_catalogue) -> dict:
 
 
 @pytest.fixture(scope="session")
-def geo_tle(shared_data) -> tuple[str, str]:
-    """AMC-4, which stands before the field at the scene's epoch for an observer below it."""
-    lines = (shared_data / "tle" / "celestrak_2019-04_geo.txt").read_text().splitlines()
-    at = next(i for i, line in enumerate(lines) if line.startswith("AMC-4 "))
-    return lines[at + 1].rstrip(), lines[at + 2].rstrip()
+def geo_tle() -> tuple[str, str]:
+    """A made-up geostationary satellite, before the field at the epoch for the site below it."""
+    return GEO_TLE
 
 
 @pytest.fixture(scope="session")

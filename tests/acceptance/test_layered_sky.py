@@ -349,7 +349,7 @@ def test_set_takes_a_list(folders, tmp_path):
     assert scene.stars.catalogues == (str(folders["cut"]), "s3://bucket/x")
 
 
-def test_sirius_over_real_dr2(real_catalogue, sidereal, shared_data, tmp_path):
+def test_sirius_over_real_dr2(wide_catalogue, sidereal, shared_data, tmp_path):
     """Hipparcos under the real field's sky: Sirius, which no release of Gaia holds, is there."""
     from catalog_tools.ingest import ingest
 
@@ -361,7 +361,7 @@ def test_sirius_over_real_dr2(real_catalogue, sidereal, shared_data, tmp_path):
         "mode": "sidereal", "boresight_ra_deg": 101.2843, "boresight_dec_deg": -16.7226,
     }  # fmt: skip
     data["sensor"] = data["sensor"] | {"shape": [256, 256]}
-    data["stars"] = {"catalogue": [str(real_catalogue), str(tmp_path / "hip")]}
+    data["stars"] = {"catalogue": [str(wide_catalogue), str(tmp_path / "hip")]}
     render(parse_scene(data), tmp_path / "run")
     truth = truth_of(tmp_path / "run")
     assert truth["source_id"].tolist() == [32349]

@@ -38,9 +38,18 @@ def test_every_file_is_listed(shared_data):
     assert found == set(FILES)
 
 
+@pytest.mark.parametrize("name", ["satsim.json", "simsit.yaml"])
+def test_own_files_plan_and_say_what_is_lost(published, name, tmp_path):
+    assert_plans_and_says_what_is_lost(published / "peers" / name, tmp_path)
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_every_file_plans_and_says_what_is_lost(shared_data, name, tmp_path):
-    imported = read(shared_data / "peer_scenes" / name)
+    assert_plans_and_says_what_is_lost(shared_data / "peer_scenes" / name, tmp_path)
+
+
+def assert_plans_and_says_what_is_lost(file, tmp_path):
+    imported = read(file)
     imported.write(tmp_path / "scene.yaml")
     scene = load_scene(tmp_path / "scene.yaml")
     assert imported.notes.converted
@@ -50,32 +59,51 @@ def test_every_file_plans_and_says_what_is_lost(shared_data, name, tmp_path):
     assert plan_scene(scene)["frames"] == scene.exposure.frames
 
 
+def test_own_satsim_renders_what_it_says(published, tmp_path):
+    """A small file of three targets: places, motions, light, sky, dark and bias."""
+    assert_satsim_is_drawn(published / "peers" / "satsim.json", tmp_path, np.s_[60:79, 5:40])
+
+
 def test_static_satsim_renders_what_it_says(shared_data, tmp_path):
-    """Places, motions and light of all nine targets, sky, dark and bias, against the file."""
+    """The same of SatSim's own file of nine targets."""
     file = shared_data / "peer_scenes" / "satsim" / "config_static.json"
-    read_satsim(file, EPOCH).write(tmp_path / "scene.yaml")
-    render(load_scene(tmp_path / "scene.yaml"), tmp_path / "run")
+    assert_satsim_is_drawn(file, tmp_path, np.s_[5:40, 300:340])
+
+
+def assert_satsim_is_drawn(file, folder, empty):
+    """Every target and the level of the sky, against the file's own numbers.
+
+    empty : a part of the first frame without a target
+    """
+    read_satsim(file, EPOCH).write(folder / "scene.yaml")
+    render(load_scene(folder / "scene.yaml"), folder / "run")
     given = json.loads(file.read_text())
-    rows = rows_of(tmp_path / "run")
+    fpa, rows = given["fpa"], rows_of(folder / "run")
+    seconds, size = fpa["time"]["exposure"], (fpa["height"], fpa["width"])
     listed = given["geometry"]["obs"]["list"]
     for row in rows:
         o = listed[int(row["name"].removeprefix("obs-"))]
-        rate = o.get("pe_truth") or 10 ** (-0.4 * (o["mv_truth"] - 23.497))
-        assert row["electrons"] == pytest.approx(rate, rel=5e-4)  # the range grows along a line
-        t = row["frame"] * 1.1
-        for axis, k, size in (("y", 0, 400), ("x", 1, 600)):
-            for moment, at in (("start", t), ("end", t + 1.0)):
-                wanted = o["origin"][k] * size - 0.5 + o["velocity"][k] * at
+        rate = o.get("pe_truth") or 10 ** (-0.4 * (o["mv_truth"] - fpa["zeropoint"]))
+        # The range grows along a line.
+        assert row["electrons"] == pytest.approx(rate * seconds, rel=5e-4)
+        t = row["frame"] * (seconds + fpa["time"]["gap"])
+        for axis, k in (("y", 0), ("x", 1)):
+            for moment, at in (("start", t), ("end", t + seconds)):
+                wanted = o["origin"][k] * size[k] - 0.5 + o["velocity"][k] * at
                 assert row[f"{axis}_{moment}_px"] == pytest.approx(wanted, abs=0.01)
-    assert len(rows) == 9 * 16
+    drawn = {row["name"] for row in rows}
+    assert len(drawn) >= 3
+    assert len(rows) == len(drawn) * fpa["num_frames"]
     from pipeline.store.cube import open_cube
 
-    cube = open_cube(tmp_path / "run")
-    empty = cube["mean_e"].values[0, 5:40, 300:340]
-    sky = 10 ** (-0.4 * (22 - 23.497)) * 3600**2 / (400 * 600)
-    assert np.median(empty) == pytest.approx(sky + 20, rel=1e-3)
-    level = np.mean(cube["dn"].values[0, 5:40, 300:340])
-    assert level == pytest.approx((sky + 20 + 100) / 12.2 + 10 - 0.5, abs=0.15)
+    cube = open_cube(folder / "run")
+    area = 3600**2 * fpa["y_fov"] * fpa["x_fov"] / math.prod(size)
+    sky = 10 ** (-0.4 * (given["background"]["galactic"] - fpa["zeropoint"])) * area
+    mean = (sky + fpa["dark_current"]) * seconds
+    assert np.median(cube["mean_e"].values[0][empty]) == pytest.approx(mean, rel=1e-3)
+    patch, a2d = cube["dn"].values[0][empty], fpa["a2d"]
+    level, room = np.mean(patch), 4.0 * np.std(patch) / math.sqrt(patch.size)
+    assert level == pytest.approx((mean + fpa["bias"]) / a2d["gain"] + a2d["bias"] - 0.5, abs=room)
 
 
 def test_dynamic_satsim_renders(shared_data, tmp_path):
@@ -90,22 +118,36 @@ def test_dynamic_satsim_renders(shared_data, tmp_path):
     assert report["truth_rows"]["targets"] == 2 * len(scene.targets)
 
 
+def test_own_simsit_renders(published, tmp_path):
+    """A small file: the satellite stands in the middle, with the light of its magnitude."""
+    assert_simsit_is_drawn(published / "peers" / "simsit.yaml", tmp_path, streaks=True)
+
+
 @pytest.mark.parametrize(
     "name",
     ["sidereal", *(pytest.param(n, marks=pytest.mark.slow) for n in ("target", "empty_target"))],
 )
 def test_simsit_renders(shared_data, name, tmp_path):
-    """The satellite stands in the middle at mid-exposure, with the light of its magnitude."""
-    imported = read(shared_data / "peer_scenes" / "simsit" / f"{name}.yaml")
-    imported.write(tmp_path / "scene.yaml")
+    """The same of SImSiT's own files."""
+    file = shared_data / "peer_scenes" / "simsit" / f"{name}.yaml"
+    assert_simsit_is_drawn(file, tmp_path, name == "sidereal", name == "empty_target")
+
+
+def assert_simsit_is_drawn(file, folder, streaks, dark=False):
+    """The satellite in the middle at mid-exposure, with its light.
+
+    streaks : whether it moves over the frame; dark : whether there is none
+    """
+    imported = read(file)
+    imported.write(folder / "scene.yaml")
     small = ["sensor.shape=[256,320]", "sensor.flat=1.0"]
-    scene = load_scene(tmp_path / "scene.yaml", small)
-    render(scene, tmp_path / "run")
-    (row,) = rows_of(tmp_path / "run")
+    scene = load_scene(folder / "scene.yaml", small)
+    render(scene, folder / "run")
+    (row,) = rows_of(folder / "run")
     assert (row["x_px"], row["y_px"]) == pytest.approx((159.5, 127.5), abs=0.02)
     long = math.hypot(row["x_end_px"] - row["x_start_px"], row["y_end_px"] - row["y_start_px"])
-    assert (long > 500) == (name == "sidereal")
-    if name == "empty_target":
+    assert (long > 200) == streaks
+    if dark:
         assert row["electrons"] == 0
         return
     area = math.pi * 0.25 * (1 - 0.1**2)
@@ -135,8 +177,8 @@ def test_radial_terms_of_a_known_distortion():
     assert misfit < 1e-3
 
 
-def test_limits_bad_satsim_files(tmp_path, shared_data):
-    good = json.loads((shared_data / "peer_scenes" / "satsim" / "config_static.json").read_text())
+def test_limits_bad_satsim_files(tmp_path, published):
+    good = json.loads((published / "peers" / "satsim.json").read_text())
     cases = [
         ("fpa.height", 0), ("fpa.height", True), ("fpa.y_fov", "wide"), ("fpa.psf.eod", 1.5),
         ("fpa.psf.mode", "airy"), ("fpa.a2d.dtype", "float32"), ("fpa.zeropoint", None),
@@ -164,15 +206,14 @@ def test_limits_bad_satsim_files(tmp_path, shared_data):
             read_satsim(tmp_path / "bad.json", EPOCH)
 
 
-def test_limits_bad_simsit_files(tmp_path, shared_data):
-    good = (shared_data / "peer_scenes" / "simsit" / "target.yaml").read_text()
+def test_limits_bad_simsit_files(tmp_path, published):
+    good = (published / "peers" / "simsit.yaml").read_text()
     for old, new in (
-        ("pixel_scale: 25.0", "pixel_scale: wide"), ("[1800, 1536]", "[0, 1536]"),
-        ("type: 'orbit'", "type: 'stare'"), ("[2.0, 6.0]", "[6.0, 2.0]"),
-        ("exptime: [0.1, 0.2, 0.5]", "exptime: []"), ("th: &th [0.", "th: &th [0.5"),
-        ("sites: ['apo', 'ctio', 'haleakala', 'kpno', 'lapalma', 'lick', 'Cerro Pachon']",
-         "sites: ['moon']"), ("gain: 1.0", "gain: .nan"),
-        ("seed: 5785", "seed: &a [*a]"),
+        ("pixel_scale: 20.0", "pixel_scale: wide"), ("[320, 256]", "[0, 256]"),
+        ("type: 'sidereal'", "type: 'stare'"), ("[2.0, 5.0]", "[5.0, 2.0]"),
+        ("exptime: [0.1, 0.3]", "exptime: []"), ("th: &th [0.", "th: &th [0.5"),
+        ("sites: ['ctio', 'kpno']", "sites: ['moon']"), ("gain: 1.0", "gain: .nan"),
+        ("seed: 31", "seed: &a [*a]"),
     ):  # fmt: skip
         assert old in good
         (tmp_path / "bad.yaml").write_text(good.replace(old, new))

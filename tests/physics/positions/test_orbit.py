@@ -36,22 +36,20 @@ LINE1, LINE2 = with_checksum(LINE1), with_checksum(LINE2)
 
 def verification(folder: Path) -> list[tuple[str, str, np.ndarray]]:
     """(line 1, line 2, rows of minutes, x y z km, vx vy vz km/s) of every satellite."""
-    lines = [t for t in (folder / "SGP4-VER.TLE").read_text().splitlines() if t[:1] in "12"]
-    states: list[list[list[float]]] = []
-    for row in (folder / "tcppver.out").read_text().splitlines():
-        if row.rstrip().endswith("xx"):
-            states.append([])
-        elif row.strip():
-            states[-1].append([float(x) for x in row.split()[:7]])
+    lines = (folder / "sgp4_elements.txt").read_text().splitlines()
+    table = np.loadtxt(folder / "sgp4_states.csv", delimiter=",", skiprows=1)
     return [
-        (a, b, np.array(rows))
-        for a, b, rows in zip(lines[::2], lines[1::2], states, strict=True)
-    ]  # fmt: skip
+        (a, b, table[table[:, 0] == k, 1:])
+        for k, (a, b) in enumerate(zip(lines[::2], lines[1::2], strict=True))
+    ]
 
 
-def test_against_the_sgp4_verification_set(shared_data: Path) -> None:
+def test_against_the_sgp4_verification_set(published: Path) -> None:
+    """Vallado et al. 2006, AIAA 2006-6753 (tests/data/SOURCE.txt)."""
     count, worst_km, worst_km_s = 0, 0.0, 0.0
-    for line1, line2, rows in verification(shared_data / "sgp4_verification"):
+    sets = verification(published)
+    assert len(sets) == 33
+    for line1, line2, rows in sets:
         satellite = Satrec.twoline2rv(line1, line2, WGS72)
         day = np.full(len(rows), satellite.jdsatepoch)
         p, v, _ = tle_states_teme(line1, line2, day, satellite.jdsatepochF + rows[:, 0] / 1440)
