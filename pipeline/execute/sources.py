@@ -203,7 +203,7 @@ def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[Fra
         seen = np.isfinite(x) & np.isfinite(y)
         if not seen.any():
             continue
-        light = light * pupil_along(plan.scene, plan.camera, g, x, y)
+        light = light * pupil_along(plan.scene, plan.camera, g.offset_s[0], x, y)
         if plan.extinction is not None:
             light = light * path_transmission(plan.extinction, plan.camera, g, x, y)
         nearest = _nearest(seen)

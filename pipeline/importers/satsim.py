@@ -80,7 +80,7 @@ def _sensor(f: Fields, notes: Notes, images: dict[str, Any], name: str) -> dict[
     sensor: dict[str, Any] = {
         "shape": [rows, columns], "pixel_pitch_um": PITCH_UM,
         "focal_length_m": PITCH_UM * 1e-6 / ifov, "aperture_m": 1.0, "bandpass": BAND,
-        "adc_rounding": "floor",
+        "adc_rounding": "floor", "pupil_projection": False,  # its light is the same off axis
     }  # fmt: skip
     # A star like the Sun has V = -26.76 at 1 au: what the aperture must collect from it.
     wanted = 10.0 ** (0.4 * (zero + 26.76))

@@ -9,10 +9,12 @@ from pipeline.arrays import Geometry
 from pipeline.physics.positions.focal_plane import Camera, corner_radius, off_axis_cosine
 from pipeline.plan.decision import Decision
 from pipeline.plan.geometry import camera_of
-from pipeline.plan.star_paths import field_points, star_paths
+from pipeline.plan.star_paths import at_nodes, field_points, star_paths
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
+
+NODES = 5
 
 
 def pupil_fraction(scene: Scene, camera: Camera, x_px: Array, y_px: Array) -> Array:
@@ -28,13 +30,15 @@ def pupil_fraction(scene: Scene, camera: Camera, x_px: Array, y_px: Array) -> Ar
     return off_axis_cosine(camera, x_px, y_px)
 
 
-def pupil_along(scene: Scene, camera: Camera, g: Geometry, x_px: Array, y_px: Array) -> Array:
-    """The same (..., K) at the nodes of the one frame of `g`, of places x, y (..., K).
+def pupil_along(
+    scene: Scene, camera: Camera, offset_s: Array, x_px: Array, y_px: Array
+) -> Array:
+    """The same of places x, y (..., K) at the K nodes of exposures at offset_s (K,) or (F, K).
 
     Under TDI a place moves with the charge: the light falls where the charge stands then.
     """
-    moved = camera.charge_px_s * (g.offset_s[0] - g.offset_s[0, g.middle])
-    return pupil_fraction(scene, camera, x_px, y_px + moved)
+    middle = offset_s[..., [offset_s.shape[-1] // 2]]
+    return pupil_fraction(scene, camera, x_px, y_px + camera.charge_px_s * (offset_s - middle))
 
 
 def decide_pupil(scene: Scene, ends: Geometry) -> list[Decision]:
@@ -58,13 +62,9 @@ def decide_pupil(scene: Scene, ends: Geometry) -> list[Decision]:
 def _changes(scene: Scene, camera: Camera, ends: Geometry) -> float:
     """Most by which the pupil's fraction changes along a star's streak from mid-exposure on.
 
-    Of the stars in the middle and the corners, in the frames looked at.
+    Of the stars in the middle and the corners, in the frames looked at, at NODES nodes.
     """
-    x, y = field_points(camera)
-    worst = 0.0
-    for f in range(len(ends.frame)):
-        one = ends.frame_slice(f)
-        paths = star_paths(camera, one, x, y, scene.star_effects["aberration"])[:, :, 0]
-        found = pupil_along(scene, camera, one, *paths)
-        worst = max(worst, float(np.nanmax(np.abs(found / found[:, [one.middle]] - 1.0))))
-    return worst
+    few = at_nodes(ends, np.linspace(0, ends.nodes - 1, NODES).round().astype(np.int64))
+    paths = star_paths(camera, few, *field_points(camera), scene.star_effects["aberration"])
+    found = pupil_along(scene, camera, few.offset_s, *paths)
+    return float(np.nanmax(np.abs(found / found[..., [NODES // 2]] - 1.0)))

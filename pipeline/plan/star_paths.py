@@ -58,13 +58,16 @@ def rolled_stars(
     their own row, and how much longer than a row they are exposed (n,). g : one frame."""
     from pipeline.physics.motion.rolling import exposed_longer, rolled
 
-    three = np.array([0, g.middle, g.nodes - 1])
-    parts = {name: getattr(g, name)[:, three] for name in _NODEWISE}
-    ends = replace(g, **parts)
+    ends = at_nodes(g, np.array([0, g.middle, g.nodes - 1]))
     still = still_paths(camera, ends, x_px, y_px, aberration)[:, :, 0]
     times = ends.offset_s[0] - ends.offset_s[0, 0]
     x, y, delay = rolled(still[0], still[1], times, camera.line_s, camera.rows)
     return x[:, 1], y[:, 1], exposed_longer(delay, times)
+
+
+def at_nodes(g: Geometry, nodes: NDArray[np.int64]) -> Geometry:
+    """The geometry at some of its nodes, in what star paths follow from."""
+    return replace(g, **{name: getattr(g, name)[:, nodes] for name in _NODEWISE})
 
 
 _NODEWISE = ("offset_s", "observer_m_s", "attitude", "air")  # all that star paths follow from

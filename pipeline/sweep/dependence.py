@@ -105,7 +105,7 @@ def _part(plan: Plan, kind: str) -> Part:
     if kind != "sky" and scene.background is not None:
         drop["background"] = None
     kept = scene.model_copy(update=drop)
-    hidden = NOISE_FACTS + (() if kind == "sky" else SKY_FACTS)
+    hidden = NOISE_FACTS + SKY_FACTS  # the sky is drawn from its plan
     content: list[Any] = [kind, light_content(kept)]
     content += [getattr(facts, f.name) for f in fields(facts) if f.name not in hidden]
     content += [getattr(plan, f.name) for f in fields(plan) if f.name not in NOT_OF[kind]]

@@ -204,7 +204,7 @@ def test_daylight_is_refused():
     data = copy.deepcopy(SCENE) | {"background": {"twilight": True}}
     data["epoch"] = "2019-04-20T20:00:00Z"
     data["pointing"] = {"mode": "sidereal", "boresight_ra_deg": 60.0, "boresight_dec_deg": 20.0}
-    with pytest.raises(BadInput, match=r"background.twilight: 'the Sun at [1-9].* deg of elevation"):
+    with pytest.raises(BadInput, match=r"twilight: 'the Sun at [1-9].* deg of elevation"):
         plan_scene(parse_scene(data))
     plan = plan_scene(parse_scene(data | {"accept": ["daylight"]}))
     assert "the sky drawn is that of a night" in plan["warnings"][0]

@@ -58,7 +58,7 @@ def scene(path: Path, **more: Any) -> Scene:
     extra = more.pop("population", {})
     return parse_scene({
         "schema": "nightglass/scene/1", "name": "crowd", "epoch": EPOCH, "observer": SITE,
-        "accept": ["daylight"],
+        "accept": ["sun", "daylight"],
         "sensor": {
             "shape": [256, 256], "pixel_pitch_um": 20.0, "focal_length_m": 0.008, "aperture_m": 0.1,
             "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
