@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .catalogue import Catalogue
+from .catalogue import MANIFEST_NAME, Catalogue
+from .errors import Damaged
 from .healpix import FINEST_ORDER, neighbours_of, pixels_of
 from .sphere import angles_deg, directions, separation_rad
 
@@ -90,6 +91,11 @@ class Coverage:
             new = np.mean(np.isneginf(before.limits_g_mag(*_spiral(cone))))
             covered += math.sin(0.5 * math.radians(cone[2])) ** 2 * float(new)
         return min(covered, 1.0)
+
+    def fraction_of_cone(self, ra_deg: float, dec_deg: float, radius_deg: float) -> float:
+        """Covered fraction of a cone, by SPIRAL directions; 1 where it can't be known."""
+        limits = self.limits_g_mag(*_spiral(np.array([ra_deg, dec_deg, radius_deg])))
+        return float(np.mean(~np.isneginf(limits)))
 
     def describe(self) -> dict[str, Any]:
         """What `catalog info` and reports say."""
@@ -203,9 +209,15 @@ def _of_map(covered: NDArray[np.bool_], order: int) -> Coverage:
 
 
 def coverage_of(catalogue: Catalogue) -> Coverage:
-    """What a catalogue says it covers; of one that says nothing, its leaves within their caps."""
+    """What a catalogue says it covers; of one that says nothing, its leaves within their caps.
+
+    Raises Damaged where what it says can't be understood.
+    """
     if catalogue.coverage is not None:
-        return from_json(catalogue.coverage)
+        try:
+            return from_json(catalogue.coverage)
+        except ValueError as error:
+            raise Damaged(f"{catalogue.path}/{MANIFEST_NAME}", f"its coverage: {error}") from None
     leaves = catalogue.leaf_table
     if catalogue.rows < FEWEST_ROWS:
         return Coverage(f"{LEAVES}; {catalogue.rows} rows are too few to tell", known=False)

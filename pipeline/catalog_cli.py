@@ -138,6 +138,8 @@ def cone(
         rows, report = query.cone(opened, ra_deg, dec_deg, radius_deg, faintest_g_mag, epoch_jyear)
     write_table(rows, output)
     print(f"{rows.num_rows} stars; {report}", file=sys.stderr)
+    if not corners:
+        _note_coverage(opened, centre)
 
 
 @catalog.command()
@@ -221,6 +223,17 @@ def fetch(
     for note in report.notes:
         print(f"note: {note}", file=sys.stderr)
     print_mapping({**asdict(report), "files": len(report.files)}, as_json)
+
+
+def _note_coverage(catalogue: Any, centre: Any) -> None:
+    """Say so where a cone lies outside of what the catalogue covers."""
+    from catalog_tools.coverage import coverage_of
+
+    coverage = coverage_of(catalogue)
+    fraction = coverage.fraction_of_cone(*centre)
+    if fraction < 0.99:
+        text = f"the catalogue covers {100.0 * fraction:.3g}% of this cone (by {coverage.source})"
+        print(f"note: {text}", file=sys.stderr)
 
 
 def _numbers(option: str, text: str, count: int, example: str) -> Any:

@@ -14,7 +14,7 @@ from service.problems import Mistake
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 SHOWN = (
     "description", "synthetic", "ref_epoch_jyear", "rows", "leaves", "bytes", "brightest_g_mag",
-    "faintest_g_mag", "digest",
+    "faintest_g_mag", "coverage", "without_colour", "digest",
 )  # fmt: skip
 
 

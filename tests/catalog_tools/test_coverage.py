@@ -17,6 +17,7 @@ from star_rows import random_stars, write_csv
 
 from catalog_tools.catalogue import MANIFEST_NAME, _digest, open_catalogue
 from catalog_tools.coverage import Coverage, all_sky, coverage_of, from_json, of_pixels, of_rows
+from catalog_tools.errors import Damaged
 from catalog_tools.fetch.layout import RELEASES, Entry, files_coverage
 from catalog_tools.fetched import note_coverage
 from catalog_tools.healpix import pixels_of
@@ -25,6 +26,7 @@ from catalog_tools.ingest import ingest
 from catalog_tools.partition import COUNT_ORDER
 from catalog_tools.synthetic import make_demo
 from catalog_tools.verify import verify
+from tests.command import nightglass
 
 
 def cap_area(radius_deg: float) -> float:
@@ -195,6 +197,15 @@ def test_a_synthetic_sky_says_how_deep_it_is_where(tmp_path):
     assert info(made.catalogue)["coverage"]["sky_fraction"] == 1.0
 
 
+def test_a_cone_outside_is_noted(field, tmp_path):
+    for ra, words in (("130", ""), ("150", "covers 0% of this cone (by its rows)")):
+        place = ("--ra", ra, "--dec", "12", "--radius", "0.3", "-o", tmp_path / f"{ra}.csv")
+        done = nightglass("catalog", "cone", field.path, *place)
+        assert done.returncode == 0
+        assert words in done.stderr
+        assert ("note:" in done.stderr) == bool(words)
+
+
 def test_verify_proves_the_coverage(field, tmp_path):
     assert verify(field).whole
     held = field.coverage["ranges"]
@@ -209,6 +220,8 @@ def test_verify_proves_the_coverage(field, tmp_path):
         copy = open_catalogue(changed_manifest(field, tmp_path / name, change))
         (finding,) = verify(copy).findings
         assert words in finding.what, finding
+    with pytest.raises(Damaged, match="coverage"):
+        info(copy)
 
 
 def test_older_catalogues_open_and_are_covered_by_their_leaves(field, tmp_path):
@@ -225,6 +238,13 @@ def test_older_catalogues_open_and_are_covered_by_their_leaves(field, tmp_path):
     assert np.isneginf(coverage.limits_g_mag([134.0, 310.0], [12.0, -12.0])).all()
     assert cap_area(1.0) < coverage.sky_fraction < 3.5 * cap_area(1.0)
     assert verify(old).whole
+
+
+def test_an_older_catalogue_of_the_whole_sky_has_no_gap(tmp_path):
+    made = make_demo(tmp_path / "demo", faintest_g_mag=6.0, rows_per_leaf=300).catalogue
+    coverage = coverage_of(replace(made, coverage=None))
+    assert np.isposinf(coverage.limits_g_mag(*over_sky(20_000))).mean() > 0.9995
+    assert coverage.sky_fraction > 0.9995
 
 
 def test_a_real_field_is_what_its_rows_cover(shared_data, tmp_path):

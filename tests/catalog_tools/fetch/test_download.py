@@ -20,6 +20,7 @@ from catalog_tools.fetch.fetch import fetch
 from catalog_tools.fetch.layout import RELEASES
 from catalog_tools.fetch.ledger import folder_for
 from catalog_tools.fetch.patience import Patience, Unavailable
+from catalog_tools.fetched import stated_coverage
 
 
 def bring(archive, folder, patience, **options):
@@ -47,6 +48,17 @@ def test_files_come_verified_and_only_once(archive, tmp_path, hasty):
     assert archive.sent() == size
     assert all(len(archive.gets(name)) == 1 for name in archive.files)
     assert not list((tmp_path / ".fetch" / "parts").iterdir())
+
+
+def test_the_folder_says_what_its_files_cover(archive, tmp_path, hasty):
+    """By the order-12 pixels of their names, 0 to 10**8 without a gap, in pixels of order 9."""
+    bring(archive, tmp_path, hasty)
+    paths = [tmp_path / name for name in archive.files]
+    coverage, notes = stated_coverage(paths)
+    assert coverage is not None
+    assert coverage.ranges.tolist() == [[0, 10**8 // 64 + 1]]
+    assert notes == ()
+    assert stated_coverage(paths[1:])[0] is None
 
 
 def test_connections_cut_at_random_bytes(archive, tmp_path, hasty):

@@ -14,10 +14,12 @@ from astropy.coordinates import SkyCoord
 from star_rows import random_stars, same_rows
 from tap_server import TapServer
 
+from catalog_tools.coverage import coverage_of
 from catalog_tools.errors import BadInput, Incomplete
 from catalog_tools.fetch import tap
 from catalog_tools.fetch.cones import Cone
 from catalog_tools.fetch.fetch import fetch
+from catalog_tools.ingest import ingest
 from catalog_tools.readers import read_tables
 
 CONE = Cone(359.8, -40.0, 1.5)
@@ -175,3 +177,14 @@ def test_fetched_cones_are_ingested(service, sky, tmp_path, hasty):
     assert sum(made.rejected.values()) == rows[0].num_rows + rows[1].num_rows - distinct > 0
     stars, _ = rows_in_cone(made.catalogue, CONE.ra_deg, CONE.dec_deg, CONE.radius_deg)
     assert same_rows(stars, rows[0])
+
+
+def test_what_was_asked_for_is_what_the_catalogue_covers(service, sky, tmp_path, hasty):
+    """A cone that is cut at G = 15, and one without a star: both are covered, nothing else is."""
+    bright, void = Cone(359.8, -40.0, 1.5, 15.0), Cone(100.0, 10.0, 1.0)
+    ask(service, tmp_path / "fetched", hasty, bright, void)
+    report = ingest([tmp_path / "fetched"], tmp_path / "made")
+    assert report.catalogue.rows == expected(sky, bright).num_rows
+    assert "gaia-dr2_cone_100.0_10.0_1.0.csv.gz holds no row" in report.notes
+    limits = coverage_of(report.catalogue).limits_g_mag([0.2, 100.5, 4.0], [-40.0, 10.5, -40.0])
+    assert limits.tolist() == [15.0, np.inf, -np.inf]
