@@ -138,6 +138,7 @@ def prepare(scene: Scene) -> Prepared:
         scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
     )  # fmt: skip
+    facts = replace(facts, flat=maps.typical("flat"))
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
     extinction = _extinction(scene, response)
     scene, facts, sky = _sky(

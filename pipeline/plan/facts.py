@@ -39,6 +39,7 @@ class Facts:
     sigma_floor_e : noise of a pixel that holds no source: sky, dark, read noise, quantisation
     budget_e : error that one approximation may make in such a pixel
     field : the responses over the field; None where one serves it all
+    flat : typical response to light (median), which SNR counts
     """
 
     area_m2: float
@@ -53,6 +54,7 @@ class Facts:
     sigma_floor_e: float
     budget_e: float
     field: PsfField | None = None
+    flat: float = 1.0
 
 
 APPROXIMATIONS = 4  # they share the noise budget equally: interpolation, wings, spans, streaks

@@ -37,7 +37,7 @@ SENSORS = st.fixed_dictionaries({
     "bias_dn": st.sampled_from([0.0, 100.0, 1e17]), "flat": st.sampled_from([1.0, 0.9]),
     "dark_e_per_s": st.one_of(st.just(0.0), spread(1e-6, 1e6)),
     "read_noise_e": st.one_of(st.just(0.0), spread(1e-3, 1e3)), "photon_noise": st.booleans(),
-})  # fmt: skip
+}).map(lambda s: s | {"bias_dn": min(s["bias_dn"], 2.0 ** (s["adc_bits"] + 1))})  # fmt: skip
 OBSERVERS = st.sampled_from([
     {"kind": "fixed", "position_au": [0.9, 0.3, 0.1]},
     {"kind": "fixed", "position_au": [0.9, 0.3, 0.1], "velocity_m_s": [2.9e8, 0, 0]},
