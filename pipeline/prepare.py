@@ -154,6 +154,7 @@ def prepare(scene: Scene) -> Prepared:
         maps.typical("gain_e_per_dn"), gather_psf_table(scene),
         _brightest_e(scene, catalogues, geometry, colour, sun),
     )  # fmt: skip
+    facts = replace(facts, flat=maps.typical("flat"))
     found = sky_doubts(scene, facts, response, dut1_s)
     warnings += found.warnings
     remarks += found.remarks

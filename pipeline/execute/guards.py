@@ -20,6 +20,10 @@ NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, be
 PLACE_PX = 1e-3  # that a source's pixel and its direction may be apart
 ALIASES = 8  # cycles a pixel up to which gaps between pixels are looked at
 ROUNDING_RAD = 2e-15
+FIELDS = {  # of the scene, by the layer that comes from it
+    "stars_e": "stars", "targets_e": "targets", "background_e": "background",
+    "dark_e": "sensor.dark_e_per_s", "cosmic_rays_e": "cosmic_rays", "lag_e": "sensor.detector.lag",
+}  # fmt: skip
 LOOKED_AT = 64  # sources of a task whose places are checked
 
 
@@ -35,7 +39,7 @@ def guard_stars(g: Geometry, tile: Tile, stars: FrameStars) -> None:
         k = int(np.argmin(good))
         raise NightglassError(
             f"{where(g, tile)}: star {int(stars.source_id[k])} has {stars.light_e[k]} e- at "
-            f"({stars.x_px[k]}, {stars.y_px[k]}): its row of the catalogue is damaged"
+            f"({stars.x_px[k]}, {stars.y_px[k]}): its row of stars.catalogue is damaged"
         )
 
 
@@ -54,8 +58,8 @@ def guard_places(
         k = int(np.argmax(bad))
         raise NightglassError(
             f"{names[k]}: its pixel ({x_px[k]:.4f}, {y_px[k]:.4f}) is "
-            f"{apart[k] / plan.facts.ifov_rad:.3g} px from its direction: the optics' distortion "
-            "has no inverse there"
+            f"{apart[k] / plan.facts.ifov_rad:.3g} px from its direction: sensor.distortion has no "
+            "inverse there"
         )
 
 
@@ -96,7 +100,8 @@ def guard_light(
         return  # `guard_mean` says more
     raise NightglassError(
         f"{where(g, tile)}: {layer} holds {total:.8g} e- with cores of {cores_e:.8g} e-, where its "
-        f"sources send {least:.8g} to {most:.8g} e-"
+        f"sources send {least:.8g} to {most:.8g} e-; drawn with sensor.psf to "
+        f"accuracy.flux_fraction = {plan.scene.accuracy.flux_fraction:g}"
     )
 
 
@@ -135,7 +140,7 @@ def guard_mean(
             lowest = min(layers, key=lambda name: float(layers[name].min()))
             raise NightglassError(
                 f"{where(g, tile)}: a pixel's mean is {low:.3g} e-, below zero by more than "
-                f"rounding; lowest is {lowest}"
+                f"rounding; lowest is {lowest} ({FIELDS.get(lowest, 'sensor')})"
             )
         return np.maximum(mean_e, 0.0)
     return mean_e
@@ -146,5 +151,6 @@ def _not_finite(layers: dict[str, Array]) -> str:
     for name, layer in layers.items():
         if not np.isfinite(layer).all():
             row, column = np.argwhere(~np.isfinite(layer))[0]
-            return f"{name} is not finite at row {row}, column {column} of it"
-    return "a pixel's mean is not finite: too much light"
+            field = FIELDS.get(name, "sensor")
+            return f"{name} ({field}) is not finite at row {row}, column {column} of it"
+    return f"a pixel's mean is not finite: too much light in {' and '.join(layers)}"

@@ -197,7 +197,8 @@ def matched_snr(
     """Signal-to-noise of isolated sources under a matched filter, (n,); places in frame pixels.
 
     SNR^2 = sum (F p)^2 / (sigma0^2 + F p) over the pixels of the source's own response p; F light,
-    sigma0 the noise floor of the frame, with its own integration time. Evaluated on a grid of log F
+    sigma0 the noise floor of the frame, with its own integration time; light and sky after the
+    typical flat. Evaluated on a grid of log F
     and interpolated (error < 1e-3). Over a field, that of the responses around is interpolated,
     which is an upper bound.
     """
@@ -210,13 +211,13 @@ def matched_snr(
 def _matched_snr(plan: Plan, blur: Blur, path: Path, light_e: Array, frame: int) -> Array:
     """Signal-to-noise of sources that one response draws, (n,)."""
     response, times = _response_at_centre(plan, blur, path)
-    floor = plan.floor_e(frame) ** 2
+    floor, flat = plan.snr_floor_e2(frame), plan.facts.flat
     positive = light_e[light_e > 0]
     if positive.size == 0:
         return np.zeros(len(light_e))
     low, high = np.log(positive.min()), np.log(positive.max())
     grid = np.linspace(low, high, 128 if high > low else 1)
-    signal = np.exp(grid)[:, None] * response[None, :]
+    signal = flat * np.exp(grid)[:, None] * response[None, :]
     snr = np.sqrt(np.sum(times * signal**2 / (floor + signal), axis=1))
     with np.errstate(divide="ignore"):
         at = np.log(np.maximum(light_e, 0.0))

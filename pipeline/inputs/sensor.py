@@ -11,12 +11,12 @@ from pipeline.errors import BadInput
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import NumberOrImage
 
-LIMITS = {  # least value allowed, and whether that value itself is
-    "flat": (0.0, True),
-    "dark_e_per_s": (0.0, True),
-    "read_noise_e": (0.0, True),
-    "gain_e_per_dn": (0.0, False),
-    "bias_dn": (-np.inf, True),
+LIMITS = {  # least and largest value of a pixel, both allowed; a flat's dead pixels are 0
+    "flat": (0.0, 1e3),
+    "dark_e_per_s": (0.0, 1e12),
+    "read_noise_e": (0.0, 1e9),
+    "gain_e_per_dn": (1e-9, 1e6),
+    "bias_dn": (-1e19, 2e19),
 }
 
 
@@ -40,12 +40,16 @@ def _gather(scene: Scene, name: str) -> Value:
         return float(given)
     field = f"sensor.{name}"
     image = gather_image(given, field, scene.sensor.shape)
-    least, inclusive = LIMITS[name]
-    low = float(image.min())
-    if low < least or (low == least and not inclusive):
-        bound = "at least" if inclusive else "greater than"
-        raise BadInput(field, f"{given} with a pixel of {low:g}", f"pixels {bound} {least:g}")
-    return image * scene.sensor.dark_scale if name == "dark_e_per_s" else image
+    least, most = LIMITS[name]
+    if name == "dark_e_per_s":
+        image = image * scene.sensor.dark_scale
+    for value in (float(image.min()), float(image.max())):
+        if not least <= value <= most:
+            found = f"{given} with a pixel of {value:g}"
+            raise BadInput(field, found, f"pixels from {least:g} to {most:g}")
+    if name == "flat" and not image.any():
+        raise BadInput(field, f"{given} of zeros", "an image with a pixel above 0")
+    return image
 
 
 def gather_image(given: str, field: str, shape: tuple[int, int]) -> Array:

@@ -43,6 +43,7 @@ class Facts:
     budget_e : error that one approximation may make in such a pixel
     field : the responses over the field; None where one serves it all
     brightest_e : light of the brightest source in the longest exposure; 0 where not known
+    flat : typical response to light (median), which SNR counts
     """
 
     area_m2: float
@@ -58,6 +59,7 @@ class Facts:
     budget_e: float
     field: PsfField | None = None
     brightest_e: float = 0.0
+    flat: float = 1.0
 
 
 

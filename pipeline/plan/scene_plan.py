@@ -83,6 +83,12 @@ class Plan:
         more = (time_s - least_s) * (f.background_e_s + f.dark_e / least_s)
         return math.sqrt(f.sigma_floor_e**2 + more)
 
+    def snr_floor_e2(self, frame: int) -> float:
+        """Square of `floor_e` with the sky after the typical flat [e-^2]."""
+        f = self.facts
+        sky_e = f.background_e_s * self.integration_s(frame)
+        return self.floor_e(frame) ** 2 - (1.0 - f.flat) * sky_e
+
     @property
     def lag_frames(self) -> int:
         """How many frames before leave charge in a frame."""

@@ -8,9 +8,11 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from pipeline.spec.pointing import Pointing
-from pipeline.spec.strict import NotNegative, Positive, Strict
+from pipeline.spec.strict import Strict
 
 MOST_DWELLS = 1000
+Cadence_s = Annotated[float, Field(gt=0, le=1e9)]
+Wait_s = Annotated[float, Field(ge=0, le=1e9)]
 Exposure_s = Annotated[float, Field(ge=0, le=1e5)]
 
 
@@ -49,9 +51,11 @@ class Dwell(Strict):
         Exposure_s | Annotated[tuple[Exposure_s, ...], Field(min_length=1, max_length=1000)] | None
     ) = None
     frames: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    cadence_s: Positive | None = Field(None, description="default: each frame after the one before")
-    start_s: NotNegative | None = None
-    wait_s: NotNegative = 0.0
+    cadence_s: Cadence_s | None = Field(
+        None, description="default: each frame after the one before"
+    )
+    start_s: Wait_s | None = None
+    wait_s: Wait_s = 0.0
     slew: Slew | None = None
     settle: Settle | None = None
 

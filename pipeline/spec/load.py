@@ -162,7 +162,15 @@ def _checked(data: dict[str, Any]) -> Scene:
 
 def mistakes_of(error: ValidationError, data: dict[str, Any]) -> list[tuple[str, Any, str]]:
     """(field, value, allowed) of every mistake, one for each field."""
-    return _merged([_mistake(e, data) for e in error.errors()])
+    found = error.errors()
+    places = [e["loc"] for e in found]
+    return _merged([_mistake(e, data) for e in found if not _follows(e, places)])
+
+
+def _follows(error: Any, places: list[tuple[int | str, ...]]) -> bool:
+    """Whether a list is called too short only because items in it are refused themselves."""
+    at = error["loc"]
+    return error["type"] == "too_short" and any(p[: len(at)] == at and p != at for p in places)
 
 
 PATH_FIELDS = (
@@ -310,8 +318,25 @@ def _mistake(error: Any, data: Any) -> tuple[str, Any, str]:
         names.append(str(context["discriminator"]).strip("'"))
         allowed = f"allowed: {context['expected_tags']}" if "tag" in context else "it must be given"
         return ".".join(names), context.get("tag"), allowed
-    message = error["msg"].replace("Input should be", "allowed:", 1)
-    return ".".join(names) or "scene", value, message[:400]
+    return ".".join(names) or "scene", value, _allowed(error["msg"])[:400]
+
+
+WORDING = (  # pydantic's words, and ours
+    (r"^Input should be ", "allowed: "),
+    (r"^(?:String|Tuple|List|Dictionary|Value) should ", "allowed: to "),
+    (r" after validation, not \d+$", ""),
+    (r"a valid (?:tuple|list)\b", "a list"),
+    (r"a valid string\b", "text"),
+    (r"a valid dictionary(?: or instance of \w+)?", "a mapping"),
+    (r"a valid ", "a "),
+)
+
+
+def _allowed(message: str) -> str:
+    """What is allowed, in our words."""
+    for theirs, ours in WORDING:
+        message = re.sub(theirs, ours, message)
+    return message
 
 
 def _merged(mistakes: list[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
@@ -319,7 +344,7 @@ def _merged(mistakes: list[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
     by_field: dict[str, tuple[str, Any, str]] = {}
     for field, value, allowed in mistakes:
         if field in by_field:
-            also = allowed.removeprefix("allowed: ")
+            also = allowed.removeprefix("allowed: ").removeprefix("to ")
             allowed = f"{by_field[field][2]}, or {also}"
         by_field[field] = (field, value, allowed)
     return list(by_field.values())

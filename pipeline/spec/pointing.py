@@ -10,6 +10,9 @@ from pydantic_core import PydanticCustomError
 from pipeline.spec.attitude import AttitudeModel, FilePath
 from pipeline.spec.strict import Strict
 
+Turn_deg = Annotated[float, Field(ge=-360, le=360)]
+Rate = Annotated[float, Field(ge=-1e7, le=1e7)]  # arcsec/s or arcsec/s2: what can be drawn is less
+
 MOST_ROWS = 20_000  # of a table that a scene holds itself
 RightAscension = Annotated[float, Field(ge=-360, le=360)]
 Declination = Annotated[float, Field(ge=-90, le=90)]
@@ -31,7 +34,7 @@ class SiderealPointing(Held):
     mode: Literal["sidereal"]
     boresight_ra_deg: RightAscension
     boresight_dec_deg: Declination
-    roll_deg: float = Field(0.0, description="position angle of +y, from north through east")
+    roll_deg: Turn_deg = Field(0.0, description="position angle of +y, from north through east")
 
 
 class RatePointing(Held):
@@ -44,11 +47,11 @@ class RatePointing(Held):
     mode: Literal["rate"]
     boresight_ra_deg: RightAscension
     boresight_dec_deg: Declination
-    rate_ra_arcsec_s: float = Field(description="on the sky: includes cos dec")
-    rate_dec_arcsec_s: float
-    acceleration_ra_arcsec_s2: float = 0.0
-    acceleration_dec_arcsec_s2: float = 0.0
-    roll_deg: float = 0.0
+    rate_ra_arcsec_s: Rate = Field(description="on the sky: includes cos dec")
+    rate_dec_arcsec_s: Rate
+    acceleration_ra_arcsec_s2: Rate = 0.0
+    acceleration_dec_arcsec_s2: Rate = 0.0
+    roll_deg: Turn_deg = 0.0
     roll_rate_deg_s: float = Field(0.0, ge=-1e4, le=1e4, description="as roll_deg, from the start")
 
 
@@ -57,7 +60,7 @@ class TargetPointing(Held):
 
     mode: Literal["target"]
     target: str
-    roll_deg: float = 0.0
+    roll_deg: Turn_deg = 0.0
 
 
 class LocalPointing(Held):
@@ -71,7 +74,7 @@ class LocalPointing(Held):
     mode: Literal["local"]
     azimuth_deg: RightAscension
     elevation_deg: Declination
-    roll_deg: float = Field(0.0, description="of +y, from the zenith's side to the left")
+    roll_deg: Turn_deg = Field(0.0, description="of +y, from the zenith's side to the left")
 
 
 class TablePointing(Held):

@@ -11,14 +11,14 @@ from pipeline.spec.accept import ACCEPTABLE, Accepted
 from pipeline.spec.background import Background
 from pipeline.spec.body import Body, Lighting
 from pipeline.spec.cosmic_rays import CosmicRays
-from pipeline.spec.dwell import Dwells
+from pipeline.spec.dwell import Cadence_s, Dwells
 from pipeline.spec.mesh import MeshBody
 from pipeline.spec.observer import GroundObserver, Observer
 from pipeline.spec.orbit import Orbit
 from pipeline.spec.pointing import Pointing, TargetPointing
 from pipeline.spec.population import MOST_POPULATIONS, Population
 from pipeline.spec.sensor import Sensor
-from pipeline.spec.strict import Positive, Strict
+from pipeline.spec.strict import Strict
 
 SCHEMA = "nightglass/scene/1"
 LAYERS = (
@@ -46,7 +46,7 @@ class Accuracy(Strict):
 
     noise_fraction: float = Field(0.05, gt=0, le=1)
     flux_fraction: float = Field(1e-3, gt=0, le=0.1)
-    noise_floor_e: Positive | None = None
+    noise_floor_e: Annotated[float, Field(gt=0, le=1e12)] | None = None
     check_cells: int = Field(3, ge=0, le=1000, description="0: no check of the achieved error")
 
 
@@ -55,7 +55,7 @@ class Exposure(Strict):
 
     integration_s: float = Field(ge=0, le=1e5, description="0: bias frames, without any light")
     frames: int = Field(1, ge=1, le=100_000)
-    cadence_s: Positive | None = Field(None, description="default: the integration time")
+    cadence_s: Cadence_s | None = Field(None, description="default: the integration time")
 
     @model_validator(mode="after")
     def _cadence_holds_exposure(self) -> Exposure:
@@ -154,7 +154,7 @@ class Target(Strict):
 class Output(Strict):
     """What is kept, and how."""
 
-    layers: tuple[Literal[LAYERS], ...] = ("dn",)  # type: ignore[valid-type]
+    layers: tuple[Literal[LAYERS], ...] = Field(("dn",), min_length=1)  # type: ignore[valid-type]
     tile_shape: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = Field(
         None, description=f"a multiple of {CELL_PX} px on each axis, or the whole axis"
     )

@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from pipeline.spec.detector import Detector, check_detector
 from pipeline.spec.distortion import Distortion
-from pipeline.spec.strict import Fraction, Positive, Strict
+from pipeline.spec.strict import Positive, Strict
 
 ImagePath = Annotated[str, Field(min_length=1, max_length=1024)]
 NumberOrImage = float | ImagePath
@@ -286,6 +286,9 @@ Psf = Annotated[
 ]
 
 
+Passed = Annotated[float, Field(gt=0, le=1)]
+
+
 class Sensor(Strict):
     """A telescope and its focal plane. Array axes are (rows, columns)."""
 
@@ -296,16 +299,16 @@ class Sensor(Strict):
     obscuration: float = Field(0.0, ge=0, lt=1, description="linear: inner over outer diameter")
     fill_factor: float = Field(1.0, gt=0, le=1)
     bandpass: Bandpass
-    transmission: Fraction | ImagePath = 1.0
-    quantum_efficiency: Fraction | ImagePath = 1.0
+    transmission: Passed | ImagePath = 1.0
+    quantum_efficiency: Passed | ImagePath = 1.0
     psf: Psf
     distortion: Distortion | None = None
     full_well_e: Annotated[float, Field(gt=0, le=1e18)] | None = None
-    gain_e_per_dn: Annotated[float, Field(ge=1e-9, le=1e12)] | ImagePath = 1.0
+    gain_e_per_dn: Annotated[float, Field(ge=1e-9, le=1e6)] | ImagePath = 1.0
     adc_bits: int = Field(16, ge=1, le=63)
     adc_rounding: Literal["half_even", "floor"] = "half_even"
-    bias_dn: Annotated[float, Field(ge=-1e18, le=1e19)] | ImagePath = 0.0
-    flat: Annotated[float, Field(ge=0, le=1e3)] | ImagePath = 1.0
+    bias_dn: Annotated[float, Field(ge=-1e19, le=2e19)] | ImagePath = 0.0
+    flat: Annotated[float, Field(ge=1e-6, le=1e3)] | ImagePath = 1.0
     dark_e_per_s: Annotated[float, Field(ge=0, le=1e12)] | ImagePath = 0.0
     dark_scale: float = Field(
         1.0, ge=1e-12, le=1e12, description="e-/s for each unit of the image in dark_e_per_s"
@@ -329,6 +332,18 @@ class Sensor(Strict):
         if not isinstance(data, dict) or data.get("pupil_projection") is not None:
             return data
         return data | {"pupil_projection": not isinstance(data.get("flat"), str)}
+
+    @model_validator(mode="after")
+    def _bias_is_within_reach(self) -> Sensor:
+        if isinstance(self.bias_dn, str) or -(2**self.adc_bits) <= self.bias_dn <= self.top_dn:
+            return self
+        allowed = f"allowed: {-(2**self.adc_bits)} to {self.top_dn} with adc_bits {self.adc_bits}"
+        raise _error("bias_dn", f"{allowed}: beyond it no light could be read")
+
+    @property
+    def top_dn(self) -> int:
+        """Largest bias: twice the converter's range, where every pixel of a frame is full."""
+        return int(2 ** (self.adc_bits + 1))
 
     @model_validator(mode="after")
     def _scale_is_of_an_image(self) -> Sensor:

@@ -180,7 +180,10 @@ def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
     dark_e = maps.typical("dark_e_per_s") * integration_range_s(scene)[0]  # as in gather_facts
     read, gain = maps.typical("read_noise_e"), maps.typical("gain_e_per_dn")
     sigma = float(np.sqrt(base.plan.facts.background_e + dark_e + read**2 + gain**2 / 12.0))
-    facts = replace(base.plan.facts, dark_e=dark_e, read_noise_e=read, sigma_floor_e=sigma)
+    flat = maps.typical("flat")
+    facts = replace(
+        base.plan.facts, dark_e=dark_e, read_noise_e=read, sigma_floor_e=sigma, flat=flat
+    )
     return replace(base.plan, scene=mine, facts=facts)
 
 

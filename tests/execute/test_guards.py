@@ -49,7 +49,7 @@ def test_a_layer_that_is_not_finite_is_named(plan):
     dark = np.zeros((SIDE, SIDE))
     dark[7, 9] = np.nan
     maps = replace(MAPS, dark_e_per_s=dark)
-    with pytest.raises(NightglassError, match=r"frame 0.*dark_e is not finite at row 7, column 9"):
+    with pytest.raises(NightglassError, match=r"frame 0.*dark_e_per_s\) is not .* row 7, col"):
         render_tile(plan, maps, geometry_of(plan), WHOLE, [stars()], [])
 
 

@@ -42,14 +42,16 @@ def sensor(dice: Dice, stock: Stock, side_px: int) -> Data:
     shape = [SIDE_PX, SIDE_PX] if with_images else shape
     pitch_um = dice.spread(2, 30)
     focal_m = dice.spread(0.02, 5)
+    adc_bits = dice.pick(8, 12, 16, 16, 32, 63)
+    bias_dn = min(dice.pick(0.0, 100.0, 1e17), 2.0 ** (adc_bits + 1))
     out: Data = {
         "shape": shape, "pixel_pitch_um": pitch_um, "focal_length_m": focal_m,
         "aperture_m": focal_m / dice.spread(1, 20), "obscuration": dice.pick(0.0, 0.0, 0.3, 0.6),
         "fill_factor": dice.pick(1.0, 1.0, 0.6), "bandpass": _band(dice),
         "transmission": dice.pick(1.0, 0.5), "quantum_efficiency": dice.pick(1.0, 0.8),
         "psf": psf(dice, stock, shape), "full_well_e": dice.pick(None, dice.spread(100, 1e7)),
-        "gain_e_per_dn": dice.spread(1e-2, 1e2), "adc_bits": dice.pick(8, 12, 16, 16, 32, 63),
-        "adc_rounding": dice.pick("half_even", "floor"), "bias_dn": dice.pick(0.0, 100.0, 1e17),
+        "gain_e_per_dn": dice.spread(1e-2, 1e2), "adc_bits": adc_bits,
+        "adc_rounding": dice.pick("half_even", "floor"), "bias_dn": bias_dn,
         "flat": stock.image if with_images else dice.pick(1.0, 0.9),
         "dark_e_per_s": dice.pick(0.0, dice.spread(1e-6, 1e5)),
         "read_noise_e": dice.pick(0.0, 5.0, dice.spread(1e-2, 1e3)),

@@ -5,6 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.errors import BadInput
+from pipeline.execute.truth import target_truth
+from pipeline.inputs.sensor import gather_sensor_maps
+from pipeline.plan.geometry import plan_geometry
+from pipeline.prepare import prepare
 from pipeline.run import render
 from pipeline.spec.load import InvalidScene, parse_scene
 from pipeline.store.cube import open_cube
@@ -42,3 +47,44 @@ def test_a_dark_image_in_other_units(tmp_path):
 def test_limits_a_scale_is_of_an_image(wish):
     with pytest.raises(InvalidScene, match=r"sensor\.dark_scale"):
         scene(**wish)
+
+
+def test_limits_of_images(tmp_path):
+    """An image may hold what a number may; a flat's dead pixels too, but not dead ones alone."""
+    plain = np.full((32, 48), 1.0)
+    for key, value, word in (
+        ("gain_e_per_dn", 1e12, "1e-09 to 1e\\+06"),
+        ("gain_e_per_dn", 0.0, "1e-09 to 1e\\+06"),
+        ("bias_dn", -1e300, "-1e\\+19 to 2e\\+19"),
+        ("flat", -0.1, "0 to 1000"),
+    ):
+        image = plain.copy()
+        image[3, 4] = value
+        np.save(tmp_path / "image.npy", image)
+        with pytest.raises(BadInput, match=rf"sensor\.{key}.*{word}"):
+            gather_sensor_maps(scene(**{key: str(tmp_path / "image.npy")}))
+    np.save(tmp_path / "image.npy", 0.0 * plain)
+    with pytest.raises(BadInput, match="above 0"):
+        gather_sensor_maps(scene(flat=str(tmp_path / "image.npy")))
+
+
+def test_snr_counts_the_flat():
+    """A flat of 0.25 sees what a quantum efficiency of a quarter sees: source and sky."""
+    target = {
+        "name": "ball", "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3},
+        "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3075.0, 0]},
+    }  # fmt: skip
+    observer = {"kind": "orbit", "orbit": {"kind": "state", "position_m": [4.1e7, 0, 0],
+                                           "velocity_m_s": [0, 3118.0, 0]}}  # fmt: skip
+    found = []
+    for wish in ({"flat": 0.25}, {"quantum_efficiency": 0.25}):
+        data = SCENE | {
+            "targets": [target], "observer": observer, "sensor": SCENE["sensor"] | wish,
+            "pointing": {"mode": "target", "target": "ball"},
+            "background": {"uniform_mag_arcsec2": 16.0}, "exposure": {"integration_s": 1e-3},
+        }  # fmt: skip
+        plan = prepare(parse_scene(data)).plan
+        g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
+        found.append(float(target_truth(plan, g)["snr"][0]))
+    assert found[0] == pytest.approx(found[1], rel=1e-3)
+    assert found[0] > 1.0
