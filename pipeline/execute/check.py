@@ -147,7 +147,8 @@ def reference(
     ends += [end for group, end in alone if group is not None]
     costs = [_quadrature_cost(plan, at, group) for group in groups]
     work = list(_pieces(plan, at, [of for of, c in zip(groups, costs, strict=True) if c is None]))
-    cost: float = sum(len(x) * terms(core, piece, (at.rows, at.columns)) for core, piece, x, _, _ in work)
+    size = at.rows, at.columns
+    cost: float = sum(len(x) * terms(core, piece, size) for core, piece, x, _, _ in work)
     cost += sum(c for c in costs if c is not None)
     bodies = [t for t in targets if t.body is not None]
     sources = sum(len(group[0]) for group in groups) + len(bodies)

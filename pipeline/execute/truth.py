@@ -114,8 +114,8 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     light over the exposure (NaN where none is drawn): they differ where a body of visible size is
     lit from a side, and where it brightens, turns or bends while it is exposed. snr is that of all
     its light, as if the focal plane had no end; 0 where none of it can reach the frame. hidden_by
-    and visible_fraction as of stars; the path of one that the Earth hides for a part of the exposure
-    begins and ends where it is seen.
+    and visible_fraction as of stars; the path of one that the Earth hides for a part of the
+    exposure begins and ends where it is seen.
     """
     middle, count = g.middle, len(plan.scene.targets)
     drawn = {t.index: t for t in place_targets(plan, g, everywhere=True)}

@@ -55,7 +55,8 @@ def umbra_remarks(scene: Scene, ends: Geometry) -> list[str]:
 
 
 def _most_light(
-    scene: Scene, facts: Facts, ends: Geometry, which: Indices, sun_rate_e_s_m2: float, dut1_s: float
+    scene: Scene, facts: Facts, ends: Geometry, which: Indices, sun_rate_e_s_m2: float,
+    dut1_s: float,
 ) -> tuple[float, float]:
     """Most electrons in an exposure, and of full sunlight, at mid-exposure of the frames."""
     bare = scene.model_copy(update={"targets": [

@@ -170,7 +170,8 @@ def far_pixels(blur: Blur, radius_px: float) -> Array:
     _around(values, r, turn / 4.0, first * NODES, *_pixel(blur, n), *profile.numbers)
     values = (values[:, :, None] * cosines).sum(axis=1)
     size = np.abs(values)
-    kept = int(np.flatnonzero((size > 1e-14 * size[:, :1] + FAINTEST).any(axis=0)).max(initial=0)) + 1
+    seen = (size > 1e-14 * size[:, :1] + FAINTEST).any(axis=0)
+    kept = int(np.flatnonzero(seen).max(initial=0)) + 1
     values = values[:, :kept].reshape(count, NODES, kept)
     return np.ascontiguousarray(np.einsum("pkm,ck->pcm", values, to_powers))
 
@@ -315,7 +316,8 @@ def _around(out, radii, angles, first, at, down, along, coefficients, width, rou
 
 @njit(cache=True, nogil=True)
 def _integrate(
-    out, y0, x0, points, at, down, along, coefficients, width, rounded, reach, far, near_px, fades, ends,
+    out, y0, x0, points, at, down, along, coefficients, width, rounded, reach, far, near_px,
+    fades, ends,
 ):
     """Adds the light of each pixel: (y0, x0) is the first one's centre from the source."""
     terms = np.empty(far.shape[2])

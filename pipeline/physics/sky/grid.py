@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Evaluate = Callable[[Array, Array], Array]  # x, y (n,) [px] -> light (..., n)
 
-FIRST_INTERVALS, MOST_INTERVALS = 8, 64
+FIRST_INTERVALS, MOST_INTERVALS = 8, 1024
 MOST_VALUES = 4_000_000  # of light, in all that a grid is compared with
 STALLED = 0.5  # of the error before: smooth light falls to a quarter from grid to grid
 
