@@ -54,7 +54,7 @@ def test_examples_keep_what_they_ask_for(path: Path, catalogue: str) -> None:
     scene = load_scene(path, [f"stars.catalogue={catalogue}"])
     plan = plan_scene(scene)
     assert sum_of_bounds(plan) <= scene.accuracy.noise_fraction * (1 + 1e-9)
-    assert plan["warnings"] == []
+    assert not any("err by" in warning for warning in plan["warnings"])
 
 
 def test_scenes_of_the_report_keep_what_they_ask_for(catalogue: str) -> None:
@@ -67,7 +67,7 @@ def test_scenes_of_the_report_keep_what_they_ask_for(catalogue: str) -> None:
         for asked in (0.5, 0.05, 0.01):
             plan = planned(data | {"accuracy": {"noise_fraction": asked}})
             assert sum_of_bounds(plan) <= asked * (1 + 1e-9), (one.name, asked)
-            assert plan["warnings"] == []
+            assert not any("err by" in warning for warning in plan["warnings"])
 
 
 def test_more_than_asked_is_refused_or_stands_first(scene: Any) -> None:
