@@ -55,8 +55,7 @@ def umbra_remarks(scene: Scene, ends: Geometry) -> list[str]:
 
 
 def _most_light(
-    scene: Scene, facts: Facts, ends: Geometry, which: Indices, sun_rate_e_s_m2: float,
-    dut1_s: float,
+    scene: Scene, facts: Facts, ends: Geometry, which: Indices, sun_rate: float, dut1_s: float
 ) -> tuple[float, float]:
     """Most electrons in an exposure, and of full sunlight, at mid-exposure of the frames."""
     bare = scene.model_copy(update={"targets": [
@@ -71,7 +70,7 @@ def _most_light(
     )  # fmt: skip
     share = umbra_fraction(view.place_m, view.sun_m)
     exposed_s = np.array([integration_s(scene, int(f)) for f in ends.frame])
-    electrons = light * share * exposed_s * sun_rate_e_s_m2 * facts.area_m2
+    electrons = light * share * exposed_s * sun_rate * facts.area_m2
     return float(electrons.max()), float(share.max())
 
 

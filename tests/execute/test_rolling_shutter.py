@@ -14,7 +14,7 @@ from scipy.special import erf
 
 from catalog_tools.ingest import ingest
 from pipeline.errors import BadInput
-from pipeline.physics.motion.rolling import exposed_longer, rolled, rolled_light, row_delay_s
+from pipeline.physics.motion.rolling import exposed_longer, rolled, rolled_sources, row_delay_s
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.star_paths import star_paths
 from pipeline.prepare import plan_scene, prepare
@@ -180,9 +180,10 @@ def test_each_node_is_in_its_own_rows_time(vx: float, vy: float, bend: float, y0
 
 def test_limits_light_and_what_is_not_there() -> None:
     t, zero = np.linspace(0.0, 1.0, 5), np.zeros(5)
-    x, y, light = rolled_light(zero, zero + 50.0, 1.0 + t, t, 1e-2, 100)
+    x, y, light, clear = rolled_sources(zero, zero + 50.0, 1.0 + t, 2.0 - t, t, 1e-2, 100)
     np.testing.assert_allclose((x, y), (zero, zero + 50.0))
     np.testing.assert_allclose(light, np.minimum(1.5 + t, 2.0))
+    np.testing.assert_allclose(clear, 1.5 - t)  # goes on beyond the last node
     gone = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
     x, y, delay = rolled(gone, gone, t, 1e-2, 100)
     np.testing.assert_array_equal(x, gone)
