@@ -429,10 +429,5 @@ def _print_report(report: dict[str, Any], product: Path | str) -> None:
     if errors["common_streak_px"] > 0:
         share = errors["common_streak_px"]
         print(f"  stars share streaks that differ by up to {share:.1e} px at their ends")
-    if errors["wing_error_of_brightest_e"] > errors["asked_sigma"] * errors["noise_floor_e"]:
-        print(
-            f"  the brightest source ({errors['brightest_source_e']:.2g} e-) may err by "
-            f"{errors['wing_error_of_brightest_e']:.2g} e- in a pixel of its wing: above the target"
-        )
     for remark in report["remarks"]:
         print(f"  note: {remark}")

@@ -230,12 +230,14 @@ def _report(
 
 def _errors(plan: Plan, begun: Begun) -> dict[str, Any]:
     """What the product may err by, for the sources that were drawn, and what was found."""
-    found = _brightest(plan, begun)
+    found, floor_e = _brightest(plan, begun), plan.facts.sigma_floor_e
     brighter = found["brightest_source_e"] / (plan.facts.brightest_e or math.inf)
+    over_e = max(0.0, found["wing_error_of_brightest_e"] - plan.responses.budget_e)
     return {
-        "noise_floor_e": plan.facts.sigma_floor_e,
-        "bound_of_all_approximations_e": total_e(plan.decisions, brighter),
-        "bound_of_all_approximations_sigma": total_sigma(plan.decisions, brighter),
+        "noise_floor_e": floor_e,
+        "bound_of_all_approximations_e": total_e(plan.decisions, brighter) + over_e,
+        "bound_of_all_approximations_sigma": total_sigma(plan.decisions, brighter)
+        + over_e / floor_e,
         "asked_sigma": plan.scene.accuracy.noise_fraction,
         "light_left_out": plan.responses.lost_light,
         "common_streak_px": plan.responses.streaks.spread_px,

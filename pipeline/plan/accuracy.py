@@ -111,7 +111,7 @@ def doubts_of(asked: float, stated: float, achieved: float | None, accepted: boo
         )
     if stated > asked * ROUNDING and not accepted:
         doubts.append(
-            f"the brightest source drawn is brighter than the plan expected: pixels beside it may "
-            f"err by {stated:.3g} of their noise where {asked:g} was asked"
+            f"the brightest source drawn is brighter than the drawing serves within what was "
+            f"asked: pixels beside it may err by {stated:.3g} of their noise, not {asked:g}"
         )
     return doubts

@@ -12,7 +12,7 @@ from pipeline.plan.accuracy import by_wavelength
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts, planned_floor_e
 from pipeline.plan.geometry import camera_of
-from pipeline.plan.responses import ResponsePlan, cut_share
+from pipeline.plan.responses import ResponsePlan, cut_share, table_error
 from pipeline.plan.star_decisions import decide_star_effects
 from pipeline.plan.tiles import BLOCK_PX
 from pipeline.spec.scene import Scene
@@ -143,6 +143,13 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         out.append(_wavelengths(scene, facts, facts.band))
     if not (scene.stars or scene.targets):
         return out
+    table = max(table_error(b) for b in r.blurs)
+    if table:
+        reason = (
+            "spectra of tables are cut where little is left; the product says what that is beside "
+            "its brightest source where it is more than its part"
+        )
+        out.append(Decision("table_band", True, reason, bound=table, unit="of a source's light"))
     how = (
         f"column times row, interpolated cubically between {PHASES} phases a pixel" if r.products
         else f"interpolated between {r.classes[0].phases} phases a pixel, linearly where that errs "
@@ -242,8 +249,9 @@ def _wings(r: ResponsePlan, facts: Facts, targets_there: bool) -> list[Decision]
             f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px, which the "
             f"limits of cores take into account; sources "
             f"above {min(limits):.3g} e- get larger cores. The bound holds up to "
-            f"{budget / last.wing_error:.3g} e-; above, a pixel errs by up to "
-            f"{last.wing_error:.2g} of its source's light{targets}",
+            f"{budget / last.wing_error:.3g} e-; above, sources are integrated over each pixel "
+            "where their profile is known and their path is short; else a pixel errs by up to "
+            f"{last.wing_error:.2g} of its source's light, and the product says so{targets}",
             budget, budget / sigma_e,
         ),
         Decision(

@@ -75,6 +75,8 @@ LEDGER = (
          "one response, or mixtures of those the scene gives for places of the field",
          "tests/execute/test_psf_field.py::"
          "test_a_star_at_a_place_is_its_own_and_between_two_their_mean"),
+    Rule(("table_band",), "a table's spectrum is cut where at most 1e-5 of its light is left",
+         "tests/physics/psf/test_sampled.py::test_what_the_cut_band_leaves_out_is_measured"),
     Rule(("monochromatic_psf", "few_wavelengths"),
          "as few wavelengths as keep a pixel within a share of its source's light",
          "tests/physics/psf/test_band.py::test_against_a_hundred_wavelengths"),
