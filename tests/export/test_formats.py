@@ -64,8 +64,9 @@ def test_masks_hold_the_pixels_that_the_light_says(labelled, tmp_path):
         names = a["SOURCES"].data["name"]
         owner = a["SOURCE"].data
         assert a[0].header["CLASSBY"] == "response"
-        for hdus in (a, b):
-            assert np.array_equal(hdus["SOURCE"].data > 0, hdus["SOURCE"].data != 0)
+        assert b[0].header["CLASSBY"] == "layers"
+        assert np.array_equal(owner, b["SOURCE"].data)
+        assert_each_pixel_is_its_own_sources(a["SOURCES"].data, owner, drawn)
     assert list(names[:2]) == ["drifter", "geo-1"] or list(names[:2]) == ["geo-1", "drifter"]
     assert set(np.unique(drawn)) == {0, 1, 2}
     for kind in (1, 2):
@@ -75,6 +76,25 @@ def test_masks_hold_the_pixels_that_the_light_says(labelled, tmp_path):
     differ = (drawn == 2) ^ (stars >= threshold)
     assert np.abs(np.log(stars[differ] / threshold)).max() < 0.6
     assert owner.max() == len(names)
+
+
+def assert_each_pixel_is_its_own_sources(sources, owner, drawn):
+    """Numbers name rows of the table, of the pixel's class; stars stand 80 px apart, so that the
+    star of a pixel is the nearest one, and a target's pixels lie about its place."""
+    y, x = np.nonzero(owner)
+    number = owner[y, x]
+    assert number.min() >= 1
+    assert number.max() <= len(sources)
+    assert np.array_equal(sources["number"], np.arange(1, len(sources) + 1))
+    kind = np.zeros(owner.shape, int)
+    kind[y, x] = sources["class"][number - 1]
+    assert np.array_equal(kind, drawn)
+    away = np.hypot(x[:, None] - sources["x"][None], y[:, None] - sources["y"][None])
+    own = away[np.arange(len(number)), number - 1]
+    star = sources["class"][number - 1] == 2
+    assert np.array_equal(own[star], away[:, sources["class"] == 2].min(axis=1)[star])
+    assert own.max() < 40.0
+    assert len(np.unique(number)) >= 30  # nearly all 38 sources own pixels
 
 
 @given(arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 9))), st.integers(0, 3))

@@ -23,6 +23,7 @@ MEAN_SIGMA = 1e-6  # of a pixel's noise: on another kind, of means before noise 
 ROWS = 12  # kept of a table of the truth: the digest is of all
 DN_STEP, DN_SHARE = 1, 1e-4  # likewise of what was drawn: by so much, in so many of the pixels
 RELATIVE, PLACE_PX, ANGLE_DEG = 1e-6, 1e-6, 1e-9  # likewise of the truth, the plan, the rest
+ROUNDING = 1e-12  # of numbers of the plan that are differences of larger ones
 
 
 @dataclass(frozen=True)
@@ -289,4 +290,4 @@ def _near(a: Any, b: Any) -> bool:
     """Whether two numbers of a plan agree; whole ones and yes or no must be the same."""
     if isinstance(a, bool) or isinstance(b, bool) or (isinstance(a, int) and isinstance(b, int)):
         return a == b
-    return abs(a - b) <= RELATIVE * max(abs(a), abs(b))
+    return abs(a - b) <= RELATIVE * max(abs(a), abs(b)) + ROUNDING

@@ -445,7 +445,7 @@ SCENES: dict[str, Changes] = {
     "sphere-of-some-size": seen(SPHERE | {"diameter_m": 40.0, "albedo": 2e-8}, 9e4),
     "plate": seen({"kind": "plate", "area_m2": 1.0, "two_sided": True,
                    "albedo": [[350, 0.2], [600, 0.5], [1000, 0.4]],
-                   "attitude": {"kind": "sun", "quaternion": [0.8, 0.0, 0.5, 0.3]}}),
+                   "attitude": {"kind": "sun", "quaternion": [0.8, 0.35, -0.35, 0.0]}}),
     "box-and-cube": seen({"kind": "composite", "attitude": {"kind": "nadir"}, "parts": [
         {"kind": "box", "size_m": [0.5, 0.7, 0.9], "albedo": 0.3},
         {"kind": "cube", "edge_m": 0.4, "albedo": 0.5, "attitude": {"kind": "velocity"}},

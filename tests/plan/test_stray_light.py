@@ -175,10 +175,10 @@ def test_bad_curves(tmp_path, text, said):
     assert caught.value.field == "background.stray_light.pst.path"
 
 
-def test_bad_albedo_maps(tmp_path, shared_data):
-    good = read_albedo(shared_data / "earth_albedo" / "Earth_ALB_2018_CERES_All_5x5.csv")
-    assert good.shape == (36, 72)
+def test_bad_albedo_maps(tmp_path):
     path = tmp_path / "map.csv"
+    path.write_text("0.1,0.2,0.3\n0.4,0.5,0.6\n")
+    assert read_albedo(path).shape == (2, 3)
     for text, said in (("0.1,nan\n0.2,0.3\n", "row 1, column 2"), ("30,20\n10,10\n", "0 to 1"),
                        ("0.1,0.2\n0.3\n", "equal length"), ("a,b\n", "no gaps")):  # fmt: skip
         path.write_text(text)
@@ -195,6 +195,7 @@ def test_bad_albedo_maps(tmp_path, shared_data):
 def test_a_map_of_the_earth(scene, curve, shared_data):
     """The clouds of a year against their mean: another light, within what the map spans."""
     path = shared_data / "earth_albedo" / "Earth_ALB_2018_CERES_All_5x5.csv"
+    assert read_albedo(path).shape == (36, 72)
     table = {"kind": "table", "path": curve}
     mapped = planned(scene, {"pst": table, "sun": False, "moon": False,
                              "earth_albedo": str(path)}, at(200.0, 0.0))[-1]  # fmt: skip
