@@ -14,7 +14,7 @@ import pytest
 from lsst_refcat import convert
 from star_rows import random_stars, same_rows, write_csv
 
-from catalog_tools import build, leaves, memory
+from catalog_tools import build, leaves, memory, publish
 from catalog_tools.catalogue import REJECTS_NAME, SOURCES_NAME, open_catalogue
 from catalog_tools.columns import STORED
 from catalog_tools.errors import BadInput, Damaged, Incomplete
@@ -234,6 +234,19 @@ def test_two_ingests_into_one_place_refuse_each_other(tmp_path, parts):
     ingest(files, tmp_path / "c", progress=meddle, workers=1)
     assert seen == ["write"]
     assert open_catalogue(tmp_path / "c").rows == 6000
+
+
+def test_a_lock_that_another_has_removed_is_not_held(tmp_path):
+    """Between opening the lock's file and taking it the other writer ended and removed it."""
+    path = tmp_path / ".c.lock"
+    with path.open("a") as late:
+        path.unlink()
+        assert not publish._alone(late)
+        with path.open("a") as third:
+            assert publish._alone(third)
+            assert not publish._alone(late)
+            with path.open("a") as fourth:
+                assert not publish._alone(fourth)
 
 
 @pytest.mark.parametrize("broken", ["split", "write_leaf", "write_manifest"])

@@ -60,3 +60,25 @@ def test_one_that_is_behind_all_the_time_is_not_drawn() -> None:
     g.target_x_px[:], g.target_y_px[:] = np.nan, np.nan
     assert place_targets(plan, g) == []
     assert place_targets(plan, g, everywhere=True) == []
+
+
+def test_truth_tells_of_the_middle_of_the_exposure() -> None:
+    """Phase, range, sunlit fraction of a minute's exposure: those of an instant in its middle."""
+    tle = {
+        "kind": "tle",
+        "line1": "1 28238U 04011A   19100.50000000  .00000000  00000-0  00000+0 0  9994",
+        "line2": "2 28238   0.0200  80.0000 0003000 100.0000 200.0000  1.00270000 54325",
+    }
+    site = {"kind": "ground", "latitude_deg": 20.0, "longitude_deg": 0.0}
+    found = []
+    for epoch, seconds in (("09:00:00", 60.0), ("09:00:29.999", 0.002)):
+        data = SCENE | {
+            "epoch": f"2019-04-10T{epoch}Z", "exposure": {"integration_s": seconds},
+            "observer": site, "targets": [SCENE["targets"][0] | {"orbit": tle}],
+        }  # fmt: skip
+        plan = prepare(parse_scene(data)).plan
+        found.append(target_truth(plan, plan_geometry(plan.scene, np.array([0]), 0.0)))
+    long, short = found
+    for name, room in (("phase_deg", 1e-5), ("range_m", 1e-2), ("apparent_ra_deg", 1e-6)):
+        assert long[name][0] == pytest.approx(short[name][0], abs=room), name
+    assert long["sunlit_fraction"][0] == short["sunlit_fraction"][0]

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import copy
 import json
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
-from pipeline.execute.detector import stream_place, tile_chain
+from pipeline.execute.detector import collected_e, stream_place, tile_chain
+from pipeline.execute.tile import noise_e
 from pipeline.physics.noise.chain import to_dn
 from pipeline.physics.noise.streams import stream_key
 from pipeline.plan.tiles import Tile
 from pipeline.prepare import plan_scene, prepare
-from pipeline.run import Options, render
+from pipeline.run import Options, missing, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
+from pipeline.store.product import Begun
 
 SIDE = 320
 SCENE = {
@@ -301,3 +305,64 @@ def test_read_noise_is_not_the_photon_noise_again():
     assert read.std() == pytest.approx(100.0, rel=0.02)
     assert abs(np.corrcoef(photons, read)[0, 1]) < 4.0 / SIDE  # its own scatter is 1 / SIDE
     assert both.var() == pytest.approx(2e4, rel=4.0 * np.sqrt(2.0) / SIDE)
+
+
+def test_noise_of_pixels_is_what_frames_scatter_by():
+    """Photons, reading, lines and rounding: told for the check, and measured over frames."""
+    made = scene(
+        {"row_noise_e": 6.0, "column_noise_e": 8.0}, sensor__gain_e_per_dn=30.0,
+        sensor__full_well_e=None, sensor__shape=[64, 64],
+    )
+    tile = Tile(0, 0, 0, 0, 64, 64)
+    chain = tile_chain(made, prepare(made).maps, tile, 2.0)
+    mean = np.broadcast_to(np.linspace(10.0, 400.0, 64), (64, 64)).copy()
+    drawn = np.array([to_dn(mean, chain, stream_place(made, tile, k)) for k in range(400)])
+    measured = 30.0 * drawn.astype(float).std(axis=0)
+    told = noise_e(mean, chain, np.s_[:, 8:])
+    assert (measured[:, 8:].mean(axis=0) / told.mean(axis=0)).mean() == pytest.approx(1.0, abs=0.01)
+    quiet = tile_chain(scene(sensor__photon_noise=False), prepare(made).maps, tile, 2.0)
+    assert noise_e(mean, quiet, np.s_[:2, :2]) == pytest.approx(np.hypot(4.0, 30.0 / 12**0.5))
+
+
+def test_charge_that_lags_is_what_the_well_holds():
+    """Frames after one see its charge, cosmic rays included, up to the full well."""
+    made = scene({"lag": {"fraction": 0.05}}, sensor__full_well_e=5e3)
+    mean, rays = np.array([[10.0, 4e3, 9e3]]), np.array([[0.0, 2e3, 1.0]])
+    assert collected_e(made, mean, rays).tolist() == [[10.0, 5e3, 5e3]]
+    assert collected_e(made, mean, None).tolist() == [[10.0, 4e3, 5e3]]
+    endless = scene(sensor__full_well_e=None)
+    assert collected_e(endless, mean, rays).tolist() == [[10.0, 6e3, 9001.0]]
+
+
+def test_frames_of_several_lengths_have_rays_of_their_own_time(tmp_path):
+    """Cosmic rays of a dwell go with each frame's exposure, in the layer and in the truth."""
+    dwells = [{"frames": 2, "integration_s": [2.0, 40.0]}]
+    rays = {"kind": "generated", "rate_per_cm2_s": 30.0}
+    made = scene(
+        dwells=dwells, cosmic_rays=rays, output={"layers": ["dn", "cosmic_rays_e"]}, targets=[]
+    )
+    render(made, tmp_path / "run")
+    charge = frames(tmp_path / "run")["cosmic_rays_e"].astype(float).sum(axis=(1, 2))
+    table = pq.read_table(tmp_path / "run" / "truth" / "cosmic_rays.parquet").to_pandas()
+    told = table.groupby("frame")["electrons"].sum()
+    assert charge == pytest.approx(told.to_numpy(), rel=1e-4)
+    area_cm2 = (SIDE * 9e-4) ** 2
+    for k, seconds in enumerate((2.0, 40.0)):
+        count = np.sum((table["frame"] == k) & (table["electrons"] > 500.0))
+        assert abs(count - 30.0 * area_cm2 * seconds) < 0.3 * 30.0 * area_cm2 * seconds + 9.0
+
+
+def test_a_window_brings_all_frames_that_lag_into_it():
+    """Frames 5 and 6 of ten, nothing drawn yet: placed from as many frames before as the plan says.
+
+    With a tenth of the charge left each time, one frame before is not enough.
+    """
+    exposure = {"integration_s": 2.0, "frames": 10}
+    plan = prepare(scene({"lag": {"fraction": 0.1}}, exposure=exposure)).plan
+    begun = Begun(Path(), None, frozenset(), frozenset(), ())
+    assert plan.lag_frames >= 2
+    work = missing(plan, begun, np.array([5, 6]))
+    first = max(0, 5 - plan.lag_frames)
+    assert work.geometry.frame.tolist() == list(range(first, 7))
+    assert {int(work.geometry.frame[i]) for i, _ in work.tiles} == {5, 6}
+    assert [int(work.geometry.frame[i]) for i in work.target_truth] == [5, 6]

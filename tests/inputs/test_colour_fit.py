@@ -172,3 +172,16 @@ def test_what_the_default_colour_costs_is_what_it_costs_real_stars(shared_data):
     assert rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.2)  # no reddest
     assert most > np.abs(error).max()
     assert most < 2.5
+
+
+def test_curves_of_one_name_have_fits_of_their_own(embedded, tmp_path):
+    """A curve's file was changed and keeps its name: its content tells the fits apart."""
+    found = {}
+    for end in (700, 900):
+        box = {"kind": "box", "short_nm": 400, "long_nm": end}
+        response, _, digest = curves.resolve_response(box, 1.0, 1.0)
+        for cache in (tmp_path, None):
+            found[end, cache] = colour_fit.gather_colour_fit(response, "mine", digest, cache, 2)
+    for end in (700, 900):
+        assert np.array_equal(found[end, tmp_path].coefficients, found[end, None].coefficients)
+    assert not np.allclose(found[700, None].coefficients, found[900, None].coefficients)

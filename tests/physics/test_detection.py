@@ -54,3 +54,15 @@ def test_robust_noise_of_rounded_numbers(sigma):
 def test_limits_nothing_to_see():
     assert np.all(filtered(np.full((40, 40), 7.0), RESPONSE) == 0.0)
     assert np.all(filtered(np.random.default_rng(0).normal(size=(20, 20)), 0 * RESPONSE) == 0.0)
+
+
+def test_a_lopsided_response_is_not_turned() -> None:
+    """A comet's head at one corner of its tail: highest, and of the right height, at its place."""
+    response = np.zeros((5, 9))
+    response[0, 0], response[1, 1:4], response[3, 5:] = 0.5, 0.1, 0.05
+    image = np.random.Generator(np.random.SFC64(2)).normal(50.0, 3.0, (120, 140))
+    image[40:45, 60:69] += 900.0 * response
+    statistic = filtered(image, response)
+    assert np.unravel_index(np.argmax(statistic), statistic.shape) == (40, 60)
+    expected = 900.0 * np.sqrt(np.sum(response**2)) / 3.0
+    assert statistic[40, 60] == pytest.approx(expected, abs=4.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,14 +19,18 @@ from pipeline.errors import BadInput
 from pipeline.inputs import population_files
 from pipeline.inputs.populations import gather_populations
 from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.positions.refraction import refract
 from pipeline.physics.positions.times import instants, parse_utc
+from pipeline.physics.vectors import separation, unit
+from pipeline.plan.air import air_of
 from pipeline.plan.geometry import _observer, _vantage, camera_of
 from pipeline.plan.pointing import attitudes
+from pipeline.plan.populations import Sieve, look_of
 from pipeline.plan.target_paths import Moments, target_paths
 from pipeline.prepare import plan_scene, prepare
 from pipeline.run import Options, render
 from pipeline.spec.load import load_scene, parse_scene
-from pipeline.spec.scene import Scene
+from pipeline.spec.scene import Scene, Target
 from pipeline.store.cube import open_cube
 
 COUNT = 1200
@@ -250,3 +255,36 @@ def test_names_must_not_clash(tle: Path) -> None:
 def test_a_screened_population_is_not_read_again(tle: Path) -> None:
     s = prepare(scene(tle)).plan.scene
     assert gather_populations(s, 10.0, 0.0) is s
+
+
+def test_a_younger_set_beside_the_field_outdates_one_inside(tle: Path) -> None:
+    """Three objects with two sets each: what the older one says of the field does not count."""
+    crowd = scene(tle).populations[0]
+    look: Any = SimpleNamespace(half_angle_rad=0.1, dwell_s=85.0)
+    sieve = Sieve(crowd, look, {}, "populations.0", read=6)
+    sieve.numbers, sieve.ages_s = [np.array([7, 8, 9]), np.array([7, 8, 9])], [
+        np.array([5000.0, 100.0, 50.0]), np.array([100.0, 5000.0, 900.0])]  # fmt: skip
+    made = {n: Target.model_construct(name=n) for n in ("old 7", "young 8", "old 9", "young 9")}
+    sieve.kept = [
+        (7, 0, 5000.0, made["old 7"]), (8, 1, 100.0, made["young 8"]),
+        (9, 2, 900.0, made["old 9"]), (9, 3, 50.0, made["young 9"]),
+    ]  # fmt: skip
+    targets, population = sieve.close("0" * 64)
+    assert [t.name for t in targets] == ["young 8", "young 9"]
+    assert population.screened is not None
+    assert (population.screened.kept, population.screened.superseded) == (2, 3)
+
+
+def test_the_cone_holds_what_the_air_lifts_into_the_field(tle: Path) -> None:
+    """Wider by more than refraction bends anywhere above the horizon, as ERFA has it."""
+    airy = {"observer": SITE | {"atmosphere": {"refraction": True}}}
+    plain, through = (look_of(scene(tle, **more), 10.0, 0.0) for more in ({}, airy))
+    air = air_of(through.scene, instants(parse_utc(EPOCH), [0.0]))
+    assert air is not None
+    zenith = air[0, :3]
+    across = unit(np.cross(zenith, [0.3, 0.5, 0.8]))
+    low = np.radians(np.linspace(0.0, 90.0, 200))[:, None]
+    true = np.cos(low) * across + np.sin(low) * zenith
+    bent = separation(refract(true, np.broadcast_to(air[0], (200, 5))), true).max()
+    assert bent > 1e-3
+    assert through.half_angle_rad >= plain.half_angle_rad + bent

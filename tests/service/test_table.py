@@ -21,8 +21,8 @@ from service.integrity import find_faults
 from service.jobs import FINAL, NEXT, Job, Phase, Queue
 from service.leases import give_up, take
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
-from service.submissions import Ask, Intake, Limits, run_pending, submit_many
-from service.tables import audit, jobs
+from service.submissions import Ask, Intake, Limits, run_pending, submit_many, used_by
+from service.tables import audit, jobs, uploads
 
 
 def ask(key: str | None = None, team: str = "red", body: str = "b", **more: Any) -> Ask:
@@ -136,6 +136,38 @@ def test_a_pending_job_does_not_stand_in_its_own_way(database: str) -> None:
     with pytest.raises(QueueFull):
         run_pending(store, third.id, limits, "red", "x")
     assert store.get(third.id).phase == Phase.PENDING
+    store.close()
+
+
+def test_a_deleted_job_is_not_overdue(database: str) -> None:
+    """Its time of destruction came, and it is deleted already: nothing is left to be done."""
+    store = Queue(database)
+    [(job, _), (kept, _)] = submit_many(store, [ask(destruction_s=1.0) for _ in range(2)], Limits())
+    assert sorted(store.overdue()) == sorted([job.id, kept.id])
+    store.delete(job.id, "red")
+    assert store.overdue() == [kept.id]
+    assert store.deleted() == [job.id]
+    store.close()
+
+
+def test_files_of_a_team_count_in_what_it_keeps(database: str) -> None:
+    """Products and uploads together are held against the quota; another team's are not."""
+    store, limits = Queue(database), Limits(bytes_kept=100)
+    with store.engine.begin() as db:
+        for team, size in (("red", 60), ("blue", 5000)):
+            row = {"team": team, "id": "a.npy", "name": "a.npy", "bytes": size, "created_s": 0.0}
+            db.execute(sa.insert(uploads), [row])
+    submit_many(store, [ask()], limits)
+    claimed = store.claim()
+    assert claimed is not None
+    store.finish(claimed, Phase.COMPLETED, bytes_kept=39)
+    assert isinstance(submit_many(store, [ask()], limits)[0], tuple)
+    with store.engine.connect() as db:
+        assert used_by(db, "red", 0).bytes_kept == 99
+    with store.engine.begin() as db:
+        mine = uploads.c.team == "red"
+        db.execute(sa.update(uploads).where(mine).values(bytes=61))
+    assert "bytes" in str(submit_many(store, [ask()], limits)[0])
     store.close()
 
 

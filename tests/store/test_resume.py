@@ -297,3 +297,21 @@ def test_what_another_writer_ends_while_one_waits_is_seen(starry, product, monke
     monkeypatch.setattr("pipeline.store.layout.only_writer", waits)
     assert render(scene, product, AGAIN) == rivals[1]
     assert check(product).whole
+
+
+@pytest.mark.parametrize("most", [0, 2])
+def test_what_is_finished_stays_when_drawing_fails(starry, tmp_path, most):
+    """A damaged shard, a store that is gone: tiles that stand are kept; without any, nothing is."""
+    product = tmp_path / "run"
+
+    def fail(progress):
+        if progress.done >= most:
+            raise Damaged("a shard", "its checksum differs")
+
+    with pytest.raises(Damaged):
+        render(starry[0], product, HERE, fail)
+    assert product.exists() == (most > 0)
+    if most:
+        report = render(starry[0], product, AGAIN)
+        assert report["tiles_resumed"] >= most
+        assert report["content_digest"] == content_digest(starry[1])

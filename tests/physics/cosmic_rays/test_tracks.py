@@ -8,10 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate, stats
 
-from pipeline.physics.cosmic_rays.deposit import add_tracks, spread_point, touching
+from pipeline.physics.cosmic_rays.deposit import _delta, add_tracks, spread_point, touching
 from pipeline.physics.cosmic_rays.frame import charge_e, truth_columns
-from pipeline.physics.cosmic_rays.straggling import DELTA_LEAST_EV, PAIR_EV, restricted_loss_ev_um
-from pipeline.physics.cosmic_rays.tracks import Flux, angle_table, draw_tracks, mean_count
+from pipeline.physics.cosmic_rays.straggling import (
+    DELTA_LEAST_EV,
+    PAIR_EV,
+    electron_range_um,
+    restricted_loss_ev_um,
+)
+from pipeline.physics.cosmic_rays.tracks import Flux, Tracks, angle_table, draw_tracks, mean_count
 from pipeline.physics.noise.streams import stream_key
 
 KEY = stream_key(1, "cosmic_rays")
@@ -104,6 +109,42 @@ def test_diffusion_changes_no_charge_of_a_frame():
     short = tracks.path_um < 500
     assert short.sum() > 20
     np.testing.assert_allclose(b[short], a[short], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("thickness_um", "turn"), [(10.0, 0.1), (30.0, 0.6), (1000.0, 0.3)])
+def test_an_electron_that_leaves_the_silicon_takes_its_energy_along(thickness_um, turn):
+    """100 keV from the middle of a track straight down: the part of its range that lies inside.
+
+    Its angle to the track is that of a collision with a heavy particle, cos^2 = T / (T + 2 m c^2).
+    """
+    energy_ev, pitch = 1e5, 10.0
+    image, place = np.zeros((200, 200)), np.array([0, 0, 200, 200])
+    line = (100.0, 100.0, 0.0, 0.0, thickness_um, pitch, 0.0)
+    found = _delta(image, place, np.empty(64), line, 0.5, energy_ev, turn)
+    cosine = np.sqrt(energy_ev / (energy_ev + 2.0 * 510_998.95))
+    whole_um = electron_range_um(energy_ev)
+    path_um = min(whole_um, 0.5 * thickness_um / cosine)
+    assert found == pytest.approx(energy_ev / PAIR_EV * path_um / whole_um, rel=1e-5)
+    y, x = np.indices(image.shape)
+    away = np.hypot((image * x).sum() / found - 100.0, (image * y).sum() / found - 100.0)
+    assert away == pytest.approx(0.5 * path_um * np.sqrt(1.0 - cosine**2) / pitch, abs=0.3)
+
+
+def test_charge_from_the_far_side_spreads_most():
+    """A level track, wide where it enters far from the electrodes: variance D^2 (1 - t) + 1/12."""
+    flux = Flux(200, 200, 10.0, 100.0, 50.0, 4.0, diffusion_um=15.0, delta_electrons=False)
+    one = {"x_back": 50.0, "y_back": 100.0, "x_front": 150.0, "y_front": 100.0}
+    along = {"path_um": 1005.0, "charge_number": 1.0, "spread": 0.0}
+    columns = {name: np.array([value]) for name, value in (one | along).items()}
+    tracks = Tracks(event=np.array([0]), enters_back=np.array([True]), **columns)
+    image = np.zeros((200, 200))
+    add_tracks(image, tracks, flux, 0, KEY, (0, 0, 200, 200))
+    x = np.arange(60, 141)
+    off = np.arange(200.0)[:, None] - 100.0
+    width = (image * off**2).sum(axis=0)[x] / image.sum(axis=0)[x]
+    expected = 1.5**2 * (1.0 - (x - 50.0) / 100.0) + 1.0 / 12.0
+    assert width[[0, 40, 80]] == pytest.approx(expected[[0, 40, 80]], rel=0.1)
+    assert np.abs(width / expected - 1.0).mean() < 0.05
 
 
 def test_charge_lies_on_exact_chords():

@@ -103,6 +103,15 @@ def test_limits_of_the_discs() -> None:
         assert half == pytest.approx(0.5, abs=1e-4)
 
 
+def test_the_moon_behind_the_sun_takes_nothing() -> None:
+    """Seen from a body near the Sun the Moon stands beyond it; before it, it would hide a part."""
+    target = np.array([[-0.999 * ASTRONOMICAL_UNIT_M + 4e9, 0.0, 0.0]])
+    to_sun = np.array([-ASTRONOMICAL_UNIT_M, 0.0, 0.0])
+    near, beyond = target[0] - [1e9, 0.0, 0.0], to_sun - [1e9, 0.0, 0.0]
+    assert sunlit_past_moon(target, to_sun, beyond)[0] == 1.0
+    assert sunlit_past_moon(target, to_sun, near)[0] < 1.0
+
+
 def test_against_the_eclipse_of_2017() -> None:
     """2017-08-21, greatest eclipse 18:25:32 UTC at 36.97 N, 87.67 W (NASA): total there."""
     from pipeline.physics.positions.apparent import apparent_sun_m
