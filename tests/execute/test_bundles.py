@@ -90,6 +90,7 @@ def test_same_bits_in_bundles(tmp_path, monkeypatch):
     """Targets, lag and truth: many tiles a task, or one."""
     scene = parse_scene({
         "schema": "nightglass/scene/1", "name": "b", "epoch": "2019-07-20T09:00:00Z",
+        "accept": ["moon"],
         "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
         "sensor": {
             "shape": [512, 512], "pixel_pitch_um": 9.0, "focal_length_m": 0.5, "aperture_m": 0.1,

@@ -27,6 +27,7 @@ SCENE = {
     "name": "detector",
     "epoch": "2019-07-20T09:00:00Z",
     "seed": 5,
+    "accept": ["moon"],
     "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
     "sensor": {
         "shape": [SIDE, SIDE],
