@@ -55,7 +55,7 @@ def guard_places(
         )
 
 
-def guard_brightness(plan: Plan, tile: Tile, x_px: float, y_px: float, light_e: float) -> None:
+def guard_brightness(plan: Plan, x_px: float, y_px: float, light_e: float) -> None:
     """Refuse a source of which the very rounding of a pixel would show in its noise."""
     most_e = (plan.scene.accuracy.noise_fraction / APPROXIMATIONS / RELATIVE) ** 2
     if light_e > most_e:

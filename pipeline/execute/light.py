@@ -61,6 +61,7 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
     image = np.zeros((tile.rows, tile.columns))
     targets = place_targets(plan, g)
     for target in targets:
+        guard_brightness(plan, target.x_px, target.y_px, target.light_e)
         k = target_class(plan, target)
         if target.body is not None:
             place, radius = (target.y_px, target.x_px), plan.responses.classes[k].radius_px
@@ -69,8 +70,9 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
                 draw_body(image, (tile.y0, tile.x0), target.body, core, place, light, target.path)
             continue
         if k == len(plan.responses.classes):
-            place = target.x_px, target.y_px, target.light_e
-            add_beyond(plan, image, tile, target.path, *place)
+            add_beyond(
+                plan, image, tile, target.path, target.x_px, target.y_px, target.light_e
+            )
             continue
         for x0, y0, piece, share in pieces(target.path):
             x, y = target.x_px + x0, target.y_px + y0
@@ -152,7 +154,7 @@ def add_beyond(
 
     reach_px : where its light ends
     """
-    guard_brightness(plan, tile, x, y, light_e)
+    guard_brightness(plan, x, y, light_e)
     for blur, part_e in parts_of(plan, x, y, light_e):
         seen = draw_quadrature(blur, path, image.shape, (tile.y0, tile.x0), y, x, reach_px, finer)
         image += part_e * seen
