@@ -104,8 +104,8 @@ def _expected(
     at = Tile(cell.row, cell.column, y0, x0, rows, columns)
     stars = around(concatenate(parts, FrameStars), at, plan.responses.reach_core_px)
     some = np.argsort(-stars.light_e, kind="stable")[:OWN_PATHS]
-    found = [(float(stars.x_px[i]), float(stars.y_px[i]), float(stars.light_e[i]), k)
-             for i, k in zip(some, _core_class(plan, stars.light_e[some]), strict=True)]  # fmt: skip
+    x, y, light = (v[some].tolist() for v in (stars.x_px, stars.y_px, stars.light_e))
+    found = list(zip(x, y, light, _core_class(plan, stars.light_e[some]).tolist(), strict=True))
     last = len(plan.responses.classes) - 1
     found += [(t.x_px, t.y_px, t.light_e, min(target_class(plan, t), last))
               for t in place_targets(plan, g)]  # fmt: skip
@@ -184,8 +184,9 @@ def reference(
              for t in points]  # fmt: skip
     costs = [_quadrature_cost(plan, at, group) for group in groups]
     work = list(_pieces(plan, at, [of for of, c in zip(groups, costs, strict=True) if c is None]))
-    cost: float = sum(len(x) * terms(core, piece, (at.rows, at.columns)) for core, piece, x, _, _ in work)
-    cost += sum(c for c in costs if c is not None)
+    shape = at.rows, at.columns
+    cost = sum(c for c in costs if c is not None)
+    cost += sum(len(x) * terms(core, piece, shape) for core, piece, x, _, _ in work)
     bodies = [t for t in targets if t.body is not None]
     sources = sum(len(group[0]) for group in groups) + len(bodies)
     if cost > most_terms:
