@@ -13,6 +13,7 @@ from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.sampled import Sampled
 from pipeline.physics.radiometry import (
     ResponseCurve,
+    ab_photon_rate,
     collecting_area_m2,
     pixel_solid_angle_sr,
     surface_brightness_electron_rate,
@@ -40,6 +41,7 @@ class Facts:
     budget_e : error that one approximation may make in such a pixel
     field : the responses over the field; None where one serves it all
     flat : typical response to light (median), which SNR counts
+    ab_rate_e_s_m2 : electrons of a source of AB magnitude 0 in the band, above the air
     """
 
     area_m2: float
@@ -55,6 +57,7 @@ class Facts:
     budget_e: float
     field: PsfField | None = None
     flat: float = 1.0
+    ab_rate_e_s_m2: float = math.nan
 
 
 APPROXIMATIONS = 4  # they share the noise budget equally: interpolation, wings, spans, streaks
@@ -104,6 +107,7 @@ def gather_facts(
         sigma_floor_e=sigma,
         budget_e=error_budget_e(scene, sigma),
         field=field,
+        ab_rate_e_s_m2=ab_photon_rate(0.0, response),
     )
 
 

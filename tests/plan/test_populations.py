@@ -249,3 +249,12 @@ def test_names_must_not_clash(tle: Path) -> None:
 def test_a_screened_population_is_not_read_again(tle: Path) -> None:
     s = prepare(scene(tle)).plan.scene
     assert gather_populations(s, 10.0, 0.0) is s
+
+
+def test_objects_keep_the_names_of_their_file(lines: list[list[str]], tle: Path) -> None:
+    """Truth and labels say what the file calls an object, beside its catalogue number."""
+    named = {int(line1[2:7]): name for name, line1, _ in lines}
+    targets = prepare(scene(tle)).plan.scene.targets
+    assert targets
+    for target in targets:
+        assert target.object_name == named[int(target.name.removeprefix("crowd-"))]
