@@ -141,6 +141,8 @@ def test_no_path_field_takes_a_file(
     if field[0] == "background":
         pst = {"kind": "table", "path": "x.csv"} if field[-1] == "path" else HARVEY
         scene["background"] = {"stray_light": {"pst": dict(pst)}}
+    if field == ("stars", "colour_fit"):  # without a catalogue it is refused before its files
+        scene["stars"] = {"catalogue": "none"}
     if field[0] == "cosmic_rays":
         scene["cosmic_rays"] = {"kind": "library"}
     if field[0] == "populations":
