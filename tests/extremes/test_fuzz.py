@@ -18,7 +18,7 @@ from tests.extremes.stock import Stock, make_stock
 
 FEW, MANY, ALL = 25, 1000, 300
 # Seeds of small scenes that take a second or less each: all kinds of optics, pointings, observers.
-QUICK = (1002, 1003, 1004, 1005, 1007, 1008, 1009, 1010, 1011, 1012, 1013, 1017, 1018, 1019, 1020,
+QUICK = (1002, 1003, 1004, 1005, 1007, 1008, 1010, 1011, 1012, 1013, 1017, 1019, 1020,
          1021, 1022, 1024)  # fmt: skip
 CALM = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
