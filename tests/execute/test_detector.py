@@ -366,3 +366,17 @@ def test_a_window_brings_all_frames_that_lag_into_it():
     assert work.geometry.frame.tolist() == list(range(first, 7))
     assert {int(work.geometry.frame[i]) for i, _ in work.tiles} == {5, 6}
     assert [int(work.geometry.frame[i]) for i in work.target_truth] == [5, 6]
+
+
+def test_amplifiers_read_their_rows_and_columns():
+    """A frame wider than high, with an amplifier at its right and one in a corner."""
+    amplifiers = [
+        {"rows": [0, 100], "columns": [200, 300], "gain_e_per_dn": 1.5, "offset_dn": 30},
+        {"rows": [90, 100], "columns": [0, 20], "read_noise_e": 12.0},
+    ]
+    maps = prepare(scene({"amplifiers": amplifiers}, sensor__shape=[100, 300])).maps
+    row, column = np.indices((100, 300))
+    right, corner = column >= 200, (row >= 90) & (column < 20)
+    assert np.array_equal(maps.gain_e_per_dn, np.where(right, 1.5, 2.0))
+    assert np.array_equal(maps.bias_dn, np.where(right, 130.0, 100.0))
+    assert np.array_equal(maps.read_noise_e, np.where(corner, 12.0, 4.0))
