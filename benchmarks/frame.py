@@ -39,7 +39,7 @@ def make_catalogue(folder: Path, stars: int) -> Path:
     g = np.log10(low + u * (high - low)) / 0.35
     dec = DEC_DEG + y
     table = pa.table({
-        "source_id": np.arange(1, stars + 1, dtype=np.int64) << 35,
+        "source_id": np.arange(1, stars + 1, dtype=np.int64),
         "ra": RA_DEG + x / np.cos(np.radians(dec)),
         "dec": dec,
         "parallax": rng.exponential(1.0, stars),

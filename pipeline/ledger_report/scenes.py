@@ -70,7 +70,7 @@ def make_stars(folder: Path) -> str:
     rows = ["source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
             "phot_bp_mean_mag,phot_rp_mean_mag"]  # fmt: skip
     rows += [
-        f"{(i + 1) << 35},2015.5,{ra[i]:.12f},{dec[i]:.12f},{parallax[i]},{motion[i]},0,,"
+        f"{i + 1},2015.5,{ra[i]:.12f},{dec[i]:.12f},{parallax[i]},{motion[i]},0,,"
         f"{g[i]:.4f},{g[i] + 0.4:.4f},{g[i] - 0.6:.4f}"
         for i in range(STARS)
     ]

@@ -71,12 +71,11 @@ LEDGER = (
          "bound is of what lies between", "tests/physics/motion/test_jitter.py"),
     Rule(("pointing_refraction",), "a pointing names the true place; the air lifts the camera",
          "tests/acceptance/test_site_with_air.py"),
-    Rule(("one_psf", "psf_over_the_field"),
-         "one response, or mixtures of those the scene gives for places of the field",
+    Rule(("one_psf", "psf_over_the_field", "table_band"),
+         "one response, or mixtures of those the scene gives for places of the field; a table's "
+         "spectrum is cut where at most 1e-5 of its light is left",
          "tests/execute/test_psf_field.py::"
          "test_a_star_at_a_place_is_its_own_and_between_two_their_mean"),
-    Rule(("table_band",), "a table's spectrum is cut where at most 1e-5 of its light is left",
-         "tests/physics/psf/test_sampled.py::test_what_the_cut_band_leaves_out_is_measured"),
     Rule(("monochromatic_psf", "few_wavelengths"),
          "as few wavelengths as keep a pixel within a share of its source's light",
          "tests/physics/psf/test_band.py::test_against_a_hundred_wavelengths"),

@@ -14,7 +14,7 @@ from pipeline.spec.load import parse_scene
 SCENE = {
     "schema": "nightglass/scene/1",
     "name": "behind",
-    "accept": ["moon"],
+    "accept": ["moon", "daylight"],
     "epoch": "2019-07-20T09:00:00Z",
     "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
     "sensor": {

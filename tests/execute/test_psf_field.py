@@ -53,7 +53,7 @@ def catalogue(tmp_path_factory):
     rows = ["source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
             "phot_bp_mean_mag,phot_rp_mean_mag"]  # fmt: skip
     rows += [
-        f"{(i + 1) << 35},2015.5,{ra[i]:.12f},{DEC_DEG + y[i]:.12f},1,0,0,,{g[i]:.6f},"
+        f"{i + 1},2015.5,{ra[i]:.12f},{DEC_DEG + y[i]:.12f},1,0,0,,{g[i]:.6f},"
         f"{g[i] + 0.4:.6f},{g[i] - 0.6:.6f}"
         for i in range(400)
     ]

@@ -42,7 +42,7 @@ def catalogue(tmp_path_factory: Any) -> str:
     rows = ["source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
             "phot_bp_mean_mag,phot_rp_mean_mag"]  # fmt: skip
     rows += [
-        f"{(i + 1) << 35},2015.5,{ra[i]:.12f},{dec[i]:.12f},0,0,0,,11.0,11.4,10.4"
+        f"{i + 1},2015.5,{ra[i]:.12f},{dec[i]:.12f},0,0,0,,11.0,11.4,10.4"
         for i in range(30)
     ]
     (folder / "stars.csv").write_text("\n".join(rows) + "\n")

@@ -22,7 +22,7 @@ def _catalogue(folder):
         x, y = ((np.array(divmod(i, 6)) - 2.5) * STEP_PX + rng.uniform(-3, 3, 2)) * IFOV_DEG
         dec, g = DEC_DEG + y, 9.0 + i / 12.0
         ra = RA_DEG - x / np.cos(np.radians(dec))
-        rows.append(f"{(i + 1) << 35},2015.5,{ra:.12f},{dec:.12f},1,0,0,,{g},{g + 0.4},{g - 0.6}")
+        rows.append(f"{i + 1},2015.5,{ra:.12f},{dec:.12f},1,0,0,,{g},{g + 0.4},{g - 0.6}")
     (folder / "stars.csv").write_text("\n".join(rows) + "\n")
     return str(ingest([folder / "stars.csv"], folder / "catalogue").catalogue.path)
 

@@ -93,7 +93,7 @@ def _write_stars(path: Path) -> None:
     rows = ["source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
             "phot_bp_mean_mag,phot_rp_mean_mag"]  # fmt: skip
     rows += [
-        f"{max(i, 1) << 35},2015.5,{ra[i]:.9f},{dec[i]:.9f},1,0,0,,{9 + i / 300:.4f},10,9"
+        f"{max(i, 1)},2015.5,{ra[i]:.9f},{dec[i]:.9f},1,0,0,,{9 + i / 300:.4f},10,9"
         for i in range(3000)
     ]
     path.write_text("\n".join(rows) + "\n")

@@ -81,7 +81,7 @@ def _catalogue(
     motion, parallax = rng.normal(0.0, 60.0, (2, count)), rng.uniform(0.5, 40.0, count)
     motion[0, :3], parallax[:3] = (9e3, -5e3, 2e3), (500.0, 300.0, 100.0)
     rows = [
-        f"{(first + i) << 35},2015.5,{ra[i]:.12f},{dec[i]:.12f},{parallax[i]:.6f},"
+        f"{first + i},2015.5,{ra[i]:.12f},{dec[i]:.12f},{parallax[i]:.6f},"
         f"{motion[0, i]:.6f},{motion[1, i]:.6f},,{g[i]:.4f},{g[i] + 0.4 * red[i]:.4f},"
         f"{g[i] - 0.6 * red[i]:.4f}"
         for i in range(count)
