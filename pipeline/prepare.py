@@ -55,6 +55,7 @@ from pipeline.plan.geometry import (
     sampled_frames,
 )
 from pipeline.plan.needs import Spent, check_memory
+from pipeline.plan.optics import check_motion
 from pipeline.plan.orbit_age import orbit_remarks
 from pipeline.plan.scene_plan import Plan, catalogue_cones, field_cones, make_plan, plan_dict
 from pipeline.plan.sky_doubts import sky_doubts
@@ -146,6 +147,7 @@ def prepare(scene: Scene) -> Prepared:
     remarks = [remark] if remark else []
     warnings: list[str] = []  # what the scene accepts though the product is wrong there
     colour, sun = _light(scene, response, band, digest, remarks)
+    check_motion(scene)  # before paths are followed that it would bend beyond all measure
     before = time.thread_time()
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
     geometry_s = time.thread_time() - before

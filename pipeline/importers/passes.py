@@ -12,14 +12,15 @@ import numpy as np
 from pipeline.errors import BadInput
 from pipeline.importers.placing import EARTH_MU_M3_S2, electrons_of_sunlight
 from pipeline.inputs.curves import resolve_response
-from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.earth_orientation import gather_dut1_s, gather_pole_arcsec, with_pole
 from pipeline.physics.positions.apparent import proper_to_astrometric
-from pipeline.physics.positions.earth import site_state
 from pipeline.physics.positions.times import format_utc, instants, parse_utc
 from pipeline.physics.radiometry import ab_photon_rate, collecting_area_m2
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.site import place_of
 from pipeline.spec.load import parse_scene
+from pipeline.spec.observer import GroundObserver
 
 LONG_S = 1e9
 MOMENT_S = 1e-3  # an exposure so short that nothing moves far
@@ -48,11 +49,9 @@ def zenith_pass(data: dict[str, Any], wish: Pass) -> tuple[dict[str, Any], str |
     first, second = parse_utc(data["epoch"])
     epoch = (first, second + 0.5 * data["exposure"]["integration_s"] / 86_400.0)
     dut1_s, _ = gather_dut1_s(*epoch)
-    o = data["observer"]
-    site, _ = site_state(
-        math.radians(o["latitude_deg"]), math.radians(o["longitude_deg"]), o["height_m"],
-        instants(epoch, np.zeros(1), dut1_s),
-    )  # fmt: skip
+    pole = {"polar_motion_arcsec": gather_pole_arcsec(*epoch)}
+    observer = GroundObserver.model_validate(data["observer"] | pole)
+    site, _ = place_of(observer, instants(epoch, np.zeros(1), dut1_s))
     up = site[0] / np.linalg.norm(site[0])
     east = np.cross([0.0, 0.0, 1.0], up)
     east /= np.linalg.norm(east)
@@ -74,7 +73,7 @@ def zenith_pass(data: dict[str, Any], wish: Pass) -> tuple[dict[str, Any], str |
         return data, None
     data["pointing"] = _held(moment, dut1_s)
     try:
-        plan_geometry(parse_scene(data), np.zeros(1, np.int64), dut1_s)
+        plan_geometry(with_pole(parse_scene(data)), np.zeros(1, np.int64), dut1_s)
     except BadInput as error:
         return data | {"targets": []}, f"the satellite: {error.allowed}"
     return data, None
@@ -89,7 +88,7 @@ def _light(data: dict[str, Any], magnitude: float, dut1_s: float) -> dict[str, A
     }
     data = copy.deepcopy(data)
     data["targets"][0]["body"] = curve
-    g = plan_geometry(parse_scene(data), np.zeros(1, np.int64), dut1_s)
+    g = plan_geometry(with_pole(parse_scene(data)), np.zeros(1, np.int64), dut1_s)
     s = data["sensor"]
     response, *_ = resolve_response(s["bandpass"], s["transmission"], 1.0)
     area = collecting_area_m2(s["aperture_m"], s["obscuration"])
@@ -100,7 +99,7 @@ def _light(data: dict[str, Any], magnitude: float, dut1_s: float) -> dict[str, A
 
 def _held(data: dict[str, Any], dut1_s: float) -> dict[str, Any]:
     """The sidereal pointing that has the target at its centre at mid-exposure."""
-    g = plan_geometry(parse_scene(data), np.zeros(1, np.int64), dut1_s)
+    g = plan_geometry(with_pole(parse_scene(data)), np.zeros(1, np.int64), dut1_s)
     seen = (v[0, g.middle] for v in (g.observer_m, g.observer_m_s, g.sun_m))
     ra, dec = to_angles(proper_to_astrometric(g.target_direction[:, 0], *seen))
     return {

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pipeline.plan.acceptance import accept_or_refuse
 from pipeline.plan.decision import Decision
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor import AiryPsf, FieldPsf, GaussianPsf, KolmogorovPsf
+from pipeline.spec.sensor import AiryPsf, FieldPsf, GaussianPsf, KolmogorovPsf, OnePsf
 
 SMALL = 0.25  # of a part: what is refined until it errs by little, at no cost
 INSTEAD = ("crowds_by_transforms",)  # of phase_interpolation, whose bound is counted
@@ -26,7 +26,7 @@ def parts(scene: Scene) -> float:
     sources = bool(scene.stars or scene.targets or scene.populations)
     drawn = [
         True,  # sub-pixel phases
-        *(2 * [not isinstance(scene.sensor.psf, GaussianPsf)]),  # the wings' grid, and their end
+        *(2 * [any(not isinstance(p, GaussianPsf) for p in _psfs(scene))]),  # wings: grid and end
         scene.stars is not None,  # common streaks
         by_wavelength(scene),
         bool(scene.targets or scene.populations),  # bodies as points
@@ -40,14 +40,18 @@ def parts(scene: Scene) -> float:
 
 def by_wavelength(scene: Scene) -> bool:
     """Whether the response follows the wavelength, over a band that the plan resolves."""
-    psf = scene.sensor.psf
-    every = [one for row in psf.psfs for one in row] if isinstance(psf, FieldPsf) else [psf]
     return any(
         isinstance(one, AiryPsf | KolmogorovPsf)
         and one.wavelength_nm is None
         and one.wavelengths is None
-        for one in every
+        for one in _psfs(scene)
     )
+
+
+def _psfs(scene: Scene) -> list[OnePsf]:
+    """The point-spread function, or those of all places of the field."""
+    psf = scene.sensor.psf
+    return [one for row in psf.psfs for one in row] if isinstance(psf, FieldPsf) else [psf]
 
 
 def part_sigma(scene: Scene) -> float:

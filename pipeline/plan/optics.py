@@ -64,13 +64,19 @@ def blur_of(
 
 def _jitter_px(scene: Scene, psf: OnePsf) -> float:
     """Rms per axis of all motion that is drawn as blur: the PSF's own and fast pointing."""
+    fast = check_motion(scene)
+    return math.hypot(psf.jitter_px, fast) if fast else psf.jitter_px
+
+
+def check_motion(scene: Scene) -> float:
+    """Rms per axis [px] of the motion that is drawn as blur. BadInput where it is too wide."""
     fast = fast_blur_px(scene)
     if fast > MOST_BLUR_PX:
         raise BadInput(
             "pointing.attitude", f"motion that blurs by {fast:.4g} px rms",
             f"at most {MOST_BLUR_PX:g} px: weaker or slower motion, or larger pixels",
         )  # fmt: skip
-    return math.hypot(psf.jitter_px, fast) if fast else psf.jitter_px
+    return fast
 
 
 def clock_step_px(scene: Scene) -> float:

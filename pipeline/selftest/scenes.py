@@ -26,6 +26,7 @@ BODY: dict[str, Any] = {
 }
 SCENE: dict[str, Any] = {
     "schema": "nightglass/scene/1",
+    "accept": ["sun", "moon", "daylight"],  # limiting cases look where no telescope would
     "name": "selftest",
     "epoch": "2019-03-20T12:00:00Z",
     "observer": {

@@ -53,7 +53,7 @@ def star_at(position, velocity, epoch) -> tuple[float, float]:
 def test_same_star_in_every_tile_shape(epoch, position, velocity, catalogue, tmp_path):
     ra, dec = star_at(position, velocity, epoch)
     scene = {
-        "schema": "nightglass/scene/1", "name": "reach", "epoch": epoch,
+        "schema": "nightglass/scene/1", "name": "reach", "epoch": epoch, "accept": ["sun"],
         "observer": {"kind": "fixed", "position_au": position, "velocity_m_s": velocity},
         "sensor": {
             "shape": [512, 512], "pixel_pitch_um": 9.0, "focal_length_m": 1.0, "aperture_m": 0.2,
@@ -80,6 +80,7 @@ def test_limits_blinding_star_fails_no_tile(catalogue, tmp_path):
     """10^12 electrons and no noise floor: the wings' rounding far off is clipped, not refused."""
     scene = {
         "schema": "nightglass/scene/1", "name": "blinding", "epoch": "2015-07-02T00:00:00Z",
+        "accept": ["error", "sun"],
         "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
         "sensor": {
             "shape": [768, 768], "pixel_pitch_um": 13.5, "focal_length_m": 1.0, "aperture_m": 4.0,

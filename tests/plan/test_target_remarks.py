@@ -20,6 +20,7 @@ from pipeline.spec.load import parse_scene
 GEO_M = 4.2164e7
 SCENE: dict[str, Any] = {
     "schema": "nightglass/scene/1", "name": "remarks", "epoch": "2019-03-21T09:00:00Z",
+    "accept": ["sun", "moon"],
     "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
     "sensor": {
         "shape": [64, 64], "pixel_pitch_um": 10.0, "focal_length_m": 1.0, "aperture_m": 0.2,
