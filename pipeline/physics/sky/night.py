@@ -23,6 +23,7 @@ TWILIGHT_V = -26.74 + 11.05 + 32.5  # the Sun's V, the unit's zero point, a fit
 V_M = 550e-9
 USUAL_V_MAG = 0.2  # of extinction at the zenith, where a site's own is not known
 NEAREST_MOON_RAD = 5.0 * DEG_RAD
+AUREOLE_DEG = 8.449078007953648  # where equation 21 meets equation 20; published: 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +96,9 @@ def moonlight(
     Krisciunas & Schaefer 1991, PASP 103, 1033, equations 3, 15, 18, 20 and 21, wavelength by
     wavelength with the band's own extinction: their formula in V, 8 to 23% from measurements there;
     for a band that scatters otherwise a fair guess. On the Moon's own path the air mass is Kasten &
-    Young's, so that it fades at the horizon. Their aureole within 10 degrees (equation 21) grows
-    without end towards the Moon: it is held within NEAREST_MOON_RAD, a choice.
+    Young's, so that it fades at the horizon. Their aureole (equation 21, published for less than 10
+    degrees) would be a step of 22% there: it begins at AUREOLE_DEG, where both laws agree. It grows
+    without end towards the Moon: it is held within NEAREST_MOON_RAD. Both are choices.
 
     sine (n,), apart_rad (n,) : of lines of sight: sine of the elevation, angle from the Moon
     irradiance_share : of the Moon above the air, over the solar irradiance at 1 au, in V
@@ -105,7 +107,7 @@ def moonlight(
         return np.zeros(np.shape(sine))
     apart = np.asarray(apart_rad) / DEG_RAD
     nearest = np.maximum(apart, NEAREST_MOON_RAD / DEG_RAD)
-    mie = np.where(apart >= 10.0, 10.0 ** (6.15 - apart / 40.0), 6.2e7 / nearest**2)
+    mie = np.where(apart >= AUREOLE_DEG, 10.0 ** (6.15 - apart / 40.0), 6.2e7 / nearest**2)
     scatter = 10.0**5.36 * (1.06 + np.cos(apart_rad) ** 2) + mie
     candle = 10.0 ** (-0.4 * (16.57 + SUN_V_MAG)) * irradiance_share  # 10^(-0.4 (V + 16.57))
     mass = 1.0 / np.sqrt(1.0 - 0.96 * (1.0 - np.square(np.clip(sine, 0.0, 1.0))))
