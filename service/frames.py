@@ -26,7 +26,7 @@ STAR_COLUMNS = (
 )  # fmt: skip
 TARGET_COLUMNS = (
     "name", "x_px", "y_px", "x_start_px", "y_start_px", "x_end_px", "y_end_px", "ra_deg", "dec_deg",
-    "range_m", "phase_deg", "sunlit_fraction", "electrons", "snr",
+    "range_m", "phase_deg", "sunlit_fraction", "electrons", "snr", "v_mag", "mag_ab", "object_name",
 )  # fmt: skip
 
 
@@ -192,7 +192,8 @@ def _truth_rows(product: Path, kind: str, frame: int, columns: tuple[str, ...]) 
     if not path.is_file():
         return None
     seen = [("frame", "=", frame), ("in_frame", "=", True)]
-    return pq.read_table(path, columns=list(columns), filters=seen)
+    known = pq.read_schema(path).names  # products of earlier versions hold fewer
+    return pq.read_table(path, columns=[c for c in columns if c in known], filters=seen)
 
 
 def _plain(table: Any) -> list[dict[str, Any]]:

@@ -48,6 +48,7 @@ Part = tuple[slice, slice]
 Group = tuple[Array, Array, Array, Path]  # (x, y, light) of sources, and the path of each
 
 WINDOW_PX = 16
+LEAST_ERROR = 1e-14  # of the light: where nothing else is known of a core's error
 OWN_PATHS = 8  # of the brightest stars near a window
 MOST_TERMS = 4e8  # products that a window may cost: about a second
 LONGEST_PX = 96.0
@@ -68,8 +69,9 @@ def check_tile(
     """How far the light of a tile is from the reference in the cells that the plan checks.
 
     light_e : (rows, columns) images whose sum is the light of all sources; noise_e : noise of the
-    pixels of a part of the tile. The window of a cell is around its brightest pixel.
-    One record for each cell.
+    pixels of a part of the tile. A cell's windows are around its brightest pixel, and where the
+    brightest source near it is expected to err most against the noise.
+    One record for each window.
     """
     frame = int(g.frame[0])
     out = []
@@ -79,20 +81,57 @@ def check_tile(
             continue
         part = np.s_[y : min(y + CELL_PX, tile.rows), x : min(x + CELL_PX, tile.columns)]
         drawn_e = np.sum([image[part] for image in light_e], axis=0)
-        out.append(_check_cell(plan, g, cell, parts, drawn_e, noise_e(part)))
+        noise = noise_e(part)
+        windows = [_window(drawn_e), _window(_expected(plan, g, cell, parts, noise))]
+        for window in dict.fromkeys(_corner(w) for w in windows):
+            out.append(_check_window(plan, g, cell, window, parts, drawn_e, noise))
     return out
 
 
-def _check_cell(
+def _corner(part: Part) -> tuple[int, int, int, int]:
+    """A window's first and last-plus-one rows and columns."""
+    return part[0].start, part[0].stop, part[1].start, part[1].stop
+
+
+def _expected(
+    plan: Plan, g: Geometry, cell: CheckCell, parts: list[FrameStars], noise_e: Array
+) -> Array:
+    """What the brightest sources may err by in each pixel of a cell, over its noise.
+
+    Transforms and tables err alike all over a core, the wings' grid most near its end; farther
+    off it errs by less, as the wings fall.
+    """
+    rows, columns = noise_e.shape
+    y0, x0 = cell.row * CELL_PX, cell.column * CELL_PX
+    at = Tile(cell.row, cell.column, y0, x0, rows, columns)
+    stars = around(concatenate(parts, FrameStars), at, plan.responses.reach_core_px)
+    some = np.argsort(-stars.light_e, kind="stable")[:OWN_PATHS]
+    x, y, light = (v[some].tolist() for v in (stars.x_px, stars.y_px, stars.light_e))
+    found = list(zip(x, y, light, _core_class(plan, stars.light_e[some]).tolist(), strict=True))
+    last = len(plan.responses.classes) - 1
+    found += [(t.x_px, t.y_px, t.light_e, min(target_class(plan, t), last))
+              for t in place_targets(plan, g)]  # fmt: skip
+    out = np.zeros(noise_e.shape)
+    for x, y, light, k in found:
+        core = plan.responses.classes[int(k)]
+        error = max(core.wing_error, core.target_error, LEAST_ERROR)
+        r = np.hypot(np.arange(rows)[:, None] + y0 - y, np.arange(columns) + x0 - x)
+        far = np.maximum(1.0, r / core.radius_px) ** -3
+        out = np.maximum(out, light * error * far)
+    return out / noise_e
+
+
+def _check_window(
     plan: Plan,
     g: Geometry,
     cell: CheckCell,
+    window: tuple[int, int, int, int],
     parts: list[FrameStars],
     drawn_e: Array,
     noise_e: Array,
 ) -> dict[str, Any]:
     """One record: the window in frame pixels, and how far the drawn light is from the reference."""
-    part = _window(drawn_e)
+    part = slice(*window[:2]), slice(*window[2:])
     rows, columns = drawn_e[part].shape
     y0, x0 = cell.row * CELL_PX + part[0].start, cell.column * CELL_PX + part[1].start
     stars = concatenate(parts, FrameStars)
@@ -113,13 +152,13 @@ def _check_cell(
     }
 
 
-def _window(drawn_e: Array) -> Part:
-    """The window of a cell: around its brightest pixel."""
-    brightest = np.unravel_index(int(np.argmax(drawn_e)), drawn_e.shape)
-    sides = [min(WINDOW_PX, n) for n in drawn_e.shape]
+def _window(values: Array) -> Part:
+    """The window of a cell: around the pixel of its largest value."""
+    largest = np.unravel_index(int(np.argmax(values)), values.shape)
+    sides = [min(WINDOW_PX, n) for n in values.shape]
     starts = [
         int(np.clip(b - side // 2, 0, n - side))
-        for b, side, n in zip(brightest, sides, drawn_e.shape, strict=True)
+        for b, side, n in zip(largest, sides, values.shape, strict=True)
     ]
     return slice(starts[0], starts[0] + sides[0]), slice(starts[1], starts[1] + sides[1])
 

@@ -74,6 +74,7 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Ar
     image = np.zeros((tile.rows, tile.columns))
     targets = place_targets(plan, g)
     for target in targets:
+        guard_brightness(plan, target.x_px, target.y_px, target.light_e)
         if target.body is not None:
             k = target_class(plan, target)
             place, radius = (target.y_px, target.x_px), plan.responses.classes[k].radius_px

@@ -24,6 +24,7 @@ from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import stamp_at
+from pipeline.physics.sky.moon import SUN_V_MAG
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.occultation import hidden_by, targets_seen
 from pipeline.plan.scene_plan import Plan
@@ -115,7 +116,8 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     lit from a side, and where it brightens, turns or bends while it is exposed. snr is that of all
     its light, as if the focal plane had no end; 0 where none of it can reach the frame. hidden_by
     and visible_fraction as of stars; the path of one that the Earth hides for a part of the
-    exposure begins and ends where it is seen.
+    exposure begins and ends where it is seen. v_mag, mag_ab : see `target_magnitudes`;
+    object_name : what a catalogue calls it, or its name.
     """
     middle, count = g.middle, len(plan.scene.targets)
     drawn = {t.index: t for t in place_targets(plan, g, everywhere=True)}
@@ -132,6 +134,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         for i in range(count)
     ]
     centroid = np.array([_centroid(drawn.get(i)) for i in range(count)])
+    v_mag, mag_ab = target_magnitudes(plan, g)
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     ends = np.stack([x[:, 0], y[:, 0], x[:, -1], y[:, -1]])
     visible = targets_seen(g)
@@ -145,6 +148,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     return {
         "frame": np.full(count, g.frame[0], np.int32),
         "name": [t.name for t in plan.scene.targets],
+        "object_name": [t.object_name or t.name for t in plan.scene.targets],
         "x_px": x[:, middle],
         "y_px": y[:, middle],
         "x_start_px": ends[0],
@@ -161,12 +165,29 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         "phase_deg": np.degrees(g.target_phase_rad[:, 0, middle]),
         "sunlit_fraction": g.target_sunlit[:, 0, middle],
         "electrons": collected_e(plan, light),
+        "v_mag": v_mag,
+        "mag_ab": mag_ab,
         "radius_px": np.array([drawn[i].radius_px if i in drawn else 0.0 for i in range(count)]),
         "extended": np.array([i in drawn and drawn[i].body is not None for i in range(count)]),
         "snr": np.array(snr),
         "in_frame": inside,
         **_hidden(plan, visible),
     }
+
+
+def target_magnitudes(plan: Plan, g: Geometry) -> tuple[Array, Array]:
+    """V (Vega) and AB in the sensor's band (n,) of targets, above the air, mean of the exposure.
+
+    The light that arrives is a fraction of the Sun's at 1 au, all through the band: V is that of
+    sunlight (-26.76) dimmed by it, so of a body whose albedo in V is that in the band; AB is of the
+    electrons that the band makes of it. NaN where no light is sent.
+    """
+    light = g.target_light[:, 0]
+    mean = 0.5 * (light[:, :-1] + light[:, 1:]).mean(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dim = np.where(mean > 0.0, -2.5 * np.log10(mean), np.nan)
+        sun_ab = -2.5 * np.log10(plan.sun_rate_e_s_m2 / plan.facts.ab_rate_e_s_m2)
+    return SUN_V_MAG + dim, sun_ab + dim
 
 
 def _centroid(t: FrameTarget | None) -> tuple[float, float]:

@@ -60,7 +60,7 @@ def annotation(
         for name, which in (("start", "_start"), ("middle", ""), ("end", "_end"),
                             ("light", "_light"))
     }  # fmt: skip
-    mag = float(labels.g_mag[i])
+    mags = {name: float(getattr(labels, name)[i]) for name in ("g_mag", "v_mag", "mag_ab")}
     return {
         "id": number,
         "image_id": image,
@@ -77,9 +77,10 @@ def annotation(
             "angle_deg": float(labels.angle_deg[i]),
         },
         "name": str(labels.name[i]),
+        "object_name": str(labels.object_name[i]),
         "electrons": float(labels.electrons[i]),
         "snr": float(labels.snr[i]),
-        "g_mag": mag if np.isfinite(mag) else None,
+        **{name: mag for name, mag in mags.items() if np.isfinite(mag)},
         "ra_deg": float(labels.ra_deg[i]),
         "dec_deg": float(labels.dec_deg[i]),
     }

@@ -31,7 +31,9 @@ class Labels:
     x_px, y_px : at mid-exposure (pixel (0, 0) is the centre of the first); start and end of the
     path; x_light_px, y_light_px : the centroid of the light as drawn
     ra_deg, dec_deg : astrometric ICRS, what the WCS gives; electrons in the exposure
-    snr : matched filter; g_mag : of stars, NaN for targets; radius_px : of bodies with a disc
+    snr : matched filter; g_mag : of stars, NaN for targets; v_mag, mag_ab : of targets, NaN for
+    stars (V of Vega's system, AB in the sensor's band); radius_px : of bodies with a disc
+    object_name : what a catalogue calls a target; a star's catalogue id
     """
 
     kind: NDArray[np.int64]
@@ -49,7 +51,10 @@ class Labels:
     electrons: Array
     snr: Array
     g_mag: Array
+    v_mag: Array
+    mag_ab: Array
     radius_px: Array
+    object_name: NDArray[np.str_]
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -65,6 +70,11 @@ class Labels:
         return np.degrees(
             np.arctan2(self.y_end_px - self.y_start_px, self.x_end_px - self.x_start_px)
         )
+
+    @property
+    def magnitude(self) -> Array:
+        """G of stars, V of targets."""
+        return np.where(self.kind == STAR, self.g_mag, self.v_mag)
 
     def take(self, index: Any) -> Labels:
         """Some of them."""
@@ -94,26 +104,33 @@ def _part(path: Path, kind: int, frame: int, least_snr: float) -> Labels:
     """One truth table's rows of a frame that send light; empty where there is no table."""
     import pyarrow.parquet as pq
 
-    names = {TARGET: ("name", "radius_px"), STAR: ("source_id", "g_mag")}[kind]
+    names = {
+        TARGET: ("name", "radius_px", "object_name", "v_mag", "mag_ab"),
+        STAR: ("source_id", "g_mag"),
+    }[kind]
     if not path.is_file():
         empty = {f.name: np.empty(0) for f in fields(Labels)}
-        return Labels(**{**empty, "kind": np.empty(0, np.int64), "name": np.empty(0, "U64")})
+        return Labels(**{**empty, "kind": np.empty(0, np.int64), "name": np.empty(0, "U64"),
+                         "object_name": np.empty(0, "U80")})  # fmt: skip
     known = pq.read_schema(path).names
     wanted = [c for c in (*_COLUMNS, *names) if c in known]
     rows = pq.read_table(path, columns=wanted, filters=[("frame", "=", frame)])
     got = {c: rows[c].to_numpy() for c in wanted}
-    if "radius_px" not in got:  # products of earlier versions hold neither this nor centroids
-        got["radius_px"] = np.zeros(rows.num_rows)
+    # products of earlier versions hold none of these
+    got.setdefault("radius_px", np.zeros(rows.num_rows))
+    got.setdefault("object_name", got[names[0]])
+    for name in ("g_mag", "v_mag", "mag_ab"):
+        got.setdefault(name, np.full(rows.num_rows, np.nan))
     for axis in "xy":
         got.setdefault(f"{axis}_light_px", got[f"{axis}_px"])
     kept = np.flatnonzero((got["electrons"] > 0) & (got["snr"] >= least_snr))
     kept = kept[np.argsort(-got["electrons"][kept], kind="stable")]
-    nan, n = np.full(len(kept), np.nan), len(kept)
+    n = len(kept)
     return Labels(
         kind=np.full(n, kind, np.int64),
         name=got[names[0]][kept].astype("U64"),
-        g_mag=got["g_mag"][kept] if kind == STAR else nan,
-        radius_px=got["radius_px"][kept] if kind == TARGET else np.zeros(n),
+        object_name=got["object_name"][kept].astype("U80"),
+        **{c: got[c][kept].astype(float) for c in ("g_mag", "v_mag", "mag_ab", "radius_px")},
         **{c: got[c][kept].astype(float) for c in _COLUMNS},
     )
 

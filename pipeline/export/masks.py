@@ -138,6 +138,8 @@ def mask_fits(
             fits.Column("name", "64A", array=labels.name),
             fits.Column("x", "D", unit="pixel", array=labels.x_px),
             fits.Column("y", "D", unit="pixel", array=labels.y_px),
+            fits.Column("object_name", "80A", array=labels.object_name),
+            fits.Column("magnitude", "D", array=labels.magnitude),
             fits.Column("electrons", "D", array=labels.electrons),
             fits.Column("snr", "D", array=labels.snr),
         ],

@@ -55,7 +55,7 @@ def _object(
         box[f"{axis}_center"] = 0.5 * (min(ends) + max(ends))
         box[f"bbox_{size}"] = max(ends) - min(ends) + 2.0 * pad_px / side
     kind = int(labels.kind[i])
-    mag = float(labels.g_mag[i])
+    mag = float(labels.magnitude[i])
     name = str(labels.name[i])
     return {
         "class_name": CLASS_NAMES[kind],
@@ -69,6 +69,6 @@ def _object(
         "ra": float(labels.ra_deg[i]),
         "dec": float(labels.dec_deg[i]),
         "seg_id": i + 1,
-        "object_name": name if kind != STAR else "",
+        "object_name": str(labels.object_name[i]) if kind != STAR else "",
         "object_id": name,
     }

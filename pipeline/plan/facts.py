@@ -13,6 +13,7 @@ from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.sampled import Sampled
 from pipeline.physics.radiometry import (
     ResponseCurve,
+    ab_photon_rate,
     collecting_area_m2,
     pixel_solid_angle_sr,
     surface_brightness_electron_rate,
@@ -44,6 +45,7 @@ class Facts:
     field : the responses over the field; None where one serves it all
     brightest_e : light of the brightest source in the longest exposure; 0 where not known
     flat : typical response to light (median), which SNR counts
+    ab_rate_e_s_m2 : electrons of a source of AB magnitude 0 in the band, above the air
     """
 
     area_m2: float
@@ -60,6 +62,7 @@ class Facts:
     field: PsfField | None = None
     brightest_e: float = 0.0
     flat: float = 1.0
+    ab_rate_e_s_m2: float = math.nan
 
 
 
@@ -120,6 +123,7 @@ def gather_facts(
         budget_e=error_budget_e(scene, sigma),
         field=field,
         brightest_e=brightest_e,
+        ab_rate_e_s_m2=ab_photon_rate(0.0, response),
     )
 
 

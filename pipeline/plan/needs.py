@@ -1,4 +1,4 @@
-"""What a plan needs: CPU seconds and memory, from measured unit costs, and what is too much."""
+"""What a plan needs: CPU seconds and memory, from unit costs, and what is too much."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
 PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
+CROWD_BYTES_PER_PIXEL = 50.0
+STAR_BYTES = 150.0
+BASE_MB = 180.0  # of a process that has imported all and draws nothing
+# Estimated from the operations, not measured yet.
 GRID_S_PER_POINT = 1.5e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
 KERNEL_S_PER_POINT = 4e-7  # of the grid that a wing is made on, for each wavelength
-CHECK_S = 0.1  # of one window that is drawn again
-CROWD_BYTES_PER_PIXEL = 50.0
-BASE_MB = 180.0  # of a process that has imported all and draws nothing
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
-STAR_BYTES = 150.0
 KERNEL_BYTES_PER_POINT = 60.0  # while a wing is made
 TEST_BYTES_PER_POINT = 60.0  # while a wing's error is measured
 CLASSES_USED = 3  # of the core classes, by the sources of a usual scene
@@ -71,8 +71,6 @@ def predict(
     light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
     light_s += _wings_s(plan, spent) + 2.0 * spent.geometry_s / spent.frames
     once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan)
-    if plan.responses.classes:
-        once_s += CHECK_S * len(plan.checks)
     return {
         "cpu_s": least_cpu_s(plan.scene) + once_s + plan.frames * light_s,
         "worker_memory_mb": sum(_memory_mb(plan, forecast, spent).values()),

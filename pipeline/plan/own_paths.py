@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from pipeline.arrays import Array, Geometry
@@ -12,6 +14,7 @@ from pipeline.plan.star_paths import star_paths
 from pipeline.plan.zones import Zone, biquadratic
 
 EXACT_MERGE_PX = 1e-6
+TOGETHER = 1000  # stars whose paths are worked out in one go
 
 
 def star_offsets(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bool) -> Array:
@@ -27,8 +30,20 @@ def star_offsets(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bo
 
 def exact_path(camera: Camera, g: Geometry, x: float, y: float, aberration: bool) -> Path:
     """Path of the star at (x, y) at mid-exposure of the one frame of `g`, hardly merged."""
-    dx, dy = star_offsets(camera, g, np.array([x]), np.array([y]), aberration)[:, 0, 0]
-    return path_through(dx, dy, np.full(g.nodes - 1, 1.0 / (g.nodes - 1)), EXACT_MERGE_PX)
+    [path] = exact_paths(camera, g, np.array([x]), np.array([y]), aberration)
+    return path
+
+
+def exact_paths(
+    camera: Camera, g: Geometry, x_px: Array, y_px: Array, aberration: bool
+) -> Iterator[Path]:
+    """The same of many stars (n,), worked out together: each as by itself, to the last bit."""
+    weight = np.full(g.nodes - 1, 1.0 / (g.nodes - 1))
+    for first in range(0, len(x_px), TOGETHER):
+        some = slice(first, first + TOGETHER)
+        dx, dy = star_offsets(camera, g, x_px[some], y_px[some], aberration)[:, :, 0]
+        for i in range(len(dx)):
+            yield path_through(dx[i], dy[i], weight, EXACT_MERGE_PX)
 
 
 def own_paths(
@@ -56,9 +71,10 @@ def own_paths(
     near = (np.maximum(np.abs(u), np.abs(v)) <= 1.0) & (off_px <= merge_px)
     places = np.array([biquadratic(table, u, v) for table in followed])
     weight = np.full(len(places) - 1, 1.0 / (len(places) - 1))
+    exact = iter(exact_paths(camera, g, x_px[~near], y_px[~near], aberration))
     return [
         path_through(places[:, 0, i], places[:, 1, i], weight, float(merge_px[i]))
         if near[i]
-        else exact_path(camera, g, float(x_px[i]), float(y_px[i]), aberration)
+        else next(exact)
         for i in range(len(x_px))
     ]

@@ -142,7 +142,8 @@ class Sieve:
 
     def _target(self, one: Any) -> Target:
         return Target.model_construct(
-            name=f"{self.population.name}-{one.number}", orbit=one.orbit,
+            name=f"{self.population.name}-{one.number}",
+            object_name=(one.name or "").strip()[:80] or None, orbit=one.orbit,
             body=self._body(one.name, one.number), lighting=None, eclipse=self.population.eclipse,
         )  # fmt: skip
 

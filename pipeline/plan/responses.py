@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.drawing.extended import point_error
-from pipeline.physics.drawing.quadrature import affordable
+from pipeline.physics.drawing.quadrature import FAINTEST, affordable
 from pipeline.physics.drawing.wings import CUT_FROM, swept_apart, wing_error, wing_slope
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.product import is_product
-from pipeline.physics.psf.pupil import Blur
+from pipeline.physics.psf.pupil import Blur, EllipticalGaussian, Gaussian
 from pipeline.physics.psf.response import compact_core, oversampling_for
 from pipeline.physics.psf.sampled import READ_ERROR, Sampled
 from pipeline.plan.accuracy import part_sigma
@@ -182,12 +182,14 @@ def plan_responses(
         reach = max(reach, 2.0 * cores[-1][0])  # a wing is not cut off where its core still fades
         cut = CUT_FROM * reach
     else:
-        usual, reach = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
+        usual, whole = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
         brightest = facts.budget_e / NOTHING_BEYOND[0]
         far = NOTHING_BEYOND[1]
-        cores, spacing, cut = ((usual, brightest, 0.0), (reach, math.inf, far)), 0, usual
+        cores, spacing, cut = ((usual, brightest, 0.0), (whole, math.inf, far)), 0, usual
         for_targets = _limited(cores, facts.budget_e, targets_served)
         cores = _limited(cores, facts.budget_e, served)
+        steep = [b for b in blurs if isinstance(b.optics, Gaussian | EllipticalGaussian)]
+        reach = max([whole, *(_radius_holding(b, FAINTEST) / CUT_FROM for b in steep)])
     most_bytes = TABLE_BYTES
     if none.field is not None:
         most_bytes = min(most_bytes, FIELD_BYTES / (len(blurs) * streaks.shapes))

@@ -145,6 +145,11 @@ class Target(Strict):
     """One resident space object."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
+    object_name: str | None = Field(
+        None, min_length=1, max_length=80,
+        description="what a catalogue calls it, for truth and labels; of populations as their file "
+        "has it; default: the name",
+    )  # fmt: skip
     orbit: Orbit
     body: Annotated[Body | MeshBody, Field(discriminator="kind")]
     lighting: Lighting | None = Field(None, description="default: direct sunlight, round Earth")

@@ -15,7 +15,7 @@ from catalog_tools.durable import sync, sync_all
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import tile_shape
-from pipeline.spec.load import scene_yaml
+from pipeline.spec.load import path_holders, scene_yaml
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.cube import CubeWriter, create_arrays, create_layer, layers_of
@@ -96,6 +96,7 @@ def identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
         "format": FORMAT,
         "scene_sha256": scene_digest(plan),
         "catalogue_digest": catalogue_digest,
+        "files_sha256": files_digest(plan.scene),
         "tile_shape": list(tile_shape(plan.scene)),
         "tiles": len(plan.tiles) * plan.frames,
     }
@@ -221,6 +222,21 @@ def scene_digest(plan: Plan) -> str:
     scene = plan.scene.as_dict()
     scene["output"] = {"layers": scene["output"]["layers"]}
     return hashlib.sha256(json.dumps(scene, sort_keys=True).encode()).hexdigest()
+
+
+def files_digest(scene: Scene) -> str | None:
+    """SHA-256 over the content of all files that a resolved scene still names; None without any.
+
+    Catalogues have digests of their own; of populations the scene holds what was found.
+    """
+    found = []
+    for field_name, holder, key in path_holders(scene.as_dict()):
+        name = holder.get(key)
+        if isinstance(name, str) and not field_name.startswith(("stars.", "populations.")):
+            path = Path(name)
+            files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+            found += [(field_name, file_digest(file)) for file in files if file.is_file()]
+    return hashlib.sha256(json.dumps(found).encode()).hexdigest() if found else None
 
 
 def content_digest(path: Path) -> str:

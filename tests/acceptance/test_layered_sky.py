@@ -355,7 +355,7 @@ def test_sirius_over_real_dr2(wide_catalogue, sidereal, shared_data, tmp_path):
 
     file = shared_data / "bright_stars" / "hip_main_bright.dat.gz"
     ingest([file], tmp_path / "hip", form="hipparcos", workers=1)
-    data = copy.deepcopy(sidereal) | {"epoch": "2019-01-20T09:00:00Z"}
+    data = copy.deepcopy(sidereal) | {"epoch": "2019-01-20T09:00:00Z", "accept": ["coverage"]}
     data["observer"] = {"kind": "fixed", "position_au": [-0.5, 0.8, 0.35]}
     data["pointing"] = {
         "mode": "sidereal", "boresight_ra_deg": 101.2843, "boresight_dec_deg": -16.7226,

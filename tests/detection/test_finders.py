@@ -115,6 +115,17 @@ def test_judge_counts_right_fragments_and_false():
     assert streak.found.tolist() == [False, True]
 
 
+@pytest.mark.parametrize("angle", [0.0, 30.0, 75.0, 120.0, 160.0])
+def test_judge_measures_along_and_across_a_streak(angle):
+    """Half a length of 40 px: a detection 20 px along it is its own, one 4 px beside it is not."""
+    way = np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
+    told = labels([(STAR, 128, 128, *(20 * way), 30)])
+    sought = np.array([True])
+    for along, across, right in ((20, 0, 1), (-20, 2, 1), (0, 4, 0), (15, -4, 0), (26, 0, 0)):
+        place = 128 + along * way + across * np.array([-way[1], way[0]])
+        assert int(judge(told, sought, found_at(place)).right.sum()) == right, (along, across)
+
+
 @settings(max_examples=30)
 @given(st.lists(st.tuples(st.floats(0, 255), st.floats(0, 255)), max_size=12), st.integers(0, 6))
 def test_judge_counts_each_once(places, sources):

@@ -142,7 +142,7 @@ def test_the_check_finds_an_error_made_on_purpose(catalogue, tmp_path, monkeypat
     brightest = max(c["brightest_pixel_e"] for c in bad["checked"])
     assert bad["achieved_error_e"] == pytest.approx(0.02 * brightest, rel=0.05)
     assert good["achieved_error_e"] < 0.05 * bad["achieved_error_e"]
-    assert good["windows"] == 3
+    assert 3 <= good["windows"] <= 6  # one or two of each cell
 
 
 def test_no_check_where_none_is_asked_for(catalogue, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.arrays import FrameStars, select
 from pipeline.execute.detector import collected_e, stream_place, tile_chain
+from pipeline.execute.sources import drawing_order
 from pipeline.execute.tile import noise_e
 from pipeline.physics.noise.chain import to_dn
 from pipeline.physics.noise.streams import stream_key
@@ -18,6 +21,7 @@ from pipeline.plan.tiles import Tile
 from pipeline.prepare import plan_scene, prepare
 from pipeline.run import Options, missing, render
 from pipeline.spec.load import parse_scene
+from pipeline.spec.scene import CELL_PX
 from pipeline.store.cube import open_cube
 from pipeline.store.product import Begun
 
@@ -367,3 +371,39 @@ def test_a_window_brings_all_frames_that_lag_into_it():
     assert work.geometry.frame.tolist() == list(range(first, 7))
     assert {int(work.geometry.frame[i]) for i, _ in work.tiles} == {5, 6}
     assert [int(work.geometry.frame[i]) for i in work.target_truth] == [5, 6]
+
+
+def test_amplifiers_read_their_rows_and_columns():
+    """A frame wider than high, with an amplifier at its right and one in a corner."""
+    amplifiers = [
+        {"rows": [0, 100], "columns": [200, 300], "gain_e_per_dn": 1.5, "offset_dn": 30},
+        {"rows": [90, 100], "columns": [0, 20], "read_noise_e": 12.0},
+    ]
+    maps = prepare(scene({"amplifiers": amplifiers}, sensor__shape=[100, 300])).maps
+    row, column = np.indices((100, 300))
+    right, corner = column >= 200, (row >= 90) & (column < 20)
+    assert np.array_equal(maps.gain_e_per_dn, np.where(right, 1.5, 2.0))
+    assert np.array_equal(maps.bias_dn, np.where(right, 130.0, 100.0))
+    assert np.array_equal(maps.read_noise_e, np.where(corner, 12.0, 4.0))
+
+
+def test_each_cell_is_checked_once_in_its_own_frame(tmp_path):
+    """The achieved error of a product has one record for each cell that the plan chose."""
+    made = scene(**BRIGHT, exposure={"integration_s": 2.0, "frames": 3})
+    records = render(made, tmp_path / "run")["errors"]["checked"]
+    cells = prepare(made).plan.checks
+    assert len(records) == len(cells) > 0
+    found = {(r["frame"], r["y0"] // CELL_PX, r["x0"] // CELL_PX) for r in records}
+    assert found == {(c.frame, c.row, c.column) for c in cells}
+
+
+def test_stars_of_one_id_are_drawn_in_one_order():
+    """Two catalogues use an id for two stars in one square: the main one's first, however read."""
+    n = np.arange(4.0)
+    stars = FrameStars(
+        np.array([7, 5, 7, 5]), 10.0 + n, 20.0 + n, 100.0 + n, n, n, n, np.zeros(4, np.uint8),
+        np.array([1, 0, 0, 1], np.uint8),
+    )  # fmt: skip
+    for order in itertools.permutations(range(4)):
+        found = drawing_order(select(stars, np.array(order)))
+        assert found.light_e.tolist() == [101.0, 103.0, 102.0, 100.0]

@@ -185,7 +185,7 @@ def test_products_have_small_errors_and_the_same_bits(psfs, catalogue, tmp_path,
             path = tmp_path / f"{crowd}{k}"
             report = render(made, path, Options("synchronous"))
             digests.add(report["content_digest"])
-            assert report["errors"]["windows"] == 3
+            assert 3 <= report["errors"]["windows"] <= 6  # one or two of each cell
             assert report["errors"]["achieved_error_sigma"] < 0.05
         assert len(digests) == 1
         images.append(open_cube(path)["stars_e"].values[0].astype(float))

@@ -10,7 +10,7 @@ import pytest
 from pipeline.execute.check import reference
 from pipeline.physics.drawing.wings import swept_apart
 from pipeline.physics.psf.response import compact_core
-from pipeline.plan.responses import MARGIN
+from pipeline.plan.responses import MARGIN, NOTHING_BEYOND
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import exact_path
 from pipeline.plan.tiles import Tile
@@ -31,7 +31,7 @@ def test_limits_of_cores_know_of_the_turn(psf):
     still, turns = turning(0.0, psf), turning(20.0, psf)
     for one, other in zip(still.responses.classes, turns.responses.classes, strict=True):
         assert other.radius_px == one.radius_px
-        assert other.wing_error > one.wing_error or one.wing_error == 0.0
+        assert other.wing_error > one.wing_error or one.wing_error in (0.0, NOTHING_BEYOND[1])
     sweeps = wing_sweeps(turns.camera, geometry_of(turns), turns.responses.streaks.zones, True)
     corner_px = np.radians(20.0) * np.hypot(SIDE, SIDE) / 2.0
     assert sweeps.slowest_px < 1.0

@@ -20,6 +20,7 @@ from pipeline.physics.psf import band
 from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.needs import Spent, check_memory, predict
+from pipeline.plan.own_paths import exact_path, exact_paths
 from pipeline.prepare import prepare
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -109,7 +110,7 @@ def test_more_memory_than_there_is_names_what_takes_it():
     check_memory(plan, None, Spent(), 2000.0)
     with pytest.raises(BadInput, match=r"^sensor\.shape: .* most the 100 MB of memory"):
         check_memory(plan, None, Spent(), 100.0)
-    with pytest.raises(BadInput, match=r"^exposure\.integration_s: .* stars move by 1000000 px"):
+    with pytest.raises(BadInput, match=r"^exposure\.integration_s: .*stars move by 1000000 px"):
         check_memory(plan, None, Spent(excursion_px=1e6), 1e5)
 
 
@@ -182,3 +183,19 @@ def test_snr_of_a_long_path_counts_its_equal_pieces(monkeypatch):
     whole = truth.matched_snr(plan, path, *at)
     monkeypatch.setattr(truth, "MOST_PIECES", 2)
     assert truth.matched_snr(plan, path, *at) == pytest.approx(whole, rel=0.03)
+
+
+def test_same_paths_of_stars_worked_out_together():
+    """To the last bit, through a distortion and with a roll; and in the order asked for."""
+    data = scene_data({"kind": "gaussian", "sigma_px": 1.0})
+    data["sensor"]["distortion"] = {"kind": "radial", "k1": -0.05, "p1": 1e-4}
+    data["pointing"] = {"mode": "rate", "boresight_ra_deg": 90.5, "boresight_dec_deg": 80.0,
+                        "rate_ra_arcsec_s": 300.0, "rate_dec_arcsec_s": 50.0,
+                        "roll_rate_deg_s": 5.0}  # fmt: skip
+    plan = prepare(parse_scene(data)).plan
+    g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
+    x, y = np.random.default_rng(1).uniform(-40, 70, (2, 33))
+    together = list(exact_paths(plan.camera, g, x, y, True))
+    assert together == [
+        exact_path(plan.camera, g, float(a), float(b), True) for a, b in zip(x, y, strict=True)
+    ]

@@ -13,6 +13,7 @@ from scipy.special import erf, erfinv
 from pipeline.errors import BadInput
 from pipeline.importers.satsim import read_satsim, sphere_mag
 from pipeline.importers.simsit import radial_terms, read_simsit
+from pipeline.plan.geometry import camera_of, plan_geometry, star_paths
 from pipeline.prepare import plan_scene
 from pipeline.run import render
 from pipeline.spec.load import load_scene
@@ -104,6 +105,18 @@ def assert_satsim_is_drawn(file, folder, empty):
     patch, a2d = cube["dn"].values[0][empty], fpa["a2d"]
     level, room = np.mean(patch), 4.0 * np.std(patch) / math.sqrt(patch.size)
     assert level == pytest.approx((mean + fpa["bias"]) / a2d["gain"] + a2d["bias"] - 0.5, abs=room)
+
+
+def test_stars_move_as_a_satsim_file_says(shared_data, tmp_path):
+    """Its translation is of the stars, rows and columns a second; in an exposure of a second."""
+    file = shared_data / "peer_scenes" / "satsim" / "config_static.json"
+    row, column = json.loads(file.read_text())["geometry"]["stars"]["motion"]["translation"]
+    read_satsim(file, EPOCH).write(tmp_path / "scene.yaml")
+    scene = load_scene(tmp_path / "scene.yaml")
+    g, camera = plan_geometry(scene, np.zeros(1, np.int64), 0.0), camera_of(scene)
+    middle = np.array([camera.columns / 2]), np.array([camera.rows / 2])
+    path = star_paths(camera, g, *middle)[:, 0, 0]
+    assert path[:, -1] - path[:, 0] == pytest.approx([column, row], abs=0.02)
 
 
 def test_dynamic_satsim_renders(shared_data, tmp_path):

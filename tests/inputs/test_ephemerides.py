@@ -89,6 +89,25 @@ def test_sp3_against_astropy(shared_data: Path) -> None:
     assert np.linalg.norm(rows[:, 1:4] - theirs, axis=1).max() < 0.02
 
 
+@pytest.mark.parametrize(
+    ("scale", "tai_minus_s"),
+    [("GPS", 19), ("GAL", 19), ("QZS", 19), ("IRN", 19), ("BDT", 33), ("TAI", 0), ("UTC", 37),
+     ("GLO", 37), ("ccc", 19)],
+)  # fmt: skip
+def test_time_systems_of_sp3(scale: str, tai_minus_s: int, tmp_path: Path) -> None:
+    """Each satellite system's midnight in TAI (SP3-d; BeiDou's began with 33 s of leap seconds)."""
+    place = "".join(f"{v:14.6f}" for v in (15_000.0, -20_000.0, 9_000.0))
+    rows = [f"*  2017  2 14  0 {m:2d}  0.00000000\nPC01{place}" for m in (0, 15)]
+    head = f"#dP2017  2 14  0  0  0.00000000\n%c M  cc {scale} ccc cccc\n"
+    (tmp_path / "a.sp3").write_text(head + "\n".join(rows) + "\nEOF\n")
+    (found,) = read_ephemeris(tmp_path / "a.sp3", None, SCENE["epoch"], "f")["C01"]
+    known = Time("2017-02-14T00:00:00", scale="tai") + tai_minus_s * u.s
+    told = Time(found.utc1[0], found.utc2[0], format="jd", scale="utc")
+    assert abs((told - known).sec) < 1e-6
+    assert found.frame == "itrf"
+    assert found.place_m[0] == pytest.approx([1.5e7, -2e7, 9e6])
+
+
 def test_sp3_between_its_rows(shared_data: Path) -> None:
     """Every second row left out comes back within the error that the thinned table states."""
     path = sp3(shared_data)

@@ -288,3 +288,12 @@ def test_the_cone_holds_what_the_air_lifts_into_the_field(tle: Path) -> None:
     bent = separation(refract(true, np.broadcast_to(air[0], (200, 5))), true).max()
     assert bent > 1e-3
     assert through.half_angle_rad >= plain.half_angle_rad + bent
+
+
+def test_objects_keep_the_names_of_their_file(lines: list[list[str]], tle: Path) -> None:
+    """Truth and labels say what the file calls an object, beside its catalogue number."""
+    named = {int(line1[2:7]): name for name, line1, _ in lines}
+    targets = prepare(scene(tle)).plan.scene.targets
+    assert targets
+    for target in targets:
+        assert target.object_name == named[int(target.name.removeprefix("crowd-"))]

@@ -141,6 +141,8 @@ def test_no_path_field_takes_a_file(
     if field[0] == "background":
         pst = {"kind": "table", "path": "x.csv"} if field[-1] == "path" else HARVEY
         scene["background"] = {"stray_light": {"pst": dict(pst)}}
+    if field == ("stars", "colour_fit"):  # without a catalogue it is refused before its files
+        scene["stars"] = {"catalogue": "none"}
     if field[0] == "cosmic_rays":
         scene["cosmic_rays"] = {"kind": "library"}
     if field[0] == "populations":
@@ -148,6 +150,8 @@ def test_no_path_field_takes_a_file(
         scene["populations"] = [{"name": "p", "path": "a.tle", "body": ball}]
     if "body" in field:
         scene["targets"][0]["body"] = {"kind": "mesh", "unit": "m", "path": "a.obj"}
+    if field == ("stars", "colour_fit"):
+        scene["stars"] = {"catalogue": "sky"}
     holder: Any = scene
     for part, after in pairwise(field):
         several: Any = [{"name": "a", "path": "b.obj"}]
@@ -173,7 +177,7 @@ TEXTS_THAT_ARE_NO_PATHS = {
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
     "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond", "scalar",
     "rotation", "interpolation", "profile", "axis", "moonlight", "twilight",
-    "name_contains", "left_out", "edges", "first",
+    "name_contains", "left_out", "edges", "first", "accept",
 }  # fmt: skip
 
 

@@ -16,13 +16,16 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from pipeline.errors import BadInput
+from service.auth import Caller
 from service.database import connect
 from service.integrity import find_faults
 from service.jobs import FINAL, NEXT, Job, Phase, Queue
 from service.leases import give_up, take
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
+from service.settings import Settings
 from service.submissions import Ask, Intake, Limits, run_pending, submit_many, used_by
 from service.tables import audit, jobs, uploads
+from service.uploads import Uploads
 
 
 def ask(key: str | None = None, team: str = "red", body: str = "b", **more: Any) -> Ask:
@@ -168,6 +171,25 @@ def test_files_of_a_team_count_in_what_it_keeps(database: str) -> None:
         mine = uploads.c.team == "red"
         db.execute(sa.update(uploads).where(mine).values(bytes=61))
     assert "bytes" in str(submit_many(store, [ask()], limits)[0])
+    store.close()
+
+
+def test_bytes_that_two_teams_uploaded_stay_for_the_other(database: str, tmp_path: Path) -> None:
+    """Files are named by their content: one on disk, whoever sent it, until the last lets go."""
+    store, here = Queue(database), Settings(tmp_path)
+    here.uploads.mkdir()
+    files, file_id = Uploads(here, store.engine), "0" * 32 + ".npy"
+    (here.uploads / file_id).write_bytes(b"x")
+    with store.engine.begin() as db:
+        row = {"id": file_id, "name": "a.npy", "bytes": 1, "created_s": 0.0}
+        db.execute(sa.insert(uploads), [row | {"team": team} for team in ("red", "blue")])
+    files.remove(Caller("red", "ann"), file_id)
+    assert (files.has("red", file_id), files.has("blue", file_id)) == (False, True)
+    assert (here.uploads / file_id).is_file()
+    with pytest.raises(NotThere):
+        files.remove(Caller("red", "ann"), file_id)
+    files.remove(Caller("blue", "bob"), file_id)
+    assert not (here.uploads / file_id).exists()
     store.close()
 
 

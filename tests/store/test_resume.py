@@ -7,8 +7,10 @@ import copy
 import json
 import shutil
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import zarr
 
 from catalog_tools.ingest import ingest
 from pipeline.errors import BadInput, Damaged, Incomplete
@@ -73,7 +75,7 @@ def unfinished(product):
     for name in ("_COMPLETE", "cube.zarr/zarr.json"):
         (product / name).unlink()
     max((product / "markers").glob("*.json")).unlink()
-    (product / "truth" / ".parts").mkdir()
+    (product / "truth" / ".parts").mkdir(exist_ok=True)
 
 
 def test_another_catalogue_at_the_same_place_is_refused(starry, product):
@@ -108,6 +110,31 @@ def test_other_layers_or_tiles_are_refused(starry, product, output, key):
     unfinished(product)
     with pytest.raises(BadInput, match=f"same {key}"):
         render(parse_scene(data), product, AGAIN)
+
+
+@pytest.mark.parametrize("kind", ["npy", "zarr"])
+def test_a_file_that_changed_since_is_refused(tmp_path, kind):
+    """A flat of half the level at the same path: not the other half of the frames with it."""
+    path, data = tmp_path / f"flat.{kind}", copy.deepcopy(SCENE)
+    data["sensor"]["flat"] = str(path)
+
+    def write(level):
+        image = np.full((256, 512), level)
+        if kind == "zarr":
+            shutil.rmtree(path, ignore_errors=True)
+            zarr.save_array(path, image)
+        else:
+            np.save(path, image)
+
+    write(1.0)
+    product = tmp_path / "run"
+    render(parse_scene(data), product, HERE)
+    unfinished(product)
+    write(0.5)
+    with pytest.raises(BadInput, match="same files_sha256"):
+        render(parse_scene(data), product, AGAIN)
+    write(1.0)
+    assert render(parse_scene(data), product, AGAIN)["tiles_resumed"] == TILES - 1
 
 
 def test_what_a_killed_writer_left_is_no_part_of_the_product(starry, product):

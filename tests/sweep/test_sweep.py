@@ -18,7 +18,8 @@ from pipeline.errors import BadInput
 from pipeline.run import Options
 from pipeline.spec.load import InvalidScene
 from pipeline.sweep import ledger
-from pipeline.sweep.run import sweep
+from pipeline.sweep.points import scene_of
+from pipeline.sweep.run import gather_course, sweep
 from tests.command import nightglass
 
 NOISE = {"field": "sensor.read_noise_e", "values": [2.0, 40.0]}
@@ -221,3 +222,12 @@ def test_point_shows_its_scene(sweep_file):
     assert "read_noise_e: 40.0" in result.stdout
     assert "noise_floor_e" in result.stdout
     assert json.loads(path.read_text())["scene"]["name"] in result.stdout
+
+
+def test_points_of_several_seeds_have_seeds_of_their_own(sweep_file, tmp_path):
+    """Three seeds for each value: the base's own and the two after it."""
+    file = sweep_file([{"field": "sensor.read_noise_e", "values": [5.0, 7.0]}], seeds=3)
+    course = gather_course(file, tmp_path / "out")
+    scenes = [scene_of(course, course.design, point) for point in range(6)]
+    assert [s.seed for s in scenes] == [3, 4, 5, 3, 4, 5]
+    assert [s.sensor.read_noise_e for s in scenes] == [5.0] * 3 + [7.0] * 3

@@ -7,6 +7,7 @@ profile by a fraction of the light of that pixel, which its noise hides however 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -116,17 +117,17 @@ def draw_quadrature(
 @lru_cache(maxsize=64)
 def nodes_of(blur: Blur) -> int:
     """Nodes across a pixel from which on more of them change nothing."""
-    n, before = FEWEST, _pixels(blur, np.array(PLACES_PX), FEWEST)
+    n, before = FEWEST, _pixels(blur, PLACES_PX, FEWEST)
     while n < MOST:
         n += MORE
-        now = _pixels(blur, np.array(PLACES_PX), n)
+        now = _pixels(blur, PLACES_PX, n)
         if (np.abs(now - before) <= CONVERGED * now + FAINTEST).all():
             return n
         before = now
     return MOST
 
 
-def _pixels(blur: Blur, places_px: Array, n: int) -> Array:
+def _pixels(blur: Blur, places_px: Sequence[tuple[float, float]], n: int) -> Array:
     """Light of the pixels (k,) whose centres are at (y, x) (k, 2) from a source at rest."""
     places = np.asarray(places_px, float)
     farthest = float(np.hypot(*places.T).max()) + 2.0
@@ -170,8 +171,8 @@ def far_pixels(blur: Blur, radius_px: float) -> Array:
     _around(values, r, turn / 4.0, first * NODES, *_pixel(blur, n), *profile.numbers)
     values = (values[:, :, None] * cosines).sum(axis=1)
     size = np.abs(values)
-    seen = (size > 1e-14 * size[:, :1] + FAINTEST).any(axis=0)
-    kept = int(np.flatnonzero(seen).max(initial=0)) + 1
+    shown = (size > 1e-14 * size[:, :1] + FAINTEST).any(axis=0)
+    kept = int(np.flatnonzero(shown).max(initial=0)) + 1
     values = values[:, :kept].reshape(count, NODES, kept)
     return np.ascontiguousarray(np.einsum("pkm,ck->pcm", values, to_powers))
 
@@ -318,7 +319,7 @@ def _around(out, radii, angles, first, at, down, along, coefficients, width, rou
 def _integrate(
     out, y0, x0, points, at, down, along, coefficients, width, rounded, reach, far, near_px,
     fades, ends,
-):
+):  # fmt: skip
     """Adds the light of each pixel: (y0, x0) is the first one's centre from the source."""
     terms = np.empty(far.shape[2])
     for r in range(out.shape[0]):

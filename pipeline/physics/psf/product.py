@@ -82,7 +82,7 @@ def product_table(blur: Blur, radius_px: float, phases: int = PHASES) -> Product
         3.0 / 128.0 * float(np.abs(np.diff(np.r_[f, f[:4]], 4)).max()) / m
         for f, m in zip(fines, most, strict=True)
     ]
-    error = off + peak * (LEBESGUE * wrong[0] + wrong[1])
+    error = off + peak * (LEBESGUE * wrong[0] + wrong[1] + SPAN_FLOOR)
     return ProductResponse(phases, row0, column0, columns, rows, error, error, peak)
 
 

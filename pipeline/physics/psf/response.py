@@ -170,7 +170,7 @@ def phase_table(
     counts, first_columns = counts[span], np.array(starts, np.int64)[span]
     last_columns = first_columns + np.array(lengths, np.int64)[span]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    rounding = worst[0] * 2.0**-24
+    rounding = worst[0] * (2.0**-24 + SPAN_FLOOR)
     return PixelResponse(
         phases,
         span.start - half[0],

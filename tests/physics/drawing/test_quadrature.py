@@ -61,8 +61,8 @@ def test_a_gaussian_is_the_error_function() -> None:
         return 0.5 * (erfc((x - 0.5) / sigma / 2**0.5) - erfc((x + 0.5) / sigma / 2**0.5))
 
     wide = math.hypot(1.6, 0.3)
-    elliptical = EllipticalGaussian(1.6, 0.7)
-    for optics, narrow in ((Gaussian(1.6), wide), (elliptical, math.hypot(0.7, 0.3))):
+    flat = EllipticalGaussian(1.6, 0.7)
+    for optics, narrow in ((Gaussian(1.6), wide), (flat, math.hypot(0.7, 0.3))):
         seen = draw_quadrature(Blur(optics, 0.3), POINT, (SIDE, SIDE), (0, 0), Y, X)
         exact = np.outer(side(narrow, Y), side(wide, X))
         assert (np.abs(seen - exact) <= RELATIVE * exact + 1e-25).all()
@@ -109,8 +109,8 @@ def test_a_streak_is_the_sum_of_its_points(optics: object) -> None:
             at, weight = np.polynomial.legendre.leggauss(16)
             nodes = np.meshgrid(0.5 * at, 0.5 * at, indexing="ij")
             area = 0.25 * np.outer(weight, weight)
-            dy, dx = row - Y - y[:, None, None], column - X - x[:, None, None]
-            r = np.hypot(dy + nodes[0], dx + nodes[1])
+            y, x = (v[:, None, None] for v in (row - Y - y, column - X - x))
+            r = np.hypot(y + nodes[0], x + nodes[1])
             total += w * float((optics.intensity(r) * area).sum(axis=(1, 2)).mean())
         assert seen[row, column] == pytest.approx(total, rel=1e-6, abs=1e-20)
 

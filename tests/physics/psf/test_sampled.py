@@ -254,8 +254,8 @@ def test_a_table_of_a_gaussian_is_that_gaussian(sigma: float, per_px: int) -> No
     core = compact_core(Blur(s), s.reach_px)
     half_y, half_x, *period = window(core, 0.0, 0.0)
     spectrum = core_spectrum(core, None, *period)
-    size = (half_y, half_x), (period[0], period[1])
-    row, column, stamp = stamp_at(core, spectrum, *size, 0.3, 0.7)
+    place = (half_y, half_x), (period[0], period[1]), 0.3, 0.7
+    row, column, stamp = stamp_at(core, spectrum, *place)
 
     def side(first: int, count: int, at: float) -> np.ndarray:
         x = np.abs(first + np.arange(count) - at)

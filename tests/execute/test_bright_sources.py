@@ -1,0 +1,120 @@
+"""Stars and targets as bright as they come: every pixel against quadrature of the profile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import erfc
+
+from pipeline.errors import BadInput
+from pipeline.execute.blocks import render_block
+from pipeline.execute.check import reference
+from pipeline.execute.light import draw_stars
+from pipeline.physics.psf.pupil import Airy, Blur
+from pipeline.physics.psf.sampled import sampled
+from pipeline.physics.psf.seeing import Moffat
+from pipeline.plan.scene_plan import Plan, make_plan
+from pipeline.plan.tiles import Tile
+from tests.execute.test_engines import field, geometry_of, plan_of
+
+SIDE, SIGMA, READ_E = 64, 1.1, 5.0
+X, Y = np.array([30.3]), np.array([33.8])
+MOFFAT = {"kind": "moffat", "fwhm_px": 2.1, "beta": 3.0}
+
+
+def gaussian_pixels() -> np.ndarray:
+    """The error function in square pixels."""
+
+    def side(at: float) -> np.ndarray:
+        x = np.abs(np.arange(SIDE) - at)
+        return 0.5 * (erfc((x - 0.5) / SIGMA / 2**0.5) - erfc((x + 0.5) / SIGMA / 2**0.5))
+
+    return np.outer(side(Y[0]), side(X[0]))
+
+
+def round_pixels(intensity: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """A round profile in square pixels, by two panels of Gauss-Legendre each way."""
+    at, weight = np.polynomial.legendre.leggauss(18)
+    at, weight = np.r_[at - 1.0, at + 1.0] / 4.0, np.tile(weight, 2) / 4.0
+    y = (np.arange(SIDE)[:, None] + at).ravel() - Y[0]
+    x = (np.arange(SIDE)[:, None] + at).ravel() - X[0]
+    light = intensity(np.hypot(y[:, None], x)).reshape(SIDE, 36, SIDE, 36)
+    return np.einsum("iajb,a,b->ij", light, weight, weight)
+
+
+def table_plan() -> Plan:
+    """Of a plan with a gaussian, with samples of it instead, four a pixel."""
+    plan = plan_of({"kind": "gaussian", "sigma_px": SIGMA}, 0.0, 0.0, SIDE)
+    at = (np.arange(81) - 40) / 4.0
+    image = np.exp(-0.5 * (at[:, None] ** 2 + at**2) / SIGMA**2)
+    facts = replace(plan.facts, blur=Blur(sampled(image, 0.25, "middle")))
+    return make_plan(plan.scene, facts, geometry_of(plan), None, 0.0, (), 0.0)
+
+
+def case(name: str) -> tuple[Plan, np.ndarray]:
+    """A plan, and the light in each pixel of a star of one electron."""
+    if name == "table":
+        return table_plan(), gaussian_pixels()
+    psf: dict[str, Any] = {
+        "gaussian": {"kind": "gaussian", "sigma_px": SIGMA},
+        "airy": {"kind": "airy", "wavelength_nm": 650.0},
+        "moffat": MOFFAT,
+    }[name]
+    plan = plan_of(psf, 0.0, 0.0, SIDE)
+    if name == "gaussian":
+        return plan, gaussian_pixels()
+    optics = Airy(1.0, 0.3) if name == "airy" else Moffat(2.1, 3.0)
+    assert plan.facts.blur.optics.scale_px == pytest.approx(optics.scale_px, rel=1e-12)
+    return plan, round_pixels(plan.facts.blur.optics.intensity)
+
+
+def drawn(plan: Plan, light_e: float, tile: Tile = Tile(0, 0, 0, 0, SIDE, SIDE)) -> np.ndarray:
+    stars, g = field(X, Y, np.array([light_e])), geometry_of(plan)
+    whole = Tile(0, 0, 0, 0, SIDE, SIDE)
+    blocks = [render_block(plan, g, whole, [stars])] if plan.responses.spacing_px else []
+    return draw_stars(plan, g, tile, [stars], blocks)
+
+
+@pytest.mark.parametrize("light_e", [1e4, 1e6, 1e9, 1e12, 1e15, 1e18])
+@pytest.mark.parametrize("name", ["gaussian", "airy", "moffat", "table"])
+def test_every_pixel_is_within_the_accuracy(name: str, light_e: float) -> None:
+    """Of its own noise, and never darker than none by more than the budget at the floor."""
+    plan, exact = case(name)
+    if name == "table" and light_e > 1e12:
+        pytest.skip("read to 1e-13 of the light")
+    image = drawn(plan, light_e)
+    noise_e = np.sqrt(READ_E**2 + light_e * exact)
+    sigma = np.abs(image - light_e * exact) / noise_e
+    assert sigma.max() <= plan.scene.accuracy.noise_fraction
+    assert image.min() >= -plan.responses.budget_e
+
+
+@pytest.mark.parametrize("name", ["airy", "moffat", "gaussian"])
+def test_the_check_agrees(name: str) -> None:
+    """Windows drawn again do not go through what they check."""
+    plan, exact = case(name)
+    for light_e in (1e5, 1e13):
+        window = Tile(0, 0, 24, 40, 16, 16)
+        found, count = reference(
+            plan, geometry_of(plan), window, field(X, Y, np.array([light_e]))
+        )
+        assert count == 1
+        expected = light_e * exact[24:40, 40:56]
+        assert np.abs(found - expected).max() <= 1e-11 * expected.max() + 1e-9
+
+
+def test_tiles_change_no_bit_of_a_bright_star() -> None:
+    plan, _ = case("airy")
+    whole = drawn(plan, 1e10)
+    part = drawn(plan, 1e10, Tile(0, 0, 20, 7, 30, 41))
+    assert np.array_equal(part, whole[20:50, 7:48])
+
+
+def test_more_light_than_rounding_allows_is_refused() -> None:
+    plan, _ = case("gaussian")
+    with pytest.raises(BadInput, match="noise_fraction"):
+        drawn(plan, 1e22)
