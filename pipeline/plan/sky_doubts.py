@@ -28,7 +28,6 @@ SUNLIT_EARTH_V_MAG = 2.4
 # Within which telescopes in low orbits keep from the sunlit limb and the Moon (Hubble: 20 and 9).
 EARTH_RAD, MOON_RAD = 20.0 * DEG_RAD, 9.0 * DEG_RAD
 SMALL_RAD = 0.1 * DEG_RAD  # radius of a disc below which, far away, it is one star of many
-MOONLIGHT_RAD = 5.0 * DEG_RAD  # `physics.sky.night.NEAREST_MOON_RAD`: the law is held within
 
 
 @dataclass(frozen=True)
@@ -100,8 +99,10 @@ def _exclusion_rad(scene: Scene) -> float:
 
 def _moonlight_rad(scene: Scene) -> float:
     """Angle from the frame within which moonlight is not known."""
+    from pipeline.physics.sky.night import NEAREST_MOON_RAD
+
     b = scene.background
-    return MOONLIGHT_RAD if b is not None and b.moonlight else -np.pi
+    return NEAREST_MOON_RAD if b is not None and b.moonlight else -np.pi
 
 
 def _highest(scene: Scene) -> float | None:
@@ -197,10 +198,16 @@ def _light_e(scene: Scene, facts: Facts, response: ResponseCurve, mag: float) ->
 def _earth_in_field(
     scene: Scene, facts: Facts, response: ResponseCurve, seen: Look, k: int
 ) -> list[str]:
-    """What is said of a frame across the Earth's limb (a boresight inside of it is refused)."""
+    """What is said of a frame across the Earth's limb or a site's horizon (a boresight inside is
+    refused)."""
     inside = -float(_off_field(seen.earth)[k])
     if inside < 0.0:
         return []
+    if isinstance(scene.observer, GroundObserver):
+        return [
+            f"the horizon is in the field, {inside / DEG_RAD:.2f} deg above its lowest corner "
+            f"(frame {seen.frame(k)}): the ground is not drawn, and the sky is drawn across it"
+        ]
     light_e = _light_e(scene, facts, response, SUNLIT_EARTH_V_MAG)
     return [
         f"the Earth is in the field, its limb {inside / DEG_RAD:.2f} deg inside the frame (frame "
@@ -272,7 +279,7 @@ def _moon_near(scene: Scene, seen: Look, k: int) -> list[str]:
     """The Moon so near that moonlight in the air is not known, where it is asked for."""
     if seen.moon.hidden[k] > 0.0 or seen.moon.off_frame[k] > _moonlight_rad(scene):
         return []
-    least = MOONLIGHT_RAD / DEG_RAD
+    least = _moonlight_rad(scene) / DEG_RAD
     where = f"{float(seen.moon.off_frame[k]) / DEG_RAD:.2f} deg from the frame"
     return [accept_or_refuse(
         scene, "moon", "background.moonlight", f"the Moon {where} (frame {seen.frame(k)})",

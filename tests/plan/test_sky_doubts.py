@@ -251,6 +251,22 @@ def test_the_sunlit_earth_in_the_field_or_beside_it() -> None:
         assert bool(notes) == noted
 
 
+def test_a_horizon_in_the_field() -> None:
+    """Of a level camera: the lower corners stand lower than the middle of its lower side."""
+    sky = {"background": {"uniform_mag_arcsec2": 21.0}}
+    t = np.tan(np.radians(HALF_DEG))
+    for up, warned in ((0.1, True), (HALF_DEG - 0.1, True), (HALF_DEG + 0.1, False)):
+        pointing = {"pointing": {"mode": "local", "azimuth_deg": 77.0, "elevation_deg": up}}
+        found = doubts(scene_of({"observer": SITE}, pointing, sky))
+        said = [one for one in found.warnings if one.startswith("the horizon is in the field")]
+        assert bool(said) == warned
+        if said:
+            tilt = np.radians(up)
+            low = np.arcsin((np.sin(tilt) - t * np.cos(tilt)) / np.sqrt(1.0 + 2.0 * t * t))
+            below = float(said[0].split("field, ")[1].split(" deg")[0])
+            assert below == pytest.approx(-np.degrees(low), abs=0.012)
+
+
 def test_search_for_a_frame_that_is_missed() -> None:
     """Turning boresights over many frames: what every moment of every exposure shows is found.
 
