@@ -18,7 +18,6 @@ from pipeline.plan.tiles import Tile
 
 NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, beyond it is a fault
 PLACE_PX = 1e-3  # that a source's pixel and its direction may be apart
-ALIASES = 8  # cycles a pixel up to which gaps between pixels are looked at
 ROUNDING_RAD = 2e-15
 FIELDS = {  # of the scene, by the layer that comes from it
     "stars_e": "stars", "targets_e": "targets", "background_e": "background",

@@ -89,12 +89,15 @@ def judge(scene: Scene, decisions: tuple[Decision, ...]) -> list[str]:
     if total <= asked * ROUNDING:
         return []
     largest = sorted(decisions, key=lambda d: -_counted(d, d.error_bound_sigma))[:3]
-    named = ", ".join(f"{d.component} {d.error_bound_sigma:.3g}" for d in largest)
+    named = ", ".join(
+        f"{d.component} {d.error_bound_sigma:.3g}" for d in largest if d.error_bound_sigma
+    )
+    least = math.ceil(total * 1e3) / 1e3
+    allowed = f"at least {least:g}" if least <= 1.0 else f"none: at most 1, and {least:g} is needed"
     return [
         accept_or_refuse(
             scene, "error", "accuracy.noise_fraction", asked,
-            f"at least {math.ceil(total * 1e3) / 1e3:g}, the sum of this scene's bounds in units "
-            f"of a pixel's noise ({named})",
+            f"{allowed}, the sum of this scene's bounds in units of a pixel's noise ({named})",
             f"pixels may err by {total:.3g} of their noise where {asked:g} was asked ({named})",
         )
     ]  # fmt: skip

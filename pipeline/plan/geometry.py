@@ -13,7 +13,6 @@ from pipeline.arrays import Geometry, Refined
 from pipeline.errors import BadInput
 from pipeline.physics.constants import (
     ASTRONOMICAL_UNIT_M,
-    EARTH_EQUATORIAL_RADIUS_M,
     JULIAN_YEAR_DAYS,
     SPEED_OF_LIGHT_M_S,
 )
@@ -23,6 +22,7 @@ from pipeline.physics.positions.apparent import (
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
+from pipeline.physics.positions.limb import limb_angle
 from pipeline.physics.positions.orbit import check_above_earth
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import separation
@@ -341,18 +341,15 @@ def _observer(
 
 def _check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
     """Refuse a boresight that ends in the Earth: below the horizon, or inside its disc."""
-    distance = np.sqrt(np.sum(observer_m**2, axis=-1))
-    down = -observer_m / distance[:, None]
     if isinstance(scene.observer, GroundObserver):
-        elevation = separation(boresight, down) - np.pi / 2
+        elevation = separation(boresight, -observer_m) - np.pi / 2
         if elevation.min() < 0:
             raise BadInput(
                 "pointing", f"elevation {np.degrees(elevation.min()):.2f} deg",
                 "a boresight above the horizon of the site during all exposures",
             )  # fmt: skip
         return
-    disc = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / distance))
-    limb = separation(boresight, down) - disc
+    limb = limb_angle(observer_m, boresight)
     if limb.min() < 0:
         raise BadInput(
             "pointing", f"{-np.degrees(limb.min()):.2f} deg inside the Earth's limb",

@@ -1,4 +1,4 @@
-"""Where Sun and Moon stand in all exposures: as the frames, the horizon and the limb see them."""
+"""Where Sun, Moon and Earth stand in all exposures: as frames, horizon and limb see them."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from pipeline.physics.positions.focal_plane import (
     deproject,
     project,
 )
+from pipeline.physics.sky.moon import irradiance_share
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
 from pipeline.physics.vectors import separation, unit
 from pipeline.plan.geometry import aimed, camera_of
@@ -61,15 +62,19 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Look:
-    """Sun and Moon at n moments of the exposures, in order.
+    """Sun, Moon and Earth at n moments of the exposures, in order.
 
-    tick : (n,) number of the moment: TICKS of each frame; turn : (n - 1,) angle [rad] by which what
-    is looked at turns from each moment to the next: camera, horizon and bodies together
+    tick : (n,) number of the moment: TICKS of each frame; earth : its disc, or all below a site's
+    horizon; moon_share : (n,) the Moon's irradiance over the Sun's at 1 au, in V, without eclipses;
+    turn : (n - 1,) angle [rad] by which what is looked at turns from each moment to the next:
+    camera, horizon and bodies together
     """
 
     tick: Ticks
     sun: Lamp
     moon: Lamp
+    earth: Lamp
+    moon_share: Array
     turn: Array
 
     def frame(self, k: int) -> int:
@@ -127,10 +132,42 @@ def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> Look:
     lamps = (
         _lamp(scene, camera, attitude, at, sun, SUN_RADIUS_M, beta),
         _lamp(scene, camera, attitude, at, moon, MOON_RADIUS_M, beta),
+        _earth(scene, camera, attitude, at.observer_m),
     )
     turned = [separation(v[:-1], v[1:]) for v in (*np.moveaxis(attitude, 1, 0), at.observer_m)]
     bodies = np.maximum(*(separation(v[:-1], v[1:]) for v in (sun, moon)))
-    return Look(ticks, lamps[0], lamps[1], np.max(turned, axis=0) + bodies)
+    return Look(ticks, *lamps, _moon_share(moon, sun - moon), np.max(turned, axis=0) + bodies)
+
+
+def _moon_share(to_moon_m: Array, moon_to_sun_m: Array) -> Array:
+    """Of vectors (n, 3) from the observer to the Moon, and from there to the Sun."""
+    phase = separation(-to_moon_m, moon_to_sun_m)
+    far, from_sun = (np.sqrt(np.sum(v**2, axis=-1)) for v in (to_moon_m, moon_to_sun_m))
+    return irradiance_share(phase, from_sun, far)
+
+
+def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lamp:
+    """The Earth's disc at geocentric places (n, 3), which move along with it: of a site all that is
+    below its horizon, which comes into a frame by a corner."""
+    seen = np.full(len(place_m), -np.pi)
+    if isinstance(scene.observer, GroundObserver):
+        down = -unit(_upright(place_m))
+        off_axis, radius = separation(attitude[:, 2], down), np.full(len(down), 0.5 * np.pi)
+        x = np.array([-0.5, camera.columns - 0.5])
+        x, y = np.tile(x, 2), np.repeat([-0.5, camera.rows - 0.5], 2)
+        corners = np.stack([deproject(camera, axes, x, y) for axes in attitude])
+        off_frame = separation(corners, down[:, None]).min(axis=-1)
+        return Lamp(off_axis, off_frame, radius, seen, seen)
+    down = unit(-place_m)
+    height = np.sqrt(np.sum(place_m**2, axis=-1))
+    radius = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / height))
+    off_axis = separation(attitude[:, 2], down)
+    return Lamp(off_axis, _off_frame(camera, attitude, down, off_axis), radius, seen, seen)
+
+
+def _upright(place_m: Array) -> Array:
+    """Normals (n, 3) of the Earth's ellipsoid at geocentric places, of any length."""
+    return place_m * [1.0, 1.0, (1.0 - EARTH_FLATTENING) ** -2]
 
 
 def _lamp(
@@ -141,8 +178,7 @@ def _lamp(
     distance = np.sqrt(np.sum(body_m**2, axis=-1))
     towards = aberrate(unit(body_m), beta)
     radius = np.arcsin(np.minimum(1.0, radius_m / distance))
-    up = unit(at.observer_m * [1.0, 1.0, (1.0 - EARTH_FLATTENING) ** -2])  # of the ellipsoid
-    elevation = 0.5 * np.pi - separation(body_m, up)
+    elevation = 0.5 * np.pi - separation(body_m, _upright(at.observer_m))
     off_axis = separation(attitude[:, 2], towards)
     return Lamp(
         off_axis, _off_frame(camera, attitude, towards, off_axis), radius,

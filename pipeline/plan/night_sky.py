@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
-from pipeline.errors import BadInput
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.sky.moon import irradiance_share
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from pipeline.plan.sky_light import SkyInputs
 
 Array = NDArray[np.float64]
-
-HIGHEST_SUN_DEG = 0.0
 
 
 def dimmed(
@@ -60,8 +57,7 @@ def night_parts(
 ) -> dict[str, Array]:
     """Electrons/s per m2 of pupil and sr (n,) of the light of the air; observed : (n, 3).
 
-    Raises BadInput for twilight with the Sun above the horizon, unless the scene accepts daylight:
-    then it is that of a Sun at the horizon.
+    Twilight of a Sun above the horizon (`plan.sky_doubts`) is that of one at the horizon.
     """
     b, band, out = scene.background or Background(starlight="none"), inputs.night, {}
     if band is None or not b.of_the_air:
@@ -85,14 +81,8 @@ def night_parts(
         )  # fmt: skip
     if b.twilight:
         up = unit(sun - place)
-        height_deg = float(np.degrees(np.arcsin(np.clip(up @ air[:3], -1.0, 1.0))))
-        if height_deg > HIGHEST_SUN_DEG and "daylight" not in scene.accept:
-            raise BadInput(
-                "background.twilight", f"the Sun {height_deg:.2f} deg above the horizon",
-                "a Sun below the horizon: daylight is not in this version",
-            )  # fmt: skip
         apart = separation(observed, up[None])
-        sun_sine = min(float(up @ air[:3]), np.sin(np.radians(HIGHEST_SUN_DEG)))
+        sun_sine = min(float(up @ air[:3]), 0.0)
         out["twilight"] = twilight(band, inputs.extinction, sine, sun_sine, apart)
     return out
 

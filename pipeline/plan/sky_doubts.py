@@ -1,4 +1,4 @@
-"""Skies that are not drawn: the Sun in the field or near it, the Moon in it, a site by day."""
+"""Skies that are not drawn: Sun, Moon and Earth in the field or near it, a site by day."""
 
 from __future__ import annotations
 
@@ -23,7 +23,11 @@ Array = np.ndarray
 HIGHEST_WITH_TWILIGHT_RAD = 0.0  # where the formula of twilight ends
 HIGHEST_OF_NIGHT_RAD = -12.0 * DEG_RAD
 DARK_RAD = -18.0 * DEG_RAD
-MOONLIGHT_RAD = 5.0 * DEG_RAD  # `physics.sky.night.NEAREST_MOON_RAD`: the law is held within
+# V of a Lambertian surface of albedo 0.3 under the Sun: -26.76 - 2.5 log10(0.3 / pi arcsec^2).
+SUNLIT_EARTH_V_MAG = 2.4
+# Within which telescopes in low orbits keep from the sunlit limb and the Moon (Hubble: 20 and 9).
+EARTH_RAD, MOON_RAD = 20.0 * DEG_RAD, 9.0 * DEG_RAD
+SMALL_RAD = 0.1 * DEG_RAD  # radius of a disc below which, far away, it is one star of many
 
 
 @dataclass(frozen=True)
@@ -46,23 +50,26 @@ def sky_doubts(scene: Scene, facts: Facts, response: ResponseCurve, dut1_s: floa
     remarks: list[str] = []
     if isinstance(scene.observer, GroundObserver):
         warnings, remarks = _daylight(scene, facts, response, seen, nearest["day"])
+        warnings += _no_moonlight(scene, facts, response, seen)
     warnings += _sun_in_field(scene, seen, nearest["sun"]) or _sun_near(
         scene, seen, nearest["near the sun"]
     )
     warnings += _moon_in_field(scene, seen, nearest["moon"]) or _moon_near(
         scene, seen, nearest["near the moon"]
     )
+    warnings += _earth_in_field(scene, facts, response, seen, nearest["earth"])
+    remarks += _no_stray_light(scene, seen)
     if not sure:
         remarks.append(
-            f"Sun and Moon were looked for at {len(seen.tick)} moments of the exposures; the "
-            "boresight turns so far between some of them that it may pass one unnoticed"
+            f"Sun, Moon and Earth were looked for at {len(seen.tick)} moments of the exposures; "
+            "the boresight turns so far between some of them that it may pass one unnoticed"
         )
     return Doubts(tuple(warnings), tuple(remarks))
 
 
 def _margins(scene: Scene, at: Look) -> dict[str, Array]:
     """How far [rad] moments (n,) are from each doubt: daylight, Sun and Moon in the field or near
-    it; at or below 0 where there is one."""
+    it, the Earth in it; at or below 0 where there is one."""
     highest = _highest(scene)
     day = np.full(len(at.tick), np.pi) if highest is None else highest - at.sun.elevation
     near_sun, near_moon = _exclusion_rad(scene), _moonlight_rad(scene)
@@ -72,6 +79,7 @@ def _margins(scene: Scene, at: Look) -> dict[str, Array]:
         "near the sun": np.maximum(at.sun.off_axis - near_sun, at.sun.hidden),
         "moon": np.maximum(_off_field(at.moon), at.moon.hidden),
         "near the moon": np.maximum(at.moon.off_frame - near_moon, at.moon.hidden),
+        "earth": _off_field(at.earth),
     }
 
 
@@ -91,8 +99,10 @@ def _exclusion_rad(scene: Scene) -> float:
 
 def _moonlight_rad(scene: Scene) -> float:
     """Angle from the frame within which moonlight is not known."""
+    from pipeline.physics.sky.night import NEAREST_MOON_RAD
+
     b = scene.background
-    return MOONLIGHT_RAD if b is not None and b.moonlight else -np.pi
+    return NEAREST_MOON_RAD if b is not None and b.moonlight else -np.pi
 
 
 def _highest(scene: Scene) -> float | None:
@@ -150,14 +160,80 @@ def _little_twilight(
     """What is said of twilight that is not asked for, where it is more than the accuracy."""
     from pipeline.physics.sky.night import twilight_zenith_v_mag
 
-    mag = twilight_zenith_v_mag(up_rad)  # V is an AB magnitude within 0.02
-    solid_sr = facts.ifov_rad**2 * scene.sensor.fill_factor
-    rate = surface_brightness_electron_rate(mag, response, facts.area_m2, solid_sr)
-    light_e = rate * integration_range_s(scene)[1]
+    mag = twilight_zenith_v_mag(up_rad)
+    light_e = _light_e(scene, facts, response, mag)
     if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
         return []
     return [f"{where}: twilight, about V = {mag:.1f} per square arcsecond at the zenith or "
             f"{light_e:.3g} e- per pixel, is not drawn (background.twilight draws it)"]  # fmt: skip
+
+
+def _no_moonlight(scene: Scene, facts: Facts, response: ResponseCurve, seen: Look) -> list[str]:
+    """What is said of moonlight that is not asked for, where it is more than the accuracy."""
+    from pipeline.physics.sky.night import moonlight_zenith_v_mag
+
+    b, k = scene.background, int(np.argmax(seen.moon.elevation))
+    up = float(seen.moon.elevation[k])
+    if up <= 0.0 or _own_sky(b) or (b is not None and b.moonlight):
+        return []
+    mag = moonlight_zenith_v_mag(up, float(seen.moon_share[k]))
+    light_e = _light_e(scene, facts, response, mag)
+    if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
+        return []
+    return [
+        f"the Moon at {up / DEG_RAD:.2f} deg of elevation (frame {seen.frame(k)}): moonlight, "
+        f"about V = {mag:.1f} per square arcsecond at the zenith or {light_e:.3g} e- per pixel, is "
+        "not drawn (background.moonlight draws it)"
+    ]
+
+
+def _light_e(scene: Scene, facts: Facts, response: ResponseCurve, mag: float) -> float:
+    """Electrons in a pixel and the longest exposure of a sky of V mag per square arcsecond, which
+    is an AB magnitude within 0.02."""
+    solid_sr = facts.ifov_rad**2 * scene.sensor.fill_factor
+    rate = surface_brightness_electron_rate(mag, response, facts.area_m2, solid_sr)
+    return rate * integration_range_s(scene)[1]
+
+
+def _earth_in_field(
+    scene: Scene, facts: Facts, response: ResponseCurve, seen: Look, k: int
+) -> list[str]:
+    """What is said of a frame across the Earth's limb or a site's horizon (a boresight inside is
+    refused)."""
+    inside = -float(_off_field(seen.earth)[k])
+    if inside < 0.0:
+        return []
+    if isinstance(scene.observer, GroundObserver):
+        return [
+            f"the horizon is in the field, {inside / DEG_RAD:.2f} deg above its lowest corner "
+            f"(frame {seen.frame(k)}): the ground is not drawn, and the sky is drawn across it"
+        ]
+    light_e = _light_e(scene, facts, response, SUNLIT_EARTH_V_MAG)
+    return [
+        f"the Earth is in the field, its limb {inside / DEG_RAD:.2f} deg inside the frame (frame "
+        f"{seen.frame(k)}): its disc, about V = {SUNLIT_EARTH_V_MAG:g} per square arcsecond or "
+        f"{light_e:.3g} e- per pixel where the Sun is high, is not drawn, and the sky is drawn "
+        "across it"
+    ]
+
+
+def _no_stray_light(scene: Scene, seen: Look) -> list[str]:
+    """Notes on bodies that baffles are made to be pointed away from, where none of their light is
+    drawn."""
+    wish = scene.background.stray_light if scene.background is not None else None
+    if isinstance(scene.observer, GroundObserver):
+        return []
+    found = []
+    for name, lamp, within, drawn in (
+        ("Earth's limb", seen.earth, EARTH_RAD, wish is not None and wish.earth),
+        ("Moon's limb", seen.moon, MOON_RAD, wish is not None and wish.moon),
+    ):
+        off = lamp.off_axis - lamp.radius
+        off = np.where((lamp.hidden <= 0.0) & (lamp.radius > SMALL_RAD), off, np.pi)
+        if off.min() < within and not drawn:
+            found.append(f"the {name} {float(off.min()) / DEG_RAD:.2f} deg from the boresight")
+    ending = "stray light of what is sunlit there is not drawn (background.stray_light draws it)"
+    return [f"{' and '.join(found)}: {ending}"] if found else []
 
 
 def _sun_in_field(scene: Scene, seen: Look, k: int) -> list[str]:
@@ -203,7 +279,7 @@ def _moon_near(scene: Scene, seen: Look, k: int) -> list[str]:
     """The Moon so near that moonlight in the air is not known, where it is asked for."""
     if seen.moon.hidden[k] > 0.0 or seen.moon.off_frame[k] > _moonlight_rad(scene):
         return []
-    least = MOONLIGHT_RAD / DEG_RAD
+    least = _moonlight_rad(scene) / DEG_RAD
     where = f"{float(seen.moon.off_frame[k]) / DEG_RAD:.2f} deg from the frame"
     return [accept_or_refuse(
         scene, "moon", "background.moonlight", f"the Moon {where} (frame {seen.frame(k)})",

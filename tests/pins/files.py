@@ -68,8 +68,12 @@ def _text(path: Path, lines: Sequence[str]) -> None:
 def _catalogue(
     folder: Path, name: str, count: int, half_deg: float, low: float, high: float, first: int
 ) -> None:
-    """Stars that move and differ in colour, by the product's own ingest; their summed light."""
+    """Stars that move and differ in colour, by the product's own ingest; their summed light.
+
+    Their numbers are made up: they hold no place.
+    """
     from catalog_tools.catalogue import open_catalogue
+    from catalog_tools.forms.load import FOLDER
     from catalog_tools.ingest import ingest
     from catalog_tools.starlight import make_starlight
 
@@ -88,7 +92,9 @@ def _catalogue(
     ]
     path = folder / f"{name}.csv"
     _text(path, [HEAD, *rows])
-    ingest([path], folder / name, workers=1)
+    form = (FOLDER / "gaia_dr2.toml").read_text(encoding="utf-8")
+    _text(folder / "form.toml", [form.replace("holds_place = true", "holds_place = false")])
+    ingest([path], folder / name, form=folder / "form.toml", workers=1)
     make_starlight(open_catalogue(folder / name))
 
 

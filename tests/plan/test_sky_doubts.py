@@ -199,7 +199,72 @@ def test_daylight_hour_by_hour(sky: dict[str, Any] | None, highest: float) -> No
                 elevation < -14.0  # where twilight is below the accuracy
             )
         if elevation < -18.1:
-            assert not found.warnings
+            assert not any("the Sun" in said for said in found.warnings)
+
+
+@pytest.mark.parametrize(("sky", "silent"), [
+    (None, False), ({"airglow": True}, False), ({"zodiacal": True}, False),
+    ({"moonlight": True}, True), ({"uniform_mag_arcsec2": 19.0}, True),
+])  # fmt: skip
+def test_a_moon_whose_light_is_not_asked_for(sky: dict[str, Any] | None, silent: bool) -> None:
+    """Said with its elevation by astropy, near full, and not with the Moon below the horizon."""
+    import astropy.units as u
+    from astropy.coordinates import AltAz, EarthLocation, get_body
+    from astropy.time import Time
+
+    site = EarthLocation.from_geodetic(-156.3 * u.deg, 20.7 * u.deg, 3055 * u.m)
+    air = {"observer": SITE | {"atmosphere": {"extinction": {"mag_per_airmass": 0.2}}},
+           "pointing": {"mode": "local", "azimuth_deg": 0.0, "elevation_deg": 80.0}}  # fmt: skip
+    for epoch, up in (("2019-04-20T11:00:00Z", True), ("2019-04-27T09:00:00Z", False)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            frame = AltAz(obstime=Time(epoch.rstrip("Z")), location=site)
+            elevation = get_body("moon", frame.obstime, site).transform_to(frame).alt.deg
+        assert (elevation > 0.0) == up
+        found = doubts(scene_of(air, {"epoch": epoch}, {"background": sky} if sky else {}))
+        said = [one for one in found.warnings if "moonlight" in one]
+        assert bool(said) == (up and not silent)
+        if said:
+            assert float(said[0].split("at ")[1].split(" deg")[0]) == pytest.approx(
+                elevation, abs=0.05
+            )
+            assert 17.0 < float(said[0].split("V = ")[1].split()[0]) < 20.5
+
+
+def test_the_sunlit_earth_in_the_field_or_beside_it() -> None:
+    """From 42,164 km the limb is asin(6378.137 / 42164) from the middle; a frame half a degree
+    and more beside it has a note, and one far away none."""
+    disc = np.degrees(np.arcsin(6378.137 / 42164.0))
+    for beside_deg, warned, noted in (
+        (0.5, True, True), (HALF_DEG - 0.05, True, True), (HALF_DEG + 0.05, False, True),
+        (19.5, False, True), (20.5, False, False),
+    ):  # fmt: skip
+        pointing = {"mode": "sidereal", "boresight_dec_deg": 0.0, "roll_deg": 0.0,
+                    "boresight_ra_deg": 180.0 - disc - beside_deg}  # fmt: skip
+        found = doubts(scene_of({"observer": HIGH, "pointing": pointing}))
+        inside = [said for said in found.warnings if said.startswith("the Earth is in the field")]
+        assert bool(inside) == warned
+        if inside:
+            deep = float(inside[0].split("limb ")[1].split(" deg")[0])
+            assert deep == pytest.approx(HALF_DEG - beside_deg, abs=0.012)
+        notes = [said for said in found.remarks if "Earth's limb" in said]
+        assert bool(notes) == noted
+
+
+def test_a_horizon_in_the_field() -> None:
+    """Of a level camera: the lower corners stand lower than the middle of its lower side."""
+    sky = {"background": {"uniform_mag_arcsec2": 21.0}}
+    t = np.tan(np.radians(HALF_DEG))
+    for up, warned in ((0.1, True), (HALF_DEG - 0.1, True), (HALF_DEG + 0.1, False)):
+        pointing = {"pointing": {"mode": "local", "azimuth_deg": 77.0, "elevation_deg": up}}
+        found = doubts(scene_of({"observer": SITE}, pointing, sky))
+        said = [one for one in found.warnings if one.startswith("the horizon is in the field")]
+        assert bool(said) == warned
+        if said:
+            tilt = np.radians(up)
+            low = np.arcsin((np.sin(tilt) - t * np.cos(tilt)) / np.sqrt(1.0 + 2.0 * t * t))
+            below = float(said[0].split("field, ")[1].split(" deg")[0])
+            assert below == pytest.approx(-np.degrees(low), abs=0.012)
 
 
 def test_search_for_a_frame_that_is_missed() -> None:

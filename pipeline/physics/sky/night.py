@@ -19,10 +19,12 @@ V_ZERO_ERG = 3.63e-5  # erg/s/cm2/um of V = 0 (Bessell 1979)
 # exp(20.7233 - 0.92104 V) = B / 34.08, in nanolambert (Krisciunas & Schaefer 1991, equation 1)
 PER_NANOLAMBERT = np.exp(-20.7233) / 34.08 * 10.0 ** (-0.4 * -SUN_V_MAG) / ARCSEC2_SR
 PER_ERG = 10.0 ** (-0.4 * -SUN_V_MAG) / V_ZERO_ERG / ARCSEC2_SR
+FOOT_CANDLE = 10.0 ** (-0.4 * (16.57 + SUN_V_MAG))  # of sunlight at 1 au, likewise
 TWILIGHT_V = -26.74 + 11.05 + 32.5  # the Sun's V, the unit's zero point, a fit
 V_M = 550e-9
 USUAL_V_MAG = 0.2  # of extinction at the zenith, where a site's own is not known
 NEAREST_MOON_RAD = 5.0 * DEG_RAD
+AUREOLE_DEG = 8.449078007953648  # where equation 21 meets equation 20; published: 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,23 +97,40 @@ def moonlight(
     Krisciunas & Schaefer 1991, PASP 103, 1033, equations 3, 15, 18, 20 and 21, wavelength by
     wavelength with the band's own extinction: their formula in V, 8 to 23% from measurements there;
     for a band that scatters otherwise a fair guess. On the Moon's own path the air mass is Kasten &
-    Young's, so that it fades at the horizon. Their aureole within 10 degrees (equation 21) grows
-    without end towards the Moon: it is held within NEAREST_MOON_RAD, a choice.
+    Young's, so that it fades at the horizon. Their aureole (equation 21, published for less than 10
+    degrees) would be a step of 22% there: it begins at AUREOLE_DEG, where both laws agree. It grows
+    without end towards the Moon: it is held within NEAREST_MOON_RAD. Both are choices.
 
     sine (n,), apart_rad (n,) : of lines of sight: sine of the elevation, angle from the Moon
     irradiance_share : of the Moon above the air, over the solar irradiance at 1 au, in V
     """  # fmt: skip
     if moon_sine <= 0.0:
         return np.zeros(np.shape(sine))
-    apart = np.asarray(apart_rad) / DEG_RAD
-    nearest = np.maximum(apart, NEAREST_MOON_RAD / DEG_RAD)
-    mie = np.where(apart >= 10.0, 10.0 ** (6.15 - apart / 40.0), 6.2e7 / nearest**2)
-    scatter = 10.0**5.36 * (1.06 + np.cos(apart_rad) ** 2) + mie
-    candle = 10.0 ** (-0.4 * (16.57 + SUN_V_MAG)) * irradiance_share  # 10^(-0.4 (V + 16.57))
+    scatter = _scatter(np.asarray(apart_rad))
+    candle = FOOT_CANDLE * irradiance_share  # 10^(-0.4 (V + 16.57))
     mass = 1.0 / np.sqrt(1.0 - 0.96 * (1.0 - np.square(np.clip(sine, 0.0, 1.0))))
     scattered = 1.0 - 10.0 ** (-0.4 * extinction.scattered_mag * mass[..., None])
     lamp = band.moon * 10.0 ** (-0.4 * extinction.mag * air_mass(moon_sine))
     return PER_NANOLAMBERT * scatter * candle * (scattered @ lamp)
+
+
+def _scatter(apart_rad: Array) -> Array:
+    """How much air scatters by angles (n,) from the Moon: equations 20, 21 and Rayleigh's."""
+    apart = apart_rad / DEG_RAD
+    nearest = np.maximum(apart, NEAREST_MOON_RAD / DEG_RAD)
+    mie = np.where(apart >= AUREOLE_DEG, 10.0 ** (6.15 - apart / 40.0), 6.2e7 / nearest**2)
+    return np.asarray(10.0**5.36 * (1.06 + np.cos(apart_rad) ** 2) + mie)
+
+
+def moonlight_zenith_v_mag(moon_elevation_rad: float, irradiance_share: float) -> float:
+    """V magnitudes per square arcsecond of moonlight at the zenith, the Moon above the horizon.
+
+    The same formula, with USUAL_V_MAG of extinction; irradiance_share as in `moonlight`.
+    """
+    passed = 10.0 ** (-0.4 * USUAL_V_MAG * float(air_mass(np.sin(moon_elevation_rad))))
+    light = float(_scatter(np.asarray(0.5 * np.pi - moon_elevation_rad)))
+    light *= FOOT_CANDLE * irradiance_share * passed * (1.0 - 10.0 ** (-0.4 * USUAL_V_MAG))
+    return float((20.7233 - np.log(light / 34.08)) / 0.92104)
 
 
 def twilight(

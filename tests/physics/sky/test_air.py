@@ -119,6 +119,15 @@ def narrow(k):
     return NightBand(np.zeros(len(sun)), sun, moon), extinction
 
 
+def test_moonlight_has_no_step():
+    """From hundredth to hundredth of a degree it changes little, also where its two laws meet."""
+    band, extinction = narrow(0.172)
+    apart = np.radians(np.arange(5.5, 15.0, 0.01))
+    light = moonlight(band, extinction, np.full(len(apart), 0.9), 0.7, apart, 1e-6)
+    change = np.abs(np.diff(light)) / light[:-1]
+    assert change.max() < 0.005
+
+
 @pytest.mark.parametrize(
     ("phase", "apart", "zenith", "moon_zenith"),
     [(0.0, 30.0, 20.0, 40.0), (60.0, 90.0, 60.0, 50.0), (30.0, 5.0, 35.0, 40.0)],
@@ -128,7 +137,7 @@ def test_moonlight_is_the_published_formula(phase, apart, zenith, moon_zenith):
     k = 0.172
     band, extinction = narrow(k)
     mag = -12.73 + 0.026 * phase + 4e-9 * phase**4
-    mie = 10 ** (6.15 - apart / 40) if apart >= 10 else 6.2e7 / apart**2
+    mie = 10 ** (6.15 - apart / 40) if apart >= 8.45 else 6.2e7 / apart**2
     f = 10**5.36 * (1.06 + np.cos(np.radians(apart)) ** 2) + mie
     x, xm = ((1 - 0.96 * np.sin(np.radians(z)) ** 2) ** -0.5 for z in (zenith, moon_zenith))
     bright = f * 10 ** (-0.4 * (mag + 16.57)) * 10 ** (-0.4 * k * xm) * (1 - 10 ** (-0.4 * k * x))
