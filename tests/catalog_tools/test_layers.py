@@ -17,7 +17,9 @@ from hypothesis import strategies as st
 from pyarrow.csv import read_csv
 
 from catalog_tools.build import About, build
+from catalog_tools.catalogue import open_catalogue
 from catalog_tools.columns import INCOMING
+from catalog_tools.coverage import all_sky
 from catalog_tools.layers import already_in, tolerance_arcsec
 from catalog_tools.regions import Cone
 from catalog_tools.sphere import directions, moved, separation_rad
@@ -216,7 +218,9 @@ def test_nothing_to_compare(pair, tmp_path):
     assert already_in(main, layer, ALL_SKY, -5.0).size == 0
     far = [Cone((0.0, 0.0, -1.0), 0.01)]
     assert already_in(main, layer, far).size == 0
-    empty = catalogue_of(table(ra=np.empty(0), dec=np.empty(0)), tmp_path / "e", DR2_JYEAR)
+    about = About("empty", "", False, DR2_JYEAR, {}, all_sky("nothing", 21.0, []).to_json())
+    build([], tmp_path / "e", about, rows_per_leaf=1000)
+    empty = open_catalogue(tmp_path / "e")
     assert already_in(empty, layer, ALL_SKY).size == 0
     assert already_in(main, empty, ALL_SKY).size == 0
 

@@ -267,6 +267,14 @@ SCENES: dict[str, Changes] = {
         "sensor.adc_bits": 63, "sensor.gain_e_per_dn": 1e-9, "sensor.bias_dn": 1e17,
         "background": {"uniform_e_per_s": 2e8},
     },
+    "site-with-a-pole": on_site(polar_motion_arcsec=[0.3, -0.2]) | {
+        "accept": ["sun", "moon", "daylight", "coverage", "error"],
+    },
+    "bias-frame": STARS | {"exposure.integration_s": 0.0, "sensor.dark_e_per_s": 40.0},
+    "scaled-dark": {
+        "sensor.dark_e_per_s": "@dark.npy", "sensor.dark_scale": 0.25,
+        "sensor.pupil_projection": False, "sensor.sun_exclusion_deg": 10.0,
+    },
     "two-tiles": STARS | {"sensor.shape": [16, 300], "output.tile_shape": [16, 256]},
     # Cosmic rays
     "rays-in-space": {
