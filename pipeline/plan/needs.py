@@ -19,7 +19,7 @@ PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
 GRID_S_PER_POINT = 1.5e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
-KERNEL_S_PER_POINT = 4e-7  # of the grid that a wing is made on, for each wavelength
+KERNEL_S_PER_POINT = 1.5e-7  # of the grid that a wing is made on, with its core; of a band the same
 CHECK_S = 0.1  # of one window that is drawn again
 CROWD_BYTES_PER_PIXEL = 50.0
 BASE_MB = 180.0  # of a process that has imported all and draws nothing
@@ -163,8 +163,8 @@ def _kernels_s(plan: Plan) -> float:
     r = plan.responses
     if not r.spacing_px:
         return 0.0
-    parts = sum(len(getattr(b.optics, "parts", (b.optics,))) for b in r.blurs)
-    return KERNEL_S_PER_POINT * _kernel_points(plan) * parts * min(CLASSES_USED, len(r.classes))
+    kernels = len(r.blurs) * min(CLASSES_USED, len(r.classes))
+    return KERNEL_S_PER_POINT * _kernel_points(plan) * kernels
 
 
 def _in_crowds(plan: Plan, stars: int) -> bool:

@@ -37,7 +37,7 @@ MOST_VALUES = 1e8  # pixels times points of a path that one source may cost: hal
 BAND_FLOOR = 1e-12
 FAR_SIGMA = 14.0  # a Gaussian holds all but 1e-42 of its light within it
 SPARE_PX = 4.0
-RADIUS_STEP = 1.25  # sources whose farthest pixels are so far apart share a profile
+RADIUS_STEP = 2.0  # sources whose farthest pixels are so far apart share a profile
 LONGEST_PX = 96.0  # of a path, that one rule goes along
 
 
@@ -149,7 +149,7 @@ def _pixel(blur: Blur, n: int) -> tuple[Array, Array, Array]:
     return math.sqrt(blur.fill_factor) * at, blur.fill_factor * weight, weight
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def far_pixels(blur: Blur, radius_px: float) -> Array:
     """What a pixel far from a source at rest collects, over distance and angle from a row.
 
@@ -176,7 +176,7 @@ def far_pixels(blur: Blur, radius_px: float) -> Array:
     return np.ascontiguousarray(np.einsum("pkm,ck->pcm", values, to_powers))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def profile_of(blur: Blur, radius_px: float) -> Profile:
     """The profile of a response up to a radius; what it holds does not depend on the radius."""
     optics, rounded, spread = _round(blur)
