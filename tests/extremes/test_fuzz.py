@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -16,7 +18,7 @@ from tests.extremes.scenes import LARGE_PX, SMALL_PX, broken, random_scene
 from tests.extremes.stock import Stock, make_stock
 
 FEW, MANY, ALL = 25, 1000, 300
-SEED = 1000  # of the first scene
+SEEDS = tuple(np.random.default_rng(0).permutation(ALL)[:16].tolist())  # of the quick test
 CALM = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
 
@@ -25,7 +27,7 @@ def stock(tmp_path_factory) -> Stock:
     return make_stock(tmp_path_factory.mktemp("fuzz"))
 
 
-def judged(seeds: range, stock: Stock, side_px: int, workers: int) -> None:
+def judged(seeds: Sequence[int], stock: Stock, side_px: int, workers: int) -> None:
     """Every scene is as it should be; those that are not are printed, to be rendered again."""
     wrong = [v for v in fuzz.run(seeds, stock, side_px, workers) if v.wrong]
     told = io.StringIO()
@@ -36,7 +38,7 @@ def judged(seeds: range, stock: Stock, side_px: int, workers: int) -> None:
 
 
 def test_random_scenes(stock):
-    judged(range(SEED, SEED + FEW), stock, SMALL_PX, 1)
+    judged(SEEDS, stock, SMALL_PX, 1)
 
 
 @pytest.mark.slow
