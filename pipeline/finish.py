@@ -18,7 +18,7 @@ from pipeline.execute.check import summary
 from pipeline.execute.truth import star_truth, target_truth, world_of
 from pipeline.export.picture import write_preview
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
-from pipeline.plan.accuracy import doubts_of, total_e, total_sigma
+from pipeline.plan.accuracy import crowd_error_e, doubts_of, total_e, total_sigma
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.responses import table_error
 from pipeline.plan.scene_plan import Plan, colour_facts
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
+UNSEEN = 1e-3  # of an approximation's part: what a star of a crowd may err by unseen
 SIP_SIZE = 5  # SIP polynomials up to order 4
 SIP_SIZE_DISTORTED = 10  # and up to order 9
 WINDOW = 256
@@ -269,12 +270,38 @@ def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
         )["electrons"]
         fill = plan.responses.blur.fill_factor  # truth has what is collected, bounds what falls
         most = (pc.max(column).as_py() or 0.0) / fill
-        each = (
+        each = [
             (c.target_e, c.target_error) if kind == "targets" else (c.brightest_e, c.wing_error)
             for c in plan.responses.classes
-        )
+        ]
         light, error_e = max(light, most), max(error_e, most * (_error_of(most, each) + table))
+        if kind == "stars" and plan.responses.spacing_px:
+            error_e = max(error_e, _crowd_error_e(plan, begun, each, table))
     return {"brightest_source_e": light, "wing_error_of_brightest_e": error_e}
+
+
+def _crowd_error_e(
+    plan: Plan, begun: Begun, each: list[tuple[float, float]], table: float
+) -> float:
+    """What wings of the densest crowd of stars err by in one pixel [e-].
+
+    each : (limit, error) of the core classes; table : of the response. Stars that each err by less
+    than UNSEEN of one approximation's part are omitted.
+    """
+    import pyarrow.parquet as pq
+
+    r, fill = plan.responses, plan.responses.blur.fill_factor
+    limits, errors = np.array(each).T
+    least_e = UNSEEN * r.budget_e / float(errors.max() + table) * fill
+    stars = pq.read_table(
+        begun.path / layout.TRUTH / "stars.parquet", columns=["frame", "x_px", "y_px", "electrons"],
+        filters=[("electrons", ">", least_e)],
+    )  # fmt: skip
+    light = stars["electrons"].to_numpy() / fill
+    errs = np.append(errors, 0.0)[np.searchsorted(limits, light)] + table
+    frame, x_px, y_px = (stars[name].to_numpy() for name in ("frame", "x_px", "y_px"))
+    sides = 0.5 * r.spacing_px, 4.0 * r.classes[0].radius_px
+    return crowd_error_e(frame, x_px, y_px, errs * light, *sides)
 
 
 def _error_of(light_e: float, classes: Iterable[tuple[float, float]]) -> float:

@@ -182,7 +182,7 @@ def reference(
     followed = _star_groups(plan, g, at, near, own_paths)
     alone = [(_alone(plan, at, t), _end(plan, t)) for t in points]
     groups = [*followed, *(group for group, _ in alone if group is not None)]
-    ends = [plan.responses.reach_px] * len(followed)
+    ends = [plan.responses.fades_px] * len(followed)
     ends += [end for group, end in alone if group is not None]
     costs = [_quadrature_cost(plan, at, group) for group in groups]
     work = list(_pieces(plan, at, [of for of, c in zip(groups, costs, strict=True) if c is None]))
@@ -211,7 +211,7 @@ def reference(
 def _end(plan: Plan, t: FrameTarget) -> float:
     """Radius [px] where a point's light ends: that of one drawn by quadrature has none."""
     r = plan.responses
-    return math.inf if target_class(plan, t) == len(r.classes) else r.reach_px
+    return math.inf if target_class(plan, t) == len(r.classes) else r.fades_px
 
 
 def _alone(plan: Plan, at: Tile, t: FrameTarget) -> Group | None:

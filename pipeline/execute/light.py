@@ -154,7 +154,7 @@ def draw_along(
             k = int(classes[mine[i]])
             if k == len(plan.responses.classes):
                 place = float(x[i]), float(y[i]), float(light[i])
-                add_beyond(plan, image, tile, path, *place, plan.responses.reach_px)
+                add_beyond(plan, image, tile, path, *place, plan.responses.fades_px)
                 continue
             radius = plan.responses.classes[k].radius_px
             near = _box(tile, radius, float(x[i]), float(y[i]))

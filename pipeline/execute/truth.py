@@ -219,7 +219,7 @@ def matched_snr(
 
     SNR^2 = sum (F p)^2 / (sigma0^2 + F p) over the pixels of the source's own response p; F light,
     sigma0 the noise floor of the frame, with its own integration time; light and sky after the
-    typical flat. Evaluated on a grid of log F
+    typical flat; without photon noise sigma0 alone. Evaluated on a grid of log F
     and interpolated (error < 1e-3). Over a field, that of the responses around is interpolated,
     which is an upper bound.
     """
@@ -239,7 +239,8 @@ def _matched_snr(plan: Plan, blur: Blur, path: Path, light_e: Array, frame: int)
     low, high = np.log(positive.min()), np.log(positive.max())
     grid = np.linspace(low, high, 128 if high > low else 1)
     signal = flat * np.exp(grid)[:, None] * response[None, :]
-    snr = np.sqrt(np.sum(times * signal**2 / (floor + signal), axis=1))
+    own = signal if plan.scene.sensor.photon_noise else 0.0
+    snr = np.sqrt(np.sum(times * signal**2 / (floor + own), axis=1))
     with np.errstate(divide="ignore"):
         at = np.log(np.maximum(light_e, 0.0))
     return np.where(light_e > 0, np.exp(np.interp(at, grid, np.log(snr))), 0.0)

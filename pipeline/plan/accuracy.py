@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+import numpy as np
+
+from pipeline.arrays import Array
 from pipeline.plan.acceptance import accept_or_refuse
 from pipeline.plan.decision import Decision
 from pipeline.spec.scene import Scene
@@ -103,6 +106,29 @@ def judge(scene: Scene, decisions: tuple[Decision, ...]) -> list[str]:
     ]  # fmt: skip
 
 
+def crowd_error_e(
+    frame: Array, x_px: Array, y_px: Array, error_e: Array, cell_px: float, box_px: float
+) -> float:
+    """What stars (n,) err by together in one pixel, where each alone errs by `error_e` [e-].
+
+    Errors of a grid turn with a star's place in it. Those of stars in one cell, half the grid's
+    spacing wide, add up; those of cells as errors without relation do, within a box as wide as a
+    wing's error reaches. The largest of all boxes; 0 without stars.
+    """
+    if not len(error_e):
+        return 0.0
+    cells, of = np.unique(_cells(frame, x_px, y_px, cell_px), axis=0, return_inverse=True)
+    sums = np.bincount(of.ravel(), weights=error_e)
+    places = _cells(cells[:, 0], cells[:, 1] * cell_px, cells[:, 2] * cell_px, box_px)
+    _, of = np.unique(places, axis=0, return_inverse=True)
+    return float(np.sqrt(np.bincount(of.ravel(), weights=sums**2).max()))
+
+
+def _cells(frame: Array, x_px: Array, y_px: Array, side_px: float) -> Array:
+    """Frame, column and row (n, 3) of the squares that places are in."""
+    return np.column_stack([frame, np.floor(x_px / side_px), np.floor(y_px / side_px)])
+
+
 def doubts_of(asked: float, stated: float, achieved: float | None, accepted: bool) -> list[str]:
     """What a finished product says first where its error is not the one that was promised.
 
@@ -118,7 +144,8 @@ def doubts_of(asked: float, stated: float, achieved: float | None, accepted: boo
         )
     if stated > asked * ROUNDING and not accepted:
         doubts.append(
-            f"the brightest source drawn is brighter than the drawing serves within what was "
-            f"asked: pixels beside it may err by {stated:.3g} of their noise, not {asked:g}"
+            f"the brightest source or the densest crowd drawn is brighter than the drawing serves "
+            f"within what was asked: pixels there may err by {stated:.3g} of their noise, not "
+            f"{asked:g}"
         )
     return doubts

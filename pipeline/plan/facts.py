@@ -40,7 +40,8 @@ class Facts:
     background_e_s : sky of the darkest pixel, per second; of `gather_facts` alone the uniform sky
         in the central pixel; background_e : the same in an exposure
     dark_e, read_noise_e : typical values (medians)
-    sigma_floor_e : noise of a pixel that holds no source: sky, dark, read noise, quantisation
+    sigma_floor_e : noise of a pixel that holds no source: photon noise of sky and dark where the
+        scene draws it, read noise, quantisation
     budget_e : error that one approximation may make in such a pixel
     field : the responses over the field; None where one serves it all
     brightest_e : light of the brightest source in the longest exposure; 0 where not known
@@ -63,7 +64,6 @@ class Facts:
     brightest_e: float = 0.0
     flat: float = 1.0
     ab_rate_e_s_m2: float = math.nan
-
 
 
 def gather_facts(
@@ -92,12 +92,13 @@ def gather_facts(
     def noise_e(area_m2: float) -> tuple[float, float]:
         """Light of the sky [e-/s], and the noise of a pixel without sources [e-]."""
         sky = background_rate_e_s(scene, response, area_m2, pitch)
-        return sky, math.sqrt(sky * t + dark + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
+        return sky, noise_floor_e(scene, sky * t + dark, read_noise_e, gain_e_per_dn)
 
     floor_e = noise_e(annulus_m2 * open_past_vanes(s))[1]
     limit = None
     if brightest_e > 0.0:
-        limit = NoiseLimit(brightest_e, planned_floor_e(scene, floor_e), part_sigma(scene))
+        floor_e, photons = planned_floor_e(scene, floor_e), s.photon_noise
+        limit = NoiseLimit(brightest_e, floor_e, part_sigma(scene), photons)
     field = None
     if isinstance(s.psf, FieldPsf):
         from pipeline.plan.psf_field import plan_psf_field
@@ -125,6 +126,15 @@ def gather_facts(
         brightest_e=brightest_e,
         ab_rate_e_s_m2=ab_photon_rate(0.0, response),
     )
+
+
+def noise_floor_e(
+    scene: Scene, charge_e: float, read_noise_e: float, gain_e_per_dn: float
+) -> float:
+    """Noise of a pixel of this mean charge [e-]: of photons, unless the scene draws none; of
+    reading; of rounding, which is never nothing."""
+    photons_e2 = charge_e if scene.sensor.photon_noise else 0.0
+    return math.sqrt(photons_e2 + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
 
 
 def error_budget_e(scene: Scene, sigma_e: float) -> float:

@@ -23,10 +23,11 @@ BASE_MB = 180.0  # of a process that has imported all and draws nothing
 # Estimated from the operations, not measured yet.
 GRID_S_PER_POINT = 1.5e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
-KERNEL_S_PER_POINT = 4e-7  # of the grid that a wing is made on, for each wavelength
+KERNEL_S_PER_POINT = 1.5e-7  # of the grid that a wing is made on, with its core; of a band the same
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
 KERNEL_BYTES_PER_POINT = 60.0  # while a wing is made
 TEST_BYTES_PER_POINT = 60.0  # while a wing's error is measured
+SLOW_S = 0.05  # a frame's geometry: where planning took more, its measured time counts
 CLASSES_USED = 3  # of the core classes, by the sources of a usual scene
 
 
@@ -61,7 +62,9 @@ def predict(
     """Predicted CPU seconds, and memory of a process with one thread that draws.
 
     cpu_s : of one core, for planning, drawing and finishing, with START_S for a process that
-        starts; what compiling takes, once on a machine, is not in it
+        starts; what compiling takes, once on a machine, is not in it. Slow geometry (meshes, light
+        of the Earth on bodies, forces) and slow planning count as they were measured: of such scenes
+        two plans differ a little
     worker_memory_mb : all that such a process holds at its most, with the BASE_MB that it holds
         before it draws anything
     Of scenes that take less than some 2 s and 400 MB neither says more than that.
@@ -69,7 +72,8 @@ def predict(
     pixels = math.prod(plan.scene.sensor.shape)
     layers = len(plan.scene.output.layers)
     light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
-    light_s += _wings_s(plan, spent) + 2.0 * spent.geometry_s / spent.frames
+    geometry_s = spent.geometry_s / spent.frames
+    light_s += _wings_s(plan, spent) + (2.0 * geometry_s if geometry_s > SLOW_S else 0.0)
     once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan)
     return {
         "cpu_s": least_cpu_s(plan.scene) + once_s + plan.frames * light_s,
@@ -161,8 +165,8 @@ def _kernels_s(plan: Plan) -> float:
     r = plan.responses
     if not r.spacing_px:
         return 0.0
-    parts = sum(len(getattr(b.optics, "parts", (b.optics,))) for b in r.blurs)
-    return KERNEL_S_PER_POINT * _kernel_points(plan) * parts * min(CLASSES_USED, len(r.classes))
+    kernels = len(r.blurs) * min(CLASSES_USED, len(r.classes))
+    return KERNEL_S_PER_POINT * _kernel_points(plan) * kernels
 
 
 def _in_crowds(plan: Plan, stars: int) -> bool:

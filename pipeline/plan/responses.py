@@ -110,6 +110,12 @@ class ResponsePlan:
         return (self.blur,) if self.field is None else self.field.blurs
 
     @property
+    def fades_px(self) -> float:
+        """Radius at which the light of pixels drawn by quadrature has faded out: that of wings,
+        which are far smoother than pixels; light without wings ends by itself, within pixels."""
+        return self.reach_px if self.spacing_px else math.inf
+
+    @property
     def products(self) -> bool:
         """Whether stars are drawn as column times row."""
         streak_px = 0.0 if self.streaks.still else self.streaks.longest_px
@@ -155,7 +161,10 @@ def plan_responses(
         asked = scene.accuracy.noise_fraction
         floor_e = facts.budget_e / part_sigma(scene)  # that the budget is made for
         edge = max(_edge(b) for b in blurs)
-        streaks = plan_streaks(camera, ends, aberration, asked, floor_e, facts.budget_e, edge)
+        streaks = plan_streaks(
+            camera, ends, aberration, asked, floor_e, facts.budget_e, edge,
+            scene.sensor.photon_noise,
+        )  # fmt: skip
         path = _shortest_piece(camera, ends, streaks, aberration)
     shape, length = scene.sensor.shape, 0.5 * streaks.longest_px
     longest = Path(np.array([-length, length]), np.zeros(2), np.ones(1))

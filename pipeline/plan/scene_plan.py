@@ -78,7 +78,7 @@ class Plan:
         exposure."""
         f, time_s = self.facts, self.integration_s(frame)
         least_s = integration_range_s(self.scene)[0]
-        if time_s == least_s:
+        if time_s == least_s or not self.scene.sensor.photon_noise:
             return f.sigma_floor_e
         more = (time_s - least_s) * (f.background_e_s + f.dark_e / least_s)
         return math.sqrt(f.sigma_floor_e**2 + more)
@@ -86,6 +86,8 @@ class Plan:
     def snr_floor_e2(self, frame: int) -> float:
         """Square of `floor_e` with the sky after the typical flat [e-^2]."""
         f = self.facts
+        if not self.scene.sensor.photon_noise:
+            return self.floor_e(frame) ** 2
         sky_e = f.background_e_s * self.integration_s(frame)
         return self.floor_e(frame) ** 2 - (1.0 - f.flat) * sky_e
 

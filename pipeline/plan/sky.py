@@ -137,6 +137,8 @@ def sky_tile(sky: SkyPlan, frame: int, tile: Tile) -> Array:
 def _noise(facts: Facts, scene: Scene, sky_e_s: float) -> tuple[float, float]:
     """Noise of a pixel under a sky of this light [e-], and one approximation's budget there."""
     more = (sky_e_s - facts.background_e_s) * integration_range_s(scene)[0]
+    if not scene.sensor.photon_noise:
+        more = 0.0
     sigma = math.sqrt(max(facts.sigma_floor_e**2 + more, 0.0))
     return sigma, error_budget_e(scene, sigma)
 

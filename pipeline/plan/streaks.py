@@ -117,6 +117,7 @@ class StreakPlan:
     floor_e, budget_e : noise of a pixel without sources, and what streaks may err by there
     edge : steepest that the end of a streak falls off, per px and light per px of path [1 / px]
     own_px : px from a star's own path, where that is interpolated across its zone
+    photons : light has noise of its own, so that a pixel with more of it may err by more
     """
 
     zones: int
@@ -132,6 +133,7 @@ class StreakPlan:
     budget_e: float = math.inf
     edge: float = USUAL_EDGE
     own_px: float = math.inf
+    photons: bool = True
 
     @property
     def off_px(self) -> float:
@@ -146,7 +148,8 @@ class StreakPlan:
     def merged_px(self, light_e: Array, length_px: float) -> Array:
         """How far straight runs of a star's own path may be off (n,): by SHOWN of the budget."""
         along_e = np.maximum(light_e, 1e-9) / max(1.0, length_px)
-        allowed_e = self.budget_e * np.sqrt(1.0 + along_e / self.floor_e**2)
+        rises = along_e / self.floor_e**2 if self.photons else 0.0
+        allowed_e = self.budget_e * np.sqrt(1.0 + rises)
         return np.clip(SHOWN * allowed_e / along_e, EXACT_MERGE_PX, MERGE_TOLERANCE_PX)
 
 
@@ -158,12 +161,13 @@ def plan_streaks(
     floor_e: float = 1.0,
     budget_e: float = math.inf,
     edge: float = USUAL_EDGE,
+    photons: bool = True,
 ) -> StreakPlan:
     """Fewest zones, then fewest pieces, whose stars streak alike.
 
     They do to SPREAD_TOLERANCE_PX at the usual accuracy; a finer one makes all tolerances finer.
     floor_e : noise of a pixel without sources; budget_e : what streaks may err by there. A pixel
-    with more light may err by as much more as it has noise. edge : see `StreakPlan`.
+    with more light may err by as much more as it has noise. edge, photons : see `StreakPlan`.
     """
     finer = 2.0 ** min(0.0, max(-8.0, math.floor(math.log2(noise_fraction / USUAL_FRACTION))))
     tolerance = SPREAD_TOLERANCE_PX * finer
@@ -182,18 +186,21 @@ def plan_streaks(
             mixed = _spread_px(offsets, pieces, mixed=True)
             own = _interpolated_px(offsets)
             made = StreakPlan(zones, pieces, spread, longest, shapes, step, merge, mixed,
-                              math.inf, floor_e, budget_e, edge, own)  # fmt: skip
-            begin = _light_from(made.off_px, floor_e, budget_e)
+                              math.inf, floor_e, budget_e, edge, own, photons)  # fmt: skip
+            begin = _light_from(made.off_px, made)
             return replace(made, mixed_from_e_px=begin) if made.off_px else made
         zones = min(2 * zones, most)
 
 
-def _light_from(off_px: float, floor_e: float, budget_e: float) -> float:
-    """Light per px of path x [e-] where its error x off equals budget sqrt(1 + x/floor^2) [e-]."""
-    if off_px == 0.0 or not math.isfinite(budget_e):
+def _light_from(off_px: float, plan: StreakPlan) -> float:
+    """Light per px of path x [e-] where its error x off equals budget sqrt(1 + x/floor^2) [e-],
+    or, where light has no noise of its own, the budget."""
+    if off_px == 0.0 or not math.isfinite(plan.budget_e):
         return math.inf
-    rise = (budget_e / (off_px * floor_e)) ** 2
-    return 0.5 * (rise + math.sqrt(rise * rise + 4.0 * rise * floor_e * floor_e))
+    if not plan.photons:
+        return plan.budget_e / off_px
+    rise = (plan.budget_e / (off_px * plan.floor_e)) ** 2
+    return 0.5 * (rise + math.sqrt(rise * rise + 4.0 * rise * plan.floor_e * plan.floor_e))
 
 
 def _power_of_two(n: float) -> int:
@@ -326,7 +333,7 @@ def zone_streak(
     whole = _rounded(offsets[:, middle], plan)
     length_px = max(1.0, whole.length_px)
     off_px = plan.mixed_px + 0.5 * fine.step_px + fine.merge_px + plan.edge * worst
-    own_e = max(plan.mixed_from_e_px, _light_from(off_px, plan.floor_e, plan.budget_e)) * length_px
+    own_e = max(plan.mixed_from_e_px, _light_from(off_px, plan)) * length_px
     return Streak(zone, whole, tuple(made), followed, plan.mixed_from_e_px * length_px, own_e)
 
 

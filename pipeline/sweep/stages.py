@@ -18,6 +18,7 @@ from pipeline.execute.graph import Inputs, place_task, read_shard, shard_key
 from pipeline.execute.tables import ContentCache
 from pipeline.execute.tile import LIGHTS, tile_light
 from pipeline.inputs.sensor import gather_sensor_maps
+from pipeline.plan.facts import noise_floor_e
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, overlap
@@ -179,7 +180,7 @@ def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
     )
     dark_e = maps.typical("dark_e_per_s") * integration_range_s(scene)[0]  # as in gather_facts
     read, gain = maps.typical("read_noise_e"), maps.typical("gain_e_per_dn")
-    sigma = float(np.sqrt(base.plan.facts.background_e + dark_e + read**2 + gain**2 / 12.0))
+    sigma = noise_floor_e(scene, base.plan.facts.background_e + dark_e, read, gain)
     flat = maps.typical("flat")
     facts = replace(
         base.plan.facts, dark_e=dark_e, read_noise_e=read, sigma_floor_e=sigma, flat=flat
@@ -213,7 +214,7 @@ def without_noise(scene: Scene, numbers: dict[str, float], whole: bool) -> Scene
         return scene.model_copy(update=update)
     plain: dict[str, Any] = {
         "flat": 1.0, "full_well_e": None, "bias_dn": 0.0, "adc_bits": 16,
-        "adc_rounding": "half_even", "photon_noise": True,
+        "adc_rounding": "half_even",
     } | numbers  # fmt: skip
     update["sensor"] = scene.sensor.model_copy(update=plain)
     if not whole:

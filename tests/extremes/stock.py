@@ -16,7 +16,7 @@ from pipeline.physics.cosmic_rays.tracks import Flux
 ROOT = Path(__file__).resolve().parents[2]
 # Where the catalogue's stars crowd together and random pointings look: (ra, dec) in degrees.
 PLACES = ((0.0, -90.0), (359.999999, -5.0), (123.4, 60.0), (276.0, -3.2), (0.0, 90.0), (40.0, 20.0))
-CROWD, ALL_SKY = 1500, 3000  # stars around each place, over the whole sky
+CROWD, ALL_SKY = 150, 3000  # stars around each place (27 a decade of distance), over the whole sky
 SIDE_PX = 64  # of the images that are made for a sensor of this many pixels a side
 CUBE = """o Bus
 v 0 0 0

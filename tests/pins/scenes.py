@@ -267,7 +267,7 @@ SCENES: dict[str, Changes] = {
         "sensor.adc_bits": 63, "sensor.gain_e_per_dn": 1e-9, "sensor.bias_dn": 1e17,
         "background": {"uniform_e_per_s": 2e8},
     },
-    "site-with-a-pole": on_site(polar_motion_arcsec=[0.3, -0.2]) | {
+    "site-with-a-pole": from_site(polar_motion_arcsec=[0.3, -0.2]) | {
         "accept": ["sun", "moon", "daylight", "coverage", "error"],
     },
     "bias-frame": STARS | {"exposure.integration_s": 0.0, "sensor.dark_e_per_s": 40.0},

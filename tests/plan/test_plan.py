@@ -106,6 +106,20 @@ def test_facts_against_hand_reckoning(scene: Make) -> None:
     assert 4.25 * f.budget_e == pytest.approx(0.05 * sigma)
 
 
+def test_noise_floor_without_photon_noise(scene: Make) -> None:
+    """Only reading and rounding hide errors then, in frames of every length, under every sky."""
+    quiet = {"sensor.photon_noise": False, "background": {"uniform_e_per_s": 3000.0},
+             "sensor.dark_e_per_s": 500.0, "sensor.gain_e_per_dn": 2.0}  # fmt: skip
+    sigma = math.sqrt(25.0 + 4.0 / 12)
+    for more in ({}, {"sensor.read_noise_e": 0.0}):
+        plan = plan_of(scene(quiet | more))
+        expected = sigma if not more else 2.0 / math.sqrt(12.0)
+        assert plan.facts.sigma_floor_e == pytest.approx(expected)
+        assert plan.floor_e(0) == pytest.approx(expected)
+        assert plan.snr_floor_e2(0) == pytest.approx(expected**2)
+        assert plan.responses.budget_e <= 0.05 * expected
+
+
 def test_decisions_list_what_is_absent_with_reason_and_bound(scene: Make) -> None:
     s = scene({"stars": None, "sensor.read_noise_e": None, "sensor.psf": GAUSS})
     decisions = {d.component: d for d in plan_of(s).decisions}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -87,6 +88,18 @@ def test_centroid_and_light_of_the_pieces(scene: Make) -> None:
         place = np.array(streak.at(piece.centre, x, y))[:, 0]
         mean += piece.share * (place + np.array(centroid(piece.path)))
     assert mean == pytest.approx(own, abs=3e-4)
+
+
+def test_light_without_noise_hides_no_error(scene: Make) -> None:
+    """A streak's error, off times its light per px, is the budget where mixtures begin."""
+    s = rate(scene, 30.0, -20.0, 1.0)
+    camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
+    noisy, silent = (
+        plan_streaks(camera, g, True, 0.05, 5.0, 0.02, photons=photons) for photons in (True, False)
+    )
+    assert silent.mixed_from_e_px * silent.off_px == pytest.approx(0.02)
+    rises = math.sqrt(1.0 + noisy.mixed_from_e_px / 25.0)
+    assert noisy.mixed_from_e_px * noisy.off_px == pytest.approx(0.02 * rises)
 
 
 def test_still_stars_are_one_point(scene: Make) -> None:

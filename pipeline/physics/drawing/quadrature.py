@@ -33,12 +33,13 @@ BLUR_SIGMA = 9.0  # a Gaussian blur reaches so far
 FEWEST, MOST, MORE = 6, 64, 4  # nodes across a pixel, and how many more are tried next
 CONVERGED = 1e-12
 PLACES_PX = ((0.0, 0.0), (0.5, 0.5), (1.3, 0.6), (2.7, 3.4))  # where pixels must converge
+FAR_NODES, FAR_WIDTH_PX = 10, 0.5  # of pixels beyond NEAR_PX, and of their panels: of seeing
 NEAR_PX = 12.0  # from a source, beyond which the angle's few harmonics are interpolated
 MOST_VALUES = 1e8  # pixels times points of a path that one source may cost: half a minute
 BAND_FLOOR = 1e-12
 FAR_SIGMA = 14.0  # a Gaussian holds all but 1e-42 of its light within it
 SPARE_PX = 4.0
-RADIUS_STEP = 1.25  # sources whose farthest pixels are so far apart share a profile
+RADIUS_STEP = 2.0  # sources whose farthest pixels are so far apart share a profile
 LONGEST_PX = 96.0  # of a path, that one rule goes along
 
 
@@ -106,11 +107,13 @@ def draw_quadrature(
     out = np.zeros(shape)
     profile = profile_of(blur, radius + SPARE_PX)
     if finer or not np.array_equal(profile.rounded, np.eye(2)):
-        far, near_px = np.zeros((0, NODES, 0)), math.inf
+        far, near_px, width_px = np.zeros((0, NODES, 0)), math.inf, 1.0
     else:
         far, near_px = far_pixels(blur, radius), NEAR_PX
+        width_px = _far_rule(blur)[1]
     ends = CUT_FROM * reach_px, reach_px
-    _integrate(out, *place, points, *_pixel(blur, n), *profile.numbers, far, near_px, *ends)
+    table = far, width_px, near_px
+    _integrate(out, *place, points, *_pixel(blur, n), *profile.numbers, *table, *ends)
     return out
 
 
@@ -133,7 +136,7 @@ def _pixels(blur: Blur, places_px: Sequence[tuple[float, float]], n: int) -> Arr
     farthest = float(np.hypot(*places.T).max()) + 2.0
     profile = profile_of(blur, _at_least(farthest) + SPARE_PX)
     out, rest = np.zeros((len(places), 1, 1)), np.array([[0.0, 0.0, 1.0]])
-    nothing, ends = np.zeros((0, NODES, 0)), (math.inf, math.inf, math.inf)
+    nothing, ends = np.zeros((0, NODES, 0)), (1.0, math.inf, math.inf, math.inf)
     for one, (y, x) in zip(out, places, strict=True):
         _integrate(one, y, x, rest, *_pixel(blur, n), *profile.numbers, nothing, *ends)
     return out[:, 0, 0]
@@ -150,23 +153,23 @@ def _pixel(blur: Blur, n: int) -> tuple[Array, Array, Array]:
     return math.sqrt(blur.fill_factor) * at, blur.fill_factor * weight, weight
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def far_pixels(blur: Blur, radius_px: float) -> Array:
     """What a pixel far from a source at rest collects, over distance and angle from a row.
 
     (panels, NODES, harmonics): powers of a panel's coordinate, of each cosine of four times the
     angle; nothing is in panels nearer than NEAR_PX. Squares look alike at every quarter turn.
     """
-    profile, n = profile_of(blur, radius_px + SPARE_PX), nodes_of(blur)
+    profile, (n, width_px) = profile_of(blur, radius_px + SPARE_PX), _far_rule(blur)
     radius_px = min(radius_px, profile.reach_px)
-    count = math.ceil(radius_px / profile.width_px) + 1
+    count = math.ceil(radius_px / width_px) + 1
     harmonics = n // 2 + 2
     turn = np.pi * (np.arange(harmonics) + 0.5) / harmonics
     cosines = np.cos(np.outer(turn, np.arange(harmonics))) * 2.0 / harmonics
     cosines[:, 0] *= 0.5
     at, to_powers = _panel()
-    r = ((np.arange(count)[:, None] + 0.5 * (at + 1.0)) * profile.width_px).ravel()
-    first = max(0, math.floor(NEAR_PX / profile.width_px) - 1)
+    r = ((np.arange(count)[:, None] + 0.5 * (at + 1.0)) * width_px).ravel()
+    first = max(0, math.floor(NEAR_PX / width_px) - 1)
     values = np.zeros((len(r), harmonics))
     _around(values, r, turn / 4.0, first * NODES, *_pixel(blur, n), *profile.numbers)
     values = (values[:, :, None] * cosines).sum(axis=1)
@@ -177,7 +180,19 @@ def far_pixels(blur: Blur, radius_px: float) -> Array:
     return np.ascontiguousarray(np.einsum("pkm,ck->pcm", values, to_powers))
 
 
-@lru_cache(maxsize=8)
+def _far_rule(blur: Blur) -> tuple[int, float]:
+    """Nodes across a pixel far from a source, and width of the panels of such pixels [px].
+
+    Light that falls as a power of the distance is as smooth there as the distance is long; rings
+    are as narrow everywhere.
+    """
+    n, width_px = nodes_of(blur), _scale(_round(blur)[0]) / PANELS
+    if isinstance(blur.optics, Moffat):
+        return min(n, FAR_NODES), max(width_px, FAR_WIDTH_PX)
+    return n, width_px
+
+
+@lru_cache(maxsize=32)
 def profile_of(blur: Blur, radius_px: float) -> Profile:
     """The profile of a response up to a radius; what it holds does not depend on the radius."""
     optics, rounded, spread = _round(blur)
@@ -317,9 +332,9 @@ def _around(out, radii, angles, first, at, down, along, coefficients, width, rou
 
 @njit(cache=True, nogil=True)
 def _integrate(
-    out, y0, x0, points, at, down, along, coefficients, width, rounded, reach, far, near_px,
-    fades, ends,
-):  # fmt: skip
+    out, y0, x0, points, at, down, along, coefficients, width, rounded, reach, far, far_width,
+    near_px, fades, ends,
+):
     """Adds the light of each pixel: (y0, x0) is the first one's centre from the source."""
     terms = np.empty(far.shape[2])
     for r in range(out.shape[0]):
@@ -333,7 +348,7 @@ def _integrate(
                 elif square >= reach * reach:
                     value = 0.0
                 else:
-                    value = _far_at(y, x, square, far, width, terms)
+                    value = _far_at(y, x, square, far, far_width, terms)
                 if square > fades * fades:
                     t = min(1.0, max(0.0, (ends - np.sqrt(square)) / (ends - fades)))
                     value *= t * t * t * (10.0 + t * (6.0 * t - 15.0))

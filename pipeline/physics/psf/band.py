@@ -88,16 +88,18 @@ class NoiseLimit:
     """The error that a pixel may have beside a source, in units of that pixel's noise.
 
     light_e : of the brightest source; floor_e : noise of a pixel without sources; sigma : the error
-    that is allowed, over the noise of floor and light together
+    that is allowed, over the noise of floor and light together, or (not photons) of floor alone
     """
 
     light_e: float
     floor_e: float
     sigma: float
+    photons: bool = True
 
     def error_sigma(self, difference: Array, response: Array) -> float:
         """Largest error in units of noise where responses per unit light differ so much."""
-        noise_e = np.sqrt(self.floor_e**2 + self.light_e * np.maximum(response, 0.0))
+        light_e = self.light_e if self.photons else 0.0
+        noise_e = np.sqrt(self.floor_e**2 + light_e * np.maximum(response, 0.0))
         return float((self.light_e * np.abs(difference) / noise_e).max())
 
     @property

@@ -23,6 +23,7 @@ from pipeline.physics.psf.seeing import Kolmogorov, Moffat
 
 SIDE, Y, X = 64, 30.3, 27.8
 AIRY, MOFFAT = Airy(1.2, 0.35), Moffat(2.0, 2.5)
+SHARP = Moffat(0.4, 1.6)
 TWO = Mixture((Airy(1.0, 0.3), Airy(1.3, 0.3)), (0.4, 0.6))
 PIXELS = ((30, 28), (31, 27), (33, 30), (30, 35), (45, 20), (3, 60), (63, 0))
 
@@ -43,7 +44,7 @@ def pixel(intensity: Callable, y: float, x: float, side: float = 1.0) -> float:
 @pytest.mark.parametrize(
     ("optics", "intensity"),
     [(AIRY, AIRY.intensity), (Airy(0.4), Airy(0.4).intensity), (MOFFAT, MOFFAT.intensity),
-     (TWO, two)],
+     (SHARP, SHARP.intensity), (TWO, two)],
 )  # fmt: skip
 def test_pixels_at_rest(optics: object, intensity: Callable) -> None:
     """Near and far: to 1e-12 of each pixel's own light."""

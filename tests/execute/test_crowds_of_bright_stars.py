@@ -1,0 +1,84 @@
+"""Crowds of bright stars: what they err by together is within what the product states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from catalog_tools.ingest import ingest
+from pipeline.physics.drawing.quadrature import draw_quadrature
+from pipeline.physics.motion.streak import POINT
+from pipeline.physics.psf.pupil import Blur, Gaussian
+from pipeline.plan.accuracy import crowd_error_e
+from pipeline.prepare import prepare
+from pipeline.run import render
+from pipeline.spec.load import parse_scene
+
+PIXEL_DEG = np.degrees(1e-5)
+
+
+def scene(folder: Path, apart_px: float, g_mag: float, psf: dict[str, Any]) -> dict[str, Any]:
+    """A frame of 64 pixels with 400 equal stars around its middle."""
+    rng = np.random.default_rng(5)
+    dx, dy = apart_px * PIXEL_DEG * rng.uniform(-1.0, 1.0, (2, 400))
+    rows = [f"{i + 1},{60.0 + a},{b},{g_mag}" for i, (a, b) in enumerate(zip(dx, dy, strict=True))]
+    csv = folder / "stars.csv"
+    csv.write_text("\n".join(["source_id,ra,dec,phot_g_mean_mag", *rows]) + "\n")
+    ingest([csv], folder / "catalogue", form="gaia_dr2", workers=1)
+    return {
+        "schema": "nightglass/scene/1", "name": "crowd", "epoch": "2019-04-20T11:00:00Z", "seed": 1,
+        "observer": {"kind": "fixed", "position_au": [0.9, 0.3, 0.1]},
+        "sensor": {
+            "shape": [64, 64], "pixel_pitch_um": 10.0, "focal_length_m": 1.0, "aperture_m": 0.4,
+            "bandpass": {"kind": "named", "name": "bessell-V"}, "psf": psf, "read_noise_e": 5.0,
+            "adc_bits": 32,
+        },
+        "exposure": {"integration_s": 1.0},
+        "pointing": {"mode": "sidereal", "boresight_ra_deg": 60.0, "boresight_dec_deg": 0.0},
+        "stars": {"catalogue": str(folder / "catalogue")}, "accept": ["coverage"],
+    }  # fmt: skip
+
+
+def test_wings_of_a_crowd_are_in_the_bound(tmp_path: Path) -> None:
+    """400 stars of 3e3 e- within 2 px, each of which the grid serves, are as bright as one that
+    it does not: the product says so."""
+    data = scene(tmp_path, 1.0, 16.0, {"kind": "airy", "wavelengths": 1})
+    report = render(parse_scene(data), tmp_path / "product")
+    errors = report["errors"]
+    assert errors["windows"] == 1
+    assert errors["achieved_error_sigma"] <= errors["bound_of_all_approximations_sigma"]
+    assert errors["wing_error_of_brightest_e"] > prepare(parse_scene(data)).plan.facts.budget_e
+    alone = data | {"stars": data["stars"] | {"faintest_g_mag": 1.0}}
+    nothing = render(parse_scene(alone), tmp_path / "alone")["errors"]
+    assert nothing["wing_error_of_brightest_e"] == 0.0
+
+
+def test_sharp_light_does_not_end_at_the_centre_of_a_pixel(tmp_path: Path) -> None:
+    """Stars beside corners of pixels, whose light ends before the centres of their neighbours."""
+    data = scene(tmp_path, 12.0, 6.0, {"kind": "gaussian", "sigma_px": 0.1})
+    errors = render(parse_scene(data), tmp_path / "product")["errors"]
+    assert errors["windows"] == 1
+    assert errors["achieved_error_sigma"] <= errors["bound_of_all_approximations_sigma"]
+    plan = prepare(parse_scene(data)).plan
+    x, y = 0.47, 0.49
+    drawn = draw_quadrature(
+        Blur(Gaussian(0.1)), POINT, (3, 3), (-1, -1), y, x, plan.responses.fades_px
+    )
+    edges = (np.arange(4) - 1.5) / (0.1 * np.sqrt(2.0))
+    along, down = (0.5 * np.diff(erf(edges - c / (0.1 * np.sqrt(2.0)))) for c in (x, y))
+    assert drawn == pytest.approx(down[:, None] * along[None, :], abs=1e-12)
+
+
+def test_errors_of_a_crowd() -> None:
+    """Those of one cell add up; of 16 cells in a box their squares do; frames stay apart."""
+    none, place = np.zeros(100), np.full(100, 3.2)
+    assert crowd_error_e(none, place, place, np.full(100, 0.01), 1.0, 40.0) == pytest.approx(1.0)
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(4) * 10.0, np.arange(4) * 10.0))
+    sides = np.ones(16), 1.0, 40.0
+    assert crowd_error_e(np.zeros(16), x, y, *sides) == pytest.approx(4.0)
+    assert crowd_error_e(np.arange(16), x, y, *sides) == pytest.approx(1.0)
+    assert crowd_error_e(none[:0], none[:0], none[:0], none[:0], 1.0, 40.0) == 0.0
