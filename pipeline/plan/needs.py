@@ -62,9 +62,9 @@ def predict(
     """Predicted CPU seconds, and memory of a process with one thread that draws.
 
     cpu_s : of one core, for planning, drawing and finishing, with START_S for a process that
-        starts; what compiling takes, once on a machine, is not in it. Slow geometry (meshes, light
-        of the Earth on bodies, forces) and slow planning count as they were measured: of such scenes
-        two plans differ a little
+        starts; what compiling takes, once on a machine, is not in it. Slow geometry (meshes,
+        light of the Earth on bodies, forces) and slow planning count as they were measured: two
+        plans of such a scene differ a little
     worker_memory_mb : all that such a process holds at its most, with the BASE_MB that it holds
         before it draws anything
     Of scenes that take less than some 2 s and 400 MB neither says more than that.
