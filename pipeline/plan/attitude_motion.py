@@ -66,9 +66,9 @@ class MotionPlan:
 
     @property
     def error_sigma(self) -> float:
-        """Three times what the blur leaves out, in a pixel whose light equals the noise floor."""
-        wrong_px2 = self.uneven_px**2 + self.roll_px**2 + 3.0 * self.scatter * self.blur_px**2
-        return 3.0 * self.left_px + wrong_px2 / (2.0 * SHARPEST_PX**2)
+        """Four times what the blur leaves out, in a pixel whose light equals the noise floor."""
+        wrong_px2 = self.uneven_px**2 + self.roll_px**2 + 4.0 * self.scatter * self.blur_px**2
+        return 4.0 * self.left_px + wrong_px2 / (2.0 * SHARPEST_PX**2)
 
     @property
     def split_hz(self) -> float:
@@ -313,7 +313,7 @@ def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
             f"between nodes lose, is a blur of {plan.blur_px:.3g} px rms per axis. Left out: how "
             f"that blur moves an exposure's mean ({plan.left_px:.2g} px rms) and changes its own "
             f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
-            "is three times these, in a pixel whose light equals the noise floor, for images of "
+            "is four times these, in a pixel whose light equals the noise floor, for images of "
             f"{SHARPEST_PX:g} px rms or more",
             plan.error_sigma * sigma_floor_e, plan.error_sigma,
         ),

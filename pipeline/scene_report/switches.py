@@ -21,6 +21,7 @@ from pipeline.scene_report.rung import cut_e, lights_e
 from pipeline.scene_report.stage import Light, Stage, blocks_by, light_by, mean_of, open_stage
 
 MANY = 12  # wavelengths
+MOST = 640  # that a scene may ask for
 LARGEST_DOUBLED_PX = 72.0  # of cores: tables of larger ones take minutes
 FEW_STARS = 60  # that may be drawn one by one under the clock
 REGIONS_PX = (1024, 256, 128, 64, 32, 16)
@@ -198,9 +199,7 @@ def _wavelengths(stage: Stage, on: Light) -> Iterator[Switch]:
     if band is None or not band.error or "wavelengths" not in psf:
         return
     name = "monochromatic_psf" if len(band.wavelengths_m) == 1 else "few_wavelengths"
-    if len(band.wavelengths_m) >= MANY:
-        return
-    psf["wavelengths"] = MANY
+    psf["wavelengths"] = min(max(MANY, 2 * len(band.wavelengths_m)), MOST)
     finer = open_stage(data)
     plan = replace(
         stage.plan, facts=finer.plan.facts,

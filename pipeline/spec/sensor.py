@@ -109,7 +109,7 @@ class Chromatic(PsfShape):
         None, description="of the light; default: the sensor's whole response"
     )
     wavelengths: int | None = Field(
-        None, ge=1, le=12,
+        None, ge=1, le=640,
         description="wavelengths that stand for the response; default: as many as the accuracy "
         "asks for; 1: the mean alone",
     )  # fmt: skip
