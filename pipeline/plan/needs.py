@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pipeline.errors import BadInput
+from pipeline.physics.drawing.quadrature import has_profile, profile_s
 from pipeline.plan.cost import NOISE_S_PER_PIXEL, START_S, least_cpu_s
 from pipeline.plan.responses import SPECTRAL_S, SPECTRAL_S_PER_PIXEL, stamp_s
 from pipeline.plan.tiles import BLOCK_PX, tile_shape
@@ -70,7 +71,7 @@ def predict(
     layers = len(plan.scene.output.layers)
     light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
     light_s += _wings_s(plan, spent) + 2.0 * spent.geometry_s / spent.frames
-    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan)
+    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan) + _profiles_s(plan)
     if plan.responses.classes:
         once_s += CHECK_S * len(plan.checks)
     return {
@@ -165,6 +166,17 @@ def _kernels_s(plan: Plan) -> float:
         return 0.0
     kernels = len(r.blurs) * min(CLASSES_USED, len(r.classes))
     return KERNEL_S_PER_POINT * _kernel_points(plan) * kernels
+
+
+def _profiles_s(plan: Plan) -> float:
+    """CPU seconds of the profiles of sources that are drawn by quadrature, if any may be so bright.
+
+    Those of sources nearer are made too, at radii that halve: as much again.
+    """
+    r, bright_e = plan.responses, plan.facts.brightest_e
+    if not r.classes or bright_e <= min(r.classes[-1].brightest_e, r.classes[-1].target_e):
+        return 0.0
+    return 2.0 * sum(profile_s(b, r.reach_px) for b in r.blurs if has_profile(b))
 
 
 def _in_crowds(plan: Plan, stars: int) -> bool:
