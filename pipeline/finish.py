@@ -18,7 +18,7 @@ from pipeline.execute.check import summary
 from pipeline.execute.truth import star_truth, target_truth, world_of
 from pipeline.export.picture import write_preview
 from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
-from pipeline.plan.accuracy import crowd_error_e, doubts_of, total_e, total_sigma
+from pipeline.plan.accuracy import UNSEEN, crowd_error_e, doubts_of, total_e, total_sigma
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.responses import table_error
 from pipeline.plan.scene_plan import Plan, colour_facts
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-UNSEEN = 1e-3  # of an approximation's part: what a star of a crowd may err by unseen
 SIP_SIZE = 5  # SIP polynomials up to order 4
 SIP_SIZE_DISTORTED = 10  # and up to order 9
 WINDOW = 256
@@ -300,8 +299,7 @@ def _crowd_error_e(
     light = stars["electrons"].to_numpy() / fill
     errs = np.append(errors, 0.0)[np.searchsorted(limits, light)] + table
     frame, x_px, y_px = (stars[name].to_numpy() for name in ("frame", "x_px", "y_px"))
-    sides = 0.5 * r.spacing_px, 4.0 * r.classes[0].radius_px
-    return crowd_error_e(frame, x_px, y_px, errs * light, *sides)
+    return crowd_error_e(frame, x_px, y_px, errs * light, *r.crowd_sides_px)
 
 
 def _error_of(light_e: float, classes: Iterable[tuple[float, float]]) -> float:

@@ -6,6 +6,7 @@ on tiles. A block is drawn once and serves all tiles that it overlaps.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,7 @@ from pipeline.physics.drawing.spectral_plan import brightest_for
 from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
 from pipeline.physics.motion.streak import Path, within
 from pipeline.physics.psf.pupil import Blur
+from pipeline.plan.accuracy import UNSEEN, crowd_error_e
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak
 from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up
@@ -44,7 +46,7 @@ class Block:
     grid, star_wings, target_wings : the wings' grid and its fields; None where there are none
     crowd_e : (rows, columns) light of the stars drawn together, None where stamps draw all
     crowd_limit_e : stars of at most so much light are in it
-    brightest_e : light of the brightest source around, which the errors of its wings go with
+    wing_error_e : what the wings of the densest crowd of stars and of targets around may err by
     """
 
     place: Tile
@@ -53,7 +55,7 @@ class Block:
     target_wings: Array | None
     crowd_e: NDArray[np.floating] | None
     crowd_limit_e: float
-    brightest_e: float
+    wing_error_e: float
 
     def in_crowd(self, light_e: Array) -> NDArray[np.bool_]:
         """Which stars (n,) are in the block's own image already."""
@@ -116,12 +118,26 @@ def render_block(plan: Plan, g: Geometry, place: Tile, parts: list[FrameStars]) 
     every = drawing_order(around(concatenate(parts, FrameStars), place, reach))
     stars, setting = whole_stars(every), setting_stars(plan, g, every)
     targets = place_targets(plan, g) if plan.responses.spacing_px else []
-    brightest = float(every.light_e.max(initial=0.0))
-    brightest = max([brightest, *(t.light_e for t in targets)])
+    error_e = _wing_error_e(plan, every, targets)
     paths = streaks(plan, g) if len(stars) else []
     grid, star_wings, target_wings = _wings(plan, place, reach, stars, paths, setting, targets)
     crowd, limit = _crowd(plan, place, stars, paths)
-    return Block(place, grid, star_wings, target_wings, crowd, limit, brightest)
+    return Block(place, grid, star_wings, target_wings, crowd, limit, error_e)
+
+
+def _wing_error_e(plan: Plan, stars: FrameStars, targets: list[FrameTarget]) -> float:
+    """What the wings of sources around a block may err by in one pixel [e-]: of the densest crowd
+    of stars, and of all targets; those that err by UNSEEN of their part or less are omitted."""
+    r = plan.responses
+    if not r.spacing_px:
+        return 0.0
+    errors = np.array([c.wing_error for c in r.classes] + [0.0])
+    error_e = errors[class_of(plan, stars.light_e)] * stars.light_e
+    seen = error_e > UNSEEN * r.budget_e
+    x, y, sides = stars.x_px[seen], stars.y_px[seen], r.crowd_sides_px
+    crowd_e = crowd_error_e(np.zeros(len(x)), x, y, error_e[seen], *sides)
+    errors = np.array([c.target_error for c in r.classes] + [0.0])
+    return crowd_e + math.fsum(errors[target_class(plan, t)] * t.light_e for t in targets)
 
 
 def _crowd(

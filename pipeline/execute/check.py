@@ -49,7 +49,7 @@ Group = tuple[Array, Array, Array, Path]  # (x, y, light) of sources, and the pa
 
 WINDOW_PX = 16
 LEAST_ERROR = 1e-14  # of the light: where nothing else is known of a core's error
-OWN_PATHS = 8  # of the brightest stars near a window
+OWN_PATHS, MOST_OWN = 8, 96  # of the brightest stars near a window; of those with bright streaks
 MOST_TERMS = 4e8  # products that a window may cost: about a second
 LONGEST_PX = 96.0
 MOST_VALUES = 5e7  # of a profile that one source may cost: half a second
@@ -254,6 +254,9 @@ def _star_groups(
     middle = at.x0 + 0.5 * (at.columns - 1), at.y0 + 0.5 * (at.rows - 1)
     aberration = plan.scene.star_effects["aberration"]
     path = exact_path(plan.camera, g, *middle, aberration)
+    if own_paths:  # and all that are not drawn with the common streak, as far as may be
+        bright_e = plan.responses.streaks.mixed_from_e_px * max(1.0, path.length_px)
+        own_paths = max(own_paths, min(MOST_OWN, int(np.count_nonzero(near.light_e > bright_e))))
     own = _brightest(near, middle, path, own_paths)
     own |= class_of(plan, near.light_e) == len(plan.responses.classes)
     groups = [(near.x_px[~own], near.y_px[~own], near.light_e[~own], path)]

@@ -13,6 +13,7 @@ from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.vectors import separation
 from pipeline.plan.accuracy import part_sigma
+from pipeline.plan.responses import table_error
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 
@@ -121,11 +122,12 @@ def inside_tile(plan: Plan, tile: Tile, x_px: Array, y_px: Array, sweep_px: floa
 
 def guard_mean(
     plan: Plan, g: Geometry, tile: Tile, mean_e: Array, layers: dict[str, Array],
-    brightest_e: float,
+    wing_error_e: float,
 ) -> Array:  # fmt: skip
     """The mean with the errors of the transforms clipped at zero; a larger fault is refused.
 
-    Beside a source brighter than the plan's bounds hold for, its wings err in proportion to it.
+    wing_error_e : what wings may err by, which is more beside crowds and sources brighter than the
+    plan's bounds hold for; a table's cut band rings in proportion to the light
     """
     low = float(mean_e.min(initial=0.0))
     if not np.isfinite(low) or not np.isfinite(mean_e.max(initial=0.0)):
@@ -133,8 +135,8 @@ def guard_mean(
     if low < 0.0:
         allowed = NEGATIVE_FLOOR * plan.facts.sigma_floor_e + 1e-6 * float(mean_e.max())
         allowed += plan.facts.budget_e
-        last = plan.responses.classes[-1]
-        allowed += 2.0 * max(last.wing_error, last.target_error) * brightest_e
+        ringing = max(table_error(b) for b in plan.responses.blurs)
+        allowed += 2.0 * wing_error_e + ringing * float(np.maximum(mean_e, 0.0).sum())
         if low < -allowed:
             lowest = min(layers, key=lambda name: float(layers[name].min()))
             raise NightglassError(

@@ -110,8 +110,8 @@ def _mean(
     mean = np.zeros(shape)
     for layer in layers.values():
         mean += layer
-    brightest = max((b.brightest_e for b in blocks), default=0.0)
-    return layers, guard_mean(plan, g, tile, mean, layers, brightest)
+    error_e = max((b.wing_error_e for b in blocks), default=0.0)
+    return layers, guard_mean(plan, g, tile, mean, layers, error_e)
 
 
 LIGHTS = ("stars", "targets", "sky")  # in the order in which they are summed

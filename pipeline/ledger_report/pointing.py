@@ -103,7 +103,7 @@ def _right_handed(axes: Array) -> Array:
 @probe("pointing_motion")
 def jitter(_: Bench) -> Iterator[Found]:
     """Jitter followed wave by wave, beside a path of few nodes and blur: a star of the floor."""
-    rms_arcsec, low, high = 4.0, 0.5, 400.0
+    rms_arcsec, low, high = 3.0, 0.5, 400.0
     attitude = {"jitter": [{"kind": "white", "rms_arcsec": rms_arcsec, "low_hz": low,
                             "high_hz": high}]}  # fmt: skip
     data = scene({"pointing.attitude": attitude, "exposure.integration_s": 1.0})

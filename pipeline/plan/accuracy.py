@@ -17,6 +17,7 @@ SMALL = 0.25  # of a part: what is refined until it errs by little, at no cost
 INSTEAD = ("crowds_by_transforms",)  # of phase_interpolation, whose bound is counted
 BESIDE_BRIGHTEST = ("few_wavelengths", "monochromatic_psf", "wings_cut_off")  # as its light
 ROUNDING = 1.0 + 1e-9
+UNSEEN = 1e-3  # of an approximation's part: what a star of a crowd may err by unseen
 
 
 def parts(scene: Scene) -> float:

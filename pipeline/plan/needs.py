@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pipeline.errors import BadInput
+from pipeline.physics.drawing.quadrature import has_profile, profile_s
 from pipeline.plan.cost import NOISE_S_PER_PIXEL, START_S, least_cpu_s
 from pipeline.plan.responses import SPECTRAL_S, SPECTRAL_S_PER_PIXEL, stamp_s
 from pipeline.plan.tiles import BLOCK_PX, tile_shape
@@ -23,7 +24,7 @@ BASE_MB = 180.0  # of a process that has imported all and draws nothing
 # Estimated from the operations, not measured yet.
 GRID_S_PER_POINT = 1.5e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
-KERNEL_S_PER_POINT = 1.5e-7  # of the grid that a wing is made on, with its core; of a band the same
+KERNEL_S_PER_POINT = 1e-7  # of the grid that a wing is made on, with its core; of a band the same
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
 KERNEL_BYTES_PER_POINT = 60.0  # while a wing is made
 TEST_BYTES_PER_POINT = 60.0  # while a wing's error is measured
@@ -74,7 +75,7 @@ def predict(
     light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
     geometry_s = spent.geometry_s / spent.frames
     light_s += _wings_s(plan, spent) + (2.0 * geometry_s if geometry_s > SLOW_S else 0.0)
-    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan)
+    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan) + _profiles_s(plan)
     return {
         "cpu_s": least_cpu_s(plan.scene) + once_s + plan.frames * light_s,
         "worker_memory_mb": sum(_memory_mb(plan, forecast, spent).values()),
@@ -167,6 +168,17 @@ def _kernels_s(plan: Plan) -> float:
         return 0.0
     kernels = len(r.blurs) * min(CLASSES_USED, len(r.classes))
     return KERNEL_S_PER_POINT * _kernel_points(plan) * kernels
+
+
+def _profiles_s(plan: Plan) -> float:
+    """CPU seconds of the profiles of sources that are drawn by quadrature, if any may be so bright.
+
+    Those of sources nearer are made too, at radii that halve: as much again.
+    """
+    r, bright_e = plan.responses, plan.facts.brightest_e
+    if not r.classes or bright_e <= min(r.classes[-1].brightest_e, r.classes[-1].target_e):
+        return 0.0
+    return 2.0 * sum(profile_s(b, r.reach_px) for b in r.blurs if has_profile(b))
 
 
 def _in_crowds(plan: Plan, stars: int) -> bool:

@@ -116,6 +116,11 @@ class ResponsePlan:
         return self.reach_px if self.spacing_px else math.inf
 
     @property
+    def crowd_sides_px(self) -> tuple[float, float]:
+        """Sides of the cells in which errors of wings add up, and of the boxes that they reach."""
+        return 0.5 * self.spacing_px, 4.0 * self.classes[0].radius_px
+
+    @property
     def products(self) -> bool:
         """Whether stars are drawn as column times row."""
         streak_px = 0.0 if self.streaks.still else self.streaks.longest_px

@@ -37,6 +37,7 @@ FAR_NODES, FAR_WIDTH_PX = 10, 0.5  # of pixels beyond NEAR_PX, and of their pane
 NEAR_PX = 12.0  # from a source, beyond which the angle's few harmonics are interpolated
 MOST_VALUES = 1e8  # pixels times points of a path that one source may cost: half a minute
 BAND_FLOOR = 1e-12
+NODE_S, VALUE_S = 3e-8, 8e-9  # of a node of a blur, of a value of a profile: one core
 FAR_SIGMA = 14.0  # a Gaussian holds all but 1e-42 of its light within it
 SPARE_PX = 4.0
 RADIUS_STEP = 2.0  # sources whose farthest pixels are so far apart share a profile
@@ -88,6 +89,17 @@ def points_along(blur: Blur, path: Path) -> int:
     return count * (nodes_of(blur) if blur.clock_px else 1)
 
 
+def profile_s(blur: Blur, radius_px: float) -> float:
+    """About the CPU seconds of making what sources up to so far from a pixel are drawn with."""
+    (optics, _, spread), (n, width_px) = _round(blur), _far_rule(blur)
+    if isinstance(optics, Gaussian):
+        return 0.0
+    wide = min(_scale(optics), 2.0 * spread)
+    nodes = NODES * (2.0 * BLUR_SIGMA * spread / wide + BLOCK) * (spread > 0.0) if wide else 0.0
+    far = (n // 2 + 2) * n * n / width_px
+    return radius_px * NODES * (NODE_S * nodes * PANELS / _scale(optics) + VALUE_S * far)
+
+
 def draw_quadrature(
     blur: Blur, path: Path, shape: tuple[int, int], origin: tuple[int, int], y_px: float,
     x_px: float, reach_px: float = math.inf, finer: bool = False,
@@ -103,7 +115,7 @@ def draw_quadrature(
     place = origin[0] - y_px, origin[1] - x_px
     corners = [(place[0] + i * shape[0], place[1] + j * shape[1]) for i in (0, 1) for j in (0, 1)]
     farthest = max(math.hypot(*c) for c in corners) + 1.5 * float(np.abs(points[:, :2]).max()) + 2.0
-    radius = _at_least(farthest)
+    radius = min(_at_least(farthest), max(reach_px, 16.0))
     out = np.zeros(shape)
     profile = profile_of(blur, radius + SPARE_PX)
     if finer or not np.array_equal(profile.rounded, np.eye(2)):
