@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
 PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
-GRID_S_PER_POINT = 1.5e-7  # of a block's grid of wings, for each core class
+GRID_S_PER_POINT = 1e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
 KERNEL_S_PER_POINT = 8e-8  # of the grid that a wing is made on, with its core; of a band the same
 CHECK_S = 0.1  # of one window that is drawn again
