@@ -221,7 +221,7 @@ def test_cones_hold_stars_that_the_sun_has_moved_into_them(scene: Make, side: fl
     for angle in (1.001 * SUN_RADIUS_M / distance, np.radians(0.5), np.radians(1.0)):
         centre = np.cos(angle) * sunward + np.sin(angle) * across
         centre = aberrate(centre, beta)
-        centres, radii = catalogue_cones(plan, g, centre[None], radius)
+        centres, radii = catalogue_cones(plan.scene, g, centre[None], radius)
         turn = np.linspace(0.0, 2.0 * np.pi, 40)[:, None]
         one = unit(np.cross(centre, [0.3, 0.5, 0.8]))
         rim = np.cos(turn) * one + np.sin(turn) * np.cross(centre, one)
