@@ -21,14 +21,14 @@ WING_S_PER_PIXEL = 25e-9
 CROWD_BYTES_PER_PIXEL = 50.0
 STAR_BYTES = 150.0
 BASE_MB = 180.0  # of a process that has imported all and draws nothing
-# Estimated from the operations, not measured yet.
-GRID_S_PER_POINT = 1.5e-7  # of a block's grid of wings, for each core class
+GRID_S_PER_POINT = 1e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
-KERNEL_S_PER_POINT = 1e-7  # of the grid that a wing is made on, with its core; of a band the same
+KERNEL_S_PER_POINT = 8e-8  # of the grid that a wing is made on, with its core; of a band the same
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
 KERNEL_BYTES_PER_POINT = 60.0  # while a wing is made
 TEST_BYTES_PER_POINT = 60.0  # while a wing's error is measured
 SLOW_S = 0.05  # a frame's geometry: where planning took more, its measured time counts
+KERNELS_USED = 2  # of the wings, likewise in one process
 CLASSES_USED = 3  # of the core classes, by the sources of a usual scene
 
 
@@ -166,7 +166,7 @@ def _kernels_s(plan: Plan) -> float:
     r = plan.responses
     if not r.spacing_px:
         return 0.0
-    kernels = len(r.blurs) * min(CLASSES_USED, len(r.classes))
+    kernels = len(r.blurs) * min(KERNELS_USED, len(r.classes))
     return KERNEL_S_PER_POINT * _kernel_points(plan) * kernels
 
 
