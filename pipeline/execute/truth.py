@@ -24,7 +24,6 @@ from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import stamp_at
-from pipeline.physics.sky.moon import SUN_V_MAG
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.occultation import hidden_by, targets_seen
 from pipeline.plan.scene_plan import Plan
@@ -187,6 +186,8 @@ def target_magnitudes(plan: Plan, g: Geometry) -> tuple[Array, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         dim = np.where(mean > 0.0, -2.5 * np.log10(mean), np.nan)
         sun_ab = -2.5 * np.log10(plan.sun_rate_e_s_m2 / plan.facts.ab_rate_e_s_m2)
+    from pipeline.physics.sky.moon import SUN_V_MAG  # no sky is loaded for stars alone
+
     return SUN_V_MAG + dim, sun_ab + dim
 
 

@@ -23,7 +23,6 @@ from pipeline.physics.positions.focal_plane import (
     deproject,
     project,
 )
-from pipeline.physics.sky.moon import irradiance_share
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
 from pipeline.physics.vectors import separation, unit
 from pipeline.plan.geometry import aimed, camera_of
@@ -65,7 +64,7 @@ class Look:
     """Sun, Moon and Earth at n moments of the exposures, in order.
 
     tick : (n,) number of the moment: TICKS of each frame; earth : its disc, or all below a site's
-    horizon; moon_share : (n,) the Moon's irradiance over the Sun's at 1 au, in V, without eclipses;
+    horizon; to_moon_m, moon_to_sun_m : (n, 3) from the observer, and from there;
     turn : (n - 1,) angle [rad] by which what is looked at turns from each moment to the next:
     camera, horizon and bodies together
     """
@@ -74,8 +73,17 @@ class Look:
     sun: Lamp
     moon: Lamp
     earth: Lamp
-    moon_share: Array
+    to_moon_m: Array
+    moon_to_sun_m: Array
     turn: Array
+
+    def moon_fraction(self, k: int) -> float:
+        """Irradiance of the Moon at moment k over the Sun's at 1 au, in V, without eclipses."""
+        from pipeline.physics.sky.moon import irradiance_share  # where moonlight is looked at
+
+        to_moon, on = self.to_moon_m[[k]], self.moon_to_sun_m[[k]]
+        far, from_sun = (np.sqrt(np.sum(v**2, axis=-1)) for v in (to_moon, on))
+        return float(irradiance_share(separation(-to_moon, on), from_sun, far)[0])
 
     def frame(self, k: int) -> int:
         """Frame of moment k."""
@@ -136,14 +144,7 @@ def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> Look:
     )
     turned = [separation(v[:-1], v[1:]) for v in (*np.moveaxis(attitude, 1, 0), at.observer_m)]
     bodies = np.maximum(*(separation(v[:-1], v[1:]) for v in (sun, moon)))
-    return Look(ticks, *lamps, _moon_share(moon, sun - moon), np.max(turned, axis=0) + bodies)
-
-
-def _moon_share(to_moon_m: Array, moon_to_sun_m: Array) -> Array:
-    """Of vectors (n, 3) from the observer to the Moon, and from there to the Sun."""
-    phase = separation(-to_moon_m, moon_to_sun_m)
-    far, from_sun = (np.sqrt(np.sum(v**2, axis=-1)) for v in (to_moon_m, moon_to_sun_m))
-    return irradiance_share(phase, from_sun, far)
+    return Look(ticks, *lamps, moon, sun - moon, np.max(turned, axis=0) + bodies)
 
 
 def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lamp:

@@ -99,10 +99,12 @@ def _exclusion_rad(scene: Scene) -> float:
 
 def _moonlight_rad(scene: Scene) -> float:
     """Angle from the frame within which moonlight is not known."""
+    b = scene.background
+    if b is None or not b.moonlight:
+        return -np.pi
     from pipeline.physics.sky.night import NEAREST_MOON_RAD
 
-    b = scene.background
-    return NEAREST_MOON_RAD if b is not None and b.moonlight else -np.pi
+    return NEAREST_MOON_RAD
 
 
 def _highest(scene: Scene) -> float | None:
@@ -176,7 +178,7 @@ def _no_moonlight(scene: Scene, facts: Facts, response: ResponseCurve, seen: Loo
     up = float(seen.moon.elevation[k])
     if up <= 0.0 or _own_sky(b) or (b is not None and b.moonlight):
         return []
-    mag = moonlight_zenith_v_mag(up, float(seen.moon_share[k]))
+    mag = moonlight_zenith_v_mag(up, seen.moon_fraction(k))
     light_e = _light_e(scene, facts, response, mag)
     if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
         return []

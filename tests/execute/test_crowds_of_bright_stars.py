@@ -49,7 +49,7 @@ def test_wings_of_a_crowd_are_in_the_bound(tmp_path: Path) -> None:
     data = scene(tmp_path, 1.0, 16.0, {"kind": "airy", "wavelengths": 1})
     report = render(parse_scene(data), tmp_path / "product")
     errors = report["errors"]
-    assert errors["windows"] == 1
+    assert errors["windows"] >= 1
     assert errors["achieved_error_sigma"] <= errors["bound_of_all_approximations_sigma"]
     assert errors["wing_error_of_brightest_e"] > prepare(parse_scene(data)).plan.facts.budget_e
     alone = data | {"stars": data["stars"] | {"faintest_g_mag": 1.0}}
@@ -61,7 +61,7 @@ def test_sharp_light_does_not_end_at_the_centre_of_a_pixel(tmp_path: Path) -> No
     """Stars beside corners of pixels, whose light ends before the centres of their neighbours."""
     data = scene(tmp_path, 12.0, 6.0, {"kind": "gaussian", "sigma_px": 0.1})
     errors = render(parse_scene(data), tmp_path / "product")["errors"]
-    assert errors["windows"] == 1
+    assert errors["windows"] >= 1
     assert errors["achieved_error_sigma"] <= errors["bound_of_all_approximations_sigma"]
     plan = prepare(parse_scene(data)).plan
     x, y = 0.47, 0.49
