@@ -160,17 +160,7 @@ def plan_responses(
     if not (scene.stars or scene.targets or sources):
         return none
     blurs = none.blurs
-    aberration = scene.star_effects["aberration"]
-    path, streaks = POINT, STILL
-    if scene.stars is not None:
-        asked = scene.accuracy.noise_fraction
-        floor_e = facts.budget_e / part_sigma(scene)  # that the budget is made for
-        edge = max(_edge(b) for b in blurs)
-        streaks = plan_streaks(
-            camera, ends, aberration, asked, floor_e, facts.budget_e, edge,
-            scene.sensor.photon_noise,
-        )  # fmt: skip
-        path = _shortest_piece(camera, ends, streaks, aberration)
+    path, streaks = _star_streaks(scene, facts, camera, ends, blurs)
     shape, length = scene.sensor.shape, 0.5 * streaks.longest_px
     longest = Path(np.array([-length, length]), np.zeros(2), np.ones(1))
     served = all(affordable(b, longest, shape) for b in blurs)
@@ -184,7 +174,7 @@ def plan_responses(
         reach = _farther(blurs, max(reach / CUT_FROM, 2.0 * first), facts)
         swept, sweeps = path, None
         if not streaks.still:
-            sweeps = wing_sweeps(camera, ends, streaks.zones, aberration)
+            sweeps = wing_sweeps(camera, ends, streaks.zones, scene.star_effects["aberration"])
             if sweeps.slowest_px < HARDLY * streaks.pieces * path.length_px:
                 swept = POINT  # somewhere, as where the field turns about, stars stand still
         cores = _cores(blurs, first, spacing, swept, facts.budget_e, sweeps)
@@ -224,6 +214,21 @@ def plan_responses(
         each = sum(table_bytes(c.phases, c.radius_px, path) for c in classes if c.phases)
         mb = each * len(blurs) * streaks.shapes / 1e6
     return replace(planned, spectral_from=_spectral_from(scene, planned), table_mb=mb)
+
+
+def _star_streaks(
+    scene: Scene, facts: Facts, camera: Camera, ends: Geometry, blurs: tuple[Blur, ...]
+) -> tuple[Path, StreakPlan]:
+    """The shortest piece of the stars' streaks, and how they are drawn; at rest without stars."""
+    if scene.stars is None:
+        return POINT, STILL
+    asked, aberration = scene.accuracy.noise_fraction, scene.star_effects["aberration"]
+    floor_e = facts.budget_e / part_sigma(scene)  # that the budget is made for
+    edge = max(_edge(b) for b in blurs)
+    streaks = plan_streaks(
+        camera, ends, aberration, asked, floor_e, facts.budget_e, edge, scene.sensor.photon_noise
+    )
+    return _shortest_piece(camera, ends, streaks, aberration), streaks
 
 
 @lru_cache(maxsize=256)

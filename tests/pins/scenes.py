@@ -267,6 +267,25 @@ SCENES: dict[str, Changes] = {
         "sensor.adc_bits": 63, "sensor.gain_e_per_dn": 1e-9, "sensor.bias_dn": 1e17,
         "background": {"uniform_e_per_s": 2e8},
     },
+    "behind-the-limb": STARS | {
+        "observer": {"kind": "orbit", "orbit": {
+            "kind": "state", "position_m": [-504910.0, -39678270.0, -14254220.0],
+            "velocity_m_s": [3069.73, -40.77, 0.0],
+        }},
+        "exposure.integration_s": 2.0,
+    },
+    "in-the-umbra": {
+        "observer": {"kind": "orbit", "orbit": {
+            "kind": "state", "position_m": [3662780.0, 6010530.0, 2776260.0],
+            "velocity_m_s": [-1062.63, -2480.5, 6772.15],
+        }},
+        "pointing": FOLLOW, "targets": [{
+            "name": "t", "body": SPHERE, "orbit": {
+                "kind": "state", "position_m": [2743570.0, 6404310.0, 2776260.0],
+                "velocity_m_s": [-1062.63, -2480.5, 6772.15],
+            },
+        }],
+    },
     "site-with-a-pole": from_site(polar_motion_arcsec=[0.3, -0.2]) | {
         "accept": ["sun", "moon", "daylight", "coverage", "error"],
     },
