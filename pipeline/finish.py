@@ -59,12 +59,13 @@ def finish(
     rows |= _faults(plan, product)
     coordinates = gather_coordinates(plan)
     errors = _errors(plan, begun)
-    plan = replace(plan, warnings=(*_doubts(plan, errors), *plan.warnings))
+    doubts = _doubts(plan, errors)
+    plan = replace(plan, warnings=(*doubts, *plan.warnings))
     finish_cube(product, coordinates, _attributes(plan, catalogues))
     write_preview(product, plan)
     residual = float(coordinates["wcs_residual_px"][1].max())
     report = _report(plan, catalogues, begun, rows, {"wcs_residual_px": residual} | errors)
-    report["errors"]["as_stated"] = not _doubts(plan, errors)
+    report["errors"]["as_stated"] = not doubts
     report["seconds"] = times | {"finish_s": time.perf_counter() - started}
     layout.write_atomically(product / layout.REPORT, layout.to_json(report))
     drop_parts(product)

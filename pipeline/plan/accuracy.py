@@ -11,7 +11,7 @@ from pipeline.arrays import Array
 from pipeline.plan.acceptance import accept_or_refuse
 from pipeline.plan.decision import Decision
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor import AiryPsf, FieldPsf, GaussianPsf, KolmogorovPsf, OnePsf
+from pipeline.spec.sensor import AiryPsf, GaussianPsf, KolmogorovPsf
 
 SMALL = 0.25  # of a part: what is refined until it errs by little, at no cost
 INSTEAD = ("crowds_by_transforms",)  # of phase_interpolation, whose bound is counted
@@ -28,9 +28,10 @@ def parts(scene: Scene) -> float:
     motion as blur; SMALL for the grid of the sky and for charge that stays from earlier frames.
     """
     sources = bool(scene.stars or scene.targets or scene.populations)
+    winged = not all(isinstance(psf, GaussianPsf) for psf in scene.sensor.every_psf)
     drawn = [
         True,  # sub-pixel phases
-        *(2 * [any(not isinstance(p, GaussianPsf) for p in _psfs(scene))]),  # wings: grid and end
+        *(2 * [winged]),  # the wings' grid, and their end
         scene.stars is not None,  # common streaks
         by_wavelength(scene),
         bool(scene.targets or scene.populations),  # bodies as points
@@ -48,14 +49,8 @@ def by_wavelength(scene: Scene) -> bool:
         isinstance(one, AiryPsf | KolmogorovPsf)
         and one.wavelength_nm is None
         and one.wavelengths is None
-        for one in _psfs(scene)
+        for one in scene.sensor.every_psf
     )
-
-
-def _psfs(scene: Scene) -> list[OnePsf]:
-    """The point-spread function, or those of all places of the field."""
-    psf = scene.sensor.psf
-    return [one for row in psf.psfs for one in row] if isinstance(psf, FieldPsf) else [psf]
 
 
 def part_sigma(scene: Scene) -> float:

@@ -20,7 +20,6 @@ from pipeline.spec.detector import TimeDelay
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor import (
     AiryPsf,
-    FieldPsf,
     GaussianPsf,
     KolmogorovPsf,
     MoffatPsf,
@@ -191,8 +190,7 @@ def open_fraction(optics: Optics, band: BandOptics | None) -> float:
 
 def open_past_vanes(s: Sensor) -> float:
     """Fraction of the annular aperture that the vanes leave open, whatever the wavefront."""
-    every = [one for row in s.psf.psfs for one in row] if isinstance(s.psf, FieldPsf) else [s.psf]
-    vanes = {one.vanes for one in every if isinstance(one, AiryPsf) and one.vanes is not None}
+    vanes = {p.vanes for p in s.every_psf if isinstance(p, AiryPsf) and p.vanes is not None}
     return min(
         (Pupil(1.0, s.obscuration, _vanes(s, v)).open_fraction for v in vanes), default=1.0
     )

@@ -33,7 +33,6 @@ from pipeline.plan.streaks import StreakPlan, plan_streaks, zone_streak
 from pipeline.plan.tiles import BLOCK_PX
 from pipeline.plan.wing_sweeps import WingSweeps, wing_sweeps
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor import FieldPsf
 
 if TYPE_CHECKING:
     from pipeline.plan.psf_field import PsfField
@@ -246,10 +245,7 @@ def _edge(blur: Blur) -> float:
 
 def _asked_phases(scene: Scene) -> int:
     """Sub-pixel phases that the scene asks for; of a field, the most."""
-    psf = scene.sensor.psf
-    if isinstance(psf, FieldPsf):
-        return max(one.oversampling for row in psf.psfs for one in row)
-    return psf.oversampling
+    return max(one.oversampling for one in scene.sensor.every_psf)
 
 
 def _shortest_piece(camera: Camera, ends: Geometry, streaks: StreakPlan, aberration: bool) -> Path:

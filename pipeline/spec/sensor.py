@@ -325,6 +325,13 @@ class Sensor(Strict):
     )  # fmt: skip
     detector: Detector | None = Field(None, description="bad pixels, patterns, ways of reading out")
 
+    @property
+    def every_psf(self) -> tuple[OnePsf, ...]:
+        """The point-spread function, or those of all places of the field, row by row."""
+        if isinstance(self.psf, FieldPsf):
+            return tuple(one for row in self.psf.psfs for one in row)
+        return (self.psf,)
+
     @model_validator(mode="before")
     @classmethod
     def _pupil_unless_in_the_flat(cls, data: Any) -> Any:
