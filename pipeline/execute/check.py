@@ -35,12 +35,20 @@ from pipeline.physics.drawing.wings import (
     spread,
     wing_grid,
 )
-from pipeline.physics.motion.streak import POINT, Path, part_within, pieces, transfer
+from pipeline.physics.motion.streak import (
+    POINT,
+    Path,
+    part_within,
+    path_through,
+    pieces,
+    transfer,
+)
 from pipeline.physics.psf.pupil import Blur
-from pipeline.plan.checks import CheckCell
+from pipeline.physics.psf.response import Core
+from pipeline.plan.checks import FINE_KERNELS, CheckCell, fine_ends
 from pipeline.plan.optics import LARGEST_CORE_SAMPLES
+from pipeline.plan.own_paths import EXACT_MERGE_PX, star_offsets
 from pipeline.plan.scene_plan import Plan
-from pipeline.plan.streaks import exact_path
 from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import CELL_PX
 
@@ -50,12 +58,16 @@ Group = tuple[Array, Array, Array, Path]  # (x, y, light) of sources, and the pa
 WINDOW_PX = 16
 LEAST_ERROR = 1e-14  # of the light: where nothing else is known of a core's error
 OWN_PATHS, MOST_OWN = 8, 96  # of the brightest stars near a window; of those with bright streaks
-MOST_TERMS = 4e8  # products that a window may cost: about a second
+MOST_S = 2.0  # CPU seconds that the sources of a window may cost, on one core
+SOURCE_S, SEGMENT_S, SPECTRUM_S = 1.5e-9, 2e-9, 3e-8  # of one term of a spectrum (measured)
+VALUE_S = 2.5e-9  # of a value of a profile
+OFF_SHARE = 0.02  # of the light that may be off: what merging the segments of a path may cost
+MOST_MERGED_PX = 1e-2
+MOST_FOLLOWED = 500  # of the brightest stars near a window, whose paths are looked at
 LONGEST_PX = 96.0
-MOST_VALUES = 5e7  # of a profile that one source may cost: half a second
+MOST_VALUES = 5e7  # of a profile that one source may cost
 MOST_POINTS = 1e6  # along the paths of a group of sources whose wings are swept so
 SWEEP_STEP_PX = 32.0
-FINE_POINTS = 384  # of the finest grid from a source to the end of its wings
 
 
 def check_tile(
@@ -165,15 +177,15 @@ def _window(values: Array) -> Part:
 
 def reference(
     plan: Plan, g: Geometry, at: Tile, stars: FrameStars, own_paths: int = OWN_PATHS,
-    most_terms: float = MOST_TERMS,
+    most_s: float = MOST_S,
 ) -> tuple[Array | None, int]:  # fmt: skip
     """Light of all sources in a small window by the reference path, and how many sources.
 
     Every source stands at its exact place and streaks as stars in the window's middle do (targets
-    and the `own_paths` brightest stars along their own path), with a core of twice the radius that
+    and at least `own_paths` stars along their own path), with a core of twice the radius that
     its brightness asks for and the wings on a grid of half the spacing: the sum of the phases of
     its spectrum, in float64. Those alone on their path are integrated over each pixel instead
-    where the profile of the response is known. None where that would cost more than `most_terms`.
+    where the profile of the response is known. None where that would cost more than `most_s`.
     """
     every = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
     near, setting = whole_stars(every), setting_stars(plan, g, every)
@@ -187,11 +199,11 @@ def reference(
     costs = [_quadrature_cost(plan, at, group) for group in groups]
     work = list(_pieces(plan, at, [of for of, c in zip(groups, costs, strict=True) if c is None]))
     size = at.rows, at.columns
-    cost: float = sum(len(x) * terms(core, piece, size) for core, piece, x, _, _ in work)
-    cost += sum(c for c in costs if c is not None)
+    cost_s = sum(_spectra_s(core, piece, size, len(x)) for core, piece, x, _, _ in work)
+    cost_s += VALUE_S * sum(c for c in costs if c is not None)
     bodies = [t for t in targets if t.body is not None]
     sources = sum(len(group[0]) for group in groups) + len(bodies)
-    if cost > most_terms:
+    if cost_s > most_s:
         return None, sources
     image = np.zeros((at.rows, at.columns))
     for core, piece, x, y, light in work:
@@ -206,6 +218,12 @@ def reference(
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
+
+
+def _spectra_s(core: Core, path: Path, size: tuple[int, int], sources: int) -> float:
+    """CPU seconds of sources that share a path, by the sum of their phases."""
+    each = SOURCE_S * sources + SEGMENT_S * path.segments + SPECTRUM_S
+    return terms(core, path, size) * each
 
 
 def _end(plan: Plan, t: FrameTarget) -> float:
@@ -248,45 +266,50 @@ def _quadrature_cost(plan: Plan, at: Tile, group: Group) -> float | None:
 def _star_groups(
     plan: Plan, g: Geometry, at: Tile, near: FrameStars, own_paths: int
 ) -> list[Group]:
-    """(x, y, light, path) of the stars near a window: of most together, of the brightest alone."""
+    """(x, y, light, path) of the stars near a window: of most together, of some alone.
+
+    Alone are those that their own path shifts most against the common one, the window's middle's,
+    times their light, and those that are drawn by quadrature.
+    """
     if not len(near):
         return []
     middle = at.x0 + 0.5 * (at.columns - 1), at.y0 + 0.5 * (at.rows - 1)
+    some = np.argsort(-near.light_e, kind="stable")[:MOST_FOLLOWED]
+    x, y, light = near.x_px[some], near.y_px[some], near.light_e[some]
     aberration = plan.scene.star_effects["aberration"]
-    path = exact_path(plan.camera, g, *middle, aberration)
-    if own_paths:  # and all that are not drawn with the common streak, as far as may be
-        bright_e = plan.responses.streaks.mixed_from_e_px * max(1.0, path.length_px)
-        own_paths = max(own_paths, min(MOST_OWN, int(np.count_nonzero(near.light_e > bright_e))))
-    own = _brightest(near, middle, path, own_paths)
-    own |= class_of(plan, near.light_e) == len(plan.responses.classes)
-    groups = [(near.x_px[~own], near.y_px[~own], near.light_e[~own], path)]
+    places = np.append(x, middle[0]), np.append(y, middle[1])
+    offsets = star_offsets(plan.camera, g, *places, aberration)[:, :, 0]
+    offsets, common = offsets[:, :-1], offsets[:, -1:]
+    off_px = np.hypot(*(offsets - common)).max(axis=1)
+    to_middle = np.stack([middle[0] - x, middle[1] - y])[..., None]
+    apart = np.minimum(_nearest(offsets, to_middle), _nearest(common, to_middle))
+    off_e = np.where(apart < 2.0 * WINDOW_PX, light * off_px, 0.0)
+    if own_paths:
+        shown = int(np.count_nonzero(off_e > OFF_SHARE * plan.responses.budget_e))
+        own_paths = max(own_paths, min(MOST_OWN, shown))
+    own = np.zeros(len(some), bool)
+    own[np.argsort(-off_e, kind="stable")[:own_paths]] = True
+    own &= off_e > 0.0
+    own |= class_of(plan, light) == len(plan.responses.classes)
+    weight = np.full(g.nodes - 1, 1.0 / (g.nodes - 1))
+    together = np.ones(len(near), bool)
+    together[some[own]] = False
+    path = path_through(common[0, 0], common[1, 0], weight, EXACT_MERGE_PX)
+    groups = [(near.x_px[together], near.y_px[together], near.light_e[together], path)]
     for i in np.flatnonzero(own):
-        x, y, light = near.x_px[[i]], near.y_px[[i]], near.light_e[[i]]
-        its = exact_path(plan.camera, g, float(x[0]), float(y[0]), aberration)
-        groups.append((x, y, light, its))
+        merge_px = OFF_SHARE * plan.responses.budget_e / max(float(light[i]), 1e-300)
+        merge_px = min(max(merge_px, EXACT_MERGE_PX), MOST_MERGED_PX)
+        its = path_through(offsets[0, i], offsets[1, i], weight, merge_px)
+        groups.append((x[[i]], y[[i]], light[[i]], its))
     return groups
 
 
-def _brightest(
-    stars: FrameStars, middle: tuple[float, float], path: Path, count: int
-) -> NDArray[np.bool_]:
-    """Which stars (n,) are the `count` brightest of those that pass through a window or near it.
-
-    middle : (x, y) of the window; path : of a star there
-    """
-    x, y = middle[0] - stars.x_px, middle[1] - stars.y_px
-    apart = np.full(len(stars), np.inf)
-    for k in range(path.segments):
-        x0, y0, x1, y1 = path.x_px[k], path.y_px[k], path.x_px[k + 1], path.y_px[k + 1]
-        dx, dy = x1 - x0, y1 - y0
-        share = ((x - x0) * dx + (y - y0) * dy) / max(dx * dx + dy * dy, 1e-300)
-        share = np.clip(share, 0.0, 1.0)
-        apart = np.minimum(apart, np.hypot(x - x0 - share * dx, y - y0 - share * dy))
-    near = apart < 2.0 * WINDOW_PX
-    light = np.where(near, stars.light_e, -1.0)
-    chosen = np.zeros(len(stars), bool)
-    chosen[np.argsort(-light, kind="stable")[:count]] = True
-    return chosen & near
+def _nearest(offsets: Array, to_place: Array) -> Array:
+    """Least distance (n,) from paths (2, n or 1, K) to places (2, n, 1) [px]."""
+    way = np.diff(offsets, axis=2)
+    along = ((to_place - offsets[..., :-1]) * way).sum(axis=0)
+    share = np.clip(along / np.maximum((way**2).sum(axis=0), 1e-300), 0.0, 1.0)
+    return np.hypot(*(to_place - offsets[..., :-1] - share * way)).min(axis=1)
 
 
 def _pieces(
@@ -328,9 +351,7 @@ def _radius(plan: Plan, k: int, blur: Blur) -> float:
     return min(2.0 * r.classes[k].radius_px, max(most, r.classes[k].radius_px))
 
 
-def _add_fine_wings(
-    plan: Plan, image: Array, at: Tile, groups: list[Group]
-) -> None:
+def _add_fine_wings(plan: Plan, image: Array, at: Tile, groups: list[Group]) -> None:
     """Wings of sources on grids of half the planned spacing.
 
     Each source sends its wings from points all along its own path, or, where those would be too
@@ -397,19 +418,11 @@ def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
 def _fine_grids(
     plan: Plan, at: Tile, sweep_px: float
 ) -> list[tuple[WingGrid, tuple[float, float]]]:
-    """Grids around a window, and from where to where [px] each has a source's wings.
-
-    One of half the planned spacing; where that takes more than FINE_POINTS to the reach it ends
-    there, and a coarser one has the rest, as smooth as it is so far out.
-    """
+    """Grids around a window, and from where to where [px] each has a source's wings."""
     r = plan.responses
-    spacing = max(1, r.spacing_px // 2)
-    ends = [(spacing, 0.0, min(r.reach_px, float(spacing * FINE_POINTS)))]
-    if ends[0][2] < r.reach_px:
-        ends.append((math.ceil(r.reach_px / FINE_POINTS), ends[0][2], r.reach_px))
     return [
         (wing_grid((at.rows, at.columns), (at.y0, at.x0), h, last + sweep_px), (first, last))
-        for h, first, last in ends
+        for h, first, last in fine_ends(r.spacing_px, r.reach_px)
     ]
 
 
@@ -420,7 +433,7 @@ def _wing(
     return _wing_kept(blur, radius_px, replace(grid, y0_px=0.0, x0_px=0.0), ends)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=FINE_KERNELS)
 def _wing_kept(
     blur: Blur, radius_px: float, grid: WingGrid, ends: tuple[float, float]
 ) -> NDArray[np.complex128]:

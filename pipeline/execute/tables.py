@@ -28,8 +28,9 @@ from pipeline.physics.psf.response import (
     phase_table,
     window,
 )
+from pipeline.plan.needs import KERNEL_BYTES
 
-KEPT_BYTES, KERNEL_BYTES = 192e6, 128e6
+KEPT_BYTES = 192e6
 SPECTRAL_ERROR = 1e-5  # of the peak of a source, in any pixel
 ALIKE_PX = 8.0
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.arrays import Geometry
 from pipeline.spec.scene import CELL_PX, Scene
+
+FINE_POINTS = 384  # of the finest grid from a source to the end of its wings
+FINE_KERNELS = 8  # of the wings on such grids, that a process keeps
 
 
 @dataclass(frozen=True)
@@ -50,3 +54,16 @@ def _cell_of(scene: Scene, ends: Geometry, target: int) -> tuple[int, int]:
     if not (-0.5 <= x < columns - 0.5 and -0.5 <= y < rows - 0.5):
         return -1, -1
     return int(y + 0.5) // CELL_PX, int(x + 0.5) // CELL_PX
+
+
+def fine_ends(spacing_px: int, reach_px: float) -> list[tuple[int, float, float]]:
+    """(spacing [px], from where, to where [px]) of the grids that wings are drawn again on.
+
+    One of half the planned spacing; where that takes more than FINE_POINTS to the reach it ends
+    there, and a coarser one has the rest, as smooth as it is so far out.
+    """
+    spacing = max(1, spacing_px // 2)
+    ends = [(spacing, 0.0, min(reach_px, float(spacing * FINE_POINTS)))]
+    if ends[0][2] < reach_px:
+        ends.append((math.ceil(reach_px / FINE_POINTS), ends[0][2], reach_px))
+    return ends

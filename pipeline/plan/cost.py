@@ -14,7 +14,7 @@ START_S = 3.5  # a process that imports, plans, and writes the last of a product
 TILE_S = 0.03  # of one tile's task: geometry, light, truth, marker
 CHUNK_S = 0.015  # one chunk packed, synced, and its cells' checksums
 NOISE_S_PER_PIXEL = 60e-9
-CHECK_S = 0.1  # one window drawn again: estimated, not measured yet
+CHECK_S = 0.5  # a cell's two windows drawn again, each at most execute/check.py's MOST_S
 
 
 def least_cpu_s(scene: Scene) -> float:
@@ -27,11 +27,11 @@ def least_cpu_s(scene: Scene) -> float:
     tiles = math.prod(-(-length // side) for length, side in sides)
     layers = len({"dn", *scene.output.layers})
     frame_s = pixels * NOISE_S_PER_PIXEL + tiles * (TILE_S + layers * CHUNK_S)
-    return START_S + frame_count(scene) * frame_s + CHECK_S * _checks(scene)
+    return START_S + frame_count(scene) * frame_s + CHECK_S * check_count(scene)
 
 
-def _checks(scene: Scene) -> int:
-    """How many windows are drawn again: none where there are no sources."""
+def check_count(scene: Scene) -> int:
+    """How many cells have windows drawn again: none where there are no sources."""
     if not (scene.stars or scene.targets or scene.populations):
         return 0
     cells = math.prod(-(-n // CELL_PX) for n in scene.sensor.shape)

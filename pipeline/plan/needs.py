@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING
 
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.quadrature import has_profile, profile_s
-from pipeline.plan.cost import NOISE_S_PER_PIXEL, START_S, least_cpu_s
+from pipeline.physics.psf.aperture import Pupil
+from pipeline.physics.psf.band import Mixture
+from pipeline.physics.psf.pupil import Blur
+from pipeline.plan.checks import FINE_KERNELS, fine_ends
+from pipeline.plan.cost import NOISE_S_PER_PIXEL, START_S, check_count, least_cpu_s
 from pipeline.plan.responses import SPECTRAL_S, SPECTRAL_S_PER_PIXEL, stamp_s
 from pipeline.plan.tiles import BLOCK_PX, tile_shape
 
@@ -24,11 +28,12 @@ BASE_MB = 180.0  # of a process that has imported all and draws nothing
 GRID_S_PER_POINT = 1e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
 KERNEL_S_PER_POINT = 8e-8  # of the grid that a wing is made on, with its core; of a band the same
+PUPIL_S_PER_POINT = 1.2e-8  # and more of it for each wavelength of an aperture with a wavefront
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
+KERNEL_BYTES = 128e6  # of the wings of blocks, that a process keeps
 KERNEL_BYTES_PER_POINT = 60.0  # while a wing is made
 TEST_BYTES_PER_POINT = 60.0  # while a wing's error is measured
 SLOW_S = 0.05  # a frame's geometry: where planning took more, its measured time counts
-KERNELS_USED = 2  # of the wings, likewise in one process
 CLASSES_USED = 3  # of the core classes, by the sources of a usual scene
 
 
@@ -162,12 +167,29 @@ def _wings_s(plan: Plan, spent: Spent) -> float:
 
 
 def _kernels_s(plan: Plan) -> float:
-    """CPU seconds of making the wings, once in a process."""
+    """CPU seconds of making the wings: of a block's grid and of each grid of the check.
+
+    Once in a process, or for every frame where they are more than are kept.
+    """
     r = plan.responses
     if not r.spacing_px:
         return 0.0
-    kernels = len(r.blurs) * min(KERNELS_USED, len(r.classes))
-    return KERNEL_S_PER_POINT * _kernel_points(plan) * kernels
+    kernels = len(r.blurs) * min(CLASSES_USED, len(r.classes))
+    of_frames = plan.frames if kernels * 8.0 * _grid_points(plan, 0.0) > KERNEL_BYTES else 1
+    windows = 2 * check_count(plan.scene)
+    fine = fine_ends(r.spacing_px, r.reach_px)
+    of_windows = windows if len(fine) * kernels > FINE_KERNELS else min(1, windows)
+    each = KERNEL_S_PER_POINT + PUPIL_S_PER_POINT * max(map(_wavefronts, r.blurs))
+    points = of_frames * _kernel_points(plan)
+    points += of_windows * sum((4.0 * last / spacing) ** 2 for spacing, _, last in fine)
+    return kernels * each * points
+
+
+def _wavefronts(blur: Blur) -> int:
+    """How many wavelengths of an aperture with vanes or a wavefront a response holds."""
+    optics = blur.optics
+    parts = optics.parts if isinstance(optics, Mixture) else (optics,)
+    return sum(isinstance(part, Pupil) for part in parts)
 
 
 def _profiles_s(plan: Plan) -> float:
@@ -195,6 +217,9 @@ def _drawing_s(plan: Plan, stars: int) -> float:
     if _in_crowds(plan, stars):
         pixels = math.prod(plan.scene.sensor.shape)
         many, together = len(r.blurs), stars * min(4, len(r.blurs))
-        return SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many + SPECTRAL_S * together
+        crowd_s = SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many + SPECTRAL_S * together
+        return crowd_s + (r.stars_s or 0.0)
+    if r.stars_s is not None:
+        return r.stars_s
     drawn = stars * min(4, len(r.blurs))  # by the responses around each
     return drawn * r.streaks.pieces * stamp_s(r)

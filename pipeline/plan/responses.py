@@ -90,6 +90,7 @@ class ResponsePlan:
     budget_e : error that one approximation may make in one pixel
     field : the responses over the field, `blur` being the sharpest; None where `blur` serves all
     table_mb : what a field's tables may take together [MB]
+    stars_s : CPU seconds that its stars cost a frame, less those in crowds; None where not counted
     """
 
     blur: Blur
@@ -102,6 +103,7 @@ class ResponsePlan:
     spectral_from: int = 0
     field: PsfField | None = None
     table_mb: float = 0.0
+    stars_s: float | None = None
 
     @property
     def blurs(self) -> tuple[Blur, ...]:

@@ -101,7 +101,7 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
     middle, aberration = r.streaks.zones // 2, plan.scene.star_effects["aberration"]
     streak = zone_streak(plan.camera, one, middle, middle, r.streaks, aberration)
     frames = plan.frames if not r.streaks.longest_px else 1.0  # that share their tables
-    classes, said, low_e = [], [], 0.0
+    classes, said, low_e, stars_s = [], [], 0.0, 0.0
     for k, core in enumerate(r.classes):
         split = float(np.clip(streak.mixed_from_e, low_e, core.brightest_e))
         usual, bright = counts.between(low_e, split), counts.between(split, core.brightest_e)
@@ -111,10 +111,13 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
         tables = r.products or costs.tables(usual) <= SURE * costs.singly(usual)
         mixtures = costs.mixtures(bright) <= costs.along(bright)
         phases, mixed = core.phases * tables, costs.mixed_phases * mixtures
+        stars_s += costs.mixtures(bright) if mixtures else costs.along(bright)
+        if math.isfinite(usual):
+            stars_s += costs.tables(usual) if tables else costs.singly(usual)
         classes.append(replace(core, phases=phases, mixed_phases=mixed))
         said += _said(core, usual, bright, phases, mixed, streak)
         low_e = core.brightest_e
-    made = replace(r, classes=tuple(classes))
+    made = replace(r, classes=tuple(classes), stars_s=None if r.products else stars_s)
     return replace(plan, responses=made, decisions=(*plan.decisions, _decision(said)))
 
 

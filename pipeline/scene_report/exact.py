@@ -19,7 +19,7 @@ from pipeline.prepare import gather_response
 from pipeline.scene_report.stage import Stage, mean_of, noise_of
 
 OWN_PATHS = 400  # of the brightest stars that pass a window: all, but in the densest fields
-MOST_TERMS = 2e10
+MOST_S = 60.0
 SEED = 5
 
 
@@ -59,7 +59,7 @@ def find_exact(stage: Stage, tiles: tuple[Tile, ...], count: int) -> Exact:
     sky = exact_sky(stage)
     kept, means, noises, sources = [], [], [], 0
     for window in choose_windows(stage, tiles, count):
-        image, drawn = reference(stage.plan, stage.g, window, stage.stars, OWN_PATHS, MOST_TERMS)
+        image, drawn = reference(stage.plan, stage.g, window, stage.stars, OWN_PATHS, MOST_S)
         if image is None:  # too many sources for it
             continue
         mean = mean_of(stage, {"background_e": sky(window), "sources_e": image}, window)

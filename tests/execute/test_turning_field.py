@@ -81,3 +81,21 @@ def test_a_turn_about_another_place_is_looked_at_where_it_stands_still(roll_deg,
     for x, y in ((20.0, 20.0), (140.0, 20.0), (79.5, 140.0), (20.0, 120.0), (120.0, 79.5)):
         own = exact_path(plan.camera, geometry_of(plan), x, y, True)
         assert swept_apart(blur, core, own, common) <= MARGIN * measured
+
+
+@pytest.mark.parametrize("at", [(230.0, 90.0), (90.0, -60.0), (-40.0, 120.0)])
+def test_the_reference_follows_a_star_where_stars_of_the_window_go_elsewhere(at):
+    """A window at the beginning of a star's path: those of the window itself never come there."""
+    plan = turning(70.0, {"kind": "gaussian", "sigma_px": 0.8}, 200.0)
+    g = geometry_of(plan)
+    path = exact_path(plan.camera, g, *at, True)
+    x0, y0 = (int(v) - 8 for v in (at[0] + path.x_px[0], at[1] + path.y_px[0]))
+    light_e = 1e9
+    exact, _ = reference(plan, g, Tile(0, 0, y0, x0, 16, 16),
+                         field(*(np.array([v]) for v in (*at, light_e))))  # fmt: skip
+    lengths = np.hypot(np.diff(path.x_px), np.diff(path.y_px))
+    inside = np.hypot(path.x_px - path.x_px[0], path.y_px - path.y_px[0]) < 5.0
+    sure_e = light_e * float(path.weight[inside[1:]].sum())
+    assert lengths.sum() > 50.0
+    assert sure_e > 1e6
+    assert exact.sum() > sure_e

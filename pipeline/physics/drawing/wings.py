@@ -26,6 +26,7 @@ TEST_SAMPLES = 8  # and what single pixels can see
 TEST_SIDE = 1024  # samples across from which fewer a pixel are taken, and most pixels
 LARGEST_SIDE = 4096  # samples across that any test may take
 CUT_FROM = 0.9  # of the reach: where the wing's cut-off begins
+COLUMNS = 64  # of frequencies that are transformed together
 SPLINE_PX = 3  # grid points that the splines need beyond the range they serve
 
 
@@ -183,16 +184,24 @@ def _wing_at(blur: Blur, core: Core, fy: Array, fx: Array, os: int) -> NDArray[n
 def _core_transfer(core: Core, fy: Array, fx: Array, most: int) -> NDArray[np.complex128]:
     """Fourier transform of the core at the frequencies fy (n,), fx (m,) -> (n, m).
 
+    fy, fx : those of a real FFT over a whole number of pixels
     A core with more than `most` samples a pixel is first cut smoothly to the frequencies that so
     many hold; the transform is then exact below most / 4 cycles per pixel.
     """
     samples, at, per_px = _smoothed(core, most)
-    left, right = (2.0 * np.pi * np.outer(f, at) for f in (fy, fx))
-    rows = _product(np.vstack([np.cos(left), -np.sin(left)]), samples)
-    real, imag = rows[: fy.size], rows[fy.size :]
-    turns = np.ascontiguousarray(np.vstack([np.cos(right).T, -np.sin(right).T]))
-    out = _product(np.block([[real, -imag], [imag, real]]), turns) / per_px**2
-    return out[: fy.size] + 1j * out[fy.size :]
+    period = round(1.0 / fx[1]) * per_px
+    index = np.rint(at * per_px).astype(np.int64) % period
+    rows = np.zeros((len(at), period))
+    np.add.at(rows.T, index, samples.T)
+    along = np.ascontiguousarray(scipy.fft.rfft(rows, axis=1)[:, : fx.size].T)
+    wanted = np.rint(fy * period / per_px).astype(np.int64) % period
+    out = np.empty((fy.size, fx.size), complex)
+    for first in range(0, fx.size, COLUMNS):
+        part = slice(first, first + COLUMNS)
+        columns = np.zeros((len(along[part]), period), complex)
+        np.add.at(columns.T, index, along[part].T)
+        out[:, part] = scipy.fft.fft(columns, axis=1, overwrite_x=True)[:, wanted].T / per_px**2
+    return out
 
 
 def _low_pass(f: Array, samples: int) -> Array:
@@ -218,31 +227,6 @@ def _smoothed(core: Core, most: int) -> tuple[Array, Array, int]:
     samples = scipy.fft.ifft2(small).real * (n / fine) ** 2
     at = np.arange(-(n // 2), n - n // 2)
     return samples[np.ix_(at % n, at % n)], at / most, most
-
-
-@njit(cache=True, nogil=True)
-def _product(a, b):
-    """Matrix product in a fixed order of additions (a BLAS may reorder with its thread count).
-
-    Four rows of `b` at a time, in blocks that stay in the cache.
-    """
-    inner, n = b.shape
-    whole = inner - inner % 4
-    out = np.zeros((a.shape[0], n))
-    for start in range(0, whole, 64):
-        for i in range(a.shape[0]):
-            row = out[i]
-            for k in range(start, min(start + 64, whole), 4):
-                p, q, r, s = a[i, k], a[i, k + 1], a[i, k + 2], a[i, k + 3]
-                for j in range(n):
-                    row[j] = (
-                        row[j] + p * b[k, j] + q * b[k + 1, j] + r * b[k + 2, j] + s * b[k + 3, j]
-                    )
-    for i in range(a.shape[0]):
-        for k in range(whole, inner):
-            for j in range(n):
-                out[i, j] += a[i, k] * b[k, j]
-    return out
 
 
 @njit(cache=True, nogil=True)

@@ -8,7 +8,7 @@ the annulus itself is exact (`Airy`), and what sampling does to its edges cancel
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -81,6 +81,10 @@ class Pupil:
         return lattice(self.obscuration, self.vanes, self.waves)
 
     @property
+    def _traits(self) -> Lattice:
+        return _traits(self.obscuration, self.vanes, self.waves)
+
+    @property
     def annulus(self) -> Airy:
         """The same aperture without vanes and wavefront."""
         return Airy(self.q_px, self.obscuration)
@@ -113,18 +117,18 @@ class Pupil:
         near = _light(self.obscuration, self.vanes, self.waves)
         if radius_px <= FARTHEST_Q * self.q_px:
             return near(radius_px / self.q_px)
-        far = self.q_px * self._shape.edge / (2.0 * np.pi * radius_px)
+        far = self.q_px * self._traits.edge / (2.0 * np.pi * radius_px)
         return min(near(FARTHEST_Q), far)
 
     @property
     def open_fraction(self) -> float:
         """Share of the annulus that the vanes leave open: times this the light gets through."""
-        return self._shape.open_fraction
+        return self._traits.open_fraction
 
     @property
     def blur_px(self) -> float:
         """Radius of the image by rays: Q times the steepest wavefront."""
-        return self.q_px * self._shape.gradient
+        return self.q_px * self._traits.gradient
 
     @property
     def scale_px(self) -> float:
@@ -148,7 +152,7 @@ class Pupil:
         return 1.0 if radius_px < self.q_px / self.vanes.width else 2.5
 
 
-@lru_cache(maxsize=12)
+@lru_cache(maxsize=24)  # the wavelengths of a band are at most 20
 def lattice(obscuration: float, vanes: Vanes | None, waves: Terms, cells: int = CELLS) -> Lattice:
     """Sample the pupil, correlate it with itself, and subtract the plain annulus."""
     at = (np.arange(cells) + 0.5) / cells - 0.5  # in diameters
@@ -178,6 +182,12 @@ def lattice(obscuration: float, vanes: Vanes | None, waves: Terms, cells: int = 
     return Lattice(cells, values, open_fraction, edge, steepest * cells)
 
 
+@lru_cache(maxsize=256)
+def _traits(obscuration: float, vanes: Vanes | None, waves: Terms) -> Lattice:
+    """The lattice without its values, which are 8 MB each."""
+    return replace(lattice(obscuration, vanes, waves), values=np.zeros((0, 0)))
+
+
 def _correlate(field: NDArray[np.complex128] | Array, area: float) -> Transfer:
     """Autocorrelation over the area at shifts of whole cells; (2 cells + 1, cells + 1)."""
     cells = field.shape[0]
@@ -191,7 +201,7 @@ def _correlate(field: NDArray[np.complex128] | Array, area: float) -> Transfer:
     return out
 
 
-@lru_cache(maxsize=12)
+@lru_cache(maxsize=256)
 def _light(obscuration: float, vanes: Vanes | None, waves: Terms) -> Callable[[float], float]:
     """Light beyond a radius in units of Q, up to FARTHEST_Q."""
     one = Pupil(1.0, obscuration, vanes, waves)

@@ -227,13 +227,27 @@ def choose_wavelengths(
         return of_light <= tolerance and (limit is None or of_noise <= limit.sigma)
 
     if count is None:
-        count = next((n for n in counts if enough(n)), counts[-1])
+        count = counts[_first(lambda i: enough(counts[i]), len(counts) - 1)]
     optics, nodes, weights = mixed(count, False)
     error, error_sigma = errors(count)
     return BandOptics(
         optics, tuple(map(float, nodes)), tuple(map(float, weights)), error, errors(1)[0],
         error_sigma,
     )  # fmt: skip
+
+
+def _first(holds: Callable[[int], bool], last: int) -> int:
+    """The least i from 0 for which something holds that then goes on to hold; else `last`.
+
+    Steps that double, then halves: few of many are looked at.
+    """
+    low, high = -1, 0
+    while high < last and not holds(high):
+        low, high = high, min(last, 2 * high + 2)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high
 
 
 def response_difference(one: Blur, other: Blur) -> float:

@@ -38,7 +38,7 @@ def refine(evaluate: Evaluate, rows: int, columns: int, tolerance: float) -> Fra
 
     Each grid is compared with the light at the nodes of the next finer one, where bilinear
     interpolation errs most. Beyond MOST_INTERVALS light that is not smooth is refined no more, and
-    none beyond MOST_VALUES.
+    none beyond MOST_VALUES. Where half pixels are fewer, nodes there are exact at every pixel.
     """
     intervals = FIRST_INTERVALS
     fine = at_nodes(evaluate, rows, columns, intervals + 1, intervals + 1)
@@ -54,6 +54,9 @@ def refine(evaluate: Evaluate, rows: int, columns: int, tolerance: float) -> Fra
             return FrameGrid(rows, columns, coarse.copy(), error, True)
     while True:
         coarse, before, intervals = fine, error, 2 * intervals
+        if intervals**2 >= 4 * rows * columns:
+            exact = at_nodes(evaluate, rows, columns, 2 * rows + 1, 2 * columns + 1)
+            return FrameGrid(rows, columns, exact, 0.0, True)
         fine = at_nodes(evaluate, rows, columns, intervals + 1, intervals + 1)
         error = _error(coarse, fine)
         if error <= tolerance or _finest(intervals, error > STALLED * before, fine.size):

@@ -8,6 +8,8 @@ import scipy.fft
 from scipy.special import j1
 
 from pipeline.physics.drawing.wings import (
+    _core_transfer,
+    _smoothed,
     add_wings,
     convolve,
     grid_frequencies,
@@ -45,6 +47,20 @@ def radius_and_spacing(q: float) -> tuple[float, int]:
     """The first core class of the plan (pipeline/plan/responses.py)."""
     radius = 12.0 * max(q, min(1.0, q) ** (1.0 / 3.0), 0.5)
     return radius, int(2 ** max(1, np.floor(np.log2(radius / 5.0))))
+
+
+@pytest.mark.parametrize(
+    ("q", "radius_px", "n", "spacing"),
+    [(2.0, 40.0, 500, 2), (0.7, 30.0, 600, 4), (2.0, 20.0, 801, 1)],
+)
+@pytest.mark.parametrize("most", [1, 2, 8])
+def test_core_transfer_is_the_sum_of_its_definition(q, radius_px, n, spacing, most):
+    core = compact_core(Blur(Airy(q), 0.1), radius_px)
+    fy, fx = scipy.fft.fftfreq(n, spacing), scipy.fft.rfftfreq(n, spacing)
+    samples, at, per_px = _smoothed(core, most)
+    left, right = (np.exp(-2j * np.pi * np.outer(f, at)) for f in (fy, fx))
+    want = left @ samples @ right.T / per_px**2
+    np.testing.assert_allclose(_core_transfer(core, fy, fx, most), want, atol=1e-14)
 
 
 class Drawer:

@@ -11,6 +11,7 @@ from pipeline.physics.psf.aperture import Pupil, Vanes
 from pipeline.physics.psf.band import (
     Chromatic,
     Mixture,
+    _first,
     band_wavelengths,
     choose_wavelengths,
     response_difference,
@@ -26,6 +27,18 @@ MEAN = 650e-9
 def mixture(make, band, count: int) -> Mixture:  # type: ignore[no-untyped-def]
     nodes, weights = band_wavelengths(*band, count)
     return Mixture(tuple(make(w) for w in nodes), tuple(float(w) for w in weights))
+
+
+@given(st.integers(0, 14), st.integers(0, 20))
+def test_limits_the_first_that_holds_is_found_with_few_looks(last, first):
+    looked = []
+
+    def holds(i):
+        looked.append(i)
+        return i >= first
+
+    assert _first(holds, last) == min(first, last)
+    assert len(looked) <= 7
 
 
 def hundred(make, band) -> Mixture:  # type: ignore[no-untyped-def]

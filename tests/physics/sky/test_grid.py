@@ -50,10 +50,21 @@ def test_several_frames_share_the_finest_grid_needed():
 
 
 def test_limits_a_jump_ends_at_the_finest_and_says_so():
-    grid = refine(lambda x, y: np.where(x > 31.7, 1.0, 0.0), 64, 64, 1e-3)
+    grid = refine(lambda x, y: np.where(x > 31.7, 1.0, 0.0), 1100, 1100, 1e-3)
     assert not grid.met
     assert grid.error > 1e-3
     assert grid.values.shape[-1] == MOST_INTERVALS + 1
+
+
+def test_a_small_frame_has_each_pixel_by_itself_where_light_is_not_smooth():
+    """Nodes at all half pixels: exact, and fewer than the finest grid has."""
+    rows, columns = 70, 41
+    grid = refine(lambda x, y: np.where(x > 20.2, 1.0, y), rows, columns, 1e-9)
+    assert grid.met
+    assert grid.values.shape == (2 * rows + 1, 2 * columns + 1)
+    y, x = np.mgrid[:rows, :columns].astype(float)
+    got = tile_light(grid.values, (rows, columns), (0, 0), (rows, columns))
+    np.testing.assert_allclose(got, np.where(x > 20.2, 1.0, y), atol=1e-12)
 
 
 @settings(max_examples=25)
