@@ -10,12 +10,11 @@ from pipeline.plan.timing import frame_count
 from pipeline.spec.load import parse_scene, path_holders
 from pipeline.spec.scene import Scene
 from service.catalogues import catalogue_mistakes
+from service.named_files import ID, NO_FILES, PREFIX
 from service.problems import Mistake, NotAllowed
 from service.settings import Settings
-from service.uploads import ID, PREFIX
 
 CATALOGUE_FIELD = "stars.catalogue"
-NO_FILES = "a number, or upload:ID of a file sent to /v1/files: no path or URL is taken"
 HasFile = Callable[[str], bool]
 Named = tuple[tuple[str, str | list[str]], ...]  # (dotted field, what it names)
 

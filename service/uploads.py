@@ -21,6 +21,7 @@ from service.auth import Caller
 from service.bodies import discard_rest
 from service.database import writing
 from service.jobs import record
+from service.named_files import PREFIX, check_unused
 from service.problems import (
     Malformed,
     NotAllowed,
@@ -33,9 +34,7 @@ from service.problems import (
 from service.settings import Settings
 from service.tables import uploads
 
-PREFIX = "upload:"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-ID = re.compile(r"[0-9a-f]{32}\.[a-z0-9]{1,8}")
 KINDS = (
     "npy", "fits", "fit", "csv", "txt", "dat", "int", "ecsv", "obj", "stl", "ply", "glb", "json",
     "xml", "kvn", "oem", "omm", "tle", "parquet",
@@ -129,8 +128,10 @@ class Uploads:
             return db.execute(query).first() is not None
 
     def remove(self, caller: Caller, file_id: str) -> None:
-        """Forget a team's file; the bytes go when no other team has them. NotThere."""
+        """Forget a team's file; the bytes go when no other team has them. NotThere, and NotReady
+        while a job that has not ended names it."""
         with writing(self._engine) as db:
+            check_unused(db, caller.team, file_id)
             mine = (uploads.c.team == caller.team, uploads.c.id == file_id)
             if db.execute(sa.delete(uploads).where(*mine)).rowcount == 0:
                 raise NotThere("there is no such file")
