@@ -16,7 +16,7 @@ from service.bodies import parse_json
 from service.scenes import HasFile, Named, check_named, judge_scene, named_in, pixel_frames_of
 from service.settings import Settings
 
-INLINE_BYTES = 1 << 14  # smaller bodies are read in the loop: a thread costs more
+LARGEST_KEPT = 1 << 14  # bytes of a body
 KEPT_BYTES = 1 << 24
 
 
@@ -62,11 +62,10 @@ class Acceptance:
         if found is not None:
             self._kept.move_to_end((team, body))
             self.reused += 1
-        elif len(body) > INLINE_BYTES:
-            found = await run_in_threadpool(self._judge, body)
         else:
-            found = self._judge(body)
-            self._keep((team, body), found)
+            found = await run_in_threadpool(self._judge, body)
+            if len(body) <= LARGEST_KEPT:
+                self._keep((team, body), found)
         if found.named:
             await run_in_threadpool(check_named, found.named, self._settings, has_file)
         return found
@@ -82,6 +81,8 @@ class Acceptance:
         )
 
     def _keep(self, key: tuple[str, bytes], found: Accepted) -> None:
+        if key in self._kept:  # the same bytes came twice at once
+            return
         self._kept[key] = found
         self.kept_bytes += _size(key, found)
         while self.kept_bytes > self._most:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import threading
 from collections.abc import AsyncIterator
@@ -29,6 +28,7 @@ from service.context import Context
 from service.gate import Gate
 from service.integrity import find_faults
 from service.jobs import Queue
+from service.looks import Looks
 from service.metrics import Gauges, Numbers
 from service.openapi import describe
 from service.routes import (
@@ -103,10 +103,11 @@ def create_app(settings: Settings) -> FastAPI:
         dispatcher = Dispatcher(settings, table)
         limits = limits_of(settings)
         intake = Intake(table, limits)
+        uploads = Uploads(settings, table.engine)
         context = Context(
             settings, table, dispatcher, Authenticator(settings, table.engine), intake,
-            Changes(table, settings.watchers), Uploads(settings, table.engine),
-            asyncio.Semaphore(settings.plans), numbers, Acceptance(settings), limits,
+            Changes(table, settings.watchers), uploads,
+            Looks(settings, uploads, dispatcher.stopping), numbers, Acceptance(settings), limits,
         )  # fmt: skip
         app.state.context = context
         numbers.registry.register(Gauges(context))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from copy import copy
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from service.accepted import Acceptance
 from service.auth import OPEN, Authenticator, Caller
 from service.changes import Changes
 from service.jobs import Queue
+from service.looks import Looks
 from service.metrics import Numbers
 from service.runner import Dispatcher
 from service.settings import Settings
@@ -29,7 +29,7 @@ class Context:
 
     store : the job table; in a route it shows the caller's team alone
     table : the whole job table, for health and metrics only
-    plans : how many dry runs may still start; numbers : what is counted
+    looks : plans of scenes, and judgements of their files; numbers : what is counted
     scenes : reads the bodies of submissions; limits : what one team may have
     """
 
@@ -40,7 +40,7 @@ class Context:
     intake: Intake
     changes: Changes
     files: Uploads
-    plans: asyncio.Semaphore
+    looks: Looks
     numbers: Numbers
     scenes: Acceptance
     limits: Limits

@@ -16,10 +16,8 @@ from service.attempts import Attempt
 from service.jobs import Job, Queue
 from service.leases import give_up, take
 from service.problems import NotReady
-from service.processes import POLL_S, plan_dry
+from service.processes import POLL_S
 from service.settings import Settings
-
-__all__ = ["Dispatcher", "plan_dry"]
 
 log = logging.getLogger("nightglass.service")
 HOUSEKEEPING_S = 1.0

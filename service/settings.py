@@ -41,7 +41,8 @@ class Settings:
     wait_s : longest time that one GET may wait for a change
     heartbeat_s : pause after which an event stream shows that it lives
     watchers : how many requests may wait for changes at once
-    plan_s, plans : longest time of a dry run, and how many may run at once
+    plan_s, judge_s, plans : longest time of a dry run, and of a look at the files of a submission;
+        how many of both may run at once
     request_threads : threads that answer requests
     slots : jobs that run at once; workers : threads of the engine for each, None for all cores
     scheduler : where jobs run: threads, processes, or the address of a Dask scheduler
@@ -79,6 +80,7 @@ class Settings:
     heartbeat_s: float = 15.0
     watchers: int = 1000
     plan_s: float = 60.0
+    judge_s: float = 20.0
     plans: int = 2
     request_threads: int = 16
     slots: int = 1

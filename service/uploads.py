@@ -8,6 +8,7 @@ import os
 import re
 import time
 import uuid
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,10 @@ class Uploads:
                 for row in db.execute(query)
             ]
 
+    def names(self, team: str, ids: Iterable[str]) -> dict[str, str]:
+        """The name by which a team sent each file of these ids."""
+        return names_of(self._engine, team, ids)
+
     def has(self, team: str, file_id: str) -> bool:
         """Whether a team has a file of this id (without `upload:`)."""
         query = sa.select(uploads.c.id).where(uploads.c.team == team, uploads.c.id == file_id)
@@ -138,6 +143,17 @@ class Uploads:
             record(db, caller.team, caller.actor, "upload.delete", file_id)
             if db.execute(sa.select(uploads.c.id).where(uploads.c.id == file_id)).first() is None:
                 (self._settings.uploads / file_id).unlink(missing_ok=True)
+
+
+def names_of(engine: sa.Engine, team: str, ids: Iterable[str]) -> dict[str, str]:
+    """The name by which a team sent each file of these ids."""
+    wanted = list(ids)
+    if not wanted:
+        return {}
+    query = sa.select(uploads.c.id, uploads.c.name)
+    with engine.connect() as db:
+        found = db.execute(query.where(uploads.c.team == team, uploads.c.id.in_(wanted)))
+        return {row.id: row.name for row in found}
 
 
 def bytes_kept(engine: sa.Engine, team: str) -> int:

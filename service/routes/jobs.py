@@ -20,8 +20,6 @@ from service.context import Context, Service, context_of
 from service.gate import allow_time
 from service.jobs import FINAL, Job, Phase
 from service.problems import Malformed, NotThere
-from service.runner import plan_dry
-from service.uploads import engine_scene
 from service.views import etag, job_dict
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -56,8 +54,10 @@ async def submit(
     found = await service.scenes.read(service.caller.team, body, service.has_file)
     if dry_run:
         allow_time(request, settings.plan_s + settings.answer_s)
-        plan = await plan_of(service, found.scene())
+        plan = await service.looks.plan(request, service.caller.team, found.scene())
         return JSONResponse(with_time(plan))
+    if found.named:
+        await service.looks.judge(request, service.caller.team, found.scene())
     ask = service.store.ask(
         found.name, found.text, found.body_sha256, idempotency_key,
         pixel_frames=found.pixel_frames,
@@ -104,15 +104,6 @@ def taken(
     told = {} if least_cpu_s is None else {"least_cpu_s": round(least_cpu_s, 1)}
     body = to_json(job_dict(job) | told)
     return Response(body, 202 if made else 200, headers, "application/json")
-
-
-async def plan_of(service: Context, scene: dict[str, Any]) -> dict[str, Any]:
-    """The plan of an accepted scene, made by a process of its own."""
-    data = engine_scene(scene, service.settings)
-    async with service.plans:
-        return await run_in_threadpool(
-            plan_dry, data, service.settings, service.dispatcher.stopping
-        )
 
 
 @router.get("")

@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from service.bodies import parse_json, read_body
 from service.context import Service
 from service.gate import allow_time
-from service.routes.jobs import check_key, json_body, plan_of, taken, with_time
+from service.routes.jobs import check_key, json_body, taken, with_time
 from service.sweeps import accept_sweep, can_run
 from service.teams import pixel_frames_of
 
@@ -38,10 +38,11 @@ async def submit(
     )
     if dry_run:
         allow_time(request, service.settings.plan_s + service.settings.answer_s)
-        plan = await plan_of(service, sweep["scene"])
+        plan = await service.looks.plan(request, service.caller.team, sweep["scene"])
         points = pixel_frames // pixel_frames_of(sweep["scene"])
         size = {"points": points, "pixel_frames": pixel_frames}
         return JSONResponse(size | {"base": with_time(plan)})
+    await service.looks.judge(request, service.caller.team, sweep["scene"])
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
     name = str(data.get("name", "sweep"))[:128]
     ask = service.store.ask(
