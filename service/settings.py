@@ -40,7 +40,8 @@ class Settings:
         have running, may ask for a day, and may keep on disk (uploads count)
     wait_s : longest time that one GET may wait for a change
     heartbeat_s : pause after which an event stream shows that it lives
-    watchers : how many requests may wait for changes at once
+    watchers : how many requests may wait for changes at once; a team has at most as many as are
+        left free
     plan_s, judge_s, plans : longest time of a dry run, and of a look at the files of a submission;
         how many of both may run at once
     request_threads : threads that answer requests

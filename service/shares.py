@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
 from service.problems import TooMany
 
@@ -41,17 +41,30 @@ class Shares:
         if not self._held[team]:
             del self._held[team]
         for other in list(self._lines):
-            while self._may(other) and (line := self._lines.get(other)):
+            line, before = self._lines[other], self.held
+            while line and self._may(other):
+                turn = line.popleft()
+                if not turn.done():  # who waits may be going at this moment
+                    self._held[other] += 1
+                    turn.set_result(None)
+            if not line or self.held > before:
                 del self._lines[other]
-                self._held[other] += 1
-                line.popleft().set_result(None)
-                if line:
-                    self._lines[other] = line
+            if line and self.held > before:  # served: its next turn comes after the others'
+                self._lines[other] = line
+
+    @contextmanager
+    def taken(self, team: str) -> Iterator[None]:
+        """Hold a place, or raise TooMany at once."""
+        self.take(team)
+        try:
+            yield
+        finally:
+            self.give(team)
 
     @asynccontextmanager
     async def place(self, team: str) -> AsyncIterator[None]:
         """Hold a place, waiting for it. TooMany where too many of the team wait already."""
-        if team not in self._lines and self._may(team):
+        if self._may(team) and not self._lines.get(team):
             self._held[team] += 1
         else:
             await self._wait(team)
@@ -65,6 +78,8 @@ class Shares:
 
     async def _wait(self, team: str) -> None:
         line = self._lines.setdefault(team, deque())
+        for gone in [turn for turn in line if turn.done()]:
+            line.remove(gone)
         if len(line) >= IN_LINE:
             raise TooMany(f"{IN_LINE} {self._what} of this team wait already; try again later")
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -72,10 +87,6 @@ class Shares:
         try:
             await turn
         except asyncio.CancelledError:
-            if turn.done() and not turn.cancelled():
+            if not turn.cancelled():
                 self.give(team)  # it was handed over just now
-            else:
-                line.remove(turn)
-                if not line and self._lines.get(team) is line:
-                    del self._lines[team]
             raise

@@ -137,7 +137,8 @@ async def watch(
     wait_s = min(wait, service.settings.wait_s)
     if wait_s and etag(job) == known and job.phase not in FINAL:
         allow_time(request, wait_s + service.settings.answer_s)
-        await service.changes.after(job_id, job.version, wait_s)
+        with service.changes.places.taken(service.caller.team):
+            await service.changes.after(job_id, job.version, wait_s)
         job = await run_in_threadpool(service.store.get, job_id)
     headers = {"ETag": etag(job)}
     if job.phase not in FINAL:
@@ -175,9 +176,24 @@ async def events(
 ) -> Response:
     """Server-sent events: the job at every change (id: its version), until it has ended."""
     job = await run_in_threadpool(service.store.get, job_id)
-    stream = _events(service, job, last_event_id)
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
+    return Watch(service, _events(service, job, last_event_id))
+
+
+class Watch(StreamingResponse):
+    """A stream of events. It holds a watcher's place from before its head is sent, so that a
+    refusal is a 429, until it has ended, however it does."""
+
+    def __init__(self, service: Context, events: AsyncIterator[str]) -> None:
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        super().__init__(events, media_type="text/event-stream", headers=headers)
+        self._places, self._team = service.changes.places, service.caller.team
+        self._places.take(self._team)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._places.give(self._team)
 
 
 async def _events(service: Context, job: Job, last_event_id: str | None) -> AsyncIterator[str]:

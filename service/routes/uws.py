@@ -264,7 +264,8 @@ async def _wait(request: Request, service: Context, job: Job, phase: Phase, wait
         left = deadline - time.monotonic()
         if left <= 0:
             break
-        await service.changes.after(job.id, job.version, left)
+        with service.changes.places.taken(service.caller.team):
+            await service.changes.after(job.id, job.version, left)
         job = await run_in_threadpool(service.store.get, job.id)
         await asyncio.sleep(0)
     return job
