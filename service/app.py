@@ -43,6 +43,7 @@ from service.routes import (
     results,
     schema,
     sweeps,
+    tickets,
     usage,
     uws,
 )
@@ -50,6 +51,7 @@ from service.runner import Dispatcher
 from service.settings import Settings
 from service.submissions import Intake
 from service.teams import limits_of
+from service.tickets import Tickets
 from service.uploads import Uploads
 
 log = logging.getLogger("nightglass.service")
@@ -86,8 +88,8 @@ HEADERS: dict[int, dict[str, str]] = {
     503: {"Retry-After": "10"},
 }
 ROOMS = (
-    jobs, queue, sweeps, results, frames, files, catalogues, schema, usage, health, uws, ogc,
-    pages,
+    jobs, queue, sweeps, results, frames, files, catalogues, schema, usage, tickets, health, uws,
+    ogc, pages,
 )  # fmt: skip
 
 
@@ -108,6 +110,7 @@ def create_app(settings: Settings) -> FastAPI:
             settings, table, dispatcher, Authenticator(settings, table.engine), intake,
             Changes(table, settings.watchers), uploads,
             Looks(settings, uploads, dispatcher.stopping), numbers, Acceptance(settings), limits,
+            Tickets(settings.home),
         )  # fmt: skip
         app.state.context = context
         numbers.registry.register(Gauges(context))

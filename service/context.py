@@ -20,6 +20,7 @@ from service.runner import Dispatcher
 from service.settings import Settings
 from service.submissions import Intake, Limits
 from service.teams import TeamStore
+from service.tickets import Tickets
 from service.uploads import Uploads
 
 
@@ -31,6 +32,7 @@ class Context:
     table : the whole job table, for health and metrics only
     looks : plans of scenes, and judgements of their files; numbers : what is counted
     scenes : reads the bodies of submissions; limits : what one team may have
+    tickets : stand for a caller in the address of a download
     """
 
     settings: Settings
@@ -44,6 +46,7 @@ class Context:
     numbers: Numbers
     scenes: Acceptance
     limits: Limits
+    tickets: Tickets
     caller: Caller = OPEN
     store: TeamStore = None  # type: ignore[assignment]
     damaged: int = 0
@@ -74,7 +77,9 @@ async def _context(request: Request, _: Annotated[Any, Depends(_bearer)]) -> Con
 async def context_of(request: Request) -> Context:
     """The context bound to who sent a request. Unauthenticated, Forbidden, TooMany."""
     context: Context = request.app.state.context
-    caller = await context.auth.caller(request.headers.get("authorization"))
+    caller = context.tickets.caller(request)
+    if caller is None:
+        caller = await context.auth.caller(request.headers.get("authorization"))
     request.state.team = caller.team
     return context.bound(caller)
 
