@@ -117,6 +117,8 @@ class Settings:
         """Make the data folder, for its owner alone. BadInput where that is not possible."""
         try:
             self.home.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if self.home.stat().st_mode & 0o077:  # made beforehand, by a hand or a package
+                self.home.chmod(0o700)
             for folder in (self.products, self.catalogues, self.uploads):
                 folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -128,10 +130,9 @@ class Settings:
 
     def check(self) -> None:
         """BadInput for settings that do not go together, or that would be unsafe."""
-        from catalog_tools.schedulers import LOCAL_KINDS, _check_address
+        from catalog_tools.schedulers import _check_address
 
-        if self.scheduler not in LOCAL_KINDS:
-            _check_address(self.scheduler)  # beyond this machine only tls://
+        _check_address(self.scheduler)  # beyond this machine only tls://
         if bool(self.tls_cert) != bool(self.tls_key):
             raise BadInput("NIGHTGLASS_TLS_CERT", self.tls_cert, "given with NIGHTGLASS_TLS_KEY")
         oidc = (self.oidc_issuer, self.oidc_audience, self.oidc_jwks)
