@@ -3,6 +3,7 @@
 import { ask, download, ended, follow, json } from "./api.js";
 import { amount, el, fill, notice, number, seconds } from "./dom.js";
 import { jobSnippets } from "./snippets.js";
+import { trimmed } from "./schema.js";
 import { KINDS } from "./stretch.js";
 import { decisions, warnings } from "./submit.js";
 import { downloads, showSweep, waiting } from "./sweep.js";
@@ -402,11 +403,4 @@ function errorCard(error) {
   return el("div", { class: "card bad" }, el("h2", {}, "It ended with an error"),
     el("p", {}, error.message), el("ul", {}, (error.errors || []).map((e) =>
       el("li", {}, el("code", {}, e.pointer), ` is ${e.value}; ${e.allowed}`))));
-}
-
-// A scene without what is null, so that the form is short.
-function trimmed(value) {
-  if (Array.isArray(value)) return value.map(trimmed);
-  if (value === null || typeof value !== "object") return value;
-  return Object.fromEntries(Object.entries(value).filter(([, v]) => v !== null).map(([k, v]) => [k, trimmed(v)]));
 }

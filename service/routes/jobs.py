@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.routing import Match, Route
 from starlette.types import Receive, Scope, Send
 
-from service.bodies import read_body
+from service.bodies import JSON, TEXTS, media_type, read_body
 from service.context import Context, Service, context_of
 from service.gate import allow_time
 from service.jobs import FINAL, Job, Phase
@@ -26,13 +26,13 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
 
 
-def json_body(description: str) -> dict[str, Any]:
-    """What OpenAPI says of a body of JSON that the route reads by itself."""
-    content = {"application/json": {"schema": {"type": "object"}}}
+def json_body(description: str, kinds: tuple[str, ...] = (JSON,)) -> dict[str, Any]:
+    """What OpenAPI says of a body that the route reads by itself, JSON or (`kinds`) YAML, too."""
+    content = {kind: {"schema": {"type": "object"}} for kind in kinds}
     return {"requestBody": {"required": True, "description": description, "content": content}}
 
 
-SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.")
+SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.", TEXTS)
 
 
 def with_time(plan: dict[str, Any]) -> dict[str, Any]:
@@ -50,8 +50,10 @@ async def submit(
     """Queue a scene: 202 and where the job is; 200 for a key that was used with this body."""
     settings = service.settings
     check_key(idempotency_key)
-    body = await read_body(request, settings.body_bytes, settings.body_s)
-    found = await service.scenes.read(service.caller.team, body, service.has_file)
+    body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
+    found = await service.scenes.read(
+        service.caller.team, body, service.has_file, media_type(request)
+    )
     if dry_run:
         allow_time(request, settings.plan_s + settings.answer_s)
         plan = await service.looks.plan(request, service.caller.team, found.scene())

@@ -183,7 +183,7 @@ async def _fields(request: Request, service: Context) -> Fields:
     if request.headers.get("content-length") == "0":
         return {}
     settings = service.settings
-    body = await read_body(request, settings.body_bytes, settings.body_s, FORM)
+    body = await read_body(request, settings.body_bytes, settings.body_s, (FORM,))
     try:
         text = body.decode("utf-8")
         pairs = parse_qsl(text, keep_blank_values=True, strict_parsing=bool(text),

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from catalog_tools.synthetic import make_demo
+from pipeline.spec.load import parse_scene, scene_yaml
 from service.database import connect, sqlite_url
 from service.keys import create_key
 
@@ -131,6 +132,25 @@ def test_pasted_json_and_mistakes_beside_their_fields(
     tab.fill("[data-path='/sensor/aperture_m'] input", "0.5")
     assert json.loads(tab.input_value("#json"))["sensor"]["aperture_m"] == 0.5
     page.faults[:] = [f for f in page.faults if "422" not in f]  # the refusal itself
+
+
+def test_yaml_in_the_editor_fills_the_form(page: Page, server: Any, scene: dict[str, Any]) -> None:
+    tab = page.open("#/new")
+    tab.wait_for_selector("#submit")
+    tab.fill("#json", scene_yaml(parse_scene(scene | {"name": "from-yaml"})))
+    while tab.input_value("[data-path='/name'] input") != "from-yaml":
+        tab.wait_for_timeout(50)
+    tab.click("#plan")
+    tab.wait_for_selector("#planned")
+    tab.click("#submit")
+    tab.wait_for_selector(".phase.COMPLETED >> nth=0")
+    assert "from-yaml" in tab.inner_text(".jobhead")
+    tab = page.open("#/new")
+    tab.wait_for_selector("[data-path='/name'] input")
+    assert tab.input_value("[data-path='/name'] input") == "from-yaml"  # kept as a draft
+    tab.fill("#json", "name: x\nname: y")
+    tab.wait_for_selector(".mistake:has-text('not YAML yet')")
+    page.faults[:] = [f for f in page.faults if "400" not in f]  # the refusal itself
 
 
 def test_coordinates_values_truth_and_stretch(page: Page, server: Any, field: str) -> None:
