@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from .ahead import cores
 from .clusters import check_address, connected, slurm
-from .errors import Incomplete, NightglassError
+from .errors import BadInput, Incomplete, NightglassError
 
 Progress = Callable[[str], None]  # called with the kind of each task that is done
 Graph = tuple[dict[Any, Any], list[Any]]  # tasks by key, and the keys that are wanted
@@ -326,6 +326,14 @@ def _renamed(task: Any, names: dict[Any, Any]) -> Any:
 
 
 def _check_address(kind: str) -> None:
-    """An open scheduler runs anybody's code: beyond loopback only TLS is accepted."""
+    """An open scheduler runs anybody's code: beyond loopback only TLS is accepted, and nowhere else
+    where Dask's settings require encryption."""
     if kind not in LOCAL_KINDS:
         check_address(kind, LOCAL_KINDS)
+    if kind == "processes" or kind.startswith("tcp:"):
+        import dask.config
+
+        setting = "distributed.comm.require-encryption"
+        if dask.config.get(setting, None):
+            allowed = f"threads, or tls:// with certificates: {setting} is set for Dask"
+            raise BadInput("--scheduler", kind, allowed)

@@ -12,12 +12,13 @@ from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.plan.cost import least_cpu_s
-from service.bodies import parse_json
+from service.bodies import JSON, parse_text
 from service.scenes import HasFile, Named, check_named, judge_scene, named_in, pixel_frames_of
 from service.settings import Settings
 
-INLINE_BYTES = 1 << 14  # smaller bodies are read in the loop: a thread costs more
+LARGEST_KEPT = 1 << 14  # bytes of a body
 KEPT_BYTES = 1 << 24
+Key = tuple[str, bytes, str]  # team, body, its media type
 
 
 @dataclass(frozen=True)
@@ -53,26 +54,28 @@ class Acceptance:
 
     def __init__(self, settings: Settings, kept_bytes: int = KEPT_BYTES) -> None:
         self._settings, self._most, self.kept_bytes = settings, kept_bytes, 0
-        self._kept: OrderedDict[tuple[str, bytes], Accepted] = OrderedDict()
+        self._kept: OrderedDict[Key, Accepted] = OrderedDict()
         self.reused = 0
 
-    async def read(self, team: str, body: bytes, has_file: HasFile) -> Accepted:
+    async def read(
+        self, team: str, body: bytes, has_file: HasFile, kind: str = JSON
+    ) -> Accepted:
         """The scene in a body. Malformed, BadInput, InvalidScene, NotAllowed."""
-        found = self._kept.get((team, body))
+        key = (team, body, kind)
+        found = self._kept.get(key)
         if found is not None:
-            self._kept.move_to_end((team, body))
+            self._kept.move_to_end(key)
             self.reused += 1
-        elif len(body) > INLINE_BYTES:
-            found = await run_in_threadpool(self._judge, body)
         else:
-            found = self._judge(body)
-            self._keep((team, body), found)
+            found = await run_in_threadpool(self._judge, body, kind)
+            if len(body) <= LARGEST_KEPT:
+                self._keep(key, found)
         if found.named:
             await run_in_threadpool(check_named, found.named, self._settings, has_file)
         return found
 
-    def _judge(self, body: bytes) -> Accepted:
-        data = parse_json(body)
+    def _judge(self, body: bytes, kind: str) -> Accepted:
+        data = parse_text(body, kind)
         scene = judge_scene(data, self._settings)
         plain = scene.as_dict()
         digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
@@ -81,13 +84,15 @@ class Acceptance:
             scene.name, text, digest, pixel_frames_of(scene), named_in(plain), least_cpu_s(scene)
         )
 
-    def _keep(self, key: tuple[str, bytes], found: Accepted) -> None:
+    def _keep(self, key: Key, found: Accepted) -> None:
+        if key in self._kept:  # the same bytes came twice at once
+            return
         self._kept[key] = found
         self.kept_bytes += _size(key, found)
         while self.kept_bytes > self._most:
             self.kept_bytes -= _size(*self._kept.popitem(last=False))
 
 
-def _size(key: tuple[str, bytes], found: Accepted) -> int:
+def _size(key: Key, found: Accepted) -> int:
     """About the bytes that it takes to keep a scene."""
     return len(key[1]) + len(found.text) + 1000

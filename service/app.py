@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import threading
 from collections.abc import AsyncIterator
@@ -29,6 +28,7 @@ from service.context import Context
 from service.gate import Gate
 from service.integrity import find_faults
 from service.jobs import Queue
+from service.looks import Looks
 from service.metrics import Gauges, Numbers
 from service.openapi import describe
 from service.routes import (
@@ -43,6 +43,7 @@ from service.routes import (
     results,
     schema,
     sweeps,
+    tickets,
     usage,
     uws,
 )
@@ -50,6 +51,7 @@ from service.runner import Dispatcher
 from service.settings import Settings
 from service.submissions import Intake
 from service.teams import limits_of
+from service.tickets import Tickets
 from service.uploads import Uploads
 
 log = logging.getLogger("nightglass.service")
@@ -86,8 +88,8 @@ HEADERS: dict[int, dict[str, str]] = {
     503: {"Retry-After": "10"},
 }
 ROOMS = (
-    jobs, queue, sweeps, results, frames, files, catalogues, schema, usage, health, uws, ogc,
-    pages,
+    jobs, queue, sweeps, results, frames, files, catalogues, schema, usage, tickets, health, uws,
+    ogc, pages,
 )  # fmt: skip
 
 
@@ -103,10 +105,12 @@ def create_app(settings: Settings) -> FastAPI:
         dispatcher = Dispatcher(settings, table)
         limits = limits_of(settings)
         intake = Intake(table, limits)
+        uploads = Uploads(settings, table.engine)
         context = Context(
             settings, table, dispatcher, Authenticator(settings, table.engine), intake,
-            Changes(table, settings.watchers), Uploads(settings, table.engine),
-            asyncio.Semaphore(settings.plans), numbers, Acceptance(settings), limits,
+            Changes(table, settings.watchers), uploads,
+            Looks(settings, uploads, dispatcher.stopping), numbers, Acceptance(settings), limits,
+            Tickets(settings.home),
         )  # fmt: skip
         app.state.context = context
         numbers.registry.register(Gauges(context))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import logging
 import os
 import queue
@@ -14,10 +15,11 @@ from typing import Any
 
 from pipeline.store.layout import BEGUN, COMPLETE, LOCK
 from service.jobs import Job, Phase, Queue
+from service.named_files import files_in
 from service.processes import POLL_S, Answers, worker
 from service.settings import Settings
 from service.sweeps import engine_sweep
-from service.uploads import engine_scene
+from service.uploads import engine_scene, names_of
 
 log = logging.getLogger("nightglass.service")
 DEATHS = 3  # workers in a row that may die on a job without finishing a tile
@@ -90,6 +92,7 @@ class Attempt:
             shutil.rmtree(self._product)
         settings = self._settings
         scene = self._store.scene(self._job.id, hidden=True)
+        files = names_of(self._store.engine, self._job.team, files_in(json.dumps(scene)))
         return {
             "do": "render" if self._job.kind == "scene" else "sweep",
             "scene": engine_scene(scene, settings)
@@ -100,6 +103,7 @@ class Attempt:
             "workers": settings.workers,
             "scheduler": settings.scheduler,
             "most_cpu_s": settings.job_cpu_s,
+            "files": files,
         } | self._said
 
     def _watch(self, answers: Answers) -> dict[str, Any] | None:

@@ -87,13 +87,12 @@ class Authenticator:
         now = time.monotonic()
         if known is None or now - known[1] > FRESH_S:
             row = await run_in_threadpool(find_key, self._engine, key_id)
-            caller = None
-            if row is not None and usable(row):
-                if known is not None and known[0] is not None and known[2] == row.hash:
-                    caller = known[0]
-                elif await self._matches(row, secret):
-                    caller = Caller(row.team, f"key:{key_id}")
-            known = (caller, now, row.hash if row is not None else "")
+            stored, caller = "" if row is None else row.hash, None
+            if known is not None and known[2] == stored:  # looked at before
+                caller = known[0] if row is not None and usable(row) else None
+            elif await self._matches(row, secret):
+                caller = Caller(row.team, f"key:{key_id}")
+            known = (caller, now, stored)
             self._known[digest] = known
             self._known.move_to_end(digest)
             while len(self._known) > REMEMBERED:

@@ -1,4 +1,4 @@
-"""Request bodies: counted while they stream in, then strict JSON or nothing."""
+"""Request bodies: counted while they stream in, then strict JSON or YAML, or nothing."""
 
 from __future__ import annotations
 
@@ -10,19 +10,23 @@ from typing import Any
 
 from starlette.requests import ClientDisconnect, Request
 
+from pipeline.errors import BadInput
+from pipeline.spec import load
 from service.problems import Malformed, TooLarge, TooSlow, WrongMediaType, cut
 
-JSON = "application/json"
+JSON, YAML = "application/json", "application/yaml"
+TEXTS = (JSON, YAML)  # what a scene or a sweep may come as
+YAML_BYTES = 1 << 17  # reading it takes a second: larger scenes come as JSON
 MAX_DEPTH = 32
 DISCARD_BYTES, DISCARD_S = 1 << 24, 1.0
 
 
 async def read_body(
-    request: Request, limit_bytes: int, limit_s: float, kind: str = JSON
+    request: Request, limit_bytes: int, limit_s: float, kinds: tuple[str, ...] = (JSON,)
 ) -> bytes:
-    """The body of a request that says it is JSON (or `kind`), of at most `limit_bytes`, chunked
-    or not."""
-    _check_media_type(request, kind)
+    """The body of a request that says it is one of `kinds`, of at most `limit_bytes`, chunked or
+    not."""
+    _check_media_type(request, kinds)
     declared = request.headers.get("content-length", "")
     too_large = declared.isdigit() and (len(declared) > 18 or int(declared) > limit_bytes)
     body, more = bytearray(), True
@@ -57,18 +61,43 @@ async def discard_rest(request: Request) -> None:
                     return
 
 
-def _check_media_type(request: Request, wanted: str) -> None:
+def media_type(request: Request) -> str:
+    """What a request says that its body is."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+
+
+def _check_media_type(request: Request, wanted: tuple[str, ...]) -> None:
     given = request.headers.get("content-type", "")
-    kind, _, parameters = given.partition(";")
-    charset = parameters.strip().lower().removeprefix("charset=").strip('"')
-    if kind.strip().lower() != wanted or charset not in ("", "utf-8"):
-        allowed = f"{wanted} in UTF-8"
+    charset = given.partition(";")[2].strip().lower().removeprefix("charset=").strip('"')
+    if media_type(request) not in wanted or charset not in ("", "utf-8"):
+        allowed = f"{' or '.join(wanted)} in UTF-8"
         raise WrongMediaType(f"a body of {allowed} is taken", (("?Content-Type", given, allowed),))
     encoding = request.headers.get("content-encoding", "identity")
     if encoding.strip().lower() != "identity":
         raise WrongMediaType(
             "compressed bodies are not taken", (("?Content-Encoding", encoding, "identity"),)
         )
+
+
+def parse_text(body: bytes, kind: str) -> Any:
+    """Plain data from the text of a scene or sweep, JSON or YAML. Malformed, TooLarge."""
+    return parse_yaml(body) if kind == YAML else parse_json(body)
+
+
+def parse_yaml(body: bytes) -> Any:
+    """Plain data from YAML 1.2, as strict as JSON: one document of mappings with text as keys,
+    lists, text, finite numbers, true, false and null; no key twice, no alias, no tag for more.
+
+    Malformed for everything else, TooLarge beyond YAML_BYTES.
+    """
+    if len(body) > YAML_BYTES:
+        raise TooLarge(f"YAML of at most {YAML_BYTES} bytes is taken; send larger scenes as JSON")
+    try:
+        data = load.parse_text(body, "the body")
+    except BadInput as error:
+        raise Malformed(cut(f"the body: {error.value}: {error.allowed}")) from None
+    _check_nodes(data)
+    return data
 
 
 def parse_json(body: bytes) -> Any:
@@ -116,7 +145,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_nodes(data: Any) -> None:
-    """Depth and text of every node, without recursion."""
+    """Depth, kind and text of every node, without recursion."""
     level = [data]
     for _ in range(MAX_DEPTH + 1):
         deeper: list[Any] = []
@@ -124,10 +153,16 @@ def _check_nodes(data: Any) -> None:
             if isinstance(node, str):
                 _check_text(node)
             elif isinstance(node, dict):
+                if not all(isinstance(key, str) for key in node):
+                    raise Malformed("a key of a mapping is no text: put it in quotes")
                 deeper += node
                 deeper += node.values()
             elif isinstance(node, list):
                 deeper += node
+            elif isinstance(node, float) and not math.isfinite(node):
+                raise Malformed(f"{node} is no number of a scene")
+            elif not (node is None or isinstance(node, bool | int | float)):
+                raise Malformed(f"a value of kind {type(node).__name__} is no plain data")
         if not deeper:
             return
         level = deeper

@@ -9,7 +9,7 @@ from collections import defaultdict
 from starlette.concurrency import run_in_threadpool
 
 from service.jobs import JobStore
-from service.problems import TooMany
+from service.shares import Shares
 
 BETWEEN_LOOKS_S = 0.2
 log = logging.getLogger("nightglass.service")
@@ -19,23 +19,19 @@ class Changes:
     """Watches the versions of the jobs that somebody waits for."""
 
     def __init__(self, store: JobStore, most: int) -> None:
-        self._store, self._most = store, most
+        self._store = store
+        self.places = Shares(most, "requests that wait for changes")
         self._waiting: dict[str, set[tuple[int, asyncio.Event]]] = defaultdict(set)
-        self._count = 0
         self._looking: asyncio.Task[None] | None = None
 
-    @property
-    def watchers(self) -> int:
-        return self._count
-
     async def after(self, job_id: str, version: int, limit_s: float) -> None:
-        """Return when a job's version is another than this one, it is gone, or time is up."""
-        if self._count >= self._most:
-            raise TooMany(f"{self._most} requests wait for changes already")
+        """Return when a job's version is another than this one, it is gone, or time is up.
+
+        The caller holds one of the `places`.
+        """
         event = asyncio.Event()
         place = (version, event)
         self._waiting[job_id].add(place)
-        self._count += 1
         if self._looking is None or self._looking.done():
             self._looking = asyncio.create_task(self._look())
         try:
@@ -44,7 +40,6 @@ class Changes:
         except TimeoutError:
             pass
         finally:
-            self._count -= 1
             self._waiting[job_id].discard(place)
             if not self._waiting[job_id]:
                 del self._waiting[job_id]

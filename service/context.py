@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from copy import copy
 from dataclasses import dataclass, field
@@ -15,11 +14,13 @@ from service.accepted import Acceptance
 from service.auth import OPEN, Authenticator, Caller
 from service.changes import Changes
 from service.jobs import Queue
+from service.looks import Looks
 from service.metrics import Numbers
 from service.runner import Dispatcher
 from service.settings import Settings
 from service.submissions import Intake, Limits
 from service.teams import TeamStore
+from service.tickets import Tickets
 from service.uploads import Uploads
 
 
@@ -29,8 +30,9 @@ class Context:
 
     store : the job table; in a route it shows the caller's team alone
     table : the whole job table, for health and metrics only
-    plans : how many dry runs may still start; numbers : what is counted
+    looks : plans of scenes, and judgements of their files; numbers : what is counted
     scenes : reads the bodies of submissions; limits : what one team may have
+    tickets : stand for a caller in the address of a download
     """
 
     settings: Settings
@@ -40,10 +42,11 @@ class Context:
     intake: Intake
     changes: Changes
     files: Uploads
-    plans: asyncio.Semaphore
+    looks: Looks
     numbers: Numbers
     scenes: Acceptance
     limits: Limits
+    tickets: Tickets
     caller: Caller = OPEN
     store: TeamStore = None  # type: ignore[assignment]
     damaged: int = 0
@@ -74,7 +77,9 @@ async def _context(request: Request, _: Annotated[Any, Depends(_bearer)]) -> Con
 async def context_of(request: Request) -> Context:
     """The context bound to who sent a request. Unauthenticated, Forbidden, TooMany."""
     context: Context = request.app.state.context
-    caller = await context.auth.caller(request.headers.get("authorization"))
+    caller = context.tickets.caller(request)
+    if caller is None:
+        caller = await context.auth.caller(request.headers.get("authorization"))
     request.state.team = caller.team
     return context.bound(caller)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -49,6 +50,8 @@ def connect(url: str) -> sa.Engine:
             allowed = "SQLite, or PostgreSQL with `pip install nightglass[postgresql]`"
             raise BadInput("NIGHTGLASS_DATABASE", shown, allowed) from None
     try:
+        if kind == "sqlite":
+            _keep_private(parts.database)
         _upgrade(engine, shown)
     except sa.exc.DBAPIError as error:
         engine.dispose()
@@ -59,6 +62,16 @@ def connect(url: str) -> sa.Engine:
             reason = reason.replace(str(parts.password), "***")
         raise BadInput("NIGHTGLASS_DATABASE", shown, f"a database that answers; {reason}") from None
     return engine
+
+
+def _keep_private(path: str | None) -> None:
+    """The job table is its owner's alone; what SQLite makes beside it follows it."""
+    if path and path != ":memory:":
+        with contextlib.suppress(OSError):  # what is wrong with the place is said when it is opened
+            os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
+            for file in (path, f"{path}-wal", f"{path}-shm"):
+                with contextlib.suppress(FileNotFoundError):
+                    Path(file).chmod(0o600)
 
 
 def _no_room(path: str, reason: str) -> bool:

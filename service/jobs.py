@@ -12,6 +12,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from service.database import connect, now_s, sqlite_url, writing
+from service.named_files import check_files
 from service.problems import NotReady, NotThere, cut
 from service.tables import audit, jobs, scene_crc, seal_of
 
@@ -211,6 +212,7 @@ class JobStore:
                 raise NotReady(f"the job is {job.phase}: its scene can no longer be changed")
             if "scene" in values:
                 text = json.dumps(values["scene"])
+                check_files(db, job.team, text)
                 values |= {"scene": text, "scene_crc": scene_crc(text)}
             self._change(db, job, **values)
             return self._one(db, job_id)

@@ -57,7 +57,7 @@ class Gauges:
         for name, told, value in (
             ("leads", "whether this process runs the jobs", int(context.dispatcher.leads)),
             ("running", "jobs that this process runs", context.dispatcher.running),
-            ("watchers", "requests that wait for a change", context.changes.watchers),
+            ("watchers", "requests that wait for a change", context.changes.places.held),
             ("disk_free_bytes", "free space of the data folder", free),
             ("damaged_rows", "rows of the job table that are damaged", context.damaged),
             ("uptime_seconds", "since start", round(time.time() - context.started_s, 3)),

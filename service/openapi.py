@@ -106,6 +106,24 @@ OTHERS = {
     ("get", "/v1/jobs/{job_id}/plan"): {"206": "a Range", "304": "not changed"},
     ("get", "/v1/jobs/{job_id}/report"): {"206": "a Range", "304": "not changed"},
 }  # fmt: skip
+JOB_PATH = "/v1/jobs/{job_id}"
+KINDS: dict[str, tuple[str, ...]] = {  # of what is answered to a GET, where it is not JSON alone
+    f"{JOB_PATH}/events": ("text/event-stream",),
+    f"{JOB_PATH}/preview.png": ("image/png",),
+    f"{JOB_PATH}/product.tar": ("application/x-tar",),
+    f"{JOB_PATH}/results/{{path}}": (
+        "application/octet-stream", "application/json", "image/png", "text/plain",
+    ),
+    f"{JOB_PATH}/frames/{{frame}}/fits": ("application/fits",),
+    f"{JOB_PATH}/frames/{{frame}}/tiles/{{row}}/{{column}}": ("application/octet-stream",),
+    f"{JOB_PATH}/frames/{{frame}}/tiles/{{row}}/{{column}}/picture.png": ("image/png",),
+    "/v1/schema/scene": ("application/schema+json",),
+    "/metrics": ("text/plain",),
+    "/uws/async": ("text/xml",),
+    "/uws/async/{job_id}": ("text/xml",),
+    "/uws/async/{job_id}/{part}": ("text/plain", "text/xml"),
+    "/uws/async/{job_id}/results/{name}": ("application/x-votable+xml;content=datalink",),
+}  # fmt: skip
 PLAIN = ("/healthz", "/readyz", "/metrics")
 
 
@@ -141,8 +159,12 @@ def _complete(document: dict[str, Any]) -> dict[str, Any]:
             for status in JOB_ANSWERS.get((method, path), ()):
                 answers.setdefault(status, {"description": "the job"})
                 answers[status]["content"] = {"application/json": {"schema": A_JOB}}
+            for kinds in [KINDS[path]] if method == "get" and path in KINDS else []:
+                answers["200"]["content"] = {kind: {} for kind in kinds}
             for status, told in OTHERS.get((method, path), {}).items():
                 answers[status] = {"description": told}
+                if status == "206":
+                    answers[status]["content"] = answers["200"]["content"]
     body = document["paths"]["/v1/jobs"]["post"]["requestBody"]["content"]["application/json"]
     body["examples"] = {"sidereal": {"summary": "two short frames, no stars", "value": SCENE}}
     planned = {"anyOf": [A_JOB, {"type": "object", "description": "a plan (dry_run)"}]}

@@ -10,10 +10,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
-from pipeline.spec.scene import Scene
 from service.problems import EngineFault, PlanTooSlow, Refused
 from service.settings import Settings
 
@@ -63,28 +62,27 @@ def _read(stream: BinaryIO, answers: Answers) -> None:
     answers.put(None)
 
 
-def plan_dry(
-    scene: Scene | dict[str, Any], settings: Settings, stopping: threading.Event
+def look_at(
+    settings: Settings, order: dict[str, Any], limit_s: float, stopped: Callable[[], bool]
 ) -> dict[str, Any]:
-    """The plan of a scene, made in a worker so that the service stays quick and can stop it.
+    """What a worker says of a scene (`do`: plan or judge), so that the service stays quick and can
+    stop it.
 
     Raises Refused, PlanTooSlow, EngineFault.
     """
-    data = scene if isinstance(scene, dict) else scene.as_dict()
-    deadline = time.monotonic() + settings.plan_s
+    deadline = time.monotonic() + limit_s
     outcome = None
-    order = {"do": "plan", "scene": data, "most_cpu_s": settings.job_cpu_s}
     with worker(settings, order) as answers:
-        while not stopping.is_set():
+        while not stopped():
             try:
                 outcome = answers.get(timeout=POLL_S)
                 break
             except queue.Empty:
                 if time.monotonic() > deadline:
-                    raise PlanTooSlow(f"planning took over {settings.plan_s:g} s") from None
+                    raise PlanTooSlow(f"planning took over {limit_s:g} s") from None
     if outcome is None:
         raise EngineFault("the planner stopped without an answer")
     if "error" in outcome:
         error = outcome["error"]
         raise Refused(error) if error["kind"] == "bad input" else EngineFault(error["message"])
-    return outcome["plan"]
+    return outcome

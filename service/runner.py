@@ -16,13 +16,12 @@ from service.attempts import Attempt
 from service.jobs import Job, Queue
 from service.leases import give_up, take
 from service.problems import NotReady
-from service.processes import POLL_S, plan_dry
+from service.processes import POLL_S
 from service.settings import Settings
-
-__all__ = ["Dispatcher", "plan_dry"]
 
 log = logging.getLogger("nightglass.service")
 HOUSEKEEPING_S = 1.0
+LEADERLESS = 3  # lengths of the lease without a leader that are no fault yet
 
 
 class Dispatcher:
@@ -38,6 +37,7 @@ class Dispatcher:
         self.holder = f"{socket.gethostname()[:32]}:{os.getpid()}:{uuid.uuid4().hex[:8]}"
         self.stopping, self._work = threading.Event(), threading.Event()
         self._renewed_s = float("-inf")
+        self._led_s = time.monotonic()  # when somebody was last known to lead
         self._busy: dict[str, threading.Thread] = {}
         self._turns: dict[str, float] = {}
         self._threads = [
@@ -82,6 +82,12 @@ class Dispatcher:
         """Whether the lease is held, by this process's own clock."""
         return time.monotonic() - self._renewed_s < self._settings.lease_s
 
+    @property
+    def leaderless_s(self) -> float:
+        """How long nobody has been known to run jobs; 0 as long as that is no fault."""
+        silent_s = time.monotonic() - self._led_s
+        return silent_s if silent_s > LEADERLESS * self._settings.lease_s else 0.0
+
     def _go_on(self) -> bool:
         return self.leads and not self.stopping.is_set()
 
@@ -96,6 +102,7 @@ class Dispatcher:
                     self._renewed_s = asked_s
                 else:
                     self._renewed_s = float("-inf")
+                self._led_s = asked_s
             except Exception:
                 log.exception("the lease could not be renewed; it is tried again")
             self.stopping.wait(self._settings.lease_s / 5)

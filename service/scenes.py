@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any
 
+from pipeline.errors import NightglassError
 from pipeline.plan.cost import least_cpu_s
 from pipeline.plan.timing import frame_count
 from pipeline.spec.load import parse_scene, path_holders
 from pipeline.spec.scene import Scene
 from service.catalogues import catalogue_mistakes
+from service.named_files import ID, NO_FILES, PREFIX
 from service.problems import Mistake, NotAllowed
 from service.settings import Settings
-from service.uploads import ID, PREFIX
 
+log = logging.getLogger("nightglass.service")
 CATALOGUE_FIELD = "stars.catalogue"
-NO_FILES = "a number, or upload:ID of a file sent to /v1/files: no path or URL is taken"
 HasFile = Callable[[str], bool]
 Named = tuple[tuple[str, str | list[str]], ...]  # (dotted field, what it names)
 
@@ -33,13 +35,28 @@ def accept_scene(data: Any, settings: Settings, has_file: HasFile | None = None)
 
 
 def judge_scene(data: Any, settings: Settings) -> Scene:
-    """The scene of a body, judged by itself alone: its form and its size."""
+    """The scene of a body, judged by itself alone: its form, its size, and where it names no
+    file its times and its sky. Nothing that it names is read."""
     targets = data.get("targets") if isinstance(data, dict) else None
     if isinstance(targets, list) and len(targets) > settings.targets:
         _refuse([("targets", len(targets), f"at most {settings.targets} targets")])
     scene = parse_scene(data)
     _refuse(_size_mistakes(scene, settings))
+    if all(name == CATALOGUE_FIELD for name, _ in named_in(scene.as_dict())):
+        _judge_sky(scene)
     return scene
+
+
+def _judge_sky(scene: Scene) -> None:
+    """BadInput as planning would refuse the scene. What cannot be judged is left to the engine."""
+    from pipeline.judge import judge
+
+    try:
+        judge(scene)
+    except NightglassError:
+        raise
+    except Exception:
+        log.exception("a scene could not be judged; it is taken")
 
 
 def named_in(scene: dict[str, Any]) -> Named:

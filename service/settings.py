@@ -40,8 +40,10 @@ class Settings:
         have running, may ask for a day, and may keep on disk (uploads count)
     wait_s : longest time that one GET may wait for a change
     heartbeat_s : pause after which an event stream shows that it lives
-    watchers : how many requests may wait for changes at once
-    plan_s, plans : longest time of a dry run, and how many may run at once
+    watchers : how many requests may wait for changes at once; a team has at most as many as are
+        left free
+    plan_s, judge_s, plans : longest time of a dry run, and of a look at the files of a submission;
+        how many of both may run at once
     request_threads : threads that answer requests
     slots : jobs that run at once; workers : threads of the engine for each, None for all cores
     scheduler : where jobs run: threads, processes, or the address of a Dask scheduler
@@ -79,6 +81,7 @@ class Settings:
     heartbeat_s: float = 15.0
     watchers: int = 1000
     plan_s: float = 60.0
+    judge_s: float = 20.0
     plans: int = 2
     request_threads: int = 16
     slots: int = 1
@@ -114,6 +117,8 @@ class Settings:
         """Make the data folder, for its owner alone. BadInput where that is not possible."""
         try:
             self.home.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if self.home.stat().st_mode & 0o077:  # made beforehand, by a hand or a package
+                self.home.chmod(0o700)
             for folder in (self.products, self.catalogues, self.uploads):
                 folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -125,10 +130,9 @@ class Settings:
 
     def check(self) -> None:
         """BadInput for settings that do not go together, or that would be unsafe."""
-        from catalog_tools.schedulers import LOCAL_KINDS, _check_address
+        from catalog_tools.schedulers import _check_address
 
-        if self.scheduler not in LOCAL_KINDS:
-            _check_address(self.scheduler)  # beyond this machine only tls://
+        _check_address(self.scheduler)  # beyond this machine only tls://
         if bool(self.tls_cert) != bool(self.tls_key):
             raise BadInput("NIGHTGLASS_TLS_CERT", self.tls_cert, "given with NIGHTGLASS_TLS_KEY")
         oidc = (self.oidc_issuer, self.oidc_audience, self.oidc_jwks)

@@ -15,7 +15,8 @@ from pydantic_core import to_json
 
 from service.database import insert, now_s, writing
 from service.jobs import LOCAL, SHOWN, WAITING, Job, JobStore, Phase, audit_line, job_of
-from service.problems import KeyReused, NotReady, QueueFull
+from service.named_files import check_files
+from service.problems import KeyReused, NotAllowed, NotReady, QueueFull
 from service.tables import audit, counters, jobs, scene_crc, seal_of, uploads, usage
 
 DAY_S = 86_400.0
@@ -64,7 +65,8 @@ class Used:
 
 def submit_many(store: JobStore, asks: Sequence[Ask], limits: Limits) -> list[Answer]:
     """Queue jobs, all in one transaction: for each (job, True), or where its key was used before
-    (the job that it made, False), or the refusal: KeyReused, QueueFull. On disk when it returns.
+    (the job that it made, False), or the refusal: KeyReused, QueueFull, NotAllowed for a file that
+    is gone. On disk when it returns.
     """
     with writing(store.engine) as db:
         now = now_s(db)
@@ -84,6 +86,11 @@ def submit_many(store: JobStore, asks: Sequence[Ask], limits: Limits) -> list[An
                 taken.append(refusal)
                 continue
             row = _row(ask, now)
+            try:
+                check_files(db, ask.team, row["scene"])
+            except NotAllowed as error:
+                taken.append(error)
+                continue
             rows.append(row)
             used[ask.team].new_jobs += 1
             used[ask.team].new_pixel_frames += ask.pixel_frames

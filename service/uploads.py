@@ -8,6 +8,7 @@ import os
 import re
 import time
 import uuid
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from service.auth import Caller
 from service.bodies import discard_rest
 from service.database import writing
 from service.jobs import record
+from service.named_files import PREFIX, check_unused
 from service.problems import (
     Malformed,
     NotAllowed,
@@ -33,9 +35,7 @@ from service.problems import (
 from service.settings import Settings
 from service.tables import uploads
 
-PREFIX = "upload:"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-ID = re.compile(r"[0-9a-f]{32}\.[a-z0-9]{1,8}")
 KINDS = (
     "npy", "fits", "fit", "csv", "txt", "dat", "int", "ecsv", "obj", "stl", "ply", "glb", "json",
     "xml", "kvn", "oem", "omm", "tle", "parquet",
@@ -122,6 +122,10 @@ class Uploads:
                 for row in db.execute(query)
             ]
 
+    def names(self, team: str, ids: Iterable[str]) -> dict[str, str]:
+        """The name by which a team sent each file of these ids."""
+        return names_of(self._engine, team, ids)
+
     def has(self, team: str, file_id: str) -> bool:
         """Whether a team has a file of this id (without `upload:`)."""
         query = sa.select(uploads.c.id).where(uploads.c.team == team, uploads.c.id == file_id)
@@ -129,14 +133,27 @@ class Uploads:
             return db.execute(query).first() is not None
 
     def remove(self, caller: Caller, file_id: str) -> None:
-        """Forget a team's file; the bytes go when no other team has them. NotThere."""
+        """Forget a team's file; the bytes go when no other team has them. NotThere, and NotReady
+        while a job that has not ended names it."""
         with writing(self._engine) as db:
+            check_unused(db, caller.team, file_id)
             mine = (uploads.c.team == caller.team, uploads.c.id == file_id)
             if db.execute(sa.delete(uploads).where(*mine)).rowcount == 0:
                 raise NotThere("there is no such file")
             record(db, caller.team, caller.actor, "upload.delete", file_id)
             if db.execute(sa.select(uploads.c.id).where(uploads.c.id == file_id)).first() is None:
                 (self._settings.uploads / file_id).unlink(missing_ok=True)
+
+
+def names_of(engine: sa.Engine, team: str, ids: Iterable[str]) -> dict[str, str]:
+    """The name by which a team sent each file of these ids."""
+    wanted = list(ids)
+    if not wanted:
+        return {}
+    query = sa.select(uploads.c.id, uploads.c.name)
+    with engine.connect() as db:
+        found = db.execute(query.where(uploads.c.team == team, uploads.c.id.in_(wanted)))
+        return {row.id: row.name for row in found}
 
 
 def bytes_kept(engine: sa.Engine, team: str) -> int:

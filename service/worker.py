@@ -12,6 +12,7 @@ import errno
 import json
 import logging
 import os
+import re
 import sys
 import threading
 import time
@@ -35,13 +36,13 @@ def main() -> None:
     order = json.loads(sys.stdin.buffer.readline())
     logs.set_up()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    todo = {"plan": _plan, "render": _render, "sweep": _sweep}
+    todo = {"plan": _plan, "judge": _judge, "render": _render, "sweep": _sweep}
     try:
         _say(answers, todo[order["do"]](order, answers))
     except Exception as error:
         if not isinstance(error, NightglassError):
             log.exception("the engine failed", extra=_said(order))
-        _say(answers, {"outcome": "error", "error": describe(error, order.get("product"))})
+        _say(answers, {"outcome": "error", "error": describe(error, order)})
 
 
 def _end_with_parent() -> None:
@@ -81,6 +82,8 @@ def _tiles_told(order: dict[str, Any]) -> Iterator[None]:
     try:
         with Callback(pretask=begins, posttask=ended):
             yield
+    except BadInput:  # the user's mistake: the job shows it
+        raise
     except Exception:
         tiles = sorted(tile for tile in running if tile)
         log.error("tiles in flight", extra=said | {"tile": " ".join(tiles[:20])})
@@ -94,6 +97,13 @@ def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
     plan = plan_scene(scene)
     check_cost(scene, plan, order["most_cpu_s"])
     return {"outcome": "done", "plan": plan}
+
+
+def _judge(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
+    from pipeline.judge import judge
+
+    judge(parse_scene(order["scene"]))
+    return {"outcome": "done"}
 
 
 def _render(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
@@ -133,19 +143,21 @@ def _listener(answers: BinaryIO) -> Any:
     return listen
 
 
-def describe(error: Exception, product: str | None = None) -> dict[str, Any]:
-    """An error as the job shows it: one message, and the fields to mend; no path of the server."""
+def describe(error: Exception, order: dict[str, Any]) -> dict[str, Any]:
+    """An error as the job shows it: one message, and the fields to mend; no path of the server,
+    and uploaded files by the names that their user gave them."""
     mistakes: list[tuple[str, Any, str]] = []
     if isinstance(error, InvalidScene):
         mistakes = error.mistakes
     elif isinstance(error, BadInput):
         mistakes = [(error.field, error.value, error.allowed)]
     if mistakes:
-        errors = [mistake_dict(_without_paths(m, product)) for m in mistakes[:20]]
-        first = BadInput(*_without_paths(mistakes[0], product))
+        errors = [mistake_dict(_without_paths(m, order)) for m in mistakes[:20]]
+        first = BadInput(*_without_paths(mistakes[0], order))
         return {"kind": "bad input", "message": cut(str(first)), "errors": errors}
     if isinstance(error, Damaged):
-        place, reason = Path(error.path).name, _clean(error.reason, product)
+        place = _clean(Path(error.path).name, order)
+        reason = _clean(error.reason, order)
         return {"kind": "damaged", "message": cut(str(Damaged(place, reason))), "errors": []}
     if isinstance(error, DiskFull) or (isinstance(error, OSError) and error.errno in NO_ROOM):
         code = error.code if isinstance(error, DiskFull) else error.errno
@@ -153,7 +165,7 @@ def describe(error: Exception, product: str | None = None) -> dict[str, Any]:
         message = f"the server's disk is full ({reason}); submit again when there is room"
         return {"kind": "disk full", "message": message, "errors": []}
     if isinstance(error, NightglassError):
-        return {"kind": "incomplete", "message": cut(_clean(str(error), product)), "errors": []}
+        return {"kind": "incomplete", "message": cut(_clean(str(error), order)), "errors": []}
     if isinstance(error, OSError):
         message = f"the server could not read or write: {error.strerror or type(error).__name__}"
     elif isinstance(error, MemoryError):
@@ -163,14 +175,18 @@ def describe(error: Exception, product: str | None = None) -> dict[str, Any]:
     return {"kind": "fault", "message": message, "errors": []}
 
 
-def _without_paths(mistake: tuple[str, Any, str], product: str | None) -> tuple[str, Any, str]:
+def _without_paths(mistake: tuple[str, Any, str], order: dict[str, Any]) -> tuple[str, Any, str]:
     field, value, allowed = mistake
-    value = _clean(value, product) if isinstance(value, str) else value
-    return field, value, _clean(allowed, product)
+    value = _clean(value, order) if isinstance(value, str) else value
+    return field, value, _clean(allowed, order)
 
 
-def _clean(text: str, product: str | None) -> str:
-    """Text with the places of the server's folders cut out."""
+def _clean(text: str, order: dict[str, Any]) -> str:
+    """Text with the places of the server's folders cut out, and the user's names of files."""
+    for file_id, name in order.get("files", {}).items():
+        for place in set(re.findall(rf"[\w./-]*{re.escape(file_id)}", text)):
+            text = text.replace(place, name)
+    product = order.get("product")
     places = [(str(Path.cwd()), "catalogues")]
     if product is not None:
         places += [(str(Path(product).resolve()), "product"), (product, "product")]

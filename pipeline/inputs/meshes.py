@@ -29,6 +29,7 @@ MOST_FACETS = 2_000_000
 LARGEST_M = 1e5
 MANY_FACETS = 200_000
 MERGE = 1e-9  # of the size: corners closer than that are one
+HEADER_BYTES = 1 << 16
 NAMED = 8  # names listed in a message, at most
 
 
@@ -228,6 +229,8 @@ def _bytes(path: Path, field: str) -> tuple[bytes, str]:
 
 def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, str, str]]:
     """(corners (n, 3, 3), material, object) of each piece of a file; no other file is opened."""
+    if (told := _told_facets(raw, kind)) > MOST_FACETS:  # before half a minute of reading
+        raise BadInput(field, f"{name} of {told} facets", f"at most {MOST_FACETS} facets")
     try:
         import trimesh
     except ImportError:
@@ -258,6 +261,22 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
     if not sum(len(p[0]) for p in pieces):
         raise BadInput(field, name, f"a whole {kind.upper()} file with triangles in it")
     return pieces
+
+
+def _told_facets(raw: bytes, kind: str) -> int:
+    """How many facets a file has at least, by its header or by its lines; 0 where that is unclear.
+
+    A GLB file tells in its JSON, which its reader judges.
+    """
+    if kind == "obj":
+        return raw.count(b"\nf ")
+    if kind == "ply":
+        found = re.search(rb"(?m)^element[ \t]+face[ \t]+(\d{1,18})", raw[:HEADER_BYTES])
+        return int(found[1]) if found else 0
+    if kind == "stl":
+        told = int.from_bytes(raw[80:84], "little")
+        return told if len(raw) == 84 + 50 * told else raw.count(b"endfacet")
+    return 0
 
 
 def _with_materials(raw: bytes) -> tuple[bytes, dict[str, Any]]:

@@ -232,7 +232,7 @@ def _geometry(
     camera, air = camera_of(scene), air_of(scene, times)
     if air is not None:
         attitude = lifted(camera, attitude, air)
-    _check_view(scene, geocentric, attitude[:, 2])
+    check_view(scene, geocentric, attitude[:, 2])
     t = target_paths(scene, camera, attitude, at, len(frames), air)
     grid, grid3 = offset.shape, (*offset.shape, 3)
     each = (len(scene.targets), *grid)
@@ -339,7 +339,7 @@ def _observer(
     return place, speed + earth.velocity_m_s
 
 
-def _check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
+def check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
     """Refuse a boresight that ends in the Earth: below the horizon, or inside its disc."""
     if isinstance(scene.observer, GroundObserver):
         elevation = separation(boresight, -observer_m) - np.pi / 2

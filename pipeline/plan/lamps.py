@@ -25,7 +25,8 @@ from pipeline.physics.positions.focal_plane import (
 )
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
 from pipeline.physics.vectors import separation, unit
-from pipeline.plan.geometry import aimed, camera_of
+from pipeline.plan.air import air_of
+from pipeline.plan.geometry import aimed, camera_of, check_view
 from pipeline.plan.pointing import swept_rad
 from pipeline.plan.target_paths import Moments
 from pipeline.plan.timing import dwell_of, dwell_plans, frame_count, frame_times
@@ -132,6 +133,8 @@ def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> Look:
     start, time = frame_times(scene, frames)
     moments = start + time * (ticks % TICKS) / (TICKS - 1)
     at, attitude = aimed(scene, moments, dut1_s, dwell_of(dwell_plans(scene), frames))
+    if air_of(scene, at.times) is None:  # the air lifts what is near a horizon
+        check_view(scene, at.observer_m, attitude[:, 2])
     camera, beta = camera_of(scene), at.observer_m_s / SPEED_OF_LIGHT_M_S
     if not scene.star_effects["aberration"]:
         beta = np.zeros_like(beta)

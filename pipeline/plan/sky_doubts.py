@@ -38,25 +38,50 @@ class Doubts:
     remarks: tuple[str, ...] = ()
 
 
-def sky_doubts(scene: Scene, facts: Facts, response: ResponseCurve, dut1_s: float) -> Doubts:
-    """Refuse skies that would be wrong in silence; say what the scene accepts of them.
+@dataclass(frozen=True)
+class Skies:
+    """Sun, Moon and Earth in the exposures of a scene that refuses none of it.
+
+    nearest : the moment nearest to each doubt; sure : none was missed between the moments
+    daylight, bodies : the warnings of what the scene accepts
+    """
+
+    seen: Look
+    nearest: dict[str, int]
+    sure: bool
+    daylight: tuple[str, ...]
+    bodies: tuple[str, ...]
+
+
+def accepted_skies(scene: Scene, dut1_s: float) -> Skies:
+    """Refuse skies that would be wrong in silence.
 
     All exposures are looked at, at moments between which nothing turns past a limit (`look`).
     Raises BadInput that names the angle or the elevation, unless `accept` names the word.
     """
     seen, sure = look(scene, dut1_s, lambda at: np.min([*_margins(scene, at).values()], axis=0))
     nearest = {name: int(np.argmin(m)) for name, m in _margins(scene, seen).items()}
-    warnings: list[str] = []
-    remarks: list[str] = []
-    if isinstance(scene.observer, GroundObserver):
-        warnings, remarks = _daylight(scene, facts, response, seen, nearest["day"])
-        warnings += _no_moonlight(scene, facts, response, seen)
-    warnings += _sun_in_field(scene, seen, nearest["sun"]) or _sun_near(
+    daylight = _daylight(scene, seen, nearest["day"])
+    bodies = _sun_in_field(scene, seen, nearest["sun"]) or _sun_near(
         scene, seen, nearest["near the sun"]
     )
-    warnings += _moon_in_field(scene, seen, nearest["moon"]) or _moon_near(
+    bodies += _moon_in_field(scene, seen, nearest["moon"]) or _moon_near(
         scene, seen, nearest["near the moon"]
     )
+    return Skies(seen, nearest, sure, tuple(daylight), tuple(bodies))
+
+
+def sky_doubts(scene: Scene, facts: Facts, response: ResponseCurve, dut1_s: float) -> Doubts:
+    """Refuse skies that would be wrong in silence (`accepted_skies`); say what the scene accepts
+    of them, and what is not drawn."""
+    skies = accepted_skies(scene, dut1_s)
+    seen, nearest, sure = skies.seen, skies.nearest, skies.sure
+    warnings = list(skies.daylight)
+    remarks: list[str] = []
+    if isinstance(scene.observer, GroundObserver):
+        told, remarks = _sunlight(scene, facts, response, seen, nearest["day"])
+        warnings += told + _no_moonlight(scene, facts, response, seen)
+    warnings += skies.bodies
     warnings += _earth_in_field(scene, facts, response, seen, nearest["earth"])
     remarks += _no_stray_light(scene, seen)
     if not sure:
@@ -123,21 +148,13 @@ def _own_sky(b: Background | None) -> bool:
     return given and b is not None and not b.of_the_air
 
 
-def _daylight(
-    scene: Scene, facts: Facts, response: ResponseCurve, seen: Look, day: int
-) -> tuple[list[str], list[str]]:
-    """Warnings and remarks of the Sun's elevation at a site."""
+def _daylight(scene: Scene, seen: Look, k: int) -> list[str]:
+    """The Sun too high above a site for the sky that is drawn."""
     highest = _highest(scene)
-    k = int(np.argmax(seen.sun.elevation)) if highest is None else day
-    up = float(seen.sun.elevation[k])
-    where = f"the Sun at {up / DEG_RAD:.2f} deg of elevation (frame {seen.frame(k)})"
-    if highest is None:
-        note = f"{where}: the sky is the scene's own uniform value, whatever the Sun's light"
-        return [], [note] if up > DARK_RAD else []
+    up, where = _elevation(seen, k)
+    if highest is None or up <= highest:
+        return []
     b = scene.background
-    if up <= highest:
-        lacks = up > DARK_RAD and not (b is not None and b.twilight)
-        return _little_twilight(scene, facts, response, where, up) if lacks else [], []
     names = [n for n in ("twilight", "airglow", "moonlight") if b is not None and getattr(b, n)]
     field = f"background.{names[0]}" if names else "epoch"
     more = "" if "twilight" in names else " (to 0 degrees with background.twilight)"
@@ -147,7 +164,27 @@ def _daylight(
         f"a Sun at or below {highest / DEG_RAD:g} degrees of elevation during all exposures{more}, "
         "or a sky of your own, uniform_mag_arcsec2",
         f"{where}: the sky drawn is that of a night; the Sun's light in the air, {size}, is not",
-    )], []  # fmt: skip
+    )]  # fmt: skip
+
+
+def _sunlight(
+    scene: Scene, facts: Facts, response: ResponseCurve, seen: Look, day: int
+) -> tuple[list[str], list[str]]:
+    """Warnings and remarks of the Sun's elevation at a site, where it is not too high."""
+    highest, b = _highest(scene), scene.background
+    up, where = _elevation(seen, int(np.argmax(seen.sun.elevation)) if highest is None else day)
+    if highest is None:
+        note = f"{where}: the sky is the scene's own uniform value, whatever the Sun's light"
+        return [], [note] if up > DARK_RAD else []
+    if DARK_RAD < up <= highest and not (b is not None and b.twilight):
+        return _little_twilight(scene, facts, response, where, up), []
+    return [], []
+
+
+def _elevation(seen: Look, k: int) -> tuple[float, str]:
+    """The Sun's elevation [rad] at moment k, in numbers and words."""
+    up = float(seen.sun.elevation[k])
+    return up, f"the Sun at {up / DEG_RAD:.2f} deg of elevation (frame {seen.frame(k)})"
 
 
 def _size(sun_elevation_rad: float) -> str:

@@ -88,17 +88,11 @@ export async function follow(path, told, signal) {
 
 export const ended = (job) => ["COMPLETED", "ERROR", "ABORTED"].includes(job.phase);
 
-// Downloads through fetch where a key must be sent, else by the browser itself.
+// A download that the browser makes by itself, piece by piece; where a key is needed, by a ticket.
 export async function download(path, name) {
   const link = document.createElement("a");
-  link.download = name || "";
-  if (!key) {
-    link.href = path;
-  } else {
-    const blob = await (await ask(path)).blob();
-    link.href = URL.createObjectURL(blob);
-    setTimeout(() => URL.revokeObjectURL(link.href), 60000);
-  }
+  link.download = name;
+  link.href = key ? (await send("/v1/tickets", { path })).href : path;
   document.body.append(link);
   link.click();
   link.remove();

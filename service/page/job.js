@@ -1,8 +1,9 @@
 // One job: its progress, its frames with truth and coordinates, its report and plan.
 
 import { ask, download, ended, follow, json } from "./api.js";
-import { el, fill, notice, number, seconds } from "./dom.js";
+import { amount, el, fill, notice, number, seconds } from "./dom.js";
 import { jobSnippets } from "./snippets.js";
+import { trimmed } from "./schema.js";
 import { KINDS } from "./stretch.js";
 import { decisions, warnings } from "./submit.js";
 import { downloads, showSweep, waiting } from "./sweep.js";
@@ -95,22 +96,24 @@ export class JobView {
     fill(this.spent, [job.tiles_total ?
       `${job.tiles_done ?? 0} of ${job.tiles_total} ${job.kind === "sweep" ? "points" : "tiles"}` : "",
       job.started ? seconds(spent) : "", left,
-      job.attempt > 1 ? `attempt ${job.attempt}` : ""].filter(Boolean).join(", "));
+      job.attempt > 1 ? `attempt ${job.attempt}` : "",
+      ended(job) && job.bytes_kept ? `${amount(job.bytes_kept)} kept` : ""].filter(Boolean).join(", "));
   }
 
   actions() {
-    const job = this.job, get = (path) => () =>
-      download(path).catch((error) => notice(error.message));
+    const job = this.job, get = (path, name) => () =>
+      download(`${this.path}/${path}`, this.named(name)).catch((error) => notice(error.message));
     if (job.phase === "COMPLETED") {
       const menu = el("details", { class: "menu" }, el("summary", { class: "button strong" }, "Download"),
-        el("div", {}, job.kind === "sweep" ? downloads(this.path) : [
-          el("button", { type: "button", onclick: get(`${this.path}/product.tar`) }, "product, .tar"),
-          el("button", { type: "button", onclick: () => get(
-            `${this.path}/frames/${this.viewer?.frame ?? 0}/fits?layer=${this.viewer?.layer ?? "dn"}`)() },
-          "this frame, FITS"),
-          el("button", { type: "button", onclick: get(`${this.path}/results/truth/targets.parquet`) }, "targets' truth, Parquet"),
-          el("button", { type: "button", onclick: get(`${this.path}/report`) }, "report, JSON")],
-          el("a", { class: "button", href: `${this.path}/results` }, "all files")));
+        el("div", {}, job.kind === "sweep" ? downloads(this.path, (name) => this.named(name)) : [
+          el("button", { type: "button", onclick: get("product.tar", "product.tar") }, "product, .tar"),
+          el("button", { type: "button", onclick: () => {
+            const frame = this.viewer?.frame ?? 0, layer = this.viewer?.layer ?? "dn";
+            get(`frames/${frame}/fits?layer=${layer}`, `${layer}-${frame}.fits`)();
+          } }, "this frame, FITS"),
+          el("button", { type: "button", onclick: get("results/truth/targets.parquet", "targets.parquet") }, "targets' truth, Parquet"),
+          el("button", { type: "button", onclick: get("report", "report.json") }, "report, JSON")],
+          el("button", { type: "button", onclick: () => this.files().catch((error) => notice(error.message)) }, "all files")));
       return [menu, this.again(), this.remover()];
     }
     if (ended(job)) return [this.again(), this.remover()];
@@ -121,6 +124,30 @@ export class JobView {
         notice(error.message);
       }
     } }, job.cancel_asked ? "stopping…" : "Cancel");
+  }
+
+  // A file's name on the disk of who downloads it: the job's, and what it is.
+  named(name) {
+    return `${this.job.name.slice(0, 60)}-${this.job.id.slice(0, 8)}-${name.replaceAll("/", "-")}`;
+  }
+
+  // Every file of the product, each to be downloaded; those of the cube only as a whole (.tar).
+  async files() {
+    const found = new Map(), cube = "cube.zarr";
+    for (const query of ["limit=100", `limit=1000&after=${cube}0`]) {
+      for (const file of (await json(`${this.path}/results?${query}`)).files) {
+        if (!file.path.startsWith(`${cube}/`)) found.set(file.path, file);
+      }
+    }
+    const row = ({ path, bytes, href }) => el("tr", { "data-file": path },
+      el("td", {}, el("button", { type: "button", onclick: () => download(href, this.named(path))
+        .catch((error) => notice(error.message)) }, path)), el("td", { class: "num" }, amount(bytes)));
+    this.list?.remove();
+    this.list = el("div", { class: "card", id: "files" }, el("h2", {}, "Files"),
+      el("p", { class: "quiet" }, `without those of ${cube}, which the product as .tar holds`),
+      el("div", { class: "scroll" }, el("table", {}, el("tbody", {}, [...found.values()].map(row)))));
+    this.more.prepend(this.list);
+    this.list.scrollIntoView();
   }
 
   again() {
@@ -376,11 +403,4 @@ function errorCard(error) {
   return el("div", { class: "card bad" }, el("h2", {}, "It ended with an error"),
     el("p", {}, error.message), el("ul", {}, (error.errors || []).map((e) =>
       el("li", {}, el("code", {}, e.pointer), ` is ${e.value}; ${e.allowed}`))));
-}
-
-// A scene without what is null, so that the form is short.
-function trimmed(value) {
-  if (Array.isArray(value)) return value.map(trimmed);
-  if (value === null || typeof value !== "object") return value;
-  return Object.fromEntries(Object.entries(value).filter(([, v]) => v !== null).map(([k, v]) => [k, trimmed(v)]));
 }

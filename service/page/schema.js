@@ -107,3 +107,10 @@ export function limits(node) {
   if (node.maximum !== undefined) parts.push(`to ${node.maximum}`);
   return parts.join(" ");
 }
+
+// A scene without what is null, so that the form is short.
+export function trimmed(value) {
+  if (Array.isArray(value)) return value.map(trimmed);
+  if (value === null || typeof value !== "object") return value;
+  return Object.fromEntries(Object.entries(value).filter(([, v]) => v !== null).map(([k, v]) => [k, trimmed(v)]));
+}

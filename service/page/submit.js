@@ -3,7 +3,7 @@
 import { json, send } from "./api.js";
 import { copier, el, fill, notice, number, seconds } from "./dom.js";
 import { SceneForm } from "./form.js";
-import { Schema } from "./schema.js";
+import { Schema, trimmed } from "./schema.js";
 import { submitSnippets } from "./snippets.js";
 import { TEMPLATES } from "./templates.js";
 
@@ -15,12 +15,14 @@ export async function submitView(main, begin) {
     json("/v1/schema/scene"), json("/v1/catalogues").catch(() => ({ catalogues: [] }))]);
   const names = known.catalogues.filter((c) => c.usable).map((c) => c.name);
   const state = { scene: begin || draft() || Object.values(TEMPLATES)[0](names[0]) };
-  const text = el("textarea", { id: "json", spellcheck: "false", "aria-label": "the scene as JSON" });
+  const text = el("textarea", { id: "json", spellcheck: "false", "aria-label": "the scene as JSON or YAML" });
   const fault = el("p", { class: "mistake", role: "alert" });
   const answer = el("div", { id: "answer", "aria-live": "polite" });
   const form = new SceneForm(new Schema(root), names, () => { write(); fill(answer); });
 
+  let turn = 0; // of the texts that are read, the newest counts
   const write = () => {
+    turn += 1;
     text.value = JSON.stringify(state.scene, null, 2);
     fault.textContent = "";
     sessionStorage.setItem(DRAFT, text.value);
@@ -32,17 +34,19 @@ export async function submitView(main, begin) {
     write();
     fill(answer);
   };
-  text.addEventListener("input", () => {
+  text.addEventListener("input", async () => {
+    const mine = ++turn;
     try {
-      const scene = JSON.parse(text.value);
+      const scene = isJson(text.value) ? JSON.parse(text.value) : await readYaml(text.value, () => mine === turn);
+      if (mine !== turn) return;
       if (scene === null || typeof scene !== "object" || Array.isArray(scene)) throw new Error("a scene is an object {…}");
-      state.scene = scene;
+      state.scene = trimmed(scene);
       form.mistakes.clear();
-      form.show(scene);
+      form.show(state.scene);
       fault.textContent = "";
-      sessionStorage.setItem(DRAFT, text.value);
+      sessionStorage.setItem(DRAFT, JSON.stringify(state.scene));
     } catch (error) {
-      fault.textContent = `not JSON yet: ${error.message}`;
+      if (mine === turn) fault.textContent = `not ${isJson(text.value) ? "JSON" : "YAML"} yet: ${error.message}`;
     }
   });
 
@@ -53,7 +57,7 @@ export async function submitView(main, begin) {
         el("li", {}, el("code", {}, e.pointer || "scene"), ` is ${e.value}; ${e.allowed}`)))));
   };
   const busy = (button, work) => async () => {
-    if (fault.textContent) return notice("the text is not JSON");
+    if (fault.textContent) return notice("the text is not JSON or YAML");
     button.disabled = true;
     button.classList.add("busy");
     try {
@@ -67,13 +71,13 @@ export async function submitView(main, begin) {
   const planner = el("button", { type: "button", id: "plan" }, "Plan");
   planner.addEventListener("click", busy(planner, async () => {
     fill(answer, el("p", { class: "quiet" }, "planning…"));
-    const plan = await send("/v1/jobs?dry_run=1", text.value);
+    const plan = await send("/v1/jobs?dry_run=1", text.value, kindOf(text.value));
     fill(answer, planCard(plan));
   }));
   const sender = el("button", { type: "button", id: "submit", class: "strong" }, "Submit");
   let again = crypto.randomUUID(); // a second press after a lost answer makes no second job
   sender.addEventListener("click", busy(sender, async () => {
-    const job = await send("/v1/jobs", text.value, { "Idempotency-Key": again });
+    const job = await send("/v1/jobs", text.value, { "Idempotency-Key": again, ...kindOf(text.value) });
     again = crypto.randomUUID();
     location.hash = `#/job/${job.id}`;
   }));
@@ -84,7 +88,7 @@ export async function submitView(main, begin) {
     if (starts.value) load(TEMPLATES[starts.value](names[0]));
     starts.value = "";
   });
-  const file = el("input", { type: "file", accept: ".json,application/json", class: "sr", id: "file" });
+  const file = el("input", { type: "file", accept: ".json,.yaml,.yml,application/json,application/yaml", class: "sr", id: "file" });
   file.addEventListener("change", async () => {
     if (!file.files.length) return;
     text.value = await file.files[0].text();
@@ -94,16 +98,25 @@ export async function submitView(main, begin) {
 
   fill(main,
     el("div", { class: "bar" }, el("h1", {}, "New scene"), starts,
-      el("label", { class: "button", for: "file" }, "Open JSON"), file,
+      el("label", { class: "button", for: "file" }, "Open file"), file,
       el("span", { class: "spring" }), planner, sender),
     el("div", { class: "split" },
       el("section", { "aria-label": "form" }, form.node),
-      el("section", { class: "side", "aria-label": "JSON and answers" }, answer,
-        el("div", { class: "card" }, el("div", { class: "bar" }, el("h2", {}, "The scene as JSON"),
+      el("section", { class: "side", "aria-label": "text and answers" }, answer,
+        el("div", { class: "card" }, el("div", { class: "bar" }, el("h2", {}, "The scene as JSON or YAML"),
           el("span", { class: "quiet" }, "edit or paste here"), el("span", { class: "spring" }),
           copier(() => text.value, "the scene")), text, fault),
         submitSnippets())));
   load(state.scene);
+}
+
+const isJson = (text) => /^\s*([{[]|$)/.test(text);
+const kindOf = (text) => ({ "Content-Type": isJson(text) ? "application/json" : "application/yaml" });
+
+// YAML is read by the service, once its writer rests.
+async function readYaml(text, current) {
+  await new Promise((go) => setTimeout(go, 400));
+  return current() ? (await send("/v1/schema/scene/read", text, kindOf(text))).scene : null;
 }
 
 function draft() {

@@ -10,8 +10,8 @@ export const waiting = (job) => (job.tiles_done
 const FILES = { "points.parquet": "table of points, Parquet", "summary.html": "summary, a page",
   "report.json": "report, JSON", "sweep.json": "the sweep, JSON" };
 
-export function downloads(path) {
-  const get = (name) => () => download(`${path}/results/${name}`, name).catch((error) => notice(error.message));
+export function downloads(path, named) {
+  const get = (name) => () => download(`${path}/results/${name}`, named(name)).catch((error) => notice(error.message));
   return Object.entries(FILES).map(([name, text]) => el("button", { type: "button", onclick: get(name) }, text));
 }
 

@@ -9,7 +9,7 @@ from fastapi.responses import JSONResponse, Response
 
 from service.context import Service
 from service.gate import allow_time
-from service.uploads import PREFIX
+from service.named_files import PREFIX
 
 router = APIRouter(prefix="/v1/files", tags=["files"])
 BODY = {
@@ -41,6 +41,6 @@ def listing(service: Service) -> Response:
 
 @router.delete("/{file_id}", status_code=204)
 def remove(service: Service, file_id: str) -> Response:
-    """Remove a file. A job that still needs it ends with an error that names the field."""
+    """Remove a file. 409, naming them, while jobs that have not ended name it."""
     service.files.remove(service.caller, file_id.removeprefix(PREFIX))
     return Response(status_code=204)

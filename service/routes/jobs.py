@@ -15,26 +15,24 @@ from starlette.concurrency import run_in_threadpool
 from starlette.routing import Match, Route
 from starlette.types import Receive, Scope, Send
 
-from service.bodies import read_body
+from service.bodies import JSON, TEXTS, media_type, read_body
 from service.context import Context, Service, context_of
 from service.gate import allow_time
 from service.jobs import FINAL, Job, Phase
 from service.problems import Malformed, NotThere
-from service.runner import plan_dry
-from service.uploads import engine_scene
 from service.views import etag, job_dict
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
 
 
-def json_body(description: str) -> dict[str, Any]:
-    """What OpenAPI says of a body of JSON that the route reads by itself."""
-    content = {"application/json": {"schema": {"type": "object"}}}
+def json_body(description: str, kinds: tuple[str, ...] = (JSON,)) -> dict[str, Any]:
+    """What OpenAPI says of a body that the route reads by itself, JSON or (`kinds`) YAML, too."""
+    content = {kind: {"schema": {"type": "object"}} for kind in kinds}
     return {"requestBody": {"required": True, "description": description, "content": content}}
 
 
-SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.")
+SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.", TEXTS)
 
 
 def with_time(plan: dict[str, Any]) -> dict[str, Any]:
@@ -52,12 +50,16 @@ async def submit(
     """Queue a scene: 202 and where the job is; 200 for a key that was used with this body."""
     settings = service.settings
     check_key(idempotency_key)
-    body = await read_body(request, settings.body_bytes, settings.body_s)
-    found = await service.scenes.read(service.caller.team, body, service.has_file)
+    body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
+    found = await service.scenes.read(
+        service.caller.team, body, service.has_file, media_type(request)
+    )
     if dry_run:
         allow_time(request, settings.plan_s + settings.answer_s)
-        plan = await plan_of(service, found.scene())
+        plan = await service.looks.plan(request, service.caller.team, found.scene())
         return JSONResponse(with_time(plan))
+    if found.named:
+        await service.looks.judge(request, service.caller.team, found.scene())
     ask = service.store.ask(
         found.name, found.text, found.body_sha256, idempotency_key,
         pixel_frames=found.pixel_frames,
@@ -106,15 +108,6 @@ def taken(
     return Response(body, 202 if made else 200, headers, "application/json")
 
 
-async def plan_of(service: Context, scene: dict[str, Any]) -> dict[str, Any]:
-    """The plan of an accepted scene, made by a process of its own."""
-    data = engine_scene(scene, service.settings)
-    async with service.plans:
-        return await run_in_threadpool(
-            plan_dry, data, service.settings, service.dispatcher.stopping
-        )
-
-
 @router.get("")
 def listing(
     service: Service,
@@ -146,7 +139,8 @@ async def watch(
     wait_s = min(wait, service.settings.wait_s)
     if wait_s and etag(job) == known and job.phase not in FINAL:
         allow_time(request, wait_s + service.settings.answer_s)
-        await service.changes.after(job_id, job.version, wait_s)
+        with service.changes.places.taken(service.caller.team):
+            await service.changes.after(job_id, job.version, wait_s)
         job = await run_in_threadpool(service.store.get, job_id)
     headers = {"ETag": etag(job)}
     if job.phase not in FINAL:
@@ -184,9 +178,24 @@ async def events(
 ) -> Response:
     """Server-sent events: the job at every change (id: its version), until it has ended."""
     job = await run_in_threadpool(service.store.get, job_id)
-    stream = _events(service, job, last_event_id)
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
+    return Watch(service, _events(service, job, last_event_id))
+
+
+class Watch(StreamingResponse):
+    """A stream of events. It holds a watcher's place from before its head is sent, so that a
+    refusal is a 429, until it has ended, however it does."""
+
+    def __init__(self, service: Context, events: AsyncIterator[str]) -> None:
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        super().__init__(events, media_type="text/event-stream", headers=headers)
+        self._places, self._team = service.changes.places, service.caller.team
+        self._places.take(self._team)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._places.give(self._team)
 
 
 async def _events(service: Context, job: Job, last_event_id: str | None) -> AsyncIterator[str]:

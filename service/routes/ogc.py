@@ -16,9 +16,7 @@ from service.context import Context, Service
 from service.gate import allow_time
 from service.jobs import FINAL, Job, Phase
 from service.problems import NotAllowed, NotReady, NotThere
-from service.runner import plan_dry
 from service.scenes import accept_scene
-from service.uploads import engine_scene
 from service.views import utc
 
 router = APIRouter(prefix="/ogc", tags=["ogc"])
@@ -116,11 +114,9 @@ async def execute(request: Request, service: Service, process: str) -> Response:
     data, scene = await run_in_threadpool(_accept, service, body)
     if process == "plan":
         allow_time(request, settings.plan_s + settings.answer_s)
-        wanted = engine_scene(scene.as_dict(), settings)
-        async with service.plans:
-            stopping = service.dispatcher.stopping
-            plan = await run_in_threadpool(plan_dry, wanted, settings, stopping)
+        plan = await service.looks.plan(request, service.caller.team, scene.as_dict())
         return JSONResponse({"plan": plan})
+    await service.looks.judge(request, service.caller.team, scene.as_dict())
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
     ask = service.store.ask(scene.name, scene.as_dict(), digest, None)
     job, _ = await service.intake.put(ask)

@@ -43,12 +43,14 @@ def _contents() -> dict[str, tuple[bytes, str]]:
     return found
 
 
+@router.head("/")
 @router.get("/")
 def front(request: Request) -> Response:
     """The page."""
     return part(request, "index.html")
 
 
+@router.head("/page/{name}")
 @router.get("/page/{name}")
 def part(request: Request, name: str) -> Response:
     """A file of the page."""

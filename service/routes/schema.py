@@ -1,12 +1,15 @@
-"""The JSON Schema of the scene format."""
+"""The JSON Schema of the scene format, and texts of scenes as plain data."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
+from starlette.concurrency import run_in_threadpool
 
 from pipeline.spec.scene import Scene
+from service.bodies import TEXTS, media_type, parse_text, read_body
 from service.context import Service
+from service.routes.jobs import json_body
 
 router = APIRouter(prefix="/v1/schema", tags=["schema"])
 
@@ -17,3 +20,11 @@ def scene(_: Service) -> Response:
     return JSONResponse(
         Scene.model_json_schema(by_alias=True), media_type="application/schema+json"
     )
+
+
+@router.post("/scene/read", openapi_extra=json_body("The text of a scene.", TEXTS))
+async def read(request: Request, service: Service) -> Response:
+    """A text of YAML or JSON as the data that it is (`scene`), not judged: for editors."""
+    settings = service.settings
+    body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
+    return JSONResponse({"scene": await run_in_threadpool(parse_text, body, media_type(request))})

@@ -10,15 +10,15 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.bodies import parse_json, read_body
+from service.bodies import TEXTS, media_type, parse_text, read_body
 from service.context import Service
 from service.gate import allow_time
-from service.routes.jobs import check_key, json_body, plan_of, taken, with_time
+from service.routes.jobs import check_key, json_body, taken, with_time
 from service.sweeps import accept_sweep, can_run
 from service.teams import pixel_frames_of
 
 router = APIRouter(prefix="/v1/sweeps", tags=["sweeps"], include_in_schema=can_run())
-SWEEP_BODY = json_body("A sweep: a base scene and axes over its keys.")
+SWEEP_BODY = json_body("A sweep: a base scene and axes over its keys.", TEXTS)
 
 
 @router.post("", status_code=202, openapi_extra=SWEEP_BODY)
@@ -31,17 +31,18 @@ async def submit(
     """Queue a sweep: 202 and where its job is; 200 for a key that was used with this body. With
     `dry_run` its size, and the plan of its base scene."""
     check_key(idempotency_key)
-    body = await read_body(request, service.settings.body_bytes, service.settings.body_s)
-    data = parse_json(body)
+    body = await read_body(request, service.settings.body_bytes, service.settings.body_s, TEXTS)
+    data = await run_in_threadpool(parse_text, body, media_type(request))
     sweep, pixel_frames = await run_in_threadpool(
         accept_sweep, data, service.settings, service.has_file
     )
     if dry_run:
         allow_time(request, service.settings.plan_s + service.settings.answer_s)
-        plan = await plan_of(service, sweep["scene"])
+        plan = await service.looks.plan(request, service.caller.team, sweep["scene"])
         points = pixel_frames // pixel_frames_of(sweep["scene"])
         size = {"points": points, "pixel_frames": pixel_frames}
         return JSONResponse(size | {"base": with_time(plan)})
+    await service.looks.judge(request, service.caller.team, sweep["scene"])
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
     name = str(data.get("name", "sweep"))[:128]
     ask = service.store.ask(

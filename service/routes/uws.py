@@ -69,6 +69,7 @@ async def create(request: Request, service: Service) -> Response:
     scene = await run_in_threadpool(_scene, service, given)
     if scene is None:
         raise BadInput("?SCENE", None, "a scene as JSON text")
+    await service.looks.judge(request, service.caller.team, scene)
     phase = Phase.QUEUED if _runs(given) else Phase.PENDING
     digest = hashlib.sha256(json.dumps(scene, sort_keys=True).encode()).hexdigest()
     ask = service.store.ask(scene["name"], scene, digest, None, phase=phase, **_amends(given))
@@ -95,7 +96,7 @@ async def act(request: Request, service: Service, job_id: str) -> Response:
     given = await _fields(request, service)
     if given.get("ACTION", "").upper() == "DELETE":
         return await run_in_threadpool(delete, request, service, job_id)
-    return await run_in_threadpool(_change, request, service, job_id, given)
+    return await _change(request, service, job_id, given)
 
 
 @router.delete("/{job_id}", status_code=303)
@@ -137,7 +138,7 @@ async def write(request: Request, service: Service, job_id: str, part: str) -> R
         return await run_in_threadpool(_move, request, service, job_id, given)
     if part not in ("parameters", "executionduration", "destruction"):
         raise NotThere("phase, parameters, executionduration and destruction can be changed")
-    return await run_in_threadpool(_change, request, service, job_id, given)
+    return await _change(request, service, job_id, given)
 
 
 @router.get("/{job_id}/results/{name}")
@@ -182,7 +183,7 @@ async def _fields(request: Request, service: Context) -> Fields:
     if request.headers.get("content-length") == "0":
         return {}
     settings = service.settings
-    body = await read_body(request, settings.body_bytes, settings.body_s, FORM)
+    body = await read_body(request, settings.body_bytes, settings.body_s, (FORM,))
     try:
         text = body.decode("utf-8")
         pairs = parse_qsl(text, keep_blank_values=True, strict_parsing=bool(text),
@@ -219,15 +220,16 @@ def _amends(given: Mapping[str, str]) -> dict[str, Any]:
     return values
 
 
-def _change(request: Request, service: Context, job_id: str, given: Fields) -> Response:
+async def _change(request: Request, service: Context, job_id: str, given: Fields) -> Response:
     """Change what a form names, then go back to the job."""
     values = _amends(given)
-    scene = _scene(service, given)
+    scene = await run_in_threadpool(_scene, service, given)
     if scene is not None:
+        await service.looks.judge(request, service.caller.team, scene)
         values |= {"scene": scene, "name": scene["name"]}
     if not values:
         raise BadInput("?SCENE", None, ", ".join(sorted(KNOWN - {"PHASE", "QUERY"})))
-    service.store.amend(job_id, **values)
+    await run_in_threadpool(service.store.amend, job_id, **values)
     return _to(request, job_id)
 
 
@@ -262,7 +264,8 @@ async def _wait(request: Request, service: Context, job: Job, phase: Phase, wait
         left = deadline - time.monotonic()
         if left <= 0:
             break
-        await service.changes.after(job.id, job.version, left)
+        with service.changes.places.taken(service.caller.team):
+            await service.changes.after(job.id, job.version, left)
         job = await run_in_threadpool(service.store.get, job.id)
         await asyncio.sleep(0)
     return job

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import socket
@@ -16,6 +17,7 @@ import pytest
 from catalog_tools.clusters import check_address, security_of
 from catalog_tools.errors import BadInput
 from catalog_tools.schedulers import LOCAL_KINDS, open_scheduler
+from tests.service.conftest import SCENE
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -154,6 +156,23 @@ def test_a_stranger_is_refused(tls_cluster, certificates, tmp_path, monkeypatch)
 def test_bad_addresses(address):
     with pytest.raises(BadInput, match="--scheduler"):
         check_address(address, LOCAL_KINDS)
+
+
+@pytest.mark.parametrize("kind", ["tcp://127.0.0.1:9", "processes"])
+def test_what_is_not_encrypted_is_refused_where_that_is_required(kind, tmp_path, monkeypatch):
+    """By the command as by the service: exit 2, and no product is begun."""
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "true")
+    monkeypatch.setenv("NIGHTGLASS_SCHEDULER", kind)
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE))
+    for words in (
+        ["render", "scene.json", "-o", "product", "--scheduler", kind],
+        ["serve", "--home", "home", "--port", "0"],
+    ):
+        told = subprocess.run([sys.executable, "-m", "pipeline", *words], cwd=tmp_path,
+                              capture_output=True, text=True, timeout=120)  # fmt: skip
+        assert told.returncode == 2, told.stderr
+        assert "require-encryption" in told.stderr
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scene.json"]
 
 
 def test_half_a_certificate_is_named(certificates, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 
 from catalog_tools.catalogue import MANIFEST_NAME
 from pipeline.spec.load import parse_scene
-from service.accepted import INLINE_BYTES, Acceptance
+from service.accepted import LARGEST_KEPT, Acceptance
 from service.problems import Malformed, NotAllowed
 from service.settings import Settings
 
@@ -71,7 +71,7 @@ def test_refusals_are_not_kept_and_memory_is_bounded(
     for _ in range(2):
         with pytest.raises(Malformed):
             read(kept, b'{"a": NaN}')
-    large = json.dumps(scene).encode() + b" " * INLINE_BYTES
+    large = json.dumps(scene).encode() + b" " * LARGEST_KEPT
     assert read(kept, large) is not read(kept, large)
     assert (kept.reused, kept.kept_bytes) == (0, 0)
     for seed in range(100):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import secrets
+import stat
 import subprocess
 import sys
 import time
@@ -90,6 +92,43 @@ def test_a_key_ends_with_its_days(engine: Any, monkeypatch: pytest.MonkeyPatch) 
             asyncio.run(Authenticator(Settings(Path()), engine).caller(f"Bearer {token}"))
     lasting = create_key(engine, "red")
     assert asyncio.run(door.caller(f"Bearer {lasting}")).team == "red"
+
+
+def test_no_key_no_secret_and_no_use_take_the_same_time(engine: Any) -> None:
+    """The time of a refusal does not tell whether there is a key of that id."""
+    good, revoked = create_key(engine, "red"), create_key(engine, "red")
+    revoke_key(engine, revoked)
+    door = Authenticator(Settings(Path()), engine)
+
+    def refusal_s(token: str) -> float:
+        began = time.process_time()  # of the processor: others' work beside this one counts not
+        with pytest.raises(Unauthenticated):
+            asyncio.run(door.caller(f"Bearer {token}"))
+        return time.process_time() - began
+
+    wrong: dict[str, list[float]] = {"key": [], "secret": [], "use": []}
+    for _ in range(9):
+        secret = secrets.token_urlsafe(32)
+        wrong["key"].append(refusal_s(f"ng_{secrets.token_hex(6)}_{secret}"))
+        wrong["secret"].append(refusal_s(f"{good[:16]}{secret}"))
+        wrong["use"].append(refusal_s(f"{revoked[:16]}{secret}"))
+    least = {name: min(times) for name, times in wrong.items()}
+    assert max(least.values()) < 2.0 * min(least.values()), least
+    assert asyncio.run(door.caller(f"Bearer {good}")).team == "red"
+
+
+def test_a_home_made_beforehand_is_closed(tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    home.mkdir(mode=0o755)
+    (home / "jobs.sqlite").touch(mode=0o644)
+    Settings(home).make_folders()
+    engine = connect(sqlite_url(home / "jobs.sqlite"))
+    create_key(engine, "red")
+    made = {file.name: stat.S_IMODE(file.stat().st_mode) for file in home.glob("jobs.sqlite*")}
+    assert stat.S_IMODE(home.stat().st_mode) == 0o700
+    assert len(made) == 3  # with its log and the index of it
+    assert set(made.values()) == {0o600}
+    engine.dispose()
 
 
 @pytest.mark.parametrize("team", ["", "Red", "a/b", "../x", "a" * 65, "a b", "é"])

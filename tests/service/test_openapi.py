@@ -38,9 +38,31 @@ def test_the_document_holds_every_v1_route(server: Any) -> None:
         "/v1/jobs/{job_id}/results", "/v1/jobs/{job_id}/results/{path}", "/v1/catalogues",
         "/v1/jobs/{job_id}/preview.png", "/v1/jobs/{job_id}/plan", "/v1/jobs/{job_id}/report",
         "/v1/schema/scene", "/v1/usage", "/v1/files", "/v1/files/{file_id}", "/healthz",
-        "/readyz", "/metrics",
+        "/readyz", "/metrics", "/v1/tickets",
     }  # fmt: skip
     assert wanted <= set(paths)
+
+
+def test_every_kind_of_content_is_documented(server: Any, finished: str) -> None:
+    """Each GET of the document, with a finished job: the answer's media type is named there."""
+    given = {"job_id": finished.rpartition("/")[2], "frame": 0, "row": 0, "column": 0}
+    given |= {"path": "plan.json", "part": "phase", "name": "result", "process": "render"}
+    several = {"path": ["plan.json", "preview.png", "scene.yaml", "truth/targets.parquet"]}
+    several["part"] = ["phase", "results"]
+    document, seen = server.client.get("/openapi.json").json(), 0
+    for path, methods in document["paths"].items():
+        names = [name for name in several if f"{{{name}}}" in path] or ["path"]
+        for value in several[names[0]] if names[0] in path else ["plan.json"]:
+            if "get" not in methods:
+                continue
+            url = path.format(**given | {names[0]: value})
+            with server.client.stream("GET", url) as answer:
+                kind = answer.headers.get("content-type", "").split("; charset")[0]
+                kind = kind.split("; version")[0]
+                told = methods["get"]["responses"][str(answer.status_code)]
+                assert (answer.status_code, kind in told["content"]) == (200, True), (url, kind)
+            seen += 1
+    assert seen >= 30
 
 
 def test_no_answer_is_a_500(quick: Any) -> None:

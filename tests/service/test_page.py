@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -14,6 +15,9 @@ import numpy as np
 import pytest
 
 from catalog_tools.synthetic import make_demo
+from pipeline.spec.load import parse_scene, scene_yaml
+from service.database import connect, sqlite_url
+from service.keys import create_key
 
 SHOWN = "canvas.sky[data-tiles]:not([data-tiles='0'])"  # at least one tile is on the canvas
 KEEP = os.environ.get("NIGHTGLASS_SCREENSHOTS")  # a folder for the pictures of docs/
@@ -128,6 +132,25 @@ def test_pasted_json_and_mistakes_beside_their_fields(
     tab.fill("[data-path='/sensor/aperture_m'] input", "0.5")
     assert json.loads(tab.input_value("#json"))["sensor"]["aperture_m"] == 0.5
     page.faults[:] = [f for f in page.faults if "422" not in f]  # the refusal itself
+
+
+def test_yaml_in_the_editor_fills_the_form(page: Page, server: Any, scene: dict[str, Any]) -> None:
+    tab = page.open("#/new")
+    tab.wait_for_selector("#submit")
+    tab.fill("#json", scene_yaml(parse_scene(scene | {"name": "from-yaml"})))
+    while tab.input_value("[data-path='/name'] input") != "from-yaml":
+        tab.wait_for_timeout(50)
+    tab.click("#plan")
+    tab.wait_for_selector("#planned")
+    tab.click("#submit")
+    tab.wait_for_selector(".phase.COMPLETED >> nth=0")
+    assert "from-yaml" in tab.inner_text(".jobhead")
+    tab = page.open("#/new")
+    tab.wait_for_selector("[data-path='/name'] input")
+    assert tab.input_value("[data-path='/name'] input") == "from-yaml"  # kept as a draft
+    tab.fill("#json", "name: x\nname: y")
+    tab.wait_for_selector(".mistake:has-text('not YAML yet')")
+    page.faults[:] = [f for f in page.faults if "400" not in f]  # the refusal itself
 
 
 def test_coordinates_values_truth_and_stretch(page: Page, server: Any, field: str) -> None:
@@ -274,6 +297,81 @@ def test_curl_on_the_page_fetches_the_product(page: Page, server: Any, field: st
         tab.click("summary.button")
         tab.get_by_text("this frame, FITS").click()
     assert Path(begun.value.path()).read_bytes().startswith(b"SIMPLE")
+
+
+@pytest.fixture
+def with_key(chromium: Any, make_server: Any, scene: dict[str, Any]) -> Iterator[tuple[Any, Any]]:
+    """A server of keys with a finished job, and a tab that shows it with its team's key."""
+    server = make_server()
+    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
+    key = create_key(engine, "red")
+    engine.dispose()
+    while server.client.get("/v1/jobs").status_code != 401:
+        time.sleep(0.1)
+    server.client.headers["authorization"] = f"Bearer {key}"
+    job = server.submit(scene | {"name": "night-17.GEO"})
+    assert server.ended(job)["phase"] == "COMPLETED"
+    page = Page(chromium, server.url)
+    page.tab.add_init_script(f"sessionStorage.setItem('nightglass-key', '{key}')")
+    page.open(f"#/job/{job.rpartition('/')[2]}")
+    yield server, page.tab
+    page.tab.context.close()
+    assert page.faults == []
+
+
+def test_every_download_works_with_a_key(with_key: tuple[Any, Any]) -> None:
+    """Each is named after its job, and made by the browser itself, piece by piece."""
+    server, tab = with_key
+    job = tab.url.rpartition("/")[2]
+    wanted = {
+        "product, .tar": (".tar", b"night-17.GEO-"),
+        "this frame, FITS": (".fits", b"SIMPLE"),
+        "targets' truth, Parquet": ("-targets.parquet", b"PAR1"),
+        "report, JSON": ("-report.json", b"{"),
+    }
+
+    def download(press: Any) -> tuple[str, bytes]:
+        with tab.expect_download() as begun:
+            press()
+        assert begun.value.url.startswith(f"{server.url}/v1/jobs/{job}/")
+        return begun.value.suggested_filename, Path(begun.value.path()).read_bytes()
+
+    tab.click("summary.button")
+    for text, (ending, content) in wanted.items():
+        name, got = download(tab.get_by_text(text, exact=True).click)
+        assert name.startswith(f"night-17.GEO-{job[:8]}"), name
+        assert (name.endswith(ending), got.startswith(content)) == (True, True), name
+    tab.get_by_text("all files").click()
+    tab.wait_for_selector("[data-file='scene.yaml']")
+    listed = tab.locator("[data-file]").evaluate_all("rows => rows.map(r => r.dataset.file)")
+    files = server.client.get(f"/v1/jobs/{job}/results").json()["files"]
+    assert listed == [f["path"] for f in files if not f["path"].startswith("cube.zarr/")]
+    name, got = download(tab.locator("[data-file='scene.yaml'] button").click)
+    assert name == f"night-17.GEO-{job[:8]}-scene.yaml"
+    assert got == server.client.get(f"/v1/jobs/{job}/results/scene.yaml").content
+
+
+def test_what_a_cancelled_job_keeps_is_told(
+    page: Page, server: Any, scene: dict[str, Any]
+) -> None:
+    scene["sensor"]["shape"], scene["exposure"]["frames"] = [640, 640], 100
+    job = server.submit(scene)
+    server.until(job, lambda found: (found["tiles_done"] or 0) > 2)
+    server.client.post(f"{job}/cancel")
+    ended = server.ended(job)
+    folder = server.home / "products" / ended["id"]
+    assert ended["bytes_kept"] == sum(f.lstat().st_size for f in folder.rglob("*") if f.is_file())
+    tab = page.open(f"#/job/{ended['id']}")
+    tab.wait_for_selector(".phase.ABORTED >> nth=0")
+    assert "MB kept" in tab.inner_text(".jobhead")
+    server.client.delete(job)
+
+
+def test_the_page_answers_head(server: Any) -> None:
+    for path in ("/", "/page/app.js"):
+        head, whole = server.client.head(path), server.client.get(path)
+        assert (head.status_code, head.content) == (200, b"")
+        assert head.headers["content-length"] == str(len(whole.content))
 
 
 def test_the_policy_lets_nothing_else_in(server: Any) -> None:

@@ -109,7 +109,9 @@ def test_same_bits_with_layers(server: Any, scene: dict[str, Any], tmp_path: Pat
 
 
 def test_a_scene_that_only_the_planner_refuses(server: Any, scene: dict[str, Any]) -> None:
-    scene["targets"][0]["orbit"]["position_m"] = [1.0, 1.0, 1.0]
+    lost = copy.deepcopy(scene["targets"][0]) | {"name": "not-followed"}
+    lost["orbit"]["position_m"] = [1.0, 1.0, 1.0]
+    scene["targets"].append(lost)
     dry = server.client.post("/v1/jobs?dry_run=1", json=scene)
     assert dry.status_code == 422
     assert dry.json()["errors"][0]["allowed"]

@@ -1,0 +1,165 @@
+"""Dry runs and watchers: no team shuts others out, and what nobody waits for any more ends."""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import httpx
+import psutil
+import pytest
+
+from service.database import connect, sqlite_url
+from service.keys import create_key
+from service.problems import TooMany
+from service.shares import Shares
+from tests.service.conftest import SCENE
+
+MANY = 6000  # targets, whose plan takes some 20 s
+LIMITS = {"BODY_BYTES": 1 << 23, "TARGETS": 2 * MANY, "PLANS": 2, "WATCHERS": 40}
+
+
+@pytest.fixture(scope="module")
+def shared(keep_server: Callable[..., Any]) -> Any:
+    """A server of two teams."""
+    server = keep_server(**{f"NIGHTGLASS_{name}": str(most) for name, most in LIMITS.items()})
+    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
+    server.keys = {
+        team: {"authorization": f"Bearer {create_key(engine, team)}"} for team in ("red", "blue")
+    }
+    engine.dispose()
+    while server.client.get("/v1/jobs").status_code != 401:
+        time.sleep(0.1)
+    return server
+
+
+@pytest.fixture(scope="module")
+def heavy() -> dict[str, Any]:
+    scene = copy.deepcopy(SCENE)
+    scene["exposure"]["frames"] = 500
+    [target] = scene["targets"]
+    scene["targets"] = [target | {"name": f"sat-{i + 1}"} for i in range(MANY)]
+    return scene
+
+
+def looks(server: Any) -> int:
+    """How many processes of the engine run."""
+    return len(psutil.Process(server.process.pid).children())
+
+
+def plan(server: Any, team: str, scene: dict[str, Any], wait_s: float) -> int:
+    with httpx.Client(base_url=server.url, timeout=wait_s, headers=server.keys[team]) as client:
+        try:
+            return client.post("/v1/jobs?dry_run=1", json=scene).status_code
+        except httpx.ReadTimeout:
+            return 0
+
+
+@pytest.fixture
+def four_heavy(shared: Any, heavy: dict[str, Any]) -> Iterator[Any]:
+    """Four large dry runs of one team, abandoned after 12 s."""
+    with ThreadPoolExecutor(4) as pool:
+        asked = [pool.submit(plan, shared, "red", heavy, 12.0) for _ in range(4)]
+        while not looks(shared):
+            time.sleep(0.05)
+        yield asked
+
+
+def test_a_small_dry_run_does_not_wait_for_another_teams_large_ones(
+    shared: Any, four_heavy: Any, scene: dict[str, Any]
+) -> None:
+    began = time.monotonic()
+    assert plan(shared, "blue", scene, 60.0) == 200
+    assert time.monotonic() - began < 10
+    assert not any(asked.done() for asked in four_heavy)  # they were waited for all the while
+
+
+def test_abandoned_dry_runs_end(shared: Any, four_heavy: Any, scene: dict[str, Any]) -> None:
+    assert [asked.result() for asked in four_heavy] == [0] * 4
+    deadline = time.monotonic() + 5
+    while looks(shared):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    assert plan(shared, "red", scene, 30.0) == 200
+
+
+def test_one_teams_watchers_leave_places_for_others(shared: Any, scene: dict[str, Any]) -> None:
+    with httpx.Client(base_url=shared.url, headers=shared.keys["red"]) as red:
+        long = scene | {"sensor": scene["sensor"] | {"shape": [640, 640]}}
+        long["exposure"] = scene["exposure"] | {"frames": 300}
+        running, job = (red.post("/v1/jobs", json=s).headers["location"] for s in (long, scene))
+        opened = []
+        for _ in range(LIMITS["WATCHERS"]):
+            request = red.build_request("GET", f"{job}/events")
+            opened.append(red.send(request, stream=True))
+        statuses = [answer.status_code for answer in opened]
+        assert statuses == [200] * 20 + [429] * 20  # before any head of a stream was sent
+        assert opened[-1].headers["retry-after"]
+        assert red.get(job, params={"wait": 5}).status_code == 429
+        with httpx.Client(base_url=shared.url, headers=shared.keys["blue"]) as blue:
+            other = blue.post("/v1/jobs", json=scene).headers["location"]
+            assert blue.get(other, params={"wait": 0.5}).status_code == 200
+        for answer in opened:
+            answer.close()
+        deadline = time.monotonic() + 10
+        while "nightglass_watchers 0.0" not in shared.client.get("/metrics").text:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        assert red.get(job, params={"wait": 0.5}).status_code == 200
+        for path in (running, job):
+            assert red.delete(path).status_code == 204
+
+
+def test_watchers_that_come_and_go_cost_no_memory(
+    make_server: Callable[..., Any], scene: dict[str, Any]
+) -> None:
+    server = make_server(NIGHTGLASS_WATCHERS="2000")
+    scene["sensor"]["shape"], scene["exposure"]["frames"] = [640, 640], 300
+    server.submit(scene)
+    job = server.submit(copy.deepcopy(SCENE))
+    limits = httpx.Limits(max_connections=None)
+
+    def round_of(count: int) -> int:
+        with httpx.Client(base_url=server.url, timeout=60, limits=limits) as client:
+            for _ in range(count):
+                request = client.build_request("GET", f"{job}/events")
+                assert client.send(request, stream=True).status_code == 200
+        while "nightglass_watchers 0.0" not in server.client.get("/metrics").text:
+            time.sleep(0.1)
+        return int(psutil.Process(server.process.pid).memory_info().rss)
+
+    first = round_of(400)
+    for _ in range(3):
+        last = round_of(400)
+    assert last - first < 8e6
+
+
+def test_places_go_to_teams_in_turn() -> None:
+    """Of four places one team has two; who waits is served team by team, who has gone is not."""
+
+    async def story() -> list[str]:
+        places, order = Shares(4, "dry runs"), []
+        leave = asyncio.Event()
+
+        async def one(team: str) -> None:
+            async with places.place(team):
+                order.append(team)
+                await leave.wait() if len(order) <= 4 else await asyncio.sleep(0)
+
+        asked = [asyncio.create_task(one(team)) for team in "aaaaabbcd"]
+        await asyncio.sleep(0.01)
+        assert "".join(order) == "aabc"
+        asked[2].cancel()
+        await asyncio.sleep(0.01)
+        leave.set()
+        await asyncio.gather(*asked, return_exceptions=True)
+        assert places.held == 0
+        with places.taken("a"), places.taken("a"), pytest.raises(TooMany):
+            places.take("a")
+        return order[4:]
+
+    assert sorted(asyncio.run(story())) == list("aabd")

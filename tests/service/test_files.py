@@ -1,0 +1,88 @@
+"""Uploaded files and the jobs that name them: what a job was accepted with, it keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import sqlalchemy as sa
+
+from service.auth import Caller
+from service.database import writing
+from service.jobs import Phase, Queue
+from service.problems import NotAllowed, NotReady, NotThere
+from service.settings import Settings
+from service.submissions import Ask, Limits, submit_many
+from service.tables import uploads
+from service.uploads import Uploads
+
+RED, BLUE = Caller("red", "key:1"), Caller("blue", "key:2")
+FILE = "f" * 32 + ".npy"
+
+
+def npy(folder: Path, values: Any) -> bytes:
+    np.save(folder / "image.npy", values)
+    return (folder / "image.npy").read_bytes()
+
+
+def test_a_file_that_a_job_waits_for_is_kept(
+    make_server: Callable[..., Any], scene: dict[str, Any], tmp_path: Path
+) -> None:
+    server = make_server()
+    long = scene | {"sensor": scene["sensor"] | {"shape": [640, 640]}}
+    long["exposure"] = scene["exposure"] | {"frames": 300}
+    running = server.submit(long)
+    flat = npy(tmp_path, np.linspace(0.9, 1.1, 64 * 64).reshape(64, 64))
+    file_id = server.client.post("/v1/files?name=flat.npy", content=flat).json()["id"]
+    scene["sensor"]["flat"] = file_id
+    job = server.submit(scene)
+    refused = server.client.delete(f"/v1/files/{file_id}")
+    assert (refused.status_code, job.rpartition("/")[2] in refused.text) == (409, True)
+    server.client.post(f"{running}/cancel")
+    assert server.ended(job)["phase"] == "COMPLETED"
+    assert server.client.delete(f"/v1/files/{file_id}").status_code == 204
+
+
+@pytest.fixture
+def store(database: str) -> Any:
+    queue = Queue(database)
+    with writing(queue.engine) as db:
+        for team in ("red", "blue"):
+            row = {"team": team, "id": FILE, "name": "flat.npy", "bytes": 1, "created_s": 0.0}
+            db.execute(sa.insert(uploads), [row])
+    yield queue
+    queue.close()
+
+
+def ask(phase: Phase = Phase.QUEUED, **scene: Any) -> Ask:
+    return Ask("x", scene, "0" * 64, team="red", phase=phase)
+
+
+@pytest.mark.parametrize("phase", [Phase.PENDING, Phase.QUEUED])
+def test_removing_and_submitting_never_cross(store: Queue, tmp_path: Path, phase: Phase) -> None:
+    """Both look in their own transaction, so that one of the two is refused."""
+    settings = Settings(tmp_path)
+    settings.make_folders()
+    files, named = Uploads(settings, store.engine), {"sensor": {"flat": f"upload:{FILE}"}}
+    asks = [ask(phase, **named), ask(name=f"upload:{FILE}"), ask(phase, scene=named, axes=[])]
+    jobs = [job.id for job, _ in submit_many(store, asks, Limits())]  # type: ignore[misc]
+    with pytest.raises(NotReady) as told:
+        files.remove(RED, FILE)
+    assert (jobs[0] in str(told.value), jobs[1] in str(told.value)) == (True, False)
+    assert jobs[2] in str(told.value)  # a sweep names it in its base scene
+    files.remove(BLUE, FILE)  # another team's is its own
+    store.cancel(jobs[0])
+    store.delete(jobs[2])
+    files.remove(RED, FILE)
+    with pytest.raises(NotThere):
+        files.remove(RED, FILE)
+    late, plain = submit_many(store, [ask(phase, **named), ask()], Limits())
+    assert isinstance(late, NotAllowed)
+    assert "sensor.flat" in str(late)
+    assert not isinstance(plain, Exception)
+    waiting = submit_many(store, [ask(Phase.PENDING)], Limits())[0][0]  # type: ignore[index]
+    with pytest.raises(NotAllowed, match=r"sensor\.flat"):
+        store.amend(waiting.id, scene=named)
