@@ -149,6 +149,13 @@ def test_decisions_list_effects_and_approximations(scene: Make) -> None:
         assert decisions[name].error_bound_sigma == pytest.approx(bound / plan.facts.sigma_floor_e)
 
 
+def test_parallax_is_stated_for_where_the_observer_is(scene: Make) -> None:
+    """Proxima's 0.768 arcsec for each au from the barycentre."""
+    far = {"kind": "fixed", "position_au": [24.0, 32.0, 0.0]}
+    told = {d.component: d for d in plan_of(scene({"observer": far})).decisions}["stars.parallax"]
+    assert (told.bound, told.unit) == (pytest.approx(0.768 * 40.0, rel=0.01), "arcsec")
+
+
 def test_decisions_own_up_to_what_is_left_out(scene: Make) -> None:
     """Choices that the paper leaves open, and effects not in this version, stand in the plan."""
     target = {
