@@ -210,6 +210,19 @@ def test_field_cone_holds_the_frame(scene: Make) -> None:
     assert (radii < 0.02).all()
 
 
+def test_field_cone_holds_what_drifts_into_the_frame(scene: Make) -> None:
+    """Directions of the frame's corners at the start and the end of a streak of 970 px."""
+    drift = {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 0.0,
+             "rate_ra_arcsec_s": 1000.0, "rate_dec_arcsec_s": 0.0}  # fmt: skip
+    plan = plan_of(scene({"pointing": drift}))
+    g = plan_geometry(plan.scene, np.arange(1), 0.0)
+    centres, radii = field_cones(plan, g)
+    for axes in (g.attitude[0, 0], g.attitude[0, -1]):
+        for x, y in ((-384, -256), (-384, 256), (384, -256), (384, 256)):
+            corner = unit(axes[2] + 1e-5 * (x * axes[0] + y * axes[1]))
+            assert separation(centres, corner)[0] < radii[0]
+
+
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_cones_hold_stars_that_the_sun_has_moved_into_them(scene: Make, side: float) -> None:
     """A degree and less from the Sun: catalogue places of all that is seen in a small cone.
