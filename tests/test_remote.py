@@ -189,6 +189,19 @@ def test_one_writer_at_a_time(bucket, monkeypatch):
         pass
 
 
+def test_a_lease_that_was_left_days_ago_keeps_nobody_out(bucket, monkeypatch):
+    from datetime import timedelta
+
+    from catalog_tools.objects import Objects
+    from pipeline.store import lease
+
+    objects, now = Objects(f"{bucket}/left"), lease._now
+    objects.create(".lock/000000000001", b'{"owner": "gone"}')
+    monkeypatch.setattr(lease, "_now", lambda o: now(o) + timedelta(days=2, seconds=5))
+    with lease.only_writer_of(objects) as mine:
+        assert mine.name == ".lock/000000000002"
+
+
 def test_a_conditional_put_has_one_winner(bucket):
     from concurrent.futures import ThreadPoolExecutor
 

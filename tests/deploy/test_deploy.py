@@ -154,6 +154,18 @@ def test_shell_scripts(path):
     assert result.returncode == 0, result.stdout
 
 
+@pytest.mark.parametrize("tasks", [{"MIN": "3"}, {"STEP": "2"}])
+def test_a_few_parts_run_again_say_of_how_many_they_are(tmp_path, tasks):
+    """Tasks 3 to 8 alone may be of 64: without PARTS nothing is drawn."""
+    given = {"ID": "3", "MAX": "8", "MIN": "1", "STEP": "1"} | tasks
+    given = {f"SLURM_ARRAY_TASK_{name}": value for name, value in given.items()}
+    script = ["bash", str(DEPLOY / "slurm" / "array.sbatch"), "scene.json", str(tmp_path / "run")]
+    environ = {"PATH": os.environ["PATH"], "USER": "me", **given}
+    result = subprocess.run(script, env=environ, capture_output=True, text=True)
+    assert result.returncode != 0
+    assert "set PARTS=N" in result.stderr
+
+
 @pytest.mark.slow
 def test_slurm_array_runs_without_slurm(tmp_path):
     """The array's script itself, its tasks side by side as Slurm would start them; one repeated."""

@@ -107,6 +107,16 @@ def test_the_check_agrees(name: str) -> None:
         assert np.abs(found - expected).max() <= 1e-11 * expected.max() + 1e-9
 
 
+def test_the_check_sees_cores_that_end_too_early() -> None:
+    """Stars together, in a plan whose cores end after 3 px: the check's own do not."""
+    plan, exact = case("gaussian")
+    short = tuple(replace(c, radius_px=3.0) for c in plan.responses.classes)
+    plan = replace(plan, responses=replace(plan.responses, classes=short))
+    window, pair = Tile(0, 0, 26, 22, 16, 16), field(np.r_[X, X], np.r_[Y, Y], np.full(2, 5e3))
+    found, _ = reference(plan, geometry_of(plan), window, pair, own_paths=0)
+    assert np.abs(found - 1e4 * exact[26:42, 22:38]).max() < 0.01
+
+
 def test_tiles_change_no_bit_of_a_bright_star() -> None:
     plan, _ = case("airy")
     whole = drawn(plan, 1e10)

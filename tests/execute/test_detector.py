@@ -266,6 +266,13 @@ def test_tdi_holds_an_image_that_moves_with_the_charge(tmp_path):
     assert any("streaks" in d["reason"] for d in plan["decisions"] if d["component"] == "tdi")
 
 
+def test_tdi_says_how_late_its_last_line_is():
+    """Half of the rows over the clock's rate, on an array that is wider than high."""
+    wide = scene({"readout": {"kind": "tdi", "rows_per_s": 5.0}}, **BRIGHT, sensor__shape=[80, 320])
+    (told,) = [d for d in plan_scene(wide)["decisions"] if d["component"] == "tdi"]
+    assert "targets up to 8 s earlier or later" in told["reason"]
+
+
 def test_tdi_streaks_by_the_difference_and_by_its_clock(tmp_path):
     """The light along a column against a box of the streak and one of the clock's step."""
     detector = {"readout": {"kind": "tdi", "rows_per_s": 6.0, "clock_phases": 2}}

@@ -84,6 +84,21 @@ def test_magnitudes_hold_in_bias_frames_and_through_air(product, tmp_path):
         assert row["electrons"] < 0.95 * above["electrons"]
 
 
+def test_truth_is_of_the_middle_of_the_exposure(tmp_path):
+    """Of two seconds from nine o'clock, and of an instant a second after it: one target's row."""
+    fast = {**POSITION, "velocity_m_s": [3800.0, -5000.0, 900.0], "epoch": "2019-07-20T09:00:00Z"}
+    ball = {"name": "ball", "orbit": {"kind": "state", **fast},
+            "body": {"kind": "sphere", "diameter_m": DIAMETER_M, "albedo": ALBEDO}}  # fmt: skip
+    for name, second, seconds in (("long", 0, SECONDS), ("instant", 1, 0)):
+        made = scene(targets=[ball], epoch=f"2019-07-20T09:00:0{second}Z",
+                     exposure={"integration_s": seconds})  # fmt: skip
+        render(made, tmp_path / name, Options("synchronous"))
+    long, instant = row_of(tmp_path / "long"), row_of(tmp_path / "instant")
+    for column, within in (("range_m", 1.0), ("phase_deg", 1e-6), ("apparent_ra_deg", 1e-7),
+                           ("apparent_dec_deg", 1e-7), ("ra_deg", 1e-7)):  # fmt: skip
+        assert long[column] == pytest.approx(instant[column], abs=within), column
+
+
 def test_labels_have_them(product, tmp_path):
     row = row_of(product)
     assert row["object_name"] == "SPHERE 1 (R/B)"

@@ -106,3 +106,6 @@ def test_times_are_told_alike(labelled, satnet, tmp_path):
         assert header["XPOSURE"] == header["EXPTIME"] == entry["exposure_s"] == 1.0
         days = header["MJD-END"] - header["MJD-BEG"]
         assert days * 86_400 == pytest.approx(1.0, abs=2e-6)
+    (*_, coco) = export_product(labelled, "coco", tmp_path / "last", Wish(1))
+    (alone,) = json.loads(coco.read_text())["images"]
+    assert {k for k in alone if alone[k] != entries[1][k]} == {"id"}

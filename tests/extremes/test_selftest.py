@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from pipeline.cli import app
 from pipeline.errors import BadInput
+from pipeline.selftest import stars
 from pipeline.selftest.case import Case, Found, run_case
 from pipeline.selftest.report import all_cases, chosen, markdown
 
@@ -38,6 +39,18 @@ def test_a_wrong_answer_and_a_fault_are_failures(tmp_path):
         assert not outcome.passed
         assert outcome.fault == fault
         assert "x" in markdown([outcome])
+
+
+def test_the_worst_of_several_lengths_is_what_counts(tmp_path, monkeypatch):
+    """A tenth too much light in the short streaks alone fails the case of all of them."""
+    right = stars._swept
+
+    def wrong(shape, t, sigma):
+        return right(shape, t, sigma) * (1.1 if abs(t["x_end_px"] - t["x_start_px"]) < 1.0 else 1.0)
+
+    monkeypatch.setattr(stars, "_swept", wrong)
+    (case,) = chosen("stars/streaks")
+    assert not run_case(case, tmp_path).passed
 
 
 def test_command(tmp_path):

@@ -141,6 +141,14 @@ def test_same_fit_from_the_cache_and_after_damage(embedded, tmp_path, monkeypatc
     assert same(fitted(BOX, blocked / "below"))
 
 
+def test_another_library_has_a_fit_of_its_own(shared_data, monkeypatch, tmp_path):
+    """Data that come later, or go, are not answered from the cache of what was there before."""
+    monkeypatch.delenv("NIGHTGLASS_DATA", raising=False)
+    small = fitted(BOX, tmp_path)
+    monkeypatch.setenv("NIGHTGLASS_DATA", str(shared_data))
+    assert fitted(BOX, tmp_path).source != small.source
+
+
 def test_same_description_carries_every_spectrum(embedded):
     points = colour_fit.gather_colour_points(curves.resolve_response(BOX, 0.5, 0.5)[0])
     fit = colour_fit.fit_band(points, "half")

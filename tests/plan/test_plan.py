@@ -149,6 +149,13 @@ def test_decisions_list_effects_and_approximations(scene: Make) -> None:
         assert decisions[name].error_bound_sigma == pytest.approx(bound / plan.facts.sigma_floor_e)
 
 
+def test_parallax_is_stated_for_where_the_observer_is(scene: Make) -> None:
+    """Proxima's 0.768 arcsec for each au from the barycentre."""
+    far = {"kind": "fixed", "position_au": [24.0, 32.0, 0.0]}
+    told = {d.component: d for d in plan_of(scene({"observer": far})).decisions}["stars.parallax"]
+    assert (told.bound, told.unit) == (pytest.approx(0.768 * 40.0, rel=0.01), "arcsec")
+
+
 def test_decisions_own_up_to_what_is_left_out(scene: Make) -> None:
     """Choices that the paper leaves open, and effects not in this version, stand in the plan."""
     target = {
@@ -201,6 +208,19 @@ def test_field_cone_holds_the_frame(scene: Make) -> None:
     assert np.degrees(np.arccos(np.clip(centres @ star, -1, 1))).max() < 0.001
     assert (radii > np.arctan(np.hypot(256, 384) * 1e-5)).all()
     assert (radii < 0.02).all()
+
+
+def test_field_cone_holds_what_drifts_into_the_frame(scene: Make) -> None:
+    """Directions of the frame's corners at the start and the end of a streak of 970 px."""
+    drift = {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 0.0,
+             "rate_ra_arcsec_s": 1000.0, "rate_dec_arcsec_s": 0.0}  # fmt: skip
+    plan = plan_of(scene({"pointing": drift}))
+    g = plan_geometry(plan.scene, np.arange(1), 0.0)
+    centres, radii = field_cones(plan, g)
+    for axes in (g.attitude[0, 0], g.attitude[0, -1]):
+        for x, y in ((-384, -256), (-384, 256), (384, -256), (384, 256)):
+            corner = unit(axes[2] + 1e-5 * (x * axes[0] + y * axes[1]))
+            assert separation(centres, corner)[0] < radii[0]
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

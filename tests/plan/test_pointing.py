@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.arrays import Refined
 from pipeline.errors import BadInput
 from pipeline.physics.positions.apparent import unaberrate
+from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.attitude_motion import motion_plan
 from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames, star_paths
 from pipeline.spec.scene import Scene
@@ -228,6 +229,19 @@ def test_random_motion_has_the_size_asked_for(scene: Make) -> None:
     assert moved[..., 0].var() + blur + uneven == pytest.approx(14.0, rel=0.2)
     assert moved[..., 1].var() + blur - uneven == pytest.approx(5.0, rel=0.2)
     assert np.abs(moved[..., :2].mean(axis=(0, 1))).max() < 0.5
+
+
+@pytest.mark.parametrize("noise_fraction", [0.5, 0.05])
+def test_blur_leaves_out_no_more_than_is_asked(scene: Make, noise_fraction: float) -> None:
+    """Both of what it leaves out of an exposure's mean, and of the error that comes of it."""
+    flicker = {"kind": "power_law", "rms_arcsec": 0.5, "exponent": 1.0, "low_hz": 0.01,
+               "high_hz": 100.0}  # fmt: skip
+    s = scene({"pointing": SIDEREAL | {"attitude": {"jitter": [flicker]}},
+               "accuracy": {"noise_fraction": noise_fraction}})  # fmt: skip
+    plan = motion_plan(s)
+    assert plan is not None
+    assert plan.left_px <= 5e-3
+    assert 4.0 * plan.left_px < plan.error_sigma <= part_sigma(s)
 
 
 def test_frames_and_windows_meet_where_they_touch(scene: Make) -> None:

@@ -75,8 +75,10 @@ def test_each_star_keeps_to_its_own_path(
     assert off <= 1.5 * plan.spread_px + ROUNDING_PX + 2e-3  # 2e-3: bends between the nodes
 
 
-def test_centroid_and_light_of_the_pieces(scene: Make) -> None:
-    s = rate(scene, 30.0, -20.0, 1.0)
+@pytest.mark.parametrize("focal_m", [1.0, 0.05])
+def test_centroid_and_light_of_the_pieces(scene: Make, focal_m: float) -> None:
+    """Of the common shapes, and of the mixtures for bright stars: those of a star's own path."""
+    s = rate(scene, 30.0 / focal_m, -20.0 / focal_m, focal_m)
     camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
     plan = plan_streaks(camera, g, True)
     streak = zone_streak(camera, g, 0, 0, plan, True)
@@ -88,6 +90,11 @@ def test_centroid_and_light_of_the_pieces(scene: Make) -> None:
         place = np.array(streak.at(piece.centre, x, y))[:, 0]
         mean += piece.share * (place + np.array(centroid(piece.path)))
     assert mean == pytest.approx(own, abs=3e-4)
+    mixed = np.zeros(2)
+    for piece in streak.pieces:
+        for path, at_x, at_y, light in streak.mixture(piece, x, y, np.ones(1)):
+            mixed += light * (np.concatenate([at_x - x, at_y - y]) + np.array(centroid(path)))
+    assert mixed == pytest.approx(own, abs=3e-4)
 
 
 def test_light_without_noise_hides_no_error(scene: Make) -> None:

@@ -327,7 +327,7 @@ def test_other_peoples_pages_change_nothing(
 def test_quotas_over_http(make_server: Callable[..., Any], scene: dict[str, Any]) -> None:
     server = make_server(
         NIGHTGLASS_QUEUED_JOBS="3", NIGHTGLASS_PIXEL_FRAMES_DAY=str(64 * 64 * 2 * 6),
-        NIGHTGLASS_SLOTS="1",
+        NIGHTGLASS_BYTES_KEPT="123456789", NIGHTGLASS_SLOTS="1",
     )  # fmt: skip
     scene["exposure"]["frames"] = 2
     answers = [server.client.post("/v1/jobs", json=scene) for _ in range(12)]
@@ -338,6 +338,7 @@ def test_quotas_over_http(make_server: Callable[..., Any], scene: dict[str, Any]
     used = server.client.get("/v1/usage").json()["quotas"]
     assert used["pixel_frames_today"]["used"] <= used["pixel_frames_today"]["limit"]
     assert used["queued_jobs"]["limit"] == 3
+    assert used["bytes_kept"]["limit"] == 123_456_789
 
 
 @pytest.mark.slow

@@ -11,9 +11,12 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+from pipeline.parts import parse_part, render_part
+from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 from service.files import open_inside
-from service.problems import NotThere
+from service.frames import frame_facts, tile_values
+from service.problems import NotReady, NotThere
 
 
 def test_every_file_is_fetched_whole(server: Any, finished: str, tmp_path: Path) -> None:
@@ -130,3 +133,17 @@ def test_open_inside_refuses_a_linked_folder(tmp_path: Path) -> None:
     for folder, name in ((tmp_path / "link", "file"), (tmp_path, "link/file")):
         with pytest.raises(NotThere):
             open_inside(folder, name)
+
+
+def test_tiles_are_told_and_shown_as_they_are_drawn(scene: dict[str, Any], tmp_path: Path) -> None:
+    """Some tiles of 2 x 3 in a product that is not finished: just these can be seen."""
+    scene["sensor"]["shape"], scene["output"] = [512, 768], {"tile_shape": [256, 256]}
+    render_part(parse_scene(scene), tmp_path / "run", parse_part("1/3"))
+    drawn = frame_facts(tmp_path / "run", 0)["drawn"]
+    assert drawn == [[0, 0], [0, 1], [0, 2], [1, 0]]
+    for row, column in np.ndindex(2, 3):
+        if [row, column] in drawn:
+            assert tile_values(tmp_path / "run", 0, row, column).any()
+        else:
+            with pytest.raises(NotReady):
+                tile_values(tmp_path / "run", 0, row, column)

@@ -15,6 +15,7 @@ from catalog_tools.synthetic import make_demo
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import check
+from service.attempts import bytes_of
 
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
 
@@ -165,12 +166,18 @@ def test_killed_worker_and_killed_server_go_on_where_they_were(
 
 
 def test_cancel_and_delete(server: Any, long_scene: dict[str, Any]) -> None:
+    def kept() -> int:
+        return int(server.client.get("/v1/usage").json()["quotas"]["bytes_kept"]["used"])
+
+    before = kept()
     job, waiting = server.submit(long_scene), server.submit(long_scene)
-    server.until(job, lambda found: found["phase"] == "EXECUTING")
+    server.until(job, lambda found: (found["tiles_done"] or 0) >= 1)
     assert server.client.post(f"{waiting}/cancel").json()["phase"] == "ABORTED"
     answer = server.client.post(f"{job}/cancel")
     assert (answer.status_code, answer.json()["cancel_asked"]) == (202, True)
     assert server.ended(job)["phase"] == "ABORTED"
+    left = bytes_of(server.home / "products" / job.rpartition("/")[2])
+    assert kept() - before == left > 0  # it counts until it is deleted
     assert server.client.post(f"{job}/cancel").status_code == 202
     assert server.client.get(f"{job}/results").status_code == 409
     running = server.submit(long_scene)

@@ -50,12 +50,16 @@ def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
     assert content_digest(tmp_path / "swept" / "cubes" / "0000001") == rows[1]["content_digest"]
 
 
-def test_same_rows_with_seeds_and_cosmic_rays(sweep_file, tmp_path):
-    """Random parts follow the seed of each point; the light of all seeds is one."""
-    rays = {"kind": "generated", "rate_per_cm2_s": 2000.0}
-    path = sweep_file(
-        [{"field": "sensor.read_noise_e", "values": [3.0]}], {"cosmic_rays": rays}, seeds=3
-    )
+@pytest.mark.parametrize(
+    "more",
+    [{"cosmic_rays": {"kind": "generated", "rate_per_cm2_s": 2000.0}},
+     {"sensor.detector": {"lag": {"fraction": 2e-4}}, "exposure.frames": 3}],
+    ids=["cosmic rays", "lag"],
+)  # fmt: skip
+def test_same_rows_with_seeds(more, sweep_file, tmp_path):
+    """Random parts follow the seed of each point, and charge the frames before it; the light of
+    all seeds is one."""
+    path = sweep_file([{"field": "sensor.read_noise_e", "values": [3.0]}], more, seeds=3)
     rows = rows_of(path, tmp_path / "swept")
     assert [r["seed"] for r in rows] == [3, 4, 5]
     for row in rows[1:]:

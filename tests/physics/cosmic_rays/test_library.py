@@ -111,6 +111,19 @@ def test_same_bits_for_every_tiling(arrival):
     assert set(truth["kind"]) == {"recorded"}
 
 
+def test_truth_tells_the_box_of_each_event():
+    """Where one event alone came down, its corners are those of the charge in the frame."""
+    r, alone = Recorded(library(), 50, 64, 10.0, 3.0), 0
+    for k in range(60):
+        truth, image = truth_columns(r, 5, k), charge_e(r, 5, k, 0, 0, 50, 64)
+        rows, columns = np.nonzero(image)
+        if len(truth["event"]) == 1 and 0 < columns.min() <= columns.max() < 63:
+            corners = [truth[n][0] for n in ("x_in_px", "x_out_px", "y_in_px", "y_out_px")]
+            assert corners == [columns.min(), columns.max(), rows.min(), rows.max()]
+            alone += 1
+    assert alone > 5
+
+
 def test_every_event_is_as_likely():
     r = Recorded(library(), 60, 60, 10.0, 5e4)
     placed = place_events(r, 0, KEY)

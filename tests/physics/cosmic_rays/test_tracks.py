@@ -16,7 +16,14 @@ from pipeline.physics.cosmic_rays.straggling import (
     electron_range_um,
     restricted_loss_ev_um,
 )
-from pipeline.physics.cosmic_rays.tracks import Flux, Tracks, angle_table, draw_tracks, mean_count
+from pipeline.physics.cosmic_rays.tracks import (
+    Flux,
+    Tracks,
+    _azimuths,
+    angle_table,
+    draw_tracks,
+    mean_count,
+)
 from pipeline.physics.noise.streams import stream_key
 
 KEY = stream_key(1, "cosmic_rays")
@@ -70,6 +77,18 @@ def test_azimuths_and_places_are_even_in_a_wide_frame():
     assert stats.kstest(phi / (2 * np.pi) + 0.5, "uniform").pvalue > 1e-3
     inside = (np.abs(tracks.x_back - 3e4) < 2e4) & (np.abs(tracks.y_back - 3e4) < 2e4)
     assert stats.kstest((tracks.x_back[inside] - 1e4) / 4e4, "uniform").pvalue > 1e-3
+
+
+def test_azimuths_in_an_oblong_frame_against_quadrature():
+    """Mean cos^2 of the azimuth where entrance areas (rows + t sin) (columns + t cos) weigh it."""
+    rows, columns, t = 5.0, 400.0, 60.0
+    phi = (np.arange(20_000) + 0.5) * (np.pi / 40_000)
+    area = (rows + t * np.sin(phi)) * (columns + t * np.cos(phi))
+    u, choice = np.random.default_rng(4).random((2, 40_000))
+    dx, dy = _azimuths(np.full(40_000, t), rows, columns, u, choice)
+    np.testing.assert_allclose(np.hypot(dx, dy), t)
+    expected = float((area * np.cos(phi) ** 2).sum() / area.sum())
+    assert np.mean((dx / t) ** 2) == pytest.approx(expected, abs=0.01)
 
 
 @pytest.mark.parametrize(("rows", "columns", "helium"), [(300, 40, 0.0), (64, 64, 1.0)])

@@ -156,12 +156,13 @@ def test_keys_of_components_and_seeds_differ() -> None:
 
 
 def test_same_draws_in_every_rectangle() -> None:
+    """Also in those of a frame that is wider than the runs that are drawn together."""
     rng = np.random.default_rng(2)
-    mean = 10 ** rng.uniform(-2, 9, (70, 90))
+    mean = 10 ** rng.uniform(-2, 9, (70, 1100))
     key = stream_key(3, "photon_noise")
     whole = poisson_image(mean, 100, 200, 5, *key)
-    normals = standard_normals(70, 90, 100, 200, 5, *key)
-    for y0, y1, x0, x1 in ((0, 70, 0, 90), (0, 1, 0, 1), (33, 50, 41, 90), (69, 70, 3, 88)):
+    normals = standard_normals(70, 1100, 100, 200, 5, *key)
+    for y0, y1, x0, x1 in ((0, 70, 0, 1100), (0, 1, 0, 1), (33, 50, 41, 90), (69, 70, 700, 1088)):
         part = np.ascontiguousarray(mean[y0:y1, x0:x1])
         assert (poisson_image(part, 100 + y0, 200 + x0, 5, *key) == whole[y0:y1, x0:x1]).all()
         rest = standard_normals(y1 - y0, x1 - x0, 100 + y0, 200 + x0, 5, *key)

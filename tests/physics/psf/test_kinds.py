@@ -203,7 +203,8 @@ def test_core_and_wings_together_against_the_whole_response(optics: Optics) -> N
     assert 0.5 * blur.light_beyond(reach) < lost < 1.3 * blur.light_beyond(0.9 * reach) + 1e-6
 
 
-@pytest.mark.parametrize("optics", [Pupil(1.0, 0.3, Vanes(3, 0.05)), band(1.0), Moffat(2.0, 2.5),
+@pytest.mark.parametrize("optics", [Pupil(1.0, 0.3, Vanes(3, 0.05)),
+                                    Pupil(1.0, 0.3, Vanes(4, 0.02)), band(1.0), Moffat(2.0, 2.5),
                                     Kolmogorov(1.0, Airy(1.0))], ids=name)  # fmt: skip
 def test_wings_fall_at_least_as_said(optics: Optics) -> None:
     blur = Blur(optics)

@@ -137,6 +137,7 @@ def test_pictures_of_one_content_are_one_key() -> None:
     assert one == other
     assert hash(one) == hash(other)
     assert one != picture(np.eye(4), 0.25)
+    assert one != picture(np.eye(4), 0.5, (0.0, 0.0))
 
 
 @pytest.mark.parametrize(
