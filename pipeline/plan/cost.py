@@ -14,7 +14,7 @@ START_S = 3.5  # a process that imports, plans, and writes the last of a product
 TILE_S = 0.03  # of one tile's task: geometry, light, truth, marker
 CHUNK_S = 0.015  # one chunk packed, synced, and its cells' checksums
 NOISE_S_PER_PIXEL = 60e-9
-CHECK_S = 0.5  # a cell's two windows drawn again, each at most execute/check.py's MOST_S
+CHECK_S = 0.3  # a cell's two windows drawn again, each at most execute/check.py's MOST_S
 
 
 def least_cpu_s(scene: Scene) -> float:

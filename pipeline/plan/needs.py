@@ -27,7 +27,7 @@ STAR_BYTES = 150.0
 BASE_MB = 180.0  # of a process that has imported all and draws nothing
 GRID_S_PER_POINT = 1e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
-KERNEL_S_PER_POINT = 8e-8  # of the grid that a wing is made on, with its core; of a band the same
+KERNEL_S_PER_POINT = 5e-8  # of the grid that a wing is made on, with its core; of a band the same
 PUPIL_S_PER_POINT = 1.2e-8  # and more of it for each wavelength of an aperture with a wavefront
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
 KERNEL_BYTES = 128e6  # of the wings of blocks, that a process keeps
@@ -174,7 +174,7 @@ def _kernels_s(plan: Plan) -> float:
     r = plan.responses
     if not r.spacing_px:
         return 0.0
-    kernels = len(r.blurs) * min(CLASSES_USED, len(r.classes))
+    kernels = len(r.blurs) * _classes_used(plan)
     of_frames = plan.frames if kernels * 8.0 * _grid_points(plan, 0.0) > KERNEL_BYTES else 1
     windows = 2 * check_count(plan.scene)
     fine = fine_ends(r.spacing_px, r.reach_px)
@@ -183,6 +183,14 @@ def _kernels_s(plan: Plan) -> float:
     points = of_frames * _kernel_points(plan)
     points += of_windows * sum((4.0 * last / spacing) ** 2 for spacing, _, last in fine)
     return kernels * each * points
+
+
+def _classes_used(plan: Plan) -> float:
+    """How many of the core classes have sources near a frame."""
+    r, scene = plan.responses, plan.scene
+    used = sum(min(1.0, n) for n in r.expected[:-1]) if r.expected else CLASSES_USED
+    others = 1.0 if scene.targets or scene.populations else 0.0
+    return min(float(CLASSES_USED), float(len(r.classes)), used + others)
 
 
 def _wavefronts(blur: Blur) -> int:
@@ -200,7 +208,9 @@ def _profiles_s(plan: Plan) -> float:
     r, bright_e = plan.responses, plan.facts.brightest_e
     if not r.classes or bright_e <= min(r.classes[-1].brightest_e, r.classes[-1].target_e):
         return 0.0
-    return 2.0 * sum(profile_s(b, r.reach_px) for b in r.blurs if has_profile(b))
+    scene, beyond = plan.scene, min(1.0, r.expected[-1]) if r.expected else 1.0
+    likely = 1.0 if scene.targets or scene.populations else beyond
+    return 2.0 * likely * sum(profile_s(b, r.reach_px) for b in r.blurs if has_profile(b))
 
 
 def _in_crowds(plan: Plan, stars: int) -> bool:

@@ -91,6 +91,7 @@ class ResponsePlan:
     field : the responses over the field, `blur` being the sharpest; None where `blur` serves all
     table_mb : what a field's tables may take together [MB]
     stars_s : CPU seconds that its stars cost a frame, less those in crowds; None where not counted
+    expected : how many stars of each class light a frame, and beyond the last in or beside it
     """
 
     blur: Blur
@@ -104,6 +105,7 @@ class ResponsePlan:
     field: PsfField | None = None
     table_mb: float = 0.0
     stars_s: float | None = None
+    expected: tuple[float, ...] = ()
 
     @property
     def blurs(self) -> tuple[Blur, ...]:
