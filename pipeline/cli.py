@@ -32,6 +32,7 @@ from pipeline.options import (
 from pipeline.parts_cli import join
 from pipeline.report_cli import report_ledger, report_scenes
 from pipeline.sweep_cli import sweep
+from pipeline.worker_cli import worker
 
 app = typer.Typer(
     name="nightglass",
@@ -47,6 +48,7 @@ app.command()(export)
 app.add_typer(jobs, name="jobs")
 app.command()(sweep)
 app.command()(join)
+app.command()(worker)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 report_app.command("scenes")(report_scenes)

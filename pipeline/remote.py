@@ -16,8 +16,8 @@ from catalog_tools.stores import Unreachable
 from pipeline.errors import BadInput, Incomplete, NightglassError
 from pipeline.finish import finish
 from pipeline.prepare import Prepared, catalogue_facts_of, prepare, summary_of
-from pipeline.run import Listener, Options, Progress, draw, times_of
-from pipeline.shares import WHOLE, Share, still_missing
+from pipeline.run import Listener, Options, Progress, draw, how_to_go_on, times_of
+from pipeline.shares import WHOLE, Share, lacking
 from pipeline.spec.load import load_scene, parse_text
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
@@ -64,7 +64,7 @@ def render_to_url(
         times = times_of(options, started, drawing, workers)
         if whole:
             return _finished(objects, stage, prepared, begun, times, lease)
-    if any(store.lacking(objects, prepared.plan)):
+    if lacking(prepared.plan, *store.present(objects, prepared.plan)):
         return share.told(prepared.plan, times)
     for _ in range(JOIN_TRIES):
         try:
@@ -104,9 +104,9 @@ def join_url(
         if _is_sealed(objects, begun, WHOLE.tiles(prepared.plan)):
             return _stored_report(objects)
         store.unseal_remote(objects)
-        tiles, truth = store.lacking(objects, prepared.plan)
-        if tiles or truth:
-            raise Incomplete(still_missing(url, tiles, truth, begun.redrawn))
+        if lacks := lacking(prepared.plan, *store.present(objects, prepared.plan)):
+            locks = objects.names(f"{layout.LOCK}-")
+            raise Incomplete(lacks.told(url, prepared.plan, locks, begun.redrawn))
         return _finished(objects, stage, prepared, begun, times, lease)
 
 
@@ -134,10 +134,11 @@ def _nothing_left_behind(objects: Objects, whole: bool, lease: Lease) -> Iterato
     """Remove a product of which nothing was finished when its drawing failed."""
     try:
         yield
-    except NightglassError:
-        if whole and not lease.lost and not objects.names(f"{layout.MARKERS}/"):
+    except NightglassError as error:
+        kept = not whole or bool(objects.names(f"{layout.MARKERS}/"))
+        if not kept and not lease.lost:
             store.remove_remote(objects)
-        raise
+        raise how_to_go_on(error, kept) from None
 
 
 @contextmanager

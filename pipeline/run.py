@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from catalog_tools.schedulers import TASKS_PER_WINDOW, Scheduler, open_scheduler
-from pipeline.errors import BadInput, NightglassError
+from pipeline.errors import BadInput, NightglassError, TryLater
 from pipeline.execute.bundles import bundled, tiles_a_bundle, tiles_done
 from pipeline.execute.graph import Work, shard_graph, shard_key, window_graph
 from pipeline.finish import finish, stored_report
@@ -112,12 +112,21 @@ def _render(
             with open_scheduler(options.scheduler, options.workers) as scheduler:
                 draw(prepared, begun, scheduler, listen)
                 workers = scheduler.workers
-        except NightglassError:
-            if not any(markers_present(product)):
+        except NightglassError as error:
+            kept = any(markers_present(product))
+            if not kept:
                 shutil.rmtree(product)  # nothing was finished, so nothing is left behind
-            raise
+            raise how_to_go_on(error, kept) from None
         times = times_of(options, started, drawing, workers)
         return finish(plan, catalogue_facts_of(prepared), begun, times)
+
+
+def how_to_go_on(error: NightglassError, kept: bool) -> NightglassError:
+    """An error that ended the drawing; where it says to try later, also by which command."""
+    if not isinstance(error, TryLater):
+        return error
+    told = "what is finished is kept: go on with --resume" if kept else "nothing was finished yet"
+    return TryLater(f"{error}; {told}")
 
 
 def times_of(options: Options, started: float, drawing: float, workers: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from catalog_tools.durable import full_disk_told, write_atomically
 from catalog_tools.durable import sync as sync_folder
-from pipeline.errors import NO_ROOM, BadInput
+from pipeline.errors import NO_ROOM, TryLater
 
 __all__ = ["full_disk", "only_writer", "sync_folder", "to_json", "write_atomically"]
 
@@ -68,7 +68,5 @@ def only_writer(product: Path, shared: str | None = None) -> Iterator[None]:
         except OSError as error:
             if error.errno in NO_ROOM:
                 raise
-            raise BadInput(
-                "-o", str(product), "a product that no other render is writing now"
-            ) from None
+            raise TryLater(f"{product}: another render is writing this product now") from None
         yield

@@ -228,13 +228,12 @@ def check_remote(objects: Objects, stage: Path) -> Verdict:
     return verdict
 
 
-def lacking(objects: Objects, plan: Plan) -> tuple[int, int]:
-    """How many tiles and truth parts are not there yet."""
+def present(objects: Objects, plan: Plan) -> tuple[set[tuple[int, int, int]], set[tuple[str, int]]]:
+    """Places of the tiles and of the truth parts that are there."""
     names = objects.names()
-    frames = range(plan.frames)
-    tiles = (_marker_name(frame, t.row, t.column) for frame in frames for t in plan.tiles)
-    parts = (_part_name(k, frame) for k in truth_kinds(plan) for frame in frames)
-    return sum(tile not in names for tile in tiles), sum(part not in names for part in parts)
+    tiles = {place_of(HERE / n) for n in names if n.startswith(f"{layout.MARKERS}/")}
+    parts = ((kind, frame) for kind in truth_kinds(plan) for frame in range(plan.frames))
+    return tiles, {part for part in parts if _part_name(*part) in names}
 
 
 def reached(objects: Objects, field_name: str) -> None:

@@ -13,7 +13,7 @@ import pytest
 import zarr
 
 from catalog_tools.ingest import ingest
-from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
 from pipeline.parts import join, render_part
 from pipeline.run import Options, render
 from pipeline.shares import Share
@@ -295,7 +295,7 @@ def lets_in(product, shared):
     try:
         with only_writer(product, shared):
             return True
-    except BadInput:
+    except TryLater:
         return False
 
 
