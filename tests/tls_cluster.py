@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+from catalog_tools.clusters import security_of
+
 ROOT = Path(__file__).resolve().parents[1]
 FILES = {"CA": "ca.pem", "CERT": "cluster.pem", "KEY": "cluster.key"}
 
@@ -75,6 +77,16 @@ class TlsCluster:
                 "worker", self.address, "--nthreads=1", "--no-dashboard", "--no-nanny",
                 f"--local-directory={self.folder}", **environment,
             ))  # fmt: skip
+
+    def wait_for_workers(self, count: int) -> None:
+        """Wait until so many have joined."""
+        from distributed import Client
+
+        with pytest.MonkeyPatch.context() as patch:
+            for name, value in self.environment.items():
+                patch.setenv(name, value)
+            with Client(self.address, security=security_of(self.address)) as client:
+                client.wait_for_workers(count, timeout=60)
 
     def kill_workers(self) -> None:
         for worker in self.workers:

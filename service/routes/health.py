@@ -29,6 +29,8 @@ def ready(service: Everyone) -> Response:
         faults.append("the job table cannot be read")
     if not service.dispatcher.alive:
         faults.append("the dispatcher has stopped")
+    if service.dispatcher.scheduler.fault():
+        faults.append("the scheduler does not answer")
     if shutil.disk_usage(service.settings.home).free < service.settings.free_bytes:
         faults.append("the disk is nearly full")
     return JSONResponse({"ready": not faults, "faults": faults}, 503 if faults else 200)
