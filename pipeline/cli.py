@@ -23,6 +23,7 @@ from pipeline.options import (
     ProductOrUrl,
     SchedulerName,
     Slurm,
+    Wait,
     Workers,
     as_stated,
     local_path,
@@ -116,6 +117,7 @@ def render(
     part: Annotated[
         str | None, typer.Option("--part", help="only part k/n of the tiles, beside other parts")
     ] = None,
+    wait: Wait = 0.0,
     server: Server = None,
     accept: Accepts = None,
     accept_error: AcceptsError = False,
@@ -132,17 +134,19 @@ def render(
         to = local_path(output)
         _print_result(render_there(scene, to, overrides, server, as_json), output, as_json)
         return
+    from pipeline.run import Options
+
     if part is not None:
         from pipeline.parts_cli import render_part
 
-        render_part(scene, output, overrides, part, (scheduler, workers, replace), as_json)
+        options = Options(scheduler, workers, replace=replace, wait_s=wait)
+        render_part(scene, output, overrides, part, options, as_json)
         return
-    from pipeline.run import Options
     from pipeline.run import render as run
     from pipeline.spec.load import load_scene
 
     loaded = load_scene(scene, overrides)
-    options = Options(scheduler, workers, resume, replace)
+    options = Options(scheduler, workers, resume, replace, wait)
     with _progress(quiet=as_json) as listen:
         if "://" in output:
             from pipeline.remote import render_to_url

@@ -52,7 +52,7 @@ def _render_share(
     """A part, prepared: drawn, and the product finished where it was the last."""
     plan, digest = prepared.plan, prepared.catalogue_digest
     make_together(product, plan, digest)
-    with layout.only_writer(product, share.name):
+    with layout.only_writer(product, share.name, options.wait_s):
         begun = begin(product, plan, digest, True, share.mine(plan))
         if is_sealed(begun, share.tiles(plan)):
             return stored_report(begun)
@@ -73,21 +73,24 @@ def _render_share(
         return share.told(plan, times)
 
 
-def join(product: Path, scene: Path | None = None) -> dict[str, Any]:
+def join(product: Path, scene: Path | None = None, wait_s: float = 0.0) -> dict[str, Any]:
     """Finish a product whose parts are all done, and return its report.
 
-    scene : default the one in the product. Raises Incomplete where tiles are missing.
+    scene : default the one in the product; wait_s : for whoever writes it now
+    Raises Incomplete where tiles are missing.
     """
     if not (product / layout.BEGUN).is_file():
         raise BadInput("PRODUCT", str(product), "a product that parts were rendered into")
     prepared = prepare(load_scene(scene or product / layout.SCENE))
     times = {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
-    return _finish(prepared, product, times)
+    return _finish(prepared, product, times, wait_s)
 
 
-def _finish(prepared: Prepared, product: Path, times: dict[str, Any]) -> dict[str, Any]:
+def _finish(
+    prepared: Prepared, product: Path, times: dict[str, Any], wait_s: float = 0.0
+) -> dict[str, Any]:
     plan = prepared.plan
-    with layout.full_disk(product), layout.only_writer(product):
+    with layout.full_disk(product), layout.only_writer(product, wait_s=wait_s):
         # Every chunk against its marker.
         begun = begin(product, plan, prepared.catalogue_digest, resume=True)
         if is_sealed(begun, WHOLE.tiles(plan)):

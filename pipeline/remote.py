@@ -13,7 +13,7 @@ from typing import Any
 from catalog_tools.objects import Objects, is_url, open_objects
 from catalog_tools.schedulers import open_scheduler
 from catalog_tools.stores import Unreachable
-from pipeline.errors import BadInput, Incomplete, NightglassError
+from pipeline.errors import BadInput, Incomplete, NightglassError, TryLater
 from pipeline.finish import finish
 from pipeline.prepare import Prepared, catalogue_facts_of, prepare, summary_of
 from pipeline.run import Listener, Options, Progress, draw, how_to_go_on, times_of
@@ -45,7 +45,7 @@ def render_to_url(
     store.reached(objects, "-o")
     prepared = prepare(scene)
     whole = share.parts == 1
-    with _held(objects, None if whole else share.name) as (stage, lease):
+    with _held(objects, None if whole else share.name, options.wait_s) as (stage, lease):
         if options.replace:
             store.remove_remote(objects)
         resume = (options.resume if not options.replace else False) if whole else None
@@ -69,7 +69,7 @@ def render_to_url(
     for _ in range(JOIN_TRIES):
         try:
             return join_url(url, prepared, times)
-        except BadInput:  # another part is closing, or is finishing it
+        except TryLater:  # another part is closing, or is finishing it
             time.sleep(JOIN_AGAIN_S)
     return share.told(prepared.plan, times)
 
@@ -87,11 +87,12 @@ def _watched(lease: Lease, listen: Listener | None) -> Listener:
 
 def join_url(
     url: str, prepared: Prepared | None = None, times: dict[str, Any] | None = None,
-    scene: Path | None = None,
+    scene: Path | None = None, wait_s: float = 0.0,
 ) -> dict[str, Any]:  # fmt: skip
     """Finish a product below an s3 URL whose parts are all done, and return its report.
 
-    scene : default the one in the product. Raises Incomplete where tiles are missing.
+    scene : default the one in the product; wait_s : for whoever writes it now
+    Raises Incomplete where tiles are missing.
     """
     objects = open_objects(url, "PRODUCT")
     store.reached(objects, "PRODUCT")
@@ -99,7 +100,7 @@ def join_url(
         with _explained(objects):
             prepared = prepare(load_scene(scene) if scene else _scene_of(objects))
     times = times or {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
-    with _held(objects, None) as (stage, lease):
+    with _held(objects, None, wait_s) as (stage, lease):
         begun = _begun(objects, stage, prepared, True, WHOLE)
         if _is_sealed(objects, begun, WHOLE.tiles(prepared.plan)):
             return _stored_report(objects)
@@ -119,12 +120,12 @@ def check_url(url: str) -> Verdict:
 
 
 @contextmanager
-def _held(objects: Objects, part: str | None) -> Iterator[tuple[Path, Lease]]:
+def _held(objects: Objects, part: str | None, wait_s: float) -> Iterator[tuple[Path, Lease]]:
     """The product's lease, and a folder for its small files."""
     with (
         _explained(objects),
         TemporaryDirectory(prefix="nightglass-") as folder,
-        only_writer_of(objects, part) as lease,
+        only_writer_of(objects, part, wait_s) as lease,
     ):
         yield Path(folder) / "product", lease
 
