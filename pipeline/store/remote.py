@@ -160,15 +160,13 @@ def _judged(objects: Objects, markers: dict[str, bytes]) -> Iterator[tuple[str, 
 
 
 def _truth_done(objects: Objects, plan: Plan, there: dict[str, Listed]) -> set[tuple[str, int]]:
-    import pyarrow as pa
-
     names = {
         _part_name(kind, frame): (kind, frame)
         for kind in truth_kinds(plan)
         for frame in range(plan.frames)
     }
     parts = objects.get_many(name for name in names if name in there)
-    return {names[name] for name, content in parts if is_whole(pa.BufferReader(content))}
+    return {names[name] for name, content in parts if is_whole(content)}
 
 
 def bring(objects: Objects, stage: Path, chunks_of: int | None = 0) -> None:
