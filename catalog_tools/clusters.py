@@ -1,15 +1,19 @@
-"""Clusters beyond this machine: TLS with client certificates, and workers that Slurm starts."""
+"""Clusters beyond this machine: TLS with client certificates, workers of ours or of Slurm."""
 
 from __future__ import annotations
 
+import asyncio
 import os
+import signal
+import socket
+import ssl
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from .errors import BadInput, Incomplete
+from .errors import BadInput, TryLater
 
 LOOPBACK = ("localhost", "::1")
 CERTIFICATES = ("NIGHTGLASS_CLUSTER_CA", "NIGHTGLASS_CLUSTER_CERT", "NIGHTGLASS_CLUSTER_KEY")
@@ -56,8 +60,9 @@ def security_of(address: str) -> Any:
             raise BadInput(name, path, "a PEM file of the cluster's TLS (docs/cluster.md)")
     ca, cert, key = (files[name] for name in CERTIFICATES)
     return Security(
-        tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key, require_encryption=True
-    )
+        tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key, tls_worker_cert=cert,
+        tls_worker_key=key, require_encryption=True,
+    )  # fmt: skip
 
 
 @contextmanager
@@ -65,28 +70,83 @@ def connected(address: str) -> Iterator[Any]:
     """A client of the scheduler at an address, with at least one worker there."""
     from distributed import Client
 
-    security = security_of(address)
+    ask(address)
     try:
-        client = Client(address, timeout=ANSWER_S, security=security)
+        client = Client(address, timeout=ANSWER_S, security=security_of(address))
     except (OSError, TimeoutError, ValueError) as error:
-        raise BadInput(
-            "--scheduler", address, f"the address of a running scheduler; {error}"
-        ) from None
+        raise TryLater(f"the scheduler at {address} takes no client ({error})") from None
     with client:
         if not client.nthreads():
             wait_for_workers(client, address, float(os.environ.get(WAIT_S, "0")))
         yield client
 
 
+def ask(address: str, patience_s: float | None = None) -> None:
+    """Make sure that a scheduler answers at an address: it speaks first.
+
+    Raises TryLater where none does, BadInput where the certificates do not fit.
+    """
+    parts, security = urlsplit(address), security_of(address)
+    try:
+        with ExitStack() as closing:
+            wire = socket.create_connection(
+                (str(parts.hostname), int(parts.port or 0)), patience_s or ANSWER_S
+            )
+            closing.callback(wire.close)
+            if security is not None:
+                context = security.get_connection_args("client")["ssl_context"]
+                wire = closing.enter_context(context.wrap_socket(wire))
+            if not wire.recv(1):
+                raise ConnectionResetError("it closes the connection")
+    except ssl.SSLError as error:
+        allowed = f"a scheduler whose certificates fit those given here ({error.reason or error})"
+        raise BadInput("--scheduler", address, allowed) from None
+    except OSError as error:
+        hint = "" if security else "; is it a tls:// one?"
+        reason = error.strerror or str(error) or type(error).__name__
+        raise TryLater(f"no scheduler answers at {address} ({reason}{hint})") from None
+
+
 def wait_for_workers(client: Any, where: str, seconds: float) -> None:
-    """Wait for a first worker. Raises BadInput where none comes."""
+    """Wait for a first worker. Raises TryLater where none comes."""
     try:
         if seconds <= 0:
             raise TimeoutError
         client.wait_for_workers(1, timeout=seconds)
     except TimeoutError:
-        allowed = f"a scheduler that has workers ({WAIT_S} seconds are waited for the first)"
-        raise BadInput("--scheduler", where, allowed) from None
+        told = f"{WAIT_S} says how many seconds are waited for the first"
+        raise TryLater(f"the scheduler at {where} has no workers ({told})") from None
+
+
+async def work(address: str, patience_s: float, **options: Any) -> None:
+    """Work for the scheduler at an address until a signal comes.
+
+    patience_s : how long a scheduler is waited for; options : of Dask's Nanny
+    Raises TryLater where the scheduler goes away, or does not come.
+    """
+    from distributed import Nanny
+
+    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stopped.set)
+    stop = asyncio.ensure_future(stopped.wait())
+    security = security_of(address)
+    nanny = Nanny(address, security=security, death_timeout=patience_s, dashboard=False, **options)
+
+    async def whole() -> None:
+        await nanny
+        await nanny.finished()
+
+    life = asyncio.ensure_future(whole())
+    await asyncio.wait({life, stop}, return_when=asyncio.FIRST_COMPLETED)
+    if stopped.is_set():
+        await nanny.close(timeout=10)
+        return
+    stop.cancel()
+    if error := life.exception():
+        reason = str(error.__cause__ or error) or f"within {patience_s:g} s"
+        raise TryLater(f"no scheduler answers at {address} ({reason})") from None
+    raise TryLater(f"the scheduler at {address} went away: this worker ends")
 
 
 @contextmanager
@@ -118,5 +178,5 @@ def slurm(jobs: int | None) -> Iterator[Any]:
         try:
             client.wait_for_workers(1, timeout=float(os.environ.get(WAIT_S, "86400")))
         except TimeoutError:
-            raise Incomplete("Slurm started no job in time; what is finished is kept") from None
+            raise TryLater("Slurm started no job in time") from None
         yield client

@@ -46,6 +46,10 @@ class Incomplete(NightglassError):
     """Work ended before everything was done; `--resume` goes on from what is stored."""
 
 
+class TryLater(NightglassError):
+    """What the work needs is not there now (a scheduler, a database, a lease): exit code 4."""
+
+
 class DiskFull(Incomplete):
     """A store has no room: what is whole is kept, and the same work goes on when there is room."""
 

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Future,
+    ThreadPoolExecutor,
+    wait,
+)
 from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
+from functools import cache
+from importlib.metadata import version
 from typing import Any, Protocol
 from uuid import uuid4
 
 from .ahead import cores
 from .clusters import check_address, connected, slurm
-from .errors import BadInput, Incomplete, NightglassError
+from .errors import BadInput, Incomplete, NightglassError, TryLater
 
 Progress = Callable[[str], None]  # called with the kind of each task that is done
 Graph = tuple[dict[Any, Any], list[Any]]  # tasks by key, and the keys that are wanted
@@ -23,6 +32,7 @@ TASKS_PER_WINDOW = 256
 # What glibc comes to by itself; Dask's 64 KiB cost a worker eight times the page faults.
 MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(64 << 20)}
 MOST_TRIES = 3  # of a task, on a cluster
+CHATTY = ("distributed", "distributed.client", "tornado", "tornado.application")
 AHEAD = 3  # items in work or waiting for each thread
 FEWEST_WAITING = 64  # tasks of a stream, so that a cluster that scales itself sees work
 
@@ -124,9 +134,11 @@ class ClusterScheduler:
 
     def __init__(self, client: Any, workers: int) -> None:
         self.client, self.workers = client, workers
+        self.where = str(client.scheduler.addr) if client.scheduler else "(closed)"
 
     def share(self, value: Any) -> Any:
-        return self.client.scatter(value, broadcast=True, hash=False)
+        """As a task, which is run again where it is wanted and every worker that had it is gone."""
+        return self.keep({("shared", 0): (_same, value)})["shared", 0]
 
     def keep(self, graph: dict[Any, Any]) -> dict[Any, Any]:
         futures = self._submit(graph, list(graph))
@@ -136,7 +148,8 @@ class ClusterScheduler:
     def run(self, graph: dict[Any, Any], keys: list[Any], done: Progress) -> list[Any]:
         futures = self._submit(graph, keys)
         self._wait(futures, done)
-        return self.client.gather(futures)
+        with self._reached():
+            return list(self.client.gather(futures))
 
     def stream(self, graphs: Iterable[Graph], done: Progress) -> None:
         from distributed import as_completed
@@ -160,34 +173,50 @@ class ClusterScheduler:
 
         left = iter(items)
         running: dict[Any, Any] = {}
-        sent = self.client.submit(_same, shared, pure=False)  # lost with a worker, made again
+        sent = self.share(shared)
         done = as_completed([], loop=self.client.loop, raise_errors=False)
 
         def fill() -> None:
             most = AHEAD * max(1, self._threads())
             for item in itertools.islice(left, max(0, most - len(running))):
-                future = self.client.submit(_outcome, function, sent, item, pure=False)
+                [future] = self._submit(
+                    {("item", 0): (_outcome, function, sent, item)}, [("item", 0)]
+                )
                 running[future.key] = item
                 done.add(future)
 
         fill()
         while running:
             future = next(done)
-            error = future.exception() if future.status == "error" else None
-            if future.status == "cancelled":
-                error = Incomplete("the cluster cancelled tasks; what is finished is kept")
-            yield running.pop(future.key), future.result() if error is None else error
+            with self._reached():
+                result = future.exception() if future.status == "error" else future.result()
+            if isinstance(result, TryLater):
+                raise result
+            yield running.pop(future.key), result
             fill()
 
     def _threads(self) -> int:
         """Threads of all workers that are there now: they come and go."""
-        return sum(self.client.nthreads().values())
+        with self._reached():
+            return sum(self.client.nthreads().values())
+
+    @contextmanager
+    def _reached(self) -> Iterator[None]:
+        """While the cluster is spoken to: what fails then is no task's fault. Raises TryLater."""
+        from distributed.client import ClosedClientError
+
+        try:
+            yield
+        except (OSError, CancelledError, ClosedClientError) as error:
+            told = " ".join(str(error).split())[:120]
+            raise TryLater(f"the scheduler at {self.where} was lost ({told})") from None
 
     def _submit(self, graph: dict[Any, Any], keys: list[Any]) -> list[Any]:
         """Submit under names that no other run on this scheduler uses: it shares by name."""
         names, once = {key: _unique(key, uuid4().hex) for key in graph}, Once()
         graph = {names[key]: _tried(_renamed(task, names), once) for key, task in graph.items()}
-        return self.client.get(graph, [names[key] for key in keys], sync=False)
+        with self._reached():
+            return list(self.client.get(graph, [names[key] for key in keys], sync=False))
 
     def _wait(self, futures: list[Any], done: Progress) -> None:
         from distributed import as_completed
@@ -200,7 +229,7 @@ class ClusterScheduler:
         from distributed.scheduler import KilledWorker
 
         if future.status == "cancelled":
-            raise Incomplete("the cluster cancelled tasks; what is finished is kept")
+            raise TryLater(f"the scheduler at {self.where} was lost, with what it had to do")
         if future.status == "error":
             error = future.exception()
             if isinstance(error, KilledWorker):
@@ -217,23 +246,9 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         yield LocalScheduler(kind, 1 if kind == "synchronous" else count)
         return
     _check_address(kind)
-    for name, value in MALLOC.items():
-        os.environ.setdefault(name, value)
-    import dask
+    set_up_dask()
     from distributed import Client, LocalCluster
 
-    dask.config.set({
-        "distributed.worker.multiprocessing-method": "spawn",
-        "distributed.scheduler.allowed-failures": 3,
-        "distributed.worker.profile.enabled": False,
-        # Looked at 1 to 1000 times a second by default, in every process: a tenth of a short job.
-        "distributed.admin.tick.interval": "5s",
-        "distributed.admin.system-monitor.interval": "5s",
-        "distributed.admin.system-monitor.gil.enabled": False,
-        "distributed.worker.memory.monitor-interval": "1s",
-        "distributed.client.scheduler-info-interval": "10s",
-        "distributed.logging.distributed": "error",
-    })  # fmt: skip
     if kind == "processes":
         with (
             LocalCluster(
@@ -247,6 +262,30 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
         return
     with slurm(workers) if kind == "slurm" else connected(kind) as client:
         yield ClusterScheduler(client, max(1, sum(client.nthreads().values())))
+
+
+def set_up_dask() -> None:
+    """Dask's settings as our clients and workers want them, and silence: what goes wrong we say."""
+    for name, value in MALLOC.items():
+        os.environ.setdefault(name, value)
+    import dask
+    import distributed  # noqa: F401 (with it the levels that are set below)
+
+    dask.config.set({
+        "distributed.worker.multiprocessing-method": "spawn",
+        "distributed.scheduler.allowed-failures": 3,
+        "distributed.worker.profile.enabled": False,
+        # Looked at 1 to 1000 times a second by default, in every process: a tenth of a short job.
+        "distributed.admin.tick.interval": "5s",
+        "distributed.admin.system-monitor.interval": "5s",
+        "distributed.admin.system-monitor.gil.enabled": False,
+        "distributed.worker.memory.monitor-interval": "1s",
+        "distributed.client.scheduler-info-interval": "10s",
+        "distributed.admin.large-graph-warning-threshold": "1TB",  # what tasks share goes in one
+        "distributed.logging": dict.fromkeys(CHATTY, "critical"),
+    })  # fmt: skip
+    for name in CHATTY:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _same(value: Any) -> Any:
@@ -291,12 +330,27 @@ class Once:
 
 def _tried(task: Any, once: Once) -> Any:
     if type(task) is tuple and callable(task[0]):
-        return (_try, task[0], *map(once.pack, task[1:]))
+        return (_try, _version(), task[0], *map(once.pack, task[1:]))
     return task
 
 
-def _try(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call it; what fails is tried again, but not what one of our messages explains."""
+@cache
+def _version() -> str:
+    return version("nightglass")
+
+
+def _try(wanted: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call it; what fails is tried again, but not what one of our messages explains.
+
+    wanted : the version that sent it; a worker that has another one refuses
+    """
+    if wanted != _version():
+        from distributed import get_worker
+
+        raise TryLater(
+            f"the worker {get_worker().address} has version {_version()} of nightglass, not "
+            f"{wanted}: start it anew with that version"
+        )
     arguments = tuple(pickle.loads(a.data) if type(a) is Packed else a for a in arguments)
     for _ in range(MOST_TRIES - 1):
         try:

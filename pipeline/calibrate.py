@@ -78,7 +78,7 @@ def _write(
         "masked_pixels": int(max(masked, default=0)),
     }
     layout.write_atomically(output / layout.REPORT, layout.to_json(report))
-    seal(output)
+    seal(output, report["content_digest"])
     return report
 
 

@@ -23,6 +23,7 @@ from pipeline.options import (
     ProductOrUrl,
     SchedulerName,
     Slurm,
+    Wait,
     Workers,
     as_stated,
     local_path,
@@ -32,6 +33,7 @@ from pipeline.options import (
 from pipeline.parts_cli import join
 from pipeline.report_cli import report_ledger, report_scenes
 from pipeline.sweep_cli import sweep
+from pipeline.worker_cli import worker
 
 app = typer.Typer(
     name="nightglass",
@@ -47,6 +49,7 @@ app.command()(export)
 app.add_typer(jobs, name="jobs")
 app.command()(sweep)
 app.command()(join)
+app.command()(worker)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 app.add_typer(report_app, name="report")
 report_app.command("scenes")(report_scenes)
@@ -114,6 +117,7 @@ def render(
     part: Annotated[
         str | None, typer.Option("--part", help="only part k/n of the tiles, beside other parts")
     ] = None,
+    wait: Wait = 0.0,
     server: Server = None,
     accept: Accepts = None,
     accept_error: AcceptsError = False,
@@ -130,17 +134,19 @@ def render(
         to = local_path(output)
         _print_result(render_there(scene, to, overrides, server, as_json), output, as_json)
         return
+    from pipeline.run import Options
+
     if part is not None:
         from pipeline.parts_cli import render_part
 
-        render_part(scene, output, overrides, part, (scheduler, workers, replace), as_json)
+        options = Options(scheduler, workers, replace=replace, wait_s=wait)
+        render_part(scene, output, overrides, part, options, as_json)
         return
-    from pipeline.run import Options
     from pipeline.run import render as run
     from pipeline.spec.load import load_scene
 
     loaded = load_scene(scene, overrides)
-    options = Options(scheduler, workers, resume, replace)
+    options = Options(scheduler, workers, resume, replace, wait)
     with _progress(quiet=as_json) as listen:
         if "://" in output:
             from pipeline.remote import render_to_url

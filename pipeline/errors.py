@@ -9,17 +9,19 @@ from catalog_tools.errors import (
     DiskFull,
     Incomplete,
     NightglassError,
+    TryLater,
     shorten,
 )
 
 __all__ = [
-    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "NightglassError", "exit_code",
-    "shorten",
+    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "NightglassError", "TryLater",
+    "exit_code", "shorten",
 ]  # fmt: skip
 
 EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
     (BadInput, 2),
     (Incomplete, 3),
+    (TryLater, 4),
     (Damaged, 2),
     (KeyboardInterrupt, 130),
 )

@@ -7,7 +7,7 @@ import math
 import resource
 import time
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -15,20 +15,20 @@ import numpy as np
 
 from pipeline.arrays import FrameStars, concatenate
 from pipeline.execute.check import summary
-from pipeline.execute.truth import star_truth, target_truth, world_of
+from pipeline.execute.coordinates import frame_coordinates
+from pipeline.execute.truth import star_truth, target_truth
 from pipeline.export.picture import write_preview
-from pipeline.physics.positions.focal_plane import WcsFit, fit_wcs
 from pipeline.plan.accuracy import UNSEEN, crowd_error_e, doubts_of, total_e, total_sigma
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.responses import table_error
 from pipeline.plan.scene_plan import Plan, colour_facts
-from pipeline.plan.timing import dwell_of, dwell_plans, frame_times, longest_s
+from pipeline.plan.timing import longest_s
 from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
-from pipeline.store.clock import UNITS, utc_microseconds
+from pipeline.store.clock import UNITS
 from pipeline.store.cube import finish_cube
 from pipeline.store.markers import markers_present, read_marker
-from pipeline.store.product import Begun, content_digest, seal, truth_kinds
+from pipeline.store.product import Begun, Cell, cells_digest, cells_of, seal, truth_kinds
 from pipeline.store.truth import drop_parts, join_parts, write_whole
 
 if TYPE_CHECKING:
@@ -36,9 +36,8 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-SIP_SIZE = 5  # SIP polynomials up to order 4
-SIP_SIZE_DISTORTED = 10  # and up to order 9
 WINDOW = 256
+DTYPES = {"wcs_sip_order": np.int16, "dwell": np.int32}  # else float64, or int64
 LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
 COVERAGE_KEY = "nightglass:coverage"  # in the schema's metadata of truth/stars.parquet
 Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
@@ -57,19 +56,20 @@ def finish(
         for kind in truth_kinds(plan)
     }
     rows |= _faults(plan, product)
-    coordinates = gather_coordinates(plan)
-    errors = _errors(plan, begun)
+    gathered = gather_markers(plan, product)
+    errors = _errors(plan, begun, gathered.checks)
     doubts = _doubts(plan, errors)
     plan = replace(plan, warnings=(*doubts, *plan.warnings))
-    finish_cube(product, coordinates, _attributes(plan, catalogues))
+    finish_cube(product, gathered.coordinates, _attributes(plan, catalogues))
     write_preview(product, plan)
-    residual = float(coordinates["wcs_residual_px"][1].max())
-    report = _report(plan, catalogues, begun, rows, {"wcs_residual_px": residual} | errors)
+    residual = float(gathered.coordinates["wcs_residual_px"][1].max())
+    errors = {"wcs_residual_px": residual} | errors
+    report = _report(plan, catalogues, begun, rows, errors, gathered.digest)
     report["errors"]["as_stated"] = not doubts
     report["seconds"] = times | {"finish_s": time.perf_counter() - started}
     layout.write_atomically(product / layout.REPORT, layout.to_json(report))
     drop_parts(product)
-    seal(product)
+    seal(product, gathered.digest)
     return report
 
 
@@ -90,23 +90,51 @@ def stored_report(begun: Begun) -> dict[str, Any]:
     return json.loads((begun.path / layout.REPORT).read_text())
 
 
-def gather_coordinates(plan: Plan) -> Coordinates:
-    """Axes, times, WCS and attitude of every frame."""
+@dataclass(frozen=True)
+class Gathered:
+    """What the markers of a product hold: its coordinates, what was checked, its digest."""
+
+    coordinates: Coordinates
+    checks: list[dict[str, Any]]
+    digest: str
+
+
+def gather_markers(plan: Plan, product: Path) -> Gathered:
+    """Read every marker once. Coordinates that none holds (of sweeps, and of products that were
+    begun before markers held any) are worked out."""
     rows, columns = plan.scene.sensor.shape
+    found: dict[str, np.ndarray] = {}
+    lacking = np.ones(plan.frames, bool)
+    cells: list[Cell] = []
+    checks: list[dict[str, Any]] = []
+
+    def keep(frame: int, values: dict[str, Any]) -> None:
+        lacking[frame] = False
+        for name, value in values.items():
+            if name not in found:
+                dtype = DTYPES.get(name, np.asarray(value).dtype)
+                found[name] = np.empty((plan.frames, *np.shape(value)), dtype)
+            found[name][frame] = value
+
+    for marker in map(read_marker, markers_present(product)):
+        cells += cells_of(marker)
+        checks += marker.checks
+        if marker.coordinates is not None:
+            keep(marker.frame, marker.coordinates)
+    frames = np.flatnonzero(lacking)
+    for start in range(0, len(frames), WINDOW):
+        g = plan_geometry(plan.scene, frames[start : start + WINDOW], plan.dut1_s)
+        for i, frame in enumerate(g.frame):
+            keep(int(frame), frame_coordinates(plan, g.frame_slice(i)))
     out: Coordinates = {
         "y": (("y",), np.arange(rows), {"long_name": "row", "units": "pixel"}),
         "x": (("x",), np.arange(columns), {"long_name": "column", "units": "pixel"}),
         "frame": (("frame",), np.arange(plan.frames), {"long_name": "frame number"}),
     }
-    columns_of: dict[str, list[np.ndarray]] = {}
-    for start in range(0, plan.frames, WINDOW):
-        frames = np.arange(start, min(start + WINDOW, plan.frames), dtype=np.int64)
-        for name, values in _frame_columns(plan, frames).items():
-            columns_of.setdefault(name, []).append(values)
-    for name, parts in columns_of.items():
-        dimensions, attrs = FRAME_COLUMNS[name]
-        out[name] = (dimensions, np.concatenate(parts), attrs)
-    return out
+    for name, (dimensions, attrs) in FRAME_COLUMNS.items():
+        if name in found:
+            out[name] = (dimensions, found[name], attrs)
+    return Gathered(out, checks, cells_digest(cells))
 
 
 _TIME = {"units": UNITS, "calendar": "proleptic_gregorian"}
@@ -138,44 +166,6 @@ FRAME_COLUMNS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
 }  # fmt: skip
 
 
-def _frame_columns(plan: Plan, frames: np.ndarray) -> dict[str, np.ndarray]:
-    g = plan_geometry(plan.scene, frames, plan.dut1_s)
-    fits = [fit_wcs(plan.camera, world_of(plan, g, i)) for i in range(len(frames))]
-    size = SIP_SIZE if plan.camera.distortion is None else SIP_SIZE_DISTORTED
-    times = {
-        name: utc_microseconds(g.utc1[:, k], g.utc2[:, k])
-        for name, k in (("time_start", 0), ("time_mid", g.middle), ("time_end", -1))
-    }
-    return times | _dwell_columns(plan, frames) | {
-        "wcs_crval_deg": np.array([f.crval_deg for f in fits]),
-        "wcs_crpix_px": np.array([f.crpix for f in fits]),
-        "wcs_cd_deg": np.array([f.cd_deg for f in fits]),
-        "wcs_sip_order": np.array([f.sip_order for f in fits], np.int16),
-        "wcs_sip_a": np.array([_padded(f, f.sip_a, size) for f in fits]),
-        "wcs_sip_b": np.array([_padded(f, f.sip_b, size) for f in fits]),
-        "wcs_residual_px": np.array([f.residual_px for f in fits]),
-        "attitude": g.attitude[:, g.middle],
-    }
-
-
-def _dwell_columns(plan: Plan, frames: np.ndarray) -> dict[str, np.ndarray]:
-    """Integration times and dwell numbers of a scene with dwells."""
-    if plan.scene.dwells is None:
-        return {}
-    return {
-        "integration_s": frame_times(plan.scene, frames)[1],
-        "dwell": dwell_of(dwell_plans(plan.scene), frames).astype(np.int32),
-    }
-
-
-def _padded(fit: WcsFit, table: np.ndarray, size: int) -> np.ndarray:
-    """SIP coefficients in a table of fixed size; zero for plain TAN."""
-    out = np.zeros((size, size))
-    if fit.sip_order:
-        out[: table.shape[0], : table.shape[1]] = table
-    return out
-
-
 def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
     """Provenance, on the cube itself."""
     main, layers = catalogues[0] if catalogues else {}, catalogues[1:]
@@ -183,21 +173,25 @@ def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
         "layers": [layer["name"] for layer in layers],
         "layer_digests": [layer["digest"] for layer in layers],
     }
-    return {
-        "title": plan.scene.name,
-        "Conventions": "CF-1.11",
-        "complete": True,
-        "source": f"Nightglass {version('nightglass')}",
-        "scene": scene_yaml(plan.scene),
-        "seed": plan.scene.seed,
-        "ifov_rad": plan.facts.ifov_rad,
-        "integration_s": longest_s(plan.scene),
-        "catalogue": main.get("name"),
-        "catalogue_digest": main.get("digest"),
-        "synthetic_stars": any(c["synthetic"] for c in catalogues),
-        "pixel_convention": "pixel (0, 0) is the centre of the first pixel; axes (y, x)",
-        "warnings": list(plan.warnings),
-    } | (over if layers else {}) | ({"distorted": True} if plan.camera.distortion else {})
+    return (
+        {
+            "title": plan.scene.name,
+            "Conventions": "CF-1.11",
+            "complete": True,
+            "source": f"Nightglass {version('nightglass')}",
+            "scene": scene_yaml(plan.scene),
+            "seed": plan.scene.seed,
+            "ifov_rad": plan.facts.ifov_rad,
+            "integration_s": longest_s(plan.scene),
+            "catalogue": main.get("name"),
+            "catalogue_digest": main.get("digest"),
+            "synthetic_stars": any(c["synthetic"] for c in catalogues),
+            "pixel_convention": "pixel (0, 0) is the centre of the first pixel; axes (y, x)",
+            "warnings": list(plan.warnings),
+        }
+        | (over if layers else {})
+        | ({"distorted": True} if plan.camera.distortion else {})
+    )
 
 
 def _report(
@@ -206,13 +200,14 @@ def _report(
     begun: Begun,
     rows: dict[str, int],
     errors: dict[str, Any],
+    digest: str,
 ) -> dict[str, Any]:
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return {
         "scene": plan.scene.name,
         "warnings": list(plan.warnings),
         "complete": True,
-        "content_digest": content_digest(begun.path),
+        "content_digest": digest,
         "frames": plan.frames,
         "tiles": len(plan.tiles) * plan.frames,
         "tiles_resumed": len(begun.done),
@@ -229,20 +224,24 @@ def _report(
     }  # fmt: skip
 
 
-def _errors(plan: Plan, begun: Begun) -> dict[str, Any]:
+def _errors(plan: Plan, begun: Begun, checks: list[dict[str, Any]]) -> dict[str, Any]:
     """What the product may err by, for the sources that were drawn, and what was found."""
     found, floor_e = _brightest(plan, begun), plan.facts.sigma_floor_e
     brighter = found["brightest_source_e"] / (plan.facts.brightest_e or math.inf)
     over_e = max(0.0, found["wing_error_of_brightest_e"] - plan.responses.budget_e)
-    return {
-        "noise_floor_e": floor_e,
-        "bound_of_all_approximations_e": total_e(plan.decisions, brighter) + over_e,
-        "bound_of_all_approximations_sigma": total_sigma(plan.decisions, brighter)
-        + over_e / floor_e,
-        "asked_sigma": plan.scene.accuracy.noise_fraction,
-        "light_left_out": plan.responses.lost_light,
-        "common_streak_px": plan.responses.streaks.spread_px,
-    } | found | _achieved(begun)
+    return (
+        {
+            "noise_floor_e": floor_e,
+            "bound_of_all_approximations_e": total_e(plan.decisions, brighter) + over_e,
+            "bound_of_all_approximations_sigma": total_sigma(plan.decisions, brighter)
+            + over_e / floor_e,
+            "asked_sigma": plan.scene.accuracy.noise_fraction,
+            "light_left_out": plan.responses.lost_light,
+            "common_streak_px": plan.responses.streaks.spread_px,
+        }
+        | found
+        | _achieved(checks)
+    )
 
 
 def _doubts(plan: Plan, errors: dict[str, Any]) -> list[str]:
@@ -308,10 +307,9 @@ def _error_of(light_e: float, classes: Iterable[tuple[float, float]]) -> float:
     return next((error for limit, error in classes if light_e <= limit), 0.0)
 
 
-def _achieved(begun: Begun) -> dict[str, Any]:
+def _achieved(checks: list[dict[str, Any]]) -> dict[str, Any]:
     """What the reference path found in the cells that were drawn again."""
-    records = [c for path in markers_present(begun.path) for c in read_marker(path).checks]
-    records.sort(key=lambda c: (c["frame"], c["y0"], c["x0"]))
+    records = sorted(checks, key=lambda c: (c["frame"], c["y0"], c["x0"]))
     return summary(records) | {"checked": records}
 
 

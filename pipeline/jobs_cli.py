@@ -132,6 +132,13 @@ def cancel(job: JobId, server: Address) -> None:
 
 
 @jobs.command()
+def retry(job: JobId, server: Address) -> None:
+    """Run a job again that ended for want of something; it goes on from its tiles."""
+    with connect(server) as client:
+        print(client.job(job).retry())
+
+
+@jobs.command()
 def fetch(
     job: JobId,
     server: Address,

@@ -46,6 +46,9 @@ Slurm = Annotated[bool, typer.Option("--slurm", help="the same as --scheduler sl
 Workers = Annotated[int | None, typer.Option(min=1, help="threads or processes; default: all")]
 
 
+Wait = Annotated[
+    float, typer.Option("--wait", min=0, help="seconds to wait for another render of the product")
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", help="override a key: --set sensor.read_noise_e=3"),

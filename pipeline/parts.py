@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from catalog_tools.schedulers import open_scheduler
-from pipeline.errors import BadInput, Incomplete
+from pipeline.errors import BadInput, Incomplete, TryLater
 from pipeline.finish import finish, stored_report
 from pipeline.prepare import Prepared, catalogue_facts_of, prepare, summary_of
 from pipeline.run import Listener, Options, draw, times_of, unseal
-from pipeline.shares import WHOLE, Share, still_missing
+from pipeline.shares import WHOLE, Share, lacking
 from pipeline.spec.load import load_scene
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
-from pipeline.store.product import Begun, begin, is_sealed, make_together, truth_kinds
+from pipeline.store.product import begin, is_sealed, make_together
 
 MOST_PARTS = 1_000_000
 
@@ -52,7 +52,7 @@ def _render_share(
     """A part, prepared: drawn, and the product finished where it was the last."""
     plan, digest = prepared.plan, prepared.catalogue_digest
     make_together(product, plan, digest)
-    with layout.only_writer(product, share.name):
+    with layout.only_writer(product, share.name, options.wait_s):
         begun = begin(product, plan, digest, True, share.mine(plan))
         if is_sealed(begun, share.tiles(plan)):
             return stored_report(begun)
@@ -69,38 +69,34 @@ def _render_share(
         return share.told(plan, times)
     try:
         return _finish(prepared, product, times)
-    except BadInput:  # another part is still at work, or is finishing it
+    except TryLater:  # another part is still at work, or is finishing it
         return share.told(plan, times)
 
 
-def join(product: Path, scene: Path | None = None) -> dict[str, Any]:
+def join(product: Path, scene: Path | None = None, wait_s: float = 0.0) -> dict[str, Any]:
     """Finish a product whose parts are all done, and return its report.
 
-    scene : default the one in the product. Raises Incomplete where tiles are missing.
+    scene : default the one in the product; wait_s : for whoever writes it now
+    Raises Incomplete where tiles are missing.
     """
     if not (product / layout.BEGUN).is_file():
         raise BadInput("PRODUCT", str(product), "a product that parts were rendered into")
     prepared = prepare(load_scene(scene or product / layout.SCENE))
     times = {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
-    return _finish(prepared, product, times)
+    return _finish(prepared, product, times, wait_s)
 
 
-def _finish(prepared: Prepared, product: Path, times: dict[str, Any]) -> dict[str, Any]:
+def _finish(
+    prepared: Prepared, product: Path, times: dict[str, Any], wait_s: float = 0.0
+) -> dict[str, Any]:
     plan = prepared.plan
-    with layout.full_disk(product), layout.only_writer(product):
+    with layout.full_disk(product), layout.only_writer(product, wait_s=wait_s):
         # Every chunk against its marker.
         begun = begin(product, plan, prepared.catalogue_digest, resume=True)
         if is_sealed(begun, WHOLE.tiles(plan)):
             return stored_report(begun)
         unseal(product)
-        tiles, truth = _lacking(prepared, begun)
-        if tiles or truth:
-            raise Incomplete(still_missing(str(product), tiles, truth, begun.redrawn))
+        if lacks := lacking(plan, begun.done, begun.truth_done):
+            locks = (path.name for path in product.glob(f"{layout.LOCK}-*"))
+            raise Incomplete(lacks.told(str(product), plan, locks, begun.redrawn))
         return finish(plan, catalogue_facts_of(prepared), begun, times)
-
-
-def _lacking(prepared: Prepared, begun: Begun) -> tuple[int, int]:
-    """How many tiles and truth parts are not there, or not whole."""
-    plan = prepared.plan
-    tiles = WHOLE.tiles(plan) - len(begun.done)
-    return tiles, len(truth_kinds(plan)) * plan.frames - len(begun.truth_done)

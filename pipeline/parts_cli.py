@@ -4,38 +4,38 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.options import Json, ProductOrUrl, as_stated, print_json
+from pipeline.options import Json, ProductOrUrl, Wait, as_stated, print_json
+
+if TYPE_CHECKING:
+    from pipeline.run import Options
 
 
 def render_part(
     scene: Path, product: str, overrides: list[str], part: str,
-    options: tuple[str, int | None, bool], as_json: bool,
+    options: Options, as_json: bool,
 ) -> None:  # fmt: skip
     """Render one part of a scene; the last one finishes the product."""
     from pipeline.errors import BadInput
     from pipeline.pages import tile_progress
     from pipeline.parts import parse_part
     from pipeline.parts import render_part as run
-    from pipeline.run import Options
     from pipeline.spec.load import load_scene
 
-    scheduler, workers, replace = options
-    if replace:
+    if options.replace:
         raise BadInput("--replace", part, "no --part with it: parts share one product")
     share = parse_part(part)
     with tile_progress(as_json or not sys.stderr.isatty()) as listen:
-        options_ = Options(scheduler, workers)
         loaded = load_scene(scene, overrides)
         if "://" in product:
             from pipeline.remote import render_to_url
 
-            report = render_to_url(loaded, product, options_, listen, share)
+            report = render_to_url(loaded, product, options, listen, share)
         else:
-            report = run(loaded, Path(product), share, options_, listen)
+            report = run(loaded, Path(product), share, options, listen)
     if as_json:
         print_json(report)
     elif report["complete"]:
@@ -48,17 +48,18 @@ def render_part(
 def join(
     product: ProductOrUrl,
     scene: Annotated[Path | None, typer.Argument(help="default: the product's own")] = None,
+    wait: Wait = 0.0,
     as_json: Json = False,
 ) -> None:
     """Finish a product whose parts are all done. Exit 3 where tiles are missing."""
     if "://" in product:
         from pipeline.remote import join_url
 
-        report = join_url(product, scene=scene)
+        report = join_url(product, scene=scene, wait_s=wait)
     else:
         from pipeline.parts import join as run
 
-        report = run(Path(product), scene)
+        report = run(Path(product), scene, wait)
     if as_json:
         print_json(report)
     else:

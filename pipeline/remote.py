@@ -13,11 +13,11 @@ from typing import Any
 from catalog_tools.objects import Objects, is_url, open_objects
 from catalog_tools.schedulers import open_scheduler
 from catalog_tools.stores import Unreachable
-from pipeline.errors import BadInput, Incomplete, NightglassError
+from pipeline.errors import BadInput, Incomplete, NightglassError, TryLater
 from pipeline.finish import finish
 from pipeline.prepare import Prepared, catalogue_facts_of, prepare, summary_of
-from pipeline.run import Listener, Options, Progress, draw, times_of
-from pipeline.shares import WHOLE, Share, still_missing
+from pipeline.run import Listener, Options, Progress, draw, how_to_go_on, times_of
+from pipeline.shares import WHOLE, Share, lacking
 from pipeline.spec.load import load_scene, parse_text
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
@@ -45,7 +45,7 @@ def render_to_url(
     store.reached(objects, "-o")
     prepared = prepare(scene)
     whole = share.parts == 1
-    with _held(objects, None if whole else share.name) as (stage, lease):
+    with _held(objects, None if whole else share.name, options.wait_s) as (stage, lease):
         if options.replace:
             store.remove_remote(objects)
         resume = (options.resume if not options.replace else False) if whole else None
@@ -64,12 +64,12 @@ def render_to_url(
         times = times_of(options, started, drawing, workers)
         if whole:
             return _finished(objects, stage, prepared, begun, times, lease)
-    if any(store.lacking(objects, prepared.plan)):
+    if lacking(prepared.plan, *store.present(objects, prepared.plan)):
         return share.told(prepared.plan, times)
     for _ in range(JOIN_TRIES):
         try:
             return join_url(url, prepared, times)
-        except BadInput:  # another part is closing, or is finishing it
+        except TryLater:  # another part is closing, or is finishing it
             time.sleep(JOIN_AGAIN_S)
     return share.told(prepared.plan, times)
 
@@ -87,11 +87,12 @@ def _watched(lease: Lease, listen: Listener | None) -> Listener:
 
 def join_url(
     url: str, prepared: Prepared | None = None, times: dict[str, Any] | None = None,
-    scene: Path | None = None,
+    scene: Path | None = None, wait_s: float = 0.0,
 ) -> dict[str, Any]:  # fmt: skip
     """Finish a product below an s3 URL whose parts are all done, and return its report.
 
-    scene : default the one in the product. Raises Incomplete where tiles are missing.
+    scene : default the one in the product; wait_s : for whoever writes it now
+    Raises Incomplete where tiles are missing.
     """
     objects = open_objects(url, "PRODUCT")
     store.reached(objects, "PRODUCT")
@@ -99,14 +100,14 @@ def join_url(
         with _explained(objects):
             prepared = prepare(load_scene(scene) if scene else _scene_of(objects))
     times = times or {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
-    with _held(objects, None) as (stage, lease):
+    with _held(objects, None, wait_s) as (stage, lease):
         begun = _begun(objects, stage, prepared, True, WHOLE)
         if _is_sealed(objects, begun, WHOLE.tiles(prepared.plan)):
             return _stored_report(objects)
         store.unseal_remote(objects)
-        tiles, truth = store.lacking(objects, prepared.plan)
-        if tiles or truth:
-            raise Incomplete(still_missing(url, tiles, truth, begun.redrawn))
+        if lacks := lacking(prepared.plan, *store.present(objects, prepared.plan)):
+            locks = objects.names(f"{layout.LOCK}-")
+            raise Incomplete(lacks.told(url, prepared.plan, locks, begun.redrawn))
         return _finished(objects, stage, prepared, begun, times, lease)
 
 
@@ -119,12 +120,12 @@ def check_url(url: str) -> Verdict:
 
 
 @contextmanager
-def _held(objects: Objects, part: str | None) -> Iterator[tuple[Path, Lease]]:
+def _held(objects: Objects, part: str | None, wait_s: float) -> Iterator[tuple[Path, Lease]]:
     """The product's lease, and a folder for its small files."""
     with (
         _explained(objects),
         TemporaryDirectory(prefix="nightglass-") as folder,
-        only_writer_of(objects, part) as lease,
+        only_writer_of(objects, part, wait_s) as lease,
     ):
         yield Path(folder) / "product", lease
 
@@ -134,10 +135,11 @@ def _nothing_left_behind(objects: Objects, whole: bool, lease: Lease) -> Iterato
     """Remove a product of which nothing was finished when its drawing failed."""
     try:
         yield
-    except NightglassError:
-        if whole and not lease.lost and not objects.names(f"{layout.MARKERS}/"):
+    except NightglassError as error:
+        kept = not whole or bool(objects.names(f"{layout.MARKERS}/"))
+        if not kept and not lease.lost:
             store.remove_remote(objects)
-        raise
+        raise how_to_go_on(error, kept) from None
 
 
 @contextmanager

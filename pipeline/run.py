@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from catalog_tools.schedulers import TASKS_PER_WINDOW, Scheduler, open_scheduler
-from pipeline.errors import BadInput, NightglassError
+from pipeline.errors import BadInput, NightglassError, TryLater
 from pipeline.execute.bundles import bundled, tiles_a_bundle, tiles_done
 from pipeline.execute.graph import Work, shard_graph, shard_key, window_graph
 from pipeline.finish import finish, stored_report
@@ -47,6 +47,7 @@ class Options:
 
     scheduler : threads, synchronous, processes, or an address; workers : None for all cores
     resume : go on with an unfinished product; replace : remove what stands at the path first
+    wait_s : how long another render of the same product is waited for
     most_cpu_s : a scene whose plan predicts more is refused before anything is drawn
     most_memory_mb : likewise of memory; None: what this machine has free, unless others draw
     """
@@ -55,6 +56,7 @@ class Options:
     workers: int | None = None
     resume: bool = False
     replace: bool = False
+    wait_s: float = 0.0
     most_cpu_s: float | None = None
     most_memory_mb: float | None = None
 
@@ -97,11 +99,12 @@ def _render(
     if options.processes or options.most_memory_mb:
         check_room(prepared, options.most_memory_mb, options.processes)
     if options.replace and product.exists():
-        _remove(product)
+        _remove(product, options.wait_s)
     digest = prepared.catalogue_digest
     if not (options.resume and is_begun(product)):
         begin(product, plan, digest, options.resume)
-    with layout.only_writer(product):  # taken up inside: another writer may just have ended
+    with layout.only_writer(product, wait_s=options.wait_s):
+        # Taken up inside: another writer may just have ended.
         begun = begin(product, plan, digest, resume=True)
         if is_sealed(begun, WHOLE.tiles(plan)):
             return stored_report(begun)
@@ -112,12 +115,21 @@ def _render(
             with open_scheduler(options.scheduler, options.workers) as scheduler:
                 draw(prepared, begun, scheduler, listen)
                 workers = scheduler.workers
-        except NightglassError:
-            if not any(markers_present(product)):
+        except NightglassError as error:
+            kept = any(markers_present(product))
+            if not kept:
                 shutil.rmtree(product)  # nothing was finished, so nothing is left behind
-            raise
+            raise how_to_go_on(error, kept) from None
         times = times_of(options, started, drawing, workers)
         return finish(plan, catalogue_facts_of(prepared), begun, times)
+
+
+def how_to_go_on(error: NightglassError, kept: bool) -> NightglassError:
+    """An error that ended the drawing; where it says to try later, also by which command."""
+    if not isinstance(error, TryLater):
+        return error
+    told = "what is finished is kept: go on with --resume" if kept else "nothing was finished yet"
+    return TryLater(f"{error}; {told}")
 
 
 def times_of(options: Options, started: float, drawing: float, workers: int) -> dict[str, Any]:
@@ -220,9 +232,9 @@ def unseal(product: Path) -> None:
         (product / name).unlink(missing_ok=True)
 
 
-def _remove(product: Path) -> None:
+def _remove(product: Path, wait_s: float) -> None:
     """Remove an old product (only a product, never any other folder)."""
     if not product.is_dir() or not (product / layout.BEGUN).is_file():
         raise BadInput("--replace", str(product), "a product made by `nightglass render`")
-    with layout.only_writer(product):
+    with layout.only_writer(product, wait_s=wait_s):
         shutil.rmtree(product)

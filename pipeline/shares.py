@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from pipeline.plan.scene_plan import Plan
+from pipeline.store.product import truth_kinds
 
 
 @dataclass(frozen=True)
@@ -52,10 +54,51 @@ class Share:
 WHOLE = Share(1, 1)
 
 
-def still_missing(product: str, tiles: int, truth: int, redrawn: tuple[str, ...]) -> str:
-    """Message of a join whose parts are not all there; redrawn : what was found damaged."""
-    damaged = f"; damaged: {'; '.join(redrawn[:5])}" if redrawn else ""
-    return (
-        f"{product}: {tiles} tile(s) and {truth} truth part(s) are missing: run the parts "
-        f"that were cut off again, then `nightglass join`{damaged}"
+@dataclass(frozen=True)
+class Lacking:
+    """What a product lacks: places of tiles (frame, row, column) and of truth (kind, frame)."""
+
+    tiles: frozenset[tuple[int, int, int]]
+    truth: frozenset[tuple[str, int]]
+
+    def __bool__(self) -> bool:
+        return bool(self.tiles or self.truth)
+
+    def told(self, product: str, plan: Plan, locks: Iterable[str], redrawn: Iterable[str]) -> str:
+        """The message of a join; locks : names of the parts' locks, redrawn : what was damaged."""
+        damaged = "; ".join(tuple(redrawn)[:5])
+        return (
+            f"{product}: {len(self.tiles)} tile(s) and {len(self.truth)} truth part(s) are "
+            f"missing: run {self._whose(plan, locks)} again, then `nightglass join`"
+            + (f"; damaged: {damaged}" if damaged else "")
+        )
+
+    def _whose(self, plan: Plan, locks: Iterable[str]) -> str:
+        """The parts that lack something; the frames, where parts of one number are not known."""
+        counts = {found[1] for lock in locks if (found := re.search(r"part-\d+-of-(\d+)", lock))}
+        frames = sorted({t[0] for t in self.tiles} | {t[1] for t in self.truth})
+        if len(counts) != 1:
+            return f"the parts of frame(s) {_first(frames)}"
+        numbers = {(t.row, t.column): i for i, t in enumerate(plan.tiles)}
+        count, each = int(counts.pop()), len(plan.tiles)
+        places = {frame * each + numbers[row, column] for frame, row, column in self.tiles}
+        places |= {frame * each for _, frame in self.truth}
+        total = each * plan.frames
+        parts = sorted({-(-(place + 1) * count // total) for place in places})
+        return f"part(s) {_first([f'{part}/{count}' for part in parts])}"
+
+
+def _first(names: list[Any]) -> str:
+    shown = ", ".join(map(str, names[:20]))
+    return shown if len(names) <= 20 else f"{shown} and {len(names) - 20} more"
+
+
+def lacking(plan: Plan, tiles: Container[Any], truth: Container[Any]) -> Lacking:
+    """What a product lacks that has these tiles and parts of truth."""
+    frames = range(plan.frames)
+    places = ((frame, t.row, t.column) for frame in frames for t in plan.tiles)
+    parts = ((kind, frame) for kind in truth_kinds(plan) for frame in frames)
+    return Lacking(
+        frozenset(p for p in places if p not in tiles),
+        frozenset(p for p in parts if p not in truth),
     )

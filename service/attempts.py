@@ -1,4 +1,4 @@
-"""One attempt at a job: give it to an engine's process, report how far it is, bring the outcome."""
+"""Attempts at a job: give it to an engine's process, report how far it is, bring the outcome."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.store.layout import BEGUN, COMPLETE, LOCK
+from service.cluster import SchedulerHealth
 from service.jobs import Job, Phase, Queue
 from service.named_files import files_in
 from service.processes import POLL_S, Answers, worker
@@ -22,6 +23,8 @@ from service.sweeps import engine_sweep
 from service.uploads import engine_scene, names_of
 
 log = logging.getLogger("nightglass.service")
+FIRST_PAUSE_S, MOST_PAUSE_S = 1.0, 60.0  # before a job is tried again
+LATER = "try later"  # kind of an error whose job is tried again
 DEATHS = 3  # workers in a row that may die on a job without finishing a tile
 
 
@@ -29,25 +32,59 @@ class Attempt:
     """Runs a claimed job until it ends, is cancelled, or `go_on` says no."""
 
     def __init__(
-        self, settings: Settings, store: Queue, job: Job, go_on: Callable[[], bool]
-    ) -> None:
+        self, settings: Settings, store: Queue, job: Job, go_on: Callable[[], bool],
+        scheduler: SchedulerHealth,
+    ) -> None:  # fmt: skip
         self._settings, self._store, self._job, self._go_on = settings, store, job, go_on
-        self._product = settings.product(job.id)
-        self._said = {"job": job.id, "attempt": job.attempt}
+        self._product, self._scheduler = settings.product(job.id), scheduler
+
+    @property
+    def _said(self) -> dict[str, Any]:
+        return {"job": self._job.id, "attempt": self._job.attempt}
 
     def run(self) -> None:
-        """The whole attempt. Raises NotReady where a later attempt has taken the job over."""
+        """The whole attempt; another one, from the last tile, whenever what the engine needs is
+        not there. Raises NotReady where a later attempt has taken the job over."""
+        pause_s, until_s = FIRST_PAUSE_S, 0.0
+        while (later := self._attempt()) is not None:
+            now = self._store.seen(self._job)
+            if not until_s or (now.tiles_done or 0) > (self._job.tiles_done or 0):
+                pause_s, until_s = FIRST_PAUSE_S, time.monotonic() + self._settings.scheduler_s
+            log.warning("tried again later: %s", later["message"], extra=self._said)
+            if not self._pause(pause_s, until_s):
+                self._finish(Phase.ERROR, error=later)
+                return
+            if not self._go_on():
+                return  # it stays EXECUTING; the next dispatcher goes on with it
+            self._job = self._store.again(self._job, later["message"])
+            pause_s = min(2.0 * pause_s, MOST_PAUSE_S)
+
+    def _pause(self, pause_s: float, until_s: float) -> bool:
+        """Wait, and until the scheduler answers; False where that is not in time."""
+        wake_s = time.monotonic() + pause_s
+        while self._go_on() and not self._must_stop():
+            if time.monotonic() > until_s:
+                return False
+            if time.monotonic() > wake_s and not self._scheduler.fault():
+                return True
+            time.sleep(POLL_S)
+        return True
+
+    def _attempt(self) -> dict[str, Any] | None:
+        """One attempt; its error where it is to be tried again later."""
         job, outcome = self._job, None
         log.info("begins", extra=self._said)
         if not job.cancel_asked and self._alone():
             with worker(self._settings, self._order()) as answers:
                 outcome = self._watch(answers)
         if outcome is None and not self._go_on():
-            return  # it stays EXECUTING; the next dispatcher goes on with it
+            return None  # it stays EXECUTING; the next dispatcher goes on with it
         if outcome is None and self._must_stop():
             self._finish(Phase.ABORTED, error=self._why_stopped())
         elif outcome is None:
             self.count_death()
+        elif "error" in outcome and outcome["error"]["kind"] == LATER:
+            return dict(outcome["error"])
         elif "error" in outcome:
             self._finish(Phase.ERROR, error=outcome["error"])
         elif (self._product / COMPLETE).is_file():
@@ -59,6 +96,7 @@ class Attempt:
             )  # fmt: skip
         else:
             self._finish(Phase.ERROR, error=fault("the product was not sealed"))
+        return None
 
     def fail(self) -> None:
         """End the job after a fault of the runner itself."""

@@ -211,6 +211,11 @@ class RemoteJob:
         self.facts = self.client.ask("POST", f"{self.path}/cancel").json()
         return self
 
+    def retry(self) -> RemoteJob:
+        """Queue it again, after it ended as ERROR through no fault of its scene."""
+        self.facts = self.client.ask("POST", f"{self.path}/retry").json()
+        return self
+
     def delete(self) -> None:
         """Stop it and remove it with all that it made."""
         self.client.ask("DELETE", self.path)

@@ -16,19 +16,20 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import sqlite
 from sqlalchemy.dialects.postgresql import psycopg
 
-from pipeline.errors import NO_ROOM, BadInput, DiskFull
+from pipeline.errors import NO_ROOM, BadInput, DiskFull, TryLater
 from service.tables import HEAD
 
 LOCK_NUMBER = 7_316_881  # of PostgreSQL's advisory locks: writers of jobs, one at a time
 FORMAT = 2  # PRAGMA user_version; the first form, without alembic, has 1
 BUSY_S = 30.0
+MISTAKES = ("authentication failed", "does not exist", "pg_hba.conf")  # of who set the URL
 
 
 def connect(url: str) -> sa.Engine:
     """An engine for `sqlite:////path` or `postgresql://...`, its tables in their newest form.
 
-    BadInput where the URL cannot be used or the tables are of a later version. The message never
-    holds a password.
+    BadInput where the URL cannot be used or the tables are of a later version, TryLater where no
+    database answers. The message never holds a password.
     """
     try:
         parts = sa.make_url(url)
@@ -60,6 +61,8 @@ def connect(url: str) -> sa.Engine:
             raise DiskFull(shown, errno.ENOSPC, "make room, then start again") from None
         if parts.password:
             reason = reason.replace(str(parts.password), "***")
+        if _may_come(kind, error, reason):
+            raise TryLater(f"NIGHTGLASS_DATABASE: {shown} does not answer: {reason}") from None
         raise BadInput("NIGHTGLASS_DATABASE", shown, f"a database that answers; {reason}") from None
     return engine
 
@@ -72,6 +75,13 @@ def _keep_private(path: str | None) -> None:
             for file in (path, f"{path}-wal", f"{path}-shm"):
                 with contextlib.suppress(FileNotFoundError):
                     Path(file).chmod(0o600)
+
+
+def _may_come(kind: str, error: sa.exc.DBAPIError, reason: str) -> bool:
+    """Whether a database that could not be opened may be there a little later."""
+    if kind == "sqlite":
+        return "locked" in reason
+    return isinstance(error, sa.exc.OperationalError) and not any(m in reason for m in MISTAKES)
 
 
 def _no_room(path: str, reason: str) -> bool:

@@ -34,10 +34,11 @@ NEXT: dict[Phase, frozenset[Phase]] = {
     P.QUEUED: frozenset({P.EXECUTING, P.ABORTED}),
     P.EXECUTING: frozenset({P.COMPLETED, P.ERROR, P.ABORTED}),
     P.COMPLETED: frozenset(),
-    P.ERROR: frozenset(),
+    P.ERROR: frozenset({P.QUEUED}),  # by `retry`
     P.ABORTED: frozenset(),
 }
-FINAL = frozenset(phase for phase, after in NEXT.items() if not after)
+FINAL = frozenset({P.COMPLETED, P.ERROR, P.ABORTED})
+MENDABLE = ("try later", "incomplete", "disk full", "fault")  # errors that are not the scene's
 WAITING = (P.PENDING, P.QUEUED)
 LOCAL = "local"  # the team of a service without keys
 DAMAGED = {
@@ -191,6 +192,17 @@ class JobStore:
             record(db, job.team, actor, "cancel", job_id)
             return self._one(db, job_id)
 
+    def retry(self, job_id: str, team: str | None = None, actor: str = LOCAL) -> Job:
+        """Queue a job again that ended for want of something; what it has drawn is gone on with."""
+        with writing(self.engine) as db:
+            job = self._one(db, job_id, team)
+            if not can_be_retried(job):
+                raise NotReady("only a job that ended as ERROR, not by its scene, is run again")
+            changes = dict.fromkeys(("error", "started_s", "ended_s"))
+            self._move(db, job, P.QUEUED, deaths=0, cancel_asked=False, **changes)
+            record(db, job.team, actor, "retry", job_id)
+            return self._one(db, job_id)
+
     def delete(self, job_id: str, team: str | None = None, actor: str = LOCAL) -> None:
         """Hide a job and free its key; the dispatcher stops it and removes what it made."""
         with writing(self.engine) as db:
@@ -261,6 +273,12 @@ class JobStore:
 
 def _of(query: sa.Select[Any], team: str | None) -> sa.Select[Any]:
     return query if team is None else query.where(jobs.c.team == team)
+
+
+def can_be_retried(job: Job) -> bool:
+    """Whether a job ended by what has nothing to do with its scene."""
+    kind = (job.error or {}).get("kind")
+    return job.phase == P.ERROR and not job.damaged and kind in MENDABLE
 
 
 def job_of(row: Any, fresh: bool = False) -> Job:
@@ -336,6 +354,13 @@ class Queue(JobStore):
         values = {"phase": P.ERROR.value, "error": dict(DAMAGED), "ended_s": now_s(db)}
         self._change(db, job, **values)
         record(db, job.team, "service", "damaged", job.id)
+
+    def again(self, job: Job, why: str) -> Job:
+        """Begin the next attempt at a running job, and note why the last one ended."""
+        with writing(self.engine) as db:
+            self._change(db, job, attempt=job.attempt + 1)
+            record(db, job.team, "service", "again", job.id, why)
+            return self._one(db, job.id, hidden=True)
 
     def progress(self, job: Job, done: int, total: int) -> None:
         """Tiles done; written only for the attempt that runs."""

@@ -54,9 +54,11 @@ class Gauges:
             by_phase.add_metric([phase.value], count)
         yield by_phase
         free = shutil.disk_usage(context.settings.home).free
+        answers = int(not context.dispatcher.scheduler.fault())
         for name, told, value in (
             ("leads", "whether this process runs the jobs", int(context.dispatcher.leads)),
             ("running", "jobs that this process runs", context.dispatcher.running),
+            ("scheduler", "whether the scheduler of the jobs answers", answers),
             ("watchers", "requests that wait for a change", context.changes.places.held),
             ("disk_free_bytes", "free space of the data folder", free),
             ("damaged_rows", "rows of the job table that are damaged", context.damaged),

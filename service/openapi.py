@@ -90,6 +90,7 @@ JOB_ANSWERS = {
     ("post", "/v1/sweeps"): ("200", "202"),
     ("get", "/v1/jobs/{job_id}"): ("200",),
     ("post", "/v1/jobs/{job_id}/cancel"): ("202",),
+    ("post", "/v1/jobs/{job_id}/retry"): ("202",),
 }
 REFUSALS = {
     "400": "malformed", "401": "no valid key or token", "403": "not allowed",

@@ -13,6 +13,7 @@ import uuid
 import sqlalchemy as sa
 
 from service.attempts import Attempt
+from service.cluster import SchedulerHealth
 from service.jobs import Job, Queue
 from service.leases import give_up, take
 from service.problems import NotReady
@@ -36,6 +37,7 @@ class Dispatcher:
         self._settings, self._store = settings, store
         self.holder = f"{socket.gethostname()[:32]}:{os.getpid()}:{uuid.uuid4().hex[:8]}"
         self.stopping, self._work = threading.Event(), threading.Event()
+        self.scheduler = SchedulerHealth(settings.scheduler)
         self._renewed_s = float("-inf")
         self._led_s = time.monotonic()  # when somebody was last known to lead
         self._busy: dict[str, threading.Thread] = {}
@@ -118,10 +120,9 @@ class Dispatcher:
         self._busy = {job_id: t for job_id, t in self._busy.items() if t.is_alive()}
         if len(self._busy) >= self._settings.slots:
             return False
+        limit = 0 if self.scheduler.fault() else self._settings.running_jobs  # queued jobs wait
         try:
-            job = self._store.claim(
-                list(self._busy), self._settings.running_jobs, self._turns, self.holder
-            )
+            job = self._store.claim(list(self._busy), limit, self._turns, self.holder)
         except Exception:
             log.exception("no job could be claimed; it is tried again")
             self.stopping.wait(1.0)
@@ -136,7 +137,7 @@ class Dispatcher:
 
     def _guarded(self, job: Job) -> None:
         """Run a job; a fault of the runner ends that job, not the queue behind it."""
-        attempt = Attempt(self._settings, self._store, job, self._go_on)
+        attempt = Attempt(self._settings, self._store, job, self._go_on, self.scheduler)
         said = {"job": job.id, "attempt": job.attempt}
         try:
             try:

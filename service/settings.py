@@ -47,6 +47,7 @@ class Settings:
     request_threads : threads that answer requests
     slots : jobs that run at once; workers : threads of the engine for each, None for all cores
     scheduler : where jobs run: threads, processes, or the address of a Dask scheduler
+    scheduler_s : how long a job that runs waits for a scheduler that is gone, without a tile done
     dashboard : URL of that scheduler's dashboard, shown in jobs
     lease_s : after this silence of the dispatcher another process takes over
     free_bytes : with less disk than this the service says that it is not ready
@@ -87,6 +88,7 @@ class Settings:
     slots: int = 1
     workers: int | None = None
     scheduler: str = "threads"
+    scheduler_s: float = 3600.0
     dashboard: str | None = None
     lease_s: float = 5.0
     free_bytes: int = 1 << 30

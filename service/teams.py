@@ -58,6 +58,10 @@ class TeamStore:
         """Abort a waiting job, or ask the dispatcher to stop a running one."""
         return self._store.cancel(job_id, self.team, self._caller.actor)
 
+    def retry(self, job_id: str) -> Job:
+        """Queue a job again that ended for want of something."""
+        return self._store.retry(job_id, self.team, self._caller.actor)
+
     def delete(self, job_id: str) -> None:
         """Stop a job, and remove it with all that it made."""
         self._store.delete(job_id, self.team, self._caller.actor)

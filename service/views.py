@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from service.jobs import FINAL, Job, Phase
+from service.jobs import FINAL, Job, Phase, can_be_retried
 
 MADE = {"scene": ("results", "preview.png", "plan", "report"), "sweep": ("results", "report")}
 
@@ -16,6 +16,8 @@ def job_dict(job: Job, dashboard: str | None = None) -> dict[str, Any]:
     links = {"self": here, "events": f"{here}/events", "scene": f"{here}/scene"}
     if job.phase not in FINAL:
         links["cancel"] = f"{here}/cancel"
+    if can_be_retried(job):
+        links["retry"] = f"{here}/retry"
     if job.phase == Phase.COMPLETED:
         for name in MADE[job.kind]:
             links[name.partition(".")[0]] = f"{here}/{name}"

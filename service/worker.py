@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError
+from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError, TryLater
 from pipeline.spec.load import InvalidScene, parse_scene
 from service import logs
 from service.problems import cut, mistake_dict
@@ -164,6 +164,8 @@ def describe(error: Exception, order: dict[str, Any]) -> dict[str, Any]:
         reason = os.strerror(code or errno.ENOSPC)
         message = f"the server's disk is full ({reason}); submit again when there is room"
         return {"kind": "disk full", "message": message, "errors": []}
+    if isinstance(error, TryLater):
+        return {"kind": "try later", "message": cut(_clean(str(error), order)), "errors": []}
     if isinstance(error, NightglassError):
         return {"kind": "incomplete", "message": cut(_clean(str(error), order)), "errors": []}
     if isinstance(error, OSError):

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
 from pipeline.run import Options, render
 from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
@@ -166,11 +171,11 @@ def test_one_writer_at_a_time(bucket, monkeypatch):
     objects, scene = Objects(f"{bucket}/busy"), parse_scene(SCENE)
     with lease.only_writer_of(objects) as mine:
         for shared in (None, "part-1-of-2"):
-            with pytest.raises(BadInput, match="no other render"), lease.only_writer_of(
+            with pytest.raises(TryLater, match="another render"), lease.only_writer_of(
                 objects, shared
             ):  # fmt: skip
                 pass
-        with pytest.raises(BadInput, match="no other render"):
+        with pytest.raises(TryLater, match="another render"):
             render_to_url(scene, objects.url, HERE)
         monkeypatch.setattr(lease, "RUNS_OUT_S", 0.0)  # as if it had died long ago
         with lease.only_writer_of(objects) as other:
@@ -183,7 +188,7 @@ def test_one_writer_at_a_time(bucket, monkeypatch):
     with lease.only_writer_of(objects, "part-1-of-2"):
         with lease.only_writer_of(objects, "part-2-of-2"):
             pass
-        with pytest.raises(BadInput, match="no other render"), lease.only_writer_of(objects):
+        with pytest.raises(TryLater, match="another render"), lease.only_writer_of(objects):
             pass
     with lease.only_writer_of(objects):
         pass
@@ -202,9 +207,63 @@ def test_a_lease_that_was_left_days_ago_keeps_nobody_out(bucket, monkeypatch):
         assert mine.name == ".lock/000000000002"
 
 
-def test_a_conditional_put_has_one_winner(bucket):
-    from concurrent.futures import ThreadPoolExecutor
+def holding(url, **environment):
+    """A process that renders into a URL and is killed with -9 after its first tile."""
+    code = (
+        "import json, os, signal, sys; from pipeline.remote import render_to_url; "
+        "from pipeline.run import Options; from pipeline.spec.load import parse_scene; "
+        "render_to_url(parse_scene(json.loads(sys.argv[1])), sys.argv[2], Options('synchronous'), "
+        "lambda p: p.done and os.kill(os.getpid(), signal.SIGKILL))"
+    )
+    command = [sys.executable, "-c", code, json.dumps(SCENE), url]
+    assert subprocess.run(command, env=os.environ | environment).returncode == -9
 
+
+def test_the_same_writer_goes_on_at_once(bucket, local, monkeypatch):
+    """Killed, and started again on this machine; or by Slurm, on any machine."""
+    from catalog_tools.objects import Objects
+    from pipeline.remote import render_to_url
+    from pipeline.store import lease
+
+    slurm = {"SLURM_CLUSTER_NAME": "c", "SLURM_JOB_ID": "77"}
+    for where in ("here", "there"):
+        url, again = f"{bucket}/killed-{where}", replace(HERE, resume=True)
+        holding(url, **slurm)
+        if where == "there":  # as another machine sees it
+            objects = Objects(url)
+            name = max(n for n in objects.names(".lock/"))
+            held = json.loads(objects.get(name)) | {"host": "another"}
+            objects.put(name, json.dumps(held).encode())
+            with pytest.raises(TryLater, match="another render"):
+                render_to_url(parse_scene(SCENE), url, again)
+            for key, value in (slurm | {"SLURM_RESTART_COUNT": "1"}).items():
+                monkeypatch.setenv(key, value)
+        began = time.monotonic()
+        report = render_to_url(parse_scene(SCENE), url, again)
+        assert time.monotonic() - began < lease.RUNS_OUT_S / 4
+        assert report["tiles_resumed"] >= 1
+        assert report["content_digest"] == local[1]["content_digest"]
+
+
+def test_others_wait_for_a_lease(bucket):
+    from catalog_tools.objects import Objects
+    from pipeline.store import lease
+
+    objects = Objects(f"{bucket}/waited")
+    with ThreadPoolExecutor(1) as pool:
+        with lease.only_writer_of(objects):
+            refused = pytest.raises(TryLater, match="--wait")
+            with refused, lease.only_writer_of(objects, wait_s=0.5):
+                pass
+            second = lease.only_writer_of(objects, "part-1-of-2", wait_s=60.0)
+            taken = pool.submit(second.__enter__)
+            time.sleep(1.0)
+            assert not taken.done()
+        taken.result(30)
+        second.__exit__(None, None, None)
+
+
+def test_a_conditional_put_has_one_winner(bucket):
     from catalog_tools.objects import Objects
 
     objects = Objects(f"{bucket}/race")

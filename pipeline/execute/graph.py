@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps, StarTable, concatenate
 from pipeline.execute.blocks import Block, plan_blocks, render_block
+from pipeline.execute.coordinates import frame_coordinates
 from pipeline.execute.sources import excursion_px, place_stars, truth_order
 from pipeline.execute.tile import charge_of_tile, render_tile
 from pipeline.execute.truth import star_truth, target_truth
@@ -227,7 +228,9 @@ def tile_task(
     layers, checks = render_tile(
         inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays, before
     )
-    inputs.writer.write(int(g.frame[0]), tile, layers, checks)
+    first = (tile.row, tile.column) == (0, 0)
+    coordinates = frame_coordinates(inputs.plan, g) if first else None
+    inputs.writer.write(int(g.frame[0]), tile, layers, checks, coordinates)
     return int(g.frame[0]), tile.row, tile.column
 
 

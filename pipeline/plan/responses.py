@@ -91,7 +91,7 @@ class ResponsePlan:
     field : the responses over the field, `blur` being the sharpest; None where `blur` serves all
     table_mb : what a field's tables may take together [MB]
     stars_s : CPU seconds that its stars cost a frame, less those in crowds; None where not counted
-    expected : how many stars of each class light a frame, and beyond the last in or beside it
+    expected : how many stars of each class, and beyond the last, light a frame
     """
 
     blur: Blur

@@ -42,7 +42,6 @@ MIXTURE_BYTES = 48e6  # what the three tables of a mixture may take
 SURE = 4.0  # times cheaper must star by star be: counts are those of whole leaves
 SLOPE = 0.3  # of the logarithm of star counts over magnitude, within a row group
 FREQUENCIES = 65
-BESIDE = 9.0  # frames' areas in which a star drawn by quadrature is looked for
 
 
 @dataclass(frozen=True)
@@ -121,9 +120,7 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
         low_e = core.brightest_e
     sides = [(n + 2.0 * plan.halo_px) / n for n in plan.scene.sensor.shape]
     limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
-    halo = math.prod(sides)
-    *near, beyond = (counts.between(a, b) for a, b in pairwise(limits))
-    expected = *(halo * n for n in near), min(halo, BESIDE) * beyond
+    expected = tuple(math.prod(sides) * counts.between(a, b) for a, b in pairwise(limits))
     spent_s = None if r.products else stars_s
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
     return replace(plan, responses=made, decisions=(*plan.decisions, _decision(said)))

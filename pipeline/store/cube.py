@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     import zarr
 
 
-BATCH = 256  # chunks of a shard that are encoded together: a third of the time of one by one
-
-
 @dataclass(frozen=True)
 class CubeWriter:
     """What a tile task needs to store its layers: small, and sent with every task."""
@@ -43,8 +40,12 @@ class CubeWriter:
         tile: Tile,
         values: dict[str, NDArray[Any]],
         checks: list[dict[str, Any]] | None = None,
+        coordinates: dict[str, Any] | None = None,
     ) -> Marker:
-        """Store one tile of one frame as whole chunks, then its marker. Idempotent."""
+        """Store one tile of one frame as whole chunks, then its marker. Idempotent.
+
+        coordinates : of the frame, with its first tile
+        """
         chunks: dict[str, tuple[str, int, int]] = {}
         cells = {}
         for name in self.layers:
@@ -52,7 +53,7 @@ class CubeWriter:
             content = self.write_chunk(name, relative, frame, tile, values[name])
             chunks[name] = (relative, len(content), google_crc32c.value(content))
             cells[name] = cell_checksums(tile, values[name])
-        marker = Marker(frame, tile.row, tile.column, chunks, cells, checks or [])
+        marker = Marker(frame, tile.row, tile.column, chunks, cells, checks or [], coordinates)
         self.write_marker(marker)
         return marker
 
@@ -145,16 +146,36 @@ def _write_coordinate(
     import zarr
 
     options: dict[str, Any] = {"chunks": values.shape, "compressors": _codecs("zstd")}
-    if dimensions[0] == "frame" and name != "frame" and len(values) > 1:
+    sharded = dimensions[0] == "frame" and name != "frame" and len(values) > 1
+    if sharded:
         options = {"chunks": (1, *values.shape[1:]), "shards": values.shape,
                    "compressors": _codecs("none")}  # fmt: skip
-    with zarr.config.set({"codec_pipeline.batch_size": BATCH, "async.concurrency": BATCH}):
-        array = zarr.create_array(
-            store=path, shape=values.shape, dtype=values.dtype, fill_value=None,
-            dimension_names=dimensions, attributes=dict(attrs),
-            config={"write_empty_chunks": True}, overwrite=True, **options,
-        )  # fmt: skip
+    array = zarr.create_array(
+        store=path, shape=values.shape, dtype=values.dtype, fill_value=None,
+        dimension_names=dimensions, attributes=dict(attrs),
+        config={"write_empty_chunks": True}, overwrite=True, **options,
+    )  # fmt: skip
+    if sharded:
+        shard = path.joinpath("c", *("0" * values.ndim))
+        shard.parent.mkdir(parents=True)
+        shard.write_bytes(_shard(values))
+    else:
         array[...] = values
+
+
+def _shard(values: NDArray[Any]) -> bytes:
+    """The shard that Zarr would write, whose chunks are one value of the first axis each, stored
+    plain with a checksum; Zarr's own codec takes 90 us for each chunk."""
+    rows = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<")))
+    chunks = [row.tobytes() for row in rows]
+    each = len(chunks[0]) + 4
+    index = np.empty((len(chunks), 2), "<u8")
+    index[:, 0], index[:, 1] = np.arange(len(chunks)) * each, each
+    return b"".join(c + _crc(c) for c in chunks) + index.tobytes() + _crc(index.tobytes())
+
+
+def _crc(content: bytes) -> bytes:
+    return google_crc32c.value(content).to_bytes(4, "little")
 
 
 def open_cube(product: Path) -> xr.Dataset:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from catalog_tools.durable import full_disk_told, write_atomically
 from catalog_tools.durable import sync as sync_folder
-from pipeline.errors import NO_ROOM, BadInput
+from pipeline.errors import NO_ROOM, TryLater
 
-__all__ = ["full_disk", "only_writer", "sync_folder", "to_json", "write_atomically"]
+__all__ = [
+    "full_disk", "only_writer", "sync_folder", "to_json", "waited",
+    "write_atomically",
+]  # fmt: skip
 
 CUBE = "cube.zarr"
 MARKERS = "markers"
@@ -25,6 +29,8 @@ PREVIEW = "preview.png"
 BEGUN = ".begun.json"
 COMPLETE = "_COMPLETE"
 LOCK = ".lock"
+AGAIN_S = 1.0  # between looks at a lock
+Taken = TypeVar("Taken")
 LONG_NAMES = {  # layers of the cube: what they are, and their unit
     "dn": ("raw sensor signal", "DN"),
     "mean_e": ("mean signal before photon noise", "electron"),
@@ -49,12 +55,30 @@ def full_disk(product: Path) -> AbstractContextManager[None]:
     return full_disk_told(product, told)
 
 
+def waited(wait_s: float, take: Callable[[], Taken]) -> Taken:
+    """What `take` gives; while it raises TryLater it is asked again, for so long."""
+    end = time.monotonic() + wait_s
+    while True:
+        try:
+            return take()
+        except TryLater:
+            if time.monotonic() >= end:
+                raise
+            time.sleep(min(AGAIN_S, max(0.0, end - time.monotonic())))
+
+
 @contextmanager
-def only_writer(product: Path, shared: str | None = None) -> Iterator[None]:
-    """Hold the product's lock; another running writer is refused, a dead one is not.
+def only_writer(product: Path, shared: str | None = None, wait_s: float = 0.0) -> Iterator[None]:
+    """Hold the product's lock; another running writer is waited for, a dead one is not.
 
     shared : name of a part; writers of other parts are let in beside it
+    Raises TryLater where the other one goes on for longer.
     """
+    with waited(wait_s, lambda: _locked(product, shared)):
+        yield
+
+
+def _locked(product: Path, shared: str | None) -> ExitStack:
     import fcntl
 
     kind = fcntl.LOCK_EX if shared is None else fcntl.LOCK_SH
@@ -68,7 +92,7 @@ def only_writer(product: Path, shared: str | None = None) -> Iterator[None]:
         except OSError as error:
             if error.errno in NO_ROOM:
                 raise
-            raise BadInput(
-                "-o", str(product), "a product that no other render is writing now"
+            raise TryLater(
+                f"{product}: another render is writing this product now (--wait waits for it)"
             ) from None
-        yield
+        return open_files.pop_all()

@@ -1,22 +1,26 @@
 """One writer at a time on an object store: leases that are renewed, and run out with their owner.
 
 A lease is a numbered object that only one can create (a conditional PUT). Whoever finds the newest
-one given up, or not renewed for long by the store's own clock, may create the next number.
+one given up, held by one that is known to have ended, or not renewed for long by the store's own
+clock, may create the next number.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
+from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 from catalog_tools.objects import Listed, Objects
 from catalog_tools.stores import Unreachable
-from pipeline.errors import BadInput, Incomplete
-from pipeline.store.layout import LOCK
+from pipeline.errors import BadInput, Incomplete, TryLater
+from pipeline.store.layout import LOCK, waited
 
 RENEWED_S = 10.0
 RUNS_OUT_S = 60.0
@@ -28,7 +32,7 @@ class Lease:
 
     def __init__(self, objects: Objects, name: str) -> None:
         self.objects, self.name = objects, name
-        self.content = json.dumps({"owner": uuid4().hex}).encode() + b"\n"
+        self.content = json.dumps({"owner": uuid4().hex} | _this_process()).encode() + b"\n"
         self.lost = False
 
     def check(self) -> None:
@@ -47,28 +51,37 @@ class Lease:
 
 
 @contextmanager
-def only_writer_of(objects: Objects, shared: str | None = None) -> Iterator[Lease]:
-    """Hold the lease of a product; another living writer is refused with BadInput.
+def only_writer_of(
+    objects: Objects, shared: str | None = None, wait_s: float = 0.0
+) -> Iterator[Lease]:
+    """Hold the lease of a product; another living writer is waited for, then TryLater.
 
     shared : name of a part; writers of other parts are let in beside it
     """
-    kind = LOCK if shared is None else f"{LOCK}-{shared}"
-    lease = _taken(objects, kind)
+    lease = waited(wait_s, lambda: _taken_alone(objects, shared))
     ended = threading.Event()
     keeper = threading.Thread(target=_keep, args=(lease, ended), daemon=True)
+    keeper.start()
     try:
-        others = objects.names(LOCK)
-        against = {_kind(n) for n in others} - {kind} if shared is None else {LOCK}
-        if any(_living(objects, _of(others, other)) for other in against):
-            raise _busy(objects)
-        keeper.start()
         yield lease
     finally:
         ended.set()
-        if keeper.is_alive():
-            keeper.join()
+        keeper.join()
         with suppress(Unreachable):  # then it runs out by itself
             _give_up(lease)
+
+
+def _taken_alone(objects: Objects, shared: str | None) -> Lease:
+    """A lease beside which no other one is held that it does not go with. Raises TryLater."""
+    kind = LOCK if shared is None else f"{LOCK}-{shared}"
+    lease = _taken(objects, kind)
+    others = objects.names(LOCK)
+    against = {_kind(n) for n in others} - {kind} if shared is None else {LOCK}
+    if any(_living(objects, _of(others, other)) for other in against):
+        with suppress(Unreachable):
+            _give_up(lease)
+        raise _busy(objects)
+    return lease
 
 
 def _taken(objects: Objects, kind: str) -> Lease:
@@ -113,9 +126,46 @@ def _living(objects: Objects, found: dict[str, Listed]) -> bool:
     if not found:
         return False
     newest = max(found)
-    if objects.get(newest) in (FREE, None):
+    content = objects.get(newest)
+    if content in (FREE, None) or _has_ended(content):
         return False
     return (_now(objects) - found[newest].changed).total_seconds() < RUNS_OUT_S
+
+
+def _this_process() -> dict[str, Any]:
+    """What tells others of this machine, and later starts of the same Slurm task, that it ended."""
+    about: dict[str, Any] = {"pid": os.getpid(), "started": _started(os.getpid())}
+    with suppress(OSError):  # no Linux
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        about["host"] = f"{boot}:{Path('/proc/self/ns/pid').stat().st_ino}"
+    if "SLURM_JOB_ID" in os.environ:
+        about["job"] = f"{os.environ.get('SLURM_CLUSTER_NAME')}:{os.environ['SLURM_JOB_ID']}"
+        about["restart"] = int(os.environ.get("SLURM_RESTART_COUNT", "0"))
+    return about
+
+
+def _started(pid: int) -> str | None:
+    """When a process of this machine started, in its kernel's ticks; None where it is gone."""
+    try:
+        told = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return None if told[0] in "ZX" else told[19]  # killed, and not yet asked after
+
+
+def _has_ended(content: bytes) -> bool:
+    """Whether the holder of a lease is known to be dead, so that nobody need wait."""
+    try:
+        other, mine = json.loads(content), _this_process()
+        if "host" in mine and other.get("host") == mine["host"]:
+            return _started(other["pid"]) != other["started"]
+        return (
+            "job" in mine
+            and other.get("job") == mine["job"]
+            and (other["restart"] < mine["restart"])
+        )
+    except (ValueError, KeyError, TypeError, AttributeError):  # of another version
+        return False
 
 
 def _now(objects: Objects) -> datetime:
@@ -139,9 +189,8 @@ def _kind(name: str) -> str:
     return name.rpartition("/")[0]
 
 
-def _busy(objects: Objects) -> BadInput:
-    return BadInput(
-        "-o", objects.url,
-        f"a product that no other render is writing now (a dead one's lease ends in "
-        f"{RUNS_OUT_S:.0f} s)",
-    )  # fmt: skip
+def _busy(objects: Objects) -> TryLater:
+    return TryLater(
+        f"{objects.url}: another render is writing this product now (--wait waits for it; the "
+        f"lease of one that died elsewhere ends in {RUNS_OUT_S:.0f} s)"
+    )

@@ -26,6 +26,7 @@ class Marker:
     chunks : layer -> (path inside the cube, length in bytes, crc32c)
     cells : layer -> [[row, column, crc32c of the cell's values], ...] for the content digest
     checks : what the reference path found in cells of the tile (execute/check.py)
+    coordinates : of the frame, with its first tile (execute/coordinates.py)
     """
 
     frame: int
@@ -34,6 +35,7 @@ class Marker:
     chunks: dict[str, tuple[str, int, int]]
     cells: dict[str, list[list[int]]]
     checks: list[dict[str, Any]] = field(default_factory=list)
+    coordinates: dict[str, Any] | None = None
 
 
 def marker_path(product: Path, frame: int, row: int, column: int) -> Path:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.cube import CubeWriter, create_arrays, create_layer, layers_of
 from pipeline.store.markers import (
+    Marker,
     chunk_fault,
     markers_present,
     place_of,
@@ -28,6 +31,8 @@ from pipeline.store.markers import (
 from pipeline.store.truth import drop_parts, part_is_whole
 
 FORMAT = "nightglass/product/1"
+SYNCED_AT_ONCE = 16  # a disk takes these in one go
+Cell = tuple[Any, ...]  # layer, frame, row, column, checksum
 
 
 @dataclass(frozen=True)
@@ -241,10 +246,19 @@ def files_digest(scene: Scene) -> str | None:
 
 def content_digest(path: Path) -> str:
     """SHA-256 over the checksums of all cells of all layers: the same for every tile shape."""
-    cells = []
-    for marker in markers_present(path):
-        m = read_marker(marker)
-        cells += [(name, m.frame, *c) for name, found in m.cells.items() for c in found]
+    return cells_digest(
+        cell for m in map(read_marker, markers_present(path)) for cell in cells_of(m)
+    )
+
+
+def cells_of(marker: Marker) -> Iterator[Cell]:
+    """Layer, frame, row, column and checksum of each cell of a tile."""
+    for name, found in marker.cells.items():
+        yield from ((name, marker.frame, *cell) for cell in found)
+
+
+def cells_digest(cells: Iterable[Cell]) -> str:
+    """SHA-256 over the checksums of cells."""
     return hashlib.sha256(json.dumps(sorted(cells)).encode()).hexdigest()
 
 
@@ -309,25 +323,39 @@ def _finished_faults(path: Path) -> list[str]:
     return faults
 
 
-def seal(path: Path) -> None:
+def seal(path: Path, content: str) -> None:
     """Write _COMPLETE, last of all, with the digests of all files that are no chunks.
 
+    content : the digest of what the product holds
     They, and all folders, are brought to the disk first; chunks were, before their markers.
     """
-    files = {}
-    for file in sorted(path.rglob("*")):
-        if file.name.startswith(".") and file.suffix == ".tmp":  # of a writer that was killed
-            file.unlink()
-            continue
-        name = file.relative_to(path).as_posix()
-        skip = name.startswith(f"{layout.MARKERS}/") or file.name == layout.COMPLETE
-        skip |= file.name.startswith(layout.LOCK) or has_marker(name)
-        if file.is_file() and not skip:
-            files[name] = file_digest(file)
-        if file.is_dir() or name in files:
-            sync(file)
-    content = {"format": FORMAT, "content_digest": content_digest(path), "files": files}
-    layout.write_atomically(path / layout.COMPLETE, layout.to_json(content))
+    names, synced = [], []
+    for folder, _, inside in os.walk(path):
+        for own in inside:
+            name = f"{folder}/{own}"[len(str(path)) + 1 :]
+            if own.startswith(".") and own.endswith(".tmp"):
+                (path / name).unlink()  # of a writer that was killed
+            elif not _is_vouched_for(name, own):
+                names.append(name)
+        synced.append(folder)
+    names.sort(key=lambda name: name.split("/"))
+    files = {name: file_digest(path / name) for name in names}
+    synced += [f"{path}/{name}" for name in names]
+    with ThreadPoolExecutor(SYNCED_AT_ONCE) as pool:
+        list(pool.map(_sync_each, (synced[k::SYNCED_AT_ONCE] for k in range(SYNCED_AT_ONCE))))
+    sealed = {"format": FORMAT, "content_digest": content, "files": files}
+    layout.write_atomically(path / layout.COMPLETE, layout.to_json(sealed))
+
+
+def _sync_each(paths: list[str]) -> None:
+    for path in paths:
+        sync(Path(path))
+
+
+def _is_vouched_for(name: str, own: str) -> bool:
+    """Whether the seal leaves a file out: chunks have markers, and these their own checksum."""
+    record = own == layout.COMPLETE or own.startswith(layout.LOCK)
+    return record or name.startswith(f"{layout.MARKERS}/") or has_marker(name)
 
 
 def has_marker(name: str) -> bool:

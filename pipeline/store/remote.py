@@ -160,15 +160,13 @@ def _judged(objects: Objects, markers: dict[str, bytes]) -> Iterator[tuple[str, 
 
 
 def _truth_done(objects: Objects, plan: Plan, there: dict[str, Listed]) -> set[tuple[str, int]]:
-    import pyarrow as pa
-
     names = {
         _part_name(kind, frame): (kind, frame)
         for kind in truth_kinds(plan)
         for frame in range(plan.frames)
     }
     parts = objects.get_many(name for name in names if name in there)
-    return {names[name] for name, content in parts if is_whole(pa.BufferReader(content))}
+    return {names[name] for name, content in parts if is_whole(content)}
 
 
 def bring(objects: Objects, stage: Path, chunks_of: int | None = 0) -> None:
@@ -228,13 +226,12 @@ def check_remote(objects: Objects, stage: Path) -> Verdict:
     return verdict
 
 
-def lacking(objects: Objects, plan: Plan) -> tuple[int, int]:
-    """How many tiles and truth parts are not there yet."""
+def present(objects: Objects, plan: Plan) -> tuple[set[tuple[int, int, int]], set[tuple[str, int]]]:
+    """Places of the tiles and of the truth parts that are there."""
     names = objects.names()
-    frames = range(plan.frames)
-    tiles = (_marker_name(frame, t.row, t.column) for frame in frames for t in plan.tiles)
-    parts = (_part_name(k, frame) for k in truth_kinds(plan) for frame in frames)
-    return sum(tile not in names for tile in tiles), sum(part not in names for part in parts)
+    tiles = {place_of(HERE / n) for n in names if n.startswith(f"{layout.MARKERS}/")}
+    parts = ((kind, frame) for kind in truth_kinds(plan) for frame in range(plan.frames))
+    return tiles, {part for part in parts if _part_name(*part) in names}
 
 
 def reached(objects: Objects, field_name: str) -> None:

@@ -5,68 +5,93 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import google_crc32c
+
 from catalog_tools.durable import whole_file
+from pipeline.errors import Damaged
 from pipeline.store.layout import PARTS, TRUTH
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+ROWS = 1 << 16  # of a row group that several frames share
+TOGETHER = 64
+LARGE = 1 << 16  # bytes of a part that is worth packing
+CHECKSUM = 4  # bytes, at the end of a part
+
 
 def part_path(product: Path, kind: str, frame: int) -> Path:
-    return product / TRUTH / PARTS / f"{kind}-{frame:06d}.parquet"
+    return product / TRUTH / PARTS / f"{kind}-{frame:06d}.arrow"
 
 
 def write_part(product: Path, kind: str, frame: int, table: pa.Table) -> None:
     """Store the truth of one frame, whole or not at all."""
-    _write(part_path(product, kind, frame), table)
+    with whole_file(part_path(product, kind, frame)) as own:
+        own.write_bytes(part_content(table))
 
 
 def part_content(table: pa.Table) -> bytes:
-    """The truth of one frame as it is stored."""
+    """The truth of one frame as it is stored: an Arrow stream, then its checksum."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     out = pa.BufferOutputStream()
-    pq.write_table(table, out, **_OPTIONS)
-    return bytes(out.getvalue())
+    large = table.nbytes > LARGE  # a small one takes longer to unpack than to read
+    options = pa.ipc.IpcWriteOptions(compression="zstd" if large else None)
+    with pa.ipc.new_stream(out, table.schema, options=options) as stream:
+        stream.write_table(table)
+    content = bytes(out.getvalue())
+    return content + _checksum(content)
 
 
 def write_whole(product: Path, kind: str, table: pa.Table) -> int:
     """Store truth that is the same in all frames as truth/KIND.parquet; returns the rows."""
-    _write(product / TRUTH / f"{kind}.parquet", table)
+    import pyarrow.parquet as pq
+
+    with whole_file(product / TRUTH / f"{kind}.parquet") as own:
+        pq.write_table(table, own, **_OPTIONS)
     return int(table.num_rows)
 
 
 def part_is_whole(product: Path, kind: str, frame: int) -> bool:
-    """Whether the truth of a frame is stored and readable."""
+    """Whether the truth of a frame is stored as it was written."""
     path = part_path(product, kind, frame)
-    return path.is_file() and is_whole(path)
+    return path.is_file() and is_whole(path.read_bytes())
 
 
-def is_whole(table: Any) -> bool:
-    """Whether a Parquet file, or its bytes in a buffer, can be read to the end."""
-    import pyarrow.parquet as pq
-    from pyarrow import ArrowException
+def is_whole(content: bytes) -> bool:
+    """Whether a stored part is what was written."""
+    return len(content) > CHECKSUM and content[-CHECKSUM:] == _checksum(content[:-CHECKSUM])
 
-    try:
-        pq.read_table(table, page_checksum_verification=True)
-    except (ArrowException, OSError):
-        return False
-    return True
+
+def _checksum(content: bytes) -> bytes:
+    return google_crc32c.value(content).to_bytes(CHECKSUM, "little")
 
 
 def join_parts(product: Path, kind: str, frames: int, empty: Any) -> int:
-    """Join the frames' parts into truth/KIND.parquet, a row group a frame; returns the rows."""
+    """Join the frames' parts into truth/KIND.parquet; returns the rows.
+
+    Frames share a row group as long as it has no more than ROWS.
+    """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     target = product / TRUTH / f"{kind}.parquet"
-    rows = 0
+    rows, held, group = 0, 0, [empty]
     with whole_file(target) as own, pq.ParquetWriter(own, empty.schema, **_OPTIONS) as writer:
         for frame in range(frames):
-            path = part_path(product, kind, frame)
-            table = pq.read_table(path, page_checksum_verification=True)
-            writer.write_table(table)
+            content = part_path(product, kind, frame).read_bytes()
+            if not is_whole(content):
+                raise Damaged(str(part_path(product, kind, frame)), "not what was written")
+            table = pa.ipc.open_stream(content).read_all()
+            if held + table.num_rows > ROWS and held:
+                writer.write_table(pa.concat_tables(group).combine_chunks())
+                held, group = 0, []
+            group.append(table)
+            if len(group) == TOGETHER:  # many small tables take far more than their rows
+                group = [pa.concat_tables(group).combine_chunks()]
+            held += table.num_rows
             rows += table.num_rows
+        writer.write_table(pa.concat_tables(group).combine_chunks())
     return rows
 
 
@@ -82,10 +107,3 @@ _OPTIONS: dict[str, Any] = {
     "compression_level": 3,
     "write_page_checksum": True,
 }
-
-
-def _write(path: Path, table: pa.Table) -> None:
-    import pyarrow.parquet as pq
-
-    with whole_file(path) as own:
-        pq.write_table(table, own, **_OPTIONS)

@@ -31,6 +31,8 @@ def ready(service: Everyone) -> Response:
         faults.append("the dispatcher has stopped")
     elif silent_s := service.dispatcher.leaderless_s:
         faults.append(f"nobody has run the jobs for {silent_s:.0f} s: the lease cannot be taken")
+    if service.dispatcher.scheduler.fault():
+        faults.append("the scheduler does not answer")
     if shutil.disk_usage(service.settings.home).free < service.settings.free_bytes:
         faults.append("the disk is nearly full")
     return JSONResponse({"ready": not faults, "faults": faults}, 503 if faults else 200)

@@ -164,6 +164,15 @@ def cancel(service: Service, job_id: str) -> Response:
     return JSONResponse(job_dict(job), 202, {"ETag": etag(job)})
 
 
+@router.post("/{job_id}/retry", status_code=202)
+def retry(service: Service, job_id: str) -> Response:
+    """Queue a job again that ended as ERROR through no fault of its scene; it goes on from the
+    tiles that are drawn. 409 for any other job."""
+    job = service.store.retry(job_id)
+    service.dispatcher.wake()
+    return JSONResponse(job_dict(job), 202, {"ETag": etag(job)})
+
+
 @router.delete("/{job_id}", status_code=204)
 def delete(service: Service, job_id: str) -> Response:
     """Stop a job and remove it with all that it made."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
+import signal
 import socket
 import ssl
 import subprocess
@@ -15,11 +15,10 @@ from pathlib import Path
 import pytest
 
 from catalog_tools.clusters import check_address, security_of
-from catalog_tools.errors import BadInput
+from catalog_tools.errors import BadInput, TryLater
 from catalog_tools.schedulers import LOCAL_KINDS, open_scheduler
 from tests.service.conftest import SCENE
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.tls_cluster import ROOT, make_certificates, tls_cluster_in
 
 
 def double(shared: int, item: int) -> int:
@@ -30,48 +29,26 @@ def double(shared: int, item: int) -> int:
 
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory) -> Path:
-    """The folder that deploy/tls/make-certificates.sh makes."""
-    if shutil.which("openssl") is None:
-        pytest.skip("openssl is not installed")
-    folder = tmp_path_factory.mktemp("tls")
-    script = ROOT / "deploy" / "tls" / "make-certificates.sh"
-    subprocess.run(["sh", str(script), str(folder), "example.org"], check=True)
+    folder = make_certificates(tmp_path_factory.mktemp("tls"), "example.org")
     assert (folder / "cluster.key").stat().st_mode & 0o077 == 0
     return folder
 
 
 @pytest.fixture(scope="module")
 def tls_cluster(certificates, tmp_path_factory):
-    """A scheduler that takes only TLS, with one worker, each a process of its own."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    files = [f"--tls-ca-file={certificates}/ca.pem", f"--tls-cert={certificates}/cluster.pem",
-             f"--tls-key={certificates}/cluster.key"]  # fmt: skip
-    environ = os.environ | {"DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "true"}
-    address = f"tls://127.0.0.1:{port}"
-    folder = tmp_path_factory.mktemp("worker")
-    dask = [sys.executable, "-m", "dask"]
-    commands = [
-        [*dask, "scheduler", "--protocol=tls", "--host=127.0.0.1", f"--port={port}",
-         "--no-dashboard", "--no-jupyter", *files],
-        [*dask, "worker", address, "--nthreads=1", "--no-dashboard", "--no-nanny",
-         f"--local-directory={folder}", *files],
-    ]  # fmt: skip
-    running = [
-        subprocess.Popen(c, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        for c in commands
-    ]
-    end = time.monotonic() + 60
-    while time.monotonic() < end:
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                break
-        time.sleep(0.1)
-    yield address
-    for one in reversed(running):
-        one.terminate()
-        one.wait(30)
+    """The address of a scheduler that takes only TLS, with one worker."""
+    with tls_cluster_in(certificates, tmp_path_factory.mktemp("worker")) as cluster:
+        cluster.start()
+        cluster.add_workers(1)
+        yield cluster.address
+
+
+@pytest.fixture
+def own_cluster(certificates, with_certificates, tmp_path):
+    """A scheduler that a test may stop, without workers."""
+    with tls_cluster_in(certificates, tmp_path) as cluster:
+        cluster.start()
+        yield cluster
 
 
 @pytest.fixture
@@ -123,11 +100,10 @@ def test_a_stranger_is_refused(tls_cluster, certificates, tmp_path, monkeypatch)
     """Without a certificate, with one of another authority, and without TLS at all."""
     with pytest.raises(BadInput, match="NIGHTGLASS_CLUSTER_CA"), open_scheduler(tls_cluster, None):
         pass
-    script = ROOT / "deploy" / "tls" / "make-certificates.sh"
-    subprocess.run(["sh", str(script), str(tmp_path)], check=True)
+    make_certificates(tmp_path)
     for name, file in (("CA", "ca.pem"), ("CERT", "cluster.pem"), ("KEY", "cluster.key")):
         monkeypatch.setenv(f"NIGHTGLASS_CLUSTER_{name}", str(tmp_path / file))
-    with pytest.raises(BadInput, match="--scheduler"), open_scheduler(tls_cluster, None):
+    with pytest.raises(BadInput, match="certificates fit"), open_scheduler(tls_cluster, None):
         pass
     host, port = tls_cluster.removeprefix("tls://").split(":")
     context = ssl.create_default_context(cafile=str(certificates / "ca.pem"))
@@ -144,8 +120,81 @@ def test_a_stranger_is_refused(tls_cluster, certificates, tmp_path, monkeypatch)
     with pytest.raises(ssl.SSLError):
         talk()
     plain = f"tcp://{host}:{port}"
-    with pytest.raises(BadInput, match="--scheduler"), open_scheduler(plain, None):
+    monkeypatch.setattr("catalog_tools.clusters.ANSWER_S", 1.0)
+    with pytest.raises(TryLater, match="is it a tls:// one"), open_scheduler(plain, None):
         pass
+
+
+def slowly(shared: bytes, item: int) -> int:
+    time.sleep(0.2)
+    return item + len(shared)
+
+
+def test_work_goes_on_though_all_workers_die_three_times(own_cluster):
+    """What the tasks share is where any new worker finds it."""
+    own_cluster.add_workers(2)
+    with open_scheduler(own_cluster.address, None) as scheduler:
+        shared, done = scheduler.share(b"12345"), []
+        graphs = [({("t", i): (slowly, shared, i)}, [("t", i)]) for i in range(80)]
+
+        def heard(kind):
+            done.append(kind)
+            if len(done) in (4, 10, 16):
+                own_cluster.kill_workers()
+                own_cluster.add_workers(2)
+
+        scheduler.stream(graphs, heard)
+    assert done == ["t"] * 80
+
+
+def test_a_lost_scheduler_says_so_and_nothing_else(own_cluster, capfd):
+    def cut_off():
+        with open_scheduler(own_cluster.address, None) as scheduler:
+            found = scheduler.each(slowly, b"", range(1000))
+            next(found)
+            own_cluster.stop_scheduler()
+            list(found)
+
+    own_cluster.add_workers(1)
+    with pytest.raises(TryLater, match=own_cluster.address):
+        cut_off()
+    lost = pytest.raises(TryLater, match=own_cluster.address)
+    with lost, open_scheduler(own_cluster.address, None):
+        pass
+    assert capfd.readouterr().err == ""
+
+
+def test_a_scheduler_without_workers_is_no_mistake(own_cluster, monkeypatch):
+    monkeypatch.delenv("NIGHTGLASS_WORKERS_WAIT_S")
+    with pytest.raises(TryLater, match="no workers"), open_scheduler(own_cluster.address, None):
+        pass
+
+
+def test_a_worker_of_another_version_is_refused_by_name(own_cluster, tmp_path):
+    other = tmp_path / "other" / "nightglass-0.0.9.dist-info"
+    other.mkdir(parents=True)
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: nightglass\nVersion: 0.0.9\n")
+    own_cluster.add_workers(1, PYTHONPATH=f"{other.parent}:{ROOT}")
+    told = r"the worker tls://127\.0\.0\.1:\d+ has version 0\.0\.9 of nightglass"
+    with (
+        open_scheduler(own_cluster.address, None) as scheduler,
+        pytest.raises(TryLater, match=told),
+    ):
+        scheduler.share(5)
+
+
+def test_workers_end_with_4_when_their_scheduler_dies_and_with_0_when_asked(own_cluster, tmp_path):
+    command = [sys.executable, "-m", "pipeline", "worker", own_cluster.address, "--folder",
+               str(tmp_path), "--patience", "60"]  # fmt: skip
+    with (tmp_path / "worker").open("w") as log:
+        workers = [subprocess.Popen(command, stderr=log, cwd=ROOT) for _ in range(2)]
+        with open_scheduler(own_cluster.address, None) as scheduler:
+            scheduler.client.wait_for_workers(2, timeout=60)
+            workers[0].send_signal(signal.SIGTERM)
+            assert workers[0].wait(30) == 0
+        own_cluster.stop_scheduler()
+        assert workers[1].wait(30) == 4
+    assert f"the scheduler at {own_cluster.address} went away" in (tmp_path / "worker").read_text()
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from pipeline.errors import BadInput
 from service.attempts import Attempt
+from service.cluster import SchedulerHealth
 from service.jobs import FINAL, NEXT, Job, Phase, Queue
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
 from service.settings import Settings
@@ -72,16 +73,16 @@ def test_one_job_per_key_whatever_comes_at_once(store: Queue) -> None:
 
 def test_a_job_that_kills_its_workers_ends(store: Queue, tmp_path: Path) -> None:
     """Three deaths in a row without a tile end it; a tile in between starts the count again."""
-    made = queue(store)
+    made, here = queue(store), SchedulerHealth("threads")
     for deaths, tiles in ((1, 0), (2, 0), (1, 5), (2, 5)):
         job = store.claim()
         assert job is not None
         store.progress(job, tiles, 9)
-        Attempt(Settings(tmp_path), store, job, lambda: True).count_death()
+        Attempt(Settings(tmp_path), store, job, lambda: True, here).count_death()
         assert (store.get(made.id).phase, store.get(made.id).deaths) == (Phase.EXECUTING, deaths)
     job = store.claim()
     assert job is not None
-    Attempt(Settings(tmp_path), store, job, lambda: True).count_death()
+    Attempt(Settings(tmp_path), store, job, lambda: True, here).count_death()
     found = store.get(made.id)
     assert found.phase == Phase.ERROR
     assert found.error is not None

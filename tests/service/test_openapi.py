@@ -35,6 +35,7 @@ def test_the_document_holds_every_v1_route(server: Any) -> None:
     paths = server.client.get("/openapi.json").json()["paths"]
     wanted = {
         "/v1/jobs", "/v1/jobs/{job_id}", "/v1/jobs/{job_id}/events", "/v1/jobs/{job_id}/cancel",
+        "/v1/jobs/{job_id}/retry",
         "/v1/jobs/{job_id}/results", "/v1/jobs/{job_id}/results/{path}", "/v1/catalogues",
         "/v1/jobs/{job_id}/preview.png", "/v1/jobs/{job_id}/plan", "/v1/jobs/{job_id}/report",
         "/v1/schema/scene", "/v1/usage", "/v1/files", "/v1/files/{file_id}", "/healthz",

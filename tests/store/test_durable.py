@@ -117,7 +117,7 @@ def test_records_of_a_product_vouch_for_what_is_on_disk(tmp_path, disk):
             written = next(t for t, p, _ in disk.synced if p == product / chunk)
             for folder in (product / chunk).relative_to(product).parents:
                 assert disk.had(product / folder, before=sealed_at, after=written), folder
-    for part in ("cosmic_rays-000000.parquet", "cosmic_rays-000001.parquet"):
+    for part in ("cosmic_rays-000000.arrow", "cosmic_rays-000001.arrow"):
         at, source = disk.name_of(product / "truth" / ".parts" / part)
         assert any(t < at and p == source for t, p, _ in disk.synced), part
     files = json.loads(sealed.read_text())["files"]

@@ -13,7 +13,7 @@ import xarray as xr
 import zarr
 
 from pipeline.calibrate import calibrate
-from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube, read_layer
@@ -174,7 +174,7 @@ def test_one_writer_at_a_time(product):
 
     with (product / ".lock").open("w") as handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
-        with pytest.raises(BadInput, match="no other render"):
+        with pytest.raises(TryLater, match="another render"):
             render(scene(), product, Options(resume=True))
 
 

@@ -1,0 +1,58 @@
+"""Exit code 4: what is needed is not there now, and the user made no mistake."""
+
+from __future__ import annotations
+
+import json
+import socket
+
+import pytest
+
+from pipeline.store.layout import only_writer
+from tests.command import nightglass
+from tests.service.conftest import SCENE
+
+
+@pytest.fixture
+def closed_port():
+    """A port of this machine that nobody listens on."""
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        yield held.getsockname()[1]
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE))
+    return tmp_path / "scene.json"
+
+
+def test_a_scheduler_that_does_not_answer(scene_file, tmp_path, closed_port):
+    address = f"tcp://127.0.0.1:{closed_port}"
+    for more in ([], ["--part", "1/2"]):
+        ran = nightglass(
+            "render", scene_file, "-o", tmp_path / "run", "--scheduler", address, *more
+        )
+        assert ran.returncode == 4
+        assert ran.stderr.startswith(f"nightglass: no scheduler answers at {address} ")
+        assert ran.stderr.count("\n") == 1
+    ran = nightglass("worker", address, "--patience", "1")
+    assert (ran.returncode, address in ran.stderr) == (4, True)
+    ran = nightglass("worker", "tcp://10.1.2.3:8786")
+    assert ran.returncode == 2
+
+
+def test_a_product_that_another_render_writes(scene_file, tmp_path):
+    assert nightglass("render", scene_file, "-o", tmp_path / "run").returncode == 0
+    with only_writer(tmp_path / "run"):
+        ran = nightglass("render", scene_file, "-o", tmp_path / "run", "--resume")
+    assert (ran.returncode, "another render" in ran.stderr) == (4, True)
+
+
+def test_a_database_that_does_not_answer(tmp_path, closed_port, monkeypatch):
+    pytest.importorskip("psycopg", reason="psycopg is not installed")
+    url = f"postgresql://nightglass@127.0.0.1:{closed_port}/jobs"
+    monkeypatch.setenv("NIGHTGLASS_DATABASE", url)
+    ran = nightglass("serve", "--home", tmp_path, "--port", "0")
+    assert (ran.returncode, "does not answer" in ran.stderr) == (4, True)
+    monkeypatch.setenv("NIGHTGLASS_DATABASE", "oracle://x/y")
+    assert nightglass("serve", "--home", tmp_path, "--port", "0").returncode == 2
