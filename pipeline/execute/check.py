@@ -60,12 +60,12 @@ LEAST_ERROR = 1e-14  # of the light: where nothing else is known of a core's err
 OWN_PATHS, MOST_OWN = 8, 96  # of the brightest stars near a window; of those with bright streaks
 MOST_S = 2.0  # CPU seconds that the sources of a window may cost, on one core
 SOURCE_S, SEGMENT_S, SPECTRUM_S = 1.5e-9, 2e-9, 3e-8  # of one term of a spectrum (measured)
-VALUE_S = 2.5e-9  # of a value of a profile
+VALUE_S = 1.2e-8  # of a value of a profile
 OFF_SHARE = 0.02  # of the light that may be off: what merging the segments of a path may cost
 MOST_MERGED_PX = 1e-2
 MOST_FOLLOWED = 500  # of the brightest stars near a window, whose paths are looked at
 LONGEST_PX = 96.0
-MOST_VALUES = 5e7  # of a profile that one source may cost
+MOST_VALUES = 5e7  # of profiles that the sources of a window may cost, if transforms serve too
 MOST_POINTS = 1e6  # along the paths of a group of sources whose wings are swept so
 SWEEP_STEP_PX = 32.0
 
@@ -196,7 +196,8 @@ def reference(
     groups = [*followed, *(group for group, _ in alone if group is not None)]
     ends = [plan.responses.fades_px] * len(followed)
     ends += [end for group, end in alone if group is not None]
-    costs = [_quadrature_cost(plan, at, group) for group in groups]
+    most = MOST_VALUES / max(1, len(groups))
+    costs = [_quadrature_cost(plan, at, group, most) for group in groups]
     work = list(_pieces(plan, at, [of for of, c in zip(groups, costs, strict=True) if c is None]))
     size = at.rows, at.columns
     cost_s = sum(_spectra_s(core, piece, size, len(x)) for core, piece, x, _, _ in work)
@@ -247,20 +248,20 @@ def _alone(plan: Plan, at: Tile, t: FrameTarget) -> Group | None:
     return None if part is None else (*place, np.array([part[1] * t.light_e]), part[0])
 
 
-def _quadrature_cost(plan: Plan, at: Tile, group: Group) -> float | None:
+def _quadrature_cost(plan: Plan, at: Tile, group: Group, most: float) -> float | None:
     """Values that a single source costs by quadrature in a window.
 
     None for a group that is drawn by transforms: of several sources, of a response without a
-    known profile, or of too long a path where it is no brighter than the core classes serve.
+    known profile, or of more than `most` where it is no brighter than the core classes serve.
     """
     _, _, light, path = group
     r = plan.responses
     if len(light) != 1 or not all(has_profile(b) for b in r.blurs):
         return None
-    values = max(points_along(b, path) * (1.5 * nodes_of(b)) ** 2 for b in r.blurs)
+    values = max(1.5 * points_along(b, path) * (1.5 * nodes_of(b)) ** 2 for b in r.blurs)
     cost = at.rows * at.columns * values
     limits = r.classes[-1].brightest_e, r.classes[-1].target_e
-    return cost if cost <= MOST_VALUES or light[0] > min(limits) else None
+    return cost if cost <= most or light[0] > min(limits) else None
 
 
 def _star_groups(

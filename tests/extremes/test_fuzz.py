@@ -18,9 +18,9 @@ from tests.extremes.scenes import LARGE_PX, SMALL_PX, broken, random_scene
 from tests.extremes.stock import Stock, make_stock
 
 FEW, MANY, ALL = 25, 1000, 300
-# Open: they take 4 to 10 times their forecast, all in kernels and profiles of wide responses. The
-# long test fails on them; the quick one takes the first others of a shuffled list.
-OPEN = (48, 151, 210, 227, 228)
+# Open: its forecast holds half a minute for stars that its catalogue, where they come in clumps, does
+# not have there. The long test fails on it; the quick one takes the first others of a shuffled list.
+OPEN = (97,)
 SHUFFLED = np.random.default_rng(0).permutation(ALL).tolist()
 SEEDS = tuple([seed for seed in SHUFFLED if seed not in OPEN][:16])
 CALM = [HealthCheck.too_slow, HealthCheck.data_too_large]
@@ -61,12 +61,12 @@ def test_same_scene_for_the_same_seed(stock):
         ({"end": "fault", "message": "KeyError: 1", "cpu_s": 0.1, "growth_mb": 1.0}, "fault"),
         ({"end": "ended", "message": "after 150 CPU s", "cpu_s": 150.0}, "ended"),
         ({"end": "refused", "message": "a\nb", "cpu_s": 0.1, "growth_mb": 1.0}, "a refusal of 2"),
-        ({"end": "refused", "message": "a", "cpu_s": 12.0, "growth_mb": 1.0},
-         "forecast: 12.0 CPU s"),
+        ({"end": "refused", "message": "a", "cpu_s": 9.0, "growth_mb": 1.0},
+         "forecast: 11.0 CPU s"),
         ({"end": "refused", "message": "a", "cpu_s": 1.0, "growth_mb": 2e3}, "forecast: 2180.0 MB"),
-        ({"end": "product", "cpu_s": 31.0, "growth_mb": 1.0,
-          "predicted": {"cpu_s": 10.0, "worker_memory_mb": 100.0}}, "forecast: 31.0 CPU s"),
         ({"end": "product", "cpu_s": 29.0, "growth_mb": 1.0,
+          "predicted": {"cpu_s": 10.0, "worker_memory_mb": 100.0}}, "forecast: 31.0 CPU s"),
+        ({"end": "product", "cpu_s": 27.0, "growth_mb": 1.0,
           "predicted": {"cpu_s": 10.0, "worker_memory_mb": 100.0}}, None),
     ],
 )  # fmt: skip

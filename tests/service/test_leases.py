@@ -35,6 +35,12 @@ def test_work_goes_on_after_a_clock_ran_ahead(
     make_server: Callable[..., Any], scene: dict[str, Any]
 ) -> None:
     server = make_server()
+    ahead = 0
+    while not ahead:  # until it has taken its first lease
+        time.sleep(0.1)
+        with sqlite3.connect(server.home / "jobs.sqlite") as db:
+            ahead = db.execute("SELECT count(*) FROM leases").fetchone()[0]
+        db.close()
     server.kill()
     with sqlite3.connect(server.home / "jobs.sqlite") as db:
         db.execute("UPDATE leases SET until_s = ?", (time.time() + 3600,))

@@ -11,6 +11,7 @@ from typing import Any
 import psutil
 import pytest
 
+from catalog_tools.catalogue import VERSION
 from catalog_tools.synthetic import make_demo
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -103,7 +104,7 @@ def test_same_bits_with_layers(server: Any, scene: dict[str, Any], tmp_path: Pat
     for file in server.client.get(f"{job}/results").json()["files"]:
         assert str(server.home).encode() not in server.client.get(file["href"]).content, file
     manifest = folder / "over" / "nightglass.json"
-    manifest.write_text(manifest.read_text().replace('"version": 3', '"version": 9', 1))
+    manifest.write_text(manifest.read_text().replace(f'"version": {VERSION}', '"version": 9', 1))
     failed = server.ended(server.submit(scene))
     assert failed["error"]["errors"][0]["pointer"] == "/stars/catalogue/1"
     assert str(server.home) not in json.dumps(failed)
