@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 NODES = 20  # an axis
 FEWEST = 600  # places below which nothing is gained
 TOLERANCE = 1e-5  # of a value
+TOGETHER = 16384  # places worked out in one go
 
 
 def smooth(
@@ -39,5 +40,11 @@ def smooth(
         off = chebyshev.chebval2d(check_v, check_u, terms) - logs[u.size :]
         if np.abs(off).max() <= TOLERANCE:
             place = (y + 0.5) / half_y - 1.0, (x + 0.5) / half_x - 1.0
-            return np.exp(chebyshev.chebval2d(*place, terms))
-    return evaluate(x, y)
+            return _in_parts(lambda v, u: np.exp(chebyshev.chebval2d(v, u, terms)), *place)
+    return _in_parts(evaluate, x, y)
+
+
+def _in_parts(function: Callable[[Array, Array], Array], one: Array, other: Array) -> Array:
+    """Values (n,) of a function of each pair by itself, whose memory is many times theirs."""
+    parts = range(0, len(one), TOGETHER)
+    return np.concatenate([function(one[i : i + TOGETHER], other[i : i + TOGETHER]) for i in parts])
