@@ -13,14 +13,20 @@ from catalog_tools.errors import (
 )
 
 __all__ = [
-    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "NightglassError", "exit_code",
+    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "Interrupted", "NightglassError", "exit_code",
     "shorten",
 ]  # fmt: skip
+
+
+class Interrupted(NightglassError):
+    """Stopped by the user; the text says what is kept and how to go on."""
+
 
 EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
     (BadInput, 2),
     (Incomplete, 3),
     (Damaged, 2),
+    (Interrupted, 130),
     (KeyboardInterrupt, 130),
 )
 

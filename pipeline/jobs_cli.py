@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -47,7 +46,7 @@ def render_there(
 
     Interrupted, the job goes on; `nightglass jobs fetch` brings what it made.
     """
-    from pipeline.errors import BadInput
+    from pipeline.errors import BadInput, Interrupted
 
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise BadInput("-o", str(output), "a path that does not exist yet")
@@ -56,9 +55,9 @@ def render_there(
         try:
             job.wait(progress=not as_json).fetch(output, progress=not as_json)
         except KeyboardInterrupt:
-            print(f"the job goes on: nightglass jobs fetch {job.id} --server {server} -o {output}",
-                  file=sys.stderr)  # fmt: skip
-            raise
+            raise Interrupted(
+                f"interrupted; the job goes on: nightglass jobs fetch {job.id} --server {server} -o {output}"
+            ) from None
         return job.report()
 
 
@@ -67,7 +66,7 @@ def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> dict[st
 
     Interrupted, the job goes on; `nightglass jobs show` tells of it.
     """
-    from pipeline.errors import BadInput
+    from pipeline.errors import BadInput, Interrupted
 
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise BadInput("-o", str(output), "a path that does not exist yet")
@@ -76,9 +75,9 @@ def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> dict[st
         try:
             job.wait(progress=not as_json).fetch_sweep(output)
         except KeyboardInterrupt:
-            print(f"the job goes on: nightglass jobs show {job.id} --server {server}",
-                  file=sys.stderr)  # fmt: skip
-            raise
+            raise Interrupted(
+                f"interrupted; the job goes on: nightglass jobs show {job.id} --server {server}"
+            ) from None
         return job.report()
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.options import Json, ProductOrUrl, as_stated, print_json
+from pipeline.options import Json, ProductOrUrl, as_stated, print_json, told_if_interrupted
 
 
 def render_part(
@@ -27,7 +27,8 @@ def render_part(
     if replace:
         raise BadInput("--replace", part, "no --part with it: parts share one product")
     share = parse_part(part)
-    with tile_progress(as_json or not sys.stderr.isatty()) as listen:
+    kept = told_if_interrupted(product, lambda: "finished tiles are kept", resumes=False)
+    with kept, tile_progress(as_json or not sys.stderr.isatty()) as listen:
         options_ = Options(scheduler, workers)
         loaded = load_scene(scene, overrides)
         if "://" in product:

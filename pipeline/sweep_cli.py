@@ -11,7 +11,15 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.jobs_cli import Server
-from pipeline.options import Json, Output, SchedulerName, Slurm, Workers, print_json
+from pipeline.options import (
+    Json,
+    Output,
+    SchedulerName,
+    Slurm,
+    Workers,
+    print_json,
+    told_if_interrupted,
+)
 
 SweepFile = Annotated[Path, typer.Argument(help="sweep file, YAML or JSON", metavar="SWEEP")]
 
@@ -49,7 +57,8 @@ def sweep(
         print(scene_yaml(point_scene(file, point)), end="")
         return
     options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
-    with _progress(as_json or not sys.stderr.isatty()) as listen:
+    kept = told_if_interrupted(str(output), lambda: "finished points are kept")
+    with kept, _progress(as_json or not sys.stderr.isatty()) as listen:
         report = run(file, output, options, retry_failed, listen)
     if as_json:
         print_json(report)
@@ -79,26 +88,16 @@ def _progress(quiet: bool) -> Iterator[Callable[[Any], None] | None]:
     if quiet:
         yield None
         return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from pipeline.pages import progress_bar
 
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TextColumn("{task.fields[failed]}"), TimeElapsedColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True), transient=True,
-    ) as bar:  # fmt: skip
-        task = bar.add_task("points", total=None, failed="")
+    with progress_bar("points") as bar:
+        task = bar.add_task("planning", total=None)
 
         def listen(progress: Any) -> None:
-            failed = f"[red]{progress.failed} failed" if progress.failed else ""
-            bar.update(task, total=progress.total, completed=progress.done, failed=failed)
+            failed = f", {progress.failed} failed" if progress.failed else ""
+            bar.update(
+                task, total=progress.total, completed=progress.done, description=f"running{failed}"
+            )
 
         yield listen
 

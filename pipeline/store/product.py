@@ -179,6 +179,11 @@ def tiles_of(path: Path) -> tuple[int, int]:
     return int(rows), int(columns)
 
 
+def begun_tiles(path: Path) -> int:
+    """How many tiles a product has, as it was begun."""
+    return int(_identity(path)["tiles"])
+
+
 def begin_copy(path: Path, source: Path, layers: tuple[str, ...], scene: Scene) -> CubeWriter:
     """Make a product directory for other layers of the same scene and tiles as `source`."""
     _make_folders(path)
