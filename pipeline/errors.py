@@ -13,8 +13,8 @@ from catalog_tools.errors import (
 )
 
 __all__ = [
-    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "Interrupted", "NightglassError", "exit_code",
-    "shorten",
+    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "Interrupted", "NightglassError",
+    "exit_code", "shorten",
 ]  # fmt: skip
 
 

@@ -55,9 +55,8 @@ def render_there(
         try:
             job.wait(progress=not as_json).fetch(output, progress=not as_json)
         except KeyboardInterrupt:
-            raise Interrupted(
-                f"interrupted; the job goes on: nightglass jobs fetch {job.id} --server {server} -o {output}"
-            ) from None
+            again = f"nightglass jobs fetch {job.id} --server {server} -o {output}"
+            raise Interrupted(f"interrupted; the job goes on: {again}") from None
         return job.report()
 
 
@@ -75,9 +74,8 @@ def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> dict[st
         try:
             job.wait(progress=not as_json).fetch_sweep(output)
         except KeyboardInterrupt:
-            raise Interrupted(
-                f"interrupted; the job goes on: nightglass jobs show {job.id} --server {server}"
-            ) from None
+            again = f"nightglass jobs show {job.id} --server {server}"
+            raise Interrupted(f"interrupted; the job goes on: {again}") from None
         return job.report()
 
 
