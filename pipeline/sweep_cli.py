@@ -37,6 +37,9 @@ def sweep(
     point: Annotated[
         int | None, typer.Option("--point", help="only print the scene of this point")
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="only say what the whole sweep would take")
+    ] = False,
     server: Server = None,
     as_json: Json = False,
 ) -> None:
@@ -46,7 +49,10 @@ def sweep(
     """
     if server is not None:
         decided = scheduler != "threads" or workers is not None or slurm
-        _there(file, output, server, as_json, decided or resume or retry_failed, point)
+        _there(file, output, server, as_json, decided or resume or retry_failed or dry_run, point)
+        return
+    if dry_run:
+        _print_forecast(file, as_json)
         return
     from pipeline.sweep.run import Options, point_scene
     from pipeline.sweep.run import sweep as run
@@ -66,6 +72,31 @@ def sweep(
         _print(report, output)
 
 
+def _print_forecast(file: Path, as_json: bool) -> None:
+    from pipeline.pages import fold
+    from pipeline.sweep.forecast import forecast_course
+    from pipeline.sweep.run import gather_course
+
+    told = forecast_course(gather_course(file, Path()))
+    if as_json:
+        print_json(told)
+        return
+    rows, columns = told["shape"]
+    counts, each = told["different"], told["seconds_each"]
+    drawn = ", ".join(f"{counts[kind]} of {kind}" for kind in ("stars", "targets", "sky"))
+    for name, text in (
+        ("points", f"{told['points']}, each {told['frames']} frame(s) of {rows} x {columns} px"),
+        ("shared", f"{counts['plans']} plans; different light: {drawn}"),
+        ("time", f"{told['cpu_s']:.3g} s of one core; {told['alone_cpu_s']:.3g} s if nothing were "
+                 f"shared"),
+        ("each", f"plan {each['plan']:.2g} s, light {each['light']:.2g} s, "
+                 f"point {each['point']:.2g} s"),
+        ("memory", f"{told['worker_memory_mb']:.0f} MB a worker, and what it keeps of the light"),
+        ("metrics", ", ".join(told["metrics"])),
+    ):  # fmt: skip
+        print(fold(text, " " * 10, f"{name:>8}  "))
+
+
 def _there(
     file: Path, output: Path, server: str, as_json: bool, decided: bool, point: int | None
 ) -> None:
@@ -73,7 +104,9 @@ def _there(
     from pipeline.jobs_cli import sweep_there
 
     if decided or point is not None:
-        allowed = "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point"
+        allowed = (
+            "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point, --dry-run"
+        )
         raise BadInput("--server", "with them", allowed)
     report = sweep_there(file, output, server, as_json)
     if as_json:
