@@ -454,7 +454,8 @@ def _print_result(report: dict[str, Any], output: Path | str, as_json: bool) -> 
 
 
 def _print_report(report: dict[str, Any], product: Path | str) -> None:
-    from pipeline.pages import fold, print_warnings
+    from pipeline.lines import fold
+    from pipeline.pages import print_warnings
 
     seconds = report["seconds"]
     errors = report["errors"]

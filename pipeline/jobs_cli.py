@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pipeline.lines import fold, table
 from pipeline.options import Json, Output, print_json
 
 jobs = typer.Typer(help="Jobs on a server (key: NIGHTGLASS_KEY).", no_args_is_help=True)
@@ -97,10 +98,12 @@ def listing(
     if as_json:
         print_json(found)
         return
-    for facts in found:
-        tiles = f"{facts['tiles_done'] or 0}/{facts['tiles_total']}" if facts["tiles_total"] else ""
-        at = facts["submitted"][:19]
-        print(f"{facts['id']:32}  {facts['phase']:9}  {tiles:>13}  {at}  {facts['name']}")
+    rows = [
+        (f["id"], f["name"], f["phase"], f["submitted"][:19],
+         f"{f['tiles_done'] or 0}/{f['tiles_total']}" if f["tiles_total"] else "")
+        for f in found
+    ]  # fmt: skip
+    print(table(("job", "name", "phase", "submitted", "tiles"), rows, 2))
 
 
 @jobs.command()
@@ -114,11 +117,11 @@ def show(job: JobId, server: Address, as_json: Json = False) -> None:
     error = facts.pop("error", None)
     for key, value in facts.items():
         if key != "links" and value is not None:
-            print(f"{key:>16}  {value}")
+            print(fold(str(value), " " * 18, f"{key:>16}  "))
     if error:
-        print(f"{'error':>16}  {error['message']}")
+        print(fold(error["message"], " " * 18, f"{'error':>16}  "))
         for one in error["errors"]:
-            print(f"{'':>16}  {one['pointer']}: {one['value']}; {one['allowed']}")
+            print(fold(f"{one['pointer']}: {one['value']}; {one['allowed']}", " " * 18))
 
 
 @jobs.command()

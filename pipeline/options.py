@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.errors import BadInput, Interrupted
+from pipeline.lines import fold
 
 
 def _no_url(path: Path) -> Path:
@@ -102,4 +103,4 @@ def print_mapping(value: dict[str, Any], as_json: bool) -> None:
         print_json(value)
         return
     for key, item in value.items():
-        print(f"{key:>28}  {item}")
+        print(fold(str(item), " " * 30, f"{key:>28}  "))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
-import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from pipeline.lines import fold, width
 
 if TYPE_CHECKING:
     from pipeline.run import Progress
@@ -67,19 +67,6 @@ def progress_bar(unit: str = "") -> Any:
         TextColumn("{task.description}", markup=False), BarColumn(20), MofNCompleteColumn(),
         TextColumn(unit), Rate(), TimeRemainingColumn(), TextColumn("left"),
         console=Console(stderr=True), transient=True,
-    )  # fmt: skip
-
-
-def width() -> int:
-    """Columns to write in: those of the terminal, 80 where there is none, at most 100."""
-    return min(shutil.get_terminal_size((80, 24)).columns, 100)
-
-
-def fold(text: str, indent: str = "", first: str | None = None) -> str:
-    """Text in lines that fit; later lines begin with `indent`, the first with `first`."""
-    return textwrap.fill(
-        text, width(), initial_indent=indent if first is None else first,
-        subsequent_indent=indent, break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip
 
 

@@ -73,7 +73,7 @@ def sweep(
 
 
 def _print_forecast(file: Path, as_json: bool) -> None:
-    from pipeline.pages import fold
+    from pipeline.lines import fold
     from pipeline.sweep.forecast import forecast_course
     from pipeline.sweep.run import gather_course
 
