@@ -276,12 +276,14 @@ def color_fit(
     fit = colour_fit_of(loaded, response, band, digest)
     if output is not None:
         write_colour_fit(output, fit, digest)
+    from pipeline.lines import pair
+
     described = describe(fit, gather_colour_points(response) if as_json else None)
     if as_json:
         print_json(described)
     else:
         for key, value in described.items():
-            print(f"{key:>24}  {value}")
+            print(pair(key, str(value), 24))
 
 
 @app.command(name="light-curve")

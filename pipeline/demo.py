@@ -37,7 +37,8 @@ def run_demo(
         )
         say(f"{folder / 'catalogue'}: {made.catalogue.rows} synthetic stars")
     product = folder / "product"
+    resume = product.exists() and not replace
     report = render(
-        load_scene(scene_file), product, Options(resume=not replace, replace=replace), listen
+        load_scene(scene_file), product, Options(resume=resume, replace=replace), listen
     )
     return product, report

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.lines import fold, table
+from pipeline.lines import fold, pair, table
 from pipeline.options import Json, Output, print_json
 
 jobs = typer.Typer(help="Jobs on a server (key: NIGHTGLASS_KEY).", no_args_is_help=True)
@@ -117,9 +117,9 @@ def show(job: JobId, server: Address, as_json: Json = False) -> None:
     error = facts.pop("error", None)
     for key, value in facts.items():
         if key != "links" and value is not None:
-            print(fold(str(value), " " * 18, f"{key:>16}  "))
+            print(pair(key, str(value), 16))
     if error:
-        print(fold(error["message"], " " * 18, f"{'error':>16}  "))
+        print(pair("error", error["message"], 16))
         for one in error["errors"]:
             print(fold(f"{one['pointer']}: {one['value']}; {one['allowed']}", " " * 18))
 

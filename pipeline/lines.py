@@ -20,6 +20,14 @@ def fold(text: str, indent: str = "", first: str | None = None) -> str:
     )  # fmt: skip
 
 
+def pair(name: str, text: str, size: int) -> str:
+    """A name of `size` characters and what is told of it, beside it or below where it is long."""
+    first = f"{name:>{size}}  "
+    if max(map(len, text.split()), default=0) + len(first) <= width():
+        return fold(text, " " * len(first), first)
+    return f"{first.rstrip()}\n{fold(text, '    ')}"
+
+
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
     """A table whose first `texts` columns are text, the others short and set to the right.
 

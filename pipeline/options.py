@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.errors import BadInput, Interrupted
-from pipeline.lines import fold
+from pipeline.lines import pair
 
 
 def _no_url(path: Path) -> Path:
@@ -103,4 +103,4 @@ def print_mapping(value: dict[str, Any], as_json: bool) -> None:
         print_json(value)
         return
     for key, item in value.items():
-        print(fold(str(item), " " * 30, f"{key:>28}  "))
+        print(pair(key, str(item), 28))

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.lines import fold, width
+from pipeline.lines import fold, pair, width
 
 if TYPE_CHECKING:
     from pipeline.run import Progress
@@ -79,7 +79,7 @@ def print_plan(plan: dict[str, Any], everything: bool = False, explain: bool = F
     everything = everything or explain
     print_warnings(plan["warnings"], None if everything else MOST_WARNINGS)
     for name, text in _answer(plan):
-        print(fold(text, " " * 10, f"{name:>8}  ") if everything else _cut(f"{name:>8}  {text}"))
+        print(pair(name, text, 8) if everything else _cut(f"{name:>8}  {text}"))
     if not everything:
         print(f"{'more':>8}  --all: {len(plan['decisions'])} decisions with the bounds of their "
               f"errors, {len(plan['remarks'])} notes")  # fmt: skip
@@ -88,7 +88,7 @@ def print_plan(plan: dict[str, Any], everything: bool = False, explain: bool = F
                f"{plan['shards']} shards to read ({plan['row_groups']} row groups, "
                f"{plan['star_rows_to_read']} rows, {plan['bytes_to_read'] / 1e6:.1f} MB); "
                f"engine: {plan['engine']}", " " * 10, f"{'work':>8}  "))  # fmt: skip
-    print(fold(_coverage(plan["coverage"]), " " * 10, f"{'coverage':>8}  "))
+    print(pair("coverage", _coverage(plan["coverage"]), 8))
     for d in plan["decisions"]:
         _print_decision(d, explain)
     for remark in plan["remarks"]:
@@ -143,7 +143,7 @@ def _print_decision(d: dict[str, Any], explain: bool) -> None:
     print(fold(d["reason"], "    "))
     if explain and "rule" in d:
         print(fold(f"rule: {d['rule']}", "    "))
-        print(fold(f"measured by: {d['measured_by']}", "    "))
+        print(fold(f"measured by: {d['measured_by'].replace('::', ', ')}", "    "))
 
 
 def _cut(line: str) -> str:
@@ -210,7 +210,7 @@ def print_info(product: Path, found: dict[str, Any]) -> None:
     }
     for name, text in lines.items():
         if text:
-            print(fold(text, " " * 10, f"{name:>8}  "))
+            print(pair(name, text, 8))
     if found["state"] == "complete":
         print_product(product)
     else:

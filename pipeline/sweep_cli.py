@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.jobs_cli import Server
+from pipeline.lines import fold
 from pipeline.options import (
     Json,
     Output,
@@ -73,7 +74,7 @@ def sweep(
 
 
 def _print_forecast(file: Path, as_json: bool) -> None:
-    from pipeline.lines import fold
+    from pipeline.lines import pair
     from pipeline.sweep.forecast import forecast_course
     from pipeline.sweep.run import gather_course
 
@@ -94,7 +95,7 @@ def _print_forecast(file: Path, as_json: bool) -> None:
         ("memory", f"{told['worker_memory_mb']:.0f} MB a worker, and what it keeps of the light"),
         ("metrics", ", ".join(told["metrics"])),
     ):  # fmt: skip
-        print(fold(text, " " * 10, f"{name:>8}  "))
+        print(pair(name, text, 8))
 
 
 def _there(
@@ -144,5 +145,5 @@ def _print(report: dict[str, Any], output: Path) -> None:
         if spread["known"]:
             print(f"  {name:>28}  {spread['least']:.5g} .. {spread['largest']:.5g}")
     for text, count in report["messages"].items():
-        print(f"  failed, {count} x: {text}")
+        print(fold(text, " " * 6, f"  failed, {count} x: "))
     print(f"  {output / 'points.parquet'}, {output / 'summary.html'}")
