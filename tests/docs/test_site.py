@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+import shutil
 from html import unescape
 from pathlib import Path
 
@@ -80,3 +81,27 @@ def test_every_page_is_in_the_navigation(site):
         name = page.relative_to(site).as_posix()
         if name != "404.html":
             assert f'href="{name}"' in start or name == "index.html", name
+
+
+@pytest.mark.parametrize("start", ["index.html", "howto/exports.html"])
+def test_the_search_works_from_the_disk(site, start):
+    """In Chromium, by file://, with every request to a network refused."""
+    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+    if path is None:
+        pytest.skip("no Chromium here (Debian: apt-get install chromium)")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    asked = []
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto((site / start).as_uri())
+        page.locator(".md-search__input").click()
+        page.locator(".md-search__input").press_sequentially("kolmogorov")
+        found = page.locator(".md-search-result__link").first
+        found.wait_for(timeout=20_000)
+        target = page.evaluate("link => link.href", found.element_handle())
+        page.goto(target)
+        assert "kolmogorov" in page.content().lower()
+        browser.close()
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in asked), asked
