@@ -64,6 +64,7 @@ def commands() -> Iterator[Command]:
 def prepare(folder: Path) -> dict[str, str]:
     """The files that the pages speak of as the reader's own; why what lacks one is not run."""
     shutil.copy(ROOT / "examples" / "space-based-rate.yaml", folder / "scene.yaml")
+    shutil.copytree(ROOT / "examples", folder / "examples")
     (folder / "files").mkdir()
     head = "source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
     head += "phot_bp_mean_mag,phot_rp_mean_mag\n"

@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-# Keys of the scene format that this version does not render yet, and what it says of them.
+# Keys that belong elsewhere in the scene, and where.
 NOT_YET = {
     "pst": "a point-source transmittance belongs to background.stray_light.pst",
 }

@@ -105,3 +105,22 @@ def test_the_search_works_from_the_disk(site, start):
         assert "kolmogorov" in page.content().lower()
         browser.close()
     assert all(url.startswith(("file:", "data:", "blob:")) for url in asked), asked
+
+
+STALE = (
+    r"\bthe paper\b", r"\bthis version\b", r"no users and no keys", r"dispatcher\.lock",
+    r"uniform in this",
+)  # fmt: skip
+
+
+def test_nothing_stale_is_said():
+    """Pages, and texts that the product prints, name nothing that is gone or that nobody has."""
+    told = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "deploy").rglob("*.md")]
+    told += [p for name in ("pipeline", "service", "catalog_tools", "examples")
+             for kind in ("*.py", "*.yaml") for p in (ROOT / name).rglob(kind)]  # fmt: skip
+    for path in told:
+        text = path.read_text()
+        for words in STALE:
+            found = re.search(words, text)
+            allowed = words == r"\bthis version\b" and re.search(r"(Not in|Limits of) this", text)
+            assert path.name == "CHANGELOG.md" or not found or allowed, f"{path}: {found}"
