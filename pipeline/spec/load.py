@@ -328,7 +328,8 @@ def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
     if of_scene and error["type"] in WRONG_TYPE:
         words = words_of(names)
         if words:
-            return ".".join(names), value, f"allowed: {words}"[:400]
+            but = ", not true or false" if error["type"] == "boolean" else ""
+            return ".".join(names), value, f"allowed: {words[:380]}{but}"
     return ".".join(names) or "scene", value, _allowed(error["msg"])[:400]
 
 
