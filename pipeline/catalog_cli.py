@@ -200,7 +200,9 @@ def demo(
 def fetch(
     release: Annotated[str, typer.Argument(help="gaia-dr2 or gaia-dr3")],
     destination: Annotated[Path, typer.Option("--dest", help="folder; ingest takes it as it is")],
-    cone: Annotated[list[str] | None, typer.Option(help="RA,DEC,RADIUS[,G]; repeatable")] = None,
+    cone: Annotated[
+        list[str] | None, typer.Option(help="RA,DEC,RADIUS, also with ,G; repeatable")
+    ] = None,
     everything: Annotated[bool, typer.Option("--all", help="every file (DR2: 588 GB)")] = False,
     base_url: Annotated[str | None, typer.Option(help="a mirror: http, https, file")] = None,
     tap: Annotated[str | None, typer.Option(help="'archive' or a TAP URL: the rows only")] = None,

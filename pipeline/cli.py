@@ -29,6 +29,7 @@ from pipeline.options import (
     local_path,
     overrides_of,
     print_json,
+    told_if_interrupted,
 )
 from pipeline.parts_cli import join
 from pipeline.report_cli import report_ledger, report_scenes
@@ -37,32 +38,40 @@ from pipeline.worker_cli import worker
 
 app = typer.Typer(
     name="nightglass",
-    help="Electro-optical scene simulator for Space Domain Awareness.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.add_typer(catalog, name="catalog")
-app.add_typer(cosmic_rays, name="cosmic-rays")
-app.add_typer(import_app, name="import")
-app.command()(export)
-app.add_typer(jobs, name="jobs")
-app.command()(sweep)
-app.command()(join)
-app.command()(worker)
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
-app.add_typer(report_app, name="report")
-report_app.command("scenes")(report_scenes)
-report_app.command("ledger")(report_ledger)
 
 SceneFile = Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")]
 ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")]
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"nightglass {version('nightglass')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="print the version", is_eager=True, callback=_print_version),
+    ] = False,
+) -> None:
+    """Electro-optical scene simulator for Space Domain Awareness."""
+
+
 def main() -> None:
     """Run the command line; every error is one message and an exit code (DESIGN section 6)."""
     try:
-        sys.exit(app(standalone_mode=False) or 0)
+        code = app(prog_name="nightglass", standalone_mode=False) or 0
+        if code == 130:  # the library takes Ctrl-C for an exit
+            raise KeyboardInterrupt
+        sys.exit(code)
     except SystemExit:
         raise
     except BaseException as error:
@@ -79,11 +88,8 @@ def _explain(error: BaseException) -> int:
         print(f"nightglass: {error.format_message()} (see --help)", file=sys.stderr)
         return 2
     if isinstance(error, KeyboardInterrupt | typer.Abort):
-        print(
-            "nightglass: interrupted; what is finished is kept: --resume goes on with a render, "
-            "the same command again with a catalogue",
-            file=sys.stderr,
-        )
+        told = "interrupted; a catalogue or a download is gone on with by the same command"
+        print(f"nightglass: {told}", file=sys.stderr)
         return 130
     if isinstance(error, OSError) and error.errno is not None:
         full = error.errno in NO_ROOM
@@ -147,7 +153,7 @@ def render(
 
     loaded = load_scene(scene, overrides)
     options = Options(scheduler, workers, resume, replace, wait)
-    with _progress(quiet=as_json) as listen:
+    with told_if_interrupted(output, lambda: _kept(output)), _progress(quiet=as_json) as listen:
         if "://" in output:
             from pipeline.remote import render_to_url
 
@@ -157,19 +163,32 @@ def render(
     _print_result(report, output, as_json)
 
 
+def _kept(output: str) -> str:
+    """What of a product stays where its render is stopped."""
+    from pipeline.store.info import tiles_done
+
+    if "://" in output:
+        return "finished tiles are kept"
+    done, total = tiles_done(Path(output)) if Path(output).exists() else (0, 0)
+    return f"{done} of {total} tiles are kept" if total else "nothing was begun"
+
+
 @app.command()
 def plan(
     scene: SceneFile,
     set_: Overrides = None,
     server: Server = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="also each decision with its bound, and the notes")
+    ] = False,
     explain: Annotated[
-        bool, typer.Option("--explain", help="the rule of each decision, and the test of its bound")
+        bool, typer.Option("--explain", help="with the rule of each, and the test of its bound")
     ] = False,
     accept: Accepts = None,
     accept_error: AcceptsError = False,
     as_json: Json = False,
 ) -> None:
-    """Show what a scene needs: tiles, shards, time, memory, and each decision with its bound."""
+    """Show what a scene gives and needs: targets in view, limit, stars, time, memory."""
     overrides = overrides_of(set_, accept, accept_error)
     if server is not None:
         from pipeline.jobs_cli import plan_there
@@ -185,7 +204,7 @@ def plan(
     else:
         from pipeline.pages import print_plan
 
-        print_plan(summary, explain)
+        print_plan(summary, everything, explain)
 
 
 @app.command()
@@ -210,8 +229,21 @@ def check(product: ProductOrUrl, as_json: Json = False) -> None:
 
 
 @app.command()
+def info(product: ProductPath, as_json: Json = False) -> None:
+    """Show what a product is: state, frames, layers, truth, origin. Reads no pixel."""
+    from pipeline.pages import print_info
+    from pipeline.store.info import describe
+
+    found = describe(product)
+    if as_json:
+        print_json(found)
+    else:
+        print_info(product, found)
+
+
+@app.command()
 def calibrate(product: ProductPath, output: Output, as_json: Json = False) -> None:
-    """Copy a product with its frames calibrated: less bias and dark, over the flat [e-]."""
+    """Copy a product with its frames calibrated: less bias and dark, over the flat (electrons)."""
     from pipeline.calibrate import calibrate as run
 
     report = run(product, output)
@@ -249,12 +281,14 @@ def color_fit(
     fit = colour_fit_of(loaded, response, band, digest)
     if output is not None:
         write_colour_fit(output, fit, digest)
+    from pipeline.lines import pair
+
     described = describe(fit, gather_colour_points(response) if as_json else None)
     if as_json:
         print_json(described)
     else:
         for key, value in described.items():
-            print(f"{key:>24}  {value}")
+            print(pair(key, str(value), 24))
 
 
 @app.command(name="light-curve")
@@ -360,7 +394,8 @@ def demo(
     from pipeline.demo import run_demo
     from pipeline.pages import print_product
 
-    with _progress(quiet=False) as listen:
+    kept = told_if_interrupted(str(output), lambda: "what is finished is kept", resumes=False)
+    with kept, _progress(quiet=False) as listen:
         product, report = run_demo(output, replace, listen, lambda text: print(text, flush=True))
     _print_report(report, product)
     print_product(product)
@@ -389,6 +424,19 @@ def selftest(
         raise typer.Exit(1)
 
 
+app.command()(sweep)
+app.command()(export)
+app.command()(join)
+app.command()(worker)
+app.add_typer(catalog, name="catalog")
+app.add_typer(jobs, name="jobs")
+app.add_typer(import_app, name="import")
+app.add_typer(cosmic_rays, name="cosmic-rays")
+app.add_typer(report_app, name="report")
+report_app.command("scenes")(report_scenes)
+report_app.command("ledger")(report_ledger)
+
+
 def _progress(quiet: bool) -> Any:
     """A bar of tiles on stderr; nothing when it is no terminal or not wanted."""
     from pipeline.pages import tile_progress
@@ -414,6 +462,7 @@ def _print_result(report: dict[str, Any], output: Path | str, as_json: bool) -> 
 
 
 def _print_report(report: dict[str, Any], product: Path | str) -> None:
+    from pipeline.lines import fold
     from pipeline.pages import print_warnings
 
     seconds = report["seconds"]
@@ -436,4 +485,4 @@ def _print_report(report: dict[str, Any], product: Path | str) -> None:
         share = errors["common_streak_px"]
         print(f"  stars share streaks that differ by up to {share:.1e} px at their ends")
     for remark in report["remarks"]:
-        print(f"  note: {remark}")
+        print(fold(remark, " " * 8, "  note: "))

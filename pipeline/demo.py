@@ -19,7 +19,10 @@ DEEP_FIELD = (266.2, 0.0, 2.0, 15.0)
 def run_demo(
     folder: Path, replace: bool, listen: Listener | None, say: Callable[[str], None]
 ) -> tuple[Path, dict[str, Any]]:
-    """Make FOLDER/catalogue (kept if it is there) and FOLDER/product; returns product, report."""
+    """Make FOLDER/catalogue (kept if it is there) and FOLDER/product; returns product, report.
+
+    A product of an earlier demo is gone on with, or taken as it is where it is complete.
+    """
     scene_file = folder / "scene.yaml"
     if folder.exists() and not scene_file.is_file() and any(folder.iterdir()):
         raise BadInput("-o", str(folder), "a new folder, or that of an earlier demo")
@@ -34,5 +37,8 @@ def run_demo(
         )
         say(f"{folder / 'catalogue'}: {made.catalogue.rows} synthetic stars")
     product = folder / "product"
-    report = render(load_scene(scene_file), product, Options(replace=replace), listen)
+    resume = product.exists() and not replace
+    report = render(
+        load_scene(scene_file), product, Options(resume=resume, replace=replace), listen
+    )
     return product, report

@@ -14,15 +14,22 @@ from catalog_tools.errors import (
 )
 
 __all__ = [
-    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "NightglassError", "TryLater",
+    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "Interrupted", "NightglassError",
+    "TryLater",
     "exit_code", "shorten",
 ]  # fmt: skip
+
+
+class Interrupted(NightglassError):
+    """Stopped by the user; the text says what is kept and how to go on."""
+
 
 EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
     (BadInput, 2),
     (Incomplete, 3),
     (TryLater, 4),
     (Damaged, 2),
+    (Interrupted, 130),
     (KeyboardInterrupt, 130),
 )
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pipeline.lines import fold
 from pipeline.options import Json, Output, print_json
 
 if TYPE_CHECKING:
@@ -84,4 +85,4 @@ def _write(imported: Imported, output: Path, as_json: bool) -> None:
         return
     print(output)
     for line in imported.lines():
-        print(f"  {line}")
+        print(fold(line, "      ", "  "))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from pipeline.lines import fold, pair, table
 from pipeline.options import Json, Output, print_json
 
 jobs = typer.Typer(help="Jobs on a server (key: NIGHTGLASS_KEY).", no_args_is_help=True)
@@ -47,7 +47,7 @@ def render_there(
 
     Interrupted, the job goes on; `nightglass jobs fetch` brings what it made.
     """
-    from pipeline.errors import BadInput
+    from pipeline.errors import BadInput, Interrupted
 
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise BadInput("-o", str(output), "a path that does not exist yet")
@@ -56,9 +56,8 @@ def render_there(
         try:
             job.wait(progress=not as_json).fetch(output, progress=not as_json)
         except KeyboardInterrupt:
-            print(f"the job goes on: nightglass jobs fetch {job.id} --server {server} -o {output}",
-                  file=sys.stderr)  # fmt: skip
-            raise
+            again = f"nightglass jobs fetch {job.id} --server {server} -o {output}"
+            raise Interrupted(f"interrupted; the job goes on: {again}") from None
         return job.report()
 
 
@@ -67,7 +66,7 @@ def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> dict[st
 
     Interrupted, the job goes on; `nightglass jobs show` tells of it.
     """
-    from pipeline.errors import BadInput
+    from pipeline.errors import BadInput, Interrupted
 
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise BadInput("-o", str(output), "a path that does not exist yet")
@@ -76,9 +75,8 @@ def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> dict[st
         try:
             job.wait(progress=not as_json).fetch_sweep(output)
         except KeyboardInterrupt:
-            print(f"the job goes on: nightglass jobs show {job.id} --server {server}",
-                  file=sys.stderr)  # fmt: skip
-            raise
+            again = f"nightglass jobs show {job.id} --server {server}"
+            raise Interrupted(f"interrupted; the job goes on: {again}") from None
         return job.report()
 
 
@@ -100,10 +98,12 @@ def listing(
     if as_json:
         print_json(found)
         return
-    for facts in found:
-        tiles = f"{facts['tiles_done'] or 0}/{facts['tiles_total']}" if facts["tiles_total"] else ""
-        at = facts["submitted"][:19]
-        print(f"{facts['id']:32}  {facts['phase']:9}  {tiles:>13}  {at}  {facts['name']}")
+    rows = [
+        (f["id"], f["name"], f["phase"], f["submitted"][:19],
+         f"{f['tiles_done'] or 0}/{f['tiles_total']}" if f["tiles_total"] else "")
+        for f in found
+    ]  # fmt: skip
+    print(table(("job", "name", "phase", "submitted", "tiles"), rows, 2))
 
 
 @jobs.command()
@@ -117,11 +117,11 @@ def show(job: JobId, server: Address, as_json: Json = False) -> None:
     error = facts.pop("error", None)
     for key, value in facts.items():
         if key != "links" and value is not None:
-            print(f"{key:>16}  {value}")
+            print(pair(key, str(value), 16))
     if error:
-        print(f"{'error':>16}  {error['message']}")
+        print(pair("error", error["message"], 16))
         for one in error["errors"]:
-            print(f"{'':>16}  {one['pointer']}: {one['value']}; {one['allowed']}")
+            print(fold(f"{one['pointer']}: {one['value']}; {one['allowed']}", " " * 18))
 
 
 @jobs.command()

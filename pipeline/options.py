@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, Interrupted
+from pipeline.lines import pair
 
 
 def _no_url(path: Path) -> Path:
@@ -68,6 +73,22 @@ def overrides_of(set_: list[str] | None, accept: list[str] | None, error: bool) 
     return [*(set_ or []), *(f"accept+={word}" for word in words)]
 
 
+@contextmanager
+def told_if_interrupted(
+    place: str, kept: Callable[[], str], resumes: bool = True
+) -> Iterator[None]:
+    """Ctrl-C inside says what is kept below a place, and the command that goes on.
+
+    kept : tells what is, when it is called; resumes : with --resume, else with the same command
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        words = [word for word in sys.argv[1:] if word not in ("--replace", "--resume")]
+        again = shlex.join(["nightglass", *words, *(["--resume"] if resumes else [])])
+        raise Interrupted(f"interrupted; {place}: {kept()}; go on with:\n  {again}") from None
+
+
 def as_stated(report: dict[str, Any]) -> None:
     """Exit code 5 for a finished product whose error is more than its plan stated."""
     if not report.get("errors", {}).get("as_stated", True):
@@ -85,4 +106,4 @@ def print_mapping(value: dict[str, Any], as_json: bool) -> None:
         print_json(value)
         return
     for key, item in value.items():
-        print(f"{key:>28}  {item}")
+        print(pair(key, str(item), 28))

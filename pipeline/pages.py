@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.lines import fold, pair, width
+
 if TYPE_CHECKING:
     from pipeline.run import Progress
 
@@ -16,81 +18,136 @@ Listener = Callable[["Progress"], None]
 @contextmanager
 def tile_progress(quiet: bool) -> Iterator[Listener | None]:
     """A listener that shows tiles done on stderr."""
-    if quiet:
-        yield None
-        return
-    with _bar() as bar:
-        task = bar.add_task("planning", total=None)
-
-        def listen(progress: Progress) -> None:
-            bar.update(task, total=progress.total, completed=progress.done, description="rendering")
-
-        yield listen
+    with stage_progress(quiet, "tiles") as told:
+        if told is None:
+            yield None
+            return
+        told("planning", 0, None)
+        yield lambda progress: told("rendering", progress.done, progress.total)
 
 
 @contextmanager
-def stage_progress(quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """A listener for named stages with counts, on stderr."""
+def stage_progress(
+    quiet: bool, unit: str = ""
+) -> Iterator[Callable[[str, int, int | None], None] | None]:
+    """A listener on stderr for what is being done: the stage in words, how many of how many, how
+    fast, and the time left."""
     if quiet:
         yield None
         return
-    with _bar() as bar:
-        tasks: dict[str, Any] = {}
-
-        def listen(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total)
-            bar.update(tasks[stage], completed=done, total=total)
-
-        yield listen
+    with progress_bar(unit) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda stage, done, total: bar.update(
+            task, description=stage, completed=done, total=total
+        )
 
 
-def _bar() -> Any:
+def progress_bar(unit: str = "") -> Any:
+    """A bar on stderr: `rendering ---- 12/40 tiles 3.1/s 0:00:09 left`; nothing stays of it."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        """How many a second, or a minute where they are slow."""
+
+        def render(self, task: Any) -> Text:
+            speed = task.finished_speed or task.speed or 0.0
+            slow = speed < 1.0
+            return Text(f"{speed * 60:.3g}/min" if slow else f"{speed:.3g}/s" if speed else "")
 
     return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False), BarColumn(20), MofNCompleteColumn(),
+        TextColumn(unit), Rate(), TimeRemainingColumn(), TextColumn("left"),
         console=Console(stderr=True), transient=True,
     )  # fmt: skip
 
 
-def print_plan(plan: dict[str, Any], explain: bool = False) -> None:
-    """The plan as a page: size, work, decisions with reasons and bounds; their rules too."""
-    from rich.console import Console
-    from rich.table import Table
+MOST_TARGETS, MOST_WARNINGS = 3, 2
 
-    console = Console()
-    predicted = plan["predicted"]
-    facts = [
-        ("frames", f"{plan['frames']} of {plan['shape'][0]} x {plan['shape'][1]} px"),
-        ("tiles", f"{plan['tiles']} of {plan['tile_shape'][0]} x {plan['tile_shape'][1]} px"),
-        ("field", "{:.4g} x {:.4g} deg, {:.3g} arcsec a pixel".format(
-            *plan["field_deg"], plan["ifov_arcsec"])),
-        ("shards", f"{plan['shards']} ({plan['row_groups']} row groups, "
-                   f"{plan['star_rows_to_read']} rows, {plan['bytes_to_read'] / 1e6:.1f} MB)"),
-        ("stars a frame", f"about {plan['stars_per_frame']}"),
-        ("coverage", _coverage(plan["coverage"])),
-        ("targets", str(plan["targets"])),
-        ("engine", plan["engine"]),
-        ("noise floor", f"{plan['noise_floor_e']:.3g} e- (sky {plan['background_e']:.3g} e-)"),
-        ("predicted", f"{predicted['cpu_s']:.1f} CPU s, {predicted['worker_memory_mb']:.0f} MB "
-                      f"a worker, product {predicted['product_mb']:.0f} MB before compression"),
-    ]  # fmt: skip
-    print_warnings(plan["warnings"])
-    for name, text in facts:
-        console.print(f"{name:>14}  {text}", highlight=False)
-    table = Table("component", "", "reason", "bound e-", "bound sigma", "bound", show_edge=False)
+
+def print_plan(plan: dict[str, Any], everything: bool = False, explain: bool = False) -> None:
+    """The answer in at most 15 lines; with `everything` also each decision with its reason and
+    bound, and the notes; with `explain` the rules of the decisions, too."""
+    everything = everything or explain
+    print_warnings(plan["warnings"], None if everything else MOST_WARNINGS)
+    for name, text in _answer(plan):
+        print(pair(name, text, 8) if everything else _cut(f"{name:>8}  {text}"))
+    if not everything:
+        print(f"{'more':>8}  --all: {len(plan['decisions'])} decisions with the bounds of their "
+              f"errors, {len(plan['remarks'])} notes")  # fmt: skip
+        return
+    print(fold(f"{plan['tiles']} tiles of {plan['tile_shape'][0]} x {plan['tile_shape'][1]} px; "
+               f"{plan['shards']} shards to read ({plan['row_groups']} row groups, "
+               f"{plan['star_rows_to_read']} rows, {plan['bytes_to_read'] / 1e6:.1f} MB); "
+               f"engine: {plan['engine']}", " " * 10, f"{'work':>8}  "))  # fmt: skip
+    print(pair("coverage", _coverage(plan["coverage"]), 8))
     for d in plan["decisions"]:
-        other = "" if d.get("bound") is None else f"{d['bound']:.2g} {d['unit']}"
-        bounds = (_number(d["error_bound_e"]), _number(d["error_bound_sigma"]), other)
-        reason = d["reason"]
-        if explain and "rule" in d:
-            reason += f"\nrule: {d['rule']}\nmeasured by: {d['measured_by']}"
-        table.add_row(d["component"], "kept" if d["kept"] else "out", reason, *bounds)
-    console.print(table)
+        _print_decision(d, explain)
     for remark in plan["remarks"]:
-        console.print(f"note: {remark}", highlight=False)
+        print(fold(remark, "      ", "note: "))
+
+
+def _answer(plan: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """What a scene gives and takes: names and lines."""
+    needs, out = plan["predicted"], plan["outlook"]
+    yield "frames", f"{plan['frames']} of {plan['shape'][0]} x {plan['shape'][1]} px"
+    field = plan["field_deg"]
+    yield "field", f"{field[1]:.4g} x {field[0]:.4g} deg, {plan['ifov_arcsec']:.3g} arcsec a pixel"
+    looked = len(out["looked_at"])
+    where = "" if looked == plan["frames"] else f" (by {looked} of the frames)"
+    few = "; the brightest" if out["in_view"] > MOST_TARGETS else ""
+    yield "targets", f"{out['in_view']} of {plan['targets']} in view{where}{few}"
+    for t in out["targets"][:MOST_TARGETS]:
+        mag = "no magnitude" if t["v_mag"] is None else f"V {t['v_mag']:.1f}"
+        yield "", f"{t['name'][:32]}: {mag}, SNR {t['snr']:.3g}, best in frame {t['frame']}"
+    limit = out["limiting_g_mag"]
+    noise = f"noise of an empty pixel {plan['noise_floor_e']:.3g} e-"
+    yield "limit", (f"G {limit:.1f} at SNR 5; " if limit is not None else "") + noise
+    yield "stars", _stars(plan)
+    cpu, memory, disk = (needs[n] for n in ("cpu_s", "worker_memory_mb", "product_mb"))
+    yield "needs", f"{cpu:.3g} s of one core, {memory:.0f} MB a worker, {disk:.3g} MB of disk"
+
+
+def _stars(plan: dict[str, Any]) -> str:
+    if plan["catalogue"] is None:
+        return "none: no catalogue"
+    return f"about {plan['stars_per_frame']} a frame; catalogue covers {_covered(plan['coverage'])}"
+
+
+def _covered(said: dict[str, Any] | None) -> str:
+    if said is None or said["source"] is None:
+        return "an unknown part of the field"
+    worst = f"{100 * said['worst_frame_fraction']:.3g}%"
+    return worst + ("" if said["mean_fraction"] == 1.0 else f" of frame {said['worst_frame']}")
+
+
+def _print_decision(d: dict[str, Any], explain: bool) -> None:
+    """A decision: what is kept or left out, the bound of its error, and why."""
+    bounds = [
+        f"{d[name]:.3g} {unit}"
+        for name, unit in (("error_bound_e", "e-"), ("error_bound_sigma", "sigma"))
+        if d[name] is not None
+    ]
+    if d.get("bound") is not None:
+        bounds.append(f"{d['bound']:.2g} {d['unit']}")
+    bound = f", bound {', '.join(bounds)}" if bounds else ""
+    print(fold(f"{d['component']}: {'kept' if d['kept'] else 'left out'}{bound}", "  ", ""))
+    print(fold(d["reason"], "    "))
+    if explain and "rule" in d:
+        print(fold(f"rule: {d['rule']}", "    "))
+        print(fold(f"measured by: {d['measured_by'].replace('::', ', ')}", "    "))
+
+
+def _cut(line: str) -> str:
+    return line if len(line) <= width() else line[: width() - 4] + " ..."
 
 
 def _coverage(said: dict[str, Any] | None) -> str:
@@ -106,16 +163,20 @@ def _coverage(said: dict[str, Any] | None) -> str:
     )
 
 
-def print_warnings(warnings: list[str]) -> None:
-    """What is wrong in a product though the scene accepts it: before everything else."""
+def print_warnings(warnings: list[str], most: int | None = None) -> None:
+    """What is wrong in a product though the scene accepts it: before everything else.
+
+    most : so many are shown, of each two lines at most, and how many more there are
+    """
     from rich.console import Console
 
-    for warning in warnings:
-        Console().print(f"WARNING: {warning}", style="bold yellow", highlight=False, markup=False)
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
+    shown = [fold(text, " " * 9, "WARNING: ").splitlines() for text in warnings]
+    if most is not None:
+        shown = [lines[:1] + [_cut(" ".join(lines[1:2] + lines[2:]))] for lines in shown[:most]]
+        if len(warnings) > most:
+            shown.append([f"WARNING: and {len(warnings) - most} more (--all)"])
+    for line in (line for lines in shown for line in lines if line):
+        Console().print(line, style="bold yellow", highlight=False, markup=False, soft_wrap=True)
 
 
 CONTENTS = {
@@ -130,8 +191,34 @@ CONTENTS = {
 }
 
 
+def print_info(product: Path, found: dict[str, Any]) -> None:
+    """A product at a glance, and how to open it or go on with it."""
+    print_warnings(found["warnings"])
+    rows, columns = found["shape"] or (0, 0)
+    size = found["field_deg"] or (0.0, 0.0)
+    lines = {
+        "scene": f"{found['scene']}, {found['epoch']}, seed {found['seed']}",
+        "state": f"{found['state']}, {found['tiles']} of {found['tiles_expected']} tiles",
+        "frames": f"{found['frames']} of {rows} x {columns} px, {size[1]:.4g} x {size[0]:.4g} deg",
+        "layers": ", ".join(found["layers"] or ()),
+        "targets": str(found["targets"]),
+        "stars": f"from {found['catalogue']}" if found["catalogue"] else "none",
+        "truth": ", ".join(f"{n} {kind}" for kind, n in (found["truth_rows"] or {}).items()),
+        "size": f"{found['bytes'] / 1e6:.4g} MB",
+        "made by": f"nightglass {found['version']}" if found["version"] else "",
+        "digest": found["content_digest"] or "",
+    }
+    for name, text in lines.items():
+        if text:
+            print(pair(name, text, 8))
+    if found["state"] == "complete":
+        print_product(product)
+    else:
+        print(fold("`nightglass render SCENE -o PRODUCT --resume` goes on with it"))
+
+
 def print_product(product: Path) -> None:
     """What lies in a product, and where."""
     for name, what in CONTENTS.items():
         if (product / name).exists():
-            print(f"  {product / name}  {what}")
+            print(fold(what, " " * 6, f"  {product / name}  "))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.options import Json, ProductOrUrl, Wait, as_stated, print_json
+from pipeline.options import Json, ProductOrUrl, Wait, as_stated, print_json, told_if_interrupted
 
 if TYPE_CHECKING:
     from pipeline.run import Options
@@ -28,7 +28,8 @@ def render_part(
     if options.replace:
         raise BadInput("--replace", part, "no --part with it: parts share one product")
     share = parse_part(part)
-    with tile_progress(as_json or not sys.stderr.isatty()) as listen:
+    kept = told_if_interrupted(product, lambda: "finished tiles are kept", resumes=False)
+    with kept, tile_progress(as_json or not sys.stderr.isatty()) as listen:
         loaded = load_scene(scene, overrides)
         if "://" in product:
             from pipeline.remote import render_to_url

@@ -33,9 +33,9 @@ from pipeline.inputs.stars import (
     Catalogue,
     Shard,
     cones_of,
+    expected_rows,
     gather_shards,
     groups_bright_enough,
-    rows_bright_enough,
 )
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
@@ -57,7 +57,14 @@ from pipeline.plan.geometry import (
 from pipeline.plan.needs import Spent, check_memory
 from pipeline.plan.optics import check_motion
 from pipeline.plan.orbit_age import orbit_remarks
-from pipeline.plan.scene_plan import Plan, catalogue_cones, field_cones, make_plan, plan_dict
+from pipeline.plan.scene_plan import (
+    Plan,
+    catalogue_cones,
+    field_area_sr,
+    field_cones,
+    make_plan,
+    plan_dict,
+)
 from pipeline.plan.sky_doubts import sky_doubts
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.target_decisions import mesh_notices
@@ -351,8 +358,12 @@ def _left_out(plan: Plan, catalogues: tuple[Catalogue, ...]) -> tuple[np.ndarray
 
 
 def plan_scene(scene: Scene) -> dict[str, Any]:
-    """The plan of a scene as plain data (`nightglass plan`); what it reads, `prepare` says."""
-    return summary_of(prepare(scene))
+    """The plan of a scene as plain data (`nightglass plan`), with what its frames will show; what
+    it reads, `prepare` says."""
+    from pipeline.execute.outlook import outlook
+
+    prepared = prepare(scene)
+    return summary_of(prepared) | {"outlook": outlook(prepared.plan)}
 
 
 def check_cost(scene: Scene, summary: dict[str, Any], most_cpu_s: float | None) -> None:
@@ -386,11 +397,10 @@ def forecast(prepared: Prepared) -> Any:
     if plan.scene.stars is None:
         return None
     frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
-    shards = shards_of(plan, catalogues, plan_geometry(plan.scene, frames, plan.dut1_s))
-    limit = plan.scene.stars.faintest_g_mag
-    return forecast_stars(
-        plan, [(s.leaf, rows_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards]
-    )
+    g = plan_geometry(plan.scene, frames, plan.dut1_s)
+    shards, area_sr = shards_of(plan, catalogues, g), field_area_sr(plan)
+    fullest = max(expected_rows(catalogues, shards, c, area_sr) for c in field_cones(plan, g)[0])
+    return forecast_stars([s.leaf for s in shards], fullest)
 
 
 def _cones(plan: Plan, g: Geometry) -> tuple[Any, ...]:

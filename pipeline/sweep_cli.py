@@ -11,7 +11,16 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.jobs_cli import Server
-from pipeline.options import Json, Output, SchedulerName, Slurm, Workers, print_json
+from pipeline.lines import fold
+from pipeline.options import (
+    Json,
+    Output,
+    SchedulerName,
+    Slurm,
+    Workers,
+    print_json,
+    told_if_interrupted,
+)
 
 SweepFile = Annotated[Path, typer.Argument(help="sweep file, YAML or JSON", metavar="SWEEP")]
 
@@ -29,6 +38,9 @@ def sweep(
     point: Annotated[
         int | None, typer.Option("--point", help="only print the scene of this point")
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="only say what the whole sweep would take")
+    ] = False,
     server: Server = None,
     as_json: Json = False,
 ) -> None:
@@ -38,7 +50,10 @@ def sweep(
     """
     if server is not None:
         decided = scheduler != "threads" or workers is not None or slurm
-        _there(file, output, server, as_json, decided or resume or retry_failed, point)
+        _there(file, output, server, as_json, decided or resume or retry_failed or dry_run, point)
+        return
+    if dry_run:
+        _print_forecast(file, as_json)
         return
     from pipeline.sweep.run import Options, point_scene
     from pipeline.sweep.run import sweep as run
@@ -49,12 +64,38 @@ def sweep(
         print(scene_yaml(point_scene(file, point)), end="")
         return
     options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
-    with _progress(as_json or not sys.stderr.isatty()) as listen:
+    kept = told_if_interrupted(str(output), lambda: "finished points are kept")
+    with kept, _progress(as_json or not sys.stderr.isatty()) as listen:
         report = run(file, output, options, retry_failed, listen)
     if as_json:
         print_json(report)
     else:
         _print(report, output)
+
+
+def _print_forecast(file: Path, as_json: bool) -> None:
+    from pipeline.lines import pair
+    from pipeline.sweep.forecast import forecast_course
+    from pipeline.sweep.run import gather_course
+
+    told = forecast_course(gather_course(file, Path()))
+    if as_json:
+        print_json(told)
+        return
+    rows, columns = told["shape"]
+    counts, each = told["different"], told["seconds_each"]
+    drawn = ", ".join(f"{counts[kind]} of {kind}" for kind in ("stars", "targets", "sky"))
+    for name, text in (
+        ("points", f"{told['points']}, each {told['frames']} frame(s) of {rows} x {columns} px"),
+        ("shared", f"{counts['plans']} plans; different light: {drawn}"),
+        ("time", f"{told['cpu_s']:.3g} s of one core; {told['alone_cpu_s']:.3g} s if nothing were "
+                 f"shared"),
+        ("each", f"plan {each['plan']:.2g} s, light {each['light']:.2g} s, "
+                 f"point {each['point']:.2g} s"),
+        ("memory", f"{told['worker_memory_mb']:.0f} MB a worker, and what it keeps of the light"),
+        ("metrics", ", ".join(told["metrics"])),
+    ):  # fmt: skip
+        print(pair(name, text, 8))
 
 
 def _there(
@@ -64,7 +105,9 @@ def _there(
     from pipeline.jobs_cli import sweep_there
 
     if decided or point is not None:
-        allowed = "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point"
+        allowed = (
+            "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point, --dry-run"
+        )
         raise BadInput("--server", "with them", allowed)
     report = sweep_there(file, output, server, as_json)
     if as_json:
@@ -79,26 +122,16 @@ def _progress(quiet: bool) -> Iterator[Callable[[Any], None] | None]:
     if quiet:
         yield None
         return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from pipeline.pages import progress_bar
 
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TextColumn("{task.fields[failed]}"), TimeElapsedColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True), transient=True,
-    ) as bar:  # fmt: skip
-        task = bar.add_task("points", total=None, failed="")
+    with progress_bar("points") as bar:
+        task = bar.add_task("planning", total=None)
 
         def listen(progress: Any) -> None:
-            failed = f"[red]{progress.failed} failed" if progress.failed else ""
-            bar.update(task, total=progress.total, completed=progress.done, failed=failed)
+            failed = f", {progress.failed} failed" if progress.failed else ""
+            bar.update(
+                task, total=progress.total, completed=progress.done, description=f"running{failed}"
+            )
 
         yield listen
 
@@ -112,5 +145,5 @@ def _print(report: dict[str, Any], output: Path) -> None:
         if spread["known"]:
             print(f"  {name:>28}  {spread['least']:.5g} .. {spread['largest']:.5g}")
     for text, count in report["messages"].items():
-        print(f"  failed, {count} x: {text}")
+        print(fold(text, " " * 6, f"  failed, {count} x: "))
     print(f"  {output / 'points.parquet'}, {output / 'summary.html'}")

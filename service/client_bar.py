@@ -14,12 +14,9 @@ def bar(name: str, unit: str = "") -> Iterator[Callable[[dict[str, Any]], None] 
     if not sys.stderr.isatty():
         yield None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from pipeline.pages import progress_bar
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-               TextColumn(unit), TimeElapsedColumn())  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+    with progress_bar(unit) as shown:
         task = shown.add_task(name, total=None)
 
         def listen(facts: dict[str, Any]) -> None:

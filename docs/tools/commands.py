@@ -28,7 +28,9 @@ NOT_RUN = {
     "catalog fetch": "reads from the archive over the network",
     "PRODUCT --to KIND": "a form with places to fill in; the tutorial runs three of its kinds",
     "tls://": "needs a cluster; tests of TLS start their own",
-    "serve": "a server that runs on; tests/service/test_walkthrough.py runs it",
+    "serve": "a server that runs on; tests/docs/test_service_howto.py runs it",
+    "jobs/catalogues": "the server's folder; tests/docs/test_service_howto.py makes it",
+    "nightglass info fetched": "of the server; tests/docs/test_service_howto.py fetches it",
 }
 PEERS = {"satsim": ("config.json", "config_static.json"), "simsit": ("target.yaml",) * 2}
 NO_PEERS = "needs a scene file of the peer (shared/data/peer_scenes)"
@@ -64,6 +66,7 @@ def commands() -> Iterator[Command]:
 def prepare(folder: Path) -> dict[str, str]:
     """The files that the pages speak of as the reader's own; why what lacks one is not run."""
     shutil.copy(ROOT / "examples" / "space-based-rate.yaml", folder / "scene.yaml")
+    shutil.copytree(ROOT / "examples", folder / "examples")
     (folder / "files").mkdir()
     head = "source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
     head += "phot_bp_mean_mag,phot_rp_mean_mag\n"

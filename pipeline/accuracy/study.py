@@ -120,7 +120,8 @@ NOTES = (
     "CPU time of one thread; tables, made once for many frames, are counted apart as table_s (that "
     "of an engine's first rung holds its imports and the loading of compiled code)",
     "peers in this process draw fewer stars, and their time is scaled by the number of stars",
-    "the background is uniform in this version: it has no grid, and so no error here",
+    "stars alone are drawn here: what the grid of a smooth sky errs by, `nightglass report ledger` "
+    "measures",
     "tiles change no bit of a pixel: their rungs differ in time only",
 )
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from pipeline.lines import fold, table
+
 Row = dict[str, Any]
 
 HEADS = (
@@ -65,16 +67,8 @@ def markdown(study: dict[str, Any]) -> str:
 
 def print_study(study: dict[str, Any]) -> None:
     """The study on the terminal."""
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
     for title, rows in by_case(study):
-        table = Table(title=title, title_justify="left")
-        for head in HEADS:
-            table.add_column(head, justify="left" if head in HEADS[:2] else "right")
-        for r in rows:
-            table.add_row(*cells(r), style="bold" if r["pareto"] else None)
-        console.print(table)
+        print(title)
+        print(table(HEADS, [cells(r) for r in rows], 2), end="\n\n")
     for line in explained(study):
-        console.print(line, highlight=False, markup=False)
+        print(fold(line))

@@ -67,17 +67,19 @@ def _piece(axes: Any, shown: dict[str, Any]) -> None:
     extent = (x0 - 0.5, x0 + cut.shape[1] - 0.5, y0 - 0.5, y0 + cut.shape[0] - 0.5)
     axes.imshow(stretch(cut), cmap="gray", origin="lower", extent=extent)
     for kind, (found, verdict) in ((k, shown[k]) for k in COLOURS if k in shown):
+        near = np.hypot(found.x_px - x0 - SIDE_PX / 2, found.y_px - y0 - SIDE_PX / 2) < SIDE_PX
+        found = found.take(near)
+        right, false = verdict.right[near], ~(verdict.explained | verdict.right)[near]
         half_x = 0.5 * found.length_px * np.cos(found.angle_rad)
         half_y = 0.5 * found.length_px * np.sin(found.angle_rad)
-        for mark, which in (("+", verdict.right), ("x", ~verdict.explained & ~verdict.right)):
+        for mark, which in (("+", right), ("x", false)):
             axes.plot(
                 found.x_px[which], found.y_px[which], mark, color=COLOURS[kind], ms=5, mew=0.9
             )
-        ends = np.flatnonzero((found.length_px > 0) & verdict.right)
-        for i in ends:
-            axes.plot(found.x_px[i] + half_x[i] * np.array([-1, 1]),
-                      found.y_px[i] + half_y[i] * np.array([-1, 1]),
-                      color=COLOURS[kind], lw=0.8)  # fmt: skip
+        ends = (found.length_px > 0) & right
+        steps = np.array([[-1.0], [1.0]])
+        axes.plot(found.x_px[ends] + half_x[ends] * steps, found.y_px[ends] + half_y[ends] * steps,
+                  color=COLOURS[kind], lw=0.8)  # fmt: skip
     axes.scatter(labels.x_light_px[targets], labels.y_light_px[targets], s=160,
                  facecolors="none", edgecolors="#50FF78", linewidths=1.0)  # fmt: skip
     for i in targets:

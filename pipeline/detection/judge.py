@@ -86,15 +86,17 @@ def _explained(labels: Labels, found: Found) -> NDArray[np.bool_]:
     seen = np.flatnonzero(labels.snr >= SEEN_SNR)
     if not len(found) or not seen.size:
         return np.zeros(len(found), bool)
-    x, y, reach = [], [], []
-    for i in seen:
-        count = int(np.ceil(labels.length_px[i] / STEP_PX)) + 1
-        x.append(np.linspace(labels.x_start_px[i], labels.x_end_px[i], count))
-        y.append(np.linspace(labels.y_start_px[i], labels.y_end_px[i], count))
-        # The wings of a source 100 times brighter are as bright some times farther out.
-        reach.append(np.full(count, NEAR_PX * max(1.0, (labels.snr[i] / 100.0) ** 0.5)))
-    tree = cKDTree(np.stack([np.concatenate(x), np.concatenate(y)], axis=-1))
-    far = np.concatenate(reach)
+    count = np.ceil(labels.length_px[seen] / STEP_PX).astype(int) + 1
+    ends = np.cumsum(count)
+    step = np.arange(ends[-1]) - np.repeat(ends - count, count)
+    part = step / np.repeat(np.maximum(count - 1, 1), count)
+    source = np.repeat(seen, count)
+    # The wings of a source 100 times brighter are as bright some times farther out.
+    far = NEAR_PX * np.maximum(1.0, (labels.snr[source] / 100.0) ** 0.5)
+    x, y = (start[source] + part * (end - start)[source]
+            for start, end in ((labels.x_start_px, labels.x_end_px),
+                               (labels.y_start_px, labels.y_end_px)))  # fmt: skip
+    tree = cKDTree(np.stack([x, y], axis=-1))
     places = np.stack([found.x_px, found.y_px], axis=-1)
     near = tree.query_ball_point(places, float(far.max()))
     out = np.zeros(len(found), bool)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import scipy.fft
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import grey_opening, maximum_filter
 from scipy.spatial import cKDTree
@@ -87,21 +88,37 @@ def _best(
     across = np.exp(-2.0 * (np.pi * WIDTH_PX) ** 2 * (fx * fx + fy * fy))
     best, which = np.full(shape, -np.inf, np.float32), np.zeros(shape, np.int16)
     for number, (length, angle) in enumerate(lines):
-        along = fx * np.float32(length * math.cos(angle)) + fy * np.float32(
-            length * math.sin(angle)
-        )
-        line = across * np.sinc(along)
+        line = fx * np.float32(length * math.cos(angle)) + fy * np.float32(length * math.sin(angle))
+        _sinc(line)
+        line *= across
         # The noise of the filtered image, by Parseval: both halves of the spectrum.
-        power = 2.0 * float(np.sum(line**2)) - float(np.sum(line[:, 0] ** 2))
-        filtered = scipy.fft.irfft2(spectrum * line, s=shape)
+        power = -float(np.sum(line[:, 0] ** 2))
+        product = spectrum * line
+        power += 2.0 * float(np.sum(np.square(line, out=line)))
+        filtered = scipy.fft.irfft2(product, s=shape, overwrite_x=True)
         filtered /= np.float32(math.sqrt(power / scaled.size))
         sample = filtered.ravel()[:: max(1, filtered.size // SAMPLE)]
         middle = np.median(sample)
         scatter = 1.4826 * float(np.median(np.abs(sample - middle)))
-        filtered = (filtered - middle) / np.float32(max(1.0, scatter))
-        wins = filtered > best
-        best[wins], which[wins] = filtered[wins], number
+        _keep_best(filtered, middle, np.float32(max(1.0, scatter)), number, best, which)
     return best, which
+
+
+def _sinc(x: NDArray[np.float32]) -> None:
+    """sin(pi x) / (pi x) in place of x: large arrays that come and go cost more than the sines."""
+    x *= np.float32(np.pi)
+    x[x == 0] = np.finfo(np.float32).eps
+    np.divide(np.sin(x), x, out=x)
+
+
+@njit(cache=True, nogil=True)
+def _keep_best(filtered, middle, scatter, number, best, which):
+    """Where a filter's image exceeds the best so far, that and its number take its place."""
+    for y in range(filtered.shape[0]):
+        for x in range(filtered.shape[1]):
+            snr = (filtered[y, x] - middle) / scatter
+            if snr > best[y, x]:
+                best[y, x], which[y, x] = snr, number
 
 
 def _even(

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.detection.finders import TITLES, tasks
+from catalog_tools.ahead import ahead, cores, threads
+from pipeline.detection.finders import tasks
 from pipeline.detection.judge import POINT_PX, Verdict, by_magnitude, judge
 from pipeline.detection.points import Found, flattened
 from pipeline.errors import BadInput
@@ -45,25 +47,35 @@ def report_detection(
     shape = int(cube.sizes["y"]), int(cube.sizes["x"])
     told: list[dict[str, Any]] = []
     shown: dict[str, Any] = {}
-    for k in range(count):
-        labels = frame_labels(product, k, shape, 0.0)
-        image, noise = flattened(read_layer(product, "dn", k))
-        for task in tasks(labels, image):
+    search = partial(_frame, product, shape, threshold_sigma)
+    with threads(cores()) as pool:
+        for k, (mine, seen) in enumerate(ahead(pool, search, range(count), cores())):
+            told += mine
+            shown |= seen
             if progress is not None:
-                progress(f"frame {k}: {TITLES[task.kind]}", k, count)
-            found = task.find(task.image, noise, threshold_sigma)
-            verdict = judge(labels, task.sought, found)
-            told.append(_one(k, task.kind, labels, task.sought, found, verdict))
-            if k == 0:
-                shown[task.kind] = (found, verdict)
-        if k == 0:
-            shown |= {"image": image, "labels": labels}
+                progress("frames searched", k + 1, count)
     study = {
         "product": product.name, "frames": count, "threshold_sigma": threshold_sigma,
         "point_px": POINT_PX, "finders": _summed(told), "targets": _targets(told),
     }  # fmt: skip
     _write(study, shown, out)
     return study
+
+
+def _frame(
+    product: Path, shape: tuple[int, int], threshold_sigma: float, frame: int
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Each finder on one frame; of the first frame also what the figure shows."""
+    labels = frame_labels(product, frame, shape, 0.0)
+    image, noise = flattened(read_layer(product, "dn", frame))
+    told: list[dict[str, Any]] = []
+    shown: dict[str, Any] = {"image": image, "labels": labels}
+    for task in tasks(labels, image):
+        found = task.find(task.image, noise, threshold_sigma)
+        verdict = judge(labels, task.sought, found)
+        told.append(_one(frame, task.kind, labels, task.sought, found, verdict))
+        shown[task.kind] = (found, verdict)
+    return told, shown if frame == 0 else {}
 
 
 def _one(

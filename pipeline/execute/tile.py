@@ -142,7 +142,7 @@ def tile_light(
 
 
 def _cosmic_rays_e(plan: Plan, rays: CosmicRays, chain: Chain, g: Geometry, tile: Tile) -> Array:
-    """Charge of cosmic rays in a tile; before the flat, as in the paper, or after it."""
+    """Charge of cosmic rays in a tile; before the flat, or after it."""
     from pipeline.physics.cosmic_rays.frame import charge_e, exposed_for
 
     assert plan.scene.cosmic_rays is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -59,12 +60,12 @@ class Labels:
     def __len__(self) -> int:
         return len(self.kind)
 
-    @property
+    @cached_property
     def length_px(self) -> Array:
         """From the start to the end of each path, straight."""
         return np.hypot(self.x_end_px - self.x_start_px, self.y_end_px - self.y_start_px)
 
-    @property
+    @cached_property
     def angle_deg(self) -> Array:
         """Direction from start to end, from +x (columns) towards +y (rows); 0 where it stands."""
         return np.degrees(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -60,11 +61,35 @@ def gather_shards(
     )
 
 
-def rows_bright_enough(catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float | None) -> int:
-    """Rows of a whole leaf in row groups that hold a star of the limit or brighter."""
-    if faintest_g_mag is None:
-        return leaf.rows
-    return int(groups_bright_enough(catalogue, leaf, faintest_g_mag)[0].sum())
+def expected_rows(
+    catalogues: Sequence[Catalogue], shards: Sequence[Shard], centre: np.ndarray, area_sr: float
+) -> float:
+    """Rows of shards' row groups in a field of this area, as if each filled its cap evenly.
+
+    centre : (3,) unit vector of the field's middle; the field counts as a disc
+    """
+    total, radius = 0.0, math.acos(max(-1.0, 1.0 - area_sr / (2.0 * math.pi)))
+    for shard in shards:
+        catalogue, leaf = catalogues[shard.catalogue], shard.leaf
+        table = catalogue.leaf_table
+        (index,) = np.flatnonzero((table["order"] == leaf.order) & (table["pixel"] == leaf.pixel))
+        first = int(catalogue.first_row_groups[index])
+        caps = catalogue.row_group_table[first + np.array([g.row_group for g in leaf.row_groups])]
+        apart = np.linalg.norm(caps["centre"] - centre, axis=-1)
+        caps_radius = 2.0 * np.sin(0.5 * np.minimum(caps["radius_rad"], np.pi))
+        share = disc_share(apart, caps_radius, 2.0 * math.sin(0.5 * radius))
+        total += float(share @ caps["rows"])
+    return total
+
+
+def disc_share(apart: np.ndarray, radius: np.ndarray, other: float) -> np.ndarray:
+    """Share of discs (n,) of these radii that another disc covers, `apart` from their middles."""
+    r = np.maximum(radius, 1e-12)
+    d = np.clip(apart, np.maximum(np.abs(r - other), 1e-300), r + other)
+    a = r**2 * np.arccos(np.clip((d**2 + r**2 - other**2) / (2.0 * d * r), -1.0, 1.0))
+    b = other**2 * np.arccos(np.clip((d**2 + other**2 - r**2) / (2.0 * d * other), -1.0, 1.0))
+    corner = (r + other - d) * (d + r - other) * (d - r + other) * (d + r + other)
+    return (a + b - 0.5 * np.sqrt(np.maximum(corner, 0.0))) / (math.pi * r**2)
 
 
 def groups_bright_enough(

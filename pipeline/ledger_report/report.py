@@ -9,14 +9,13 @@ from typing import Any
 
 from pipeline.errors import BadInput
 from pipeline.ledger_report.study import Progress, checked_rules, run_ledger
+from pipeline.lines import table
 
 Row = dict[str, Any]
 HEADS = ("component", "bound", "error caused", "CPU s saved", "holds", "measured")
 
 
-def report_ledger(
-    out: Path, rules: tuple[str, ...] = (), progress: Progress | None = None
-) -> Row:
+def report_ledger(out: Path, rules: tuple[str, ...] = (), progress: Progress | None = None) -> Row:
     """Measure, and write ledger.json and ledger.md into a new folder; returns what is in the JSON.
 
     rules : names of components, all where there is none. Raises BadInput before anything is
@@ -53,10 +52,5 @@ def text(study: Row) -> str:
 
 def print_ledger(study: Row) -> None:
     """The study on the terminal."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(*HEADS, show_edge=False)
-    for cells in rows(study):
-        table.add_row(*cells)
-    Console().print(table)
+    heads, cells = (HEADS[0], *HEADS[:0:-1]), [(r[0], *r[:0:-1]) for r in rows(study)]
+    print(table(heads, cells, 2))

@@ -19,7 +19,7 @@ MEASURED_COLOUR, DEFAULT_COLOUR, CLAMPED_COLOUR = 0, 1, 2
 class ColourFit:
     """Band magnitude minus G as a polynomial in BP-RP, and the rate that belongs to zero.
 
-    Magnitudes are normalised so that every colour of an A0V star is zero (paper, section 3.4.2).
+    Magnitudes are normalised so that every colour of an A0V star is zero.
 
     coefficients : (k,) ascending powers of BP-RP, magnitudes; the first is 0 (A0V)
     colour_range : smallest and largest BP-RP of the spectra that were fitted

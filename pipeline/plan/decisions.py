@@ -53,13 +53,13 @@ def _cosmic_rays(scene: Scene) -> Decision:
     rays = scene.cosmic_rays
     if rays is None:
         return Decision("cosmic_rays", False, "the scene has no such section", 0.0, 0.0)
-    flat = "the flat does not act on it" if rays.after_flat else "the flat acts on it, as in paper"
+    flat = "the flat does not act on it" if rays.after_flat else "the flat acts on it"
     if rays.kind == "library":
         if rays.rate_scale == 0.0:
             return Decision("cosmic_rays", False, "rate_scale is 0", 0.0, 0.0)
         how = {
             "poisson": "a Poisson number of recorded events at random places",
-            "frames": "whole recorded frames, cut out or tiled, as in the paper: no Poisson number",
+            "frames": "whole recorded frames, cut out or tiled: no Poisson number",
         }[rays.arrival]
         return Decision(
             "cosmic_rays", True,
@@ -91,7 +91,7 @@ def _noise_terms(scene: Scene) -> list[Decision]:
     why = {
         "flat": f"{given}; it acts on light, not on the dark",
         "full_well": f"{given}; clips the charge after photon noise and before read noise; no "
-        "blooming (the paper names it and gives it no step)",
+        "blooming",
     }
     out = []
     for name, kept, why_not in terms:
@@ -177,9 +177,7 @@ def _over_the_field(r: ResponsePlan) -> Decision:
     known = [e for e in r.field.error if e is not None]
     bound = sum(known) if len(known) == len(r.field.error) else None
     unit = "of a source's light, from a response that varies smoothly between the places"
-    return Decision(
-        "psf_over_the_field", True, r.field.reason(r.table_mb), bound=bound, unit=unit
-    )
+    return Decision("psf_over_the_field", True, r.field.reason(r.table_mb), bound=bound, unit=unit)
 
 
 def _wavelengths(scene: Scene, facts: Facts, band: BandOptics) -> Decision:

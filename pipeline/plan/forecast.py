@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from pipeline.plan.scene_plan import Plan, StarForecast, field_area_sr
@@ -29,17 +29,12 @@ class LeafLike(Protocol):
     def row_groups(self) -> Sequence[RowGroupLike]: ...
 
 
-def forecast_stars(plan: Plan, leaves: Iterable[tuple[LeafLike, int]]) -> StarForecast:
-    """Rows and bytes to read, and stars per frame at each leaf's mean density.
-
-    leaves : each with the rows of the whole shard that are bright enough for the scene
-    """
-    leaves = list(leaves)
-    groups = [group for leaf, _ in leaves for group in leaf.row_groups]
-    stars = sum(share_in_field(plan, leaf) * rows for leaf, rows in leaves)
+def forecast_stars(leaves: Sequence[LeafLike], stars_per_frame: float) -> StarForecast:
+    """Rows and bytes to read of leaves, and stars of the fullest frame."""
+    groups = [group for leaf in leaves for group in leaf.row_groups]
     return StarForecast(
         len(leaves), len(groups), sum(g.rows for g in groups), sum(g.bytes for g in groups),
-        round(stars),
+        round(stars_per_frame),
     )  # fmt: skip
 
 

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 GRID_SHARE = 0.125  # of one approximation's budget: the grid in a frame, and between frames
 MOST_KNOTS = 1025
 MOST_VALUES = 4_000_000
-PAPER_SPREAD = 0.5  # of the corners' mean, up to which the paper takes that mean
+CORNERS_SPREAD = 0.5  # of the corners' mean, up to which simulators commonly take that mean
 _Light = Light
 
 
@@ -275,18 +275,18 @@ def _grid_told(
     tolerance: float,
     corners_e: Array,
 ) -> Decision:
-    """How the grid was chosen, beside what the paper's rule of four corners would do."""
+    """How the grid was chosen, beside what the common rule of four corners would do."""
     mean = corners_e.mean(axis=1)
     spread = np.ptp(corners_e, axis=1) / np.where(mean > 0.0, mean, 1.0)
     off = float(np.abs(corners_e - mean[:, None]).max())
-    paper = f"four corners differ by up to {spread.max():.2g} of their mean"
-    if spread.max() < PAPER_SPREAD:
-        paper += f", which the paper would take for the frame and err by {off:.3g} e- there"
+    corners = f"four corners differ by up to {spread.max():.2g} of their mean"
+    if spread.max() < CORNERS_SPREAD:
+        corners += f": that mean taken for the frame would err by {off:.3g} e- there"
     ny, nx = grid.values.shape[-2:]
     how = "uniform" if ny * nx == 1 else f"bilinear between {ny} x {nx} nodes"
     missed = "" if grid.met and between <= tolerance else "; the finest that is tried, above target"
     return Decision(
         "background.grid", True,
-        f"{how}, linear between frames: measured half way between the nodes{missed}; {paper}",
+        f"{how}, linear between frames: measured half way between the nodes{missed}; {corners}",
         error_e, error_e / sigma_e,
     )  # fmt: skip

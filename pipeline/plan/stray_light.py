@@ -234,7 +234,7 @@ def stray_told(wish: StrayLight, ends: list[dict[str, Array]]) -> list[Decision]
     out.append(
         Decision(
             "stray_light.pst", True,
-            f"{curve}; the angle of each pixel's own line of sight, as the paper's corners; its "
+            f"{curve}; the angle of each pixel's own line of sight; its "
             "azimuth plays no part",
         )
     )  # fmt: skip

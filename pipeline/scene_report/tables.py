@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from pipeline.lines import fold, table
+
 Row = dict[str, Any]
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
@@ -84,16 +86,7 @@ def markdown(table: Table) -> str:
 
 def print_study(study: Row) -> None:
     """The study on the terminal."""
-    from rich.console import Console
-    from rich.table import Table as Printed
-
-    console = Console()
     for heads, rows in (rung_table(study), switch_table(study)):
-        printed = Printed()
-        for i, head in enumerate(heads):
-            printed.add_column(head, justify="left" if i < 2 else "right")
-        for row in rows:
-            printed.add_row(*row)
-        console.print(printed)
+        print(table(heads, rows, 2), end="\n\n")
     for line in explained(study):
-        console.print(line, highlight=False, markup=False)
+        print(fold(line))

@@ -7,10 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Column, Table
-
 from pipeline.errors import BadInput
+from pipeline.lines import fold
 from pipeline.selftest.case import Case, Outcome, every, run_case
 
 
@@ -53,32 +51,18 @@ def as_data(outcomes: list[Outcome]) -> dict[str, Any]:
 
 
 def print_table(outcomes: list[Outcome]) -> None:
-    """One line a case, on stdout."""
-    console = Console()
-    table = Table(
-        Column("case", no_wrap=True),
-        "right",
-        "ours",
-        "error",
-        "allowed",
-        "s",
-        "",
-        box=None,
-        pad_edge=False,
-    )
+    """Each case, on stdout: its verdict and error, then the right answer and ours."""
     for o in outcomes:
-        d = o.as_dict()
-        ours = d["ours"] if o.found else o.fault
-        error = f"{o.found.error:.2g}" if o.found else "-"
-        verdict = "[green]ok[/green]" if o.passed else "[red]FAILED[/red]"
-        allowed = f"{o.case.allowed:.2g} {o.case.unit}"
-        table.add_row(
-            o.case.name, d["right"] or "", ours, error, allowed, f"{o.seconds:.2f}", verdict
+        error = f"{o.found.error:.2g}" if o.found else "none"
+        text = f"{o.case.name}: error {error}, allowed {o.case.allowed:.2g} {o.case.unit}"
+        print(
+            fold(f"{text}, {o.seconds:.2f} s", "        ", "ok      " if o.passed else "FAILED  ")
         )
-    console.print(table)
+        told = f"right {o.found.right}; ours {o.found.ours}" if o.found else str(o.fault)
+        print(fold(told, "          "))
     failed = sum(not o.passed for o in outcomes)
-    console.print(f"{len(outcomes) - failed} of {len(outcomes)} cases hold"
-                  + (f"; {failed} FAILED" if failed else ""))  # fmt: skip
+    print(f"{len(outcomes) - failed} of {len(outcomes)} cases hold"
+          + (f"; {failed} FAILED" if failed else ""))  # fmt: skip
 
 
 def markdown(outcomes: list[Outcome]) -> str:

@@ -41,15 +41,15 @@ class GeneratedCosmicRays(Strict):
         True, description="electrons of 30 keV and more make tracks; else they are cut off there"
     )
     after_flat: bool = Field(
-        False, description="true: the flat does not dim them (the paper's order dims them)"
+        False, description="true: the flat does not dim them (by default it does)"
     )
 
 
 class LibraryCosmicRays(Strict):
     """Recorded events, at the recorded rate times `rate_scale`.
 
-    arrival : `poisson`, a Poisson number of single events at random places; `frames`, the paper's
-        rule: whole recorded frames at their places, the centre cut out of larger ones and smaller
+    arrival : `poisson`, a Poisson number of single events at random places; `frames`,
+        whole recorded frames at their places, the centre cut out of larger ones and smaller
         ones tiled over the detector
     """
 
@@ -58,7 +58,7 @@ class LibraryCosmicRays(Strict):
     rate_scale: float = Field(1.0, ge=0, le=1e6, description="relative to the recorded rate")
     arrival: Literal["poisson", "frames"] = "poisson"
     after_flat: bool = Field(
-        False, description="true: the flat does not dim them (the paper's order dims them)"
+        False, description="true: the flat does not dim them (by default it does)"
     )
 
 

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from pipeline.errors import BadInput, shorten
 from pipeline.spec.dotted import NoFieldError, add_dotted, set_dotted
 from pipeline.spec.scene import Scene
+from pipeline.spec.wording import words_of
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
@@ -43,7 +44,12 @@ def load_scene(path: Path, overrides: Iterable[str] = ()) -> Scene:
         raise BadInput("SCENE", str(path), "an existing scene file (YAML or JSON)")
     if path.stat().st_size > MAX_BYTES:
         raise BadInput("SCENE", str(path), f"a file of at most {MAX_BYTES} bytes")
-    data = parse_text(path.read_bytes(), str(path))
+    raw = path.read_bytes()
+    if re.search(rb"(?m)^1 [\dA-Z ]{5}.{62}\s*\n2 [\dA-Z ]{5}.{62}\s*$", raw):
+        allowed = "a scene; two-line elements stand in one, as `orbit: {kind: tle, line1, line2}`, "
+        allowed += "and whole files of them as `populations` (docs/targets.md)"
+        raise BadInput("SCENE", str(path), allowed)
+    data = parse_text(raw, str(path))
     for override in overrides:
         apply_override(data, override)
     return parse_scene(data, base=path.parent)
@@ -164,7 +170,8 @@ def mistakes_of(error: ValidationError, data: dict[str, Any]) -> list[tuple[str,
     """(field, value, allowed) of every mistake, one for each field."""
     found = error.errors()
     places = [e["loc"] for e in found]
-    return _merged([_mistake(e, data) for e in found if not _follows(e, places)])
+    of_scene = error.title == "Scene"
+    return _merged([_mistake(e, data, of_scene) for e in found if not _follows(e, places)])
 
 
 def _follows(error: Any, places: list[tuple[int | str, ...]]) -> bool:
@@ -293,7 +300,7 @@ def scene_yaml(scene: Scene) -> str:
     return out.getvalue()
 
 
-def _mistake(error: Any, data: Any) -> tuple[str, Any, str]:
+def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
     """One mistake as (dotted field, value given, what is allowed), in the user's own names."""
     names = _names(error["loc"], data, error["type"] == "missing")
     context = error.get("ctx", {})
@@ -318,16 +325,32 @@ def _mistake(error: Any, data: Any) -> tuple[str, Any, str]:
         names.append(str(context["discriminator"]).strip("'"))
         allowed = f"allowed: {context['expected_tags']}" if "tag" in context else "it must be given"
         return ".".join(names), context.get("tag"), allowed
+    if of_scene and error["type"] in WRONG_TYPE:
+        words = words_of(names)
+        if words:
+            but = ", not true or false" if error["type"] == "boolean" else ""
+            return ".".join(names), value, f"allowed: {words[:380]}{but}"
     return ".".join(names) or "scene", value, _allowed(error["msg"])[:400]
 
 
+# Values of a wrong type altogether: what the format takes there is told instead of how it failed.
+WRONG_TYPE = {
+    "boolean", "bool_parsing", "bool_type", "dict_type", "float_parsing", "float_type",
+    "int_from_float", "int_parsing", "int_type", "list_type", "literal_error",
+    "model_attributes_type", "model_type", "string_type", "tuple_type",
+}  # fmt: skip
+
+
 WORDING = (  # pydantic's words, and ours
+    (r", (?:unable to parse|unable to interpret|got a number with a frac).*", ""),
     (r"^Input should be ", "allowed: "),
     (r"^(?:String|Tuple|List|Dictionary|Value) should ", "allowed: to "),
     (r" after validation, not \d+$", ""),
     (r"a valid (?:tuple|list)\b", "a list"),
     (r"a valid string\b", "text"),
-    (r"a valid dictionary(?: or instance of \w+)?", "a mapping"),
+    (r"a valid dictionary(?: or (?:instance of \w+|object to extract fields from))?", "a mapping"),
+    (r"a valid integer", "a whole number"),
+    (r"a valid boolean", "true or false"),
     (r"a valid ", "a "),
 )
 
@@ -343,10 +366,11 @@ def _merged(mistakes: list[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
     """One mistake per field: the alternatives of a union are joined by "or"."""
     by_field: dict[str, tuple[str, Any, str]] = {}
     for field, value, allowed in mistakes:
-        if field in by_field:
+        if field in by_field and allowed not in by_field[field][2]:
             also = allowed.removeprefix("allowed: ").removeprefix("to ")
             allowed = f"{by_field[field][2]}, or {also}"
-        by_field[field] = (field, value, allowed)
+        if field not in by_field or by_field[field][2] in allowed:
+            by_field[field] = (field, value, allowed)
     return list(by_field.values())
 
 

@@ -35,7 +35,7 @@ class HarveyPst(Strict):
     kind: Literal["harvey"]
     b0_per_sr: float = Field(gt=0, le=1e9)
     shoulder: float = Field(gt=0, le=1, description="l: sine of the angle where it begins to fall")
-    slope: float = Field(lt=0, ge=-6, description="s")
+    slope: float = Field(lt=0, ge=-6, description="s: how steeply it falls")
     mirrors: int = Field(1, ge=1, le=20)
 
 

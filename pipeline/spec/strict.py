@@ -9,7 +9,9 @@ from typing import Annotated, Any, get_args
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-# Keys of the scene format that this version does not render yet, and what it says of them.
+from pipeline.spec.keys import describe
+
+# Keys that belong elsewhere in the scene, and where.
 NOT_YET = {
     "pst": "a point-source transmittance belongs to background.stray_light.pst",
 }
@@ -23,7 +25,11 @@ class Strict(BaseModel):
     """A model that takes no unknown key, no true for 1, and no value that is not finite."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, str_strip_whitespace=True
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        str_strip_whitespace=True,
+        json_schema_extra=describe,
     )
 
     @model_validator(mode="before")

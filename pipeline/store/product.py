@@ -138,11 +138,20 @@ def _take_up(
     return Begun(path, _writer(path, plan), frozenset(done), frozenset(truth), tuple(faults))
 
 
+CHANGED = {  # what may have changed since a product was begun, in the user's words
+    "format": "it was made by another version", "scene_sha256": "the scene, its --set, or where "
+    "its files are has changed", "catalogue_digest": "the catalogue has changed",
+    "files_sha256": "a file that the scene names has changed",
+}  # fmt: skip
+
+
 def check_same(place: str, found: dict[str, Any], identity: dict[str, Any]) -> None:
     """Refuse to go on with a product that was begun as another one."""
     for key, wanted in identity.items():
         if found.get(key) != wanted:
-            raise BadInput("--resume", place, f"a product of the same {key}: {wanted}")
+            told = CHANGED.get(key, f"wanted {wanted}")
+            allowed = f"a product of the same {key} ({told}; --replace begins anew)"
+            raise BadInput("--resume", place, allowed)
 
 
 def _is_bare_beginning(path: Path) -> bool:
@@ -182,6 +191,11 @@ def tiles_of(path: Path) -> tuple[int, int]:
     """Rows and columns of a product's tiles, as it was begun."""
     rows, columns = _identity(path)["tile_shape"]
     return int(rows), int(columns)
+
+
+def begun_tiles(path: Path) -> int:
+    """How many tiles a product has, as it was begun."""
+    return int(_identity(path)["tiles"])
 
 
 def begin_copy(path: Path, source: Path, layers: tuple[str, ...], scene: Scene) -> CubeWriter:

@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.execute.light import draw_targets
-from pipeline.execute.sources import place_targets, streaks
-from pipeline.execute.truth import matched_snr
+from pipeline.execute.outlook import limiting_light_e, limiting_mag, target_snr
+from pipeline.execute.sources import place_targets
 from pipeline.physics.detection import filtered, peak_near
-from pipeline.physics.motion.streak import POINT
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.spec.sweep import Detection
 from pipeline.store.markers import cell_checksums
 
-SNR_AT_LIMIT = 5.0
 SAMPLED_PX = 4  # the background is taken from every fourth pixel of each axis
 MARGIN_PX = 24  # of sky around a target's response, for its noise
 LARGEST_WINDOW_PX = 1024
@@ -129,8 +127,7 @@ class Measurement:
         least, time_s = min(self._limits, key=lambda limit: limit[0] / limit[1], default=none)
         out: dict[str, float | None] = {"limiting_light_e": least if least < math.inf else None}
         if plan.colour is not None:
-            zero = plan.colour.zero_electrons_s_m2 * plan.facts.area_m2 * time_s
-            out["limiting_g_mag"] = -2.5 * math.log10(least / zero) if least < math.inf else None
+            out["limiting_g_mag"] = limiting_mag(plan, least, time_s)
         return out
 
     def _full_e(self, tile: Tile) -> float | Array:
@@ -153,40 +150,6 @@ class Measurement:
         numbers = dn[_cut(tile, part)][which].astype(np.float64)
         charge = (numbers - term(m.bias_dn)) * term(m.gain_e_per_dn) - term(m.dark_e_per_s) * t
         return np.asarray(charge / np.maximum(term(m.flat), 1e-6))
-
-
-def target_snr(plan: Plan, g: Geometry, names: tuple[str, ...]) -> dict[str, float]:
-    """Matched-filter SNR that the plan's noise gives each target in a frame, 0 outside of it."""
-    rows, columns = plan.scene.sensor.shape
-    out = dict.fromkeys(names, 0.0)
-    for t in place_targets(plan, g) if names else ():
-        name = plan.scene.targets[t.index].name
-        inside = -0.5 <= t.x_px < columns - 0.5 and -0.5 <= t.y_px < rows - 0.5
-        if name in out and inside:
-            at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
-            out[name] = float(matched_snr(plan, t.path, *at, int(g.frame[0]))[0])
-    return out
-
-
-def limiting_light_e(plan: Plan, g: Geometry) -> float:
-    """Light of a point source in the middle of the field whose matched-filter SNR is 5 [e-].
-
-    It moves as the stars there do, or stands still where the scene has no stars. Infinite where
-    no light reaches that SNR, or where the scene has neither stars nor targets and so no response.
-    """
-    if not plan.responses.classes:
-        return math.inf
-    path = POINT
-    if plan.scene.stars is not None:
-        paths = streaks(plan, g)
-        path = paths[len(paths) // 2].path
-    rows, columns = plan.scene.sensor.shape
-    light = np.geomspace(1e-3, 1e12, 601)
-    at = np.full(601, (columns - 1) / 2), np.full(601, (rows - 1) / 2)
-    snr = matched_snr(plan, path, light, *at, int(g.frame[0]))
-    if snr[-1] < SNR_AT_LIMIT:
-        return math.inf
-    return float(np.exp(np.interp(math.log(SNR_AT_LIMIT), np.log(snr), np.log(light))))
 
 
 def target_windows(

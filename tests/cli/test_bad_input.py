@@ -78,8 +78,20 @@ CASES = {
     "no catalogue": ({"stars": {"catalogue": "nowhere"}}, ["stars.catalogue", "nowhere"]),
     "bad checksum": (
         {"targets": target(kind="tle", line1=TLE[0][:-1] + "7", line2=TLE[1])},
-        ["targets.0.orbit.line1", "checksum"],
+        ["targets.0.orbit.line1", "the line's checksum, in column 69", "not as it was"],
     ),
+    "a unit in a number": ({"sensor.aperture_m": "1000 mm"}, ["'1000 mm'", "number in m (the"]),
+    "one of several units": (
+        {"observer": {"kind": "orbit", "orbit": {**ORBIT, "position_m": ["7e3 km", 0, 0]}}},
+        ["observer.orbit.position_m.0", "'7e3 km'", "a number in m"],
+    ),
+    "a number or a file": ({"sensor.flat": [1]}, ["allowed: a number, or the path of a file\n"]),
+    "a union by kind": (
+        {"sensor.psf": "airy"}, ["sensor.psf: 'airy'", "a mapping with `kind`: airy, field, gaus"]
+    ),
+    "none as text": ({"sensor.psf": "None"}, ["sensor.psf: 'None'", "a mapping with `kind`: airy"]),
+    "true for a mapping": ({"cosmic_rays": True}, ["cosmic_rays: True", "`kind`: generated, lib"]),
+    "a fraction of one": ({"seed": 1.5}, ["seed: 1.5", "allowed: a whole number\n"]),
     "in the Earth": (
         {"observer": {"kind": "orbit", "orbit": {**ORBIT, "position_m": [1e6, 0, 0]}}},
         ["observer.orbit", "Earth"],
@@ -112,6 +124,15 @@ def test_bad_scene(name, tmp_path):
     for word in words:
         assert word in result.stderr
     assert not (tmp_path / "run").exists()
+
+
+def test_elements_given_as_the_scene(tmp_path):
+    """A file of two-line elements, with names or without, is told as what it is."""
+    for name in ("", "SATELLITE\n"):
+        (tmp_path / "sat.tle").write_text(f"{name}{TLE[0]}\n{TLE[1]}\n")
+        result = nightglass("plan", tmp_path / "sat.tle")
+        assert result.returncode == 2
+        assert "two-line elements stand in one, as `orbit: {kind: tle" in result.stderr
 
 
 def test_bad_images(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+import shutil
 from html import unescape
 from pathlib import Path
 
@@ -51,6 +52,21 @@ def test_every_field_is_told_of(site):
             assert f"<code>{key}</code>" in section, f"{name}.{key}"
 
 
+def test_every_key_is_described():
+    """In the schema, and so in reference, page and editors; and nothing that is no key."""
+    from pipeline.spec.keys import TOLD
+    from pipeline.spec.scene import Scene
+    from pipeline.spec.sweep import Sweep
+
+    keys: set[str] = set()
+    schemas = [model.model_json_schema(by_alias=True) for model in (Scene, Sweep)]
+    for name, model in [pair for schema in schemas for pair in _models(schema).items()]:
+        for key, field in model.get("properties", {}).items():
+            assert len(field.get("description", "")) > 1, f"{name}.{key}"
+            keys |= {key, f"{name}.{key}"}
+    assert set(TOLD) <= keys
+
+
 def test_every_command_is_told_of(site):
     page = unescape((site / "reference" / "commands.html").read_text())
     for name in ("render", "plan", "export", "import satsim", "report detection", "catalog ingest"):
@@ -80,3 +96,46 @@ def test_every_page_is_in_the_navigation(site):
         name = page.relative_to(site).as_posix()
         if name != "404.html":
             assert f'href="{name}"' in start or name == "index.html", name
+
+
+@pytest.mark.parametrize("start", ["index.html", "howto/exports.html"])
+def test_the_search_works_from_the_disk(site, start):
+    """In Chromium, by file://, with every request to a network refused."""
+    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+    if path is None:
+        pytest.skip("no Chromium here (Debian: apt-get install chromium)")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    asked = []
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto((site / start).as_uri())
+        page.locator(".md-search__input").click()
+        page.locator(".md-search__input").press_sequentially("kolmogorov")
+        found = page.locator(".md-search-result__link").first
+        found.wait_for(timeout=20_000)
+        target = page.evaluate("link => link.href", found.element_handle())
+        page.goto(target)
+        assert "kolmogorov" in page.content().lower()
+        browser.close()
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in asked), asked
+
+
+STALE = (
+    r"\bthe paper\b", r"\bthis version\b", r"no users and no keys", r"dispatcher\.lock",
+    r"uniform in this",
+)  # fmt: skip
+
+
+def test_nothing_stale_is_said():
+    """Pages, and texts that the product prints, name nothing that is gone or that nobody has."""
+    told = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "deploy").rglob("*.md")]
+    told += [p for name in ("pipeline", "service", "catalog_tools", "examples")
+             for kind in ("*.py", "*.yaml") for p in (ROOT / name).rglob(kind)]  # fmt: skip
+    for path in told:
+        text = path.read_text()
+        for words in STALE:
+            found = re.search(words, text)
+            allowed = words == r"\bthis version\b" and re.search(r"(Not in|Limits of) this", text)
+            assert path.name == "CHANGELOG.md" or not found or allowed, f"{path}: {found}"

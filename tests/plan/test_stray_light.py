@@ -20,6 +20,7 @@ PST = "angle_deg,pst\n1,1e-4\n3,1e-5\n10,1e-6\n30,1e-8\n60,1e-10\n90,1e-12\n"
 HIGH = {"kind": "orbit", "orbit": {
     "kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]}}  # fmt: skip
 
+
 @pytest.fixture
 def curve(tmp_path):
     path = tmp_path / "pst.csv"
@@ -245,12 +246,12 @@ def test_the_moon_in_the_shadow_of_the_earth_gives_none(scene, curve):
     assert [light[time].grids.max() for time in ("04:55", "05:12", "05:30")] == [0.0] * 3
 
 
-def test_the_paper_s_four_corners_are_told(scene, curve):
+def test_the_rule_of_four_corners_is_told(scene, curve):
     wish = {"pst": {"kind": "table", "path": curve}, "sun": False}
     sky = planned(scene, wish, at(191.0, 0.0))[-1]
     reason = told(sky)["background.grid"].reason
     assert "four corners differ by up to 0." in reason
-    assert "which the paper would take for the frame and err by" in reason
+    assert "that mean taken for the frame would err by" in reason
 
 
 def test_fill_factor_takes_its_fraction(scene, curve):

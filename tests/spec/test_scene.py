@@ -52,7 +52,7 @@ def refusal(data: Any) -> BadInput:
     [
         ("sensor.adc_bits", 0, "1"),
         ("sensor.adc_bits", 64, "63"),
-        ("sensor.adc_bits", 16.5, "integer"),
+        ("sensor.adc_bits", 16.5, "whole number"),
         ("sensor.shape.0", 0, "1"),
         ("sensor.shape.1", -5, "1"),
         ("sensor.shape.1", 60_001, "60000"),

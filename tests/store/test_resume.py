@@ -131,7 +131,7 @@ def test_a_file_that_changed_since_is_refused(tmp_path, kind):
     render(parse_scene(data), product, HERE)
     unfinished(product)
     write(0.5)
-    with pytest.raises(BadInput, match="same files_sha256"):
+    with pytest.raises(BadInput, match="a file that the scene names has changed"):
         render(parse_scene(data), product, AGAIN)
     write(1.0)
     assert render(parse_scene(data), product, AGAIN)["tiles_resumed"] == TILES - 1
@@ -179,6 +179,7 @@ def test_every_flipped_bit_of_a_marker_is_noticed(starry):
 
 def stopped_before_the_end(scene, product, monkeypatch):
     """Render until all tiles and truth are stored and nothing is joined."""
+
     def stop(*_):
         raise KeyboardInterrupt
 

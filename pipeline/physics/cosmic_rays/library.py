@@ -1,4 +1,4 @@
-"""Recorded cosmic-ray events set into a frame: at random places, or as the paper cuts and tiles.
+"""Recorded cosmic-ray events set into a frame: at random places, or whole frames, cut or tiled.
 
 The recorded charge is used pixel by pixel, whatever the sizes of the pixels; only the rate follows
 the area.
@@ -130,7 +130,7 @@ def _singly(r: Recorded, frame: int, key: tuple[int, int]) -> Placed:
 
 
 def _whole_frames(r: Recorded, frame: int, key: tuple[int, int]) -> Placed:
-    """The paper's rule: recorded frames drawn at random, with all of their events or none.
+    """Whole frames: recorded frames drawn at random, with all of their events or none.
 
     Their number is rate_scale times the exposure over that of a recorded frame; a fraction is one
     more frame with that probability. Needs `shape` and `frames`.

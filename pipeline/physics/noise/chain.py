@@ -1,9 +1,9 @@
-"""The noise chain, in the paper's order: from mean electrons to digital numbers.
+"""The noise chain, in the order of the hardware: from mean electrons to digital numbers.
 
 flat (light only) -> dark -> Poisson -> + cosmic rays -> blooming -> full well -> non-linearity ->
-read noise -> row and column noise -> gain -> bias -> ADC -> bad pixels (paper section 3.8; the full
-well has no step there and is clipped before the read noise; cosmic rays are drawn charge, so no
-photon noise is drawn from them). What a chain does not have costs nothing.
+read noise -> row and column noise -> gain -> bias -> ADC -> bad pixels. The full
+well clips before the read noise; cosmic rays are drawn charge, so no photon noise is drawn from
+them. What a chain does not have costs nothing.
 """
 
 from __future__ import annotations

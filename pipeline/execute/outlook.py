@@ -1,0 +1,94 @@
+"""What the frames of a plan will show, before any is drawn: targets in view, the faintest star."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Geometry
+from pipeline.execute.sources import place_targets, streaks
+from pipeline.execute.truth import matched_snr, target_magnitudes
+from pipeline.physics.motion.streak import POINT
+from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.scene_plan import Plan
+
+SNR_AT_LIMIT = 5.0
+LOOKED_AT = 8  # frames, evenly through the scene
+PLACED = 2000  # targets placed in all of them together, at most; one frame is always looked at
+TOLD = 100  # targets that are told one by one
+
+
+def outlook(plan: Plan) -> dict[str, Any]:
+    """Targets in view, the best seen first, and the faintest star that reaches SNR_AT_LIMIT.
+
+    looked_at : the frames that this is of; in_view : how many targets any of them shows;
+    targets : of up to TOLD of these the frames, magnitude and SNR where they are seen best;
+    limiting_g_mag : None without stars, or where none reaches that SNR
+    """
+    most = min(LOOKED_AT, max(1, PLACED // max(1, len(plan.scene.targets))))
+    frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, most)).astype(np.int64))
+    names = tuple(t.name for t in plan.scene.targets)
+    best: dict[str, dict[str, Any]] = {}
+    limits = []
+    for frame in frames:
+        g = plan_geometry(plan.scene, np.array([frame]), plan.dut1_s)
+        seen = {name: snr for name, snr in target_snr(plan, g, names).items() if snr > 0.0}
+        mags = dict(zip(names, target_magnitudes(plan, g)[0], strict=True)) if seen else {}
+        for name, snr in seen.items():
+            before = best.get(name, {"frames": 0, "snr": 0.0})
+            now = {"name": name, "frame": int(frame), "v_mag": float(mags[name]), "snr": snr}
+            kept = now if snr > before["snr"] else before
+            best[name] = kept | {"frames": before["frames"] + 1}
+        time_s = plan.integration_s(int(frame))
+        if plan.colour is not None and time_s > 0.0:  # a bias frame sees nothing
+            limits.append(limiting_mag(plan, limiting_light_e(plan, g), time_s))
+    return {
+        "looked_at": frames.tolist(),
+        "in_view": len(best),
+        "targets": sorted(best.values(), key=lambda t: -t["snr"])[:TOLD],
+        "limiting_g_mag": max((m for m in limits if m is not None), default=None),
+    }
+
+
+def target_snr(plan: Plan, g: Geometry, names: tuple[str, ...]) -> dict[str, float]:
+    """Matched-filter SNR that the plan's noise gives each target in a frame, 0 outside of it."""
+    rows, columns = plan.scene.sensor.shape
+    out = dict.fromkeys(names, 0.0)
+    for t in place_targets(plan, g) if names else ():
+        name = plan.scene.targets[t.index].name
+        inside = -0.5 <= t.x_px < columns - 0.5 and -0.5 <= t.y_px < rows - 0.5
+        if name in out and inside:
+            at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
+            out[name] = float(matched_snr(plan, t.path, *at, int(g.frame[0]))[0])
+    return out
+
+
+def limiting_light_e(plan: Plan, g: Geometry) -> float:
+    """Light of a point source in the middle of the field whose matched-filter SNR is 5 [e-].
+
+    It moves as the stars there do, or stands still where the scene has no stars. Infinite where
+    no light reaches that SNR, or where the scene has neither stars nor targets and so no response.
+    """
+    if not plan.responses.classes:
+        return math.inf
+    path = POINT
+    if plan.scene.stars is not None:
+        paths = streaks(plan, g)
+        path = paths[len(paths) // 2].path
+    rows, columns = plan.scene.sensor.shape
+    light = np.geomspace(1e-3, 1e12, 601)
+    at = np.full(601, (columns - 1) / 2), np.full(601, (rows - 1) / 2)
+    snr = matched_snr(plan, path, light, *at, int(g.frame[0]))
+    if snr[-1] < SNR_AT_LIMIT:
+        return math.inf
+    return float(np.exp(np.interp(math.log(SNR_AT_LIMIT), np.log(snr), np.log(light))))
+
+
+def limiting_mag(plan: Plan, light_e: float, time_s: float) -> float | None:
+    """Gaia's G of a star of no colour that sends so much light in an exposure, if any does."""
+    if plan.colour is None or not light_e < math.inf:
+        return None
+    zero_e = plan.colour.zero_electrons_s_m2 * plan.facts.area_m2 * time_s
+    return -2.5 * math.log10(light_e / zero_e)

@@ -1,0 +1,92 @@
+"""What a field of the scene takes, in words, read from the format itself: for messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import Any
+
+Node = dict[str, Any]
+# The units that stand at the end of keys, as people write them.
+UNITS = {
+    "um": "um", "nm": "nm", "mm": "mm", "m": "m", "km": "km", "deg": "degrees", "s": "seconds",
+    "arcsec": "arcseconds", "px": "pixels", "e": "electrons", "dn": "DN", "mag": "magnitudes",
+    "mb": "MB",
+}  # fmt: skip
+
+
+def words_of(field: Sequence[str]) -> str:
+    """What the field of these names takes; empty where the format has no such field."""
+    nodes = _nodes(field)
+    key = next((name for name in reversed(field) if not name.isdigit()), "")
+    unit = None if "_per_" in key else UNITS.get(key.rpartition("_")[2])
+    found = list(dict.fromkeys(word for node in nodes for word in _words(node, unit)))
+    if "text" in found and any(word.startswith("a number") for word in found):
+        found[found.index("text")] = "the path of a file"
+    return ", or ".join(found)
+
+
+@cache
+def _schema() -> Node:
+    from pipeline.spec.scene import Scene
+
+    return Scene.model_json_schema(by_alias=True)
+
+
+def _nodes(field: Sequence[str]) -> list[Node]:
+    """The places of the format that a dotted field may be, one for each kind of its holders."""
+    nodes = [_schema()]
+    for name in field:
+        nodes = [inner for node in nodes for inner in _below(node, name)]
+    return nodes
+
+
+def _below(node: Node, name: str) -> Iterator[Node]:
+    for one in _choices(node):
+        if name in one.get("properties", {}):
+            yield one["properties"][name]
+        elif name.isdigit() and one.get("type") == "array":
+            first = one.get("prefixItems", [])[int(name) : int(name) + 1]
+            yield from first or [i for i in [one.get("items")] if isinstance(i, dict)]
+        elif isinstance(one.get("additionalProperties"), dict):
+            yield one["additionalProperties"]
+
+
+def _choices(node: Node) -> Iterator[Node]:
+    """What a node stands for: the models and types behind references and unions."""
+    if "$ref" in node:
+        node = _schema()["$defs"][node["$ref"].rpartition("/")[2]]
+    inner = node.get("anyOf") or node.get("oneOf")
+    if not inner:
+        yield node
+    for one in inner or ():
+        yield from _choices(one)
+
+
+def _words(node: Node, unit: str | None) -> Iterator[str]:
+    if "$ref" in node:
+        node = _schema()["$defs"][node["$ref"].rpartition("/")[2]]
+    if "discriminator" in node:
+        tag = node["discriminator"]
+        yield f"a mapping with `{tag['propertyName']}`: {', '.join(sorted(tag['mapping']))}"
+        return
+    for one in node.get("anyOf") or node.get("oneOf") or ():
+        yield from _words(one, unit)
+    if "const" in node or "enum" in node:
+        yield ", ".join(repr(v) for v in node.get("enum", [node.get("const")]))
+    elif node.get("type") == "object":
+        keys = ", ".join(node.get("required", []))
+        yield f"a mapping with {keys}" if keys else "a mapping"
+    elif node.get("type") in ("number", "integer"):
+        word = "a number" if node["type"] == "number" else "a whole number"
+        yield f"{word} in {unit} (the unit stands in the key)" if unit else word
+    elif node.get("type") == "array":
+        inner = node.get("prefixItems") or [node.get("items") or {}]
+        each = next(_words(inner[0], unit), "")
+        several = (
+            each.removeprefix("a ").replace("number", "numbers").replace("mapping", "mappings")
+        )
+        count = f" of {len(inner)}" if len(inner) > 1 else " of" if several else ""
+        yield f"a list{count} {several}".rstrip()
+    elif "type" in node:
+        yield {"string": "text", "boolean": "true or false"}.get(node["type"], str(node["type"]))

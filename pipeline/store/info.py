@@ -1,0 +1,54 @@
+"""What a product is, finished or not, as plain values: read from its small files alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import BadInput
+from pipeline.store import layout
+from pipeline.store.markers import markers_present
+from pipeline.store.product import begun_tiles
+
+
+def tiles_done(product: Path) -> tuple[int, int]:
+    """How many tiles of a product are kept, and of how many. BadInput where there is none."""
+    if not (product / layout.BEGUN).is_file():
+        allowed = "a product directory made by `nightglass render`"
+        if (product / "nightglass.json").is_file():
+            allowed += "; of a catalogue `nightglass catalog info` tells"
+        raise BadInput("PRODUCT", str(product), allowed)
+    return len(list(markers_present(product))), begun_tiles(product)
+
+
+def describe(product: Path) -> dict[str, Any]:
+    """State, size, content, origin of a product; what only a finished one has is None before."""
+    done, total = tiles_done(product)
+    complete = (product / layout.COMPLETE).is_file()
+    plan = _read(product / layout.PLAN)
+    report = _read(product / layout.REPORT) if complete else {}
+    scene = _scene(product)
+    output = scene.get("output", {})
+    return {
+        "scene": scene.get("name"), "state": "complete" if complete else "not complete",
+        "tiles": done, "tiles_expected": total, "epoch": scene.get("epoch"),
+        "seed": scene.get("seed"), "frames": plan.get("frames"), "shape": plan.get("shape"),
+        "field_deg": plan.get("field_deg"), "layers": output.get("layers"),
+        "targets": plan.get("targets"), "catalogue": (plan.get("catalogue") or {}).get("name"),
+        "warnings": plan.get("warnings", []), "truth_rows": report.get("truth_rows"),
+        "bytes": sum(p.stat().st_size for p in product.rglob("*") if p.is_file()),
+        "version": report.get("versions", {}).get("nightglass"),
+        "content_digest": report.get("content_digest"),
+    }  # fmt: skip
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text()) if path.is_file() else {}
+
+
+def _scene(product: Path) -> dict[str, Any]:
+    from pipeline.spec.load import load_scene
+
+    path = product / layout.SCENE
+    return load_scene(path).as_dict() if path.is_file() else {}

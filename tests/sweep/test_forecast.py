@@ -1,0 +1,74 @@
+"""The forecast of a whole sweep: what it says is shared is what the sweep then draws once."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.run import Options
+from pipeline.sweep.forecast import forecast_course
+from pipeline.sweep.run import gather_course, run_course
+from pipeline.sweep.stages import stages
+from tests.command import nightglass
+
+FRAMES = 2
+AXES = [
+    {"field": "targets.0.body.albedo", "values": [0.1, 0.2, 0.3]},
+    {"field": "background.uniform_mag_arcsec2", "values": [20.0, 21.0]},
+    {"field": "sensor.read_noise_e", "values": [2.0, 40.0]},
+]
+SHARED = [
+    (AXES, {"plans": 6, "stars": 1, "targets": 3, "sky": 2}),
+    (AXES[2:], {"plans": 1, "stars": 1, "targets": 1, "sky": 1}),
+    ([{"field": "exposure.integration_s", "values": [0.2, 0.4]}, AXES[2]],
+     {"plans": 2, "stars": 2, "targets": 2, "sky": 2}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("axes", "expected"), SHARED)
+def test_what_is_shared_is_drawn_so_often(
+    sweep_file: Any, tmp_path: Path, axes: list[Any], expected: dict[str, int]
+) -> None:
+    """Each different light once for every frame; the time to a factor of 5."""
+    course = gather_course(sweep_file(axes, seeds=2), tmp_path / "out")
+    told = forecast_course(course)
+    assert told["different"] == expected
+    drawn = stages(course.run).drawn
+    assert not any("light" in stage for stage in drawn)  # nothing was drawn for the forecast
+    began = time.process_time()
+    report = run_course(course, tmp_path / "out", Options("synchronous"))
+    taken = time.process_time() - began
+    assert report["failed"] == 0
+    assert report["points"] == told["points"]
+    for kind in ("stars", "targets", "sky"):
+        assert drawn[f"{kind} light"] == FRAMES * expected[kind], kind
+    assert told["cpu_s"] / 5.0 <= taken + 3.5 <= told["cpu_s"] * 5.0
+    assert told["cpu_s"] < told["alone_cpu_s"]
+
+
+def test_points_with_detector_extras_share_nothing(sweep_file: Any, tmp_path: Path) -> None:
+    file = sweep_file(AXES[2:], {"sensor.detector": {"prnu": 0.01}})
+    told = forecast_course(gather_course(file, tmp_path / "out"))
+    assert told["different"] == dict.fromkeys(("plans", "stars", "targets", "sky"), 2)
+
+
+def test_dry_run_on_the_command_line(
+    sweep_file: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A page that fits, JSON, nothing written; a sweep that cannot run is refused as ever."""
+    monkeypatch.setenv("COLUMNS", "80")
+    file, out = sweep_file(AXES), tmp_path / "out"
+    said = nightglass("sweep", file, "-o", out, "--dry-run")
+    assert said.returncode == 0, said.stderr
+    assert "12, each 2 frame(s) of 256 x 256 px" in said.stdout
+    assert "6 plans; different light: 1 of stars, 3 of targets, 2 of sky" in said.stdout
+    assert all(len(line) <= 80 for line in said.stdout.splitlines())
+    told = json.loads(nightglass("sweep", file, "--dry-run", "--json").stdout)
+    assert told["points"] == 12
+    assert not out.exists()
+    bad = nightglass("sweep", sweep_file([{"field": "sensor.gain", "values": [1]}]), "--dry-run")
+    assert (bad.returncode, "axes.0" in bad.stderr) == (2, True)
