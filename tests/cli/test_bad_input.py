@@ -221,12 +221,14 @@ def test_bad_commands(arguments, words, tmp_path):
 def test_scheduler_names(tmp_path, monkeypatch):
     monkeypatch.setattr(clusters, "ANSWER_S", 1.0)
     (tmp_path / "scene.json").write_text(json.dumps(SCENE))
-    for name in ("tcp://10.0.0.1:8786", "quick", "tcp://127.0.0.1:9"):
+    refused, away = (2, "--scheduler"), (4, "no scheduler answers")
+    told = {"tcp://10.0.0.1:8786": refused, "quick": refused, "tcp://127.0.0.1:9": away}
+    for name, (code, message) in told.items():
         result = nightglass(
             "render", tmp_path / "scene.json", "-o", tmp_path / "run", "--scheduler", name
         )
-        assert result.returncode == 2
-        assert "--scheduler" in result.stderr
+        assert result.returncode == code
+        assert message in result.stderr
         assert not (tmp_path / "run").exists()
 
 
