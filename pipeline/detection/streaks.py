@@ -87,13 +87,16 @@ def _best(
     fx = scipy.fft.rfftfreq(shape[1])[None, :].astype(np.float32)
     across = np.exp(-2.0 * (np.pi * WIDTH_PX) ** 2 * (fx * fx + fy * fy))
     best, which = np.full(shape, -np.inf, np.float32), np.zeros(shape, np.int16)
+    # Large arrays that come and go cost more than what is done in them: these stay.
+    line, spare = np.empty_like(across), np.empty_like(across)
+    product = np.empty_like(spectrum)
     for number, (length, angle) in enumerate(lines):
-        line = fx * np.float32(length * math.cos(angle)) + fy * np.float32(length * math.sin(angle))
-        _sinc(line)
+        x, y = fx * np.float32(length * math.cos(angle)), fy * np.float32(length * math.sin(angle))
+        _sinc(np.add(x, y, out=line), spare)
         line *= across
         # The noise of the filtered image, by Parseval: both halves of the spectrum.
         power = -float(np.sum(line[:, 0] ** 2))
-        product = spectrum * line
+        np.multiply(spectrum, line, out=product)
         power += 2.0 * float(np.sum(np.square(line, out=line)))
         filtered = scipy.fft.irfft2(product, s=shape, overwrite_x=True)
         filtered /= np.float32(math.sqrt(power / scaled.size))
@@ -104,11 +107,11 @@ def _best(
     return best, which
 
 
-def _sinc(x: NDArray[np.float32]) -> None:
-    """sin(pi x) / (pi x) in place of x: large arrays that come and go cost more than the sines."""
+def _sinc(x: NDArray[np.float32], spare: NDArray[np.float32]) -> None:
+    """sin(pi x) / (pi x) in place of x; spare : as large."""
     x *= np.float32(np.pi)
     x[x == 0] = np.finfo(np.float32).eps
-    np.divide(np.sin(x), x, out=x)
+    np.divide(np.sin(x, out=spare), x, out=x)
 
 
 @njit(cache=True, nogil=True)
