@@ -51,6 +51,7 @@ SLOW = ["report scenes -o scenes --quick --rungs 0.5", "demo -o demo"]
 ELSEWHERE = {  # commands that are not run here, and why
     "serve": "prints a log, a JSON object a line",
     "jobs cancel": "prints one word, the job's phase",
+    "jobs retry": "prints one word, the job's phase",
     "schema": "prints JSON, for machines",
     "worker": "waits for a scheduler, and logs as Dask's workers do",
     "catalog fetch": "needs an archive; prints a mapping, as `catalog info` does",
