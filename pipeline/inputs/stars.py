@@ -85,11 +85,14 @@ def expected_rows(
 def disc_share(apart: np.ndarray, radius: np.ndarray, other: float) -> np.ndarray:
     """Share of discs (n,) of these radii that another disc covers, `apart` from their middles."""
     r = np.maximum(radius, 1e-12)
-    d = np.clip(apart, np.maximum(np.abs(r - other), 1e-300), r + other)
+    inside, beside = apart <= np.abs(r - other), apart >= r + other
+    d = np.where(inside | beside, np.maximum(r, other), apart)  # any at which circles cross
     a = r**2 * np.arccos(np.clip((d**2 + r**2 - other**2) / (2.0 * d * r), -1.0, 1.0))
     b = other**2 * np.arccos(np.clip((d**2 + other**2 - r**2) / (2.0 * d * other), -1.0, 1.0))
     corner = (r + other - d) * (d + r - other) * (d - r + other) * (d + r + other)
-    return (a + b - 0.5 * np.sqrt(np.maximum(corner, 0.0))) / (math.pi * r**2)
+    lens = (a + b - 0.5 * np.sqrt(np.maximum(corner, 0.0))) / (math.pi * r**2)
+    share = np.where(inside, np.minimum(1.0, (other / r) ** 2), np.clip(lens, 0.0, 1.0))
+    return np.where(beside, 0.0, share)
 
 
 def groups_bright_enough(
