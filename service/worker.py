@@ -33,7 +33,10 @@ def main() -> None:
     """Read the order, do it, say how it went."""
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # whatever a library prints must not be taken for an answer
-    order = json.loads(sys.stdin.buffer.readline())
+    line = sys.stdin.buffer.readline()
+    if not line.endswith(b"\n"):  # the parent died before it had said all
+        sys.exit(1)
+    order = json.loads(line)
     logs.set_up()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     todo = {"plan": _plan, "judge": _judge, "render": _render, "sweep": _sweep}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import signal
@@ -17,8 +18,14 @@ import pytest
 from catalog_tools.clusters import check_address, security_of
 from catalog_tools.errors import BadInput, TryLater
 from catalog_tools.schedulers import LOCAL_KINDS, open_scheduler
+from pipeline.run import render
+from pipeline.spec.load import parse_scene
+from pipeline.store.product import content_digest
 from tests.service.conftest import SCENE
+from tests.slurm import slurm_of_one_node
 from tests.tls_cluster import ROOT, make_certificates, tls_cluster_in
+
+LONGER_THAN_A_JOB_S = 120.0  # CPU seconds; Slurm looks at limits every half minute
 
 
 def double(shared: int, item: int) -> int:
@@ -263,3 +270,43 @@ def test_slurm_starts_workers(tmp_path, monkeypatch):
     assert "--requeue" in script
     assert "tls://" in script
     assert (tmp_path / "certificates").stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_a_slurm_worker_that_reaches_its_walltime_is_followed_by_the_next(tmp_path):
+    """A real Slurm, one job of a minute at a time, a render of some more: whole, the same bits."""
+    pytest.importorskip("dask_jobqueue")
+    from ruamel.yaml import YAML
+
+    scene = copy.deepcopy(SCENE)
+    scene["targets"] += [scene["targets"][0] | {"name": f"other-{i}"} for i in range(40)]
+    spent_s = {}
+    for frames in (1, 2, 22):  # the first compiles
+        scene["exposure"]["frames"] = frames
+        before = time.process_time()
+        render(parse_scene(scene), tmp_path / f"timed{frames}")
+        spent_s[frames] = time.process_time() - before
+    each_s = (spent_s[22] - spent_s[2]) / 20
+    scene["exposure"]["frames"] = int(LONGER_THAN_A_JOB_S / each_s)
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    yaml = YAML(typ="safe")
+    settings = yaml.load((ROOT / "deploy" / "slurm" / "jobqueue.yaml").read_text())
+    settings["jobqueue"]["slurm"] |= {
+        "cores": 1, "processes": 1, "memory": "2GiB", "walltime": "00:01:00", "interface": "lo",
+        "log-directory": str(tmp_path / "jobs"),
+    }  # fmt: skip
+    (tmp_path / "dask").mkdir()
+    yaml.dump(settings, tmp_path / "dask" / "jobqueue.yaml")
+    with slurm_of_one_node() as slurm:
+        told = subprocess.run(
+            [sys.executable, "-m", "pipeline", "render", "scene.json", "-o", "product", "--slurm",
+             "--workers", "1"], cwd=tmp_path, capture_output=True, text=True,
+            env=os.environ | {"DASK_CONFIG": str(tmp_path / "dask"), "PYTHONPATH": str(ROOT),
+                              "NIGHTGLASS_SLURM_FOLDER": str(tmp_path / "certificates")},
+        )  # fmt: skip
+        ended = (slurm / "ended").read_text()
+    assert told.returncode == 0, told.stderr
+    assert "JobState=TIMEOUT" in ended, "the render ended before the first job's walltime"
+    alone = render(parse_scene(scene), tmp_path / "alone")
+    assert alone["content_digest"] == content_digest(tmp_path / "product")

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import random
+import subprocess
+import sys
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +22,7 @@ from pipeline.store.product import check
 
 RIGHT_STATE_S = 15.0
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
+KILLS = 100
 
 
 class Group:
@@ -188,3 +192,63 @@ def test_fifty_kills(
 ) -> None:  # fmt: skip
     database = request.getfixturevalue("postgres").database() if kind != "sqlite" else None
     chaos(Group(make_server, database), long_scene, 50, 2, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_a_hundred_kills_while_jobs_come(
+    make_server: Callable[..., Any], scene: dict[str, Any], tmp_path: Path
+) -> None:
+    """kill -9 of the service at random moments, in the midst of submissions, starts and jobs."""
+    server, dice = make_server(NIGHTGLASS_LEASE_S="0.6"), random.Random(3)
+    jobs: dict[int, str] = {}
+    stopped = threading.Event()
+
+    def one(number: int) -> dict[str, Any]:
+        return scene | {"seed": number, "exposure": scene["exposure"] | {"frames": number % 40 + 1}}
+
+    def submit() -> None:
+        number = 0
+        while not stopped.wait(0.3):
+            key = {"idempotency-key": f"job-{number}"}
+            try:
+                answer = server.client.post("/v1/jobs", json=one(number), headers=key)
+            except (httpx.TransportError, RuntimeError):  # killed: nothing is acknowledged
+                continue
+            assert answer.status_code in (200, 202), answer.text
+            jobs[number] = answer.json()["id"]
+            number += 1
+
+    began = time.monotonic()
+    with ThreadPoolExecutor(1) as pool:
+        submitter = pool.submit(submit)
+        try:
+            for _ in range(KILLS):
+                time.sleep(dice.expovariate(1.0))
+                assert not submitter.done(), submitter.result()
+                server.kill()
+                server.start()
+        finally:
+            stopped.set()
+        submitter.result()
+    print(f"{KILLS} kills in {time.monotonic() - began:.0f} s, {len(jobs)} jobs acknowledged")
+    listed = server.client.get("/v1/jobs", params={"limit": 1000}).json()["jobs"]
+    assert len({*jobs.values()}) == len(jobs) > KILLS / 2
+    assert {*jobs.values()} <= {job["id"] for job in listed}
+    assert len(listed) <= len(jobs) + 1  # the last one may be stored and not acknowledged
+    lives = 0
+    for number, job_id in jobs.items():
+        job = server.ended(f"/v1/jobs/{job_id}")
+        lives += job["attempt"]
+        assert (job["phase"], job["error"]) == ("COMPLETED", None), job
+        assert check(server.home / "products" / job_id).whole
+        alone = render(parse_scene(one(number)), tmp_path / f"alone{number}")
+        assert job["content_digest"] == alone["content_digest"]
+    print(f"all completed in {lives} attempts, {time.monotonic() - began:.0f} s")
+
+
+@pytest.mark.parametrize("order", [b"", b'{"do": "rend'])
+def test_a_worker_whose_parent_dies_before_the_order_is_whole_ends_silently(order: bytes) -> None:
+    words = [sys.executable, "-m", "service.worker"]
+    told = subprocess.run(words, input=order, capture_output=True, check=False)
+    assert (told.returncode, told.stdout, told.stderr) == (1, b"", b"")
