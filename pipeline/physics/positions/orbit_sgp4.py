@@ -211,10 +211,7 @@ def _check_line(number: int, line: str, field: str) -> None:
     body = text[:68]
     expected = (sum(d * body.count(str(d)) for d in range(1, 10)) + body.count("-")) % 10
     if text[68] != str(expected):
-        allowed = (
-            f"{expected}, the line's checksum, in column 69: a character of it is not as it was"
-        )
-        raise BadInput(field, text[68], allowed)
+        raise BadInput(field, text[68], f"{expected}, the line's checksum")
     for name, first, last, pattern in _COLUMNS[number]:
         part = text[first - 1 : last]
         if not re.fullmatch(pattern, part):

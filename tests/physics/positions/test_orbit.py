@@ -95,7 +95,7 @@ def test_limits_a_leap_second_does_not_move_the_satellite() -> None:
 @pytest.mark.parametrize(
     ("line1", "line2", "words"),
     [
-        (LINE1[:68] + str((int(LINE1[68]) + 1) % 10), LINE2, ["line1", f"checksum {LINE1[68]}"]),
+        (LINE1[:68] + str((int(LINE1[68]) + 1) % 10), LINE2, ["line1", "checksum"]),
         (LINE1, LINE2[:30] + "9" + LINE2[31:], ["line2", "checksum"]),
         (LINE2, LINE1, ["line1", "starting '1 '"]),
         (LINE1, LINE1, ["line2", "starting '2 '"]),
