@@ -35,19 +35,12 @@ from pipeline.physics.drawing.wings import (
     spread,
     wing_grid,
 )
-from pipeline.physics.motion.streak import (
-    POINT,
-    Path,
-    part_within,
-    path_through,
-    pieces,
-    transfer,
-)
+from pipeline.physics.motion.streak import POINT, Path, part_within, pieces, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import Core
 from pipeline.plan.checks import FINE_KERNELS, CheckCell, fine_ends
 from pipeline.plan.optics import LARGEST_CORE_SAMPLES
-from pipeline.plan.own_paths import EXACT_MERGE_PX, star_offsets
+from pipeline.plan.own_paths import EXACT_MERGE_PX, paths_through, star_offsets
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import CELL_PX
@@ -57,7 +50,7 @@ Group = tuple[Array, Array, Array, Path]  # (x, y, light) of sources, and the pa
 
 WINDOW_PX = 16
 LEAST_ERROR = 1e-14  # of the light: where nothing else is known of a core's error
-OWN_PATHS, MOST_OWN = 8, 96  # of the brightest stars near a window; of those with bright streaks
+OWN_PATHS, MOST_OWN = 8, 96  # of stars near a window at least, and where more are far off
 MOST_S = 2.0  # CPU seconds that the sources of a window may cost, on one core
 SOURCE_S, SEGMENT_S, SPECTRUM_S = 1.5e-9, 2e-9, 3e-8  # of one term of a spectrum (measured)
 VALUE_S = 1.2e-8  # of a value of a profile
@@ -275,9 +268,9 @@ def _star_groups(
     if not len(near):
         return []
     middle = at.x0 + 0.5 * (at.columns - 1), at.y0 + 0.5 * (at.rows - 1)
+    aberration = plan.scene.star_effects["aberration"]
     some = np.argsort(-near.light_e, kind="stable")[:MOST_FOLLOWED]
     x, y, light = near.x_px[some], near.y_px[some], near.light_e[some]
-    aberration = plan.scene.star_effects["aberration"]
     places = np.append(x, middle[0]), np.append(y, middle[1])
     offsets = star_offsets(plan.camera, g, *places, aberration)[:, :, 0]
     offsets, common = offsets[:, :-1], offsets[:, -1:]
@@ -285,24 +278,20 @@ def _star_groups(
     to_middle = np.stack([middle[0] - x, middle[1] - y])[..., None]
     apart = np.minimum(_nearest(offsets, to_middle), _nearest(common, to_middle))
     off_e = np.where(apart < 2.0 * WINDOW_PX, light * off_px, 0.0)
+    allowed_e = OFF_SHARE * plan.responses.budget_e
     if own_paths:
-        shown = int(np.count_nonzero(off_e > OFF_SHARE * plan.responses.budget_e))
-        own_paths = max(own_paths, min(MOST_OWN, shown))
+        own_paths = max(own_paths, min(MOST_OWN, int(np.count_nonzero(off_e > allowed_e))))
     own = np.zeros(len(some), bool)
     own[np.argsort(-off_e, kind="stable")[:own_paths]] = True
     own &= off_e > 0.0
     own |= class_of(plan, light) == len(plan.responses.classes)
-    weight = np.full(g.nodes - 1, 1.0 / (g.nodes - 1))
     together = np.ones(len(near), bool)
     together[some[own]] = False
-    path = path_through(common[0, 0], common[1, 0], weight, EXACT_MERGE_PX)
+    [path] = paths_through(common, np.array([EXACT_MERGE_PX]))
     groups = [(near.x_px[together], near.y_px[together], near.light_e[together], path)]
-    for i in np.flatnonzero(own):
-        merge_px = OFF_SHARE * plan.responses.budget_e / max(float(light[i]), 1e-300)
-        merge_px = min(max(merge_px, EXACT_MERGE_PX), MOST_MERGED_PX)
-        its = path_through(offsets[0, i], offsets[1, i], weight, merge_px)
-        groups.append((x[[i]], y[[i]], light[[i]], its))
-    return groups
+    merge_px = np.clip(allowed_e / np.maximum(light, 1e-300), EXACT_MERGE_PX, MOST_MERGED_PX)
+    found = zip(np.flatnonzero(own), paths_through(offsets[:, own], merge_px[own]), strict=True)
+    return groups + [(x[[i]], y[[i]], light[[i]], its) for i, its in found]
 
 
 def _nearest(offsets: Array, to_place: Array) -> Array:

@@ -38,12 +38,19 @@ def exact_paths(
     camera: Camera, g: Geometry, x_px: Array, y_px: Array, aberration: bool
 ) -> Iterator[Path]:
     """The same of many stars (n,), worked out together: each as by itself, to the last bit."""
-    weight = np.full(g.nodes - 1, 1.0 / (g.nodes - 1))
     for first in range(0, len(x_px), TOGETHER):
         some = slice(first, first + TOGETHER)
-        dx, dy = star_offsets(camera, g, x_px[some], y_px[some], aberration)[:, :, 0]
-        for i in range(len(dx)):
-            yield path_through(dx[i], dy[i], weight, EXACT_MERGE_PX)
+        offsets = star_offsets(camera, g, x_px[some], y_px[some], aberration)[:, :, 0]
+        yield from paths_through(offsets, np.full(offsets.shape[1], EXACT_MERGE_PX))
+
+
+def paths_through(offsets: Array, merge_px: Array) -> Iterator[Path]:
+    """Paths of stars through offsets (2, n, K) at equal times; merge_px : (n,) how far the nodes
+    of straight runs that become one segment may be off."""
+    steps = offsets.shape[2] - 1
+    weight = np.full(steps, 1.0 / steps)
+    for dx, dy, merge in zip(*offsets, merge_px, strict=True):
+        yield path_through(dx, dy, weight, float(merge))
 
 
 def own_paths(
@@ -70,11 +77,6 @@ def own_paths(
     u, v = zone.uv(x_px, y_px)
     near = (np.maximum(np.abs(u), np.abs(v)) <= 1.0) & (off_px <= merge_px)
     places = np.array([biquadratic(table, u, v) for table in followed])
-    weight = np.full(len(places) - 1, 1.0 / (len(places) - 1))
-    exact = iter(exact_paths(camera, g, x_px[~near], y_px[~near], aberration))
-    return [
-        path_through(places[:, 0, i], places[:, 1, i], weight, float(merge_px[i]))
-        if near[i]
-        else next(exact)
-        for i in range(len(x_px))
-    ]
+    between = paths_through(places.transpose(1, 2, 0)[:, near], merge_px[near])
+    exact = exact_paths(camera, g, x_px[~near], y_px[~near], aberration)
+    return [next(between if inside else exact) for inside in near]

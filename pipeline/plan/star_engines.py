@@ -112,7 +112,7 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
         tables = r.products or costs.tables(usual) <= SURE * costs.singly(usual)
         mixtures = costs.mixtures(bright) <= costs.along(bright)
         phases, mixed = core.phases * tables, costs.mixed_phases * mixtures
-        stars_s += costs.mixtures(bright) if mixtures else costs.along(bright)
+        stars_s += min(costs.mixtures(bright), costs.along(bright))
         if math.isfinite(usual):
             stars_s += costs.tables(usual) if tables else costs.singly(usual)
         classes.append(replace(core, phases=phases, mixed_phases=mixed))
