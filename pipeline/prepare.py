@@ -33,7 +33,7 @@ from pipeline.inputs.stars import (
     Catalogue,
     Shard,
     cones_of,
-    expected_rows,
+    fullest_rows,
     gather_shards,
     groups_bright_enough,
 )
@@ -399,7 +399,7 @@ def forecast(prepared: Prepared) -> Any:
     frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
     g = plan_geometry(plan.scene, frames, plan.dut1_s)
     shards, area_sr = shards_of(plan, catalogues, g), field_area_sr(plan)
-    fullest = max(expected_rows(catalogues, shards, c, area_sr) for c in field_cones(plan, g)[0])
+    fullest = fullest_rows(catalogues, shards, field_cones(plan, g)[0], area_sr)
     return forecast_stars([s.leaf for s in shards], fullest)
 
 

@@ -61,25 +61,33 @@ def gather_shards(
     )
 
 
-def expected_rows(
-    catalogues: Sequence[Catalogue], shards: Sequence[Shard], centre: np.ndarray, area_sr: float
+def fullest_rows(
+    catalogues: Sequence[Catalogue], shards: Sequence[Shard], centres: np.ndarray, area_sr: float
 ) -> float:
-    """Rows of shards' row groups in a field of this area, as if each filled its cap evenly.
+    """Most rows of shards' row groups in a field of this area, as if each filled its cap evenly.
 
-    centre : (3,) unit vector of the field's middle; the field counts as a disc
+    centres : (F, 3) unit vectors of the middles of fields; a field counts as a disc
     """
-    total, radius = 0.0, math.acos(max(-1.0, 1.0 - area_sr / (2.0 * math.pi)))
-    for shard in shards:
-        catalogue, leaf = catalogues[shard.catalogue], shard.leaf
-        table = catalogue.leaf_table
-        (index,) = np.flatnonzero((table["order"] == leaf.order) & (table["pixel"] == leaf.pixel))
-        first = int(catalogue.first_row_groups[index])
-        caps = catalogue.row_group_table[first + np.array([g.row_group for g in leaf.row_groups])]
-        apart = np.linalg.norm(caps["centre"] - centre, axis=-1)
-        caps_radius = 2.0 * np.sin(0.5 * np.minimum(caps["radius_rad"], np.pi))
-        share = disc_share(apart, caps_radius, 2.0 * math.sin(0.5 * radius))
-        total += float(share @ caps["rows"])
-    return total
+    radius = math.acos(max(-1.0, 1.0 - area_sr / (2.0 * math.pi)))
+    found = [
+        row_groups_of(catalogues[s.catalogue], s.leaf)[[g.row_group for g in s.leaf.row_groups]]
+        for s in shards
+    ]
+    if not found:
+        return 0.0
+    caps = np.concatenate(found)
+    caps_radius = 2.0 * np.sin(0.5 * np.minimum(caps["radius_rad"], np.pi))
+    chord = 2.0 * math.sin(0.5 * radius)
+    apart = (np.linalg.norm(caps["centre"] - centre, axis=-1) for centre in centres)
+    return max(float(disc_share(a, caps_radius, chord) @ caps["rows"]) for a in apart)
+
+
+def row_groups_of(catalogue: Catalogue, leaf: Leaf) -> np.ndarray:
+    """What the catalogue knows of the row groups of a whole leaf (n,)."""
+    table = catalogue.leaf_table
+    (index,) = np.flatnonzero((table["order"] == leaf.order) & (table["pixel"] == leaf.pixel))
+    first, end = catalogue.first_row_groups[index : index + 2]
+    return catalogue.row_group_table[first:end]
 
 
 def disc_share(apart: np.ndarray, radius: np.ndarray, other: float) -> np.ndarray:
@@ -99,10 +107,7 @@ def groups_bright_enough(
     catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows, brightest and faintest G of a whole leaf's row groups that are bright enough (n,)."""
-    table = catalogue.leaf_table
-    (index,) = np.flatnonzero((table["order"] == leaf.order) & (table["pixel"] == leaf.pixel))
-    first, end = catalogue.first_row_groups[index : index + 2]
-    groups = catalogue.row_group_table[first:end]
+    groups = row_groups_of(catalogue, leaf)
     if faintest_g_mag is not None:
         groups = groups[groups["brightest_g_mag"] <= faintest_g_mag]
     return groups["rows"], groups["brightest_g_mag"], groups["faintest_g_mag"]
