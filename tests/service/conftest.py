@@ -15,6 +15,9 @@ from typing import Any
 import httpx
 import pytest
 
+from service.database import connect, sqlite_url
+from service.keys import create_key
+
 SCENE: dict[str, Any] = {
     "schema": "nightglass/scene/1",
     "name": "small",
@@ -105,6 +108,11 @@ def keep_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[.
     yield from _servers(tmp_path_factory)
 
 
+def bearer(token: str) -> dict[str, str]:
+    """The header that shows a key."""
+    return {"authorization": f"Bearer {token}"}
+
+
 class Server:
     """`service.main.serve` as a process, and a client that talks to it; its log is a file."""
 
@@ -113,6 +121,17 @@ class Server:
         # its own, also where several serve one folder: its address is read from it
         self.log = home.parent / f"{home.name}-{time.monotonic_ns()}.log"
         self.start()
+
+    def make_keys(self, *teams: str) -> list[str]:
+        """A key for each team; from the first one on the server asks for keys."""
+        engine = connect(sqlite_url(self.home / "jobs.sqlite"))
+        keys = [create_key(engine, team) for team in teams]
+        engine.dispose()
+        deadline = time.monotonic() + 10
+        while self.client.get("/v1/jobs").status_code != 401:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        return keys
 
     def start(self, port: int = 0) -> None:
         code = "import sys; from pathlib import Path; from service.main import serve; "

@@ -6,15 +6,11 @@ import json
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from service.database import connect, sqlite_url
-from service.keys import create_key
 
 PAGE = Path(__file__).parents[2] / "docs" / "service.md"
 
@@ -44,11 +40,7 @@ def test_keys_with_other_clients(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     server = make_server()
-    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
-    key = create_key(engine, "red")
-    engine.dispose()
-    while server.client.get("/v1/jobs").status_code != 401:
-        time.sleep(0.1)
+    [key] = server.make_keys("red")
     (tmp_path / "scene.json").write_text(json.dumps(scene))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("NIGHTGLASS_KEY", key)

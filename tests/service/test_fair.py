@@ -13,11 +13,9 @@ import httpx
 import psutil
 import pytest
 
-from service.database import connect, sqlite_url
-from service.keys import create_key
 from service.problems import TooMany
 from service.shares import Shares
-from tests.service.conftest import SCENE
+from tests.service.conftest import SCENE, bearer
 
 MANY = 6000  # targets, whose plan takes some 20 s
 LIMITS = {"BODY_BYTES": 1 << 23, "TARGETS": 2 * MANY, "PLANS": 2, "WATCHERS": 40}
@@ -27,13 +25,8 @@ LIMITS = {"BODY_BYTES": 1 << 23, "TARGETS": 2 * MANY, "PLANS": 2, "WATCHERS": 40
 def shared(keep_server: Callable[..., Any]) -> Any:
     """A server of two teams."""
     server = keep_server(**{f"NIGHTGLASS_{name}": str(most) for name, most in LIMITS.items()})
-    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
-    server.keys = {
-        team: {"authorization": f"Bearer {create_key(engine, team)}"} for team in ("red", "blue")
-    }
-    engine.dispose()
-    while server.client.get("/v1/jobs").status_code != 401:
-        time.sleep(0.1)
+    red, blue = server.make_keys("red", "blue")
+    server.keys = {"red": bearer(red), "blue": bearer(blue)}
     return server
 
 

@@ -30,6 +30,7 @@ from service.main import bind
 from service.oidc import Verifier
 from service.problems import Forbidden, Unauthenticated
 from service.settings import Settings, read_settings
+from tests.service.conftest import bearer
 
 ISSUER, AUDIENCE = "https://id.example", "nightglass"
 PUBLIC = {  # health, the page itself, and what OGC's landing page says of any such service
@@ -157,19 +158,11 @@ def guarded(keep_server: Callable[..., Any]) -> Any:
     """A server that was open, until a key was made while it ran."""
     server = keep_server()
     assert server.client.get("/v1/jobs").status_code == 200
-    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
-    server.keys = {team: create_key(engine, team) for team in ("red", "blue")}
-    server.spare = create_key(engine, "red", "to be revoked")
-    server.engine = engine
-    deadline = time.monotonic() + 10
-    while server.client.get("/v1/jobs").status_code != 401:
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    red, blue = server.make_keys("red", "blue")
+    server.keys = {"red": red, "blue": blue}
+    server.engine = connect(sqlite_url(server.home / "jobs.sqlite"))
+    server.spare = create_key(server.engine, "red", "to be revoked")
     return server
-
-
-def bearer(token: str) -> dict[str, str]:
-    return {"authorization": f"Bearer {token}"}
 
 
 def every_route() -> list[tuple[str, str]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import time
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -16,8 +15,6 @@ import pytest
 
 from catalog_tools.synthetic import make_demo
 from pipeline.spec.load import parse_scene, scene_yaml
-from service.database import connect, sqlite_url
-from service.keys import create_key
 
 SHOWN = "canvas.sky[data-tiles]:not([data-tiles='0'])"  # at least one tile is on the canvas
 KEEP = os.environ.get("NIGHTGLASS_SCREENSHOTS")  # a folder for the pictures of docs/
@@ -303,11 +300,7 @@ def test_curl_on_the_page_fetches_the_product(page: Page, server: Any, field: st
 def with_key(chromium: Any, make_server: Any, scene: dict[str, Any]) -> Iterator[tuple[Any, Any]]:
     """A server of keys with a finished job, and a tab that shows it with its team's key."""
     server = make_server()
-    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
-    key = create_key(engine, "red")
-    engine.dispose()
-    while server.client.get("/v1/jobs").status_code != 401:
-        time.sleep(0.1)
+    [key] = server.make_keys("red")
     server.client.headers["authorization"] = f"Bearer {key}"
     job = server.submit(scene | {"name": "night-17.GEO"})
     assert server.ended(job)["phase"] == "COMPLETED"

@@ -13,10 +13,9 @@ import pytest
 from starlette.requests import Request
 
 from service.auth import Caller
-from service.database import connect, sqlite_url
-from service.keys import create_key
 from service.problems import NotAllowed, Unauthenticated
 from service.tickets import LASTS_S, Tickets
+from tests.service.conftest import bearer
 
 PLACE, RED = "/v1/jobs/x/product.tar", Caller("red", "key:1")
 
@@ -59,13 +58,7 @@ def test_over_http_a_ticket_shows_its_own_teams_job(
     make_server: Callable[..., Any], scene: dict[str, Any]
 ) -> None:
     server = make_server()
-    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
-    red, blue = (
-        {"authorization": f"Bearer {create_key(engine, team)}"} for team in ("red", "blue")
-    )
-    engine.dispose()
-    while server.client.get("/v1/jobs").status_code != 401:
-        time.sleep(0.1)
+    red, blue = map(bearer, server.make_keys("red", "blue"))
     job = server.client.post("/v1/jobs", json=scene, headers=red).headers["location"]
     wanted = {"path": f"{job}/scene"}
 
