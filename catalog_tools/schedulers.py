@@ -1,4 +1,4 @@
-"""Schedulers: where the graph runs, behind one small interface (DESIGN section 7)."""
+"""Schedulers: where the graph runs, behind one small interface."""
 
 from __future__ import annotations
 

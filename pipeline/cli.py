@@ -66,7 +66,7 @@ def _common(
 
 
 def main() -> None:
-    """Run the command line; every error is one message and an exit code (DESIGN section 6)."""
+    """Run the command line; every error is one message and an exit code."""
     try:
         code = app(prog_name="nightglass", standalone_mode=False) or 0
         if code == 130:  # the library takes Ctrl-C for an exit

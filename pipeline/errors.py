@@ -35,5 +35,5 @@ EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
 
 
 def exit_code(error: BaseException) -> int:
-    """Exit code of the command line for an error (DESIGN section 6); 1 for an internal fault."""
+    """Exit code of the command line for an error; 1 for an internal fault."""
     return next((code for kind, code in EXIT_CODES if isinstance(error, kind)), 1)

@@ -23,6 +23,7 @@ from typing import Any
 import psutil
 from ruamel.yaml import YAML
 
+from pipeline.plan.cost import START_S
 from tests.extremes.scenes import LARGE_PX, random_scene
 from tests.extremes.stock import ROOT, Stock, make_stock
 
@@ -33,7 +34,6 @@ FACTOR = 3.0  # that a forecast may be off
 BASE_MB = 180.0  # of a process that has imported everything and draws nothing
 FLOOR_S, FLOOR_MB = 2.0, 400.0  # less than that counts as that
 STARTED_S = 2.0  # of a process that starts: importing all, which a warm one has done before
-PLANNING_S = 3.5  # that every forecast allows for (plan/cost.py), and a refusal may take
 POLL_S = 0.05
 
 
@@ -169,7 +169,7 @@ def _error(answer: Data) -> Iterator[str]:
 
 def _forecast(answer: Data) -> Iterator[str]:
     """CPU time and memory are within FACTOR of the forecast; of a refusal, of what planning may."""
-    told = answer.get("predicted") or {"cpu_s": PLANNING_S, "worker_memory_mb": 0.0}
+    told = answer.get("predicted") or {"cpu_s": START_S, "worker_memory_mb": 0.0}
     pairs = (
         ("CPU s", answer["cpu_s"] + STARTED_S, told["cpu_s"], FLOOR_S),
         ("MB", answer["growth_mb"] + BASE_MB, told["worker_memory_mb"], FLOOR_MB),
