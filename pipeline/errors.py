@@ -15,7 +15,7 @@ from catalog_tools.errors import (
 
 __all__ = [
     "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "Interrupted", "NightglassError",
-    "TryLater",
+    "NOT_NOW", "TryLater",
     "exit_code", "shorten",
 ]  # fmt: skip
 
@@ -24,6 +24,7 @@ class Interrupted(NightglassError):
     """Stopped by the user; the text says what is kept and how to go on."""
 
 
+NOT_NOW = (0, 429, 503)  # statuses of a server that may answer later
 EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
     (BadInput, 2),
     (Incomplete, 3),
@@ -35,5 +36,11 @@ EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
 
 
 def exit_code(error: BaseException) -> int:
-    """Exit code of the command line for an error; 1 for an internal fault."""
+    """Exit code of the command line for an error; 1 for an internal fault.
+
+    An error with a `status` is a server's answer: 0 where none came.
+    """
+    status = getattr(error, "status", None)
+    if status is not None:
+        return 4 if status in NOT_NOW else 2 if 400 <= status < 500 else 1
     return next((code for kind, code in EXIT_CODES if isinstance(error, kind)), 1)

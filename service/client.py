@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import httpx
 
-from pipeline.errors import BadInput, NightglassError
+from pipeline.errors import NOT_NOW, BadInput, NightglassError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 KEY_VARIABLE = "NIGHTGLASS_KEY"
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
 LONG_POLL_S = 20.0
-AGAIN = (429, 503)  # worth another try
 Scene = Mapping[str, Any] | str | Path
 Listener = Callable[[dict[str, Any]], None]
 
@@ -131,16 +130,14 @@ class Client:
         while True:
             try:
                 answer = self.http.request(method, path, **request)
-                problem = None if answer.status_code in AGAIN else problem_of(answer)
-                if answer.status_code not in AGAIN:
-                    if problem is not None:
-                        raise problem
-                    return answer
                 problem = problem_of(answer)
+                if problem is None:
+                    return answer
+                if answer.status_code not in NOT_NOW:
+                    raise problem
             except httpx.TransportError as error:
                 problem = ServiceError(f"{self.url} does not answer: {error}")
             if time.monotonic() + pause_s > deadline:
-                assert problem is not None
                 raise problem
             time.sleep(pause_s)
             pause_s = min(5.0, 2 * pause_s)

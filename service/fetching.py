@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import httpx
 
-from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.errors import NOT_NOW, BadInput, Damaged, Incomplete
 from pipeline.store import layout
 from pipeline.store.product import file_digest
-from service.client import AGAIN, problem_of
+from service.client import problem_of
 
 if TYPE_CHECKING:
     from service.client import RemoteJob
@@ -137,7 +137,7 @@ def _go_on(
     came = 0
     address = f"{job.path}/results/{httpx.URL(path=f'/{path}').raw_path.decode()[1:]}"
     with job.client.http.stream("GET", address, headers=headers) as answer:
-        if answer.status_code in AGAIN:
+        if answer.status_code in NOT_NOW:
             return 0
         problem = problem_of(answer)
         if problem is not None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.errors import BadInput, Damaged
+from pipeline.errors import BadInput, Damaged, exit_code
 from pipeline.store.cube import open_cube
 from pipeline.store.product import check
 from service.client import Client, JobFailed, Refused, ServiceError
@@ -154,6 +154,14 @@ def test_command_line(server: Any, scene: dict[str, Any], tmp_path: Path) -> Non
     fetched = nightglass("jobs", "fetch", job, "-o", str(tmp_path / "q"), *there)
     assert fetched.returncode == 0, fetched.stderr
     assert check(tmp_path / "q").whole
+    late = nightglass("jobs", "cancel", job, *there)
+    assert late.returncode == 2, late.stderr
+
+
+def test_a_server_that_is_not_there_may_be_later(tmp_path: Path) -> None:
+    assert exit_code(ServiceError("away")) == exit_code(ServiceError("full", 503)) == 4
+    assert exit_code(ServiceError("ended", 409)) == 2
+    assert exit_code(ServiceError("a fault", 500)) == 1
 
 
 @pytest.mark.parametrize(
@@ -174,7 +182,7 @@ def test_command_line_mistakes(
     file.write_text(json.dumps(scene))
     places = {"SCENE": str(file), "OUT": str(tmp_path / "out")}
     answer = nightglass(*(places.get(w, w) for w in words), "--server", server.url)
-    assert answer.returncode in (1, 2)
+    assert answer.returncode == 2
     assert said in answer.stderr
     assert "Traceback" not in answer.stderr
     assert not (tmp_path / "out").exists()
