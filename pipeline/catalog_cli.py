@@ -124,7 +124,6 @@ def cone(
     from catalog_tools import query
     from catalog_tools.catalogue import open_catalogue
     from catalog_tools.errors import BadInput
-    from pipeline.export.files import write_table
 
     corners = [_numbers("--corner", text, 2, "56.75,24.1") for text in corner or []]
     centre = (ra_deg, dec_deg, radius_deg)
@@ -136,7 +135,7 @@ def cone(
     else:
         opened = open_catalogue(catalogue)
         rows, report = query.cone(opened, ra_deg, dec_deg, radius_deg, faintest_g_mag, epoch_jyear)
-    write_table(rows, output)
+    _write_table(rows, output)
     print(f"{rows.num_rows} stars; {report}", file=sys.stderr)
     if not corners:
         _note_coverage(opened, centre)
@@ -270,3 +269,22 @@ def _stages(quiet: bool) -> Any:
     from pipeline.pages import stage_progress
 
     return stage_progress(quiet or not sys.stderr.isatty())
+
+
+def _write_table(rows: Any, output: Path | None) -> None:
+    """A table to a .csv or .parquet file, or as CSV to the screen."""
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    from catalog_tools.errors import BadInput, shorten
+
+    if output is None:
+        pyarrow.csv.write_csv(rows, sys.stdout.buffer)
+    elif output.exists():
+        raise BadInput("-o", shorten(str(output)), "a path that does not exist yet")
+    elif output.suffix == ".csv":
+        pyarrow.csv.write_csv(rows, output)
+    elif output.suffix == ".parquet":
+        pyarrow.parquet.write_table(rows, output)
+    else:
+        raise BadInput("-o", str(output), "a path ending in .csv or .parquet")

@@ -1,20 +1,18 @@
-"""Frames of a product as files: FITS with WCS and times, PNG; tables as CSV or Parquet."""
+"""Frames of a product as files: FITS with WCS and times, PNG."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.errors import BadInput, shorten
+from pipeline.errors import BadInput
 from pipeline.export.header import fits_header
 from pipeline.export.picture import png_bytes, shrink, stretch
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.layout import write_atomically
 
 if TYPE_CHECKING:
-    import pyarrow as pa
     import xarray as xr
 
 KINDS = ("fits", "png")
@@ -69,20 +67,3 @@ def fits_bytes(product: Path, cube: xr.Dataset, frame: int, layer: str) -> bytes
     out = BytesIO()
     hdu.writeto(out, checksum=True)
     return out.getvalue()
-
-
-def write_table(rows: pa.Table, output: Path | None) -> None:
-    """A table to a .csv or .parquet file, or as CSV to the screen."""
-    import pyarrow.csv
-    import pyarrow.parquet
-
-    if output is None:
-        pyarrow.csv.write_csv(rows, sys.stdout.buffer)
-    elif output.exists():
-        raise BadInput("-o", shorten(str(output)), "a path that does not exist yet")
-    elif output.suffix == ".csv":
-        pyarrow.csv.write_csv(rows, output)
-    elif output.suffix == ".parquet":
-        pyarrow.parquet.write_table(rows, output)
-    else:
-        raise BadInput("-o", str(output), "a path ending in .csv or .parquet")
