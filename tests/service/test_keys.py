@@ -17,6 +17,7 @@ from typing import Any
 
 import httpx
 import jwt
+import psutil
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
@@ -24,11 +25,21 @@ from pipeline.errors import BadInput
 from service.app import ROOMS
 from service.auth import Authenticator, Caller
 from service.database import connect, sqlite_url
-from service.keys import TOKEN, any_key, create_key, list_keys, matches, revoke_key
+from service.keys import (
+    TOKEN,
+    any_key,
+    create_key,
+    find_key,
+    list_keys,
+    matches,
+    revoke_key,
+    usable,
+)
 from service.logs import redact
 from service.main import bind
 from service.oidc import Verifier
 from service.problems import Forbidden, Unauthenticated
+from service.processes import worker
 from service.settings import Settings, read_settings
 from tests.service.conftest import bearer
 
@@ -356,6 +367,53 @@ def test_bad_tokens(provider: tuple[dict[str, Any], Path]) -> None:
     for team in (None, "", "Red/../x", ["a", "b"], 5):
         with pytest.raises(Forbidden):
             verifier.verify(signed(private, team=team))
+
+
+def test_keys_of_a_provider_that_cannot_be_read_stay(
+    provider: tuple[dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A token of an unknown key makes the set be read again; a key for encryption signs none."""
+    monkeypatch.setattr("service.oidc.READ_AGAIN_S", 0.0)
+    private, published = provider
+    told = json.loads(published.read_text())
+    told["keys"] = [key | ({"use": "enc"} if key["kid"] == "ec" else {}) for key in told["keys"]]
+    path = tmp_path / "jwks.json"
+    path.write_text(json.dumps(told))
+    verifier = Verifier(ISSUER, AUDIENCE, str(path), "team")
+    assert verifier.verify(signed(private)) == ("red", "oidc:ann")
+    path.unlink()
+    with pytest.raises(Unauthenticated):
+        verifier.verify(signed(private, "ec", "ES256"))
+    assert verifier.verify(signed(private)) == ("red", "oidc:ann")
+
+
+def test_a_key_lasts_for_its_days_and_is_revoked_by_itself(tmp_path: Path) -> None:
+    engine = connect(f"sqlite:///{tmp_path / 'jobs.sqlite'}")
+    key, other = create_key(engine, "red", days=2.0), create_key(engine, "red")
+    row, forever = (find_key(engine, k.split("_")[1]) for k in (key, other))
+    assert row.expires_s - row.created_s == 2 * 86_400
+    assert forever.expires_s is None
+    assert [usable(row, row.expires_s + s) for s in (-1.0, 0.0)] == [True, False]
+    revoke_key(engine, key)  # the key itself, as `nightglass keys revoke` takes it
+    assert [find_key(engine, r.id).revoked_s is None for r in (row, forever)] == [False, True]
+    engine.dispose()
+
+
+@pytest.mark.parametrize("name", ["DATABASE", "OIDC_JWKS", "TLS_KEY"])
+def test_an_engine_is_told_no_secret(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Its process has none of these in its environment, and what it needs."""
+    monkeypatch.setenv(f"NIGHTGLASS_{name}", "s3cret")
+    monkeypatch.setenv("NIGHTGLASS_DATA", "here")
+    settings = Settings(tmp_path)
+    settings.make_folders()
+    before = {child.pid for child in psutil.Process().children()}
+    with worker(settings, {"do": "judge", "scene": {}}):
+        [engine] = [c for c in psutil.Process().children() if c.pid not in before]
+        environment = engine.environ()
+    assert f"NIGHTGLASS_{name}" not in environment
+    assert environment["NIGHTGLASS_DATA"] == "here"
 
 
 def test_a_place_for_keys_must_be_safe(tmp_path: Path) -> None:

@@ -97,6 +97,8 @@ def test_quotas(database: str) -> None:
     assert other[1]
     [refused] = submit_many(store, [ask(team="blue", pixel_frames=11)], limits)
     assert "a day" in str(refused)
+    [last] = submit_many(store, [ask(team="green", pixel_frames=100)], limits)
+    assert last[1]  # all of it
     store.delete(other[0].id)  # what was asked for today stays asked for
     [refused] = submit_many(store, [ask(team="blue", pixel_frames=11)], limits)
     assert "a day" in str(refused)

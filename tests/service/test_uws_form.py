@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import time
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from lxml import etree
 
 from service.jobs import Job, Phase
+from service.routes.uws import _time
 from service.uws_xml import job_xml, jobs_xml, parameters_xml, result_names, results_xml
 
 # The form in RELAX NG, in this project's own words, after the standard's XML Schema
@@ -147,3 +150,37 @@ def test_the_form_tells_wrong_from_right(forms: list[Any], was: bytes, becomes: 
         return
     with pytest.raises(etree.DocumentInvalid):
         fits(forms, changed)
+
+
+def test_each_element_tells_its_own_value() -> None:
+    """Times in UTC to the millisecond; a fault may pass, a mistake in the scene does not."""
+    plain: dict[str, Any] = dict.fromkeys(Job.__dataclass_fields__)
+    for kind, passes in (("fault", "transient"), ("bad input", "fatal")):
+        job = Job(**plain | {
+            "id": "b" * 32, "kind": "scene", "owner": "me", "phase": Phase.ERROR, "run_id": "mine",
+            "submitted_s": 1.0, "started_s": 2.0, "ended_s": 3.0, "destruction_s": 4.0,
+            "duration_s": 90.0, "tiles_done": 3, "tiles_total": 8,
+            "error": {"kind": kind, "message": "why", "errors": []},
+        })  # fmt: skip
+        root = etree.fromstring(job_xml(job, {}, []))
+        told = {etree.QName(e).localname: e.text for e in root.iter() if e.text}
+        times = {"creationTime": 1, "startTime": 2, "endTime": 3, "destruction": 4}
+        wanted = {name: f"1970-01-01T00:00:0{s}.000Z" for name, s in times.items()} | {
+            "jobId": "b" * 32, "runId": "mine", "ownerId": "me", "phase": "ERROR",
+            "executionDuration": "90", "tilesDone": "3", "tilesTotal": "8", "message": "why",
+        }  # fmt: skip
+        assert {name: told[name] for name in wanted} == wanted
+        assert root.find("{*}errorSummary").get("type") == passes
+
+
+def test_a_time_without_a_zone_is_in_utc(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the server stands."""
+    monkeypatch.setenv("TZ", "XYZ-9")
+    time.tzset()
+    try:
+        noon = datetime(2026, 1, 31, 12, tzinfo=UTC).timestamp()
+        for text in ("2026-01-31T12:00:00", "2026-01-31T12:00:00Z", "2026-01-31T13:00:00+01:00"):
+            assert _time(text, "AFTER") == noon
+    finally:
+        monkeypatch.undo()
+        time.tzset()
