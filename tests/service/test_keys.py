@@ -25,16 +25,7 @@ from pipeline.errors import BadInput
 from service.app import ROOMS
 from service.auth import Authenticator, Caller
 from service.database import connect, sqlite_url
-from service.keys import (
-    TOKEN,
-    any_key,
-    create_key,
-    find_key,
-    list_keys,
-    matches,
-    revoke_key,
-    usable,
-)
+from service.keys import TOKEN, any_key, create_key, list_keys, matches, revoke_key
 from service.logs import redact
 from service.main import bind
 from service.oidc import Verifier
@@ -385,18 +376,6 @@ def test_keys_of_a_provider_that_cannot_be_read_stay(
     with pytest.raises(Unauthenticated):
         verifier.verify(signed(private, "ec", "ES256"))
     assert verifier.verify(signed(private)) == ("red", "oidc:ann")
-
-
-def test_a_key_lasts_for_its_days_and_is_revoked_by_itself(tmp_path: Path) -> None:
-    engine = connect(f"sqlite:///{tmp_path / 'jobs.sqlite'}")
-    key, other = create_key(engine, "red", days=2.0), create_key(engine, "red")
-    row, forever = (find_key(engine, k.split("_")[1]) for k in (key, other))
-    assert row.expires_s - row.created_s == 2 * 86_400
-    assert forever.expires_s is None
-    assert [usable(row, row.expires_s + s) for s in (-1.0, 0.0)] == [True, False]
-    revoke_key(engine, key)  # the key itself, as `nightglass keys revoke` takes it
-    assert [find_key(engine, r.id).revoked_s is None for r in (row, forever)] == [False, True]
-    engine.dispose()
 
 
 @pytest.mark.parametrize("name", ["DATABASE", "OIDC_JWKS", "TLS_KEY"])

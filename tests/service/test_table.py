@@ -144,6 +144,21 @@ def test_a_pending_job_does_not_stand_in_its_own_way(database: str) -> None:
     store.close()
 
 
+def test_a_pending_job_grows_within_the_quota(database: str) -> None:
+    """A larger scene counts as asked for, by what it is larger; one that is too large stays out."""
+    store, limits = Queue(database), Limits(pixel_frames_day=100)
+    [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING, pixel_frames=40)], limits)
+    with pytest.raises(QueueFull, match="this is 101"):
+        store.amend(job.id, "red", limits, scene={"b": 2}, pixel_frames=101)
+    assert (store.scene(job.id), store.get(job.id).pixel_frames) == ({"a": 1}, 40)
+    for pixel_frames, counted in ((90, 90), (10, 90)):
+        store.amend(job.id, "red", limits, scene={"b": 2}, pixel_frames=pixel_frames)
+        with store.engine.connect() as db:
+            assert used_by(db, "red", int(time.time() // 86_400)).pixel_frames == counted
+    assert run_pending(store, job.id, limits, "red", "x").pixel_frames == 10
+    store.close()
+
+
 def test_a_deleted_job_is_not_overdue(database: str) -> None:
     """Its time of destruction came, and it is deleted already: nothing is left to be done."""
     store = Queue(database)
