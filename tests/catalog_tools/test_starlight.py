@@ -202,24 +202,3 @@ def test_against_a_real_complete_field(shared_data, tmp_path):
         own = 10.0 ** (-0.4 * g[kept])
         mean = (own * (bp - rp)[kept]).sum() / own.sum()
         assert counted.g_colour[0] / counted.g[0] == pytest.approx(mean, abs=0.1)
-
-
-def test_a_cut_inside_a_bin_by_hand():
-    """Of the bin of 10 to 10.5 a limit of 10.2 leaves 3/5. A cut through N stars scatters by
-    sqrt(N p q) of them; a slope across the bin moves p q / 2 of what the bin's ends differ by."""
-    rising = np.linspace(5.0, 9.0, sl.BINS)
-    light = np.zeros((sl.BINS, 4, 12), np.float32)
-    for kind, factor in enumerate((1.0, 0.7, 0.6, 0.25)):
-        light[:, kind] = factor * rising[:, None]
-    found = sl.StarlightMap(0, light, "").fainter(10.2, np.array([[0.6, 0.0, 0.8]]))
-    sr, here = 4.0 * np.pi / 12.0, 15
-    share = np.array([0.6, *np.ones(sl.BINS - 16)])
-    middles = np.array([*np.arange(10.25, 22.0, 0.5), 22.0])  # the last bin is open: its edge
-    own, white = 10.0 ** (-0.4 * middles), 1.25 * rising / sr
-    sums = [factor * share @ rising[here:] / sr for factor in (1.0, 0.7, 0.6, 0.25)]
-    names = ("g", "g_colour", "g_colour_squared", "g_without_colour")
-    assert [getattr(found, n)[0] for n in names] == pytest.approx(sums, rel=1e-5)
-    assert found.g_squared[0] == pytest.approx((share * own) @ white[here:], rel=1e-5)
-    scatter = np.sqrt(white[here] * sr / own[0] * 0.24) * own[0] / sr
-    slope = 0.5 * (white[here + 1] - white[here - 1])
-    assert found.g_error[0] == pytest.approx(2.0 * scatter + slope * 0.24 / 2.0, rel=1e-5)

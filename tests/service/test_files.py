@@ -19,7 +19,7 @@ import sqlalchemy as sa
 from service.auth import Caller
 from service.database import writing
 from service.jobs import Phase, Queue
-from service.problems import NotAllowed, NotReady, NotThere, QueueFull
+from service.problems import NotAllowed, NotReady, NotThere
 from service.settings import Settings
 from service.submissions import Ask, Limits, submit_many
 from service.tables import uploads
@@ -133,15 +133,3 @@ def test_images_that_are_taken(tmp_path: Path, values: Any) -> None:
     check_content(tmp_path / "file", "npy")
     (tmp_path / "file").write_bytes(CARDS + b"END".ljust(1 << 20))
     check_content(tmp_path / "file", "fits")
-
-
-def test_a_full_share_takes_no_file_and_each_team_sees_its_own(
-    store: Queue, tmp_path: Path
-) -> None:
-    """The file of one byte fills a share of one byte."""
-    full = Uploads(Settings(tmp_path, bytes_kept=1), store.engine)
-    with pytest.raises(QueueFull, match="1 bytes"):
-        full._check_room("red")
-    Uploads(Settings(tmp_path, bytes_kept=2), store.engine)._check_room("red")
-    assert [file["name"] for file in full.listing("red")] == ["flat.npy"]
-    assert full.listing("green") == []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import socket
 from pathlib import Path
@@ -14,20 +13,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import zarr
-from PIL import Image
 
 from pipeline.parts import parse_part, render_part
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 from service.files import open_inside
-from service.frames import (
-    binned,
-    frame_facts,
-    frame_to_watch,
-    tile_picture,
-    tile_values,
-    truth_of,
-)
+from service.frames import frame_facts, tile_values, truth_of
 from service.problems import NotReady, NotThere
 
 
@@ -159,37 +150,6 @@ def test_tiles_are_told_and_shown_as_they_are_drawn(scene: dict[str, Any], tmp_p
         else:
             with pytest.raises(NotReady):
                 tile_values(tmp_path / "run", 0, row, column)
-
-
-def test_the_frame_to_watch_is_the_fullest_that_is_not_whole(tmp_path: Path) -> None:
-    """Of frames of 2 x 2 tiles: one of three tiles before one of one, none that is whole."""
-    about = {"complete": False, "shape": [3, 4], "tile_shape": [2, 2]}
-    (tmp_path / "markers").mkdir()
-
-    def draw(frame: int, tiles: int) -> None:
-        for k in range(tiles):
-            (tmp_path / "markers" / f"f{frame:06d}_r{k // 2}_c{k % 2}.json").touch()
-
-    assert frame_to_watch(tmp_path, about) == 0
-    draw(2, 4)
-    draw(0, 4)
-    assert frame_to_watch(tmp_path, about) == 2  # the last whole one
-    draw(4, 1)
-    draw(3, 3)
-    draw(5, 3)
-    assert frame_to_watch(tmp_path, about) == 3
-    assert frame_to_watch(tmp_path, about | {"complete": True}) == 0
-
-
-def test_pictures_of_tiles_by_hand() -> None:
-    """Row 0 below; half of 255 by each stretch; blocks at the edges are smaller."""
-    values = np.array([[0.0, 50.0], [100.0, 900.0]])
-    levels = {"linear": 128, "asinh": 207, "log": 229}  # asinh(10)/asinh(20), log 501/log 1001
-    for stretch, half in levels.items():
-        picture = np.asarray(Image.open(io.BytesIO(tile_picture(values, stretch, 0.0, 100.0))))
-        assert picture.tolist() == [[255, 255], [0, half]]
-    blocks = binned(np.array([[0, 0, 3], [0, 8, 5], [6, 2, 7]], np.uint16), 2)
-    assert (blocks.tolist(), blocks.dtype) == ([[5.0, 4.5], [5.0, 7.0]], np.float32)
 
 
 def test_truth_is_that_of_the_frame_and_its_brightest_stars(tmp_path: Path) -> None:

@@ -150,19 +150,3 @@ def test_a_scene_may_not_take_too_long(tmp_path: Path, scene: dict[str, Any]) ->
     assert f"(forecast: {asked:.0f})" in told["allowed"]
     scene["sensor"]["shape"] = [512, 2048]
     assert least_cpu_s(accept_scene(scene, Settings(tmp_path))) > 2 * asked
-
-
-@pytest.mark.parametrize(
-    ("most", "field"),
-    [({"pixel_frames": 2 * 64 * 64}, "/exposure/frames"), ({"targets": 1}, "/targets")],
-    ids=("pixels", "targets"),
-)
-def test_as_much_as_is_allowed_is_taken(
-    tmp_path: Path, scene: dict[str, Any], most: dict[str, int], field: str
-) -> None:
-    """Two frames of 64 x 64 pixels and one target: what is allowed, and one more than that."""
-    accept_scene(scene, Settings(tmp_path, **most))  # type: ignore[arg-type]
-    less = {name: value - 1 for name, value in most.items()}
-    with pytest.raises(NotAllowed) as caught:
-        accept_scene(scene, Settings(tmp_path, **less))  # type: ignore[arg-type]
-    assert [told["pointer"] for told in caught.value.errors] == [field]

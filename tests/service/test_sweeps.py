@@ -14,9 +14,6 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.sweep.ledger import is_complete
 from service.client import Client
-from service.problems import NotAllowed
-from service.settings import Settings
-from service.sweeps import accept_sweep
 
 pytest.importorskip("pipeline.sweep.run", reason="the runner of sweeps is not there")
 
@@ -115,6 +112,8 @@ BAD: dict[str, list[dict[str, Any]]] = {
     "size": [{"field": "sensor.shape", "values": [[9999, 9999]]}],
     "size inside": [{"field": "sensor", "values": [{}]}],
     "frames": [{"field": "exposure.frames", "values": [10**6]}],
+    "dwells": [{"field": "dwells", "values": [[{"integration_s": 0.1, "frames": 10**6}]]}],
+    "populations": [{"field": "populations", "values": [[], []]}],
     "catalogue": [{"field": "stars", "values": [{"catalogue": "/etc"}]}],
     "targets": [{"field": "targets", "values": [[]]}],
     "target": [{"field": "targets.0.body.path", "values": ["/etc/passwd"]}],
@@ -137,18 +136,3 @@ def test_base_scenes_that_are_refused(server: Any, sweep: dict[str, Any]) -> Non
     wrong["scene"]["sensor"]["flat"] = "/etc/passwd"
     assert server.client.post("/v1/sweeps", json=wrong).status_code == 422
     assert server.client.post("/v1/sweeps", json=sweep["scene"]).status_code == 422
-
-
-def test_points_are_counted_and_their_size_is_fixed(
-    tmp_path: Path, sweep: dict[str, Any]
-) -> None:
-    """Four points of two frames: as many as are allowed, not one more; no axis adds frames."""
-    stored, pixel_frames = accept_sweep(sweep, Settings(tmp_path, sweep_points=4))
-    assert (stored["scene"]["name"], pixel_frames) == ("small", 4 * 2 * 64 * 64)
-    with pytest.raises(NotAllowed, match="at most 3 points"):
-        accept_sweep(sweep, Settings(tmp_path, sweep_points=3))
-    dwell = [{"pointing": sweep["scene"]["pointing"], "frames": 900}]
-    for field, value in (("dwells", dwell), ("populations", []), ("output", {})):
-        wish = sweep | {"axes": [{"field": field, "values": [value, value]}]}
-        with pytest.raises((NotAllowed, BadInput), match=field):
-            accept_sweep(wish, Settings(tmp_path))
