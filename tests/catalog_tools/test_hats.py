@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from lsst_refcat import convert
 
-from catalog_tools.catalogue import LEAVES_DTYPE
-from catalog_tools.hats import write_hats_files
 from catalog_tools.ingest import ingest
 from catalog_tools.query import cone
 from catalog_tools.synthetic import make_demo
@@ -110,13 +108,3 @@ def test_same_columns_in_lsdb(made):
         left = ours[name].to_numpy(zero_copy_only=False).astype(float)
         right = theirs[name].to_numpy(dtype=float, na_value=np.nan)
         assert np.array_equal(left, right, equal_nan=True), name
-
-
-def test_what_the_properties_say_of_size_and_sky(tmp_path):
-    """KiB of the shards, and the covered part of the sky in the pixels of the map."""
-    leaves, counts = np.zeros(2, LEAVES_DTYPE), np.zeros(12 * 4**9, np.int64)
-    leaves["order"], leaves["bytes"] = [0, 2], [5000, 3000]
-    counts[[0, 200, 5000]] = 4  # of order 9; the first two are in one pixel of order 5
-    told = write_hats_files(tmp_path, leaves, counts)
-    assert (told["hats_order"], told["hats_skymap_order"], told["hats_estsize"]) == (2, 5, 8)
-    assert told["moc_sky_fraction"] == f"{2 / (12 * 4**5):.5f}" == "0.00016"

@@ -16,15 +16,7 @@ from PIL import Image
 
 from pipeline.export.files import _png
 from pipeline.export.movie import movie_frames
-from pipeline.export.picture import (
-    CYAN,
-    GREEN,
-    Limits,
-    frame_picture,
-    limits_of,
-    shrink,
-    stretch,
-)
+from pipeline.export.picture import CYAN, GREEN, Limits, frame_picture, limits_of, shrink, stretch
 
 ROOT = Path(__file__).resolve().parents[2]
 
