@@ -200,7 +200,7 @@ def test_a_satsim_sensor_is_what_the_file_says(published):
     [
         ({"$pipeline": [{"function": "constant", "kwargs": {"value": 10}},
                         {"function": "poly", "kwargs": {"coef": [2, 3, 5]}}]}, 235.0),
-        ({"$sample": "random.choice", "choices": [1, 2, 3], "probabilities": [0, 1, 0]}, 2),
+        ({"$sample": "random.choice", "choices": [1, 2, 3], "probabilities": [0, 0, 1]}, 3),
         ({"$sample": "random.normal", "loc": 50.0, "scale": 0.0}, 50.0),
         ({"$sample": "random.uniform", "low": 7.0, "high": 7.0}, 7.0),
         ({"$sample": "random.randint", "low": 3, "high": 4}, 3),
