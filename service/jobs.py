@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
@@ -15,6 +15,9 @@ from service.database import connect, now_s, sqlite_url, writing
 from service.named_files import check_files
 from service.problems import NotReady, NotThere, cut
 from service.tables import audit, jobs, scene_crc, seal_of
+
+if TYPE_CHECKING:
+    from service.submissions import Limits
 
 
 class Phase(StrEnum):
@@ -214,14 +217,21 @@ class JobStore:
                 self._change(db, job, cancel_asked=True, **changes)
             record(db, job.team, actor, "delete", job_id)
 
-    def amend(self, job_id: str, team: str | None = None, **values: Any) -> Job:
+    def amend(
+        self, job_id: str, team: str | None = None, limits: Limits | None = None, **values: Any
+    ) -> Job:
         """Change what a client may change of a job: run_id, destruction_s, duration_s, and of one
-        that is PENDING also its name, scene and pixel_frames. NotReady for anything else."""
+        that is PENDING also its name, scene and pixel_frames, which count as asked for today where
+        they are more than before. NotReady for anything else, QueueFull beyond a quota."""
+        from service.submissions import ask_more
+
         with writing(self.engine) as db:
             job = self._one(db, job_id, team)
             fixed = set(values) - AMENDABLE
             if fixed and (job.phase != P.PENDING or fixed - {"name", "scene", "pixel_frames"}):
                 raise NotReady(f"the job is {job.phase}: its scene can no longer be changed")
+            if values.get("pixel_frames", 0) > job.pixel_frames:
+                ask_more(db, job.team, values["pixel_frames"] - job.pixel_frames, limits)
             if "scene" in values:
                 text = json.dumps(values["scene"])
                 check_files(db, job.team, text)

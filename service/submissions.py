@@ -124,6 +124,18 @@ def run_pending(store: JobStore, job_id: str, limits: Limits, team: str, actor: 
         return store._one(db, job_id)
 
 
+def ask_more(db: sa.Connection, team: str, pixel_frames: int, limits: Limits | None) -> None:
+    """Count what a job that waits asks for beside what it was submitted with. QueueFull."""
+    day = int(now_s(db) // DAY_S)
+    used = used_by(db, team, day)
+    used.waiting -= 1  # itself
+    refusal = refuse(used, pixel_frames, limits or Limits())
+    if refusal is not None:
+        raise refusal
+    used.new_pixel_frames = pixel_frames
+    _count(db, team, day, used)
+
+
 def used_by(db: sa.Connection, team: str, day: int) -> Used:
     """What a team has waiting, has asked for today, and keeps on disk."""
     row = db.execute(USED, {"of": team, "on": day}).one()
@@ -214,7 +226,7 @@ def _number(db: sa.Connection, rows: list[dict[str, Any]]) -> None:
 
 def _count(db: sa.Connection, team: str, day: int, used: Used) -> None:
     """Add to the day's account of a team."""
-    if not used.new_jobs:
+    if not (used.new_jobs or used.new_pixel_frames):
         return
     new = {"jobs": used.new_jobs, "pixel_frames": used.new_pixel_frames}
     more = {"of": team, "on": day, "more_jobs": new["jobs"], "more_pixels": new["pixel_frames"]}

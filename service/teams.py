@@ -70,7 +70,7 @@ class TeamStore:
         """Change run_id, destruction_s, duration_s; of a PENDING job also name and scene."""
         if "scene" in values and "pixel_frames" not in values:
             values["pixel_frames"] = pixel_frames_of(values["scene"])
-        return self._store.amend(job_id, self.team, **values)
+        return self._store.amend(job_id, self.team, self._limits, **values)
 
     def run(self, job_id: str) -> Job:
         """Queue a PENDING job. NotReady where it is not PENDING, QueueFull beyond a quota."""

@@ -78,6 +78,13 @@ def test_an_orbit_passes_through_the_shadow(tmp_path) -> None:
     assert read.num_rows == 1201
     assert np.isnan(read["mag_ab"].to_numpy()[dark]).all()
     assert read["utc"][0].as_py().startswith("2019-07-20T09:00:00")
+    columns = {
+        "time_s": curve.time_s, "range_m": curve.range_m, "sunlit_fraction": curve.sunlit,
+        "phase_deg": np.degrees(curve.phase_rad), "above_horizon": curve.above_horizon,
+        "irradiance_e_s_m2": curve.irradiance_e_s_m2,
+    }  # fmt: skip
+    for name, wanted in columns.items():
+        np.testing.assert_allclose(read[name].to_numpy(), wanted, rtol=1e-12, err_msg=name)
     assert plot.read_bytes()[:4] == b"\x89PNG"
 
 

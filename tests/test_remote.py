@@ -245,6 +245,25 @@ def test_the_same_writer_goes_on_at_once(bucket, local, monkeypatch):
         assert report["content_digest"] == local[1]["content_digest"]
 
 
+def test_who_has_ended_is_known(monkeypatch):
+    """A number of a process that another one bears now; an earlier start of one Slurm task, but
+    not this start; of another machine nothing is known."""
+    from pipeline.store.lease import _has_ended, _this_process
+
+    def ended(**other):
+        return _has_ended(json.dumps(_this_process() | other).encode())
+
+    assert not ended()
+    assert ended(started="1")
+    assert not ended(host="another", started="1")
+    for key, value in (("JOB_ID", "77"), ("CLUSTER_NAME", "c"), ("RESTART_COUNT", "2")):
+        monkeypatch.setenv(f"SLURM_{key}", value)
+    there = {"host": "another"}
+    assert [ended(**there, restart=n) for n in (1, 2, 3)] == [True, False, False]
+    assert not ended(**there, job="c:78", restart=0)
+    assert not _has_ended(b"{cut")
+
+
 def test_others_wait_for_a_lease(bucket):
     from catalog_tools.objects import Objects
     from pipeline.store import lease

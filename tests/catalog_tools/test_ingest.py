@@ -214,6 +214,7 @@ def test_choose_leaves_splits_only_where_dense():
     cells = choose_leaves(counts, 200)
     assert [(c.order, c.rows) for c in cells] == [(1, 160)] * 4 + [(0, 3)]
     assert [c.rows for c in choose_leaves(counts, 5)] == [10] * 64 + [3]
+    assert sorted(c.rows for c in choose_leaves(counts, 640)) == [3, 640]  # just as many as may be
 
 
 def test_destination_that_exists_is_refused(tmp_path, parts):

@@ -246,6 +246,20 @@ def test_caps_that_leave_rows_out_are_named(tmp_path, small):
     assert "outside the cap" in text
 
 
+def test_leaves_that_overlap_and_bounds_that_are_not_kept_are_named(tmp_path, small):
+    """A leaf that is a child of the one before it; a row group fainter than its leaf."""
+
+    def overlap(folder, leaves, groups):
+        leaves["order"][1], leaves["pixel"][1] = leaves["order"][0] + 1, 4 * leaves["pixel"][0] + 1
+
+    def fainter(folder, leaves, groups):
+        groups["faintest_g_mag"][3] += 40.0
+
+    for change, what in ((overlap, "leaves overlap"), (fainter, "a row group moves faster")):
+        found = texts(rewritten(small, tmp_path / change.__name__, change))
+        assert any(text.startswith(f"{MANIFEST_NAME}: {what}") for text in found), found
+
+
 def test_tables_that_disagree_are_named(tmp_path, small):
     def change(folder, leaves, groups):
         leaves["rows"][1] += 1

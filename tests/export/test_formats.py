@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 import warnings
+from dataclasses import fields
 
+import erfa
 import numpy as np
 import pytest
+import zarr
 from astropy.io import fits
 from astropy.wcs import WCS, FITSFixedWarning
 from hypothesis import given
@@ -16,9 +20,12 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from pipeline.errors import BadInput
-from pipeline.export.coco import packed, run_lengths
-from pipeline.export.formats import Wish, export_product
-from pipeline.export.masks import Mask
+from pipeline.export import satnet
+from pipeline.export.coco import annotation, image_entry, packed, run_lengths
+from pipeline.export.formats import Wish, _Job, export_product
+from pipeline.export.labels import Labels
+from pipeline.export.masks import Mask, _as_disc, _cut, classes_from_light, mask_fits, paint
+from pipeline.export.times import Exposure
 from pipeline.store.cube import read_layer
 
 STARS = Wish(stars_snr=10.0)
@@ -166,6 +173,19 @@ def test_header_tells_site_and_sensor(labelled, tmp_path):
     site = EarthLocation.from_geodetic(-156.3, 20.7, 3055.0)
     told = [header[f"OBSGEO-{axis}"] for axis in "XYZ"]
     assert np.allclose(told, [v.to_value("m") for v in site.geocentric], atol=1e-3)
+    told = {
+        "OBJECT": "labelled", "SEED": 7, "FRAME": 0, "BUNIT": "adu", "FILTER": "400-900 nm",
+        "APTDIA": 400.0, "FOCALLEN": 1000.0, "XPIXSZ": 9.0, "YPIXSZ": 9.0, "TRKMODE": "target",
+        "RDNOISE": 6.0, "BIASLVL": 500, "DARKCUR": 0.5, "OBSKIND": "ground", "SITELAT": 20.7,
+        "SITELONG": -156.3, "SITEELEV": 3055.0, "TELAPSE": 1.0,
+    }  # fmt: skip
+    assert {k: header[k] for k in told} == pytest.approx(told)
+    place = (np.radians(header["OBSGEO-L"]), np.radians(header["OBSGEO-B"]), header["OBSGEO-H"])
+    on_fits = erfa.gd2gce(6_378_140.0, 1 / 298.257, *place)  # FITS 4.0, table 33: IAU 1976
+    assert np.allclose(on_fits, [header[f"OBSGEO-{axis}"] for axis in "XYZ"], atol=0.1)
+    (path,) = export_product(labelled, "fits", tmp_path / "b.fits", Wish(0, "mean_e"))
+    light = fits.getheader(path)
+    assert (light["BUNIT"], "SATURATE" in light) == ("electron", False)
     assert header["GAIN"] == 1.5
     assert header["SATURATE"] == min(65535, int(90000 / 1.5 + 500))
     assert header["SECPIX"] == pytest.approx(np.degrees(9e-6) * 3600)
@@ -200,3 +220,113 @@ def test_annotations_are_plain_json(coco):
     assert {"start", "middle", "end", "light", "length_px", "angle_deg"} <= set(
         told["annotations"][0]["streak"]
     )
+
+
+def three_labels():
+    """A satellite and two stars whose values all differ, in a frame of 100 rows, 300 columns."""
+    values = {f.name: np.array([1.0, 2.0, 3.0]) * k for k, f in enumerate(fields(Labels), 10)}
+    path = {"x_start": 10, "x": 70, "x_end": 60, "y_start": 40, "y": 20, "y_end": 5,
+            "x_light": 31, "y_light": 22}  # fmt: skip
+    values |= {f"{k}_px": np.array([v, v + 1, v + 2], float) for k, v in path.items()}
+    none = np.nan
+    values |= {
+        "kind": np.array([1, 2, 2]), "name": np.array(["sat", "7", "8"]),
+        "object_name": np.array(["ISS", "seven", "eight"]), "radius_px": np.zeros(3),
+        "g_mag": np.array([none, 9.5, 10.5]), "v_mag": np.array([4.5, none, none]),
+        "mag_ab": np.array([4.25, none, none]),
+    }  # fmt: skip
+    return Labels(**values)
+
+
+TIMES = Exposure(*(np.datetime64(f"2020-01-01T00:00:0{s}.000000", "us") for s in (0, 2, 4)), 4.0)
+
+
+def test_satnet_tells_each_number_of_its_own():
+    """Shares of rows and columns by hand: (pixel + 0.5) / side; a margin of 2 px on every side."""
+    labels = three_labels()
+    told = satnet.annotation(labels, TIMES, (100, 300), 0.01, {}, 2.0)["data"]
+    assert told["sensor"] == {"height": 100, "width": 300, "iFOVy": 0.01, "iFOVx": 0.01}
+    assert told["stats"] == {"num_obs": 1}
+    first, second, _ = told["objects"]
+    places = {
+        "x_start": 10.5 / 300, "x_mid": 70.5 / 300, "x_end": 60.5 / 300, "x_light": 31.5 / 300,
+        "y_start": 0.405, "y_mid": 0.205, "y_end": 0.055, "y_light": 0.225,
+        "x_min": 10.5 / 300, "x_max": 70.5 / 300, "x_center": 40.5 / 300, "bbox_width": 64 / 300,
+        "y_min": 0.055, "y_max": 0.405, "y_center": 0.23, "bbox_height": 0.39,
+    }  # fmt: skip
+    assert {k: first[k] for k in places} == pytest.approx(places, abs=1e-12)
+    kinds = ("class_name", "class_id", "object_name", "object_id", "magnitude", "seg_id")
+    assert [first[k] for k in kinds] == ["Satellite", 1, "ISS", "sat", 4.5, 1]
+    assert [second[k] for k in kinds] == ["Star", 2, "", "7", 9.5, 2]
+    numbers = [second[k] for k in ("pe_per_sec", "snr", "ra", "dec")]
+    wanted = [labels.electrons[1] / 4.0, labels.snr[1], labels.ra_deg[1], labels.dec_deg[1]]
+    assert numbers == wanted
+
+
+def test_coco_tells_each_number_of_its_own():
+    labels = three_labels()
+    entry = image_entry(5, "a.png", (100, 300), TIMES)
+    assert (entry["id"], entry["height"], entry["width"], entry["exposure_s"]) == (5, 100, 300, 4.0)
+    mask = Mask(5, 20, np.ones((3, 4)), np.array([[0, 1, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0]], bool))
+    first, star = (annotation(9, 5, labels, i, mask, (100, 300)) for i in (0, 1))
+    assert (first["id"], first["image_id"]) == (9, 5)
+    assert (first["category_id"], star["category_id"]) == (1, 2)
+    assert (first["bbox"], first["area"], first["num_keypoints"]) == ([21, 5, 2, 2], 3, 3)
+    assert first["segmentation"]["size"] == [100, 300]  # height, width
+    assert first["keypoints"] == [10, 40, 2, 70, 20, 2, 60, 5, 2]  # 2: labelled and visible
+    streak = first["streak"]
+    assert (streak["start"], streak["light"], streak["end"]) == ([10, 40], [31, 22], [60, 5])
+    long = streak["length_px"], streak["angle_deg"]
+    assert long == pytest.approx((61.0328, -34.9920), abs=1e-4)
+    assert (first["name"], first["object_name"], star["object_name"]) == ("sat", "ISS", "seven")
+    for i, one in enumerate((first, star)):
+        for name in ("electrons", "snr", "ra_deg", "dec_deg"):
+            assert one[name] == getattr(labels, name)[i]
+    mags = [{k: a[k] for k in ("g_mag", "v_mag", "mag_ab") if k in a} for a in (first, star)]
+    assert mags == [{"v_mag": 4.5, "mag_ab": 4.25}, {"g_mag": 9.5}]
+
+
+def test_the_table_of_masks_holds_the_labels():
+    """Each column what its name says, by astropy; the brightest owns a pixel that two light."""
+    labels = three_labels()
+    ones = np.ones((2, 3), bool)
+    lights = np.full((2, 3), 5.0), np.array([[9.0, 2, 9], [9, 9, 9]]), np.full((2, 3), 4.0)
+    masks = [Mask(*at, e, ones) for at, e in zip(((0, 0), (1, 1), (1, 2)), lights, strict=True)]
+    owner = paint(labels, iter(masks), (4, 6))
+    assert owner.tolist() == [[1, 1, 1, 0, 0, 0], [1, 2, 1, 2, 3, 0], [0, 2, 2, 2, 3, 0], [0] * 6]
+    made = mask_fits(labels, owner, owner.astype(np.uint8), [])
+    table = fits.open(io.BytesIO(made))["SOURCES"].data
+    columns = {"class": labels.kind, "name": labels.name, "object_name": labels.object_name,
+               "x": labels.x_px, "y": labels.y_px, "magnitude": [4.5, 9.5, 10.5],
+               "electrons": labels.electrons, "snr": labels.snr}  # fmt: skip
+    for name, wanted in columns.items():
+        assert list(table[name]) == list(wanted), name
+
+
+def test_masks_of_faint_sources_discs_and_overlaps(tmp_path):
+    """Half of its own brightest pixel; a full disc about its place; targets before stars."""
+    faint = _cut(-1, 2, np.array([[9.0, 9, 9], [8, 4, 3.9], [0, 5, 6]]), (4, 6), 100.0)
+    assert faint.pixels.tolist() == [[True, False, False], [False, True, True]]  # of 9: from 4.5
+    assert (faint.y0, faint.x0) == (0, 2)
+    y0, x0, light = _as_disc(10, 20, np.array([[7.0]]), 3.2)
+    y, x = np.mgrid[y0 : y0 + light.shape[0], x0 : x0 + light.shape[1]]
+    inside = np.hypot(y - 10, x - 20) <= 3.2
+    assert light == pytest.approx(np.where(inside, 7.0 / inside.sum(), 0.0), abs=1e-9)
+    for name, values in (("targets_e", [[5.0, 5, 0]]), ("stars_e", [[5.0, 4.9, 7]])):
+        zarr.create_array(store=tmp_path / "cube.zarr" / name, data=np.array([values]))
+    found = classes_from_light(tmp_path, 0, ["targets_e", "stars_e"], 5.0)
+    assert found.tolist() == [[1, 1, 2]]
+
+
+def test_satnet_names_its_image_and_holds_nine_tenths_of_a_point(labelled, tmp_path):
+    """90% of a Gaussian's light lie within sigma sqrt(2 ln 10), wider by the pixel's own 1/12."""
+    *_, path = export_product(labelled, "satnet", tmp_path / "set", Wish(1))
+    told = json.loads(path.read_text())["data"]
+    assert told["file"] == {"dirname": "set", "sequence": 0, "filename": "labelled.0001.fits",
+                            "sequence_id": 1}  # fmt: skip
+    assert told["sensor"]["iFOVx"] == pytest.approx(np.degrees(9e-6))
+    one = told["objects"][0]
+    margin = 0.5 * (one["bbox_width"] - (one["x_max"] - one["x_min"])) * 512
+    assert margin == pytest.approx(np.sqrt((0.9**2 + 1 / 12) * 2 * np.log(10)), abs=0.15)
+    floor = json.loads((labelled / "report.json").read_text())["errors"]["noise_floor_e"]
+    assert _Job(labelled, Wish(threshold_sigma=3.0)).threshold_e == 3.0 * floor

@@ -56,6 +56,18 @@ def test_angles_run_from_columns_towards_rows(tmp_path):
     assert labels.length_px.tolist() == [50.0] * 4 + [20.0] * 4
 
 
+def test_labels_shine_and_reach_the_limit(tmp_path):
+    """Sources without light are none; a star of just the least signal-to-noise is labelled."""
+    labels_of(tmp_path, [((50, 50), (60, 60))] * 4)
+    plain = pq.read_table(tmp_path / "truth" / "targets.parquet").to_pydict()
+    plain |= {"electrons": [5.0, 0.0, 7.0, 6.0], "snr": [10.0, 11.0, 9.99, 12.0]}
+    stars = plain | {"source_id": [11, 12, 13, 14], "g_mag": np.ones(4)}
+    for kind, table in (("targets", plain), ("stars", stars)):
+        pq.write_table(pa.table(table), tmp_path / "truth" / f"{kind}.parquet")
+    found = frame_labels(tmp_path, 0, SHAPE, 10.0)
+    assert found.name.tolist() == ["t2", "t3", "t0", "14", "11"]  # each part brightest first
+
+
 def test_angle_of_a_streak_is_that_of_its_light(labelled, tmp_path):
     """The drifting satellite: its angle in the file against second moments of its drawn light."""
     (*_, coco) = export_product(labelled, "coco", tmp_path / "coco", Wish(0))

@@ -8,6 +8,8 @@ import xarray as xr
 from astropy.time import Time
 
 from pipeline.export.times import exposure_of
+from pipeline.physics.positions.times import parse_utc
+from pipeline.store.clock import utc_microseconds
 
 STARTS = np.array(["2019-07-20T09:00:00.000001", "2019-07-20T23:59:59.900000"], "datetime64[ns]")
 TIMES_S = np.array([0.5, 2.0])
@@ -35,3 +37,11 @@ def test_dates_against_astropy(frame):
         known = Time(one.iso()[name], scale="utc")
         assert abs(mjd - known.mjd) * 86_400 < 2e-6
     assert one.iso()["start"] == str(STARTS[frame].astype("datetime64[us]"))
+
+
+def test_a_leap_second_is_stored_as_its_minutes_last_microsecond():
+    """No time of 2016 goes into 2017: what is stored rises, and stays in its own day."""
+    texts = ("59.25Z", "60.5Z")
+    utc = np.array([parse_utc(f"2016-12-31T23:59:{text}") for text in texts]).T
+    found = utc_microseconds(*utc).astype("datetime64[us]")
+    assert [str(t) for t in found] == ["2016-12-31T23:59:59.250000", "2016-12-31T23:59:59.999999"]

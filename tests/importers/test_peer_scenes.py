@@ -11,7 +11,9 @@ import pytest
 from scipy.special import erf, erfinv
 
 from pipeline.errors import BadInput
+from pipeline.importers.passes import Pass, zenith_pass
 from pipeline.importers.satsim import read_satsim, sphere_mag
+from pipeline.importers.satsim_values import settled
 from pipeline.importers.simsit import radial_terms, read_simsit
 from pipeline.plan.geometry import camera_of, plan_geometry, star_paths
 from pipeline.prepare import plan_scene
@@ -178,6 +180,73 @@ def test_against_satsim_truth():
     assert sphere_mag(10.0, 0.2, 0.0, 400_000.0) == pytest.approx(14.96310309343897, abs=1e-9)
     sigma = 1 / (2 * math.sqrt(2) * float(erfinv(math.sqrt(0.5))))
     assert erf(0.5 / (math.sqrt(2) * sigma)) ** 2 == pytest.approx(0.5, rel=1e-9)
+
+
+def test_a_satsim_sensor_is_what_the_file_says(published):
+    """Noise terms add in quadrature; `eod` of the light falls on the pixel in its centre."""
+    data = read_satsim(published / "peers" / "satsim.json", EPOCH).data
+    sensor = data["sensor"]
+    told = {"shape": [80, 120], "read_noise_e": 10.0, "full_well_e": 90_000.0, "adc_bits": 16,
+            "gain_e_per_dn": 2.5, "dark_e_per_s": 12.0, "flat": 1.0, "bias_dn": 31.0}  # fmt: skip
+    assert {k: sensor[k] for k in told} == told
+    assert erf(0.5 / (math.sqrt(2) * sensor["psf"]["sigma_px"])) ** 2 == pytest.approx(0.4)
+    step = sensor["pixel_pitch_um"] * 1e-6 / sensor["focal_length_m"]
+    assert math.degrees(step) == pytest.approx(0.0025)
+    assert data["exposure"] == {"integration_s": 0.8, "frames": 3, "cadence_s": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ({"$pipeline": [{"function": "constant", "kwargs": {"value": 10}},
+                        {"function": "poly", "kwargs": {"coef": [2, 3, 5]}}]}, 235.0),
+        ({"$sample": "random.choice", "choices": [1, 2, 3], "probabilities": [0, 0, 1]}, 3),
+        ({"$sample": "random.normal", "loc": 50.0, "scale": 0.0}, 50.0),
+        ({"$sample": "random.uniform", "low": 7.0, "high": 7.0}, 7.0),
+        ({"$sample": "random.randint", "low": 3, "high": 4}, 3),
+        ({"$sample": "random.lognormal", "mean": 0.0, "sigma": 0.0}, 1.0),
+        ({"$sample": "random.list", "length": 2, "value": {"a": [5]}}, [{"a": [5]}] * 2),
+    ],
+    ids=("poly", "choice", "normal", "uniform", "randint", "lognormal", "list"),
+)  # fmt: skip
+def test_chance_without_a_choice_gives_the_value(given, wanted):
+    """numpy's own names and order of the terms; a polynomial's highest power first."""
+    assert settled(given, np.random.default_rng(1), []) == wanted
+
+
+def test_vignetting_is_an_image_of_the_field_angle(published, tmp_path):
+    """From the middle of 256 rows and 320 columns; 20 um pixels of 0.061 arcsec a um."""
+    imported = read(published / "peers" / "simsit.yaml")
+    (name, image), = imported.images.items()
+    assert imported.data["sensor"]["shape"] == [256, 320]
+    assert image.shape == (256, 320)
+    for row, column in ((0, 0), (0, 160), (128, 0), (200, 30)):
+        away = math.hypot(row - 127.5, column - 159.5) * 20.0 * 0.061 / 3600
+        assert image[row, column] == pytest.approx(0.90 - 0.01 * away / 0.1, abs=1e-6)
+    (tmp_path / name).write_bytes(b"mine")
+    with pytest.raises(BadInput, match="does not exist yet"):
+        imported.write(tmp_path / "scene.yaml")
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(("heading_deg", "east", "north"), [(0, 0, 1), (30, 0.5, 0.8660)])
+def test_a_pass_heads_from_north_through_east(published, heading_deg, east, north):
+    """Over the site, and as fast as a circle asks for."""
+    data = read(published / "peers" / "simsit.yaml").data
+    data = {k: v for k, v in data.items() if k not in ("targets", "pointing")}
+    made, _ = zenith_pass(data, Pass(5e5, math.radians(heading_deg), None, tracked=True))
+    orbit = made["targets"][0]["orbit"]
+    place, motion = np.array(orbit["position_m"]), np.array(orbit["velocity_m_s"])
+    axis = np.cross([0.0, 0.0, 1.0], place) / np.hypot(*place[:2])
+    speed = math.sqrt(3.986004418e14 / np.linalg.norm(place))
+    assert motion @ axis / speed == pytest.approx(east, abs=1e-4)
+    assert motion[2] / speed == pytest.approx(north * axis_tilt(place), abs=1e-4)
+
+
+def axis_tilt(place):
+    """How much of a step to the north is along the pole: the cosine of the latitude."""
+    return np.hypot(*place[:2]) / np.linalg.norm(place)
 
 
 def test_radial_terms_of_a_known_distortion():

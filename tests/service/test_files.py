@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import io
+import lzma
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import sqlalchemy as sa
 
@@ -17,7 +23,7 @@ from service.problems import NotAllowed, NotReady, NotThere
 from service.settings import Settings
 from service.submissions import Ask, Limits, submit_many
 from service.tables import uploads
-from service.uploads import Uploads
+from service.uploads import Uploads, check_content
 
 RED, BLUE = Caller("red", "key:1"), Caller("blue", "key:2")
 FILE = "f" * 32 + ".npy"
@@ -86,3 +92,44 @@ def test_removing_and_submitting_never_cross(store: Queue, tmp_path: Path, phase
     waiting = submit_many(store, [ask(Phase.PENDING)], Limits())[0][0]  # type: ignore[index]
     with pytest.raises(NotAllowed, match=r"sensor\.flat"):
         store.amend(waiting.id, scene=named)
+
+
+def zipped() -> bytes:
+    held = io.BytesIO()
+    with zipfile.ZipFile(held, "w") as file:
+        file.writestr("a", "1,2")
+    return held.getvalue()
+
+
+CARDS = b"SIMPLE  =                    T".ljust(80)
+GOOD = np.arange(6, dtype=np.float32)
+REFUSED = {
+    "gzip": ("csv", gzip.compress(b"1,2")), "bzip2": ("csv", bz2.compress(b"1,2")),
+    "xz": ("csv", lzma.compress(b"1,2")), "zip": ("csv", zipped()),
+    "zstd": ("csv", pa.compress(b"1,2" * 99, "zstd", asbytes=True)),
+    "truth values": ("npy", np.array([True])), "texts": ("npy", np.array(["a"])),
+    "complex": ("npy", np.array([1j])), "too long": ("npy", (GOOD, b"x")),
+    "too short": ("npy", (GOOD, None)), "no FITS": ("fits", b"x" * 80),
+    "packed FITS": ("fits", CARDS + b"ZIMAGE  =".rjust((1 << 20) - 75) + b"T"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "content"), REFUSED.values(), ids=REFUSED.keys())
+def test_contents_that_are_refused(tmp_path: Path, kind: str, content: Any) -> None:
+    """By real packers; images whose header does not tell what the file holds, or not numbers; a
+    keyword that lies across the border of two pieces is seen."""
+    if not isinstance(content, bytes):
+        values, more = content if isinstance(content, tuple) else (content, b"")
+        whole = npy(tmp_path, values)
+        content = whole[:-1] if more is None else whole + more
+    (tmp_path / "file").write_bytes(content)
+    with pytest.raises(NotAllowed):
+        check_content(tmp_path / "file", kind)
+
+
+@pytest.mark.parametrize("values", [GOOD, GOOD.reshape(2, 3).T, np.array([[7]], ">u2")])
+def test_images_that_are_taken(tmp_path: Path, values: Any) -> None:
+    (tmp_path / "file").write_bytes(npy(tmp_path, values))
+    check_content(tmp_path / "file", "npy")
+    (tmp_path / "file").write_bytes(CARDS + b"END".ljust(1 << 20))
+    check_content(tmp_path / "file", "fits")

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from starlette.requests import Request
 
 from pipeline.errors import BadInput
 from service.attempts import Attempt
 from service.cluster import SchedulerHealth
 from service.jobs import FINAL, NEXT, Job, Phase, Queue
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
+from service.routes.ogc import _status
 from service.settings import Settings
+from service.teams import pixel_frames_of
+from service.views import job_dict
 
 
 @pytest.fixture
@@ -146,3 +151,66 @@ def test_limits_phases_follow_the_table(
         assert (after.ended_s is not None) == (after.phase in FINAL)
         before = after
     store.close()
+
+
+def shown(phase: Phase, kind: str | None = None) -> Job:
+    """A job of which every time and number is another."""
+    plain: dict[str, Any] = dict.fromkeys(Job.__dataclass_fields__)
+    times = {"submitted_s": 1.25, "started_s": 2.5, "ended_s": 3.75}
+    numbers = {"tiles_done": 3, "tiles_total": 8, "attempt": 4, "bytes_kept": 5}
+    error = {"kind": kind, "message": "why", "errors": []} if kind else None
+    return Job(**plain | times | numbers | {
+        "id": "a" * 32, "kind": "scene", "name": "n", "owner": "me", "phase": phase,
+        "error": error, "content_digest": "d",
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("phase", "links", "status"),
+    [
+        (Phase.PENDING, {"cancel"}, "accepted"),
+        (Phase.QUEUED, {"cancel"}, "accepted"),
+        (Phase.EXECUTING, {"cancel", "dashboard"}, "running"),
+        (Phase.COMPLETED, {"results", "preview", "plan", "report"}, "successful"),
+        (Phase.ERROR, set(), "failed"),
+        (Phase.ABORTED, set(), "dismissed"),
+    ],
+)
+def test_a_job_tells_its_own_times_and_what_may_be_done(
+    phase: Phase, links: set[str], status: str
+) -> None:
+    """Each number under its name; the words of OGC API Processes 1.0, table 14."""
+    told = job_dict(shown(phase), "http://dash")
+    assert set(told["links"]) - {"self", "events", "scene"} == links
+    whole = {"submitted": "01.250", "started": "02.500", "ended": "03.750"}
+    times = {name: f"1970-01-01T00:00:{text}+00:00" for name, text in whole.items()}
+    assert {k: told[k] for k in times} == times
+    numbers = [told[k] for k in ("tiles_done", "tiles_total", "attempt", "bytes_kept")]
+    assert numbers == [3, 8, 4, 5]
+    scope = {"type": "http", "scheme": "http", "server": ("h", 80), "path": "/", "headers": []}
+    info = _status(Request(scope | {"root_path": "", "query_string": b""}), shown(phase))
+    named = ("status", "progress", "created", "started", "finished")
+    assert [info[k] for k in named] == [status, 37, *times.values()]
+
+
+@pytest.mark.parametrize("kind", ["try later", "incomplete", "disk full", "fault"])
+def test_a_job_that_is_run_again_begins_anew(store: Queue, kind: str) -> None:
+    """What ended it, its times and its dead workers count no more; a bad scene stays bad."""
+    assert "retry" in job_dict(shown(Phase.ERROR, kind))["links"]
+    assert "retry" not in job_dict(shown(Phase.ERROR, "bad input"))["links"]
+    queue(store)
+    job = store.claim()
+    assert job is not None
+    store.died(job, 2)
+    store.finish(job, Phase.ERROR, error={"kind": kind, "message": "", "errors": []})
+    again = store.retry(job.id)
+    assert (again.phase, again.deaths, again.cancel_asked) == (Phase.QUEUED, 0, False)
+    assert (again.error, again.started_s, again.ended_s) == (None, None, None)
+
+
+def test_pixels_of_dwells_with_frames_of_their_own() -> None:
+    """Dwells of 3 and of the scene's own 5 frames, of 20 x 30 pixels."""
+    scene: dict[str, Any] = {"sensor": {"shape": [20, 30]}, "exposure": {"frames": 5}}
+    assert pixel_frames_of(scene) == 5 * 600
+    assert pixel_frames_of(scene | {"dwells": [{"frames": 3}, {}]}) == 8 * 600
+    assert pixel_frames_of({"sensor": {}}) == 0

@@ -17,6 +17,7 @@ from typing import Any
 
 import httpx
 import jwt
+import psutil
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
@@ -29,6 +30,7 @@ from service.logs import redact
 from service.main import bind
 from service.oidc import Verifier
 from service.problems import Forbidden, Unauthenticated
+from service.processes import worker
 from service.settings import Settings, read_settings
 from tests.service.conftest import bearer
 
@@ -356,6 +358,38 @@ def test_bad_tokens(provider: tuple[dict[str, Any], Path]) -> None:
     for team in (None, "", "Red/../x", ["a", "b"], 5):
         with pytest.raises(Forbidden):
             verifier.verify(signed(private, team=team))
+
+
+def test_keys_of_a_provider_that_cannot_be_read_stay(
+    provider: tuple[dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A token of an unknown key makes the set be read again; a key for encryption signs none."""
+    monkeypatch.setattr("service.oidc.READ_AGAIN_S", 0.0)
+    private, published = provider
+    told = json.loads(published.read_text())
+    told["keys"] = [key | ({"use": "enc"} if key["kid"] == "ec" else {}) for key in told["keys"]]
+    path = tmp_path / "jwks.json"
+    path.write_text(json.dumps(told))
+    verifier = Verifier(ISSUER, AUDIENCE, str(path), "team")
+    assert verifier.verify(signed(private)) == ("red", "oidc:ann")
+    path.unlink()
+    with pytest.raises(Unauthenticated):
+        verifier.verify(signed(private, "ec", "ES256"))
+    assert verifier.verify(signed(private)) == ("red", "oidc:ann")
+
+
+def test_an_engine_is_told_no_secret(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its process has none of these in its environment, and what it needs."""
+    secret = {f"NIGHTGLASS_{name}": "s3cret" for name in ("DATABASE", "OIDC_JWKS", "TLS_KEY")}
+    for name, value in (secret | {"NIGHTGLASS_DATA": "here"}).items():
+        monkeypatch.setenv(name, value)
+    settings = Settings(tmp_path)
+    settings.make_folders()
+    with worker(settings, {"do": "judge", "scene": {}}):
+        [engine] = [c for c in psutil.Process().children() if "service.worker" in c.cmdline()]
+        environment = engine.environ()
+    assert not secret.keys() & environment.keys()
+    assert environment["NIGHTGLASS_DATA"] == "here"
 
 
 def test_a_place_for_keys_must_be_safe(tmp_path: Path) -> None:

@@ -67,3 +67,10 @@ def test_not_ready_while_nobody_runs_jobs(make_server: Callable[..., Any]) -> No
     db.execute("ROLLBACK")
     db.close()
     until(200)
+
+
+def test_a_nearly_full_disk_is_not_ready(make_server: Callable[..., Any]) -> None:
+    """Less room than NIGHTGLASS_FREE_BYTES: 503 that says so."""
+    answer = make_server(NIGHTGLASS_FREE_BYTES=str(10**17)).client.get("/readyz")
+    assert answer.status_code == 503
+    assert answer.json() == {"ready": False, "faults": ["the disk is nearly full"]}

@@ -9,13 +9,16 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+import zarr
 
 from pipeline.parts import parse_part, render_part
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 from service.files import open_inside
-from service.frames import frame_facts, tile_values
+from service.frames import frame_facts, tile_values, truth_of
 from service.problems import NotReady, NotThere
 
 
@@ -147,3 +150,17 @@ def test_tiles_are_told_and_shown_as_they_are_drawn(scene: dict[str, Any], tmp_p
         else:
             with pytest.raises(NotReady):
                 tile_values(tmp_path / "run", 0, row, column)
+
+
+def test_truth_is_that_of_the_frame_and_its_brightest_stars(tmp_path: Path) -> None:
+    """Ids as text, which holds them whole; NaN as null; nothing that is outside of the frame."""
+    zarr.create_array(store=tmp_path / "cube.zarr" / "dn", data=np.zeros((2, 4, 4), np.uint16))
+    (tmp_path / "truth").mkdir()
+    rows = {"frame": [0, 1, 1, 1, 1], "in_frame": [True, True, False, True, True],
+            "electrons": [9.0, 5.0, 99.0, 7.0, 6.0], "g_mag": [1.0, 2, 3, float("nan"), 5],
+            "source_id": [(1 << 60) + k for k in range(5)]}  # fmt: skip
+    pq.write_table(pa.table(rows), tmp_path / "truth" / "stars.parquet")
+    found = truth_of(tmp_path, 1, 2)
+    assert (found["stars_in_frame"], found["targets"]) == (3, [])
+    assert [s["source_id"] for s in found["stars"]] == [str((1 << 60) + k) for k in (3, 4)]
+    assert [s["g_mag"] for s in found["stars"]] == [None, 5.0]

@@ -112,6 +112,8 @@ BAD: dict[str, list[dict[str, Any]]] = {
     "size": [{"field": "sensor.shape", "values": [[9999, 9999]]}],
     "size inside": [{"field": "sensor", "values": [{}]}],
     "frames": [{"field": "exposure.frames", "values": [10**6]}],
+    "dwells": [{"field": "dwells", "values": [[{"integration_s": 0.1, "frames": 10**6}]]}],
+    "populations": [{"field": "populations", "values": [[], []]}],
     "catalogue": [{"field": "stars", "values": [{"catalogue": "/etc"}]}],
     "targets": [{"field": "targets", "values": [[]]}],
     "target": [{"field": "targets.0.body.path", "values": ["/etc/passwd"]}],

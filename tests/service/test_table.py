@@ -97,6 +97,8 @@ def test_quotas(database: str) -> None:
     assert other[1]
     [refused] = submit_many(store, [ask(team="blue", pixel_frames=11)], limits)
     assert "a day" in str(refused)
+    [last] = submit_many(store, [ask(team="green", pixel_frames=100)], limits)
+    assert last[1]  # all of it
     store.delete(other[0].id)  # what was asked for today stays asked for
     [refused] = submit_many(store, [ask(team="blue", pixel_frames=11)], limits)
     assert "a day" in str(refused)
@@ -139,6 +141,21 @@ def test_a_pending_job_does_not_stand_in_its_own_way(database: str) -> None:
     with pytest.raises(QueueFull):
         run_pending(store, third.id, limits, "red", "x")
     assert store.get(third.id).phase == Phase.PENDING
+    store.close()
+
+
+def test_a_pending_job_grows_within_the_quota(database: str) -> None:
+    """A larger scene counts as asked for, by what it is larger; one that is too large stays out."""
+    store, limits = Queue(database), Limits(pixel_frames_day=100)
+    [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING, pixel_frames=40)], limits)
+    with pytest.raises(QueueFull, match="this is 101"):
+        store.amend(job.id, "red", limits, scene={"b": 2}, pixel_frames=101)
+    assert (store.scene(job.id), store.get(job.id).pixel_frames) == ({"a": 1}, 40)
+    for pixel_frames, counted in ((90, 90), (10, 90)):
+        store.amend(job.id, "red", limits, scene={"b": 2}, pixel_frames=pixel_frames)
+        with store.engine.connect() as db:
+            assert used_by(db, "red", int(time.time() // 86_400)).pixel_frames == counted
+    assert run_pending(store, job.id, limits, "red", "x").pixel_frames == 10
     store.close()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from datetime import UTC, datetime, timedelta
 from io import BytesIO
 from typing import Any
@@ -168,3 +169,31 @@ def test_mistakes_in_queries(server: Any, finished: str, query: str) -> None:
     assert server.client.get("/uws/async?AFTER=x").status_code == 422
     answer = server.client.post("/uws/async", files={"SCENE": b"{}"})
     assert answer.status_code == 415
+
+
+def test_listings_are_chosen_by_phase_time_and_count(server: Any, scene: dict[str, Any]) -> None:
+    """UWS 1.1, section 2.2.2.1: AFTER is later than all of them, LAST are the newest, in order."""
+    form, made = {"SCENE": json.dumps(scene)}, []
+    for _ in range(3):
+        made.append(server.client.post("/uws/async", data=form).headers["location"])
+        time.sleep(0.02)
+
+    def listed(query: str) -> list[int]:
+        root = ET.fromstring(server.client.get(f"/uws/async?{query}").content)
+        found = [child.get(f"{XLINK}href", "").rpartition("/")[2] for child in root]
+        ids = [path.rpartition("/")[2] for path in made]
+        return [ids.index(one) for one in found if one in ids]
+
+    told = [ET.fromstring(server.client.get(path).content) for path in made]
+    created = [root.findtext(f"{UWS}creationTime", "") for root in told]
+    between = [
+        (datetime.fromisoformat(t) + timedelta(seconds=0.01)).isoformat().replace("+00:00", "Z")
+        for t in created
+    ]
+    assert listed("PHASE=PENDING") == [0, 1, 2]
+    assert listed("PHASE=COMPLETED") == []
+    assert listed("LAST=2") == listed("LAST=9&LAST=2") == listed("LAST=2&LAST=9") == [1, 2]
+    assert listed(f"AFTER={between[0]}") == [1, 2]
+    assert listed(f"AFTER={between[1]}&AFTER={between[0]}") == [2]
+    for path in made:
+        server.client.delete(path)

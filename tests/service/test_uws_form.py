@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import time
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from lxml import etree
 
 from service.jobs import Job, Phase
+from service.routes.uws import _time
 from service.uws_xml import job_xml, jobs_xml, parameters_xml, result_names, results_xml
 
 # The form in RELAX NG, in this project's own words, after the standard's XML Schema
@@ -147,3 +150,28 @@ def test_the_form_tells_wrong_from_right(forms: list[Any], was: bytes, becomes: 
         return
     with pytest.raises(etree.DocumentInvalid):
         fits(forms, changed)
+
+
+def test_errors_and_tiles_are_told() -> None:
+    """A fault may pass, a mistake in the scene does not; tiles that are drawn, and all."""
+    plain: dict[str, Any] = dict.fromkeys(Job.__dataclass_fields__)
+    for kind, passes in (("fault", "transient"), ("bad input", "fatal")):
+        error = {"kind": kind, "message": "why", "errors": []}
+        tiles = {"tiles_done": 3, "tiles_total": 8, "submitted_s": 1.0}
+        job = Job(**plain | tiles | {"id": "b", "owner": "", "phase": Phase.ERROR, "error": error})
+        root = etree.fromstring(job_xml(job, {}, []))
+        assert root.find("{*}errorSummary").get("type") == passes
+        assert [e.text for e in root.find("{*}jobInfo")] == ["3", "8"]
+
+
+def test_a_time_without_a_zone_is_in_utc(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the server stands."""
+    monkeypatch.setenv("TZ", "XYZ-9")
+    time.tzset()
+    try:
+        noon = datetime(2026, 1, 31, 12, tzinfo=UTC).timestamp()
+        for text in ("2026-01-31T12:00:00", "2026-01-31T12:00:00Z", "2026-01-31T13:00:00+01:00"):
+            assert _time(text, "AFTER") == noon
+    finally:
+        monkeypatch.undo()
+        time.tzset()

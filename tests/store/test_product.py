@@ -8,6 +8,8 @@ import json
 import shutil
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 import zarr
@@ -18,6 +20,7 @@ from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.product import check
+from pipeline.store.truth import join_parts, part_path, write_part
 
 SCENE = {
     "schema": "nightglass/scene/1",
@@ -202,3 +205,27 @@ def test_one_chunking_along_frames(made, tmp_path):
         for name in set(cube.variables) - {"dn", "targets_e", "dark_e", "calibrated_e"}:
             chunks = [p for p in (path / "cube.zarr" / name / "c").rglob("*") if p.is_file()]
             assert len(chunks) == 1, "one file whatever the number of frames"
+
+
+def test_truth_of_frames_is_joined_row_by_row(tmp_path, monkeypatch):
+    """In order, each row once, in row groups of as many as may be; a part cut off is named."""
+    monkeypatch.setattr("pipeline.store.truth.ROWS", 5)
+    monkeypatch.setattr("pipeline.store.truth.TOGETHER", 2)
+    counts = [0, 3, 2, 4, 1, 0, 7, 1, 1, 1, 0, 1, 2]  # the seventh alone is more than a group takes
+    (tmp_path / "truth" / ".parts").mkdir(parents=True)
+    ends = np.cumsum(counts)
+    for frame, (end, count) in enumerate(zip(ends, counts, strict=True)):
+        table = pa.table({"row": np.arange(end - count, end), "frame": np.full(count, frame)})
+        write_part(tmp_path, "stars", frame, table)
+    empty = table.slice(0, 0)
+    assert join_parts(tmp_path, "stars", len(counts), empty) == ends[-1]
+    file = pq.ParquetFile(tmp_path / "truth" / "stars.parquet")
+    found = file.read()
+    assert found["row"].to_pylist() == list(range(ends[-1]))
+    assert found["frame"].to_pylist() == np.repeat(np.arange(len(counts)), counts).tolist()
+    groups = [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)]
+    assert [n for n in groups if n] == [5, 5, 7, 4, 2]
+    part = part_path(tmp_path, "stars", 3)
+    part.write_bytes(part.read_bytes()[:-1])
+    with pytest.raises(Damaged, match="stars-000003"):
+        join_parts(tmp_path, "stars", len(counts), empty)

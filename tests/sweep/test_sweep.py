@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.inputs.sensor import gather_sensor_maps
+from pipeline.plan.tiles import Tile
+from pipeline.prepare import prepare
 from pipeline.run import Options
-from pipeline.spec.load import InvalidScene
+from pipeline.spec.load import InvalidScene, parse_scene
+from pipeline.spec.sweep import Detection
+from pipeline.spec.sweep_load import parse_sweep
 from pipeline.sweep import ledger
+from pipeline.sweep.metrics import Measurement
 from pipeline.sweep.points import scene_of
-from pipeline.sweep.run import gather_course, sweep
+from pipeline.sweep.run import gather_course, point_scene, sweep
+from pipeline.sweep.summary import summarise
 from tests.command import nightglass
+from tests.service.conftest import SCENE as SMALL
 
 NOISE = {"field": "sensor.read_noise_e", "values": [2.0, 40.0]}
 SKY = {"stars": None, "targets": None}  # changes of the scene: the sky alone
@@ -231,3 +242,80 @@ def test_points_of_several_seeds_have_seeds_of_their_own(sweep_file, tmp_path):
     scenes = [scene_of(course, course.design, point) for point in range(6)]
     assert [s.seed for s in scenes] == [3, 4, 5, 3, 4, 5]
     assert [s.sensor.read_noise_e for s in scenes] == [5.0] * 3 + [7.0] * 3
+
+
+def test_background_and_saturation_by_hand():
+    """DN less bias, times gain, less dark, over the flat; tiles count by their pixels; full is
+    the lesser of the well and the converter's top, and reached when it is met."""
+    sensor = {"flat": 0.8, "bias_dn": 100, "gain_e_per_dn": 2.0, "dark_e_per_s": 4.0}
+    for well, adc_bits in ((500.0, 16), (90_000.0, 8)):
+        more = sensor | {"full_well_e": well, "adc_bits": adc_bits}
+        scene = parse_scene(SMALL | {"sensor": SMALL["sensor"] | more})
+        plan, maps = prepare(scene).plan, gather_sensor_maps(scene)
+        wish = ("background", "saturation")
+        measured = Measurement(plan, maps, wish, (), Detection())
+        full = {16: 500.0, 8: (255 - 100) * 2.0}[adc_bits]
+        mean_e = np.full((4, 8), full - 0.1)
+        mean_e[1, 2:5] = full, full, full + 100.0
+        measured.take(Tile(0, 0, 0, 0, 4, 8), 0, np.full((4, 8), 150, np.uint16), mean_e)
+        measured.take(Tile(0, 1, 0, 8, 4, 4), 0, np.full((4, 4), 200, np.uint16), mean_e[:, :4] * 0)
+        row = measured.row()
+        first, second = ((dn - 100) * 2.0 - 4.0 * 2.0 for dn in (150, 200))
+        assert row["background_e"] == pytest.approx((32 * first + 16 * second) / 48 / 0.8)
+        assert row["saturated_fraction"] == 3 / 48
+
+
+def test_what_makes_two_sweeps_the_same():
+    """Every key of the file but its name, each in its own digest; also scene and catalogues."""
+    head = {"schema": "nightglass/sweep/1", "name": "d", "scene": "s.yaml"}
+    axes = [{"field": "a", "values": [1, 2]}]
+    plain = {"axes": axes, "metrics": ["snr", "detection"]}
+
+    def identity(data="x", digests=("c",), **changes):
+        return ledger.identity_of(parse_sweep(head | plain | changes), {"a": data}, list(digests))
+
+    known = identity()
+    assert identity(name="other") == known
+    for changes, key in (
+        ({"axes": [{"field": "a", "values": [1, 3]}]}, "axes"), ({"seeds": 2}, "axes"),
+        ({"design": {"kind": "zip"}}, "axes"), ({"metrics": ["snr"]}, "metrics"),
+        ({"targets": ["t"]}, "metrics"), ({"detection": {"threshold_sigma": 9.0}}, "metrics"),
+        ({"cubes": [1]}, "metrics"), ({"data": "y"}, "scene"), ({"digests": ["e"]}, "catalogues"),
+    ):  # fmt: skip
+        assert {k for k, v in identity(**changes).items() if v != known[k]} == {key}, changes
+
+
+def test_the_summary_and_the_seal_by_hand(tmp_path):
+    """Least, mean and largest of what is known; failures counted by message; every file sealed."""
+    wish = parse_sweep({"schema": "nightglass/sweep/1", "name": "d", "scene": "s.yaml",
+                        "axes": [{"field": "a", "values": [1, 2, 3, 4]}]})  # fmt: skip
+    rows = {"point": [0, 1, 2, 3], "a": [1.0, 2.0, 3.0, 4.0], "seed": [0] * 4,
+            "status": ["done", "failed", "done", "failed"], "message": [None, "bad", None, "bad"],
+            "content_digest": ["x"] * 4, "sky_e": [7.0, None, 2.0, None]}  # fmt: skip
+    pq.write_table(pa.table(rows), tmp_path / "points.parquet")
+    report = summarise(wish, tmp_path, ("t",), {"seconds": 1.0})
+    assert report["metrics"] == {"sky_e": {"known": 2, "least": 2.0, "mean": 4.5, "largest": 7.0}}
+    assert (report["points"], report["failed"], report["messages"]) == (4, 2, {"bad": 2})
+    (tmp_path / "sweep.json").write_text("{}")
+    ledger.seal(tmp_path)
+    sealed = json.loads((tmp_path / "_COMPLETE").read_text())["files"]
+    found = {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in tmp_path.iterdir()}
+    assert sealed == {name: digest for name, digest in found.items() if name != "_COMPLETE"}
+    assert set(sealed) >= {"points.parquet", "report.json", "summary.html", "summary.svg"}
+
+
+def test_the_quietest_detector_sets_the_floor_of_all_points(sweep_file, tmp_path):
+    """An image of 40 e-/s and its scale, or the dark current itself: a scene of 10 e-/s."""
+    np.save(tmp_path / "dark.npy", np.full((256, 256), 40.0))
+    dark, floors = "sensor.dark_e_per_s", []
+    scaled = SKY | {dark: str(tmp_path / "dark.npy")}
+    for field, values, changes, points in (
+        ("sensor.dark_scale", [1.0, 0.25], scaled, [0]), (dark, [40.0, 10.0], SKY, [0, 1])
+    ):  # fmt: skip
+        path = sweep_file([{"field": field, "values": values}], changes)
+        floors += [point_scene(path, k).accuracy.noise_floor_e for k in points]
+        with pytest.raises(BadInput, match="--point"):
+            point_scene(path, 2)
+    quiet = gather_course(sweep_file([NOISE], SKY | {dark: 10.0}), Path())
+    alone = prepare(parse_scene(quiet.data)).plan.facts.sigma_floor_e
+    assert floors == pytest.approx([alone] * 3, rel=1e-12)

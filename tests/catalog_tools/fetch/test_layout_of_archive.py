@@ -81,6 +81,7 @@ def test_index_pages():
         assert parse_index(page) == {name: len(data) for name, data in archive.files.items()}
     apache = '<img src="/i.gif"> <a href="a%20b.csv.gz">a b.csv.gz</a>  2018-04-16 07:32  5.1M  \n'
     assert parse_index(apache) == {"a b.csv.gz": math.ceil(5.1 * 2**20)}
+    assert parse_index(apache.replace("5.1M", "12K")) == {"a b.csv.gz": 12 * 1024}
     assert parse_index("<html><script>render()</script></html>") == {}
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import operator
+import re
 
 import astropy.units as u
 import numpy as np
@@ -188,3 +190,16 @@ def test_what_was_asked_for_is_what_the_catalogue_covers(service, sky, tmp_path,
     assert "gaia-dr2_cone_100.0_10.0_1.0.csv.gz holds no row" in report.notes
     limits = coverage_of(report.catalogue).limits_g_mag([0.2, 100.5, 4.0], [-40.0, 10.5, -40.0])
     assert limits.tolist() == [15.0, np.inf, -np.inf]
+
+
+def test_a_row_on_the_border_of_two_bands_is_in_one_of_them():
+    """Bands that are halved twice: each declination, also of a border, is asked for once."""
+    cone = Cone(10.0, 20.0, 1.0, 15.0)
+    bands = [b for half in tap.Band().halves(cone) for b in half.halves(cone)]
+    asked = [re.findall(r"dec ([<>]=?) ([\d.]+)", tap.condition(cone, band)) for band in bands]
+    borders = {band.low_deg for band in bands} - {None}
+    assert borders == {19.5, 20.0, 20.5}
+    compare = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+    for dec in (19.1, *borders, 20.9):
+        held = [all(compare[how](dec, float(border)) for how, border in each) for each in asked]
+        assert sum(held) == 1
