@@ -87,3 +87,10 @@ def test_against_leaving_each_point_out():
         left_out.append(y[i] - np.polynomial.polynomial.polyval(x[i], c))
     expected = np.sqrt(np.mean(np.square(left_out)))
     assert colour.cross_validated_rms_mag(x, y, 3) == pytest.approx(expected, rel=1e-10)
+
+
+def test_brightest_star_by_area_and_time():
+    """Of the colour that gives most: here the bluest, 0.3624 mag brighter than A0V."""
+    fit = made_fit(coefficients=np.array([0.0, 0.6, 0.01]), colour_range=(-0.6, 3.4))
+    by_hand = 2.5e10 * 0.3 * 7.0 * 10 ** (0.4 * (0.36 - 0.0036))
+    assert colour.brightest_electrons(fit, 0.3, 7.0) == pytest.approx(by_hand, rel=1e-9)

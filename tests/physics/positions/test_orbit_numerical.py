@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import erfa
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -20,6 +21,7 @@ from pipeline.physics.positions.orbit_forces import (
     Forces,
     acceleration,
     density_kg_m3,
+    height_m,
     sunlit,
     zonal_acceleration,
 )
@@ -166,3 +168,42 @@ def test_limits_straight_into_the_centre_is_refused() -> None:
     way = Trajectory(np.array([7e6, 0, 0, 0, 0, 0.0]), TT, Forces(zonals=6), 1e-11)
     with pytest.raises(BadInput, match="integration stopped"):
         way.states([20_000.0])
+
+
+def test_heights_are_those_above_the_ellipsoid() -> None:
+    """ERFA's geodetic height, within what the docstring says, at all latitudes."""
+    latitude = np.linspace(-1.5, 1.5, 13)
+    for high in (100e3, 900e3):
+        places = np.asarray(erfa.gd2gc(1, 0.7, latitude, high))
+        found = [height_m(p, POLE) for p in places]
+        assert np.abs(np.array(found) - high).max() < 100.0
+    assert density_kg_m3(275e3) == pytest.approx(np.sqrt(7.248e-11 * 2.418e-11))
+    assert density_kg_m3(125e3) == pytest.approx(np.sqrt(2.438e-8 * 8.484e-9))
+
+
+def test_sunlight_falls_with_the_square_of_the_distance() -> None:
+    y = np.array([7e6, 0, 0, 0, 7.5e3, 0.0])
+    push = [
+        acceleration(y, POLE, far * SUN, NONE, forces)[0]
+        for far in (1.0, 2.0) for forces in (Forces(0, 0.0, 10.0), Forces(0))
+    ]  # fmt: skip
+    assert (push[2] - push[3]) / (push[0] - push[1]) == pytest.approx(0.25, rel=1e-3)
+
+
+def test_sun_and_moon_move_while_the_satellite_does() -> None:
+    """Two days of a high orbit against another integrator, with ERFA's bodies at each moment."""
+    start = np.array([4.2e7, 0.0, 3e6, 0.0, 3.0e3, 500.0])
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        tt = TT[0], TT[1] + t / 86_400.0
+        sun = -erfa.epv00(*tt)[0]["p"] * ASTRONOMICAL_UNIT_M
+        moon = erfa.moon98(*tt)["p"] * ASTRONOMICAL_UNIT_M
+        pull = -EARTH_GM_M3_S2 * y[:3] / np.linalg.norm(y[:3]) ** 3
+        for body, gm in ((sun, SUN_GM_M3_S2), (moon, MOON_GM_M3_S2)):
+            path = body - y[:3]
+            pull += gm * (path / np.linalg.norm(path) ** 3 - body / np.linalg.norm(body) ** 3)
+        return np.concatenate([y[3:], pull])
+
+    way = Trajectory(start, TT, Forces(zonals=0, sun=True, moon=True), 1e-11)
+    end = solve_ivp(rate, (0, 172_800), start, method="LSODA", rtol=1e-11, atol=1e-4).y[:, -1]
+    assert np.linalg.norm(way.states([172_800.0])[0][0] - end[:3]) < 1.0

@@ -197,3 +197,17 @@ def test_moon_against_published_reflectances(shared_data):
     seen = reflectance(45.0 * DEG_RAD)
     ratio = np.interp(table[:, 0], COLOUR_NM, COLOUR) / (seen / seen[green].mean())
     assert np.abs(ratio - 1.0).max() < 0.07
+
+
+def test_moonlight_falls_with_both_distances_and_is_held_beyond_150_degrees():
+    sun, moon = np.array(1.2 * ASTRONOMICAL_UNIT_M), np.array(0.9 * MEAN_DISTANCE_M)
+    near = irradiance_share(0.4, sun / 1.2, moon / 0.9)
+    assert irradiance_share(-0.4, sun, moon) / near == pytest.approx((1.2 * 0.9) ** -2)
+    late = irradiance_share(np.radians([149.0, 150.0, 175.0]), sun, moon)
+    assert late[0] > late[1] == late[2]
+
+
+def test_harvey_is_clipped_within_its_exclusion():
+    at = np.array([0.2, 1.0, 3.0]) * DEG_RAD
+    clip = PstHarvey(0.1, 0.01, -1.5, 3, 4.0, 1.0 * DEG_RAD, "clip")
+    assert clip.value(at) == pytest.approx(HARVEY.value(at[[1, 1, 2]]), rel=1e-12)
