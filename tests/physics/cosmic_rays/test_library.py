@@ -185,6 +185,8 @@ def test_levels_of_a_stack_against_its_own_noise():
     assert level.mean() == pytest.approx(100.0, abs=0.05)
     assert sigma.mean() == pytest.approx(3.0 + 9.0 / 600, rel=0.005)
     assert sigma[4, 5] == pytest.approx(3.0, rel=0.15)
+    three = np.array([9.0, 11.0, 10.0], np.float32)[:, None, None]
+    assert [float(v[0, 0]) for v in stack_levels(three)] == [10.0, 1.0]
     few = stack_levels(stack[:5, 8:])[1]
     steady = steady_sigma(few, 0.0)
     assert steady.min() == pytest.approx(float(np.median(few)))

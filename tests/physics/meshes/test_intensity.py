@@ -318,10 +318,10 @@ def test_each_facet_has_its_own_surface(apart):
 
 
 def test_a_facet_thinner_than_the_lines_of_a_picture_is_drawn_in_its_cell():
-    speck = square(1e-3, (2.302, -1.198, 0.0))
+    speck = square(1e-3, (2.302, 1.302, 0.0))
     mesh = facets(np.concatenate([square(0.5), speck]))
     light = mesh_intensity(mesh, [WHITE], UP, UP)
     axes = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
     image, centre = mesh_picture(mesh, light, UP, UP, *axes, cell_m=0.25)
-    row, column = (round(v / 0.25 + c) for v, c in zip((-1.198, 2.302), centre, strict=True))
+    row, column = (round(v / 0.25 + c) for v, c in zip((1.302, 2.302), centre, strict=True))
     assert image[row, column] == pytest.approx(light.facet_m2_sr[2:].sum(), rel=1e-9)

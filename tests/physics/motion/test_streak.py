@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.physics.motion.streak import POINT, Path, part_within, path_through, pieces, transfer
+from pipeline.physics.motion.streak import (
+    POINT,
+    Path,
+    part_within,
+    path_through,
+    piece_counts,
+    pieces,
+    transfer,
+)
 
 LENGTHS = [0.0, 1e-9, 0.1, 60.0, 300.0, 3000.0]
 
@@ -188,3 +196,12 @@ def test_pieces_near_a_box_are_all_that_touch_it(x: float, y: float, side: float
         if ((box[0] <= px) & (px <= box[1]) & (box[2] <= py) & (py <= box[3])).any():
             assert (round(x0, 6), round(y0, 6)) in kept
     assert len(kept) <= side * np.sqrt(2.0) / 20.0 + 6
+
+
+def test_pieces_are_counted_as_they_are_cut() -> None:
+    x, y = np.array([0.0, 500.0, 520.0, 531.0]), np.array([0.0, 10.0, 30.0, 25.0])
+    path = Path(x, y, np.array([0.5, 0.3, 0.2]))
+    cut = [(piece, share) for _, _, piece, share in pieces(path)]
+    told = [(piece, share) for piece, share, count in piece_counts(path) for _ in range(count)]
+    assert told == cut
+    assert len(cut) == 7
