@@ -255,18 +255,3 @@ def test_knocked_on_electrons_take_their_own_energy_along():
     expected = scale_ev(path, 1.0) * np.log(500.0 / 30.0) / PAIR_EV
     assert sums[0] - sums[1] == pytest.approx(expected, rel=0.25)
     assert Flux(1, 1, 10.0, 15.0, 1.0, 1.0).longest_um == 300.0
-
-
-def test_binding_widens_the_loss_of_a_whole_track_once():
-    """A draw of one sigma adds sqrt(6290 eV xi), however many pixels the track crosses."""
-    flux = Flux(60, 200, 10.0, 300.0, 1.0, 1.0, diffusion_um=2.0, delta_electrons=False)
-    n, path = np.ones(3), np.array([1044.03, 1044.03, 300.0])
-    ends = 20.0 * n, 30.0 * n, np.array([120.0, 120.0, 20.0]), 30.0 * n
-    charge, back = np.array([1.0, 2.0, 1.0]), n > 0
-    sums = [
-        add_tracks(None, Tracks(np.arange(3), *ends, path, charge, back, s * n), flux, 0, KEY,
-                   (0, 0, 60, 200))
-        for s in (1.0, 0.0)
-    ]  # fmt: skip
-    wider = np.sqrt(6290.0 * np.array([scale_ev(*v) for v in zip(path, charge, strict=True)]))
-    assert sums[0] - sums[1] == pytest.approx(wider / PAIR_EV, rel=1e-9)

@@ -124,11 +124,3 @@ def test_fill_factor_is_the_light_collected(fill: float) -> None:
     box = quad(lambda x: np.cos(2 * np.pi * 0.7 * x), -side / 2, side / 2)[0] * side
     value = Blur(Gaussian(0.05), fill_factor=fill).pixel(f, np.array(0.0))
     assert value == pytest.approx(box, rel=1e-12)
-
-
-def test_charge_that_is_clocked_is_spread_along_columns() -> None:
-    """A box along y of the step's length beside the pixel's own."""
-    still, stepped = Blur(Gaussian(0.6)), Blur(Gaussian(0.6), clock_px=1.7)
-    fy, fx = np.array([0.0, 0.3, -0.4, 0.2]), np.array([0.3, 0.0, 0.1, -0.25])
-    box = [quad(lambda y, f=f: np.cos(2 * np.pi * f * y), -0.85, 0.85)[0] / 1.7 for f in fy]
-    assert stepped.transfer(fy, fx) == pytest.approx(still.transfer(fy, fx) * box, rel=1e-12)
