@@ -123,8 +123,10 @@ def test_drag_shrinks_a_circle_at_the_known_rate() -> None:
 
 
 def test_density_is_the_tabled_one() -> None:
-    assert density_kg_m3(400e3) == pytest.approx(3.725e-12)
-    assert density_kg_m3(1268e3) == pytest.approx(3.019e-15 / np.e)
+    assert density_kg_m3(400e3) == pytest.approx(3.725e-12, rel=1e-6, abs=0.0)
+    middle = np.sqrt(6.967e-13 * 1.454e-13)
+    assert density_kg_m3(550e3) == pytest.approx(middle, rel=1e-6, abs=0.0)
+    assert density_kg_m3(1268e3) == pytest.approx(3.019e-15 / np.e, rel=1e-6, abs=0.0)
     assert density_kg_m3(175e3) == pytest.approx(8.484e-10, rel=0.2)  # smooth between tabled ones
 
 
