@@ -87,3 +87,20 @@ def test_against_leaving_each_point_out():
         left_out.append(y[i] - np.polynomial.polynomial.polyval(x[i], c))
     expected = np.sqrt(np.mean(np.square(left_out)))
     assert colour.cross_validated_rms_mag(x, y, 3) == pytest.approx(expected, rel=1e-10)
+
+
+def test_brightest_star_by_area_and_time():
+    """Of the colour that gives most: here the bluest, 0.3624 mag brighter than A0V."""
+    fit = made_fit(coefficients=np.array([0.0, 0.6, 0.01]), colour_range=(-0.6, 3.4))
+    by_hand = 2.5e10 * 0.3 * 7.0 * 10 ** (0.4 * (0.36 - 0.0036))
+    assert colour.brightest_electrons(fit, 0.3, 7.0) == pytest.approx(by_hand, rel=1e-9)
+
+
+@pytest.mark.parametrize(("cubic", "degree"), [(0.001, 2), (0.005, 3)])
+def test_a_degree_more_is_taken_where_it_gains_three_percent(cubic, degree):
+    x = np.linspace(-0.6, 3.4, 400)
+    y = 0.4 * x - 0.2 * x**2 + cubic * x**3 + np.random.default_rng(2).normal(0, 0.01, 400)
+    rms = [colour.cross_validated_rms_mag(x, y, d) for d in (2, 3, 4, 5)]
+    assert (rms[0] / min(rms) > 1.03) == (degree == 3)
+    assert rms[0] / min(rms) < 1.25
+    assert colour.choose_degree(x, y) == degree

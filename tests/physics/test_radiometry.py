@@ -92,7 +92,9 @@ def test_against_surface_brightness_by_hand():
     rate = rm.surface_brightness_electron_rate(21.5, band, area, omega)
     expected = 5.4798e10 * math.log(2.25) * 10 ** (-0.4 * 21.5) * area * omega / ARCSEC2_SR
     assert rate == pytest.approx(expected, rel=2e-5)
-    assert rm.pixel_solid_angle_sr(1e-5, 1.0, 0.5) == pytest.approx(1e-10 * math.cos(0.5) ** 3)
+    assert rm.pixel_solid_angle_sr(1e-5, 1.0, 0.5) == pytest.approx(
+        1e-10 * math.cos(0.5) ** 3, rel=1e-12, abs=0.0
+    )
 
 
 @given(wavelengths_nm, st.lists(st.floats(0.01, 1.0), min_size=5, max_size=5))

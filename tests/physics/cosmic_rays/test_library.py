@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pipeline.physics.cosmic_rays.frame import charge_e, truth_columns
+from pipeline.physics.cosmic_rays.detect import (
+    bad_pixels,
+    find_events,
+    residual,
+    stack_levels,
+    steady_sigma,
+)
+from pipeline.physics.cosmic_rays.frame import charge_e, events_a_frame, truth_columns
 from pipeline.physics.cosmic_rays.library import Library, Recorded, mean_count, place_events
 from pipeline.physics.noise.streams import stream_key
 
@@ -139,3 +146,42 @@ def test_limits_an_empty_library():
         r = Recorded(empty, 20, 30, 10.0, 10.0, arrival=arrival)
         assert not charge_e(r, 1, 0, 0, 0, 20, 30).any()
         assert len(truth_columns(r, 1, 0)["event"]) == 0
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(33, 70), (12, 9)])
+@pytest.mark.parametrize("arrival", ["poisson", "frames"])
+def test_expected_events_are_those_placed(arrival, rows, columns):
+    """On oblong frames, smaller and larger than the recorded ones: the mean of many frames."""
+    r = Recorded(library(), rows, columns, 10.0, 25.0, rate_scale=1.5, arrival=arrival)
+    counts = np.array([len(place_events(r, k, KEY)) for k in range(3000)])
+    off = 5.0 * counts.std() / np.sqrt(3000)
+    if arrival == "frames":
+        assert counts.mean() == pytest.approx(events_a_frame(r), abs=off)
+    else:  # of those drawn, some come down beside the frame
+        assert counts.mean() - off <= events_a_frame(r) <= 1.6 * counts.mean()
+
+
+def test_finding_events_in_a_frame():
+    """Groups by eight neighbours, above a low level, that hold a pixel above the high one."""
+    rest, sigma = np.zeros((8, 9), np.float32), np.full((8, 9), 2.0, np.float32)
+    rest[1, 1], rest[2, 2], rest[3, 2] = 30.0, 9.0, 12.0  # one event, corner to corner
+    rest[6, 6], rest[6, 7] = 12.0, 9.0  # no pixel of it is above the high level
+    rest[5, 4], rest[0, 8] = 40.0, 50.0
+    bad = np.zeros((8, 9), bool)
+    bad[5, 4] = True
+    sigma[0, 8] = 30.0
+    event, y, x = find_events(rest, sigma, bad, 10.0, 4.0)
+    assert (event.tolist(), y.tolist(), x.tolist()) == ([0, 0, 0], [1, 2, 3], [1, 2, 2])
+    assert bad_pixels(np.array([2, 3, 9, 10, 11]), 100).tolist() == [False] * 4 + [True]
+    assert bad_pixels(np.array([2, 3]), 5).tolist() == [False, True]
+
+
+def test_levels_of_a_stack_of_three():
+    """Median and sample deviation; what a frame has of its own, and no sigma below the usual."""
+    stack = np.array([9.0, 11.0, 10.0], np.float32)[:, None, None] * np.ones((2, 2), np.float32)
+    level, sigma = stack_levels(stack)
+    assert (level.min(), sigma.min(), sigma.max()) == (10.0, 1.0, 1.0)
+    assert steady_sigma(np.array([1.0, 2.0, 7.0]), 1.5).tolist() == [2.0, 2.0, 7.0]
+    assert steady_sigma(np.array([1.0, 2.0, 7.0]), 3.0).tolist() == [3.0, 3.0, 7.0]
+    frame = level + np.array([[4.0, 4.0], [4.0, 90.0]])
+    assert residual(frame, level).tolist() == [[0.0, 0.0], [0.0, 86.0]]

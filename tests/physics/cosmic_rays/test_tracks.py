@@ -15,6 +15,7 @@ from pipeline.physics.cosmic_rays.straggling import (
     PAIR_EV,
     electron_range_um,
     restricted_loss_ev_um,
+    scale_ev,
 )
 from pipeline.physics.cosmic_rays.tracks import (
     Flux,
@@ -223,3 +224,34 @@ def test_limits_one_pixel_and_no_events():
     rare = Flux(8, 8, 10.0, 15.0, 1e-9, 1.0)
     assert not charge_e(rare, 1, 0, 0, 0, 8, 8).any()
     assert len(truth_columns(rare, 1, 0)["event"]) == 0
+
+
+def test_truth_tells_where_a_particle_came_in() -> None:
+    """Muons come from above, through the far face; half of an isotropic flux from either side."""
+    for power, share in ((2.0, 1.0), (0.0, 0.5)):
+        flux = Flux(400, 300, 10.0, 80.0, 60.0, 60.0, zenith_power=power)
+        tracks, truth = draw_tracks(flux, 3, KEY), truth_columns(flux, 1, 3)
+        far = [(tracks.x_back, tracks.y_back), (tracks.x_front, tracks.y_front)]
+        (x_in, y_in), (x_out, y_out) = ((x[truth["event"]], y[truth["event"]]) for x, y in far)
+        back = truth["x_in_px"] == x_in
+        assert np.mean(back) == pytest.approx(share, abs=0.06)
+        assert set(truth["kind"]) == {"muon" if power else "proton"}
+        for name, there, here in (("x_in", x_in, x_out), ("y_in", y_in, y_out),
+                                  ("x_out", x_out, x_in), ("y_out", y_out, y_in)):  # fmt: skip
+            np.testing.assert_array_equal(truth[f"{name}_px"], np.where(back, there, here))
+
+
+def test_knocked_on_electrons_take_their_own_energy_along():
+    """In thick silicon tracks of their own add xi ln(500 / 30) to the loss cut at 30 keV."""
+    n, rng = 600, np.random.default_rng(5)
+    y, ones = rng.uniform(190, 210, n), np.ones(n)
+    path = 10.0 * np.hypot(300.0, 300.0)
+    tracks = Tracks(np.arange(n), 100.0 * ones, y, 400.0 * ones, y, path * ones, ones,
+                    ones > 0, 0.0 * ones)  # fmt: skip
+    sums = []
+    for deltas in (True, False):
+        flux = Flux(400, 500, 10.0, 3000.0, 1.0, 1.0, diffusion_um=0.0, delta_electrons=deltas)
+        sums.append(add_tracks(None, tracks, flux, 0, KEY, (0, 0, 400, 500)).mean())
+    expected = scale_ev(path, 1.0) * np.log(500.0 / 30.0) / PAIR_EV
+    assert sums[0] - sums[1] == pytest.approx(expected, rel=0.25)
+    assert Flux(1, 1, 10.0, 15.0, 1.0, 1.0).longest_um == 300.0

@@ -16,6 +16,7 @@ from pipeline.physics.drawing.extended import (
     point_error,
     spread_body,
 )
+from pipeline.physics.drawing.pictures import cell_error, coarser
 from pipeline.physics.drawing.wings import (
     add_wings,
     convolve,
@@ -251,3 +252,22 @@ def test_against_the_points_one_by_one() -> None:
     inside = np.hypot(fy[:, None], fx) <= 0.97
     assert spectrum is not None
     assert np.abs(spectrum - exact)[inside].max() < 1e-8
+
+
+def test_what_the_cells_of_a_picture_are_wrong_by() -> None:
+    """The integral of |T| |S - S'|, S' of cells twice as wide; none where light is even in them."""
+    rng, f = np.random.default_rng(6), (np.arange(-120, 120) + 0.5) * 0.01
+    blur = Blur(Gaussian(0.7))
+    size = np.abs(blur.transfer(f[:, None], f[None, :])) * 1e-4
+    even = np.kron(rng.uniform(size=(3, 5)), np.ones((2, 2)))
+    for table in (even, rng.uniform(size=(7, 10)) ** 3):
+        fine = picture(table, 0.8, (1.5, 6.25))
+        assert coarser(fine).shares.shape == ((len(table) + 1) // 2, 5)
+        transforms = []
+        for body in (fine, coarser(fine)):
+            y, x, share = body.points(2.0)
+            down, along = (np.exp(-2j * np.pi * np.outer(f, v)) for v in (y, x))
+            transforms.append((down * share) @ along.T)
+        exact = float(np.sum(size * np.abs(transforms[0] - transforms[1])))
+        assert cell_error(blur, fine) == pytest.approx(exact, rel=0.02, abs=1e-9)
+        assert (exact < 1e-9) == (table is even)

@@ -134,3 +134,29 @@ def test_what_it_serves() -> None:
     long = Path(np.array([0.0, 300.0]), np.zeros(2), np.ones(1))
     assert not affordable(Blur(AIRY), long, frame)
     assert affordable(Blur(AIRY), long, (256, 256))
+
+
+@pytest.mark.parametrize("angle", [0.5, -1.1, 2.4])
+def test_a_turned_ellipse(angle: float) -> None:
+    """Major axis from +x towards +y, jitter in both; also away from the axes."""
+    optics = EllipticalGaussian(1.6, 0.7, angle)
+    seen = draw_quadrature(Blur(optics, 0.3), POINT, (SIDE, SIDE), (0, 0), Y, X)
+    major, minor = math.hypot(1.6, 0.3), math.hypot(0.7, 0.3)
+    at, weight = np.polynomial.legendre.leggauss(30)
+    for row, column in ((30, 28), (31, 30), (28, 31), (33, 26), (34, 31)):
+        v, u = row - Y + 0.5 * at[:, None], column - X + 0.5 * at
+        along, across = u * np.cos(angle) + v * np.sin(angle), v * np.cos(angle) - u * np.sin(angle)
+        light = np.exp(-0.5 * ((along / major) ** 2 + (across / minor) ** 2))
+        exact = 0.25 * weight @ light @ weight / (2.0 * np.pi * major * minor)
+        assert seen[row, column] == pytest.approx(exact, rel=1e-9)
+
+
+def test_clocked_charge_is_a_streak_along_its_columns() -> None:
+    step = Path(np.zeros(2), np.array([-0.65, 0.65]), np.ones(1))
+    frame = (20, 16), (22, 20), Y, X
+    clocked = draw_quadrature(Blur(MOFFAT, clock_px=1.3), POINT, *frame)
+    swept = draw_quadrature(Blur(MOFFAT), step, *frame)
+    assert clocked == pytest.approx(swept, rel=1e-10)
+    most = (7000, 7000)
+    assert affordable(Blur(MOFFAT), POINT, most)
+    assert not affordable(Blur(MOFFAT, clock_px=1.3), POINT, most)

@@ -13,8 +13,15 @@ from pipeline.physics.drawing.spectral_band import band_of, peak_light, sweep_bo
 from pipeline.physics.drawing.spectral_plan import plan_spectral
 from pipeline.physics.drawing.spectral_spread import Kernel, spread_onto
 from pipeline.physics.motion.streak import POINT, Path, pieces, transfer
-from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
-from pipeline.physics.psf.response import Core, compact_core
+from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian
+from pipeline.physics.psf.response import (
+    Core,
+    compact_core,
+    core_spectrum,
+    frequencies,
+    stamp_at,
+    window,
+)
 
 KERNELS = [Kernel(w, b * w) for w in (4, 5, 6, 8, 12) for b in (1.6, 2.1, 2.6)]
 
@@ -148,3 +155,20 @@ def test_same_plan_for_alike_streaks() -> None:
     core = gaussian_core(0.8)
     first, second = (plan_spectral((256, 256), core, line(n), 1e-6) for n in (60.0, 60.2))
     assert (first.period, first.pad) == (second.period, second.pad)
+
+
+def test_peak_of_a_bent_streak_is_that_of_its_stamps() -> None:
+    """The light of a pixel at the middle of a segment, from the transform of path and core."""
+    core = compact_core(Blur(EllipticalGaussian(1.3, 0.7, 0.4)), 8.0)
+    path = Path(np.array([-6.0, 1.0, 3.0]), np.array([2.0, 1.0, -7.0]), np.array([0.35, 0.65]))
+    half_y, half_x, *period = window(core, 9.0, 8.0)
+    f = frequencies(core, *period)
+    swept = core_spectrum(core, None, *period) * transfer(*f, path.x_px, path.y_px, path.weight)
+    at = []
+    for k in (0, 1):
+        y, x = (-0.5 * (v[k] + v[k + 1]) for v in (path.y_px, path.x_px))
+        row, column, stamp = stamp_at(core, swept, (half_y, half_x), tuple(period), y, x)
+        at.append(stamp[-row, -column])
+    assert peak_light(core, path) == pytest.approx(max(at), rel=5e-3)
+    other = Path(path.x_px, path.y_px, path.weight[::-1])
+    assert abs(peak_light(core, other) / max(at) - 1.0) > 0.05

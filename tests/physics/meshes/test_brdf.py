@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pipeline.errors import BadInput
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.brdf_table import brdf_table, reciprocity_error
+from pipeline.physics.vectors import unit
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -133,3 +134,63 @@ def test_a_table_is_made_the_same_both_ways():
 def test_bad_tables_are_refused(t, value, word):
     with pytest.raises(BadInput, match=word):
         brdf_table(t, t, [0.0], value)
+
+
+def _random_frames(seed, n=200):
+    """Normals, grains along them, and the Sun's and the observer's directions above them."""
+    rng = np.random.default_rng(seed)
+    normal, hint, *other = (unit(rng.normal(size=(n, 3))) for _ in range(4))
+    grain = unit(hint - np.sum(hint * normal, -1, keepdims=True) * normal)
+    up = [v * np.sign(np.sum(v * normal, -1, keepdims=True)) for v in other]
+    return normal, grain, *up
+
+
+def test_against_the_published_formula_of_ashikhmin_and_shirley():
+    """Their equations 4 and 5 by the half vector's azimuth from the grain, in any frame."""
+    n, u, s, o = _random_frames(1)
+    h = unit(s + o)
+    dot = lambda a, b: np.sum(a * b, -1)  # noqa: E731
+    turn = np.arctan2(dot(np.cross(n, u), h), dot(u, h))
+    power = 12.0 * np.cos(turn) ** 2 + 90.0 * np.sin(turn) ** 2
+    gloss = np.sqrt(13.0 * 91.0) / (8.0 * np.pi) * dot(n, h) ** power
+    gloss /= dot(h, s) * np.maximum(dot(n, s), dot(n, o))
+    gloss *= 0.3 + 0.7 * (1.0 - dot(h, s)) ** 5
+    matt = 28.0 * 0.5 / (23.0 * np.pi) * 0.7
+    for v in (s, o):
+        matt = matt * (1.0 - (1.0 - dot(n, v) / 2.0) ** 5)
+    found = brdf.ashikhmin_shirley(n, s, o, 0.5, 0.3, 12.0, 90.0, u + 0.7 * n)
+    np.testing.assert_allclose(found, gloss + matt, rtol=1e-9)
+
+
+def test_against_the_published_formula_of_ggx():
+    """D and Smith's correlated G as Heitz 2014 writes them, with tangents; Schlick's F."""
+    n, _, s, o = _random_frames(2)
+    h = unit(s + o)
+    dot = lambda a, b: np.sum(a * b, -1)  # noqa: E731
+    cosines = (dot(n, s), dot(n, o), dot(n, h))
+    tan2 = [1.0 / c**2 - 1.0 for c in cosines]
+    alpha = 0.35
+    d = 1.0 / (np.pi * alpha**2 * cosines[2] ** 4 * (1.0 + tan2[2] / alpha**2) ** 2)
+    g = 1.0 / (1.0 + sum(0.5 * (np.sqrt(1.0 + alpha**2 * t) - 1.0) for t in tan2[:2]))
+    f = [0.1 + 0.9 * (1.0 - c) ** 5 for c in (dot(s, h), *cosines[:2])]
+    expected = f[0] * d * g / (4.0 * cosines[0] * cosines[1])
+    expected += 0.6 / np.pi * (1.0 - f[1]) * (1.0 - f[2])
+    found = brdf.cook_torrance(n, s, o, 0.6, alpha, None, 0.1)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_a_table_with_axes_of_its_own_is_read_along_each():
+    """A product of three lines, which a trilinear table holds on any grid; and its whole light."""
+    t, p, q = np.array([0.0, 0.2, 0.9, 1.5]), np.array([0.0, 1.1, 1.5]), np.array([0.0, 1.0, np.pi])
+    lines = lambda a, b, c: 0.1 * (1 + 0.3 * a) * (1 + 0.5 * b) * (1 + 0.2 * c)  # noqa: E731
+    table = brdf_table(t, p, q, lines(t[:, None, None], p[:, None], q))
+    n, _, s, o = _random_frames(3)
+    a, b = (np.arccos(np.clip(np.sum(n * v, -1), -1, 1)) for v in (s, o))
+    level = [unit(v - np.sum(n * v, -1, keepdims=True) * n) for v in (s, o)]
+    c = np.arccos(np.clip(np.sum(level[0] * level[1], -1), -1, 1))
+    np.testing.assert_allclose(table(n, s, o), lines(*np.minimum([a, b], 1.5), c), rtol=1e-6)
+    x, w = np.polynomial.legendre.leggauss(400)
+    b = np.pi / 4 * (x + 1)
+    light = np.pi / 4 * w @ (lines(0.7, np.minimum(b, 1.5), 0.0) * np.sin(2 * b))
+    assert table.reflected_share([0.7])[0] == pytest.approx(light * np.pi * (1 + 0.1 * np.pi),
+                                                            rel=1e-3)  # fmt: skip

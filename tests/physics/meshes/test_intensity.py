@@ -301,3 +301,27 @@ def test_the_inside_of_a_convex_shell_sends_nothing():
         closed = facets(mesh, True, convex)
         once = g_of(closed, s, o)
         assert g_of(closed, s, o, surfaces=(SHEET,)) == pytest.approx(once, rel=1e-9)
+
+
+@pytest.mark.parametrize("apart", [1.5, 0.75])
+def test_each_facet_has_its_own_surface(apart):
+    """Two plates side by side or one before the other, one of them white on both sides."""
+    grey = Surface(partial(brdf.lambert, albedo=0.2))
+    both = np.concatenate([square(1.0), square(1.0, (apart, 0.0, 0.5))])
+    mesh = Facets(both, np.array([0, 0, 1, 1]), np.zeros(4, bool))
+    hidden = max(0.0, 1.0 - apart)
+    for surfaces, front, back in (((grey, SHEET), 0.2 * (1 - hidden) + 1.0, 1.0),
+                                  ((SHEET, grey), 1.0 - hidden + 0.2, 1.0)):  # fmt: skip
+        assert g_of(mesh, UP, UP, 1e-6, surfaces) == pytest.approx(front, rel=1e-6)
+        seen = back - (hidden if surfaces[1] is SHEET else 0.0)
+        assert g_of(mesh, -UP, -UP, 1e-6, surfaces) == pytest.approx(seen, rel=1e-6)
+
+
+def test_a_facet_thinner_than_the_lines_of_a_picture_is_drawn_in_its_cell():
+    speck = square(1e-3, (2.302, 1.302, 0.0))
+    mesh = facets(np.concatenate([square(0.5), speck]))
+    light = mesh_intensity(mesh, [WHITE], UP, UP)
+    axes = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    image, centre = mesh_picture(mesh, light, UP, UP, *axes, cell_m=0.25)
+    row, column = (round(v / 0.25 + c) for v, c in zip((1.302, 2.302), centre, strict=True))
+    assert image[row, column] == pytest.approx(light.facet_m2_sr[2:].sum(), rel=1e-9)

@@ -116,3 +116,31 @@ def test_limits_no_moments_and_moments_that_repeat():
         np.testing.assert_allclose(light, 1.0 / np.pi)
         assert not error.any()
         assert model_light(model, z[:0], z[:0], np.zeros(0), step_rad=step)[0].size == 0
+
+
+@given(seed=st.integers(0, 1000))
+def test_no_corner_leaves_the_radius_however_the_joints_turn(seed):
+    """Chains of parts on parts with pivots of their own; in some pose most of it is used."""
+    rng = np.random.default_rng(seed)
+    parts = [
+        Part(plate(0.1), k - 1 if k else None, None, rng.normal(size=3),
+             Joint("spin", unit(rng.normal(size=3)), rng.normal(size=3), Z, 0.0, 1.0 + 0.7 * k))
+        for k in range(3)
+    ]  # fmt: skip
+    model = MeshModel(tuple(parts), (WHITE,))
+    far = [posed(model, Z, t).radius_m for t in np.linspace(0.0, 60.0, 40)]
+    assert max(far) <= model.radius_m
+    one = Joint("fixed", X, 3.0 * Y, Z, np.pi)
+    turned = MeshModel((Part(plate(0.1), None, None, None, one),), (WHITE,))
+    assert 5.9 < posed(turned, Z).radius_m <= turned.radius_m < 6.1
+
+
+def test_joints_turn_on_from_their_first_angle():
+    spin = Joint("spin", X, 0 * X, Z, 0.3, 0.5)
+    track = Joint("sun", X, 0 * X, Z, 0.4)
+    light = []
+    for joint in (spin, track):
+        model = MeshModel((Part(plate(), None, None, None, joint),), (WHITE,))
+        z = np.array([[0.0, -0.6, 0.8] if joint is track else Z])
+        light.append(model_light(model, z, z, np.array([1.4]))[0][0] * np.pi)
+    assert light == pytest.approx([np.cos(1.0) ** 2, np.cos(0.4) ** 2], rel=1e-12)

@@ -21,7 +21,7 @@ from pipeline.physics.motion.disturbance import (
     slewed,
     turned,
 )
-from pipeline.physics.motion.pointing import attitudes_swept, boresight_frame
+from pipeline.physics.motion.pointing import attitudes_drift, attitudes_swept, boresight_frame
 from pipeline.physics.vectors import from_angles
 
 RNG = np.random.default_rng(1)
@@ -131,3 +131,26 @@ def test_acceleration_along_the_rate_stays_on_its_great_circle() -> None:
     curved = attitudes_swept(start, 0.0, (3e-3, 0.0), (0.0, 1e-3), t)
     x, y = curved[:, 2] @ made[0, 0], curved[:, 2] @ made[0, 1]
     assert np.hypot(x[-1], y[-1]) == pytest.approx(np.sin(np.hypot(0.06, 0.2)))
+
+
+def test_slews_end_where_they_should_about_one_axis() -> None:
+    assert np.allclose(slewed(FRAMES, OTHERS, np.ones(50)), OTHERS, atol=1e-12)
+    half, rest = slewed(FRAMES, OTHERS, np.full(50, 0.3)), np.full(50, 4.0 / 7.0)
+    later = slewed(FRAMES, OTHERS, np.full(50, 0.7))
+    assert np.allclose(slewed(half, OTHERS, rest), later, atol=1e-12)
+    jerk = slew_share(np.array([2.5, 5.0, 6.0]), 10.0, "minimum_jerk")
+    assert jerk == pytest.approx([53 / 512, 0.5, 0.68256])  # 10 s^3 - 15 s^4 + 6 s^5
+
+
+def test_swept_boresights_lie_along_the_arc_of_rate_and_acceleration() -> None:
+    """Exactly b cos d + e sin d, for unequal rates east and north, accelerated both ways."""
+    b, t = from_angles(np.array(2.0), np.array(-0.7)), np.array([0.5, 3.0, 9.0])
+    east = np.array([-np.sin(2.0), np.cos(2.0), 0.0])
+    north = np.cross(b, east)
+    e, n = 0.02 * t - 0.5 * 1e-3 * t**2, -0.05 * t + 0.5 * 4e-3 * t**2
+    made = attitudes_swept(b, 0.3, (0.02, -0.05), (-1e-3, 4e-3), t)
+    d = np.hypot(e, n)[:, None]
+    along = (e[:, None] * east + n[:, None] * north) / d
+    assert np.allclose(made[:, 2], np.cos(d) * b + np.sin(d) * along, atol=1e-13)
+    assert np.allclose(attitudes_swept(b, 0.3, (0.02, -0.05), (0.0, 0.0), t),
+                       attitudes_drift(b, 0.3, 0.02, -0.05, t), atol=1e-13)  # fmt: skip

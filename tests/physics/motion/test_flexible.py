@@ -115,3 +115,28 @@ def test_which_modes_are_blur(mode: Mode, fast: bool) -> None:
         assert parts.variance[0] == pytest.approx(1.0)
     else:
         assert parts.variance[0] < 1e-3
+
+
+def test_what_lines_between_nodes_lose_of_a_markov_process() -> None:
+    """Its variance less the mean over the line of that of the line: s^2 (1 - exp(-h / tau)) / 3."""
+    for tau, h in ((1.0, 0.3), (5.0, 0.01)):
+        lost = split(markov(1, tau, 2.0, None), h, 1.0).variance
+        assert lost == pytest.approx([0.0, -4.0 * np.expm1(-h / tau) / 3.0, 0.0], rel=1e-9)
+
+
+@pytest.mark.parametrize("mode", [*MODES.values(), rate_markov(1, 2.5, 0.3)])
+def test_processes_stay_as_wide_as_they_start(mode: Mode) -> None:
+    """A P + P A' + B B' = 0 for states that have settled: not for an angle that grows."""
+    rise = mode.a @ mode.start + mode.start @ mode.a.T + mode.b @ mode.b.T
+    settled = np.diag(mode.start) > 0
+    off = np.abs(rise[np.ix_(settled, settled)]).max()
+    assert off < 1e-12 * np.abs(mode.b @ mode.b.T).max()
+
+
+@pytest.mark.parametrize(("turn", "decay"), [(0.75, 1.9), (0.82, 2.1)])
+def test_from_where_on_modes_are_blur(turn: float, decay: float) -> None:
+    """An eighth of a turn between nodes, or two time constants."""
+    fast = decay > 2.0
+    for mode in (oscillator(1, turn / (0.02 * np.pi), 0.01, 1.0, None),
+                 markov(2, 0.01 / decay, 1.0, None)):  # fmt: skip
+        assert split(mode, 0.01, 1.0).c_slow.any() != fast

@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.physics.motion.streak import POINT, Path, path_through, pieces, transfer
+from pipeline.physics.motion.streak import (
+    POINT,
+    Path,
+    part_within,
+    path_through,
+    piece_counts,
+    pieces,
+    transfer,
+)
 
 LENGTHS = [0.0, 1e-9, 0.1, 60.0, 300.0, 3000.0]
 
@@ -157,3 +165,43 @@ def test_a_point_is_a_path_without_length() -> None:
     assert len(pieces(POINT)) == 1
     f = np.linspace(-3, 3, 7)
     assert (transfer(f, f, POINT.x_px, POINT.y_px, POINT.weight) == 1.0).all()
+
+
+def test_the_part_of_a_path_within_a_box() -> None:
+    """From where it first enters to where it last leaves, with the light of that part."""
+    x, y, w = np.array([0.0, 100.0, 220.0]), np.array([10.0, 10.0, 90.0]), np.array([0.3, 0.7])
+    path = Path(x, y, w)
+    made, share = part_within(path, (25.0, 160.0, -50.0, 80.0))  # type: ignore[misc]
+    assert share == pytest.approx(0.3 * 0.75 + 0.7 * 0.5)
+    assert made.weight == pytest.approx(np.array([0.3 * 0.75, 0.7 * 0.5]) / share)
+    assert (made.x_px[0], made.y_px[0], made.x_px[-1]) == pytest.approx((25.0, 10.0, 160.0))
+    one, share = part_within(path, (25.0, 70.0, -50.0, 80.0))  # type: ignore[misc]
+    assert (share, one.x_px[0], one.x_px[-1]) == pytest.approx((0.3 * 0.45, 25.0, 70.0))
+    last, share = part_within(path, (130.0, 400.0, 0.0, 70.0))  # type: ignore[misc]
+    assert (share, last.y_px[0], last.y_px[-1]) == pytest.approx((0.7 * 0.5, 30.0, 70.0))
+    assert part_within(path, (0.0, 90.0, 20.0, 80.0)) is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(-600, 600), st.floats(-600, 600), st.floats(1.0, 300.0), st.floats(-3, 3))
+def test_pieces_near_a_box_are_all_that_touch_it(x: float, y: float, side: float, a: float) -> None:
+    c, s = 900.0 * np.cos(a), 900.0 * np.sin(a)
+    path = Path(np.array([-0.6 * c, 0.4 * c]), np.array([-0.6 * s, 0.4 * s]), np.ones(1))
+    box = (x, x + side, y, y + side)
+    kept = {(round(x0, 6), round(y0, 6)) for x0, y0, _, _ in pieces(path, 20.0, box)}
+    for x0, y0, piece, _ in pieces(path, 20.0):
+        t = np.linspace(0.0, 1.0, 50)
+        px = x0 + piece.x_px[0] + t * np.diff(piece.x_px)
+        py = y0 + piece.y_px[0] + t * np.diff(piece.y_px)
+        if ((box[0] <= px) & (px <= box[1]) & (box[2] <= py) & (py <= box[3])).any():
+            assert (round(x0, 6), round(y0, 6)) in kept
+    assert len(kept) <= side * np.sqrt(2.0) / 20.0 + 6
+
+
+def test_pieces_are_counted_as_they_are_cut() -> None:
+    x, y = np.array([0.0, 500.0, 520.0, 531.0]), np.array([0.0, 10.0, 30.0, 25.0])
+    path = Path(x, y, np.array([0.5, 0.3, 0.2]))
+    cut = [(piece, share) for _, _, piece, share in pieces(path)]
+    told = [(piece, share) for piece, share, count in piece_counts(path) for _ in range(count)]
+    assert told == cut
+    assert len(cut) == 7

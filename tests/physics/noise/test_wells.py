@@ -11,7 +11,7 @@ from scipy import stats
 from pipeline.physics.noise.calibration import calibrated_e
 from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
 from pipeline.physics.noise.patterns import bias_pattern_dn, chosen, hot_dark_e_s, prnu
-from pipeline.physics.noise.streams import stream_key
+from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
 from pipeline.physics.noise.transfer import column_means, lag_frames, lagged_e, smear_e
 from pipeline.physics.noise.wells import bloom, collected_e, measured_e
 
@@ -179,3 +179,26 @@ def test_column_means() -> None:
     image = np.arange(12.0).reshape(3, 4)
     assert np.array_equal(column_means(image), np.tile([4.0, 5.0, 6.0, 7.0], (3, 1)))
     assert column_means(2.0) == 2.0
+
+
+def test_order_of_the_extras() -> None:
+    """Cosmic rays, full well, non-linearity, read noise, lines: by hand, over bands of rows."""
+    rng = np.random.default_rng(9)
+    names = ("photon_noise", "read_noise", "row_noise", "column_noise")
+    keys = [stream_key(3, n) for n in names]
+    table = np.array([0.0, 500.0, 3000.0]), np.array([0.0, 450.0, 2000.0])
+    mean, rays = rng.uniform(0, 900, (100, 700)), rng.uniform(0, 600, (100, 700))
+    chain = Chain(1.0, 0.0, 1100.0, 5.0, 0.5, 200.0, 32, linearity=table, row_noise_e=3.0,
+                  column_noise_e=2.0)  # fmt: skip
+    made = to_dn(mean, chain, StreamPlace(7, 11, 4, *keys), rays)
+    charge = np.minimum(poisson_image(mean, 7, 11, 4, *keys[0]) + rays, 1100.0)
+    signal = np.interp(charge, *table) + 5.0 * standard_normals(100, 700, 7, 11, 4, *keys[1])
+    signal += 3.0 * standard_normals(100, 1, 7, 0, 4, *keys[2])
+    signal += 2.0 * standard_normals(1, 700, 0, 11, 4, *keys[3])
+    assert np.array_equal(made, np.clip(np.rint(signal / 0.5 + 200.0), 0, None))
+
+
+def test_noise_below_the_first_point_goes_on_with_its_line() -> None:
+    true, read = np.array([10.0, 60.0, 100.0]), np.array([5.0, 45.0, 70.0])
+    got = collected_e(np.array([-35.0, 5.0, 45.0, 95.0]), true, read)
+    assert got == pytest.approx([10.0 - 50.0, 10.0, 60.0, 100.0 + 40.0])

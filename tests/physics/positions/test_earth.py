@@ -20,10 +20,12 @@ from astropy.time import Time
 from pipeline.physics.positions.earth import (
     earth_and_sun,
     gcrs_to_itrs,
+    site_axes,
     site_state,
     teme_to_gcrs,
 )
 from pipeline.physics.positions.times import Instants, instants, parse_utc
+from pipeline.physics.vectors import unit
 
 EPOCHS = ["1995-03-01T12:00:00", "2019-04-20T03:00:00", "2026-01-15T07:30:00"]
 
@@ -100,3 +102,16 @@ def test_matrices_are_rotations() -> None:
     for m in (gcrs_to_itrs(at, 1e-6, 2e-6), teme_to_gcrs(at)):
         assert np.allclose(m @ np.swapaxes(m, 1, 2), np.eye(3), atol=1e-14)
         assert np.allclose(np.linalg.det(m), 1)
+
+
+def test_site_axes_are_the_ways_that_a_site_moves() -> None:
+    """North, east and up by small steps of latitude, longitude and height, the pole far moved."""
+    at = instants(parse_utc("2019-04-20T03:00:00Z"), np.array([0.0, 20_000.0]))
+    lat, lon, pole = np.radians(35.0), np.radians(-120.0), (3e-3, -2e-3)
+
+    def moved(north: float, east: float, up: float) -> np.ndarray:
+        return site_state(lat + north, lon + east, 2000.0 + up, at, *pole)[0]
+
+    steps = [(1e-5, 0.0, 0.0), (0.0, 1e-5, 0.0), (0.0, 0.0, 60.0)]
+    expected = np.stack([unit(moved(*s) - moved(*(-v for v in s))) for s in steps], axis=1)
+    np.testing.assert_allclose(site_axes(lat, lon, at, *pole), expected, atol=1e-7)

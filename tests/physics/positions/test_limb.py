@@ -92,6 +92,7 @@ def test_limb_angle_is_never_more_than_that_of_the_ellipsoid():
     hidden = height_of_line_m(place, u, AXIS) < 0.0
     assert (limb_angle(place, u)[hidden] < 1e-9).all()
     assert limb_angle(place, u[-1]) == pytest.approx(np.pi - np.arcsin(A_M / 7e6))
+    np.testing.assert_allclose(limb_angle(0.9 * place, u), angle - 0.5 * np.pi, atol=1e-7)
 
 
 @pytest.mark.parametrize("offset", [-0.9, -0.2, 0.05, 0.5])

@@ -21,6 +21,12 @@ from pipeline.physics.positions.orbit import (
     tle_states_teme,
     two_body,
 )
+from pipeline.physics.positions.orbit_sgp4 import (
+    many_states,
+    mean_satellite,
+    satellite_states,
+    since_epochs_s,
+)
 from pipeline.physics.positions.times import instants, parse_utc
 
 LINE1 = "1 25544U 98067A   19110.12345678  .00001000  00000-0  23000-4 0  9990"
@@ -202,3 +208,33 @@ def test_limits_whole_periods_and_free_fall() -> None:
     assert np.allclose(fall[:, 1:], 0)
     assert fall[0, 0] == pytest.approx(4e7 - 0.5 * EARTH_GM_M3_S2 / 16e14 * 1e4, rel=1e-9)
     assert np.all(np.isfinite(speed))
+
+
+ELEMENTS = {
+    "epoch": "2019-04-20T02:57:46.665792Z", "mean_motion_rev_day": 15.52, "eccentricity": 0.0002,
+    "inclination_deg": 51.64, "raan_deg": 100.0, "argument_of_perigee_deg": 80.0,
+    "mean_anomaly_deg": 280.0, "bstar": 0.23e-4,
+}  # fmt: skip
+
+
+def test_mean_elements_are_those_of_the_lines() -> None:
+    """Three days on, by drag and all: the same place to a few metres of the lines' rounding."""
+    at = instants(parse_utc("2019-04-23T00:00:00Z"), np.array([0.0, 700.0]))
+    p, v = satellite_states(mean_satellite(ELEMENTS), "made", at)
+    q, w = tle_states(LINE1, LINE2, at)
+    assert np.abs(p - q).max() < 5.0
+    assert np.abs(v - w).max() < 5e-3
+
+
+def test_many_satellites_at_times_of_their_own() -> None:
+    epoch = parse_utc("2019-04-21T03:00:00Z")
+    satellites = [mean_satellite(ELEMENTS | {"epoch": e}) for e in
+                  ("2019-04-20T12:00:00Z", "2019-04-18T07:30:00Z")]  # fmt: skip
+    offsets = np.array([[0.0, 40.0, 500.0], [-0.3, 39.9, 499.0]])
+    matrices = teme_to_gcrs(instants(epoch, [0.0, 40.0, 500.0]))
+    found = many_states(satellites, ["a", "b"], ["f", "g"], since_epochs_s(satellites, epoch),
+                        offsets, matrices)  # fmt: skip
+    for k, satellite in enumerate(satellites):
+        alone = satellite_states(satellite, "x", instants(epoch, offsets[k]))
+        assert np.abs(found[0][k] - alone[0]).max() < 0.05
+        assert np.abs(found[1][k] - alone[1]).max() < 1e-4

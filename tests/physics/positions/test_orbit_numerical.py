@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import erfa
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -122,8 +123,10 @@ def test_drag_shrinks_a_circle_at_the_known_rate() -> None:
 
 
 def test_density_is_the_tabled_one() -> None:
-    assert density_kg_m3(400e3) == pytest.approx(3.725e-12)
-    assert density_kg_m3(1268e3) == pytest.approx(3.019e-15 / np.e)
+    assert density_kg_m3(400e3) == pytest.approx(3.725e-12, rel=1e-6, abs=0.0)
+    middle = np.sqrt(6.967e-13 * 1.454e-13)
+    assert density_kg_m3(550e3) == pytest.approx(middle, rel=1e-6, abs=0.0)
+    assert density_kg_m3(1268e3) == pytest.approx(3.019e-15 / np.e, rel=1e-6, abs=0.0)
     assert density_kg_m3(175e3) == pytest.approx(8.484e-10, rel=0.2)  # smooth between tabled ones
 
 
@@ -166,3 +169,31 @@ def test_limits_straight_into_the_centre_is_refused() -> None:
     way = Trajectory(np.array([7e6, 0, 0, 0, 0, 0.0]), TT, Forces(zonals=6), 1e-11)
     with pytest.raises(BadInput, match="integration stopped"):
         way.states([20_000.0])
+
+
+def test_sunlight_falls_with_the_square_of_the_distance() -> None:
+    y = np.array([7e6, 0, 0, 0, 7.5e3, 0.0])
+    push = [
+        acceleration(y, POLE, far * SUN, NONE, forces)[0]
+        for far in (1.0, 2.0) for forces in (Forces(0, 0.0, 10.0), Forces(0))
+    ]  # fmt: skip
+    assert (push[2] - push[3]) / (push[0] - push[1]) == pytest.approx(0.25, rel=1e-3)
+
+
+def test_sun_and_moon_move_while_the_satellite_does() -> None:
+    """Two days of a high orbit against another integrator, with ERFA's bodies at each moment."""
+    start = np.array([4.2e7, 0.0, 3e6, 0.0, 3.0e3, 500.0])
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        tt = TT[0], TT[1] + t / 86_400.0
+        sun = -erfa.epv00(*tt)[0]["p"] * ASTRONOMICAL_UNIT_M
+        moon = erfa.moon98(*tt)["p"] * ASTRONOMICAL_UNIT_M
+        pull = -EARTH_GM_M3_S2 * y[:3] / np.linalg.norm(y[:3]) ** 3
+        for body, gm in ((sun, SUN_GM_M3_S2), (moon, MOON_GM_M3_S2)):
+            path = body - y[:3]
+            pull += gm * (path / np.linalg.norm(path) ** 3 - body / np.linalg.norm(body) ** 3)
+        return np.concatenate([y[3:], pull])
+
+    way = Trajectory(start, TT, Forces(zonals=0, sun=True, moon=True), 1e-11)
+    end = solve_ivp(rate, (0, 172_800), start, method="LSODA", rtol=1e-11, atol=1e-4).y[:, -1]
+    assert np.linalg.norm(way.states([172_800.0])[0][0] - end[:3]) < 1.0

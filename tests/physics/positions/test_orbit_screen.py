@@ -11,7 +11,7 @@ from sgp4.api import SatrecArray
 from benchmarks.targets import EPOCH, fixed, population, site
 from pipeline.physics.positions.earth import teme_to_gcrs
 from pipeline.physics.positions.orbit_screen import screen_cone
-from pipeline.physics.positions.orbit_sgp4 import tle_satellite
+from pipeline.physics.positions.orbit_sgp4 import satellite_states, tle_satellite
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.vectors import separation, unit
 
@@ -87,3 +87,31 @@ def test_limits_decayed_elements_are_named() -> None:
     )  # fmt: skip
     assert 0 in found.failed
     assert 0 not in found.inside
+
+
+def test_what_aberration_may_bring_in_is_kept(sky: tuple) -> None:
+    """20 arcsec beside a cone that ends just short of a satellite."""
+    satellites, _, directions = sky
+    epoch = parse_utc(EPOCH)
+    for k in range(0, COUNT, 150):
+        axis = unit(directions[k, 300] + [0.02, 0.01, -0.03])
+        closest = np.arccos(directions[k] @ axis).min()
+        found = screen_cone([satellites[k]], epoch, DWELL_S, site(epoch), lambda t, a=axis:
+                            fixed(a, t), closest - 9.5e-5)  # fmt: skip
+        assert list(found.inside) == [0]
+
+
+def test_what_an_accelerated_observer_turns_to_is_kept() -> None:
+    """It moves as the satellite does, but for 100 m/s2: seen in the cone at both ends alone."""
+    satellite, epoch = population(1, seed=5)[0], parse_utc(EPOCH)
+    ahead, aside = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
+
+    def observer(at_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        place, speed = satellite_states(satellite, "one", instants(epoch, at_s))
+        since = np.asarray(at_s)[:, None] - 30.0
+        return place - 5e5 * ahead + 50.0 * since**2 * aside, speed + 100.0 * since * aside
+
+    axis = unit(5e5 * ahead - 50.0 * 30.0**2 * aside)
+    found = screen_cone([satellite], epoch, 60.0, observer, lambda t: fixed(axis, t), 0.01,
+                        observer_pull_m_s2=110.0)  # fmt: skip
+    assert list(found.inside) == [0]

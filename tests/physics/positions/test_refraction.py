@@ -69,6 +69,8 @@ def test_limits():
     assert standard_air(0.0) == pytest.approx((1013.25, 15.0))
     assert standard_air(5000.0) == pytest.approx((540.2, -17.5), rel=1e-3)
     assert standard_air(20_000.0)[0] == pytest.approx(54.75, rel=0.01)
+    blue, red = (refraction_terms(1013.25, 15.0, 0.0, nm * 1e-9)[0] for nm in (400, 800))
+    assert blue / red == pytest.approx(282.76 / 274.90, rel=2e-3)  # n - 1 of air (Edlen 1966)
 
 
 @given(st.floats(4.0, 88.0), st.floats(0.01, 1.0))

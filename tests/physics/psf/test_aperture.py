@@ -188,3 +188,9 @@ def test_limits_of_vanes_and_wavefronts_are_refused_by_name() -> None:
     strong = Pupil(1.0, 0.3, None, ((4, 8.0),))
     assert abs(strong.transfer(ZERO, np.array([0.5]))[0]) < 0.05
     assert strong.core_px > strong.blur_px > 100.0
+
+
+@pytest.mark.parametrize("p", PUPILS[:3])
+def test_far_light_comes_from_rims_and_vanes(p: Pupil) -> None:
+    """The law of the edges goes on where the table from the transfer function ends, at 200 Q."""
+    assert p.light_beyond(215.0) == pytest.approx(p.light_beyond(185.0) * 185 / 215, rel=0.12)

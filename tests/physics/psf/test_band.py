@@ -11,6 +11,7 @@ from pipeline.physics.psf.aperture import Pupil, Vanes
 from pipeline.physics.psf.band import (
     Chromatic,
     Mixture,
+    NoiseLimit,
     _first,
     band_wavelengths,
     choose_wavelengths,
@@ -147,3 +148,15 @@ def test_difference_of_two_gaussians_against_closed_form() -> None:
     peaks = [erf(0.5 / (s * np.sqrt(2.0))) ** 2 for s in (1.0, 1.1)]
     assert response_difference(one, other) == pytest.approx(peaks[0] - peaks[1], rel=1e-3)
     assert response_difference(one, one) == 0.0
+
+
+def test_errors_beside_the_brightest_source_are_over_the_noise_there() -> None:
+    """Photons of floor and source, or the floor's alone where the source has none."""
+    off, light = np.array([1e-6, -3e-6, 2e-6]), np.array([0.1, 4e-5, -1e-9])
+    by_hand = 1e8 * np.array([1e-6, 3e-6, 2e-6])
+    noise = np.sqrt(20.0**2 + 1e8 * np.array([0.1, 4e-5, 0.0]))
+    assert NoiseLimit(1e8, 20.0, 0.05).error_sigma(off, light) == pytest.approx(
+        (by_hand / noise).max(), rel=1e-12
+    )
+    floor = NoiseLimit(1e8, 20.0, 0.05, photons=False)
+    assert floor.error_sigma(off, light) == pytest.approx(15.0, rel=1e-12)

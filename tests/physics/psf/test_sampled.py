@@ -284,3 +284,10 @@ def test_what_the_cut_band_leaves_out_is_measured() -> None:
         back = np.exp(2j * np.pi * f * a) @ beyond @ np.exp(2j * np.pi * f * b)
         assert abs(back) * step <= s.band.left_out
     assert s.band.left_out < MOST_LEFT_OUT
+
+
+def test_sizes_of_a_table_of_a_gaussian() -> None:
+    """Half of the light within sigma sqrt(2 ln 2), 99% within sigma sqrt(2 ln 100)."""
+    s = sampled(gaussian_table((401, 383), (190.0, 201.5), 24.0), 0.25, (190.0, 201.5))
+    assert s.scale_px == pytest.approx(6.0 * np.sqrt(2.0 * np.log(2.0)), rel=5e-3)
+    assert s.core_px == pytest.approx(1.2 * 6.0 * np.sqrt(2.0 * np.log(100.0)), rel=5e-3)

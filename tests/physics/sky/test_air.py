@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,15 +14,29 @@ from pipeline.inputs.night import gather_night
 from pipeline.inputs.reference import airglow as published
 from pipeline.physics.constants import ARCSEC2_SR, DEG_RAD
 from pipeline.physics.radiometry import ab_photon_rate, box, photon_integral
-from pipeline.physics.sky.extinction import air_mass, band_extinction, coefficients
-from pipeline.physics.sky.moon import irradiance_share, spectrum
+from pipeline.physics.sky.extinction import (
+    BandExtinction,
+    air_mass,
+    band_extinction,
+    coefficients,
+)
+from pipeline.physics.sky.moon import (
+    COLOUR,
+    COLOUR_NM,
+    band_rate,
+    irradiance_share,
+    spectrum,
+)
 from pipeline.physics.sky.night import (
     NightBand,
     airglow,
     airglow_pieces,
     moonlight,
+    moonlight_zenith_v_mag,
     pieces_of,
+    solar_activity,
     twilight,
+    twilight_zenith_v_mag,
 )
 from pipeline.spec.background import Background
 
@@ -186,3 +202,80 @@ def test_twilight_off_the_zenith_is_the_published_formula(zenith, k):
     scattered = 1.0 - 10.0 ** (-0.4 * k * mass)
     by_hand = 10.0 ** (0.4 * zenith / (360.0 * k)) * scattered[0] / scattered[1]
     assert off / up == pytest.approx(by_hand, rel=1e-6)
+
+
+def test_aerosols_dim_blue_more_and_high_sites_less():
+    """k (lambda / 0.55 um)^-slope exp(-H / 1.5 km)."""
+    aerosol = (sum(coefficients(440e-9, 2000.0, mag, 1.3, 0.0)) for mag in (0.2, 0.0))
+    by_hand = 0.2 * (0.44 / 0.55) ** -1.3 * np.exp(-2000.0 / 1500.0)
+    assert next(aerosol) - next(aerosol) == pytest.approx(by_hand, rel=1e-9)
+
+
+def test_stars_of_another_colour_are_dimmed_otherwise():
+    """Two pieces: the largest difference in magnitude from the Sun's own loss, of two lights."""
+    two = np.array([1.0, 1.0])
+    light = BandExtinction(two, np.array([0.5, 0.1]), 0.05 * two, 0.5 * two, np.empty((0, 2)))
+    light = light.with_extremes(np.array([[0.9, 0.1], [0.3, 0.7]]))
+    passed = 10.0 ** (-0.4 * np.array([0.55, 0.15]) * float(air_mass(0.5)))
+    sun = passed.mean()
+    by_hand = max(abs(2.5 * np.log10(e @ passed / sun)) for e in light.extremes)
+    assert light.colour_error_mag(0.5) == pytest.approx(by_hand, rel=1e-12)
+
+
+def test_airglow_is_dimmed_by_the_published_part_of_scattering():
+    """Noll et al. 2012, equations 23 and 24: 1.669 log10 X - 0.146 of it, and all absorption."""
+    band, extinction = narrow(0.3)
+    band = replace(band, airglow=np.ones_like(band.sun))
+    extinction = replace(extinction, absorbed_mag=np.full(band.sun.size, 0.2))
+    low, high = airglow(band, extinction, np.array([0.3, 1.0]))
+    layer = 1.0 / np.sqrt(1.0 - (6371.0 / 6461.0) ** 2 * (1.0 - 0.3**2))
+    mass = float(air_mass(0.3))
+    mags = 0.3 * ((1.669 * np.log10(layer) - 0.146) * mass + 0.146) + 0.2 * (mass - 1.0)
+    assert low / high == pytest.approx(layer * 10.0 ** (-0.4 * mags), rel=2e-4)
+    assert solar_activity(200.0, 130.0) == pytest.approx(1.428 / 0.9982)
+
+
+def test_the_aureole_is_held_within_5_degrees():
+    band, extinction = narrow(0.172)
+    apart = np.radians([1.0, 5.0])
+    one, five = moonlight(band, extinction, np.full(2, 0.8), 0.7, apart, 1e-6)
+    air = 10**5.36 * (1.06 + np.cos(apart) ** 2) + 6.2e7 / 25.0
+    assert one / five == pytest.approx(air[0] / air[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("degrees", [6.0, 12.0, 40.0, 75.0])
+def test_magnitudes_of_the_zenith_are_those_of_the_light_there(degrees):
+    """What the plan tells of twilight and moonlight, by the light that the frames hold."""
+    band, extinction = narrow(0.2)
+    up, away = np.ones(1), np.radians(degrees)
+    if degrees < 20.0:
+        seen = twilight(band, extinction, up, -np.sin(away), np.array([0.5 * np.pi + away]))
+        found = twilight_zenith_v_mag(-away)
+    else:
+        apart = np.array([0.5 * np.pi - away])
+        seen = moonlight(band, extinction, up, float(np.sin(away)), apart, 1e-6)
+        found = moonlight_zenith_v_mag(away, 1e-6)
+    v = -26.76 - 2.5 * np.log10(seen[0] * ARCSEC2_SR / band.sun.sum())
+    assert found == pytest.approx(v, abs=0.02)
+
+
+def test_what_the_air_absorbs_is_lost_on_the_moons_own_path():
+    """Absorption dims the lamp (equation 15) and scatters nothing; of twilight it dims nothing."""
+    band, plain = narrow(0.3)
+    extinction = replace(plain, absorbed_mag=np.full(band.sun.size, 0.2))
+    place = np.array([0.6]), 0.5, np.array([1.2]), 1e-6
+    ratio = moonlight(band, extinction, *place) / moonlight(band, plain, *place)
+    assert ratio[0] == pytest.approx(10.0 ** (-0.4 * 0.2 * float(air_mass(0.5))), rel=1e-12)
+    dusk = [twilight(band, e, np.ones(1), -0.15, np.array([1.7])) for e in (plain, extinction)]
+    assert dusk[0] == pytest.approx(dusk[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("nm", [(400, 450), (900, 1300)])
+def test_moonlight_is_redder_than_sunlight(nm):
+    """By the disc's reflectance at 45 degrees of phase, straight between its bands, held beyond."""
+    response = box(nm[0] * 1e-9, nm[1] * 1e-9)
+    grid = np.union1d(np.linspace(nm[0], nm[1], 40_001) * 1e-9, SUN_W)
+    sun = np.interp(grid, SUN_W, SUN_E)
+    redder = np.interp(grid, np.array(COLOUR_NM) * 1e-9, COLOUR)
+    expected = photon_integral(grid, sun * redder, response)
+    assert band_rate(SUN_W, SUN_E, response) == pytest.approx(expected, rel=1e-4)

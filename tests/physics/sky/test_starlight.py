@@ -56,3 +56,12 @@ def test_diffuse_light_is_its_share_of_the_sum():
     stars = np.array([10.0, 300.0])
     dust = diffuse_light(stars, 0.25)
     np.testing.assert_allclose(dust / (dust + stars), 0.25)
+
+
+def test_two_stars_either_side_of_their_mean_are_exact():
+    """A blue and a red one of one brightness: the sum of what each sends, far from twice one."""
+    fit = gather_colour_fit(*resolve_response(BANDS[3][0], 1.0, 1.0), None)
+    colours = np.array([0.2, 1.8])
+    moments = tuple(np.array([(0.5 * colours**k).sum()]) for k in range(3))
+    rate, _ = star_electron_rate(np.zeros(2), colours, np.zeros(2), fit)
+    assert band_light(moments, np.zeros(1), fit)[0] == pytest.approx(rate.mean(), rel=1e-9)

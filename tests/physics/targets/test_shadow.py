@@ -128,3 +128,21 @@ def test_against_the_eclipse_of_2017() -> None:
     assert ratio > SUN_RADIUS_M / ASTRONOMICAL_UNIT_M
     assert separation(moon - site[2], sun[2] - site[2]) < 1e-3
     assert sunlit_past_moon(site[2:3], -sun[2], moon)[0] == 1.0  # Moon opposite to the Sun
+
+
+@pytest.mark.parametrize("u", [0.0, 0.6])
+def test_a_partial_eclipse_by_the_moon_against_points_of_the_sun(u) -> None:
+    """Even points of a flat disc, each as bright as a darkened limb has it."""
+    target = np.array([[-2e6, 5e6, 3e6]])
+    apart, moon_m_away = 4e-3, 3.7e8
+    to_sun = SUN - target[0]
+    side = unit(np.cross(to_sun, [0.1, 0.2, 1.0]))
+    moon = target[0] + moon_m_away * (np.cos(apart) * unit(to_sun) + np.sin(apart) * side)
+    a = np.arcsin(SUN_RADIUS_M / np.linalg.norm(to_sun))
+    at = (np.arange(2000) + 0.5) / 1000 - 1.0
+    r2 = at[:, None] ** 2 + at**2
+    light = np.where(r2 < 1.0, 1.0 - u * (1.0 - np.sqrt(np.maximum(1.0 - r2, 0.0))), 0.0)
+    free = np.hypot(a * at[:, None] - apart, a * at) > np.arcsin(MOON_RADIUS_M / moon_m_away)
+    found = sunlit_past_moon(target, SUN, moon[None], u)[0]
+    assert found == pytest.approx((light * free).sum() / light.sum(), abs=2e-4)
+    assert 0.2 < found < 0.8
