@@ -159,17 +159,17 @@ LIT = {
 @pytest.mark.parametrize("photons", [True, False])
 def test_the_floor_of_each_frame_is_that_of_its_own_exposure(scene: Make, photons: bool) -> None:
     """Sky and dark of its time, where light has noise; the facts' is that of the shortest one."""
-    s = scene(LIT | {"dwells": [{"integration_s": [4.0, 1.0, 2.5], "frames": 3}],
+    s = scene(LIT | {"dwells": [{"integration_s": [4.0, 2.0, 2.5], "frames": 3}],
                      "exposure.cadence_s": None, "sensor.photon_noise": photons})  # fmt: skip
     facts = replace(facts_of(s), flat=0.8)
     plan = make_plan(s, facts, plan_geometry(s, sampled_frames(s), 0.0), None, 0.0, (), 0.0)
     fixed = 5.0**2 + 6.0**2 / 12.0
-    for frame, time_s in enumerate((4.0, 1.0, 2.5)):
+    for frame, time_s in enumerate((4.0, 2.0, 2.5)):
         floor, told = (photons * (sky + 3.0) * time_s + fixed for sky in (7.0, 0.8 * 7.0))
         assert plan.floor_e(frame) == pytest.approx(np.sqrt(floor), rel=1e-12)
         assert plan.snr_floor_e2(frame) == pytest.approx(told, rel=1e-12)
     assert facts.sigma_floor_e == plan.floor_e(1)
-    assert (facts.background_e, facts.dark_e) == (7.0, 3.0)
+    assert (facts.background_e, facts.dark_e) == (14.0, 6.0)
 
 
 def test_the_brightest_source_is_that_of_the_longest_exposure(scene: Make) -> None:
