@@ -102,7 +102,8 @@ def test_the_path_that_is_seen_and_its_light(begin: float, end: float) -> None:
     assert path.weight.sum() == pytest.approx(1.0, rel=1e-12)
     first, last = fine[seen][[0, -1]]
     for found, at in ((path.x_px, x), (path.y_px, y)):
-        assert found[[0, -1]] == pytest.approx(np.interp([first, last], t, at), abs=1e-2 if bent else 1e-4)
+        ends = np.interp([first, last], t, at)
+        assert found[[0, -1]] == pytest.approx(ends, abs=1e-2 if bent else 1e-4)
     middle = 0.5 * (path.x_px[1:] + path.x_px[:-1]) @ path.weight
     assert middle == pytest.approx((bright @ np.interp(fine, t, x)) / bright.sum(), abs=0.03)
     assert visible_path(x, y, light, clear - 2.0, front, 1e-9)[1] == 0.0

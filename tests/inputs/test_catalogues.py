@@ -16,6 +16,7 @@ from pipeline.inputs.catalogues import (
 )
 from pipeline.inputs.colour_fit import gather_colour_fit
 from pipeline.inputs.curves import resolve_response
+from pipeline.plan.coverage import FieldCoverage
 
 
 @pytest.fixture(scope="module")
@@ -92,3 +93,25 @@ def test_stars_without_a_colour_are_counted_with_what_it_may_cost(empty):
     (warning,), _ = colour_sentences([replace(empty, rows=1000, without_colour=600)], fit)
     assert warning.startswith("600 of 1000 (60%) stars of empty have no colour")
     assert "mag rms" in warning
+
+
+@pytest.mark.parametrize(
+    ("asked", "deepest", "limit", "told"),
+    [(None, 20.0, 15.0, True), (15.5, 20.0, 15.0, False), (15.6, 20.0, 15.0, True),
+     (18.0, 15.4, 15.0, False), (0.0, 20.0, 15.0, False), (None, None, 15.0, False),
+     (None, 20.0, None, False)],
+)  # fmt: skip
+def test_a_shallow_part_is_told_where_fainter_stars_are_drawn(asked, deepest, limit, told):
+    """More than half a magnitude, of what both the scene and the catalogue reach elsewhere."""
+    found = FieldCoverage("c", "a map", 1.0, 1.0, 0, limit).remark(asked, deepest)
+    assert (found is not None) == told
+
+
+def test_a_part_that_is_not_covered_is_a_warning():
+    for worst, mean, words in (
+        (0.99, 0.99, None), (0.98, 0.995, "covers 98% of frame 4 and 99.5% of all frames"),
+        (0.0, 0.5, "covers nothing of frame 4 and 50% of all"),
+    ):  # fmt: skip
+        warning = FieldCoverage("c", "a map", worst, mean, 4).warning()
+        assert warning is None if words is None else words in warning
+    assert FieldCoverage("c", None, 0.0, 0.0, 4).warning() is None

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from pipeline.cosmic_rays_cli import cosmic_rays
 from pipeline.cosmic_rays_figure import compare_library, draw_comparison
 from pipeline.errors import BadInput
+from pipeline.inputs import cosmic_rays as cosmic_rays_module
 from pipeline.inputs.cosmic_rays import (
     extract_library,
     gather_cosmic_rays,
@@ -238,3 +239,23 @@ def test_command_line(darks, tmp_path):
         result = run.invoke(cosmic_rays, ["extract", *map(str, darks), "-o", *changed])
         assert isinstance(result.exception, BadInput)
         assert says in str(result.exception)
+
+
+def test_same_library_read_band_by_band(darks, extracted, monkeypatch):
+    """Bands of 7 rows, whose last is shorter: the same events as of the whole stack at once."""
+    monkeypatch.setattr(cosmic_rays_module, "BAND_BYTES", 4 * FRAMES * 200 * 7)
+    whole, told = extracted
+    banded, again = extract_library(open_darks(darks), EXPOSURE_S, 10.0, GAIN)
+    assert again == told
+    for name in ("start", "x", "y", "electrons", "frame"):
+        assert np.array_equal(getattr(banded, name), getattr(whole, name)), name
+
+
+def test_a_file_of_one_frame_or_of_several(darks, extracted, tmp_path):
+    """The same frames as one cube: the same events, each in its own frame."""
+    stack = open_darks(darks)
+    np.save(tmp_path / "cube.npy", stack.band(0, 300)[3:])
+    mixed = extract_library(open_darks([*darks[:3], tmp_path / "cube.npy"]), EXPOSURE_S, 10.0, GAIN)
+    assert np.array_equal(mixed[0].electrons, extracted[0].electrons)
+    assert np.array_equal(mixed[0].frame, extracted[0].frame)
+    assert mixed[0].exposure_s == FRAMES * EXPOSURE_S

@@ -342,7 +342,7 @@ def bent(*coefficients: float) -> Data:
 EDGES: list[tuple[Data, Data, str]] = [
     ({"exposure.cadence_s": 2.0}, {"exposure.cadence_s": 1.999}, "exposure.cadence_s"),
     ({"dwells": [{"integration_s": [1, 5], "cadence_s": 5}]},
-     {"dwells": [{"integration_s": [5, 1], "cadence_s": 4.99}]}, "dwells.0.cadence_s"),
+     {"dwells": [{"integration_s": [1, 5], "cadence_s": 4.99}]}, "dwells.0.cadence_s"),
     ({"dwells": [{"start_s": 0.0}]}, {"dwells": [{"start_s": 0.0, "wait_s": 0.1}]},
      "dwells.0.wait_s"),
     ({"sensor.bandpass.long_nm": 400.1}, {"sensor.bandpass.long_nm": 400.0},
