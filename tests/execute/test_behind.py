@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pipeline.execute.sources import place_targets
+from pipeline.execute.outlook import target_snr
+from pipeline.execute.sources import place_targets, reaching
 from pipeline.execute.truth import target_truth
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.occultation import visible_path
@@ -107,3 +110,25 @@ def test_the_path_that_is_seen_and_its_light(begin: float, end: float) -> None:
     middle = 0.5 * (path.x_px[1:] + path.x_px[:-1]) @ path.weight
     assert middle == pytest.approx((bright @ np.interp(fine, t, x)) / bright.sum(), abs=0.03)
     assert visible_path(x, y, light, clear - 2.0, front, 1e-9)[1] == 0.0
+
+
+@pytest.mark.parametrize("side", ["left", "right", "low", "high"])
+def test_targets_reach_an_oblong_frame_from_every_side(side: str) -> None:
+    """As far off as anything may be drawn around them, and not farther; SNR only of those in it."""
+    sensor = SCENE["sensor"] | {"shape": [100, 300]}
+    plan = prepare(parse_scene(SCENE | {"sensor": sensor})).plan
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    margin = plan.halo_px + plan.responses.reach_core_px
+    axis, edge, sign = {"left": ("x", 0.0, -1.0), "right": ("x", 300.0, 1.0),
+                        "low": ("y", 0.0, -1.0), "high": ("y", 100.0, 1.0)}[side]  # fmt: skip
+
+    def moved(off_px: float):
+        place = {"x": 150.0, "y": 50.0} | {axis: edge + sign * off_px}
+        shape = g.target_x_px.shape
+        return replace(g, **{f"target_{a}_px": np.full(shape, v) for a, v in place.items()})
+
+    assert reaching(plan, moved(margin - 0.5)) == [0]
+    assert reaching(plan, moved(margin + 0.5)) == []
+    for off_px, seen in ((-1.0, True), (0.6, False)):
+        assert (target_snr(plan, moved(off_px), ("t",))["t"] > 0.0) == seen
+        assert target_truth(plan, moved(off_px))["in_frame"].tolist() == [seen]
