@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,7 @@ from pipeline.accuracy.engines import Case
 from pipeline.accuracy.probes import make_probes
 from pipeline.accuracy.reference import GaussianStar, Track, exact_pixels, straight
 from pipeline.accuracy.report import report_accuracy
-from pipeline.accuracy.study import Record, _record, with_pareto
-from pipeline.accuracy.tables import cells
+from pipeline.accuracy.study import Record, with_pareto
 from pipeline.errors import BadInput
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
@@ -144,15 +143,3 @@ def test_probes_of_an_exact_image_of_an_oblong_frame_find_no_error(
     (dx, dy) = (0.0, 0.0) if not curved else (-9.0 + 12.0 * 0.5 / 0.7, 2.0)
     at_middle = exact_pixels(case.shape, track, -dx, -dy, fine, fine)
     assert probes.peak == pytest.approx(at_middle.max(), rel=1e-9)
-
-
-def test_times_and_errors_of_a_record() -> None:
-    """Of 10 stars timed out of 1000; 1e5 e- over 10 e- of noise, of a peak of 0.2."""
-    case = Case(GaussianStar(0.9), straight(0.0, 0.0), 0.0, (256, 256))
-    probes = replace(make_probes(case, 1), peak=0.2)
-    found = _record(case, "e", "s", False, probes, [(1e-3, 2e-6), (4e-4, 3e-6)], 1000, 10, 0.5,
-                    0.1, None)  # fmt: skip
-    assert (found.cpu_s, found.cpu_s_per_star) == pytest.approx((50.0, 0.05))
-    assert (found.error_of_peak, found.flux_error) == (1e-3, 3e-6)
-    assert found.error_sigma == pytest.approx(1e-3 * 0.2 * 1e5 / 10.0)
-    assert cells(asdict(found))[2:4] == ("~50", "5e+04")

@@ -11,7 +11,6 @@ from pipeline.execute.outlook import target_snr
 from pipeline.execute.sources import place_targets, reaching
 from pipeline.execute.truth import target_truth
 from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.occultation import visible_path
 from pipeline.prepare import prepare
 from pipeline.spec.load import parse_scene
 
@@ -86,30 +85,6 @@ def test_truth_tells_of_the_middle_of_the_exposure() -> None:
     for name, room in (("phase_deg", 1e-5), ("range_m", 1e-2), ("apparent_ra_deg", 1e-6)):
         assert long[name][0] == pytest.approx(short[name][0], abs=room), name
     assert long["sunlit_fraction"][0] == short["sunlit_fraction"][0]
-
-
-@pytest.mark.parametrize(("begin", "end"), [(0.37, 1.0), (0.0, 0.61), (0.2, 0.33)])
-def test_the_path_that_is_seen_and_its_light(begin: float, end: float) -> None:
-    """Hidden outside of two moments, and behind the camera between two nodes: by quadrature."""
-    rng, t = np.random.default_rng(3), np.linspace(0.0, 1.0, 9)
-    x, y, light = 7.0 * t, 3.0 * t**2, rng.uniform(1.0, 2.0, 9)
-    bent = begin > 0.0 and end < 1.0
-    clear = (t - begin) * (end - t) if bent else t - begin if begin else end - t
-    front = np.ones(8, bool)
-    front[2 if end < 0.5 else 4] = False
-    path, total = visible_path(x, y, light, clear, front, 1e-9)
-    fine = (np.arange(800_000) + 0.5) / 800_000
-    seen = (fine > begin) & (fine < end) & front[(fine * 8).astype(int)]
-    bright = np.interp(fine, t, light) * seen
-    assert total == pytest.approx(bright.mean(), rel=5e-3 if bent else 1e-5)
-    assert path.weight.sum() == pytest.approx(1.0, rel=1e-12)
-    first, last = fine[seen][[0, -1]]
-    for found, at in ((path.x_px, x), (path.y_px, y)):
-        ends = np.interp([first, last], t, at)
-        assert found[[0, -1]] == pytest.approx(ends, abs=1e-2 if bent else 1e-4)
-    middle = 0.5 * (path.x_px[1:] + path.x_px[:-1]) @ path.weight
-    assert middle == pytest.approx((bright @ np.interp(fine, t, x)) / bright.sum(), abs=0.03)
-    assert visible_path(x, y, light, clear - 2.0, front, 1e-9)[1] == 0.0
 
 
 @pytest.mark.parametrize("side", ["left", "right", "low", "high"])

@@ -17,9 +17,7 @@ from pipeline.execute import tables
 from pipeline.execute.blocks import Block, render_block
 from pipeline.execute.check import _nearest, _points, reference, summary
 from pipeline.execute.light import draw_along, draw_stars
-from pipeline.execute.outlook import limiting_light_e, limiting_mag
 from pipeline.execute.tables import ContentCache
-from pipeline.physics.colour import ColourFit
 from pipeline.physics.drawing.wings import wing_grid
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
@@ -285,20 +283,3 @@ def test_summary_of_the_windows():
         "sources_drawn_again": 8,
     }  # fmt: skip
     assert summary([])["achieved_error_sigma"] is None
-
-
-@pytest.mark.parametrize("dx_px", [0.0, 30.0])
-def test_the_faintest_star_has_a_signal_of_five(dx_px):
-    """By the matched filter's own formula, and as a magnitude in the exposure's time."""
-    plan = plan_of({"kind": "gaussian", "sigma_px": 1.0}, dx_px, 0.0)
-    light = limiting_light_e(plan, geometry_of(plan))
-    at = np.array([[79.5, 79.5]])
-    share = exact_pixels(GaussianStar(1.0), straight(dx_px, 0.0), *at[0], np.arange(160.0),
-                         np.arange(160.0))  # fmt: skip
-    floor = 5.0**2 + 1.0 / 12.0
-    snr = np.sqrt(np.sum((light * share) ** 2 / (floor + light * share)))
-    assert snr == pytest.approx(5.0, rel=0.02)  # of a star in the middle of a pixel or beside it
-    fit = ColourFit("b", np.zeros(1), (0.0, 1.0), 0.0, 0.0, 0.5, 0.1, 0.0, 1e10, "made up", 1)
-    mag = limiting_mag(replace(plan, colour=fit), light, 4.0)
-    area_m2 = np.pi / 4.0 * 0.065**2 * (1.0 - 0.3**2)
-    assert 4.0 * area_m2 * 1e10 * 10.0 ** (-0.4 * mag) == pytest.approx(light, rel=1e-9)

@@ -249,13 +249,3 @@ def test_same_library_read_band_by_band(darks, extracted, monkeypatch):
     assert again == told
     for name in ("start", "x", "y", "electrons", "frame"):
         assert np.array_equal(getattr(banded, name), getattr(whole, name)), name
-
-
-def test_a_file_of_one_frame_or_of_several(darks, extracted, tmp_path):
-    """The same frames as one cube: the same events, each in its own frame."""
-    stack = open_darks(darks)
-    np.save(tmp_path / "cube.npy", stack.band(0, 300)[3:])
-    mixed = extract_library(open_darks([*darks[:3], tmp_path / "cube.npy"]), EXPOSURE_S, 10.0, GAIN)
-    assert np.array_equal(mixed[0].electrons, extracted[0].electrons)
-    assert np.array_equal(mixed[0].frame, extracted[0].frame)
-    assert mixed[0].exposure_s == FRAMES * EXPOSURE_S

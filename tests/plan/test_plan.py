@@ -40,7 +40,7 @@ from pipeline.physics.psf.response import (
 )
 from pipeline.physics.radiometry import box
 from pipeline.physics.vectors import separation, unit
-from pipeline.plan.checks import choose_checks, fine_ends
+from pipeline.plan.checks import choose_checks
 from pipeline.plan.cost import (
     CHECK_S,
     CHUNK_S,
@@ -425,15 +425,6 @@ def test_tiles_of_whole_columns(scene: Make, shape: list[int], tile: tuple[int, 
     s = scene({"sensor.shape": shape, "sensor.full_well_e": 1e5,
                "sensor.detector": {"blooming": True}})  # fmt: skip
     assert tile_shape(s) == tile
-
-
-@pytest.mark.parametrize(
-    ("spacing", "reach", "ends"),
-    [(8, 100.0, [(4, 0.0, 100.0)]), (1, 384.0, [(1, 0.0, 384.0)]),
-     (2, 5000.0, [(1, 0.0, 384.0), (14, 384.0, 5000.0)])],
-)  # fmt: skip
-def test_finer_grids_of_wings(spacing: int, reach: float, ends: list[Any]) -> None:
-    assert fine_ends(spacing, reach) == ends
 
 
 @pytest.mark.parametrize(("roll", "px"), [(0.0, 40.0), (45.0, 40.0), (45.0, 1.2), (20.0, 0.0)])
