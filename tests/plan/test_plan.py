@@ -41,15 +41,6 @@ from pipeline.physics.psf.response import (
 from pipeline.physics.radiometry import box
 from pipeline.physics.vectors import separation, unit
 from pipeline.plan.checks import choose_checks
-from pipeline.plan.cost import (
-    CHECK_S,
-    CHUNK_S,
-    NOISE_S_PER_PIXEL,
-    START_S,
-    TILE_S,
-    check_count,
-    least_cpu_s,
-)
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.faint_stars import peak_share
 from pipeline.plan.geometry import camera_of, plan_geometry
@@ -393,17 +384,6 @@ def test_cells_that_are_checked(scene: Make, place: Any, cell: tuple[int, int] |
     assert cells[: len(wanted)] == list(dict.fromkeys(wanted))
     assert len(cells) == len(set(cells)) == 9
     assert all(f in (0, 3, 4) and r in (0, 1) and c in (0, 1, 2) for f, r, c in cells)
-
-
-def test_what_a_scene_costs_at_least(scene: Make) -> None:
-    """By hand: 300 x 700 px of 5 frames in 2 tiles of 2 layers, 3 cells drawn again."""
-    many = {"sensor.shape": [300, 700], "output": {"tile_shape": [256, 700], "layers": ["mean_e"]}}
-    frame_s = 300 * 700 * NOISE_S_PER_PIXEL + 2 * (TILE_S + 2 * CHUNK_S)
-    least = START_S + 5 * frame_s + 3 * CHECK_S
-    assert least_cpu_s(scene(many)) == pytest.approx(least, rel=1e-12)
-    few = {"sensor.shape": [100, 256], "exposure.frames": 2}  # two cells in all
-    assert check_count(scene(few)) == 2
-    assert check_count(scene(few | {"stars": None})) == 0
 
 
 @pytest.mark.parametrize(("bits", "width"), [(8, 1), (16, 2), (17, 4), (33, 8)])

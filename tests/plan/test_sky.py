@@ -6,7 +6,6 @@ import copy
 import pickle
 from dataclasses import replace
 
-import erfa
 import numpy as np
 import pytest
 
@@ -25,7 +24,6 @@ from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import from_angles
-from pipeline.plan.air import terms_of, weather_of
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.faint_stars import faint_limit, limits_g_mag
 from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames
@@ -342,19 +340,3 @@ def test_an_eclipsed_moon_gives_no_moonlight():
         earth = earth_and_sun(*tt)
         share = _moon_share(np.zeros(3), earth.sun_from_earth_m[0], moon_m(*tt)[0])
         assert low <= share <= high
-
-
-@pytest.mark.parametrize(
-    ("wish", "weather"),
-    [({"pressure_hpa": 600.0}, (600.0, -4.857, 0.3)), ({"humidity": 0.9}, (695.2, -4.857, 0.9)),
-     ({"temperature_c": 20.0, "wavelength_nm": 800.0}, (695.2, 20.0, 0.3))],
-)  # fmt: skip
-def test_weather_that_is_given_and_the_standard_atmospheres(scene, wish, weather):
-    """At 3055 m (US Standard Atmosphere 1976: 15 C - 6.5 K/km); refraction by ERFA's refco."""
-    site = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055.0,
-            "atmosphere": {"refraction": wish}}  # fmt: skip
-    s = scene({"observer": site, "pointing": {
-        "mode": "local", "azimuth_deg": 0.0, "elevation_deg": 60.0}})  # fmt: skip
-    assert weather_of(s) == pytest.approx(weather, rel=2e-3)
-    told = erfa.refco(*weather, wish.get("wavelength_nm", 550.0) * 1e-3)
-    assert terms_of(s) == pytest.approx(told, rel=3e-3)
