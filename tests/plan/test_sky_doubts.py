@@ -318,8 +318,10 @@ def test_accepted_doubts_stand_first_in_the_plan() -> None:
 def test_how_far_lamps_are_from_an_oblong_frame(shape: list[int], turn: float) -> None:
     """Against all places along the edges of its pixels; of a site the Earth is below it."""
     sun = beside(body("sun") - np.array(SCENE["observer"]["position_au"]) * AU_M, 6.0, turn)
-    low = {"mode": "local", "azimuth_deg": 70.0, "elevation_deg": 30.0, "roll_deg": 50.0 * turn}
-    for observer, pointing in (({}, sun), ({"observer": SITE}, {"pointing": low})):
+    low = {"mode": "local", "azimuth_deg": 70.0, "elevation_deg": 30.0}
+    sites = [({"observer": SITE}, {"pointing": low | {"roll_deg": 50.0 * turn + more}})
+             for more in (0.0, 90.0, 180.0)]  # fmt: skip
+    for observer, pointing in (({}, sun), *sites):
         scene = scene_of(pointing, observer, shape=shape)
         found = lamps._look(scene, 0.0, np.array([5]))
         at, attitude = lamps.aimed(scene, np.array([10.0 * 5 / 64]), 0.0)
