@@ -213,7 +213,7 @@ ALONG, DOWN, ACROSS = (
     for x, y in ((4.0, 1.0), (1.0, 4.0), (4.0, -1.0))
 )
 GRIDS = [wing_grid(*at, 4, 40.0) for at in (((64, 96), (0, 0)), ((96, 64), (0, 0)))]
-GRIDS += [wing_grid((64, 96), (0, 0), 2, 40.0)]
+GRIDS += [replace(GRIDS[0], spacing_px=2)]
 KEPT_BY: dict[str, list[tuple[Any, ...]]] = {
     "core_of": [(NARROW, 8.0), (WIDER, 8.0), (NARROW, 10.0)],
     "swept_core": [(NARROW, 8.0, ALONG), (NARROW, 8.0, ACROSS), (NARROW, 10.0, ALONG),
