@@ -52,7 +52,8 @@ class FieldCoverage:
         """That nothing can be told, or that the field is shallower than catalogue and scene."""
         if self.source is None:
             return f"what {self.catalogue} covers cannot be told from its few rows"
-        limit, asked = self.complete_to_g_mag, faintest_g_mag or deepest_g_mag
+        limit = self.complete_to_g_mag
+        asked = deepest_g_mag if faintest_g_mag is None else faintest_g_mag
         if limit is None or asked is None or deepest_g_mag is None:
             return None
         if min(asked, deepest_g_mag) <= limit + GAP_G_MAG:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.quadrature import has_profile, profile_s
+from pipeline.physics.noise.chain import dn_type
 from pipeline.physics.psf.aperture import Pupil
 from pipeline.physics.psf.band import Mixture
 from pipeline.physics.psf.pupil import Blur
@@ -76,7 +77,8 @@ def predict(
     Of scenes that take less than some 2 s and 400 MB neither says more than that.
     """
     pixels = math.prod(plan.scene.sensor.shape)
-    layers = len(plan.scene.output.layers)
+    layers = {*plan.scene.output.layers} - {"dn"}  # numbers of 4 bytes; `dn` is always kept
+    pixel_bytes = dn_type(plan.scene.sensor.adc_bits).itemsize + 4.0 * len(layers)
     light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
     geometry_s = spent.geometry_s / spent.frames
     light_s += _wings_s(plan, spent) + (2.0 * geometry_s if geometry_s > SLOW_S else 0.0)
@@ -84,7 +86,7 @@ def predict(
     return {
         "cpu_s": least_cpu_s(plan.scene) + once_s + plan.frames * light_s,
         "worker_memory_mb": sum(_memory_mb(plan, forecast, spent).values()),
-        "product_mb": pixels * plan.frames * (2.0 + 4.0 * (layers - 1)) / 1e6,
+        "product_mb": pixels * plan.frames * pixel_bytes / 1e6,
     }
 
 

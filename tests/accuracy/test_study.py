@@ -8,8 +8,12 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from pipeline.accuracy.engines import Case
+from pipeline.accuracy.probes import make_probes
+from pipeline.accuracy.reference import GaussianStar, Track, exact_pixels, straight
 from pipeline.accuracy.report import report_accuracy
 from pipeline.accuracy.study import Record, with_pareto
 from pipeline.errors import BadInput
@@ -108,3 +112,34 @@ def test_limits_of_the_work(kwargs: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(BadInput):
         report_accuracy(tmp_path, **kwargs)
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("frame", [(256, 384), (400, 256)])
+@pytest.mark.parametrize("curved", [False, True])
+def test_probes_of_an_exact_image_of_an_oblong_frame_find_no_error(
+    frame: tuple[int, int], curved: bool
+) -> None:
+    """Stars drawn by quadrature over the whole frame; half of the light or a shift is seen."""
+    track = straight(20.0, 0.7)
+    if curved:  # two parts of unequal light
+        track = Track(np.array([[-9.0, 3.0], [3.0, 5.0]]), np.array([[2.0, 2.0], [2.0, -8.0]]),
+                      np.array([0.7, 0.3]))  # fmt: skip
+    case = Case(GaussianStar(0.9), track, 20.0, frame, curved)
+    probes = make_probes(case, 3)
+    rows, columns = (np.arange(float(n)) for n in frame)
+    assert np.isfinite(probes.boxed[:-2]).all()
+    assert np.isnan(probes.boxed[-2:]).all()
+    for k in range(probes.x_px.size):
+        x, y = float(probes.x_px[k]), float(probes.y_px[k])
+        assert -2.0 < x < frame[1] + 1.0
+        assert -2.0 < y < frame[0] + 1.0
+        image = exact_pixels(case.shape, track, x, y, columns, rows)
+        assert max(probes.errors(k, image)) < 1e-9
+        assert probes.errors(k, 0.5 * image)[0] > 0.1
+        assert probes.errors(k, np.roll(image, 1, axis=1))[0] > 0.1
+        if k < 3:
+            assert probes.errors(k, 0.5 * image)[1] == pytest.approx(0.5, rel=1e-6)
+    fine = np.arange(-3.0, 4.0)
+    (dx, dy) = (0.0, 0.0) if not curved else (-9.0 + 12.0 * 0.5 / 0.7, 2.0)
+    at_middle = exact_pixels(case.shape, track, -dx, -dy, fine, fine)
+    assert probes.peak == pytest.approx(at_middle.max(), rel=1e-9)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.detection.finders import drift_of, tasks
-from pipeline.detection.judge import judge
+from pipeline.detection.judge import Verdict, judge
 from pipeline.detection.points import Found, find_points, flattened
 from pipeline.detection.streaks import all_lines, find_lines, without_streaks
-from pipeline.detection.study import report_detection
+from pipeline.detection.study import _one, _summed, report_detection
 from pipeline.errors import BadInput
 from pipeline.export.labels import STAR, TARGET, Labels
 from pipeline.run import render
@@ -204,3 +204,61 @@ def test_limits_refused(product, tmp_path):
         with pytest.raises(BadInput) as caught:
             report_detection(*arguments)
         assert caught.value.field == field
+
+
+def test_sources_at_every_edge_of_an_oblong_frame():
+    """Those within 4 px of an edge are not asked for, whichever edge it is."""
+    image = np.zeros((60, 200))
+    inside = [(4, 30), (195, 30), (100, 4), (100, 55), (150, 40)]
+    beside = [(3.9, 30), (195.1, 30), (100, 3.9), (100, 55.1), (150, 70), (30, 150)]
+    told = labels([(TARGET, *place, 0, 0, 30) for place in inside + beside])
+    sep, blind = tasks(told, image)
+    assert sep.sought.tolist() == [True] * 5 + [False] * 6
+    assert not blind.sought.any()
+    long = labels([(TARGET, *place, 9, 2, 30) for place in inside + beside])
+    assert tasks(long, image)[1].sought.tolist() == [True] * 5 + [False] * 6
+
+
+def test_wings_of_bright_sources_explain_detections_farther_out():
+    """2.5 px up to a signal-to-noise of 100, then as its square root; none of sources below 3."""
+    for snr, near, far in ((3, 2.4, 2.6), (100, 2.4, 2.6), (400, 4.9, 5.1), (2.9, None, 0.0)):
+        told = labels([(STAR, 60, 70, 0, 0, snr), (STAR, 160, 170, 20, -10, snr)])
+        nothing = np.zeros(2, bool)
+        for x, y, way in ((60, 70, (0.6, 0.8)), (150, 175, (0.447214, 0.894427))):
+            for off, explained in ((near, True), (far, False)):
+                if off is not None:
+                    at = found_at((x + off * way[0], y + off * way[1]))
+                    assert judge(told, nothing, at).explained[0] == explained, (snr, off)
+
+
+def test_bins_of_magnitude_and_their_sum():
+    """Each star in one bin, its brighter edge within; targets in none; frames add up."""
+    told = replace(labels([(STAR, 0, 0, 0, 0, 9)] * 5 + [(TARGET, 0, 0, 0, 0, 9)]),
+                   g_mag=np.array([10.0, 10.4, 10.5, 11.2, 11.6, np.nan]))  # fmt: skip
+    sought, found = np.array([1, 1, 1, 0, 1, 1], bool), np.array([1, 0, 1, 0, 0, 1], bool)
+    verdict = Verdict(found, np.array([True, False]), np.array([True, False]))
+    none = found_at((0, 0), (1, 1))
+    frames = [_one(k, "sep", told, sought, none, verdict) for k in range(2)]
+    total = _summed(frames)["sep"]
+    assert (total["detections"], total["right"], total["false_alarms"]) == (4, 2, 2)
+    bins = {(b["bright_mag"], b["sought"], b["found"]): b["completeness"] for b in total["stars"]}
+    assert bins == {(10.0, 4, 2): 0.5, (10.5, 2, 2): 1.0, (11.0, 0, 0): None, (11.5, 2, 0): 0.0}
+    assert [t["found"] for t in frames[0]["targets"]] == [True]
+
+
+@pytest.mark.parametrize("shape", [(96, 200), (200, 96)])
+def test_streaks_in_oblong_frames(shape):
+    """The blind bank and the top-hat know rows from columns."""
+    rng = np.random.default_rng(8)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    image, way = rng.normal(0, 1, shape), math.radians(25.0)
+    middle = shape[1] / 2 + 7, shape[0] / 2 - 9
+    for s in np.linspace(-14, 14, 57):
+        dx, dy = x - middle[0] - s * math.cos(way), y - middle[1] - s * math.sin(way)
+        image += 0.9 * np.exp(-(dx**2 + dy**2) / (2 * 1.2**2))
+    (found,) = np.stack([find_lines(image, 1.0, 8.0, all_lines()).take(np.array([True]))])
+    assert math.hypot(found.x_px[0] - middle[0], found.y_px[0] - middle[1]) < 4
+    assert found.angle_rad[0] == pytest.approx(way, abs=0.25)
+    left = without_streaks(image, (28.0, way))
+    at = np.s_[int(middle[1]) - 2 : int(middle[1]) + 3, int(middle[0]) - 2 : int(middle[0]) + 3]
+    assert left[at].mean() < 0.5 * image[at].mean()

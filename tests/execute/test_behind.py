@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pipeline.execute.sources import place_targets
+from pipeline.execute.outlook import target_snr
+from pipeline.execute.sources import place_targets, reaching
 from pipeline.execute.truth import target_truth
 from pipeline.plan.geometry import plan_geometry
 from pipeline.prepare import prepare
@@ -82,3 +85,25 @@ def test_truth_tells_of_the_middle_of_the_exposure() -> None:
     for name, room in (("phase_deg", 1e-5), ("range_m", 1e-2), ("apparent_ra_deg", 1e-6)):
         assert long[name][0] == pytest.approx(short[name][0], abs=room), name
     assert long["sunlit_fraction"][0] == short["sunlit_fraction"][0]
+
+
+@pytest.mark.parametrize("side", ["left", "right", "low", "high"])
+def test_targets_reach_an_oblong_frame_from_every_side(side: str) -> None:
+    """As far off as anything may be drawn around them, and not farther; SNR only of those in it."""
+    sensor = SCENE["sensor"] | {"shape": [100, 300]}
+    plan = prepare(parse_scene(SCENE | {"sensor": sensor})).plan
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    margin = plan.halo_px + plan.responses.reach_core_px
+    axis, edge, sign = {"left": ("x", 0.0, -1.0), "right": ("x", 300.0, 1.0),
+                        "low": ("y", 0.0, -1.0), "high": ("y", 100.0, 1.0)}[side]  # fmt: skip
+
+    def moved(off_px: float):
+        place = {"x": 150.0, "y": 50.0} | {axis: edge + sign * off_px}
+        shape = g.target_x_px.shape
+        return replace(g, **{f"target_{a}_px": np.full(shape, v) for a, v in place.items()})
+
+    assert reaching(plan, moved(margin - 0.5)) == [0]
+    assert reaching(plan, moved(margin + 0.5)) == []
+    for off_px, seen in ((-1.0, True), (0.6, False)):
+        assert (target_snr(plan, moved(off_px), ("t",))["t"] > 0.0) == seen
+        assert target_truth(plan, moved(off_px))["in_frame"].tolist() == [seen]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +13,14 @@ from hypothesis import strategies as st
 
 from pipeline.accuracy.reference import GaussianStar, exact_pixels, straight
 from pipeline.arrays import FrameStars, Geometry
+from pipeline.execute import tables
 from pipeline.execute.blocks import Block, render_block
-from pipeline.execute.check import reference
+from pipeline.execute.check import _nearest, _points, reference, summary
 from pipeline.execute.light import draw_along, draw_stars
+from pipeline.execute.tables import ContentCache
+from pipeline.physics.drawing.wings import wing_grid
+from pipeline.physics.motion.streak import POINT, Path
+from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.geometry import plan_geometry
@@ -199,3 +205,81 @@ def test_bright_streaks_of_changing_speed(light):
     noise = np.sqrt(25.0 + np.maximum(own, 0.0))
     assert image.sum() == pytest.approx(1.3 * light, rel=1e-4)
     assert (np.abs(image - own) / noise).max() <= bounds_e(plan) / 5.0
+
+
+NARROW, WIDER, RINGS = Blur(Gaussian(0.9)), Blur(Gaussian(1.1)), Blur(Airy(1.0, 0.3))
+ALONG, DOWN, ACROSS = (
+    Path(np.array([-x, x]), np.array([-y, y]), np.ones(1))
+    for x, y in ((4.0, 1.0), (1.0, 4.0), (4.0, -1.0))
+)
+GRIDS = [wing_grid(*at, 4, 40.0) for at in (((64, 96), (0, 0)), ((96, 64), (0, 0)))]
+GRIDS += [replace(GRIDS[0], spacing_px=2)]
+KEPT_BY: dict[str, list[tuple[Any, ...]]] = {
+    "core_of": [(NARROW, 8.0), (WIDER, 8.0), (NARROW, 10.0)],
+    "swept_core": [(NARROW, 8.0, ALONG), (NARROW, 8.0, ACROSS), (NARROW, 10.0, ALONG),
+                   (WIDER, 8.0, ALONG)],
+    "still_core": [(NARROW, 8.0, ALONG), (NARROW, 8.0, DOWN), (NARROW, 10.0, ALONG),
+                   (WIDER, 8.0, ALONG)],
+    "table_of": [(NARROW, 8.0, ALONG, 8), (NARROW, 8.0, ALONG, 16), (NARROW, 8.0, ACROSS, 8),
+                 (NARROW, 10.0, ALONG, 8), (WIDER, 8.0, ALONG, 8), (NARROW, 8.0, POINT, 8)],
+    "kernel_of": [(RINGS, 8.0, GRIDS[0], 40.0), (RINGS, 8.0, GRIDS[1], 40.0),
+                  (RINGS, 8.0, GRIDS[2], 40.0), (RINGS, 9.0, GRIDS[0], 40.0),
+                  (RINGS, 8.0, GRIDS[0], 30.0), (Blur(Airy(1.2, 0.3)), 8.0, GRIDS[0], 40.0)],
+    "streak_of": [*((grid, ALONG) for grid in GRIDS), (GRIDS[0], ACROSS)],
+    "spectral_of": [(NARROW, 6.0, POINT, (64, 96), 10**4), (NARROW, 6.0, POINT, (96, 64), 10**4),
+                    (NARROW, 7.0, POINT, (64, 96), 10**4), (WIDER, 6.0, POINT, (64, 96), 10**4),
+                    (NARROW, 6.0, ALONG, (64, 96), 10**4), (NARROW, 6.0, DOWN, (64, 96), 10**4)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", KEPT_BY)
+def test_tables_are_kept_by_all_that_they_follow_from(name, monkeypatch):
+    """One of the same but for one argument gets its own: what is made where nothing is kept."""
+
+    def empty():
+        for cache in ("_CACHE", "_KERNELS"):
+            monkeypatch.setattr(tables, cache, ContentCache(1e9))
+
+    empty()
+    kept = [pickle.dumps(getattr(tables, name)(*wish)) for wish in KEPT_BY[name]]
+    assert len(set(kept)) == len(kept)
+    for wish, found in zip(KEPT_BY[name], kept, strict=True):
+        empty()
+        assert pickle.dumps(getattr(tables, name)(*wish)) == found
+
+
+def test_the_least_recently_used_is_dropped():
+    made: list[str] = []
+    cache = ContentCache(10.0)
+    for key in ("a", "b", "a", "c", "a", "b"):
+        assert cache.get(key, lambda key=key: made.append(key) or key, lambda _: 4) == key
+    assert made == ["a", "b", "c", "b"]  # b gave way to c, as a was used since
+    cache.get("large", lambda: made.append("large"), lambda _: 99)
+    cache.get("large", lambda: made.append("again"), lambda _: 99)
+    assert made[-1] == "large"
+
+
+def test_points_and_distances_along_a_path():
+    """Even points stand for a path: its light, its middle; distances against very many of them."""
+    path = Path(np.array([0.0, 9.0, 9.0]), np.array([1.0, 1.0, 4.0]), np.array([0.7, 0.3]))
+    x, y, share = _points(path, 0.8)
+    assert share.sum() == pytest.approx(1.0)
+    assert (share @ x, share @ y) == pytest.approx((0.7 * 4.5 + 0.3 * 9.0, 0.7 + 0.3 * 2.5))
+    assert np.hypot(np.diff(x), np.diff(y)).max() <= 0.8 * np.sqrt(2.0)
+    assert len(x) == 12 + 4
+    offsets = np.stack([path.x_px, path.y_px])[:, None]
+    for place in ((4.0, 3.0), (-2.0, 0.0), (11.0, 6.0), (9.5, 2.0)):
+        many = np.hypot(*(np.stack(_points(path, 1e-3)[:2]).T - place).T)
+        found = _nearest(offsets, np.array(place)[:, None, None])
+        assert found[0] == pytest.approx(many.min(), abs=2e-3)
+
+
+def test_summary_of_the_windows():
+    one = {"error_e": 2.0, "error_sigma": 0.1, "sources": 3}
+    two = {"error_e": 1.0, "error_sigma": 0.4, "sources": 5}
+    told = summary([one, {"skipped": "too many", "sources": 9}, two])
+    assert told == {
+        "windows": 2, "windows_skipped": 1, "achieved_error_e": 2.0, "achieved_error_sigma": 0.4,
+        "sources_drawn_again": 8,
+    }  # fmt: skip
+    assert summary([])["achieved_error_sigma"] is None

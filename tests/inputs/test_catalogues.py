@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from catalog_tools.build import About, build
+from catalog_tools.starlight import CountedLight
 from pipeline.inputs.catalogues import (
     catalogue_facts,
     catalogue_remarks,
@@ -16,6 +17,10 @@ from pipeline.inputs.catalogues import (
 )
 from pipeline.inputs.colour_fit import gather_colour_fit
 from pipeline.inputs.curves import resolve_response
+from pipeline.inputs.starlight import gather_starlight
+from pipeline.plan.coverage import FieldCoverage
+from pipeline.spec.load import parse_scene
+from tests.spec.test_limits import BASE
 
 
 @pytest.fixture(scope="module")
@@ -92,3 +97,51 @@ def test_stars_without_a_colour_are_counted_with_what_it_may_cost(empty):
     (warning,), _ = colour_sentences([replace(empty, rows=1000, without_colour=600)], fit)
     assert warning.startswith("600 of 1000 (60%) stars of empty have no colour")
     assert "mag rms" in warning
+
+
+@pytest.mark.parametrize(
+    ("asked", "deepest", "limit", "told"),
+    [(None, 20.0, 15.0, True), (15.5, 20.0, 15.0, False), (15.6, 20.0, 15.0, True),
+     (18.0, 15.4, 15.0, False), (0.0, 20.0, 15.0, False), (None, None, 15.0, False),
+     (None, 20.0, None, False)],
+)  # fmt: skip
+def test_a_shallow_part_is_told_where_fainter_stars_are_drawn(asked, deepest, limit, told):
+    """More than half a magnitude, of what both the scene and the catalogue reach elsewhere."""
+    found = FieldCoverage("c", "a map", 1.0, 1.0, 0, limit).remark(asked, deepest)
+    assert (found is not None) == told
+
+
+def test_a_part_that_is_not_covered_is_a_warning():
+    for worst, mean, words in (
+        (0.99, 0.99, None), (0.98, 0.995, "covers 98% of frame 4 and 99.5% of all frames"),
+        (0.0, 0.5, "covers nothing of frame 4 and 50% of all"),
+    ):  # fmt: skip
+        warning = FieldCoverage("c", "a map", worst, mean, 4).warning()
+        assert warning is None if words is None else words in warning
+    assert FieldCoverage("c", None, 0.0, 0.0, 4).warning() is None
+
+
+@pytest.mark.parametrize(
+    ("end", "wish", "limit", "noise", "spans"),
+    [(18.0, "auto", 12.0, False, None), (18.0, "all", 12.0, False, [(12, 18), (18, 21)]),
+     (18.0, "all", 18.0, False, [(18, 21)]), (18.0, "all", None, False, [(18, 21)]),
+     (18.0, "auto", None, True, [(12, 18)]), (22.0, "all", 12.0, False, [(12, 21)]),
+     (22.0, "all", None, False, None), (None, "all", 12.0, False, [(3, 21)]),
+     (2.0, "all", None, False, [(3, 21)])],
+)  # fmt: skip
+def test_magnitudes_that_the_sky_has_where_stars_are_not_drawn(
+    empty, end, wish, limit, noise, spans
+):
+    """From the limit (or the catalogue's end) on, of the counts, which end at 21: each once."""
+    background = {"starlight": wish, "uniform_e_per_s": 0.0}
+    stars = {"catalogue": "c", "faintest_g_mag": limit}
+    scene = parse_scene(BASE | {"background": background, "stars": stars})
+    found = gather_starlight(scene, (catalogue(empty, "c", 3.0, end),), noise)
+    assert (found is None) == (spans is None)
+    if found is not None:
+        at = np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]])
+        told = found.fainter(12.0, at).g
+        each = [CountedLight(float(a), float(b)).fainter(-99.0, at).g for a, b in spans]
+        assert told == pytest.approx(np.sum(each, axis=0), rel=1e-9)
+    alone = parse_scene(BASE | {"background": background})
+    assert (gather_starlight(alone, (), False) is None) == (wish == "auto")

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from pipeline.cosmic_rays_cli import cosmic_rays
 from pipeline.cosmic_rays_figure import compare_library, draw_comparison
 from pipeline.errors import BadInput
+from pipeline.inputs import cosmic_rays as cosmic_rays_module
 from pipeline.inputs.cosmic_rays import (
     extract_library,
     gather_cosmic_rays,
@@ -238,3 +239,13 @@ def test_command_line(darks, tmp_path):
         result = run.invoke(cosmic_rays, ["extract", *map(str, darks), "-o", *changed])
         assert isinstance(result.exception, BadInput)
         assert says in str(result.exception)
+
+
+def test_same_library_read_band_by_band(darks, extracted, monkeypatch):
+    """Bands of 7 rows, whose last is shorter: the same events as of the whole stack at once."""
+    monkeypatch.setattr(cosmic_rays_module, "BAND_BYTES", 4 * FRAMES * 200 * 7)
+    whole, told = extracted
+    banded, again = extract_library(open_darks(darks), EXPOSURE_S, 10.0, GAIN)
+    assert again == told
+    for name in ("start", "x", "y", "electrons", "frame"):
+        assert np.array_equal(getattr(banded, name), getattr(whole, name)), name

@@ -7,14 +7,15 @@ import zipfile
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from pipeline.errors import BadInput
-from pipeline.inputs.mesh_surfaces import read_brdf_table
+from pipeline.inputs.mesh_surfaces import make_surface, read_brdf_table
 from pipeline.physics.meshes.intensity import mesh_intensity
 from pipeline.physics.meshes.model import model_light, posed
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.physics.vectors import separation, unit
-from pipeline.spec.mesh import MeshBody
+from pipeline.spec.mesh import MeshBody, Reflecting
 
 trimesh = pytest.importorskip("trimesh")
 from pipeline.inputs.meshes import gather_mesh, read_mesh  # noqa: E402
@@ -280,3 +281,23 @@ def test_measured_tables_from_csv_and_npy(tmp_path):
 def test_bad_tables_are_refused(tmp_path, name, content, word):
     with pytest.raises(BadInput, match=word):
         read_brdf_table(write(tmp_path, content, name))
+
+
+@pytest.mark.parametrize(("wish", "sharp"), [
+    ({"kind": "lambert", "albedo": 0.3}, False),
+    ({"kind": "phong", "diffuse": 0.1, "specular": 0.2, "exponent": 400.0}, False),
+    ({"kind": "phong", "diffuse": 0.1, "specular": 0.2, "exponent": 401.0}, True),
+    ({"kind": "phong", "diffuse": 0.1, "specular": 0.0, "exponent": 401.0}, False),
+    ({"kind": "cook_torrance", "normal_reflectance": 0.5, "roughness": 0.05}, False),
+    ({"kind": "cook_torrance", "normal_reflectance": 0.5, "roughness": 0.049}, True),
+    ({"kind": "ashikhmin_shirley", "specular": 0.2, "exponent_u": 100.0, "exponent_v": 1.0}, False),
+    ({"kind": "ashikhmin_shirley", "specular": 0.2, "exponent_u": 1.0, "exponent_v": 101.0}, True),
+    ({"kind": "ashikhmin_shirley", "specular": 0.2, "exponent_u": 101.0}, True),
+    ({"kind": "ashikhmin_shirley", "specular": 0.0, "exponent_u": 101.0}, False),
+])  # fmt: skip
+def test_sharp_highlights_see_the_sun_as_a_disc(wish, sharp):
+    """By the documented limits: an exponent of 400 (a quarter of it for half vectors), 0.05."""
+    for two_sided in (False, True):
+        made, raw = make_surface(TypeAdapter(Reflecting).validate_python(
+            wish | {"two_sided": two_sided}))  # fmt: skip
+        assert (made.sun_rings > 0, made.two_sided, raw) == (sharp, two_sided, b"")

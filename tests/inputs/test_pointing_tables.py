@@ -134,3 +134,25 @@ def test_a_spectrum_from_a_file(tmp_path: Path) -> None:
     path.write_text("frequency_hz,arcsec2_per_hz\n1,1\n0.5,0.01\n")
     with pytest.raises(BadInput, match="increasing frequencies"):
         gather_pointing(parse_scene(BASE | {"pointing": held | {"attitude": {"jitter": jitter}}}))
+
+
+@pytest.mark.parametrize("zero_s", [-40.0, 7.5])
+def test_seconds_count_from_the_tables_own_epoch(tmp_path: Path, zero_s: float) -> None:
+    """Rows of a file, and rows in the scene: the same attitudes, the same error between rows.
+
+    Rows beside the exposures are noisy: they count only where the wrong ones are looked at.
+    """
+    rough = np.where((TIME > 30.0) | (TIME < -2.0), 1e-3, 0.0) * (-1.0) ** np.arange(len(TIME))
+    q = (TURN * Rotation.from_rotvec(np.outer(rough, [1.0, 0.0, 0.0]))).as_quat()
+    plain = {"rows": np.column_stack([TIME, q]).tolist(), "scalar": "last"}
+    zero = f"2019-04-20T{'02:59:20' if zero_s < 0 else '03:00:07.5'}Z"
+    shifted = np.column_stack([TIME - zero_s, q])
+    np.save(tmp_path / "a.npy", shifted)
+    filed = {"path": str(tmp_path / "a.npy"), "scalar": "last", "epoch": zero}
+    given = {"rows": shifted.tolist(), "scalar": "last", "epoch": zero}
+    wanted, *found = (gather_pointing(scene(p)) for p in (plain, filed, given))
+    g = plan_geometry(wanted, np.arange(3), 0.0)
+    assert wanted.pointing.error_arcsec < 1.0
+    for made in found:
+        assert np.allclose(plan_geometry(made, np.arange(3), 0.0).attitude, g.attitude, atol=1e-12)
+        assert made.pointing.error_arcsec == pytest.approx(wanted.pointing.error_arcsec, rel=1e-6)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import psutil
 import pytest
 
 from pipeline.errors import BadInput
 from pipeline.execute.truth import target_truth
+from pipeline.inputs import memory
 from pipeline.inputs.sensor import gather_sensor_maps
 from pipeline.plan.geometry import plan_geometry
 from pipeline.prepare import prepare
@@ -88,3 +90,36 @@ def test_snr_counts_the_flat():
         found.append(float(target_truth(plan, g)["snr"][0]))
     assert found[0] == pytest.approx(found[1], rel=1e-3)
     assert found[0] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("key", "least", "most"),
+    [("flat", 0.0, 1e3), ("dark_e_per_s", 0.0, 1e12), ("read_noise_e", 0.0, 1e9),
+     ("gain_e_per_dn", 1e-9, 1e6), ("bias_dn", -1e19, 2e19)],
+)  # fmt: skip
+def test_ends_of_what_a_pixel_may_hold(tmp_path, key, least, most):
+    """One pixel at an end among others is taken, one a little beyond is refused, either way."""
+    image, path = np.full((32, 48), 1.0), tmp_path / "image.npy"
+    for end, beyond in ((least, -1e-9 + least * (1 + 1e-9)), (most, most * (1 + 1e-9))):
+        image[31, 47] = end
+        np.save(path, image)
+        assert getattr(gather_sensor_maps(scene(**{key: str(path)})), key)[31, 47] == end
+        image[31, 47] = beyond
+        np.save(path, image)
+        with pytest.raises(BadInput, match=rf"sensor\.{key}"):
+            gather_sensor_maps(scene(**{key: str(path)}))
+
+
+def test_memory_is_what_machine_and_container_leave(tmp_path, monkeypatch):
+    """The lesser of both, with what the process holds already."""
+    machine = psutil.virtual_memory().available
+    own = psutil.Process().memory_info().rss
+    monkeypatch.setattr(memory, "GROUP", tmp_path)
+    assert memory.free_mb() == pytest.approx((machine + own) / 1e6, rel=0.2)
+    for most, held, free in (("3000000000", "1000000000", 2e9), ("500000000", "900000000", 0.0),
+                             ("400000000", "", 4e8)):  # fmt: skip
+        (tmp_path / "memory.max").write_text(most + "\n")
+        (tmp_path / "memory.current").write_text(held + "\n")
+        assert memory.free_mb() == pytest.approx((min(free, machine) + own) / 1e6, abs=30.0)
+    (tmp_path / "memory.max").write_text("max\n")
+    assert memory.free_mb() == pytest.approx((machine + own) / 1e6, rel=0.2)

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.physics.colour import ColourFit
 from pipeline.physics.vectors import separation
+from pipeline.plan.brightest import brightest_star_e, brightest_target_e
 from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames, star_paths
+from pipeline.plan.scene_plan import make_plan
 from pipeline.plan.timing import (
     end_s,
     frame_count,
     frame_times,
     integration_range_s,
     integration_s,
+    longest_s,
 )
 from pipeline.spec.load import InvalidScene
 from pipeline.spec.scene import Scene
+from tests.plan.test_plan import facts_of
 
 Make = Callable[..., Scene]
 ARCSEC = np.pi / 648_000
@@ -131,3 +137,56 @@ def test_dwells_that_do_not_fit(scene: Make, name: str) -> None:
         frame_times(scene({"dwells": plans}), np.arange(1))
     assert caught.value.field == field
     assert word in str(caught.value)
+
+
+def test_which_exposures_a_plan_is_made_for(scene: Make) -> None:
+    """Times that no frame takes and bias frames do not count; bias frames alone are planned for."""
+    for times, frames, planned, longest in (
+        ([2.0, 3.0, 9.0], 2, (2.0, 3.0), 3.0), ([3.0, 0.0, 2.0], 3, (2.0, 3.0), 3.0),
+        ([0.0, 5.0], 2, (5.0, 5.0), 5.0), ([0.0], 2, (1e-6, 1e-6), 0.0),
+    ):  # fmt: skip
+        dwell = {"integration_s": times, "frames": frames, "cadence_s": 10.0}
+        s = scene({"dwells": [dwell, dwell]})
+        assert (integration_range_s(s), longest_s(s)) == (planned, longest)
+
+
+LIT = {
+    "sensor.psf": {"kind": "gaussian", "sigma_px": 0.8}, "sensor.dark_e_per_s": 3.0,
+    "sensor.gain_e_per_dn": 6.0, "background": {"uniform_e_per_s": 7.0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("photons", [True, False])
+def test_the_floor_of_each_frame_is_that_of_its_own_exposure(scene: Make, photons: bool) -> None:
+    """Sky and dark of its time, where light has noise; the facts' is that of the shortest one."""
+    s = scene(LIT | {"dwells": [{"integration_s": [4.0, 2.0, 2.5], "frames": 3}],
+                     "exposure.cadence_s": None, "sensor.photon_noise": photons})  # fmt: skip
+    facts = replace(facts_of(s), flat=0.8)
+    plan = make_plan(s, facts, plan_geometry(s, sampled_frames(s), 0.0), None, 0.0, (), 0.0)
+    fixed = 5.0**2 + 6.0**2 / 12.0
+    for frame, time_s in enumerate((4.0, 2.0, 2.5)):
+        floor, told = (photons * (sky + 3.0) * time_s + fixed for sky in (7.0, 0.8 * 7.0))
+        assert plan.floor_e(frame) == pytest.approx(np.sqrt(floor), rel=1e-12)
+        assert plan.snr_floor_e2(frame) == pytest.approx(told, rel=1e-12)
+    assert facts.sigma_floor_e == plan.floor_e(1)
+    assert (facts.background_e, facts.dark_e) == (14.0, 6.0)
+
+
+def test_the_brightest_source_is_that_of_the_longest_exposure(scene: Make) -> None:
+    fit = ColourFit("b", np.zeros(1), (0.0, 1.0), 0.0, 0.0, 0.5, 0.1, 0.0, 1e10, "made up", 1)
+    orbit = {"kind": "orbit", "orbit": {
+        "kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]}}  # fmt: skip
+    ball = {"name": "t", "eclipse": False, "orbit": {
+        "kind": "state", "position_m": [4.2e7, 3e5, 1e5], "velocity_m_s": [0, 3070, 0]},
+        "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}}  # fmt: skip
+    seen = {"observer": orbit, "targets": [ball], "exposure.cadence_s": None,
+            "pointing": {"mode": "target", "target": "t"}}  # fmt: skip
+    found = []
+    for time_s in ([1.0, 4.0], [4.0], [1.0]):
+        s = scene(LIT | seen | {"dwells": [{"integration_s": time_s, "frames": len(time_s)}]})
+        g = plan_geometry(s, sampled_frames(s), 0.0)
+        found.append((brightest_star_e(s, fit, [7.0, 5.0, 9.0]), brightest_target_e(s, g, 1e20)))
+    assert found[0] == pytest.approx(found[1], rel=1e-5)
+    assert found[1] == pytest.approx(np.multiply(4.0, found[2]), rel=1e-4)
+    area_m2 = np.pi / 4.0 * 0.4**2 * (1.0 - 0.3**2)
+    assert found[1][0] == pytest.approx(1e10 * 10.0**-2.0 * area_m2 * 4.0, rel=1e-9)

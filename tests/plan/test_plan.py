@@ -6,12 +6,13 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import erfa
 import numpy as np
 import pytest
 import scipy.fft
-from scipy.special import j1
+from scipy.special import erf, j1
 
 from pipeline.errors import BadInput
 from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S, SUN_RADIUS_M
@@ -39,8 +40,11 @@ from pipeline.physics.psf.response import (
 )
 from pipeline.physics.radiometry import box
 from pipeline.physics.vectors import separation, unit
+from pipeline.plan.checks import choose_checks
 from pipeline.plan.facts import Facts, gather_facts
+from pipeline.plan.faint_stars import peak_share
 from pipeline.plan.geometry import camera_of, plan_geometry
+from pipeline.plan.needs import predict
 from pipeline.plan.responses import ResponsePlan, cut_share, plan_responses
 from pipeline.plan.scene_plan import Plan, catalogue_cones, field_cones, make_plan, plan_dict
 from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape
@@ -357,3 +361,64 @@ def test_gaussian_has_two_classes_without_wings(scene: Make) -> None:
     for core in r.classes:  # what lies beyond a core does not show
         beyond = r.blur.light_beyond(core.radius_px)
         assert min(core.brightest_e, 1e12) * beyond <= 1.001 * r.budget_e
+
+
+@pytest.mark.parametrize(
+    ("place", "cell"),
+    [((700.2, 30.9), (0, 2)), ((30.9, 300.2), (1, 0)), ((255.4, 255.5), (1, 0)),
+     ((255.5, 255.4), (0, 1)), ((767.4, 511.4), (1, 2)), ((-0.5, -0.5), (0, 0)),
+     ((767.5, 5.0), None), ((5.0, 511.5), None)],
+)  # fmt: skip
+def test_cells_that_are_checked(scene: Make, place: Any, cell: tuple[int, int] | None) -> None:
+    """First the target's, in the first frame; then the middle, corners, and others: each once."""
+    orbit = {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]}
+    ball = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}
+    s = scene({"targets": [{"name": "t", "orbit": orbit, "body": ball}], "accuracy": {
+        "check_cells": 9}})  # fmt: skip
+    g = plan_geometry(s, np.array([0, 3, 4]), 0.0)
+    x, y = (np.full(g.target_x_px.shape, v) for v in place)
+    found = choose_checks(s, replace(g, target_x_px=x, target_y_px=y))
+    fixed = [(0, 1, 1), (3, 0, 0), (4, 1, 2)]  # of 2 x 3 cells
+    wanted = ([] if cell is None else [(0, *cell)]) + fixed
+    cells = [(c.frame, c.row, c.column) for c in found]
+    assert cells[: len(wanted)] == list(dict.fromkeys(wanted))
+    assert len(cells) == len(set(cells)) == 9
+    assert all(f in (0, 3, 4) and r in (0, 1) and c in (0, 1, 2) for f, r, c in cells)
+
+
+@pytest.mark.parametrize(("bits", "width"), [(8, 1), (16, 2), (17, 4), (33, 8)])
+def test_bytes_of_a_product(scene: Make, bits: int, width: int) -> None:
+    """Digital numbers are always kept, in the type that holds them; other layers take 4 bytes."""
+    for layers, more in ((["dn"], 0), (["mean_e"], 4), (["stars_e", "dn", "mean_e"], 8)):
+        plan = plan_of(scene({"sensor.adc_bits": bits, "output": {"layers": layers}}))
+        told = predict(plan, None)["product_mb"]
+        assert told == pytest.approx(5 * 512 * 768 * (width + more) / 1e6, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("shape", "tile"),
+    [([4096, 3000], (4096, 256)), ([512, 3000], (512, 2048)), ([512, 700], (512, 700)),
+     ([700, 2000], (700, 1280)), ([60_000, 300], (60_000, 256))],
+)  # fmt: skip
+def test_tiles_of_whole_columns(scene: Make, shape: list[int], tile: tuple[int, int]) -> None:
+    """About a million pixels of whole cells where charge runs along columns."""
+    s = scene({"sensor.shape": shape, "sensor.full_well_e": 1e5,
+               "sensor.detector": {"blooming": True}})  # fmt: skip
+    assert tile_shape(s) == tile
+
+
+@pytest.mark.parametrize(("roll", "px"), [(0.0, 40.0), (45.0, 40.0), (45.0, 1.2), (20.0, 0.0)])
+def test_no_pixel_takes_more_of_a_star_than_is_told(scene: Make, roll: float, px: float) -> None:
+    """A sharp Gaussian on a streak, along an axis and across pixels' diagonals, by brute force."""
+    arcsec = np.degrees(1e-5) * 3600.0 * px / 2.0
+    s = scene({"sensor.psf": {"kind": "gaussian", "sigma_px": 0.1}, "pointing": {
+        "mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0, "roll_deg": roll,
+        "rate_ra_arcsec_s": arcsec, "rate_dec_arcsec_s": 0.0}})  # fmt: skip
+    told = peak_share(facts_of(s).blur, camera_of(s), plan_geometry(s, np.arange(2), 0.0), True)
+    way = px * np.linspace(-0.5, 0.5, 20_001)
+    x, y = way * np.cos(np.radians(roll)), way * np.sin(np.radians(roll))
+    edge = np.array([-0.5, 0.5])[:, None] / (0.1 * np.sqrt(2.0))
+    along, down = (0.5 * np.diff(erf(edge + v / (0.1 * np.sqrt(2.0))), axis=0) for v in (x, y))
+    drawn = float(np.mean(along * down))
+    assert drawn <= told <= 1.8 * drawn
+    assert px > 1.0 or told <= 1.0

@@ -14,16 +14,20 @@ from catalog_tools.query import cone
 from catalog_tools.starlight import make_starlight
 from catalog_tools.synthetic import make_demo
 from pipeline.errors import BadInput
+from pipeline.inputs.air import gather_extinction
 from pipeline.inputs.colour_fit import gather_colour_fit
 from pipeline.inputs.sky import gather_sky
 from pipeline.physics.colour import star_electron_rate
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import aberrate
+from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.focal_plane import project
+from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import from_angles
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.faint_stars import faint_limit, limits_g_mag
 from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames
+from pipeline.plan.night_sky import _moon_share, dimmed
 from pipeline.plan.sky import facts_with_sky, plan_sky, sky_grid, sky_tile
 from pipeline.plan.tiles import Tile, plan_tiles
 from pipeline.prepare import gather_response
@@ -308,3 +312,31 @@ def test_fill_factor_takes_its_fraction_of_every_part(scene, mapped, part):
         images[fill] = whole(s, sky)
     assert images[1.0].min() > 0.0
     assert images[0.55] == pytest.approx(0.55 * images[1.0], rel=1e-3)
+
+
+@pytest.mark.parametrize("up_deg", [20.0, 65.0])
+def test_the_air_dims_undrawn_stars_as_it_does_drawn_ones(scene, up_deg):
+    """0.3 mag for each air mass (Kasten & Young 1989); of diffuse light the share asked for."""
+    site = {"kind": "ground", "latitude_deg": 0.0, "longitude_deg": 0.0, "atmosphere": {
+        "extinction": {"mag_per_airmass": 0.3, "diffuse_share": 0.25}}}  # fmt: skip
+    s = scene({"observer": site, "pointing": {
+        "mode": "local", "azimuth_deg": 0.0, "elevation_deg": 60.0}})  # fmt: skip
+    air = np.array([0.0, 0.6, 0.8, 0.0, 0.0])
+    across, up = np.array([0.0, 0.8, -0.6]), np.radians(up_deg)
+    observed = np.cos(up) * across + np.sin(up) * air[:3]
+    names = ("starlight", "zodiacal", "galactic")
+    extinction = gather_extinction(s, gather_response(s)[0])
+    found = dimmed(s, extinction, air, observed[None], {n: np.array([2.0]) for n in names})
+    mass = 1.0 / (np.sin(up) + 0.50572 * (up_deg + 6.07995) ** -1.6364)
+    for name, part in zip(names, (1.0, 0.25, 0.25), strict=True):
+        passed = 2.0 * 10.0 ** (-0.4 * 0.3 * part * mass)
+        assert found[name][0] == pytest.approx(passed, rel=1e-3), name
+
+
+def test_an_eclipsed_moon_gives_no_moonlight():
+    """Totality of 21 January 2019 (5:12 UTC), and the night after; full light to 30% by hand."""
+    for day, low, high in ((21.2167, 0.0, 0.0), (22.2167, 1.5e-6, 3e-6)):
+        tt = np.array([2458483.5 + day]), np.array([69.2 / 86400])
+        earth = earth_and_sun(*tt)
+        share = _moon_share(np.zeros(3), earth.sun_from_earth_m[0], moon_m(*tt)[0])
+        assert low <= share <= high

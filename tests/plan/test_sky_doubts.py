@@ -311,3 +311,29 @@ def test_accepted_doubts_stand_first_in_the_plan() -> None:
     scene = scene_of(beside(body("sun") - place, 20.0), {"accept": ["sun"]})
     plan = prepare(scene).plan
     assert "within 30 degrees" in plan.warnings[0]
+
+
+@pytest.mark.parametrize("shape", [[40, 200], [200, 40]])
+@pytest.mark.parametrize("turn", [0.3, 2.0])
+def test_how_far_lamps_are_from_an_oblong_frame(shape: list[int], turn: float) -> None:
+    """Against all places along the edges of its pixels; of a site the Earth is below it."""
+    sun = beside(body("sun") - np.array(SCENE["observer"]["position_au"]) * AU_M, 6.0, turn)
+    low = {"mode": "local", "azimuth_deg": 70.0, "elevation_deg": 30.0}
+    sites = [({"observer": SITE}, {"pointing": low | {"roll_deg": 50.0 * turn + more}})
+             for more in (0.0, 90.0, 180.0)]  # fmt: skip
+    for observer, pointing in (({}, sun), *sites):
+        scene = scene_of(pointing, observer, shape=shape)
+        found = lamps._look(scene, 0.0, np.array([5]))
+        at, attitude = lamps.aimed(scene, np.array([10.0 * 5 / 64]), 0.0)
+        rows, columns = (np.linspace(-0.5, n - 0.5, 401) for n in shape)
+        x, y = (v.ravel() for v in np.meshgrid(columns, rows))
+        seen = lamps.deproject(lamps.camera_of(scene), attitude[0], x, y)
+        if observer:
+            up = np.array([1.0, 1.0, 1.0 / (1.0 - 1.0 / 298.257223563) ** 2]) * at.observer_m[0]
+            lamp, to = found.earth, -up
+        else:
+            lamp, to = found.sun, at.earth.sun_from_earth_m[0] - at.observer_m[0]
+        apart = np.arccos(seen @ to / np.linalg.norm(to))
+        assert lamp.off_frame[0] == pytest.approx(apart.min(), abs=5e-6)
+        middle = np.arccos(attitude[0, 2] @ to / np.linalg.norm(to))
+        assert lamp.off_axis[0] == pytest.approx(middle, abs=5e-6)

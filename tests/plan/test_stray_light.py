@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.inputs.air import gather_extinction
 from pipeline.inputs.sky import gather_sky
 from pipeline.inputs.stray_light import read_albedo, read_pst
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, EARTH_EQUATORIAL_RADIUS_M
+from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.sky.pst import PstTable
+from pipeline.physics.targets.shadow import moon_m
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.sky import plan_sky, sky_tile
 from pipeline.plan.sky_light import Light
+from pipeline.plan.stray_light import _check, stray_parts
 from pipeline.plan.tiles import Tile
 from pipeline.prepare import gather_response
+from pipeline.spec.stray_light import StrayLight
 
 PST = "angle_deg,pst\n1,1e-4\n3,1e-5\n10,1e-6\n30,1e-8\n60,1e-10\n90,1e-12\n"
 HIGH = {"kind": "orbit", "orbit": {
@@ -264,3 +272,36 @@ def test_fill_factor_takes_its_fraction(scene, curve):
     ]  # fmt: skip
     assert images[0].min() > 0.0
     assert images[1] == pytest.approx(0.55 * images[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("hours", [8, 10])
+def test_the_air_dims_the_lamps_of_a_site(scene, curve, hours):
+    """By 0.4 mag for each air mass of Kasten & Young (1989) at the Moon's own elevation."""
+    site = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 0.0,
+            "atmosphere": {"extinction": {"mag_per_airmass": 0.4}}}  # fmt: skip
+    wish = {"pst": {"kind": "table", "path": curve}, "sun": False, "earth": False}
+    when = {"epoch": f"2019-04-20T{hours:02d}:00:00Z"}
+    s, _, inputs, g, _ = planned(scene, wish, {"observer": site} | at(180.0, 20.0) | when)
+    u, air = g.attitude[0, g.middle, 2][None], gather_extinction(s, gather_response(s)[0])
+    args = s, s.background.stray_light, inputs.stray, g, 0, g.middle, u, 0.0
+    share = stray_parts(*args, air)["moon"] / stray_parts(*args)["moon"]
+    earth = earth_and_sun(g.tt1[:1, g.middle], g.tt2[:1, g.middle]).position_m
+    to_moon = moon_m(g.tt1[0, [g.middle]], g.tt2[0, [g.middle]]) - g.observer_m[0, g.middle] + earth
+    up = np.degrees(np.arcsin(to_moon[0] @ g.air[0, g.middle, :3] / np.linalg.norm(to_moon)))
+    mass = 1.0 / (np.sin(np.radians(up)) + 0.50572 * (up + 6.07995) ** -1.6364)
+    assert mass > 1.05
+    assert share[0] == pytest.approx(10.0 ** (-0.4 * 0.4 * mass), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("angle", "inside", "refused"),
+    [((2.0, 50.0), "refuse", False), ((1.99, 50.0), "refuse", True), ((1.99, 50.0), "clip", False),
+     ((2.0, 90.0), "refuse", False), ((2.0, 90.1), "refuse", True), ((0.0, 50.0), "clip", True)],
+)  # fmt: skip
+def test_edges_of_a_curve(angle, inside, refused):
+    """2 degrees is the exclusion angle, 90 the curve's last: both are within."""
+    wish = StrayLight.model_validate({"pst": {"kind": "table", "path": "a"}, "inside": inside})
+    ends = np.radians([2.0, 90.0])
+    pst = PstTable(ends, np.ones(2), float(ends[0]), inside, "refuse")
+    with pytest.raises(BadInput) if refused else nullcontext():
+        _check(wish, pst, "Sun", *np.radians(angle))

@@ -12,10 +12,14 @@ from pipeline.errors import BadInput
 from pipeline.execute.truth import target_truth
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.plan.body_sizes import limb_px
-from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.orbit_age import elements_error_m
+from pipeline.plan.geometry import moments_at, plan_geometry
+from pipeline.plan.orbit_age import _aged, elements_error_m
+from pipeline.plan.target_bounds import _lowest_m, between_facets, two_body_m
+from pipeline.plan.target_paths import sights
 from pipeline.prepare import prepare
 from pipeline.spec.load import parse_scene
+from pipeline.spec.orbit import TleOrbit
+from pipeline.spec.scene import Target
 
 GEO_M = 4.2164e7
 SCENE: dict[str, Any] = {
@@ -136,3 +140,65 @@ def test_limits_of_limbs():
     assert limb_px(1.0, 1e8, 1e-5) == pytest.approx(1e-3, rel=1e-12)
     assert np.isinf(limb_px(2.0, 1.0, 1e-5))
     assert limb_px(0.0, 0.0, 1e-5) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("days", "rev_day", "km"),
+    [(10.0, 1.0027, 6.0), (-10.0, 15.5, 31.0), (10.0, 6.5, 31.0), (-10.0, 6.3, 6.0)],
+)  # fmt: skip
+def test_low_orbits_age_faster(days: float, rev_day: float, km: float) -> None:
+    """1 km at the epoch; 3 km a day below 225 minutes' period (6.4 a day), else 0.5."""
+    assert elements_error_m(days, rev_day) == pytest.approx(1e3 * km, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("epoch", "told"),
+    [("2019-04-13T11:59:50Z", None), ("2019-04-13T11:59:59Z", "before the scene's end"),
+     ("2019-04-07T12:00:01Z", None), ("2019-04-07T11:59:59Z", "after the scene's end")],
+)  # fmt: skip
+def test_elements_are_old_from_three_days_on(epoch: str, told: str | None) -> None:
+    """Elements of 10 April, 12:00; the scene lasts 2.1 s."""
+    scene = parse_scene(SCENE | {"epoch": epoch, "targets": [target(TLE)]})
+    found = _aged(scene, TleOrbit(**{k: v if k == "kind" else checksum(v) for k, v in TLE.items()}))
+    assert (found is None) if told is None else (found is not None and told in found[1])
+
+
+@pytest.mark.parametrize("anomaly_deg", [0.0, 70.0, 180.0, 250.0])
+@pytest.mark.parametrize(("perigee_m", "e"), [(6.9e6, 0.001), (6.9e6, 0.5)])
+def test_what_two_body_motion_leaves_out_is_bounded(
+    perigee_m: float, e: float, anomaly_deg: float
+) -> None:
+    """An hour after the state, against integration of zonal harmonics, Sun and Moon."""
+    mu, nu, tilt = 3.986004418e14, np.radians(anomaly_deg), np.radians(63.0)
+    p = perigee_m * (1.0 + e)
+    turn = np.array([[1.0, 0.0], [0.0, np.cos(tilt)], [0.0, np.sin(tilt)]])
+    place = turn @ (p / (1.0 + e * np.cos(nu)) * np.array([np.cos(nu), np.sin(nu)]))
+    speed = turn @ (np.sqrt(mu / p) * np.array([-np.sin(nu), e + np.cos(nu)]))
+    start = state(place.tolist(), speed.tolist()) | {"epoch": "2019-03-21T08:00:00Z"}
+    forced = start | {"kind": "numerical", "third_bodies": ["sun", "moon"]}
+    there = [target(start, name="plain"), target(forced, name="forced")]
+    scene = parse_scene(SCENE | {"targets": there, "pointing": {
+        "mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 60.0}})  # fmt: skip
+    assert _lowest_m(scene.targets[0].orbit, 1e9) == pytest.approx(perigee_m, rel=1e-9)
+    at = moments_at(scene, 0.0, np.array([2.1]))
+    places = sights(scene, [0, 1], at)[1].place_m
+    off_m = float(np.linalg.norm(places[0] - places[1]))
+    bound = two_body_m(scene.targets[:1], scene, plan_geometry(scene, np.arange(3), 0.0))
+    assert off_m <= bound <= 2e3 * off_m
+
+
+def test_light_between_matt_facets() -> None:
+    """The largest albedo of body and parts, a / (1 - a); no bound of a body that has a gloss."""
+    gloss = {"kind": "phong", "diffuse": 0.1, "specular": 0.1, "exponent": 10}
+
+    def bound(**surface: Any) -> float | None:
+        part = {"name": "p", "objects": ["P"], "materials": {"a": surface}}
+        body = {"kind": "mesh", "path": "a.obj", "unit": "m", "parts": [part],
+                "surface": {"kind": "lambert", "albedo": 0.2}}  # fmt: skip
+        ball = target(state(*OBSERVER)) | {"body": body}
+        return between_facets([Target.model_validate(ball)]).bound
+
+    assert bound(kind="lambert", albedo=0.6) == pytest.approx(1.5)
+    assert bound(kind="lambert", albedo=0.1) == pytest.approx(0.25)
+    assert bound(kind="lambert", albedo=1.0) is None
+    assert bound(**gloss) is None

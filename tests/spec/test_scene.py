@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import BadInput, exit_code
+from pipeline.spec.dotted import changed
 from pipeline.spec.load import parse_scene, scene_yaml
 from pipeline.spec.scene import Scene
 
@@ -290,3 +291,140 @@ def test_garbage_is_refused_or_taken_never_a_traceback(
     key = where.draw(st.sampled_from(sorted({*keys, *full, "sensor.psf", "pointing"})))
     with suppress(BadInput):  # any other exception fails the test
         parse_scene(with_value(full, key, value))
+
+
+OSCILLATOR = {"kind": "oscillator", "axis": "x", "frequency_hz": 1.0, "damping": 0.1}
+GROUND = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3}
+HELD = {"mode": "sidereal", "boresight_ra_deg": 1.0, "boresight_dec_deg": 2.0}
+ROWS = [[0, 0, 0, 0, 1], [99, 0, 0, 0, 1]]
+LAMPS = ("sun", "moon", "earth")
+PSF, DETECTOR, POINTING = "sensor.psf", "sensor.detector", "pointing"
+WHOLE = {"output.tile_shape": None}
+BENT = {"kind": "table", "read_e": [0, 8e4]}
+HARVEY = {"kind": "harvey", "b0_per_sr": 1.0, "shoulder": 0.1, "slope": -1.0}
+
+
+def moved(**attitude: Any) -> Data:
+    return {POINTING: HELD | {"attitude": attitude}}
+
+
+def band(low: float, high: float) -> Data:
+    part = {"kind": "white", "rms_arcsec": 1.0, "low_hz": low, "high_hz": high}
+    return moved(jitter=[part])
+
+
+def spectrum(hertz: list[float], density: list[float]) -> Data:
+    return moved(jitter=[{"kind": "table", "frequency_hz": hertz, "arcsec2_per_hz": density}])
+
+
+def system(b: list[list[float]], c: list[list[float]]) -> Data:
+    return moved(modes=[{"kind": "system", "a": [[-1.0, 0.0], [0.0, -2.0]], "b": b, "c": c}])
+
+
+def amplifiers(*areas: tuple[list[int], list[int]]) -> Data:
+    return {DETECTOR: {"amplifiers": [{"rows": r, "columns": c} for r, c in areas]}}
+
+
+def curve_over(seconds: float) -> Data:
+    curve = {"kind": "light_curve", "times_s": [10, 70], "magnitudes": [5.0, 6.0]}
+    return {"targets.0.body": curve | {"period_s": seconds}}
+
+
+def air(**parts: Any) -> Data:
+    return {"observer": GROUND | {"atmosphere": parts}, "background": {"moonlight": True}}
+
+
+def bent(*coefficients: float) -> Data:
+    return {DETECTOR: {"nonlinearity": {"kind": "polynomial", "coefficients": coefficients}}}
+
+
+# What is just right, what is just wrong, and the field that is named. The frame is 512 x 768.
+EDGES: list[tuple[Data, Data, str]] = [
+    ({"exposure.cadence_s": 2.0}, {"exposure.cadence_s": 1.999}, "exposure.cadence_s"),
+    ({"dwells": [{"integration_s": [1, 5], "cadence_s": 5}]},
+     {"dwells": [{"integration_s": [1, 5], "cadence_s": 4.99}]}, "dwells.0.cadence_s"),
+    ({"dwells": [{"start_s": 0.0}]}, {"dwells": [{"start_s": 0.0, "wait_s": 0.1}]},
+     "dwells.0.wait_s"),
+    ({"sensor.bandpass.long_nm": 400.1}, {"sensor.bandpass.long_nm": 400.0},
+     "sensor.bandpass.long_nm"),
+    ({f"{PSF}.sigma_minor_px": 0.8}, {f"{PSF}.sigma_minor_px": 0.81}, f"{PSF}.sigma_minor_px"),
+    ({PSF: {"kind": "airy", "wavelength_nm": 500, "wavelengths": 1}},
+     {PSF: {"kind": "airy", "wavelength_nm": 500, "wavelengths": 2}}, f"{PSF}.wavelengths"),
+    ({"sensor.bias_dn": 131_072}, {"sensor.bias_dn": 131_073}, "sensor.bias_dn"),
+    ({"sensor.bias_dn": -65_536}, {"sensor.bias_dn": -65_537}, "sensor.bias_dn"),
+    ({DETECTOR: {"bad": {"reads_dn": 65_535}}}, {DETECTOR: {"bad": {"reads_dn": 65_536}}},
+     f"{DETECTOR}.bad.reads_dn"),
+    ({DETECTOR: {"bad": {"pixels": [[511, 767]]}}}, {DETECTOR: {"bad": {"pixels": [[512, 0]]}}},
+     f"{DETECTOR}.bad.pixels"),
+    ({DETECTOR: {"dead": {"rows": [511]}}}, {DETECTOR: {"dead": {"rows": [0, 512]}}},
+     f"{DETECTOR}.dead.rows"),
+    ({DETECTOR: {"dead": {"columns": [767]}}}, {DETECTOR: {"dead": {"columns": [768]}}},
+     f"{DETECTOR}.dead.columns"),
+    ({DETECTOR: {"hot": {"pixels": [[511, 767, 1]]}}},
+     {DETECTOR: {"hot": {"pixels": [[0, 0, 1], [0, 768, 1]]}}}, f"{DETECTOR}.hot.pixels"),
+    (amplifiers(([0, 512], [0, 768])), amplifiers(([0, 513], [0, 5])), f"{DETECTOR}.amplifiers"),
+    (amplifiers(([0, 5], [0, 768])), amplifiers(([0, 5], [0, 769])), f"{DETECTOR}.amplifiers"),
+    (amplifiers(([0, 256], [0, 9]), ([256, 512], [0, 9])),
+     amplifiers(([0, 257], [0, 9]), ([256, 512], [0, 9])), f"{DETECTOR}.amplifiers"),
+    (amplifiers(([0, 9], [300, 768]), ([0, 9], [0, 300])),
+     amplifiers(([0, 9], [299, 768]), ([0, 9], [0, 300])), f"{DETECTOR}.amplifiers"),
+    (amplifiers(([3, 4], [5, 6])), amplifiers(([3, 3], [5, 6])), f"{DETECTOR}.amplifiers.0.rows"),
+    *((WHOLE | {DETECTOR: wish}, WHOLE | {DETECTOR: wish, "sensor.full_well_e": None},
+       f"{DETECTOR}.{name}")
+      for name, wish in (("blooming", {"blooming": True}),
+                         ("lag", {"lag": {"fraction": 0.1}}),
+                         ("nonlinearity", bent(0.1)[DETECTOR]))),
+    *((WHOLE | {DETECTOR: wish | {"readout": {"kind": "rolling", "line_s": 1e-3}}},
+       WHOLE | {DETECTOR: wish | {"readout": {"kind": "tdi", "rows_per_s": 1.0}}},
+       f"{DETECTOR}.{name}")
+      for name, wish in (("blooming", {"blooming": True}), ("lag", {"lag": {"fraction": 0.1}}))),
+    ({DETECTOR: {"nonlinearity": BENT | {"true_e": [0, 9e4]}}},
+     {DETECTOR: {"nonlinearity": BENT | {"true_e": [0, 8.99e4]}}},
+     f"{DETECTOR}.nonlinearity.true_e"),
+    (bent(-0.499), bent(-0.5), f"{DETECTOR}.nonlinearity.coefficients"),  # flat at the full well
+    (bent(-1.7, 1.2), bent(-2.0, 1.2), f"{DETECTOR}.nonlinearity.coefficients"),  # falls between
+    ({DETECTOR: {"blooming": True}, "output.tile_shape": [512, 256]},
+     {DETECTOR: {"blooming": True}, "output.tile_shape": [256, 256]}, "output.tile_shape"),
+    ({"stars.limit_from_noise": True, "stars.faintest_g_mag": None},
+     {"stars.limit_from_noise": True}, "stars.faintest_g_mag"),
+    (air(extinction=True), air(refraction=True), "background.moonlight"),
+    ({"background": {"airglow": True}},
+     {"background": {"airglow": True}, "observer": {"kind": "fixed", "position_au": [1, 0, 0]}},
+     "background.airglow"),
+    (air(extinction=True), {"observer": GROUND | {"atmosphere": {"extinction": False}}},
+     "observer.atmosphere"),
+    *(({"background": {"stray_light": {"pst": HARVEY} | {n: n == name for n in LAMPS}}},
+       {"background": {"stray_light": {"pst": HARVEY} | dict.fromkeys(LAMPS, False)}},
+       "background.stray_light")
+      for name in LAMPS),
+    ({POINTING: {"mode": "table", "frame": "gcrs", "rows": ROWS, "scalar": "last"}},
+     {POINTING: {"mode": "table", "frame": "gcrs", "rows": ROWS}}, "pointing.scalar"),
+    ({POINTING: {"mode": "table", "frame": "gcrs", "path": "a.csv"}},
+     {POINTING: {"mode": "table", "frame": "gcrs", "path": "a.csv", "rows": ROWS,
+                 "scalar": "last"}}, "pointing"),
+    (band(1.0, 1.001), band(1.0, 1.0), "pointing.attitude.jitter.0.high_hz"),
+    (spectrum([1, 2], [3, 4]), spectrum([1, 1], [3, 4]),
+     "pointing.attitude.jitter.0.frequency_hz"),
+    (spectrum([1, 2, 3], [3, 4, 5]), spectrum([1, 2, 3], [3, 4]),
+     "pointing.attitude.jitter.0.arcsec2_per_hz"),
+    (moved(modes=[OSCILLATOR | {"rms_arcsec": 1}]), moved(modes=[OSCILLATOR]),
+     "pointing.attitude.modes.0.rms_arcsec"),
+    (system([[1.0], [0.0]], [[1, 0]] * 3), system([[1.0]], [[1, 0]] * 3),
+     "pointing.attitude.modes.0.b"),
+    (system([[1.0, 2, 3], [0.0, 1, 0]], [[1, 0]] * 3), system([[1.0], [0.0]], [[1, 0]] * 2),
+     "pointing.attitude.modes.0.c"),
+    (curve_over(60.0), curve_over(59.9), "targets.0.body.period_s"),
+    ({"populations": [{"name": "p", "path": "a", "sizes": "b", "body": {
+        "kind": "sphere", "diameter_m": 1, "albedo": 0.2}}]},
+     {"populations": [{"name": "p", "path": "a", "sizes": "b", "body": {
+         "kind": "cube", "edge_m": 1, "albedo": 0.2}}]}, "populations.0.body.kind"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("right", "wrong", "field"), EDGES)
+def test_edges_between_fields(full: Data, right: Data, wrong: Data, field: str) -> None:
+    """What one field allows of another: on the edge it is taken, beyond it one line names it."""
+    parse_scene(changed(full, right))
+    told = str(refusal(changed(full, wrong)))
+    assert told.startswith(f"{field}: ")
+    assert "\n" not in told
