@@ -108,7 +108,10 @@ def _to_utc(calendar: Array, scale: str, path: Path, field: str) -> tuple[Array,
     if scale not in _TAI_MINUS_S:
         allowed = f"a time scale of UTC, {', '.join(_TAI_MINUS_S)}"
         raise BadInput(field, f"time scale {scale} of {path.name}", allowed)
-    utc1, utc2, _ = era.taiutc(dtf2d[0], dtf2d[1] + _TAI_MINUS_S[scale] / 86_400.0)
+    shift = _TAI_MINUS_S[scale]
+    if scale == "TDB":  # up to 1.7 ms from TT, a dozen metres of a low orbit
+        shift = shift - era.dtdb(dtf2d[0], dtf2d[1], 0.0, 0.0, 0.0, 0.0)
+    utc1, utc2, _ = era.taiutc(dtf2d[0], dtf2d[1] + shift / 86_400.0)
     return np.asarray(utc1), np.asarray(utc2)
 
 
@@ -229,7 +232,7 @@ def _csv(text: str, path: Path, frame: str, epoch: str, field: str) -> Ephemeris
         raise BadInput(field, f"row {i + 1} of {path.name}", f"{len(names)} values")
     column = {name: [row[i] for row in lines] for i, name in enumerate(names)}
     parts = [_triple(column, "{}_m", "{}_km", "xyz", path, field)]
-    if any(name.startswith("v") for name in names):
+    if any(name.startswith(("vx_", "vy_", "vz_")) for name in names):
         parts.append(_triple(column, "{}_m_s", "{}_km_s", ("vx", "vy", "vz"), path, field))
     times = [n for n in names if n.startswith("time_")]
     if len(times) != 1:

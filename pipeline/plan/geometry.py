@@ -259,12 +259,12 @@ def late_geometry(scene: Scene, g: Geometry, dut1_s: float, late_s: float) -> Ge
     return _geometry(scene, g.frame, g.nodes, dut1_s, late_s=late_s)
 
 
-def watch(scene: Scene, offsets: Array, dut1_s: float) -> tuple[Array, Array, Array]:
-    """Observer's geocentric place [m], velocity [m/s] and proper boresight (n, 3), any moments.
+def watch(scene: Scene, offsets: Array, dut1_s: float, dwell: int) -> tuple[Array, Array, Array]:
+    """Observer's geocentric place [m], velocity [m/s] and proper boresight (n, 3) in a dwell.
 
     offsets : (n,) seconds after the scene's epoch
     """
-    at, attitude = aimed(scene, offsets, dut1_s)
+    at, attitude = aimed(scene, offsets, dut1_s, np.full(len(offsets), dwell))
     return at.observer_m, at.observer_m_s - at.earth.velocity_m_s, attitude[:, 2]
 
 

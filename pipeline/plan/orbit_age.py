@@ -16,7 +16,7 @@ from pipeline.physics.constants import (
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.orbits import elements_epoch
-from pipeline.plan.target_bounds import geocentric_m
+from pipeline.plan.target_bounds import geocentric_m, longest_from_elements_s
 from pipeline.plan.timing import end_s
 from pipeline.spec.orbit import (
     KeplerianOrbit,
@@ -98,10 +98,7 @@ def _far(scene: Scene, orbit: Orbit, geocentric_m: float) -> tuple[float, str] |
         return None
     if isinstance(orbit, NumericalOrbit) and "sun" in orbit.third_bodies:
         return None
-    told = getattr(orbit, "time_of_perigee", None) or orbit.epoch
-    start, epoch = parse_utc(scene.epoch), parse_utc(told or scene.epoch)
-    since = DAY_S * ((start[0] - epoch[0]) + (start[1] - epoch[1]))
-    time_s = max(abs(since), abs(since + end_s(scene)))
+    time_s = longest_from_elements_s(scene, orbit)
     tide = 2.0 * SUN_GM_M3_S2 * geocentric_m / ASTRONOMICAL_UNIT_M**3
     error = 0.5 * tide * time_s**2
     return error, (

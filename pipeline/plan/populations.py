@@ -1,4 +1,4 @@
-"""Which objects of a population come into the field during the dwell, and what targets they are."""
+"""Which objects of a population come into the field in any dwell, and what targets they are."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
+from pipeline.physics.positions import orbit_screen
 from pipeline.physics.positions.focal_plane import corner_radius, ifov_rad, stretch
-from pipeline.physics.positions.orbit_screen import screen_cone
 from pipeline.physics.positions.times import elapsed_s, instants, parse_utc
 from pipeline.physics.vectors import separation
 from pipeline.plan.air import air_of
 from pipeline.plan.decision import Decision
 from pipeline.plan.geometry import camera_of, watch
+from pipeline.plan.timing import DwellPlan, dwell_plans
 from pipeline.spec.body import Body, SphereBody
 from pipeline.spec.population import MOST_TOLD, Population, Screened
 from pipeline.spec.scene import MOST_TARGETS, Scene, Target
@@ -35,54 +36,68 @@ MOST_REFRACTION_RAD = 0.0125  # at the horizon, with room (0.6 degrees; Bennett 
 
 @dataclass(frozen=True)
 class Look:
-    """Where the observer looks during the dwell, as a screen takes it.
+    """Where the observer looks during the dwells, as a screen takes it.
 
     half_angle_rad : the frame's corner and all beside the frame that may send light into it
-    turn_rad_s : the boresight's largest rate
+    turns_rad_s : the boresight's largest rate in each dwell
     """
 
     scene: Scene
     dut1_s: float
     epoch: tuple[float, float]
-    dwell_s: float
+    dwells: tuple[DwellPlan, ...]
     half_angle_rad: float
-    turn_rad_s: float
+    turns_rad_s: tuple[float, ...]
 
-    def screen(self, satellites: list[Satrec]) -> Any:
-        """`screen_cone` of some satellites."""
+    @property
+    def length_s(self) -> float:
+        """Of all dwells."""
+        return sum(d.end_s - d.start_s for d in self.dwells)
 
-        def observer(at_s: Array) -> tuple[Array, Array]:
-            return watch(self.scene, at_s, self.dut1_s)[:2]
+    def screen(self, satellites: list[Satrec]) -> tuple[list[int], dict[int, int]]:
+        """Which satellites may come into the cone of any dwell; SGP4's code of those that fail in
+        any, which are not among them."""
+        found = [self._screen(satellites, k) for k in range(len(self.dwells))]
+        codes: dict[int, int] = {}
+        for one in reversed(found):
+            codes |= dict(zip(one.failed.tolist(), one.codes.tolist(), strict=True))
+        inside = {i for one in found for i in one.inside.tolist()}
+        return sorted(inside - set(codes)), dict(sorted(codes.items()))
 
-        def boresight(at_s: Array) -> Array:
-            return watch(self.scene, at_s, self.dut1_s)[2]
+    def _screen(self, satellites: list[Satrec], dwell: int) -> orbit_screen.Screened:
+        plan = self.dwells[dwell]
+        start = instants(self.epoch, [plan.start_s])
 
-        return screen_cone(
-            satellites, self.epoch, self.dwell_s, observer, boresight, self.half_angle_rad,
-            self.turn_rad_s,
+        def seen(at_s: Array) -> tuple[Array, Array, Array]:
+            return watch(self.scene, plan.start_s + at_s, self.dut1_s, dwell)
+
+        return orbit_screen.screen_cone(
+            satellites, (float(start.utc1[0]), float(start.utc2[0])), plan.end_s - plan.start_s,
+            lambda at_s: seen(at_s)[:2], lambda at_s: seen(at_s)[2], self.half_angle_rad,
+            self.turns_rad_s[dwell],
         )  # fmt: skip
 
 
 def look_of(scene: Scene, halo_px: float, dut1_s: float) -> Look:
-    """The look of a scene; halo_px : how far off the frame a source may be and still be drawn.
-
-    The boresight's rate is that between looks STEP_S apart, plus TURN_ROOM times what it changes by
-    from one to the next.
-    """
-    e = scene.exposure
-    dwell_s = (e.frames - 1) * e.step_s + e.integration_s
-    count = int(np.clip(np.ceil(dwell_s / STEP_S), 8, MOST_STEPS)) + 1
-    axis = watch(scene, np.linspace(0.0, dwell_s, count), dut1_s)[2]
-    rate = separation(axis[:-1], axis[1:]) * (count - 1) / dwell_s
-    change = np.abs(np.diff(rate)).max(initial=0.0)
-    camera = camera_of(scene)
+    """The look of a scene; halo_px : how far off the frame a source may be and still be drawn."""
+    epoch, dwells, camera = parse_utc(scene.epoch), dwell_plans(scene), camera_of(scene)
     half = corner_radius(camera) + halo_px * stretch(camera) * ifov_rad(camera)
-    if air_of(scene, instants(parse_utc(scene.epoch), [0.0], dut1_s)) is not None:
+    if air_of(scene, instants(epoch, [0.0], dut1_s)) is not None:
         half += MOST_REFRACTION_RAD  # the screen knows no air
-    return Look(
-        scene, dut1_s, parse_utc(scene.epoch), dwell_s, min(half, np.pi),
-        float(rate.max() + TURN_ROOM * change),
-    )  # fmt: skip
+    turns = tuple(_turn_rad_s(scene, d, dut1_s) for d in dwells)
+    return Look(scene, dut1_s, epoch, dwells, min(half, np.pi), turns)
+
+
+def _turn_rad_s(scene: Scene, dwell: DwellPlan, dut1_s: float) -> float:
+    """The boresight's largest rate in a dwell: that between looks STEP_S apart, plus TURN_ROOM
+    times what it changes by from one to the next."""
+    length_s = dwell.end_s - dwell.start_s
+    if length_s == 0.0:  # one bias frame
+        return 0.0
+    count = int(np.clip(np.ceil(length_s / STEP_S), 8, MOST_STEPS)) + 1
+    axis = watch(scene, np.linspace(dwell.start_s, dwell.end_s, count), dut1_s, dwell.index)[2]
+    rate = separation(axis[:-1], axis[1:]) * (count - 1) / length_s
+    return float(rate.max() + TURN_ROOM * np.abs(np.diff(rate)).max(initial=0.0))
 
 
 @dataclass
@@ -120,15 +135,15 @@ class Sieve:
         days = np.array([(s.jdsatepoch, s.jdsatepochF) for s in satellites])
         age = np.abs(elapsed_s(self.look.epoch, days[:, 0], days[:, 1]))
         number = np.array([one.number for one in good], np.int64)
-        found = self.look.screen(satellites)
-        for i, code in zip(found.failed, found.codes, strict=True):
-            self.failed[int(code)] += 1
-            self._tell(f"{_label(good[i])}: {_meaning(int(code))}")
+        inside, codes = self.look.screen(satellites)
+        for i, code in codes.items():
+            self.failed[code] += 1
+            self._tell(f"{_label(good[i])}: {_meaning(code)}")
         usable = np.ones(len(good), bool)
-        usable[found.failed] = False
+        usable[list(codes)] = False
         self.numbers.append(number[usable])
         self.ages_s.append(age[usable])
-        for i in found.inside:
+        for i in inside:
             self.kept.append((int(number[i]), len(self.kept), float(age[i]), self._target(good[i])))
         if len(self.kept) > MOST_TARGETS:
             raise BadInput(
@@ -185,7 +200,7 @@ class Sieve:
             digest=digest, read=self.read, kept=len(chosen), unreadable=self.unreadable,
             superseded=len(numbers) - int(first.sum()), failed=tuple(sorted(self.failed.items())),
             left_out=tuple(self.told), half_angle_deg=float(np.degrees(look.half_angle_rad)),
-            dwell_s=look.dwell_s,
+            dwell_s=look.length_s,
         )  # fmt: skip
         return list(chosen.values()), self.population.model_copy(update={"screened": told})
 
@@ -218,6 +233,7 @@ def with_members(scene: Scene, found: list[tuple[list[Target], Population]]) -> 
 def population_decisions(scene: Scene) -> list[Decision]:
     """How many objects of each population are drawn, and why the others are not."""
     out = []
+    dwells = "the dwell" if scene.dwells is None else "all dwells"
     for p in scene.populations:
         s = p.screened
         if s is None:
@@ -225,7 +241,7 @@ def population_decisions(scene: Scene) -> list[Decision]:
         parts = [
             f"{s.kept} of {s.read} element sets come within {s.half_angle_deg:.4g} deg of the "
             f"boresight (the frame's corner and all that sends light into it) during the "
-            f"{s.dwell_s:g} s of the dwell; for the others the screen proves that they do not"
+            f"{s.dwell_s:g} s of {dwells}; for the others the screen proves that they do not"
         ]
         if s.superseded:
             parts.append(f"{s.superseded} sets have a younger one of the same object")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Geometry
-from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M, EARTH_GM_M3_S2
+from pipeline.physics.constants import DAY_S, EARTH_EQUATORIAL_RADIUS_M, EARTH_GM_M3_S2
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.decision import Decision
@@ -45,21 +45,25 @@ def two_body_m(targets: Sequence[Target], scene: Scene, g: Geometry) -> float:
     Wiltshire 1960: 3/2 along the track, the rest across and with the period). f: the flattening's
     3 J2 mu R^2 / r^4 at the lowest height, with what is smaller, and the tides of Moon and Sun.
     """
-    epoch, last = parse_utc(scene.epoch), end_s(scene)
     worst = 0.0
     for i, target in enumerate(scene.targets):
         if target not in targets:
             continue
         r = max(_lowest_m(target.orbit, float(geocentric_m(g)[i].min())),
                 EARTH_EQUATORIAL_RADIUS_M)  # fmt: skip
-        told = getattr(target.orbit, "epoch", None)
-        start = parse_utc(told) if told else epoch
-        since = 86_400.0 * ((epoch[0] - start[0]) + (epoch[1] - start[1]))
-        time_s = max(abs(since), abs(since + last))
+        time_s = longest_from_elements_s(scene, target.orbit)
         flat = 3.0 * J2 * EARTH_GM_M3_S2 * EARTH_EQUATORIAL_RADIUS_M**2 / r**4
         force = SMALLER * flat + (MOON_PER_S2 + SUN_PER_S2) * 1.2 * r
         worst = max(worst, 2.0 * force * time_s**2)
     return worst
+
+
+def longest_from_elements_s(scene: Scene, orbit: Any) -> float:
+    """Longest time [s] of a scene from when a state, or elements, were right: at their epoch."""
+    told = getattr(orbit, "time_of_perigee", None) or orbit.epoch
+    start, right = parse_utc(scene.epoch), parse_utc(told or scene.epoch)
+    since = DAY_S * ((start[0] - right[0]) + (start[1] - right[1]))
+    return max(abs(since), abs(since + end_s(scene)))
 
 
 def _lowest_m(orbit: Any, seen_m: float) -> float:

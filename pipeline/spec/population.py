@@ -41,7 +41,7 @@ class Screened(Strict):
     failed: tuple[tuple[Count, Count], ...] = Field((), max_length=256)
     left_out: tuple[Annotated[str, Field(max_length=400)], ...] = Field((), max_length=MOST_TOLD)
     half_angle_deg: float = Field(ge=0, le=180, description="of the cone about the boresight")
-    dwell_s: float = Field(ge=0)
+    dwell_s: float = Field(ge=0, description="length of all dwells together")
 
 
 class Population(Strict):

@@ -93,7 +93,7 @@ def with_floor(course: Course, kept: Stages, scene: Scene, whole: bool) -> tuple
         for name in ("read_noise_e", "gain_e_per_dn", "dark_e_per_s")
     }
     scale = course.floors.get("sensor.dark_scale", scene.sensor.dark_scale)
-    numbers["dark_e_per_s"] *= scale / scene.sensor.dark_scale
+    numbers["dark_e_per_s"] *= scale
     if course.floors and scene.accuracy.noise_floor_e is None:
         darkest = {
             name: course.floors.get(f"background.{name}", getattr(scene.background, name))

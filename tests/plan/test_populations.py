@@ -27,6 +27,7 @@ from pipeline.plan.geometry import _observer, _vantage, camera_of
 from pipeline.plan.pointing import attitudes
 from pipeline.plan.populations import Sieve, look_of
 from pipeline.plan.target_paths import Moments, target_paths
+from pipeline.plan.timing import dwell_plans
 from pipeline.prepare import plan_scene, prepare
 from pipeline.run import Options, render
 from pipeline.spec.load import load_scene, parse_scene
@@ -97,6 +98,11 @@ POINTINGS: dict[str, dict[str, Any]] = {
                       "velocity_m_s": [-7.2e3, 0.2e3, 1.9e3]},
         }],
     },
+    "dwells": {"dwells": [
+        {"frames": 3},
+        {"frames": 2, "start_s": 5000.0, "pointing": {
+            "mode": "sidereal", "boresight_ra_deg": 130.0, "boresight_dec_deg": 5.0}},
+    ]},
 }  # fmt: skip
 
 
@@ -113,19 +119,22 @@ def test_none_is_missed(pointing: str, tle: Path) -> None:
         ]
     named = [t.model_dump() for t in s.targets]
     whole = parse_scene(s.as_dict() | {"populations": [], "targets": [*named, *every]})
-    epoch, offsets = parse_utc(s.epoch), np.arange(0.0, 85.01, 1.0)
+    epoch, dwells = parse_utc(s.epoch), dwell_plans(s)
+    spans = [np.arange(d.start_s, d.end_s + 0.01, 1.0) for d in dwells]
+    offsets, which = np.concatenate(spans), np.repeat(np.arange(len(spans)), [*map(len, spans)])
     times = instants(epoch, offsets)
     earth = earth_and_sun(times.tt1, times.tt2)
     place, speed = _observer(whole, epoch, offsets, times, earth)
     at = Moments(epoch, offsets, times, earth, place, speed)
-    attitude = attitudes(whole, np.zeros(len(offsets), np.int64), _vantage(whole, at))
+    attitude = attitudes(whole, which, _vantage(whole, at))
     paths = target_paths(whole, camera_of(whole), attitude, at)
     with np.errstate(invalid="ignore"):
         inside = (np.abs(paths.x_px - 127.5) <= 128.0) & (np.abs(paths.y_px - 127.5) <= 128.0)
     crossing = {t.name for t, hit in zip(whole.targets, inside.any(axis=1), strict=True) if hit}
     assert crossing <= found
-    assert len(crossing) >= 2
-    assert len(found) < 3 * len(crossing) + 8  # a circle, and its margin, about a square
+    of_each = [(inside & (which == k)).any(axis=1).sum() for k in range(len(spans))]
+    assert min(of_each) >= 2
+    assert len(found) < 3 * len(crossing) + 8 * len(spans)  # a circle about a square
 
 
 def test_truth_lists_them_and_the_product_needs_no_file(
@@ -260,7 +269,7 @@ def test_a_screened_population_is_not_read_again(tle: Path) -> None:
 def test_a_younger_set_beside_the_field_outdates_one_inside(tle: Path) -> None:
     """Three objects with two sets each: what the older one says of the field does not count."""
     crowd = scene(tle).populations[0]
-    look: Any = SimpleNamespace(half_angle_rad=0.1, dwell_s=85.0)
+    look: Any = SimpleNamespace(half_angle_rad=0.1, length_s=85.0)
     sieve = Sieve(crowd, look, {}, "populations.0", read=6)
     sieve.numbers, sieve.ages_s = [np.array([7, 8, 9]), np.array([7, 8, 9])], [
         np.array([5000.0, 100.0, 50.0]), np.array([100.0, 5000.0, 900.0])]  # fmt: skip
@@ -288,6 +297,13 @@ def test_the_cone_holds_what_the_air_lifts_into_the_field(tle: Path) -> None:
     bent = separation(refract(true, np.broadcast_to(air[0], (200, 5))), true).max()
     assert bent > 1e-3
     assert through.half_angle_rad >= plain.half_angle_rad + bent
+
+
+def test_a_single_bias_frame_has_a_look(tle: Path) -> None:
+    bias = scene(tle, exposure={"integration_s": 0.0, "frames": 1})
+    look = look_of(bias, 10.0, 0.0)
+    assert (look.length_s, look.turns_rad_s) == (0.0, (0.0,))
+    assert kept(bias) <= kept(scene(tle))
 
 
 def test_objects_keep_the_names_of_their_file(lines: list[list[str]], tle: Path) -> None:

@@ -187,6 +187,24 @@ def test_what_two_body_motion_leaves_out_is_bounded(
     assert off_m <= bound <= 2e3 * off_m
 
 
+def test_elements_are_right_at_their_perigee() -> None:
+    """A day before, given either way: the same bound; it grows with the square of time."""
+    shape = {
+        "kind": "keplerian", "perigee_radius_m": 7e6, "eccentricity": 0.1, "inclination_deg": 9.0,
+    }  # fmt: skip
+    bounds = []
+    for days, phase in (
+        (1, {"epoch": "2019-03-20T09:00:00Z", "true_anomaly_deg": 0.0}),
+        (1, {"time_of_perigee": "2019-03-20T09:00:00Z"}),
+        (2, {"time_of_perigee": "2019-03-19T09:00:00Z"}),
+    ):
+        one = target(shape | phase)
+        scene = parse_scene(SCENE | {"epoch": "2019-03-21T09:00:00Z", "targets": [one]})
+        g = plan_geometry(scene, np.arange(3), 0.0)
+        bounds.append(two_body_m(scene.targets, scene, g) / days**2)
+    assert bounds == pytest.approx([bounds[0]] * 3, rel=1e-3)
+
+
 def test_light_between_matt_facets() -> None:
     """The largest albedo of body and parts, a / (1 - a); no bound of a body that has a gloss."""
     gloss = {"kind": "phong", "diffuse": 0.1, "specular": 0.1, "exponent": 10}
