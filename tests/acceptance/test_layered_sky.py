@@ -69,7 +69,7 @@ class Rows:
 
 
 def make(folder: Path, columns: dict[str, np.ndarray], epoch: float, rows_per_leaf: int = 10**5):
-    about = About(folder.name, "", False, epoch, {})
+    about = About(folder.name, "", folder.name == "bright", epoch, {})  # not a real star there
     build([Rows(columns, folder.name)], folder, about, rows_per_leaf=rows_per_leaf)
 
 
@@ -199,6 +199,7 @@ def test_what_is_told(reference, folders):
         assert [told["catalogue"]["digest"], told["layers"][0]["digest"]] == digests
         assert told["layers"][0]["ref_epoch_jyear"] == LAYER_JYEAR
     assert (cube["catalogue_digest"], cube["layer_digests"]) == (digests[0], digests[1:])
+    assert cube["synthetic_stars"] is True  # by the layer; the main catalogue is of real ones
     reason = {d["component"]: d["reason"] for d in plan["decisions"]}["stars.layer_1"]
     assert f"{plan['layers'][0]['left_out']} of its stars" in reason
     assert "2.97 arcsec" in reason

@@ -81,6 +81,21 @@ def test_a_product_of_its_own(product, tmp_path):
         assert np.array_equal(hdus[0].data, light[1], equal_nan=True)
 
 
+def test_each_frame_is_rid_of_its_own_dark_current(product, tmp_path):
+    scene = copy.deepcopy(SCENE)
+    scene["sensor"]["shape"] = scene["output"]["tile_shape"] = [64, 64]
+    for name in ("flat", "bias_dn"):
+        del scene["sensor"][name]
+    scene["sensor"]["dark_e_per_s"] = 500.0
+    scene["dwells"] = [{"frames": 1, "integration_s": s} for s in (1.0, 5.0)]
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    assert nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "run").returncode == 0
+    done = nightglass("calibrate", tmp_path / "run", "-o", tmp_path / "copy")
+    assert done.returncode == 0, done.stderr
+    light = open_cube(tmp_path / "copy")["calibrated_e"].values
+    assert np.nanmean(light, axis=(1, 2)) == pytest.approx([400.0, 2000.0], abs=5.0)
+
+
 def test_refusals(product, tmp_path):
     (tmp_path / "there").mkdir()
     gone = tmp_path / "gone"

@@ -67,6 +67,11 @@ def test_times_of_every_frame(scene: Make) -> None:
     assert np.allclose(g.offset_s[:, -1] - g.offset_s[:, 0], time)
 
 
+def test_a_dwell_waits_without_a_slew(scene: Make) -> None:
+    s = scene({"dwells": [{"frames": 2}, {"frames": 1, "wait_s": 7.0}], "exposure.cadence_s": 3.0})
+    assert np.array_equal(frame_times(s, np.arange(3))[0], [0.0, 3.0, 12.0])
+
+
 def test_a_dwell_alone_is_the_scene_without_it(scene: Make) -> None:
     plain = scene()
     same = scene({"dwells": [{}]})

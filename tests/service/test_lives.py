@@ -9,13 +9,15 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 import sqlalchemy as sa
 
 from pipeline.run import render
 from pipeline.spec.load import parse_scene
+from service.attempts import Attempt
 from service.database import connect, sqlite_url
 from service.jobs import Queue
 from service.submissions import Ask, Limits, submit_many
@@ -80,6 +82,15 @@ def test_a_job_may_be_given_little_time_and_a_short_life(
         assert time.monotonic() < deadline
         time.sleep(0.1)
     store.close()
+
+
+def test_time_in_the_queue_is_not_time_given() -> None:
+    """An hour's wait, and a second's work of the minute that it may take."""
+    now, attempts = time.time(), Attempt.__new__(Attempt)
+    for since_s, too_long in ((1.0, False), (90.0, True)):
+        job = SimpleNamespace(duration_s=60.0, submitted_s=now - 3600.0, started_s=now - since_s)
+        attempts._job = cast(Any, job)
+        assert attempts._too_long() is too_long
 
 
 @pytest.mark.slow
