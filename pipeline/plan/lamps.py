@@ -1,4 +1,4 @@
-"""Where Sun, Moon and Earth stand in all exposures: as frames, horizon and limb see them."""
+"""Where Sun, Moon, Earth and planets stand in all exposures: as frames, horizon and limb see."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from pipeline.physics.positions.focal_plane import (
     deproject,
     project,
 )
+from pipeline.physics.positions.planets import OFF_RAD, PLANETS, brightest_v_mag, planet_m
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
 from pipeline.physics.vectors import separation, unit
 from pipeline.plan.air import air_of
@@ -62,10 +63,11 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Look:
-    """Sun, Moon and Earth at n moments of the exposures, in order.
+    """Sun, Moon, Earth and planets at n moments of the exposures, in order.
 
     tick : (n,) number of the moment: TICKS of each frame; earth : its disc, or all below a site's
-    horizon; to_moon_m, moon_to_sun_m : (n, 3) from the observer, and from there;
+    horizon; planets : by name, with V (n,) at full phase; to_moon_m, moon_to_sun_m : (n, 3) from
+    the observer, and from there;
     turn : (n - 1,) angle [rad] by which what is looked at turns from each moment to the next:
     camera, horizon and bodies together
     """
@@ -74,6 +76,7 @@ class Look:
     sun: Lamp
     moon: Lamp
     earth: Lamp
+    planets: dict[str, tuple[Lamp, Array]]
     to_moon_m: Array
     moon_to_sun_m: Array
     turn: Array
@@ -147,7 +150,8 @@ def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> Look:
     )
     turned = [separation(v[:-1], v[1:]) for v in (*np.moveaxis(attitude, 1, 0), at.observer_m)]
     bodies = np.maximum(*(separation(v[:-1], v[1:]) for v in (sun, moon)))
-    return Look(ticks, *lamps, moon, sun - moon, np.max(turned, axis=0) + bodies)
+    planets = {n: _planet(scene, camera, attitude, at, n, sun) for n in PLANETS}
+    return Look(ticks, *lamps, planets, moon, sun - moon, np.max(turned, axis=0) + bodies)
 
 
 def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lamp:
@@ -188,6 +192,23 @@ def _lamp(
         off_axis, _off_frame(camera, attitude, towards, off_axis), radius,
         _hidden(scene, at.observer_m, body_m, elevation) - radius, elevation,
     )  # fmt: skip
+
+
+def _planet(
+    scene: Scene, camera: Camera, attitude: Array, at: Moments, name: str, sun_m: Array
+) -> tuple[Lamp, Array]:
+    """A planet, a point that is known to OFF_RAD, and its V (n,) at full phase."""
+    from_sun = planet_m(name, at.times.tt1, at.times.tt2)
+    body = sun_m + from_sun
+    towards, far = unit(body), [np.sqrt(np.sum(v**2, axis=-1)) for v in (from_sun, body)]
+    elevation = 0.5 * np.pi - separation(body, _upright(at.observer_m))
+    off_axis = separation(attitude[:, 2], towards)
+    off_frame = off_axis - corner_radius(camera)  # at least
+    near = off_frame <= OFF_RAD
+    off_frame[near] = _off_frame(camera, attitude[near], towards[near], off_axis[near])
+    hidden = _hidden(scene, at.observer_m, body, elevation)
+    lamp = Lamp(off_axis, off_frame, np.full(len(off_axis), OFF_RAD), hidden, elevation)
+    return lamp, brightest_v_mag(name, *far)
 
 
 def _hidden(scene: Scene, place_m: Array, body_m: Array, elevation: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Skies that are not drawn: Sun, Moon and Earth in the field or near it, a site by day."""
+"""Skies that are not drawn: Sun, Moon, Earth and planets in the field or near it, a site by day."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.physics.constants import DEG_RAD
+from pipeline.physics.positions.planets import OFF_RAD
 from pipeline.physics.radiometry import ResponseCurve, surface_brightness_electron_rate
 from pipeline.plan.acceptance import accept_or_refuse
 from pipeline.plan.facts import Facts
@@ -83,6 +84,7 @@ def sky_doubts(scene: Scene, facts: Facts, response: ResponseCurve, dut1_s: floa
         warnings += told + _no_moonlight(scene, facts, response, seen)
     warnings += skies.bodies
     warnings += _earth_in_field(scene, facts, response, seen, nearest["earth"])
+    warnings += _planets_in_field(seen, nearest)
     remarks += _no_stray_light(scene, seen)
     if not sure:
         remarks.append(
@@ -105,6 +107,8 @@ def _margins(scene: Scene, at: Look) -> dict[str, Array]:
         "moon": np.maximum(_off_field(at.moon), at.moon.hidden),
         "near the moon": np.maximum(at.moon.off_frame - near_moon, at.moon.hidden),
         "earth": _off_field(at.earth),
+    } | {
+        name: np.maximum(_off_field(lamp), lamp.hidden) for name, (lamp, _) in at.planets.items()
     }
 
 
@@ -254,6 +258,15 @@ def _earth_in_field(
         f"{light_e:.3g} e- per pixel where the Sun is high, is not drawn, and the sky is drawn "
         "across it"
     ]
+
+
+def _planets_in_field(seen: Look, nearest: dict[str, int]) -> list[str]:
+    """What is said of planets, which no catalogue of stars holds."""
+    return [
+        f"{name} is in the field, or within {OFF_RAD / DEG_RAD:.2f} deg of it, in frame "
+        f"{seen.frame(nearest[name])}: it is not drawn, V = {v_mag[nearest[name]]:.1f} if fully lit"
+        for name, (lamp, v_mag) in seen.planets.items() if _touches(lamp, nearest[name])
+    ]  # fmt: skip
 
 
 def _no_stray_light(scene: Scene, seen: Look) -> list[str]:

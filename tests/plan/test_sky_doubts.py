@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.physics.positions.planets import PLANETS, brightest_v_mag
 from pipeline.plan import lamps
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.sky_doubts import Doubts, sky_doubts
@@ -111,6 +112,43 @@ def test_the_sun_in_the_field_or_near_it(angle: float, least: float, refused: bo
             doubts(scene)
         (said,) = doubts(scene.model_copy(update={"accept": ("sun",)})).warnings
         assert f"{angle:.1f}" in said
+
+
+@pytest.mark.parametrize("name", PLANETS)
+def test_a_planet_in_the_field_is_told(name: str) -> None:
+    towards = body(name.lower()) - np.array(SCENE["observer"]["position_au"]) * AU_M
+    for angle, told in ((0.5, True), (HALF_DEG + 0.5, False)):
+        scene = scene_of(beside(towards, angle), {"accept": ["sun", "moon"]})
+        found = [w for w in doubts(scene).warnings if w.startswith(f"{name} is in the field")]
+        assert bool(found) is told
+
+
+def test_a_planet_behind_the_earth_is_not_told() -> None:
+    """Jupiter from a geostationary place: the Earth's disc of 8.7 degrees before it, or beside."""
+    towards = body("jupiter") - body("earth")
+    low = np.cross(towards, [0.0, 0.0, 1.0])
+    towards, low = towards / np.linalg.norm(towards), low / np.linalg.norm(low)
+    for place, told in ((-4.2164e7 * towards, False), (4.2164e7 * low, True)):
+        orbit = {"kind": "state", "position_m": place.tolist(),
+                 "velocity_m_s": (3074.66 * np.cross(low, towards)).tolist()}  # fmt: skip
+        scene = scene_of(
+            beside(towards, 12.0), {"observer": {"kind": "orbit", "orbit": orbit}},
+            {"accept": ["sun", "moon", "error"]},
+        )  # fmt: skip
+        seen = lamps.look(scene, 0.0, lambda at: at.sun.off_axis)[0].planets["Jupiter"][0]
+        assert bool(seen.hidden[0] <= 0.0) is told
+
+
+@pytest.mark.parametrize(
+    ("name", "from_sun_au", "away_au", "v_mag"),
+    [("Jupiter", 5.10, 5.93, -1.97), ("Venus", 0.725, 1.72, -3.9), ("Neptune", 29.93, 28.92, 7.7)],
+)
+def test_planets_fully_lit_against_almanacs(
+    name: str, from_sun_au: float, away_au: float, v_mag: float
+) -> None:
+    """The conjunction of December 2020, Venus behind the Sun in 2021, Neptune's opposition."""
+    far = np.array([from_sun_au]) * AU_M, np.array([away_au]) * AU_M
+    assert brightest_v_mag(name, *far)[0] == pytest.approx(v_mag, abs=0.08)
 
 
 def test_stray_light_of_the_sun_has_its_own_angle() -> None:

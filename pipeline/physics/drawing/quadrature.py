@@ -355,10 +355,10 @@ def _integrate(
             for p in range(points.shape[0]):
                 y, x = y0 + r - points[p, 0], x0 + c - points[p, 1]
                 square = y * y + x * x
+                if square >= min(reach, ends) ** 2:  # the tables may end there
+                    continue
                 if square < near_px * near_px:
                     value = _pixel_at(y, x, at, down, along, coefficients, width, rounded, reach)
-                elif square >= reach * reach:
-                    value = 0.0
                 else:
                     value = _far_at(y, x, square, far, far_width, terms)
                 if square > fades * fades:

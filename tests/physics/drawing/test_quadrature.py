@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import erfc, i0e
 
+from pipeline.physics.drawing import quadrature
 from pipeline.physics.drawing.quadrature import (
     RELATIVE,
     affordable,
@@ -124,6 +125,16 @@ def test_where_light_ends() -> None:
     assert np.array_equal(cut[0, r <= 45], whole[0, r <= 45])
     assert (cut[0, r >= 50] == 0.0).all()
     assert cut[0, 47] / whole[0, 47] == pytest.approx(0.6**3 * (10 + 0.6 * (6 * 0.6 - 15)))
+
+
+def test_no_table_is_read_beyond_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pixels farther than the light reaches, but nearer than the profile: each index is checked."""
+    for name in ("_pixel_at", "_far_at", "_around", "_integrate"):
+        monkeypatch.setattr(quadrature, name, getattr(quadrature, name).py_func)
+    blur, reach = Blur(Airy(1.3), 0.4), 31.0
+    for first in range(24, 44, 2):
+        drawn = draw_quadrature(blur, POINT, (1, 2), (0, first), 0.0, 0.0, reach)
+        assert (drawn[0] > 0.0).tolist() == [first < reach, first + 1 < reach]
 
 
 def test_what_it_serves() -> None:
