@@ -382,7 +382,8 @@ def keys(context: typer.Context) -> None:
     """API keys of the service: create, revoke, list."""
     from importlib import import_module
 
-    import_module("service.keys_cli").app(context.args, standalone_mode=False)
+    app = import_module("service.keys_cli").app
+    app(context.args, prog_name="nightglass keys", standalone_mode=False)
 
 
 @app.command()

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 KEY_VARIABLE = "NIGHTGLASS_KEY"
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
 LONG_POLL_S = 20.0
+FIRST_S = 5.0  # a server that is asked for the first time may just be starting
 Scene = Mapping[str, Any] | str | Path
 Listener = Callable[[dict[str, Any]], None]
 
@@ -62,14 +63,15 @@ class Client:
 
     url : `http://127.0.0.1:8765`, `https://...`
     key : the team's API key; default: the environment's NIGHTGLASS_KEY
-    patience_s : how long a server that does not answer, or is overloaded, is asked again
+    patience_s : how long a server that does not answer, or is overloaded, is asked again; one that
+        never answered yet at most FIRST_S
     """
 
     def __init__(self, url: str, key: str | None = None, *, patience_s: float = 60.0) -> None:
         if not url.startswith(("http://", "https://")):
             raise BadInput("--server", url, "an address like http://127.0.0.1:8765")
         key = key if key is not None else os.environ.get(KEY_VARIABLE)
-        self.url, self.patience_s = url.rstrip("/"), patience_s
+        self.url, self.patience_s, self._met = url.rstrip("/"), patience_s, False
         self.headers = {"Authorization": f"Bearer {key}"} if key else {}
         timeout = httpx.Timeout(30.0, read=LONG_POLL_S + 40.0)
         try:
@@ -126,10 +128,11 @@ class Client:
 
     def ask(self, method: str, path: str, **request: Any) -> httpx.Response:
         """One request, asked again while the server does not answer or is overloaded."""
-        deadline, pause_s = time.monotonic() + self.patience_s, 0.25
+        begun, pause_s = time.monotonic(), 0.25
         while True:
             try:
                 answer = self.http.request(method, path, **request)
+                self._met = True
                 problem = problem_of(answer)
                 if problem is None:
                     return answer
@@ -137,7 +140,8 @@ class Client:
                     raise problem
             except httpx.TransportError as error:
                 problem = ServiceError(f"{self.url} does not answer: {error}")
-            if time.monotonic() + pause_s > deadline:
+            patience_s = self.patience_s if self._met else min(self.patience_s, FIRST_S)
+            if time.monotonic() + pause_s > begun + patience_s:
                 raise problem
             time.sleep(pause_s)
             pause_s = min(5.0, 2 * pause_s)

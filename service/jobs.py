@@ -200,7 +200,10 @@ class JobStore:
         with writing(self.engine) as db:
             job = self._one(db, job_id, team)
             if not can_be_retried(job):
-                raise NotReady("only a job that ended as ERROR, not by its scene, is run again")
+                raise NotReady(
+                    f"job {job.id} is {job.phase}: only one that ended as ERROR, not by its "
+                    "scene, is run again"
+                )
             changes = dict.fromkeys(("error", "started_s", "ended_s"))
             self._move(db, job, P.QUEUED, deaths=0, cancel_asked=False, **changes)
             record(db, job.team, actor, "retry", job_id)

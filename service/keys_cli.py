@@ -10,6 +10,7 @@ from typing import Annotated
 import sqlalchemy as sa
 import typer
 
+from pipeline.errors import BadInput
 from pipeline.options import Json, print_json
 from service.database import connect
 from service.keys import create_key, list_keys, revoke_key, usable
@@ -22,10 +23,13 @@ app = typer.Typer(
 Home = Annotated[Path | None, typer.Option(help="data folder of the service")]
 
 
-def _engine(home: Path | None) -> sa.Engine:
+def _engine(home: Path | None, new: bool = False) -> tuple[sa.Engine, Path]:
+    """The job table and the data folder; BadInput where it is not there, and not to be made."""
     settings = read_settings(home)
+    if not new and not settings.home.is_dir():
+        raise BadInput("--home", str(settings.home), "the data folder of a service")
     settings.make_folders()
-    return connect(settings.database_url)
+    return connect(settings.database_url), settings.home
 
 
 @app.command()
@@ -36,10 +40,10 @@ def create(
     home: Home = None,
 ) -> None:
     """Make a key and print it: the only time that it is shown."""
-    print(create_key(_engine(home), team, name, days))
-    print(
-        "Keep it: only its hash is stored. From now on every request needs a key.", file=sys.stderr
-    )
+    engine, folder = _engine(home, new=True)
+    print(create_key(engine, team, name, days))
+    print(f"for {folder}; keep it: only its hash is stored.", file=sys.stderr)
+    print("From now on every request to that service needs a key.", file=sys.stderr)
 
 
 @app.command()
@@ -48,13 +52,13 @@ def revoke(
     home: Home = None,
 ) -> None:
     """Make a key worthless; a running service knows within two seconds."""
-    revoke_key(_engine(home), key)
+    revoke_key(_engine(home)[0], key)
 
 
 @app.command("list")
 def listing(home: Home = None, as_json: Json = False) -> None:
     """Every key ever made, without its secret."""
-    rows = list_keys(_engine(home))
+    rows = list_keys(_engine(home)[0])
     if as_json:
         print_json(rows)
         return

@@ -103,7 +103,8 @@ class EngineFault(Refusal):
 def mistake_dict(mistake: Mistake) -> dict[str, Any]:
     """One mistake as problem+json: pointer (RFC 6901), value and remedy, all cut in length."""
     field, value, allowed = mistake
-    return {"pointer": pointer(field), "value": shorten(value), "allowed": cut(str(allowed))}
+    told = str(allowed).removeprefix("allowed: ")
+    return {"pointer": pointer(field), "value": shorten(value), "allowed": cut(told)}
 
 
 def pointer(field: str) -> str:

@@ -104,6 +104,8 @@ def test_mistakes_come_by_field(client: Client, scene: dict[str, Any], tmp_path:
     with pytest.raises(ServiceError, match="does not answer") as gone:
         Client("http://127.0.0.1:9", patience_s=0.5).catalogues()
     assert gone.value.status == 0
+    with pytest.raises(ServiceError, match="does not answer"):
+        Client("http://127.0.0.1:9", patience_s=3600.0).catalogues()  # never met: not for an hour
 
 
 def test_failed_and_cancelled_jobs_raise(client: Client, scene: dict[str, Any]) -> None:

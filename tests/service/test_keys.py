@@ -32,6 +32,7 @@ from service.oidc import Verifier
 from service.problems import Forbidden, Unauthenticated
 from service.processes import worker
 from service.settings import Settings, read_settings
+from tests.command import nightglass
 from tests.service.conftest import bearer
 
 ISSUER, AUDIENCE = "https://id.example", "nightglass"
@@ -416,3 +417,13 @@ def test_tokens_over_http(
     assert client.get("/v1/usage", headers=bearer(good[:-4])).status_code == 401
     assert not re.search(r"eyJ[\w-]+\.", server.logged())
     assert Settings(server.home).oidc_issuer is None
+
+
+@pytest.mark.parametrize("words", [("list",), ("revoke", "0123456789ab")], ids=["list", "revoke"])
+def test_keys_of_a_service_that_is_not_there(words: tuple[str, ...], tmp_path: Path) -> None:
+    """A mistyped folder is not a service without keys, and is not made."""
+    ran = nightglass("keys", *words, "--home", tmp_path / "mistyped")
+    assert ran.returncode == 2
+    assert "--home" in ran.stderr
+    assert not (tmp_path / "mistyped").exists()
+    assert "nightglass keys" in nightglass("keys", words[0], "--help").stdout
