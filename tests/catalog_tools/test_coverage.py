@@ -65,6 +65,15 @@ def changed_manifest(catalogue, folder: Path, change) -> Path:
     return folder
 
 
+def test_the_deepest_of_what_overlaps_counts() -> None:
+    """A shallow cone over a deep one, and over a deep sky, whichever comes first."""
+    deep, shallow = (40.0, 10.0, 3.0, 19.0), (41.0, 10.0, 3.0, 15.0)
+    for cones in ((deep, shallow), (shallow, deep)):
+        found = all_sky("x", 12.0, cones).limits_g_mag([38.0, 40.5, 43.5, 60.0], 10.0)
+        assert found.tolist() == [19.0, 19.0, 15.0, 12.0]
+    assert all_sky("x", 17.0, [shallow]).limits_g_mag(41.0, 10.0).tolist() == [17.0]
+
+
 @pytest.fixture(scope="module")
 def field(tmp_path_factory):
     """2,000 made-up stars within a degree about RA 130, Dec 12."""
