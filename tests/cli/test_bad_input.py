@@ -203,7 +203,7 @@ def test_other_catalogue_formats(tmp_path):
         (["export", "nowhere", "--to", "gif", "-o", "x"], ["gif"]),
         (["catalog", "info", "nowhere"], ["nowhere"]),
         (["catalog", "demo", "-o", "x", "--field", "1,2"], ["--field"]),
-        (["serve", "--host", "0.0.0.0"], ["0.0.0.0"]),
+        (["serve", "--host", "0.0.0.0", "--home", "NEW"], ["0.0.0.0"]),
         (["sweep", "no.yaml", "-o", "s3://bucket/run"], ["s3:/bucket/run", "a file system"]),
         (["render", "no.yaml", "-o", "s3://b/x", "--server", "http://h"], ["-o", "a file system"]),
         (["check", "memory://run"], ["memory://run", "s3://BUCKET/NAME"]),
@@ -211,7 +211,7 @@ def test_other_catalogue_formats(tmp_path):
     ],
 )
 def test_bad_commands(arguments, words, tmp_path):
-    result = nightglass(*arguments)
+    result = nightglass(*(tmp_path / "new" if a == "NEW" else a for a in arguments))
     assert result.returncode == 2, result.stderr
     assert "Traceback" not in result.stderr
     for word in words:
