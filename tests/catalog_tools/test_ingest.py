@@ -6,6 +6,7 @@ import csv
 import hashlib
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +15,7 @@ import pytest
 from lsst_refcat import convert
 from star_rows import random_stars, same_rows, write_csv
 
-from catalog_tools import build, leaves, memory, publish
+from catalog_tools import batches, build, leaves, memory, publish
 from catalog_tools.catalogue import REJECTS_NAME, SOURCES_NAME, open_catalogue
 from catalog_tools.columns import STORED
 from catalog_tools.coverage import all_sky
@@ -22,6 +23,7 @@ from catalog_tools.errors import BadInput, Damaged, Incomplete
 from catalog_tools.fetched import note_coverage
 from catalog_tools.info import info
 from catalog_tools.ingest import ingest
+from catalog_tools.judging import PLACE_COLUMN
 from catalog_tools.partition import choose_leaves, coarser, healpix_29
 from catalog_tools.query import cone
 from catalog_tools.verify import verify
@@ -529,3 +531,26 @@ def test_two_runs_on_one_cluster_keep_their_tasks_apart(tmp_path, parts):
     for number in (0, 1):
         kept = cone(found[number].catalogue, 0, 0, 180)[0]
         assert same_rows(kept, stars.slice(2000 * number, 2000))
+
+
+def test_rows_are_counted_also_where_none_is_kept(tmp_path):
+    """The number of a row is its place among all that were read, rejected ones too."""
+    held = batches._Held(tmp_path, "x", 0, 100)
+    held.add({PLACE_COLUMN: np.empty(0, np.int64)}, 5)
+    held.add({PLACE_COLUMN: np.array([held.rows_in + 1])}, 3)
+    assert (held.rows_in, held.parts[0][PLACE_COLUMN].tolist()) == (8, [6])
+
+
+def test_a_row_left_out_is_told_with_the_source_it_came_from():
+    """Also the first of a run of rows, which lies just after the last of another file's."""
+    pieces = SimpleNamespace(pieces=[SimpleNamespace(batch=0), SimpleNamespace(batch=1)])
+    context = SimpleNamespace(
+        pieces=pieces, labels=[["a"], ["b", "c"]], starts=[np.array([0]), np.array([0, 10])]
+    )
+    rows = {PLACE_COLUMN: np.array([4, 5, 6, 11, 3]), "source_id": np.arange(5)}
+    rows |= {name: np.zeros(5) for name in ("ra", "dec")} | {"phot_g_mean_mag": np.zeros(5, "f4")}
+    told = leaves._surplus_table(
+        context, [(0, 0, 3), (1, 0, 2)], rows, np.array([2, 3, 4]), ["twice"] * 3
+    )
+    assert told["source"].to_pylist() == ["a", "c", "b"]
+    assert told["row"].to_pylist() == [6, 1, 3]

@@ -34,6 +34,8 @@ def test_a_grid_of_any_kinds_is_taken_and_kept(full: Data) -> None:
     assert psf.rows_px == (0.0, 500.5)
     assert [[one.kind for one in row] for row in psf.psfs][1] == ["table", "gaussian", "airy"]
     assert parse_scene(scene.as_dict()) == scene
+    named = [psf.name_of("sensor.psf.sigma_px", node) for node in (2, 3, 5)]
+    assert [name.split(".")[3:5] for name in named] == [["0", "2"], ["1", "0"], ["1", "2"]]
     one = {"kind": "field", "rows_px": [10], "columns_px": [20], "psfs": [[G]]}
     assert parse_scene(with_psf(full, one)).sensor.psf.kind == "field"
 
