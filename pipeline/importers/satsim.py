@@ -14,6 +14,7 @@ from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
 from pipeline.importers.placing import Wanted, electrons_of_sunlight, far_observer, place
 from pipeline.importers.satsim_values import settled
+from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 
 PITCH_UM = 10.0
 RA_DEG, DEC_DEG = 180.0, 0.0
@@ -253,10 +254,6 @@ def _rate(o: Fields, zero: float, i: int, notes: Notes) -> float:
 
 
 def sphere_mag(diameter_m: float, albedo: float, phase_rad: float, range_km: float) -> float:
-    """Magnitude of a diffuse sphere in sunlight, by SatSim's magnitude of the Sun.
-
-    2 a r^2 (sin p + (pi - p) cos p) / (3 pi d^2) of sunlight (PHYSICS section a).
-    """
-    shape = math.sin(phase_rad) + (math.pi - phase_rad) * math.cos(phase_rad)
-    ratio = 2.0 * albedo * (0.5 * diameter_m / (1e3 * range_km)) ** 2 * shape / (3.0 * math.pi)
-    return SUN_MAG - 2.5 * math.log10(max(ratio, 1e-60))
+    """Magnitude of a diffuse sphere in sunlight, by SatSim's magnitude of the Sun."""
+    of_sunlight_m2 = float(sphere_intensity_per_irradiance(phase_rad, diameter_m, albedo))
+    return SUN_MAG - 2.5 * math.log10(max(of_sunlight_m2 / (1e3 * range_km) ** 2, 1e-60))

@@ -348,14 +348,14 @@ def _integrate(
     near_px, fades, ends,
 ):
     """Adds the light of each pixel: (y0, x0) is the first one's centre from the source."""
-    terms = np.empty(far.shape[2])
+    terms, last = np.empty(far.shape[2]), min(reach, ends) ** 2
     for r in range(out.shape[0]):
         for c in range(out.shape[1]):
             total = 0.0
             for p in range(points.shape[0]):
                 y, x = y0 + r - points[p, 0], x0 + c - points[p, 1]
                 square = y * y + x * x
-                if square >= min(reach, ends) ** 2:  # the tables may end there
+                if square >= last:  # the tables may end there
                     continue
                 if square < near_px * near_px:
                     value = _pixel_at(y, x, at, down, along, coefficients, width, rounded, reach)

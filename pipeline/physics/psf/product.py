@@ -1,6 +1,6 @@
 """Responses that are a column times a row, tabulated along each axis alone.
 
-A Gaussian in square pixels is such a product (PHYSICS section e). Its tables are so small that
+A Gaussian in square pixels is such a product. Its tables are so small that
 they hold many phases: interpolated cubically they err by some 1e-9 of the peak.
 """
 

@@ -163,7 +163,7 @@ class Airy:
     def light_beyond(self, radius_px: float) -> float:
         """Fraction of the light farther than `radius_px`: 2Q / (pi^2 r (1 - e)), for r >> Q.
 
-        From the slope of the transfer function at zero frequency (PHYSICS section e).
+        From the slope of the transfer function at zero frequency.
         """
         return 2.0 * self.q_px / (np.pi**2 * radius_px * (1.0 - self.obscuration))
 
@@ -172,7 +172,7 @@ class Airy:
         return _annulus_overlap(2.0 * self.q_px * np.asarray(f, float), self.obscuration)
 
     def intensity(self, r_px: Array) -> Array:
-        """Light per px^2 at a radius, per unit light (PHYSICS section e)."""
+        """Light per px^2 at a radius, per unit light: that of an annulus."""
         e = self.obscuration
         x = np.pi * np.maximum(r_px, 1e-9 * self.q_px) / self.q_px
         inner = e * j1(e * x) if e > 0.0 else 0.0
@@ -224,7 +224,7 @@ class Blur:
         return out if spread == 0 else out * Gaussian(spread).transfer(fy, fx)
 
     def pixel(self, fy: Array, fx: Array) -> Array:
-        """The collecting square of a pixel: fill x sinc x sinc (PHYSICS section e)."""
+        """The collecting square of a pixel: fill x sinc x sinc."""
         if self.pixel_in_optics:
             out = np.full(np.broadcast_shapes(np.shape(fy), np.shape(fx)), self.fill_factor)
         else:

@@ -38,7 +38,7 @@ def photon_rate_at_aperture(
     g_times_albedo_over_pi_m2: ArrayLike,
     range_m: ArrayLike,
 ) -> Array:
-    """In-band photons per second and square metre at the observer: E I/R^2 (PHYSICS a, b).
+    """In-band photons per second and square metre at the observer: E I/R^2.
 
     Parameters
     ----------
