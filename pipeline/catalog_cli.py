@@ -78,7 +78,10 @@ def verify(catalogue: Place, workers: Workers = None, as_json: Json = False) -> 
     with _stages(as_json) as progress:
         report = run(open_catalogue(catalogue), workers=workers, progress=progress)
     found = [f"{finding.path}: {finding.what}" for finding in report.findings]
-    print_mapping({**asdict(report), "whole": report.whole, "findings": found}, as_json)
+    told = asdict(report) | {"whole": report.whole, "findings": found}
+    if not report.notes and not as_json:
+        del told["notes"]
+    print_mapping(told, as_json)
     if found:
         raise Damaged(catalogue, f"{len(found)} problem(s): {'; '.join(found[:3])}")
 

@@ -469,10 +469,9 @@ def _print_report(report: dict[str, Any], product: Path | str) -> None:
     seconds = report["seconds"]
     errors = report["errors"]
     print_warnings(report["warnings"])
-    print(
-        f"{product}: {report['frames']} frame(s), {report['tiles']} tile(s) "
-        f"in {seconds['plan_s'] + seconds['draw_s'] + seconds['finish_s']:.2f} s"
-    )
+    taken_s = seconds["plan_s"] + seconds["draw_s"] + seconds["finish_s"]
+    when = "whole before, nothing was drawn" if "drawn_before" in report else f"in {taken_s:.2f} s"
+    print(f"{product}: {report['frames']} frame(s), {report['tiles']} tile(s) {when}")
     print(
         f"  error bound at the noise floor {errors['bound_of_all_approximations_sigma']:.3f} sigma "
         f"(asked {errors['asked_sigma']}), WCS to {errors['wcs_residual_px']:.1e} px"

@@ -86,8 +86,8 @@ def _faults(plan: Plan, product: Path) -> dict[str, int]:
 
 
 def stored_report(begun: Begun) -> dict[str, Any]:
-    """The report of a product that is already complete."""
-    return json.loads((begun.path / layout.REPORT).read_text())
+    """The report of a product that was whole before; `drawn_before` says so, in no file."""
+    return json.loads((begun.path / layout.REPORT).read_text()) | {"drawn_before": True}
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,10 @@ def _answer(plan: dict[str, Any]) -> Iterator[tuple[str, str]]:
 def _stars(plan: dict[str, Any]) -> str:
     if plan["catalogue"] is None:
         return "none: no catalogue"
-    return f"about {plan['stars_per_frame']} a frame; catalogue covers {_covered(plan['coverage'])}"
+    limit = (plan["coverage"] or {}).get("complete_to_g_mag")
+    depth = "" if limit is None else f", everywhere to G {limit:g}"
+    covered = _covered(plan["coverage"]) + depth
+    return f"about {plan['stars_per_frame']} a frame; catalogue covers {covered}"
 
 
 def _covered(said: dict[str, Any] | None) -> str:

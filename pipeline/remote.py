@@ -179,7 +179,7 @@ def _is_sealed(objects: Objects, begun: Begun, tiles: int) -> bool:
 
 def _stored_report(objects: Objects) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(objects.get(layout.REPORT) or b"{}")
-    return found
+    return found | {"drawn_before": True}
 
 
 def _scene_of(objects: Objects) -> Scene:

@@ -53,6 +53,7 @@ def revoke(
 ) -> None:
     """Make a key worthless; a running service knows within two seconds."""
     revoke_key(_engine(home)[0], key)
+    print("revoked; a running service refuses it within two seconds", file=sys.stderr)
 
 
 @app.command("list")

@@ -47,7 +47,8 @@ class Settings:
     request_threads : threads that answer requests
     slots : jobs that run at once; workers : threads of the engine for each, None for all cores
     scheduler : where jobs run: threads, processes, or the address of a Dask scheduler
-    scheduler_s : how long a job that runs waits for a scheduler that is gone, without a tile done
+    scheduler_s : how long a job that runs waits for a scheduler or catalogue that is gone, without
+        a tile done
     dashboard : URL of that scheduler's dashboard, shown in jobs
     lease_s : after this silence of the dispatcher another process takes over
     free_bytes : with less disk than this the service says that it is not ready

@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from catalog_tools.catalogue import MANIFEST_NAME
 from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError, TryLater
 from pipeline.spec.load import InvalidScene, parse_scene
 from service import logs
@@ -150,6 +151,9 @@ def describe(error: Exception, order: dict[str, Any]) -> dict[str, Any]:
     """An error as the job shows it: one message, and the fields to mend; no path of the server,
     and uploaded files by the names that their user gave them."""
     mistakes: list[tuple[str, Any, str]] = []
+    if gone := _catalogues_gone(order):
+        message = f"the catalogue {gone[0]} is not there now"
+        return {"kind": "try later", "message": message, "errors": []}
     if isinstance(error, InvalidScene):
         mistakes = error.mistakes
     elif isinstance(error, BadInput):
@@ -178,6 +182,15 @@ def describe(error: Exception, order: dict[str, Any]) -> dict[str, Any]:
     else:
         message = "an internal fault; the server's log tells more"
     return {"kind": "fault", "message": message, "errors": []}
+
+
+def _catalogues_gone(order: dict[str, Any]) -> list[str]:
+    """Registered catalogues that an accepted scene names and whose folder or link is gone."""
+    scene = order["scene"]
+    scene = scene.get("scene", scene)  # of a sweep: its base
+    named = (scene.get("stars") or {}).get("catalogue") or []
+    names = [named] if isinstance(named, str) else named
+    return [name for name in names if not (Path(name) / MANIFEST_NAME).is_file()]
 
 
 def _without_paths(mistake: tuple[str, Any, str], order: dict[str, Any]) -> tuple[str, Any, str]:

@@ -45,7 +45,8 @@ def _completeness(axes: Any, study: dict[str, Any]) -> None:
         for k, v in study["finders"].items()
     )
     axes.set_title(
-        f"targets found: {len(found)} of {len(study['targets'])}\nfalse alarms a frame: {told}",
+        f"found, each target by each finder: {len(found)} of {len(study['targets'])}\n"
+        f"false alarms a frame: {told}",
         fontsize=9, loc="left",
     )  # fmt: skip
     axes.set(xlabel="Gaia G [mag]", ylabel="share found", ylim=(-0.03, 1.05))

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from pipeline.errors import BadInput, shorten
 from pipeline.spec.dotted import NoFieldError, add_dotted, set_dotted
 from pipeline.spec.scene import Scene
-from pipeline.spec.wording import words_of
+from pipeline.spec.wording import range_of, words_of
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
@@ -330,7 +330,10 @@ def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
         if words:
             but = ", not true or false" if error["type"] == "boolean" else ""
             return ".".join(names), value, f"allowed: {words[:380]}{but}"
-    return ".".join(names) or "scene", value, _allowed(error["msg"])[:400]
+    allowed = _allowed(error["msg"])[:400]
+    if of_scene and error["type"] in BEYOND and (whole := range_of(names)):
+        allowed += f" ({whole})"
+    return ".".join(names) or "scene", value, allowed
 
 
 # Values of a wrong type altogether: what the format takes there is told instead of how it failed.
@@ -339,6 +342,9 @@ WRONG_TYPE = {
     "int_from_float", "int_parsing", "int_type", "list_type", "literal_error",
     "model_attributes_type", "model_type", "string_type", "tuple_type",
 }  # fmt: skip
+
+# Values beyond one end of a range: both ends are told.
+BEYOND = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 
 
 WORDING = (  # pydantic's words, and ours

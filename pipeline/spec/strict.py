@@ -37,6 +37,7 @@ class Strict(BaseModel):
     def _refuse_unknown_keys(cls, data: Any) -> Any:
         if isinstance(data, dict):
             known, not_bool = _keys(cls)
+            _check_schema(cls, data)
             for key in data:
                 if key not in known:
                     raise unknown_key(str(key), sorted(known))
@@ -46,6 +47,21 @@ class Strict(BaseModel):
                         "boolean", "allowed: a number or text, not true or false", {"field": key}
                     )
         return data
+
+
+def _check_schema(model: type[Strict], data: dict[str, Any]) -> None:
+    """A file of another kind is told by its `schema`, not by the first key that it has more."""
+    field = model.model_fields.get("schema_")
+    given = data.get("schema")
+    if field is None or not isinstance(given, str):
+        return
+    (own,) = get_args(field.annotation)
+    if given == own:
+        return
+    allowed, kind = f"allowed: {own!r}", given.partition("/")[2].partition("/")[0]
+    if kind in {"scene", "sweep"} - {own.split("/")[1]}:
+        allowed += f"; this is a {kind}"
+    raise PydanticCustomError("schema", "{allowed}", {"allowed": allowed, "field": "schema"})
 
 
 @cache

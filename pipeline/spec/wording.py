@@ -26,6 +26,17 @@ def words_of(field: Sequence[str]) -> str:
     return ", or ".join(found)
 
 
+def range_of(field: Sequence[str]) -> str:
+    """Both ends of what the field takes, `-90 to 90`; empty where it has not both, or several."""
+    found = set()
+    for node in (one for at in _nodes(field) for one in _choices(at)):
+        low = node.get("minimum", node.get("exclusiveMinimum"))
+        high = node.get("maximum", node.get("exclusiveMaximum"))
+        if low is not None and high is not None:
+            found.add(f"{low:.15g} to {high:.15g}")
+    return found.pop() if len(found) == 1 else ""
+
+
 @cache
 def _schema() -> Node:
     from pipeline.spec.scene import Scene

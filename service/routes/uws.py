@@ -18,7 +18,7 @@ from starlette.concurrency import run_in_threadpool
 from pipeline.errors import BadInput
 from pipeline.store import layout
 from service import frames, uws_xml
-from service.bodies import parse_json, read_body
+from service.bodies import JSON, YAML, parse_text, read_body
 from service.context import Context, Service
 from service.files import list_files
 from service.gate import allow_time
@@ -32,7 +32,7 @@ FORM = "application/x-www-form-urlencoded"
 FORM_BODY = {
     "requestBody": {
         "required": True,
-        "description": "Parameters of UWS; SCENE is a scene as JSON text.",
+        "description": "Parameters of UWS; SCENE is a scene as JSON or YAML text.",
         "content": {FORM: {"schema": {"type": "object"}}},
     }
 }
@@ -68,7 +68,7 @@ async def create(request: Request, service: Service) -> Response:
         raise BadInput(f"?{unknown[0]}", given[unknown[0]], ", ".join(sorted(KNOWN)))
     scene = await run_in_threadpool(_scene, service, given)
     if scene is None:
-        raise BadInput("?SCENE", None, "a scene as JSON text")
+        raise BadInput("?SCENE", None, "a scene as JSON or YAML text")
     await service.looks.judge(request, service.caller.team, scene)
     phase = Phase.QUEUED if _runs(given) else Phase.PENDING
     digest = hashlib.sha256(json.dumps(scene, sort_keys=True).encode()).hexdigest()
@@ -201,7 +201,8 @@ def _scene(service: Context, given: Mapping[str, str]) -> dict[str, Any] | None:
     text = next((given[name] for name in SCENE_NAMES if given.get(name, "").strip()), None)
     if text is None:
         return None
-    data = parse_json(text.encode("utf-8", "surrogatepass"))
+    kind = JSON if text.lstrip()[:1] == "{" else YAML
+    data = parse_text(text.encode("utf-8", "surrogatepass"), kind)
     return accept_scene(data, service.settings, service.has_file).as_dict()
 
 

@@ -18,6 +18,7 @@ from pipeline.physics.vectors import separation, unit
 from pipeline.spec.mesh import MeshBody, Reflecting
 
 trimesh = pytest.importorskip("trimesh")
+from pipeline.inputs import meshes  # noqa: E402
 from pipeline.inputs.meshes import gather_mesh, read_mesh  # noqa: E402
 
 MATT = {"kind": "lambert", "albedo": 0.5}
@@ -177,6 +178,18 @@ def test_other_formats_hold_the_same_cube(tmp_path, kind):
     size = np.ptp(mesh.corners_m.reshape(-1, 3), axis=0)
     np.testing.assert_allclose(size, [1, 2, 3], rtol=1e-6)
     assert mesh.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_a_glb_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    """Its JSON tells the facets of each mesh, as often as nodes hold it."""
+    box = trimesh.creation.box()
+    scene = trimesh.Scene(box)
+    scene.add_geometry(box, geom_name="other")
+    (tmp_path / "cubes.glb").write_bytes(scene.export(file_type="glb"))
+    monkeypatch.setattr(meshes, "MOST_FACETS", 23)
+    monkeypatch.setattr(trimesh, "load_scene", None)
+    with pytest.raises(BadInput, match=r"cubes\.glb of 24 facets.*at most 23"):
+        read_mesh(tmp_path / "cubes.glb", "m")
 
 
 def test_shells_that_are_inside_out_are_turned(tmp_path):

@@ -41,7 +41,7 @@ def test_keys_with_other_clients(
 ) -> None:  # fmt: skip
     server = make_server()
     [key] = server.make_keys("red")
-    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    (tmp_path / "scene.yaml").write_text(json.dumps(scene))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("NIGHTGLASS_KEY", key)
     codes = re.findall(r"(?s)```python\n(.*?)```", PAGE.read_text())

@@ -15,6 +15,7 @@ from typing import Any, cast
 import pytest
 import sqlalchemy as sa
 
+from catalog_tools.synthetic import make_demo
 from pipeline.run import render
 from pipeline.spec.load import parse_scene
 from service.attempts import Attempt
@@ -82,6 +83,31 @@ def test_a_job_may_be_given_little_time_and_a_short_life(
         assert time.monotonic() < deadline
         time.sleep(0.1)
     store.close()
+
+
+def test_a_job_waits_for_a_catalogue_that_is_gone(
+    make_server: Callable[..., Any], tmp_path: Path, scene: dict[str, Any]
+) -> None:
+    """It is tried again for as long as was set, ends with a word on the catalogue, and can be run
+    again; one whose link comes back in time is drawn."""
+    make_demo(tmp_path / "sky", faintest_g_mag=6.0)
+    server = make_server(NIGHTGLASS_SCHEDULER_S="6")
+    link = server.home / "catalogues" / "sky"
+    link.symlink_to(tmp_path / "sky")
+    frames = scene["exposure"] | {"frames": 1000}
+    before = server.submit(scene | {"exposure": frames})  # others wait behind it
+    named = [scene | {"stars": {"catalogue": "sky"}, "seed": seed} for seed in (1, 2)]
+    gone, back = map(server.submit, named)
+    link.unlink()
+    ended = server.ended(gone)
+    assert (ended["phase"], ended["error"]["kind"]) == ("ERROR", "try later")
+    assert ended["error"]["message"] == "the catalogue sky is not there now"
+    assert ended["attempt"] > 1
+    server.until(back, lambda found: found["attempt"] > 1)
+    link.symlink_to(tmp_path / "sky")
+    assert server.client.post(ended["links"]["retry"]).status_code == 202
+    for job in (before, back, gone):
+        assert server.ended(job)["phase"] == "COMPLETED"
 
 
 def test_time_in_the_queue_is_not_time_given() -> None:

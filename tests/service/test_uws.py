@@ -13,6 +13,8 @@ import pytest
 from pyvo.dal import AsyncTAPJob, DALQueryError, DALServiceError
 from pyvo.dal.tap import TAPService
 
+from pipeline.spec.load import parse_scene, scene_yaml
+
 UWS = "{http://www.ivoa.net/xml/UWS/v1.0}"
 XLINK = "{http://www.w3.org/1999/xlink}"
 NIL = "{http://www.w3.org/2001/XMLSchema-instance}nil"
@@ -43,7 +45,7 @@ def test_pyvo_creates_runs_waits_fetches_deletes(
     job.execution_duration = 600
     assert job.execution_duration.sec == 600
     scene["seed"] = 8
-    job.query = json.dumps(scene)
+    job.query = scene_yaml(parse_scene(scene))
     job.run().wait(timeout=60)
     assert job.phase == "COMPLETED"
     told = job.job
@@ -137,6 +139,7 @@ def test_results_are_a_datalink_table(server: Any, finished: str) -> None:
         ("", {}, 422, "SCENE"),
         ("", {"SCENE": "{"}, 400, "not JSON"),
         ("", {"SCENE": "{}"}, 422, "mistake"),
+        ("", {"SCENE": "a: [1\nb: 2"}, 400, "line 2"),
         ("", {"SCENE": "SCENE", "PHASE": "FLY"}, 422, "RUN"),
         ("", {"SCENE": "SCENE", "COLOR": "red"}, 422, "COLOR"),
         ("", {"SCENE": "SCENE", "DESTRUCTION": "soon"}, 422, "UTC"),

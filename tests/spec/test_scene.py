@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from pipeline.errors import BadInput, exit_code
 from pipeline.spec.dotted import changed
-from pipeline.spec.load import parse_scene, scene_yaml
+from pipeline.spec.load import InvalidScene, parse_scene, scene_yaml
 from pipeline.spec.scene import Scene
+from pipeline.spec.sweep_load import parse_sweep
 
 Data = dict[str, Any]
 
@@ -158,6 +159,26 @@ def test_unknown_keys_suggest_the_nearest(full: Data, key: str, near: str) -> No
     text = str(refusal(with_value(full, key, 1)))
     assert key in text
     assert f"did you mean {near!r}" in text
+
+
+def test_a_file_of_another_kind_is_told_by_its_schema(full: Data) -> None:
+    """Not by the first key that a sweep has more, or a scene."""
+    axes = [{"field": "seed", "values": [1]}]
+    sweep = {"schema": "nightglass/sweep/1", "name": "d", "scene": "s.yaml", "axes": axes}
+    parse_sweep(sweep)
+    for parse, data, other in ((parse_scene, sweep, "sweep"), (parse_sweep, full, "scene")):
+        with pytest.raises(InvalidScene) as told:
+            parse(data)
+        (mistake,) = told.value.mistakes
+        assert mistake[:2] == ("schema", data["schema"])
+        assert mistake[2].endswith(f"; this is a {other}")
+
+
+def test_both_ends_of_a_range_are_told(full: Data) -> None:
+    for value in (91.0, -91.0):
+        full["observer"] = {"kind": "ground", "latitude_deg": value, "longitude_deg": 0.0}
+        with pytest.raises(InvalidScene, match=r"observer\.latitude_deg.*\(-90 to 90\)"):
+            parse_scene(full)
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), float("-inf")])
