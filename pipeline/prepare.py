@@ -32,10 +32,9 @@ from pipeline.inputs.sensor import gather_sensor_maps
 from pipeline.inputs.stars import (
     Catalogue,
     Shard,
+    brightest_g_mags,
     cones_of,
-    fullest_rows,
     gather_shards,
-    groups_bright_enough,
 )
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.times import parse_utc
@@ -46,7 +45,6 @@ from pipeline.plan.brightest import brightest_star_e, brightest_target_e, star_r
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
-from pipeline.plan.forecast import forecast_stars
 from pipeline.plan.geometry import (
     camera_of,
     epochs_jyear,
@@ -59,8 +57,8 @@ from pipeline.plan.optics import check_motion
 from pipeline.plan.orbit_age import orbit_remarks
 from pipeline.plan.scene_plan import (
     Plan,
+    StarForecast,
     catalogue_cones,
-    field_area_sr,
     field_cones,
     make_plan,
     plan_dict,
@@ -81,7 +79,6 @@ if TYPE_CHECKING:
     from pipeline.store.cube import CubeWriter
 
 SLOW_S = 0.2  # of CPU: less says nothing of how long a scene takes
-LOOKED_AT = 5  # frames, spread over the scene, whose stars are counted
 
 
 @dataclass(frozen=True)
@@ -143,8 +140,8 @@ def _banded(scene: Scene) -> Scene:
 def prepare(scene: Scene) -> Prepared:
     """Read curves, fit, sensor images and the catalogues' manifests; decide.
 
-    No star is read but where there are layers: theirs in the field, and the main catalogue's
-    bright ones around them.
+    Stars are read of a few frames, to count them; where there are layers, theirs of all the field,
+    and the main catalogue's bright ones around them.
     """
     started = time.thread_time()
     scene = resolve(scene)
@@ -182,8 +179,8 @@ def prepare(scene: Scene) -> Prepared:
         scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction,
         tuple(warnings),
     )  # fmt: skip
-    plan = _with_engines(plan, catalogues, geometry)
     left_out = _left_out(plan, catalogues)
+    plan = _with_engines(plan, catalogues, left_out, geometry)
     decisions = (*plan.decisions, *layer_decisions(catalogues, left_out))
     doubts = (*judge(scene, decisions), *plan.warnings)
     plan = replace(plan, decisions=decisions, coverage=coverage, warnings=doubts)
@@ -216,7 +213,7 @@ def _brightest_e(
         cones = _cones_around(scene, g, star_radius_rad(scene, g))
         limit = scene.stars.faintest_g_mag
         groups = [
-            groups_bright_enough(catalogues[s.catalogue], s.leaf, limit)[1]
+            brightest_g_mags(catalogues[s.catalogue], s.leaf, limit)
             for s in gather_shards(catalogues, cones, limit)
         ]
         stars_e = brightest_star_e(scene, colour, (float(m) for g_mag in groups for m in g_mag))
@@ -243,21 +240,20 @@ def _judge_catalogues(
     return coverage
 
 
-def _with_engines(plan: Plan, catalogues: tuple[Catalogue, ...], geometry: Geometry) -> Plan:
-    """The plan with the stars' engines chosen by how many of them its fullest frame may hold."""
+def _with_engines(
+    plan: Plan, catalogues: tuple[Catalogue, ...], left_out: tuple[np.ndarray, ...],
+    geometry: Geometry,
+) -> Plan:  # fmt: skip
+    """The plan with the stars' engines chosen by those of its fullest frame."""
     if plan.scene.stars is None:
         return plan
-    from pipeline.plan.star_engines import choose_engines, star_counts
+    from pipeline.plan.star_engines import StarCounts, choose_engines
+    from pipeline.star_counts import frame_lights
 
-    limit, last = plan.scene.stars.faintest_g_mag, len(geometry.frame) - 1
-    counts = []
-    for frame in np.unique(np.linspace(0, last, LOOKED_AT).astype(int)):
-        shards = shards_of(plan, catalogues, geometry.frame_slice(int(frame)))
-        groups = [
-            (s.leaf, groups_bright_enough(catalogues[s.catalogue], s.leaf, limit)) for s in shards
-        ]
-        counts.append(star_counts(plan, groups))
-    return choose_engines(plan, geometry, max(counts, key=lambda c: float(c.rows.sum())))
+    found = frame_lights(
+        plan, catalogues, left_out, geometry, lambda g: shards_of(plan, catalogues, g)
+    )
+    return choose_engines(plan, geometry, StarCounts(*found))
 
 
 def _sky(
@@ -398,9 +394,10 @@ def forecast(prepared: Prepared) -> Any:
         return None
     frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
     g = plan_geometry(plan.scene, frames, plan.dut1_s)
-    shards, area_sr = shards_of(plan, catalogues, g), field_area_sr(plan)
-    fullest = fullest_rows(catalogues, shards, field_cones(plan, g)[0], area_sr)
-    return forecast_stars([s.leaf for s in shards], fullest)
+    leaves = [shard.leaf for shard in shards_of(plan, catalogues, g)]
+    groups = [group for leaf in leaves for group in leaf.row_groups]
+    rows, size = sum(g.rows for g in groups), sum(g.bytes for g in groups)
+    return StarForecast(len(leaves), len(groups), rows, size, plan.stars_per_frame)
 
 
 def _cones(plan: Plan, g: Geometry) -> tuple[Any, ...]:

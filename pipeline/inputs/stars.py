@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -61,56 +60,15 @@ def gather_shards(
     )
 
 
-def fullest_rows(
-    catalogues: Sequence[Catalogue], shards: Sequence[Shard], centres: np.ndarray, area_sr: float
-) -> float:
-    """Most rows of shards' row groups in a field of this area, as if each filled its cap evenly.
-
-    centres : (F, 3) unit vectors of the middles of fields; a field counts as a disc
-    """
-    radius = math.acos(max(-1.0, 1.0 - area_sr / (2.0 * math.pi)))
-    found = [
-        row_groups_of(catalogues[s.catalogue], s.leaf)[[g.row_group for g in s.leaf.row_groups]]
-        for s in shards
-    ]
-    if not found:
-        return 0.0
-    caps = np.concatenate(found)
-    caps_radius = 2.0 * np.sin(0.5 * np.minimum(caps["radius_rad"], np.pi))
-    chord = 2.0 * math.sin(0.5 * radius)
-    apart = (np.linalg.norm(caps["centre"] - centre, axis=-1) for centre in centres)
-    return max(float(disc_share(a, caps_radius, chord) @ caps["rows"]) for a in apart)
-
-
-def row_groups_of(catalogue: Catalogue, leaf: Leaf) -> np.ndarray:
-    """What the catalogue knows of the row groups of a whole leaf (n,)."""
+def brightest_g_mags(
+    catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float | None
+) -> np.ndarray:
+    """Brightest G of each of a whole leaf's row groups that are bright enough (n,)."""
     table = catalogue.leaf_table
     (index,) = np.flatnonzero((table["order"] == leaf.order) & (table["pixel"] == leaf.pixel))
     first, end = catalogue.first_row_groups[index : index + 2]
-    return catalogue.row_group_table[first:end]
-
-
-def disc_share(apart: np.ndarray, radius: np.ndarray, other: float) -> np.ndarray:
-    """Share of discs (n,) of these radii that another disc covers, `apart` from their middles."""
-    r = np.maximum(radius, 1e-12)
-    inside, beside = apart <= np.abs(r - other), apart >= r + other
-    d = np.where(inside | beside, np.maximum(r, other), apart)  # any at which circles cross
-    a = r**2 * np.arccos(np.clip((d**2 + r**2 - other**2) / (2.0 * d * r), -1.0, 1.0))
-    b = other**2 * np.arccos(np.clip((d**2 + other**2 - r**2) / (2.0 * d * other), -1.0, 1.0))
-    corner = (r + other - d) * (d + r - other) * (d - r + other) * (d + r + other)
-    lens = (a + b - 0.5 * np.sqrt(np.maximum(corner, 0.0))) / (math.pi * r**2)
-    share = np.where(inside, np.minimum(1.0, (other / r) ** 2), np.clip(lens, 0.0, 1.0))
-    return np.where(beside, 0.0, share)
-
-
-def groups_bright_enough(
-    catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, brightest and faintest G of a whole leaf's row groups that are bright enough (n,)."""
-    groups = row_groups_of(catalogue, leaf)
-    if faintest_g_mag is not None:
-        groups = groups[groups["brightest_g_mag"] <= faintest_g_mag]
-    return groups["rows"], groups["brightest_g_mag"], groups["faintest_g_mag"]
+    found = catalogue.row_group_table["brightest_g_mag"][first:end]
+    return found if faintest_g_mag is None else found[found <= faintest_g_mag]
 
 
 def leaf_pad_rad(leaf: Leaf, years: float, observer_distance_au: float) -> float:

@@ -1,4 +1,4 @@
-"""The plan: what a scene needs, with predicted time and memory; reads no star."""
+"""The plan: what a scene needs, with predicted time and memory."""
 
 from __future__ import annotations
 
@@ -64,6 +64,7 @@ class Plan:
     extinction: BandExtinction | None = None
     warnings: tuple[str, ...] = ()
     coverage: FieldCoverage | None = None
+    stars_per_frame: int = 0  # that light the fullest, of a few
 
     @property
     def frames(self) -> int:
@@ -104,7 +105,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class StarForecast:
-    """How many catalogue stars a frame holds, from the shards' row counts alone."""
+    """What is read of the catalogues, and how many of their stars light a frame."""
 
     shards: int
     row_groups: int
@@ -173,12 +174,6 @@ def catalogue_cones(
     seen = np.minimum(radius_rad + FIELD_MARGIN_RAD + np.zeros(len(centres)), math.pi)
     centres, seen = above_air(g, centres, seen)
     return unaberrated_caps(centres, seen, beta)
-
-
-def field_area_sr(plan: Plan) -> float:
-    """Solid angle of the focal plane and its halo [sr], for forecasts (small-angle)."""
-    sides = (n + 2.0 * plan.halo_px for n in (plan.camera.rows, plan.camera.columns))
-    return min(math.prod(sides) * plan.facts.ifov_rad**2, 4.0 * math.pi)
 
 
 def plan_dict(

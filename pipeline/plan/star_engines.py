@@ -1,25 +1,22 @@
 """Tables or star by star: the cheapest way to draw the stars of each core class and streak.
 
-The choice follows from the scene and from how many stars the catalogue's row groups tell of, never
-from tiles or workers. It changes costs alone: either way meets the bounds that the plan states.
+The choice follows from the scene and the stars of its fullest frame (of a few), never from tiles or
+workers. It changes costs alone: either way meets the bounds that the plan states.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from pipeline.arrays import Array, Geometry
-from pipeline.physics.colour import brightest_electrons
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.decision import Decision
-from pipeline.plan.forecast import LeafLike, share_in_field
 from pipeline.plan.responses import (
     FIELD_BYTES,
     STAMP_S,
@@ -31,7 +28,6 @@ from pipeline.plan.responses import (
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak, zone_streak
 from pipeline.plan.tiles import BLOCK_PX
-from pipeline.plan.timing import integration_range_s
 
 # Seconds a star and a sample of its transform for each segment of its path, a value of a table:
 # one core of the 2-core reference machine. A cubic stamp costs as much more as it has points.
@@ -39,55 +35,25 @@ ALONG_S, ALONG_S_PER_SAMPLE, TABLE_S_PER_VALUE = 2e-4, 9e-9, 4e-8
 CUBIC = 3.0
 FEWEST_PHASES, MOST_PHASES = 8, 32
 MIXTURE_BYTES = 48e6  # what the three tables of a mixture may take
-SURE = 4.0  # times cheaper must star by star be: counts are those of whole leaves
-SLOPE = 0.3  # of the logarithm of star counts over magnitude, within a row group
+SURE = 4.0  # times cheaper must star by star be: other frames may hold more
 FREQUENCIES = 65
 
 
 @dataclass(frozen=True)
 class StarCounts:
-    """How many stars of which G a frame holds: row groups (n,), in magnitude `SLOPE` steep.
+    """The stars that light a frame: their light [e-] (n,), sorted, and how many each stands for."""
 
-    rows : stars of each in a frame; brightest, faintest : magnitudes of each
-    zero_e : electrons of a star of G = 0
-    """
-
-    rows: Array
-    brightest: Array
-    faintest: Array
-    zero_e: float
+    light_e: Array
+    each: float = 1.0
 
     def brighter(self, light_e: float) -> float:
         """Stars of more light than so many electrons."""
-        if light_e <= 0.0:
-            return float(self.rows.sum())
-        g = 2.5 * math.log10(self.zero_e / light_e) if math.isfinite(light_e) else -math.inf
-        width = np.maximum(self.faintest - self.brightest, 1e-3)
-        at = np.clip(g - self.brightest, 0.0, width)
-        share = np.expm1(SLOPE * math.log(10.0) * at) / np.expm1(SLOPE * math.log(10.0) * width)
-        return float(np.where(g < self.brightest, 0.0, share) @ self.rows)
+        fainter = np.searchsorted(self.light_e, light_e, "right")
+        return self.each * float(len(self.light_e) - fainter)
 
     def between(self, low_e: float, high_e: float) -> float:
         """Stars of more than `low_e` and at most `high_e` electrons."""
-        return max(0.0, self.brighter(low_e) - self.brighter(high_e)) if low_e < high_e else 0.0
-
-
-def star_counts(
-    plan: Plan, leaves: Iterable[tuple[LeafLike, tuple[Array, Array, Array]]]
-) -> StarCounts:
-    """Counts of a frame from the row groups of its leaves, at each leaf's mean density.
-
-    leaves : each with the rows, brightest and faintest G magnitudes of its row groups
-    """
-    assert plan.colour is not None
-    found = [np.empty((3, 0))]
-    for leaf, groups in leaves:
-        found.append(np.array(groups, float))
-        found[-1][0] *= share_in_field(plan, leaf)
-    time_s = plan.integration_s(0) or integration_range_s(plan.scene)[0]  # 0: a bias frame
-    zero_e = brightest_electrons(plan.colour, plan.facts.area_m2, time_s)
-    rows, brightest, faintest = np.concatenate(found, axis=1)
-    return StarCounts(rows, brightest, faintest, zero_e)
+        return self.brighter(low_e) - self.brighter(high_e) if low_e < high_e else 0.0
 
 
 def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
@@ -118,12 +84,13 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
         classes.append(replace(core, phases=phases, mixed_phases=mixed))
         said += _said(core, usual, bright, phases, mixed, streak)
         low_e = core.brightest_e
-    sides = [(n + 2.0 * plan.halo_px) / n for n in plan.scene.sensor.shape]
     limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
-    expected = tuple(math.prod(sides) * counts.between(a, b) for a, b in pairwise(limits))
+    expected = tuple(counts.between(a, b) for a, b in pairwise(limits))
     spent_s = None if r.products else stars_s
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
-    return replace(plan, responses=made, decisions=(*plan.decisions, _decision(said)))
+    total = round(counts.each * len(counts.light_e))
+    decided = (*plan.decisions, _decision(said))
+    return replace(plan, responses=made, decisions=decided, stars_per_frame=total)
 
 
 def _blocks(plan: Plan) -> int:
@@ -225,5 +192,5 @@ def _said(
 
 
 def _decision(said: list[str]) -> Decision:
-    reason = "the cheapest by the counts of the catalogue's row groups; the bounds are the same"
+    reason = "the cheapest for the stars of the fullest frame; the bounds are the same"
     return Decision("star_engines", True, f"{'; '.join(said) or 'stamps from tables'}: {reason}")

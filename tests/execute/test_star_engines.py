@@ -26,7 +26,7 @@ from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
 
 SIDE = 512
-NOTHING = StarCounts(np.zeros(0), np.zeros(0), np.zeros(0), 1e10)
+NOTHING = StarCounts(np.zeros(0))
 
 
 def plan_of(streak_px: float, tile: int = SIDE) -> Plan:
@@ -52,8 +52,10 @@ def plan_of(streak_px: float, tile: int = SIDE) -> Plan:
 
 def chosen(plan: Plan, stars: float, g_mag: tuple[float, float]) -> Plan:
     """The plan for so many stars between two magnitudes, of 1e10 e- at G = 0."""
-    rows = StarCounts(np.array([stars]), np.array([g_mag[0]]), np.array([g_mag[1]]), 1e10)
-    return choose_engines(plan, plan_geometry(plan.scene, np.zeros(1, int), 0.0), rows)
+    share = np.linspace(0.0, 1.0, int(stars))
+    g = g_mag[0] + np.log10(1.0 + share * (10.0 ** (0.3 * np.ptp(g_mag)) - 1.0)) / 0.3
+    counts = StarCounts(np.sort(1e10 * 10.0 ** (-0.4 * g)))
+    return choose_engines(plan, plan_geometry(plan.scene, np.zeros(1, int), 0.0), counts)
 
 
 def engines(plan: Plan) -> list[tuple[int, int]]:
@@ -125,15 +127,11 @@ def test_bound_of_cubic_interpolation(optics, length_px):
 
 
 @given(
-    at=st.lists(st.tuples(st.floats(1, 1e6), st.floats(3, 15), st.floats(0, 4)), max_size=5),
+    lights=st.lists(st.floats(1e-3, 1e12), max_size=9), each=st.sampled_from([1.0, 7.0]),
     edges=st.lists(st.floats(1e-3, 1e12), min_size=2, max_size=6),
 )
-def test_counts_add_up(at, edges):
-    rows, brightest, width = (
-        np.array(v, float) for v in (zip(*at, strict=True) if at else ((),) * 3)
-    )
-    counts = StarCounts(rows, brightest, brightest + width, 1e10)
+def test_counts_add_up(lights, each, edges):
+    counts = StarCounts(np.sort(np.array(lights, float)), each)
     edges = [0.0, *sorted(edges), np.inf]
     parts = [counts.between(a, b) for a, b in pairwise(edges)]
-    assert min(parts) >= 0.0
-    assert sum(parts) == pytest.approx(rows.sum(), rel=1e-9, abs=1e-9)
+    assert parts == [each * sum(a < e <= b for e in lights) for a, b in pairwise(edges)]

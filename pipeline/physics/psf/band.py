@@ -213,12 +213,16 @@ def choose_wavelengths(
     widths = WIDTHS if limit is None else min(max(WIDTHS, limit.widths), MOST_WIDTHS)
 
     @cache
+    def field(n: int) -> _Field:
+        """The whole band's light, by n wavelengths."""
+        return _Field(replace(blur, optics=mixed(n, True)[0]), widths)
+
+    @cache
     def errors(n: int) -> tuple[float, float]:
         """Of n wavelengths: over the light, and beside the brightest source over the noise."""
-        of_n, whole = (
-            replace(blur, optics=mixed(k, True)[0]) for k in (n, 2 * n if n in MANY else REFERENCE)
-        )
-        difference, light = _compared(of_n, whole, widths)
+        whole = field(2 * n if n in MANY else REFERENCE)
+        difference = whole.difference(replace(blur, optics=mixed(n, True)[0]))
+        light = whole.light
         beside = 0.0 if limit is None else limit.error_sigma(difference, light)
         return float(np.abs(difference).max()), beside
 
@@ -250,25 +254,30 @@ def _first(holds: Callable[[int], bool], last: int) -> int:
     return high
 
 
-def response_difference(one: Blur, other: Blur) -> float:
-    """Largest difference of any pixel at any sub-pixel place, over the source's light.
+class _Field:
+    """The light of a round response per unit light, over a quarter of a field of some widths.
 
-    Both responses are sampled so finely that what lies between is within two percent (six times
-    as finely as pixels, where that takes no more than SAMPLES); the light near the core decides,
-    so that a field of some widths is enough.
+    Sampled so finely that what lies between is within two percent (six times as finely as pixels,
+    where that takes no more than SAMPLES). Round optics, jitter and pixels are even along both
+    axes, so that a cosine transform of a quarter of the frequencies holds all.
     """
-    return float(np.abs(_compared(one, other, WIDTHS)[0]).max())
 
+    def __init__(self, blur: Blur, widths: float) -> None:
+        scale = max(blur.optics.scale_px, blur.jitter_px, blur.diffusion_px)
+        period = int(np.ceil(widths * scale)) + 12
+        finer = max(blur.band_limit(1e-3), min(1.0, SAMPLES / (6.0 * period)))
+        half = scipy.fft.next_fast_len(int(np.ceil(3.0 * period * finer)))
+        self._f, self._over_area = np.arange(half + 1) / period, 1.0 / period**2
+        self._transfer = self._of(blur)
+        self.light = self._image(self._transfer)
 
-def _compared(one: Blur, other: Blur, widths: float) -> tuple[Array, Array]:
-    """The difference of two responses, and the other one, per unit light over a field of widths."""
-    band = max(one.band_limit(1e-3), other.band_limit(1e-3))
-    scale = max(one.optics.scale_px, other.optics.scale_px, one.jitter_px, one.diffusion_px)
-    period = int(np.ceil(widths * scale)) + 12
-    finer = max(band, min(1.0, SAMPLES / (6.0 * period)))
-    n = scipy.fft.next_fast_len(int(np.ceil(period * 6.0 * finer)))
-    fy, fx = scipy.fft.fftfreq(n, period / n)[:, None], scipy.fft.rfftfreq(n, period / n)[None, :]
-    density = (n / period) ** 2
-    first, second = one.transfer(fy, fx), other.transfer(fy, fx)
-    found = [scipy.fft.irfft2(t, s=(n, n)) * density for t in (first - second, second)]
-    return found[0], found[1]
+    def difference(self, blur: Blur) -> Array:
+        """Of another response's light from this one's."""
+        return self._image(self._of(blur) - self._transfer)
+
+    def _of(self, blur: Blur) -> Array:
+        return np.real(blur.transfer(self._f[:, None], self._f[None, :]))
+
+    def _image(self, transfer: Array) -> Array:
+        found: Array = scipy.fft.dctn(transfer, type=1) * self._over_area
+        return found

@@ -15,7 +15,6 @@ from pipeline.physics.psf.band import (
     _first,
     band_wavelengths,
     choose_wavelengths,
-    response_difference,
 )
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.seeing import Kolmogorov
@@ -23,6 +22,17 @@ from pipeline.physics.psf.seeing import Kolmogorov
 BOX = (np.array([400e-9, 900e-9]), np.ones(2))
 TRIANGLE = (np.array([400e-9, 500e-9, 900e-9]), np.array([0.0, 1.0, 0.2]))
 MEAN = 650e-9
+
+
+def response_difference(one: Blur, other: Blur) -> float:
+    """Largest difference of two responses anywhere within some widths, over the light: by sums of
+    waves over all frequencies, at places a sixth of a pixel or of their finest wave apart."""
+    period = 24.0 * max(1.0, one.optics.scale_px, other.optics.scale_px) + 12.0
+    finer = 6.0 * max(1.0, one.band_limit(1e-3), other.band_limit(1e-3))
+    n = round(finer * period)
+    fy, fx = np.fft.fftfreq(n, period / n)[:, None], np.fft.rfftfreq(n, period / n)[None, :]
+    transfer = one.transfer(fy, fx) - other.transfer(fy, fx)
+    return float((n / period) ** 2 * np.abs(np.fft.irfft2(transfer, s=(n, n))).max())
 
 
 def mixture(make, band, count: int) -> Mixture:  # type: ignore[no-untyped-def]
