@@ -68,7 +68,8 @@ def test_parts_one_after_the_other(tmp_path, whole):
     assert report["content_digest"] == whole == content_digest(product)
     assert check(product).whole
     assert xr.open_zarr(product / "cube.zarr").chunks["frame"] == (1, 1, 1)
-    assert join(product) == report == render_part(scene, product, Share(1, 3))
+    again = report | {"drawn_before": True}
+    assert join(product) == again == render_part(scene, product, Share(1, 3))
     with pytest.raises(BadInput, match="same scene"):
         render_part(parse_scene(SCENE | {"seed": 9}), tmp_path / "run", Share(1, 3))
 

@@ -316,7 +316,7 @@ def test_what_another_writer_ends_while_one_waits_is_seen(starry, product, monke
         return only_writer(path, shared)
 
     monkeypatch.setattr("pipeline.store.layout.only_writer", waits)
-    assert render(scene, product, AGAIN) == rivals[1]
+    assert render(scene, product, AGAIN) == rivals[1] | {"drawn_before": True}
     assert check(product).whole
 
 
