@@ -161,6 +161,17 @@ def test_a_curve_that_ends_early_is_refused_where_it_is_needed(scene, tmp_path):
     assert planned(scene, wish, at(100.0, 20.0))[-1].grids.max() == 0.0
 
 
+@pytest.mark.parametrize(("end_deg", "refused"), [(36.0, True), (40.0, False)])
+def test_a_curve_reaches_to_the_far_side_of_the_earth(scene, tmp_path, end_deg, refused):
+    """Seen from 4.2e7 m the Earth's disc goes from 21.3 to 38.7 degrees (and half a field)."""
+    path = tmp_path / "pst.csv"
+    path.write_text(f"angle_deg,pst\n1,1e-4\n10,1e-6\n{end_deg},1e-8\n")
+    wish = {"pst": {"kind": "table", "path": str(path)}, "sun": False, "moon": False}
+    allowed = pytest.raises(BadInput, match="angles up to 38.98 degrees") if refused else nullcontext()
+    with allowed:
+        planned(scene, wish, at(150.0, 0.0))
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
