@@ -157,7 +157,9 @@ def test_csv(tmp_path: Path, unit: str, scale: str, velocities: bool) -> None:
     assert np.linalg.norm(speed - truth(at)[1], axis=1).max() < 0.1 * room
 
 
-def oem(frame: str, places: np.ndarray, speeds: np.ndarray, times: list[str]) -> str:
+def oem(
+    frame: str, places: np.ndarray, speeds: np.ndarray, times: list[str], scale: str = "UTC"
+) -> str:
     rows = "\n".join(
         " ".join([t, *(f"{x:.9f}" for x in 1e-3 * np.concatenate([p, v]))])
         for t, p, v in zip(times, places, speeds, strict=True)
@@ -170,7 +172,7 @@ OBJECT_NAME = SAT
 OBJECT_ID = 2017-001A
 CENTER_NAME = EARTH
 REF_FRAME = {frame}
-TIME_SYSTEM = UTC
+TIME_SYSTEM = {scale}
 START_TIME = {times[0]}
 STOP_TIME = {times[-1]}
 META_STOP
@@ -210,6 +212,21 @@ def test_oem_frames_against_astropy(tmp_path: Path, frame: str) -> None:
     true, true_speed = two_body(np.array([7e6, 0, 0]), np.array([0, 6000.0, 5500.0]), at)
     assert np.linalg.norm(found - true, axis=1).max() < 0.05
     assert np.linalg.norm(moving - true_speed, axis=1).max() < 2e-3
+
+
+@pytest.mark.parametrize("scale", ["TT", "TDB", "TAI"])
+def test_oem_time_scales_against_astropy(tmp_path: Path, scale: str) -> None:
+    """The same instants told in another scale by astropy are the same instants, to a microsecond."""
+    t = np.arange(-1800.0, 1801.0, 60.0)
+    place, speed = two_body(np.array([7e6, 0, 0]), np.array([0, 6000.0, 5500.0]), t)
+    times = Time("2017-02-14T06:07:00", scale="utc", precision=9) + t * u.s
+    path = tmp_path / "sat.oem"
+    texts = list(getattr(times, scale.lower()).isot)
+    path.write_text(oem("EME2000", place, speed, texts, scale))
+    orbit = table({"kind": "ephemeris", "path": str(path), "object": "2017-001A"})
+    found, _ = states(orbit, np.array([0.0, 60.0]))
+    true = place[[30, 31]]
+    assert np.linalg.norm(found - true, axis=1).max() < 0.01
 
 
 def test_pole_against_astropy() -> None:
