@@ -56,6 +56,22 @@ def test_parts_hold_every_tile_once(parts):
     assert max(b - a for a, b in spans) - min(b - a for a, b in spans) <= 1
 
 
+@pytest.mark.parametrize("parts", [2, 3, 4, 5, 7, 11, 18, 40])
+def test_the_part_that_lacks_a_tile_is_named(parts):
+    """By the same division that gave the tile to it, also where it is not an even one."""
+    from pipeline.prepare import prepare
+    from pipeline.shares import lacking
+
+    plan = prepare(parse_scene(SCENE)).plan
+    all_tiles = {(f, t.row, t.column) for f in range(plan.frames) for t in plan.tiles}
+    for gone in all_tiles:
+        mine = [k for k in range(1, parts + 1) if Share(k, parts).mine(plan)(*gone)]
+        truth = {("cosmic_rays", f) for f in range(plan.frames)}
+        found = lacking(plan, all_tiles - {gone}, truth)
+        said = found.told("run", plan, [f"part-1-of-{parts}"], ())
+        assert f"run part(s) {mine[0]}/{parts} again" in said
+
+
 def test_parts_one_after_the_other(tmp_path, whole):
     """In any order; the last one finishes it; a part may be run again."""
     product, scene = tmp_path / "run", parse_scene(SCENE)

@@ -126,6 +126,28 @@ def test_damage_is_named(made):
     assert check_url(url).whole
 
 
+@pytest.mark.parametrize("seal", ["cube.zarr/zarr.json", "_COMPLETE"])
+def test_a_product_cut_off_while_it_is_sealed_is_not_whole(bucket, seal, monkeypatch):
+    """The mark of a whole product comes after the cube's group: one without the other opens."""
+    from catalog_tools.objects import Objects
+    from pipeline.remote import check_url, render_to_url
+
+    url, scene, put = f"{bucket}/seal-{seal[-4:]}", parse_scene(SCENE), Objects.put
+
+    def killed(self, name, content, *args, **kwargs):
+        if name == seal:
+            raise KeyboardInterrupt
+        return put(self, name, content, *args, **kwargs)
+
+    with monkeypatch.context() as cut, pytest.raises(KeyboardInterrupt):
+        cut.setattr(Objects, "put", killed)
+        render_to_url(scene, url, HERE)
+    assert Objects(url).get("_COMPLETE") is None
+    assert not check_url(url).complete
+    assert render_to_url(scene, url, replace(HERE, resume=True))["tiles_resumed"] == 4
+    assert check_url(url).whole
+
+
 def test_an_interrupted_product_is_not_whole_and_goes_on(bucket, local):
     """What is cut off shows no cube; --resume draws what is missing or damaged, and only that."""
     from catalog_tools.objects import Objects

@@ -216,7 +216,7 @@ def test_oem_frames_against_astropy(tmp_path: Path, frame: str) -> None:
 
 @pytest.mark.parametrize("scale", ["TT", "TDB", "TAI"])
 def test_oem_time_scales_against_astropy(tmp_path: Path, scale: str) -> None:
-    """The same instants told in another scale by astropy are the same instants, to a microsecond."""
+    """The same instants told in another scale by astropy come back, to a microsecond."""
     t = np.arange(-1800.0, 1801.0, 60.0)
     place, speed = two_body(np.array([7e6, 0, 0]), np.array([0, 6000.0, 5500.0]), t)
     times = Time("2017-02-14T06:07:00", scale="utc", precision=9) + t * u.s

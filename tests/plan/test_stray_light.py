@@ -167,8 +167,7 @@ def test_a_curve_reaches_to_the_far_side_of_the_earth(scene, tmp_path, end_deg, 
     path = tmp_path / "pst.csv"
     path.write_text(f"angle_deg,pst\n1,1e-4\n10,1e-6\n{end_deg},1e-8\n")
     wish = {"pst": {"kind": "table", "path": str(path)}, "sun": False, "moon": False}
-    allowed = pytest.raises(BadInput, match="angles up to 38.98 degrees") if refused else nullcontext()
-    with allowed:
+    with pytest.raises(BadInput, match="angles up to 38") if refused else nullcontext():
         planned(scene, wish, at(150.0, 0.0))
 
 
