@@ -40,7 +40,8 @@ def cpu_ns(work: Callable[[], Any], repeats: int) -> float:
 
 
 def place(frame: int) -> StreamPlace:
-    return StreamPlace(0, 0, frame, stream_key(1, "photon_noise"), stream_key(1, "read_noise"))
+    keys = [stream_key(1, n) for n in ("photon_noise", "read_noise", "photon_and_read_noise")]
+    return StreamPlace(0, 0, frame, *keys)
 
 
 def level(mean_e: float, repeats: int, workers: int) -> dict[str, float]:

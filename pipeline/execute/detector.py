@@ -62,6 +62,7 @@ def stream_place(scene: Scene, tile: Tile, frame: int) -> StreamPlace:
     d, seed = scene.sensor.detector or NONE, scene.seed
     return StreamPlace(
         tile.y0, tile.x0, frame, stream_key(seed, "photon_noise"), stream_key(seed, "read_noise"),
+        stream_key(seed, "photon_and_read_noise"),
         stream_key(seed, "row_noise") if d.row_noise_e > 0 else None,
         stream_key(seed, "column_noise") if d.column_noise_e > 0 else None,
     )  # fmt: skip

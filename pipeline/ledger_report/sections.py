@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -12,6 +13,7 @@ from pipeline.execute.tile import tile_light
 from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
 from pipeline.ledger_report.scenes import SIDE, before, mean_e, scene, whole
 from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
+from pipeline.physics.noise.joint import ABOVE_E, READ_E, joint_quantile
 from pipeline.physics.noise.streams import poisson_image
 from pipeline.physics.noise.transfer import lagged_e
 from pipeline.prepare import prepare
@@ -48,7 +50,7 @@ def neutral(_: Bench) -> Iterator[Found]:
     rng = np.random.default_rng(2)
     mean = rng.uniform(10.0, 1e4, (512, 512))
     ones, none = np.ones(mean.shape), np.zeros(mean.shape)
-    place, nowhere = StreamPlace(0, 0, 0, (1, 2), (3, 4)), np.zeros(0, np.int64)
+    place, nowhere = StreamPlace(0, 0, 0, (1, 2), (3, 4), (5, 6)), np.zeros(0, np.int64)
     plain = Chain(1.0, 0.0, None, 5.0, 1.5, 0.0, 32)
     full = Chain(ones, none, 1e300, 5.0 * ones, 1.5 * ones, none, 32, bad=(nowhere,) * 3)
     out_s, a = timed(lambda: to_dn(mean * plain.flat + plain.dark_e, plain, place), 3)
@@ -68,7 +70,7 @@ def rounding(_: Bench) -> Iterator[Found]:
     for way in ("half_even", "floor"):
         plan = prepare(parse_scene(scene({"sensor.adc_rounding": way}))).plan
         chain = Chain(1.0, 0.0, None, 0.0, gain, 0.0, 63, rounding=way, photon_noise=False)
-        place = StreamPlace(0, 0, 0, (0, 0), (0, 0))
+        place = StreamPlace(0, 0, 0, (0, 0), (0, 0), (0, 0))
         in_s, dn = timed(lambda chain=chain, place=place: to_dn(mean, chain, place), 3)  # type: ignore[misc]
         out_s, _ = timed(lambda: mean / gain, 3)
         exact = [Fraction(float(m)) / Fraction(gain) for m in mean.ravel()]
@@ -93,6 +95,25 @@ def large_means(_: Bench) -> Iterator[Found]:
     bound, unit = stated(prepare(parse_scene(scene())).plan, "gaussian_for_poisson")
     yield Found("gaussian_for_poisson", "a mean of 1e8, against scipy's Poisson", bound, off, unit,
                 out_s, in_s)  # fmt: skip
+
+
+@probe("one_noise_draw")
+def one_draw(_: Bench) -> Iterator[Found]:
+    """The quantile that photon and read noise share, at the limits of its use."""
+    from scipy.stats import norm, poisson
+
+    z, n = np.linspace(-6.0, 6.0, 4001), np.arange(0.0, 400.0)
+    quantiles = [joint_quantile(float(v), ABOVE_E, READ_E) for v in z]
+    exact = poisson.pmf(n, ABOVE_E) @ norm.cdf((np.array(quantiles) - n[:, None]) / READ_E)
+    mean = np.full((512, 512), ABOVE_E)
+    place = StreamPlace(0, 0, 0, (1, 2), (3, 4), (5, 6))
+    one = Chain(1.0, 0.0, None, READ_E, 1.0, 100.0, 16)
+    two = replace(one, linearity=(np.array([0.0, 1.0]), np.array([0.0, 1.0])))
+    out_s, _x = timed(lambda: to_dn(mean, two, place), 3)
+    in_s, _x = timed(lambda: to_dn(mean, one, place), 3)
+    bound, unit = stated(prepare(parse_scene(scene())).plan, "one_noise_draw")
+    yield Found("one_noise_draw", "10 e- and 1.5 e- of read noise, against sums of normal "
+                "integrals", bound, most(exact - norm.cdf(z)), unit, out_s, in_s)  # fmt: skip
 
 
 @probe("detector_extras")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from pipeline.physics.noise.joint import ABOVE_E, DISTANCE, REACH, READ_E
 from pipeline.physics.positions.focal_plane import stretch
 from pipeline.physics.psf.band import BandOptics
 from pipeline.physics.psf.product import PHASES
@@ -114,7 +115,25 @@ def _noise_terms(scene: Scene) -> list[Decision]:
                 bound=7e-6, unit="of the distribution function",
             )
         )  # fmt: skip
+    if _one_draw(scene):
+        out.append(
+            Decision(
+                "one_noise_draw", True,
+                f"pixels of {ABOVE_E:g} e- and {READ_E:g} e- of read noise or more, the full well "
+                f"{REACH:g} deviations away, take photon and read noise in one draw, by its "
+                "quantile to third order; the mean is exact",
+                bound=DISTANCE, unit="of the distribution function",
+            )
+        )  # fmt: skip
     return out
+
+
+def _one_draw(scene: Scene) -> bool:
+    """Whether some pixels may take photon and read noise in one draw."""
+    s, d = scene.sensor, scene.sensor.detector
+    enough = not isinstance(s.read_noise_e, float) or s.read_noise_e >= READ_E
+    bent = d is not None and (d.blooming or d.nonlinearity is not None)
+    return s.photon_noise and enough and not bent
 
 
 def _optics(scene: Scene) -> list[Decision]:

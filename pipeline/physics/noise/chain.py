@@ -8,13 +8,14 @@ them. What a chain does not have costs nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.physics.noise.joint import measured_image
 from pipeline.physics.noise.streams import poisson_image, standard_normals
-from pipeline.physics.noise.wells import bloom, levels, measured_e
+from pipeline.physics.noise.wells import bloom, measured_e
 
 Array = NDArray[np.float64]
 Value = float | Array
@@ -66,6 +67,7 @@ class StreamPlace:
     frame: int
     photon_key: tuple[int, int]
     read_key: tuple[int, int]
+    joint_key: tuple[int, int]
     row_key: tuple[int, int] | None = None
     column_key: tuple[int, int] | None = None
 
@@ -92,18 +94,10 @@ def to_dn(
     step = rows if chain.blooming else max(1, BAND_PX // max(1, columns))
     out = np.empty(mean_e.shape, dn_type(chain.adc_bits))
     offsets = _offsets_e(chain, place, rows, columns)
-    bent = chain.blooming or chain.linearity is not None
-    noisy = bool(np.any(np.asarray(chain.read_noise_e) > 0))
-    plain = noisy and not bent and not offsets and chain.adc_bits <= EXACT_BITS
     for start in range(0, rows, step):
         part = slice(start, min(start + step, rows))
-        charge = _collected_e(mean_e[part], chain, place, start)
-        if drawn_e is not None:
-            charge += drawn_e[part]
-        if plain:
-            out[part] = _plain_levels(charge, chain, place, part)
-            continue
-        signal = _measured_e(charge, chain, place, part)
+        signal = _measured_e(mean_e[part], None if drawn_e is None else drawn_e[part], chain,
+                             replace(place, y0=place.y0 + start), part)  # fmt: skip
         for offset in offsets:
             signal += offset if offset.shape[0] == 1 else offset[part]
         signal /= _cut_value(chain.gain_e_per_dn, part)
@@ -118,48 +112,38 @@ def _cut_value(value: Value, rows: slice) -> Value:
     return value[rows] if isinstance(value, np.ndarray) else value
 
 
-def _collected_e(mean_e: Array, chain: Chain, place: StreamPlace, first_row: int) -> Array:
-    """Electrons that photons and dark current leave in some rows of a tile."""
-    if not chain.photon_noise:
-        return mean_e.copy()
-    k0, k1 = place.photon_key
+def _measured_e(
+    mean_e: Array, drawn_e: Array | None, chain: Chain, place: StreamPlace, part: slice
+) -> Array:
+    """What the read-out makes of rows `part` of a tile: photon noise, full well, non-linearity and
+    read noise; `place` of their first pixel."""
     mean_e = np.ascontiguousarray(mean_e)  # one compiled form is enough
-    return poisson_image(mean_e, place.y0 + first_row, place.x0, place.frame, k0, k1)
-
-
-def _plain_levels(charge: Array, chain: Chain, place: StreamPlace, part: slice) -> Array:
-    """Levels of some rows of a chain without extras: what the steps below give, in one pass."""
-    (rows, columns), (k0, k1) = charge.shape, place.read_key
-    draws = standard_normals(rows, columns, place.y0 + part.start, place.x0, place.frame, k0, k1)
-
-    def row_wise(value: Value) -> Array:
-        cut = np.asarray(_cut_value(value, part), float)
-        return np.ascontiguousarray(cut) if cut.ndim else np.full((1, columns), cut)
-
-    well = row_wise(np.inf if chain.full_well_e is None else chain.full_well_e)
-    read, gain = row_wise(chain.read_noise_e), row_wise(chain.gain_e_per_dn)
-    bias, top = row_wise(chain.bias_dn), float((1 << chain.adc_bits) - 1)
-    down = chain.rounding == "floor"
-    levels(np.ascontiguousarray(charge), draws, well, read, gain, bias, top, down)
-    return draws
-
-
-def _measured_e(charge: Array, chain: Chain, place: StreamPlace, part: slice) -> Array:
-    """What the read-out makes of the charge (in place): full well, non-linearity, read noise."""
-    if chain.full_well_e is not None:
-        full_well_e = _cut_value(chain.full_well_e, part)
-        if chain.blooming:
-            bloom(charge, np.broadcast_to(np.asarray(full_well_e, float), charge.shape))
-        np.minimum(charge, full_well_e, out=charge)
+    (rows, columns), at = mean_e.shape, (place.y0, place.x0, place.frame)
+    read_e = _cut_value(chain.read_noise_e, part)
+    well_e = _cut_value(np.inf if chain.full_well_e is None else chain.full_well_e, part)
+    noisy, bent = bool(np.any(np.asarray(read_e) > 0)), chain.linearity is not None
+    if noisy and chain.photon_noise and not (bent or chain.blooming):
+        terms = [0.0 if drawn_e is None else drawn_e, well_e, read_e]
+        drawn, well, read = (_row_wise(v, columns) for v in terms)
+        keys = place.joint_key, place.photon_key, place.read_key
+        return np.asarray(measured_image(mean_e, drawn, well, read, *at, *keys))
+    charge = poisson_image(mean_e, *at, *place.photon_key) if chain.photon_noise else mean_e.copy()
+    if drawn_e is not None:
+        charge += drawn_e
+    if chain.blooming:
+        bloom(charge, np.broadcast_to(np.asarray(well_e, float), charge.shape))
+    np.minimum(charge, well_e, out=charge)
     if chain.linearity is not None:
         charge = measured_e(charge, *chain.linearity)
-    if np.any(np.asarray(chain.read_noise_e) > 0):
-        y0 = place.y0 + part.start
-        (rows, columns), (k0, k1) = charge.shape, place.read_key
-        draws = standard_normals(rows, columns, y0, place.x0, place.frame, k0, k1)
-        draws *= _cut_value(chain.read_noise_e, part)
-        charge += draws
+    if noisy:
+        charge += standard_normals(rows, columns, *at, *place.read_key) * read_e
     return charge
+
+
+def _row_wise(value: Value, columns: int) -> Array:
+    """An image, or one row (1, columns) that serves them all."""
+    cut = np.asarray(value, float)
+    return np.ascontiguousarray(cut) if cut.ndim else np.full((1, columns), cut)
 
 
 def _offsets_e(chain: Chain, place: StreamPlace, rows: int, columns: int) -> list[Array]:

@@ -62,59 +62,76 @@ def uniforms(rows, columns, y0, x0, frame, k0, k1):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def normals_run(n, x0, y, frame, k0, k1, out, buffers):
+    """Standard normal draws out[i] of the pixels (x0 + i, y), i < n <= RUN_PX."""
+    x, first, second = buffers[0], buffers[1], buffers[2]
+    p = first.view(np.float64)
+    for i in range(n):
+        x[i] = x0 + i
+    words(n, x, y, frame, int64(0), k0, k1, first, second)
+    to_uniforms(n, p)
+    central_quantiles(n, p, out)
+    for i in range(n):
+        if abs(p[i] - 0.5) > 0.425:
+            out[i] = normal_quantile(p[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def standard_normals(rows, columns, y0, x0, frame, k0, k1):
     """(rows, columns) standard normal draws of the pixels from (y0, x0) on."""
-    out = np.empty((rows, columns))
-    first, second = np.empty(RUN_PX, np.uint64), np.empty(RUN_PX, np.uint64)
-    p, x = first.view(np.float64), np.empty(RUN_PX, np.uint64)
+    out, buffers = np.empty((rows, columns)), poisson_buffers()
     for r in range(rows):
         for start in range(0, columns, RUN_PX):
             n = min(RUN_PX, columns - start)
             line = out[r, start : start + n]
-            for i in range(n):
-                x[i] = x0 + start + i
-            words(n, x, y0 + r, frame, int64(0), k0, k1, first, second)
-            to_uniforms(n, p)
-            central_quantiles(n, p, line)
-            for i in range(n):
-                if abs(p[i] - 0.5) > 0.425:
-                    line[i] = normal_quantile(p[i])
+            normals_run(n, x0 + start, y0 + r, frame, k0, k1, line, buffers)
     return out
+
+
+@njit(cache=True, nogil=True)
+def poisson_buffers():
+    """What draws of a run of pixels are worked out in: words, indices, numbers."""
+    scratch, ints = np.empty((10, RUN_PX)), np.empty((5, RUN_PX), np.uint64)
+    words = np.empty((5, RUN_PX), np.uint64)
+    return words[0], words[1], words[2], words[3], words[4], scratch, ints
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def poisson_run(mean, x0, y, frame, k0, k1, out, buffers):
+    """Poisson draws out[i] of means (n,), n <= RUN_PX, of the pixels (x0 + i, y)."""
+    x, first, second, low, middle, scratch, ints = buffers
+    u, v, n = first.view(np.float64), second.view(np.float64), mean.size
+    for i in range(n):
+        x[i] = x0 + i
+    words(n, x, y, frame, int64(0), k0, k1, first, second)
+    to_uniforms(n, u)
+    if count_below(n, mean, EXACT_BELOW) == n:
+        draw_low(n, mean, u, out, scratch)
+        return
+    to_uniforms(n, v)
+    lows, middles = 0, 0
+    for i in range(n):
+        low[lows], middle[middles] = i, i
+        lows += mean[i] < EXACT_BELOW
+        middles += (mean[i] >= EXACT_BELOW) & (mean[i] <= GAUSSIAN_ABOVE)
+    if lows + middles < n:
+        for i in range(n):
+            if mean[i] > GAUSSIAN_ABOVE:
+                out[i] = gaussian_poisson(mean[i], u[i])
+    if lows:
+        draw_low_among(low[:lows], mean, u, out, scratch)
+    if middles:
+        place = x0, y, frame, k0, k1
+        draw_middle(middle[:middles], mean, u, v, place, out, scratch, ints)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def poisson_image(mean_e, y0, x0, frame, k0, k1):
     """(ny, nx) Poisson draws of an image of means whose first pixel is frame pixel (y0, x0)."""
-    out = np.empty_like(mean_e)
-    first, second = np.empty(RUN_PX, np.uint64), np.empty(RUN_PX, np.uint64)
-    u, v = first.view(np.float64), second.view(np.float64)
-    x, low = np.empty(RUN_PX, np.uint64), np.empty(RUN_PX, np.uint64)
-    middle = np.empty(RUN_PX, np.uint64)
-    scratch, ints = np.empty((10, RUN_PX)), np.empty((5, RUN_PX), np.uint64)
+    out, buffers = np.empty_like(mean_e), poisson_buffers()
     for r in range(mean_e.shape[0]):
         for start in range(0, mean_e.shape[1], RUN_PX):
-            n = min(RUN_PX, mean_e.shape[1] - start)
-            mean, line = mean_e[r, start : start + n], out[r, start : start + n]
-            for i in range(n):
-                x[i] = x0 + start + i
-            words(n, x, y0 + r, frame, int64(0), k0, k1, first, second)
-            to_uniforms(n, u)
-            if count_below(n, mean, EXACT_BELOW) == n:
-                draw_low(n, mean, u, line, scratch)
-                continue
-            to_uniforms(n, v)
-            lows, middles = 0, 0
-            for i in range(n):
-                low[lows], middle[middles] = i, i
-                lows += mean[i] < EXACT_BELOW
-                middles += (mean[i] >= EXACT_BELOW) & (mean[i] <= GAUSSIAN_ABOVE)
-            if lows + middles < n:
-                for i in range(n):
-                    if mean[i] > GAUSSIAN_ABOVE:
-                        line[i] = gaussian_poisson(mean[i], u[i])
-            if lows:
-                draw_low_among(low[:lows], mean, u, line, scratch)
-            if middles:
-                place = x0 + start, y0 + r, frame, k0, k1
-                draw_middle(middle[:middles], mean, u, v, place, line, scratch, ints)
+            end = min(start + RUN_PX, mean_e.shape[1])
+            mean, line = mean_e[r, start:end], out[r, start:end]
+            poisson_run(mean, x0 + start, y0 + r, frame, k0, k1, line, buffers)
     return out

@@ -42,27 +42,6 @@ def bloom(charge_e, full_well_e):
             carried = carried - put + halves[y]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def levels(charge_e, draws, full_well_e, read_noise_e, gain_e_per_dn, bias_dn, top_dn, down):
-    """Clip, add read noise, convert and round, in one pass: into `draws`, as whole float64.
-
-    charge_e, draws : (ny, nx); the terms : (ny, nx), or (1, nx) for all rows alike
-    """
-    rows, columns = charge_e.shape
-    for y in range(rows):
-        charge, out = charge_e[y], draws[y]
-        well = full_well_e[min(y, len(full_well_e) - 1)]
-        read = read_noise_e[min(y, len(read_noise_e) - 1)]
-        gain = gain_e_per_dn[min(y, len(gain_e_per_dn) - 1)]
-        bias = bias_dn[min(y, len(bias_dn) - 1)]
-        for x in range(columns):
-            held = charge[x] if charge[x] < well[x] else well[x]
-            level = (held + out[x] * read[x]) / gain[x] + bias[x]
-            level = np.floor(level) if down else np.rint(level)
-            level = level if level < top_dn else top_dn
-            out[x] = level if level > 0.0 else 0.0
-
-
 def measured_e(charge_e: Array, true_e: Array, read_e: Array) -> Array:
     """Charge as the read-out measures it: straight lines through (true_e, read_e), both increasing.
 

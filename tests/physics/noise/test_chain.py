@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from math import floor
 
@@ -19,10 +20,11 @@ from pipeline.physics.noise.chain import (
     mean_electrons,
     to_dn,
 )
+from pipeline.physics.noise.joint import ABOVE_E, REACH, READ_E
 from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
-from pipeline.physics.noise.wells import levels
 
-PLACE = StreamPlace(0, 0, 0, stream_key(1, "photon_noise"), stream_key(1, "read_noise"))
+KEYS = [stream_key(1, name) for name in ("photon_noise", "read_noise", "both")]
+PLACE = StreamPlace(0, 0, 0, *KEYS)
 
 
 def chain(**changes: object) -> Chain:
@@ -115,13 +117,13 @@ def test_order_of_the_paper() -> None:
     rng = np.random.default_rng(4)
     light, flat = rng.uniform(0, 900, (30, 40)), rng.uniform(0.8, 1.2, (30, 40))
     full = chain(
-        flat=flat, dark_e=12.0, full_well_e=700.0, read_noise_e=6.0, gain_e_per_dn=1.7,
+        flat=flat, dark_e=12.0, full_well_e=700.0, read_noise_e=1.4, gain_e_per_dn=1.7,
         bias_dn=90.4, adc_bits=12, photon_noise=True,
     )  # fmt: skip
     mean = mean_electrons(light, full)
     assert (mean == light * flat + 12.0).all()
     charge = np.minimum(poisson_image(mean, 0, 0, 0, *PLACE.photon_key), 700.0)
-    read = standard_normals(30, 40, 0, 0, 0, *PLACE.read_key) * 6.0
+    read = standard_normals(30, 40, 0, 0, 0, *PLACE.read_key) * 1.4
     expected = np.clip(np.round((charge + read) / 1.7 + 90.4), 0, 4095)
     assert (to_dn(mean, full, PLACE) == expected).all()
 
@@ -176,13 +178,25 @@ def test_images_and_numbers_mean_the_same() -> None:
 
 
 def test_same_draws_when_another_component_is_switched() -> None:
-    """Photon noise on or off leaves the read noise as it was, and the reverse."""
+    """Photon noise on or off leaves the read noise as it was, and the reverse, where each has a
+    draw of its own; where both share one, what else is switched leaves it as it was."""
     mean = np.full((30, 30), 400.0)
     fine = {"gain_e_per_dn": 1e-6, "adc_bits": 40}
-    both = to_dn(mean, chain(read_noise_e=5.0, photon_noise=True, **fine), PLACE).astype(float)
+    both = to_dn(mean, chain(read_noise_e=1.4, photon_noise=True, **fine), PLACE).astype(float)
     photon = to_dn(mean, chain(photon_noise=True, **fine), PLACE).astype(float)
-    read = to_dn(mean, chain(read_noise_e=5.0, bias_dn=0.0, **fine), PLACE).astype(float)
-    assert np.abs(both - photon - (read - 400e6)).max() <= 2.0
+    read = to_dn(mean, chain(read_noise_e=1.4, bias_dn=1e9, **fine), PLACE).astype(float)
+    assert np.abs(both - photon - (read - 400e6 - 1e9)).max() <= 2.0
+    joint = chain(read_noise_e=5.0, photon_noise=True, **fine)
+    plain = to_dn(mean, joint, PLACE).astype(float)
+    with_well = to_dn(mean, replace(joint, full_well_e=700.0), PLACE)
+    assert np.array_equal(plain, with_well)
+    rays = to_dn(mean, joint, PLACE, np.full((30, 30), 64.0)).astype(float)
+    assert np.abs(rays - plain - 64e6).max() <= 1.0
+    keys = {"row_key": stream_key(1, "row"), "column_key": stream_key(1, "column")}
+    lines = to_dn(
+        mean, replace(joint, row_noise_e=2.0, column_noise_e=3.0), replace(PLACE, **keys)
+    ).astype(float) - plain
+    assert np.abs(lines - lines[:1] - lines[:, :1] + lines[0, 0]).max() <= 4.0
 
 
 def test_same_bits_in_every_rectangle() -> None:
@@ -190,43 +204,36 @@ def test_same_bits_in_every_rectangle() -> None:
     mean, flat = rng.uniform(0, 1e4, (64, 96)), rng.uniform(1, 2, (64, 96))
     whole = to_dn(mean, chain(gain_e_per_dn=flat, read_noise_e=3.0, photon_noise=True), PLACE)
     part = np.s_[17:40, 50:96]
-    place = StreamPlace(17, 50, 0, PLACE.photon_key, PLACE.read_key)
+    place = StreamPlace(17, 50, 0, *KEYS)
     piece = to_dn(
         mean[part], chain(gain_e_per_dn=flat[part], read_noise_e=3.0, photon_noise=True), place
     )
     assert (piece == whole[part]).all()
 
 
-@pytest.mark.parametrize("rounding", ["half_even", "floor"])
 @pytest.mark.parametrize("images", [False, True])
-def test_same_levels_in_one_pass_and_step_by_step(rounding: str, images: bool) -> None:
-    """The plain chain is done in one pass; a straight `linearity` takes it through the steps."""
+@pytest.mark.parametrize(("low", "high"), [(0.0, 40.0), (9.0, 3000.0)])
+def test_pixels_that_no_one_draw_serves_take_two(images: bool, low: float, high: float) -> None:
+    """Of few electrons, of little read noise or near the full well: as a chain that is bent by a
+    straight line, which takes two draws everywhere. Rays that were drawn join before the well."""
     rng = np.random.default_rng(6)
-    mean = rng.uniform(0, 2000, (90, 600))
-    terms: dict = {"read_noise_e": 3.0, "gain_e_per_dn": 1.7, "bias_dn": 90.4}
+    mean, rays = rng.uniform(low, high, (90, 600)), 900.0 * (rng.uniform(size=(90, 600)) > 0.97)
+    terms: dict = {"read_noise_e": 1.6, "gain_e_per_dn": 1.7, "bias_dn": 90.4}
     terms["full_well_e"] = 1500.0
     if images:
         terms = {k: v * rng.uniform(0.5, 1.5, (180, 1200)) for k, v in terms.items()}
         terms = {k: v[20:110, 40:640] for k, v in terms.items()}  # as a tile sees its part
     straight = np.array([0.0, 1.0]), np.array([0.0, 1.0])
-    for bits in (1, 10, 16, 33):
-        plain = chain(**terms, adc_bits=bits, rounding=rounding, photon_noise=True)
-        steps = chain(
-            **terms, adc_bits=bits, rounding=rounding, photon_noise=True, linearity=straight
-        )
-        assert np.array_equal(to_dn(mean, plain, PLACE), to_dn(mean, steps, PLACE))
-
-
-def test_halves_in_one_pass_go_to_even_or_down() -> None:
-    """Levels exactly between two numbers, in the pass that plain chains take."""
-    charge = np.array([[0.5, 1.5, 2.5, 3.5, 2.4999, 2.9999, -0.5, 254.5, 255.5, 1e9]])
-    for down, expected in (
-        (False, [0, 2, 2, 4, 2, 3, 0, 254, 255, 255]), (True, [0, 1, 2, 3, 2, 2, 0, 254, 255, 255]),
-    ):  # fmt: skip
-        one = np.ones_like(charge)
-        out = np.zeros_like(charge)  # the draws, all nil
-        levels(charge.copy(), out, np.inf * one, one, one, 0.0 * one, 255.0, down)
-        assert out.tolist() == [expected]
+    plain = chain(**terms, adc_bits=16, photon_noise=True)
+    place = replace(PLACE, x0=7)
+    one = to_dn(mean, plain, place, rays)
+    two = to_dn(mean, replace(plain, linearity=straight), place, rays)
+    read_e, top = terms["read_noise_e"], terms["full_well_e"]
+    shared = (mean >= ABOVE_E) & (read_e + 0 * mean >= READ_E)
+    shared &= mean + rays + REACH * np.hypot(np.sqrt(mean), read_e) < top
+    assert 500 < shared.sum() < shared.size - 500
+    assert np.array_equal(one[~shared], two[~shared])
+    assert (one != two)[shared].mean() > 0.5
 
 
 @pytest.mark.parametrize("rounding", ["half_even", "floor"])

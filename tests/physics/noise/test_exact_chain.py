@@ -13,7 +13,8 @@ from scipy import stats
 from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
 from pipeline.physics.noise.streams import stream_key
 
-PLACE = StreamPlace(0, 0, 0, stream_key(1, "photon_noise"), stream_key(1, "read_noise"))
+KEYS = [stream_key(1, name) for name in ("photon_noise", "read_noise", "both")]
+PLACE = StreamPlace(0, 0, 0, *KEYS)
 MEAN_E, READ_E, GAIN = 23.0, 2.5, 0.75
 CHAINS = list(product([True, False], [True, False], ["floor", "half_even"]))
 
@@ -79,7 +80,7 @@ def test_photon_transfer_curve() -> None:
         a, b = (
             to_dn(
                 np.full((side, side), electrons + 5.0), chain,
-                StreamPlace(0, 0, 2 * i + k, PLACE.photon_key, PLACE.read_key),
+                StreamPlace(0, 0, 2 * i + k, *KEYS),
             ).astype(float)
             for k in (0, 1)
         )  # fmt: skip

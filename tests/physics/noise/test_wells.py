@@ -132,7 +132,8 @@ def test_patterns_have_the_statistics_asked_for() -> None:
 
 
 def test_row_and_column_noise_are_one_draw_a_line() -> None:
-    keys = [stream_key(8, n) for n in ("photon_noise", "read_noise", "row_noise", "column_noise")]
+    names = ("photon_noise", "read_noise", "both", "row_noise", "column_noise")
+    keys = [stream_key(8, n) for n in names]
     chain = Chain(
         1.0, 0.0, None, 0.0, 1e-3, 1e6, 32, photon_noise=False, row_noise_e=3.0, column_noise_e=7.0
     )
@@ -151,7 +152,7 @@ def test_row_and_column_noise_are_one_draw_a_line() -> None:
 def test_bad_pixels_come_last() -> None:
     bad = np.array([1, 2]), np.array([0, 3]), np.array([255, 7])
     chain = Chain(1.0, 0.0, None, 0.0, 1.0, 10.0, 8, photon_noise=False, bad=bad)
-    place = StreamPlace(0, 0, 0, (1, 2), (3, 4))
+    place = StreamPlace(0, 0, 0, (1, 2), (3, 4), (5, 6))
     dn = to_dn(np.full((4, 4), 50.0), chain, place)
     assert (dn[1, 0], dn[2, 3]) == (255, 7)
     assert (np.delete(dn.ravel(), [4, 11]) == 60).all()
@@ -168,7 +169,7 @@ def test_calibration_gives_the_light_back(rounding: str) -> None:
         flat, rng.uniform(0, 90, (40, 50)), None, 0.0, rng.uniform(0.01, 0.02, (40, 50)),
         rng.uniform(90, 110, (40, 50)), 32, rounding, False, linearity=table, bad=bad,
     )  # fmt: skip
-    dn = to_dn(light * flat + chain.dark_e, chain, StreamPlace(0, 0, 0, (1, 2), (3, 4)))
+    dn = to_dn(light * flat + chain.dark_e, chain, StreamPlace(0, 0, 0, (1, 2), (3, 4), (5, 6)))
     got = calibrated_e(dn, chain)
     assert np.array_equal(np.argwhere(np.isnan(got)), [[3, 4], [5, 6]])
     good = np.isfinite(got)
@@ -184,7 +185,7 @@ def test_column_means() -> None:
 def test_order_of_the_extras() -> None:
     """Cosmic rays, full well, non-linearity, read noise, lines: by hand, over bands of rows."""
     rng = np.random.default_rng(9)
-    names = ("photon_noise", "read_noise", "row_noise", "column_noise")
+    names = ("photon_noise", "read_noise", "both", "row_noise", "column_noise")
     keys = [stream_key(3, n) for n in names]
     table = np.array([0.0, 500.0, 3000.0]), np.array([0.0, 450.0, 2000.0])
     mean, rays = rng.uniform(0, 900, (100, 700)), rng.uniform(0, 600, (100, 700))
@@ -193,8 +194,8 @@ def test_order_of_the_extras() -> None:
     made = to_dn(mean, chain, StreamPlace(7, 11, 4, *keys), rays)
     charge = np.minimum(poisson_image(mean, 7, 11, 4, *keys[0]) + rays, 1100.0)
     signal = np.interp(charge, *table) + 5.0 * standard_normals(100, 700, 7, 11, 4, *keys[1])
-    signal += 3.0 * standard_normals(100, 1, 7, 0, 4, *keys[2])
-    signal += 2.0 * standard_normals(1, 700, 0, 11, 4, *keys[3])
+    signal += 3.0 * standard_normals(100, 1, 7, 0, 4, *keys[3])
+    signal += 2.0 * standard_normals(1, 700, 0, 11, 4, *keys[4])
     assert np.array_equal(made, np.clip(np.rint(signal / 0.5 + 200.0), 0, None))
 
 

@@ -1,0 +1,110 @@
+"""Photon and read noise in one draw: the quantile of a Poisson number and a Gaussian together.
+
+A Gaussian of 1.5 electrons or more fills the steps between whole electrons (the first harmonic of
+the comb falls to exp(-2 pi^2 s^2), 5e-20), so the sum has a smooth distribution, and its quantile
+is a polynomial of the normal one (Cornish & Fisher 1938, Rev. Inst. Int. Stat. 5, 307; third order:
+Hill & Davis 1968, Ann. Math. Stat. 39, 1264, doi:10.1214/aoms/1177698251).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import int64, njit
+
+from pipeline.physics.noise.pixel_draws import normal_quantile, philox, poisson, uniform
+from pipeline.physics.noise.runs import RUN_PX, central_quantiles, to_uniforms, words
+from pipeline.physics.noise.streams import normals_run, poisson_buffers, poisson_run
+
+ABOVE_E = 10.0  # means that are drawn so
+READ_E = 1.5  # standard deviations that are
+DISTANCE = 7.4e-6  # that their distribution functions differ by at most, at both of these limits
+REACH = 12.0  # standard deviations that no draw comes near to: full wells beyond cut nothing off
+FEW = 16  # so few other pixels of a run are drawn one by one
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def joint_quantile(z, mean, read):
+    """Where Poisson(mean) + Normal(0, read) has the probability that a normal has below z."""
+    sigma = math.sqrt(mean + read * read)
+    w = 1.0 / sigma
+    k3 = mean * w * w * w
+    k4 = k3 * w
+    k5 = k4 * w
+    q = z * z
+    bend = k3 * (q - 1.0) * (1.0 / 6.0)
+    bend += z * (k4 * (q - 3.0) * (1.0 / 24.0) - k3 * k3 * (2.0 * q - 5.0) * (1.0 / 36.0))
+    bend += k5 * ((q - 6.0) * q + 3.0) * (1.0 / 120.0)
+    bend -= k3 * k4 * ((q - 5.0) * q + 2.0) * (1.0 / 24.0)
+    bend += k3 * k3 * k3 * ((12.0 * q - 53.0) * q + 17.0) * (1.0 / 324.0)
+    return mean + sigma * (z + bend)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pair_normals(n, x0, y, frame, k0, k1, x, first, second, p, z):
+    """Standard normal draws z of the pixels (x0 + i, y): two pixels side by side share a block."""
+    odd = x0 & 1
+    blocks = (n + odd + 1) // 2
+    for i in range(blocks):
+        x[i] = x0 // 2 + i
+    words(blocks, x, y, frame, int64(0), k0, k1, first, second)
+    even_p, odd_p = first.view(np.float64), second.view(np.float64)
+    for i in range(blocks):
+        p[2 * i], p[2 * i + 1] = even_p[i], odd_p[i]
+    mine = p[odd : odd + n]
+    to_uniforms(n, mine)
+    central_quantiles(n, mine, z)
+    for i in range(n):
+        if abs(mine[i] - 0.5) > 0.425:
+            z[i] = normal_quantile(mine[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measured_image(mean_e, drawn_e, well_e, read_e, y0, x0, frame, joint, photon, normal):
+    """(ny, nx) electrons measured: min(Poisson(mean) + drawn, well) + Normal(0, read).
+
+    drawn_e, well_e, read_e : (ny, nx), or (1, nx) for all rows alike; the first pixel is frame
+    pixel (y0, x0). joint, photon, normal : keys of the one draw and of the two that other pixels
+    take: of a mean below ABOVE_E, a read noise below READ_E, or a full well within reach.
+    """
+    rows, columns = mean_e.shape
+    out = np.empty((rows, columns))
+    buffers = poisson_buffers()
+    x, first, second = buffers[0], buffers[1], buffers[2]
+    p, z = np.empty(RUN_PX + 2), np.empty(RUN_PX)
+    photons, reads = np.empty(RUN_PX), np.empty(RUN_PX)
+    other = np.empty(RUN_PX, np.int64)
+    for r in range(rows):
+        y = y0 + r
+        for start in range(0, columns, RUN_PX):
+            n = min(RUN_PX, columns - start)
+            mean, line = mean_e[r, start : start + n], out[r, start : start + n]
+            drawn = drawn_e[min(r, len(drawn_e) - 1), start : start + n]
+            well = well_e[min(r, len(well_e) - 1), start : start + n]
+            read = read_e[min(r, len(read_e) - 1), start : start + n]
+            _pair_normals(n, x0 + start, y, frame, joint[0], joint[1], x, first, second, p, z)
+            for i in range(n):
+                line[i] = drawn[i] + joint_quantile(z[i], mean[i], read[i])
+            others = 0
+            for i in range(n):
+                m, s = mean[i], read[i]
+                top = m + drawn[i] + REACH * math.sqrt(m + s * s)
+                other[others] = i
+                others += not ((m >= ABOVE_E) & (s >= READ_E) & (top < well[i]))
+            if not others:
+                continue
+            if others > FEW:
+                poisson_run(mean, x0 + start, y, frame, photon[0], photon[1], photons, buffers)
+                normals_run(n, x0 + start, y, frame, normal[0], normal[1], reads, buffers)
+            else:
+                for j in range(others):
+                    i = other[j]
+                    at = x0 + start + i
+                    photons[i] = poisson(mean[i], at, y, frame, photon[0], photon[1])
+                    a, b, _, _ = philox(at, y, frame, 0, normal[0], normal[1])
+                    reads[i] = normal_quantile(uniform(a, b))
+            for j in range(others):
+                i = other[j]
+                line[i] = min(photons[i] + drawn[i], well[i]) + reads[i] * read[i]
+    return out
