@@ -153,8 +153,9 @@ def _crowd(
     shape, radius = (place.rows, place.columns), r.classes[0].radius_px
     near = _near(plan, place, radius + _farthest(paths))
     limit = min(r.classes[0].brightest_e, *(paths[zone].mixed_from_e for zone in np.unique(zones)))
+    error = r.budget_e / r.crowd_e
     for blur in near:
-        spectral = spectral_plan_of(blur, radius, longest, shape, len(stars))
+        spectral = spectral_plan_of(blur, radius, longest, shape, len(stars), error)
         if spectral is None:
             return None, 0.0
         limit = min(limit, brightest_for(spectral, r.budget_e))
@@ -171,7 +172,7 @@ def _crowd(
     image: NDArray[np.floating] | None = None
     for blur, sources in groups.items():
         if sources:
-            engine = spectral_of(blur, radius, longest, shape, len(stars))
+            engine = spectral_of(blur, radius, longest, shape, len(stars), error)
             one = draw_spectral(*engine, sources, (place.y0, place.x0))
             image = one if image is None else image + one
     return image, limit

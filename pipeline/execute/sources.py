@@ -88,10 +88,11 @@ def place_stars(
         light = light * longer[near]
     if plan.extinction is not None:
         light = light * star_transmission(plan.extinction, g, observed[near])
-    return FrameStars(
+    placed = FrameStars(
         kept.source_id, x[near], y[near], light * visible, ra, dec, kept.g_mag, kept.colour_flag,
         np.full(len(kept), catalogue, np.uint8), visible,
     )  # fmt: skip
+    return drawing_order(placed)
 
 
 def whole_stars(stars: FrameStars) -> FrameStars:
@@ -143,10 +144,14 @@ def guard_some(
 def drawing_order(stars: FrameStars) -> FrameStars:
     """Stars in the one order in which every tile draws them: by square of the frame, then by id.
 
-    Two catalogues may use one id for two stars.
+    Two catalogues may use one id for two stars. Stars of one shard are in this order already.
     """
     row, column = np.floor(stars.y_px / SQUARE_PX), np.floor(stars.x_px / SQUARE_PX)
     square = row.astype(np.int64) * (1 << 24) + column.astype(np.int64)
+    same = square[1:] == square[:-1]
+    follows = (square[1:] > square[:-1]) | (same & (stars.source_id[1:] > stars.source_id[:-1]))
+    if follows.all():
+        return stars
     return select(stars, np.lexsort((stars.catalogue, stars.source_id, square)))
 
 

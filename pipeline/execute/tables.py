@@ -31,7 +31,7 @@ from pipeline.physics.psf.response import (
 from pipeline.plan.needs import KERNEL_BYTES
 
 KEPT_BYTES = 192e6
-SPECTRAL_ERROR = 1e-5  # of the peak of a source, in any pixel
+FINEST_ERROR = 1e-5  # of the peak of a source, in any pixel: what transforms are asked for
 ALIKE_PX = 8.0
 
 
@@ -135,10 +135,11 @@ def kernel_of(blur: Blur, radius_px: float, grid: WingGrid, reach_px: float) -> 
 
 
 def spectral_plan_of(
-    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int], stars: int
+    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int], stars: int, error: float
 ) -> SpectralPlan | None:
     """Plan of the spectral engine for a block of about so many stars; None where it cannot serve.
 
+    error : largest of a pixel per unit light, but no smaller than FINEST_ERROR asks for.
     Streaks that are alike share it: a straight one is planned for lengths rounded down, which
     errs more, with the reach of lengths rounded up.
     """
@@ -148,23 +149,22 @@ def spectral_plan_of(
         core = core_of(blur, radius_px)
         wider = replace(core, radius_px=radius_px + spare_px)
         try:
-            error = SPECTRAL_ERROR * peak_light(core, path)
-            return plan_spectral(shape, wider, path, error, sources=_about(stars))
+            asked = max(error, FINEST_ERROR * peak_light(core, path))
+            return plan_spectral(shape, wider, path, asked, sources=_about(stars))
         except BadInput:
             return None
 
-    return _CACHE.get(
-        ("spectral plan", blur, radius_px, path, shape, _about(stars)), make, lambda _: 0
-    )
+    key = ("spectral plan", blur, radius_px, path, shape, _about(stars), error)
+    return _CACHE.get(key, make, lambda _: 0)
 
 
 def spectral_of(
-    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int], stars: int
+    blur: Blur, radius_px: float, path: Path, shape: tuple[int, int], stars: int, error: float
 ) -> tuple[SpectralPlan, np.ndarray]:
     """Plan and transfer table of the spectral engine for a block that it can serve."""
-    plan = spectral_plan_of(blur, radius_px, path, shape, stars)
+    plan = spectral_plan_of(blur, radius_px, path, shape, stars, error)
     assert plan is not None
-    key = ("spectral", blur, radius_px, _alike(path)[0], shape, _about(stars))
+    key = ("spectral", blur, radius_px, _alike(path)[0], shape, _about(stars), error)
     table = _CACHE.get(key, lambda: transfer_table(core_of(blur, radius_px), plan), _bytes)
     return plan, table
 

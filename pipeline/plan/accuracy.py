@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array
 from pipeline.plan.acceptance import accept_or_refuse
@@ -113,16 +114,22 @@ def crowd_error_e(
     """
     if not len(error_e):
         return 0.0
-    cells, of = np.unique(_cells(frame, x_px, y_px, cell_px), axis=0, return_inverse=True)
-    sums = np.bincount(of.ravel(), weights=error_e)
-    places = _cells(cells[:, 0], cells[:, 1] * cell_px, cells[:, 2] * cell_px, box_px)
-    _, of = np.unique(places, axis=0, return_inverse=True)
-    return float(np.sqrt(np.bincount(of.ravel(), weights=sums**2).max()))
+    column, row = np.floor(x_px / cell_px), np.floor(y_px / cell_px)
+    first, of = np.unique(_numbered(frame, column, row), return_index=True, return_inverse=True)[1:]
+    sums = np.bincount(of, weights=error_e)
+    wide = cell_px / box_px
+    boxes = _numbered(frame[first], np.floor(column[first] * wide), np.floor(row[first] * wide))
+    _, of = np.unique(boxes, return_inverse=True)
+    return float(np.sqrt(np.bincount(of, weights=sums**2).max()))
 
 
-def _cells(frame: Array, x_px: Array, y_px: Array, side_px: float) -> Array:
-    """Frame, column and row (n, 3) of the squares that places are in."""
-    return np.column_stack([frame, np.floor(x_px / side_px), np.floor(y_px / side_px)])
+def _numbered(*whole: Array) -> NDArray[np.int64]:
+    """One number (n,) for each different set of whole numbers (n,), in their order."""
+    number = np.zeros(len(whole[0]), np.int64)
+    for values in whole:
+        least = values.min()
+        number = number * int(values.max() - least + 1.0) + (values - least).astype(np.int64)
+    return number
 
 
 def doubts_of(asked: float, stated: float, achieved: float | None, accepted: bool) -> list[str]:

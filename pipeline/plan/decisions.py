@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pipeline.physics.noise.joint import ABOVE_E, DISTANCE, REACH, READ_E
+from pipeline.physics.noise.joint import ABOVE_E, ANY_READ_E, DISTANCE, REACH, READ_E
 from pipeline.physics.positions.focal_plane import stretch
 from pipeline.physics.psf.band import BandOptics
 from pipeline.physics.psf.product import PHASES
@@ -119,9 +119,9 @@ def _noise_terms(scene: Scene) -> list[Decision]:
         out.append(
             Decision(
                 "one_noise_draw", True,
-                f"pixels of {ABOVE_E:g} e- and {READ_E:g} e- of read noise or more, the full well "
-                f"{REACH:g} deviations away, take photon and read noise in one draw, by its "
-                "quantile to third order; the mean is exact",
+                f"pixels of {ANY_READ_E:g} e- of read noise or more ({READ_E:g} at means above "
+                f"{ABOVE_E:g} e-), the full well {REACH:g} deviations away, take photon and read "
+                "noise in one draw, by its quantile to third order; the mean is exact",
                 bound=DISTANCE, unit="of the distribution function",
             )
         )  # fmt: skip

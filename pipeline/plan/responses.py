@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 TABLE_BYTES = 48e6
 FIELD_BYTES = 80e6  # what the tables of one core class may take together, over a field
 MOST_CLASSES = 5
+FAINT_RADIUS, FAINT_PART = 0.5, 0.25  # of a usual core; of its budget, as faint stars are many
 FARTHEST_PX = 4096.0  # that the wings of the brightest source are drawn to, if need be
 SMALL_RADIUS_PX = 1e-2
 RINGS = 4.7  # times its mean: the rings of both edges of an obscured aperture, at the near end
@@ -86,6 +87,7 @@ class ResponsePlan:
     spacing_px : of the wings' grid, 0 where the response has no wings
     reach_px : radius beyond which a source's light is left out; lost_light : that fraction
     spectral_from : stars around a block from which they are drawn together by transforms; 0 never
+    crowd_e : light up to which transforms serve, where they need not serve more
     streaks : how the stars' common streaks are drawn
     budget_e : error that one approximation may make in one pixel
     field : the responses over the field, `blur` being the sharpest; None where `blur` serves all
@@ -102,6 +104,7 @@ class ResponsePlan:
     streaks: StreakPlan
     budget_e: float
     spectral_from: int = 0
+    crowd_e: float = math.inf
     field: PsfField | None = None
     table_mb: float = 0.0
     stars_s: float | None = None
@@ -173,6 +176,7 @@ def plan_responses(
             check_scale(scene.sensor.psf.kind, b)
         first = max(b.core_px if b.has_wings else _radius_holding(b, 1e-8) for b in blurs)
         spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
+        first *= FAINT_RADIUS
         reach = max(_reach(b, scene) for b in blurs)
         reach = _farther(blurs, max(reach / CUT_FROM, 2.0 * first), facts)
         swept, sweeps = path, None
@@ -334,7 +338,8 @@ def _cores(
         else:
             error = out[-1][2] / min(b.optics.wing_fall(0.5 * radius) for b in winged)
         last = k == MOST_CLASSES - 1 or 2.0 * radius > largest
-        out.append((radius, math.inf if last else budget_e / error, error))
+        part = FAINT_PART if k == 0 else 1.0
+        out.append((radius, math.inf if last else part * budget_e / error, error))
         if last:
             break
     return tuple(out)

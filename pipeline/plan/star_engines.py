@@ -13,16 +13,19 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.arrays import Array, Geometry
+from pipeline.physics.drawing.spectral_plan import CROWD_PX
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.decision import Decision
 from pipeline.plan.responses import (
     FIELD_BYTES,
+    SPECTRAL_S_PER_PIXEL,
     STAMP_S,
     STAMP_S_PER_PIXEL,
     CoreClass,
     ResponsePlan,
+    stamp_s,
     table_bytes,
 )
 from pipeline.plan.scene_plan import Plan
@@ -37,6 +40,8 @@ FEWEST_PHASES, MOST_PHASES = 8, 32
 MIXTURE_BYTES = 48e6  # what the three tables of a mixture may take
 SURE = 4.0  # times cheaper must star by star be: other frames may hold more
 FREQUENCIES = 65
+FEW_BRIGHT = 0.1  # of the cost of transforms: what the stars may cost that are too bright for them
+TOGETHER = 5.0  # standard deviations of what a crowd's errors add up to
 
 
 @dataclass(frozen=True)
@@ -88,9 +93,31 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
     expected = tuple(counts.between(a, b) for a, b in pairwise(limits))
     spent_s = None if r.products else stars_s
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
+    if r.spectral_from:
+        made = replace(made, crowd_e=_crowd_e(plan, counts, streak.mixed_from_e))
     total = round(counts.each * len(counts.light_e))
     decided = (*plan.decisions, _decision(said))
     return replace(plan, responses=made, decisions=decided, stars_per_frame=total)
+
+
+def _crowd_e(plan: Plan, counts: StarCounts, mixed_from_e: float) -> float:
+    """Light [e-] up to which transforms are to serve stars: the finer they are the dearer.
+
+    So many brighter ones are left to stamps as cost FEW_BRIGHT of the transforms. Not below what
+    the sum of all in a pixel errs by together, as errors of many stars add up like noise.
+    """
+    r = plan.responses
+    light, fixed_s = counts.light_e, SPECTRAL_S_PER_PIXEL * math.prod(plan.scene.sensor.shape)
+    left = FEW_BRIGHT * fixed_s / (r.streaks.pieces * stamp_s(r)) / counts.each
+    limit_e = min(r.classes[0].brightest_e, mixed_from_e)
+    if 1.0 <= left < len(light):
+        limit_e = min(limit_e, float(light[-int(left)]))
+    elif left >= len(light):
+        return limit_e
+    faint = light[light <= limit_e]
+    area = math.prod(plan.scene.sensor.shape)
+    crowd_e = TOGETHER * math.sqrt(CROWD_PX * counts.each * float(faint @ faint) / area)
+    return max(limit_e, crowd_e)
 
 
 def _blocks(plan: Plan) -> int:

@@ -226,9 +226,12 @@ KEPT_BY: dict[str, list[tuple[Any, ...]]] = {
                   (RINGS, 8.0, GRIDS[2], 40.0), (RINGS, 9.0, GRIDS[0], 40.0),
                   (RINGS, 8.0, GRIDS[0], 30.0), (Blur(Airy(1.2, 0.3)), 8.0, GRIDS[0], 40.0)],
     "streak_of": [*((grid, ALONG) for grid in GRIDS), (GRIDS[0], ACROSS)],
-    "spectral_of": [(NARROW, 6.0, POINT, (64, 96), 10**4), (NARROW, 6.0, POINT, (96, 64), 10**4),
-                    (NARROW, 7.0, POINT, (64, 96), 10**4), (WIDER, 6.0, POINT, (64, 96), 10**4),
-                    (NARROW, 6.0, ALONG, (64, 96), 10**4), (NARROW, 6.0, DOWN, (64, 96), 10**4)],
+    "spectral_of": [
+        (NARROW, 6.0, POINT, (64, 96), 10**4, 1e-6), (NARROW, 6.0, POINT, (96, 64), 10**4, 1e-6),
+        (NARROW, 7.0, POINT, (64, 96), 10**4, 1e-6), (WIDER, 6.0, POINT, (64, 96), 10**4, 1e-6),
+        (NARROW, 6.0, ALONG, (64, 96), 10**4, 1e-6), (NARROW, 6.0, DOWN, (64, 96), 10**4, 1e-6),
+        (NARROW, 6.0, POINT, (64, 96), 10**4, 1e-3),
+    ],
 }  # fmt: skip
 
 

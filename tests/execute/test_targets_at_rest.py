@@ -15,6 +15,7 @@ from pipeline.execute.sources import place_targets
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.responses import FAINT_PART
 from pipeline.plan.scene_plan import Plan, make_plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
@@ -67,7 +68,7 @@ def plan() -> Plan:
     """The target as bright as stars of the first class may be."""
     first = tracked(1e18)
     (target,) = place_targets(first, plan_geometry(first.scene, np.zeros(1, int), 0.0))
-    limit = first.responses.classes[0].brightest_e
+    limit = first.responses.classes[0].brightest_e / FAINT_PART
     return tracked(1e18 * 0.95 * limit / target.light_e)
 
 
@@ -79,7 +80,7 @@ def test_its_wings_hold_the_bound(plan):
 
 
 def test_by_the_limits_of_streaked_stars_they_would_not(plan):
-    stars = tuple(replace(c, target_e=c.brightest_e) for c in plan.responses.classes)
+    stars = tuple(replace(c, target_e=c.brightest_e / FAINT_PART) for c in plan.responses.classes)
     careless = replace(plan, responses=replace(plan.responses, classes=stars))
     assert errors_e(careless).max() > 3.0 * plan.responses.budget_e
 

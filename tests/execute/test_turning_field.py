@@ -10,7 +10,7 @@ import pytest
 from pipeline.execute.check import reference
 from pipeline.physics.drawing.wings import swept_apart
 from pipeline.physics.psf.response import compact_core
-from pipeline.plan.responses import MARGIN, NOTHING_BEYOND
+from pipeline.plan.responses import FAINT_PART, MARGIN, NOTHING_BEYOND
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import exact_path
 from pipeline.plan.tiles import Tile
@@ -57,7 +57,7 @@ def test_by_the_limits_of_a_field_that_does_not_turn_they_err_more():
     """What the rule is for: ten times the light, as if only the grid erred."""
     plan = turning(20.0, {"kind": "airy", "wavelength_nm": 650.0})
     careless = tuple(
-        replace(c, brightest_e=10.0 * c.brightest_e) for c in plan.responses.classes
+        replace(c, brightest_e=10.0 / FAINT_PART * c.brightest_e) for c in plan.responses.classes
     )
     plan = replace(plan, responses=replace(plan.responses, classes=careless))
     star = field(*(np.array([v]) for v in (79.6, 79.8, 0.95 * careless[0].brightest_e)))

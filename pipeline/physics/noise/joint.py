@@ -17,9 +17,9 @@ from pipeline.physics.noise.pixel_draws import normal_quantile, philox, poisson,
 from pipeline.physics.noise.runs import RUN_PX, central_quantiles, to_uniforms, words
 from pipeline.physics.noise.streams import normals_run, poisson_buffers, poisson_run
 
-ABOVE_E = 10.0  # means that are drawn so
-READ_E = 1.5  # standard deviations that are
-DISTANCE = 7.4e-6  # that their distribution functions differ by at most, at both of these limits
+READ_E, ABOVE_E = 1.5, 10.0  # read noise and mean of the pixels that are drawn so
+ANY_READ_E = 2.5  # or read noise, whatever the mean
+DISTANCE = 7.4e-6  # that the distribution functions differ by at most, at READ_E and ABOVE_E
 REACH = 12.0  # standard deviations that no draw comes near to: full wells beyond cut nothing off
 FEW = 16  # so few other pixels of a run are drawn one by one
 
@@ -39,6 +39,12 @@ def joint_quantile(z, mean, read):
     bend -= k3 * k4 * ((q - 5.0) * q + 2.0) * (1.0 / 24.0)
     bend += k3 * k3 * k3 * ((12.0 * q - 53.0) * q + 17.0) * (1.0 / 324.0)
     return mean + sigma * (z + bend)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def serves(mean, read):
+    """Whether the one draw keeps to DISTANCE."""
+    return (read >= ANY_READ_E) | ((read >= READ_E) & (mean >= ABOVE_E))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -66,7 +72,7 @@ def measured_image(mean_e, drawn_e, well_e, read_e, y0, x0, frame, joint, photon
 
     drawn_e, well_e, read_e : (ny, nx), or (1, nx) for all rows alike; the first pixel is frame
     pixel (y0, x0). joint, photon, normal : keys of the one draw and of the two that other pixels
-    take: of a mean below ABOVE_E, a read noise below READ_E, or a full well within reach.
+    take: of too little read noise for their mean (`serves`), or a full well within reach.
     """
     rows, columns = mean_e.shape
     out = np.empty((rows, columns))
@@ -91,7 +97,7 @@ def measured_image(mean_e, drawn_e, well_e, read_e, y0, x0, frame, joint, photon
                 m, s = mean[i], read[i]
                 top = m + drawn[i] + REACH * math.sqrt(m + s * s)
                 other[others] = i
-                others += not ((m >= ABOVE_E) & (s >= READ_E) & (top < well[i]))
+                others += not (serves(m, s) & (top < well[i]))
             if not others:
                 continue
             if others > FEW:

@@ -20,7 +20,7 @@ from pipeline.physics.noise.chain import (
     mean_electrons,
     to_dn,
 )
-from pipeline.physics.noise.joint import ABOVE_E, REACH, READ_E
+from pipeline.physics.noise.joint import REACH, serves
 from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
 
 KEYS = [stream_key(1, name) for name in ("photon_noise", "read_noise", "both")]
@@ -218,7 +218,7 @@ def test_pixels_that_no_one_draw_serves_take_two(images: bool, low: float, high:
     straight line, which takes two draws everywhere. Rays that were drawn join before the well."""
     rng = np.random.default_rng(6)
     mean, rays = rng.uniform(low, high, (90, 600)), 900.0 * (rng.uniform(size=(90, 600)) > 0.97)
-    terms: dict = {"read_noise_e": 1.6, "gain_e_per_dn": 1.7, "bias_dn": 90.4}
+    terms: dict = {"read_noise_e": 1.7, "gain_e_per_dn": 1.7, "bias_dn": 90.4}
     terms["full_well_e"] = 1500.0
     if images:
         terms = {k: v * rng.uniform(0.5, 1.5, (180, 1200)) for k, v in terms.items()}
@@ -229,7 +229,7 @@ def test_pixels_that_no_one_draw_serves_take_two(images: bool, low: float, high:
     one = to_dn(mean, plain, place, rays)
     two = to_dn(mean, replace(plain, linearity=straight), place, rays)
     read_e, top = terms["read_noise_e"], terms["full_well_e"]
-    shared = (mean >= ABOVE_E) & (read_e + 0 * mean >= READ_E)
+    shared = serves(mean, read_e + 0 * mean)
     shared &= mean + rays + REACH * np.hypot(np.sqrt(mean), read_e) < top
     assert 500 < shared.sum() < shared.size - 500
     assert np.array_equal(one[~shared], two[~shared])
