@@ -41,6 +41,7 @@ from pipeline.physics.psf.response import (
 from pipeline.physics.radiometry import box
 from pipeline.physics.vectors import separation, unit
 from pipeline.plan.checks import choose_checks
+from pipeline.plan.cost import CHECK_S, check_count, least_cpu_s
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.faint_stars import peak_share
 from pipeline.plan.geometry import camera_of, plan_geometry
@@ -422,3 +423,18 @@ def test_no_pixel_takes_more_of_a_star_than_is_told(scene: Make, roll: float, px
     drawn = float(np.mean(along * down))
     assert drawn <= told <= 1.8 * drawn
     assert px > 1.0 or told <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("shape", "frames", "asked", "count"),
+    [([64, 64], 1, 3, 1), ([64, 64], 2, 3, 2), ([300, 600], 1, 9, 6), ([512, 512], 4, 3, 3)],
+)
+def test_no_more_cells_are_checked_than_there_are(
+    scene: Make, shape: list[int], frames: int, asked: int, count: int
+) -> None:
+    """What a scene is forecast to take holds the checks that it gets; none without sources."""
+    wish = {"sensor.shape": shape, "exposure.frames": frames, "accuracy": {"check_cells": asked}}
+    assert check_count(scene(wish)) == count
+    assert check_count(scene(wish | {"stars": None})) == 0
+    more = least_cpu_s(scene(wish)) - least_cpu_s(scene(wish | {"stars": None}))
+    assert more == pytest.approx(count * CHECK_S)

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from pipeline.spec.sweep_load import parse_sweep
+from pipeline.errors import BadInput
+from pipeline.spec.load import MAX_BYTES
+from pipeline.spec.sweep_load import load_sweep, parse_sweep
 from pipeline.sweep.dependence import AFTER_LIGHT
 from pipeline.sweep.design import BLOCK, Design
 
@@ -89,3 +91,12 @@ def test_limits_ten_million_points_take_no_memory():
     assert made.size == 10_000_000
     assert first == list(range(5000))
     assert peak < 5e6
+
+
+def test_a_sweep_file_is_there_and_no_larger_than_a_scene_may_be(tmp_path):
+    large = tmp_path / "large.yaml"
+    large.write_bytes(b"#" * (MAX_BYTES + 1))
+    with pytest.raises(BadInput, match=f"at most {MAX_BYTES} bytes"):
+        load_sweep(large)
+    with pytest.raises(BadInput, match="an existing sweep file"):
+        load_sweep(tmp_path / "none.yaml")

@@ -93,6 +93,20 @@ def test_a_curve_that_is_clipped_and_ends_before_the_disc_does():
     assert found == pytest.approx(expected, rel=5e-4, abs=0.0)
 
 
+def test_a_map_has_no_seam():
+    """A map and its axes turned together, so that the date line is elsewhere, give the same."""
+    albedo = np.random.default_rng(4).uniform(0.1, 0.7, (18, 36))
+    line, place = beside_limb(35_786e3, 3.0, 1.0)
+    found = []
+    for columns in (0, 9, 18, 25):
+        turn = 2.0 * np.pi * columns / 36
+        c, s = np.cos(turn), np.sin(turn)
+        axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        rolled = np.roll(albedo, columns, axis=1)
+        found.append(earth_stray(line[None], place, OVERHEAD, HARVEY, rolled, axes)[0])
+    assert found == pytest.approx([found[0]] * 4, rel=1e-9, abs=0.0)
+
+
 def test_against_brute_force_with_a_map():
     """Cells of 10 degrees, bilinear, turned by some rotation."""
     rng = np.random.default_rng(3)
