@@ -254,7 +254,7 @@ def _response_at_centre(plan: Plan, blur: Blur, path: Path) -> tuple[Array, Arra
     Of a path of more than MOST_PIECES pieces each different one is drawn once, by itself: their
     ends, where two of them share pixels, are a small part of it.
     """
-    radius = plan.responses.classes[0].radius_px
+    radius = plan.responses.usual_px
     counts = piece_counts(path)
     if sum(count for *_, count in counts) > MOST_PIECES:
         values = [share * _kept(blur, radius, piece)[2] for piece, share, _ in counts]

@@ -127,6 +127,13 @@ class ResponsePlan:
         return 0.5 * self.spacing_px, 4.0 * self.classes[0].radius_px
 
     @property
+    def usual_px(self) -> float:
+        """Radius of a usual core, which holds what is seen of a source, 0 without sources."""
+        if self.spacing_px:
+            return self.classes[0].radius_px / FAINT_RADIUS
+        return self.classes[0].radius_px if self.classes else 0.0
+
+    @property
     def products(self) -> bool:
         """Whether stars are drawn as column times row."""
         streak_px = 0.0 if self.streaks.still else self.streaks.longest_px

@@ -48,7 +48,7 @@ def write_whole(product: Path, kind: str, table: pa.Table) -> int:
     import pyarrow.parquet as pq
 
     with whole_file(product / TRUTH / f"{kind}.parquet") as own:
-        pq.write_table(table, own, **_OPTIONS)
+        pq.write_table(table, own, **_options(table.schema))
     return int(table.num_rows)
 
 
@@ -77,7 +77,8 @@ def join_parts(product: Path, kind: str, frames: int, empty: Any) -> int:
 
     target = product / TRUTH / f"{kind}.parquet"
     rows, held, group = 0, 0, [empty]
-    with whole_file(target) as own, pq.ParquetWriter(own, empty.schema, **_OPTIONS) as writer:
+    schema = empty.schema
+    with whole_file(target) as own, pq.ParquetWriter(own, schema, **_options(schema)) as writer:
         for frame in range(frames):
             content = part_path(product, kind, frame).read_bytes()
             if not is_whole(content):
@@ -102,8 +103,8 @@ def drop_parts(product: Path) -> None:
     shutil.rmtree(product / TRUTH / PARTS, ignore_errors=True)
 
 
-_OPTIONS: dict[str, Any] = {
-    "compression": "snappy",
-    "use_dictionary": False,  # hardly two stars agree in a number: it would cost as much again
-    "write_page_checksum": True,
-}
+def _options(schema: pa.Schema) -> dict[str, Any]:
+    """Dictionaries for names alone: hardly two stars agree in a number, and looking for it would
+    cost four times more."""
+    names = [field.name for field in schema if str(field.type).startswith("dictionary")]
+    return {"compression": "snappy", "use_dictionary": names, "write_page_checksum": True}

@@ -201,8 +201,8 @@ def _geometry_of(g: Geometry, index: int) -> Geometry:
 
 
 def _core_px(plan: Plan) -> float:
-    """Radius of the smallest core [px]."""
-    return plan.responses.classes[0].radius_px if plan.responses.classes else 1.0
+    """Radius of a usual core [px]."""
+    return plan.responses.usual_px or 1.0
 
 
 def _cut(place: Tile, part: Tile) -> tuple[slice, slice]:
