@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import re
 import secrets
 import stat
@@ -26,7 +27,7 @@ from service.app import ROOMS
 from service.auth import Authenticator, Caller
 from service.database import connect, sqlite_url
 from service.keys import TOKEN, any_key, create_key, list_keys, matches, revoke_key
-from service.logs import redact
+from service.logs import JsonLines, redact
 from service.main import bind
 from service.oidc import Verifier
 from service.problems import Forbidden, Unauthenticated
@@ -273,6 +274,22 @@ def test_log_lines_are_json(guarded: Any) -> None:
 )
 def test_redaction(text: str) -> None:
     assert "s3cret" not in redact(text)
+
+
+def test_what_stands_in_a_log_line_is_redacted() -> None:
+    """The message, what stands beside it, and the traceback."""
+    secret = "ng_0123456789ab_" + "s3cret" * 7
+    try:
+        raise ValueError(f"no such key: {secret}")
+    except ValueError:
+        told = sys.exc_info()
+    record = logging.LogRecord("nightglass", logging.ERROR, "f", 1, "for %s", (secret,), told)
+    record.path, record.status = f"/v1/jobs?key={secret}", 500
+    line = json.loads(JsonLines().format(record))
+    assert "s3cret" not in json.dumps(line)
+    assert (line["level"], line["status"]) == ("error", 500)
+    assert line["path"] == "/v1/jobs?key=ng_0123456789ab_***"
+    assert "ValueError: no such key: ng_0123456789ab_***" in line["traceback"]
 
 
 def test_beyond_loopback_only_with_keys() -> None:

@@ -99,6 +99,11 @@ def test_quotas(database: str) -> None:
     assert "a day" in str(refused)
     [last] = submit_many(store, [ask(team="green", pixel_frames=100)], limits)
     assert last[1]  # all of it
+    at_once = [ask(team="grey", pixel_frames=n) for n in (60, 30, 20, 10)]  # one commit
+    answers = submit_many(store, at_once, limits)
+    assert [isinstance(a, QueueFull) for a in answers] == [False, False, True, False]
+    with store.engine.begin() as db:
+        assert used_by(db, "grey", int(time.time() // 86_400)).pixel_frames == 100
     store.delete(other[0].id)  # what was asked for today stays asked for
     [refused] = submit_many(store, [ask(team="blue", pixel_frames=11)], limits)
     assert "a day" in str(refused)
