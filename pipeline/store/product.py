@@ -208,7 +208,7 @@ def begin_copy(path: Path, source: Path, layers: tuple[str, ...], scene: Scene) 
     for table in (source / layout.TRUTH).glob("*.parquet"):
         shutil.copyfile(table, path / layout.TRUTH / table.name)
     drop_parts(path)
-    return CubeWriter(str(path.resolve()), layers)
+    return CubeWriter(str(path.resolve()), layers, tiles_of(source), scene.output.compression)
 
 
 def _make_folders(path: Path) -> None:
@@ -223,7 +223,10 @@ def _make_folders(path: Path) -> None:
 
 
 def _writer(path: Path, plan: Plan) -> CubeWriter:
-    return CubeWriter(str(path.resolve()), layers_of(plan))
+    scene = plan.scene
+    return CubeWriter(
+        str(path.resolve()), layers_of(plan), tile_shape(scene), scene.output.compression
+    )
 
 
 def truth_kinds(plan: Plan) -> tuple[str, ...]:

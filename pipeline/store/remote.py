@@ -8,19 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from catalog_tools.objects import Listed, Objects
 from catalog_tools.stores import Unreachable
 from pipeline.errors import BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
-from pipeline.plan.tiles import Tile
 from pipeline.store import layout
-from pipeline.store.cube import CubeWriter, layers_of
+from pipeline.store.cube import CubeWriter
 from pipeline.store.markers import (
     Marker,
     fault_of,
@@ -52,19 +49,10 @@ HERE = Path()
 
 @dataclass(frozen=True)
 class RemoteWriter(CubeWriter):
-    """Stores tiles as objects below the URL `product`.
+    """Stores tiles as objects below the URL `product`."""
 
-    metadata : each layer's zarr.json
-    """
-
-    metadata: dict[str, bytes] = field(default_factory=dict)
-
-    def write_chunk(
-        self, name: str, relative: str, frame: int, tile: Tile, values: NDArray[Any]
-    ) -> bytes:
-        content = _encoded(self.metadata[name], frame, tile, values)
+    def write_chunk(self, relative: str, content: bytes) -> None:
         Objects(self.product).put(f"{layout.CUBE}/{relative}", content)
-        return content
 
     def write_marker(self, marker: Marker) -> None:
         place = _marker_name(marker.frame, marker.row, marker.column)
@@ -72,19 +60,6 @@ class RemoteWriter(CubeWriter):
 
     def write_truth(self, kind: str, frame: int, table: pa.Table) -> None:
         Objects(self.product).put(_part_name(kind, frame), part_content(table))
-
-
-def _encoded(metadata: bytes, frame: int, tile: Tile, values: NDArray[Any]) -> bytes:
-    """The chunk of a tile, as Zarr's codecs make it."""
-    import zarr
-    from zarr.core.buffer import cpu
-
-    held: dict[str, Any] = {"zarr.json": cpu.Buffer.from_bytes(metadata)}
-    array = zarr.open_array(store=zarr.storage.MemoryStore(held), mode="r+")
-    array = array.with_config({"write_empty_chunks": True})
-    array[frame, tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns] = values
-    content: bytes = held[f"c/{frame}/{tile.row}/{tile.column}"].to_bytes()
-    return content
 
 
 def begin_remote(
@@ -107,9 +82,8 @@ def begin_remote(
         )
     if resume and layout.BEGUN not in there and not bare:
         raise BadInput("--resume", objects.url, "a product begun by `nightglass render`")
-    begin(stage, plan, catalogue_digest, resume=False)
-    metadata = {n: (stage / layout.CUBE / n / "zarr.json").read_bytes() for n in layers_of(plan)}
-    writer = RemoteWriter(objects.url, layers_of(plan), metadata)
+    staged = begin(stage, plan, catalogue_digest, resume=False).writer
+    writer = RemoteWriter(objects.url, staged.layers, staged.chunk, staged.compression)
     if layout.BEGUN not in there:
         if there and resume is None:
             raise BadInput("-o", objects.url, "a place where nothing is yet")

@@ -180,13 +180,13 @@ def fit_wcs(camera: Camera, to_world: Callable[[Array, Array], Array]) -> WcsFit
     (to 9 for a camera with a distortion) are tried, and the lowest that meets the bound is taken.
     """
     x0, y0 = camera.centre_px
-    centre = to_world(np.array([x0]), np.array([y0]))[0]
-    lon, lat = to_angles(centre)
-    plane = TangentPlane(float(lon), float(lat))
     u, v = frame_grid(camera, 21, 0.0)
-    world = plane.project(to_world(x0 + u, y0 + v))
     check_u, check_v = frame_grid(camera, 16, 0.02)
-    check_world = plane.project(to_world(x0 + check_u, y0 + check_v))
+    places = [np.concatenate(both) for both in (([0.0], u, check_u), ([0.0], v, check_v))]
+    seen = to_world(x0 + places[0], y0 + places[1])
+    lon, lat = to_angles(seen[0])
+    plane = TangentPlane(float(lon), float(lat))
+    world, check_world = np.split(plane.project(seen[1:]), [u.size])
     fit = None
     orders = _SIP_ORDERS if camera.distortion is None else _SIP_ORDERS_DISTORTED
     for order in (1, *orders):
