@@ -52,7 +52,7 @@ from pipeline.plan.geometry import (
     plan_geometry,
     sampled_frames,
 )
-from pipeline.plan.needs import Spent, check_memory
+from pipeline.plan.needs import Spent, check_memory, drawing_s
 from pipeline.plan.optics import check_motion
 from pipeline.plan.orbit_age import orbit_remarks
 from pipeline.plan.scene_plan import (
@@ -247,13 +247,21 @@ def _with_engines(
     """The plan with the stars' engines chosen by those of its fullest frame."""
     if plan.scene.stars is None:
         return plan
+    from pipeline.plan.shared_frames import OwnMotion, share_frames
     from pipeline.plan.star_engines import StarCounts, choose_engines
     from pipeline.star_counts import frame_lights
 
     found = frame_lights(
         plan, catalogues, left_out, geometry, lambda g: shards_of(plan, catalogues, g)
     )
-    return choose_engines(plan, geometry, StarCounts(*found))
+    plan = choose_engines(plan, geometry, StarCounts(*found))
+    leaves = [shard.leaf for shard in shards_of(plan, catalogues, geometry)]
+    own = OwnMotion(
+        max((leaf.max_proper_motion_mas_yr for leaf in leaves), default=0.0),
+        max((leaf.max_parallax_mas for leaf in leaves), default=0.0),
+    )
+    seconds = drawing_s(plan, plan.stars_per_frame)
+    return share_frames(plan, geometry.frame, own, seconds)
 
 
 def _sky(

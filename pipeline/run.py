@@ -219,7 +219,10 @@ def missing(plan: Plan, begun: Begun, frames: np.ndarray, share: Share = WHOLE) 
     }  # fmt: skip
     if not tiles and not any(truth.values()):
         return None
-    geometry = plan_geometry(plan.scene, np.concatenate([earlier, frames]), plan.dut1_s)
+    seen = np.concatenate([earlier, frames])
+    drawn = np.unique([plan.drawn_frame(int(f)) for f in seen])
+    seen = np.concatenate([seen, np.setdiff1d(drawn, seen)])
+    geometry = plan_geometry(plan.scene, seen, plan.dut1_s)
     return Work(
         geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()),
         truth.get("cosmic_rays", ()),

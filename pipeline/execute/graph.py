@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps, StarTable, 
 from pipeline.execute.blocks import Block, plan_blocks, render_block
 from pipeline.execute.coordinates import frame_coordinates
 from pipeline.execute.sources import excursion_px, place_stars, truth_order
-from pipeline.execute.tile import charge_of_tile, render_tile
+from pipeline.execute.tile import StarLight, charge_of_tile, render_tile, star_light
 from pipeline.execute.truth import star_truth, target_truth
 from pipeline.inputs.stars import Catalogue, Shard, gather_leaf, leaf_pad_rad
 from pipeline.physics.positions.focal_plane import deproject, stretch
@@ -48,7 +48,8 @@ class Inputs:
 class Work:
     """What is still to be done in a window of frames: indices into its geometry.
 
-    Where charge stays behind, the geometry begins with frames before the window.
+    Where charge stays behind, the geometry begins with frames before the window. It ends with
+    those whose stars the others share, where they are not among them.
     """
 
     geometry: Geometry
@@ -93,24 +94,43 @@ def window_graph(
     wanted: list[Key] = []
     blocks = plan_blocks(plan, sum(rows_wanted(shard) for shard in shards))
     lag = plan.lag_frames
-    needed = {i - j for i, _ in work.tiles for j in range(min(i, lag) + 1)} | set(work.star_truth)
+    place = {int(frame): i for i, frame in enumerate(work.geometry.frame)}
+    needed = {i - j for i, _ in work.tiles for j in range(min(i, lag) + 1)}
+    needed |= {place[plan.drawn_frame(int(work.geometry.frame[i]))] for i in needed}
+    needed |= set(work.star_truth)
     rectangles = tuple(dict.fromkeys((*(tile for _, tile in work.tiles), *blocks)))  # each once
     views = {
         index: _view(plan, work.geometry.frame_slice(index), shards, ref_epochs_jyear, rectangles)
         for index in sorted(needed)
     }
+
+    def light_of(view: _View, tile: Tile) -> tuple[list[Key], list[Key], list[Key]]:
+        """Keys of what a tile of a frame is drawn from: its stars' places, its blocks, and the
+        light of its stars, where that is drawn for several frames."""
+        frame = int(view.g.frame[0])
+        if plan.shared_frames == 1:
+            return *_seen_by(graph, inputs, view, tile, blocks), []
+        first = views[place[plan.drawn_frame(frame)]]
+        key = ("stars", int(first.g.frame[0]), tile.row, tile.column)
+        if key not in graph:
+            seen = _seen_by(graph, inputs, first, tile, blocks)
+            graph[key] = (star_task, inputs, first.g, tile, *seen)
+        of_targets = blocks if plan.scene.targets and plan.responses.spacing_px else ()
+        bare = replace(view, shards={}, near={r: [] for r in view.near})
+        around = _seen_by(graph, inputs, bare, tile, of_targets, "target_block")[1]
+        return _places(graph, inputs, view, tile), around, [key]
+
     for index, tile in work.tiles:
         before = []
         for earlier in range(max(0, index - lag), index):
             key = ("charge", int(views[earlier].g.frame[0]), tile.row, tile.column)
             if key not in graph:
-                seen = _seen_by(graph, inputs, views[earlier], tile, blocks)
+                seen = light_of(views[earlier], tile)
                 graph[key] = (charge_task, inputs, views[earlier].g, tile, *seen)
             before.append(key)
         view = views[index]
         name = ("tile", int(view.g.frame[0]), tile.row, tile.column)
-        seen = _seen_by(graph, inputs, view, tile, blocks)
-        graph[name] = (tile_task, inputs, view.g, tile, *seen, before)
+        graph[name] = (tile_task, inputs, view.g, tile, *light_of(view, tile), before)
         wanted.append(name)
     for index in work.star_truth:
         view = views[index]
@@ -129,15 +149,16 @@ def window_graph(
 
 
 def _seen_by(
-    graph: dict[Key, Any], inputs: Any, view: _View, tile: Tile, blocks: Iterable[Tile]
-) -> tuple[list[Key], list[Key]]:
+    graph: dict[Key, Any], inputs: Any, view: _View, tile: Tile, blocks: Iterable[Tile],
+    kind: str = "block",
+) -> tuple[list[Key], list[Key]]:  # fmt: skip
     """Keys of what a tile of a frame is drawn from: its stars' places, and its blocks."""
     parts = _places(graph, inputs, view, tile)
     frame, around = int(view.g.frame[0]), []
     for block in blocks:
         shared = overlap(tile, block)
         if shared.rows and shared.columns:
-            key = ("block", frame, block.row, block.column)
+            key = (kind, frame, block.row, block.column)
             if key not in graph:
                 near = _places(graph, inputs, view, block)
                 graph[key] = (block_task, inputs, view.g, block, near)
@@ -220,14 +241,22 @@ def block_task(inputs: Inputs, g: Geometry, place: Tile, parts: list[FrameStars]
     return render_block(inputs.plan, g, place, parts)
 
 
+def star_task(
+    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
+) -> StarLight:
+    """Task: the light of a tile's stars, for several frames."""
+    return star_light(inputs.plan, g, tile, parts, blocks)
+
+
 def tile_task(
     inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
-    before: list[Array],
+    shared: list[StarLight], before: list[Array],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Task: render one tile of one frame and store it; returns only its name."""
     layers, checks = render_tile(
-        inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays, before
-    )
+        inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays, before,
+        shared=next(iter(shared), None),
+    )  # fmt: skip
     first = (tile.row, tile.column) == (0, 0)
     coordinates = frame_coordinates(inputs.plan, g) if first else None
     inputs.writer.write(int(g.frame[0]), tile, layers, checks, coordinates)
@@ -235,10 +264,14 @@ def tile_task(
 
 
 def charge_task(
-    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
-) -> Array:
+    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
+    shared: list[StarLight],
+) -> Array:  # fmt: skip
     """Task: what a tile of one frame collects, for the frames after in which a share is left."""
-    return charge_of_tile(inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays)
+    return charge_of_tile(
+        inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays,
+        shared=next(iter(shared), None),
+    )  # fmt: skip
 
 
 def star_truth_task(inputs: Inputs, g: Geometry, parts: list[FrameStars]) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,7 @@ def render_tile(
     rays: CosmicRays | None = None,
     before: Sequence[Array] = (),
     light_e: dict[str, Array] | None = None,
+    shared: StarLight | None = None,
 ) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
     """The layers of a tile that the scene asks for, and what the reference path found in it.
 
@@ -47,11 +48,12 @@ def render_tile(
     the mean of the noisy frame before full well and ADC. `cosmic_rays_e` is drawn charge and not
     in it. before : `charge_of_tile` of the frames before, where charge stays behind.
     light_e : what `tile_light` gave for this tile, where that is known already.
+    shared : of its stars, where an earlier frame's serves; `blocks` are then those of targets.
     """
     exposed_s = plan.integration_s(int(g.frame[0]))
     chain = tile_chain(plan.scene, maps, tile, exposed_s)
-    light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
-    layers, own = _mean(plan, g, tile, chain, light, blocks)
+    light = light_with(plan, g, tile, parts, blocks, shared) if light_e is None else light_e
+    layers, own = _mean(plan, g, tile, chain, light, _wing_error_e(blocks, shared))
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
     if drawn is not None:
         layers["cosmic_rays_e"] = drawn
@@ -81,12 +83,13 @@ def charge_of_tile(
     blocks: list[Block],
     rays: CosmicRays | None = None,
     light_e: dict[str, Array] | None = None,
+    shared: StarLight | None = None,
 ) -> Array:
     """What the pixels of a tile collect in one frame [e-]: of it a share is left for the next."""
     exposed_s = plan.integration_s(int(g.frame[0]))
     chain = tile_chain(plan.scene, maps, tile, exposed_s)
-    light = tile_light(plan, g, tile, parts, blocks) if light_e is None else light_e
-    _, mean = _mean(plan, g, tile, chain, light, blocks)
+    light = light_with(plan, g, tile, parts, blocks, shared) if light_e is None else light_e
+    _, mean = _mean(plan, g, tile, chain, light, _wing_error_e(blocks, shared))
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
     return collected_e(plan.scene, mean, drawn)
 
@@ -97,9 +100,12 @@ def _mean(
     tile: Tile,
     chain: Chain,
     light: dict[str, Array],
-    blocks: list[Block],
+    error_e: float,
 ) -> tuple[dict[str, Array], Array]:
-    """The noise-free layers of a tile, and their sum: the mean of what its pixels collect."""
+    """The noise-free layers of a tile, and their sum: the mean of what its pixels collect.
+
+    error_e : what the wings may err by, also below zero
+    """
     shape, exposed_s = (tile.rows, tile.columns), plan.integration_s(int(g.frame[0]))
     layers: dict[str, Array] = {
         name: np.broadcast_to(image * chain.flat, shape) for name, image in light.items()
@@ -110,11 +116,40 @@ def _mean(
     mean = np.zeros(shape)
     for layer in layers.values():
         mean += layer
-    error_e = max((b.wing_error_e for b in blocks), default=0.0)
     return layers, guard_mean(plan, g, tile, mean, layers, error_e)
 
 
 LIGHTS = ("stars", "targets", "sky")  # in the order in which they are summed
+
+
+class StarLight(NamedTuple):
+    """The light of a tile's stars [e-], drawn once for several frames; what its wings err by."""
+
+    light_e: Array
+    wing_error_e: float
+
+
+def star_light(
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
+) -> StarLight:
+    """The light of a tile's stars where they stand in the frame of `g`."""
+    light = tile_light(plan, g, tile, parts, blocks, ("stars",))["stars_e"]
+    return StarLight(light, _wing_error_e(blocks, None))
+
+
+def light_with(
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
+    shared: StarLight | None,
+) -> dict[str, Array]:  # fmt: skip
+    """`tile_light`, or the same with the light of stars that another frame's drawing gave."""
+    if shared is None:
+        return tile_light(plan, g, tile, parts, blocks)
+    return {"stars_e": shared.light_e} | tile_light(plan, g, tile, parts, blocks, LIGHTS[1:])
+
+
+def _wing_error_e(blocks: list[Block], shared: StarLight | None) -> float:
+    error_e = max((b.wing_error_e for b in blocks), default=0.0)
+    return error_e if shared is None else error_e + shared.wing_error_e
 
 
 def tile_light(

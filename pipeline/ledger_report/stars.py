@@ -104,6 +104,20 @@ def doppler(bench: Bench) -> Iterator[Found]:
                 f"{HOT_K:g} K", bound, off, unit, out_s, in_s)  # fmt: skip
 
 
+@probe("shared_frames")
+def standing(bench: Bench) -> Iterator[Found]:
+    """Stars where they stand in the first of the frames that share them, and in the last."""
+    data = scene({"stars": {"catalogue": bench.catalogue}, "observer": SITE,
+                  "exposure": {"integration_s": 0.2, "frames": 500, "cadence_s": 0.3}})  # fmt: skip
+    plan = open_stage(data).plan
+    first, last = (open_stage(data, frame=k) for k in (0, plan.shared_frames - 1))
+    in_s, a = timed(lambda: mean_e(first))
+    _, b = timed(lambda: mean_e(last))
+    bound, unit = stated(plan, "shared_frames")
+    how = f"{len(first.stars)} stars over a site, {plan.shared_frames} frames after 0.3 s each"
+    yield Found("shared_frames", how, bound, most(a - b), unit, 0.0, in_s)
+
+
 @probe("precession_nutation")
 def polar_motion(_: Bench) -> Iterator[Found]:
     """A site with the pole where the Earth-orientation tables have it, two weeks later."""

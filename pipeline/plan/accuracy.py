@@ -26,7 +26,8 @@ def parts(scene: Scene) -> float:
 
     One for each approximation that its drawing may take: sub-pixel phases, the grid and the end of
     wings, common streaks, the wavelengths of a band, bodies as points, the limit of faint stars,
-    motion as blur; SMALL for the grid of the sky and for charge that stays from earlier frames.
+    motion as blur; SMALL for the grid of the sky, for charge that stays from earlier frames, and
+    for stars that are drawn for several frames.
     """
     sources = bool(scene.stars or scene.targets or scene.populations)
     winged = not all(isinstance(psf, GaussianPsf) for psf in scene.sensor.every_psf)
@@ -40,8 +41,25 @@ def parts(scene: Scene) -> float:
         scene.pointing.attitude is not None and scene.pointing.attitude.random,
     ]
     detector = scene.sensor.detector
-    small = [scene.background is not None, detector is not None and detector.lag is not None]
+    small = [
+        scene.background is not None,
+        detector is not None and detector.lag is not None,
+        may_share_frames(scene),
+    ]
     return max(1.0, sources * sum(drawn) + SMALL * sum(small))
+
+
+def may_share_frames(scene: Scene) -> bool:
+    """Whether a scene's stars could stand still from frame to frame: a sidereal pointing without
+    motion of its own, no air before it, and all rows exposed together."""
+    detector, site = scene.sensor.detector, scene.observer
+    return (
+        scene.stars is not None
+        and scene.dwells is None and scene.exposure.frames > 1
+        and scene.pointing.mode == "sidereal" and scene.pointing.attitude is None
+        and getattr(site, "atmosphere", None) is None
+        and (detector is None or detector.readout is None)
+    )  # fmt: skip
 
 
 def by_wavelength(scene: Scene) -> bool:

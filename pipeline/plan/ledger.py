@@ -51,6 +51,10 @@ LEDGER = (
          "stars below the limit (given, or where the sum of all fainter ones is below a share of "
          "the noise) become smooth light; in layers each star is drawn once",
          "tests/plan/test_sky.py"),
+    Rule(("shared_frames",),
+         "frames in a row of a sidereal pointing share one drawing of their stars, where these "
+         "move by less than the accuracy leaves room for",
+         "tests/acceptance/test_shared_frames.py"),
     Rule(("precession_nutation", "polar_motion"),
          "IAU 2006/2000A always; the pole of the epoch where the IERS tables cover it, else the "
          "origin (10 m)",

@@ -60,7 +60,7 @@ def frame_seconds(plan: Plan, forecast: StarForecast | None) -> float:
     pixels = math.prod(plan.scene.sensor.shape)
     stars = forecast.stars_per_frame if forecast else 0
     light_s = pixels * WING_S_PER_PIXEL if plan.responses.spacing_px else 0.0
-    return pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + _drawing_s(plan, stars) + light_s
+    return pixels * NOISE_S_PER_PIXEL + stars * PLACE_S_PER_STAR + drawing_s(plan, stars) + light_s
 
 
 def predict(
@@ -79,12 +79,15 @@ def predict(
     pixels = math.prod(plan.scene.sensor.shape)
     layers = {*plan.scene.output.layers} - {"dn"}  # numbers of 4 bytes; `dn` is always kept
     pixel_bytes = dn_type(plan.scene.sensor.adc_bits).itemsize + 4.0 * len(layers)
-    light_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL
     geometry_s = spent.geometry_s / spent.frames
-    light_s += _wings_s(plan, spent) + (2.0 * geometry_s if geometry_s > SLOW_S else 0.0)
+    stars = forecast.stars_per_frame if forecast else 0
+    placed_s = stars * PLACE_S_PER_STAR + (2.0 * geometry_s if geometry_s > SLOW_S else 0.0)
+    drawn_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL + _wings_s(plan, spent)
+    drawn_s -= stars * PLACE_S_PER_STAR
+    light_s = plan.frames * placed_s + math.ceil(plan.frames / plan.shared_frames) * drawn_s
     once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan) + _profiles_s(plan)
     return {
-        "cpu_s": least_cpu_s(plan.scene) + once_s + plan.frames * light_s,
+        "cpu_s": least_cpu_s(plan.scene) + once_s + light_s,
         "worker_memory_mb": sum(_memory_mb(plan, forecast, spent).values()),
         "product_mb": pixels * plan.frames * pixel_bytes / 1e6,
     }
@@ -221,7 +224,7 @@ def _in_crowds(plan: Plan, stars: int) -> bool:
     return 0 < plan.responses.spectral_from <= stars / blocks
 
 
-def _drawing_s(plan: Plan, stars: int) -> float:
+def drawing_s(plan: Plan, stars: int) -> float:
     """CPU seconds of drawing the stars of a frame, with stamps or in crowds."""
     r = plan.responses
     if not r.classes or not stars:

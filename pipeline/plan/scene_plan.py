@@ -47,7 +47,10 @@ FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # deflection: 1.75 arcsec at the Sun's lim
 
 @dataclass(frozen=True)
 class Plan:
-    """What is rendered and how; a value, made before anything is read or drawn."""
+    """What is rendered and how; a value, made before anything is read or drawn.
+
+    shared_frames : so many frames in a row share one drawing of their stars
+    """
 
     scene: Scene
     camera: Camera
@@ -65,6 +68,7 @@ class Plan:
     warnings: tuple[str, ...] = ()
     coverage: FieldCoverage | None = None
     stars_per_frame: int = 0  # that light the fullest, of a few
+    shared_frames: int = 1
 
     @property
     def frames(self) -> int:
@@ -91,6 +95,10 @@ class Plan:
             return self.floor_e(frame) ** 2
         sky_e = f.background_e_s * self.integration_s(frame)
         return self.floor_e(frame) ** 2 - (1.0 - f.flat) * sky_e
+
+    def drawn_frame(self, frame: int) -> int:
+        """The frame where the stars of a frame stand as they are drawn in it."""
+        return frame - frame % self.shared_frames
 
     @property
     def lag_frames(self) -> int:

@@ -43,14 +43,14 @@ class Stage:
         return self.prepared.plan
 
 
-def open_stage(scene: dict, wide: Plan | None = None) -> Stage:
-    """Prepare a scene, and read and place its stars for the first frame.
+def open_stage(scene: dict, wide: Plan | None = None, frame: int = 0) -> Stage:
+    """Prepare a scene, and read and place its stars for one frame.
 
     wide : a plan of the same scene that reaches farther; default its own
     """
     prepared = prepare(parse_scene(scene))
     plan = wide or prepared.plan
-    g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
+    g = plan_geometry(plan.scene, np.array([frame]), plan.dut1_s)
     stars, rows = gather_stars(prepared, plan, g)
     return Stage(prepared, plan, g, stars, rows)
 

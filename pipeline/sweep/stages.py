@@ -128,6 +128,8 @@ class Stages:
 
     def _light_of(self, base: Base, kind: str, g: Geometry, tile: Tile) -> dict[str, Array]:
         part, key = base.parts[kind]
+        if kind == "stars" and base.plan.shared_frames > 1:
+            g = self.geometry(base, base.plan.drawn_frame(int(g.frame[0])))
         plan, mine, stars = part.plan, part.geometry(g), None
         scene = base.plan.scene
         if (kind == "stars" and scene.stars is None) or (kind == "targets" and not scene.targets):

@@ -92,11 +92,13 @@ def test_every_part_is_counted(scene: Any) -> None:
     none = scene({"stars": None})
     assert parts(none) == 1.0
     gaussian = scene({"sensor.psf": {"kind": "gaussian", "sigma_px": 1.0}})
-    assert parts(gaussian) == 2.0  # phases, streaks
+    assert parts(gaussian) == 2.25  # phases, streaks; a quarter for frames that share stars
+    one = {"exposure": {"integration_s": 1.0}}
+    assert parts(scene({"sensor.psf": {"kind": "gaussian", "sigma_px": 1.0}} | one)) == 2.0
     airy = scene({"sensor.psf": {"kind": "airy"}})
-    assert parts(airy) == 5.0  # and the wings' grid and end, the wavelengths
+    assert parts(airy) == 5.25  # and the wings' grid and end, the wavelengths
     with_sky = scene({"sensor.psf": {"kind": "airy"}, "background": {"zodiacal": True}})
-    assert parts(with_sky) == 5.25
+    assert parts(with_sky) == 5.5
 
 
 @pytest.mark.parametrize("light_e", [1e4, 1e6, 1e8])
