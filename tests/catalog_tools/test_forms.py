@@ -178,6 +178,36 @@ def test_both_conventions_of_motion_in_right_ascension(tmp_path):
     assert made[2] is None
 
 
+def test_a_fallback_serves_where_nothing_better_is_offered(tmp_path):
+    """The first one, and only where its own columns are there too."""
+    ways = """
+[[phot_bp_mean_mag]]
+from = "blue"
+unit = "mag"
+optional = true
+
+[[phot_bp_mean_mag]]
+from = "mag"
+unit = "mag"
+colour = "b_g"
+coefficients = [0.0, 1.0]
+fallback = true
+
+[[phot_bp_mean_mag]]
+from = "mag"
+unit = "mag"
+add = 0.5
+fallback = true
+"""
+    form = load(tmp_path, EXAMPLE + ways)
+    for more, value, expected in (("blue", 3, 3), ("b_g", 0.25, 9.25), ("other", 1, 9.5)):
+        csv = f"mag,id,alpha,delta,{more}\n9,1,0,0,{value}\n"
+        assert [s["phot_bp_mean_mag"] for s in rows(tmp_path, form, csv)] == [expected]
+    csv = "mag,id,alpha,delta,blue,b_g\n9,1,0,0,3,0.25\n9,2,0,0,,0.25\n"
+    found = [star["phot_bp_mean_mag"] for star in rows(tmp_path, form, csv)]
+    assert found == [3, None]  # a better column is there: where it is empty nothing is made up
+
+
 def test_ways_are_tried_in_order_and_colours_have_ranges(tmp_path):
     ways = """
 [[phot_bp_mean_mag]]
@@ -248,6 +278,10 @@ def test_ids_from_positions_are_pixels_of_order_29(tmp_path):
         (
             'layout = "whitespace"\ncolumns = ["id", "alpha", "delta", "mag"]',
             "7 1.5 -2 9\n8 2.5 3 99.9\n",
+        ),
+        (
+            'layout = "whitespace"\ncolumns = ["id", "alpha", "delta", "mag"]',
+            "# a table without a header line, below a comment\n\n7 1.5 -2 9\n8 2.5 3 99.9\n",
         ),
         ('delimiter = "|"', "id| alpha |delta|mag\n  7|1.5|-2|  9\n  8|2.5| 3|99.9\n"),
         (

@@ -74,6 +74,23 @@ def test_every_star_is_in_the_map_once(made, stars):
     np.testing.assert_allclose(light[:, [0, 3]].sum(axis=(0, 1)), expected, rtol=1e-5, atol=1e-12)
 
 
+def test_stars_on_an_edge_are_not_beyond_it(tmp_path):
+    """A star of G = 15.5 is drawn where the limit is 15.5: its light is not in the glow too."""
+    from catalog_tools.ingest import ingest
+
+    edges = [3.0, 9.0, 15.5, 21.0]
+    rows = [f"{i + 1},2015.5,{10.0 + 0.01 * i},20.0,,,,,{g}" for i, g in enumerate(edges)]
+    head = "source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag"
+    (tmp_path / "stars.csv").write_text("\n".join([head, *rows]) + "\n")
+    ingest([tmp_path / "stars.csv"], tmp_path / "catalogue", workers=1)
+    light = sl.make_starlight(open_catalogue(tmp_path / "catalogue"), order=2)
+    bright = light.light[:, [0, 3]].sum(axis=1).max(axis=1)
+    for limit in edges:
+        first = int(np.searchsorted(sl.BIN_EDGES_G_MAG, limit)) + 1  # the bin beyond
+        fainter = sum(10.0 ** (-0.4 * g) for g in edges if g > limit)
+        assert bright[first:].sum() == pytest.approx(fainter, rel=1e-6)
+
+
 @pytest.mark.parametrize("limit", [-1.0, 3.0, 3.1, 9.0, 12.5, 12.77, 15.49, 15.5, 22.0, 30.0])
 def test_light_beyond_a_limit(made, stars, limit):
     """At a pixel's centre: exact on edges, within its own error inside a bin."""

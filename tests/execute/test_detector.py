@@ -240,6 +240,20 @@ def test_lag_against_frame_by_frame(tmp_path):
     assert all(np.array_equal(again[n], lag[n]) for n in lag)
 
 
+def test_tdi_meets_the_mean_of_each_column():
+    """Of the flat and of the dark alike; the columns as they were."""
+    from pipeline.physics.noise.transfer import column_means
+
+    changes = {"prnu": 0.02, "hot": {"fraction": 1e-2}}
+    still = prepare(scene(changes)).maps
+    moved = prepare(scene(changes | {"readout": {"kind": "tdi", "rows_per_s": 3.0}})).maps
+    for name in ("flat", "dark_e_per_s"):
+        before, after = getattr(still, name), getattr(moved, name)
+        assert np.ptp(before, axis=0).max() > 0.0
+        np.testing.assert_array_equal(after, np.broadcast_to(before.mean(axis=0), before.shape))
+        np.testing.assert_array_equal(after, column_means(before))
+
+
 def test_tdi_holds_an_image_that_moves_with_the_charge(tmp_path):
     """A drifting camera and charge that follows its image hold the image still."""
     from pipeline.plan.geometry import plan_geometry, star_paths

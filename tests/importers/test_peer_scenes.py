@@ -230,6 +230,17 @@ def test_vignetting_is_an_image_of_the_field_angle(published, tmp_path):
     assert (tmp_path / name).read_bytes() == b"mine"
 
 
+def test_vignetting_of_a_huge_frame_is_left_out_and_named(published, tmp_path):
+    """Neither side of it is long, but their product is."""
+    text = (published / "peers" / "simsit.yaml").read_text()
+    assert "256" in text
+    (tmp_path / "huge.yaml").write_text(text.replace("256", "4096").replace("320", "4096"))
+    imported = read(tmp_path / "huge.yaml")
+    assert imported.data["sensor"]["shape"] == [4096, 4096]
+    assert imported.images == {}
+    assert any("vignetting" in line and "4096 x 4096" in line for line in imported.notes.left_out)
+
+
 @pytest.mark.parametrize(("heading_deg", "east", "north"), [(0, 0, 1), (30, 0.5, 0.8660)])
 def test_a_pass_heads_from_north_through_east(published, heading_deg, east, north):
     """Over the site, and as fast as a circle asks for."""

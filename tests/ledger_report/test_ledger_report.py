@@ -78,6 +78,14 @@ def test_all_rules_hold():
     assert not [row for row in rows if not row["holds"]]
 
 
+def test_every_probe_is_run():
+    """Also where two of them serve one rule."""
+    checked_rules(())
+    folder = ROOT / "pipeline" / "ledger_report"
+    written = sum(path.read_text().count("\n@probe(") for path in folder.glob("*.py"))
+    assert sum(len(probes) for probes in PROBES.values()) == written > 20
+
+
 def test_mistakes(tmp_path):
     with pytest.raises(BadInput, match="no such rule"):
         checked_rules(("no such rule",))

@@ -45,9 +45,16 @@ from pipeline.plan.cost import CHECK_S, check_count, least_cpu_s
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.faint_stars import peak_share
 from pipeline.plan.geometry import camera_of, plan_geometry
-from pipeline.plan.needs import predict
+from pipeline.plan.needs import drawing_s, frame_seconds, predict
 from pipeline.plan.responses import ResponsePlan, cut_share, plan_responses
-from pipeline.plan.scene_plan import Plan, catalogue_cones, field_cones, make_plan, plan_dict
+from pipeline.plan.scene_plan import (
+    Plan,
+    StarForecast,
+    catalogue_cones,
+    field_cones,
+    make_plan,
+    plan_dict,
+)
 from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 
@@ -109,6 +116,19 @@ def test_facts_against_hand_reckoning(scene: Make) -> None:
     assert f.sigma_floor_e == pytest.approx(sigma)
     # phases, the wings' grid and end, streaks; a quarter for the sky's grid, and for shared frames
     assert 4.5 * f.budget_e == pytest.approx(0.05 * sigma)
+
+
+def test_each_frame_costs_its_drawing(scene: Make) -> None:
+    """Of frames that share their stars, each group once."""
+    few, many = (plan_of(scene({"exposure.frames": n})) for n in (100, 300))
+    stars = StarForecast(1, 1, 10**6, 10**8, 10**6)
+    frame_s, drawn_s = frame_seconds(many, stars), drawing_s(many, 10**6)
+    assert 0.1 < drawn_s < frame_s
+    more_s = predict(many, stars)["cpu_s"] - predict(few, stars)["cpu_s"]
+    assert more_s >= 200 * frame_s
+    together = [replace(plan, shared_frames=100) for plan in (few, many)]
+    less_s = predict(together[1], stars)["cpu_s"] - predict(together[0], stars)["cpu_s"]
+    assert more_s - less_s >= 198 * drawn_s  # not 200 drawings but 2
 
 
 def test_noise_floor_without_photon_noise(scene: Make) -> None:

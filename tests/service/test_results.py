@@ -153,6 +153,16 @@ def test_tiles_are_told_and_shown_as_they_are_drawn(scene: dict[str, Any], tmp_p
                 tile_values(tmp_path / "run", 0, row, column)
 
 
+def test_the_wcs_of_a_frame_is_the_first_one_alone(scene: dict[str, Any], tmp_path: Path) -> None:
+    """What places need, and no card of the alternate WCS."""
+    from pipeline.run import Options, render
+
+    render(parse_scene(scene), tmp_path / "run", Options("synchronous"))
+    wcs = frame_facts(tmp_path / "run", 0)["wcs"]
+    assert {"CTYPE1", "CTYPE2", "CRVAL1", "CRPIX2", "CD1_1", "CD2_2", "RADESYS"} <= set(wcs)
+    assert not [k for k in wcs if k.endswith("A") and not k.startswith(("A_", "B_"))]
+
+
 def test_truth_is_that_of_the_frame_and_its_brightest_stars(tmp_path: Path) -> None:
     """Ids as text, which holds them whole; NaN as null; nothing that is outside of the frame."""
     zarr.create_array(store=tmp_path / "cube.zarr" / "dn", data=np.zeros((2, 4, 4), np.uint16))

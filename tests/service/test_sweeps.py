@@ -117,6 +117,7 @@ BAD: dict[str, list[dict[str, Any]]] = {
     "catalogue": [{"field": "stars", "values": [{"catalogue": "/etc"}]}],
     "targets": [{"field": "targets", "values": [[]]}],
     "target": [{"field": "targets.0.body.path", "values": ["/etc/passwd"]}],
+    "a whole target": [{"field": "targets.0", "values": [{}]}],
     "points": [{"kind": "range", "field": f"x{i}", "start": 0, "stop": 1, "count": 9999}
                for i in range(3)],
 }  # fmt: skip

@@ -7,6 +7,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -22,6 +23,7 @@ from service.integrity import find_faults
 from service.jobs import FINAL, NEXT, Job, Phase, Queue
 from service.leases import give_up, take
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
+from service.routes.jobs import _events
 from service.settings import Settings
 from service.submissions import Ask, Intake, Limits, run_pending, submit_many, used_by
 from service.tables import audit, jobs, uploads
@@ -86,6 +88,38 @@ def test_many_processes_worth_of_writers(database: str) -> None:
                 stores[0].finish(job, Phase.COMPLETED)
     for store in stores:
         store.close()
+
+
+def test_events_of_every_version(database: str) -> None:
+    """The ninth change is followed by the tenth; who comes back is told what is new."""
+    store = Queue(database)
+    [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING)], Limits())
+    seen: list[int] = []
+
+    async def after(*_: Any) -> None:
+        if len(seen) < 12:
+            store.amend(job.id, "red", Limits(), run_id=f"run-{len(seen)}")
+        else:
+            store.delete(job.id, "red", "x")
+
+    changes, timing = SimpleNamespace(after=after), SimpleNamespace(heartbeat_s=1.0)
+    service: Any = SimpleNamespace(store=store, changes=changes, settings=timing)
+
+    async def listen() -> str:
+        text = ""
+        async for event in _events(service, store.get(job.id), str(job.version)):
+            text = event
+            if event.startswith("id: "):
+                seen.append(int(event.split()[1]))
+            elif event.startswith("retry"):
+                seen.append(job.version)
+        return text
+
+    last = asyncio.run(listen())
+    assert seen == list(range(job.version, job.version + 12))
+    assert max(seen) >= 10
+    assert last.startswith("event: deleted")
+    store.close()
 
 
 def test_quotas(database: str) -> None:

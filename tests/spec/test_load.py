@@ -153,6 +153,18 @@ def test_missing_large_and_strange_files(tmp_path: Path) -> None:
         load_scene(empty)
 
 
+def test_data_nested_beyond_all_measure_is_refused(full: dict[str, Any]) -> None:
+    """Given from Python, where no reader has counted the levels."""
+    deep: Any = {}
+    for _ in range(100_000):
+        deep = {"a": deep}
+    full["stars"] = {"catalogue": deep}
+    with pytest.raises(BadInput):
+        parse_scene(full)
+    while deep:
+        deep = deep.pop("a")  # one by one: the interpreter's stack would not do
+
+
 @pytest.mark.parametrize("data", [b"", b"[1, 2]", b"text"])
 def test_overrides_of_what_is_no_scene(tmp_path: Path, data: bytes) -> None:
     file = tmp_path / "scene.yaml"
