@@ -354,6 +354,13 @@ def test_release_is_told_by_columns_epoch_and_designation(tmp_path, columns, val
     assert pa.concat_tables(read_tables(path)).num_rows == 2
 
 
+def test_a_byte_order_mark_hides_no_votable(tmp_path):
+    """Whose element may come late, after a long comment."""
+    head = b"\xef\xbb\xbf<?xml version='1.0'?>\n<!-- " + b"long " * 200_000 + b"-->\n<VOTABLE/>"
+    (tmp_path / "late.xml").write_bytes(head)
+    assert kind_of(tmp_path / "late.xml") == "votable"
+
+
 def test_detection_looks_into_every_kind(tmp_path):
     stars = random_stars(30, 3)
     later = stars.append_column("ref_epoch", pa.array(np.full(30, 2016.0)))

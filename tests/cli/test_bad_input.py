@@ -257,3 +257,12 @@ def test_the_environment_of_its_children_is_the_users():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.stdout.strip() == "{}"
+
+
+@pytest.mark.parametrize("text", ["1", "1,2,3", "1,x"])
+def test_a_corner_is_two_numbers(catalogue: Path, text: str) -> None:
+    others = ("--corner", "3,4", "--corner", "5,0")
+    said = nightglass("catalog", "cone", str(catalogue), "--corner", text, *others)
+    assert said.returncode == 2
+    assert "--corner" in said.stderr and text in said.stderr
+    assert said.stderr.count("\n") == 1

@@ -240,6 +240,19 @@ def test_lag_against_frame_by_frame(tmp_path):
     assert all(np.array_equal(again[n], lag[n]) for n in lag)
 
 
+@pytest.mark.parametrize("coefficients", [[0.05], [-0.05, 0.01], [0.2, -0.1]])
+def test_a_polynomial_bends_as_far_as_it_says(coefficients):
+    """Read over collected, x + c2 x^2 + c3 x^3 of the full well: above it too."""
+    bent = {"nonlinearity": {"kind": "polynomial", "coefficients": coefficients}}
+    plan = prepare(scene(bent))
+    collected, read = plan.maps.linearity
+    full_e = plan.plan.scene.sensor.full_well_e
+    x = collected / full_e
+    wanted = x + sum(c * x ** (n + 2) for n, c in enumerate(coefficients))
+    np.testing.assert_allclose(read / full_e, wanted, rtol=1e-12)
+    assert collected[-1] == full_e
+
+
 def test_tdi_meets_the_mean_of_each_column():
     """Of the flat and of the dark alike; the columns as they were."""
     from pipeline.physics.noise.transfer import column_means

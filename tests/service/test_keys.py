@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import json
 import logging
 import re
@@ -290,6 +291,12 @@ def test_what_stands_in_a_log_line_is_redacted() -> None:
     assert (line["level"], line["status"]) == ("error", 500)
     assert line["path"] == "/v1/jobs?key=ng_0123456789ab_***"
     assert "ValueError: no such key: ng_0123456789ab_***" in line["traceback"]
+
+
+def test_only_this_machine_is_served_unless_asked_otherwise() -> None:
+    from pipeline.cli import serve
+
+    assert inspect.signature(serve).parameters["host"].default == "127.0.0.1"
 
 
 def test_beyond_loopback_only_with_keys() -> None:

@@ -28,6 +28,7 @@ from service.settings import Settings
 from service.submissions import Ask, Intake, Limits, run_pending, submit_many, used_by
 from service.tables import audit, jobs, uploads
 from service.uploads import Uploads
+from service.views import job_dict
 
 
 def ask(key: str | None = None, team: str = "red", body: str = "b", **more: Any) -> Ask:
@@ -119,6 +120,19 @@ def test_events_of_every_version(database: str) -> None:
     assert seen == list(range(job.version, job.version + 12))
     assert max(seen) >= 10
     assert last.startswith("event: deleted")
+    store.close()
+
+
+def test_a_job_at_work_has_a_start_and_no_end(database: str) -> None:
+    store = Queue(database)
+    submit_many(store, [ask()], Limits())
+    job = store.claim()
+    assert job is not None
+    told = job_dict(store.get(job.id))
+    assert told["started"] is not None
+    assert told["ended"] is None
+    store.finish(job, Phase.COMPLETED)
+    assert job_dict(store.get(job.id))["ended"] >= told["started"]
     store.close()
 
 

@@ -71,6 +71,8 @@ PLATE = {"kind": "plate", "area_m2": 1.0, "albedo": 0.5}
         (PLATE | {"attitude": {"kind": "tumbling"}}, "body.attitude.kind", "'spin'"),
         (PLATE | {"attitude": ATTITUDES[-1] | {"times_s": [5, 5]}}, "times_s", "values that rise"),
         (PLATE | {"attitude": ATTITUDES[-1] | {"times_s": [1, 2, 3]}}, "quaternions", "as many"),
+        (PLATE | {"attitude": ATTITUDES[-1] | {"quaternions": [[1, 0, 0, 0]] * 9}}, "quaternions",
+         "as many"),
         ({"kind": "composite", "parts": []}, "body.parts", "at least 1"),
         ({"kind": "composite", "parts": [PLATE, PLATE | {"albedo": 2}]}, "parts.1.albedo", "1"),
         ({"kind": "composite", "parts": [{"kind": "composite", "parts": [PLATE]}]}, "kind", "box"),
