@@ -11,9 +11,10 @@ from pipeline.spec.scene import CELL_PX, Scene
 # CPU seconds on one core of the 2-core reference machine; what was measured of the examples, and
 # how far off the forecast was, is in docs/service.md.
 START_S = 3.5  # a process that imports, plans, and writes the last of a product
-TILE_S = 0.03  # of one tile's task: geometry, light, truth, marker
-CHUNK_S = 0.015  # one chunk packed, synced, and its cells' checksums
-NOISE_S_PER_PIXEL = 60e-9
+TILE_S = 0.01  # of one tile's task: geometry, light, truth, marker
+CHUNK_S = 0.003  # one chunk synced, and its cells' checksums
+NOISE_S_PER_PIXEL = 35e-9  # with the packing of `dn`
+LAYER_S_PER_PIXEL = 12e-9  # one more layer packed
 CHECK_S = 0.3  # a cell's two windows drawn again, each at most execute/check.py's MOST_S
 
 
@@ -25,8 +26,9 @@ def least_cpu_s(scene: Scene) -> float:
     pixels = math.prod(scene.sensor.shape)
     sides = zip(scene.sensor.shape, tile_shape(scene), strict=True)
     tiles = math.prod(-(-length // side) for length, side in sides)
-    layers = len({"dn", *scene.output.layers})
-    frame_s = pixels * NOISE_S_PER_PIXEL + tiles * (TILE_S + layers * CHUNK_S)
+    layers = len({*scene.output.layers} - {"dn"})  # beside `dn`, which is always kept
+    frame_s = pixels * (NOISE_S_PER_PIXEL + layers * LAYER_S_PER_PIXEL)
+    frame_s += tiles * (TILE_S + (1 + layers) * CHUNK_S)
     return START_S + frame_count(scene) * frame_s + CHECK_S * check_count(scene)
 
 
