@@ -69,35 +69,50 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
     r = plan.responses
     if not r.classes:
         return plan
-    one = g.frame_slice(len(g.frame) // 2)
-    middle, aberration = r.streaks.zones // 2, plan.scene.star_effects["aberration"]
-    streak = zone_streak(plan.camera, one, middle, middle, r.streaks, aberration)
+    streaks = _streaks(plan, g)
     frames = plan.frames if not r.streaks.longest_px else 1.0  # that share their tables
     classes, said, low_e, stars_s = [], [], 0.0, 0.0
     for k, core in enumerate(r.classes):
-        split = float(np.clip(streak.mixed_from_e, low_e, core.brightest_e))
-        usual, bright = counts.between(low_e, split), counts.between(split, core.brightest_e)
-        if k == 0 and r.spectral_from and usual >= r.spectral_from * _blocks(plan):
-            usual = math.inf  # crowds have them
-        costs = _Costs(r, core, streak, frames)
-        tables = r.products or costs.tables(usual) <= SURE * costs.singly(usual)
-        mixtures = costs.mixtures(bright) <= costs.along(bright)
-        phases, mixed = core.phases * tables, costs.mixed_phases * mixtures
-        stars_s += min(costs.mixtures(bright), costs.along(bright))
-        if math.isfinite(usual):
-            stars_s += costs.tables(usual) if tables else costs.singly(usual)
+        ways = [_Costs(r, core, streak, frames) for streak in streaks]
+        splits = [float(np.clip(s.mixed_from_e, low_e, core.brightest_e)) for s in streaks]
+        usual = [counts.between(low_e, split) for split in splits]
+        bright = [counts.between(split, core.brightest_e) for split in splits]
+        if k == 0 and r.spectral_from and max(usual) >= r.spectral_from * _blocks(plan):
+            usual = [math.inf] * len(usual)  # crowds have them
+        tables_s, singly_s, mixtures_s, along_s = (
+            sum(getattr(way, name)(n) for way, n in zip(ways, stars, strict=True)) / len(ways)
+            for name, stars in
+            (("tables", usual), ("singly", usual), ("mixtures", bright), ("along", bright))
+        )  # fmt: skip
+        tables = r.products or tables_s <= SURE * singly_s
+        phases = core.phases * tables
+        mixed = max(way.mixed_phases for way in ways) * (mixtures_s <= along_s)
+        stars_s += min(mixtures_s, along_s)
+        if math.isfinite(max(usual)):
+            stars_s += tables_s if tables else singly_s
         classes.append(replace(core, phases=phases, mixed_phases=mixed))
-        said += _said(core, usual, bright, phases, mixed, streak)
+        said += _said(core, max(usual), max(bright), phases, mixed)
         low_e = core.brightest_e
     limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
     expected = tuple(counts.between(a, b) for a, b in pairwise(limits))
     spent_s = None if r.products else stars_s
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
     if r.spectral_from:
-        made = replace(made, crowd_e=_crowd_e(plan, counts, streak.mixed_from_e))
+        mixed_from_e = min(streak.mixed_from_e for streak in streaks)
+        made = replace(made, crowd_e=_crowd_e(plan, counts, mixed_from_e))
     total = round(counts.each * len(counts.light_e))
     decided = (*plan.decisions, _decision(said))
     return replace(plan, responses=made, decisions=decided, stars_per_frame=total)
+
+
+def _streaks(plan: Plan, g: Geometry) -> list[Streak]:
+    """The common streak at the field's middle in each of some frames."""
+    streaks, aberration = plan.responses.streaks, plan.scene.star_effects["aberration"]
+    middle = streaks.zones // 2
+    return [
+        zone_streak(plan.camera, g.frame_slice(k), middle, middle, streaks, aberration)
+        for k in range(len(g.frame))
+    ]
 
 
 def _crowd_e(plan: Plan, counts: StarCounts, mixed_from_e: float) -> float:
@@ -205,14 +220,14 @@ def cubic_bound(blur: Blur, path: Path) -> float:
 
 
 def _said(
-    core: CoreClass, usual: float, bright: float, phases: int, mixed: int, streak: Streak
+    core: CoreClass, usual: float, bright: float, phases: int, mixed: int
 ) -> list[str]:
     """What the decision says of a class."""
     name = f"cores of {core.radius_px:.0f} px"
     said = []
     if core.phases and not phases and usual >= 0.5:
         said.append(f"about {usual:.0f} stars with {name} one by one, without tables")
-    if bright >= 0.5 and math.isfinite(streak.mixed_from_e):
+    if bright >= 0.5:
         way = f"by mixtures of {mixed} phases" if mixed else "each along its own path"
         said.append(f"about {bright:.0f} bright streaks with {name} {way}")
     return said

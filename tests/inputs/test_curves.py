@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from astropy.io import fits
 
 from catalog_tools.errors import BadInput, Damaged
 from pipeline.inputs import curves
+from pipeline.inputs.reference import stellar_boxes
 from pipeline.physics.radiometry import (
     ResponseCurve,
     ab_photon_rate,
@@ -195,6 +198,22 @@ def test_against_the_whole_table_embedded_sun(shared_data, monkeypatch):
             assert abs(error) < (beyond_400 if short > 400 else bound)
     band = box(400e-9, 900e-9)
     assert photon_integral(*small, band) == pytest.approx(2.36453e21, rel=1e-4)
+
+
+def test_against_the_whole_library_every_embedded_spectrum(real):
+    """Mean photon flux of each box, of each of the 29 types: to the thousandth it is kept to."""
+    folder = real / "stellar_spectra" / "pickles_uvk"
+    files = {str(t): str(f) for f, t in fits.getdata(folder / "pickles_uk.fits", 1)}
+    edges = np.array(stellar_boxes.EDGES_NM)
+    for name, kept in stellar_boxes.RELATIVE_MMAG.items():
+        table = fits.getdata(folder / f"{files[name]}.fits", 1)
+        nm, photons = table["WAVELENGTH"] / 10.0, table["WAVELENGTH"] * table["FLUX"]
+        means = []
+        for low, high in pairwise(edges):
+            at = np.unique(np.r_[low, nm[(nm > low) & (nm < high)], high])
+            means.append(np.trapezoid(np.interp(at, nm, photons), at) / (high - low))
+        found = -2.5e3 * np.log10(np.array(means) / means[list(edges).index(550)])
+        assert np.abs(found - kept).max() <= 0.51, name
 
 
 def test_limits_damaged_data_are_named(tmp_path, monkeypatch):

@@ -25,7 +25,7 @@ from pipeline.physics.vectors import separation, unit
 from pipeline.plan.air import air_of
 from pipeline.plan.geometry import _observer, _vantage, camera_of
 from pipeline.plan.pointing import attitudes
-from pipeline.plan.populations import Sieve, look_of
+from pipeline.plan.populations import Sieve, look_of, with_members
 from pipeline.plan.target_paths import Moments, target_paths
 from pipeline.plan.timing import dwell_plans
 from pipeline.prepare import plan_scene, prepare
@@ -255,6 +255,10 @@ def test_names_must_not_clash(tle: Path) -> None:
     twice = scene(tle).as_dict()["populations"] * 2
     with pytest.raises(BadInput, match="do not clash"):
         prepare(scene(tle, populations=twice))
+    some = scene(tle)
+    target, population = prepare(some).plan.scene.targets[0], some.populations[0]
+    with pytest.raises(BadInput, match=f"populations: '{target.name}'"):
+        with_members(some, [([target], population), ([target], population)])
     with pytest.raises(BadInput, match="sphere"):
         scene(tle, population={
             "body": {"kind": "cube", "edge_m": 1, "albedo": 0.1},

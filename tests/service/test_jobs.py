@@ -60,6 +60,19 @@ def test_an_earlier_attempt_can_no_longer_write(store: Queue) -> None:
     store.finish(second, Phase.COMPLETED)
 
 
+def test_jobs_left_behind_go_on_in_their_order(store: Queue) -> None:
+    made = [queue(store) for _ in range(3)]
+    busy: list[str] = []
+    for _ in made:
+        taken = store.claim(busy)
+        assert taken is not None
+        busy.append(taken.id)
+    assert busy == [job.id for job in made]
+    again = store.claim()
+    assert again is not None
+    assert (again.id, again.attempt) == (made[0].id, 2)
+
+
 def test_key_replays_and_refuses_another_body(store: Queue) -> None:
     job = queue(store, key="k", body="one")
     assert store.submit("name", {}, "one", "k", 100) == (job, False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import os
@@ -19,6 +20,7 @@ import pytest
 
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor import gather_sensor_maps
+from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.tiles import Tile
 from pipeline.prepare import prepare
 from pipeline.run import Options
@@ -26,7 +28,7 @@ from pipeline.spec.load import InvalidScene, parse_scene
 from pipeline.spec.sweep import Detection
 from pipeline.spec.sweep_load import parse_sweep
 from pipeline.sweep import ledger
-from pipeline.sweep.metrics import Measurement
+from pipeline.sweep.metrics import Measurement, target_windows
 from pipeline.sweep.points import scene_of
 from pipeline.sweep.run import gather_course, point_scene, sweep
 from pipeline.sweep.summary import summarise
@@ -65,6 +67,24 @@ def test_metrics_follow_the_scene(sweep_file, tmp_path):
     assert len(list(drawn.iter("{http://www.w3.org/2000/svg}path"))) == 2 * 8
     names = {f.name for f in (tmp_path / "out").iterdir()}
     assert names >= {"points.parquet", "report.json", "summary.html", "sweep.json", "_COMPLETE"}
+
+
+def test_a_targets_window_holds_its_own_light_alone(scene_data):
+    """The response that a target is looked for with is the same with another one beside it."""
+    plain = copy.deepcopy(scene_data) | {"stars": None}
+    plain["sensor"]["psf"] = {"kind": "gaussian", "sigma_px": 1.0}
+    [ball] = plain["targets"]
+    beside = copy.deepcopy(ball) | {"name": "beside"}
+    beside["orbit"]["position_m"][2] += 2.0
+
+    def window(targets):
+        plan = prepare(parse_scene(plain | {"targets": targets})).plan
+        g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+        return target_windows(plan, g, ("ball",), 3.0)
+
+    [(_, alone)], [(_, among)] = window([ball]), window([ball, beside])
+    assert np.array_equal(alone.response, among.response)
+    assert alone.response.sum() > 0.9
 
 
 def test_metrics_take_each_frames_own_time(sweep_file, tmp_path):

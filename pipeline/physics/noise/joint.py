@@ -14,7 +14,7 @@ import numpy as np
 from numba import int64, njit
 
 from pipeline.physics.noise.pixel_draws import normal_quantile, philox, poisson, uniform
-from pipeline.physics.noise.runs import RUN_PX, central_quantiles, to_uniforms, words
+from pipeline.physics.noise.runs import RUN_PX, quantiles, to_uniforms, words
 from pipeline.physics.noise.streams import normals_run, poisson_buffers, poisson_run
 
 READ_E, ABOVE_E = 1.5, 10.0  # read noise and mean of the pixels that are drawn so
@@ -60,10 +60,7 @@ def _pair_normals(n, x0, y, frame, k0, k1, x, first, second, p, z):
         p[2 * i], p[2 * i + 1] = even_p[i], odd_p[i]
     mine = p[odd : odd + n]
     to_uniforms(n, mine)
-    central_quantiles(n, mine, z)
-    for i in range(n):
-        if abs(mine[i] - 0.5) > 0.425:
-            z[i] = normal_quantile(mine[i])
+    quantiles(n, mine, z)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

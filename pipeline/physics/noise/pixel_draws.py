@@ -36,9 +36,12 @@ def uniform(high, low):
     return (np.float64(bits) + 0.5) * 2.220446049250313e-16
 
 
+MIDDLE = 0.425  # how far from the median AS 241 takes the probability for the middle
+
+
 @njit(cache=True, nogil=True, inline="always")
 def central_quantile(q):
-    """AS 241's rational function of the middle, |q| <= 0.425 from the median."""
+    """AS 241's rational function of the middle, |q| <= MIDDLE from the median."""
     r = 0.180625 - q * q
     top = ((((((2509.0809287301226727 * r + 33430.575583588128105) * r
                + 67265.770927008700853) * r + 45921.953931549871457) * r
@@ -55,7 +58,7 @@ def central_quantile(q):
 def normal_quantile(p):
     """Inverse of the normal distribution function, relative error 1e-16 (Wichura 1988, AS 241)."""
     q = p - 0.5
-    if abs(q) <= 0.425:
+    if abs(q) <= MIDDLE:
         return central_quantile(q)
     r = math.sqrt(-math.log(p if q < 0.0 else 1.0 - p))
     if r <= 5.0:

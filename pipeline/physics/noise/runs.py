@@ -6,10 +6,12 @@ import numpy as np
 from numba import int64, njit, uint64
 
 from pipeline.physics.noise.pixel_draws import (
+    MIDDLE,
     accepted,
     central_quantile,
     inverted_poisson,
     log_factorial_rest,
+    normal_quantile,
     rejection_from,
 )
 
@@ -79,10 +81,13 @@ def count_below(n, values, limit):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def central_quantiles(n, p, out):
-    """AS 241's rational function of the middle, for all; right where |p - 1/2| <= 0.425."""
+def quantiles(n, p, out):
+    """Normal quantiles of n probabilities: the middle's for all, then those beyond it anew."""
     for i in range(n):
         out[i] = central_quantile(p[i] - 0.5)
+    for i in range(n):
+        if abs(p[i] - 0.5) > MIDDLE:
+            out[i] = normal_quantile(p[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -25,11 +25,11 @@ from pipeline.physics.noise.pixel_draws import (
 )
 from pipeline.physics.noise.runs import (
     RUN_PX,
-    central_quantiles,
     count_below,
     draw_low,
     draw_low_among,
     draw_middle,
+    quantiles,
     to_uniforms,
     words,
 )
@@ -70,10 +70,7 @@ def normals_run(n, x0, y, frame, k0, k1, out, buffers):
         x[i] = x0 + i
     words(n, x, y, frame, int64(0), k0, k1, first, second)
     to_uniforms(n, p)
-    central_quantiles(n, p, out)
-    for i in range(n):
-        if abs(p[i] - 0.5) > 0.425:
-            out[i] = normal_quantile(p[i])
+    quantiles(n, p, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -177,6 +177,15 @@ def test_images_and_numbers_mean_the_same() -> None:
     assert (to_dn(mean, one, PLACE) == to_dn(mean, other, PLACE)).all()
 
 
+def test_every_pixel_spills_over_at_its_own_well() -> None:
+    """A map of full wells, one shallow column among deep ones: only there charge moves on."""
+    mean, wells = np.full((9, 3), 10.0), np.full((9, 3), 1000.0)
+    mean[4], wells[:, 1] = 100.0, 40.0
+    measured = to_dn(mean, chain(blooming=True, full_well_e=wells), PLACE)
+    assert measured[:, ::2].tolist() == mean[:, ::2].tolist()
+    assert measured[:, 1].tolist() == [10, 10, 10, 40, 40, 40, 10, 10, 10]
+
+
 def test_same_draws_when_another_component_is_switched() -> None:
     """Photon noise on or off leaves the read noise as it was, and the reverse, where each has a
     draw of its own; where both share one, what else is switched leaves it as it was."""
