@@ -28,9 +28,8 @@ from pipeline.physics.psf.response import (
     phase_table,
     window,
 )
-from pipeline.plan.needs import KERNEL_BYTES
+from pipeline.plan.needs import KERNEL_BYTES, TABLE_BYTES
 
-KEPT_BYTES = 192e6
 FINEST_ERROR = 1e-5  # of the peak of a source, in any pixel: what transforms are asked for
 ALIKE_PX = 8.0
 
@@ -67,7 +66,7 @@ class ContentCache:
             self._values.popitem(last=False)
 
 
-_CACHE = ContentCache(KEPT_BYTES)
+_CACHE = ContentCache(TABLE_BYTES)
 _KERNELS = ContentCache(KERNEL_BYTES)  # dear to make, and no larger than a block asks for
 
 

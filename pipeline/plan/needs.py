@@ -12,8 +12,10 @@ from pipeline.physics.noise.chain import dn_type
 from pipeline.physics.psf.aperture import Pupil
 from pipeline.physics.psf.band import Mixture
 from pipeline.physics.psf.pupil import Blur
+from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.checks import FINE_KERNELS, fine_ends
 from pipeline.plan.cost import NOISE_S_PER_PIXEL, START_S, check_count, least_cpu_s
+from pipeline.plan.optics import LARGEST_CORE_SAMPLES
 from pipeline.plan.responses import SPECTRAL_S, SPECTRAL_S_PER_PIXEL, stamp_s
 from pipeline.plan.tiles import BLOCK_PX, tile_shape
 
@@ -29,9 +31,11 @@ BASE_MB = 180.0  # of a process that has imported all and draws nothing
 GRID_S_PER_POINT = 1e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
 KERNEL_S_PER_POINT = 5e-8  # of the grid that a wing is made on, with its core; of a band the same
+CORE_S_PER_SAMPLE = 1.3e-7  # of a response's core, with its spectrum
 PUPIL_S_PER_POINT = 1.2e-8  # and more of it for each wavelength of an aperture with a wavefront
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
 KERNEL_BYTES = 128e6  # of the wings of blocks, that a process keeps
+TABLE_BYTES = 192e6  # of the cores, spectra and tables that a process keeps
 KERNEL_BYTES_PER_POINT = 60.0  # while a wing is made
 TEST_BYTES_PER_POINT = 60.0  # while a wing's error is measured
 SLOW_S = 0.05  # a frame's geometry: where planning took more, its measured time counts
@@ -86,6 +90,7 @@ def predict(
     drawn_s -= stars * PLACE_S_PER_STAR
     light_s = plan.frames * placed_s + math.ceil(plan.frames / plan.shared_frames) * drawn_s
     once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan) + _profiles_s(plan)
+    once_s += _cores_s(plan)
     return {
         "cpu_s": least_cpu_s(plan.scene) + once_s + light_s,
         "worker_memory_mb": sum(_memory_mb(plan, forecast, spent).values()),
@@ -188,6 +193,23 @@ def _kernels_s(plan: Plan) -> float:
     points = of_frames * _kernel_points(plan)
     points += of_windows * sum((4.0 * last / spacing) ** 2 for spacing, _, last in fine)
     return kernels * each * points
+
+
+def _cores_s(plan: Plan) -> float:
+    """CPU seconds of making the check's cores, twice as wide as those that draw.
+
+    Once in a process, or for every window where they are more than are kept.
+    """
+    r, used = plan.responses, math.ceil(_classes_used(plan))
+    if not (r.classes and used):
+        return 0.0
+    finest = [oversampling_for(blur) for blur in r.blurs]
+    sides = [min(2.0 * r.classes[used - 1].radius_px, LARGEST_CORE_SAMPLES / os) for os in finest]
+    samples = sum((2.0 * side * os) ** 2 for side, os in zip(sides, finest, strict=True))
+    windows = 2 * check_count(plan.scene)
+    held = 16.0 * samples + 1e6 * r.table_mb  # with a spectrum each, beside the drawing's tables
+    times = windows if held > TABLE_BYTES else min(1, windows)
+    return CORE_S_PER_SAMPLE * samples * times
 
 
 def _classes_used(plan: Plan) -> float:

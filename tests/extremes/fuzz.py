@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import queue
+import re
 import subprocess
 import sys
 import tempfile
@@ -170,6 +171,8 @@ def _error(answer: Data) -> Iterator[str]:
 def _forecast(answer: Data) -> Iterator[str]:
     """CPU time and memory are within FACTOR of the forecast; of a refusal, of what planning may."""
     told = answer.get("predicted") or {"cpu_s": START_S, "worker_memory_mb": 0.0}
+    if too_dear := re.search(r"CPU s \(predicted: (\d+)\)", answer.get("message", "")):
+        told = told | {"cpu_s": float(too_dear[1])}
     pairs = (
         ("CPU s", answer["cpu_s"] + STARTED_S, told["cpu_s"], FLOOR_S),
         ("MB", answer["growth_mb"] + BASE_MB, told["worker_memory_mb"], FLOOR_MB),
