@@ -85,29 +85,34 @@ def _explain(error: BaseException) -> int:
     if isinstance(error, typer.Exit):
         return error.exit_code
     if hasattr(error, "format_message"):  # a usage error of the command line itself
-        print(f"nightglass: {error.format_message()} (see --help)", file=sys.stderr)
+        _say(f"{error.format_message()} (see --help)")
         return 2
     if isinstance(error, KeyboardInterrupt | typer.Abort):
-        told = "interrupted; a catalogue or a download is gone on with by the same command"
-        print(f"nightglass: {told}", file=sys.stderr)
+        _say("interrupted; a catalogue or a download is gone on with by the same command")
         return 130
     if isinstance(error, OSError) and error.errno is not None:
         full = error.errno in NO_ROOM
         said = f"the disk is full ({os.strerror(error.errno)})" if full else error.strerror
-        print(f"nightglass: {error.filename or 'a file'}: {said}", file=sys.stderr)
+        _say(f"{error.filename or 'a file'}: {said}")
         return 3 if full else 1
     if isinstance(error, NightglassError):
-        print(f"nightglass: {error}", file=sys.stderr)
+        _say(str(error))
         return exit_code(error)
     if os.environ.get("NIGHTGLASS_DEBUG"):
         raise error
     name = type(error).__name__
-    print(
-        f"nightglass: internal fault: {name}: {error}\n"
-        "(this is a bug; NIGHTGLASS_DEBUG=1 shows where)",
-        file=sys.stderr,
-    )
+    _say(f"internal fault: {name}: {error}\n(this is a bug; NIGHTGLASS_DEBUG=1 shows where)")
     return 1
+
+
+def _say(message: str) -> None:
+    """Print a message of one line, or a few; at a terminal no word of it is broken by its edge."""
+    text = f"nightglass: {message}"
+    if sys.stderr.isatty():
+        from pipeline.lines import fold
+
+        text = "\n".join(fold(line, "  ", "") for line in text.splitlines())
+    print(text, file=sys.stderr)
 
 
 @app.command()

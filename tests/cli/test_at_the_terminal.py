@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import shlex
 import signal
 import subprocess
@@ -104,6 +105,27 @@ def test_info_of_a_product(tmp_path: Path) -> None:
 def test_version() -> None:
     told = nightglass("--version")
     assert (told.returncode, told.stdout) == (0, f"nightglass {version('nightglass')}\n")
+
+
+def test_messages_are_folded_at_a_terminal_and_one_line_elsewhere(tmp_path: Path) -> None:
+    """A terminal of 80 columns breaks no word; a log gets the same words in one line."""
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE | {"epoch": "on a day long ago"}))
+    line = [sys.executable, "-m", "pipeline", "plan", "scene.json"]
+    logged = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, check=False)
+    master, slave = pty.openpty()
+    shown = subprocess.Popen(
+        line, cwd=tmp_path, stderr=slave, stdout=subprocess.DEVNULL,
+        env=os.environ | {"COLUMNS": "80"},
+    )  # fmt: skip
+    assert shown.wait(60) == logged.returncode == 2
+    os.close(slave)
+    told = os.read(master, 1 << 16).decode().splitlines()
+    os.close(master)
+    assert len(logged.stderr.splitlines()) == 1
+    assert len(logged.stderr) > 80
+    assert len(told) > 1
+    assert max(map(len, told)) <= 80
+    assert " ".join(part.strip() for part in told) == logged.stderr.strip()
 
 
 def test_completion_script(monkeypatch: pytest.MonkeyPatch) -> None:
