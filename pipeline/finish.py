@@ -229,6 +229,7 @@ def _errors(plan: Plan, begun: Begun, checks: list[dict[str, Any]]) -> dict[str,
     found, floor_e = _brightest(plan, begun), plan.facts.sigma_floor_e
     brighter = found["brightest_source_e"] / (plan.facts.brightest_e or math.inf)
     over_e = max(0.0, found["wing_error_of_brightest_e"] - plan.responses.budget_e)
+    over_e += _streak_error_e(plan, found["brightest_source_e"])
     return (
         {
             "noise_floor_e": floor_e,
@@ -242,6 +243,14 @@ def _errors(plan: Plan, begun: Begun, checks: list[dict[str, Any]]) -> dict[str,
         | found
         | _achieved(checks)
     )
+
+
+def _streak_error_e(plan: Plan, brightest_e: float) -> float:
+    """What common streaks err by beyond the plan's bound, for the brightest source drawn [e-]."""
+    if plan.scene.stars is None or not plan.facts.brightest_e:
+        return 0.0
+    streaks = plan.responses.streaks
+    return max(0.0, streaks.error_e(brightest_e) - streaks.error_e(plan.facts.brightest_e))
 
 
 def _doubts(plan: Plan, errors: dict[str, Any]) -> list[str]:

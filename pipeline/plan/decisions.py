@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from pipeline.physics.noise.joint import ABOVE_E, ANY_READ_E, DISTANCE, REACH, READ_E
 from pipeline.physics.positions.focal_plane import stretch
@@ -152,11 +151,6 @@ def _optics(scene: Scene) -> list[Decision]:
 
 
 def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decision]:
-    sigma, budget = facts.sigma_floor_e, r.budget_e
-
-    def bound(e: float) -> dict[str, Any]:
-        return {"error_bound_e": e, "error_bound_sigma": e / sigma}
-
     out = [_over_the_field(r)]
     if facts.band is not None:
         out.append(_wavelengths(scene, facts, facts.band))
@@ -169,24 +163,30 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
             "its brightest source where it is more than its part"
         )
         out.append(Decision("table_band", True, reason, bound=table, unit="of a source's light"))
+    if scene.stars is not None:
+        out.append(_phases(r, r.budget_e, facts.sigma_floor_e))
+    if r.spacing_px:
+        out += _wings(r, facts, bool(scene.targets or scene.populations))
+    elif scene.stars is None:
+        out.append(core_ends(r, facts))
+    if scene.stars is not None:
+        out += _streaks(r, facts)
+    return out
+
+
+def _phases(r: ResponsePlan, budget_e: float, sigma_e: float) -> Decision:
+    """Tables of responses between whose phases stars lie."""
     how = (
         f"column times row, interpolated cubically between {PHASES} phases a pixel" if r.products
         else f"interpolated between {r.classes[0].phases} phases a pixel, linearly where that errs "
-        f"by at most {budget:.3g} e-, else cubically"
+        f"by at most {budget_e:.3g} e-, else cubically"
     )  # fmt: skip
-    out.append(
-        Decision(
-            "phase_interpolation", True,
-            f"stars are {how}; the bound holds for a pixel at the noise floor and grows with the "
-            "noise of a pixel that holds more light",
-            **bound(budget),
-        )
+    return Decision(
+        "phase_interpolation", True,
+        f"stars are {how}; the bound holds for a pixel at the noise floor and grows with the "
+        "noise of a pixel that holds more light",
+        error_bound_e=budget_e, error_bound_sigma=budget_e / sigma_e,
     )  # fmt: skip
-    if r.spacing_px:
-        out += _wings(r, facts, bool(scene.targets or scene.populations))
-    if scene.stars is not None:
-        out += _streaks(r, sigma)
-    return out
 
 
 def _over_the_field(r: ResponsePlan) -> Decision:
@@ -214,18 +214,17 @@ def _wavelengths(scene: Scene, facts: Facts, band: BandOptics) -> Decision:
     return Decision(name, True, reason, band.error * facts.brightest_e, sigma)
 
 
-def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
+def _streaks(r: ResponsePlan, facts: Facts) -> list[Decision]:
     """How the stars' streaks and crowds are drawn."""
-    s = r.streaks
+    s, sigma_e = r.streaks, facts.sigma_floor_e
     reason = (
         f"{s.zones} x {s.zones} zone(s) and {s.pieces} piece(s) of the exposure, each with one "
         "shape for all its stars, set where each star's own light is. Ends are off by at most "
         f"{s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that share of the light "
         "of a pixel there"
     )
-    bound = min(s.off_px * sigma_e, r.budget_e)
+    bound = s.error_e(facts.brightest_e or math.inf)
     if s.mixed_from_e_px < math.inf:
-        bound = r.budget_e
         reason += (
             f". Stars of more than {s.mixed_from_e_px:.3g} e- a px of their path, of which that "
             "would be more than the bound, get a mixture of three shapes, off by at most "
@@ -244,6 +243,20 @@ def _streaks(r: ResponsePlan, sigma_e: float) -> list[Decision]:
             )
         )  # fmt: skip
     return out
+
+
+def core_ends(r: ResponsePlan, facts: Facts) -> Decision:
+    """Where sources end whose response has no wings; with tables it is part of their bound."""
+    usual, whole = r.classes
+    brightest = facts.brightest_e or usual.target_e
+    largest = whole.wing_error * min(brightest, whole.target_e)  # brighter ones by quadrature
+    bound = max(min(r.lost_light * brightest, r.budget_e), largest)
+    reason = (
+        f"light beyond {usual.radius_px:.3g} px of a source is omitted, {r.lost_light:.2g} of it; "
+        f"beyond {whole.radius_px:.3g} px for sources above {usual.target_e:.3g} e-; the bound is "
+        f"beside a source of {brightest:.3g} e-"
+    )
+    return Decision("core_ends", True, reason, bound, bound / facts.sigma_floor_e)
 
 
 def _wings(r: ResponsePlan, facts: Facts, targets_there: bool) -> list[Decision]:

@@ -95,9 +95,9 @@ LEDGER = (
     Rule(("phase_interpolation", "common_streak", "crowds_by_transforms", "star_engines"),
          "the cheapest drawing whose bound is within its part of accuracy.noise_fraction",
          _ENGINES),
-    Rule(("wings_on_a_coarse_grid", "wings_cut_off"),
+    Rule(("wings_on_a_coarse_grid", "wings_cut_off", "core_ends"),
          "light far from a source on a coarse grid, up to a reach beyond which less than "
-         "accuracy.flux_fraction is left",
+         "accuracy.flux_fraction is left, 1e-8 where a response has no wings",
          "tests/physics/drawing/test_wings.py::test_stated_wing_error_holds"),
     Rule(("targets.point_sources", "targets.shapes_as_points", "targets.resolved_meshes"),
          "a point where its size changes no pixel by more than the budget",

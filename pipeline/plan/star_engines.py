@@ -18,6 +18,7 @@ from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.decision import Decision
+from pipeline.plan.decisions import core_ends
 from pipeline.plan.responses import (
     FIELD_BYTES,
     SPECTRAL_S_PER_PIXEL,
@@ -101,7 +102,9 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
         mixed_from_e = min(streak.mixed_from_e for streak in streaks)
         made = replace(made, crowd_e=_crowd_e(plan, counts, mixed_from_e))
     total = round(counts.each * len(counts.light_e))
-    decided = (*plan.decisions, _decision(said))
+    tables = r.spectral_from or r.products or any(c.phases or c.mixed_phases for c in classes)
+    before = plan.decisions if tables else _without_tables(plan)
+    decided = (*before, _decision(said))
     return replace(plan, responses=made, decisions=decided, stars_per_frame=total)
 
 
@@ -231,6 +234,14 @@ def _said(
         way = f"by mixtures of {mixed} phases" if mixed else "each along its own path"
         said.append(f"about {bright:.0f} bright streaks with {name} {way}")
     return said
+
+
+def _without_tables(plan: Plan) -> list[Decision]:
+    """The decisions of a plan whose stars need no tables."""
+    why = "each star at its exact place: no tables are made"
+    name, r = "phase_interpolation", plan.responses
+    out = [Decision(name, False, why) if d.component == name else d for d in plan.decisions]
+    return out if r.spacing_px else [*out, core_ends(r, plan.facts)]
 
 
 def _decision(said: list[str]) -> Decision:

@@ -145,6 +145,13 @@ class StreakPlan:
         """Whether every shape is a point: the longest is rounded to none."""
         return self.longest_px <= 0.25 * self.step_px
 
+    def error_e(self, light_e: float) -> float:
+        """What a star of so much light may err by for having a streak in common [e-].
+
+        In a pixel at the noise floor: one with the star's light may err by more as it has noise.
+        """
+        return min(self.off_px * light_e, self.budget_e) if self.off_px else 0.0
+
     def merged_px(self, light_e: Array, length_px: float) -> Array:
         """How far straight runs of a star's own path may be off (n,): by SHOWN of the budget."""
         along_e = np.maximum(light_e, 1e-9) / max(1.0, length_px)

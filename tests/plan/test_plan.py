@@ -42,6 +42,7 @@ from pipeline.physics.radiometry import box
 from pipeline.physics.vectors import separation, unit
 from pipeline.plan.checks import choose_checks
 from pipeline.plan.cost import CHECK_S, check_count, least_cpu_s
+from pipeline.plan.decisions import core_ends
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.faint_stars import peak_share
 from pipeline.plan.geometry import camera_of, plan_geometry
@@ -307,6 +308,30 @@ def test_what_ends_with_the_wings_is_within_its_bound_in_every_class(
     drawn = plan.responses
     cut_e = cut_share(drawn.blurs, drawn.reach_px) * max(limits)
     assert decision.error_bound_e == pytest.approx(cut_e)
+
+
+@pytest.mark.parametrize("light_e", [1e3, 1e7, 1e9, 1e12])
+def test_a_core_ends_where_next_to_nothing_is_left(scene: Make, light_e: float) -> None:
+    """A Gaussian's pixel just beyond its core, by the error function, against the bound."""
+    plan = plan_of(scene({"sensor.psf": GAUSS}))
+    usual, whole = plan.responses.classes
+    core, sigma = usual if light_e <= usual.target_e else whole, math.sqrt(2.0) * 0.8
+    left = math.erfc(core.radius_px / sigma) - math.erfc((core.radius_px + 1.0) / sigma)
+    found = 0.5 * light_e * left * math.erf(0.5 / sigma)
+    told = core_ends(plan.responses, replace(plan.facts, brightest_e=light_e)).error_bound_e
+    assert 0.0 < found <= told <= plan.responses.budget_e
+
+
+def test_without_stars_no_tables_are_told(scene: Make) -> None:
+    one = {
+        "name": "one", "eclipse": False,
+        "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3075, 0]},
+        "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2},
+    }
+    plan = plan_of(scene({"stars": None, "targets": [one], "sensor.psf": GAUSS}))
+    names = [d.component for d in plan.decisions]
+    assert "phase_interpolation" not in names
+    assert names.count("core_ends") == 1
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from pipeline.plan.streaks import (
     PATH_STEP_PX,
     SPREAD_TOLERANCE_PX,
     Streak,
+    StreakPlan,
+    _light_from,
     centroid,
     exact_path,
     plan_streaks,
@@ -107,6 +110,36 @@ def test_light_without_noise_hides_no_error(scene: Make) -> None:
     assert silent.mixed_from_e_px * silent.off_px == pytest.approx(0.02)
     rises = math.sqrt(1.0 + noisy.mixed_from_e_px / 25.0)
     assert noisy.mixed_from_e_px * noisy.off_px == pytest.approx(0.02 * rises)
+
+
+@pytest.mark.parametrize("photons", [True, False])
+@pytest.mark.parametrize("light_e", [1.0, 300.0, 1e5, 1e9])
+def test_a_star_off_its_path_errs_by_no_more_than_told(light_e: float, photons: bool) -> None:
+    """Pixels of a sharp Gaussian, moved by as much as a streak in common is off, over their noise;
+    near that for one star as sharp, and no more than the budget however bright it is."""
+    floor_e, off_px, sigma_px, asked = 5.0, 1e-4, 0.3, 0.02
+    plan = StreakPlan(
+        1, 1, off_px, 1.0, 1, 0.0, 0.0,
+        floor_e=floor_e, budget_e=asked * floor_e, photons=photons,
+    )  # fmt: skip
+    plan = replace(plan, mixed_from_e_px=_light_from(off_px, plan))
+    told = plan.error_e(light_e)
+    assert told <= plan.budget_e
+    if light_e >= plan.mixed_from_e_px:
+        assert told == plan.budget_e  # a mixture of shapes, off by less
+        return
+
+    def pixels(at: float) -> np.ndarray:
+        edges = np.arange(-5, 7) - 0.5 - at
+        along = np.diff([0.5 * math.erf(e / sigma_px / math.sqrt(2.0)) for e in edges])
+        across = math.erf(0.5 / sigma_px / math.sqrt(2.0))
+        return light_e * across * along
+
+    worst = 0.0
+    for at in np.linspace(0.0, 1.0, 21):
+        noise_e = np.sqrt(floor_e**2 + photons * pixels(at))
+        worst = max(worst, float((np.abs(pixels(at + off_px) - pixels(at)) / noise_e).max()))
+    assert told / 30.0 < worst * floor_e <= 1.4 * told
 
 
 def test_still_stars_are_one_point(scene: Make) -> None:
