@@ -164,9 +164,11 @@ def draw_comparison(study: dict[str, Any], path: Path) -> None:
     _histogram(axes[0][1], {n: replace(e, extent_px=e.extent_px + 1) for n, e in events.items()},
                "extent_px", np.geomspace(1, 400, 22), "extent + 1 [px]")  # fmt: skip
     _histogram(axes[0][2], events, "electrons", np.geomspace(30, 2e6, 30), "charge [e-]")
+    bins_e_per_um = np.linspace(0, 250, 40)
     for name, values in study["e_per_um"].items():
-        axes[1][0].hist(values, bins=np.linspace(0, 250, 40), density=True, histtype="step",
-                        color=COLOURS[name], linewidth=1.6)  # fmt: skip
+        if np.any(values <= bins_e_per_um[-1]):
+            axes[1][0].hist(values, bins=bins_e_per_um, density=True, histtype="step",
+                            color=COLOURS[name], linewidth=1.6)  # fmt: skip
     axes[1][0].set_xlabel(f"charge per length, extent of {STRAIGHT_PX} px or more [e-/um]")
     axes[1][0].set_ylabel("share per e-/um")
     for name, e in events.items():

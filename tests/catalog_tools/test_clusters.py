@@ -74,6 +74,13 @@ def test_each_gives_every_outcome_once(kind):
     assert found == {i: 2 * i for i in range(30) if i != 13}
 
 
+def test_processes_listen_to_this_machine_alone():
+    with open_scheduler("processes", 1) as scheduler:
+        told = scheduler.client.scheduler_info()
+    addresses = [told["address"], *told["workers"]]
+    assert all(address.startswith("tcp://127.0.0.1:") for address in addresses)
+
+
 @pytest.mark.parametrize("kind", ["synchronous", "threads"])
 def test_each_takes_items_only_a_few_ahead(kind):
     taken = []

@@ -318,6 +318,19 @@ def test_a_fixed_line_that_ends_within_a_column_is_refused(tmp_path):
     assert stars["phot_g_mean_mag"].null_count == 1
 
 
+@pytest.mark.parametrize(
+    ("unit", "same", "later"),
+    [("jyear", 2000.0, 2001.0), ("mjd", 51544.5, 51909.75), ("jd", 2451545.0, 2451910.25)],
+)
+def test_rows_of_another_epoch_are_refused(tmp_path, unit, same, later):
+    """J2000.0 and a Julian year after it, in every unit of an epoch."""
+    epoch = f'[epoch]\nfrom = "t"\nunit = "{unit}"\n[source_id]'
+    form = load(tmp_path, EXAMPLE.replace("[source_id]", epoch))
+    assert rows(tmp_path, form, f"id,alpha,delta,mag,t\n7,1.5,-2,9,{same}\n")[0]["ra"] == 1.5
+    with pytest.raises(BadInput, match=r"t row 2: 2001"):
+        rows(tmp_path, form, f"id,alpha,delta,mag,t\n7,1,-2,9,{same}\n8,1,-2,9,{later}\n")
+
+
 GSC_HEAD = "hstID,gsc2ID,GAIAdr2sourceID,ra,dec,epoch,rapm,decpm,parallax,radialVelocity,"
 GSC_HEAD += "classification,gaiaGmag,gaiaRpmag,gaiaBpmag,VMag,mag,objID"
 

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import google_crc32c
 import numpy as np
@@ -26,7 +27,7 @@ from catalog_tools.catalogue import (
 )
 from catalog_tools.columns import STORED
 from catalog_tools.distinct import Distinct
-from catalog_tools.errors import BadInput
+from catalog_tools.errors import BadInput, Damaged
 from catalog_tools.ingest import ingest
 from catalog_tools.query import cone
 from catalog_tools.shards import write_shard
@@ -311,6 +312,25 @@ def test_page_checksums_are_looked_at(small):
     with pytest.raises(verify_shards.Damaged, match="row group 0 cannot be read"):
         verify_shards._decode(data, metadata, leaf, group)
     assert google_crc32c.value(data[group.offset : group.offset + group.bytes]) != group.crc32c
+
+
+def test_columns_of_another_type_are_not_a_catalogues(small):
+    """Magnitudes in double precision, under checksums that agree."""
+    leaf = small.leaf(2)
+    table = pq.read_table(file_of(small, leaf.path))
+    at = table.schema.get_field_index("phot_g_mean_mag")
+    wider = table.set_column(at, "phot_g_mean_mag", table.column(at).cast(pa.float64()))
+    for rows, refused in ((table, False), (wider, True)):
+        out = pa.BufferOutputStream()
+        pq.write_table(rows, out, write_page_checksum=True)
+        data = out.getvalue()
+        group = SimpleNamespace(row_group=0, rows=rows.num_rows)
+        args = (data, pq.read_metadata(pa.BufferReader(data)), leaf, group)
+        if refused:
+            with pytest.raises(Damaged, match="columns are not those of a catalogue"):
+                verify_shards._decode(*args)
+        else:
+            assert verify_shards._decode(*args).equals(rows)
 
 
 def test_findings_are_plain(copy):

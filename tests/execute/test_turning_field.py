@@ -10,6 +10,7 @@ import pytest
 from pipeline.execute.check import reference
 from pipeline.physics.drawing.wings import swept_apart
 from pipeline.physics.psf.response import compact_core
+from pipeline.plan import wing_sweeps as of_sweeps
 from pipeline.plan.responses import FAINT_PART, MARGIN, NOTHING_BEYOND
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import exact_path
@@ -81,6 +82,19 @@ def test_a_turn_about_another_place_is_looked_at_where_it_stands_still(roll_deg,
     for x, y in ((20.0, 20.0), (140.0, 20.0), (79.5, 140.0), (20.0, 120.0), (120.0, 79.5)):
         own = exact_path(plan.camera, geometry_of(plan), x, y, True)
         assert swept_apart(blur, core, own, common) <= MARGIN * measured
+
+
+def test_paths_that_differ_most_are_found_however_many_blocks_are_looked_at_together(monkeypatch):
+    camera = replace(turning(20.0, {"kind": "gaussian", "sigma_px": 0.8}).camera,
+                     rows=2000, columns=1500)  # fmt: skip
+    geometry = geometry_of(turning(20.0, {"kind": "gaussian", "sigma_px": 0.8}))
+    found = []
+    for together in (1, 1000):
+        monkeypatch.setattr(of_sweeps, "AT_ONCE", together)
+        sweeps = wing_sweeps(camera, geometry, 2, True)
+        ends = [(p.x_px[-1], p.y_px[-1]) for pair in sweeps.pairs for p in pair]
+        found.append((sweeps.slowest_px, sweeps.off_px, ends))
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("at", [(230.0, 90.0), (90.0, -60.0), (-40.0, 120.0)])

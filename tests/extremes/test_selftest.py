@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from pipeline.cli import app
 from pipeline.errors import BadInput
+from pipeline.selftest import frames as of_frames
 from pipeline.selftest import stars
 from pipeline.selftest.case import Case, Found, run_case
 from pipeline.selftest.report import all_cases, chosen, markdown
@@ -25,6 +26,20 @@ def test_case(case, tmp_path):
 def test_names_differ_and_sources_are_named():
     assert len({c.name for c in CASES}) == len(CASES) >= 20
     assert all(c.source and c.what and c.allowed >= 0.0 for c in CASES)
+
+
+@pytest.mark.parametrize("name", ["frames/63-bits", "frames/exposure"])
+def test_one_wrong_pixel_fails_a_case(name, tmp_path, monkeypatch):
+    def one_off(*args):
+        found = drawn(*args)
+        for layer in found.layers.values():
+            layer.flat[-1] -= layer.dtype.type(1)
+        return found
+
+    drawn = of_frames.frames
+    monkeypatch.setattr(of_frames, "frames", one_off)
+    case = next(c for c in CASES if c.name == name)
+    assert not run_case(case, tmp_path).passed
 
 
 def test_a_wrong_answer_and_a_fault_are_failures(tmp_path):

@@ -19,7 +19,7 @@ from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.physics.vectors import unit
 from pipeline.plan.bodies import earthshine_m2_sr, flicker_share
 from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
-from pipeline.plan.body_attitudes import View
+from pipeline.plan.body_attitudes import View, needs_velocity
 from pipeline.plan.body_shapes import light_curve_m2_sr, reflected_m2_sr
 from pipeline.plan.geometry import plan_geometry
 from pipeline.spec.body import Body
@@ -122,6 +122,20 @@ def test_same_parts_and_their_sum() -> None:
     one = np.stack([reflected_m2_sr([b], EPOCH, circular(TIMES))[0] for b in single])
     np.testing.assert_array_equal(apart, one)  # however many are worked out together
     assert np.count_nonzero(apart.sum(axis=1)) > 10
+
+
+@pytest.mark.parametrize(
+    ("law", "follows"),
+    [({"kind": "nadir"}, True), ({"kind": "velocity"}, True), ({"kind": "inertial"}, False),
+     ({"kind": "sun_tracking", "bus": "nadir", "axis": [1, 0, 0]}, True),
+     ({"kind": "sun_tracking", "bus": "inertial", "axis": [1, 0, 0]}, False)],
+)  # fmt: skip
+def test_any_part_may_follow_the_orbit(law: dict[str, Any], follows: bool) -> None:
+    parts = [{"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2},
+             {"kind": "plate", "area_m2": 1.0, "albedo": 0.2},
+             {"kind": "plate", "area_m2": 1.0, "albedo": 0.2, "attitude": law}]  # fmt: skip
+    whole = {"kind": "composite", "parts": parts, "attitude": {"kind": "inertial"}}
+    assert needs_velocity(TypeAdapter(Body).validate_python(whole)) is follows
 
 
 def test_same_light_by_the_definitions_of_laws() -> None:

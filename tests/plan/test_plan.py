@@ -196,6 +196,9 @@ def test_decisions_own_up_to_what_is_left_out(scene: Make) -> None:
     decisions = {d.component: d for d in plan.decisions}
     assert "before read noise" in decisions["full_well"].reason
     assert "floor" in decisions["adc"].reason
+    assert decisions["adc"].bound == 1.0
+    halves = plan_of(scene({"sensor.adc_rounding": "half_even"})).decisions
+    assert next(d for d in halves if d.component == "adc").bound == 0.5
     for name in ("targets.earthshine", "earth_occultation", "stars.doppler"):
         assert not decisions[name].kept
     assert "less than its middle" in decisions["pupil_projection"].reason

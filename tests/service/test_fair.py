@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from service.problems import TooMany
-from service.shares import Shares
+from service.shares import IN_LINE, Shares
 from tests.service.conftest import SCENE, bearer
 
 MANY = 6000  # targets, whose plan takes some 20 s
@@ -156,3 +156,21 @@ def test_places_go_to_teams_in_turn() -> None:
         return order[4:]
 
     assert sorted(asyncio.run(story())) == list("aabd")
+
+
+def test_a_line_has_an_end() -> None:
+    """One at work and IN_LINE that wait: the next one of the team is refused, another's is not."""
+
+    async def story() -> list[type]:
+        places = Shares(4, "dry runs")
+
+        async def one(team: str) -> None:
+            async with places.place(team):
+                await asyncio.sleep(0.01)
+
+        teams = ["a"] * (2 + IN_LINE + 1) + ["b"]
+        ends = await asyncio.gather(*map(one, teams), return_exceptions=True)
+        return [type(end) for end in ends]
+
+    ends = asyncio.run(story())
+    assert [k for k, end in enumerate(ends) if end is TooMany] == [2 + IN_LINE]

@@ -16,7 +16,9 @@ import zarr
 
 from pipeline.calibrate import calibrate
 from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
+from pipeline.parts import render_part
 from pipeline.run import Options, render
+from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.product import check
@@ -170,6 +172,19 @@ def test_resume_deletes_nothing_of_the_users(name, tmp_path):
     with pytest.raises(BadInput, match="begun by"):
         render(scene(), tmp_path / "mine", Options(resume=True))
     assert (tmp_path / "mine" / name).read_text() == "{}"
+
+
+def test_writers_that_share_take_up_what_stopped_at_its_beginning(tmp_path):
+    """A folder without its record is theirs to make; one with a file of the user's is not."""
+    ours, mine = tmp_path / "ours", tmp_path / "mine"
+    for folder in (ours, mine):
+        (folder / "cube.zarr").mkdir(parents=True)
+    (mine / "notes.txt").write_text("mine")
+    render_part(scene(), ours, Share(1, 1), Options("synchronous"))
+    assert check(ours).whole
+    with pytest.raises(BadInput, match="begun by"):
+        render_part(scene(), mine, Share(1, 1), Options("synchronous"))
+    assert (mine / "notes.txt").read_text() == "mine"
 
 
 def test_one_writer_at_a_time(product):

@@ -71,12 +71,12 @@ def test_quasi_random_points_are_even_and_stand_alone(kind):
 def test_sobol_blocks_join_seamlessly():
     """Scrambled blocks drawn apart are the sequence drawn at once."""
     span = {"field": "a", "kind": "range", "start": 0, "stop": 1}
-    axes = [span, {"field": "b", "values": [1, 2]}]
+    axes = [span, {"field": "b", "values": [1, 2, 3]}]
     made = design(axes, design={"kind": "sobol", "points": 3 * BLOCK})
     whole = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(0)).random(4 * BLOCK)
-    for point in (0, BLOCK - 1, BLOCK, 2 * BLOCK + 17):
+    for point in (*range(20), BLOCK - 1, BLOCK, 2 * BLOCK + 17):
         assert made.values(point)["a"] == whole[point, 0]
-        assert made.values(point)["b"] == [1, 2][int(whole[point, 1] * 2)]
+        assert made.values(point)["b"] == [1, 2, 3][int(whole[point, 1] * 3)]
 
 
 def test_limits_ten_million_points_take_no_memory():

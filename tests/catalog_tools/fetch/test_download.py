@@ -325,6 +325,18 @@ def test_disk_too_small_is_told_before(archive, tmp_path, hasty, monkeypatch):
     assert visible(tmp_path) == archive.files
 
 
+def test_a_disk_needs_room_for_what_is_missing_only(archive, tmp_path, hasty, monkeypatch):
+    from catalog_tools.fetch import download
+
+    bring(archive, tmp_path, hasty)
+    name = max(archive.files, key=lambda n: len(archive.files[n]))
+    (tmp_path / name).unlink()
+    usage = type("Usage", (), {"free": len(archive.files[name])})
+    monkeypatch.setattr(download.shutil, "disk_usage", lambda path: usage)
+    bring(archive, tmp_path, hasty)
+    assert visible(tmp_path) == archive.files
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 def test_disk_full_is_one_message(archive, tmp_path, hasty):
     name = min(archive.files)

@@ -211,6 +211,15 @@ def test_aerosols_dim_blue_more_and_high_sites_less():
     assert next(aerosol) - next(aerosol) == pytest.approx(by_hand, rel=1e-9)
 
 
+def test_aerosols_scatter_and_ozone_absorbs():
+    """Of one and not of the other: what the night's lights take for scattering and absorption."""
+    for aerosol, ozone in ((0.3, 0.0), (0.0, 300.0)):
+        band = band_extinction(SUN_W, SUN_E, box(500e-9, 700e-9), (0.0, aerosol, 1.3, ozone))
+        clean = band_extinction(SUN_W, SUN_E, box(500e-9, 700e-9), (0.0, 0.0, 1.3, 0.0))
+        assert np.all((band.scattered_mag > clean.scattered_mag) == (aerosol > 0.0))
+        assert np.all((band.absorbed_mag > 0.0) == (ozone > 0.0))
+
+
 def test_stars_of_another_colour_are_dimmed_otherwise():
     """Two pieces: the largest difference in magnitude from the Sun's own loss, of two lights."""
     two = np.array([1.0, 1.0])
