@@ -41,6 +41,7 @@ TABLE_BYTES = 48e6
 FIELD_BYTES = 80e6  # what the tables of one core class may take together, over a field
 MOST_CLASSES = 5
 FAINT_RADIUS, FAINT_PART = 0.5, 0.25  # of a usual core; of its budget, as faint stars are many
+MEASURED = 3  # core classes whose wings are: faint stars', usual, bright
 FARTHEST_PX = 4096.0  # that the wings of the brightest source are drawn to, if need be
 SMALL_RADIUS_PX = 1e-2
 RINGS = 4.7  # times its mean: the rings of both edges of an obscured aperture, at the near end
@@ -323,16 +324,16 @@ def _cores(
 ) -> tuple[tuple[float, float, float], ...]:  # fmt: skip
     """(radius [px], brightest [e-], wing's error) of cores of doubling radius.
 
-    The wing's error is measured for the first of all responses, for the second of the two that
-    erred most then (up to LARGEST_CORE_PX), and falls as told after. sweeps : adds what a block's
-    one streak errs by.
+    The wing's error is measured for the first of all responses, for the next (MEASURED in all, up
+    to LARGEST_CORE_PX) of the two that erred most then, and falls as told after. sweeps : adds what
+    a block's one streak errs by.
     """
     largest = LARGEST_CORE_SAMPLES / max(oversampling_for(b) for b in blurs)
     worst, winged = list(blurs), [b for b in blurs if b.has_wings]
     out: list[tuple[float, float, float]] = []
     for k in range(MOST_CLASSES):
         radius = first * 2.0**k
-        if k == 0 or (k == 1 and radius <= LARGEST_CORE_PX):
+        if k == 0 or (k < MEASURED and radius <= LARGEST_CORE_PX):
             errors = [_measured_wing_error(b, radius, spacing, path) for b in worst]
             if sweeps is not None:
                 errors = [

@@ -58,6 +58,11 @@ def assert_plans_and_says_what_is_lost(file, tmp_path):
     assert imported.notes.converted
     assert imported.notes.left_out
     assert "no such thing" not in " ".join(imported.notes.left_out)  # every key is accounted for
+    told = imported.as_dict()
+    kinds = ("converted", "assumed", "not_carried_over")
+    assert [line for kind in kinds for line in told[kind]] == [
+        line.partition(": ")[2] for line in imported.lines()[1:]
+    ]
     assert (tmp_path / "scene.yaml").read_text().startswith("# from S")
     assert plan_scene(scene)["frames"] == scene.exposure.frames
 
