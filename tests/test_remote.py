@@ -316,6 +316,15 @@ def test_a_conditional_put_has_one_winner(bucket):
     assert objects.get("one") == b"%d" % won.index(True)
 
 
+def test_who_asks_again_has_still_won(bucket):
+    """The answer to a first try may be lost on its way."""
+    from catalog_tools.objects import Objects
+
+    objects = Objects(f"{bucket}/again")
+    assert [objects.create("one", mine) for mine in (b"a", b"a", b"b")] == [True, True, False]
+    assert objects.get("one") == b"a"
+
+
 @pytest.mark.parametrize(
     "url",
     [

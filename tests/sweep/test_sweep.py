@@ -129,6 +129,32 @@ def test_one_failed_point_is_recorded_and_the_rest_go_on(sweep_file, tmp_path):
     assert list(report["messages"].values()) == [1]
 
 
+def test_a_first_point_that_fails_stops_no_sweep(sweep_file, tmp_path):
+    """An accuracy that no plan reaches is a fault of its points, not of the sweep."""
+    axis = {"field": "accuracy.noise_fraction", "values": [1e-9, 0.05]}
+    sweep(sweep_file([axis]), tmp_path / "out", Options("synchronous"))
+    assert [r["status"] for r in table(tmp_path / "out").to_pylist()] == ["failed", "done"]
+
+
+def test_what_points_share_is_counted_once(sweep_file, tmp_path):
+    """Six points of one drawing, one after the other: together no more than the whole took."""
+    axis = {"field": "sensor.read_noise_e", "values": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]}
+    path, began = sweep_file([axis], metrics=["timing"]), time.perf_counter()
+    sweep(path, tmp_path / "out", Options("synchronous"))
+    taken, found = time.perf_counter() - began, table(tmp_path / "out")
+    assert sum(found["seconds"].to_pylist()) < taken
+    assert len(set(found["light_s"].to_pylist())) == 1
+    assert 0.0 < sum(found["light_s"].to_pylist()) < taken
+
+
+def test_another_sweep_is_not_gone_on_with(tmp_path):
+    known = {"axes": "a", "scene": "b"}
+    ledger.begin(tmp_path / "out", known, resume=False)
+    ledger.begin(tmp_path / "out", known, resume=True)
+    with pytest.raises(BadInput, match="a sweep of the same scene"):
+        ledger.begin(tmp_path / "out", known | {"scene": "c"}, resume=True)
+
+
 @pytest.mark.slow
 def test_same_table_by_every_scheduler(sweep_file, tmp_path):
     path = sweep_file([NOISE], SKY, seeds=3)
@@ -214,6 +240,8 @@ BAD = {
                 {"design": {"kind": "zip"}}, "axes"),
     "short row": ([{"kind": "table", "fields": ["sensor.bias_dn", "seed"], "rows": [[1]]}], {},
                   "axes.0.rows"),
+    "long row": ([{"kind": "table", "fields": ["sensor.bias_dn", "seed"], "rows": [[1, 2, 3]]}], {},
+                 "axes.0.rows"),
     "too many": ([{"field": "seed", "kind": "range", "start": 0, "stop": 1, "count": 99999}],
                  {"seeds": 1000}, "axes"),
     "unknown metric": ([NOISE], {"metrics": ["snr", "beauty"]}, "metrics.1"),

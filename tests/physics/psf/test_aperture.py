@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import BadInput
-from pipeline.physics.psf.aperture import CELLS, Pupil, Vanes, lattice
+from pipeline.physics.psf.aperture import CELLS, STEEPEST, Pupil, Vanes, lattice
 from pipeline.physics.psf.pupil import Airy
 from pipeline.physics.psf.radial import light_beyond, mean_over_directions
 from pipeline.physics.psf.zernike import wavefront
@@ -177,6 +179,14 @@ def test_against_quadrature_light_beyond(p: Pupil) -> None:
     assert p.light_beyond(3000.0) == pytest.approx(
         p.light_beyond(300.0) / 10.0, rel=1e-9
     )  # the edges alone
+
+
+@pytest.mark.parametrize("coma", [7, 8])
+def test_a_wavefront_too_steep_along_one_axis_is_refused(coma: int) -> None:
+    """sqrt(8) (3 r^2 - 2) y rises by up to 7 sqrt(8) along y, and by 3 sqrt(8) along x."""
+    rms = STEEPEST * CELLS / 2.0 / (5.0 * math.sqrt(8.0))
+    with pytest.raises(BadInput, match="waves a diameter"):
+        Pupil(1.0, 0.0, None, ((coma, rms),)).transfer(ZERO, ZERO)
 
 
 def test_limits_of_vanes_and_wavefronts_are_refused_by_name() -> None:

@@ -146,3 +146,10 @@ def test_a_partial_eclipse_by_the_moon_against_points_of_the_sun(u) -> None:
     found = sunlit_past_moon(target, SUN, moon[None], u)[0]
     assert found == pytest.approx((light * free).sum() / light.sum(), abs=2e-4)
     assert 0.2 < found < 0.8
+
+
+@pytest.mark.parametrize("oblate", [False, True])
+def test_limits_no_sunlight_inside_the_earth(oblate: bool) -> None:
+    """On the night side, near the centre and near the ground."""
+    places = [[-3e6, 0.0, 0.0], [-1e6, 5e6, 0.0], [-1e6, 0.0, 6.2e6]]
+    assert np.all(sunlit_past_earth(np.array(places), SUN, 0.0, oblate) == 0.0)
