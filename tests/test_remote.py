@@ -126,6 +126,20 @@ def test_damage_is_named(made):
     assert check_url(url).whole
 
 
+def test_a_join_that_lacks_a_chunk_takes_the_seal_away(made):
+    """A product that was whole and lost a chunk does not look whole after `join` refused it."""
+    from catalog_tools.objects import Objects
+    from pipeline.remote import check_url, join_url, render_to_url
+
+    url, objects, gone = made[0], Objects(made[0]), "cube.zarr/mean_e/c/0/1/0"
+    objects.delete([gone])
+    with pytest.raises(Incomplete):
+        join_url(url)
+    assert objects.get("_COMPLETE") is None
+    render_to_url(parse_scene(SCENE), url, replace(HERE, resume=True))
+    assert check_url(url).whole
+
+
 @pytest.mark.parametrize("seal", ["cube.zarr/zarr.json", "_COMPLETE"])
 def test_a_product_cut_off_while_it_is_sealed_is_not_whole(bucket, seal, monkeypatch):
     """The mark of a whole product comes after the cube's group: one without the other opens."""

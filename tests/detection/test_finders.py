@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from pipeline.cli import app
 from pipeline.detection.finders import drift_of, tasks
 from pipeline.detection.judge import Verdict, judge
 from pipeline.detection.points import Found, find_points, flattened
@@ -178,6 +180,15 @@ def test_study_of_a_product(product, tmp_path):
     assert json.loads((tmp_path / "out" / "detection.json").read_text()) == study
     assert "chaser" in (tmp_path / "out" / "detection.md").read_text()
     assert Image.open(tmp_path / "out" / "detection.png").size[0] > 800
+
+
+def test_the_command_studies_the_frames_that_were_asked_for(product, tmp_path):
+    done = CliRunner().invoke(
+        app, ["report", "detection", str(product), "-o", str(tmp_path / "out"), "--frames", "1",
+              "--json"],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["frames"] == 1
 
 
 def test_crowds_are_judged_in_seconds():

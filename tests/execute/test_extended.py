@@ -62,6 +62,12 @@ def test_disc_of_many_pixels(psf, tmp_path):
     # The Sun stands across the line of sight (phase near 90 degrees): half of the disc is lit.
     assert 60.0 < truth["phase_deg"] < 120.0
     assert 0.2 < lit.sum() / (np.pi * 20.0**2) < 0.8
+    light = image / image.sum()
+    assert truth["x_light_px"] == pytest.approx(float(light.sum(0) @ np.arange(SIDE)), abs=0.05)
+    assert truth["y_light_px"] == pytest.approx(float(light.sum(1) @ np.arange(SIDE)), abs=0.05)
+    off = np.array([truth["x_light_px"] - truth["x_px"], truth["y_light_px"] - truth["y_px"]])
+    assert np.abs(off).max() > 3.0
+    assert np.ptp(off) > 1.0
     # 1e10 electrons: the light beyond the reach (flux_fraction) is what is left of the error
     assert report["errors"]["achieved_error_e"] < 2e-5 * image.max()
     if psf["kind"] == "gaussian":

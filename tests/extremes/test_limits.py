@@ -119,8 +119,10 @@ def test_more_memory_than_there_is_names_what_takes_it():
         check_memory(plan, None, Spent(excursion_px=1e6), 1e5)
 
 
-def test_a_render_beyond_the_memory_draws_nothing(tmp_path):
-    asked = Options("synchronous", most_memory_mb=100.0)
+@pytest.mark.parametrize("scheduler", ["synchronous", "tcp://127.0.0.1:1"])
+def test_a_render_beyond_the_memory_draws_nothing(tmp_path, scheduler):
+    """Nor is a scheduler asked whose workers' memory was named."""
+    asked = Options(scheduler, most_memory_mb=100.0)
     with pytest.raises(BadInput, match="MB of memory that there are, not"):
         render(parse_scene(scene_data(MONO)), tmp_path / "p", asked)
     assert not (tmp_path / "p").exists()

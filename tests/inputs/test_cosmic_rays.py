@@ -9,7 +9,12 @@ from scipy import ndimage
 from typer.testing import CliRunner
 
 from pipeline.cosmic_rays_cli import cosmic_rays
-from pipeline.cosmic_rays_figure import compare_library, draw_comparison
+from pipeline.cosmic_rays_figure import (
+    Events,
+    _charge_per_um,
+    compare_library,
+    draw_comparison,
+)
 from pipeline.errors import BadInput
 from pipeline.inputs import cosmic_rays as cosmic_rays_module
 from pipeline.inputs.cosmic_rays import (
@@ -249,3 +254,11 @@ def test_same_library_read_band_by_band(darks, extracted, monkeypatch):
     assert again == told
     for name in ("start", "x", "y", "electrons", "frame"):
         assert np.array_equal(getattr(banded, name), getattr(whole, name)), name
+
+
+def test_charge_over_length_is_of_long_events_alone():
+    """A straight track of 80 e-/um across 40 px and the slab, beside a spot of more charge."""
+    path_um = np.hypot(40 * 10.0, 100.0)
+    charge_e = np.array([80.0 * path_um, 9e5])
+    two = Events(np.array([41.0, 4.0]), np.array([40.0, 2.0]), charge_e, 1.0, [])
+    assert _charge_per_um(two, 10.0, 100.0) == pytest.approx([80.0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -13,6 +14,10 @@ from pipeline.errors import BadInput
 from pipeline.ledger_report.probe import PROBES, Found
 from pipeline.ledger_report.report import report_ledger
 from pipeline.ledger_report.study import checked_rules, run_ledger
+from pipeline.ledger_report.targets import _rastered
+from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M
+from pipeline.physics.targets.shadow import sunlit_past_earth
+from pipeline.physics.vectors import unit
 from pipeline.plan.ledger import LEDGER
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -92,3 +97,14 @@ def test_mistakes(tmp_path):
     (tmp_path / "old.txt").write_text("kept")
     with pytest.raises(BadInput, match="new or empty"):
         report_ledger(tmp_path)
+
+
+@pytest.mark.parametrize("depth_m", [-6e4, 2e4, 9e4])
+def test_the_raster_of_the_sun_is_darker_at_its_limb(depth_m):
+    """A seventh of the raster's lines: as the share worked out by arcs, to what so few can tell."""
+    sun = 1.496e11 * unit(np.array([1.0, 0.1, 0.15]))
+    side = unit(np.cross(sun, [0.0, 0.3, 1.0]))
+    place = -4.2e7 * unit(sun) + (EARTH_EQUATORIAL_RADIUS_M * 0.997 + depth_m) * side
+    for u in (0.0, 0.9):
+        share = float(sunlit_past_earth(place[None], sun, u, True)[0])
+        assert _rastered(place, sun, u, 170) == pytest.approx(share, abs=0.004)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,9 +15,12 @@ from typer.testing import CliRunner
 
 from pipeline.cli import app
 from pipeline.errors import BadInput
+from pipeline.plan.responses import CoreClass
+from pipeline.prepare import prepare
 from pipeline.scene_report import scenes, study
 from pipeline.scene_report.figure import ladder_figure
 from pipeline.scene_report.report import report_scenes
+from pipeline.scene_report.switches import LARGEST_DOUBLED_PX, _finer_wings
 from pipeline.spec.load import parse_scene
 
 NAMES, RUNGS = ("earth-limb",), "0.05"
@@ -72,6 +77,17 @@ def test_bounds_hold_and_nothing_lacks(report):
     names = {s["component"] for scene in found["scenes"] for s in scene["switches"]}
     assert names >= {"background.grid", "wings_on_a_coarse_grid", "wings_cut_off", "common_streak"}
     assert "phase_interpolation" not in names  # so few stars need no tables
+
+
+@pytest.mark.parametrize(("spacing_px", "finer_px"), [(16, 8), (3, 2), (2, 2), (0, 0)])
+def test_finer_wings_have_wider_cores_and_half_the_grid(spacing_px, finer_px):
+    data = scenes.with_accuracy(scenes.MAKERS["earth-limb"](True), 0.05, 1e-3, "none")
+    plan = prepare(parse_scene(data | {"stars": None})).plan
+    classes = tuple(CoreClass(r, math.inf, math.inf, 0.0, 0.0, 8) for r in (12.0, 40.0, 90.0))
+    coarse = replace(plan.responses, spacing_px=spacing_px, classes=classes)
+    fine = _finer_wings(replace(plan, responses=coarse)).responses
+    assert fine.spacing_px == finer_px
+    assert [c.radius_px for c in fine.classes] == [24.0, LARGEST_DOUBLED_PX, 90.0]
 
 
 def test_page_stands_alone(report):
