@@ -192,11 +192,12 @@ def plan_responses(
             sweeps = wing_sweeps(camera, ends, streaks.zones, scene.star_effects["aberration"])
             if sweeps.slowest_px < HARDLY * streaks.pieces * path.length_px:
                 swept = POINT  # somewhere, as where the field turns about, stars stand still
-        cores = _cores(blurs, first, spacing, swept, facts.budget_e, sweeps)
+        light = facts.budget_e, facts.brightest_e
+        cores = _cores(blurs, first, spacing, swept, *light, sweeps)
         cores = _limited(cores, facts.budget_e, served)
         # Errors at rest are the largest: a path takes their mean.
         at_rest = swept if not (scene.targets or scene.populations) else POINT
-        for_targets = _cores(blurs, first, spacing, at_rest, facts.budget_e)
+        for_targets = _cores(blurs, first, spacing, at_rest, *light)
         for_targets = _limited(for_targets, facts.budget_e, targets_served)
         reach = max(reach, 2.0 * cores[-1][0])  # a wing is not cut off where its core still fades
         cut = CUT_FROM * reach
@@ -320,20 +321,21 @@ def _most_near(r: ResponsePlan, shape: tuple[int, int], margin_px: float) -> int
 
 def _cores(
     blurs: tuple[Blur, ...], first: float, spacing: int, path: Path, budget_e: float,
-    sweeps: WingSweeps | None = None,
+    brightest_e: float, sweeps: WingSweeps | None = None,
 ) -> tuple[tuple[float, float, float], ...]:  # fmt: skip
     """(radius [px], brightest [e-], wing's error) of cores of doubling radius.
 
-    The wing's error is measured for the first of all responses, for the next (MEASURED in all, up
-    to LARGEST_CORE_PX) of the two that erred most then, and falls as told after. sweeps : adds what
-    a block's one streak errs by.
+    The wing's error is measured for the first of all responses, for the next (MEASURED in all, and
+    as long as the brightest source asks for larger ones, up to LARGEST_CORE_PX) of the two that
+    erred most then, and falls as told after. sweeps : adds what a block's one streak errs by.
     """
     largest = LARGEST_CORE_SAMPLES / max(oversampling_for(b) for b in blurs)
     worst, winged = list(blurs), [b for b in blurs if b.has_wings]
     out: list[tuple[float, float, float]] = []
     for k in range(MOST_CLASSES):
         radius = first * 2.0**k
-        if k == 0 or (k < MEASURED and radius <= LARGEST_CORE_PX):
+        asked = k < MEASURED or brightest_e * out[-1][2] > budget_e
+        if k == 0 or (asked and radius <= LARGEST_CORE_PX):
             errors = [_measured_wing_error(b, radius, spacing, path) for b in worst]
             if sweeps is not None:
                 errors = [
