@@ -134,6 +134,9 @@ def test_unknown_names_are_refused_with_the_known_ones(tmp_path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(BadInput, match="TOML"):
         load_form(tmp_path / "binary.toml")
+    (tmp_path / "long.toml").write_text("#" * (1 << 20) + "\n")
+    with pytest.raises(BadInput, match="at most 1 MiB"):
+        load_form(tmp_path / "long.toml")
 
 
 ASTROPY = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
@@ -222,6 +223,21 @@ def test_same_stars_from_s3(catalogue, bucket):
     other = same_everywhere(catalogue, bucket)
     report = verify(other)
     assert (report.findings, report.notes) == ((), ())
+
+
+@needs_s3
+def test_names_of_a_bucket_are_those_of_now(bucket):
+    """Another client adds an object between two looks."""
+    import boto3
+
+    store = open_store(bucket)
+    before = store.names()
+    url = os.environ["AWS_ENDPOINT_URL"]
+    boto3.client("s3", endpoint_url=url).put_object(Bucket="sky", Key="made/new", Body=b"1")
+    try:
+        assert store.names() == before | {"new"}
+    finally:
+        boto3.client("s3", endpoint_url=url).delete_object(Bucket="sky", Key="made/new")
 
 
 @needs_s3

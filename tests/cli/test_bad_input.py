@@ -128,7 +128,7 @@ def test_bad_scene(name, tmp_path):
 
 def test_elements_given_as_the_scene(tmp_path):
     """A file of two-line elements, with names or without, is told as what it is."""
-    for name in ("", "SATELLITE\n"):
+    for name in ("", "SATELLITE\n", "# of today\nSATELLITE\n"):
         (tmp_path / "sat.tle").write_text(f"{name}{TLE[0]}\n{TLE[1]}\n")
         result = nightglass("plan", tmp_path / "sat.tle")
         assert result.returncode == 2

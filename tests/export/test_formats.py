@@ -200,6 +200,7 @@ def test_header_tells_site_and_sensor(labelled, tmp_path):
         ("gif", "x.gif", Wish(layer="stars"), "--layer"),
         ("gif", "x.gif", Wish(fps=0.0), "--fps"),
         ("masks", "x", Wish(threshold_sigma=-1.0), "--threshold"),
+        ("masks", "x", Wish(threshold_sigma=0.0), "--threshold"),
         ("masks", "x", Wish(threshold_sigma=float("nan")), "--threshold"),
         ("masks", "x", Wish(light="lamp"), "--light"),
         ("satnet", "x", Wish(stars_snr=float("nan")), "--stars-snr"),

@@ -174,6 +174,8 @@ def table(tmp_path, header=None, drop=(), **columns):
 
 def test_refusals_of_libraries(tmp_path):
     assert len(read_library(table(tmp_path))) == 2
+    brief = read_library(table(tmp_path, header={"EXPTIME": 0.5}))
+    assert brief.rate_per_px_s == pytest.approx(2.0 / (100 * 0.5))
     text = tmp_path / "text.fits"
     text.write_text("no FITS")
     image = tmp_path / "image.fits"
@@ -193,6 +195,7 @@ def test_refusals_of_libraries(tmp_path):
         ({"x0": [-3, 4]}, "places from 0"),
         ({"header": {"ROWS": 4, "COLUMNS": 40}}, "places in its"),
         ({"pixel_values": nan}, "electrons, 0 or more"),
+        ({"pixel_values": [np.float32([-0.5, 2.0]), np.float32([3.0])]}, "electrons, 0 or more"),
     ):
         with pytest.raises(BadInput, match=says):
             read_library(table(tmp_path, **changed))

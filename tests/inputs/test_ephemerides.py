@@ -357,6 +357,15 @@ def test_limits_other_theories(tmp_path: Path, change: dict[str, Any], words: st
         read_omm(path, "targets.0.orbit.path")
 
 
+@pytest.mark.parametrize("form", ["json", "xml"])
+def test_a_mark_of_byte_order_is_no_part_of_the_text(tmp_path: Path, form: str) -> None:
+    """As editors of some systems write it, and many tools as the first character of a table."""
+    plain, marked = tmp_path / f"a.{form}", tmp_path / f"b.{form}"
+    plain.write_text(omm_text(form), encoding="utf-8")
+    marked.write_text(omm_text(form), encoding="utf-8-sig")
+    assert read_omm(marked, "f") == read_omm(plain, "f")
+
+
 def test_limits_xml_with_entities_and_the_wrong_object(tmp_path: Path) -> None:
     path = tmp_path / "a.xml"
     path.write_text('<!DOCTYPE x [<!ENTITY a "aaaa">]>' + omm_text("xml"))

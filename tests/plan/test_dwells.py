@@ -144,6 +144,17 @@ def test_dwells_that_do_not_fit(scene: Make, name: str) -> None:
     assert word in str(caught.value)
 
 
+@pytest.mark.parametrize("own", [True, False])
+def test_a_pointing_that_does_not_fit_is_named_where_it_stands(scene: Make, own: bool) -> None:
+    local = {"mode": "local", "azimuth_deg": 0.0, "elevation_deg": 45.0}
+    here = {"observer": {"kind": "fixed", "position_au": [1, 0, 0]}}
+    where = {"dwells": [{"frames": 2}, {"pointing": local}]} if own else {"pointing": local}
+    s = scene(here | where)
+    with pytest.raises(BadInput) as caught:
+        plan_geometry(s, sampled_frames(s), 0.0)
+    assert caught.value.field == ("dwells.1.pointing.mode" if own else "pointing.mode")
+
+
 def test_which_exposures_a_plan_is_made_for(scene: Make) -> None:
     """Times that no frame takes and bias frames do not count; bias frames alone are planned for."""
     for times, frames, planned, longest in (

@@ -209,6 +209,9 @@ def test_bad_albedo_maps(tmp_path):
     np.save(bad, np.array([[0.1, np.nan], [0.2, 0.3]]))
     with pytest.raises(BadInput, match="column 2"):
         read_albedo(bad)
+    np.save(bad, np.full((2, 2), 0.1 + 0.2j))
+    with pytest.raises(BadInput, match="array of numbers"):
+        read_albedo(bad)
 
 
 def test_a_map_of_the_earth(scene, curve, shared_data):
@@ -294,6 +297,8 @@ def test_the_air_dims_the_lamps_of_a_site(scene, curve, hours):
     s, _, inputs, g, _ = planned(scene, wish, {"observer": site} | at(180.0, 20.0) | when)
     u, air = g.attitude[0, g.middle, 2][None], gather_extinction(s, gather_response(s)[0])
     args = s, s.background.stray_light, inputs.stray, g, 0, g.middle, u, 0.0
+    assert g.middle > 0
+    g.air[:, 0] = -g.air[:, 0]  # of another moment: it is of no account
     share = stray_parts(*args, air)["moon"] / stray_parts(*args)["moon"]
     earth = earth_and_sun(g.tt1[:1, g.middle], g.tt2[:1, g.middle]).position_m
     to_moon = moon_m(g.tt1[0, [g.middle]], g.tt2[0, [g.middle]]) - g.observer_m[0, g.middle] + earth

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
@@ -11,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from pipeline.cli import app
@@ -111,6 +113,9 @@ def test_figure_of_one_rung(report):
     for scene in found["scenes"]:
         scene["rungs"] = [scene["rungs"][0] | {"max_sigma": 0.0, "rms_sigma": 0.0}]
     assert ladder_figure(found).startswith(b"\x89PNG")
+    found["scenes"] = 3 * found["scenes"]  # side by side
+    width, height = Image.open(io.BytesIO(ladder_figure(found))).size
+    assert width > 2 * height
 
 
 @pytest.mark.parametrize("quick", [True, False])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import socket
 from pathlib import Path
@@ -13,12 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import zarr
+from PIL import Image
 
 from pipeline.parts import parse_part, render_part
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 from service.files import open_inside
-from service.frames import frame_facts, tile_values, truth_of
+from service.frames import frame_facts, tile_picture, tile_values, truth_of
 from service.problems import NotReady, NotThere
 
 
@@ -151,6 +153,17 @@ def test_tiles_are_told_and_shown_as_they_are_drawn(scene: dict[str, Any], tmp_p
         else:
             with pytest.raises(NotReady):
                 tile_values(tmp_path / "run", 0, row, column)
+
+
+@pytest.mark.parametrize("stretch", ["asinh", "linear", "log"])
+def test_pictures_are_black_at_low_and_white_at_high(stretch: str) -> None:
+    """Whatever the stretch, in between they rise; what is beyond an end is as the end."""
+    values = np.array([[-50.0, 0.0, 1.0, 10.0, 50.0, 100.0, 1e6]])
+    png = tile_picture(values, stretch, 0.0, 100.0)
+    grey = np.asarray(Image.open(io.BytesIO(png)))[0].astype(int)
+    assert (grey[0], grey[1], grey[-2], grey[-1]) == (0, 0, 255, 255)
+    assert (np.diff(grey[1:-1]) > 0).all()
+    assert grey[-3] < 255
 
 
 def test_the_wcs_of_a_frame_is_the_first_one_alone(scene: dict[str, Any], tmp_path: Path) -> None:

@@ -108,7 +108,8 @@ def test_the_xml_is_in_the_order_of_the_schema(
             if child.get(NIL):
                 assert name in NILLABLE
                 assert not child.text
-        int(root.findtext(f"{UWS}executionDuration", ""))
+        limit = root.findtext(f"{UWS}executionDuration", "")
+        assert int(server.client.get(f"/uws/async/{job_id}/executionduration").text) == int(limit)
         for result in root.iterfind(f"{UWS}results/{UWS}result"):
             assert result.get("id")
             assert result.get(f"{XLINK}href", "").startswith(server.url)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -59,7 +60,9 @@ def test_same_coordinates_from_markers_and_worked_out(tmp_path, monkeypatch):
         monkeypatch.setattr(coordinates, "fit_wcs", None)
 
     finishing(monkeypatch, fit_no_more)
-    render(wish, product, HERE)
+    report = render(wish, product, HERE)
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    assert 0.2 * peak_mb < report["memory"]["peak_driver_mb"] <= peak_mb
     monkeypatch.undo()
     first = cube_files(product)
     held = [read_marker(path) for path in markers_present(product)]

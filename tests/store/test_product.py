@@ -21,7 +21,8 @@ from pipeline.run import Options, render
 from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube, read_layer
-from pipeline.store.product import check
+from pipeline.store.markers import markers_present, read_marker
+from pipeline.store.product import cells_of, check
 from pipeline.store.truth import join_parts, part_path, write_part
 
 SCENE = {
@@ -206,6 +207,13 @@ def test_codecs(compression, tmp_path, made):
     )
     assert np.array_equal(other["dn"][...], one["dn"][...])
     assert "crc32c" in (tmp_path / "run" / "cube.zarr" / "dn" / "zarr.json").read_text()
+
+
+def test_cells_know_their_frame(made):
+    """Two products are not told alike because one has the frames of the other in another order."""
+    markers = [read_marker(path) for path in markers_present(made)]
+    assert {m.frame for m in markers} == {0, 1}
+    assert all({cell[1] for cell in cells_of(m)} <= {m.frame} for m in markers)
 
 
 def test_one_chunking_along_frames(made, tmp_path):

@@ -82,8 +82,11 @@ def test_a_targets_window_holds_its_own_light_alone(scene_data):
         g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
         return target_windows(plan, g, ("ball",), 3.0)
 
+    far = copy.deepcopy(beside) | {"body": ball["body"] | {"diameter_m": 0.8}}
     [(_, alone)], [(_, among)] = window([ball]), window([ball, beside])
+    [(_, behind)] = window([far, ball])  # the first, larger on the sky than a pixel
     assert np.array_equal(alone.response, among.response)
+    assert np.array_equal(alone.response, behind.response)
     assert alone.response.sum() > 0.9
 
 

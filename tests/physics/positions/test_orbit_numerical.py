@@ -178,6 +178,9 @@ def test_sunlight_falls_with_the_square_of_the_distance() -> None:
         for far in (1.0, 2.0) for forces in (Forces(0, 0.0, 10.0), Forces(0))
     ]  # fmt: skip
     assert (push[2] - push[3]) / (push[0] - push[1]) == pytest.approx(0.25, rel=1e-3)
+    # 1361 W/m2 (IAU 2015 resolution B3) over the speed of light, on 10 m2/kg of area over mass.
+    away_m = np.linalg.norm(SUN - y[:3]) / ASTRONOMICAL_UNIT_M
+    assert abs(push[0] - push[1]) == pytest.approx(10.0 * 4.5398e-6 / away_m**2, rel=1e-4)
 
 
 def test_sun_and_moon_move_while_the_satellite_does() -> None:
