@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import BadInput
+from pipeline.kept import kept, kept_array
 from pipeline.physics.drawing.spectral import transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import SpectralPlan, plan_spectral
@@ -118,8 +119,11 @@ def table_of(
     def make() -> PixelResponse | ProductResponse:
         if is_product(blur, piece.length_px):
             return product_table(blur, radius_px)
-        core, spectrum, half, period = swept_core(blur, radius_px, piece)
-        return phase_table(core, spectrum, half, period, phases)
+        if piece.length_px:  # moving stars have other shapes in each frame
+            return phase_table(*swept_core(blur, radius_px, piece), phases)
+        found = kept(key, lambda: vars(phase_table(*swept_core(blur, radius_px, piece), phases)))
+        values: dict[str, Any] = {name: v if v.ndim else v.item() for name, v in found.items()}
+        return PixelResponse(**values)
 
     key = ("table", blur, radius_px, piece, phases)
     return _CACHE.get(key, make, lambda t: t.nbytes)
@@ -128,9 +132,11 @@ def table_of(
 def kernel_of(blur: Blur, radius_px: float, grid: WingGrid, reach_px: float) -> np.ndarray:
     """The wing's transfer function on a grid."""
     key = ("wing", blur, radius_px, grid.rows, grid.columns, grid.spacing_px, reach_px)
-    return _KERNELS.get(
-        key, lambda: wing_kernel(blur, core_of(blur, radius_px), grid, reach_px), lambda k: k.nbytes
-    )
+
+    def make() -> np.ndarray:
+        return wing_kernel(blur, core_of(blur, radius_px), grid, reach_px)
+
+    return _KERNELS.get(key, lambda: kept_array(key, make), _bytes)
 
 
 def spectral_plan_of(
@@ -164,7 +170,11 @@ def spectral_of(
     plan = spectral_plan_of(blur, radius_px, path, shape, stars, error)
     assert plan is not None
     key = ("spectral", blur, radius_px, _alike(path)[0], shape, _about(stars), error)
-    table = _CACHE.get(key, lambda: transfer_table(core_of(blur, radius_px), plan), _bytes)
+
+    def make() -> np.ndarray:
+        return transfer_table(core_of(blur, radius_px), plan)
+
+    table = _CACHE.get(key, lambda: kept_array(("transfer", blur, radius_px, plan), make), _bytes)
     return plan, table
 
 

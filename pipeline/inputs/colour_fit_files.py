@@ -12,7 +12,7 @@ from typing import Any
 from catalog_tools.durable import write_atomically
 from pipeline.errors import BadInput, shorten
 from pipeline.inputs.colour_fit import checksum, fit_of, gather_colour_fit, plain_fit
-from pipeline.inputs.folders import cache_folder
+from pipeline.kept import cache_folder
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.spec.scene import Scene

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 from pipeline.errors import BadInput
+from pipeline.kept import kept
 from pipeline.physics.psf.aperture import Pupil, Vanes
-from pipeline.physics.psf.band import BandOptics, Chromatic, NoiseLimit, choose_wavelengths
+from pipeline.physics.psf.band import (
+    BandOptics,
+    Chromatic,
+    NoiseLimit,
+    choose_wavelengths,
+    mixture,
+)
 from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian, Optics
 from pipeline.physics.psf.response import oversampling_for
 from pipeline.physics.psf.sampled import Sampled
@@ -128,10 +135,18 @@ def _band(
     check_scale(psf.kind, _with(rest, make(wave_m)))  # before work that grows with it
     curve = (response.wavelength_m, response.value)
     most = scene.accuracy.flux_fraction
-    chosen = choose_wavelengths(make, rest, *curve, most, psf.wavelengths, limit)
-    if len(chosen.wavelengths_m) == 1:  # the mean, to the last bit
-        return replace(chosen, optics=make(mean_m), wavelengths_m=(mean_m,), weights=(1.0,))
-    return chosen
+
+    def choose() -> dict[str, Any]:
+        chosen = choose_wavelengths(make, rest, *curve, most, psf.wavelengths, limit)
+        return {f.name: getattr(chosen, f.name) for f in fields(chosen)[1:]}
+
+    of = make(float(curve[0][0])), make(float(curve[0][-1]))
+    found = kept(("wavelengths", of, rest, curve, most, psf.wavelengths, limit), choose)
+    waves, weights = (tuple(found[k].tolist()) for k in ("wavelengths_m", "weights"))
+    if len(waves) == 1:  # the mean, to the last bit
+        waves, weights = (mean_m,), (1.0,)
+    errors = (float(found[k]) for k in ("error", "error_of_one", "error_sigma"))
+    return BandOptics(mixture(tuple(map(make, waves)), weights), waves, weights, *errors)
 
 
 def _chromatic(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
+from pipeline.kept import kept_number
 from pipeline.physics.drawing.extended import point_error
 from pipeline.physics.drawing.quadrature import FAINTEST, affordable
 from pipeline.physics.drawing.wings import CUT_FROM, swept_apart, wing_error, wing_slope
@@ -367,7 +368,11 @@ def _limited(
 @lru_cache(maxsize=256)
 def _measured_wing_error(blur: Blur, radius_px: float, spacing_px: int, piece: Path) -> float:
     """The wing's error of a core of some radius, measured once for each response and streak."""
-    return PLACES * wing_error(blur, compact_core(blur, radius_px), spacing_px, piece)
+
+    def measure() -> float:
+        return wing_error(blur, compact_core(blur, radius_px), spacing_px, piece)
+
+    return PLACES * kept_number(("wing error", blur, radius_px, spacing_px, piece), measure)
 
 
 def table_error(blur: Blur) -> float:
@@ -381,7 +386,10 @@ def table_error(blur: Blur) -> float:
 
 @lru_cache(maxsize=256)
 def _measured_wing_slope(blur: Blur, radius_px: float) -> float:
-    return wing_slope(blur, compact_core(blur, radius_px))
+    def measure() -> float:
+        return wing_slope(blur, compact_core(blur, radius_px))
+
+    return kept_number(("wing slope", blur, radius_px), measure)
 
 
 def _sweep_error(blur: Blur, radius_px: float, sweeps: WingSweeps, enough: float) -> float:
@@ -432,13 +440,15 @@ def point_curvature(blur: Blur) -> float:
 
     An upper bound for every radius: the bound itself grows at most with the square.
     """
-    return point_error(blur, SMALL_RADIUS_PX) / SMALL_RADIUS_PX**2
+    what = "point error", blur, SMALL_RADIUS_PX
+    return kept_number(what, lambda: point_error(blur, SMALL_RADIUS_PX)) / SMALL_RADIUS_PX**2
 
 
 @lru_cache(maxsize=128)
 def point_slope(blur: Blur) -> float:
     """Error of a pixel per unit light and pixel that a point stands off the centre of its light."""
-    return point_error(blur, 0.0, SMALL_RADIUS_PX) / SMALL_RADIUS_PX
+    what = "point error", blur, 0.0, SMALL_RADIUS_PX
+    return kept_number(what, lambda: point_error(blur, 0.0, SMALL_RADIUS_PX)) / SMALL_RADIUS_PX
 
 
 def _lost(blur: Blur, radius_px: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 from dataclasses import replace
 from typing import Any
 
@@ -236,8 +237,13 @@ KEPT_BY: dict[str, list[tuple[Any, ...]]] = {
 
 
 @pytest.mark.parametrize("name", KEPT_BY)
-def test_tables_are_kept_by_all_that_they_follow_from(name, monkeypatch):
-    """One of the same but for one argument gets its own: what is made where nothing is kept."""
+def test_tables_are_kept_by_all_that_they_follow_from(name, monkeypatch, tmp_path):
+    """One of the same but for one argument gets its own: what is made where nothing is kept.
+
+    In the process, and on disk for the next one.
+    """
+    monkeypatch.setattr("pipeline.kept.WORTH_S", 0.0)
+    monkeypatch.setenv("NIGHTGLASS_CACHE", str(tmp_path / "one"))
 
     def empty():
         for cache in ("_CACHE", "_KERNELS"):
@@ -246,9 +252,13 @@ def test_tables_are_kept_by_all_that_they_follow_from(name, monkeypatch):
     empty()
     kept = [pickle.dumps(getattr(tables, name)(*wish)) for wish in KEPT_BY[name]]
     assert len(set(kept)) == len(kept)
-    for wish, found in zip(KEPT_BY[name], kept, strict=True):
-        empty()
-        assert pickle.dumps(getattr(tables, name)(*wish)) == found
+    for folder in ("one", "none"):
+        for wish, found in zip(KEPT_BY[name], kept, strict=True):
+            empty()
+            monkeypatch.setenv("NIGHTGLASS_CACHE", str(tmp_path / folder))
+            assert pickle.dumps(getattr(tables, name)(*wish)) == found
+            if folder == "none":
+                shutil.rmtree(tmp_path / folder, ignore_errors=True)
 
 
 def test_the_least_recently_used_is_dropped():

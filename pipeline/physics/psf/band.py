@@ -83,6 +83,11 @@ class Mixture:
         return max(1.0, 0.75 * min(p.wing_fall(radius_px) for p in self.parts))
 
 
+def mixture(parts: tuple[Chromatic, ...], weights: tuple[float, ...]) -> Optics:
+    """The optics of a band from those of its wavelengths."""
+    return parts[0] if len(parts) == 1 else Mixture(parts, weights)
+
+
 @dataclass(frozen=True)
 class NoiseLimit:
     """The error that a pixel may have beside a source, in units of that pixel's noise.
@@ -204,8 +209,7 @@ def choose_wavelengths(
         parts = tuple(make(float(w)) for w in nodes)
         if round_only:
             parts = tuple(p.annulus if isinstance(p, Pupil) else p for p in parts)
-        optics = parts[0] if len(parts) == 1 else Mixture(parts, tuple(map(float, weights)))
-        return optics, nodes, weights
+        return mixture(parts, tuple(map(float, weights))), nodes, weights
 
     round_ = not isinstance(make(float(wavelength_m[0])), Pupil)
     counts = COUNTS + MANY if round_ and limit is not None else COUNTS
