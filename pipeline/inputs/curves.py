@@ -18,6 +18,7 @@ import numpy as np
 
 from pipeline.errors import BadInput, Damaged
 from pipeline.inputs.reference import solar_bands, stellar_boxes
+from pipeline.kept import kept
 from pipeline.physics.radiometry import (
     Array,
     ResponseCurve,
@@ -240,7 +241,12 @@ def solar_spectrum() -> tuple[Array, Array, str, str]:
     if path is None:
         edges = np.array(solar_bands.EDGES_NM) * 1e-9
         means = np.array(solar_bands.IRRADIANCE_MW_M2_NM) * 1e6
-        wavelength, irradiance = spectrum_from_box_means(edges, means, 1e-9)
+
+        def joined() -> dict[str, Array]:
+            made = spectrum_from_box_means(edges, means, 1e-9)
+            return {"wavelength": made[0], "irradiance": made[1]}
+
+        wavelength, irradiance = kept(("solar spectrum", edges, means), joined).values()
         error = f"within 1% of the full table for bands of 50 nm or more; {scale_text}"
         return wavelength, irradiance, "ASTM E490-00a in boxes of 5 to 100 nm", error
     rows = []

@@ -77,8 +77,9 @@ def affordable(blur: Blur, path: Path, shape: tuple[int, int]) -> bool:
     """Whether a source with such a path can be drawn by quadrature in a frame."""
     if not has_profile(blur):
         return False
-    along, n = points_along(blur, path), nodes_of(blur)
-    along *= n * n // 16 if isinstance(blur.optics, EllipticalGaussian) else 1
+    along = points_along(blur, path)
+    if isinstance(blur.optics, EllipticalGaussian):
+        along *= nodes_of(blur) ** 2 // 16
     return math.prod(shape) * along <= MOST_VALUES
 
 
