@@ -16,7 +16,6 @@ from pipeline.physics.drawing.products import draw_products
 from pipeline.physics.drawing.spectral import Sources, draw_spectral, transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import plan_spectral
-from pipeline.physics.drawing.spectral_wings import wing_response
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import (
     add_wings,
@@ -46,8 +45,6 @@ GAUSSIAN_RADIUS = 6.1  # sigmas: 1e-8 of the light is beyond
 FIRST_CORE_Q = 24.0  # radius of an airy core in the phase ladder, in units of Q
 WING_REACH = 8.0  # of the core's radius, at most REACH_PX
 REACH_PX = 512.0
-SPECTRAL_REACH_PX = 192.0
-SMALL_CORE_Q = 12.0  # radius of a core beside a spectral wing, in units of Q
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,14 +140,7 @@ def _wings(case: Case) -> list[Setting]:
     q = case.shape.q_px
     rungs = [("core radius", r * q, 2) for r in (6.0, 12.0, 24.0, 48.0)]
     rungs += [("wing grid", FIRST_CORE_Q * q, h) for h in (16, 8, 4, 2)]
-    whole = [
-        Setting(
-            "core + spectral wing", f"asked {e:.0e}",
-            partial(_with_spectral_wing, error=e, radius_px=SMALL_CORE_Q * q, phases=phases),
-        )
-        for e in (1e-4, 1e-5, 1e-6, 1e-7)
-    ]  # fmt: skip
-    return whole + [
+    return [
         Setting(
             engine, f"core {radius:g} px, grid {spacing} px",
             partial(_stamps, phases=phases, cubic=True, radius_px=radius, spacing_px=spacing),
@@ -160,11 +150,16 @@ def _wings(case: Case) -> list[Setting]:
 
 
 def _spectral(case: Case) -> list[Setting]:
-    radius = _radius(case) if isinstance(case.shape, GaussianStar) else 4.0 * _radius(case)
-    errors = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+    """The transforms by the error asked of them; diffraction's light is cut off the farther out."""
+    if isinstance(case.shape, GaussianStar):
+        ladder = [(e, _radius(case)) for e in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)]
+    else:
+        far = 16.0 if case.streak_px else 8.0  # a streak's peak is fainter, its wings are not
+        wider = (1e-2, 4.0), (1e-3, 4.0), (1e-4, 4.0), (1e-5, 8.0), (1e-6, far)
+        ladder = [(e, times * _radius(case)) for e, times in wider]
     return [
         Setting("spectral", f"asked {e:.0e}", partial(_spectral_of, error=e, radius_px=radius))
-        for e in errors
+        for e, radius in ladder
     ]
 
 
@@ -283,23 +278,6 @@ def _spectral_of(case: Case, error: float, radius_px: float) -> Drawn:
         return draw_spectral(plan, table, [Sources(x, y, light, path)], (0, 0))
 
     return Drawn(draw, plan.bytes)
-
-
-def _with_spectral_wing(case: Case, error: float, radius_px: float, phases: int) -> Drawn:
-    """Stamps of the core, and what it leaves out with its rings by the spectral engine."""
-    blur, path = blur_of(case.shape), path_of(case.track)
-    core = compact_core(blur, radius_px)
-    still = _stamps(case, phases, True, radius_px, 0)
-    wing = wing_response(blur, core, SPECTRAL_REACH_PX)
-    plan = plan_spectral(case.frame, wing, path, error * peak_light(core, path), sources=2e4)
-    table = transfer_table(wing, plan)
-
-    def draw(x: Array, y: Array, light: Array) -> NDArray[np.floating]:
-        return still.draw(x, y, light) + draw_spectral(
-            plan, table, [Sources(x, y, light, path)], (0, 0)
-        )
-
-    return Drawn(draw, plan.bytes + (still.table_bytes or 0))
 
 
 def _points(case: Case, count: int, radius_px: float) -> Drawn:

@@ -15,7 +15,6 @@ STYLES: dict[str, tuple[str, str]] = {
     "stamps, cubic": ("#56B4E9", "s"),
     "core radius": ("#009E73", "D"),
     "wing grid": ("#009E73", "d"),
-    "core + spectral wing": ("#CC79A7", "P"),
     "spectral": ("#D55E00", "^"),
     "tiles": ("#56B4E9", "_"),
     "streak as points": ("#7F7F7F", "v"),
