@@ -217,12 +217,18 @@ def _wavelengths(scene: Scene, facts: Facts, band: BandOptics) -> Decision:
 def _streaks(r: ResponsePlan, facts: Facts) -> list[Decision]:
     """How the stars' streaks and crowds are drawn."""
     s, sigma_e = r.streaks, facts.sigma_floor_e
-    reason = (
-        f"{s.zones} x {s.zones} zone(s) and {s.pieces} piece(s) of the exposure, each with one "
-        "shape for all its stars, set where each star's own light is. Ends are off by at most "
-        f"{s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that share of the light "
-        "of a pixel there"
-    )
+    if s.at_rest < math.inf:
+        reason = (
+            f"stars move by at most {s.longest_px:.2g} px in an exposure and are drawn as points, "
+            "each at the centroid of its light"
+        )
+    else:
+        reason = (
+            f"{s.zones} x {s.zones} zone(s) and {s.pieces} piece(s) of the exposure, each with one "
+            "shape for all its stars, set where each star's own light is. Ends are off by at most "
+            f"{s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that share of the "
+            "light of a pixel there"
+        )
     bound = s.error_e(facts.brightest_e or math.inf)
     if s.mixed_from_e_px < math.inf:
         reason += (

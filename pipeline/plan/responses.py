@@ -30,7 +30,7 @@ from pipeline.plan.optics import (
     check_scale,
     missing_light,
 )
-from pipeline.plan.streaks import StreakPlan, plan_streaks, zone_streak
+from pipeline.plan.streaks import StreakPlan, plan_streaks, resting, zone_streak
 from pipeline.plan.tiles import BLOCK_PX
 from pipeline.plan.wing_sweeps import WingSweeps, wing_sweeps
 from pipeline.spec.scene import Scene
@@ -245,6 +245,9 @@ def _star_streaks(
     streaks = plan_streaks(
         camera, ends, aberration, asked, floor_e, facts.budget_e, edge, scene.sensor.photon_noise
     )
+    if streaks.still and streaks.longest_px:
+        measures = ([measure(b) for b in blurs] for measure in (point_curvature, point_slope))
+        streaks = resting(streaks, *map(max, measures))
     return _shortest_piece(camera, ends, streaks, aberration), streaks
 
 

@@ -23,7 +23,8 @@ from pipeline.plan.own_paths import EXACT_MERGE_PX, exact_path, star_offsets
 from pipeline.plan.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
 from pipeline.spec.scene import CELL_PX
 
-__all__ = ["Piece", "Streak", "StreakPlan", "centroid", "exact_path", "plan_streaks", "zone_streak"]
+__all__ = ["Piece", "Streak", "StreakPlan", "centroid", "exact_path", "plan_streaks", "resting",
+           "zone_streak"]  # fmt: skip
 
 PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables
 MERGE_TOLERANCE_PX = 2e-4
@@ -118,6 +119,7 @@ class StreakPlan:
     edge : steepest that the end of a streak falls off, per px and light per px of path [1 / px]
     own_px : px from a star's own path, where that is interpolated across its zone
     photons : light has noise of its own, so that a pixel with more of it may err by more
+    at_rest : what a pixel errs by of a star's light where every shape is a point
     """
 
     zones: int
@@ -134,11 +136,16 @@ class StreakPlan:
     edge: float = USUAL_EDGE
     own_px: float = math.inf
     photons: bool = True
+    at_rest: float = math.inf
 
     @property
     def off_px(self) -> float:
-        """How far light may be from where a star's own path has it, of stars with one shape."""
-        return min(self.spread_px + 0.5 * self.step_px + self.merge_px, self.longest_px)
+        """How far light may be from where a star's own path has it, of stars with one shape.
+
+        A pixel errs by at most that part of the light of a px of path.
+        """
+        apart = min(self.spread_px + 0.5 * self.step_px + self.merge_px, self.longest_px)
+        return min(apart, self.at_rest)
 
     @property
     def still(self) -> bool:
@@ -197,6 +204,18 @@ def plan_streaks(
             begin = _light_from(made.off_px, made)
             return replace(made, mixed_from_e_px=begin) if made.off_px else made
         zones = min(2 * zones, most)
+
+
+def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
+    """The plan of stars that move so little that each is a point, at the centroid of its light.
+
+    curvature : what a pixel errs by, per unit light and px^2 of five times the light's variance
+    along a path, at most a quarter of its length squared; slope : and per px that the point is off
+    (drawing/extended.py)
+    """
+    error = curvature * 5.0 * plan.longest_px**2 / 4.0 + slope * min(plan.own_px, plan.spread_px)
+    made = replace(plan, at_rest=error)
+    return replace(made, mixed_from_e_px=_light_from(made.off_px, made))
 
 
 def _light_from(off_px: float, plan: StreakPlan) -> float:

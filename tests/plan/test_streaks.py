@@ -12,8 +12,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pipeline.physics.motion.streak import Path
+from pipeline.physics.drawing.quadrature import draw_quadrature
+from pipeline.physics.motion.streak import POINT, Path
+from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.plan.geometry import camera_of, plan_geometry, star_paths
+from pipeline.plan.responses import point_curvature, point_slope
 from pipeline.plan.streaks import (
     MERGE_TOLERANCE_PX,
     PATH_STEP_PX,
@@ -24,6 +27,7 @@ from pipeline.plan.streaks import (
     centroid,
     exact_path,
     plan_streaks,
+    resting,
     zone_streak,
 )
 from pipeline.spec.scene import Scene
@@ -140,6 +144,24 @@ def test_a_star_off_its_path_errs_by_no_more_than_told(light_e: float, photons: 
         noise_e = np.sqrt(floor_e**2 + photons * pixels(at))
         worst = max(worst, float((np.abs(pixels(at + off_px) - pixels(at)) / noise_e).max()))
     assert told / 30.0 < worst * floor_e <= 1.4 * told
+
+
+@pytest.mark.parametrize("share", [(1.0, 0.0, 0.0), (0.5, 1e-9, 0.5)])
+def test_a_resting_star_errs_by_no_more_than_told(share: tuple[float, ...]) -> None:
+    """Its light evenly along a short path, or half at either end: a point at the centroid instead,
+    by quadrature of both, errs by less than is told; the latter by half of it at least."""
+    blur, length = Blur(Gaussian(0.5)), 2e-3
+    ends = np.cumsum([0.0, *share]) - 0.5 if share[1] == 0.0 else np.array([-0.5, -0.5, 0.5, 0.5])
+    x = length * ends[: 2 if share[1] == 0.0 else 4]
+    path = Path(x, np.zeros_like(x), np.array(share[: len(x) - 1]))
+    plan = StreakPlan(1, 1, 0.0, length, 1, PATH_STEP_PX, MERGE_TOLERANCE_PX, own_px=0.0)
+    told = resting(plan, point_curvature(blur), point_slope(blur)).off_px
+    worst = 0.0
+    for at in np.linspace(0.0, 0.5, 6):
+        seen = [draw_quadrature(blur, p, (9, 9), (0, 0), 4.0, 4.0 + at) for p in (path, POINT)]
+        worst = max(worst, float(np.abs(seen[0] - seen[1]).max()))
+    assert worst <= told
+    assert worst >= told * (0.1 if share[1] == 0.0 else 0.3)
 
 
 def test_still_stars_are_one_point(scene: Make) -> None:
