@@ -24,13 +24,12 @@ from uuid import uuid4
 from .ahead import cores
 from .clusters import check_address, connected, slurm
 from .errors import BadInput, Incomplete, NightglassError, TryLater
+from .heap import ALLOCATION, one_heap
 
 Progress = Callable[[str], None]  # called with the kind of each task that is done
 Graph = tuple[dict[Any, Any], list[Any]]  # tasks by key, and the keys that are wanted
 LOCAL_KINDS = ("threads", "synchronous", "processes", "slurm")
 TASKS_PER_WINDOW = 256
-# What glibc comes to by itself; Dask's 64 KiB cost a worker eight times the page faults.
-MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(64 << 20)}
 MOST_TRIES = 3  # of a task, on a cluster
 CHATTY = ("distributed", "distributed.client", "tornado", "tornado.application")
 AHEAD = 3  # items in work or waiting for each thread
@@ -77,6 +76,7 @@ class LocalScheduler:
 
     def __init__(self, kind: str, workers: int) -> None:
         self.kind, self.workers = kind, workers
+        one_heap()
 
     def share(self, value: Any) -> Any:
         return value
@@ -266,7 +266,7 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
 
 def set_up_dask() -> None:
     """Dask's settings as our clients and workers want them, and silence: what goes wrong we say."""
-    for name, value in MALLOC.items():
+    for name, value in ALLOCATION.items():
         os.environ.setdefault(name, value)
     import dask
     import distributed  # noqa: F401 (with it the levels that are set below)

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from catalog_tools.heap import one_heap
 from pipeline.catalog_cli import catalog
 from pipeline.cosmic_rays_cli import cosmic_rays
 from pipeline.export_cli import export, import_app
@@ -67,6 +68,7 @@ def _common(
 
 def main() -> None:
     """Run the command line; every error is one message and an exit code."""
+    one_heap()
     try:
         code = app(prog_name="nightglass", standalone_mode=False) or 0
         if code == 130:  # the library takes Ctrl-C for an exit

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from catalog_tools.catalogue import MANIFEST_NAME
+from catalog_tools.heap import one_heap
 from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError, TryLater
 from pipeline.spec.load import InvalidScene, parse_scene
 from service import logs
@@ -32,6 +33,7 @@ BETWEEN_LINES_S = 0.25
 
 def main() -> None:
     """Read the order, do it, say how it went."""
+    one_heap()
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # whatever a library prints must not be taken for an answer
     line = sys.stdin.buffer.readline()

@@ -1,0 +1,32 @@
+"""How processes hold their memory: threads of one heap use again what another has freed."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from contextlib import suppress
+from functools import cache
+
+# Thresholds are what glibc comes to by itself; Dask's 64 KiB cost a worker eight times the page
+# faults. One heap, with Arrow's arrays in it, takes a third less than one for each thread.
+ALLOCATION = {
+    "MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
+    "MALLOC_ARENA_MAX": "1", "ARROW_DEFAULT_MEMORY_POOL": "system",
+}  # fmt: skip
+ARENA_MAX = -8  # of glibc's mallopt
+
+
+@cache
+def one_heap() -> None:
+    """One heap for this process, where its C library is glibc and its environment says nothing.
+
+    The earlier the better: threads keep the heap that they began with.
+    """
+    name = "ARROW_DEFAULT_MEMORY_POOL"
+    if os.environ.setdefault(name, ALLOCATION[name]) == "system" and "pyarrow" in sys.modules:
+        pyarrow = sys.modules["pyarrow"]
+        pyarrow.set_memory_pool(pyarrow.system_memory_pool())
+    if "MALLOC_ARENA_MAX" not in os.environ:
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).mallopt(ARENA_MAX, int(ALLOCATION["MALLOC_ARENA_MAX"]))
