@@ -11,6 +11,7 @@ Row = dict[str, Any]
 
 # Okabe & Ito's colours, told apart with every common colour blindness; shapes tell them apart too.
 STYLES: dict[str, tuple[str, str]] = {
+    "products": ("#E69F00", "p"),
     "stamps, linear": ("#0072B2", "o"),
     "stamps, cubic": ("#56B4E9", "s"),
     "core radius": ("#009E73", "D"),
