@@ -146,13 +146,20 @@ def drawing_order(stars: FrameStars) -> FrameStars:
 
     Two catalogues may use one id for two stars. Stars of one shard are in this order already.
     """
-    row, column = np.floor(stars.y_px / SQUARE_PX), np.floor(stars.x_px / SQUARE_PX)
-    square = row.astype(np.int64) * (1 << 24) + column.astype(np.int64)
-    same = square[1:] == square[:-1]
-    follows = (square[1:] > square[:-1]) | (same & (stars.source_id[1:] > stars.source_id[:-1]))
-    if follows.all():
+    if len(stars) < 2:
         return stars
-    return select(stars, np.lexsort((stars.catalogue, stars.source_id, square)))
+    row, column = np.floor(stars.y_px / SQUARE_PX), np.floor(stars.x_px / SQUARE_PX)
+    row, column = row - row.min(), column - column.min()
+    square = (row * (column.max() + 1.0) + column).astype(np.int64)
+    by_id = stars.source_id[1:] > stars.source_id[:-1]
+    if ((square[1:] > square[:-1]) | ((square[1:] == square[:-1]) & by_id)).all():
+        return stars
+    if square.max() < 1 << 16:
+        square = square.astype(np.uint16)  # which numpy sorts ten times as fast
+    if by_id.all():
+        return select(stars, np.argsort(square, kind="stable"))
+    order = np.lexsort((stars.catalogue, stars.source_id))
+    return select(stars, order[np.argsort(square[order], kind="stable")])
 
 
 def truth_order(stars: FrameStars) -> FrameStars:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ SMALL = 0.25  # of a part: what is refined until it errs by little, at no cost
 INSTEAD = ("crowds_by_transforms",)  # of phase_interpolation, whose bound is counted
 BESIDE_BRIGHTEST = ("few_wavelengths", "monochromatic_psf", "wings_cut_off")  # as its light
 ROUNDING = 1.0 + 1e-9
+FEW_CELLS, FULL = 1 << 16, 16  # cells of a crowd that are summed in place, and for each star
 UNSEEN = 1e-3  # of an approximation's part: what a star of a crowd may err by unseen
 
 
@@ -130,24 +132,43 @@ def crowd_error_e(
     spacing wide, add up; those of cells as errors without relation do, within a box as wide as a
     wing's error reaches. The largest of all boxes; 0 without stars.
     """
-    if not len(error_e):
-        return 0.0
-    column, row = np.floor(x_px / cell_px), np.floor(y_px / cell_px)
-    first, of = np.unique(_numbered(frame, column, row), return_index=True, return_inverse=True)[1:]
-    sums = np.bincount(of, weights=error_e)
+    return max(
+        (_crowded_e(x_px[one], y_px[one], error_e[one], cell_px, box_px) for one in _runs(frame)),
+        default=0.0,
+    )
+
+
+def _runs(frame: Array) -> list[slice | NDArray[np.intp]]:
+    """Where each frame's stars stand among those of all (n,)."""
+    if not len(frame) or (frame[1:] < frame[:-1]).any():
+        return [np.flatnonzero(frame == f) for f in np.unique(frame)]
+    ends = [0, *(np.flatnonzero(np.diff(frame)) + 1), len(frame)]
+    return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def _crowded_e(x_px: Array, y_px: Array, error_e: Array, cell_px: float, box_px: float) -> float:
+    """The same of one frame."""
+    column, row = (np.floor(v / cell_px) for v in (x_px, y_px))
+    column, row, sums = _summed(column, row, error_e)
     wide = cell_px / box_px
-    boxes = _numbered(frame[first], np.floor(column[first] * wide), np.floor(row[first] * wide))
-    _, of = np.unique(boxes, return_inverse=True)
-    return float(np.sqrt(np.bincount(of, weights=sums**2).max()))
+    *_, squares = _summed(np.floor(column * wide), np.floor(row * wide), sums**2)
+    return math.sqrt(squares.max(initial=0.0))
 
 
-def _numbered(*whole: Array) -> NDArray[np.int64]:
-    """One number (n,) for each different set of whole numbers (n,), in their order."""
-    number = np.zeros(len(whole[0]), np.int64)
-    for values in whole:
-        least = values.min()
-        number = number * int(values.max() - least + 1.0) + (values - least).astype(np.int64)
-    return number
+def _summed(column: Array, row: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Sums of values (n,) over each different pair of whole numbers: (columns, rows, sums)."""
+    first_column, first_row = column.min(initial=0.0), row.min(initial=0.0)
+    rows = int(row.max(initial=0.0) - first_row) + 1
+    number = (column - first_column).astype(np.int64) * rows + (row - first_row).astype(np.int64)
+    if number.max(initial=0) < FEW_CELLS + FULL * len(number):
+        sums: Array = np.bincount(number, weights=values)
+        found = np.flatnonzero(sums)
+        sums = sums[found]
+    else:
+        found, of = np.unique(number, return_inverse=True)
+        sums = np.bincount(of, weights=values)
+    across, down = np.divmod(found, rows)
+    return across + first_column, down + first_row, sums
 
 
 def doubts_of(asked: float, stated: float, achieved: float | None, accepted: bool) -> list[str]:
