@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,13 +156,13 @@ def _crowded_e(x_px: Array, y_px: Array, error_e: Array, cell_px: float, box_px:
     return math.sqrt(squares.max(initial=0.0))
 
 
-def _summed(column: Array, row: Array, values: Array) -> tuple[Array, Array, Array]:
+def _summed(column: Array, row: Array, values: Array) -> tuple[Array, Array, Any]:
     """Sums of values (n,) over each different pair of whole numbers: (columns, rows, sums)."""
     first_column, first_row = column.min(initial=0.0), row.min(initial=0.0)
     rows = int(row.max(initial=0.0) - first_row) + 1
     number = (column - first_column).astype(np.int64) * rows + (row - first_row).astype(np.int64)
     if number.max(initial=0) < FEW_CELLS + FULL * len(number):
-        sums: Array = np.bincount(number, weights=values)
+        sums = np.bincount(number, weights=values)
         found = np.flatnonzero(sums)
         sums = sums[found]
     else:

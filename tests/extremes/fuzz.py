@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import queue
 import re
 import subprocess
@@ -71,6 +72,7 @@ class Renderer:
         with self.errors.open("w") as errors:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "tests.extremes.worker", str(self.product)], cwd=ROOT,
+                env=os.environ | {"NIGHTGLASS_CACHE": str(self.product.with_name("cache"))},
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True,
             )  # fmt: skip
         self.lines = queue.Queue()
