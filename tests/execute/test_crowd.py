@@ -20,13 +20,13 @@ IFOV_DEG = 2.0 / 3600.0
 RA_DEG, DEC_DEG, SIDE = 80.0, 20.0, 600
 
 
-@pytest.fixture(scope="module")
-def catalogue(tmp_path_factory):
-    """3,000 stars over and around the frame, G 9 to 18."""
-    folder = tmp_path_factory.mktemp("crowd")
+def ingested(folder, bright_px=()):
+    """3,000 stars over and around the frame, G 9 to 18; the first of G 7.5 at given places."""
     rng = np.random.default_rng(5)
     x, y = rng.uniform(-0.6, 0.6, (2, 3000)) * SIDE * IFOV_DEG
     g = np.log10(10**3.15 + rng.uniform(size=3000) * (10**6.3 - 10**3.15)) / 0.35
+    for k, place in enumerate(bright_px):
+        (x[k], y[k]), g[k] = np.multiply(place, IFOV_DEG), 7.5
     dec = DEC_DEG + y
     ra = RA_DEG + x / np.cos(np.radians(dec))
     rows = ["source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
@@ -38,6 +38,11 @@ def catalogue(tmp_path_factory):
     ]
     (folder / "stars.csv").write_text("\n".join(rows) + "\n")
     return str(ingest([folder / "stars.csv"], folder / "catalogue").catalogue.path)
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory):
+    return ingested(tmp_path_factory.mktemp("crowd"))
 
 
 def scene(catalogue, psf, streak_px, **more):
@@ -123,6 +128,16 @@ def test_blocks_join_without_a_seam(psf, streak, crowded, catalogue, tmp_path, m
     monkeypatch.setattr(pipeline.execute.blocks, "BLOCK_PX", 256)
     many, _ = stars_of(scene(catalogue, psf, streak), tmp_path / "many")
     assert (np.abs(one - many) / np.sqrt(25.0 + one)).max() <= 0.05
+
+
+def test_a_very_bright_star_reaches_into_the_next_tile_of_a_crowd(crowded, tmp_path):
+    """To the end of the largest core: the frame in tiles is the frame drawn as one, to the bit."""
+    found = ingested(tmp_path, [(16.0, 130.0), (60.0, 152.0)])
+    whole, report = stars_of(scene(found, AIRY, 0.0), tmp_path / "whole")
+    made = scene(found, AIRY, 0.0, output={"tile_shape": [256, 256]})
+    tiles, other = stars_of(made, tmp_path / "tiles")
+    assert np.array_equal(tiles, whole)
+    assert other["content_digest"] == report["content_digest"]
 
 
 def test_few_stars_get_no_block(catalogue, tmp_path):

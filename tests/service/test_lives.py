@@ -119,6 +119,33 @@ def test_time_in_the_queue_is_not_time_given() -> None:
         assert attempts._too_long() is too_long
 
 
+def test_pauses_before_another_attempt_double_up_to_a_minute() -> None:
+    """Of an attempt that goes on failing; they begin anew once a tile was finished meanwhile."""
+    paused: list[float] = []
+    job = SimpleNamespace(id="j", attempt=1, tiles_done=0)
+
+    class Failing(Attempt):
+        def _attempt(self) -> dict[str, Any] | None:
+            return {"message": "not there"}
+
+        def _pause(self, pause_s: float, until_s: float) -> bool:
+            paused.append(pause_s)
+            return True
+
+    attempts = Failing.__new__(Failing)
+    done = iter([0] * 9 + [1] * 3)
+    attempts._settings, attempts._job = cast(Any, SimpleNamespace(scheduler_s=1e4)), cast(Any, job)
+
+    def again(job: Any, why: str) -> Any:
+        return SimpleNamespace(id="j", attempt=2, tiles_done=len(paused) // 10)
+
+    seen = SimpleNamespace(seen=lambda job: SimpleNamespace(tiles_done=next(done)), again=again)
+    attempts._store = cast(Any, seen)
+    attempts._go_on = lambda: len(paused) < 12
+    attempts.run()
+    assert paused == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0, 60.0, 1.0, 2.0, 4.0]
+
+
 @pytest.mark.slow
 def test_a_damaged_row_is_told_by_the_service_and_the_check(
     make_server: Callable[..., Any], scene: dict[str, Any]
