@@ -1,10 +1,11 @@
 """What scheduling costs: its share of a job's CPU time, and the memory of a plan of 1e6 tiles.
 
-Run: python -m benchmarks.scheduling overhead|scale [--scheduler NAME] [--tiles N] [--json FILE].
+Run: python -m benchmarks.scheduling overhead|scale|model [--scheduler NAME] [--tiles N] [--json F].
 NAME "apart" is a Dask scheduler and two workers as processes of their own.
 "overhead" renders real frames at default tiles and compares the CPU seconds inside of the tasks
 with those of all processes (of one thread each: synchronous, processes); "scale" streams a plan of
-very many tiles whose body does nothing.
+very many tiles whose body does nothing; "model" measures both, one worker process against two, and
+says what that makes of 1 to 1,000 workers.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ def _cpu_s() -> float:
     return sum(sum(p.cpu_times()[:2]) for p in _processes())
 
 
-def overhead(scheduler: str, frames: int) -> dict[str, Any]:
+def overhead(scheduler: str, frames: int, workers: int = 2) -> dict[str, Any]:
     """Share of a job's CPU seconds that is not spent in its tasks."""
     from catalog_tools.schedulers import open_scheduler
     from pipeline.prepare import prepare
@@ -109,7 +110,7 @@ def overhead(scheduler: str, frames: int) -> dict[str, Any]:
     from pipeline.store.product import begin
 
     exposure = {"integration_s": 1.0, "frames": frames}
-    with tempfile.TemporaryDirectory() as name, open_scheduler(scheduler, 2) as inner:
+    with tempfile.TemporaryDirectory() as name, open_scheduler(scheduler, workers) as inner:
         for k, count in enumerate((2, frames)):  # the first one warms the workers
             prepared = prepare(parse_scene(SKY | {"exposure": exposure | {"frames": count}}))
             begun = begin(Path(name) / f"run{k}", prepared.plan, None, resume=False)
@@ -124,7 +125,7 @@ def overhead(scheduler: str, frames: int) -> dict[str, Any]:
         time.sleep(IDLE_S)
         idle_s = (_cpu_s() - idle) / IDLE_S
     tiles = len(prepared.plan.tiles) * frames
-    waited_s = max(0.0, wall_s - total / (1 if scheduler == "synchronous" else 2))
+    waited_s = max(0.0, wall_s - total / (1 if scheduler == "synchronous" else workers))
     steady = total - idle_s * waited_s
     return {
         "scheduler": scheduler, "tiles": tiles, "cpu_s": total, "in_tasks_s": useful,
@@ -184,12 +185,36 @@ def scale(scheduler: str, tiles: int) -> dict[str, Any]:
         wrapped, cpu_s = Wrapped(inner, emptied), time.process_time()
         draw(prepared, begun, wrapped, lambda p: done.__setitem__(0, p.done))
         cpu_s = time.process_time() - cpu_s
+        its_s = sum(psutil.Process(its_process).cpu_times()[:2]) if its_process else 0.0
         scheduler_mb = _peak_mb(its_process) if its_process else None
     return {
         "scheduler": scheduler, "tiles": done[0], "peak_mb": _peak_mb(),
         "scheduler_peak_mb": scheduler_mb,  # none: it runs in this process
         "us_a_tile": 1e6 * (time.perf_counter() - started) / done[0],
         "cpu_us_a_tile": 1e6 * cpu_s / done[0],  # of this process
+        "scheduler_cpu_us_a_tile": 1e6 * its_s / done[0],
+    }  # fmt: skip
+
+
+def model(tiles: int, frames: int) -> dict[str, Any]:
+    """Tiles a second of many workers, from what a tile takes a worker, the client, the scheduler.
+
+    Workers draw side by side, client and scheduler serve them one after the other, each a core of
+    its own: the slowest of the three says how many tiles are done in a second.
+    """
+    found = {n: overhead("processes", frames, n) for n in (1, 2)}
+    streamed = scale("apart", tiles)
+    tile_s = found[1]["in_tasks_s"] / found[1]["tiles"]
+    served_s = 1e-6 * max(streamed["cpu_us_a_tile"], streamed["scheduler_cpu_us_a_tile"])
+    most = {n: min(n / tile_s, 1.0 / served_s) for n in (1, 10, 100, 300, 1000)}
+    return {
+        "two_over_one": found[1]["wall_s"] / found[2]["wall_s"],
+        "overhead": found[1]["overhead"], "tile_s": tile_s,
+        "client_us_a_tile": streamed["cpu_us_a_tile"],
+        "scheduler_us_a_tile": streamed["scheduler_cpu_us_a_tile"],
+        "tiles_a_second": most,
+        "efficiency": {n: rate * tile_s / n for n, rate in most.items()},
+        "all_at_work_from_tile_s": {n: n * served_s for n in most},
     }  # fmt: skip
 
 
@@ -202,13 +227,15 @@ def _peak_mb(process: int | str = "self") -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("overhead", "scale"))
+    parser.add_argument("what", choices=("overhead", "scale", "model"))
     parser.add_argument("--scheduler", default="synchronous")
     parser.add_argument("--tiles", type=int, default=1_000_000)
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    if args.what == "overhead":
+    if args.what == "model":
+        found = model(args.tiles, args.frames)
+    elif args.what == "overhead":
         found = overhead(args.scheduler, args.frames)
     else:
         found = scale(args.scheduler, args.tiles)
