@@ -26,7 +26,7 @@ from pipeline.execute.sources import (
 from pipeline.execute.tables import core_of, kernel_of
 from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
 from pipeline.physics.drawing.extended import draw_body, spread_body
-from pipeline.physics.drawing.quadrature import has_profile, nodes_of, points_along
+from pipeline.physics.drawing.quadrature import has_profile, nodes_of, points_along, profile_s
 from pipeline.physics.drawing.wings import (
     WingGrid,
     add_wings,
@@ -245,7 +245,8 @@ def _quadrature_cost(plan: Plan, at: Tile, group: Group, most: float) -> float |
     """Values that a single source costs by quadrature in a window.
 
     None for a group that is drawn by transforms: of several sources, of a response without a
-    known profile, or of more than `most` where it is no brighter than the core classes serve.
+    known profile, or of more than `most` with that profile (which other sources share, but may be
+    dear) where it is no brighter than the core classes serve.
     """
     _, _, light, path = group
     r = plan.responses
@@ -253,8 +254,10 @@ def _quadrature_cost(plan: Plan, at: Tile, group: Group, most: float) -> float |
         return None
     values = max(1.5 * points_along(b, path) * (1.5 * nodes_of(b)) ** 2 for b in r.blurs)
     cost = at.rows * at.columns * values
-    limits = r.classes[-1].brightest_e, r.classes[-1].target_e
-    return cost if cost <= most or light[0] > min(limits) else None
+    if light[0] > min(r.classes[-1].brightest_e, r.classes[-1].target_e):
+        return cost
+    profile = max(profile_s(b, r.reach_px) for b in r.blurs) / VALUE_S
+    return cost if cost + profile <= most else None
 
 
 def _star_groups(
