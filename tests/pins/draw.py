@@ -74,14 +74,14 @@ def _placed(data: Any, files: Path) -> Any:
 
 def draw(name: str, files: Path, folder: Path) -> Drawn:
     """Draw a pinned scene or sweep in an empty folder, with the files of files.py."""
-    with _embedded_spectra():
+    with embedded_spectra():
         if name in SWEEPS:
             return _swept(name, files, folder)
         return _rendered(name, files, folder)
 
 
 @contextmanager
-def _embedded_spectra() -> Iterator[None]:
+def embedded_spectra() -> Iterator[None]:
     """The spectra that come with the product, whatever library this machine has."""
     kept = os.environ.pop("NIGHTGLASS_DATA", None)
     try:
