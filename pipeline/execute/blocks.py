@@ -38,6 +38,11 @@ from pipeline.plan.scene_plan import Plan
 from pipeline.plan.streaks import Streak
 from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up
 
+Spectrum = NDArray[np.complex128]
+
+MOST_POINTS = 65_536  # of a body along its path, that are spread one by one
+_POINT = np.zeros(1), np.zeros(1), np.ones(1)  # y, x and share of the light of a body
+
 
 @dataclass(frozen=True)
 class Block:
@@ -211,34 +216,59 @@ def _wings(
     path = paths[_middle_zone(plan, place)].path if paths else None
     light = stars.light_e
     classes = class_of(plan, light)
-    star_wings = _wing_field(plan, grid, stars.x_px, stars.y_px, light, classes, path)
-    star_wings = _sum(star_wings, _point_field(plan, grid, setting))
-    target_wings = _point_field(plan, grid, [t for t in targets if t.body is None])
-    for target in targets:
-        if target.body is not None:
-            target_wings = _sum(target_wings, _body_field(plan, grid, target))
+    star_light = _point_wings(plan, grid, stars.x_px, stars.y_px, light, classes)
+    if star_light is not None and path is not None:
+        star_light = star_light * streak_of(grid, path)
+    star_light = _sum(star_light, _target_wings(plan, grid, setting))
+    target_light = _target_wings(plan, grid, targets)
+    star_wings, target_wings = (
+        None if spectrum is None else convolve(spectrum, grid)
+        for spectrum in (star_light, target_light)
+    )
     return grid, star_wings, target_wings
 
 
-def _sum(one: Array | None, other: Array | None) -> Array | None:
-    """Two fields together; None where there is neither."""
+def _sum(one: Spectrum | None, other: Spectrum | None) -> Spectrum | None:
+    """Two spectra together; None where there is neither."""
     if one is None or other is None:
         return other if one is None else one
     return one + other
 
 
-def _point_field(plan: Plan, grid: WingGrid, points: list[FrameTarget]) -> Array | None:
-    """Grid values of the wings of points along paths of their own."""
-    x, y, part, classes = _target_points(plan, points, grid)
-    return _wing_field(plan, grid, x, y, part, classes, None)
+def _target_wings(plan: Plan, grid: WingGrid, targets: list[FrameTarget]) -> Spectrum | None:
+    """Spectrum of the wings of sources along paths of their own.
+
+    A body that the grid sees as hardly more than a point is a few points along its path.
+    """
+    narrow: list[FrameTarget] = []
+    wide: list[FrameTarget] = []
+    for target in targets:
+        (wide if _is_wide(target, grid) else narrow).append(target)
+    total = _point_wings(plan, grid, *_target_points(plan, narrow, grid))
+    for target in wide:
+        total = _sum(total, _body_wings(plan, grid, target))
+    return total
 
 
-def _wing_field(
-    plan: Plan, grid: WingGrid, x: Array, y: Array, light: Array, classes: np.ndarray,
-    path: Path | None,
-) -> Array | None:  # fmt: skip
-    """Grid values of the wings of points; classes : (n,) core classes of their sources."""
-    total: np.ndarray | None = None
+def _is_wide(target: FrameTarget, grid: WingGrid) -> bool:
+    """Whether a body has more points on the wings' grid than are spread along its path."""
+    if target.body is None or 2.0 * target.radius_px > grid.spacing_px:
+        return target.body is not None
+    points = target.body.points(1.0 / grid.spacing_px)[2].size
+    return points * math.fsum(_counts(target.path, grid)) > MOST_POINTS
+
+
+def _counts(path: Path, grid: WingGrid) -> NDArray[np.int64]:
+    """Points (segments,) that stand for each segment of a path on the wings' grid."""
+    length = np.hypot(np.diff(path.x_px), np.diff(path.y_px))
+    return np.maximum(1, np.ceil(length / (grid.spacing_px / 2.0))).astype(np.int64)
+
+
+def _point_wings(
+    plan: Plan, grid: WingGrid, x: Array, y: Array, light: Array, classes: np.ndarray
+) -> Spectrum | None:
+    """Spectrum of the wings of points at rest; classes : (n,) core classes of their sources."""
+    total: Spectrum | None = None
     r = plan.responses
     for k, core in enumerate(r.classes):
         mine = np.flatnonzero(classes == k)
@@ -247,24 +277,22 @@ def _wing_field(
         for blur, which, part_e in r.parts(x[mine], y[mine], light[mine]):
             kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
             at = mine[which]
-            part = scipy.fft.rfft2(spread(grid, x[at], y[at], part_e)) * kernel
-            total = part if total is None else total + part
-    if total is None:
-        return None
-    return convolve(total if path is None else total * streak_of(grid, path), grid)
+            total = _sum(total, scipy.fft.rfft2(spread(grid, x[at], y[at], part_e)) * kernel)
+    return total
 
 
-def _body_field(plan: Plan, grid: WingGrid, target: FrameTarget) -> Array:
-    """Grid values of the wings of an extended body."""
+def _body_wings(plan: Plan, grid: WingGrid, target: FrameTarget) -> Spectrum | None:
+    """Spectrum of the wings of an extended body; None where it is off the grid."""
     assert target.body is not None
     r = plan.responses
     core = r.classes[target_class(plan, target)]
-    field = np.zeros((grid.rows, grid.columns))
+    total: Spectrum | None = None
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         light = spread_body(grid, target.body, (target.y_px, target.x_px), light_e)
-        kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
-        field += convolve(scipy.fft.rfft2(light) * kernel * streak_of(grid, target.path), grid)
-    return field
+        if light.any():
+            kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
+            total = _sum(total, scipy.fft.rfft2(light) * kernel)
+    return None if total is None else total * streak_of(grid, target.path)
 
 
 def _target_points(
@@ -272,21 +300,23 @@ def _target_points(
 ) -> tuple[Array, Array, Array, Array]:
     """Targets as points along their paths, dense enough for the wings' grid, where they are near
     it: (x, y, light, core class of the target)."""
-    step = plan.responses.spacing_px / 2.0
     x: list[Array] = []
     y: list[Array] = []
     light: list[Array] = []
     classes: list[Array] = []
     for t in targets:
         k_of = float(target_class(plan, t))
-        for k in range(t.path.segments):
+        body_y, body_x, share = _POINT if t.body is None else t.body.points(1.0 / grid.spacing_px)
+        for k, count in enumerate(_counts(t.path, grid).tolist()):
             ends = (t.path.x_px[k], t.path.x_px[k + 1], t.path.y_px[k], t.path.y_px[k + 1])
-            count = int(np.ceil(np.hypot(ends[1] - ends[0], ends[3] - ends[2]) / step)) or 1
             at = (_on_grid(grid, t, ends, count) + 0.5) / count
-            x.append(t.x_px + ends[0] + at * (ends[1] - ends[0]))
-            y.append(t.y_px + ends[2] + at * (ends[3] - ends[2]))
-            light.append(np.full(len(at), t.light_e * t.path.weight[k] / count))
-            classes.append(np.full(len(at), k_of))
+            at_x = t.x_px + ends[0] + at * (ends[1] - ends[0])
+            at_y = t.y_px + ends[2] + at * (ends[3] - ends[2])
+            x.append(np.add.outer(body_x, at_x).ravel())
+            y.append(np.add.outer(body_y, at_y).ravel())
+            part = np.full(len(at), t.light_e * t.path.weight[k] / count)
+            light.append(np.multiply.outer(share, part).ravel())
+            classes.append(np.full(share.size * len(at), k_of))
     if not x:
         return (np.empty(0),) * 4
     return np.concatenate(x), np.concatenate(y), np.concatenate(light), np.concatenate(classes)

@@ -46,6 +46,7 @@ class ContentCache:
         self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._making: dict[Hashable, threading.Lock] = {}
         self._lock = threading.Lock()
+        self._bytes = 0
 
     def get(self, key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
         with self._lock:
@@ -58,13 +59,11 @@ class ContentCache:
             value = make()
             with self._lock:
                 self._values[key] = (value, size(value))
-                self._shrink()
+                self._bytes += self._values[key][1]
+                while len(self._values) > 1 and self._bytes > self._limit:
+                    self._bytes -= self._values.popitem(last=False)[1][1]
                 self._making.pop(key, None)
             return value
-
-    def _shrink(self) -> None:
-        while len(self._values) > 1 and sum(s for _, s in self._values.values()) > self._limit:
-            self._values.popitem(last=False)
 
 
 _CACHE = ContentCache(TABLE_BYTES)

@@ -87,3 +87,15 @@ def test_same_bits_for_every_tile(tmp_path):
     made["output"]["tile_shape"] = [256, 256]
     render(parse_scene(made), tmp_path / "tiles", Options("threads", 2))
     assert np.array_equal(open_cube(tmp_path / "tiles")["targets_e"].values[0], whole)
+
+
+def test_small_bodies_light_the_far_field_as_points(tmp_path, monkeypatch):
+    """A disc that the wings' grid hardly resolves: its own picture there gives the same light."""
+    args = 8.0, PSFS[1]
+    points, truth, _ = drawn(tmp_path / "points", *args)
+    assert truth["extended"]
+    monkeypatch.setattr("pipeline.execute.blocks.MOST_POINTS", -1)
+    picture, _, _ = drawn(tmp_path / "picture", *args)
+    sigma = np.hypot(5.0, np.sqrt(np.maximum(picture, 0.0)))
+    assert np.abs(points - picture).max() > 0.0
+    assert (np.abs(points - picture) / sigma).max() < 0.02
