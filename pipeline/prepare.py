@@ -41,7 +41,12 @@ from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
 from pipeline.plan.accuracy import judge
 from pipeline.plan.body_albedos import has_band_albedos, with_band_albedos
-from pipeline.plan.brightest import brightest_star_e, brightest_target_e, star_radius_rad
+from pipeline.plan.brightest import (
+    brightest_star_e,
+    brightest_target_e,
+    points_beyond,
+    star_radius_rad,
+)
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.detector import typical_read_noise_e
 from pipeline.plan.facts import Facts, gather_facts
@@ -187,7 +192,8 @@ def prepare(scene: Scene) -> Prepared:
     rays = _cosmic_rays(scene)
     moved = excursions_px(plan.camera, geometry, scene.star_effects["aberration"])
     far = float(moved.max()) if scene.stars is not None else 0.0
-    spent = Spent(time.thread_time() - started, geometry_s, len(geometry.frame), far)
+    bright = points_beyond(plan, geometry)
+    spent = Spent(time.thread_time() - started, geometry_s, len(geometry.frame), far, bright)
     return Prepared(plan, maps, catalogues, left_out, spent, rays)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,11 +11,17 @@ from pipeline.arrays import Array, Geometry
 from pipeline.physics.colour import ColourFit, brightest_electrons
 from pipeline.physics.positions.focal_plane import corner_radius
 from pipeline.physics.radiometry import collecting_area_m2
+from pipeline.plan.body_sizes import limb_px
 from pipeline.plan.geometry import camera_of
 from pipeline.plan.paths import near_frame
+from pipeline.plan.responses import point_curvature
 from pipeline.plan.star_paths import excursions_px
 from pipeline.plan.timing import integration_range_s
+from pipeline.spec.body import SphereBody
 from pipeline.spec.scene import Scene
+
+if TYPE_CHECKING:
+    from pipeline.plan.scene_plan import Plan
 
 MARGIN = 1.5  # over a target's light in the frames looked at, for those between them
 
@@ -51,6 +58,21 @@ def brightest_target_e(scene: Scene, g: Geometry, sun_rate_e_s_m2: float) -> flo
     light = np.nanmax(g.target_light[seen])
     area_s = _area_m2(scene) * integration_range_s(scene)[1]
     return float(MARGIN * light * sun_rate_e_s_m2 * area_s)
+
+
+def points_beyond(plan: Plan, g: Geometry) -> bool:
+    """Whether a target in or beside the frames of a geometry is brighter than all core classes
+    serve though it is drawn as a point: a sphere whose disc shows is not."""
+    scene, r = plan.scene, plan.responses
+    if not (scene.targets and r.classes):
+        return False
+    light_e = g.target_light * (MARGIN * plan.sun_rate_e_s_m2 * _area_m2(scene))
+    light_e = np.nan_to_num(light_e.max(axis=-1) * integration_range_s(scene)[1])
+    size = [0.5 * t.body.diameter_m if isinstance(t.body, SphereBody) else 0.0
+            for t in scene.targets]  # fmt: skip
+    radius = limb_px(np.array(size)[:, None], g.target_range_m[..., g.middle], plan.facts.ifov_rad)
+    disc = light_e * point_curvature(r.blur) * np.square(radius) > r.budget_e
+    return bool((near_frame(scene, g) & ~disc & (light_e > r.classes[-1].target_e)).any())
 
 
 def _area_m2(scene: Scene) -> float:

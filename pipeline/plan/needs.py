@@ -48,12 +48,14 @@ class Spent:
 
     cpu_s : CPU seconds of planning; geometry_s : of them for the geometry of `frames` frames
     excursion_px : farthest that a star moves from its place at mid-exposure
+    beyond : whether a target may be drawn by quadrature, as a point too bright for all classes
     """
 
     cpu_s: float = 0.0
     geometry_s: float = 0.0
     frames: int = 1
     excursion_px: float = 0.0
+    beyond: bool = False
 
 
 NOTHING_SPENT = Spent()
@@ -89,7 +91,7 @@ def predict(
     drawn_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL + _wings_s(plan, spent)
     drawn_s -= stars * PLACE_S_PER_STAR
     light_s = plan.frames * placed_s + math.ceil(plan.frames / plan.shared_frames) * drawn_s
-    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan) + _profiles_s(plan)
+    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan) + _profiles_s(plan, spent)
     once_s += _cores_s(plan)
     return {
         "cpu_s": least_cpu_s(plan.scene) + once_s + light_s,
@@ -227,7 +229,7 @@ def _wavefronts(blur: Blur) -> int:
     return sum(isinstance(part, Pupil) for part in parts)
 
 
-def _profiles_s(plan: Plan) -> float:
+def _profiles_s(plan: Plan, spent: Spent) -> float:
     """CPU seconds of the profiles of sources that are drawn by quadrature, if any may be so bright.
 
     Those of sources nearer are made too, at radii that halve: as much again.
@@ -235,8 +237,8 @@ def _profiles_s(plan: Plan) -> float:
     r, bright_e = plan.responses, plan.facts.brightest_e
     if not r.classes or bright_e <= min(r.classes[-1].brightest_e, r.classes[-1].target_e):
         return 0.0
-    scene, beyond = plan.scene, min(1.0, r.expected[-1]) if r.expected else 1.0
-    likely = 1.0 if scene.targets or scene.populations else beyond
+    stars = plan.scene.stars is not None and (min(1.0, r.expected[-1]) if r.expected else 1.0)
+    likely = max(float(spent.beyond), stars)
     return 2.0 * likely * sum(profile_s(b, r.reach_px) for b in r.blurs if has_profile(b))
 
 

@@ -6,6 +6,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.plan.needs import _profiles_s
+from pipeline.prepare import prepare
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
@@ -99,3 +101,19 @@ def test_small_bodies_light_the_far_field_as_points(tmp_path, monkeypatch):
     sigma = np.hypot(5.0, np.sqrt(np.maximum(picture, 0.0)))
     assert np.abs(points - picture).max() > 0.0
     assert (np.abs(points - picture) / sigma).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("body", "is_point"),
+    [({"kind": "sphere", "diameter_m": 400.0, "albedo": 0.2}, False),
+     ({"kind": "light_curve", "times_s": [-1e3, 1e3], "magnitudes": [-10.0, -10.0]}, True),
+     ({"kind": "light_curve", "times_s": [-1e3, 1e3], "magnitudes": [5.0, 5.0]}, False)],
+)  # fmt: skip
+def test_forecasts_count_the_profiles_of_bright_points_alone(body, is_point):
+    """A disc is drawn by its own picture, however bright: no profile of it is made."""
+    asked = scene(400.0, {"kind": "airy", "wavelengths": 1})
+    data = asked.model_dump(mode="json", by_alias=True, exclude_none=True)
+    data["targets"][0]["body"] = body
+    prepared = prepare(parse_scene(data))
+    assert prepared.spent.beyond == is_point
+    assert (_profiles_s(prepared.plan, prepared.spent) > 0.0) == is_point
