@@ -21,7 +21,7 @@ def _no_url(path: Path) -> Path:
     """BadInput for a URL: only products of a scene are written to an object store."""
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path)):
         allowed = "a path of a file system (only `nightglass render` writes to s3://BUCKET/NAME; "
-        raise BadInput("-o", str(path), f"{allowed}docs/cluster.md)")
+        raise BadInput("-o", str(path).replace(":/", "://", 1), f"{allowed}docs/cluster.md)")
     return path
 
 

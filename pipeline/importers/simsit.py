@@ -104,11 +104,14 @@ def _sensor(
     f: Fields, rng: np.random.Generator, images: dict[str, NDArray[np.float32]], name: str,
     notes: Notes,
 ) -> dict[str, Any]:  # fmt: skip
-    columns, rows = (int(n) for n in f.pair("instrument.image_shape", 2, 60_000))
+    shape = f.pair("instrument.image_shape", 2, 60_000)
+    columns, rows = map(int, shape)
+    if (columns, rows) != tuple(shape) or min(columns, rows) < 1:
+        raise BadInput("instrument.image_shape", shape, "two whole numbers from 1 to 60000")
     pitch = f.number("instrument.pixel_scale", 0.05, 1000)
     th, scale = _table(f, "instrument.distortion", "dthdr")
     if not (scale > 0).all():
-        raise BadInput("instrument.distortion.dthdr", scale.min(), "numbers above 0")
+        raise BadInput("instrument.distortion.dthdr", float(scale.min()), "numbers above 0")
     focal_m = 1e-6 / (scale[0] * ARCSEC_RAD)
     sensor: dict[str, Any] = {
         "shape": [rows, columns], "pixel_pitch_um": pitch, "focal_length_m": float(focal_m),

@@ -121,23 +121,24 @@ def _yaml_reader(name: str) -> Any:
     from ruamel.yaml import YAML
     from ruamel.yaml.composer import Composer
     from ruamel.yaml.constructor import SafeConstructor
-    from ruamel.yaml.events import AliasEvent
+    from ruamel.yaml.events import AliasEvent, ScalarEvent
 
     class Bounded(Composer):
         """Composes nodes down to MAX_DEPTH, and none twice."""
 
-        depth = 0
+        nested = 0
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.parser.check_event(AliasEvent):
                 raise BadInput(name, f"*{self.parser.peek_event().anchor}", "no aliases")
-            self.depth += 1
-            if self.depth > MAX_DEPTH + 2:
+            holds = not self.parser.check_event(ScalarEvent)
+            self.nested += holds
+            if self.nested > MAX_DEPTH:
                 raise BadInput(name, "nested too deeply", f"at most {MAX_DEPTH} levels")
             try:
                 return super().compose_node(parent, index)
             finally:
-                self.depth -= 1
+                self.nested -= holds
 
     class Plain(SafeConstructor):
         """Timestamps stay text: the epoch is parsed by the product's own clock."""
@@ -171,7 +172,17 @@ def mistakes_of(error: ValidationError, data: dict[str, Any]) -> list[tuple[str,
     found = error.errors()
     places = [e["loc"] for e in found]
     of_scene = error.title == "Scene"
-    return _merged([_mistake(e, data, of_scene) for e in found if not _follows(e, places)])
+    told = [(e, _mistake(e, data, of_scene)) for e in found if not _follows(e, places)]
+    fields = [mistake[0] for _, mistake in told]
+    return _merged([mistake for e, mistake in told if not _is_of_inside(e, mistake, fields)])
+
+
+def _is_of_inside(error: Any, mistake: tuple[str, Any, str], fields: list[str]) -> bool:
+    """Whether a mapping or list is called of a wrong type for a mistake inside it alone: it is
+    tried as each of the types that may stand there."""
+    field, value, _ = mistake
+    inside = any(f.startswith(f"{field}.") for f in fields)
+    return inside and error["type"] in WRONG_TYPE and isinstance(value, dict | list | tuple)
 
 
 def _follows(error: Any, places: list[tuple[int | str, ...]]) -> bool:
@@ -302,9 +313,9 @@ def scene_yaml(scene: Scene) -> str:
 
 def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
     """One mistake as (dotted field, value given, what is allowed), in the user's own names."""
-    names = _names(error["loc"], data, error["type"] == "missing")
     context = error.get("ctx", {})
     value = error.get("input")
+    names = _names(error["loc"], data, error["type"] == "missing", value)
     if error["type"] == "unknown_key":
         names.append(str(context["key"]))
         value = value.get(context["key"]) if isinstance(value, dict) else value
@@ -322,9 +333,10 @@ def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
             if isinstance(value, list | tuple) and index is not None and index < len(value):
                 value = value[index]
     if error["type"].startswith("union_tag"):
-        names.append(str(context["discriminator"]).strip("'"))
+        tag = str(context["discriminator"]).strip("'")
+        names.append(tag)
         allowed = f"allowed: {context['expected_tags']}" if "tag" in context else "it must be given"
-        return ".".join(names), context.get("tag"), allowed
+        return ".".join(names), value.get(tag) if isinstance(value, dict) else value, allowed
     if of_scene and error["type"] in WRONG_TYPE:
         words = words_of(names)
         if words:
@@ -339,7 +351,7 @@ def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
 # Values of a wrong type altogether: what the format takes there is told instead of how it failed.
 WRONG_TYPE = {
     "boolean", "bool_parsing", "bool_type", "dict_type", "float_parsing", "float_type",
-    "int_from_float", "int_parsing", "int_type", "list_type", "literal_error",
+    "int_from_float", "int_parsing", "int_parsing_size", "int_type", "list_type", "literal_error",
     "model_attributes_type", "model_type", "string_type", "tuple_type",
 }  # fmt: skip
 
@@ -380,19 +392,33 @@ def _merged(mistakes: list[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
     return list(by_field.values())
 
 
-def _names(loc: tuple[int | str, ...], data: Any, missing: bool) -> list[str]:
-    """The path of an error without the tags that pydantic puts in for unions."""
+def _names(loc: tuple[int | str, ...], data: Any, missing: bool, value: Any) -> list[str]:
+    """The path of an error without the tags that pydantic puts in for unions.
+
+    A tag may be a key as well (`mode: target` and `target`).
+    """
     names: list[str] = []
     holder = data
     for i, part in enumerate(loc):
+        rest = loc[i + 1 :]
         if isinstance(holder, dict):
-            if part in holder:
+            if part in holder and not _is_tag(holder, part, rest, missing, value):
                 holder = holder[part]
-            elif i < len(loc) - 1 or not missing:
-                continue  # the tag of a union
+            elif part in holder or rest or not missing:
+                continue
         elif isinstance(holder, list | tuple) and isinstance(part, int):
             holder = holder[part] if part < len(holder) else None
         else:
             continue
         names.append(str(part))
     return names
+
+
+def _is_tag(
+    holder: dict[str, Any], key: int | str, rest: tuple[int | str, ...], missing: bool, value: Any
+) -> bool:
+    """Whether a part of an error's path that is a key is the tag of the mapping that holds it: the
+    path goes on in that mapping, or ends at it."""
+    if isinstance(holder[str(key)], dict | list):
+        return False
+    return (rest[0] in holder or (missing and len(rest) == 1)) if rest else value is holder

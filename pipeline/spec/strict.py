@@ -44,7 +44,7 @@ class Strict(BaseModel):
             for key in not_bool:
                 if key in data and _holds_bool(data[key]):
                     raise PydanticCustomError(
-                        "boolean", "allowed: a number or text, not true or false", {"field": key}
+                        "boolean", "allowed: what is neither true nor false", {"field": key}
                     )
         return data
 
@@ -78,9 +78,10 @@ def _takes_bool(annotation: Any) -> bool:
 
 
 def _holds_bool(value: Any) -> bool:
-    """True for true and false, which Python would take for the numbers 1 and 0."""
-    values = value if isinstance(value, list | tuple) else (value,)
-    return any(isinstance(v, bool) for v in values)
+    """True for true and false, which Python would take for the numbers 1 and 0; also in lists."""
+    if isinstance(value, list | tuple):
+        return any(map(_holds_bool, value))
+    return isinstance(value, bool)
 
 
 def unknown_key(key: str, known: list[str]) -> PydanticCustomError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any
@@ -93,10 +94,8 @@ def _words(node: Node, unit: str | None) -> Iterator[str]:
         yield f"{word} in {unit} (the unit stands in the key)" if unit else word
     elif node.get("type") == "array":
         inner = node.get("prefixItems") or [node.get("items") or {}]
-        each = next(_words(inner[0], unit), "")
-        several = (
-            each.removeprefix("a ").replace("number", "numbers").replace("mapping", "mappings")
-        )
+        each = next(_words(inner[0], unit), "").removeprefix("a ")
+        several = re.sub(r"^(list|(?:whole )?number|mapping)\b", r"\1s", each)
         count = f" of {len(inner)}" if len(inner) > 1 else " of" if several else ""
         yield f"a list{count} {several}".rstrip()
     elif "type" in node:

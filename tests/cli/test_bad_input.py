@@ -204,7 +204,7 @@ def test_other_catalogue_formats(tmp_path):
         (["catalog", "info", "nowhere"], ["nowhere"]),
         (["catalog", "demo", "-o", "x", "--field", "1,2"], ["--field"]),
         (["serve", "--host", "0.0.0.0", "--home", "NEW"], ["0.0.0.0"]),
-        (["sweep", "no.yaml", "-o", "s3://bucket/run"], ["s3:/bucket/run", "a file system"]),
+        (["sweep", "no.yaml", "-o", "s3://bucket/run"], ["s3://bucket/run", "a file system"]),
         (["render", "no.yaml", "-o", "s3://b/x", "--server", "http://h"], ["-o", "a file system"]),
         (["check", "memory://run"], ["memory://run", "s3://BUCKET/NAME"]),
         (["join", "s3://bucket"], ["PRODUCT", "s3://BUCKET/NAME"]),

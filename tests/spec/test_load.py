@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pipeline.errors import BadInput
 from pipeline.spec.load import (
     MAX_BYTES,
+    InvalidScene,
     apply_override,
     load_scene,
     parse_scene,
@@ -206,3 +207,53 @@ def test_random_overrides_never_trace_back(text: str) -> None:
     for override in (text, f"sensor.shape.0={text}"):
         with suppress(BadInput):
             apply_override(data, override)
+
+
+@pytest.mark.parametrize("opening", ["", "# a comment, so that YAML reads it\n"])
+def test_yaml_and_json_nest_equally_deep(opening: str) -> None:
+    """32 levels, in brackets or by indentation."""
+
+    def nested(depth: int) -> str:
+        return opening + '{"a": ' * depth + "1" + "}" * depth
+
+    indented = "".join(f"{'  ' * i}k:\n" for i in range(32)) + "  " * 32 + "1\n"
+    assert parse_text(nested(32).encode()) == json.loads('{"a": ' * 32 + "1" + "}" * 32)
+    assert parse_text(indented.encode())
+    with pytest.raises(BadInput, match="at most 32 levels"):
+        parse_text(nested(33).encode())
+
+
+@pytest.mark.parametrize(
+    ("pointing", "field"),
+    [({"roll_deg": "x"}, "pointing.roll_deg"), ({"roll_deg": True}, "pointing.roll_deg"),
+     ({"target": 5}, "pointing.target"), ({"rol": 1.0}, "pointing.rol"),
+     ({"target": None}, "pointing.target")],
+)  # fmt: skip
+def test_a_mode_that_is_a_key_too(
+    full: dict[str, Any], pointing: dict[str, Any], field: str
+) -> None:
+    """`mode: target` and the key `target`: the field that is wrong is named, and nothing else."""
+    full["pointing"] = {"mode": "target", "target": "t"} | pointing
+    with pytest.raises(InvalidScene) as caught:
+        parse_scene(full)
+    assert [mistake[0] for mistake in caught.value.mistakes] == [field]
+
+
+def test_true_is_no_number_in_lists_of_lists(full: dict[str, Any]) -> None:
+    full["pointing"] = {"mode": "table", "rows": [[0, True, 0, 0, 0], [1, 1, 0, 0, 0]]}
+    with pytest.raises(InvalidScene, match="true"):
+        parse_scene(full)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("airglow", {"solar_flux_sfu": "x"}), ("zodiacal", {"nothing": 1})]
+)
+def test_a_mistake_inside_is_the_only_one_told(
+    full: dict[str, Any], key: str, value: dict[str, Any]
+) -> None:
+    """Not also that a mapping is no mapping."""
+    full["background"] = {key: value}
+    with pytest.raises(InvalidScene) as caught:
+        parse_scene(full)
+    inside = f"background.{key}.{next(iter(value))}"
+    assert [mistake[0] for mistake in caught.value.mistakes] == [inside]
