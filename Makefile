@@ -30,7 +30,6 @@ benchmarks: $(VENV)/.tests
 # After what is drawn has changed on purpose; PINS="NAME ..." makes some of them (docs/pins.md).
 pins: $(VENV)/.tests
 	$(BIN)/python tests/pins/make.py $(PINS)
-	$(if $(PINS),,rm -rf tests/pins/told)
 	NIGHTGLASS_PINS=anew $(BIN)/pytest -q tests/pins -k told
 
 # The product's own dependencies, each pinned by hash.
