@@ -46,6 +46,9 @@ def extract(
     library, found = extract_library(
         darks, exposure_s, pixel_pitch_um, gain_e_per_dn, threshold_sigma, grow_sigma, show
     )
+    if not len(library):
+        allowed = "less: no pixel of these frames is so far above their median"
+        raise BadInput("--threshold-sigma", threshold_sigma, allowed)
     write_library(output, library)
     print_mapping({"library": str(output)} | found, as_json)
 

@@ -240,6 +240,8 @@ def _csv(text: str, path: Path, frame: str, epoch: str, field: str) -> Ephemeris
     if times[0] == "time_s":
         start1, start2, _ = era.utctai(*parse_utc(epoch, f"{field.removesuffix('.path')}.epoch"))
         seconds = _numbers([[t] for t in column["time_s"]], path, field)[:, 0]
+        if not np.isfinite(seconds).all():
+            raise BadInput(field, f"time_s of {path.name}", "finite numbers")
         utc1, utc2, _ = era.taiutc(np.full(len(seconds), start1), start2 + seconds / 86_400.0)
     else:
         texts = [t.strip().replace(" ", "T", 1) for t in column[times[0]]]

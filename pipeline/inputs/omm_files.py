@@ -38,6 +38,9 @@ def read_omm(path: Path, field: str) -> dict[str, dict[str, Any]]:
             sets = _from_xml(text, path, field)
         else:
             sets = _from_kvn(text)
+        sets = [*sets]
+        if not all(isinstance(fields, Mapping) for fields in sets):
+            raise TypeError("a list holds something else than messages")
     except (ValueError, TypeError, AttributeError, SyntaxError, RecursionError) as error:
         raise BadInput(field, path.name, f"an OMM as JSON, KVN or XML; {error}") from None
     out: dict[str, dict[str, Any]] = {}

@@ -29,6 +29,7 @@ from pipeline.physics.cosmic_rays.library import Recorded
 from pipeline.physics.cosmic_rays.tracks import Flux
 from pipeline.spec.cosmic_rays import GeneratedCosmicRays, LibraryCosmicRays
 from pipeline.spec.sensor import Sensor
+from tests.command import nightglass
 
 SENSOR = Sensor(
     shape=(300, 200), pixel_pitch_um=10.0, focal_length_m=1.0, aperture_m=0.1,
@@ -265,3 +266,14 @@ def test_charge_over_length_is_of_long_events_alone():
     charge_e = np.array([80.0 * path_um, 9e5])
     two = Events(np.array([41.0, 4.0]), np.array([40.0, 2.0]), charge_e, 1.0, [])
     assert _charge_per_um(two, 10.0, 100.0) == pytest.approx([80.0])
+
+
+def test_darks_without_an_event_make_no_library(tmp_path):
+    """A threshold that nothing passes is told in one line; no file comes of it."""
+    np.save(tmp_path / "a.npy", np.random.default_rng(0).normal(500, 3, (5, 16, 16)))
+    result = nightglass("cosmic-rays", "extract", tmp_path / "a.npy", "-o", tmp_path / "l.fits",
+                        "--exposure-s", "10", "--pixel-pitch-um", "10", "--threshold-sigma",
+                        "1000")  # fmt: skip
+    assert result.returncode == 2
+    assert "--threshold-sigma" in result.stderr
+    assert not (tmp_path / "l.fits").exists()

@@ -375,3 +375,17 @@ def test_limits_xml_with_entities_and_the_wrong_object(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"targets\.0\.orbit\.object") as told:
         gather_ephemerides(scene({"kind": "omm", "path": str(path), "object": "HST"}))
     assert "ISS" in str(told.value)
+
+
+@pytest.mark.parametrize("text", ["[1]", "[null]", '[{"OBJECT_NAME": "A"}, "B"]', "[[]]"])
+def test_lists_of_no_messages(tmp_path: Path, text: str) -> None:
+    (tmp_path / "omm.json").write_text(text)
+    with pytest.raises(BadInput, match="an OMM as JSON"):
+        read_omm(tmp_path / "omm.json", "orbit.path")
+
+
+def test_times_of_a_csv_are_finite(tmp_path: Path) -> None:
+    rows = "\n".join(f"{t},7000,{t},0" for t in ("0", "nan", "20"))
+    (tmp_path / "a.csv").write_text(f"time_s,x_km,y_km,z_km\n{rows}\n")
+    with pytest.raises(BadInput, match=r"time_s of a\.csv.*finite"):
+        read_ephemeris(tmp_path / "a.csv", "GCRS", SCENE["epoch"], "orbit.path")
