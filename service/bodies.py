@@ -147,7 +147,9 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _check_nodes(data: Any) -> None:
     """Depth, kind and text of every node, without recursion."""
     level = [data]
-    for _ in range(MAX_DEPTH + 1):
+    for depth in range(MAX_DEPTH + 1):
+        if depth == MAX_DEPTH and any(isinstance(node, dict | list) for node in level):
+            break
         deeper: list[Any] = []
         for node in level:
             if isinstance(node, str):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
@@ -68,7 +69,7 @@ class Client:
     """
 
     def __init__(self, url: str, key: str | None = None, *, patience_s: float = 60.0) -> None:
-        if not url.startswith(("http://", "https://")):
+        if not re.match(r"https?://(?:[\w.-]+|\[[0-9A-Fa-f:.]+\])(?::\d{1,5})?(?:/|$)", url):
             raise BadInput("--server", url, "an address like http://127.0.0.1:8765")
         key = key if key is not None else os.environ.get(KEY_VARIABLE)
         self.url, self.patience_s, self._met = url.rstrip("/"), patience_s, False
@@ -297,14 +298,15 @@ def problem_of(answer: httpx.Response) -> NightglassError | None:
     """The error that an answer means, or None."""
     if answer.status_code < 400:
         return None
+    status = f"status {answer.status_code} {answer.reason_phrase}"
     try:
         answer.read()
         body = answer.json()
-        detail = str(body.get("detail") or body.get("title"))
+        detail = str(body.get("detail") or body.get("title") or status)
         listed = body.get("errors") or []
         found = [(_field(e["pointer"]), str(e["value"]), str(e["allowed"])) for e in listed]
     except (ValueError, KeyError, TypeError, AttributeError):
-        detail, found = f"status {answer.status_code} {answer.reason_phrase}", []
+        detail, found = status, []
     if found and answer.status_code < 500:
         return Refused(found, answer.status_code)
     return ServiceError(f"{answer.url.netloc.decode()}: {detail}", answer.status_code)

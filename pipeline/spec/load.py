@@ -415,10 +415,10 @@ def _names(loc: tuple[int | str, ...], data: Any, missing: bool, value: Any) -> 
 
 
 def _is_tag(
-    holder: dict[str, Any], key: int | str, rest: tuple[int | str, ...], missing: bool, value: Any
+    holder: dict[Any, Any], key: int | str, rest: tuple[int | str, ...], missing: bool, value: Any
 ) -> bool:
     """Whether a part of an error's path that is a key is the tag of the mapping that holds it: the
     path goes on in that mapping, or ends at it."""
-    if isinstance(holder[str(key)], dict | list):
+    if isinstance(holder[key], dict | list):
         return False
     return (rest[0] in holder or (missing and len(rest) == 1)) if rest else value is holder
