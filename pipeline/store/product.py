@@ -103,6 +103,7 @@ def identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
         "catalogue_digest": catalogue_digest,
         "files_sha256": files_digest(plan.scene),
         "tile_shape": list(tile_shape(plan.scene)),
+        "compression": plan.scene.output.compression,
         "tiles": len(plan.tiles) * plan.frames,
     }
 
@@ -138,6 +139,7 @@ def _take_up(
     return Begun(path, _writer(path, plan), frozenset(done), frozenset(truth), tuple(faults))
 
 
+LATER = ("compression",)  # which records of earlier versions do not hold
 CHANGED = {  # what may have changed since a product was begun, in the user's words
     "format": "it was made by another version", "scene_sha256": "the scene, its --set, or where "
     "its files are has changed", "catalogue_digest": "the catalogue has changed",
@@ -148,7 +150,7 @@ CHANGED = {  # what may have changed since a product was begun, in the user's wo
 def check_same(place: str, found: dict[str, Any], identity: dict[str, Any]) -> None:
     """Refuse to go on with a product that was begun as another one."""
     for key, wanted in identity.items():
-        if found.get(key) != wanted:
+        if found.get(key, wanted if key in LATER else None) != wanted:
             told = CHANGED.get(key, f"wanted {wanted}")
             allowed = f"a product of the same {key} ({told}; --replace begins anew)"
             raise BadInput("--resume", place, allowed)

@@ -101,15 +101,28 @@ def test_another_catalogue_at_the_same_place_is_refused(starry, product):
 
 @pytest.mark.parametrize(
     ("output", "key"),
-    [({"layers": ["dn", "mean_e"]}, "scene_sha256"), ({"tile_shape": [256, 512]}, "tile_shape")],
-)
-def test_other_layers_or_tiles_are_refused(starry, product, output, key):
-    """What was begun with some layers and tiles is gone on with as that alone."""
+    [({"layers": ["dn", "mean_e"]}, "scene_sha256"), ({"tile_shape": [256, 512]}, "tile_shape"),
+     ({"compression": "none"}, "compression")],
+)  # fmt: skip
+def test_other_layers_tiles_or_compression_are_refused(starry, product, output, key):
+    """What was begun with some layers, tiles and compression is gone on with as that alone."""
     data = starry[0].as_dict()
     data["output"] |= output
     unfinished(product)
     with pytest.raises(BadInput, match=f"same {key}"):
         render(parse_scene(data), product, AGAIN)
+
+
+def test_parts_have_one_compression(starry, tmp_path):
+    """A part with another one wrote chunks that nobody could read, and was called whole."""
+    data = starry[0].as_dict()
+    render_part(starry[0], tmp_path / "run", Share(1, 2), HERE)
+    data["output"]["compression"] = "none"
+    with pytest.raises(BadInput, match="same compression"):
+        render_part(parse_scene(data), tmp_path / "run", Share(2, 2), HERE)
+    render_part(starry[0], tmp_path / "run", Share(2, 2), HERE)
+    assert check(tmp_path / "run").whole
+    assert open_cube(tmp_path / "run")["dn"].values.mean() == pytest.approx(20.0, abs=1.0)
 
 
 @pytest.mark.parametrize("kind", ["npy", "zarr"])
