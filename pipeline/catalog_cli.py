@@ -279,12 +279,12 @@ def _write_table(rows: Any, output: Path | None) -> None:
     import pyarrow.csv
     import pyarrow.parquet
 
-    from catalog_tools.errors import BadInput, shorten
+    from catalog_tools.errors import BadInput
 
     if output is None:
         pyarrow.csv.write_csv(rows, sys.stdout.buffer)
     elif output.exists():
-        raise BadInput("-o", shorten(str(output)), "a path that does not exist yet")
+        raise BadInput("-o", str(output), "a path that does not exist yet")
     elif output.suffix == ".csv":
         pyarrow.csv.write_csv(rows, output)
     elif output.suffix == ".parquet":

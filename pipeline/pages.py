@@ -61,7 +61,8 @@ def progress_bar(unit: str = "") -> Any:
         def render(self, task: Any) -> Text:
             speed = task.finished_speed or task.speed or 0.0
             slow = speed < 1.0
-            return Text(f"{speed * 60:.3g}/min" if slow else f"{speed:.3g}/s" if speed else "")
+            rate = f"{speed * 60:.3g}/min" if slow else f"{speed:.3g}/s"
+            return Text(rate if speed else "")
 
     return Progress(
         TextColumn("{task.description}", markup=False), BarColumn(20), MofNCompleteColumn(),

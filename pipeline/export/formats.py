@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import BadInput, shorten
+from pipeline.errors import BadInput
 from pipeline.export import coco, satnet
 from pipeline.export.files import KINDS as FRAME_KINDS
 from pipeline.export.files import export_frames, fits_bytes
@@ -69,8 +69,10 @@ def export_product(product: Path, kind: str, output: Path, wish: Wish) -> Iterat
         raise BadInput("--threshold", wish.threshold_sigma, "above 0 and below 1e6")
     if wish.light not in ("response", "layers"):
         raise BadInput("--light", wish.light, "response or layers")
+    if wish.stars_snr is not None and not wish.stars_snr >= 0:
+        raise BadInput("--stars-snr", wish.stars_snr, "a number of at least 0")
     if output.exists():
-        raise BadInput("-o", shorten(str(output)), "a path that does not exist yet")
+        raise BadInput("-o", str(output), "a path that does not exist yet")
     job = _Job(product, wish)
     yield from {"gif": _movie, "mp4": _movie, "satnet": _satnet, "coco": _coco, "masks": _masks}[
         kind
@@ -83,7 +85,8 @@ class _Job:
     def __init__(self, product: Path, wish: Wish) -> None:
         self.product, self.wish = product, wish
         self.cube: xr.Dataset = open_cube(product)
-        self.layers = [str(n) for n, v in self.cube.data_vars.items() if v.ndim == 3]
+        pixels = ("frame", "y", "x")
+        self.layers = [str(n) for n, v in self.cube.data_vars.items() if v.dims == pixels]
         if wish.layer not in self.layers:
             raise BadInput("--layer", wish.layer, ", ".join(self.layers))
         count = self.cube.sizes["frame"]

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import BadInput
 from pipeline.store.layout import TRUTH
 
 Array = NDArray[np.float64]
@@ -90,8 +89,6 @@ def frame_labels(
     shape : (rows, columns) of the frame; sources no part of whose path lies in it are left out
     stars_snr : stars of this signal-to-noise and more are labelled; None: targets alone
     """
-    if stars_snr is not None and not stars_snr >= 0:
-        raise BadInput("--stars-snr", stars_snr, "a number of at least 0")
     parts = [_part(product / TRUTH / "targets.parquet", TARGET, frame, 0.0)]
     if stars_snr is not None:
         parts.append(_part(product / TRUTH / "stars.parquet", STAR, frame, stars_snr))

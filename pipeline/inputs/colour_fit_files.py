@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from catalog_tools.durable import write_atomically
-from pipeline.errors import BadInput, shorten
+from pipeline.errors import BadInput
 from pipeline.inputs.colour_fit import checksum, fit_of, gather_colour_fit, plain_fit
 from pipeline.kept import cache_folder
 from pipeline.physics.colour import ColourFit
@@ -36,15 +36,15 @@ def colour_fit_of(scene: Scene, response: ResponseCurve, band: str, digest: str)
 def write_colour_fit(path: Path, fit: ColourFit, digest: str) -> None:
     """Write a fit with the digest of the response that it belongs to; no file is replaced."""
     if path.exists():
-        raise BadInput("-o", shorten(str(path)), "a path that does not exist yet")
+        raise BadInput("-o", str(path), "a path that does not exist yet")
     if path.suffix != ".json":
-        raise BadInput("-o", shorten(str(path)), "a path ending in .json")
+        raise BadInput("-o", str(path), "a path ending in .json")
     content = plain_fit(fit)
     stored = {"format": FORMAT, "response": digest, "sha256": checksum(content), "fit": content}
     try:
         write_atomically(path, json.dumps(stored, indent=1, allow_nan=False) + "\n")
     except OSError as error:
-        raise BadInput("-o", shorten(str(path)), f"a path to write; {error.strerror}") from None
+        raise BadInput("-o", str(path), f"a path to write; {error.strerror}") from None
 
 
 def read_colour_fit(path: Path, band: str, digest: str) -> ColourFit:

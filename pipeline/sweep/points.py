@@ -139,7 +139,7 @@ def check_axes(course: Course) -> None:
     range both ends. Combinations are not tried: a point that fails is recorded when its turn comes.
     """
     design = course.design
-    first = design.values(0)
+    first, own = design.values(0), _own_mistakes(course)
     for i, axis in enumerate(course.sweep.axes):
         for name in axis.fields:
             for k, value in enumerate(design.extremes(name)[:1000]):
@@ -151,7 +151,19 @@ def check_axes(course: Course) -> None:
                 except InvalidScene as mistakes:
                     mine = [m for m in mistakes.mistakes if _concerns(m[0], name)]
                     field, given, allowed = (mine or mistakes.mistakes)[0]
-                    raise BadInput(f"axes.{i} ({field}), value {k}", given, allowed) from None
+                    if field in own:
+                        raise
+                    told = allowed.removeprefix("allowed: ")
+                    raise BadInput(f"axes.{i} ({field}), value {k}", given, told) from None
+
+
+def _own_mistakes(course: Course) -> set[str]:
+    """The fields that are wrong in the base scene itself."""
+    try:
+        parse_scene(copy.deepcopy(course.data), base=Path(course.base_folder))
+    except InvalidScene as mistakes:
+        return {field for field, *_ in mistakes.mistakes}
+    return set()
 
 
 def _concerns(field: str, name: str) -> bool:

@@ -485,7 +485,7 @@ ftp://host/x
 s3://
 https://u:p@host/x
 s3://b/*
-x --scheduler none
+at-none --scheduler none
 go --workers 0
 go --wait -1
 go --part 1/2 --replace
