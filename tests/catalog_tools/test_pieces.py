@@ -248,3 +248,18 @@ def test_subfolders_are_told_of(tmp_path):
     (folder / "stars.csv").unlink()
     with pytest.raises(BadInput, match="2 subfolders"):
         ingest([folder], tmp_path / "e")
+
+
+def test_a_pixel_of_several_pieces_is_counted_whole(tmp_path):
+    """Rows of one place in four pieces: all pieces count."""
+    (tmp_path / "batch").mkdir()
+    held = batches._Held(tmp_path, "batch", 0, piece_rows=10)
+    for k in range(4):
+        rows = rows_of(10, seed=k)
+        rows[HEALPIX_COLUMN][:6] = 7 << 56  # the others anywhere
+        held.add(rows, 10)
+    assert len(held.pieces) == 4
+    pixels, counts = held.counts()
+    assert counts.sum() == 40
+    assert counts.max() >= 24
+    assert (np.diff(pixels) > 0).all()

@@ -207,3 +207,11 @@ def test_refusals(change: dict[str, Any], words: str, catalogue: str) -> None:
         made = parse_scene(data)
     with pytest.raises(BadInput, match=words):
         plan_scene(made)
+
+
+@pytest.mark.parametrize(("shape", "rows"), [([SIDE, 40], SIDE), ([40, SIDE], 40)])
+def test_the_readout_takes_a_line_for_each_row(shape: Any, rows: int, catalogue: str) -> None:
+    data = scene(catalogue, 1.0, {"line_s": LINE_S}).as_dict()
+    data["sensor"]["shape"] = shape
+    told = [d["reason"] for d in plan_scene(parse_scene(data))["decisions"]]
+    assert sum(f"row by row in {(rows - 1) * LINE_S:.4g} s" in reason for reason in told) == 1
