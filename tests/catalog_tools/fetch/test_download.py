@@ -383,3 +383,19 @@ def test_delays_grow_within_bounds():
 
     with pytest.raises(Incomplete, match="8 tries in a row"):
         patience.wait("there", Unavailable("down"), 8, threading.Event())
+
+
+@pytest.mark.parametrize(("free", "fits"), [(99, False), (100, True), (500, True)])
+def test_room_for_what_is_still_missing(tmp_path, monkeypatch, free, fits):
+    """Bytes of begun files count as there: 900 of 1000."""
+    from catalog_tools.fetch import download
+
+    usage = type("Usage", (), {"free": free})
+    monkeypatch.setattr(download.shutil, "disk_usage", lambda path: usage)
+    meter = type("Meter", (), {"read": lambda self: (900, 1000)})()
+    ledger = type("Ledger", (), {"folder": tmp_path})()
+    if fits:
+        download._check_space(meter, ledger)
+    else:
+        with pytest.raises(BadInput, match="100 bytes free for what is missing"):
+            download._check_space(meter, ledger)
