@@ -143,6 +143,16 @@ def test_values_agree_and_are_absent_together(columns):
     assert set(columns["phot_variable_flag"]) <= {"NOT_AVAILABLE", "VARIABLE"}
 
 
+def test_errors_of_places_are_always_there(columns):
+    """Also of stars whose motion is not known; those of motions are absent with these."""
+    lacking = columns["pmra"] == ""
+    assert 0 < lacking.sum() < lacking.size
+    for name in ("ra_error", "dec_error"):
+        assert (columns[name] != "").all()
+    for name in ("parallax", "pmra", "pmdec"):
+        assert ((columns[f"{name}_error"] == "") == lacking).all()
+
+
 def test_against_star_counts_by_latitude(columns):
     """Shares of the stars in bands of latitude, and by magnitude, within 3 sigma of the model."""
     from catalog_tools.partition import positions_of

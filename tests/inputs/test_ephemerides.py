@@ -229,6 +229,23 @@ def test_oem_time_scales_against_astropy(tmp_path: Path, scale: str) -> None:
     assert np.linalg.norm(found - true, axis=1).max() < 0.01
 
 
+@pytest.mark.parametrize("order", [(-1, 0, 1), (0, 1, -1), (1, -1, 0)])
+def test_the_segment_that_covers_the_exposures(tmp_path: Path, order: tuple[int, ...]) -> None:
+    """Of three segments an hour long, in any order, each of an orbit of its own."""
+    t = np.arange(-1800.0, 1801.0, 60.0)
+    start = Time("2017-02-14T06:07:00", scale="utc")
+    parts, places = [], {}
+    for k in order:
+        places[k], speed = two_body(np.array([7e6 + 1e5 * k, 0, 0]), np.array([0, 6e3, 5500.0]), t)
+        texts = list((start + (t + 4000.0 * k) * u.s).isot)
+        part = oem("EME2000", places[k], speed, texts)
+        parts.append(part if not parts else part[part.index("META_START") :])
+    (tmp_path / "sat.oem").write_text("".join(parts))
+    orbit = table({"kind": "ephemeris", "path": str(tmp_path / "sat.oem"), "object": "2017-001A"})
+    found, _ = states(orbit, np.array([0.0, 60.0]))
+    assert np.linalg.norm(found - places[0][[30, 31]], axis=1).max() < 0.05
+
+
 def test_pole_against_astropy() -> None:
     for day in ("2017-02-14", "2026-01-05"):
         x, y = iers.IERS_A.open(iers.IERS_A_FILE).pm_xy(Time(day))
