@@ -144,9 +144,10 @@ def test_movies(labelled, tmp_path):
     picture = Image.open(gif)
     assert (picture.n_frames, picture.size, picture.info["duration"]) == (2, (512, 512), 250)
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    (mp4,) = export_product(labelled, "mp4", tmp_path / "a.mp4", Wish())
+    (mp4,) = export_product(labelled, "mp4", tmp_path / "a.mp4", Wish(fps=4.0))
     reader = ffmpeg.read_frames(str(mp4))
-    assert next(reader)["size"] == (512, 512)
+    about = next(reader)
+    assert (about["size"], about["fps"]) == ((512, 512), 4.0)
     assert len(list(reader)) == 2
     assert [p.name for p in tmp_path.iterdir()] in (["a.gif", "a.mp4"], ["a.mp4", "a.gif"])
 
