@@ -21,7 +21,7 @@ from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.needs import Spent, check_memory, predict
 from pipeline.plan.own_paths import exact_path, exact_paths
-from pipeline.prepare import prepare
+from pipeline.prepare import check_room, prepare
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 
@@ -117,6 +117,16 @@ def test_more_memory_than_there_is_names_what_takes_it():
         check_memory(plan, None, Spent(), 100.0)
     with pytest.raises(BadInput, match=r"^exposure\.integration_s: .*stars move by 1000000 px"):
         check_memory(plan, None, Spent(excursion_px=1e6), 1e5)
+
+
+def test_processes_share_the_memory_that_is_free(monkeypatch):
+    """Some 330 MB each: one process fits in 600 MB, two do not."""
+    prepared = prepare(parse_scene(scene_data(MONO)))
+    monkeypatch.setattr("pipeline.prepare.free_mb", lambda: 600.0)
+    check_room(prepared, processes=1)
+    with pytest.raises(BadInput, match="300 MB of memory that there are"):
+        check_room(prepared, processes=2)
+
 
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "tcp://127.0.0.1:1"])
