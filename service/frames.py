@@ -37,11 +37,10 @@ def describe(product: Path) -> dict[str, Any]:
     """
     array = _array(product, "dn")
     frames, rows, columns = array.shape
-    cube, told = product / layout.CUBE, ("long_name", "units")
+    told = ("long_name", "units")
     layers = {
-        name: dict(zip(told, names, strict=True))
-        for name, names in layout.LONG_NAMES.items()
-        if (cube / name / "zarr.json").is_file()
+        name: dict(zip(told, layout.LONG_NAMES[name], strict=True))
+        for name in layout.layers_in(product)
     }
     return {
         "frames": frames,

@@ -44,6 +44,11 @@ LONG_NAMES = {  # layers of the cube: what they are, and their unit
 }
 
 
+def layers_in(product: Path) -> list[str]:
+    """The layers that a product's cube holds, finished or being drawn."""
+    return [name for name in LONG_NAMES if (product / CUBE / name / "zarr.json").is_file()]
+
+
 def to_json(value: Any) -> bytes:
     """Readable JSON; NaN and infinity are refused rather than written."""
     return (json.dumps(value, indent=2, allow_nan=False) + "\n").encode()

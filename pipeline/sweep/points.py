@@ -139,7 +139,7 @@ def check_axes(course: Course) -> None:
     range both ends. Combinations are not tried: a point that fails is recorded when its turn comes.
     """
     design = course.design
-    first, own = design.values(0), _own_mistakes(course)
+    first = design.values(0)
     for i, axis in enumerate(course.sweep.axes):
         for name in axis.fields:
             for k, value in enumerate(design.extremes(name)[:1000]):
@@ -151,7 +151,7 @@ def check_axes(course: Course) -> None:
                 except InvalidScene as mistakes:
                     mine = [m for m in mistakes.mistakes if _concerns(m[0], name)]
                     field, given, allowed = (mine or mistakes.mistakes)[0]
-                    if field in own:
+                    if field in _own_mistakes(course):
                         raise
                     told = allowed.removeprefix("allowed: ")
                     raise BadInput(f"axes.{i} ({field}), value {k}", given, told) from None
