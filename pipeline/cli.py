@@ -161,12 +161,7 @@ def render(
     loaded = load_scene(scene, overrides)
     options = Options(scheduler, workers, resume, replace, wait)
     with told_if_interrupted(output, lambda: _kept(output)), _progress(quiet=as_json) as listen:
-        if "://" in output:
-            from pipeline.remote import render_to_url
-
-            report = render_to_url(loaded, output, options, listen)
-        else:
-            report = run(loaded, Path(output), options, listen)
+        report = run(loaded, output, options, listen)
     _print_result(report, output, as_json)
 
 
@@ -217,14 +212,9 @@ def plan(
 @app.command()
 def check(product: ProductOrUrl, as_json: Json = False) -> None:
     """Verify a product whole: markers, chunk checksums, tables. Exit 3 if it is not complete."""
-    if "://" in product:
-        from pipeline.remote import check_url
+    from pipeline.run import check as verify
 
-        verdict = check_url(product)
-    else:
-        from pipeline.store.product import check as verify
-
-        verdict = verify(Path(product))
+    verdict = verify(product)
     if as_json:
         print_json(verdict.__dict__ | {"whole": verdict.whole})
     else:

@@ -7,8 +7,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from pipeline.draw import Listener
 from pipeline.errors import BadInput
-from pipeline.run import Listener, Options, render
+from pipeline.run import Options, render
 from pipeline.spec.load import load_scene
 
 ALL_SKY_G_MAG = 9.0

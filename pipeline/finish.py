@@ -85,11 +85,6 @@ def _faults(plan: Plan, product: Path) -> dict[str, int]:
     return {"pixels": write_whole(product, "pixels", pa.table(gather_faults(plan.scene) or {}))}
 
 
-def stored_report(begun: Begun) -> dict[str, Any]:
-    """The report of a product that was whole before; `drawn_before` says so, in no file."""
-    return json.loads((begun.path / layout.REPORT).read_text()) | {"drawn_before": True}
-
-
 @dataclass(frozen=True)
 class Gathered:
     """What the markers of a product hold: its coordinates, what was checked, its digest."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.lines import fold, pair, width
 
 if TYPE_CHECKING:
-    from pipeline.run import Progress
+    from pipeline.draw import Progress
 
 Listener = Callable[["Progress"], None]
 

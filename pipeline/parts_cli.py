@@ -21,8 +21,8 @@ def render_part(
     """Render one part of a scene; the last one finishes the product."""
     from pipeline.errors import BadInput
     from pipeline.pages import tile_progress
-    from pipeline.parts import parse_part
-    from pipeline.parts import render_part as run
+    from pipeline.run import render as run
+    from pipeline.shares import parse_part
     from pipeline.spec.load import load_scene
 
     if options.replace:
@@ -30,13 +30,7 @@ def render_part(
     share = parse_part(part)
     kept = told_if_interrupted(product, lambda: "finished tiles are kept", resumes=False)
     with kept, tile_progress(as_json or not sys.stderr.isatty()) as listen:
-        loaded = load_scene(scene, overrides)
-        if "://" in product:
-            from pipeline.remote import render_to_url
-
-            report = render_to_url(loaded, product, options, listen, share)
-        else:
-            report = run(loaded, Path(product), share, options, listen)
+        report = run(load_scene(scene, overrides), product, options, listen, share)
     if as_json:
         print_json(report)
     elif report["complete"]:
@@ -53,14 +47,9 @@ def join(
     as_json: Json = False,
 ) -> None:
     """Finish a product whose parts are all done. Exit 3 where tiles are missing."""
-    if "://" in product:
-        from pipeline.remote import join_url
+    from pipeline.run import join as run
 
-        report = join_url(product, scene=scene, wait_s=wait)
-    else:
-        from pipeline.parts import join as run
-
-        report = run(Path(product), scene, wait)
+    report = run(product, scene, wait)
     if as_json:
         print_json(report)
     else:

@@ -1,44 +1,38 @@
-"""The whole route: a scene prepared, its missing tiles drawn, the product finished."""
+"""The one route: a scene prepared, its missing tiles drawn, the product finished.
+
+A whole render, one part of several and a join differ in their share; a folder and an s3 URL in
+their place.
+"""
 
 from __future__ import annotations
 
 import os
-import shutil
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from catalog_tools.schedulers import TASKS_PER_WINDOW, Scheduler, open_scheduler
-from pipeline.errors import BadInput, NightglassError, TryLater
-from pipeline.execute.bundles import bundled, tiles_a_bundle, tiles_done
-from pipeline.execute.graph import Work, shard_graph, shard_key, window_graph
-from pipeline.finish import finish, stored_report
-from pipeline.inputs.stars import Shard
-from pipeline.plan.cost import CHUNK_S, TILE_S
-from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.needs import frame_seconds
-from pipeline.plan.scene_plan import Plan
+from catalog_tools.schedulers import open_scheduler
+from pipeline.draw import Listener, Progress, draw
+from pipeline.errors import Incomplete, NightglassError, TryLater
+from pipeline.finish import finish
 from pipeline.prepare import (
     Prepared,
     catalogue_facts_of,
     check_cost,
     check_room,
-    forecast,
     prepare,
-    shards_of,
     summary_of,
 )
-from pipeline.shares import WHOLE, Share
+from pipeline.shares import WHOLE, Share, lacking
+from pipeline.spec.load import load_scene
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
-from pipeline.store.markers import markers_present
-from pipeline.store.product import Begun, begin, is_begun, is_sealed, truth_kinds
+from pipeline.store.place import Claim, Place, Writing, place_for
+from pipeline.store.product import Verdict
 
-Listener = Callable[["Progress"], None]
+JOIN_AGAIN_S = 1.0
+NOT_DRAWN = {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
 
 
 @dataclass(frozen=True)
@@ -67,177 +61,140 @@ class Options:
         return own.get(self.scheduler, 0)
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far a render is: tiles done of all, and what was just done."""
-
-    done: int
-    total: int
-    doing: str
-
-
 def render(
-    scene: Scene, product: Path, options: Options | None = None, listen: Listener | None = None
-) -> dict[str, Any]:
-    """Render a scene into a product directory and return its report.
+    scene: Scene, product: Path | str, options: Options | None = None,
+    listen: Listener | None = None, share: Share | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Render a scene, or a part of it, into a product and return its report.
 
+    product : a folder, or an s3 URL
+    share : the part to draw beside other processes, which draw the others; None for all of it.
+        One that was cut off goes on when it is run again. The one that ends last finishes the
+        product and returns its report; before that `complete` is false.
     Raises BadInput for a scene or path that cannot be used, Damaged for a damaged catalogue,
-    Incomplete where work stopped before everything was done (what is done is kept), DiskFull
-    where that was for want of room.
+    Incomplete where work stopped before everything was done (what is done is kept) or the store is
+    not reached any more, DiskFull where that was for want of room, TryLater where another render
+    is writing the product.
     """
-    with layout.full_disk(product):
-        return _render(scene, product, options or Options(), listen)
+    options, started = options or Options(), time.perf_counter()
+    place = place_for(product)
+    place.reached("-o")
+    with place.explained():
+        prepared = prepare(scene)
+        summary = summary_of(prepared)
+        check_cost(scene, summary, options.most_cpu_s)
+        if options.processes or options.most_memory_mb:
+            check_room(prepared, options.most_memory_mb, options.processes)
+        with place.written(_claim(prepared, options, share)) as writing:
+            if writing.is_sealed((share or WHOLE).tiles(prepared.plan)):
+                return writing.report()
+            writing.unseal()
+            writing.put_plan(layout.to_json(summary))
+            times = _drawn(prepared, writing, options, listen, share, started)
+            if share is None:
+                return _finished(prepared, writing, times)
+        return _joined_by_the_last(place, prepared, share, times)
 
 
-def _render(
-    scene: Scene, product: Path, options: Options, listen: Listener | None
-) -> dict[str, Any]:
-    started = time.perf_counter()
-    prepared = prepare(scene)
-    plan, summary = prepared.plan, summary_of(prepared)
-    check_cost(scene, summary, options.most_cpu_s)
-    if options.processes or options.most_memory_mb:
-        check_room(prepared, options.most_memory_mb, options.processes)
-    if options.replace and product.exists():
-        _remove(product, options.wait_s)
-    digest = prepared.catalogue_digest
-    if not (options.resume and is_begun(product)):
-        begin(product, plan, digest, options.resume)
-    with layout.only_writer(product, wait_s=options.wait_s):
-        # Taken up inside: another writer may just have ended.
-        begun = begin(product, plan, digest, resume=True)
-        if is_sealed(begun, WHOLE.tiles(plan)):
-            return stored_report(begun)
-        unseal(product)
-        layout.write_atomically(product / layout.PLAN, layout.to_json(summary))
-        drawing = time.perf_counter()
-        try:
-            with open_scheduler(options.scheduler, options.workers) as scheduler:
-                draw(prepared, begun, scheduler, listen)
-                workers = scheduler.workers
-        except NightglassError as error:
-            kept = any(markers_present(product))
-            if not kept:
-                shutil.rmtree(product)  # nothing was finished, so nothing is left behind
-            raise how_to_go_on(error, kept) from None
-        times = times_of(options, started, drawing, workers)
-        return finish(plan, catalogue_facts_of(prepared), begun, times)
+def join(product: Path | str, scene: Path | None = None, wait_s: float = 0.0) -> dict[str, Any]:
+    """Finish a product whose parts are all done, and return its report.
+
+    scene : default the one in the product; wait_s : for whoever writes it now
+    Raises Incomplete where tiles are missing, TryLater where a part is still at work.
+    """
+    place = place_for(product)
+    place.reached("PRODUCT")
+    with place.explained():
+        stored = place.scene()
+        prepared = prepare(load_scene(scene) if scene else stored)
+        return _joined(place, prepared, NOT_DRAWN, wait_s)
 
 
-def how_to_go_on(error: NightglassError, kept: bool) -> NightglassError:
-    """An error that ended the drawing; where it says to try later, also by which command."""
-    if not isinstance(error, TryLater):
-        return error
-    told = "what is finished is kept: go on with --resume" if kept else "nothing was finished yet"
-    return TryLater(f"{error}; {told}")
+def check(product: Path | str) -> Verdict:
+    """Verify a product, in a folder or below an s3 URL: every tile by its marker, every table."""
+    place = place_for(product)
+    place.reached("PRODUCT")
+    with place.explained():
+        return place.verdict()
 
 
-def times_of(options: Options, started: float, drawing: float, workers: int) -> dict[str, Any]:
-    """What a report says of its time; started, drawing : when planning and drawing began."""
+def _claim(prepared: Prepared, options: Options, share: Share | None) -> Claim:
+    plan, digest = prepared.plan, prepared.catalogue_digest
+    if share is None:
+        return Claim(plan, digest, options.resume, options.replace, options.wait_s)
+    return Claim(
+        plan, digest, wait_s=options.wait_s, replace=options.replace, part=share.name,
+        mine=share.mine(plan),
+    )  # fmt: skip
+
+
+def _drawn(
+    prepared: Prepared, writing: Writing, options: Options, listen: Listener | None,
+    share: Share | None, started: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Draw what a share lacks; what the report says of the time. started : when planning began."""
+    drawing = time.perf_counter()
+
+    def heard(progress: Progress) -> None:
+        writing.check()
+        if listen is not None:
+            listen(progress)
+
+    try:
+        with open_scheduler(options.scheduler, options.workers) as scheduler:
+            draw(prepared, writing.begun, scheduler, heard, share or WHOLE)
+            workers = scheduler.workers
+    except NightglassError as error:
+        kept = share is not None or writing.has_tiles()
+        if not kept:
+            writing.discard()  # nothing was finished, so nothing is left behind
+        raise _how_to_go_on(error, kept, share is None) from None
     return {
         "plan_s": drawing - started, "draw_s": time.perf_counter() - drawing,
         "workers": workers, "scheduler": options.scheduler,
     }  # fmt: skip
 
 
-def draw(
-    prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listener | None,
-    share: Share = WHOLE,
-) -> None:  # fmt: skip
-    """Run every missing task of a share, window by window of frames."""
-    plan, catalogues = prepared.plan, prepared.catalogues
-    inputs = scheduler.share(prepared.inputs(begun.writer))
-    total = share.tiles(plan)
-    ref_epochs = tuple(c.ref_epoch_jyear for c in catalogues)
-    state = {"done": len(begun.done)}
-    shards: dict[Shard, Any] = {}
-
-    def done(kind: str) -> None:
-        state["done"] += tiles_done(kind)
-        if listen is not None:
-            listen(Progress(state["done"], total, kind))
-
-    if listen is not None:
-        listen(Progress(state["done"], total, "start"))
-    size = _tiles_a_task(prepared, scheduler, total)
-
-    def graphs() -> Iterator[tuple[dict[Any, Any], list[Any]]]:
-        nonlocal shards
-        for window in _windows(plan, share):
-            work = missing(plan, begun, window, share)
-            if work is None:
-                continue
-            needed = shards_of(plan, catalogues, work.geometry)
-            shards = {shard: shards[shard] for shard in needed if shard in shards}
-            fresh = [shard for shard in needed if shard not in shards]
-            kept = scheduler.keep(shard_graph(inputs, fresh))
-            shards |= {shard: kept[shard_key(shard)] for shard in fresh}
-            graph, keys = window_graph(inputs, plan, work, shards, ref_epochs)
-            yield bundled(graph, keys, size) if size > 1 else (graph, keys)
-
-    scheduler.stream(graphs(), done)
+def _how_to_go_on(error: NightglassError, kept: bool, whole: bool) -> NightglassError:
+    """An error that ended the drawing; where it says to try later, also by which command."""
+    if not isinstance(error, TryLater):
+        return error
+    again = "go on with --resume" if whole else "run the part again"
+    told = f"what is finished is kept: {again}" if kept else "nothing was finished yet"
+    return TryLater(f"{error}; {told}")
 
 
-def _tiles_a_task(prepared: Prepared, scheduler: Scheduler, tiles: int) -> int:
-    """How many tiles of a job a task draws, by the plan's estimate of their work."""
-    if tiles < 2 * scheduler.workers:
-        return 1
+def _finished(prepared: Prepared, writing: Writing, times: dict[str, Any]) -> dict[str, Any]:
+    with writing.finishing():
+        return finish(prepared.plan, catalogue_facts_of(prepared), writing.begun, times)
+
+
+def _joined_by_the_last(
+    place: Place, prepared: Prepared, share: Share, times: dict[str, Any]
+) -> dict[str, Any]:
+    """The product's report where this part was the last, else what is told of the part."""
     plan = prepared.plan
-    tile_s = frame_seconds(plan, forecast(prepared)) / len(plan.tiles)
-    tile_s += TILE_S + CHUNK_S * len(prepared.plan.scene.output.layers)
-    window = max(TASKS_PER_WINDOW, len(plan.tiles))  # at most so many are sent at a time
-    return tiles_a_bundle(tile_s, scheduler.least_task_s, min(tiles, window), scheduler.workers)
+    for left in reversed(range(place.join_tries)):
+        if lacking(plan, *place.present(plan)).tiles:
+            break
+        try:
+            return _joined(place, prepared, times)
+        except TryLater:  # another part is closing, or is finishing it
+            time.sleep(JOIN_AGAIN_S if left else 0.0)
+    return share.told(plan, times)
 
 
-def _windows(plan: Plan, share: Share) -> Iterator[np.ndarray]:
-    """Frames of a share in windows of at most TASKS_PER_WINDOW tiles, so that no graph grows."""
-    per_window = max(1, TASKS_PER_WINDOW // len(plan.tiles))
-    first, end = share.span(plan)
-    start, stop = first // len(plan.tiles), -(-end // len(plan.tiles))
-    for at in range(start, stop, per_window):
-        yield np.arange(at, min(at + per_window, stop), dtype=np.int64)
-
-
-def missing(plan: Plan, begun: Begun, frames: np.ndarray, share: Share = WHOLE) -> Work | None:
-    """What a share of a window still lacks; None where nothing. Truth goes with a first tile."""
-    first = int(frames[0])
-    earlier = np.arange(max(0, first - plan.lag_frames), first, dtype=np.int64)
-    shift = len(earlier)
-    tiles = [
-        (i + shift, tile)
-        for i, frame in enumerate(frames)
-        for number, tile in enumerate(plan.tiles)
-        if share.holds(plan, int(frame), number)
-        and (int(frame), tile.row, tile.column) not in begun.done
-    ]
-    truth = {
-        kind: tuple(
-            i + shift for i, f in enumerate(frames)
-            if share.holds(plan, int(f), 0) and (kind, int(f)) not in begun.truth_done
-        )
-        for kind in truth_kinds(plan)
-    }  # fmt: skip
-    if not tiles and not any(truth.values()):
-        return None
-    seen = np.concatenate([earlier, frames])
-    drawn = np.unique([plan.drawn_frame(int(f)) for f in seen])
-    seen = np.concatenate([seen, np.setdiff1d(drawn, seen)])
-    geometry = plan_geometry(plan.scene, seen, plan.dut1_s)
-    return Work(
-        geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()),
-        truth.get("cosmic_rays", ()),
-    )  # fmt: skip
-
-
-def unseal(product: Path) -> None:
-    """An earlier seal no longer holds once anything is drawn again."""
-    for name in (layout.COMPLETE, f"{layout.CUBE}/zarr.json"):
-        (product / name).unlink(missing_ok=True)
-
-
-def _remove(product: Path, wait_s: float) -> None:
-    """Remove an old product (only a product, never any other folder)."""
-    if not product.is_dir() or not (product / layout.BEGUN).is_file():
-        raise BadInput("--replace", str(product), "a product made by `nightglass render`")
-    with layout.only_writer(product, wait_s=wait_s):
-        shutil.rmtree(product)
+def _joined(
+    place: Place, prepared: Prepared, times: dict[str, Any], wait_s: float = 0.0
+) -> dict[str, Any]:
+    plan = prepared.plan
+    claim = Claim(plan, prepared.catalogue_digest, resume=True, wait_s=wait_s)
+    with place.written(claim) as writing:  # every chunk against its marker
+        begun = writing.begun
+        if writing.is_sealed(WHOLE.tiles(plan)):
+            return writing.report()
+        writing.unseal()
+        if lacks := lacking(plan, begun.done, begun.truth_done):
+            told = lacks.told(place.name, plan, writing.locks(), begun.redrawn)
+            raise Incomplete(told)
+        return _finished(prepared, writing, times)

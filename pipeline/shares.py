@@ -7,8 +7,11 @@ from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.errors import BadInput
 from pipeline.plan.scene_plan import Plan
 from pipeline.store.product import truth_kinds
+
+MOST_PARTS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,14 @@ class Share:
 
 
 WHOLE = Share(1, 1)
+
+
+def parse_part(text: str) -> Share:
+    """`k/n` as part k of n, counted from 1."""
+    found = re.fullmatch(r"([0-9]{1,7})/([0-9]{1,7})", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]) <= MOST_PARTS:
+        raise BadInput("--part", text, f"k/n, with 1 <= k <= n <= {MOST_PARTS}, such as 3/16")
+    return Share(int(found[1]), int(found[2]))
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ import pytest
 import xarray as xr
 
 from pipeline.errors import BadInput, Incomplete
-from pipeline.parts import join, parse_part, render_part
-from pipeline.run import Options, render
-from pipeline.shares import Share
+from pipeline.run import Options, join, render
+from pipeline.shares import Share, parse_part
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import check, content_digest
 
@@ -76,18 +75,18 @@ def test_parts_one_after_the_other(tmp_path, whole):
     """In any order; the last one finishes it; a part may be run again."""
     product, scene = tmp_path / "run", parse_scene(SCENE)
     for k, lacking in ((3, r"1/3, 2/3"), (1, "2/3"), (1, "2/3")):
-        assert not render_part(scene, product, Share(k, 3))["complete"]
+        assert not render(scene, product, share=Share(k, 3))["complete"]
         with pytest.raises(Incomplete, match=rf"missing: run part\(s\) {lacking} again"):
             join(product)
-    report = render_part(scene, product, Share(2, 3))
+    report = render(scene, product, share=Share(2, 3))
     assert report["complete"]
     assert report["content_digest"] == whole == content_digest(product)
     assert check(product).whole
     assert xr.open_zarr(product / "cube.zarr").chunks["frame"] == (1, 1, 1)
     again = report | {"drawn_before": True}
-    assert join(product) == again == render_part(scene, product, Share(1, 3))
+    assert join(product) == again == render(scene, product, share=Share(1, 3))
     with pytest.raises(BadInput, match="same scene"):
-        render_part(parse_scene(SCENE | {"seed": 9}), tmp_path / "run", Share(1, 3))
+        render(parse_scene(SCENE | {"seed": 9}), tmp_path / "run", share=Share(1, 3))
 
 
 def test_parts_side_by_side_and_one_killed(tmp_path, whole):
@@ -118,13 +117,13 @@ def test_parts_side_by_side_and_one_killed(tmp_path, whole):
 def test_join_names_what_is_damaged(tmp_path, whole):
     """A chunk that was cut short is not taken; its part draws it again."""
     product, scene = tmp_path / "run", parse_scene(SCENE)
-    render_part(scene, product, Share(1, 2))
+    render(scene, product, share=Share(1, 2))
     chunk = product / "cube.zarr" / "dn" / "c" / "0" / "0" / "0"
     chunk.write_bytes(chunk.read_bytes()[:-5])
     with pytest.raises(Incomplete, match=r"run part\(s\) 1/2 again.*dn/c/0/0/0"):
-        render_part(scene, product, Share(2, 2))
-    assert not render_part(scene, product, Share(2, 2))["complete"]
-    assert render_part(scene, product, Share(1, 2))["content_digest"] == whole
+        render(scene, product, share=Share(2, 2))
+    assert not render(scene, product, share=Share(2, 2))["complete"]
+    assert render(scene, product, share=Share(1, 2))["content_digest"] == whole
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "x", "1", "1/0", "1/2/3", "-1/3", "1/9999999", ""])

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
-from pipeline.run import Options, render
+from pipeline.run import Options, check, join, render
 from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.markers import place_of
@@ -60,12 +60,10 @@ def local(tmp_path_factory):
 @pytest.fixture(scope="module")
 def made(bucket):
     """A product that two parts made, the second of them finishing it."""
-    from pipeline.remote import render_to_url
-
     url, scene = f"{bucket}/team/run", parse_scene(SCENE)
-    first = render_to_url(scene, url, HERE, share=Share(1, 2))
+    first = render(scene, url, HERE, share=Share(1, 2))
     assert not first["complete"]
-    return url, render_to_url(scene, url, HERE, share=Share(2, 2))
+    return url, render(scene, url, HERE, share=Share(2, 2))
 
 
 def test_same_product_as_in_a_folder(local, made):
@@ -73,8 +71,6 @@ def test_same_product_as_in_a_folder(local, made):
     import xarray as xr
 
     from catalog_tools.objects import Objects
-    from pipeline.remote import check_url
-
     (path, report), (url, remote) = local, made
     assert remote["complete"]
     assert remote["content_digest"] == report["content_digest"]
@@ -87,7 +83,7 @@ def test_same_product_as_in_a_folder(local, made):
             if "/c/" in name or "markers" in name or name.endswith("zarr.json"):
                 assert content == file.read_bytes(), name
     assert not [n for n in objects.names() if ".parts" in n]
-    verdict = check_url(url)
+    verdict = check(url)
     assert verdict.whole, verdict.faults
     assert (verdict.tiles, verdict.tiles_expected) == (4, 4)
     cube = xr.open_zarr(f"{url}/cube.zarr", chunks=None)
@@ -101,8 +97,6 @@ def test_same_product_as_in_a_folder(local, made):
 
 def test_damage_is_named(made):
     from catalog_tools.objects import Objects
-    from pipeline.remote import check_url, render_to_url
-
     url, objects, scene = made[0], Objects(made[0]), parse_scene(SCENE)
     names = ("cube.zarr/dn/c/1/1/0", "cube.zarr/mean_e/c/0/1/0", "plan.json", ".begun.json")
     chunk, gone, plan, begun = names
@@ -110,42 +104,38 @@ def test_damage_is_named(made):
     objects.put(chunk, good[chunk][:-1] + bytes([good[chunk][-1] ^ 1]))
     objects.put(plan, b"{}")
     objects.delete([gone])
-    assert sorted(check_url(url).faults) == [
+    assert sorted(check(url).faults) == [
         f"{chunk}: the checksum differs", f"{gone}: the chunk of layer mean_e is missing",
         "plan.json: the digest differs",
     ]  # fmt: skip
     with pytest.raises(BadInput, match="--resume"):
-        render_to_url(scene, url, HERE)
+        render(scene, url, HERE)
     with pytest.raises(BadInput, match="same scene_sha256"):
-        render_to_url(parse_scene(SCENE | {"seed": 6}), url, replace(HERE, resume=True))
+        render(parse_scene(SCENE | {"seed": 6}), url, replace(HERE, resume=True))
     objects.put(begun, b"{")
     with pytest.raises(Damaged, match=r"\.begun\.json"):
-        check_url(url)
+        check(url)
     for name, content in good.items():
         objects.put(name, content)
-    assert check_url(url).whole
+    assert check(url).whole
 
 
 def test_a_join_that_lacks_a_chunk_takes_the_seal_away(made):
     """A product that was whole and lost a chunk does not look whole after `join` refused it."""
     from catalog_tools.objects import Objects
-    from pipeline.remote import check_url, join_url, render_to_url
-
     url, objects, gone = made[0], Objects(made[0]), "cube.zarr/mean_e/c/0/1/0"
     objects.delete([gone])
     with pytest.raises(Incomplete):
-        join_url(url)
+        join(url)
     assert objects.get("_COMPLETE") is None
-    render_to_url(parse_scene(SCENE), url, replace(HERE, resume=True))
-    assert check_url(url).whole
+    render(parse_scene(SCENE), url, replace(HERE, resume=True))
+    assert check(url).whole
 
 
 @pytest.mark.parametrize("seal", ["cube.zarr/zarr.json", "_COMPLETE"])
 def test_a_product_cut_off_while_it_is_sealed_is_not_whole(bucket, seal, monkeypatch):
     """The mark of a whole product comes after the cube's group: one without the other opens."""
     from catalog_tools.objects import Objects
-    from pipeline.remote import check_url, render_to_url
-
     url, scene, put = f"{bucket}/seal-{seal[-4:]}", parse_scene(SCENE), Objects.put
 
     def killed(self, name, content, *args, **kwargs):
@@ -156,17 +146,16 @@ def test_a_product_cut_off_while_it_is_sealed_is_not_whole(bucket, seal, monkeyp
     with monkeypatch.context() as cut:
         cut.setattr(Objects, "put", killed)
         with pytest.raises(KeyboardInterrupt):
-            render_to_url(scene, url, HERE)
+            render(scene, url, HERE)
     assert Objects(url).get("_COMPLETE") is None
-    assert not check_url(url).complete
-    assert render_to_url(scene, url, replace(HERE, resume=True))["tiles_resumed"] == 4
-    assert check_url(url).whole
+    assert not check(url).complete
+    assert render(scene, url, replace(HERE, resume=True))["tiles_resumed"] == 4
+    assert check(url).whole
 
 
 def test_an_interrupted_product_is_not_whole_and_goes_on(bucket, local):
     """What is cut off shows no cube; --resume draws what is missing or damaged, and only that."""
     from catalog_tools.objects import Objects
-    from pipeline.remote import check_url, join_url, render_to_url
     from pipeline.store.remote import remove_remote
 
     url, scene = f"{bucket}/cut", parse_scene(SCENE)
@@ -176,21 +165,21 @@ def test_an_interrupted_product_is_not_whole_and_goes_on(bucket, local):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        render_to_url(scene, url, HERE, stop)
+        render(scene, url, HERE, stop)
     objects = Objects(url)
     assert objects.get("cube.zarr/zarr.json") is None
     assert objects.get("_COMPLETE") is None
-    assert not check_url(url).complete
+    assert not check(url).complete
     frame, row, column = place_of(Path(min(objects.names("markers/"))))
     objects.put(f"cube.zarr/dn/c/{frame}/{row}/{column}", b"?")
     with pytest.raises(Incomplete, match="3 tile"):
-        join_url(url)
+        join(url)
     done = []
-    report = render_to_url(scene, url, replace(HERE, resume=True), done.append)
+    report = render(scene, url, replace(HERE, resume=True), done.append)
     assert (done[0].done, done[-1].done) == (1, 4)
     assert report["tiles_resumed"] == 1
     assert report["content_digest"] == local[1]["content_digest"]
-    again = render_to_url(scene, url, replace(HERE, resume=True))
+    again = render(scene, url, replace(HERE, resume=True))
     assert again == report | {"drawn_before": True}
     begun = objects.get(".begun.json")
     objects.delete([".begun.json"])
@@ -203,7 +192,6 @@ def test_an_interrupted_product_is_not_whole_and_goes_on(bucket, local):
 
 def test_one_writer_at_a_time(bucket, monkeypatch):
     from catalog_tools.objects import Objects
-    from pipeline.remote import render_to_url
     from pipeline.store import lease
 
     objects, scene = Objects(f"{bucket}/busy"), parse_scene(SCENE)
@@ -214,7 +202,7 @@ def test_one_writer_at_a_time(bucket, monkeypatch):
             ):  # fmt: skip
                 pass
         with pytest.raises(TryLater, match="another render"):
-            render_to_url(scene, objects.url, HERE)
+            render(scene, objects.url, HERE)
         monkeypatch.setattr(lease, "RUNS_OUT_S", 0.0)  # as if it had died long ago
         with lease.only_writer_of(objects) as other:
             mine.renew()
@@ -248,9 +236,9 @@ def test_a_lease_that_was_left_days_ago_keeps_nobody_out(bucket, monkeypatch):
 def holding(url, **environment):
     """A process that renders into a URL and is killed with -9 after its first tile."""
     code = (
-        "import json, os, signal, sys; from pipeline.remote import render_to_url; "
-        "from pipeline.run import Options; from pipeline.spec.load import parse_scene; "
-        "render_to_url(parse_scene(json.loads(sys.argv[1])), sys.argv[2], Options('synchronous'), "
+        "import json, os, signal, sys; "
+        "from pipeline.run import Options, render; from pipeline.spec.load import parse_scene; "
+        "render(parse_scene(json.loads(sys.argv[1])), sys.argv[2], Options('synchronous'), "
         "lambda p: p.done and os.kill(os.getpid(), signal.SIGKILL))"
     )
     command = [sys.executable, "-c", code, json.dumps(SCENE), url]
@@ -260,7 +248,6 @@ def holding(url, **environment):
 def test_the_same_writer_goes_on_at_once(bucket, local, monkeypatch):
     """Killed, and started again on this machine; or by Slurm, on any machine."""
     from catalog_tools.objects import Objects
-    from pipeline.remote import render_to_url
     from pipeline.store import lease
 
     slurm = {"SLURM_CLUSTER_NAME": "c", "SLURM_JOB_ID": "77"}
@@ -273,11 +260,11 @@ def test_the_same_writer_goes_on_at_once(bucket, local, monkeypatch):
             held = json.loads(objects.get(name)) | {"host": "another"}
             objects.put(name, json.dumps(held).encode())
             with pytest.raises(TryLater, match="another render"):
-                render_to_url(parse_scene(SCENE), url, again)
+                render(parse_scene(SCENE), url, again)
             for key, value in (slurm | {"SLURM_RESTART_COUNT": "1"}).items():
                 monkeypatch.setenv(key, value)
         began = time.monotonic()
-        report = render_to_url(parse_scene(SCENE), url, again)
+        report = render(parse_scene(SCENE), url, again)
         assert time.monotonic() - began < lease.RUNS_OUT_S / 4
         assert report["tiles_resumed"] >= 1
         assert report["content_digest"] == local[1]["content_digest"]
@@ -347,10 +334,8 @@ def test_who_asks_again_has_still_won(bucket):
     ],
 )  # fmt: skip
 def test_bad_urls(url):
-    from pipeline.remote import render_to_url
-
     with pytest.raises(BadInput, match="s3://BUCKET/NAME") as caught:
-        render_to_url(parse_scene(SCENE), url)
+        render(parse_scene(SCENE), url)
     assert "hunter2" not in str(caught.value)
 
 
@@ -376,19 +361,15 @@ def test_names_are_never_patterns_and_never_lead_outside(bucket, tmp_path):
 def test_cut_off_before_it_was_begun(bucket, local, options):
     """Only what is put before the record of the beginning: begun anew, whatever is asked."""
     from catalog_tools.objects import Objects
-    from pipeline.remote import render_to_url
-
     objects = Objects(f"{bucket}/bare-{options.resume}-{options.replace}")
     objects.put("cube.zarr/dn/zarr.json", b"{}")
     objects.put("scene.yaml", b"{}")
-    made = render_to_url(parse_scene(SCENE), objects.url, options)
+    made = render(parse_scene(SCENE), objects.url, options)
     assert made["content_digest"] == local[1]["content_digest"]
 
 
 def test_places_that_do_not_answer(bucket, monkeypatch):
-    from pipeline.remote import check_url, render_to_url
-
     with pytest.raises(BadInput, match="no-such-bucket"):
-        render_to_url(parse_scene(SCENE), "s3://no-such-bucket/x", HERE)
+        render(parse_scene(SCENE), "s3://no-such-bucket/x", HERE)
     with pytest.raises(BadInput, match="PRODUCT"):
-        check_url(f"{bucket}/nothing")
+        check(f"{bucket}/nothing")

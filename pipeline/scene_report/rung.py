@@ -13,7 +13,6 @@ import numpy as np
 from pipeline.arrays import Array
 from pipeline.execute.blocks import around
 from pipeline.execute.sources import distance_px, excursion_px, place_targets
-from pipeline.parts import render_part
 from pipeline.plan.accuracy import total_sigma
 from pipeline.plan.responses import cut_share
 from pipeline.plan.scene_plan import Plan, plan_dict
@@ -60,7 +59,7 @@ def render_once(scene: dict[str, Any], part: Sequence[int], product: Path) -> tu
     if share.parts == 1:
         render(parsed, product, Options())
     else:
-        render_part(parsed, product, share, Options())
+        render(parsed, product, Options(), share=share)
     spent = time.process_time() - cpu, time.perf_counter() - wall
     shutil.rmtree(product)
     return spent

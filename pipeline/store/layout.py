@@ -29,6 +29,7 @@ PREVIEW = "preview.png"
 BEGUN = ".begun.json"
 COMPLETE = "_COMPLETE"
 LOCK = ".lock"
+SEALS = (COMPLETE, f"{CUBE}/zarr.json")  # which say that all is there
 AGAIN_S = 1.0  # between looks at a lock
 Taken = TypeVar("Taken")
 LONG_NAMES = {  # layers of the cube: what they are, and their unit

@@ -86,7 +86,8 @@ def make_together(path: Path, plan: Plan, catalogue_digest: str | None) -> None:
         return
     own = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
     try:
-        begin(own, plan, catalogue_digest, resume=False)
+        with layout.full_disk(own):  # not a file elsewhere, though it lies beside the product
+            begin(own, plan, catalogue_digest, resume=False)
         own.rename(path)  # fails where another writer was first
     except OSError:
         if not path.exists():

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 AT_ONCE = 8  # chunks that are read together, to be proved
-SEALS = (layout.COMPLETE, f"{layout.CUBE}/zarr.json")
 HERE = Path()
 
 
@@ -161,7 +160,7 @@ def bring(objects: Objects, stage: Path, chunks_of: int | None = 0) -> None:
 
 def publish(objects: Objects, stage: Path) -> None:
     """Put all that finishing a product made, its seal last; then remove the parts of truth."""
-    last = (*SEALS[::-1],)
+    last = layout.SEALS[::-1]
     for name, content in _files_in(stage):
         if name not in last and not has_marker(name) and not name.startswith(layout.MARKERS):
             objects.put(name, content)
@@ -172,7 +171,7 @@ def publish(objects: Objects, stage: Path) -> None:
 
 def unseal_remote(objects: Objects) -> None:
     """An earlier seal no longer holds once anything is drawn again."""
-    objects.delete(name for name in SEALS if objects.names(name))
+    objects.delete(name for name in layout.SEALS if objects.names(name))
 
 
 def remove_remote(objects: Objects) -> None:
@@ -180,8 +179,8 @@ def remove_remote(objects: Objects) -> None:
     names = [n for n in objects.names() if not n.startswith(layout.LOCK)]
     if names and layout.BEGUN not in names and not _is_bare_beginning(names):
         raise BadInput("--replace", objects.url, "a product made by `nightglass render`")
-    objects.delete(name for name in SEALS if name in names)
-    objects.delete(name for name in names if name not in (*SEALS, layout.BEGUN))
+    objects.delete(name for name in layout.SEALS if name in names)
+    objects.delete(name for name in names if name not in (*layout.SEALS, layout.BEGUN))
     objects.delete(name for name in names if name == layout.BEGUN)
 
 

@@ -106,7 +106,7 @@ def test_same_bits_in_bundles(tmp_path, monkeypatch):
     })  # fmt: skip
     digests = []
     for size in (1, 5, 8):
-        monkeypatch.setattr("pipeline.run.tiles_a_bundle", lambda *_, size=size: size)
+        monkeypatch.setattr("pipeline.draw.tiles_a_bundle", lambda *_, size=size: size)
         told = []
         report = render(scene, tmp_path / str(size), Options("synchronous"), told.append)
         digests.append((report["content_digest"], report["truth_rows"]))

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.arrays import FrameStars, select
+from pipeline.draw import missing
 from pipeline.execute.detector import collected_e, stream_place, tile_chain
 from pipeline.execute.sources import drawing_order
 from pipeline.execute.tile import noise_e
@@ -19,7 +20,7 @@ from pipeline.physics.noise.chain import to_dn
 from pipeline.physics.noise.streams import stream_key
 from pipeline.plan.tiles import Tile
 from pipeline.prepare import plan_scene, prepare
-from pipeline.run import Options, missing, render
+from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import CELL_PX
 from pipeline.store.cube import open_cube

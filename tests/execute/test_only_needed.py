@@ -45,9 +45,9 @@ UNNEEDED = {
             "catalog_tools.query", "catalog_tools.layers", "catalog_tools.regions",
             "catalog_tools.ingest", "sqlalchemy", "xarray", "pipeline.plan.stray_light",
             "pipeline.physics.sky.extinction", "pipeline.physics.sky.night", "s3fs", "fsspec.asyn",
-            "pipeline.remote", "pipeline.store.remote", "catalog_tools.objects"],
+            "pipeline.store.bucket", "pipeline.store.remote", "catalog_tools.objects"],
     "target": ["healpy", "speclite", "sgp4", "astropy", "distributed", "fastapi",
-               "catalog_tools.query", "sqlalchemy", "xarray", "s3fs", "pipeline.remote"],
+               "catalog_tools.query", "sqlalchemy", "xarray", "s3fs", "pipeline.store.bucket"],
 }  # fmt: skip
 SCENES = {"sky": SKY, "target": SKY | {"targets": [TARGET]}}
 

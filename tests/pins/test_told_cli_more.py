@@ -356,9 +356,9 @@ class Kept:
 
 def test_object_store(monkeypatch: pytest.MonkeyPatch) -> None:
     """Products of an object store: whole, in parts, gone on with, damaged, held by another."""
-    for place in ("pipeline.remote.open_objects", "pipeline.store.remote.Objects"):
+    for place in ("pipeline.store.bucket.open_objects", "pipeline.store.remote.Objects"):
         monkeypatch.setattr(place, lambda url, *_: Kept(url))
-    monkeypatch.setattr("pipeline.remote.JOIN_AGAIN_S", 0.0)
+    monkeypatch.setattr("pipeline.run.JOIN_AGAIN_S", 0.0)
     STORE.clear()
     write_scene("small", SMALL | {"exposure.frames": 2, "accuracy.check_cells": 0})
     at, one = "render small.json -o s3://b/n", "--scheduler synchronous"
@@ -543,7 +543,7 @@ def test_pictures() -> None:
     """Grey levels, binned images, masks as text, paths across a frame, films, lines of text."""
     from pipeline.export import coco, labels, masks, picture
     from pipeline.lines import table
-    from pipeline.parts import parse_part
+    from pipeline.shares import parse_part
 
     rng = np.random.default_rng(4)
     image = rng.normal(100.0, 5.0, (50, 70))
@@ -598,7 +598,7 @@ def test_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     from types import SimpleNamespace
 
     from pipeline import pages
-    from pipeline.run import Progress
+    from pipeline.draw import Progress
     from pipeline.sweep.run import SweepProgress
     from pipeline.sweep_cli import _progress
 

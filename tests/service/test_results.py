@@ -16,7 +16,7 @@ import pytest
 import zarr
 from PIL import Image
 
-from pipeline.parts import parse_part, render_part
+from pipeline.shares import parse_part
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 from service.files import open_inside
@@ -144,7 +144,9 @@ def test_open_inside_refuses_a_linked_folder(tmp_path: Path) -> None:
 def test_tiles_are_told_and_shown_as_they_are_drawn(scene: dict[str, Any], tmp_path: Path) -> None:
     """Some tiles of 2 x 3 in a product that is not finished: just these can be seen."""
     scene["sensor"]["shape"], scene["output"] = [512, 768], {"tile_shape": [256, 256]}
-    render_part(parse_scene(scene), tmp_path / "run", parse_part("1/3"))
+    from pipeline.run import render
+
+    render(parse_scene(scene), tmp_path / "run", share=parse_part("1/3"))
     drawn = frame_facts(tmp_path / "run", 0)["drawn"]
     assert drawn == [[0, 0], [0, 1], [0, 2], [1, 0]]
     for row, column in np.ndindex(2, 3):

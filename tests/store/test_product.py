@@ -16,7 +16,6 @@ import zarr
 
 from pipeline.calibrate import calibrate
 from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
-from pipeline.parts import render_part
 from pipeline.run import Options, render
 from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
@@ -181,10 +180,10 @@ def test_writers_that_share_take_up_what_stopped_at_its_beginning(tmp_path):
     for folder in (ours, mine):
         (folder / "cube.zarr").mkdir(parents=True)
     (mine / "notes.txt").write_text("mine")
-    render_part(scene(), ours, Share(1, 1), Options("synchronous"))
+    render(scene(), ours, Options("synchronous"), share=Share(1, 1))
     assert check(ours).whole
     with pytest.raises(BadInput, match="begun by"):
-        render_part(scene(), mine, Share(1, 1), Options("synchronous"))
+        render(scene(), mine, Options("synchronous"), share=Share(1, 1))
     assert (mine / "notes.txt").read_text() == "mine"
 
 

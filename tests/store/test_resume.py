@@ -14,8 +14,7 @@ import zarr
 
 from catalog_tools.ingest import ingest
 from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
-from pipeline.parts import join, render_part
-from pipeline.run import Options, render
+from pipeline.run import Options, join, render
 from pipeline.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
@@ -87,7 +86,7 @@ def test_another_catalogue_at_the_same_place_is_refused(starry, product):
     try:
         for work in (
             lambda: render(scene, product, AGAIN),
-            lambda: render_part(scene, product, Share(2, 2), HERE),
+            lambda: render(scene, product, HERE, share=Share(2, 2)),
             lambda: join(product),
         ):
             with pytest.raises(BadInput, match="same catalogue_digest"):
@@ -116,11 +115,11 @@ def test_other_layers_tiles_or_compression_are_refused(starry, product, output, 
 def test_parts_have_one_compression(starry, tmp_path):
     """A part with another one wrote chunks that nobody could read, and was called whole."""
     data = starry[0].as_dict()
-    render_part(starry[0], tmp_path / "run", Share(1, 2), HERE)
+    render(starry[0], tmp_path / "run", HERE, share=Share(1, 2))
     data["output"]["compression"] = "none"
     with pytest.raises(BadInput, match="same compression"):
-        render_part(parse_scene(data), tmp_path / "run", Share(2, 2), HERE)
-    render_part(starry[0], tmp_path / "run", Share(2, 2), HERE)
+        render(parse_scene(data), tmp_path / "run", HERE, share=Share(2, 2))
+    render(starry[0], tmp_path / "run", HERE, share=Share(2, 2))
     assert check(tmp_path / "run").whole
     assert open_cube(tmp_path / "run")["dn"].values.mean() > 15.0
 
@@ -226,15 +225,15 @@ def test_parts_name_truth_that_cannot_be_read(starry, tmp_path, damage):
     """Of a product in parts: the last part and `join` say what is missing; its part mends it."""
     scene, made, _ = starry
     product = tmp_path / "run"
-    render_part(scene, product, Share(1, 2), HERE)
+    render(scene, product, HERE, share=Share(1, 2))
     path = part_path(product, "stars", 0)
     whole = bytearray(path.read_bytes())
     whole[len(whole) // 2] ^= 1
     path.write_bytes(whole if damage == "bit" else whole[:-9])
-    for finish in (lambda: render_part(scene, product, Share(2, 2), HERE), lambda: join(product)):
+    for finish in (lambda: render(scene, product, HERE, share=Share(2, 2)), lambda: join(product)):
         with pytest.raises(Incomplete, match=r"1 truth part"):
             finish()
-    report = render_part(scene, product, Share(1, 2), HERE)
+    report = render(scene, product, HERE, share=Share(1, 2))
     assert report["complete"]
     assert report["content_digest"] == content_digest(made)
     assert check(product).whole
@@ -264,11 +263,11 @@ def test_a_part_that_finds_damage_takes_the_seal_away(starry, product):
     """A part of a finished product is run again: a chunk of its own that is damaged is redrawn."""
     scene = starry[0]
     (product / "cube.zarr" / "dn" / "c" / "1" / "0" / "1").write_bytes(b"")
-    assert render_part(scene, product, Share(1, 2), HERE)["complete"]  # not one of its tiles
+    assert render(scene, product, HERE, share=Share(1, 2))["complete"]  # not one of its tiles
     with pytest.raises(Incomplete, match="1 truth part"):  # of the other part's frame
-        render_part(scene, product, Share(2, 2), HERE)
+        render(scene, product, HERE, share=Share(2, 2))
     assert not check(product).complete
-    report = render_part(scene, product, Share(1, 2), HERE)
+    report = render(scene, product, HERE, share=Share(1, 2))
     assert report["complete"]
     assert report["content_digest"] == content_digest(starry[1])
     assert check(product).whole
