@@ -255,7 +255,8 @@ def test_components_leave_each_others_draws_alone(whole, reference, tmp_path):
 
 def test_draws_follow_seed_frame_and_cell(scene, tmp_path):
     """Noise of two seeds, of two frames, and of two cells has nothing in common."""
-    sky = {"stars": None, "targets": None, "cosmic_rays": None, "pointing": SIDEREAL}
+    sky = {"stars": None, "targets": None, "cosmic_rays": None, "pointing": SIDEREAL,
+           "output": {"tile_shape": [256, 256]}}  # fmt: skip
     for seed in (1, 2):
         render(scene(sky | {"seed": seed}), tmp_path / str(seed))
     one, two = (layers(tmp_path / str(seed))["dn"].astype(float) for seed in (1, 2))
