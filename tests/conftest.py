@@ -19,7 +19,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
     A worker that a test kills would compile what it draws with again.
     """
-    order = {"acceptance": 0, "service": 1}
+    order = {"acceptance": 0, "rules": 0, "service": 1}
     here = Path(__file__).parent
     items.sort(key=lambda item: order.get(item.path.relative_to(here).parts[0], 2))
 

@@ -77,7 +77,7 @@ def write() -> None:
         lines.append(f"- `{name}` {caption(path)}")
     lines.append("\n## Beside the packages\n")
     for name, text in (
-        ("tests", "mirrors the tree; acceptance/ is the product seen from outside"),
+        ("tests", "mirrors the tree; rules/ is what holds for every scene, acceptance/ the whole"),
         ("benchmarks", "figures measured in one run"),
         ("examples", "scenes to start from"),
         ("deploy", "running the service"),

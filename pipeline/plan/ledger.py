@@ -8,8 +8,8 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 _ENGINES = "tests/execute/test_engines.py::test_engines_agree_within_the_sum_of_their_bounds"
-_NEEDED = "tests/execute/test_only_needed.py::test_imports"
-_ALONE = "tests/acceptance/test_same_bits.py::test_components_leave_each_others_draws_alone"
+_NEEDED = "tests/rules/test_only_what_the_scene_needs.py::test_imports"
+_ALONE = "tests/rules/test_same_bits.py::test_components_leave_each_others_draws_alone"
 _CHAIN = "tests/physics/noise/test_chain.py"
 
 
