@@ -15,7 +15,7 @@ RUN awk '/^[a-z]/ {keep = /^(hatchling|packaging|pathspec|pluggy|tomlkit|trove-c
     && /build/bin/pip install --require-hashes -r build.lock \
     && python -m venv /opt/nightglass \
     && /opt/nightglass/bin/pip install --require-hashes -r requirements.lock
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml README.md LICENSE nightglass.py ./
 COPY catalog_tools catalog_tools
 COPY pipeline pipeline
 COPY service service

@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+MODULE = "nightglass.py"
 PACKAGES = ("service", "pipeline", "catalog_tools")
 
 
 def files() -> list[Path]:
     listed = subprocess.run(
-        ["git", "ls-files", "--cached", "--others", "--exclude-standard", *PACKAGES],
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard", MODULE, *PACKAGES],
         cwd=ROOT, capture_output=True, text=True,
     )  # fmt: skip
     if listed.returncode:
@@ -59,9 +60,10 @@ def test_functions_are_short():
 
 INTRO = """# Layout
 
-Three packages, one direction: `service` > `pipeline` > `catalog_tools`. Inside `pipeline` the
-folders are the data's route: `spec` (what is asked) and `physics` (pure functions) at the bottom,
-then `plan`, `inputs` and `store`, `execute` and `export`, `finish`, `run`, the command line on top.
+`nightglass.py` is the door for Python. Behind it stand three packages, one direction: `service` >
+`pipeline` > `catalog_tools`. Inside `pipeline` the folders are the data's route: `spec` (what is
+asked) and `physics` (pure functions) at the bottom, then `plan`, `inputs` and `store`, `execute`
+and `export`, `finish`, `run`, the command line on top.
 import-linter holds the arrows (`pyproject.toml`); this page is made from the docstrings by
 `python tests/test_layout.py`.
 """
@@ -73,7 +75,8 @@ def write() -> None:
         name = path.relative_to(ROOT).as_posix()
         if path.parent != folder:
             folder = path.parent
-            lines.append(f"\n## {folder.relative_to(ROOT).as_posix()}\n")
+            title = "import nightglass" if folder == ROOT else folder.relative_to(ROOT).as_posix()
+            lines.append(f"\n## {title}\n")
         lines.append(f"- `{name}` {caption(path)}")
     lines.append("\n## Beside the packages\n")
     for name, text in (

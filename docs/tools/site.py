@@ -28,8 +28,8 @@ GENERATED = {"reference/scene.md": scene_page, "reference/commands.md": command_
 NAVIGATION: dict[str, list[str]] = {
     "Start": ["index.md", "tutorial.md"],
     "How to": [
-        "howto/own-sensor.md", "howto/own-catalogue.md", "howto/exports.md", "howto/imports.md",
-        "howto/sweep-on-a-cluster.md", "howto/submit-jobs.md",
+        "howto/python.md", "howto/own-sensor.md", "howto/own-catalogue.md", "howto/exports.md",
+        "howto/imports.md", "howto/sweep-on-a-cluster.md", "howto/submit-jobs.md",
     ],
     "Guides": [
         "catalogues.md", "pointing.md", "background.md", "detector.md", "distortion.md",

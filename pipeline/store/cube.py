@@ -215,6 +215,12 @@ def open_cube(product: Path) -> xr.Dataset:
     """A complete product's cube as an xarray Dataset. Incomplete for one that is not whole."""
     import xarray as xr
 
+    check_complete(product)
+    return xr.open_zarr(product / CUBE, chunks=None)
+
+
+def check_complete(product: Path) -> None:
+    """Raise BadInput where a path holds no product, Incomplete where it holds an unfinished one."""
     if not (product / CUBE).is_dir():
         raise BadInput("PRODUCT", str(product), "a product directory made by `nightglass render`")
     if not (product / COMPLETE).is_file():
@@ -222,7 +228,6 @@ def open_cube(product: Path) -> xr.Dataset:
             f"{product}: this product is not complete; go on with `nightglass render SCENE -o "
             f"{product} --resume`"
         )
-    return xr.open_zarr(product / CUBE, chunks=None)
 
 
 def read_layer(product: Path, name: str, frame: int) -> NDArray[Any]:

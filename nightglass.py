@@ -1,0 +1,145 @@
+"""Nightglass in Python: plan and render scenes, open products and star catalogues."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.errors import BadInput, Damaged, Incomplete, NightglassError, TryLater
+
+if TYPE_CHECKING:  # functions import what they need, so that `import nightglass` is quick
+    from catalog_tools.star_catalogue import StarCatalogue
+    from pipeline.opened_product import Product
+    from pipeline.run import Progress
+    from pipeline.spec.scene import Scene
+
+    AnyPath = str | os.PathLike[str]
+    AnyScene = Scene | Mapping[str, Any] | AnyPath
+
+__all__ = [
+    "BadInput", "Damaged", "Incomplete", "NightglassError", "TryLater",
+    "load_scene", "open_catalogue", "open_product", "plan", "render",
+]  # fmt: skip
+
+
+def load_scene(scene: AnyScene, overrides: Iterable[str] = ()) -> Scene:
+    """Read a scene and check it against the scene format; defaults are filled in.
+
+    Parameters
+    ----------
+    scene : path or mapping
+        A scene file (YAML or JSON), or its content; units stand in the keys. Relative paths in a
+        file are taken from its folder, those in a mapping from the current folder.
+    overrides : iterable of str, optional
+        Values to set first: `"sensor.read_noise_e=3"`; `"accept+=sun"` adds to a list.
+
+    Raises
+    ------
+    BadInput
+        For a file that cannot be read, or a scene with mistakes: its text names each field.
+    """
+    from pipeline.spec import load
+    from pipeline.spec.scene import Scene
+
+    overrides = [overrides] if isinstance(overrides, str) else list(overrides)
+    if isinstance(scene, str | os.PathLike):
+        return load.load_scene(Path(scene), overrides)
+    if not isinstance(scene, Scene | Mapping):
+        raise BadInput("scene", scene, "a scene file's path, or a mapping")
+    from copy import deepcopy
+
+    data = scene.as_dict() if isinstance(scene, Scene) else deepcopy(dict(scene))
+    for override in overrides:
+        load.apply_override(data, override)
+    return load.parse_scene(data, base=Path.cwd())
+
+
+def plan(scene: AnyScene) -> dict[str, Any]:
+    """Work out what a scene shows and needs, without drawing it.
+
+    Parameters
+    ----------
+    scene : Scene, path or mapping
+        As `load_scene` gives or takes it.
+
+    Returns
+    -------
+    dict
+        Targets in view, faintest star, predicted time and memory, and every decision with its
+        reason and the bound of its error, as `nightglass plan --json` prints it; units in the keys.
+
+    Raises
+    ------
+    BadInput
+        For a scene that cannot be rendered as it stands.
+    Damaged
+        Where a star catalogue does not match its checksums.
+    """
+    from pipeline.prepare import plan_scene
+
+    return plan_scene(load_scene(scene))
+
+
+def render(
+    scene: AnyScene, product: AnyPath, *, scheduler: str = "threads", workers: int | None = None,
+    resume: bool = False, replace: bool = False, listen: Callable[[Progress], None] | None = None,
+) -> Product:  # fmt: skip
+    """Render a scene into a product and open it. Read the `warnings` of its `report`.
+
+    Parameters
+    ----------
+    scene : Scene, path or mapping
+        As `load_scene` gives or takes it.
+    product : path
+        Folder to make; for object stores there is `pipeline.remote.render_to_url`.
+    scheduler : str, optional
+        "threads", "synchronous", "processes" (a script then needs `if __name__ == "__main__":`),
+        "slurm", or the address of a Dask scheduler. It does not change the product.
+    workers : int, optional
+        Number of threads or processes; by default one for each core.
+    resume : bool, optional
+        Go on with an unfinished product.
+    replace : bool, optional
+        Remove an old product first.
+    listen : callable, optional
+        Called after each step with an object: tiles `done` of `total`, and what was done (`doing`).
+
+    Raises
+    ------
+    BadInput, Damaged
+        As `plan` does; BadInput also for a path that cannot be used, or already exists.
+    Incomplete
+        Where work ended early; what is finished is kept, and `resume=True` goes on.
+    TryLater
+        Where the scheduler cannot be reached, or another render is writing this product.
+    """
+    if not isinstance(product, str | os.PathLike) or "://" in str(product):
+        raise BadInput("product", product, "the path of a folder")
+    from pipeline.opened_product import open_product
+    from pipeline.run import Options
+    from pipeline.run import render as run
+
+    run(load_scene(scene), Path(product), Options(scheduler, workers, resume, replace), listen)
+    return open_product(product)
+
+
+def open_product(path: AnyPath) -> Product:
+    """Open a complete product: its `cube`, `truth`, `plan`, `report`, and `wcs(frame)`.
+
+    Raises BadInput where the path holds no product, Incomplete where it holds an unfinished one.
+    """
+    from pipeline.opened_product import open_product
+
+    return open_product(path)
+
+
+def open_catalogue(path: AnyPath) -> StarCatalogue:
+    """Open a star catalogue, a folder or a URL (`s3://`, `http://`), for its `cone` and `facts`.
+
+    Raises BadInput where there is none of this format, Damaged where it fails its checksums.
+    """
+    from catalog_tools.star_catalogue import open_star_catalogue
+
+    return open_star_catalogue(path)

@@ -1,0 +1,160 @@
+"""A complete product as an object: its cube, truth tables, plan, report, and WCS of each frame."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.errors import BadInput, Damaged
+from pipeline.store import layout
+from pipeline.store.cube import check_complete, open_cube
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import xarray as xr
+    from astropy.wcs import WCS
+
+TABLES = ("stars", "targets", "cosmic_rays")
+DIMENSIONS = ("frame", "y", "x")
+
+
+class TruthTables(Mapping[str, Any]):
+    """Truth tables by name, as pyarrow Tables; each is read when it is asked for.
+
+    The names are those of `stars`, `targets`, `cosmic_rays` that the scene has. A row is a source
+    in a frame; units stand in the names of the columns. Another name raises BadInput, a table that
+    cannot be read Damaged.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._names = tuple(name for name in TABLES if (folder / f"{name}.parquet").is_file())
+
+    def __getitem__(self, name: str) -> pa.Table:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if name not in self:
+            raise BadInput("truth", name, ", ".join(self) or "nothing: the scene has no sources")
+        path = self._folder / f"{name}.parquet"
+        try:
+            return pq.read_table(path, page_checksum_verification=True)
+        except (OSError, pa.ArrowException) as error:
+            raise Damaged(str(path), " ".join(str(error).split())) from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def get(self, name: str, default: Any = None, /) -> Any:
+        """The table of this name, or `default` where the product has none."""
+        if name in self:
+            return self[name]
+        return default
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __repr__(self) -> str:
+        return f"<TruthTables {', '.join(self)}>"
+
+
+class Product:
+    """A complete product, opened by `nightglass.open_product`.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+        Its folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __repr__(self) -> str:
+        return f"<Product {str(self.path)!r}>"
+
+    @cached_property
+    def cube(self) -> xr.Dataset:
+        """The frames as an xarray Dataset that reads pixels when they are used.
+
+        `dn (frame, y, x)` in digital numbers; other layers, whose names end in `_e`, in electrons;
+        start, middle and end of each exposure in UTC; attitude and WCS terms of each frame.
+        """
+        return open_cube(self.path)
+
+    @cached_property
+    def truth(self) -> TruthTables:
+        """Every source in the frames, as tables by name: `stars`, `targets`, `cosmic_rays`."""
+        return TruthTables(self.path / layout.TRUTH)
+
+    @cached_property
+    def plan(self) -> dict[str, Any]:
+        """What was decided before drawing, and why: `plan.json`; units stand in the keys."""
+        return self._json(layout.PLAN)
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """What came out: time, memory, errors measured, warnings: `report.json`."""
+        return self._json(layout.REPORT)
+
+    def _json(self, name: str) -> dict[str, Any]:
+        path = self.path / name
+        try:
+            content: dict[str, Any] = json.loads(path.read_bytes())
+        except (OSError, ValueError) as error:
+            raise Damaged(str(path), f"cannot be read ({error})") from None
+        return content
+
+    def wcs(self, frame: int) -> WCS:
+        """Astrometric ICRS of a frame, at the middle of its exposure, as an astropy WCS.
+
+        Parameters
+        ----------
+        frame : int
+            Frame number, from 0.
+
+        Returns
+        -------
+        astropy.wcs.WCS
+            From right ascension and declination [deg] to pixels (x, y), pixel (0, 0) being the
+            centre of the first one, with SIP terms where they are needed. It is the primary WCS of
+            the exported FITS files (Calabretta and Greisen 2002, doi:10.1051/0004-6361:20021327):
+            a star's catalogue place, moved to the time of the frame, gives the pixel that it is
+            drawn at, to the cube's `wcs_residual_px`.
+
+        Raises
+        ------
+        BadInput
+            For a frame that there is not.
+        """
+        from astropy.io.fits import Header
+        from astropy.wcs import WCS
+
+        from pipeline.export.header import fits_header
+
+        cube = self.cube
+        if frame not in range(cube.sizes["frame"]):
+            raise BadInput("frame", frame, f"0 to {cube.sizes['frame'] - 1}")
+        layer = next(str(n) for n in cube.data_vars if cube[n].dims == DIMENSIONS)
+        cards = fits_header(cube, int(frame), layer)
+        wcs = WCS(Header((key, value) for key, value, _ in cards))
+        wcs.array_shape = cube[layer].shape[1:]
+        return wcs
+
+
+def open_product(path: str | os.PathLike[str]) -> Product:
+    """Open a complete product.
+
+    Raises BadInput where the path holds no product, Incomplete where it holds an unfinished one.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise BadInput("product", path, "a path")
+    check_complete(Path(path))
+    return Product(Path(path))

@@ -1,0 +1,227 @@
+"""`import nightglass`: quick to import, thin over the product, and every error one message."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nightglass
+from catalog_tools.ingest import ingest
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENE = {
+    "schema": "nightglass/scene/1", "name": "one-target", "epoch": "2019-07-20T09:00:00Z",
+    "observer": {"kind": "fixed", "position_au": [0.9, 0.3, 0.1]},
+    "sensor": {
+        "shape": [64, 48], "pixel_pitch_um": 9.0, "focal_length_m": 1.0, "aperture_m": 0.4,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0}, "read_noise_e": 5.0,
+    },
+    "pointing": {"mode": "target", "target": "one"},
+    "exposure": {"integration_s": 1.0, "frames": 2, "cadence_s": 2.0},
+    "targets": [{
+        "name": "one", "eclipse": False,
+        "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3075, 0]},
+        "body": {"kind": "sphere", "diameter_m": 4.0, "albedo": 0.25},
+    }],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("door") / "run"
+    return nightglass.render(SCENE, folder, scheduler="synchronous")
+
+
+@pytest.fixture
+def copy(made, tmp_path) -> Path:
+    return Path(shutil.copytree(made.path, tmp_path / "copy"))
+
+
+@pytest.fixture(scope="module")
+def stars(tmp_path_factory) -> Path:
+    """Three stars beside each other, G 9 to 11."""
+    folder = tmp_path_factory.mktemp("stars")
+    names = "source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
+    rows = [f"{i},2015.5,{10 + i / 100},20,1,0,0,,{8 + i},{8.4 + i},{7.4 + i}" for i in (1, 2, 3)]
+    text = "\n".join([f"{names}phot_bp_mean_mag,phot_rp_mean_mag", *rows]) + "\n"
+    (folder / "stars.csv").write_text(text)
+    return Path(ingest([folder / "stars.csv"], folder / "catalogue").catalogue.path)
+
+
+def refused(kind, words, call, *given, **more) -> None:
+    """A call raises an error of the product in one line that holds these words."""
+    with pytest.raises(kind, match=re.escape(words)) as caught:
+        call(*given, **more)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_the_import_is_quick():
+    """Under 0.05 s of CPU time, and nothing large is imported."""
+    code = "import time; t = time.process_time(); import nightglass; t = time.process_time() - t\n"
+    code += "import sys; print(t, *{n.partition('.')[0] for n in sys.modules})"
+    took = []
+    for _ in range(5):
+        line = subprocess.run(
+            [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout
+        seconds, *modules = line.split()
+        took.append(float(seconds))
+        assert not {"numpy", "pydantic", "dask", "xarray", "pyarrow", "astropy"} & set(modules)
+    assert min(took) < 0.05
+
+
+def test_nothing_behind_the_door_imports_it():
+    for package in ("service", "pipeline", "catalog_tools"):
+        for path in (ROOT / package).rglob("*.py"):
+            assert not re.search(r"(?m)^\s*(import|from) nightglass\b", path.read_text()), path
+
+
+def test_the_wheel_holds_it():
+    wheel = pytest.importorskip("hatchling.builders.wheel").WheelBuilder(str(ROOT))
+    names = {file.distribution_path for file in wheel.recurse_included_files()}
+    assert {"nightglass.py", "pipeline/cli.py", "service/main.py"} <= names
+    assert not [name for name in names if name.startswith(("tests", "docs"))]
+
+
+def test_a_scene_from_a_file_a_mapping_or_a_scene(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = SCENE | {"stars": {"catalogue": "sky"}}
+    scene = nightglass.load_scene(given)
+    assert scene.stars.catalogue == str(tmp_path / "sky")
+    assert given["stars"] == {"catalogue": "sky"}
+    (tmp_path / "scene.yaml").write_text(json.dumps(given))
+    assert nightglass.load_scene(tmp_path / "scene.yaml") == scene
+    assert nightglass.load_scene("scene.yaml") == scene
+    assert nightglass.load_scene(scene) == scene
+    louder = nightglass.load_scene(scene, "sensor.read_noise_e=9")
+    assert louder == nightglass.load_scene("scene.yaml", ["sensor.read_noise_e=9"])
+    assert (louder.sensor.read_noise_e, scene.sensor.read_noise_e) == (9.0, 5.0)
+
+
+def test_errors_of_a_scene(tmp_path):
+    bad = nightglass.BadInput
+    refused(bad, "SCENE: ", nightglass.load_scene, tmp_path / "none.yaml")
+    refused(bad, "scene: 5 is not accepted", nightglass.load_scene, 5)
+    refused(bad, "sensor.read_noise_e", nightglass.load_scene, SCENE, ["sensor.read_noise_e=-1"])
+    refused(bad, "did you mean 'exposure'", nightglass.plan, SCENE | {"exposur": {}})
+    refused(bad, "sensor.read_noise_e", nightglass.load_scene, SCENE, "sensor.read_noise_e=-1")
+
+
+def test_a_plan():
+    plan = nightglass.plan(SCENE)
+    assert (plan["frames"], plan["shape"]) == (2, [64, 48])
+    assert plan["outlook"]["targets"][0]["name"] == "one"
+
+
+def test_a_product(made):
+    again = nightglass.open_product(str(made.path))
+    assert "cube" not in vars(again)
+    assert dict(again.cube["dn"].sizes) == {"frame": 2, "y": 64, "x": 48}
+    assert not again.cube["dn"].variable._in_memory
+    assert again.report == made.report
+    assert again.plan["frames"] == 2
+    assert repr(again) == f"<Product {str(made.path)!r}>"
+
+
+def test_truth_tables_by_name(made):
+    truth = made.truth
+    assert list(truth) == ["targets"]
+    assert len(truth) == 1
+    assert "stars" not in truth
+    assert truth.get("stars") is None
+    assert truth.get("targets").equals(truth["targets"])
+    assert truth["targets"]["frame"].to_pylist() == [0, 1]
+    assert repr(truth) == "<TruthTables targets>"
+    refused(nightglass.BadInput, "truth: 'stars' is not accepted; allowed: targets",
+            lambda: truth["stars"])  # fmt: skip
+
+
+def test_the_wcs_of_a_frame_gives_the_pixels_of_the_truth(made):
+    for row in made.truth["targets"].to_pylist():
+        wcs = made.wcs(row["frame"])
+        pixel = wcs.world_to_pixel_values(row["ra_deg"], row["dec_deg"])
+        assert pixel == pytest.approx((row["x_px"], row["y_px"]), abs=1e-3)
+        assert wcs.array_shape == (64, 48)
+    assert made.wcs(np.int64(1)).wcs.dateobs.startswith("2019-07-20T09:00:02")
+
+
+@pytest.mark.parametrize("frame", [2, -1, 0.5, "first", None])
+def test_a_frame_that_is_not_there(made, frame):
+    refused(nightglass.BadInput, "frame: ", made.wcs, frame)
+
+
+def test_what_is_no_product(made, copy, tmp_path):
+    for path in (tmp_path / "none", tmp_path, "s3://bucket/run", made.path / "plan.json"):
+        refused(nightglass.BadInput, "made by `nightglass render`", nightglass.open_product, path)
+    refused(nightglass.BadInput, "product: None", nightglass.open_product, None)
+    (copy / "_COMPLETE").unlink()
+    refused(nightglass.Incomplete, "not complete", nightglass.open_product, copy)
+
+
+def test_damaged_files_are_named(copy):
+    product = nightglass.open_product(copy)
+    (copy / "plan.json").write_text("{")
+    (copy / "report.json").unlink()
+    (copy / "truth" / "targets.parquet").write_bytes(b"PAR1 and no more")
+    refused(nightglass.Damaged, "plan.json: damaged", lambda: product.plan)
+    refused(nightglass.Damaged, "report.json: damaged", lambda: product.report)
+    refused(nightglass.Damaged, "targets.parquet: damaged", lambda: product.truth["targets"])
+
+
+def test_where_a_product_cannot_be_made(made):
+    bad = nightglass.BadInput
+    refused(bad, "does not exist yet", nightglass.render, SCENE, made.path)
+    refused(bad, "the path of a folder", nightglass.render, SCENE, "s3://bucket/run")
+    refused(bad, "the path of a folder", nightglass.render, SCENE, None)
+    seen = []
+    again = nightglass.render(SCENE, made.path, resume=True, listen=seen.append)
+    assert again.report == made.report
+    assert not seen
+
+
+def test_progress_is_heard(tmp_path):
+    seen = []
+    nightglass.render(SCENE, tmp_path / "run", scheduler="synchronous", listen=seen.append)
+    assert (seen[0].done, seen[-1].done, seen[-1].total) == (0, 2, 2)
+
+
+def test_a_calibrated_product_opens_too(made, tmp_path):
+    from pipeline.calibrate import calibrate
+
+    calibrate(made.path, tmp_path / "calibrated")
+    product = nightglass.open_product(tmp_path / "calibrated")
+    assert "dn" not in product.cube
+    assert product.wcs(0).to_header() == made.wcs(0).to_header()
+    assert product.truth["targets"].equals(made.truth["targets"])
+
+
+def test_a_cone_of_stars(stars):
+    catalogue = nightglass.open_catalogue(str(stars))
+    assert catalogue.facts["rows"] == 3
+    assert "3 stars" in repr(catalogue)
+    found = catalogue.cone(10.01, 20.0, 0.015, columns=["source_id", "ra"])
+    assert sorted(found["source_id"].to_pylist()) == [1, 2]
+    assert found.column_names == ["source_id", "ra"]
+    assert catalogue.cone(10.02, 20.0, 1.0, faintest_g_mag=9.5).num_rows == 1
+
+
+def test_errors_of_a_catalogue(stars, tmp_path):
+    bad = nightglass.BadInput
+    refused(bad, "catalogue: ", nightglass.open_catalogue, tmp_path / "none")
+    refused(bad, "catalogue: 5", nightglass.open_catalogue, 5)
+    catalogue = nightglass.open_catalogue(stars)
+    refused(bad, "radius", catalogue.cone, 10.0, 20.0, 200.0)
+    refused(bad, "columns: 'colour'", catalogue.cone, 10.0, 20.0, 1.0, columns=["colour"])
+    manifest = stars / "nightglass.json"
+    text = manifest.read_text()
+    manifest.write_text(text[:-20])
+    refused(nightglass.Damaged, "nightglass.json: damaged", nightglass.open_catalogue, stars)
+    manifest.write_text(text)
