@@ -12,7 +12,7 @@ from pipeline.errors import BadInput, Damaged, Incomplete, NightglassError, TryL
 if TYPE_CHECKING:  # functions import what they need, so that `import nightglass` is quick
     from catalog_tools.star_catalogue import StarCatalogue
     from pipeline.opened_product import Product
-    from pipeline.run import Progress
+    from pipeline.draw import Progress
     from pipeline.spec.scene import Scene
 
     AnyPath = str | os.PathLike[str]
@@ -93,7 +93,7 @@ def render(
     scene : Scene, path or mapping
         As `load_scene` gives or takes it.
     product : path
-        Folder to make; for object stores there is `pipeline.remote.render_to_url`.
+        Folder to make; `pipeline.run.render` takes s3 URLs too.
     scheduler : str, optional
         "threads", "synchronous", "processes" (a script then needs `if __name__ == "__main__":`),
         "slurm", or the address of a Dask scheduler. It does not change the product.

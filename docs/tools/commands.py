@@ -18,7 +18,10 @@ from pathlib import Path
 DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
 PAGES = ("tutorial.md", "howto/own-catalogue.md", "howto/own-sensor.md", "howto/exports.md",
-         "howto/imports.md", "howto/sweep-on-a-cluster.md", "howto/submit-jobs.md")  # fmt: skip
+         "howto/imports.md", "howto/sweep-on-a-cluster.md", "howto/submit-jobs.md",
+         "howto/targets.md", "howto/orbits.md", "howto/attitude.md", "howto/materials.md",
+         "howto/space-sensor.md", "howto/stray-light.md")  # fmt: skip
+FILE = re.compile(r"(?s)```\w+\n# (\S+\.\w+)\n(.*?)```")  # a block whose first line names a file
 FIRST = re.compile(r"(nightglass|python|\.|\.venv\S*|for|make) ")
 # What is not run here, by a part of the command, and why.
 NOT_RUN = {
@@ -63,8 +66,15 @@ def commands() -> Iterator[Command]:
                 yield from (Command(page, line) for line in lines)
 
 
+def files() -> dict[str, str]:
+    """The files whose whole text a page gives, by name."""
+    return {name: text for page in PAGES for name, text in FILE.findall((DOCS / page).read_text())}
+
+
 def prepare(folder: Path) -> dict[str, str]:
     """The files that the pages speak of as the reader's own; why what lacks one is not run."""
+    for name, text in files().items():
+        (folder / name).write_text(text)
     shutil.copy(ROOT / "examples" / "space-based-rate.yaml", folder / "scene.yaml")
     shutil.copytree(ROOT / "examples", folder / "examples")
     (folder / "files").mkdir()

@@ -24,12 +24,16 @@ def omissions() -> str:
 
 GENERATED = {"reference/scene.md": scene_page, "reference/commands.md": command_page,
              "reference/omissions.md": omissions}  # fmt: skip
-# Pages in order; those that are not there are left out, others come last, in `More`.
+# Titles that are not the page's own heading (that of extremes.md is written by `selftest`).
+TITLES = {"extremes.md": "Limiting cases"}
+# Pages in order; those that are not there are omitted, others come last, in `More`.
 NAVIGATION: dict[str, list[str]] = {
     "Start": ["index.md", "tutorial.md"],
     "How to": [
-        "howto/python.md", "howto/own-sensor.md", "howto/own-catalogue.md", "howto/exports.md",
-        "howto/imports.md", "howto/sweep-on-a-cluster.md", "howto/submit-jobs.md",
+        "howto/python.md", "howto/own-sensor.md", "howto/space-sensor.md",
+        "howto/stray-light.md", "howto/own-catalogue.md", "howto/targets.md", "howto/orbits.md",
+        "howto/attitude.md", "howto/materials.md", "howto/exports.md", "howto/imports.md",
+        "howto/sweep-on-a-cluster.md", "howto/submit-jobs.md",
     ],
     "Guides": [
         "catalogues.md", "pointing.md", "background.md", "detector.md", "distortion.md",
@@ -37,9 +41,10 @@ NAVIGATION: dict[str, list[str]] = {
         "service.md", "client.md",
     ],
     "Explanation": ["physics.md", "drawing.md", "accuracy.md", "report.md", "extremes.md",
-                    "detection.md", "validation.md", "pins.md"],
+                    "detection.md", "validation.md"],
     "Reference": ["reference/scene.md", "reference/commands.md", "reference/omissions.md",
-                  "reference/python.md"],
+                  "reference/python.md", "glossary.md"],
+    "Development": ["contributing.md", "pins.md"],
 }  # fmt: skip
 
 
@@ -49,7 +54,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, name, content=make()))
     there = [f.src_uri for f in files.documentation_pages()]
     listed = {name for names in NAVIGATION.values() for name in names}
-    config.nav = [{title: [n for n in names if n in there]} for title, names in NAVIGATION.items()]
+    config.nav = [
+        {section: [{TITLES[n]: n} if n in TITLES else n for n in names if n in there]}
+        for section, names in NAVIGATION.items()
+    ]
     others = sorted(set(there) - listed)
     if others:
         config.nav.append({"More": others})

@@ -182,7 +182,7 @@ Readout = Annotated[FrameTransfer | TimeDelay | RollingShutter, Field(discrimina
 
 
 class Detector(Strict):
-    """Faults, patterns and habits of a detector, each off unless given."""
+    """Faults, patterns and other effects of a detector, each off unless given."""
 
     bad: BadPixels | None = None
     dead: DeadPixels | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import shlex
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import pytest
 import typer.main
 
 from pipeline.cli import app
+from pipeline.spec.load import load_scene, parse_scene
+from tests.command import nightglass
 
 ROOT = Path(__file__).resolve().parents[2]
 _spec = importlib.util.spec_from_file_location("doc_commands", ROOT / "docs/tools/commands.py")
@@ -44,6 +47,37 @@ def test_the_command_line_knows_it(text):
         name, words = words[0], words[1:]
         command = command.commands[name]
     command.make_context(name, words)
+
+
+FILES = doc_commands.files()
+
+
+def test_every_yaml_block_of_a_scene_is_a_file():
+    """So that the tests below plan it: a block that holds a whole scene names its file."""
+    blocks = [
+        (page, block)
+        for page in (ROOT / "docs").rglob("*.md")
+        for block in page.read_text().split("```yaml\n")[1:]
+        if "schema: nightglass/scene/1" in block
+    ]
+    assert len(blocks) >= 6
+    for page, block in blocks:
+        assert block.startswith("# "), page
+        assert block.split("\n", 1)[0][2:] in FILES, page
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name.endswith(".yaml")])
+def test_scenes_of_the_pages_are_planned(name, tmp_path, monkeypatch):
+    """With the files that the pages give beside them: valid, in view, and without a warning."""
+    for file, text in FILES.items():
+        (tmp_path / file).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    done = nightglass("plan", name, "--json")
+    assert done.returncode == 0, done.stderr
+    plan = json.loads(done.stdout)
+    assert plan["warnings"] == []
+    scene = load_scene(tmp_path / name)
+    assert parse_scene(scene.as_dict()) == scene
 
 
 @pytest.mark.slow
