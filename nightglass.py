@@ -11,8 +11,8 @@ from pipeline.errors import BadInput, Damaged, Incomplete, NightglassError, TryL
 
 if TYPE_CHECKING:  # functions import what they need, so that `import nightglass` is quick
     from catalog_tools.star_catalogue import StarCatalogue
-    from pipeline.opened_product import Product
     from pipeline.draw import Progress
+    from pipeline.opened_product import Product
     from pipeline.spec.scene import Scene
 
     AnyPath = str | os.PathLike[str]
