@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from scipy.special import erf
 
 from catalog_tools.ingest import ingest
+from pipeline.finish import _crowd_error_e
 from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.motion.streak import POINT
 from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.plan.accuracy import crowd_error_e
+from pipeline.plan.scene_plan import Plan
 from pipeline.prepare import prepare
 from pipeline.run import render
 from pipeline.spec.load import parse_scene
+from pipeline.store.product import Begun
 
 PIXEL_DEG = np.degrees(1e-5)
 
@@ -111,3 +115,30 @@ def test_one_bright_star_of_a_streaked_frame_is_as_stated(
     assert errors["brightest_source_e"] > least_e
     assert errors["achieved_error_sigma"] <= errors["bound_of_all_approximations_sigma"]
     assert errors["bound_of_all_approximations_sigma"] <= 0.1
+
+
+def test_a_crowd_errs_by_the_light_that_falls(tmp_path: Path) -> None:
+    """Truth holds what a sensor collects; at a fill factor of a half twice as much falls on it."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    rng = np.random.default_rng(8)
+    x_px, y_px = rng.uniform(30.0, 34.0, (2, 50))
+    (tmp_path / "truth").mkdir()
+    light_e = np.full(50, 300.0)
+    table = {"frame": np.zeros(50, int), "x_px": x_px, "y_px": y_px, "electrons": light_e}
+    pq.write_table(pa.table(table), tmp_path / "truth" / "stars.parquet")
+    begun = cast(Begun, SimpleNamespace(path=tmp_path))
+
+    def errs_e(fill: float, limit_e: float) -> float:
+        responses = SimpleNamespace(
+            blur=SimpleNamespace(fill_factor=fill), budget_e=1e-6, crowd_sides_px=(4.0, 40.0)
+        )
+        plan = cast(Plan, SimpleNamespace(responses=responses))
+        return _crowd_error_e(plan, begun, [(limit_e, 1e-3)], 0.0)
+
+    assert errs_e(1.0, 1e9) == pytest.approx(crowd_error_e(
+        np.zeros(50), x_px, y_px, np.full(50, 0.3), 4.0, 40.0
+    ))  # fmt: skip
+    assert errs_e(0.5, 1e9) == pytest.approx(2.0 * errs_e(1.0, 1e9))
+    assert errs_e(0.5, 500.0) == 0.0  # brighter than the class whose wings err

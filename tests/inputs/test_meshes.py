@@ -286,6 +286,7 @@ def test_measured_tables_from_csv_and_npy(tmp_path):
         ("t.csv", b"theta_i_deg,theta_o_deg,phi_deg,brdf_per_sr\n0,0,0,x\n", "numbers"),
         ("t.csv", b"theta_i_deg,theta_o_deg,phi_deg,brdf_per_sr\n0,0,0,nan\n", "finite"),
         ("t.csv", b"theta_i_deg,theta_o_deg,phi_deg,brdf_per_sr\n0,0,0,1\n0,5,9,1\n", "grid"),
+        ("t.csv", b"theta_i_deg,theta_o_deg,phi_deg,brdf_per_sr\n0,0,0,1\n0,0,0,2\n", "grid"),
         ("t.csv", b"", "columns"),
         ("t.npy", b"not numpy", "NPY"),
         ("t.txt", b"", "csv"),

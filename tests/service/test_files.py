@@ -6,8 +6,9 @@ import bz2
 import gzip
 import io
 import lzma
+import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,22 @@ def test_a_file_that_a_job_waits_for_is_kept(
     server.client.post(f"{running}/cancel")
     assert server.ended(job)["phase"] == "COMPLETED"
     assert server.client.delete(f"/v1/files/{file_id}").status_code == 204
+
+
+def test_an_upload_may_take_longer_than_an_answer(
+    make_server: Callable[..., Any], tmp_path: Path
+) -> None:
+    """A slow line is given `upload_s` for the file, beside the `answer_s` of every request."""
+    server = make_server(NIGHTGLASS_ANSWER_S="1", NIGHTGLASS_UPLOAD_S="60")
+    content = npy(tmp_path, np.ones((8, 8)))
+
+    def slowly() -> Iterator[bytes]:
+        yield content[:9]
+        time.sleep(1.6)
+        yield content[9:]
+
+    sent = server.client.post("/v1/files?name=flat.npy", content=slowly())
+    assert sent.status_code == 201, sent.text
 
 
 @pytest.fixture
