@@ -6,7 +6,7 @@ import errno
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..coverage import Coverage, all_sky
@@ -92,7 +92,8 @@ def fetch(
         names = [entry.name for entry in entries]
         note_coverage(ledger.folder, names, _coverage(found, listed, entries))
     notes = tuple(_notes(found, listed, wanted))
-    return FetchReport(release, str(destination), tuple(names), *astuple(tally), notes)
+    counts = tally.downloaded, tally.bytes_downloaded, tally.present, tally.bytes_present
+    return FetchReport(release, str(destination), tuple(names), *counts, notes)
 
 
 def _cones(
