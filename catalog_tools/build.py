@@ -51,6 +51,7 @@ REJECTS_ROWS = 100_000
 MOST_NAMED = 20  # files without a row
 Progress = Callable[[str, int, int], None]  # stage, done, total
 Reasons = dict[str, int]
+Record = dict[str, Any]  # of a source, as its batch keeps it
 
 
 def silent(stage: str, done: int, total: int) -> None:
@@ -115,8 +116,9 @@ def build(
     with publishing(destination, overwrite=overwrite, restart=restart) as work:
         _begin(work, about, rows_per_leaf, sources)
         splits, continued = _read_all(batches, work.progress, budget, scheduler, progress)
-        notes = _notes_on(splits, about, work.progress)
-        pieces = Pieces(work.progress, [piece for s in splits for piece in s.pieces])
+        records = list(chain.from_iterable(s.records for s in splits))
+        notes = _notes_on(records, about, work.progress)
+        pieces = Pieces(work.progress, list(chain.from_iterable(s.pieces for s in splits)))
         counts = _total_counts(splits, work.progress)
         cells = choose_leaves(counts, rows_per_leaf, pieces.rows_between)
         budget.check_leaves(cells)
@@ -125,21 +127,19 @@ def build(
         done = _write_all(context, cells, scheduler, progress)
         _sweep(work.catalogue, done)
         reasons = _write_rejects(context, splits, done)
-        _write_sources(work, splits)
+        _write_sources(work, records)
         leaves = np.concatenate([np.empty(0, LEAVES_DTYPE), *(leaf.leaf for leaf in done)])
         groups = np.concatenate([np.empty(0, ROW_GROUPS_DTYPE), *(d.row_groups for d in done)])
-        rows_in = sum(record["rows"] for s in splits for record in s.records)
         final = _final_counts(counts, context, done)
-        content = _content(about, leaves, len(sources), rows_in, reasons) | {
-            "coverage": about.coverage or of_rows(final).to_json(),
-            "without_colour": sum(leaf.without_colour for leaf in done),
-        }
-        if rows_in != content["rows"] + sum(reasons.values()):
+        content = _content(about, leaves, records, done, reasons)
+        content["coverage"] = about.coverage or of_rows(final).to_json()
+        if content["rows_in"] != content["rows"] + sum(reasons.values()):
             raise Damaged(str(work.progress), "rows kept and rejected don't add up to those read")
         shape = hats.write_hats_files(work.catalogue, leaves, final)
         digest = write_manifest(work.catalogue, content, leaves, groups)
         hats.write_properties(work.catalogue, content, digest, rows_per_leaf, shape)
-    return IngestReport(open_catalogue(destination), rows_in, reasons, continued, notes)
+    catalogue = open_catalogue(destination)
+    return IngestReport(catalogue, content["rows_in"], reasons, continued, notes)
 
 
 def _begin(work: Work, about: About, rows_per_leaf: int, sources: Sequence[Source]) -> None:
@@ -169,14 +169,13 @@ def _begin(work: Work, about: About, rows_per_leaf: int, sources: Sequence[Sourc
         raise BadInput("output", str(work.progress.parent), allowed)
 
 
-def _notes_on(splits: Sequence[Split], about: About, folder: Path) -> tuple[str, ...]:
+def _notes_on(records: Sequence[Record], about: About, folder: Path) -> tuple[str, ...]:
     """What a person should know of the sources; BadInput where none of them has a row.
 
     Sources that say what they cover, such as a cone without a star, need none.
     """
-    records = [record for s in splits for record in s.records]
     empty = [record["name"] for record in records if not record["rows"]]
-    if empty and len(empty) == len(records) and about.coverage is None:
+    if 0 < len(empty) == len(records) and about.coverage is None:
         shutil.rmtree(folder, ignore_errors=True)  # there is nothing to go on with
         more = f" and {len(empty) - 1} more" if len(empty) > 1 else ""
         raise BadInput("source", "no row", f"at least one star ({empty[0]}{more}: no row in it)")
@@ -275,10 +274,9 @@ def _write_rejects(context: Written, splits: Sequence[Split], done: Sequence[Lea
     return dict(sorted(reasons.items()))
 
 
-def _write_sources(work: Work, splits: Sequence[Split]) -> None:
+def _write_sources(work: Work, records: Sequence[Record]) -> None:
     """Write the table of the sources: name, bytes, MD5, rows."""
     kinds = {"name": pa.string(), "bytes": pa.int64(), "md5": pa.string(), "rows": pa.int64()}
-    records = [record for s in splits for record in s.records]
     path = work.catalogue / SOURCES_NAME
     path.parent.mkdir(exist_ok=True)
     table = pa.Table.from_pylist(records, pa.schema(kinds))
@@ -296,18 +294,23 @@ def _final_counts(counts: Pixels, context: Written, done: Sequence[LeafDone]) ->
 
 
 def _content(
-    about: About, leaves: np.ndarray, sources: int, rows_in: int, rejected: Reasons
+    about: About,
+    leaves: np.ndarray,
+    records: Sequence[Record],
+    done: Sequence[LeafDone],
+    rejected: Reasons,
 ) -> dict[str, Any]:
-    """The manifest's content but for the digests."""
+    """The manifest's content but for the digests; the coverage is as `about` says."""
     some = leaves.size > 0
     return {
         **asdict(about),
         "rows": int(leaves["rows"].sum()),
         "brightest_g_mag": float(leaves["brightest_g_mag"].min()) if some else None,
         "faintest_g_mag": float(leaves["faintest_g_mag"].max()) if some else None,
-        "sources": sources,
-        "rows_in": rows_in,
+        "sources": len(records),
+        "rows_in": sum(record["rows"] for record in records),
         "rejected": rejected,
+        "without_colour": sum(leaf.without_colour for leaf in done),
     }
 
 

@@ -211,6 +211,22 @@ def open_catalogue(path: str | os.PathLike[str], *, field: str = "catalogue") ->
     not match its digest.
     """
     store = open_store(path, field)
+    document = _manifest(store, field)
+    content = document["catalogue"]
+    try:
+        tables = [
+            _table(store, name, content["files"].get(name), dtype)
+            for name, dtype in ((LEAVES_NAME, LEAVES_DTYPE), (ROW_GROUPS_NAME, ROW_GROUPS_DTYPE))
+        ]
+    except Unreachable as error:
+        raise BadInput(field, store.root, f"a place that can be read ({error})") from None
+    return Catalogue(store.root, **content, digest=document["sha256"],
+                     leaf_table=tables[0], row_group_table=tables[1])  # fmt: skip
+
+
+def _manifest(store: Store, field: str) -> dict[str, Any]:
+    """The document of a manifest of a readable version, its content proved by its digest."""
+    where = f"{store.root}/{MANIFEST_NAME}"
     try:
         text = store.read(MANIFEST_NAME).decode("utf-8")
     except (FileNotFoundError, NotADirectoryError):
@@ -218,11 +234,11 @@ def open_catalogue(path: str | os.PathLike[str], *, field: str = "catalogue") ->
     except (PermissionError, Unreachable) as error:
         raise BadInput(field, store.root, f"a place that can be read ({error})") from None
     except (UnicodeDecodeError, OSError) as error:
-        raise Damaged(f"{store.root}/{MANIFEST_NAME}", f"cannot be read ({error})") from None
+        raise Damaged(where, f"cannot be read ({error})") from None
     try:
         document = json.loads(text)
     except ValueError as error:
-        raise Damaged(f"{store.root}/{MANIFEST_NAME}", f"is not JSON ({error})") from None
+        raise Damaged(where, f"is not JSON ({error})") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise BadInput(field, store.root, f"a manifest of format {FORMAT!r}")
     if document.get("version") not in READABLE:
@@ -233,16 +249,8 @@ def open_catalogue(path: str | os.PathLike[str], *, field: str = "catalogue") ->
         raise BadInput(field, document.get("version"), allowed)
     content = document.get("catalogue")
     if not isinstance(content, dict) or _digest(content) != document.get("sha256"):
-        raise Damaged(f"{store.root}/{MANIFEST_NAME}", "its content does not match its digest")
-    try:
-        tables = [
-            _table(store, name, content["files"].get(name), dtype)
-            for name, dtype in ((LEAVES_NAME, LEAVES_DTYPE), (ROW_GROUPS_NAME, ROW_GROUPS_DTYPE))
-        ]
-    except Unreachable as error:
-        raise BadInput(field, store.root, f"a place that can be read ({error})") from None
-    return Catalogue(store.root, **content, digest=document["sha256"],
-                     leaf_table=tables[0], row_group_table=tables[1])  # fmt: skip
+        raise Damaged(where, "its content does not match its digest")
+    return document
 
 
 def _table(store: Store, name: str, sha256: str | None, dtype: np.dtype) -> np.ndarray:

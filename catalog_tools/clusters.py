@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from .errors import BadInput, TryLater
 
@@ -86,18 +86,9 @@ def ask(address: str, patience_s: float | None = None) -> None:
 
     Raises TryLater where none does, BadInput where the certificates do not fit.
     """
-    parts, security = urlsplit(address), security_of(address)
+    security = security_of(address)
     try:
-        with ExitStack() as closing:
-            wire = socket.create_connection(
-                (str(parts.hostname), int(parts.port or 0)), patience_s or ANSWER_S
-            )
-            closing.callback(wire.close)
-            if security is not None:
-                context = security.get_connection_args("client")["ssl_context"]
-                wire = closing.enter_context(context.wrap_socket(wire))
-            if not wire.recv(1):
-                raise ConnectionResetError("it closes the connection")
+        _await_greeting(urlsplit(address), security, patience_s or ANSWER_S)
     except ssl.SSLError as error:
         allowed = f"a scheduler whose certificates fit those given here ({error.reason or error})"
         raise BadInput("--scheduler", address, allowed) from None
@@ -105,6 +96,18 @@ def ask(address: str, patience_s: float | None = None) -> None:
         hint = "" if security else "; is it a tls:// one?"
         reason = error.strerror or str(error) or type(error).__name__
         raise TryLater(f"no scheduler answers at {address} ({reason}{hint})") from None
+
+
+def _await_greeting(parts: SplitResult, security: Any, patience_s: float) -> None:
+    """Connect and wait for the first byte. Raises OSError."""
+    with ExitStack() as closing:
+        wire = socket.create_connection((str(parts.hostname), int(parts.port or 0)), patience_s)
+        closing.callback(wire.close)
+        if security is not None:
+            context = security.get_connection_args("client")["ssl_context"]
+            wire = closing.enter_context(context.wrap_socket(wire))
+        if not wire.recv(1):
+            raise ConnectionResetError("it closes the connection")
 
 
 def wait_for_workers(client: Any, where: str, seconds: float) -> None:

@@ -94,25 +94,10 @@ def ingest(
     files = _look_at(paths, meaning, most_bytes, tell)
     _refuse_twins(files)
     coverage, notes = _coverage(paths, meaning)
-    synthetic = any((path.parent / SYNTHETIC_MARK).is_file() for path in paths)
-    about = About(
-        name=name or meaning.name,
-        description=f"{'SYNTHETIC. ' * synthetic}{meaning.description} {len(files)} files.",
-        synthetic=synthetic,
-        ref_epoch_jyear=meaning.ref_epoch_jyear,
-        facts={
-            "form": meaning.name,
-            "credit": meaning.credit,
-            "form_sha256": hashlib.sha256(repr(meaning).encode()).hexdigest(),
-            "epoch_scale": meaning.epoch_scale,
-            **({"subfolders_left_out": left_out} if left_out else {}),
-        },
-        coverage=None if coverage is None else coverage.to_json(),
-    )
     report = build(
         files,
         Path(destination),
-        about,
+        _about(name or meaning.name, meaning, paths, left_out, coverage),
         rows_per_leaf=rows_per_leaf,
         sizes=[file.size for file in files],
         budget=budget,
@@ -127,6 +112,27 @@ def ingest(
     return replace(report, notes=report.notes + notes)
 
 
+def _about(
+    name: str, form: Form, paths: Sequence[Path], left_out: int, coverage: Coverage | None
+) -> About:
+    """What the catalogue of these files says of itself."""
+    synthetic = any((path.parent / SYNTHETIC_MARK).is_file() for path in paths)
+    return About(
+        name=name,
+        description=f"{'SYNTHETIC. ' * synthetic}{form.description} {len(paths)} files.",
+        synthetic=synthetic,
+        ref_epoch_jyear=form.ref_epoch_jyear,
+        facts={
+            "form": form.name,
+            "credit": form.credit,
+            "form_sha256": hashlib.sha256(repr(form).encode()).hexdigest(),
+            "epoch_scale": form.epoch_scale,
+            **({"subfolders_left_out": left_out} if left_out else {}),
+        },
+        coverage=None if coverage is None else coverage.to_json(),
+    )
+
+
 def list_files(sources: Sequence[str | Path]) -> tuple[list[Path], int]:
     """The input files: each path given, and of a folder all files but hidden ones, the archive's
     list of MD5 digests, and its `_citation` and `_disclaimer` files.
@@ -138,20 +144,22 @@ def list_files(sources: Sequence[str | Path]) -> tuple[list[Path], int]:
     for source in map(Path, sources):
         if not source.exists():
             raise BadInput("source", str(source), "a file or folder that exists")
-        if source.is_file():
-            paths.append(source)
-            continue
-        entries = [p for p in sorted(source.iterdir()) if _holds_rows(p.name)]
-        inside = [p for p in entries if p.is_file()]
-        below = sum(p.is_dir() for p in entries)
-        if not inside:
-            hint = f" (name its {below} subfolders: they are not looked into)" if below else ""
-            raise BadInput("source", str(source), f"a folder with files of stars{hint}")
+        inside, below = ([source], []) if source.is_file() else _inside(source)
         paths += inside
-        left_out += sum(p.is_dir() and p.resolve() not in named for p in entries)
+        left_out += sum(p.resolve() not in named for p in below)
     if not paths:
         raise BadInput("source", [], "at least one file")
     return paths, left_out
+
+
+def _inside(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Files of stars in a folder, at least one, and its subfolders."""
+    entries = [p for p in sorted(folder.iterdir()) if _holds_rows(p.name)]
+    inside, below = [p for p in entries if p.is_file()], [p for p in entries if p.is_dir()]
+    if not inside:
+        hint = f" (name its {len(below)} subfolders: they are not looked into)" if below else ""
+        raise BadInput("source", str(folder), f"a folder with files of stars{hint}")
+    return inside, below
 
 
 def _coverage(paths: Sequence[Path], form: Form) -> tuple[Coverage | None, tuple[str, ...]]:

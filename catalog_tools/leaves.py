@@ -32,7 +32,7 @@ from .judging import (
 )
 from .memory import give_back
 from .partition import Cell
-from .pieces import CHANGED, Pieces
+from .pieces import CHANGED, Pieces, Run
 from .publish import Work
 from .shards import write_shard
 
@@ -95,14 +95,8 @@ def write_leaf(context: Written, cell: Cell) -> None:
     surplus = repeated.surplus(rows)
     elsewhere = repeated.stand_elsewhere(rows, surplus)
     if surplus.size:
-        with (
-            whole_file(_surplus_path(work, cell)) as path,
-            pa.ipc.new_file(str(path), REJECTS) as writer,
-        ):
-            for start in range(0, surplus.size, SURPLUS_ROWS):
-                some = slice(start, start + SURPLUS_ROWS)
-                reasons = [ELSEWHERE if e else DUPLICATE for e in elsewhere[some].tolist()]
-                writer.write_table(_surplus_table(context, runs, rows, surplus[some], reasons))
+        with whole_file(_surplus_path(work, cell)) as path:
+            _write_surplus(path, context, runs, rows, surplus, elsewhere)
         rows = {name: np.delete(values, surplus) for name, values in rows.items()}
     rows.pop(PLACE_COLUMN, None)
     marker: dict[str, Any] = {
@@ -167,8 +161,19 @@ def surplus_of(context: Written, done: LeafDone) -> Iterator[pa.Table]:
         yield from stored_tables(path)
 
 
+def _write_surplus(
+    path: Path, context: Written, runs: Sequence[Run], rows: dict[str, np.ndarray],
+    surplus: np.ndarray, elsewhere: np.ndarray,
+) -> None:  # fmt: skip
+    with pa.ipc.new_file(str(path), REJECTS) as writer:
+        for start in range(0, surplus.size, SURPLUS_ROWS):
+            some = slice(start, start + SURPLUS_ROWS)
+            reasons = [ELSEWHERE if e else DUPLICATE for e in elsewhere[some].tolist()]
+            writer.write_table(_surplus_table(context, runs, rows, surplus[some], reasons))
+
+
 def _surplus_table(
-    context: Written, runs: Sequence[tuple[int, int, int]], rows: dict[str, np.ndarray],
+    context: Written, runs: Sequence[Run], rows: dict[str, np.ndarray],
     surplus: np.ndarray, reasons: list[str],
 ) -> pa.Table:  # fmt: skip
     """The surplus rows with the source and the row that each came from."""

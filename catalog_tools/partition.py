@@ -6,7 +6,7 @@ pixels.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -79,15 +79,22 @@ def choose_leaves(
             cells.append(_cell(order, pixel, int(rows[pixel])))
         alive = np.repeat(alive & ~small, 4) if order < finest else alive & ~small
     crowded = [_cell(finest, pixel, int(counts[pixel])) for pixel in np.flatnonzero(alive).tolist()]
+    cells += crowded if rows_between is None else _cut(crowded, rows_per_leaf, rows_between)
+    return sorted(cells, key=lambda cell: cell.first_29)
+
+
+def _cut(
+    crowded: list[Cell], rows_per_leaf: int, rows_between: Callable[[int, int], int]
+) -> Iterator[Cell]:
+    """Cells cut into quarters until they hold few enough rows, or are as small as may be."""
     while crowded:
         cell = crowded.pop()
-        if rows_between is None or cell.rows <= rows_per_leaf or cell.order == DEEPEST_ORDER:
-            cells.append(cell)
+        if cell.rows <= rows_per_leaf or cell.order == DEEPEST_ORDER:
+            yield cell
             continue
         children = (_cell(cell.order + 1, 4 * cell.pixel + i, 0) for i in range(4))
         counted = (c._replace(rows=rows_between(c.first_29, c.end_29)) for c in children)
         crowded += [c for c in counted if c.rows]
-    return sorted(cells, key=lambda cell: cell.first_29)
 
 
 def _cell(order: int, pixel: int, rows: int) -> Cell:

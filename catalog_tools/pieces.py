@@ -30,6 +30,7 @@ PIECE: dict[str, np.dtype] = {
 ROW_BYTES = sum(kind.itemsize for kind in PIECE.values())
 BLOCK_ROWS = 2048
 CHANGED = "it is not as it was written; run the same command again: its rows are read anew"
+Run = tuple[int, int, int]  # a piece, and the half-open range of its rows
 INDEX = np.dtype([("crc32c", "<u4", len(PIECE)), ("first_29", "<i8"), ("first_id", "<i8")])
 
 
@@ -171,7 +172,7 @@ class Pieces:
             fits &= self._ends[:, 2] < high
         return np.flatnonzero(fits)
 
-    def runs(self, first_29: int, end_29: int) -> list[tuple[int, int, int]]:
+    def runs(self, first_29: int, end_29: int) -> list[Run]:
         """(piece, start, stop) of the rows whose order-29 pixels are in a half-open range."""
         found = []
         for i in self.with_pixels(first_29, end_29).tolist():
@@ -188,7 +189,7 @@ class Pieces:
         """How many rows have order-29 pixels in a half-open range."""
         return sum(stop - start for _, start, stop in self.runs(first_29, end_29))
 
-    def gather(self, runs: Sequence[tuple[int, int, int]], name: str) -> np.ndarray:
+    def gather(self, runs: Sequence[Run], name: str) -> np.ndarray:
         """One column of all rows of some runs."""
         parts = [column(self.folder, self.pieces[i], name, a, b) for i, a, b in runs]
         return np.concatenate(parts) if parts else np.empty(0, PIECE[name])

@@ -13,7 +13,7 @@ from typing import IO, NamedTuple
 
 from .catalogue import MANIFEST_NAME
 from .durable import sync, sync_all
-from .errors import NO_ROOM, BadInput, DiskFull, Incomplete
+from .errors import NO_ROOM, BadInput, DiskFull, Incomplete, NightglassError
 
 # renameat2(2) of Linux: both paths are relative to the current folder; swap the two.
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
@@ -64,18 +64,21 @@ def publishing(
             _swap_in(work.catalogue, destination)
             shutil.rmtree(work.progress, ignore_errors=True)
         except OSError as error:
-            kept = holds_any(work.progress)
-            if error.errno in NO_ROOM:
-                told = f"what is finished is kept: make room and {AGAIN} to go on"
-                told = told if kept else f"make room and {AGAIN}"
-                raise DiskFull(str(destination), error.errno, told) from error
-            text = f"{destination}: could not be written ({error})"
-            text += f"; what is finished is kept: {AGAIN} to go on" if kept else ""
-            raise Incomplete(text) from error
+            raise _cut_off(error, destination, holds_any(work.progress)) from error
         finally:
             if not holds_any(work.progress):
                 shutil.rmtree(part, ignore_errors=True)
             Path(lock.name).unlink(missing_ok=True)
+
+
+def _cut_off(error: OSError, destination: Path, kept: bool) -> NightglassError:
+    """A write that failed, with how to go on where what is finished is kept."""
+    if error.errno in NO_ROOM:
+        told = f"make room and {AGAIN}"
+        told = f"what is finished is kept: {told} to go on" if kept else told
+        return DiskFull(str(destination), error.errno, told)
+    told = f"; what is finished is kept: {AGAIN} to go on" if kept else ""
+    return Incomplete(f"{destination}: could not be written ({error}){told}")
 
 
 def _clean_up(destination: Path) -> None:

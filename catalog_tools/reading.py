@@ -10,6 +10,7 @@ looked at by `verify` alone, as are the shards' footers.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,14 +40,14 @@ def read_row_groups(
 
     from .columns import STORED
 
-    columns = [STORED.names.index(name) for name in names]
+    columns = list(map(STORED.names.index, names))
     groups = [group for leaf in leaves for group in leaf.row_groups]
     rows = sum(group.rows for group in groups)
     held = np.array([group.column_bytes for group in groups], np.int64)
     before = np.cumsum(held, axis=1) - held + np.array([[group.offset] for group in groups])
     sizes = held[:, columns].T
     ends = np.cumsum(sizes).reshape(sizes.shape)
-    tail = footer([STORED.field(name) for name in names], rows, [0, *ends[:, -1].tolist()])
+    tail = footer(list(map(STORED.field, names)), rows, [0, *ends[:, -1].tolist()])
     data = np.empty(int(ends[-1, -1]) + len(tail), np.uint8)
     data[data.size - len(tail) :] = np.frombuffer(tail, np.uint8)
     places = np.stack([before[:, columns], (ends - sizes).T, ends.T], axis=-1).tolist()
@@ -78,9 +79,8 @@ def _fetch(
     where = f"{store.root}/{leaf.path}"
     # One byte more than there should be proves the length without another request.
     tail = np.empty(END_BYTES + 1, np.uint8)
-    parts: list[Part] = [
-        (offset, data[start:end]) for group in places for offset, start, end in group
-    ]
+    chunks = chain.from_iterable(places)
+    parts: list[Part] = [(offset, data[start:end]) for offset, start, end in chunks]
     try:
         found = store.fill(leaf.path, [*parts, (leaf.bytes - END_BYTES, tail)])
         if found[-1] != END_BYTES:
@@ -93,7 +93,7 @@ def _fetch(
         raise Incomplete(f"{where}: could not be read ({error}); try again") from None
     except OSError as error:
         raise Damaged(where, f"cannot be read ({error})") from None
-    checks = [(group, column) for group in leaf.row_groups for column in columns]
+    checks = product(leaf.row_groups, columns)
     for (group, column), (_, part) in zip(checks, parts, strict=True):
         if google_crc32c.value(part) != group.column_crc32c[column]:
             raise Damaged(where, f"row group {group.row_group} does not match its checksum")

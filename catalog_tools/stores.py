@@ -160,7 +160,7 @@ def open_store(path: str | os.PathLike[str], field: str = "catalogue") -> Store:
         return LocalStore(text)
     try:
         parts = urlsplit(text)
-        named = parts.username is not None or parts.password is not None
+        named = parts.username is not None  # without one there is no password
     except ValueError:
         raise BadInput(field, without_secrets(text), "a well-formed URL") from None
     if parts.scheme in ("file", "local"):

@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from itertools import islice
@@ -87,11 +87,7 @@ def write_csv_files(
             notes.flush()
             tell("write", len(made), plan.files)
     written = [made[i] for i in sorted(made) if made[i].name]
-    lines = [f"{file.md5}  {file.name}" for file in written]
-    for name, text in TEXT_FILES.items():
-        _publish(folder / name, text.encode())
-        lines.append(f"{_md5(text.encode())}  {name}")
-    _publish(folder / MD5SUM_NAME, ("\n".join(lines) + "\n").encode())
+    _write_texts(folder, written)
     return CsvReport(len(written), sum(f.rows for f in written), sum(f.bytes for f in written))
 
 
@@ -124,6 +120,15 @@ def _random_index(rows: int, row: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray(row * (factor % rows) % rows)
 
 
+def _write_texts(folder: Path, written: Sequence[MadeFile]) -> None:
+    """The release's files of text, and the digests of all files."""
+    lines = [f"{file.md5}  {file.name}" for file in written]
+    for name, text in TEXT_FILES.items():
+        _publish(folder / name, text.encode())
+        lines.append(f"{_md5(text.encode())}  {name}")
+    _publish(folder / MD5SUM_NAME, ("\n".join(lines) + "\n").encode())
+
+
 def _begin(folder: Path, arguments: dict[str, int]) -> dict[int, MadeFile]:
     """A new folder, or what an earlier run with the same arguments has finished in it."""
     notes = folder / MADE_NAME
@@ -137,7 +142,7 @@ def _begin(folder: Path, arguments: dict[str, int]) -> dict[int, MadeFile]:
     text = notes.read_text(encoding="utf-8", errors="replace")
     lines = text[: text.rfind("\n") + 1].splitlines()
     try:
-        begun, *done = (json.loads(line) for line in lines)
+        begun, *done = map(json.loads, lines)
         made = [MadeFile(**note) for note in done]
     except (ValueError, TypeError):
         raise BadInput("output", str(folder), f"{allowed} (cannot read {MADE_NAME})") from None

@@ -7,6 +7,8 @@ import hashlib
 import io
 import json
 import warnings
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -90,21 +92,20 @@ def check_hats(catalogue: Catalogue, counts: Pixels, *, all_rows: bool) -> list[
     counts : (12 * 4**COUNT_ORDER,) rows by nested pixel; all_rows : whether every shard could be
     read, without which the maps can't be compared.
     """
+    checks: dict[str, Callable[[bytes], list[str]]] = {
+        PARTITIONS_NAME: partial(_check_partitions, catalogue),
+        SCHEMA_NAME: _check_schema,
+        **dict.fromkeys(MAP_NAMES, lambda data: _check_map(data, counts) if all_rows else []),
+        **dict.fromkeys(PROPERTIES_NAMES, partial(_check_properties, catalogue)),
+    }
     wrong = []
-    for name in HATS_NAMES:
+    for name, check in checks.items():
         data = _read(catalogue, name)
         if data is None:
             wrong.append(Finding(name, "is missing or cannot be read"))
             continue
         try:
-            if name == PARTITIONS_NAME:
-                what = _check_partitions(catalogue, data)
-            elif name == SCHEMA_NAME:
-                what = _check_schema(data)
-            elif name in MAP_NAMES:
-                what = _check_map(data, counts) if all_rows else []
-            else:
-                what = _check_properties(catalogue, data)
+            what = check(data)
         except (ValueError, LookupError, OSError, TypeError, Warning) as error:
             what = [f"cannot be understood ({type(error).__name__}: {error})"]
         wrong += [Finding(name, text) for text in what]

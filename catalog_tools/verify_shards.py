@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,39 +52,32 @@ class ShardCheck(NamedTuple):
 
 def check_shard(catalogue: Catalogue, index: int) -> ShardCheck:
     """Read a whole shard and check all of it. Raises Incomplete where a store gives no answer."""
-    import google_crc32c
-
     leaf = catalogue.leaf(index)
     data, wrong = _fetch(catalogue, leaf)
-    sound: list[RowGroup] = []
+    if data is None:
+        return _summary(leaf, wrong, [])
     metadata = None
-    if data is not None:
-        footer = data[leaf.bytes - leaf.footer_bytes :]
-        whole = google_crc32c.value(data) == leaf.crc32c
+    try:
+        metadata = _metadata(data, leaf)
+    except Damaged as error:
+        wrong.append(error.reason)
+    sound: list[RowGroup] = []
+    for group in leaf.row_groups:
+        part = data[group.offset : group.offset + group.bytes]
+        if google_crc32c.value(part) == group.crc32c:
+            sound.append(group)
+        else:
+            wrong.append(f"row group {group.row_group} does not match its checksum")
+    if not wrong and google_crc32c.value(data) != leaf.crc32c:
+        wrong.append("bytes outside its row groups and its footer do not match the checksum")
+    tables = []
+    for group in sound if metadata is not None else []:
         try:
-            if google_crc32c.value(footer) != leaf.footer_crc32c:
-                raise Damaged(leaf.path, "the footer does not match its checksum")
-            metadata = parse_footer(leaf.path, leaf, footer)
+            tables.append(_decode(data, metadata, leaf, group))
         except Damaged as error:
             wrong.append(error.reason)
-        for group in leaf.row_groups:
-            part = data[group.offset : group.offset + group.bytes]
-            if google_crc32c.value(part) == group.crc32c:
-                sound.append(group)
-            else:
-                wrong.append(f"row group {group.row_group} does not match its checksum")
-        if not whole and not wrong:
-            wrong.append("bytes outside its row groups and its footer do not match the checksum")
-    tables = []
-    if data is not None and metadata is not None:
-        for group in sound:
-            try:
-                table = _decode(data, metadata, leaf, group)
-            except Damaged as error:
-                wrong.append(error.reason)
-                continue
-            wrong += _check_rows(catalogue, index, leaf, group, table)
-            tables.append(table)
+        else:
+            wrong += _check_rows(catalogue, index, leaf, group, tables[-1])
     return _summary(leaf, wrong, tables)
 
 
@@ -103,6 +97,13 @@ def _fetch(catalogue: Catalogue, leaf: Leaf) -> tuple[Bytes | None, list[str]]:
     if size != leaf.bytes:
         return None, [f"is {size} bytes long; the manifest says {leaf.bytes}"]
     return data[: leaf.bytes], []
+
+
+def _metadata(data: Bytes, leaf: Leaf) -> pq.FileMetaData:
+    footer = data[leaf.bytes - leaf.footer_bytes :]
+    if google_crc32c.value(footer) != leaf.footer_crc32c:
+        raise Damaged(leaf.path, "the footer does not match its checksum")
+    return parse_footer(leaf.path, leaf, footer)
 
 
 def _decode(data: Bytes, metadata: pq.FileMetaData, leaf: Leaf, group: RowGroup) -> pa.Table:

@@ -49,8 +49,9 @@ def sweep(
     With --server it runs there, and its results are fetched.
     """
     if server is not None:
-        decided = scheduler != "threads" or workers is not None or slurm
-        _there(file, output, server, as_json, decided or resume or retry_failed or dry_run, point)
+        placed = scheduler != "threads", workers is not None, slurm
+        here = any((*placed, resume, retry_failed, dry_run))
+        _there(file, output, server, as_json, here, point)
         return
     if dry_run:
         _print_forecast(file, as_json)

@@ -19,7 +19,6 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 
 from pipeline.errors import BadInput, Damaged, NightglassError
-from pipeline.spec.load import InvalidScene
 from service import problems
 from service.accepted import Acceptance
 from service.auth import Authenticator
@@ -189,18 +188,19 @@ def _explain(error: Exception, status: int) -> tuple[str, list[dict[str, Any]]]:
         return problems.cut(str(error.detail)), []
     if isinstance(error, Damaged) and error.path == "the job table":
         return str(error), []
-    if isinstance(error, RequestValidationError):
-        mistakes = [_of_parameter(e) for e in error.errors()]
-    elif isinstance(error, InvalidScene):
-        mistakes = error.mistakes
-    elif isinstance(error, BadInput):
-        mistakes = [(error.field, error.value, error.allowed)]
-    else:
+    mistakes = _mistakes_of(error)
+    if not mistakes:
         log.error("status %d", status, exc_info=error)
         return "an internal fault; the server's log tells more", []
     listed = [problems.mistake_dict(m) for m in mistakes[: problems.MAX_LISTED]]
     many = f"{len(mistakes)} mistakes" if len(mistakes) > 1 else "1 mistake"
     return f"{many}, the first at {listed[0]['pointer'] or 'the top'}", listed
+
+
+def _mistakes_of(error: Exception) -> list[problems.Mistake]:
+    if isinstance(error, RequestValidationError):
+        return [_of_parameter(e) for e in error.errors()]
+    return problems.mistakes_of(error)
 
 
 def _of_parameter(error: Any) -> problems.Mistake:

@@ -77,23 +77,26 @@ class Attempt:
         if not job.cancel_asked and self._alone():
             with worker(self._settings, self._order()) as answers:
                 outcome = self._watch(answers)
-        if outcome is None and not self._go_on():
+        if outcome is not None:
+            return self._take(outcome)
+        if not self._go_on():
             return None  # it stays EXECUTING; the next dispatcher goes on with it
-        if outcome is None and self._must_stop():
+        if self._must_stop():
             self._finish(Phase.ABORTED, error=self._why_stopped())
-        elif outcome is None:
+        else:
             self.count_death()
-        elif "error" in outcome and outcome["error"]["kind"] == LATER:
-            return dict(outcome["error"])
-        elif "error" in outcome:
+        return None
+
+    def _take(self, outcome: dict[str, Any]) -> dict[str, Any] | None:
+        """End the job as its worker tells; the error where it is to be tried again later."""
+        if "error" in outcome:
+            if outcome["error"]["kind"] == LATER:
+                return dict(outcome["error"])
             self._finish(Phase.ERROR, error=outcome["error"])
         elif (self._product / COMPLETE).is_file():
             tiles, digest = outcome["tiles"], outcome["content_digest"]
-            kept = bytes_of(self._product)
-            self._finish(
-                Phase.COMPLETED, tiles_done=tiles, tiles_total=tiles, content_digest=digest,
-                bytes_kept=kept,
-            )  # fmt: skip
+            done = {"tiles_done": tiles, "tiles_total": tiles, "content_digest": digest}
+            self._finish(Phase.COMPLETED, **done, bytes_kept=bytes_of(self._product))
         else:
             self._finish(Phase.ERROR, error=fault("the product was not sealed"))
         return None

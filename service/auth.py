@@ -87,7 +87,7 @@ class Authenticator:
         now = time.monotonic()
         if known is None or now - known[1] > FRESH_S:
             row = await run_in_threadpool(find_key, self._engine, key_id)
-            stored, caller = "" if row is None else row.hash, None
+            stored, caller = getattr(row, "hash", ""), None
             if known is not None and known[2] == stored:  # looked at before
                 caller = known[0] if row is not None and usable(row) else None
             elif await self._matches(row, secret):

@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import json
 import math
+from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 from starlette.requests import ClientDisconnect, Request
@@ -150,25 +152,27 @@ def _check_nodes(data: Any) -> None:
     for depth in range(MAX_DEPTH + 1):
         if depth == MAX_DEPTH and any(isinstance(node, dict | list) for node in level):
             break
-        deeper: list[Any] = []
-        for node in level:
-            if isinstance(node, str):
-                _check_text(node)
-            elif isinstance(node, dict):
-                if not all(isinstance(key, str) for key in node):
-                    raise Malformed("a key of a mapping is no text: put it in quotes")
-                deeper += node
-                deeper += node.values()
-            elif isinstance(node, list):
-                deeper += node
-            elif isinstance(node, float) and not math.isfinite(node):
-                raise Malformed(f"{node} is no number of a scene")
-            elif not (node is None or isinstance(node, bool | int | float)):
-                raise Malformed(f"a value of kind {type(node).__name__} is no plain data")
-        if not deeper:
+        level = list(chain.from_iterable(map(_checked, level)))
+        if not level:
             return
-        level = deeper
     raise Malformed(f"the body is nested deeper than {MAX_DEPTH} levels")
+
+
+def _checked(node: Any) -> Sequence[Any]:
+    """What a node holds: the keys and values of a mapping, the items of a list."""
+    if isinstance(node, str):
+        _check_text(node)
+    elif isinstance(node, dict):
+        if not all(isinstance(key, str) for key in node):
+            raise Malformed("a key of a mapping is no text: put it in quotes")
+        return [*node, *node.values()]
+    elif isinstance(node, list):
+        return node
+    elif isinstance(node, float) and not math.isfinite(node):
+        raise Malformed(f"{node} is no number of a scene")
+    elif not (node is None or isinstance(node, bool | int | float)):
+        raise Malformed(f"a value of kind {type(node).__name__} is no plain data")
+    return ()
 
 
 def _check_text(text: str) -> None:

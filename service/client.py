@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import re
 import time
@@ -182,17 +183,17 @@ class RemoteJob:
             facts at every change
         Raises JobFailed for ERROR and ABORTED, TimeoutError after `timeout_s`, ServiceError.
         """
-        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        deadline = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
         shown = _bar(self.name) if progress is True else nullcontext(progress or None)
-        tag = ""
+        headers: dict[str, str] = {}
         with shown as listen:
             while True:
-                left = LONG_POLL_S if deadline is None else deadline - time.monotonic()
+                left = deadline - time.monotonic()
                 params = {"wait": f"{max(0.0, min(LONG_POLL_S, left)):.3f}"}
-                headers = {"If-None-Match": tag} if tag else {}
                 answer = self.client.ask("GET", self.path, params=params, headers=headers)
                 if answer.status_code == 200:
-                    self.facts, tag = answer.json(), answer.headers.get("etag", "")
+                    self.facts = answer.json()
+                    headers = {"If-None-Match": answer.headers.get("etag", "")}
                     if listen is not None:
                         listen(self.facts)
                 if self.phase in FINAL:

@@ -16,7 +16,7 @@ import sqlalchemy as sa
 from sqlalchemy.dialects import sqlite
 from sqlalchemy.dialects.postgresql import psycopg
 
-from pipeline.errors import NO_ROOM, BadInput, DiskFull, TryLater
+from pipeline.errors import NO_ROOM, BadInput, DiskFull, NightglassError, TryLater
 from service.tables import HEAD
 
 LOCK_NUMBER = 7_316_881  # of PostgreSQL's advisory locks: writers of jobs, one at a time
@@ -56,15 +56,22 @@ def connect(url: str) -> sa.Engine:
         _upgrade(engine, shown)
     except sa.exc.DBAPIError as error:
         engine.dispose()
-        reason = " ".join(str(error.orig).split())[:200]
-        if kind == "sqlite" and _no_room(parts.database or "", reason):
-            raise DiskFull(shown, errno.ENOSPC, "make room, then start again") from None
-        if parts.password:
-            reason = reason.replace(str(parts.password), "***")
-        if _may_come(kind, error, reason):
-            raise TryLater(f"NIGHTGLASS_DATABASE: {shown} does not answer: {reason}") from None
-        raise BadInput("NIGHTGLASS_DATABASE", shown, f"a database that answers; {reason}") from None
+        raise _not_opened(error, parts, kind, shown) from None
     return engine
+
+
+def _not_opened(
+    error: sa.exc.DBAPIError, parts: sa.URL, kind: str, shown: str
+) -> NightglassError:
+    """Why a database could not be opened, without its password."""
+    reason = " ".join(str(error.orig).split())[:200]
+    if kind == "sqlite" and _no_room(parts.database or "", reason):
+        return DiskFull(shown, errno.ENOSPC, "make room, then start again")
+    if parts.password:
+        reason = reason.replace(str(parts.password), "***")
+    if _may_come(kind, error, reason):
+        return TryLater(f"NIGHTGLASS_DATABASE: {shown} does not answer: {reason}")
+    return BadInput("NIGHTGLASS_DATABASE", shown, f"a database that answers; {reason}")
 
 
 def _keep_private(path: str | None) -> None:

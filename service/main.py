@@ -76,8 +76,9 @@ def bind(host: str, port: int, guarded: object = False) -> socket.socket:
         address = ipaddress.ip_address(name)
     except ValueError:
         address = None
-    open_to_all = address is not None and not address.is_loopback
-    if address is None or (open_to_all and not (guarded() if callable(guarded) else guarded)):
+    if address is None or not (
+        address.is_loopback or (guarded() if callable(guarded) else guarded)
+    ):
         allowed = (
             "a loopback address (127.0.0.1 or ::1); any other only once requests need a key "
             "(`nightglass keys create --team NAME`) or a token (NIGHTGLASS_OIDC_ISSUER)"

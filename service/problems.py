@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from pipeline.errors import NightglassError, shorten
+from pipeline.errors import BadInput, NightglassError, shorten
 
 MAX_TEXT = 400
 MAX_LISTED = 50
@@ -98,6 +98,13 @@ class PlanTooSlow(Refusal):
 
 class EngineFault(Refusal):
     """The engine stopped without an answer: an internal fault."""
+
+
+def mistakes_of(error: Exception) -> list[Mistake]:
+    """The mistakes of a scene or of another input; none where an error is of something else."""
+    if not isinstance(error, BadInput):
+        return []
+    return getattr(error, "mistakes", [(error.field, error.value, error.allowed)])
 
 
 def mistake_dict(mistake: Mistake) -> dict[str, Any]:

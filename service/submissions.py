@@ -8,6 +8,7 @@ import queue
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import sqlalchemy as sa
@@ -23,6 +24,7 @@ DAY_S = 86_400.0
 MOST_AT_ONCE = 512
 _id_lock = threading.Lock()
 Answer = tuple[Job, bool] | Exception
+Known = dict[tuple[str, str | None], Any]  # rows of jobs by team and key
 
 
 @dataclass(frozen=True)
@@ -71,41 +73,40 @@ def submit_many(store: JobStore, asks: Sequence[Ask], limits: Limits) -> list[An
     with writing(store.engine) as db:
         now = now_s(db)
         day = int(now // DAY_S)
-        teams = {ask.team for ask in asks}
         known = _known(db, asks)
-        used = {team: used_by(db, team, day) for team in teams}
-        rows: list[dict[str, Any]] = []
-        taken: list[tuple[Any, bool] | Exception] = []
-        for ask in asks:
-            place = (ask.team, ask.key)
-            if ask.key is not None and place in known:
-                taken.append(_replay(ask, known[place]))
-                continue
-            refusal = refuse(used[ask.team], ask.pixel_frames, limits)
-            if refusal is not None:
-                taken.append(refusal)
-                continue
-            row = _row(ask, now)
-            try:
-                check_files(db, ask.team, row["scene"])
-            except NotAllowed as error:
-                taken.append(error)
-                continue
-            rows.append(row)
-            used[ask.team].new_jobs += 1
-            used[ask.team].new_pixel_frames += ask.pixel_frames
-            if ask.key is not None:
-                known[place] = row
-            taken.append((row, True))
+        used = {team: used_by(db, team, day) for team in set(map(attrgetter("team"), asks))}
+        taken = [_take_in(db, ask, now, known, used[ask.team], limits) for ask in asks]
+        rows = [t[0] for t in taken if isinstance(t, tuple) and t[1]]
         if rows:
             _number(db, rows)
             insert(db, jobs, rows)
-            insert(db, audit, [
-                audit_line(now, r["team"], r["owner"], "submit", r["id"]) for r in rows
-            ])  # fmt: skip
-            for team in teams:
-                _count(db, team, day, used[team])
+            lines = (audit_line(now, r["team"], r["owner"], "submit", r["id"]) for r in rows)
+            insert(db, audit, list(lines))
+            for team, count in used.items():
+                _count(db, team, day, count)
     return [t if isinstance(t, Exception) else (job_of(t[0], fresh=t[1]), t[1]) for t in taken]
+
+
+def _take_in(
+    db: sa.Connection, ask: Ask, now: float, known: Known, used: Used, limits: Limits
+) -> tuple[Any, bool] | Exception:
+    """A new row, counted in `used` and `known`, and True; a known row and False; or a refusal."""
+    place = (ask.team, ask.key)
+    if ask.key is not None and place in known:
+        return _replay(ask, known[place])
+    refusal = refuse(used, ask.pixel_frames, limits)
+    if refusal is not None:
+        return refusal
+    row = _row(ask, now)
+    try:
+        check_files(db, ask.team, row["scene"])
+    except NotAllowed as error:
+        return error
+    used.new_jobs += 1
+    used.new_pixel_frames += ask.pixel_frames
+    if ask.key is not None:
+        known[place] = row
+    return row, True
 
 
 def run_pending(store: JobStore, job_id: str, limits: Limits, team: str, actor: str) -> Job:
@@ -172,7 +173,7 @@ def refuse(used: Used, pixel_frames: int, limits: Limits) -> QueueFull | None:
     return None
 
 
-def _known(db: sa.Connection, asks: Sequence[Ask]) -> dict[tuple[str, str | None], Any]:
+def _known(db: sa.Connection, asks: Sequence[Ask]) -> Known:
     given = {ask.key for ask in asks if ask.key is not None}
     if not given:
         return {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from importlib import import_module
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -59,19 +60,21 @@ def accept_sweep(
 
 def _check_axis(number: int, axis: dict[str, Any]) -> None:
     fields = axis.get("fields") or [axis["field"]]
-    for field in fields:
-        for fixed in FIXED:
-            if fixed == field or fixed.startswith(f"{field}.") or field.startswith(f"{fixed}."):
-                if fixed == "targets" and field.count(".") >= 2:
-                    continue  # a property of one target
-                allowed = f"an axis that leaves {fixed} as it is"
-                raise NotAllowed(
-                    f"axes[{number}]: {allowed}", ((f"axes[{number}]", field, allowed),)
-                )
+    for field, fixed in product(fields, FIXED):
+        if _changes(field, fixed):
+            allowed = f"an axis that leaves {fixed} as it is"
+            raise NotAllowed(f"axes[{number}]: {allowed}", ((f"axes[{number}]", field, allowed),))
     rows = axis.get("rows") or [[value] for value in axis.get("values", ())]
     for row in rows:
         for field, value in zip(fields, row, strict=False):
             _check_value(number, field, value)
+
+
+def _changes(field: str, fixed: str) -> bool:
+    """Whether a field is, holds or lies in a fixed one; a property of one target does not."""
+    if fixed == "targets" and field.count(".") >= 2:
+        return False
+    return f"{fixed}.".startswith(f"{field}.") or field.startswith(f"{fixed}.")
 
 
 def _check_value(number: int, field: str, value: Any) -> None:

@@ -23,9 +23,9 @@ from typing import Any, BinaryIO
 from catalog_tools.catalogue import MANIFEST_NAME
 from catalog_tools.heap import one_heap
 from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError, TryLater
-from pipeline.spec.load import InvalidScene, parse_scene
+from pipeline.spec.load import parse_scene
 from service import logs
-from service.problems import cut, mistake_dict
+from service.problems import cut, mistake_dict, mistakes_of
 
 log = logging.getLogger("nightglass.engine")
 BETWEEN_LINES_S = 0.25
@@ -152,38 +152,39 @@ def _listener(answers: BinaryIO) -> Any:
 def describe(error: Exception, order: dict[str, Any]) -> dict[str, Any]:
     """An error as the job shows it: one message, and the fields to mend; no path of the server,
     and uploaded files by the names that their user gave them."""
-    mistakes: list[tuple[str, Any, str]] = []
+    errors: list[dict[str, Any]] = []
     if gone := _catalogues_gone(order):
-        message = f"the catalogue {gone[0]} is not there now"
-        return {"kind": "try later", "message": message, "errors": []}
-    if isinstance(error, InvalidScene):
-        mistakes = error.mistakes
-    elif isinstance(error, BadInput):
-        mistakes = [(error.field, error.value, error.allowed)]
-    if mistakes:
-        errors = [mistake_dict(_without_paths(m, order)) for m in mistakes[:20]]
-        first = BadInput(*_without_paths(mistakes[0], order))
-        return {"kind": "bad input", "message": cut(str(first)), "errors": errors}
-    if isinstance(error, Damaged):
-        place = _clean(Path(error.path).name, order)
-        reason = _clean(error.reason, order)
-        return {"kind": "damaged", "message": cut(str(Damaged(place, reason))), "errors": []}
-    if isinstance(error, DiskFull) or (isinstance(error, OSError) and error.errno in NO_ROOM):
-        code = error.code if isinstance(error, DiskFull) else error.errno
-        reason = os.strerror(code or errno.ENOSPC)
-        message = f"the server's disk is full ({reason}); submit again when there is room"
-        return {"kind": "disk full", "message": message, "errors": []}
-    if isinstance(error, TryLater):
-        return {"kind": "try later", "message": cut(_clean(str(error), order)), "errors": []}
-    if isinstance(error, NightglassError):
-        return {"kind": "incomplete", "message": cut(_clean(str(error), order)), "errors": []}
-    if isinstance(error, OSError):
-        message = f"the server could not read or write: {error.strerror or type(error).__name__}"
-    elif isinstance(error, MemoryError):
-        message = "the server has not enough memory"
+        kind, message = "try later", f"the catalogue {gone[0]} is not there now"
+    elif mistakes := [_without_paths(m, order) for m in mistakes_of(error)[:20]]:
+        errors = [mistake_dict(mistake) for mistake in mistakes]
+        kind, message = "bad input", cut(str(BadInput(*mistakes[0])))
+    elif isinstance(error, Damaged):
+        place, reason = _clean(Path(error.path).name, order), _clean(error.reason, order)
+        kind, message = "damaged", cut(str(Damaged(place, reason)))
+    elif code := _full_disk(error):
+        told = f"the server's disk is full ({os.strerror(code)}); submit again when there is room"
+        kind, message = "disk full", told
+    elif isinstance(error, NightglassError):
+        kind = "try later" if isinstance(error, TryLater) else "incomplete"
+        message = cut(_clean(str(error), order))
     else:
-        message = "an internal fault; the server's log tells more"
-    return {"kind": "fault", "message": message, "errors": []}
+        kind, message = "fault", _fault(error)
+    return {"kind": kind, "message": message, "errors": errors}
+
+
+def _full_disk(error: Exception) -> int:
+    """The system's number for it; 0 where an error is of something else."""
+    if isinstance(error, DiskFull):
+        return error.code or errno.ENOSPC
+    return error.errno or 0 if isinstance(error, OSError) and error.errno in NO_ROOM else 0
+
+
+def _fault(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return f"the server could not read or write: {error.strerror or type(error).__name__}"
+    if isinstance(error, MemoryError):
+        return "the server has not enough memory"
+    return "an internal fault; the server's log tells more"
 
 
 def _catalogues_gone(order: dict[str, Any]) -> list[str]:

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 from ..errors import BadInput, Damaged, Incomplete
 from .layout import Entry, parse_index
@@ -18,6 +19,7 @@ from .remote import Remote, read_whole
 from .transfer import Transfer, discard, size_of
 
 Progress = Callable[[str, int, int], None]  # stage, done, total
+Work = Callable[[Entry], None]
 
 INDEX_BYTES = 64 << 20  # DR2's index page is 8 MB
 ASK_EACH = 64  # up to so many files their sizes are asked one by one
@@ -111,7 +113,7 @@ def sizes_of(remote: Remote, missing: Sequence[Entry]) -> dict[str, int]:
 
 def in_threads(
     items: Iterable[Entry],
-    work: Callable[[Entry], None],
+    work: Work,
     threads: int,
     stop: threading.Event,
     tick: Callable[[], None],
@@ -123,22 +125,7 @@ def in_threads(
     Refused) end the run only when they are many, any other at once.
     """
     waiting, faults = deque(items), list[Exception]()
-
-    def serve() -> None:
-        while waiting and not stop.is_set():
-            try:
-                item = waiting.popleft()
-            except IndexError:
-                return
-            try:
-                work(item)
-            except Stopped:
-                return
-            except Exception as error:
-                faults.append(error)
-                if not isinstance(error, Damaged | Refused) or len(faults) >= MOST_FAULTS:
-                    stop.set()
-
+    serve = partial(_serve, waiting, work, stop, faults)
     crew = [threading.Thread(target=serve, daemon=True) for _ in range(min(threads, len(waiting)))]
     tick()
     try:
@@ -153,6 +140,25 @@ def in_threads(
             if thread.ident is not None:
                 thread.join(LEAVE_S / len(crew))
     return faults
+
+
+def _serve(
+    waiting: deque[Entry], work: Work, stop: threading.Event, faults: list[Exception]
+) -> None:
+    """One thread's part of `in_threads`."""
+    while waiting and not stop.is_set():
+        try:
+            item = waiting.popleft()
+        except IndexError:
+            return
+        try:
+            work(item)
+        except Stopped:
+            return
+        except Exception as error:
+            faults.append(error)
+            if not isinstance(error, Damaged | Refused) or len(faults) >= MOST_FAULTS:
+                stop.set()
 
 
 def _missing(

@@ -76,9 +76,8 @@ def fetch(
         raise BadInput("connections", connections, f"1 to {MOST_CONNECTIONS}")
     patience = patience or Patience()
     if tap_url is not None:
-        url = found.tap_url if tap_url == ARCHIVE else tap_url
         with _disk(destination), folder_for(Path(destination), found) as ledger:
-            return _by_tap(found, url, wanted, ledger, patience, tell, verify)
+            return _by_tap(found, tap_url, wanted, ledger, patience, tell, verify)
     remote = open_remote(base_url or found.base_url, patience)
     with _disk(destination), folder_for(Path(destination), found) as ledger:
         listed = _listed(remote, found, ledger, patience)
@@ -92,16 +91,9 @@ def fetch(
         )  # fmt: skip
         names = [entry.name for entry in entries]
         note_coverage(ledger.folder, names, _coverage(found, listed, entries))
-    return FetchReport(
-        release,
-        str(destination),
-        tuple(names),
-        tally.downloaded,
-        tally.bytes_downloaded,
-        tally.present,
-        tally.bytes_present,
-        tuple(_notes(found, listed, wanted)),
-    )
+    notes = tuple(_notes(found, listed, wanted))
+    counts = tally.downloaded, tally.bytes_downloaded, tally.present, tally.bytes_present
+    return FetchReport(release, str(destination), tuple(names), *counts, notes)
 
 
 def _cones(
@@ -159,7 +151,8 @@ def _by_tap(
     from .tap import cone_coverage, fetch_cone, file_name
     from .tap_service import TapService
 
-    service, names = TapService(url, patience), [file_name(release, cone) for cone in cones]
+    service = TapService(release.tap_url if url == ARCHIVE else url, patience)
+    names = [file_name(release, cone) for cone in cones]
     brought, there = [], []
     for cone, name in zip(cones, names, strict=True):
         known = ledger.md5_of(name)

@@ -81,22 +81,23 @@ class Transfer:
         origin = read_origin(part)
         if origin is None:
             discard(part)
+            origin = Origin(None, None)
         have = size_of(part)
-        if origin and have and origin.total == have:
+        if 0 < have == origin.total:
             return True
         try:
-            with self.remote.open(name, have, origin.tag if origin else None) as reply:
+            with self.remote.open(name, have, origin.tag) as reply:
                 if self.stop.is_set():
                     raise Stopped
                 if reply.start == 0:
                     begin(part, Origin(reply.tag, reply.total))
                     have = 0
-                elif reply.start != have or origin is None or not origin.is_of(reply):
+                elif reply.start != have or not origin.is_of(reply):
                     discard(part)
                     return False
                 return self._append(name, part, have, reply)
         except PastEnd as end:
-            if have and end.total == have:
+            if 0 < have == end.total:
                 return True
             discard(part)
             return False

@@ -187,11 +187,11 @@ class Form:
         if self.source_id.rule != "position":
             kind = "integer" if self.source_id.rule == "integer" else "text"
             chosen[self._find(table, self.source_id.names, where, "source_id")] = kind
-        columns = dict.fromkeys(source.column for source in self.sources)
-        for source in (way for column in columns for way in self.ways(column, table)):
-            chosen.setdefault(self._find(table, source.names, where, source.column), "number")
-            for name in (*source.positive, *source.colour):
-                chosen.setdefault(self._find(table, (name,), where, source.column), "number")
+        for column in dict.fromkeys(source.column for source in self.sources):
+            for source in self.ways(column, table):
+                chosen.setdefault(self._find(table, source.names, where, column), "number")
+                for name in (*source.positive, *source.colour):
+                    chosen.setdefault(self._find(table, (name,), where, column), "number")
         found = table.first(self.epoch.names) if self.epoch is not None else None
         if found is not None:
             chosen.setdefault(found, "number")

@@ -161,20 +161,7 @@ def _form(table: _Table) -> Form:
 def _source(table: _Table, column: str) -> Source:
     names = table.texts("from")
     unit = table.choice("unit", tuple(UNITS[column]))
-    given: dict[str, Any] = {}
-    if column.startswith("phot_"):
-        given["colour"] = table.texts("colour", ())
-        given["coefficients"] = table.numbers("coefficients")
-        limits = table.numbers("colour_range")
-        given["clip"] = table.flag("clip")
-        if len(given["colour"]) > 2 or bool(given["colour"]) != bool(given["coefficients"]):
-            allowed = "one column, or two whose difference it is, together with `coefficients`"
-            raise table.refuse("colour", list(given["colour"]), allowed)
-        if limits and (len(limits) != 2 or limits[0] >= limits[1]):
-            raise table.refuse("colour_range", list(limits), "two numbers, the lower one first")
-        if given["clip"] and not limits:
-            raise table.refuse("clip", True, "together with `colour_range`")
-        given["colour_range"] = (limits[0], limits[1]) if limits else None
+    given = _colour_term(table) if column.startswith("phot_") else {}
     if column == "pmra":
         given["is_"] = table.choice("is", (MU_ALPHA_STAR, MU_ALPHA))
     source = Source(
@@ -191,6 +178,25 @@ def _source(table: _Table, column: str) -> Source:
     )
     table.done()
     return source
+
+
+def _colour_term(table: _Table) -> dict[str, Any]:
+    """The fields of a `Source` that tell how a magnitude depends on a colour."""
+    colour, coefficients = table.texts("colour", ()), table.numbers("coefficients")
+    limits, clip = table.numbers("colour_range"), table.flag("clip")
+    if len(colour) > 2 or bool(colour) != bool(coefficients):
+        allowed = "one column, or two whose difference it is, together with `coefficients`"
+        raise table.refuse("colour", list(colour), allowed)
+    if limits and (len(limits) != 2 or limits[0] >= limits[1]):
+        raise table.refuse("colour_range", list(limits), "two numbers, the lower one first")
+    if clip and not limits:
+        raise table.refuse("clip", True, "together with `colour_range`")
+    return {
+        "colour": colour,
+        "coefficients": coefficients,
+        "clip": clip,
+        "colour_range": limits or None,
+    }
 
 
 def _id_rule(table: _Table) -> IdRule:
@@ -215,34 +221,26 @@ def _layout(table: _Table) -> Layout:
     delimiter = table.text("delimiter", ",") if text == "delimited" else ","
     if len(delimiter.encode()) != 1 or delimiter in '"\n\r':
         raise table.refuse("delimiter", delimiter, "one character, such as , | or a tab")
-    columns: tuple[str, ...]
-    ranges: tuple[tuple[int, int], ...] = ()
-    if text == "fixed":
-        columns, ranges = _byte_ranges(table)
-    else:
-        columns = table.texts("columns", ())
+    fixed = text == "fixed"
+    columns, ranges = _byte_ranges(table) if fixed else (table.texts("columns", ()), ())
     hdu = table.take("hdu")
     if hdu is not None and (not isinstance(hdu, int) or isinstance(hdu, bool) or hdu < 1):
         raise table.refuse("hdu", hdu, "the number of an extension, from 1")
     query = table.text("query") if table.has("query") else None
-    attach = table.take("attach", {})
-    if not isinstance(attach, dict) or not all(
-        isinstance(name, str) and alias.isidentifier() for alias, name in attach.items()
-    ):
-        raise table.refuse("attach", attach, "a table of alias = file name")
-    layout = Layout(
-        text,
-        delimiter,
-        columns,
-        ranges,
-        comments=table.texts("comments", ("#",)),
-        nulls=table.texts("null", ()),
-        hdu=hdu,
-        query=query,
-        attach=tuple(attach.items()),
-    )
+    attach = _attached(table)
+    comments, nulls = table.texts("comments", ("#",)), table.texts("null", ())
+    layout = Layout(text, delimiter, columns, ranges, comments, nulls, hdu, query, attach)
     table.done()
     return layout
+
+
+def _attached(table: _Table) -> tuple[tuple[str, str], ...]:
+    value = table.take("attach", {})
+    if not isinstance(value, dict) or not all(
+        isinstance(name, str) and alias.isidentifier() for alias, name in value.items()
+    ):
+        raise table.refuse("attach", value, "a table of alias = file name")
+    return tuple(value.items())
 
 
 def _byte_ranges(table: _Table) -> tuple[tuple[str, ...], tuple[tuple[int, int], ...]]:

@@ -61,12 +61,18 @@ def _unpacked(path: Path, pieces: Iterator[bytes]) -> Iterator[bytes]:
                     piece, engine, first = engine.unused_data, None, False
                 else:
                     piece = engine.unconsumed_tail
-        while engine is not None and not engine.eof:
-            if not (data := engine.decompress(b"", MOST_BYTES)):
-                raise Damaged(str(path), "its gzip stream ends too early")
-            yield data
+        if engine is not None:
+            yield from _held_back(path, engine)
     except broken as error:
         raise Damaged(str(path), _why(engine, first, error)) from None
+
+
+def _held_back(path: Path, engine: Any) -> Iterator[bytes]:
+    """What a member still holds when the file has ended."""
+    while not engine.eof:
+        if not (data := engine.decompress(b"", MOST_BYTES)):
+            raise Damaged(str(path), "its gzip stream ends too early")
+        yield data
 
 
 def _why(engine: Any, first: bool, error: Exception) -> str:

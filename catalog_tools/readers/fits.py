@@ -25,6 +25,8 @@ TYPES = {
     "L": "i1", "X": "u1", "B": "u1", "I": ">i2", "J": ">i4", "K": ">i8", "A": "S1",
     "E": ">f4", "D": ">f8", "C": ">c8", "M": ">c16", "P": ">i8", "Q": ">c16",
 }  # fmt: skip
+# what is asked of a column: kinds of numpy that have it, and the word for it
+WANTED = {"integer": ("iuf", "integers"), "number": ("iuf", "numbers"), "text": ("S", "texts")}
 
 
 class Column(NamedTuple):
@@ -115,8 +117,6 @@ def _find_table(stream: _Stream, where: str, hdu: int | None) -> dict[str, Any]:
 
 def _read_header(stream: _Stream, where: str) -> dict[str, Any] | None:
     """Keywords of the next header; None at the end of the file, or where only padding follows."""
-    from astropy.io.fits import Header
-
     blocks: list[bytes] = []
     while len(blocks) < MOST_HEADER_BLOCKS:
         block = stream.read(BLOCK_BYTES, or_end=not blocks)
@@ -125,15 +125,23 @@ def _read_header(stream: _Stream, where: str) -> dict[str, Any] | None:
         blocks.append(block)
         cards = (block[i : i + CARD_BYTES] for i in range(0, BLOCK_BYTES, CARD_BYTES))
         if any(card.rstrip() == b"END" for card in cards):
-            try:
-                header = Header.fromstring(b"".join(blocks).decode("ascii"))
-                values = {card.keyword: card.value for card in header.cards if card.keyword}
-                naxis = int(values.get("NAXIS", 0))
-                if all(int(values[f"NAXIS{i + 1}"]) >= 0 for i in range(naxis)):
-                    return values
-            except Exception as error:  # astropy's parser has many ways to fail
-                raise BadInput(where, str(error)[:80], "FITS headers to the standard") from None
+            values = _keywords(b"".join(blocks), where)
+            if values is not None:
+                return values
     raise BadInput(where, f"{len(blocks)} blocks", "a FITS header that has an END")
+
+
+def _keywords(header: bytes, where: str) -> dict[str, Any] | None:
+    """Values by keyword; None where an axis has a negative length."""
+    from astropy.io.fits import Header
+
+    try:
+        cards = Header.fromstring(header.decode("ascii")).cards
+        values = {card.keyword: card.value for card in cards if card.keyword}
+        naxis = int(values.get("NAXIS", 0))
+        return values if all(int(values[f"NAXIS{i + 1}"]) >= 0 for i in range(naxis)) else None
+    except Exception as error:  # astropy's parser has many ways to fail
+        raise BadInput(where, str(error)[:80], "FITS headers to the standard") from None
 
 
 def _data_bytes(header: dict[str, Any]) -> int:
@@ -172,20 +180,23 @@ def _columns(header: dict[str, Any], where: str) -> list[Column]:
 
 def _values(stored: NDArray[Any], column: Column, want: str, where: str) -> pa.Array:
     """A column as Arrow: int64, double or string, null where TNULL stands."""
-    kinds = {"integer": "iuf", "number": "iuf", "text": "S"}[want]
+    kinds, allowed = WANTED[want]
     if column.repeat != 1 or np.dtype(column.dtype).kind not in kinds:
-        allowed = {"integer": "integers", "number": "numbers", "text": "texts"}[want]
         raise BadInput(f"{where} {column.name}", f"{column.repeat}{column.dtype}", allowed)
     flat = stored[:, 0]
     if want == "text":
         return pa.array([text.rstrip(b" \0").decode("latin-1") or None for text in flat.tolist()])
     is_null = None if column.null is None else flat == column.null
-    values = np.ascontiguousarray(flat, flat.dtype.newbyteorder("="))
+    values = _scaled(np.ascontiguousarray(flat, flat.dtype.newbyteorder("=")), column)
+    return pa.array(values, mask=is_null)
+
+
+def _scaled(values: NDArray[Any], column: Column) -> NDArray[Any]:
+    """TSCAL x stored + TZERO, in integers where that is exact (FITS standard 4.0, table 19)."""
     if values.dtype.kind in "iu" and float(column.zero).is_integer() and column.scale == 1:
         if column.zero == 1 << 63:
-            values = values.view(np.uint64) ^ np.uint64(1 << 63)
-        elif column.zero:
-            values = values.astype(np.int64) + int(column.zero)
-    elif column.scale != 1 or column.zero:
-        values = values * float(column.scale) + float(column.zero)
-    return pa.array(values, mask=is_null)
+            return values.view(np.uint64) ^ np.uint64(1 << 63)
+        return values.astype(np.int64) + int(column.zero) if column.zero else values
+    if column.scale != 1 or column.zero:
+        return values * float(column.scale) + float(column.zero)
+    return values

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import groupby
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -100,17 +102,23 @@ def our_settings(case: Case, quick: bool) -> list[Setting]:
     elif case.curved:
         out += [_polyline(n) for n in (1, 2, 4, 8, 16, 32, 64, 128)]
     else:
-        if is_product(blur_of(case.shape), case.streak_px):
-            out += [_product(phases) for phases in (4, 8, 16, 32, 64)]
-        out += [_tiled(case, side) for side in (128, 256, 512)]
-        if case.streak_px:
-            densities = (0.5, 1.0, 2.0, 4.0) if case.streak_px <= 100 else (0.5, 1.0)
-            out += [_sampled(case, per_px) for per_px in densities]
+        out += _straight(case)
     if not quick:
         return out
-    names = dict.fromkeys(s.engine for s in out)
-    ladders = [[s for s in out if s.engine == name] for name in names]
+    ladders = (list(rungs) for _, rungs in groupby(out, attrgetter("engine")))
     return [rungs[k] for rungs in ladders for k in (0, len(rungs) // 2)]
+
+
+def _straight(case: Case) -> list[Setting]:
+    """Ladders of Gaussian stars and their straight streaks alone."""
+    out: list[Setting] = []
+    if is_product(blur_of(case.shape), case.streak_px):
+        out += [_product(phases) for phases in (4, 8, 16, 32, 64)]
+    out += [_tiled(case, side) for side in (128, 256, 512)]
+    if case.streak_px:
+        densities = (0.5, 1.0, 2.0, 4.0) if case.streak_px <= 100 else (0.5, 1.0)
+        out += [_sampled(case, per_px) for per_px in densities]
+    return out
 
 
 def _radius(case: Case) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +49,9 @@ def draw_figure(study: dict[str, Any], path: Path) -> None:
     figure = Figure(figsize=(width, height), dpi=110)
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(psfs), len(streaks), sharex=True, sharey=True, squeeze=False)
-    for i, psf in enumerate(psfs):
-        for j, streak in enumerate(streaks):
-            mine = [r for r in rows if r["psf"] == psf and r["streak_px"] == streak]
-            _panel(axes[i][j], mine, psf, streak)
+    for panel, (psf, streak) in zip(axes.flat, product(psfs, streaks), strict=True):
+        mine = [r for r in rows if (r["psf"], r["streak_px"]) == (psf, streak)]
+        _panel(panel, mine, psf, streak)
     figure.subplots_adjust(
         left=0.8 / width, right=1.0 - 0.15 / width, top=1.0 - 0.4 / height,
         bottom=BELOW_IN / height, wspace=0.09, hspace=0.2,

@@ -22,6 +22,7 @@ from pipeline.accuracy.reference import AiryStar, GaussianStar, exact_pixels
 Array = NDArray[np.float64]
 
 SATSIM_PYTHON = "NIGHTGLASS_SATSIM_PYTHON"
+OVERSAMPLING = (3, 5, 9)  # of SatSim and SkyMaker
 TABLE_HALF_PX = 24  # of tabulated responses for photutils
 
 
@@ -155,19 +156,20 @@ def external_settings(
     """(engine, setting, run) of peers that draw all probes in one go, in a process of their own."""
     from pipeline.accuracy.external import run_satsim, run_skymaker
 
-    out: list[tuple[str, str, Callable[..., Any]]] = []
-    python = satsim_python or os.environ.get(SATSIM_PYTHON)
+    python = satsim_python or os.environ.get(SATSIM_PYTHON, "")
     if case.curved or case.streak_px > 100:
-        return out
-    if python and shutil.which(python):
-        rest = quick or case.streak_px > 0 or isinstance(case.shape, AiryStar)
-        for table, ladder in ((False, (3, 5)), (True, (3, 5, 9))):
-            for factor in ladder[:1] if quick else ladder[:2] if rest else ladder:
-                run = partial(run_satsim, python=python, oversampling=factor, table=table)
-                name = "SatSim, table" if table else "SatSim, FFT"
-                out.append((name, f"oversampling {factor}", run))
+        return []
+    most = 1 if quick else len(OVERSAMPLING)
+    peers: list[tuple[str, int, Callable[..., Any]]] = []
+    if shutil.which(python):
+        finest = 3 - (case.streak_px > 0 or isinstance(case.shape, AiryStar))
+        satsim = partial(run_satsim, python=python)
+        peers.append(("SatSim, FFT", min(most, 2), partial(satsim, table=False)))
+        peers.append(("SatSim, table", min(most, finest), partial(satsim, table=True)))
     if shutil.which("sky"):
-        for factor in (3,) if quick else (3, 5, 9):
-            run = partial(run_skymaker, oversampling=factor)
-            out.append(("SkyMaker", f"oversampling {factor}", run))
-    return out
+        peers.append(("SkyMaker", most, run_skymaker))
+    return [
+        (name, f"oversampling {factor}", partial(run, oversampling=factor))
+        for name, rungs, run in peers
+        for factor in OVERSAMPLING[:rungs]
+    ]

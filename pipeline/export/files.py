@@ -29,13 +29,7 @@ def export_frames(
     if kind not in KINDS:
         raise BadInput("--to", kind, " or ".join(KINDS))
     cube = open_cube(product)
-    layers = [str(n) for n in cube.data_vars if cube[n].dims == ("frame", "y", "x")]
-    if layer not in layers:
-        raise BadInput("--layer", layer, ", ".join(layers))
-    count = cube.sizes["frame"]
-    if frame is not None and frame >= count:
-        raise BadInput("--frame", frame, f"0 to {count - 1}")
-    frames = range(count) if frame is None else [frame]
+    frames = frames_of(cube, layers_of(cube), layer, frame)
     single = output.suffix == f".{kind}"
     if single and len(frames) > 1:
         raise BadInput("-o", str(output), "a folder, or --frame N for one file")
@@ -47,6 +41,21 @@ def export_frames(
         content = fits_bytes(product, cube, k, layer) if kind == "fits" else _png(product, k, layer)
         write_atomically(path, content)
         yield path
+
+
+def layers_of(cube: xr.Dataset) -> list[str]:
+    """Names of the layers of a product that hold an image for each frame."""
+    return [str(n) for n, v in cube.data_vars.items() if v.dims == ("frame", "y", "x")]
+
+
+def frames_of(cube: xr.Dataset, layers: list[str], layer: str, frame: int | None) -> list[int]:
+    """The frames asked for, all where `frame` is None. BadInput for a layer or frame not there."""
+    if layer not in layers:
+        raise BadInput("--layer", layer, ", ".join(layers))
+    count = cube.sizes["frame"]
+    if frame is not None and not 0 <= frame < count:
+        raise BadInput("--frame", frame, f"0 to {count - 1}")
+    return list(range(count)) if frame is None else [frame]
 
 
 def _png(product: Path, frame: int, layer: str) -> bytes:

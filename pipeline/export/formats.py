@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.errors import BadInput
 from pipeline.export import coco, satnet
 from pipeline.export.files import KINDS as FRAME_KINDS
-from pipeline.export.files import export_frames, fits_bytes
+from pipeline.export.files import export_frames, fits_bytes, frames_of, layers_of
 from pipeline.export.header import scene_of
 from pipeline.export.labels import Labels, frame_labels
 from pipeline.export.times import exposure_of
@@ -61,18 +61,18 @@ def export_product(product: Path, kind: str, output: Path, wish: Wish) -> Iterat
     if kind in FRAME_KINDS:
         yield from export_frames(product, kind, output, wish.frame, wish.layer)
         return
-    if kind in ("gif", "mp4") and output.suffix != f".{kind}":
-        raise BadInput("-o", str(output), f"a path ending in .{kind}")
-    if not 0 < wish.fps <= 100:
-        raise BadInput("--fps", wish.fps, "above 0, up to 100")
-    if not 0 < wish.threshold_sigma < 1e6:
-        raise BadInput("--threshold", wish.threshold_sigma, "above 0 and below 1e6")
-    if wish.light not in ("response", "layers"):
-        raise BadInput("--light", wish.light, "response or layers")
-    if wish.stars_snr is not None and not wish.stars_snr >= 0:
-        raise BadInput("--stars-snr", wish.stars_snr, "a number of at least 0")
-    if output.exists():
-        raise BadInput("-o", str(output), "a path that does not exist yet")
+    named = kind not in ("gif", "mp4") or output.suffix == f".{kind}"
+    fps, sigma, snr = wish.fps, wish.threshold_sigma, wish.stars_snr
+    for good, field, value, allowed in (
+        (named, "-o", str(output), f"a path ending in .{kind}"),
+        (0 < fps <= 100, "--fps", fps, "above 0, up to 100"),
+        (0 < sigma < 1e6, "--threshold", sigma, "above 0 and below 1e6"),
+        (wish.light in ("response", "layers"), "--light", wish.light, "response or layers"),
+        (snr is None or snr >= 0, "--stars-snr", snr, "a number of at least 0"),
+        (not output.exists(), "-o", str(output), "a path that does not exist yet"),
+    ):
+        if not good:
+            raise BadInput(field, value, allowed)
     job = _Job(product, wish)
     yield from {"gif": _movie, "mp4": _movie, "satnet": _satnet, "coco": _coco, "masks": _masks}[
         kind
@@ -85,14 +85,8 @@ class _Job:
     def __init__(self, product: Path, wish: Wish) -> None:
         self.product, self.wish = product, wish
         self.cube: xr.Dataset = open_cube(product)
-        pixels = ("frame", "y", "x")
-        self.layers = [str(n) for n, v in self.cube.data_vars.items() if v.dims == pixels]
-        if wish.layer not in self.layers:
-            raise BadInput("--layer", wish.layer, ", ".join(self.layers))
-        count = self.cube.sizes["frame"]
-        if wish.frame is not None and not 0 <= wish.frame < count:
-            raise BadInput("--frame", wish.frame, f"0 to {count - 1}")
-        self.frames = list(range(count)) if wish.frame is None else [wish.frame]
+        self.layers = layers_of(self.cube)
+        self.frames = frames_of(self.cube, self.layers, wish.layer, wish.frame)
 
     @property
     def name(self) -> str:

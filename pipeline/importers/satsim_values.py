@@ -16,6 +16,7 @@ KNOWN = {
     "poisson": ("lam",),
     "exponential": ("scale",),
 }
+Node = dict[str, Any]  # of a SatSim file
 MOST = 100_000_000
 DEPTH = 32
 
@@ -32,40 +33,49 @@ def settled(value: Any, rng: np.random.Generator, told: list[str], where: str = 
     if not isinstance(value, dict):
         return value
     if "$sample" in value:
-        drawn = _drawn(value, rng, told, where)
-        if not isinstance(drawn, dict | list):
-            shown = f"image, median {np.median(drawn):.4g}" if np.ndim(drawn) else f"{drawn:.6g}"
-            told.append(f"{where} drawn at random by {value['$sample']}: {shown}")
-        return drawn
+        return _drawn(value, rng, told, where)
     if "$pipeline" in value:
         return _worked_out(value["$pipeline"], where)
     for key in value:
-        if isinstance(key, str) and key.startswith("$"):
+        if str(key).startswith("$"):
             raise BadInput(f"{where}.{key}", value[key], "$sample or $pipeline")
-    return {k: settled(v, rng, told, f"{where}.{k}" if where else k) for k, v in value.items()}
+    before = f"{where}." * bool(where)
+    return {k: settled(v, rng, told, f"{before}{k}") for k, v in value.items()}
 
 
-def _drawn(value: dict[str, Any], rng: np.random.Generator, told: list[str], where: str) -> Any:
+def _drawn(value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
     kind = str(value["$sample"]).removeprefix("random.")
-    if kind == "list":
-        length = settled(value.get("length"), rng, told, f"{where}.length")
-        if not isinstance(length, int | np.integer) or not 0 <= length <= 10_000:
-            raise BadInput(f"{where}.length", length, "a whole number up to 10000")
-        return [settled(value.get("value"), rng, told, f"{where}.{i}") for i in range(length)]
-    if kind == "choice":
-        choices = value.get("choices")
-        if not isinstance(choices, list) or not choices:
-            raise BadInput(f"{where}.choices", choices, "a list of values")
-        share = value.get("probabilities")
-        try:
-            k = int(rng.choice(len(choices), p=share))
-        except (ValueError, TypeError) as error:
-            raise BadInput(f"{where}.probabilities", share, str(error)) from None
-        told.append(f"{where} chosen at random: number {k + 1} of {len(choices)}")
-        return settled(choices[k], rng, told, where)
-    if kind not in KNOWN:
-        allowed = ", ".join(f"random.{k}" for k in (*KNOWN, "choice", "list"))
+    if kind not in SAMPLERS:
+        allowed = ", ".join(f"random.{k}" for k in SAMPLERS)
         raise BadInput(f"{where}.$sample", value["$sample"], allowed)
+    drawn = SAMPLERS[kind](kind, value, rng, told, where)
+    if not isinstance(drawn, dict | list):
+        shown = f"image, median {np.median(drawn):.4g}" if np.ndim(drawn) else f"{drawn:.6g}"
+        told.append(f"{where} drawn at random by {value['$sample']}: {shown}")
+    return drawn
+
+
+def _list(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
+    length = settled(value.get("length"), rng, told, f"{where}.length")
+    if not isinstance(length, int | np.integer) or not 0 <= length <= 10_000:
+        raise BadInput(f"{where}.length", length, "a whole number up to 10000")
+    return [settled(value.get("value"), rng, told, f"{where}.{i}") for i in range(length)]
+
+
+def _choice(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
+    choices = value.get("choices")
+    if not isinstance(choices, list) or not choices:
+        raise BadInput(f"{where}.choices", choices, "a list of values")
+    share = value.get("probabilities")
+    try:
+        k = int(rng.choice(len(choices), p=share))
+    except (ValueError, TypeError) as error:
+        raise BadInput(f"{where}.probabilities", share, str(error)) from None
+    told.append(f"{where} chosen at random: number {k + 1} of {len(choices)}")
+    return settled(choices[k], rng, told, where)
+
+
+def _numbers(kind: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
     given = [settled(value.get(k), rng, told, f"{where}.{k}") for k in KNOWN[kind]]
     size = value.get("size")
     if isinstance(size, list) and (not all(isinstance(n, int) for n in size)
@@ -73,12 +83,14 @@ def _drawn(value: dict[str, Any], rng: np.random.Generator, told: list[str], whe
         raise BadInput(f"{where}.size", size, f"whole numbers, up to {MOST} in all")
     if "seed" in value:
         rng = np.random.default_rng(value["seed"])
-    draw: Any = rng.integers if kind == "randint" else getattr(rng, kind)
     try:
-        out = draw(*given, size=size)
+        out = getattr(rng, "integers" if kind == "randint" else kind)(*given, size=size)
     except (ValueError, TypeError) as error:
         raise BadInput(where, given, str(error)) from None
     return np.asarray(out, np.float32) if np.ndim(out) else np.asarray(out).item()
+
+
+SAMPLERS = {**dict.fromkeys(KNOWN, _numbers), "choice": _choice, "list": _list}
 
 
 def _worked_out(steps: Any, where: str) -> float:

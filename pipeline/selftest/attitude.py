@@ -48,8 +48,7 @@ def stiff(_: Path) -> Found:
 def _exact_covariance(a: Array, b: Array) -> Array:
     """P of A P + P A' + B B' = 0 in whole fractions: no rounding at any stiffness."""
     n = len(a)
-    left = [[Fraction(float(v)) for v in row] for row in a]
-    noise = [[Fraction(float(v)) for v in row] for row in b]
+    left, noise = ([[Fraction(float(v)) for v in row] for row in matrix] for matrix in (a, b))
     pairs = [(i, j) for i in range(n) for j in range(i + 1)]
     place = {pair: k for k, pair in enumerate(pairs)}
     rows = []

@@ -11,6 +11,7 @@ from typing import Any
 
 from pipeline.arrays import Geometry
 from pipeline.execute.tile import LIGHTS
+from pipeline.plan.facts import Facts
 from pipeline.plan.scene_plan import Plan
 from pipeline.spec.scene import Scene
 
@@ -106,18 +107,18 @@ def _part(plan: Plan, kind: str) -> Part:
         drop["background"] = None
     kept = scene.model_copy(update=drop)
     hidden = NOISE_FACTS + SKY_FACTS  # the sky is drawn from its plan
-    content: list[Any] = [kind, light_content(kept)]
-    content += [getattr(facts, f.name) for f in fields(facts) if f.name not in hidden]
-    content += [getattr(plan, f.name) for f in fields(plan) if f.name not in NOT_OF[kind]]
-    if kind != "sky" and scene.background is not None:
-        kept = kept.model_copy(update={"background": Barred("background")})
-    kept = kept.model_copy(update={"cosmic_rays": Barred("cosmic_rays")})
+    content = [kind, light_content(kept), *_values(facts, hidden), *_values(plan, NOT_OF[kind])]
+    kept = barred(kept, ("cosmic_rays", *(drop.keys() & {"background"})))
     without: dict[str, Any] = {name: Barred(name) for name in hidden}
     reduced = replace(
         plan, scene=kept, facts=replace(facts, **without),
         sky=plan.sky if kind == "sky" else None, decisions=(), remarks=(), warnings=(), checks=(),
     )  # fmt: skip
     return Part(kind, reduced, tuple(content))
+
+
+def _values(of: Facts | Plan, but: tuple[str, ...]) -> list[Any]:
+    return [getattr(of, f.name) for f in fields(of) if f.name not in but]
 
 
 def light_content(scene: Scene) -> str:

@@ -33,26 +33,13 @@ def forecast_course(course: Course) -> dict[str, Any]:
     """
     check(course)
     design, run = course.design, stages(course.run)
-    first = scene_of(course, design, 0)
-    plain = is_plain(first)
-    fields = [name for axis in design.axes for name in axis.fields]
-    differ = {kind: set(fields) for kind in ("plans", *LIGHTS)}
+    plain = is_plain(scene_of(course, design, 0))
     spots = dict.fromkeys(k * (design.size - 1) // max(1, LOOKED_AT - 1) for k in range(LOOKED_AT))
     began = time.process_time()
     bases = [with_floor(course, run, scene_of(course, design, p), not plain)[1] for p in spots]
     plan_s = (time.process_time() - began) / len({base.key for base in bases})
-    if plain:
-        differ["plans"] = {name for name in fields if name not in AFTER_LIGHT}
-        for kind in LIGHTS:
-            differ[kind] = _touching(course, bases[0], kind, differ["plans"])
-    counts = {kind: _distinct(course, names, plain) for kind, names in differ.items()}
-    plan = bases[0].plan
-    scene = plan.scene
-    if scene.stars is None:
-        counts["stars"] = 0
-    if not scene.targets:
-        counts["targets"] = 0
-    frames, pixels = plan.frames, math.prod(scene.sensor.shape)
+    plan, counts = bases[0].plan, _counts(course, bases[0], plain)
+    frames, pixels = plan.frames, math.prod(plan.scene.sensor.shape)
     tiles = frames * len(plan.tiles)
     needs = [predict(b.plan, star_forecast(b.prepared), b.prepared.spent) for b in bases]
     bare_s = frames * pixels * NOISE_S_PER_PIXEL + tiles * (TILE_S + 2 * CHUNK_S) + START_S
@@ -60,7 +47,7 @@ def forecast_course(course: Course) -> dict[str, Any]:
     point_s = frames * pixels * NOISE_S_PER_PIXEL
     lights = counts["stars"] or counts["targets"]  # what takes time; the sky is smooth
     return {
-        "points": design.size, "frames": frames, "shape": list(scene.sensor.shape),
+        "points": design.size, "frames": frames, "shape": list(plan.scene.sensor.shape),
         "different": counts,
         "cpu_s": START_S + counts["plans"] * plan_s + lights * light_s + design.size * point_s
         + counts["plans"] * tiles * TILE_S,
@@ -68,6 +55,19 @@ def forecast_course(course: Course) -> dict[str, Any]:
         "worker_memory_mb": max(n["worker_memory_mb"] for n in needs),
         "metrics": list(course.sweep.metrics), "alone_cpu_s": design.size * needs[0]["cpu_s"],
     }  # fmt: skip
+
+
+def _counts(course: Course, base: Base, plain: bool) -> dict[str, int]:
+    """How many different plans and lights of each kind the points have."""
+    fields = {name for axis in course.design.axes for name in axis.fields}
+    if plain:
+        fields -= set(AFTER_LIGHT)
+    counts = {"plans": _distinct(course, fields, plain)}
+    for kind in LIGHTS:
+        names = _touching(course, base, kind, fields) if plain else fields
+        drawn = kind == "sky" or getattr(base.plan.scene, kind)
+        counts[kind] = _distinct(course, names, plain) if drawn else 0
+    return counts
 
 
 def _touching(course: Course, base: Base, kind: str, fields: Iterable[str]) -> set[str]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.execute.light import draw_targets
 from pipeline.execute.outlook import limiting_light_e, limiting_mag, target_snr
-from pipeline.execute.sources import place_targets
+from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.physics.detection import filtered, peak_near
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, overlap
@@ -96,12 +96,7 @@ class Measurement:
         """The metrics by the names of their columns; None where there is nothing to tell."""
         out: dict[str, Any] = {"content_digest": self.content_digest()}
         if "background" in self.metrics:
-            total = sum(n for _, n in self._backgrounds)
-            mean = sum(v * n for v, n in self._backgrounds) / total if total else None
-            out |= {
-                "background_e": mean, "sky_e": self.plan.facts.background_e,
-                "noise_floor_e": self.plan.facts.sigma_floor_e,
-            }  # fmt: skip
+            out |= self._background()
         if "limiting_magnitude" in self.metrics:
             out |= self._limit()
         if "saturation" in self.metrics:
@@ -120,6 +115,12 @@ class Measurement:
     def content_digest(self) -> str:
         """As of a product that holds `dn` alone: equal where every pixel of all frames is."""
         return hashlib.sha256(json.dumps(sorted(self._cells)).encode()).hexdigest()
+
+    def _background(self) -> dict[str, float | None]:
+        total = sum(n for _, n in self._backgrounds)
+        mean = sum(v * n for v, n in self._backgrounds) / total if total else None
+        sky_e, floor_e = self.plan.facts.background_e, self.plan.facts.sigma_floor_e
+        return {"background_e": mean, "sky_e": sky_e, "noise_floor_e": floor_e}
 
     def _limit(self) -> dict[str, float | None]:
         """Of the frame that sees the faintest: times may differ, so light alone does not tell."""
@@ -157,35 +158,39 @@ def target_windows(
 ) -> list[tuple[str, Window]]:
     """An empty window for each target that is wholly in view, with the response in it."""
     out: list[tuple[str, Window]] = []
-    rows, columns = plan.scene.sensor.shape
     for t in place_targets(plan, g) if names else ():
         name = plan.scene.targets[t.index].name
         if name not in names or t.light_e <= 0:
             continue
-        reach = math.ceil(min(8.0 * _core_px(plan), 64.0)) + math.ceil(t.radius_px)
-        spans = [
-            (math.floor(c + float(p.min())) - reach, math.ceil(c + float(p.max())) + reach + 1)
-            for c, p in ((t.y_px, t.path.y_px), (t.x_px, t.path.x_px))
-        ]
-        spare = math.ceil(search_px) + MARGIN_PX
-        sides = [b - a + 2 * spare for a, b in spans]
-        if max(sides) > LARGEST_WINDOW_PX:
-            continue
-        core = Tile(0, 0, spans[0][0], spans[1][0], *(b - a for a, b in spans))
-        light = draw_targets(_one(plan, t.index), _geometry_of(g, t.index), core, [])
-        y0, x0 = max(0, spans[0][0] - spare), max(0, spans[1][0] - spare)
-        y1, x1 = min(rows, spans[0][1] + spare), min(columns, spans[1][1] + spare)
-        inside = Tile(0, 0, y0, x0, max(0, y1 - y0), max(0, x1 - x0))
-        seen = overlap(core, inside)
-        total = float(light.sum())
-        if total <= 0 or not (seen.rows and seen.columns):
-            continue
-        response = light[_cut(core, seen)] / total
-        if float(response.sum()) < KEPT_LIGHT:
-            continue
-        corner = seen.y0 - inside.y0, seen.x0 - inside.x0
-        out.append((name, Window(inside, response, corner)))
+        window = _window(plan, g, t, math.ceil(search_px) + MARGIN_PX)
+        if window is not None:
+            out.append((name, window))
     return out
+
+
+def _window(plan: Plan, g: Geometry, t: FrameTarget, spare_px: int) -> Window | None:
+    """An empty window around a target and `spare_px` more; None if too large or not in view."""
+    reach = math.ceil(min(8.0 * _core_px(plan), 64.0)) + math.ceil(t.radius_px)
+    (top, bottom), (left, right) = (
+        (math.floor(c + float(p.min())) - reach, math.ceil(c + float(p.max())) + reach + 1)
+        for c, p in ((t.y_px, t.path.y_px), (t.x_px, t.path.x_px))
+    )
+    core = Tile(0, 0, top, left, bottom - top, right - left)
+    if max(core.rows, core.columns) + 2 * spare_px > LARGEST_WINDOW_PX:
+        return None
+    light = draw_targets(_one(plan, t.index), _geometry_of(g, t.index), core, [])
+    rows, columns = plan.scene.sensor.shape
+    y0, x0 = max(0, top - spare_px), max(0, left - spare_px)
+    y1, x1 = min(rows, bottom + spare_px), min(columns, right + spare_px)
+    inside = Tile(0, 0, y0, x0, max(0, y1 - y0), max(0, x1 - x0))
+    seen = overlap(core, inside)
+    total = float(light.sum())
+    if total <= 0 or not (seen.rows and seen.columns):
+        return None
+    response = light[_cut(core, seen)] / total
+    if float(response.sum()) < KEPT_LIGHT:
+        return None
+    return Window(inside, response, (seen.y0 - inside.y0, seen.x0 - inside.x0))
 
 
 def _one(plan: Plan, index: int) -> Plan:

@@ -147,6 +147,11 @@ def check(course: Course) -> tuple[tuple[str, ...], list[str]]:
             faults.append(error)
     if found is None:
         raise faults[0]
+    return _measured(course, found), [c.digest for c in found.catalogues]
+
+
+def _measured(course: Course, found: Prepared) -> tuple[str, ...]:
+    """Names of the targets measured. BadInput for one that is not there, and for too many."""
     known = tuple(t.name for t in found.plan.scene.targets)
     names = known if course.sweep.targets is None else course.sweep.targets
     for i, name in enumerate(names):
@@ -155,7 +160,7 @@ def check(course: Course) -> tuple[tuple[str, ...], list[str]]:
     if len(names) > MOST_TARGETS and {"snr", "detection"} & set(course.sweep.metrics):
         allowed = f"targets: a list of up to {MOST_TARGETS} names to measure"
         raise BadInput("targets", f"{len(names)} targets", allowed)
-    return names, [c.digest for c in found.catalogues]
+    return names
 
 
 def point_scene(path: Path, point: int) -> Scene:

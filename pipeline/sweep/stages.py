@@ -130,20 +130,18 @@ class Stages:
         part, key = base.parts[kind]
         if kind == "stars" and base.plan.shared_frames > 1:
             g = self.geometry(base, base.plan.drawn_frame(int(g.frame[0])))
-        plan, mine, stars = part.plan, part.geometry(g), None
-        scene = base.plan.scene
-        if (kind == "stars" and scene.stars is None) or (kind == "targets" and not scene.targets):
+        if kind != "sky" and not getattr(base.plan.scene, kind):
             return {}
+        plan, mine = part.plan, part.geometry(g)
+        stars: list[FrameStars] = []
         if kind == "stars":
             key, stars = self.stars(base, g)
-        elif kind == "targets":
-            key = _token((key, mine))
         else:
-            key = _token((key, mine.frame))
+            key = _token((key, mine if kind == "targets" else mine.frame))
 
         def make() -> dict[str, Array]:
-            blocks = [] if kind == "sky" else self._blocks(key, plan, mine, tile, stars or [])
-            return tile_light(plan, mine, tile, stars or [], blocks, (kind,))
+            blocks = [] if kind == "sky" else self._blocks(key, plan, mine, tile, stars)
+            return tile_light(plan, mine, tile, stars, blocks, (kind,))
 
         place = (tile.y0, tile.x0, tile.rows, tile.columns)
         return self.get(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pipeline.physics.drawing.spectral_spread import Kernel, spread_onto
 from pipeline.physics.drawing.wings import WingGrid, spread
-from pipeline.physics.motion.streak import POINT, Path, pieces, transfer
+from pipeline.physics.motion.streak import POINT, Path, half_extent_px, pieces, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import Core, core_spectrum, frequencies, stamp_at, window
 from pipeline.physics.targets.disc import EVERYWHERE, SPHERE_VARIANCE, Appearance, Box
@@ -168,8 +168,7 @@ def draw_body(
     spectrum_of : `block_spectrum`, or one that remembers what it has made
     """
     cut = pieces(path)
-    reach_y = max((float(np.abs(p.y_px).max()) for _, _, p, _ in cut), default=0.0)
-    reach_x = max((float(np.abs(p.x_px).max()) for _, _, p, _ in cut), default=0.0)
+    reach_y, reach_x = half_extent_px(piece for _, _, piece, _ in cut)
     swept: dict[Path, Spectrum] = {}
     fixed: Spectrum | None = None
     band = 0.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.spectral_band import Band, band_of
 from pipeline.physics.drawing.spectral_spread import Kernel
-from pipeline.physics.motion.streak import Path, pieces
+from pipeline.physics.motion.streak import Path, half_extent_px, pieces
 from pipeline.physics.psf.response import Core
 
 Array = NDArray[np.float64]
@@ -149,30 +149,37 @@ def plan_spectral(
     """
     if not (error > 0 and math.isfinite(error)):
         raise BadInput("error", error, "a positive number")
-    best: tuple[float, SpectralPlan] | None = None
+    best: list[tuple[float, SpectralPlan]] = []
+    precisions = (True, False) if single is None else (single,)
     for longest in LONGEST_PX:
         if longest < math.inf and path.length_px <= longest:
             continue
         band, reach = band_of(core, path, longest), _reach_px(core, path, longest)
-        parts = [piece for _, _, piece, _ in pieces(path, longest)]
-        work = (len(parts) * sources, max((p.segments for p in parts), default=1), len(set(parts)))
-        for precision in (True, False) if single is None else (single,):
+        timed: list[tuple[float, SpectralPlan]] = []
+        for precision in precisions:
             need = _Need(shape, reach, band, longest, precision)
-            found = [
-                (p.seconds(*work), p)
-                for p in _plans(need, error)
-                if p.bytes <= most_bytes and (single or not _crowded(p, work[0]))
-            ]
-            best = min([*found, *([best] if best else [])], key=lambda f: f[0], default=None)
-            if found:
-                break
-    if best is None:
+            timed = timed or _timed_plans(need, error, path, sources, bool(single), most_bytes)
+        best = sorted([*timed, *best], key=lambda plan: plan[0])[:1]
+    if not best:
         raise BadInput(
             "error", error,
             f"an error that a grid of at most {most_bytes / 1e6:.0f} MB reaches with this "
             "response: a larger one, a smaller block, or the stamps engine",
         )  # fmt: skip
-    return best[1]
+    return best[0][1]
+
+
+def _timed_plans(
+    need: _Need, error: float, path: Path, sources: float, crowded: bool, most_bytes: float
+) -> list[tuple[float, SpectralPlan]]:
+    """Predicted seconds of the plans within the memory, and they; `crowded`: also such as are."""
+    parts = [piece for _, _, piece, _ in pieces(path, need.longest_px)]
+    count, segments = len(parts) * sources, max((p.segments for p in parts), default=1)
+    return [
+        (p.seconds(count, segments, len(set(parts))), p)
+        for p in _plans(need, error)
+        if p.bytes <= most_bytes and (crowded or not _crowded(p, count))
+    ]
 
 
 def _crowded(plan: SpectralPlan, sources: float) -> bool:
@@ -183,9 +190,7 @@ def _crowded(plan: SpectralPlan, sources: float) -> bool:
 
 def _reach_px(core: Core, path: Path, longest_px: float) -> tuple[float, float]:
     """How far (y, x) the light of a piece falls from its middle: core, half its length, a pixel."""
-    parts = [piece for _, _, piece, _ in pieces(path, longest_px)]
-    half_y = max((float(np.abs(p.y_px).max()) for p in parts), default=0.0)
-    half_x = max((float(np.abs(p.x_px).max()) for p in parts), default=0.0)
+    half_y, half_x = half_extent_px(piece for _, _, piece, _ in pieces(path, longest_px))
     return core.radius_px + 1.0 + half_y, core.radius_px + 1.0 + half_x
 
 

@@ -85,9 +85,7 @@ def brdf_table(
     axes = [np.asarray(a, float) for a in (theta_i_rad, theta_o_rad, phi_rad)]
     table = np.array(value, float)
     for name, axis, top in zip(("theta_i", "theta_o", "phi"), axes, (90, 90, 180), strict=True):
-        good = axis.ndim == 1 and axis.size >= 1 and bool(np.all(np.isfinite(axis)))
-        good = good and bool(np.all(np.diff(axis) > 0.0) and axis[0] == 0.0)
-        if not (good and axis[-1] <= np.deg2rad(top) + 1e-9):
+        if not _rises(axis, np.deg2rad(top)):
             raise BadInput(f"{field}.{name}", "its angles", f"angles that rise from 0 to <= {top}")
     shape = tuple(a.size for a in axes)
     if table.shape != shape:
@@ -101,6 +99,14 @@ def brdf_table(
     if share > MOST_LIGHT:
         raise BadInput(field, f"a surface that reflects {share:.3g} of the light", "at most all")
     return made
+
+
+def _rises(axis: Array, top_rad: float) -> bool:
+    """Whether angles are finite and rise from 0 to `top_rad` at most."""
+    if axis.ndim != 1 or not axis.size or not np.all(np.isfinite(axis)):
+        return False
+    rising = np.all(np.diff(axis) > 0.0) and axis[0] == 0.0
+    return bool(rising and axis[-1] <= top_rad + 1e-9)
 
 
 def reciprocity_error(value: ArrayLike) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,6 +97,12 @@ def pieces(
     for run, count in _runs(path, longest_px):
         out += _flush(path, run) if count == 1 else _cut(path, run[0], count, near)
     return out
+
+
+def half_extent_px(parts: Iterable[Path]) -> tuple[float, float]:
+    """How far (y, x) the nodes of paths lie from their reference points, at most [px]."""
+    sizes = [(float(np.abs(p.y_px).max()), float(np.abs(p.x_px).max())) for p in parts]
+    return max((y for y, _ in sizes), default=0.0), max((x for _, x in sizes), default=0.0)
 
 
 def piece_counts(path: Path) -> list[tuple[Path, float, int]]:

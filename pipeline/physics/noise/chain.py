@@ -54,6 +54,11 @@ class Chain:
     column_noise_e: float = 0.0
     bad: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None = None
 
+    @property
+    def is_joint(self) -> bool:
+        """Whether nothing but the full well is between photon and read noise."""
+        return self.photon_noise and self.linearity is None and not self.blooming
+
 
 @dataclass(frozen=True)
 class StreamPlace:
@@ -121,10 +126,10 @@ def _measured_e(
     (rows, columns), at = mean_e.shape, (place.y0, place.x0, place.frame)
     read_e = _cut_value(chain.read_noise_e, part)
     well_e = _cut_value(np.inf if chain.full_well_e is None else chain.full_well_e, part)
-    noisy, bent = bool(np.any(np.asarray(read_e) > 0)), chain.linearity is not None
-    if noisy and chain.photon_noise and not (bent or chain.blooming):
-        terms = [0.0 if drawn_e is None else drawn_e, well_e, read_e]
-        drawn, well, read = (_row_wise(v, columns) for v in terms)
+    noisy = bool(np.any(np.asarray(read_e) > 0))
+    if noisy and chain.is_joint:
+        drawn = _row_wise(0.0 if drawn_e is None else drawn_e, columns)
+        well, read = _row_wise(well_e, columns), _row_wise(read_e, columns)
         keys = place.joint_key, place.photon_key, place.read_key
         return np.asarray(measured_image(mean_e, drawn, well, read, *at, *keys))
     charge = poisson_image(mean_e, *at, *place.photon_key) if chain.photon_noise else mean_e.copy()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 import scipy.fft
@@ -203,17 +203,9 @@ def choose_wavelengths(
     The error is measured with the round parts of the optics, whose size is what the wavelength
     changes most.
     """
-
-    def mixed(n: int, round_only: bool) -> tuple[Optics, Array, Array]:
-        nodes, weights = band_wavelengths(wavelength_m, value, n)
-        parts = tuple(make(float(w)) for w in nodes)
-        if round_only:
-            parts = tuple(p.annulus if isinstance(p, Pupil) else p for p in parts)
-        return mixture(parts, tuple(map(float, weights))), nodes, weights
-
+    mixed = partial(_mixed, make, wavelength_m, value)
     round_ = not isinstance(make(float(wavelength_m[0])), Pupil)
     counts = COUNTS + MANY if round_ and limit is not None else COUNTS
-
     widths = WIDTHS if limit is None else min(max(WIDTHS, limit.widths), MOST_WIDTHS)
 
     @cache
@@ -242,6 +234,17 @@ def choose_wavelengths(
         optics, tuple(map(float, nodes)), tuple(map(float, weights)), error, errors(1)[0],
         error_sigma,
     )  # fmt: skip
+
+
+def _mixed(
+    make: Callable[[float], Chromatic], wavelength_m: Array, value: Array, n: int, round_only: bool
+) -> tuple[Optics, Array, Array]:
+    """The optics of n wavelengths of a band, the wavelengths [m] and their weights."""
+    nodes, weights = band_wavelengths(wavelength_m, value, n)
+    parts = tuple(make(float(w)) for w in nodes)
+    if round_only:
+        parts = tuple(p.annulus if isinstance(p, Pupil) else p for p in parts)
+    return mixture(parts, tuple(map(float, weights))), nodes, weights
 
 
 def _first(holds: Callable[[int], bool], last: int) -> int:
