@@ -237,7 +237,8 @@ def holding(url, **environment):
     """A process that renders into a URL and is killed with -9 after its first tile."""
     code = (
         "import json, os, signal, sys; "
-        "from pipeline.run import Options, render; from pipeline.spec.load import parse_scene; "
+        "from pipeline.run import Options, render; "
+        "from pipeline.spec.load import parse_scene; "
         "render(parse_scene(json.loads(sys.argv[1])), sys.argv[2], Options('synchronous'), "
         "lambda p: p.done and os.kill(os.getpid(), signal.SIGKILL))"
     )

@@ -6,11 +6,11 @@ render unless the scene accepts it by name; accepted, it stands first in the pla
 the product. A scene of which nothing of the kind is true is drawn without a word.
 """
 
-# Deeper, elsewhere: tests/plan/test_sky_doubts.py (all bodies, in all exposures, against astropy),
+# Deeper, elsewhere: tests/plan/test_sky_doubts.py (all bodies, in all exposures),
 # tests/acceptance/test_coverage.py, test_behind_the_earth.py and test_site_with_air.py,
-# tests/plan/test_target_remarks.py (orbits and shadows), tests/catalog_tools/test_coverage.py,
-# tests/inputs/test_catalogues.py (colours), tests/plan/test_accuracy.py, tests/spec and tests/cli
-# (values that cannot be).
+# tests/plan/test_target_remarks.py (orbits, shadows), tests/catalog_tools/test_coverage.py,
+# tests/inputs/test_catalogues.py (colours), tests/plan/test_accuracy.py,
+# tests/spec and tests/cli (values that cannot be).
 
 from __future__ import annotations
 
