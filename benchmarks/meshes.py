@@ -17,12 +17,12 @@ import numpy as np
 
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.facets import Facets
-from pipeline.physics.meshes.intensity import Surface, mesh_intensity
+from pipeline.physics.meshes.intensity import FacetSurface, mesh_intensity
 from pipeline.physics.vectors import unit
 
 Array = np.ndarray
 DIRECTIONS, ERRORS = 16, (1e-2, 1e-3, 1e-4)
-WHITE = Surface(partial(brdf.lambert, albedo=1.0))
+WHITE = FacetSurface(partial(brdf.lambert, albedo=1.0))
 
 
 def main(paths: list[str]) -> None:

@@ -28,13 +28,13 @@ from .errors import Damaged
 from .gaia_ids import LEAST_CHECKED, MOST_LOOKED_AT, refuse_most
 from .judging import MISPLACED, PLACE_COLUMN, REJECTS, Columns, judge
 from .partition import Pixels, coarser_counts
-from .pieces import CHANGED, Piece, is_whole, write_piece
+from .pieces import CHANGED, SortedRun, is_whole, write_piece
 
 ROWS_THAT_TELL = 10_000  # of a source, of which most must stand where their source_ids say
 COUNTS_NAME, REJECTS_NAME = "counts.npy", "rejects.arrow"
 
 
-class Source(Protocol):
+class RowSource(Protocol):
     """Anything that yields rows: an input file, or a part of a synthetic sky.
 
     One whose attribute `ids_hold_place` is true has Gaia's source_ids, which tell their places.
@@ -56,14 +56,14 @@ class Batch:
     """Sources that are read by one task."""
 
     number: int
-    sources: tuple[Source, ...]
+    sources: tuple[RowSource, ...]
 
     def identity(self) -> list[Any]:
         return [source.identity() for source in self.sources]
 
 
 @dataclass(frozen=True)
-class Split:
+class BatchResult:
     """What came of a batch: its sources' records, pieces, rows by pixel, and rejects.
 
     folder : below that of all batches; crcs : crc32c of its files of counts and rejects. starts :
@@ -74,7 +74,7 @@ class Split:
     folder: str
     crcs: dict[str, int]
     records: tuple[dict[str, Any], ...]
-    pieces: tuple[Piece, ...]
+    pieces: tuple[SortedRun, ...]
     reasons: dict[str, int]
 
     @property
@@ -141,7 +141,7 @@ class _Places:
     unlike_gaia : rows that were not, as their numbers are too small.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: RowSource) -> None:
         self.where = f"source {source.label}"
         self.compared: bool = getattr(source, "ids_hold_place", False)
         self.rows = self.wrong = self.unlike_gaia = 0
@@ -175,7 +175,7 @@ class _Held:
         self.root, self.folder, self.batch, self.piece_rows = root, folder, batch, piece_rows
         self.parts: list[Columns] = []
         self.rows = self.rows_in = 0
-        self.pieces: list[Piece] = []
+        self.pieces: list[SortedRun] = []
         self._counts: list[tuple[Pixels, Pixels]] = []
 
     def add(self, columns: Columns, rows_in: int) -> None:
@@ -212,7 +212,7 @@ class _Held:
         return pixels, counts
 
 
-def finished(batch: Batch, folder: Path, *, verify: bool = False) -> Split | None:
+def finished(batch: Batch, folder: Path, *, verify: bool = False) -> BatchResult | None:
     """What came of a batch, if its marker is there and the batch's sources are still the same.
 
     verify : also read every file again and compare its checksum.
@@ -221,7 +221,7 @@ def finished(batch: Batch, folder: Path, *, verify: bool = False) -> Split | Non
         marker = json.loads(_marker_path(folder, batch).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    pieces = tuple(Piece(*piece) for piece in marker["pieces"])
+    pieces = tuple(SortedRun(*piece) for piece in marker["pieces"])
     if marker["identity"] != json.loads(json.dumps(batch.identity())):
         return None
     names, crcs = marker["folder"], marker["crcs"]
@@ -230,10 +230,10 @@ def finished(batch: Batch, folder: Path, *, verify: bool = False) -> Split | Non
     if verify and any(crc32c_of(folder / names / name) != crc for name, crc in crcs.items()):
         return None
     records, reasons = tuple(marker["records"]), marker["reasons"]
-    return Split(batch.number, names, crcs, records, pieces, reasons)
+    return BatchResult(batch.number, names, crcs, records, pieces, reasons)
 
 
-def sweep(folder: Path, splits: Sequence[Split]) -> None:
+def sweep(folder: Path, splits: Sequence[BatchResult]) -> None:
     """Remove what is of no batch in `splits`: left by a killed run, or read before a change."""
     wanted = {split.folder for split in splits}
     for path in folder.iterdir():
@@ -241,7 +241,7 @@ def sweep(folder: Path, splits: Sequence[Split]) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def counts_of(split: Split, folder: Path) -> tuple[Pixels, Pixels]:
+def counts_of(split: BatchResult, folder: Path) -> tuple[Pixels, Pixels]:
     """The pixels of the counting order that a batch's rows fall into, and how many in each."""
     path = folder / split.folder / COUNTS_NAME
     data = path.read_bytes()
@@ -251,7 +251,7 @@ def counts_of(split: Split, folder: Path) -> tuple[Pixels, Pixels]:
     return pixels, counts
 
 
-def rejects_of(split: Split, folder: Path) -> Iterator[pa.Table]:
+def rejects_of(split: BatchResult, folder: Path) -> Iterator[pa.Table]:
     """The rows of a batch that were rejected while reading, in tables of bounded size."""
     if not split.reasons:
         return
@@ -270,10 +270,10 @@ def stored_tables(path: Path) -> Iterator[pa.Table]:
 
 
 def in_batches(
-    sources: Sequence[Source], sizes: Sequence[int], most_bytes: int, most_sources: int
+    sources: Sequence[RowSource], sizes: Sequence[int], most_bytes: int, most_sources: int
 ) -> Iterator[Batch]:
     """Consecutive sources together, up to a size, so that tasks and files stay few."""
-    held: list[Source] = []
+    held: list[RowSource] = []
     number = size = 0
     for source, own in zip(sources, sizes, strict=True):
         if held and (size + own > most_bytes or len(held) >= most_sources):

@@ -21,7 +21,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from . import duplicates, hats
-from .batches import Batch, Source, Split, counts_of, finished, in_batches, rejects_of, split, sweep
+from .batches import (
+    Batch,
+    BatchResult,
+    RowSource,
+    counts_of,
+    finished,
+    in_batches,
+    rejects_of,
+    split,
+    sweep,
+)
 from .catalogue import (
     LEAVES_DTYPE,
     REJECTS_NAME,
@@ -40,7 +50,7 @@ from .leaves import LeafDone, Written, leaf_done, surplus_of, write_leaf, writte
 from .memory import Budget
 from .partition import COUNT_ORDER, Cell, Pixels, choose_leaves, coarser, healpix_29
 from .pieces import Pieces
-from .publish import Work, publishing
+from .publish import Workspace, publishing
 from .schedulers import LocalScheduler, Scheduler
 
 REQUEST_NAME = "request.json"
@@ -89,7 +99,7 @@ class IngestReport:
 
 
 def build(
-    sources: Sequence[Source],
+    sources: Sequence[RowSource],
     destination: Path,
     about: About,
     *,
@@ -142,7 +152,7 @@ def build(
     return IngestReport(catalogue, content["rows_in"], reasons, continued, notes)
 
 
-def _begin(work: Work, about: About, rows_per_leaf: int, sources: Sequence[Source]) -> None:
+def _begin(work: Workspace, about: About, rows_per_leaf: int, sources: Sequence[RowSource]) -> None:
     """Go on with an unfinished build of the same request, or begin a new one."""
     request = {
         "version": PROGRESS_VERSION,
@@ -206,7 +216,7 @@ def _run(scheduler: Scheduler, stage: str, tasks: Sequence[Any], tell: Progress)
 
 def _read_all(
     batches: Sequence[Batch], folder: Path, budget: Budget, scheduler: Scheduler, tell: Progress
-) -> tuple[list[Split], int]:
+) -> tuple[list[BatchResult], int]:
     """What came of all batches, in order; and how many of them were there already."""
     before = [done for batch in batches if (done := finished(batch, folder))]
     sweep(folder, before)
@@ -223,7 +233,7 @@ def _read_all(
     return splits, len(before)
 
 
-def _total_counts(splits: Iterable[Split], folder: Path) -> Pixels:
+def _total_counts(splits: Iterable[BatchResult], folder: Path) -> Pixels:
     counts = np.zeros(12 * 4**COUNT_ORDER, np.int64)
     for s in splits:
         pixels, rows = counts_of(s, folder)
@@ -251,7 +261,7 @@ def _sweep(root: Path, done: Sequence[LeafDone]) -> None:
             path.unlink()
 
 
-def _write_rejects(context: Written, splits: Sequence[Split], done: Sequence[LeafDone]) -> Reasons:
+def _write_rejects(context: Written, splits: Sequence[BatchResult], done: Sequence[LeafDone]) -> Reasons:
     """Write the rejects table, if there is a row for it; returns the number for each reason.
 
     First the rows rejected while reading, in the order of the sources; then the surplus ones.
@@ -274,7 +284,7 @@ def _write_rejects(context: Written, splits: Sequence[Split], done: Sequence[Lea
     return dict(sorted(reasons.items()))
 
 
-def _write_sources(work: Work, records: Sequence[Record]) -> None:
+def _write_sources(work: Workspace, records: Sequence[Record]) -> None:
     """Write the table of the sources: name, bytes, MD5, rows."""
     kinds = {"name": pa.string(), "bytes": pa.int64(), "md5": pa.string(), "rows": pa.int64()}
     path = work.catalogue / SOURCES_NAME

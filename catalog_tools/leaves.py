@@ -15,7 +15,7 @@ from uuid import uuid4
 import numpy as np
 import pyarrow as pa
 
-from .batches import Split, crc32c_of, stored_tables
+from .batches import BatchResult, crc32c_of, stored_tables
 from .catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
 from .columns import STORED
 from .duplicates import Repeated
@@ -33,7 +33,7 @@ from .judging import (
 from .memory import give_back
 from .partition import Cell
 from .pieces import CHANGED, Pieces, Run
-from .publish import Work
+from .publish import Workspace
 from .shards import write_shard
 
 SURPLUS_ROWS = 50_000
@@ -47,7 +47,7 @@ class Written:
     row in the batch.
     """
 
-    work: Work
+    work: Workspace
     pieces: Pieces
     labels: tuple[tuple[str, ...], ...]
     starts: tuple[np.ndarray, ...]
@@ -76,7 +76,7 @@ class LeafDone(NamedTuple):
     without_colour: int
 
 
-def written(work: Work, pieces: Pieces, splits: Sequence[Split]) -> Written:
+def written(work: Workspace, pieces: Pieces, splits: Sequence[BatchResult]) -> Written:
     """The context of the second pass."""
     labels = tuple(tuple(record["name"] for record in s.records) for s in splits)
     return Written(work, pieces, labels, tuple(s.starts for s in splits))
@@ -111,7 +111,7 @@ def write_leaf(context: Written, cell: Cell) -> None:
     write_atomically(_marker_path(work, cell), json.dumps(marker, default=np.ndarray.tolist))
 
 
-def _write_shard(work: Work, cell: Cell, rows: Columns) -> tuple[np.ndarray, np.ndarray]:
+def _write_shard(work: Workspace, cell: Cell, rows: Columns) -> tuple[np.ndarray, np.ndarray]:
     """Write a shard apart from the catalogue, where nobody else writes, then put it into place."""
     name, own = shard_name(cell.order, cell.pixel), work.progress / f"leaf-{uuid4().hex}"
     own.mkdir()
@@ -197,9 +197,9 @@ def _record(values: list[Any]) -> tuple[Any, ...]:
     return tuple(tuple(v) if isinstance(v, list) else v for v in values)
 
 
-def _marker_path(work: Work, cell: Cell) -> Path:
+def _marker_path(work: Workspace, cell: Cell) -> Path:
     return work.progress / f"leaf-{cell.order}-{cell.pixel}.json"
 
 
-def _surplus_path(work: Work, cell: Cell) -> Path:
+def _surplus_path(work: Workspace, cell: Cell) -> Path:
     return work.progress / f"leaf-{cell.order}-{cell.pixel}.arrow"

@@ -34,7 +34,7 @@ Run = tuple[int, int, int]  # a piece, and the half-open range of its rows
 INDEX = np.dtype([("crc32c", "<u4", len(PIECE)), ("first_29", "<i8"), ("first_id", "<i8")])
 
 
-class Piece(NamedTuple):
+class SortedRun(NamedTuple):
     """One sorted run: its batch and file, and the ranges of pixels and source_ids it holds.
 
     crc32c : of the file's index, and so of all its content.
@@ -50,7 +50,7 @@ class Piece(NamedTuple):
     crc32c: int
 
 
-def write_piece(folder: Path, batch: int, name: str, rows: Columns) -> Piece:
+def write_piece(folder: Path, batch: int, name: str, rows: Columns) -> SortedRun:
     """Sort rows (in any order; the dictionary is emptied) and write them as a piece of a batch."""
     places = np.argsort(rows[HEALPIX_COLUMN], kind="stable")
     ids = np.sort(rows["source_id"])
@@ -67,10 +67,10 @@ def write_piece(folder: Path, batch: int, name: str, rows: Columns) -> Piece:
         file.write(index.tobytes())
     crc = google_crc32c.value(index.tobytes())
     ends = int(pixels[0]), int(pixels[-1]), int(ids[0]), int(ids[-1])
-    return Piece(batch, name, count, *ends, crc)
+    return SortedRun(batch, name, count, *ends, crc)
 
 
-def is_whole(folder: Path, piece: Piece) -> bool:
+def is_whole(folder: Path, piece: SortedRun) -> bool:
     """Whether a piece's file is as it was written."""
     try:
         _index.cache_clear()
@@ -82,7 +82,7 @@ def is_whole(folder: Path, piece: Piece) -> bool:
 
 
 def column(
-    folder: Path, piece: Piece, name: str, start: int = 0, stop: int | None = None
+    folder: Path, piece: SortedRun, name: str, start: int = 0, stop: int | None = None
 ) -> np.ndarray:
     """Rows [start, stop) of one column of a piece, read into memory; Damaged where they changed."""
     stop = piece.rows if stop is None else stop
@@ -98,7 +98,7 @@ def column(
     return values[start - first : stop - first]
 
 
-def search(folder: Path, piece: Piece, name: str, values: Sequence[int]) -> list[int]:
+def search(folder: Path, piece: SortedRun, name: str, values: Sequence[int]) -> list[int]:
     """Where values belong in a sorted column (HEALPIX_COLUMN or IDS), before equal ones."""
     firsts = _index(folder, piece)["first_id" if name == IDS else "first_29"]
     found = []
@@ -109,7 +109,7 @@ def search(folder: Path, piece: Piece, name: str, values: Sequence[int]) -> list
     return found
 
 
-def some_ids(folder: Path, piece: Piece) -> np.ndarray:
+def some_ids(folder: Path, piece: SortedRun) -> np.ndarray:
     """One source_id of each block, ascending: they tell how ids are spread."""
     return _index(folder, piece)["first_id"]
 
@@ -121,7 +121,7 @@ def _checksums(values: np.ndarray) -> list[int]:
 
 
 @lru_cache(maxsize=256)
-def _index(folder: Path, piece: Piece) -> np.ndarray:
+def _index(folder: Path, piece: SortedRun) -> np.ndarray:
     """What proves a piece (INDEX), a record a block."""
     size = -(-piece.rows // BLOCK_ROWS) * INDEX.itemsize
     data = _read(folder, piece, piece.rows * ROW_BYTES, size)
@@ -130,7 +130,7 @@ def _index(folder: Path, piece: Piece) -> np.ndarray:
     return np.frombuffer(data, INDEX)
 
 
-def _read(folder: Path, piece: Piece, offset: int, size: int) -> bytes:
+def _read(folder: Path, piece: SortedRun, offset: int, size: int) -> bytes:
     try:
         with (folder / piece.name).open("rb", buffering=0) as file:
             file.seek(offset)
@@ -142,14 +142,14 @@ def _read(folder: Path, piece: Piece, offset: int, size: int) -> bytes:
     return data
 
 
-def _damaged(folder: Path, piece: Piece) -> Damaged:
+def _damaged(folder: Path, piece: SortedRun) -> Damaged:
     return Damaged(str(folder / piece.name), CHANGED)
 
 
 class Pieces:
     """All pieces of an ingest, by the ranges that they hold."""
 
-    def __init__(self, folder: Path, pieces: Sequence[Piece]) -> None:
+    def __init__(self, folder: Path, pieces: Sequence[SortedRun]) -> None:
         self.folder, self.pieces = folder, tuple(pieces)
         ends = [(p.first_29, p.last_29, p.first_id, p.last_id, p.rows) for p in pieces]
         self._ends = np.array(ends, np.int64).reshape(-1, 5)

@@ -20,7 +20,7 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 AGAIN = "run the same command again"
 
 
-class Work(NamedTuple):
+class Workspace(NamedTuple):
     """Where a catalogue is made: the folder that will be published, and what lets a run go on."""
 
     catalogue: Path
@@ -30,7 +30,7 @@ class Work(NamedTuple):
 @contextmanager
 def publishing(
     destination: Path, *, overwrite: bool, restart: bool = False, field: str = "output"
-) -> Iterator[Work]:
+) -> Iterator[Workspace]:
     """Yield hidden folders beside `destination`; the catalogue takes its name when all ends well.
 
     If the block fails or the process dies, what the folder `progress` holds stays for a later run
@@ -49,7 +49,7 @@ def publishing(
             raise DiskFull(str(destination), error.errno, f"make room and {AGAIN}") from error
         raise BadInput(field, str(destination), f"a place that can be written ({error})") from None
     part = destination.parent / f".{destination.name}.part"
-    work = Work(part / "catalogue", part / "progress")
+    work = Workspace(part / "catalogue", part / "progress")
     with lock:
         if not _alone(lock):
             allowed = "a place into which no other process is writing a catalogue"

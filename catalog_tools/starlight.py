@@ -54,7 +54,7 @@ COUNTED_ERROR = 0.35  # of the counts' densities (star_counts)
 
 
 @dataclass(frozen=True)
-class Light:
+class SummedStarlight:
     """Summed light of stars per steradian, in n directions; a star of G = 0 is 1.
 
     g, g_colour, g_colour_squared : (n,) of stars with a colour: their light, times BP-RP, times its
@@ -76,7 +76,7 @@ class Starlight(Protocol):
 
     @property
     def source(self) -> str: ...
-    def fainter(self, limit_g_mag: float, directions: Floats) -> Light: ...
+    def fainter(self, limit_g_mag: float, directions: Floats) -> SummedStarlight: ...
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class StarlightMap:
     def source(self) -> str:
         return f"the catalogue's own map of order {self.order}"
 
-    def fainter(self, limit_g_mag: float, directions: Floats) -> Light:
+    def fainter(self, limit_g_mag: float, directions: Floats) -> SummedStarlight:
         """Light per sr of the catalogue's stars of G above a limit, at unit vectors (n, 3).
 
         Between pixel centres it is interpolated (bilinear). A limit on an edge of
@@ -118,7 +118,7 @@ class StarlightMap:
             error[None],
         ])  # fmt: skip
         place = place.reshape(pixels.shape)
-        return Light(*(np.sum(row[place] * weights, axis=0) for row in sums))
+        return SummedStarlight(*(np.sum(row[place] * weights, axis=0) for row in sums))
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class CountedLight:
             "(densities good to 35%, no clusters)"
         )
 
-    def fainter(self, limit_g_mag: float, directions: Floats) -> Light:
+    def fainter(self, limit_g_mag: float, directions: Floats) -> SummedStarlight:
         """As `StarlightMap.fainter`; densities are good to 35%, which is its `g_error`."""
         limit = self.brightest_g_mag
         if not self.in_no_catalogue:
@@ -159,7 +159,7 @@ class CountedLight:
                 second_moment += density * one * (colour**2 + spread**2)
         none = np.zeros_like(g)
         squared = none if self.in_no_catalogue else squared
-        return Light(g, first_moment, second_moment, none, squared, COUNTED_ERROR * g)
+        return SummedStarlight(g, first_moment, second_moment, none, squared, COUNTED_ERROR * g)
 
 
 @dataclass(frozen=True)
@@ -172,10 +172,10 @@ class AddedLight:
     def source(self) -> str:
         return " and ".join(part.source for part in self.parts)
 
-    def fainter(self, limit_g_mag: float, directions: Floats) -> Light:
+    def fainter(self, limit_g_mag: float, directions: Floats) -> SummedStarlight:
         lights = [part.fainter(limit_g_mag, directions) for part in self.parts]
-        names = Light.__dataclass_fields__
-        return Light(**{name: np.sum([getattr(x, name) for x in lights], axis=0) for name in names})
+        names = SummedStarlight.__dataclass_fields__
+        return SummedStarlight(**{name: np.sum([getattr(x, name) for x in lights], axis=0) for name in names})
 
 
 def make_starlight(

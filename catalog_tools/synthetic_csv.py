@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from .build import Progress, silent
 from .errors import BadInput
 from .sphere import directions
-from .synthetic_plan import Plan, make_plan
+from .synthetic_plan import SyntheticPlan, make_plan
 from .synthetic_sample import check_sample, stars_of_file
 
 GZIP_LEVEL = 2  # of ISA-L: as large as zlib's 3, at 16 times the speed of its 6
@@ -91,7 +91,7 @@ def write_csv_files(
     return CsvReport(len(written), sum(f.rows for f in written), sum(f.bytes for f in written))
 
 
-def _write_file(folder: Path, plan: Plan, number: int) -> MadeFile:
+def _write_file(folder: Path, plan: SyntheticPlan, number: int) -> MadeFile:
     """Make one file: columns, text, gzip, and a rename."""
     from isal import igzip
 

@@ -32,7 +32,7 @@ ROWS_PER_FILE = 27_647  # Gaia DR2: 1,692,919,135 rows in 61,234 files
 
 
 @dataclass(frozen=True)
-class Plan:
+class SyntheticPlan:
     """How many stars of which origin lie where.
 
     cell_starts : (cells + 1,) rows before each cell, a HEALPix pixel. Patches, in the order of
@@ -88,7 +88,7 @@ def magnitude_steps() -> Floats:
 
 
 @lru_cache(maxsize=2)
-def make_plan(seed: int, rows: int) -> Plan:
+def make_plan(seed: int, rows: int) -> SyntheticPlan:
     """Share `rows` stars among the patches of the sky, at random in proportion to DR2's numbers."""
     order = _cell_order(rows)
     below = 2 * max(0, order - DENSITY_ORDER)  # a patch of the field is no larger than a cell
@@ -111,7 +111,7 @@ def make_plan(seed: int, rows: int) -> Plan:
     some = some[np.argsort(cell[some], kind="stable")]
     patch_starts = np.searchsorted(cell[some], np.arange(12 * 4**order + 1))
     before = np.concatenate([[0], np.cumsum(counts[some])])
-    return Plan(
+    return SyntheticPlan(
         seed, rows, before[patch_starts], patch_starts, first[some],
         np.concatenate(widths)[some], np.concatenate(origins)[some], counts[some],
     )  # fmt: skip
@@ -122,7 +122,7 @@ def _cell_order(rows: int) -> int:
     return min(max(round(math.log(rows / 12 / ROWS_PER_CELL, 4)), 0), FINEST_CELLS)
 
 
-def stars_in_cell(plan: Plan, cell: int) -> tuple[Ints, Ints]:
+def stars_in_cell(plan: SyntheticPlan, cell: int) -> tuple[Ints, Ints]:
     """Pixels of ID_ORDER (ascending) and origins of the stars in a cell."""
     rng = np.random.Generator(
         np.random.PCG64(np.random.SeedSequence((plan.seed, plan.rows, 1, cell)))
@@ -135,7 +135,7 @@ def stars_in_cell(plan: Plan, cell: int) -> tuple[Ints, Ints]:
     return pixels[order], np.repeat(plan.origins[patches], counts)[order]
 
 
-def places_in_file(plan: Plan, number: int) -> Places:
+def places_in_file(plan: SyntheticPlan, number: int) -> Places:
     """The stars of file `number`, from 0 to plan.files - 1: those from one pixel to another.
 
     A file begins with the pixel of row `number * rows // files`, and ends before the next one's.

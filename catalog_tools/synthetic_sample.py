@@ -23,7 +23,14 @@ from .partition import ROWS_PER_LEAF, positions_of
 from .schedulers import LocalScheduler
 from .sphere import MAS_RAD, angles_deg, directions
 from .star_counts import EDGES_G_MAG
-from .synthetic_plan import ID_ORDER, Places, Plan, magnitude_steps, make_plan, places_in_file
+from .synthetic_plan import (
+    ID_ORDER,
+    Places,
+    SyntheticPlan,
+    magnitude_steps,
+    make_plan,
+    places_in_file,
+)
 from .synthetic_stars import draw_stars
 
 MOST_ROWS = 2_000_000_000
@@ -38,7 +45,7 @@ Columns = dict[str, NDArray[Any]]
 class SyntheticFile:
     """A source for `build`: one part of a sample."""
 
-    plan: Plan
+    plan: SyntheticPlan
     number: int
 
     @property
@@ -101,7 +108,7 @@ def check_sample(rows: int, seed: int, workers: int) -> None:
         raise BadInput("workers", workers, "at least 1")
 
 
-def stars_of_file(plan: Plan, number: int) -> tuple[Columns, np.random.Generator, int]:
+def stars_of_file(plan: SyntheticPlan, number: int) -> tuple[Columns, np.random.Generator, int]:
     """Columns of one file's stars in its order, its random stream, and the rows before it.
 
     Values are not yet rounded as they are printed.
@@ -122,7 +129,7 @@ def stars_of_file(plan: Plan, number: int) -> tuple[Columns, np.random.Generator
     return stars, rng, places.first_row
 
 
-def table_of_file(plan: Plan, number: int) -> pa.Table:
+def table_of_file(plan: SyntheticPlan, number: int) -> pa.Table:
     """What a reader of one file gets (schema INCOMING), to the bit, without the text."""
     from .synthetic_text import DOUBLE, SINGLE, as_printed
 

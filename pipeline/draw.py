@@ -10,7 +10,7 @@ import numpy as np
 
 from catalog_tools.schedulers import TASKS_PER_WINDOW, Scheduler
 from pipeline.execute.bundles import bundled, tiles_a_bundle, tiles_done
-from pipeline.execute.graph import Work, shard_graph, shard_key, window_graph
+from pipeline.execute.graph import WindowWork, shard_graph, shard_key, window_graph
 from pipeline.inputs.stars import Shard
 from pipeline.plan.cost import CHUNK_S, TILE_S
 from pipeline.plan.geometry import plan_geometry
@@ -90,7 +90,7 @@ def _windows(plan: Plan, share: Share) -> Iterator[np.ndarray]:
         yield np.arange(at, min(at + per_window, stop), dtype=np.int64)
 
 
-def missing(plan: Plan, begun: Begun, frames: np.ndarray, share: Share = WHOLE) -> Work | None:
+def missing(plan: Plan, begun: Begun, frames: np.ndarray, share: Share = WHOLE) -> WindowWork | None:
     """What a share of a window still lacks; None where nothing. Truth goes with a first tile."""
     first = int(frames[0])
     earlier = np.arange(max(0, first - plan.lag_frames), first, dtype=np.int64)
@@ -115,7 +115,7 @@ def missing(plan: Plan, begun: Begun, frames: np.ndarray, share: Share = WHOLE) 
     drawn = np.unique([plan.drawn_frame(int(f)) for f in seen])
     seen = np.concatenate([seen, np.setdiff1d(drawn, seen)])
     geometry = plan_geometry(plan.scene, seen, plan.dut1_s)
-    return Work(
+    return WindowWork(
         geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()),
         truth.get("cosmic_rays", ()),
     )  # fmt: skip

@@ -35,9 +35,9 @@ def export(
     fps: Annotated[float, typer.Option(help="frames a second of a movie")] = 5.0,
 ) -> None:
     """Write frames as FITS (WCS, times), PNG, GIF, MP4; labels as SatNet, COCO, or masks."""
-    from pipeline.export.formats import Wish, export_product
+    from pipeline.export.formats import ExportRequest, export_product
 
-    wish = Wish(frame, layer, stars_snr, threshold, light, fps)
+    wish = ExportRequest(frame, layer, stars_snr, threshold, light, fps)
     for path in export_product(product, to, output, wish):
         print(path)
 

@@ -67,7 +67,7 @@ HTTP_STATUS: tuple[tuple[type[Exception], int], ...] = (
     (problems.WrongMediaType, 415),
     (problems.UnknownHost, 421),
     (problems.NotAllowed, 422),
-    (problems.Refused, 422),
+    (problems.PlanRefused, 422),
     (problems.QueueFull, 429),
     (problems.TooMany, 429),
     (problems.EngineFault, 500),

@@ -37,7 +37,7 @@ class ServiceError(NightglassError):
         super().__init__(message)
 
 
-class Refused(BadInput):
+class NotAccepted(BadInput):
     """The server does not accept what was sent; `mistakes` are its (field, value, allowed)."""
 
     def __init__(self, mistakes: list[tuple[str, str, str]], status: int) -> None:
@@ -309,7 +309,7 @@ def problem_of(answer: httpx.Response) -> NightglassError | None:
     except (ValueError, KeyError, TypeError, AttributeError):
         detail, found = status, []
     if found and answer.status_code < 500:
-        return Refused(found, answer.status_code)
+        return NotAccepted(found, answer.status_code)
     return ServiceError(f"{answer.url.netloc.decode()}: {detail}", answer.status_code)
 
 

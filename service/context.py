@@ -18,7 +18,7 @@ from service.looks import Looks
 from service.metrics import Numbers
 from service.runner import Dispatcher
 from service.settings import Settings
-from service.submissions import Intake, Limits
+from service.submissions import Intake, TeamLimits
 from service.teams import TeamStore
 from service.tickets import Tickets
 from service.uploads import Uploads
@@ -45,7 +45,7 @@ class Context:
     looks: Looks
     numbers: Numbers
     scenes: Acceptance
-    limits: Limits
+    limits: TeamLimits
     tickets: Tickets
     caller: Caller = OPEN
     store: TeamStore = None  # type: ignore[assignment]

@@ -17,7 +17,7 @@ from service.problems import NotReady, NotThere, cut
 from service.tables import audit, jobs, scene_crc, seal_of
 
 if TYPE_CHECKING:
-    from service.submissions import Limits
+    from service.submissions import TeamLimits
 
 
 class Phase(StrEnum):
@@ -131,10 +131,10 @@ class JobStore:
         **more: Any,
     ) -> tuple[Job, bool]:  # fmt: skip
         """Queue one job; see service/submissions.py."""
-        from service.submissions import Ask, Limits, submit_many
+        from service.submissions import Ask, TeamLimits, submit_many
 
         ask = Ask(name=name, scene=scene, body_sha256=body_sha256, key=key, **more)
-        [answer] = submit_many(self, [ask], Limits(queued_jobs=limit))
+        [answer] = submit_many(self, [ask], TeamLimits(queued_jobs=limit))
         if isinstance(answer, Exception):
             raise answer
         return answer
@@ -221,7 +221,7 @@ class JobStore:
             record(db, job.team, actor, "delete", job_id)
 
     def amend(
-        self, job_id: str, team: str | None = None, limits: Limits | None = None, **values: Any
+        self, job_id: str, team: str | None = None, limits: TeamLimits | None = None, **values: Any
     ) -> Job:
         """Change what a client may change of a job: run_id, destruction_s, duration_s, and of one
         that is PENDING also its name, scene and pixel_frames, which count as asked for today where

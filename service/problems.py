@@ -64,7 +64,7 @@ class NotAllowed(Refusal):
     """A well-formed scene that this service does not take: its paths or its size."""
 
 
-class Refused(Refusal):
+class PlanRefused(Refusal):
     """The engine refused a scene when it planned it; `error` is the worker's description."""
 
     def __init__(self, error: dict[str, Any]) -> None:

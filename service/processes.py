@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
-from service.problems import EngineFault, PlanTooSlow, Refused
+from service.problems import EngineFault, PlanRefused, PlanTooSlow
 from service.settings import Settings
 
 POLL_S = 0.2
@@ -84,5 +84,5 @@ def look_at(
         raise EngineFault("the planner stopped without an answer")
     if "error" in outcome:
         error = outcome["error"]
-        raise Refused(error) if error["kind"] == "bad input" else EngineFault(error["message"])
+        raise PlanRefused(error) if error["kind"] == "bad input" else EngineFault(error["message"])
     return outcome

@@ -28,7 +28,7 @@ Known = dict[tuple[str, str | None], Any]  # rows of jobs by team and key
 
 
 @dataclass(frozen=True)
-class Limits:
+class TeamLimits:
     """What one team may have: jobs that wait, pixels x frames a day, bytes of products."""
 
     queued_jobs: int = 1 << 40
@@ -65,7 +65,7 @@ class Used:
     new_pixel_frames: int = 0
 
 
-def submit_many(store: JobStore, asks: Sequence[Ask], limits: Limits) -> list[Answer]:
+def submit_many(store: JobStore, asks: Sequence[Ask], limits: TeamLimits) -> list[Answer]:
     """Queue jobs, all in one transaction: for each (job, True), or where its key was used before
     (the job that it made, False), or the refusal: KeyReused, QueueFull, NotAllowed for a file that
     is gone. On disk when it returns.
@@ -88,7 +88,7 @@ def submit_many(store: JobStore, asks: Sequence[Ask], limits: Limits) -> list[An
 
 
 def _take_in(
-    db: sa.Connection, ask: Ask, now: float, known: Known, used: Used, limits: Limits
+    db: sa.Connection, ask: Ask, now: float, known: Known, used: Used, limits: TeamLimits
 ) -> tuple[Any, bool] | Exception:
     """A new row, counted in `used` and `known`, and True; a known row and False; or a refusal."""
     place = (ask.team, ask.key)
@@ -109,7 +109,7 @@ def _take_in(
     return row, True
 
 
-def run_pending(store: JobStore, job_id: str, limits: Limits, team: str, actor: str) -> Job:
+def run_pending(store: JobStore, job_id: str, limits: TeamLimits, team: str, actor: str) -> Job:
     """Queue a job that was PENDING; QueueFull where the team's quota does not allow it."""
     with writing(store.engine) as db:
         job = store._one(db, job_id, team)
@@ -125,12 +125,12 @@ def run_pending(store: JobStore, job_id: str, limits: Limits, team: str, actor: 
         return store._one(db, job_id)
 
 
-def ask_more(db: sa.Connection, team: str, pixel_frames: int, limits: Limits | None) -> None:
+def ask_more(db: sa.Connection, team: str, pixel_frames: int, limits: TeamLimits | None) -> None:
     """Count what a job that waits asks for beside what it was submitted with. QueueFull."""
     day = int(now_s(db) // DAY_S)
     used = used_by(db, team, day)
     used.waiting -= 1  # itself
-    refusal = refuse(used, pixel_frames, limits or Limits())
+    refusal = refuse(used, pixel_frames, limits or TeamLimits())
     if refusal is not None:
         raise refusal
     used.new_pixel_frames = pixel_frames
@@ -159,7 +159,7 @@ def _used() -> sa.Select[Any]:
 USED = _used()
 
 
-def refuse(used: Used, pixel_frames: int, limits: Limits) -> QueueFull | None:
+def refuse(used: Used, pixel_frames: int, limits: TeamLimits) -> QueueFull | None:
     """Which quota one more job would break, if any."""
     if used.waiting + used.new_jobs >= limits.queued_jobs:
         return QueueFull(f"{limits.queued_jobs} jobs are waiting already; try again later")
@@ -257,7 +257,7 @@ class Intake:
     `put` is awaited by requests; it returns when the job is on disk.
     """
 
-    def __init__(self, store: JobStore, limits: Limits) -> None:
+    def __init__(self, store: JobStore, limits: TeamLimits) -> None:
         self._store, self._limits = store, limits
         self._waiting: queue.SimpleQueue[tuple[Ask, asyncio.Future[Any]] | None]
         self._waiting = queue.SimpleQueue()

@@ -8,12 +8,12 @@ from typing import Any
 from service.auth import Caller
 from service.jobs import Job, JobStore, Phase
 from service.settings import Settings
-from service.submissions import Ask, Limits, run_pending, submit_many
+from service.submissions import Ask, TeamLimits, run_pending, submit_many
 
 
-def limits_of(settings: Settings) -> Limits:
+def limits_of(settings: Settings) -> TeamLimits:
     """What one team may have."""
-    return Limits(settings.queued_jobs, settings.pixel_frames_day, settings.bytes_kept)
+    return TeamLimits(settings.queued_jobs, settings.pixel_frames_day, settings.bytes_kept)
 
 
 def pixel_frames_of(scene: dict[str, Any]) -> int:
@@ -30,7 +30,7 @@ def pixel_frames_of(scene: dict[str, Any]) -> int:
 class TeamStore:
     """What routes work with: no method shows, changes or counts another team's job."""
 
-    def __init__(self, store: JobStore, caller: Caller, limits: Limits) -> None:
+    def __init__(self, store: JobStore, caller: Caller, limits: TeamLimits) -> None:
         self._store, self._caller, self._limits = store, caller, limits
         self.team = caller.team
 
@@ -92,7 +92,7 @@ class TeamStore:
         limit: int | None = None, **more: Any,
     ) -> tuple[Job, bool]:  # fmt: skip
         """Queue a job (or, with phase=Phase.PENDING, only note it), in a commit of its own."""
-        limits = self._limits if limit is None else Limits(queued_jobs=limit)
+        limits = self._limits if limit is None else TeamLimits(queued_jobs=limit)
         ask = self.ask(name, scene, body_sha256, key, **more)
         [answer] = submit_many(self._store, [ask], limits)
         if isinstance(answer, Exception):

@@ -15,7 +15,7 @@ TOO_LARGE = (
 )
 
 
-class Bounded(HttpToolsProtocol):
+class BoundedHttp(HttpToolsProtocol):
     """uvicorn's HTTP with a limit on the time and bytes of a request's head.
 
     It holds from the moment a connection opens, and again from the first byte after an answer; a
@@ -80,4 +80,4 @@ class Bounded(HttpToolsProtocol):
 
 def bounded(head_s: float) -> type[asyncio.Protocol]:
     """The protocol class with a limit of its own."""
-    return type("BoundedProtocol", (Bounded,), {"head_s": head_s})
+    return type("BoundedProtocol", (BoundedHttp,), {"head_s": head_s})

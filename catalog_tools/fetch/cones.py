@@ -11,7 +11,7 @@ FORM = "RA,DEC,RADIUS[,G] in degrees and mag, such as 56.75,24.1,1.0,16"
 
 
 @dataclass(frozen=True)
-class Cone:
+class FetchCone:
     """A cone about an ICRS place at the release's epoch, down to a G magnitude (None: to any).
 
     Raises BadInput naming the part that is out of range.
@@ -42,7 +42,7 @@ class Cone:
                 object.__setattr__(self, field, float(value))  # not NumPy's: it is written out
 
 
-def parse_cone(text: str) -> Cone:
+def parse_cone(text: str) -> FetchCone:
     """The cone that `RA,DEC,RADIUS[,G]` means; BadInput for anything else."""
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -50,4 +50,4 @@ def parse_cone(text: str) -> Cone:
         numbers = []
     if len(numbers) not in (3, 4):
         raise BadInput("cone", text, FORM)
-    return Cone(*numbers)
+    return FetchCone(*numbers)

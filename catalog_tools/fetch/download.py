@@ -13,8 +13,8 @@ from functools import partial
 
 from ..errors import BadInput, Damaged, Incomplete
 from .layout import Entry, parse_index
-from .ledger import Ledger, file_md5
-from .patience import Patience, Refused, Stopped, Unavailable
+from .ledger import FileLedger, file_md5
+from .patience import FinalFailure, Patience, Stopped, Unavailable
 from .remote import Remote, read_whole
 from .transfer import Transfer, discard, size_of
 
@@ -41,7 +41,7 @@ class Tally:
 def download(
     remote: Remote,
     entries: Sequence[Entry],
-    ledger: Ledger,
+    ledger: FileLedger,
     *,
     connections: int,
     patience: Patience,
@@ -75,7 +75,7 @@ def download(
 class Meter:
     """Counts bytes for many threads: what is on disk of the files, and how much there is to be."""
 
-    def __init__(self, sizes: dict[str, int], ledger: Ledger, missing: Iterable[Entry]) -> None:
+    def __init__(self, sizes: dict[str, int], ledger: FileLedger, missing: Iterable[Entry]) -> None:
         self._lock = threading.Lock()
         self._done = {entry.name: size_of(ledger.part(entry.name)) for entry in missing}
         self._whole = {name: max(sizes.get(name, 0), done) for name, done in self._done.items()}
@@ -105,7 +105,7 @@ def sizes_of(remote: Remote, missing: Sequence[Entry]) -> dict[str, int]:
         sizes = {entry.name: remote.size(entry.name) for entry in missing}
         return {name: size for name, size in sizes.items() if size is not None}
     listed: dict[str, int] = {}
-    with suppress(Unavailable, Refused):
+    with suppress(Unavailable, FinalFailure):
         listed = parse_index(read_whole(remote, "", INDEX_BYTES).decode("utf-8", "replace"))
     wanted = {entry.name for entry in missing}
     return {name: size for name, size in listed.items() if name in wanted}
@@ -157,12 +157,12 @@ def _serve(
             return
         except Exception as error:
             faults.append(error)
-            if not isinstance(error, Damaged | Refused) or len(faults) >= MOST_FAULTS:
+            if not isinstance(error, Damaged | FinalFailure) or len(faults) >= MOST_FAULTS:
                 stop.set()
 
 
 def _missing(
-    entries: Sequence[Entry], ledger: Ledger, threads: int, progress: Progress, verify: bool
+    entries: Sequence[Entry], ledger: FileLedger, threads: int, progress: Progress, verify: bool
 ) -> list[Entry]:
     """Files that are not there, or not as the archive's list says; found ones are noted."""
     there = [e for e in entries if (ledger.folder / e.name).is_file()]
@@ -188,7 +188,7 @@ def _missing(
     return [e for e in entries if e.name in wrong]
 
 
-def _check_space(meter: Meter, ledger: Ledger) -> None:
+def _check_space(meter: Meter, ledger: FileLedger) -> None:
     done, total = meter.read()
     free = shutil.disk_usage(ledger.folder).free
     if total - done > free:
@@ -196,17 +196,17 @@ def _check_space(meter: Meter, ledger: Ledger) -> None:
         raise BadInput("destination", str(ledger.folder), allowed)
 
 
-def _raise_faults(faults: Sequence[Exception], ledger: Ledger) -> None:
+def _raise_faults(faults: Sequence[Exception], ledger: FileLedger) -> None:
     """The gravest fault as one message that also counts the others."""
     if not faults:
         return
-    ranks = {Damaged: 1, Incomplete: 2, Refused: 3}
+    ranks = {Damaged: 1, Incomplete: 2, FinalFailure: 3}
     worst = min(faults, key=lambda fault: ranks.get(type(fault), 0))
     others = f" (and {len(faults) - 1} more files failed)" if len(faults) > 1 else ""
     if isinstance(worst, OSError) and worst.errno in (errno.ENOSPC, errno.EDQUOT):
         raise Incomplete(f"{ledger.folder}: {worst.strerror}; make room and run the same command")
     if isinstance(worst, Damaged):
         raise Damaged(worst.path, worst.reason + others)
-    if isinstance(worst, Refused):
+    if isinstance(worst, FinalFailure):
         raise Incomplete(f"{worst}{others}")
     raise worst

@@ -12,11 +12,11 @@ from pathlib import Path
 from ..coverage import Coverage, all_sky
 from ..errors import BadInput, Incomplete
 from ..fetched import note_coverage
-from .cones import Cone, parse_cone
+from .cones import FetchCone, parse_cone
 from .download import Progress, download
 from .layout import Entry, Release, choose, files_coverage, parse_md5sum, release_named
-from .ledger import Ledger, file_md5, folder_for, write_whole
-from .patience import Patience, Refused, Unavailable
+from .ledger import FileLedger, file_md5, folder_for, write_whole
+from .patience import FinalFailure, Patience, Unavailable
 from .remote import Remote, open_remote, read_whole
 from .transfer import size_of
 
@@ -49,7 +49,7 @@ def fetch(
     release: str,
     destination: str | Path,
     *,
-    cones: Sequence[Cone | str] = (),
+    cones: Sequence[FetchCone | str] = (),
     everything: bool = False,
     base_url: str | None = None,
     tap_url: str | None = None,
@@ -97,8 +97,8 @@ def fetch(
 
 
 def _cones(
-    cones: Sequence[Cone | str], everything: bool, faintest_g_mag: float | None, tap_url: str | None
-) -> list[Cone]:
+    cones: Sequence[FetchCone | str], everything: bool, faintest_g_mag: float | None, tap_url: str | None
+) -> list[FetchCone]:
     """The cones asked for, each once and with its limit."""
     if everything == bool(cones):
         raise BadInput("cone", list(cones), "at least one cone, or everything (--all), not both")
@@ -113,7 +113,7 @@ def _cones(
     )
 
 
-def _listed(remote: Remote, release: Release, ledger: Ledger, patience: Patience) -> list[Entry]:
+def _listed(remote: Remote, release: Release, ledger: FileLedger, patience: Patience) -> list[Entry]:
     """The archive's list of files; it is kept beside them as MD5SUM.txt, where ingest looks."""
     name, failures = release.md5sum_name, 0
     hasty = replace(patience, tries=min(FIRST_TRIES, patience.tries))
@@ -121,7 +121,7 @@ def _listed(remote: Remote, release: Release, ledger: Ledger, patience: Patience
         try:
             content = read_whole(remote, name, MD5SUM_BYTES)
             break
-        except Refused as error:
+        except FinalFailure as error:
             allowed = f"the address of a folder that holds {name} ({error})"
             raise BadInput("base_url", remote.address(""), allowed) from None
         except Unavailable as error:
@@ -142,8 +142,8 @@ def _coverage(release: Release, listed: Sequence[Entry], chosen: Sequence[Entry]
 def _by_tap(
     release: Release,
     url: str,
-    cones: Sequence[Cone],
-    ledger: Ledger,
+    cones: Sequence[FetchCone],
+    ledger: FileLedger,
     patience: Patience,
     tell: Progress,
     verify: bool,
@@ -169,7 +169,7 @@ def _by_tap(
     )  # fmt: skip
 
 
-def _notes(release: Release, listed: Sequence[Entry], cones: Sequence[Cone]) -> Iterator[str]:
+def _notes(release: Release, listed: Sequence[Entry], cones: Sequence[FetchCone]) -> Iterator[str]:
     if len(listed) != release.files:
         yield f"the list names {len(listed)} files; {release.title} has {release.files}"
     if any(cone.faintest_g_mag is not None for cone in cones):

@@ -22,7 +22,7 @@ from ..coverage import Coverage, of_pixels
 from ..errors import BadInput
 from ..gaia_ids import ID_ORDER, ID_SHIFT, MOVED_DEG
 from ..partition import COUNT_ORDER
-from .cones import Cone
+from .cones import FetchCone
 
 DR2_NAME = re.compile(r"GaiaSource_(\d{1,19})_(\d{1,19})\.csv\.gz")
 DR3_NAME = re.compile(r"GaiaSource_(\d{6})-(\d{6})\.csv\.gz")
@@ -128,7 +128,7 @@ def parse_index(text: str) -> dict[str, int]:
     }
 
 
-def choose(entries: Sequence[Entry], cones: Sequence[Cone]) -> list[Entry]:
+def choose(entries: Sequence[Entry], cones: Sequence[FetchCone]) -> list[Entry]:
     """The files that may hold a source which stands in one of the cones at the release's epoch.
 
     Each cone is widened by MOVED_DEG and by a ring of pixels; see there what this may miss.
@@ -155,7 +155,7 @@ def files_coverage(release: Release, entries: Sequence[Entry]) -> Coverage:
     return of_pixels(f"fetched files of {release.title}", COUNT_ORDER, first, last + 1)
 
 
-def cone_ranges(cone: Cone) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def cone_ranges(cone: FetchCone) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Half-open ranges of order-12 pixels (starts, ends), ascending and apart, about a cone.
 
     They hold every pixel that comes within MOVED_DEG of the cone, and a ring of neighbours. Wide

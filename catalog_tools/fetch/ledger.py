@@ -25,7 +25,7 @@ LEDGER_NAME = "verified.jsonl"
 RELEASE_NAME = "release"
 
 
-class Ledger:
+class FileLedger:
     """Which files of a folder were verified, by size, time of change and MD5; safe for threads."""
 
     def __init__(self, folder: Path) -> None:
@@ -67,7 +67,7 @@ class Ledger:
 
 
 @contextmanager
-def folder_for(destination: Path, release: Release) -> Iterator[Ledger]:
+def folder_for(destination: Path, release: Release) -> Iterator[FileLedger]:
     """The ledger of a folder that this process alone fetches into.
 
     Raises BadInput where the folder can't be made or written, where another fetch is at work, and
@@ -90,7 +90,7 @@ def folder_for(destination: Path, release: Release) -> Iterator[Ledger]:
         held = _held_release(hidden, release.name)
         if held != release.name:
             raise BadInput(field, str(destination), f"an empty folder, or one of {held} files")
-        yield Ledger(destination)
+        yield FileLedger(destination)
 
 
 def write_whole(folder: Path, name: str, content: bytes) -> None:

@@ -24,7 +24,7 @@ class Unavailable(Exception):
         self.asked_s = asked_s
 
 
-class Refused(Exception):
+class FinalFailure(Exception):
     """A failure that will not pass by asking again, such as 404 Not Found."""
 
 

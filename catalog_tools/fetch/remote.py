@@ -22,7 +22,7 @@ import requests
 import urllib3
 
 from ..errors import BadInput
-from .patience import Patience, Refused, Unavailable
+from .patience import FinalFailure, Patience, Unavailable
 
 BLOCK_BYTES = 256 << 10
 MOST_REDIRECTS = 5
@@ -113,7 +113,7 @@ class HttpRemote:
         try:
             with self._request("HEAD", name, {}) as response:
                 return _length(response) if response.status_code == 200 else None
-        except (Unavailable, Refused):
+        except (Unavailable, FinalFailure):
             return None
 
     def close(self) -> None:
@@ -127,11 +127,11 @@ class HttpRemote:
                 timeout=self._timeout, allow_redirects=True,
             )  # fmt: skip
         except (requests.exceptions.SSLError, requests.TooManyRedirects) as error:
-            raise Refused(plain(error)) from None
+            raise FinalFailure(plain(error)) from None
         except (requests.ConnectionError, requests.Timeout) as error:
             raise Unavailable(plain(error)) from None
         except (requests.RequestException, ValueError) as error:  # a redirect to another scheme
-            raise Refused(plain(error)) from None
+            raise FinalFailure(plain(error)) from None
 
     def _session(self) -> requests.Session:
         if not hasattr(self._local, "session"):
@@ -160,7 +160,7 @@ class FolderRemote:
         try:
             file = (self._folder / name).open("rb")
         except OSError as error:
-            raise Refused(str(error.strerror)) from None
+            raise FinalFailure(str(error.strerror)) from None
         with file:
             stat = os.fstat(file.fileno())
             now = f"{stat.st_size}-{stat.st_mtime_ns}"
@@ -185,7 +185,7 @@ def read_whole(remote: Remote, name: str, most_bytes: int) -> bytes:
         for block in reply.blocks:
             content += block
             if len(content) > most_bytes:
-                raise Refused(f"more than {most_bytes} bytes")
+                raise FinalFailure(f"more than {most_bytes} bytes")
         if reply.total is not None and len(content) != reply.total:
             raise Unavailable(f"the connection ended after {len(content)} of {reply.total} bytes")
         return bytes(content)
@@ -232,7 +232,7 @@ def _check_status(response: requests.Response) -> None:
     text = f"{response.status_code} {response.reason}"
     if response.status_code in PASSING:
         raise Unavailable(text, retry_after_s(response.headers.get("Retry-After")))
-    raise Refused(text)
+    raise FinalFailure(text)
 
 
 def retry_after_s(text: str | None) -> float | None:
@@ -255,7 +255,7 @@ def _extent(response: requests.Response) -> tuple[int, int | None]:
         return 0, _length(response)
     match = CONTENT_RANGE.fullmatch(response.headers.get("Content-Range", "").strip())
     if not match:
-        raise Refused("206 Partial Content that does not say which part")
+        raise FinalFailure("206 Partial Content that does not say which part")
     return int(match[1]), None if match[2] == "*" else int(match[2])
 
 

@@ -15,9 +15,9 @@ import pyarrow.csv as pacsv
 from ..columns import NAMES
 from ..coverage import Coverage
 from ..errors import BadInput, Damaged, Incomplete
-from .cones import Cone
+from .cones import FetchCone
 from .layout import Release
-from .ledger import Ledger, file_md5
+from .ledger import FileLedger, file_md5
 from .tap_service import Cut, TapService
 
 COLUMNS = (*NAMES, "ref_epoch")
@@ -28,13 +28,13 @@ Tell = Callable[[int, int], None]  # rows done, rows of the cone
 
 
 @dataclass(frozen=True)
-class Band:
+class DeclinationBand:
     """Declinations from `low_deg` up to, but without, `high_deg`; None: no limit on that side."""
 
     low_deg: float | None = None
     high_deg: float | None = None
 
-    def halves(self, cone: Cone) -> tuple[Band, Band]:
+    def halves(self, cone: FetchCone) -> tuple[DeclinationBand, DeclinationBand]:
         """Two bands that hold every row of this one once; Incomplete where it is too narrow."""
         low = max(cone.dec_deg - cone.radius_deg, -90.0) if self.low_deg is None else self.low_deg
         high = min(cone.dec_deg + cone.radius_deg, 90.0) if self.high_deg is None else self.high_deg
@@ -50,16 +50,16 @@ class Question:
 
     service: TapService
     release: Release
-    cone: Cone
+    cone: FetchCone
 
-    def count(self, band: Band) -> int:
+    def count(self, band: DeclinationBand) -> int:
         """How many rows a band has."""
         table = self.service.ask(self._adql("COUNT(*) AS n", band), rows=1)
         if table.shape != (1, 1):
             raise Incomplete(f"{self.service.address}: COUNT(*) gave a table of {table.shape}")
         return int(table[0][0].as_py())
 
-    def tables(self, band: Band, rows: int, at_once: int, told: bool = False) -> Iterator[pa.Table]:
+    def tables(self, band: DeclinationBand, rows: int, at_once: int, told: bool = False) -> Iterator[pa.Table]:
         """The `rows` rows of a band, in parts of at most `at_once`.
 
         told : whether `at_once` is what the service gave when it cut a result. One that cuts even
@@ -79,7 +79,7 @@ class Question:
         for half in band.halves(self.cone):
             yield from self.tables(half, self.count(half), at_once, told)
 
-    def _rows(self, band: Band, rows: int) -> pa.Table:
+    def _rows(self, band: DeclinationBand, rows: int) -> pa.Table:
         table = self.service.ask(self._adql(", ".join(COLUMNS), band), rows)
         if table.num_rows < rows:
             raise Cut(table.num_rows)
@@ -90,11 +90,11 @@ class Question:
             raise Incomplete(f"{self.service.address}: the result has no column {absent[0]!r}")
         return table.select(COLUMNS)
 
-    def _adql(self, what: str, band: Band) -> str:
+    def _adql(self, what: str, band: DeclinationBand) -> str:
         return f"SELECT {what} FROM {self.release.table} WHERE {condition(self.cone, band)}"
 
 
-def condition(cone: Cone, band: Band) -> str:
+def condition(cone: FetchCone, band: DeclinationBand) -> str:
     """What ADQL says of the rows of a cone within a band of declinations."""
     circle = f"CIRCLE('ICRS', {cone.ra_deg % 360.0!r}, {cone.dec_deg!r}, {cone.radius_deg!r})"
     terms = [f"1 = CONTAINS(POINT('ICRS', ra, dec), {circle})"]
@@ -107,14 +107,14 @@ def condition(cone: Cone, band: Band) -> str:
     return " AND ".join(terms)
 
 
-def file_name(release: Release, cone: Cone) -> str:
+def file_name(release: Release, cone: FetchCone) -> str:
     """The name of a cone's file, which tells the release and the cone."""
     limit = "" if cone.faintest_g_mag is None else f"_g{cone.faintest_g_mag!r}"
     place = f"{cone.ra_deg % 360.0!r}_{cone.dec_deg!r}_{cone.radius_deg!r}"
     return f"{release.name}_cone_{place}{limit}.csv.gz"
 
 
-def cone_coverage(release: Release, cone: Cone) -> Coverage:
+def cone_coverage(release: Release, cone: FetchCone) -> Coverage:
     """What a cone's file covers: the cone, to its limit."""
     limit = math.inf if cone.faintest_g_mag is None else cone.faintest_g_mag
     cones = np.array([[cone.ra_deg, cone.dec_deg, cone.radius_deg, limit]])
@@ -122,7 +122,7 @@ def cone_coverage(release: Release, cone: Cone) -> Coverage:
 
 
 def fetch_cone(
-    service: TapService, release: Release, cone: Cone, ledger: Ledger, tell: Tell
+    service: TapService, release: Release, cone: FetchCone, ledger: FileLedger, tell: Tell
 ) -> None:
     """Ask for a cone and publish its file in the ledger's folder, a gzipped CSV.
 
@@ -130,7 +130,7 @@ def fetch_cone(
     Incomplete, BadInput (a cone too large, no such service), Damaged (the file on disk).
     """
     question, name = Question(service, release, cone), file_name(release, cone)
-    total = question.count(Band())
+    total = question.count(DeclinationBand())
     if total > MOST_ROWS:
         allowed = f"at most {MOST_ROWS} rows by TAP (here are {total}): fetch the archive's files"
         raise BadInput("cone", cone, allowed)
@@ -138,7 +138,7 @@ def fetch_cone(
     tell(done, total)
     with part.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as file:
         file.write(_head(question, total).encode())
-        for table in question.tables(Band(), total, ROWS_AT_ONCE):
+        for table in question.tables(DeclinationBand(), total, ROWS_AT_ONCE):
             _write_rows(table, file)
             done += table.num_rows
             tell(done, total)
@@ -151,7 +151,7 @@ def fetch_cone(
 
 def _head(question: Question, rows: int) -> str:
     """Comment lines that say what the file is, and the names of the columns."""
-    release, adql = question.release, question._adql("...", Band())
+    release, adql = question.release, question._adql("...", DeclinationBand())
     return (
         f"# {release.title} (ESA/Gaia/DPAC), positions at J{release.ref_epoch_jyear}; {rows} rows\n"
         f"# {question.service.address}: {adql}\n" + ",".join(COLUMNS) + "\n"

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from ..errors import Damaged
 from .layout import Entry
-from .ledger import Ledger, file_md5
-from .patience import Patience, Refused, Stopped, Unavailable
+from .ledger import FileLedger, file_md5
+from .patience import FinalFailure, Patience, Stopped, Unavailable
 from .remote import PastEnd, Remote, Reply
 
 Tell = Callable[[str, int, int, int | None], None]  # name, bytes on disk, new bytes, whole length
@@ -35,7 +35,7 @@ class Transfer:
     """How files are brought: from where, into which folder, with what patience."""
 
     remote: Remote
-    ledger: Ledger
+    ledger: FileLedger
     patience: Patience
     stop: threading.Event
     tell: Tell
@@ -50,8 +50,8 @@ class Transfer:
         for _ in range(2):
             try:
                 self._complete(entry.name, where, part)
-            except Refused as error:
-                raise Refused(f"{where}: {error}") from None
+            except FinalFailure as error:
+                raise FinalFailure(f"{where}: {error}") from None
             digest = file_md5(part)
             if digest == entry.md5:
                 self.ledger.publish(entry.name, digest)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .form import Epoch, Form, IdRule, Layout, Source
+from .form import ColumnSource, Epoch, Form, IdRule, Layout
 from .load import known_forms, load_form
 
-__all__ = ["Epoch", "Form", "IdRule", "Layout", "Source", "known_forms", "load_form"]
+__all__ = ["Epoch", "Form", "IdRule", "Layout", "ColumnSource", "known_forms", "load_form"]

@@ -42,7 +42,7 @@ LAYOUTS = ("delimited", "whitespace", "fixed")
 
 
 @dataclass(frozen=True)
-class Source:
+class ColumnSource:
     """One way to get the values of a canonical column.
 
     value = names * factor [unit], as a canonical value, + add + sum_k coefficients[k] colour**k.
@@ -159,17 +159,17 @@ class Form:
     ref_epoch_jyear: float
     epoch_scale: str
     source_id: IdRule
-    sources: tuple[Source, ...]
+    sources: tuple[ColumnSource, ...]
     epoch: Epoch | None = None
     layout: Layout = Layout()
     foreign: tuple[str, ...] = ()
 
-    def of(self, column: str) -> tuple[Source, ...]:
+    def of(self, column: str) -> tuple[ColumnSource, ...]:
         return tuple(source for source in self.sources if source.column == column)
 
-    def ways(self, column: str, table: Names) -> tuple[Source, ...]:
+    def ways(self, column: str, table: Names) -> tuple[ColumnSource, ...]:
         """The ways to a canonical column that a table offers, in the order of trial."""
-        found: list[Source] = []
+        found: list[ColumnSource] = []
         for source in self.of(column):
             if source.is_offered(table) and not (source.fallback and found):
                 found.append(source)

@@ -16,11 +16,11 @@ from .form import (
     MU_ALPHA,
     MU_ALPHA_STAR,
     UNITS,
+    ColumnSource,
     Epoch,
     Form,
     IdRule,
     Layout,
-    Source,
 )
 
 FOLDER = Path(__file__).parent
@@ -158,13 +158,13 @@ def _form(table: _Table) -> Form:
     )
 
 
-def _source(table: _Table, column: str) -> Source:
+def _source(table: _Table, column: str) -> ColumnSource:
     names = table.texts("from")
     unit = table.choice("unit", tuple(UNITS[column]))
     given = _colour_term(table) if column.startswith("phot_") else {}
     if column == "pmra":
         given["is_"] = table.choice("is", (MU_ALPHA_STAR, MU_ALPHA))
-    source = Source(
+    source = ColumnSource(
         column,
         names,
         unit,
@@ -181,7 +181,7 @@ def _source(table: _Table, column: str) -> Source:
 
 
 def _colour_term(table: _Table) -> dict[str, Any]:
-    """The fields of a `Source` that tell how a magnitude depends on a colour."""
+    """The fields of a `ColumnSource` that tell how a magnitude depends on a colour."""
     colour, coefficients = table.texts("colour", ()), table.numbers("coefficients")
     limits, clip = table.numbers("colour_range"), table.flag("clip")
     if len(colour) > 2 or bool(colour) != bool(coefficients):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..columns import INCOMING
 from ..errors import BadInput
-from ..forms import Epoch, Form, IdRule, Source
+from ..forms import Epoch, Form, IdRule, ColumnSource
 from ..forms.form import MU_ALPHA, Names
 from ..partition import healpix_29
 
@@ -75,7 +75,7 @@ def _numbers(table: pa.Table, name: str | None, where: str) -> Numbers:
 
 
 def _numbers_of(
-    way: Source,
+    way: ColumnSource,
     table: pa.Table,
     names: Names,
     where: str,
@@ -99,7 +99,7 @@ def _numbers_of(
     return np.where(absent, np.nan, values)
 
 
-def _colour_term(way: Source, table: pa.Table, names: Names, where: str) -> Numbers:
+def _colour_term(way: ColumnSource, table: pa.Table, names: Names, where: str) -> Numbers:
     first, *second = (_numbers(table, names.first((name,)), where) for name in way.colour)
     colour = first - second[0] if second else first
     if way.colour_range is not None:

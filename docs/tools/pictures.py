@@ -51,11 +51,11 @@ def draw_masks(product: Path, folder: Path, path: Path) -> None:
     """A piece of the first frame beside the classes of its mask."""
     from astropy.io import fits
 
-    from pipeline.export.formats import Wish, export_product
+    from pipeline.export.formats import ExportRequest, export_product
     from pipeline.export.picture import stretch
     from pipeline.store.cube import read_layer
 
-    (mask,) = export_product(product, "masks", folder, Wish(frame=0, stars_snr=20.0))
+    (mask,) = export_product(product, "masks", folder, ExportRequest(frame=0, stars_snr=20.0))
     with fits.open(mask) as hdus:
         classes, table = hdus["CLASS"].data, hdus["SOURCES"].data
     target = table[table["class"] == 1][0]

@@ -50,7 +50,7 @@ REACH_PX = 512.0
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class EngineCase:
     """What is drawn: a star's shape, its motion, and the frame (rows, columns)."""
 
     shape: Shape
@@ -77,7 +77,7 @@ class Setting(NamedTuple):
 
     engine: str
     setting: str
-    make: Callable[[Case], Drawn]
+    make: Callable[[EngineCase], Drawn]
     ours: bool = True
 
 
@@ -94,7 +94,7 @@ def path_of(track: Track) -> Path:
     return Path(x, y, track.weight)
 
 
-def our_settings(case: Case, quick: bool) -> list[Setting]:
+def our_settings(case: EngineCase, quick: bool) -> list[Setting]:
     """Every ladder that applies to a case; `quick` keeps two rungs of each."""
     out = [] if case.curved else [*_phases(case), *_spectral(case)]
     if isinstance(case.shape, AiryStar):
@@ -109,7 +109,7 @@ def our_settings(case: Case, quick: bool) -> list[Setting]:
     return [rungs[k] for rungs in ladders for k in (0, len(rungs) // 2)]
 
 
-def _straight(case: Case) -> list[Setting]:
+def _straight(case: EngineCase) -> list[Setting]:
     """Ladders of Gaussian stars and their straight streaks alone."""
     out: list[Setting] = []
     if is_product(blur_of(case.shape), case.streak_px):
@@ -121,13 +121,13 @@ def _straight(case: Case) -> list[Setting]:
     return out
 
 
-def _radius(case: Case) -> float:
+def _radius(case: EngineCase) -> float:
     if isinstance(case.shape, GaussianStar):
         return GAUSSIAN_RADIUS * case.shape.sigma_px
     return FIRST_CORE_Q * case.shape.q_px
 
 
-def _phases(case: Case) -> list[Setting]:
+def _phases(case: EngineCase) -> list[Setting]:
     ladder = [(8, False), (16, False), (32, False), (64, False), (128, False)]
     ladder += [(8, True), (16, True), (32, True), (64, True)]
     if isinstance(case.shape, AiryStar):
@@ -141,7 +141,7 @@ def _phases(case: Case) -> list[Setting]:
     ]  # fmt: skip
 
 
-def _wings(case: Case) -> list[Setting]:
+def _wings(case: EngineCase) -> list[Setting]:
     """Core radii with the finest grid, and grid spacings with one core."""
     phases = 32 if case.streak_px <= 60 else 16
     assert isinstance(case.shape, AiryStar)
@@ -157,7 +157,7 @@ def _wings(case: Case) -> list[Setting]:
     ]  # fmt: skip
 
 
-def _spectral(case: Case) -> list[Setting]:
+def _spectral(case: EngineCase) -> list[Setting]:
     """The transforms by the error asked of them; diffraction's light is cut off the farther out."""
     if isinstance(case.shape, GaussianStar):
         ladder = [(e, _radius(case)) for e in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)]
@@ -171,12 +171,12 @@ def _spectral(case: Case) -> list[Setting]:
     ]
 
 
-def _tiled(case: Case, side: int) -> Setting:
+def _tiled(case: EngineCase, side: int) -> Setting:
     make = partial(_stamps, phases=32, cubic=True, radius_px=_radius(case), spacing_px=2, tile=side)
     return Setting("tiles", f"{side} px", make)
 
 
-def _sampled(case: Case, per_px: float) -> Setting:
+def _sampled(case: EngineCase, per_px: float) -> Setting:
     count = max(1, round(case.streak_px * per_px))
     make = partial(_points, count=count, radius_px=_radius(case))
     return Setting("streak as points", f"{count} points", make)
@@ -199,7 +199,7 @@ def _product(phases: int) -> Setting:
     return Setting("products", f"{phases} phases", partial(_products, phases=phases))
 
 
-def _products(case: Case, phases: int) -> Drawn:
+def _products(case: EngineCase, phases: int) -> Drawn:
     """Stamps as column times row."""
     table = product_table(blur_of(case.shape), _radius(case), phases)
 
@@ -212,7 +212,7 @@ def _products(case: Case, phases: int) -> Drawn:
 
 
 def _stamps(
-    case: Case,
+    case: EngineCase,
     phases: int,
     cubic: bool,
     radius_px: float,
@@ -261,7 +261,7 @@ def _near(x: Array, y: Array, x0: int, y0: int, side: int, reach: float) -> NDAr
 
 
 def _wing_drawer(
-    case: Case, blur: Blur, core: Core, path: Path, spacing_px: int
+    case: EngineCase, blur: Blur, core: Core, path: Path, spacing_px: int
 ) -> Callable[[Array, Array, Array, Array], None]:
     reach = min(REACH_PX, WING_REACH * core.radius_px)
     sweep = float(np.hypot(path.x_px, path.y_px).max())
@@ -276,7 +276,7 @@ def _wing_drawer(
     return add
 
 
-def _spectral_of(case: Case, error: float, radius_px: float) -> Drawn:
+def _spectral_of(case: EngineCase, error: float, radius_px: float) -> Drawn:
     """The spectral engine as it plans itself for an error of a star's peak, light cut at a core."""
     core, path = compact_core(blur_of(case.shape), radius_px), path_of(case.track)
     plan = plan_spectral(case.frame, core, path, error * peak_light(core, path), sources=2e4)
@@ -288,9 +288,9 @@ def _spectral_of(case: Case, error: float, radius_px: float) -> Drawn:
     return Drawn(draw, plan.bytes)
 
 
-def _points(case: Case, count: int, radius_px: float) -> Drawn:
+def _points(case: EngineCase, count: int, radius_px: float) -> Drawn:
     """A streak as points along it: what the exact sweep of a table saves and avoids."""
-    point = Case(case.shape, Track(np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1)), 0.0, case.frame)
+    point = EngineCase(case.shape, Track(np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1)), 0.0, case.frame)
     still = _stamps(point, 64, True, radius_px, 2)
     at = (np.arange(count) + 0.5) / count
     (x0, x1), (y0, y1) = case.track.x_px[0], case.track.y_px[0]
@@ -303,7 +303,7 @@ def _points(case: Case, count: int, radius_px: float) -> Drawn:
     return Drawn(draw, still.table_bytes)
 
 
-def _chords(case: Case, parts: int) -> Drawn:
+def _chords(case: EngineCase, parts: int) -> Drawn:
     """A curved streak as a polyline of equal steps of time."""
     x, y = arc(case.streak_px, np.linspace(0.0, 1.0, parts + 1))
     path = Path(x, y, np.full(parts, 1.0 / parts))

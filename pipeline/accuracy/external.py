@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.accuracy.engines import Case
+from pipeline.accuracy.engines import EngineCase
 from pipeline.accuracy.reference import GaussianStar, exact_pixels
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class PeerFailed(Exception):
 
 
 def run_satsim(
-    case: Case, probes: tuple[Array, Array], stars: tuple[Array, Array],
+    case: EngineCase, probes: tuple[Array, Array], stars: tuple[Array, Array],
     python: str, oversampling: int, table: bool,
 ) -> External:  # fmt: skip
     """SatSim's FFT or table mode; streaks by its shared-streak mode, a step per sub-pixel."""
@@ -63,7 +63,7 @@ def run_satsim(
 
 
 def run_skymaker(
-    case: Case, probes: tuple[Array, Array], stars: tuple[Array, Array], oversampling: int
+    case: EngineCase, probes: tuple[Array, Array], stars: tuple[Array, Array], oversampling: int
 ) -> External:
     """SkyMaker with the exact streaked response as its table (PSF_TYPE FILE), without noise.
 
@@ -79,7 +79,7 @@ def run_skymaker(
 
 
 def _sky(
-    case: Case, oversampling: int, folder: str, stars: tuple[Array, Array]
+    case: EngineCase, oversampling: int, folder: str, stars: tuple[Array, Array]
 ) -> tuple[Array, float]:
     """One run of `sky`: the image, and its CPU seconds."""
     from astropy.io import fits
@@ -102,7 +102,7 @@ def _sky(
         return np.asarray(made[0].data, float), seconds
 
 
-def _write_table(case: Case, oversampling: int, path: Path) -> None:
+def _write_table(case: EngineCase, oversampling: int, path: Path) -> None:
     from astropy.io import fits
 
     half = SKY_HALF_PX + int(np.ceil(0.5 * case.streak_px))

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.accuracy.engines import Case, Drawn, Setting
+from pipeline.accuracy.engines import Drawn, EngineCase, Setting
 from pipeline.accuracy.reference import AiryStar, GaussianStar, exact_pixels
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def _version(module: str) -> str | None:
         return "unknown"
 
 
-def peer_settings(case: Case, quick: bool) -> list[Setting]:
+def peer_settings(case: EngineCase, quick: bool) -> list[Setting]:
     """Ladders of the peers that run in this process, for a case that they can draw."""
     if case.curved:
         return []
@@ -82,7 +82,7 @@ GALSIM: tuple[tuple[str, dict[str, float]], ...] = (
 )  # fmt: skip
 
 
-def _galsim(case: Case, accuracy: dict[str, float]) -> Drawn:
+def _galsim(case: EngineCase, accuracy: dict[str, float]) -> Drawn:
     """GalSim: a profile convolved with the pixel, drawn star by star on stamps of its own size."""
     import galsim
 
@@ -110,7 +110,7 @@ def _galsim(case: Case, accuracy: dict[str, float]) -> Drawn:
     return Drawn(draw)
 
 
-def _photutils_settings(case: Case) -> list[Setting]:
+def _photutils_settings(case: EngineCase) -> list[Setting]:
     if isinstance(case.shape, GaussianStar):
         return [
             Setting("photutils", f"{n} px stamps", partial(_photutils, side=n), ours=False)
@@ -125,7 +125,7 @@ def _photutils_settings(case: Case) -> list[Setting]:
     ]  # fmt: skip
 
 
-def _photutils(case: Case, side: int, table: int = 0) -> Drawn:
+def _photutils(case: EngineCase, side: int, table: int = 0) -> Drawn:
     """photutils: a pixel-integrated Gaussian, or a spline between the samples of a table."""
     from astropy.table import Table
     from photutils.datasets import make_model_image
@@ -144,14 +144,14 @@ def _photutils(case: Case, side: int, table: int = 0) -> Drawn:
     return Drawn(draw)
 
 
-def oversampled(case: Case, per_px: int, half_px: int) -> Array:
+def oversampled(case: EngineCase, per_px: int, half_px: int) -> Array:
     """Exact light of pixels whose centres stand 1/`per_px` apart, out to `half_px`."""
     at = np.arange(-half_px * per_px, half_px * per_px + 1) / per_px
     return exact_pixels(case.shape, case.track, 0.0, 0.0, at, at)
 
 
 def external_settings(
-    case: Case, quick: bool, satsim_python: str | None = None
+    case: EngineCase, quick: bool, satsim_python: str | None = None
 ) -> list[tuple[str, str, Callable[..., Any]]]:
     """(engine, setting, run) of peers that draw all probes in one go, in a process of their own."""
     from pipeline.accuracy.external import run_satsim, run_skymaker

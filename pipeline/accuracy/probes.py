@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.accuracy.engines import Case
+from pipeline.accuracy.engines import EngineCase
 from pipeline.accuracy.reference import AiryStar, GaussianStar, exact_pixels
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ SIDE_PX = 48  # beside a star's path: the square whose light is added up
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class ProbeWindow:
     """Pixels of one probe and their exact light (rows, columns)."""
 
     rows: NDArray[np.int64]
@@ -37,7 +37,7 @@ class Probes:
 
     x_px: Array
     y_px: Array
-    windows: tuple[tuple[Window, ...], ...]
+    windows: tuple[tuple[ProbeWindow, ...], ...]
     peak: float
     side_px: int
     boxed: Array
@@ -58,7 +58,7 @@ class Probes:
         return round(float(self.y_px[k])) - half, round(float(self.x_px[k])) - half
 
 
-def make_probes(case: Case, count: int, seed: int = 1) -> Probes:
+def make_probes(case: EngineCase, count: int, seed: int = 1) -> Probes:
     """Probes on a loose grid, so that one image may hold all of them, and two at the edges."""
     rng = np.random.default_rng(seed)
     reach = 0.5 * case.streak_px + SIDE_PX
@@ -77,7 +77,7 @@ def make_probes(case: Case, count: int, seed: int = 1) -> Probes:
 
 
 def _places(
-    case: Case, count: int, apart_px: float, rng: np.random.Generator
+    case: EngineCase, count: int, apart_px: float, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     rows, columns = case.frame
     down, across = (max(1, int(n // (apart_px + 2.0))) for n in case.frame)
@@ -90,7 +90,7 @@ def _places(
     return x, y
 
 
-def _window(case: Case, t: float, x: float, y: float) -> Window:
+def _window(case: EngineCase, t: float, x: float, y: float) -> ProbeWindow:
     """Pixels about the place at time t of the path."""
     far = np.array(FAR_PX)
     offsets = np.concatenate([-far[::-1], np.arange(-NEAR_PX, NEAR_PX + 1), far])
@@ -101,17 +101,17 @@ def _window(case: Case, t: float, x: float, y: float) -> Window:
     columns = columns[(columns >= 0) & (columns < case.frame[1])]
     rows = rows[(rows >= 0) & (rows < case.frame[0])]
     exact = exact_pixels(case.shape, case.track, x, y, columns, rows)
-    return Window(rows, columns, exact)
+    return ProbeWindow(rows, columns, exact)
 
 
-def _parts(case: Case, k: int, whole: bool) -> tuple[float, ...]:
+def _parts(case: EngineCase, k: int, whole: bool) -> tuple[float, ...]:
     """Where on the path a probe's windows stand: its middle, and one end after the other."""
     if not (whole and case.streak_px):
         return (0.5,)
     return (0.5, float(k % 2))
 
 
-def _place(case: Case, t: float) -> tuple[float, float]:
+def _place(case: EngineCase, t: float) -> tuple[float, float]:
     """(x, y) at time t in 0 ... 1 of the path."""
     track = case.track
     part = min(int(np.searchsorted(np.cumsum(track.weight), t)), track.weight.size - 1)
@@ -120,7 +120,7 @@ def _place(case: Case, t: float) -> tuple[float, float]:
     return float(x0 + u * (x1 - x0)), float(y0 + u * (y1 - y0))
 
 
-def _boxed(case: Case, x: float, y: float, side: int) -> float:
+def _boxed(case: EngineCase, x: float, y: float, side: int) -> float:
     half = side // 2
     cx, cy = round(x), round(y)
     if min(cx, cy) < half or cx + half >= case.frame[1] or cy + half >= case.frame[0]:
@@ -129,7 +129,7 @@ def _boxed(case: Case, x: float, y: float, side: int) -> float:
     return float(exact_pixels(case.shape, case.track, x, y, *middle, width=float(side))[0, 0])
 
 
-def probe_count(case: Case, quick: bool) -> int:
+def probe_count(case: EngineCase, quick: bool) -> int:
     """How many interior probes: fewer where the exact values take long."""
     if quick:
         return 2

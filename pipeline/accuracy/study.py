@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.accuracy.engines import Case, Setting, arc, our_settings
+from pipeline.accuracy.engines import EngineCase, Setting, arc, our_settings
 from pipeline.accuracy.external import External, PeerFailed
 from pipeline.accuracy.peers import external_settings, installed_peers, peer_settings
 from pipeline.accuracy.probes import Probes, make_probes, probe_count
@@ -71,14 +71,14 @@ class Record:
     pareto: bool = False
 
 
-def cases(frame: tuple[int, int], quick: bool) -> list[Case]:
+def cases(frame: tuple[int, int], quick: bool) -> list[EngineCase]:
     """Both shapes with every streak, and a curved streak of the Gaussian."""
     streaks = (0.0, 60.0) if quick else STREAKS_PX
-    out = [Case(s, straight(n, ANGLE_RAD), n, frame) for s in SHAPES for n in streaks]
+    out = [EngineCase(s, straight(n, ANGLE_RAD), n, frame) for s in SHAPES for n in streaks]
     if quick:
         out = [c for c in out if not (c.streak_px and isinstance(c.shape, AiryStar))]
     bent = curved(lambda t: arc(CURVE_PX, t), CURVE_PANELS)
-    return [*out, Case(SHAPES[0], bent, CURVE_PX, frame, curved=True)]
+    return [*out, EngineCase(SHAPES[0], bent, CURVE_PX, frame, curved=True)]
 
 
 def run_study(
@@ -127,7 +127,7 @@ NOTES = (
 
 
 def _measured(
-    case: Case, stars: int, quick: bool, peers: bool, satsim_python: str | None
+    case: EngineCase, stars: int, quick: bool, peers: bool, satsim_python: str | None
 ) -> Iterator[Record | dict[str, str]]:
     """Records of one case, and what failed."""
     probes = make_probes(case, probe_count(case, quick))
@@ -149,7 +149,7 @@ def _measured(
 
 
 def _one(
-    case: Case, setting: Setting, probes: Probes, x: Array, y: Array, effort: Effort
+    case: EngineCase, setting: Setting, probes: Probes, x: Array, y: Array, effort: Effort
 ) -> Record:
     """One rung: made, looked at probe by probe, then timed."""
     started = time.process_time()
@@ -180,7 +180,7 @@ def _one(
 
 
 def _external(
-    case: Case, engine: str, setting: str, probes: Probes, made: External, stars: int
+    case: EngineCase, engine: str, setting: str, probes: Probes, made: External, stars: int
 ) -> Record:
     errors = [probes.errors(k, made.image) for k in range(probes.x_px.size)]
     return _record(
@@ -189,7 +189,7 @@ def _external(
 
 
 def _record(
-    case: Case, engine: str, setting: str, ours: bool, probes: Probes,
+    case: EngineCase, engine: str, setting: str, ours: bool, probes: Probes,
     errors: list[tuple[float, float]], stars: int, timed: int, cpu_s: float, table_s: float,
     table_bytes: int | None,
 ) -> Record:  # fmt: skip

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.detection.judge import POINT_PX
-from pipeline.detection.points import Found, find_points
+from pipeline.detection.points import Detections, find_points
 from pipeline.detection.streaks import Line, all_lines, find_lines, without_streaks
 from pipeline.export.labels import STAR, TARGET, Labels
 
 Array = NDArray[np.float64]
-Finder = Callable[[Array, float, float], Found]
+Finder = Callable[[Array, float, float], Detections]
 
 EDGE_PX = 4.0  # sources nearer to the edge are not asked for
 TITLES = {

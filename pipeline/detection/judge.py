@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pipeline.detection.points import Found
+from pipeline.detection.points import Detections
 from pipeline.export.labels import TARGET, Labels
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ STEP_PX = 1.0
 
 
 @dataclass(frozen=True)
-class Verdict:
+class DetectionVerdict:
     """What the detections of one frame are.
 
     found : (n,) of the labels; explained : (m,) detections that lie on some source of SEEN_SNR or
@@ -45,7 +45,7 @@ class Verdict:
         return int(np.sum(~self.explained & ~self.right))
 
 
-def judge(labels: Labels, sought: NDArray[np.bool_], found: Found) -> Verdict:
+def judge(labels: Labels, sought: NDArray[np.bool_], found: Detections) -> DetectionVerdict:
     """Match detections with the sources sought, one to one, brightest detections first.
 
     A point matches within NEAR_PX of the centroid of a source's light, a streak within NEAR_PX
@@ -69,7 +69,7 @@ def judge(labels: Labels, sought: NDArray[np.bool_], found: Found) -> Verdict:
             if fits.any():
                 best = near[fits][np.argmin(np.hypot(along[fits], across[fits]))]
                 which[best], right[i] = True, True
-    return Verdict(which, right, _explained(labels, found))
+    return DetectionVerdict(which, right, _explained(labels, found))
 
 
 def _along_across(
@@ -81,7 +81,7 @@ def _along_across(
     return dx * np.cos(turn) + dy * np.sin(turn), dy * np.cos(turn) - dx * np.sin(turn)
 
 
-def _explained(labels: Labels, found: Found) -> NDArray[np.bool_]:
+def _explained(labels: Labels, found: Detections) -> NDArray[np.bool_]:
     """Whether a source's straight path passes near each detection; bright ones reach farther."""
     seen = np.flatnonzero(labels.snr >= SEEN_SNR)
     if not len(found) or not seen.size:

@@ -17,7 +17,7 @@ ROUND = 1.5  # a point is at most so many times longer than wide
 
 
 @dataclass(frozen=True)
-class Found:
+class Detections:
     """Detections: x_px, y_px of their middles; snr; length_px and angle_rad (0 for points)."""
 
     x_px: Array
@@ -29,9 +29,9 @@ class Found:
     def __len__(self) -> int:
         return len(self.x_px)
 
-    def take(self, index: NDArray[np.bool_]) -> Found:
+    def take(self, index: NDArray[np.bool_]) -> Detections:
         """Some of them."""
-        return Found(
+        return Detections(
             self.x_px[index], self.y_px[index], self.snr[index], self.length_px[index],
             self.angle_rad[index],
         )  # fmt: skip
@@ -46,7 +46,7 @@ def flattened(frame: NDArray[np.generic]) -> tuple[Array, float]:
     return image - back.back(), max(float(back.globalrms), 1e-12)
 
 
-def find_points(image: Array, noise: float, threshold_sigma: float) -> Found:
+def find_points(image: Array, noise: float, threshold_sigma: float) -> Detections:
     """Round sources of LEAST_PX pixels or more above the threshold, after sep's 3 x 3 filter.
 
     image, noise : from `flattened`. `snr` is that of the pixels above the threshold.
@@ -58,7 +58,7 @@ def find_points(image: Array, noise: float, threshold_sigma: float) -> Found:
     rows = rows[(rows["a"] < ROUND * rows["b"]) & (rows["flux"] > 0)]
     snr = rows["flux"] / (noise * np.sqrt(rows["npix"]))
     none = np.zeros(len(rows))
-    return Found(rows["x"].astype(float), rows["y"].astype(float), snr, none, none)
+    return Detections(rows["x"].astype(float), rows["y"].astype(float), snr, none, none)
 
 
 def _sep():

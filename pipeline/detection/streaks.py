@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import grey_opening, maximum_filter
 from scipy.spatial import cKDTree
 
-from pipeline.detection.points import Found
+from pipeline.detection.points import Detections
 
 Array = NDArray[np.float64]
 Line = tuple[float, float]  # length [px], angle [rad] from +x towards +y
@@ -35,7 +35,7 @@ def all_lines() -> list[Line]:
     return out
 
 
-def find_lines(image: Array, noise: float, threshold_sigma: float, lines: list[Line]) -> Found:
+def find_lines(image: Array, noise: float, threshold_sigma: float, lines: list[Line]) -> Detections:
     """Lines above a threshold of signal-to-noise, those that one another explain counted once.
 
     image, noise : from `points.flattened`. Each pixel, in units of the noise, is filtered by each
@@ -56,7 +56,7 @@ def find_lines(image: Array, noise: float, threshold_sigma: float, lines: list[L
     y, x = y[even], x[even]
     kept = _own_peaks(x.astype(float), y.astype(float), length[y, x], angle[y, x])
     y, x = y[kept], x[kept]
-    return Found(
+    return Detections(
         x.astype(float), y.astype(float), best[y, x].astype(float), length[y, x], angle[y, x]
     )
 

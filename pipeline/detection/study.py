@@ -13,8 +13,8 @@ import numpy as np
 
 from catalog_tools.ahead import ahead, cores, threads
 from pipeline.detection.finders import tasks
-from pipeline.detection.judge import POINT_PX, Verdict, by_magnitude, judge
-from pipeline.detection.points import Found, flattened
+from pipeline.detection.judge import POINT_PX, DetectionVerdict, by_magnitude, judge
+from pipeline.detection.points import Detections, flattened
 from pipeline.errors import BadInput
 from pipeline.export.labels import TARGET, Labels, frame_labels
 from pipeline.store.cube import open_cube, read_layer
@@ -79,7 +79,7 @@ def _frame(
 
 
 def _one(
-    frame: int, kind: str, labels: Labels, sought: np.ndarray, found: Found, verdict: Verdict
+    frame: int, kind: str, labels: Labels, sought: np.ndarray, found: Detections, verdict: DetectionVerdict
 ) -> dict[str, Any]:
     """One finder on one frame."""
     mags = labels.g_mag[np.isfinite(labels.g_mag)]

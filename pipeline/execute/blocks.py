@@ -45,7 +45,7 @@ _POINT = np.zeros(1), np.zeros(1), np.ones(1)  # y, x and share of the light of 
 
 
 @dataclass(frozen=True)
-class Block:
+class LightBlock:
     """The light of one block of the focal plane that its tiles take over.
 
     grid, star_wings, target_wings : the wings' grid and its fields; None where there are none
@@ -117,7 +117,7 @@ def around(stars: FrameStars, tile: Tile, reach: float) -> FrameStars:
     return select(stars, distance_px(stars.x_px, stars.y_px, *place) < reach)
 
 
-def render_block(plan: Plan, g: Geometry, place: Tile, parts: list[FrameStars]) -> Block:
+def render_block(plan: Plan, g: Geometry, place: Tile, parts: list[FrameStars]) -> LightBlock:
     """Wings of all sources around a block, and its stars where they are many."""
     reach = plan.halo_px + excursion_px(plan, g)
     every = drawing_order(around(concatenate(parts, FrameStars), place, reach))
@@ -127,7 +127,7 @@ def render_block(plan: Plan, g: Geometry, place: Tile, parts: list[FrameStars]) 
     paths = streaks(plan, g) if len(stars) else []
     grid, star_wings, target_wings = _wings(plan, place, reach, stars, paths, setting, targets)
     crowd, limit = _crowd(plan, place, stars, paths)
-    return Block(place, grid, star_wings, target_wings, crowd, limit, error_e)
+    return LightBlock(place, grid, star_wings, target_wings, crowd, limit, error_e)
 
 
 def _wing_error_e(plan: Plan, stars: FrameStars, targets: list[FrameTarget]) -> float:

@@ -26,7 +26,7 @@ class Ref:
 
 
 @dataclass(frozen=True)
-class Step:
+class BundleStep:
     """A step of a bundle: the key of its result, what is called, and its arguments, in which keys
     of earlier steps and Refs are exchanged for values; after it the results in `over` are let go.
     """
@@ -41,7 +41,7 @@ class Step:
 class Bundle:
     """Steps in an order in which each finds what it needs, frame after frame."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[BundleStep, ...]
 
 
 def tiles_a_bundle(tile_s: float, least_task_s: float, tiles: int, workers: int) -> int:
@@ -151,7 +151,7 @@ def _bundle(graph: Graph, group: list[Key], inner: set[Key]) -> tuple[Any, ...]:
     for key in order:
         function, *arguments = graph[key]
         told = outside.told(arguments)
-        steps.append(Step(key, function, told, tuple(over.get(key, ()))))
+        steps.append(BundleStep(key, function, told, tuple(over.get(key, ()))))
     return (run_bundle, Bundle(tuple(steps)), *outside.values)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps, StarTable, concatenate
-from pipeline.execute.blocks import Block, plan_blocks, render_block
+from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.coordinates import frame_coordinates
 from pipeline.execute.sources import excursion_px, place_stars, truth_order
 from pipeline.execute.tile import StarLight, charge_of_tile, render_tile, star_light
@@ -45,7 +45,7 @@ class Inputs:
 
 
 @dataclass(frozen=True)
-class Work:
+class WindowWork:
     """What is still to be done in a window of frames: indices into its geometry.
 
     Where charge stays behind, the geometry begins with frames before the window. It ends with
@@ -79,7 +79,7 @@ def shard_graph(inputs: Any, shards: Iterable[Shard]) -> dict[Key, Any]:
 def window_graph(
     inputs: Any,
     plan: Plan,
-    work: Work,
+    work: WindowWork,
     shards: dict[Shard, Any],
     ref_epochs_jyear: tuple[float, ...] = (),
 ) -> tuple[dict[Key, Any], list[Key]]:
@@ -236,20 +236,20 @@ def place_task(inputs: Inputs, stars: StarTable, g: Geometry, catalogue: int) ->
     return place_stars(inputs.plan, stars, g, epoch, catalogue)
 
 
-def block_task(inputs: Inputs, g: Geometry, place: Tile, parts: list[FrameStars]) -> Block:
+def block_task(inputs: Inputs, g: Geometry, place: Tile, parts: list[FrameStars]) -> LightBlock:
     """Task: what one block of one frame gives to its tiles."""
     return render_block(inputs.plan, g, place, parts)
 
 
 def star_task(
-    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
+    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock]
 ) -> StarLight:
     """Task: the light of a tile's stars, for several frames."""
     return star_light(inputs.plan, g, tile, parts, blocks)
 
 
 def tile_task(
-    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
+    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock],
     shared: list[StarLight], before: list[Array],
 ) -> tuple[int, int, int]:  # fmt: skip
     """Task: render one tile of one frame and store it; returns only its name."""
@@ -264,7 +264,7 @@ def tile_task(
 
 
 def charge_task(
-    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
+    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock],
     shared: list[StarLight],
 ) -> Array:  # fmt: skip
     """Task: what a tile of one frame collects, for the frames after in which a share is left."""

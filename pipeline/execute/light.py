@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
-from pipeline.execute.blocks import Block, around, class_of, parts_of, target_class
+from pipeline.execute.blocks import LightBlock, around, class_of, parts_of, target_class
 from pipeline.execute.guards import guard_brightness, guard_light, guard_stars, inside_tile
 from pipeline.execute.sources import (
     FrameTarget,
@@ -36,7 +36,7 @@ from pipeline.plan.tiles import Tile, overlap
 
 
 def draw_stars(
-    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock]
 ) -> Array:
     """Electrons of the stars in a tile: (rows, columns) float64, before the flat."""
     image = np.zeros((tile.rows, tile.columns))
@@ -69,7 +69,7 @@ def draw_stars(
     return image
 
 
-def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[Block]) -> Array:
+def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[LightBlock]) -> Array:
     """Electrons of the targets in a tile: (rows, columns) float64, before the flat."""
     image = np.zeros((tile.rows, tile.columns))
     targets = place_targets(plan, g)
@@ -258,7 +258,7 @@ def _cut(image: NDArray[Any], place: Tile, part: Tile) -> NDArray[Any]:
     return image[top : top + part.rows, left : left + part.columns]
 
 
-def add_wings_of(image: Array, tile: Tile, block: Block, field: Array | None) -> None:
+def add_wings_of(image: Array, tile: Tile, block: LightBlock, field: Array | None) -> None:
     """Add the part of a block's wings that falls in a tile."""
     part = overlap(tile, block.place)
     if field is not None and block.grid is not None and part.rows and part.columns:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
-from pipeline.execute.blocks import Block
+from pipeline.execute.blocks import LightBlock
 from pipeline.execute.check import check_tile
 from pipeline.execute.detector import (
     collected_e,
@@ -35,7 +35,7 @@ def render_tile(
     g: Geometry,
     tile: Tile,
     parts: list[FrameStars],
-    blocks: list[Block],
+    blocks: list[LightBlock],
     rays: CosmicRays | None = None,
     before: Sequence[Array] = (),
     light_e: dict[str, Array] | None = None,
@@ -80,7 +80,7 @@ def charge_of_tile(
     g: Geometry,
     tile: Tile,
     parts: list[FrameStars],
-    blocks: list[Block],
+    blocks: list[LightBlock],
     rays: CosmicRays | None = None,
     light_e: dict[str, Array] | None = None,
     shared: StarLight | None = None,
@@ -130,7 +130,7 @@ class StarLight(NamedTuple):
 
 
 def star_light(
-    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block]
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock]
 ) -> StarLight:
     """The light of a tile's stars where they stand in the frame of `g`."""
     light = tile_light(plan, g, tile, parts, blocks, ("stars",))["stars_e"]
@@ -138,7 +138,7 @@ def star_light(
 
 
 def light_with(
-    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock],
     shared: StarLight | None,
 ) -> dict[str, Array]:  # fmt: skip
     """`tile_light`, or the same with the light of stars that another frame's drawing gave."""
@@ -147,13 +147,13 @@ def light_with(
     return {"stars_e": shared.light_e} | tile_light(plan, g, tile, parts, blocks, LIGHTS[1:])
 
 
-def _wing_error_e(blocks: list[Block], shared: StarLight | None) -> float:
+def _wing_error_e(blocks: list[LightBlock], shared: StarLight | None) -> float:
     error_e = max((b.wing_error_e for b in blocks), default=0.0)
     return error_e if shared is None else error_e + shared.wing_error_e
 
 
 def tile_light(
-    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[Block],
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock],
     which: tuple[str, ...] = LIGHTS,
 ) -> dict[str, Array]:  # fmt: skip
     """Mean light of a tile before the detector, by layer [e-]: arrays, or one for all pixels.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.export.labels import CLASS_NAMES, STAR, TARGET, Labels
 from pipeline.export.masks import RULE, Mask
-from pipeline.export.times import Exposure
+from pipeline.export.times import ExposureTimes
 
 KEYPOINTS = ["start", "middle", "end"]
 
@@ -37,7 +37,7 @@ def dataset(title: str, threshold_e: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def image_entry(number: int, name: str, shape: tuple[int, int], times: Exposure) -> dict[str, Any]:
+def image_entry(number: int, name: str, shape: tuple[int, int], times: ExposureTimes) -> dict[str, Any]:
     """One image; `date_captured` is the middle of the exposure."""
     iso = times.iso()
     return {

@@ -32,7 +32,7 @@ MOVIE_PX = 1024
 
 
 @dataclass(frozen=True)
-class Wish:
+class ExportRequest:
     """What of a product is exported, and how.
 
     frame : one frame alone; layer : for frames and movies
@@ -50,7 +50,7 @@ class Wish:
     fps: float = 5.0
 
 
-def export_product(product: Path, kind: str, output: Path, wish: Wish) -> Iterator[Path]:
+def export_product(product: Path, kind: str, output: Path, wish: ExportRequest) -> Iterator[Path]:
     """Write a complete product in another format; yields each file as it is whole.
 
     Raises BadInput for a format, layer, frame or number that is not accepted, and for an output
@@ -82,7 +82,7 @@ def export_product(product: Path, kind: str, output: Path, wish: Wish) -> Iterat
 class _Job:
     """A product that is being exported: its cube, frames, noise and labels."""
 
-    def __init__(self, product: Path, wish: Wish) -> None:
+    def __init__(self, product: Path, wish: ExportRequest) -> None:
         self.product, self.wish = product, wish
         self.cube: xr.Dataset = open_cube(product)
         self.layers = layers_of(self.cube)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pipeline.errors import BadInput
-from pipeline.export.picture import Limits, limits_of, shrink, stretch
+from pipeline.export.picture import GreyLimits, limits_of, shrink, stretch
 from pipeline.store.cube import read_layer
 
 MOST_SAMPLES = 16  # frames that the common grey levels are taken from
@@ -24,7 +24,7 @@ def movie_frames(
     """Grey pictures (rows, columns) of frames, row 0 at the bottom, all by the same levels."""
     sample = frames[:: max(1, len(frames) // MOST_SAMPLES)]
     limits = [limits_of(shrink(read_layer(product, layer, k), side_px)[0]) for k in sample]
-    common = Limits(*(float(v) for v in np.median(np.array(limits), axis=0)))
+    common = GreyLimits(*(float(v) for v in np.median(np.array(limits), axis=0)))
     for k in frames:
         small, _ = shrink(read_layer(product, layer, k), side_px)
         yield stretch(small, common)[::-1]

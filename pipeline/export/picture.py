@@ -21,7 +21,7 @@ GREEN, CYAN = (80, 255, 120), (80, 220, 255)
 MOST_MARKED = 60  # cosmic rays with the most charge
 
 
-class Limits(NamedTuple):
+class GreyLimits(NamedTuple):
     """Grey levels of a picture: black, the softening (scatter of the sky), white."""
 
     low: float
@@ -29,17 +29,17 @@ class Limits(NamedTuple):
     top: float
 
 
-def limits_of(image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7) -> Limits:
+def limits_of(image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7) -> GreyLimits:
     """Limits between the sky and a bright percentile of an image."""
     values = _seen(image)
     sample = values.ravel()[:: max(1, values.size // 400_000)]
     low, middle, high = np.percentile(sample, [low_percent, 50.0, high_percent])
     scatter = 1.4826 * float(np.median(np.abs(sample - middle))) or 1.0
     top = max(float(high), middle + 12.0 * scatter, np.nextafter(low, np.inf))
-    return Limits(low, scatter, top)
+    return GreyLimits(low, scatter, top)
 
 
-def stretch(image: NDArray[Any], limits: Limits | None = None) -> NDArray[np.uint8]:
+def stretch(image: NDArray[Any], limits: GreyLimits | None = None) -> NDArray[np.uint8]:
     """Grey levels 0 to 255 of an image: asinh between limits, by default its own.
 
     The softening is the robust scatter of the sky, so that noise stays visible beside bright

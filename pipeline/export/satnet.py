@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.export.labels import CLASS_NAMES, STAR, Labels
-from pipeline.export.times import Exposure
+from pipeline.export.times import ExposureTimes
 
 
 def annotation(
     labels: Labels,
-    times: Exposure,
+    times: ExposureTimes,
     shape: tuple[int, int],
     ifov_deg: float,
     file: dict[str, Any],

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Exposure:
+class ExposureTimes:
     """One exposure in UTC, to the microsecond that the cube stores.
 
     The middle is the moment of the WCS, of `x_px`, `y_px` in the truth and of all labels; start
@@ -37,7 +37,7 @@ class Exposure:
                 for k, t in moments.items()}  # fmt: skip
 
 
-def exposure_of(cube: xr.Dataset, frame: int) -> Exposure:
+def exposure_of(cube: xr.Dataset, frame: int) -> ExposureTimes:
     """The exposure of a frame of a complete cube."""
     one = cube.isel(frame=frame)
     start, middle, end = (
@@ -45,4 +45,4 @@ def exposure_of(cube: xr.Dataset, frame: int) -> Exposure:
         for k in ("start", "mid", "end")
     )
     seconds = one.get("integration_s", cube.attrs["integration_s"])  # its own, or of all
-    return Exposure(start, middle, end, float(seconds))
+    return ExposureTimes(start, middle, end, float(seconds))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.errors import BadInput
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.brdf_table import BrdfTable, brdf_table
-from pipeline.physics.meshes.intensity import Surface
+from pipeline.physics.meshes.intensity import FacetSurface
 from pipeline.spec.mesh import (
     AshikhminShirleySurface,
     CookTorranceSurface,
@@ -36,11 +36,11 @@ class Palette:
 
     def __init__(self) -> None:
         self._made: dict[str, int] = {}
-        self._surfaces: list[Surface] = []
+        self._surfaces: list[FacetSurface] = []
         self._digest = hashlib.sha256()
 
     @property
-    def surfaces(self) -> tuple[Surface, ...]:
+    def surfaces(self) -> tuple[FacetSurface, ...]:
         return tuple(self._surfaces)
 
     @property
@@ -65,16 +65,16 @@ class Palette:
         return self._made[key]
 
 
-def make_surface(wish: Any, field: str = "surface") -> tuple[Surface, bytes]:
+def make_surface(wish: Any, field: str = "surface") -> tuple[FacetSurface, bytes]:
     """The surface that a scene describes, and the bytes of the file it was read from, if any."""
     if isinstance(wish, LambertSurface):
-        return Surface(partial(brdf.lambert, albedo=wish.albedo), wish.two_sided), b""
+        return FacetSurface(partial(brdf.lambert, albedo=wish.albedo), wish.two_sided), b""
     if isinstance(wish, PhongSurface):
         given = partial(
             brdf.phong, diffuse=wish.diffuse, specular=wish.specular, exponent=wish.exponent
         )
         rings = SUN_RINGS if wish.specular and wish.exponent > SHARP_EXPONENT else 0
-        return Surface(given, wish.two_sided, rings), b""
+        return FacetSurface(given, wish.two_sided, rings), b""
     if isinstance(wish, CookTorranceSurface):
         index = None if wish.refractive_index is None else complex(*wish.refractive_index)
         given = partial(
@@ -82,7 +82,7 @@ def make_surface(wish: Any, field: str = "surface") -> tuple[Surface, bytes]:
             normal_reflectance=wish.normal_reflectance or 0.0,
         )  # fmt: skip
         rings = SUN_RINGS if wish.roughness < SHARP_ROUGHNESS else 0
-        return Surface(given, wish.two_sided, rings), b""
+        return FacetSurface(given, wish.two_sided, rings), b""
     if isinstance(wish, AshikhminShirleySurface):
         across = wish.exponent_u if wish.exponent_v is None else wish.exponent_v
         given = partial(
@@ -90,10 +90,10 @@ def make_surface(wish: Any, field: str = "surface") -> tuple[Surface, bytes]:
             exponent_u=wish.exponent_u, exponent_v=across, grain=np.array(wish.grain),
         )  # fmt: skip
         sharp = max(wish.exponent_u, across) > 0.25 * SHARP_EXPONENT
-        return Surface(given, wish.two_sided, SUN_RINGS if sharp and wish.specular else 0), b""
+        return FacetSurface(given, wish.two_sided, SUN_RINGS if sharp and wish.specular else 0), b""
     assert isinstance(wish, TableSurface)
     table, raw = read_brdf_table(Path(wish.path), wish.scale, field)
-    return Surface(table, wish.two_sided), raw
+    return FacetSurface(table, wish.two_sided), raw
 
 
 def read_brdf_table(

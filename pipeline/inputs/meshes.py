@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.errors import BadInput
 from pipeline.inputs.mesh_surfaces import Palette
 from pipeline.physics.meshes.facets import Facets, is_convex
-from pipeline.physics.meshes.model import Joint, MeshModel, Part
+from pipeline.physics.meshes.model import Joint, MeshModel, RigidPart
 from pipeline.physics.meshes.shells import closed_shells, shell_volumes
 from pipeline.spec.mesh import METRES, MeshBody, MeshPart, SpinJoint, SunTrackingJoint
 from pipeline.spec.scene import Scene
@@ -83,7 +83,7 @@ def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
     rest = _take(whole, None, moved, f"{field}.parts")
     parts = []
     if rest.any():
-        parts.append(Part(_facets(whole, rest, palette, (body,), field)))
+        parts.append(RigidPart(_facets(whole, rest, palette, (body,), field)))
     numbers: dict[str, int] = {}
     for k, part in enumerate(body.parts):
         place = f"{field}.parts.{k}"
@@ -105,7 +105,7 @@ def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
     return MeshModel(tuple(parts), palette.surfaces, content.hexdigest(), notices)
 
 
-def _placed(part: MeshPart, facets: Facets, on: int | None) -> Part:
+def _placed(part: MeshPart, facets: Facets, on: int | None) -> RigidPart:
     from scipy.spatial.transform import Rotation
 
     rotation = Rotation.from_quat(np.roll(part.quaternion, -1)).as_matrix()
@@ -120,7 +120,7 @@ def _placed(part: MeshPart, facets: Facets, on: int | None) -> Part:
             law, rate = "spin", float(np.deg2rad(j.rate_deg_s))
         angle = float(np.deg2rad(j.angle_deg))
         joint = Joint(law, axis, np.array(j.pivot_m), face, angle, rate)  # type: ignore[arg-type]
-    return Part(facets, on, rotation, np.array(part.place_m), joint)
+    return RigidPart(facets, on, rotation, np.array(part.place_m), joint)
 
 
 def _take(

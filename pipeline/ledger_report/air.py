@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pipeline.arrays import Array
-from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
+from pipeline.ledger_report.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.ledger_report.scenes import SITE, scene
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.positions.refraction import refraction_terms
@@ -65,7 +65,7 @@ def trace(n0: float, height_m: float, kelvin: float, sine: float) -> tuple[float
 
 
 @probe("atmosphere")
-def rays(_: Bench) -> Iterator[Found]:
+def rays(_: Bench) -> Iterator[ProbeResult]:
     """Refraction, its spread over colours, and the shift of near things, against traced rays."""
     for elevation in (20.0, 45.0):
         parsed = parse_scene(_scene(elevation))
@@ -93,17 +93,17 @@ def rays(_: Bench) -> Iterator[Found]:
         how = f"{np.degrees(np.arcsin(sine)):.1f} deg up, against a ray through 6000 shells"
         bound, unit = stated(plan, "atmosphere.refraction")
         off = abs(exact[0] - ours) / ARCSEC_RAD
-        yield Found("atmosphere.refraction", how, bound, off, unit, told_s, trace_s)
+        yield ProbeResult("atmosphere.refraction", how, bound, off, unit, told_s, trace_s)
         colours = np.array([traced(nm * 1e-9)[0] for nm in (400.0, 550.0, 700.0)])
         bound, unit = stated(plan, "atmosphere.dispersion")
         off = float(np.ptp(colours)) / ARCSEC_RAD
-        yield Found("atmosphere.dispersion", how, bound, off, unit, told_s, 3.0 * trace_s)
+        yield ProbeResult("atmosphere.dispersion", how, bound, off, unit, told_s, 3.0 * trace_s)
         bound, unit = stated(plan, "atmosphere.finite_distance")
-        yield Found("atmosphere.finite_distance", how, bound, abs(exact[1]), unit, told_s, trace_s)
+        yield ProbeResult("atmosphere.finite_distance", how, bound, abs(exact[1]), unit, told_s, trace_s)
 
 
 @probe("pointing_refraction")
-def lifted(_: Bench) -> Iterator[Found]:
+def lifted(_: Bench) -> Iterator[ProbeResult]:
     """The camera of a pointing by azimuth and elevation, with the site's air and without."""
     for elevation in (20.0, 60.0):
         data = _scene(elevation)
@@ -119,5 +119,5 @@ def lifted(_: Bench) -> Iterator[Found]:
         out_s, (named, _p) = timed(lambda d=bare, b=boresight: b(d))  # type: ignore[misc]
         off = most(np.arctan2(np.linalg.norm(np.cross(held, named)), held @ named)) / ARCSEC_RAD
         bound, unit = stated(plan, "pointing_refraction")
-        yield Found("pointing_refraction", f"{elevation:g} deg up, the camera with and without air",
+        yield ProbeResult("pointing_refraction", f"{elevation:g} deg up, the camera with and without air",
                     bound, off, unit, out_s, in_s)  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
+from pipeline.ledger_report.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.ledger_report.scenes import DEC_DEG, RA_DEG, SIDE, mean_e, scene, whole
 from pipeline.scene_report.exact import choose_windows
 from pipeline.scene_report.rung import lights_e
@@ -18,7 +18,7 @@ WINDOWS = 4
 AIRY = {"kind": "airy", "jitter_px": 0.5, "wavelengths": 1}
 
 
-def _switched(data: dict, wanted: tuple[str, ...], how: str) -> Iterator[Found]:
+def _switched(data: dict, wanted: tuple[str, ...], how: str) -> Iterator[ProbeResult]:
     """Approximations of a scene's plan, each switched off in windows of its frame."""
     stage = open_stage(data)
     tiles = (whole(stage),)
@@ -28,7 +28,7 @@ def _switched(data: dict, wanted: tuple[str, ...], how: str) -> Iterator[Found]:
             yield _measured(stage, s, windows, how)
 
 
-def _measured(stage, s: Switch, windows, how: str) -> Found:
+def _measured(stage, s: Switch, windows, how: str) -> ProbeResult:
     """One approximation: the worst of some windows, in units of the pixel's noise or in e-."""
     from pipeline.scene_report.stage import mean_of, noise_of
 
@@ -42,11 +42,11 @@ def _measured(stage, s: Switch, windows, how: str) -> Found:
         seconds = [seconds[0] + on_s, seconds[1] + off_s]
     sigma = 1.0 if s.of_light else stage.plan.facts.sigma_floor_e
     unit = "e-" if s.of_light else "sigma"
-    return Found(s.component, how, s.bound_e / sigma, error, unit, *seconds)
+    return ProbeResult(s.component, how, s.bound_e / sigma, error, unit, *seconds)
 
 
 @probe("phase_interpolation")
-def engines(bench: Bench) -> Iterator[Found]:
+def engines(bench: Bench) -> Iterator[ProbeResult]:
     """Stars that streak, by the product's engines and one by one; a crowd by transforms."""
     stars = {"catalogue": bench.catalogue}
     turn = {"mode": "rate", "boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG,
@@ -57,7 +57,7 @@ def engines(bench: Bench) -> Iterator[Found]:
     yield _crowd(bench)
 
 
-def _crowd(bench: Bench) -> Found:
+def _crowd(bench: Bench) -> ProbeResult:
     """All stars of a frame by the transforms of crowds, and by stamps: the same plan otherwise."""
     from pipeline.scene_report.stage import light_by, mean_of, noise_of
 
@@ -71,12 +71,12 @@ def _crowd(bench: Bench) -> Found:
     in_s, true = timed(lambda: mean_of(stage, light_by(stage, stamps)(tile), tile), 2)
     noise = noise_of(stage, true, tile)
     bound = plan.responses.budget_e / plan.facts.sigma_floor_e
-    return Found("crowds_by_transforms", f"{len(stage.stars)} stars by transforms, beside stamps",
+    return ProbeResult("crowds_by_transforms", f"{len(stage.stars)} stars by transforms, beside stamps",
                  bound, most((ours - true) / noise), "sigma", out_s, in_s)  # fmt: skip
 
 
 @probe("wings_on_a_coarse_grid")
-def wings(bench: Bench) -> Iterator[Found]:
+def wings(bench: Bench) -> Iterator[ProbeResult]:
     """The diffraction wings of bright stars, on a grid of half the spacing, and farther out."""
     data = scene({"stars": {"catalogue": bench.catalogue}, "sensor.psf": AIRY})
     yield from _switched(data, ("wings_on_a_coarse_grid",),
@@ -92,7 +92,7 @@ def wings(bench: Bench) -> Iterator[Found]:
 
 
 @probe("monochromatic_psf")
-def colours(bench: Bench) -> Iterator[Found]:
+def colours(bench: Bench) -> Iterator[ProbeResult]:
     """Diffraction at one wavelength and at a few, beside twelve."""
     stars = {"catalogue": bench.catalogue}
     data = scene({"stars": stars, "sensor.aperture_m": 0.02, "sensor.psf.kind": "airy",
@@ -102,7 +102,7 @@ def colours(bench: Bench) -> Iterator[Found]:
 
 
 @probe("one_psf")
-def over_the_field(bench: Bench) -> Iterator[Found]:
+def over_the_field(bench: Bench) -> Iterator[ProbeResult]:
     """Responses at five places, beside those of the places half way between them, too."""
     rows = np.linspace(0.0, SIDE - 1.0, 5)
 
@@ -122,12 +122,12 @@ def over_the_field(bench: Bench) -> Iterator[Found]:
     field = few.plan.responses.field
     assert field is not None
     bound = sum(e for e in field.error if e is not None) * max(lights_e(few))
-    yield Found("psf_over_the_field", "a Gaussian that widens along the rows, at 5 places and at 9",
+    yield ProbeResult("psf_over_the_field", "a Gaussian that widens along the rows, at 5 places and at 9",
                 bound, most(a - b), "e-", out_s, in_s)  # fmt: skip
 
 
 @probe("background.*")
-def skies(_: Bench) -> Iterator[Found]:
+def skies(_: Bench) -> Iterator[ProbeResult]:
     """Grids for a uniform sky of a wide field and for the zodiacal light; each pixel's own."""
     wide = {"sensor.focal_length_m": 0.02}
     even = open_stage(scene(wide | {"background": {"uniform_mag_arcsec2": 18.0}}))
@@ -140,7 +140,7 @@ def skies(_: Bench) -> Iterator[Found]:
 
 
 @probe("pupil_projection")
-def pupil(_: Bench) -> Iterator[Found]:
+def pupil(_: Bench) -> Iterator[ProbeResult]:
     """A uniform sky of a wide field, with the pupil seen from off axis and without."""
     wide = {"sensor.focal_length_m": 0.004, "background": {"uniform_mag_arcsec2": 18.0}}
     data = scene(wide | {"sensor.pupil_projection": False})
@@ -148,12 +148,12 @@ def pupil(_: Bench) -> Iterator[Found]:
     out_s, without = timed(lambda: mean_e(data))
     in_s, full = timed(lambda: mean_e(scene(wide)))
     bound, unit = stated(stage.plan, "pupil_projection")
-    yield Found("pupil_projection", f"a field of 16 degrees, {SIDE} x {SIDE}",
+    yield ProbeResult("pupil_projection", f"a field of 16 degrees, {SIDE} x {SIDE}",
                 bound, most(1.0 - full / without), unit, out_s, in_s)  # fmt: skip
 
 
 @probe("stray_light.*")
-def stray(_: Bench) -> Iterator[Found]:
+def stray(_: Bench) -> Iterator[ProbeResult]:
     """The light of each body in a frame with it and without."""
     high = {"kind": "orbit", "orbit": {"kind": "state", "position_m": [4.2164e7, 0, 0],
                                        "velocity_m_s": [0, 3075, 0]}}  # fmt: skip
@@ -170,5 +170,5 @@ def stray(_: Bench) -> Iterator[Found]:
         less = scene({f"background.stray_light.{body}": False}, data)
         out_s, without = timed(lambda d=less: mean_e(d))  # type: ignore[misc]
         bound, unit = stated(stage.plan, f"stray_light.{body}")
-        yield Found(f"stray_light.{body}", "a frame near the Earth's limb, with it and without",
+        yield ProbeResult(f"stray_light.{body}", "a frame near the Earth's limb, with it and without",
                     bound, most(every - without), unit, out_s, in_s)  # fmt: skip

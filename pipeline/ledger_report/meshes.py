@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Array
-from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
+from pipeline.ledger_report.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.ledger_report.scenes import before, mean_e
 from pipeline.ledger_report.targets import TOWARDS, followed
 from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.facets import Facets
-from pipeline.physics.meshes.intensity import Surface, mesh_intensity
+from pipeline.physics.meshes.intensity import FacetSurface, mesh_intensity
 from pipeline.physics.meshes.lamps import wide_lamp_intensity
 from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.vectors import unit as normal
@@ -61,12 +61,12 @@ def _sheets(triangles: Array) -> Facets:
     return Facets(triangles, np.zeros(n, np.int64), np.zeros(n, bool), False)
 
 
-def _grey(albedo: float = ALBEDO) -> Surface:
-    return Surface(partial(brdf.lambert, albedo=albedo), True)
+def _grey(albedo: float = ALBEDO) -> FacetSurface:
+    return FacetSurface(partial(brdf.lambert, albedo=albedo), True)
 
 
 @probe("targets.light_between_facets")
-def between(bench: Bench) -> Iterator[Found]:
+def between(bench: Bench) -> Iterator[ProbeResult]:
     """A corner of two matt squares: all reflections between them, beside one alone; its shadows."""
     path = write_obj(bench.folder / "groove.obj", groove())
     plan = prepare(parse_scene(followed(before(TOWARDS, 2e5, "a", body=body(path))))).plan
@@ -77,7 +77,7 @@ def between(bench: Bench) -> Iterator[Found]:
     outline = float(np.sum(np.abs(mesh.cross_m2 @ observer)) * 0.5)
     plate = ALBEDO * outline / np.pi
     bound, unit = stated(plan, "targets.light_between_facets")
-    yield Found("targets.light_between_facets", f"a right corner of albedo {ALBEDO:g}, {CELLS} x "
+    yield ProbeResult("targets.light_between_facets", f"a right corner of albedo {ALBEDO:g}, {CELLS} x "
                 f"{CELLS} cells a side that light each other", bound, float(lit / plate), unit,
                 out_s, in_s)  # fmt: skip
     slanted = normal(np.array([-0.4, 0.3, 1.0]))
@@ -86,7 +86,7 @@ def between(bench: Bench) -> Iterator[Found]:
     bound, unit = stated(plan, "targets.mesh_shadows")
     off = abs(rough.intensity_m2_sr / fine.intensity_m2_sr - 1.0)
     assert ours.intensity_m2_sr > 0.0
-    yield Found("targets.mesh_shadows", "the same corner, one side in the other's shadow, beside "
+    yield ProbeResult("targets.mesh_shadows", "the same corner, one side in the other's shadow, beside "
                 "an error of 1e-5", bound, float(off), unit, out_s, in_s)  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def _between(sun: Array, observer: Array) -> float:
 
 
 @probe("targets.earthshine_on_meshes")
-def earthshine(bench: Bench) -> Iterator[Found]:
+def earthshine(bench: Bench) -> Iterator[ProbeResult]:
     """The groove in the light of a large Earth: 256 parts of it, each with its own shadows."""
     path = write_obj(bench.folder / "groove.obj", groove())
     lighting = {"earthshine_albedo": 0.3}
@@ -137,13 +137,13 @@ def earthshine(bench: Bench) -> Iterator[Found]:
         lambda: wide_lamp_intensity(mesh, surfaces, lamp, observer, 4e-3)
     )
     bound, unit = stated(plan, "targets.earthshine_on_meshes")
-    yield Found("targets.earthshine_on_meshes", "a right corner at 400 km, beside 256 parts of the "
+    yield ProbeResult("targets.earthshine_on_meshes", "a right corner at 400 km, beside 256 parts of the "
                 "Earth traced one by one", bound, float(abs(ours / every - 1.0)), unit,
                 out_s, in_s)  # fmt: skip
 
 
 @probe("targets.light_table")
-def table(bench: Bench) -> Iterator[Found]:
+def table(bench: Bench) -> Iterator[ProbeResult]:
     """Four of 900 frames from a table of light, beside the same worked out one by one."""
     from pipeline.plan import mesh_tables
 
@@ -162,12 +162,12 @@ def table(bench: Bench) -> Iterator[Found]:
     finally:
         mesh_tables.WORTH = worth
     bound, unit = stated(plan, "targets.light_table")
-    yield Found("targets.light_table", "a corner that turns in orbit, 4 of 900 frames", bound,
+    yield ProbeResult("targets.light_table", "a corner that turns in orbit, 4 of 900 frames", bound,
                 most(ours - true) / most(true), unit, out_s, in_s)  # fmt: skip
 
 
 @probe("targets.point_sources")
-def shapes(bench: Bench) -> Iterator[Found]:
+def shapes(bench: Bench) -> Iterator[ProbeResult]:
     """A square plate as a point, and as a mesh with its picture: the same light, spread out."""
     side = 2.0
     square = quad(*(side * (np.array(c) - [0.5, 0.5, 0.0]) for c in
@@ -185,7 +185,7 @@ def shapes(bench: Bench) -> Iterator[Found]:
     in_s, b = timed(lambda: mean_e(mesh))
     light = float((a - np.median(a)).sum())
     bound, unit = stated(point.plan, "targets.shapes_as_points")
-    yield Found("targets.shapes_as_points", "a plate of 2 m at 100 km, beside its picture", bound,
+    yield ProbeResult("targets.shapes_as_points", "a plate of 2 m at 100 km, beside its picture", bound,
                 most(a - b) / light, unit, out_s, in_s)  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import erf
 
 from pipeline.arrays import Array, FrameStars
-from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
+from pipeline.ledger_report.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.ledger_report.scenes import DEC_DEG, ORBIT, RA_DEG, mean_e, scene
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.positions.distortion import to_detector
@@ -25,7 +25,7 @@ LINE_S, ROWS = 2e-3, 5
 
 
 @probe("distortion")
-def distortion(_: Bench) -> Iterator[Found]:
+def distortion(_: Bench) -> Iterator[ProbeResult]:
     """Places through SIP terms and back by the product, the terms summed by numpy's powers."""
     terms = {"2_0": 3e-5, "1_1": -2e-5, "0_2": 1e-5, "3_0": 4e-8, "1_2": -3e-8}
     wish = {"kind": "sip", "a": terms, "b": {k: -0.7 * v for k, v in terms.items()}}
@@ -39,12 +39,12 @@ def distortion(_: Bench) -> Iterator[Found]:
     out_s, found = timed(lambda: to_detector(d, u + moved, v - 0.7 * moved), 3)
     off = max(most(found[0] - u), most(found[1] - v))
     bound, unit = stated(plan, "distortion")
-    yield Found("distortion", "20,000 places through SIP terms of up to 0.3 px, and back", bound,
+    yield ProbeResult("distortion", "20,000 places through SIP terms of up to 0.3 px, and back", bound,
                 off, unit, out_s, in_s)  # fmt: skip
 
 
 @probe("dwells")
-def dwells(bench: Bench) -> Iterator[Found]:
+def dwells(bench: Bench) -> Iterator[ProbeResult]:
     """The first frame of a dwell, beside the same frame of a scene of its own."""
     plain = scene({"stars": {"catalogue": bench.catalogue}})
     parts = {"dwells": [{}, {"pointing": plain["pointing"] | {"roll_deg": 30.0},
@@ -53,7 +53,7 @@ def dwells(bench: Bench) -> Iterator[Found]:
     out_s, a = timed(lambda: mean_e(plain), 2)
     in_s, b = timed(lambda: mean_e(many), 2)
     bound, unit = stated(open_stage(many).plan, "dwells")
-    yield Found("dwells", "the first of two dwells, beside a scene of its own", bound, most(a - b),
+    yield ProbeResult("dwells", "the first of two dwells, beside a scene of its own", bound, most(a - b),
                 unit, out_s, in_s)  # fmt: skip
 
 
@@ -68,7 +68,7 @@ def _true_attitude(t: Array) -> Array:
 
 
 @probe("pointing_table")
-def table(_: Bench) -> Iterator[Found]:
+def table(_: Bench) -> Iterator[ProbeResult]:
     """Quaternions of a known motion every half second; the camera between them, at 200 moments."""
     from scipy.spatial.transform import Rotation
 
@@ -89,7 +89,7 @@ def table(_: Bench) -> Iterator[Found]:
         told = g.attitude[:, g.middle, 2]
         off = most(np.linalg.norm(np.cross(true, told), axis=-1)) / ARCSEC_RAD
         bound, unit = stated(plan, "pointing_table")
-        yield Found("pointing_table", f"{how} of {len(rows)} rows of a known motion, 100 frames",
+        yield ProbeResult("pointing_table", f"{how} of {len(rows)} rows of a known motion, 100 frames",
                     bound, off, unit, out_s, in_s)  # fmt: skip
 
 
@@ -101,7 +101,7 @@ def _right_handed(axes: Array) -> Array:
 
 
 @probe("pointing_motion")
-def jitter(_: Bench) -> Iterator[Found]:
+def jitter(_: Bench) -> Iterator[ProbeResult]:
     """Jitter followed wave by wave, beside a path of few nodes and blur: a star of the floor."""
     rms_arcsec, low, high = 3.0, 0.5, 400.0
     attitude = {"jitter": [{"kind": "white", "rms_arcsec": rms_arcsec, "low_hz": low,
@@ -139,13 +139,13 @@ def jitter(_: Bench) -> Iterator[Found]:
         spent = [spent[0] + out_s, spent[1] + in_s]
     bound = stated(plan, "pointing_motion")[0] / plan.facts.sigma_floor_e
     count = len(worst)
-    yield Found("pointing_motion", f"{count} exposures of white jitter followed wave by wave, a "
+    yield ProbeResult("pointing_motion", f"{count} exposures of white jitter followed wave by wave, a "
                 "star as bright as the noise floor", bound, max(worst), "sigma",
                 spent[0] / count, spent[1] / count)  # fmt: skip
 
 
 @probe("rolling_shutter")
-def rolling(bench: Bench) -> Iterator[Found]:
+def rolling(bench: Bench) -> Iterator[ProbeResult]:
     """Where the product has stars, and where they are in the exposure of their own row."""
     data = scene({"observer": ORBIT, "stars": {"catalogue": bench.catalogue}, "pointing": {
         "mode": "rate", "boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG,
@@ -167,7 +167,7 @@ def rolling(bench: Bench) -> Iterator[Found]:
         off = own.x_px[k] - stars.x_px[i], own.y_px[k] - stars.y_px[i]
         worst, spent = max(worst, float(np.hypot(*off))), spent + in_s
     bound, unit = stated(stage.plan, "rolling_shutter")
-    yield Found("rolling_shutter", f"{len(chosen)} stars before a camera that turns faster and "
+    yield ProbeResult("rolling_shutter", f"{len(chosen)} stars before a camera that turns faster and "
                 "faster, each beside a frame of its own row's time", bound, worst, unit, out_s,
                 spent / max(1, len(chosen)))  # fmt: skip
 

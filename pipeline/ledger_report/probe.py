@@ -17,7 +17,7 @@ from pipeline.plan.scene_plan import Plan
 
 
 @dataclass(frozen=True)
-class Found:
+class ProbeResult:
     """One measurement.
 
     component : as in the plan; how : scene and reference, in words
@@ -38,7 +38,7 @@ class Found:
         return bool(np.isfinite(self.error) and self.error <= self.bound)
 
 
-Probe = Callable[["Bench"], Iterator[Found]]
+Probe = Callable[["Bench"], Iterator[ProbeResult]]
 PROBES: dict[str, list[Probe]] = {}
 
 

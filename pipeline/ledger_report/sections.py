@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.execute.tile import tile_light
-from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
+from pipeline.ledger_report.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.ledger_report.scenes import SIDE, before, mean_e, scene, whole
 from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
 from pipeline.physics.noise.joint import ABOVE_E, READ_E, joint_quantile
@@ -24,7 +24,7 @@ LARGE_MEAN_E = 1e8
 
 
 @probe("stars")
-def sections(bench: Bench) -> Iterator[Found]:
+def sections(bench: Bench) -> Iterator[ProbeResult]:
     """The stars' light of a scene that has only stars, beside the same among everything else."""
     stars = {"catalogue": bench.catalogue}
     alone = open_stage(scene({"stars": stars}))
@@ -40,12 +40,12 @@ def sections(bench: Bench) -> Iterator[Found]:
     in_s, b = timed(lambda: light(among, ("stars", "targets", "sky")), 3)
     for name in ("targets", "background", "cosmic_rays"):
         bound, unit = stated(alone.plan, name)
-        yield Found(name, "stars alone, and beside targets and a sky", bound, most(a - b), unit,
+        yield ProbeResult(name, "stars alone, and beside targets and a sky", bound, most(a - b), unit,
                     out_s, in_s)  # fmt: skip
 
 
 @probe("flat")
-def neutral(_: Bench) -> Iterator[Found]:
+def neutral(_: Bench) -> Iterator[ProbeResult]:
     """Digital numbers of a chain of numbers, and of one with images of neutral values."""
     rng = np.random.default_rng(2)
     mean = rng.uniform(10.0, 1e4, (512, 512))
@@ -58,12 +58,12 @@ def neutral(_: Bench) -> Iterator[Found]:
     plan = prepare(parse_scene(scene())).plan
     for name in ("flat", "dark", "full_well", "bias"):
         bound = stated(plan, name)[0]
-        yield Found(name, "512 x 512 pixels, numbers beside images of neutral values", bound,
+        yield ProbeResult(name, "512 x 512 pixels, numbers beside images of neutral values", bound,
                     most(a.astype(float) - b.astype(float)), "DN", out_s, in_s)  # fmt: skip
 
 
 @probe("adc")
-def rounding(_: Bench) -> Iterator[Found]:
+def rounding(_: Bench) -> Iterator[ProbeResult]:
     """Whole numbers beside the charge over the gain, in exact fractions; 63 bits, no noise."""
     rng = np.random.default_rng(4)
     mean, gain = rng.uniform(0.0, 2.0**40, (64, 64)), 1.7
@@ -76,12 +76,12 @@ def rounding(_: Bench) -> Iterator[Found]:
         exact = [Fraction(float(m)) / Fraction(gain) for m in mean.ravel()]
         off = max(abs(Fraction(int(n)) - e) for n, e in zip(dn.ravel(), exact, strict=True))
         bound, unit = stated(plan, "adc")
-        yield Found("adc", f"{way}, 63 bits, against exact fractions", bound, float(off), unit,
+        yield ProbeResult("adc", f"{way}, 63 bits, against exact fractions", bound, float(off), unit,
                     out_s, in_s)  # fmt: skip
 
 
 @probe("gaussian_for_poisson")
-def large_means(_: Bench) -> Iterator[Found]:
+def large_means(_: Bench) -> Iterator[ProbeResult]:
     """The rounded Gaussian for a Poisson number of a mean of 1e8: their distribution functions."""
     from scipy.stats import norm, poisson
 
@@ -93,12 +93,12 @@ def large_means(_: Bench) -> Iterator[Found]:
     rng = np.random.default_rng(3)
     in_s, _x = timed(lambda: rng.poisson(mean), 3)
     bound, unit = stated(prepare(parse_scene(scene())).plan, "gaussian_for_poisson")
-    yield Found("gaussian_for_poisson", "a mean of 1e8, against scipy's Poisson", bound, off, unit,
+    yield ProbeResult("gaussian_for_poisson", "a mean of 1e8, against scipy's Poisson", bound, off, unit,
                 out_s, in_s)  # fmt: skip
 
 
 @probe("one_noise_draw")
-def one_draw(_: Bench) -> Iterator[Found]:
+def one_draw(_: Bench) -> Iterator[ProbeResult]:
     """The quantile that photon and read noise share, at the limits of its use."""
     from scipy.stats import norm, poisson
 
@@ -112,12 +112,12 @@ def one_draw(_: Bench) -> Iterator[Found]:
     out_s, _x = timed(lambda: to_dn(mean, two, place), 3)
     in_s, _x = timed(lambda: to_dn(mean, one, place), 3)
     bound, unit = stated(prepare(parse_scene(scene())).plan, "one_noise_draw")
-    yield Found("one_noise_draw", "10 e- and 1.5 e- of read noise, against sums of normal "
+    yield ProbeResult("one_noise_draw", "10 e- and 1.5 e- of read noise, against sums of normal "
                 "integrals", bound, most(exact - norm.cdf(z)), unit, out_s, in_s)  # fmt: skip
 
 
 @probe("detector_extras")
-def extras(bench: Bench) -> Iterator[Found]:
+def extras(bench: Bench) -> Iterator[ProbeResult]:
     """Frames without extras and with neutral ones; a bent response; charge left behind."""
     stars = {"catalogue": bench.catalogue}
     plain = open_stage(scene({"stars": stars}))
@@ -126,13 +126,13 @@ def extras(bench: Bench) -> Iterator[Found]:
     out_s, a = timed(lambda: mean_e(plain), 2)
     in_s, b = timed(lambda: mean_e(neutral), 2)
     bound, unit = stated(plain.plan, "detector_extras")
-    yield Found("detector_extras", "no detector section, and one of neutral values", bound,
+    yield ProbeResult("detector_extras", "no detector section, and one of neutral values", bound,
                 most(a - b), unit, out_s, in_s)  # fmt: skip
     yield _bent()
     yield _left_behind()
 
 
-def _bent() -> Found:
+def _bent() -> ProbeResult:
     """A polynomial response by the table that the product makes of it, and by itself."""
     coefficients, full_e = [-0.03, 0.02], 1e5
     prepared = prepare(parse_scene(scene({
@@ -145,11 +145,11 @@ def _bent() -> Found:
     out_s, told = timed(lambda: np.interp(true_e, *table), 3)
     in_s, exact = timed(lambda: true_e * bend(true_e / full_e), 3)
     bound, unit = stated(prepared.plan, "nonlinearity")
-    return Found("nonlinearity", "a polynomial on 4097 points, against itself", bound,
+    return ProbeResult("nonlinearity", "a polynomial on 4097 points, against itself", bound,
                  most(told - exact), unit, out_s, in_s)  # fmt: skip
 
 
-def _left_behind() -> Found:
+def _left_behind() -> ProbeResult:
     """Charge left by all frames before, beside that of as many as are drawn: a full frame each."""
     share, full_e = 0.05, 1e5
     plan = prepare(parse_scene(scene({
@@ -160,5 +160,5 @@ def _left_behind() -> Found:
     out_s, few = timed(lambda: lagged_e([frame] * (n + 1), share), 3)
     in_s, every = timed(lambda: lagged_e([frame] * 61, share), 3)
     bound, unit = stated(plan.plan, "lag")
-    return Found("lag", f"full wells, {n} frames before beside 60", bound, most(few - every), unit,
+    return ProbeResult("lag", f"full wells, {n} frames before beside 60", bound, most(few - every), unit,
                  out_s, in_s)  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.arrays import Array
 from pipeline.execute.graph import read_shard
 from pipeline.execute.sources import place_stars
-from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
+from pipeline.ledger_report.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.ledger_report.scenes import DEC_DEG, RA_DEG, SIDE, SITE, mean_e, scene
 from pipeline.physics.constants import (
     ARCSEC_RAD,
@@ -42,7 +42,7 @@ GRAZING, FINE_NODES = 2000, 1 + 8 * 256
 
 
 @probe("stars.space_motion")
-def effects(bench: Bench) -> Iterator[Found]:
+def effects(bench: Bench) -> Iterator[ProbeResult]:
     """How far stars of a small frame are displaced where an effect on directions is left out."""
     stage = open_stage(scene({"stars": {"catalogue": bench.catalogue}}))
     years = float(np.abs(epochs_jyear(stage.g)[0] - stage.prepared.catalogues[0].ref_epoch_jyear))
@@ -53,7 +53,7 @@ def effects(bench: Bench) -> Iterator[Found]:
         arcsec = most(off) * stage.plan.facts.ifov_rad / ARCSEC_RAD
         per = years if name == "space_motion" else 1.0
         bound, unit = stated(stage.plan, f"stars.{name}")
-        yield Found(f"stars.{name}", f"{len(off)} stars, one like Barnard's, with and without",
+        yield ProbeResult(f"stars.{name}", f"{len(off)} stars, one like Barnard's, with and without",
                     bound, arcsec / per, unit, out_s, in_s)  # fmt: skip
 
 
@@ -79,7 +79,7 @@ def _places(stage: Stage, without: str | None) -> dict[int, Array]:
 
 
 @probe("stars.doppler")
-def doppler(bench: Bench) -> Iterator[Found]:
+def doppler(bench: Bench) -> Iterator[ProbeResult]:
     """Electrons of black bodies that come towards a fast observer, by the band's own response."""
     speed = 3e5
     data = scene({"stars": {"catalogue": bench.catalogue},
@@ -100,12 +100,12 @@ def doppler(bench: Bench) -> Iterator[Found]:
     in_s, moved = timed(lambda: [electrons(k, factor) for k in kelvins], 3)
     bound, unit = stated(plan, "stars.doppler")
     off = most(np.array(moved) / np.array(rest) - 1.0)
-    yield Found("stars.doppler", f"an observer at {speed:g} m/s, black bodies of {COLD_K:g} to "
+    yield ProbeResult("stars.doppler", f"an observer at {speed:g} m/s, black bodies of {COLD_K:g} to "
                 f"{HOT_K:g} K", bound, off, unit, out_s, in_s)  # fmt: skip
 
 
 @probe("shared_frames")
-def standing(bench: Bench) -> Iterator[Found]:
+def standing(bench: Bench) -> Iterator[ProbeResult]:
     """Stars where they stand in the first of the frames that share them, and in the last."""
     data = scene({"stars": {"catalogue": bench.catalogue}, "observer": SITE,
                   "exposure": {"integration_s": 0.2, "frames": 500, "cadence_s": 0.3}})  # fmt: skip
@@ -115,11 +115,11 @@ def standing(bench: Bench) -> Iterator[Found]:
     _, b = timed(lambda: mean_e(last))
     bound, unit = stated(plan, "shared_frames")
     how = f"{len(first.stars)} stars over a site, {plan.shared_frames} frames after 0.3 s each"
-    yield Found("shared_frames", how, bound, most(a - b), unit, 0.0, in_s)
+    yield ProbeResult("shared_frames", how, bound, most(a - b), unit, 0.0, in_s)
 
 
 @probe("precession_nutation")
-def polar_motion(_: Bench) -> Iterator[Found]:
+def polar_motion(_: Bench) -> Iterator[ProbeResult]:
     """A site with the pole where the Earth-orientation tables have it, two weeks later."""
     from astropy.time import Time
     from astropy.utils import iers
@@ -138,13 +138,13 @@ def polar_motion(_: Bench) -> Iterator[Found]:
     ]))  # fmt: skip
     off = np.linalg.norm(np.diff(places, axis=1), axis=-1).max()
     bound, unit = stated(plan, "polar_motion")
-    yield Found("polar_motion", f"three sites, the pole of IERS B in {len(x)} fortnights since "
+    yield ProbeResult("polar_motion", f"three sites, the pole of IERS B in {len(x)} fortnights since "
                 "1973, and that of the one before", bound, float(off), unit, 0.0,
                 in_s / len(x))  # fmt: skip
 
 
 @probe("stars.faint")
-def faint(bench: Bench) -> Iterator[Found]:
+def faint(bench: Bench) -> Iterator[ProbeResult]:
     """A frame without the stars beyond the limit that the noise sets, beside one of all stars."""
     sky = {"uniform_e_per_s": 4e5, "starlight": "all"}
     auto = scene({"stars": {"catalogue": bench.catalogue, "faintest_g_mag": "auto"},
@@ -157,13 +157,13 @@ def faint(bench: Bench) -> Iterator[Found]:
     bound, unit = stated(few.plan, "stars.faint")
     assert few.plan.scene.stars is not None
     limit = few.plan.scene.stars.faintest_g_mag
-    yield Found("stars.faint", f"{len(many.stars) - len(few.stars)} stars beyond G = {limit:g} as "
+    yield ProbeResult("stars.faint", f"{len(many.stars) - len(few.stars)} stars beyond G = {limit:g} as "
                 "smooth light, beside all stars drawn", bound, most(all_of_them - less), unit,
                 out_s, in_s)  # fmt: skip
 
 
 @probe("earth_occultation")
-def hidden(bench: Bench) -> Iterator[Found]:
+def hidden(bench: Bench) -> Iterator[ProbeResult]:
     """Parts of the exposure in which stars at the limb are seen, beside many more moments."""
     middle = np.array([np.cos(DEC_DEG * DEG_RAD) * np.cos(RA_DEG * DEG_RAD),
                        np.cos(DEC_DEG * DEG_RAD) * np.sin(RA_DEG * DEG_RAD),
@@ -187,7 +187,7 @@ def hidden(bench: Bench) -> Iterator[Found]:
     seen = visible_fraction(finer(clear))
     partly = int(((exact > 0.0) & (exact < 1.0)).sum())
     bound, unit = stated(stage.plan, "earth_occultation")
-    yield Found("earth_occultation", f"{partly} of {GRAZING} lines that a limb crosses in an "
+    yield ProbeResult("earth_occultation", f"{partly} of {GRAZING} lines that a limb crosses in an "
                 f"exposure of 400 s, beside {FINE_NODES} moments", bound,
                 float(np.abs(seen - exact).max()), unit, 0.0, in_s)  # fmt: skip
 

@@ -21,7 +21,7 @@ from pipeline.ledger_report import (  # noqa: F401  (each module registers its p
     stars,
     targets,
 )
-from pipeline.ledger_report.probe import PROBES, Bench, Found
+from pipeline.ledger_report.probe import PROBES, Bench, ProbeResult
 from pipeline.ledger_report.scenes import make_stars
 from pipeline.plan.ledger import LEDGER, Rule, rule_of
 
@@ -66,14 +66,14 @@ def run_ledger(names: tuple[str, ...] = (), progress: Progress | None = None) ->
     }  # fmt: skip
 
 
-def _row(rule: Rule, found: list[Found]) -> Row:
+def _row(rule: Rule, found: list[ProbeResult]) -> Row:
     """A rule's row: the measurement that uses most of its bound, and all of them."""
     worst = max(found, key=lambda f: (not f.holds, f.error / f.bound if f.bound else f.error))
     head = {"rule": rule.components[0], "test": rule.test}
     return head | told(worst) | {"all": [told(f) for f in found]}
 
 
-def told(f: Found) -> Row:
+def told(f: ProbeResult) -> Row:
     """One measurement as plain data."""
     return {
         "component": f.component, "how": f.how, "bound": float(f.bound), "error": float(f.error),

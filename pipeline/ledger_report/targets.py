@@ -11,7 +11,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from pipeline.arrays import Array
-from pipeline.ledger_report.probe import Bench, Found, most, probe, stated, timed
+from pipeline.ledger_report.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.ledger_report.scenes import ORBIT, SPHERE, before, mean_e, scene
 from pipeline.physics.constants import (
     EARTH_EQUATORIAL_RADIUS_M,
@@ -40,7 +40,7 @@ def followed(*targets: dict, **changes: Any) -> dict:
 
 
 @probe("targets.point_sources")
-def sizes(_: Bench) -> Iterator[Found]:
+def sizes(_: Bench) -> Iterator[ProbeResult]:
     """Spheres drawn as points beside the same with their discs; a plate beside its own mesh."""
     sizes_m = np.geomspace(0.02, 2.0, 24)
     side = normal(np.cross(TOWARDS, [0.0, 0.0, 1.0])) * np.sqrt(np.sum(np.square(TOWARDS)))
@@ -57,12 +57,12 @@ def sizes(_: Bench) -> Iterator[Found]:
     in_s, seen = timed(lambda: mean_e(stage, discs), 2)
     bound, unit = stated(stage.plan, "targets.point_sources")
     noise = np.sqrt(seen + 25.0) / stage.plan.facts.sigma_floor_e
-    yield Found("targets.point_sources", "spheres of 2 cm to 2 m at 5 km, and all with discs",
+    yield ProbeResult("targets.point_sources", "spheres of 2 cm to 2 m at 5 km, and all with discs",
                 bound, most((points - seen) / noise), unit, out_s, in_s)  # fmt: skip
 
 
 @probe("targets.eclipse")
-def shadow(_: Bench) -> Iterator[Found]:
+def shadow(_: Bench) -> Iterator[ProbeResult]:
     """Sunlight past a flattened Earth, limb-darkened, beside a fine raster of the Sun's disc."""
     sun = 1.496e11 * normal(np.array([1.0, 0.1, 0.15]))
     side = normal(np.cross(sun, [0.0, 0.3, 1.0]))
@@ -73,7 +73,7 @@ def shadow(_: Bench) -> Iterator[Found]:
     out_s, ours = timed(lambda: sunlit_past_earth(place, sun, 0.6, True), 3)
     in_s, true = timed(lambda: np.array([_rastered(p, sun) for p in place]))
     bound, unit = stated(prepare(parse_scene(followed(target))).plan, "targets.eclipse")
-    yield Found("targets.eclipse", "nine places at the edge of the shadow at GEO, against a raster "
+    yield ProbeResult("targets.eclipse", "nine places at the edge of the shadow at GEO, against a raster "
                 "of the Sun's disc", bound, most(ours - true), unit, out_s, in_s)  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def _rastered(place: Array, sun: Array, u: float = 0.6, lines: int = 1200) -> fl
 
 
 @probe("targets.earthshine")
-def earthshine(_: Bench) -> Iterator[Found]:
+def earthshine(_: Bench) -> Iterator[ProbeResult]:
     """Light of a sphere with the Earth as a lamp and without, over a sunlit plate's."""
     ball = before(TOWARDS, 2e4, "a", body=SPHERE)
     lit = ball | {"lighting": {"earthshine_albedo": 0.3}}
@@ -110,12 +110,12 @@ def earthshine(_: Bench) -> Iterator[Found]:
     distance = light[0].target_range_m[0, 0, light[0].middle]
     full = 0.3 * 2.0 / 3.0 * 0.25 / distance**2  # a full sphere of 1 m: 2/3 a r^2 (per irradiance)
     bound, unit = stated(plan, "targets.earthshine")
-    yield Found("targets.earthshine", "a sphere at 800 km, over what it sends when fully sunlit",
+    yield ProbeResult("targets.earthshine", "a sphere at 800 km, over what it sends when fully sunlit",
                 bound, float(extra / full), unit, out_s, in_s)  # fmt: skip
 
 
 @probe("targets.light_between_nodes")
-def moments(_: Bench) -> Iterator[Found]:
+def moments(_: Bench) -> Iterator[ProbeResult]:
     """A tumbling plate's light by the nodes of an exposure, beside 64 times as many."""
     spin = {"kind": "spin", "rate_deg_s": 40.0, "axis": [1, 0.2, 0.1]}
     plate = {"kind": "plate", "area_m2": 2.0, "albedo": 0.3, "two_sided": True, "attitude": spin}
@@ -128,7 +128,7 @@ def moments(_: Bench) -> Iterator[Found]:
     in_s, fine = timed(lambda: _geometry(plan.scene, FRAME, 8 * (g.nodes - 1) + 1, plan.dut1_s))
     ours, true = (np.trapezoid(v.target_light[0, 0]) / (v.nodes - 1) for v in (g, fine))
     bound, unit = stated(plan, "targets.light_between_nodes")
-    yield Found("targets.light_between_nodes", f"a plate that turns by 200 degrees, {g.nodes} "
+    yield ProbeResult("targets.light_between_nodes", f"a plate that turns by 200 degrees, {g.nodes} "
                 "nodes beside eight times as many", bound, float(abs(ours / true - 1.0)), unit,
                 out_s, in_s)  # fmt: skip
 
@@ -150,7 +150,7 @@ def _flown(place: Any, speed: Any, at_s: Array) -> Array:
 
 
 @probe("targets.forces")
-def forces(_: Bench) -> Iterator[Found]:
+def forces(_: Bench) -> Iterator[ProbeResult]:
     """Two-body motion for 600 s and for an hour, beside the same with the flattening."""
     low = [6.878e6, 0.0, 0.0], [0.0, 4.0e3, 6.47e3]
     for (place, speed), since in ((low, 600.0), (low, 3600.0), ((GEO_M, GEO_M_S), 3600.0)):
@@ -171,14 +171,14 @@ def forces(_: Bench) -> Iterator[Found]:
         in_s, true = timed(partial(_flown, *start, at))
         bound, unit = stated(plan, "targets.perturbations")
         height = np.sqrt(np.sum(np.square(place))) - EARTH_EQUATORIAL_RADIUS_M
-        yield Found("targets.perturbations", f"{since:g} s after a state at {height / 1e3:.0f} km, "
+        yield ProbeResult("targets.perturbations", f"{since:g} s after a state at {height / 1e3:.0f} km, "
                     "against scipy with the flattening", bound,
                     float(np.linalg.norm(told[0][0] - true[-1, :3])), unit,
                     out_s, in_s)  # fmt: skip
 
 
 @probe("targets.ephemeris")
-def ephemeris(_: Bench) -> Iterator[Found]:
+def ephemeris(_: Bench) -> Iterator[ProbeResult]:
     """Places of a flight around a flattened Earth, beside the flight between them.
 
     So far apart that the flight's own error, which no two processors share, is no part of it.
@@ -204,15 +204,15 @@ def ephemeris(_: Bench) -> Iterator[Found]:
     in_s, true = timed(lambda: _flown(place, speed, np.append(0.0, between))[1:, :3])
     bound, unit = stated(plan, "targets.ephemeris")
     off = np.sqrt(np.sum((told - true) ** 2, axis=-1))
-    yield Found("targets.ephemeris", f"{len(rows)} rows four minutes apart, at 500 moments between",
+    yield ProbeResult("targets.ephemeris", f"{len(rows)} rows four minutes apart, at 500 moments between",
                 bound, most(off), unit, out_s, in_s)  # fmt: skip
 
 
 @probe("populations.*")
-def populations(_: Bench) -> Iterator[Found]:
+def populations(_: Bench) -> Iterator[ProbeResult]:
     """A screen of 3,000 satellites, beside every one of them moment by moment."""
     from pipeline.selftest.many import screened
 
     seconds, (kept, inside, missed) = timed(lambda: screened(3000))
-    yield Found("populations.screen", f"{inside} of 3,000 come into the field, {kept} are kept",
+    yield ProbeResult("populations.screen", f"{inside} of 3,000 come into the field, {kept} are kept",
                 0.0, float(missed if inside else np.inf), "missed", 0.0, seconds)  # fmt: skip

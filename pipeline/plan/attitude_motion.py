@@ -33,8 +33,8 @@ from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
     from pipeline.physics.motion.flexible import Mode as ModeOf
-    from pipeline.physics.motion.flexible import Split
-    from pipeline.physics.motion.jitter import Bins, Spectrum, Waves
+    from pipeline.physics.motion.flexible import ModeSplit
+    from pipeline.physics.motion.jitter import Spectrum, SpectrumBins, Waves
 
 FEWEST, MOST = 9, 1025  # nodes of a random path
 PER_PERIOD = 8  # nodes in a period of the fastest wave that is path
@@ -147,7 +147,7 @@ def _plan_with(
 
 
 @lru_cache(maxsize=64)
-def _bins(part: Jitter, split: float) -> Bins:
+def _bins(part: Jitter, split: float) -> SpectrumBins:
     from pipeline.physics.motion.jitter import bins_of
 
     return bins_of(_spectrum(part), split)
@@ -200,7 +200,7 @@ def _mode(mode: Mode, index: int) -> ModeOf:
 
 
 @lru_cache(maxsize=256)
-def _split(mode: Mode, index: int, step_s: float, exposure_s: float) -> Split:
+def _split(mode: Mode, index: int, step_s: float, exposure_s: float) -> ModeSplit:
     from pipeline.physics.motion.flexible import split
 
     return split(_mode(mode, index), step_s, exposure_s)

@@ -62,7 +62,7 @@ class Lamp:
 
 
 @dataclass(frozen=True)
-class Look:
+class LampGeometry:
     """Sun, Moon, Earth and planets at n moments of the exposures, in order.
 
     tick : (n,) number of the moment: TICKS of each frame; earth : its disc, or all below a site's
@@ -94,7 +94,7 @@ class Look:
         return int(self.tick[k]) // TICKS
 
 
-def look(scene: Scene, dut1_s: float, margin: Callable[[Look], Array]) -> tuple[Look, bool]:
+def look(scene: Scene, dut1_s: float, margin: Callable[[LampGeometry], Array]) -> tuple[LampGeometry, bool]:
     """Sun and Moon in the exposures, at moments that are halved where something may be missed.
 
     margin : how far (n,) [rad] each moment is from what is looked for, at or below 0 where that is
@@ -131,7 +131,7 @@ def _first(scene: Scene) -> Ticks:
     return np.union1d(even.round().astype(np.int64), edges)
 
 
-def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> Look:
+def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> LampGeometry:
     frames = ticks // TICKS
     start, time = frame_times(scene, frames)
     moments = start + time * (ticks % TICKS) / (TICKS - 1)
@@ -151,7 +151,7 @@ def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> Look:
     turned = [separation(v[:-1], v[1:]) for v in (*np.moveaxis(attitude, 1, 0), at.observer_m)]
     bodies = np.maximum(*(separation(v[:-1], v[1:]) for v in (sun, moon)))
     planets = {n: _planet(scene, camera, attitude, at, n, sun) for n in PLANETS}
-    return Look(ticks, *lamps, planets, moon, sun - moon, np.max(turned, axis=0) + bodies)
+    return LampGeometry(ticks, *lamps, planets, moon, sun - moon, np.max(turned, axis=0) + bodies)
 
 
 def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lamp:

@@ -8,7 +8,7 @@ from typing import Any
 
 from pipeline.errors import BadInput
 from pipeline.kept import kept
-from pipeline.physics.psf.aperture import Pupil, Vanes
+from pipeline.physics.psf.aperture import Pupil, SpiderVanes
 from pipeline.physics.psf.band import (
     BandOptics,
     Chromatic,
@@ -34,7 +34,7 @@ from pipeline.spec.sensor import (
     Sensor,
     TablePsf,
 )
-from pipeline.spec.sensor import Vanes as VanesGiven
+from pipeline.spec.sensor import Vanes
 
 ARCSEC_RAD = math.radians(1.0 / 3600.0)
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
@@ -211,9 +211,9 @@ def open_past_vanes(s: Sensor) -> float:
     )
 
 
-def _vanes(s: Sensor, given: VanesGiven) -> Vanes:
+def _vanes(s: Sensor, given: Vanes) -> SpiderVanes:
     """Vanes in units of the aperture and radians."""
-    return Vanes(given.count, given.width_m / s.aperture_m, math.radians(given.angle_deg))
+    return SpiderVanes(given.count, given.width_m / s.aperture_m, math.radians(given.angle_deg))
 
 
 def missing_light(optics: Optics) -> float:

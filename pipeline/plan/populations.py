@@ -35,7 +35,7 @@ MOST_REFRACTION_RAD = 0.0125  # at the horizon, with room (0.6 degrees; Bennett 
 
 
 @dataclass(frozen=True)
-class Look:
+class SearchView:
     """Where the observer looks during the dwells, as a screen takes it.
 
     half_angle_rad : the frame's corner and all beside the frame that may send light into it
@@ -64,7 +64,7 @@ class Look:
         inside = {i for one in found for i in one.inside.tolist()}
         return sorted(inside - set(codes)), dict(sorted(codes.items()))
 
-    def _screen(self, satellites: list[Satrec], dwell: int) -> orbit_screen.Screened:
+    def _screen(self, satellites: list[Satrec], dwell: int) -> orbit_screen.ScreenResult:
         plan = self.dwells[dwell]
         start = instants(self.epoch, [plan.start_s])
 
@@ -78,14 +78,14 @@ class Look:
         )  # fmt: skip
 
 
-def look_of(scene: Scene, halo_px: float, dut1_s: float) -> Look:
+def look_of(scene: Scene, halo_px: float, dut1_s: float) -> SearchView:
     """The look of a scene; halo_px : how far off the frame a source may be and still be drawn."""
     epoch, dwells, camera = parse_utc(scene.epoch), dwell_plans(scene), camera_of(scene)
     half = corner_radius(camera) + halo_px * stretch(camera) * ifov_rad(camera)
     if air_of(scene, instants(epoch, [0.0], dut1_s)) is not None:
         half += MOST_REFRACTION_RAD  # the screen knows no air
     turns = tuple(_turn_rad_s(scene, d, dut1_s) for d in dwells)
-    return Look(scene, dut1_s, epoch, dwells, min(half, np.pi), turns)
+    return SearchView(scene, dut1_s, epoch, dwells, min(half, np.pi), turns)
 
 
 def _turn_rad_s(scene: Scene, dwell: DwellPlan, dut1_s: float) -> float:
@@ -108,7 +108,7 @@ class Sieve:
     """
 
     population: Population
-    look: Look
+    look: SearchView
     sizes: Sizes
     place: str
     read: int = 0

@@ -22,7 +22,7 @@ from pipeline.plan.faint_stars import (
     peak_share,
 )
 from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.sky_light import ALL_G_MAG, Light, SkyInputs, background_of
+from pipeline.plan.sky_light import ALL_G_MAG, LightOfSky, SkyInputs, background_of
 from pipeline.plan.tiles import Tile
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
@@ -33,7 +33,7 @@ GRID_SHARE = 0.125  # of one approximation's budget: the grid in a frame, and be
 MOST_KNOTS = 1025
 MOST_VALUES = 4_000_000
 CORNERS_SPREAD = 0.5  # of the corners' mean, up to which simulators commonly take that mean
-_Light = Light
+_Light = LightOfSky
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def plan_sky(
     Sun, and an observer where the zodiacal light's distance law was not measured.
     """
     t = integration_range_s(scene)[1]
-    light = Light(scene, camera, facts, inputs, None, dut1_s)
+    light = LightOfSky(scene, camera, facts, inputs, None, dut1_s)
     geometry = geometry.frame_slice(0) if light.still and not limit_from_noise else geometry
     limit = None
     if limit_from_noise:
@@ -157,7 +157,7 @@ def _corners(camera: Camera) -> tuple[Array, Array]:
     return np.array([-0.5, x, -0.5, x]), np.array([-0.5, -0.5, y, y])
 
 
-def _limit(light: Light, g: Geometry, budget_e: float) -> FaintLimit:
+def _limit(light: LightOfSky, g: Geometry, budget_e: float) -> FaintLimit:
     """The limit that a budget allows, at the field's most crowded place."""
     scene, fit = light.scene, light.inputs.fit
     assert fit is not None
@@ -174,7 +174,7 @@ def _limit(light: Light, g: Geometry, budget_e: float) -> FaintLimit:
 
 
 def _over_time(
-    light: Light, g: Geometry, grid: FrameGrid, tolerance: float, dut1_s: float
+    light: LightOfSky, g: Geometry, grid: FrameGrid, tolerance: float, dut1_s: float
 ) -> tuple[NDArray[np.int64], Array, float]:
     """Knots of frames, their grids, and how far linear change between them was found to err.
 
@@ -204,7 +204,7 @@ def _over_time(
     return knots, grids, error
 
 
-def _parts_told(light: Light, g: Geometry) -> list[Decision]:
+def _parts_told(light: LightOfSky, g: Geometry) -> list[Decision]:
     """What each part gives, and how well it is known."""
     x, y = _field(light.camera)
     ends = [light.parts(g, f, g.middle, x, y) for f in (0, len(g.frame) - 1)]

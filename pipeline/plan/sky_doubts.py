@@ -11,7 +11,7 @@ from pipeline.physics.positions.planets import OFF_RAD
 from pipeline.physics.radiometry import ResponseCurve, surface_brightness_electron_rate
 from pipeline.plan.acceptance import accept_or_refuse
 from pipeline.plan.facts import Facts
-from pipeline.plan.lamps import Lamp, Look, look
+from pipeline.plan.lamps import Lamp, LampGeometry, look
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.background import Background
 from pipeline.spec.observer import GroundObserver
@@ -47,7 +47,7 @@ class Skies:
     daylight, bodies : the warnings of what the scene accepts
     """
 
-    seen: Look
+    seen: LampGeometry
     nearest: dict[str, int]
     sure: bool
     daylight: tuple[str, ...]
@@ -94,7 +94,7 @@ def sky_doubts(scene: Scene, facts: Facts, response: ResponseCurve, dut1_s: floa
     return Doubts(tuple(warnings), tuple(remarks))
 
 
-def _margins(scene: Scene, at: Look) -> dict[str, Array]:
+def _margins(scene: Scene, at: LampGeometry) -> dict[str, Array]:
     """How far [rad] moments (n,) are from each doubt: daylight, Sun and Moon in the field or near
     it, the Earth in it; at or below 0 where there is one."""
     highest = _highest(scene)
@@ -152,7 +152,7 @@ def _own_sky(b: Background | None) -> bool:
     return given and b is not None and not b.of_the_air
 
 
-def _daylight(scene: Scene, seen: Look, k: int) -> list[str]:
+def _daylight(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     """The Sun too high above a site for the sky that is drawn."""
     highest = _highest(scene)
     up, where = _elevation(seen, k)
@@ -172,7 +172,7 @@ def _daylight(scene: Scene, seen: Look, k: int) -> list[str]:
 
 
 def _sunlight(
-    scene: Scene, facts: Facts, response: ResponseCurve, seen: Look, day: int
+    scene: Scene, facts: Facts, response: ResponseCurve, seen: LampGeometry, day: int
 ) -> tuple[list[str], list[str]]:
     """Warnings and remarks of the Sun's elevation at a site, where it is not too high."""
     highest, b = _highest(scene), scene.background
@@ -185,7 +185,7 @@ def _sunlight(
     return [], []
 
 
-def _elevation(seen: Look, k: int) -> tuple[float, str]:
+def _elevation(seen: LampGeometry, k: int) -> tuple[float, str]:
     """The Sun's elevation [rad] at moment k, in numbers and words."""
     up = float(seen.sun.elevation[k])
     return up, f"the Sun at {up / DEG_RAD:.2f} deg of elevation (frame {seen.frame(k)})"
@@ -211,7 +211,7 @@ def _little_twilight(
             f"{light_e:.3g} e- per pixel, is not drawn (background.twilight draws it)"]  # fmt: skip
 
 
-def _no_moonlight(scene: Scene, facts: Facts, response: ResponseCurve, seen: Look) -> list[str]:
+def _no_moonlight(scene: Scene, facts: Facts, response: ResponseCurve, seen: LampGeometry) -> list[str]:
     """What is said of moonlight that is not asked for, where it is more than the accuracy."""
     from pipeline.physics.sky.night import moonlight_zenith_v_mag
 
@@ -239,7 +239,7 @@ def _light_e(scene: Scene, facts: Facts, response: ResponseCurve, mag: float) ->
 
 
 def _earth_in_field(
-    scene: Scene, facts: Facts, response: ResponseCurve, seen: Look, k: int
+    scene: Scene, facts: Facts, response: ResponseCurve, seen: LampGeometry, k: int
 ) -> list[str]:
     """What is said of a frame across the Earth's limb or a site's horizon (a boresight inside is
     refused)."""
@@ -260,7 +260,7 @@ def _earth_in_field(
     ]
 
 
-def _planets_in_field(seen: Look, nearest: dict[str, int]) -> list[str]:
+def _planets_in_field(seen: LampGeometry, nearest: dict[str, int]) -> list[str]:
     """What is said of planets, which no catalogue of stars holds."""
     return [
         f"{name} is in the field, or within {OFF_RAD / DEG_RAD:.2f} deg of it, in frame "
@@ -269,7 +269,7 @@ def _planets_in_field(seen: Look, nearest: dict[str, int]) -> list[str]:
     ]  # fmt: skip
 
 
-def _no_stray_light(scene: Scene, seen: Look) -> list[str]:
+def _no_stray_light(scene: Scene, seen: LampGeometry) -> list[str]:
     """Notes on bodies that baffles are made to be pointed away from, where none of their light is
     drawn."""
     wish = scene.background.stray_light if scene.background is not None else None
@@ -288,7 +288,7 @@ def _no_stray_light(scene: Scene, seen: Look) -> list[str]:
     return [f"{' and '.join(found)}: {ending}"] if found else []
 
 
-def _sun_in_field(scene: Scene, seen: Look, k: int) -> list[str]:
+def _sun_in_field(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     if not _touches(seen.sun, k):
         return []
     where = f"{_off_axis_deg(seen.sun, k):.2f} deg from the boresight"
@@ -300,7 +300,7 @@ def _sun_in_field(scene: Scene, seen: Look, k: int) -> list[str]:
     )]  # fmt: skip
 
 
-def _sun_near(scene: Scene, seen: Look, k: int) -> list[str]:
+def _sun_near(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     """The Sun so near that its light would show, where none of it is drawn."""
     if seen.sun.hidden[k] > 0.0 or seen.sun.off_axis[k] > _exclusion_rad(scene):
         return []
@@ -315,7 +315,7 @@ def _sun_near(scene: Scene, seen: Look, k: int) -> list[str]:
     )]  # fmt: skip
 
 
-def _moon_in_field(scene: Scene, seen: Look, k: int) -> list[str]:
+def _moon_in_field(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     if not _touches(seen.moon, k):
         return []
     where = f"{_off_axis_deg(seen.moon, k):.2f} deg from the boresight"
@@ -327,7 +327,7 @@ def _moon_in_field(scene: Scene, seen: Look, k: int) -> list[str]:
     )]  # fmt: skip
 
 
-def _moon_near(scene: Scene, seen: Look, k: int) -> list[str]:
+def _moon_near(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     """The Moon so near that moonlight in the air is not known, where it is asked for."""
     if seen.moon.hidden[k] > 0.0 or seen.moon.off_frame[k] > _moonlight_rad(scene):
         return []

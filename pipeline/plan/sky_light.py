@@ -86,7 +86,7 @@ class SkyInputs:
 
 
 @dataclass(frozen=True)
-class Light:
+class LightOfSky:
     """The light of a sky as a function of place: what the grids are made from.
 
     Each part is light per solid angle in a direction, which `pixel_m2_sr` turns into a pixel's;

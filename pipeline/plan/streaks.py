@@ -23,7 +23,7 @@ from pipeline.plan.own_paths import EXACT_MERGE_PX, exact_path, star_offsets
 from pipeline.plan.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
 from pipeline.spec.scene import CELL_PX
 
-__all__ = ["Piece", "Streak", "StreakPlan", "centroid", "exact_path", "plan_streaks", "resting",
+__all__ = ["StreakSegment", "Streak", "StreakPlan", "centroid", "exact_path", "plan_streaks", "resting",
            "zone_streak"]  # fmt: skip
 
 PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables
@@ -39,7 +39,7 @@ USUAL_EDGE = 0.5  # of a response a pixel wide or so
 
 
 @dataclass(frozen=True)
-class Piece:
+class StreakSegment:
     """One part of the exposure: the shape of its light about its centroid, and where that stands.
 
     path : on the PATH_STEP_PX grid, weights of sum one; share : part of the light
@@ -77,7 +77,7 @@ class Streak:
 
     zone: Zone
     path: Path
-    pieces: tuple[Piece, ...]
+    pieces: tuple[StreakSegment, ...]
     followed: Array
     mixed_from_e: float
     own_from_e: float
@@ -93,7 +93,7 @@ class Streak:
         return self.followed[-1]
 
     def mixture(
-        self, piece: Piece, x_px: Array, y_px: Array, light_e: Array
+        self, piece: StreakSegment, x_px: Array, y_px: Array, light_e: Array
     ) -> Iterator[tuple[Path, Array, Array, Array]]:
         """The three shapes of a piece, where each stands for stars at (x, y), its light (n,)."""
         dx, dy = self.at(piece.base_centre, x_px, y_px)
@@ -354,7 +354,7 @@ def zone_streak(
         )
         stretch = longer.reshape(2, 3, 3)
         worst = max(worst, _blend_px2(longer, step))
-        made.append(Piece(path, 1.0 / count, centre, base, base_centre, stretch, step))
+        made.append(StreakSegment(path, 1.0 / count, centre, base, base_centre, stretch, step))
     followed = np.moveaxis(offsets, -1, 0).reshape(-1, 2, 3, 3)
     whole = _rounded(offsets[:, middle], plan)
     length_px = max(1.0, whole.length_px)

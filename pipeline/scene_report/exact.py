@@ -13,7 +13,7 @@ from pipeline.errors import NightglassError
 from pipeline.execute.check import WINDOW_PX, reference
 from pipeline.execute.sources import place_targets
 from pipeline.plan.scene_plan import Plan
-from pipeline.plan.sky_light import ALL_G_MAG, Light
+from pipeline.plan.sky_light import ALL_G_MAG, LightOfSky
 from pipeline.plan.tiles import Tile
 from pipeline.prepare import gather_response
 from pipeline.scene_report.stage import Stage, mean_of, noise_of
@@ -140,7 +140,7 @@ def exact_sky(stage: Stage) -> Callable[[Tile], Array]:
     return sky
 
 
-def sky_light(stage: Stage) -> Light:
+def sky_light(stage: Stage) -> LightOfSky:
     """The light that the plan's grids are made from, as a function of place."""
     from pipeline.inputs.sky import gather_sky
 
@@ -150,4 +150,4 @@ def sky_light(stage: Stage) -> Light:
     inputs = gather_sky(scene, response, band, digest, catalogues, colour, False, plan.extinction)
     given = scene.stars.faintest_g_mag if scene.stars is not None else None
     limit = ALL_G_MAG if given is None else given
-    return Light(scene, plan.camera, plan.facts, inputs, limit, plan.dut1_s)
+    return LightOfSky(scene, plan.camera, plan.facts, inputs, limit, plan.dut1_s)

@@ -38,7 +38,7 @@ GEO_M, GEO_M_S = (4407338.1, -41933021.2, 0.0), (3057.8229, 321.3901, 0.0)
 
 
 @dataclass(frozen=True)
-class Wish:
+class ReportScene:
     """One scene of the report.
 
     title : for people; data : a scene as plain data, without the path of its catalogue
@@ -67,27 +67,27 @@ def _pixel_arcsec(sensor: dict[str, Any]) -> float:
     return math.degrees(1e-6 * sensor["pixel_pitch_um"] / sensor["focal_length_m"]) * 3600.0
 
 
-def _sparse(quick: bool) -> Wish:
-    return Wish("sidereal-sparse", "sidereal, sparse", _scene(
+def _sparse(quick: bool) -> ReportScene:
+    return ReportScene("sidereal-sparse", "sidereal, sparse", _scene(
         "sidereal-sparse", 512 if quick else 1024, observer=SITE, pointing=_still(SPARSE),
         exposure={"integration_s": 5.0}, stars={"faintest_g_mag": 16.5},
         background={"uniform_mag_arcsec2": 21.0},
     ))  # fmt: skip
 
 
-def _crowded(quick: bool) -> Wish:
+def _crowded(quick: bool) -> ReportScene:
     sharp = {"focal_length_m": 3.0, "aperture_m": 0.6, "psf": {"kind": "gaussian", "sigma_px": 0.9}}
-    return Wish("sidereal-crowded", "sidereal, crowded", _scene(
+    return ReportScene("sidereal-crowded", "sidereal, crowded", _scene(
         "sidereal-crowded", 512 if quick else 2048, observer=SITE, pointing=_still(CROWDED),
         exposure={"integration_s": 5.0}, background={"uniform_mag_arcsec2": 21.0}, sensor=sharp,
         stars={"faintest_g_mag": QUICK_CROWDED_G_MAG if quick else CROWDED[3]},
     ))  # fmt: skip
 
 
-def _rate_track(quick: bool) -> Wish:
+def _rate_track(quick: bool) -> ReportScene:
     follow = {"mode": "target", "target": "geo-1"}
     target = _target("geo-1", GEO_M, GEO_M_S, 4.0)
-    return Wish("rate-track", "rate track, 300 px streaks", _scene(
+    return ReportScene("rate-track", "rate track, 300 px streaks", _scene(
         "rate-track", 512 if quick else 1024, observer=IN_ORBIT, pointing=follow,
         epoch="2019-05-12T09:00:00Z", exposure={"integration_s": 8.6}, targets=[target],
         sensor={"focal_length_m": 1.6, "aperture_m": 0.5},
@@ -95,7 +95,7 @@ def _rate_track(quick: bool) -> Wish:
     ))  # fmt: skip
 
 
-def _wide(quick: bool) -> Wish:
+def _wide(quick: bool) -> ReportScene:
     side = 512 if quick else 1024
     focal = 0.5e-6 * SENSOR["pixel_pitch_um"] * side / math.tan(math.radians(10.0))
     sensor = {"focal_length_m": focal, "aperture_m": 0.02, "psf": {"kind": "gaussian",
@@ -103,20 +103,20 @@ def _wide(quick: bool) -> Wish:
     px = _pixel_arcsec(SENSOR | sensor)
     turn = {"mode": "rate", "boresight_ra_deg": TRACKED[0], "boresight_dec_deg": 20.0,
             "rate_ra_arcsec_s": 4.0 * px, "rate_dec_arcsec_s": 3.0 * px}  # fmt: skip
-    return Wish("wide-field", "wide field, 20 degrees", _scene(
+    return ReportScene("wide-field", "wide field, 20 degrees", _scene(
         "wide-field", side, observer=IN_ORBIT, pointing=turn, exposure={"integration_s": 8.0},
         sensor=sensor, stars={"faintest_g_mag": QUICK_ALL_SKY_G_MAG if quick else ALL_SKY_G_MAG},
         background={"zodiacal": True},
     ))  # fmt: skip
 
 
-def _limb(quick: bool) -> Wish:
+def _limb(quick: bool) -> ReportScene:
     place, speed = [4.2164e7, 0, 0], [0, 3075, 0]
     high = {"kind": "orbit",
             "orbit": {"kind": "state", "position_m": place, "velocity_m_s": speed}}  # fmt: skip
     stray = {"pst": {"kind": "harvey", "b0_per_sr": 0.06, "shoulder": 0.02, "slope": -3.5}}
     at = {"mode": "sidereal", "boresight_ra_deg": 192, "boresight_dec_deg": 4}
-    return Wish("earth-limb", "Earth's limb, stray light", _scene(
+    return ReportScene("earth-limb", "Earth's limb, stray light", _scene(
         "earth-limb", 512 if quick else 1024, observer=high, pointing=at,
         epoch="2019-04-20T03:00:00Z", exposure={"integration_s": 1.0},
         sensor={"focal_length_m": 0.1, "aperture_m": 0.05},
@@ -134,7 +134,7 @@ def _target(name: str, place: Any, speed: Any, diameter_m: float) -> dict[str, A
     }  # fmt: skip
 
 
-def _many_targets(quick: bool) -> Wish:
+def _many_targets(quick: bool) -> ReportScene:
     """Spheres around a followed one, and some so near the observer that their discs show."""
     rng = np.random.default_rng(11)
     count, close, side = (60, 4, 512) if quick else (400, 12, 1024)
@@ -153,31 +153,31 @@ def _many_targets(quick: bool) -> Wish:
         off = one + across @ rng.uniform(-0.8 * half, 0.8 * half, 2)
         place = np.add(PLACE_M, 2e4 * off)
         targets.append(_target(f"near-{i}", place, SPEED_M_S, 10 ** rng.uniform(-2.0, 0.3)))
-    return Wish("many-targets", f"{len(targets)} targets", _scene(
+    return ReportScene("many-targets", f"{len(targets)} targets", _scene(
         "many-targets", side, observer=IN_ORBIT, epoch="2019-05-12T09:00:00Z",
         pointing={"mode": "target", "target": "geo-1"}, exposure={"integration_s": 2.0},
         targets=targets, background={"zodiacal": True},
     ))  # fmt: skip
 
 
-def _large(quick: bool) -> Wish:
+def _large(quick: bool) -> ReportScene:
     side, part = (12_000, (37, 72)) if quick else (30_000, (218, 450))
     sensor = {"focal_length_m": 0.93, "aperture_m": 0.4, "pixel_pitch_um": 9.0}
-    return Wish("large-focal-plane", f"{side:,} x {side:,} pixels, two tiles of it", _scene(
+    return ReportScene("large-focal-plane", f"{side:,} x {side:,} pixels, two tiles of it", _scene(
         "large-focal-plane", side, observer=SITE, pointing=_still(SPARSE), sensor=sensor,
         exposure={"integration_s": 5.0}, stars={"faintest_g_mag": SPARSE[3]},
         background={"zodiacal": True},
     ), part)  # fmt: skip
 
 
-MAKERS: dict[str, Callable[[bool], Wish]] = {
+MAKERS: dict[str, Callable[[bool], ReportScene]] = {
     "sidereal-sparse": _sparse, "sidereal-crowded": _crowded, "rate-track": _rate_track,
     "wide-field": _wide, "earth-limb": _limb, "many-targets": _many_targets,
     "large-focal-plane": _large,
 }  # fmt: skip
 
 
-def wishes(names: tuple[str, ...], quick: bool) -> list[Wish]:
+def wishes(names: tuple[str, ...], quick: bool) -> list[ReportScene]:
     """The scenes of these names, all where none is given; BadInput for a name that is none."""
     for name in names:
         if name not in MAKERS:
@@ -185,7 +185,7 @@ def wishes(names: tuple[str, ...], quick: bool) -> list[Wish]:
     return [MAKERS[name](quick) for name in dict.fromkeys(names or MAKERS)]
 
 
-def with_accuracy(wish: Wish, noise_fraction: float, flux_fraction: float, catalogue: str) -> dict:
+def with_accuracy(wish: ReportScene, noise_fraction: float, flux_fraction: float, catalogue: str) -> dict:
     """A scene at one rung, its stars from a catalogue; the product makes no check of its own."""
     data = copy.deepcopy(wish.data)
     data["accuracy"] = {

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate
-from pipeline.execute.blocks import Block, plan_blocks, render_block
+from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.detector import tile_chain
 from pipeline.execute.graph import read_shard, rows_wanted
 from pipeline.execute.sources import place_stars
@@ -67,12 +67,12 @@ def gather_stars(prepared: Prepared, plan: Plan, g: Geometry) -> tuple[FrameStar
     return concatenate(parts, FrameStars), sum(rows_wanted(s) for s in shards)
 
 
-def blocks_by(stage: Stage, plan: Plan) -> Callable[[Tile], list[Block]]:
+def blocks_by(stage: Stage, plan: Plan) -> Callable[[Tile], list[LightBlock]]:
     """The blocks that a tile is drawn from, as a plan says; each is drawn once."""
-    made: dict[tuple[int, int], Block] = {}
+    made: dict[tuple[int, int], LightBlock] = {}
     places = plan_blocks(plan, stage.rows)
 
-    def around(tile: Tile) -> list[Block]:
+    def around(tile: Tile) -> list[LightBlock]:
         found = []
         for place in places:
             shared = overlap(tile, place)

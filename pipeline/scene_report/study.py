@@ -16,7 +16,7 @@ from pipeline.errors import BadInput, NightglassError
 from pipeline.scene_report.scenes import (
     ALL_SKY_G_MAG,
     QUICK_ALL_SKY_G_MAG,
-    Wish,
+    ReportScene,
     deep_fields,
     wishes,
     with_accuracy,
@@ -86,7 +86,7 @@ def run_study(
 
 
 def _reference_order(
-    wish: Wish, rungs: tuple[float, ...], quick: bool, stars: str, folder: Path
+    wish: ReportScene, rungs: tuple[float, ...], quick: bool, stars: str, folder: Path
 ) -> dict[str, Any]:
     finest = FINER * min(*rungs, USUAL)
     return {
@@ -98,7 +98,7 @@ def _reference_order(
     }  # fmt: skip
 
 
-def _rung_order(wish: Wish, rung: float, stars: str, folder: Path) -> dict[str, Any]:
+def _rung_order(wish: ReportScene, rung: float, stars: str, folder: Path) -> dict[str, Any]:
     work = folder / f"{wish.name}-{rung:g}"
     work.mkdir()
     return {
@@ -107,7 +107,7 @@ def _rung_order(wish: Wish, rung: float, stars: str, folder: Path) -> dict[str, 
     }  # fmt: skip
 
 
-def _told(wish: Wish, found: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _told(wish: ReportScene, found: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
     size = wish.data["sensor"]["shape"]
     return {
         "scene": wish.name, "title": wish.title, "shape": size, "tiles_drawn": list(wish.share),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.physics.motion.linear_system import discretise, stationary_covariance
-from pipeline.selftest.case import Found, case
+from pipeline.selftest.case import CaseResult, case
 
 Array = np.ndarray
 
@@ -27,7 +27,7 @@ def _cascade() -> tuple[Array, Array]:
     "attitude/stiff", "lags of 1e-6 to 1e4 s in a row, in steps of 1e-7 s to three hours",
     "a stiff solver (Radau, scipy)", 1e-8,
 )  # fmt: skip
-def stiff(_: Path) -> Found:
+def stiff(_: Path) -> CaseResult:
     from scipy.integrate import solve_ivp
 
     a, b = _cascade()
@@ -42,7 +42,7 @@ def stiff(_: Path) -> Found:
     for _k in range(int(HOURS_S / 0.5)):
         many = many + step @ many
     error = max(error, float(np.abs(many - right[-1]).max()))
-    return Found(f"{right[-1, -1]:.9f} after 3 h", f"{many[-1]:.9f} in 21,600 steps", error)
+    return CaseResult(f"{right[-1, -1]:.9f} after 3 h", f"{many[-1]:.9f} in 21,600 steps", error)
 
 
 def _exact_covariance(a: Array, b: Array) -> Array:
@@ -83,7 +83,7 @@ def _eliminated(rows: list[list[Fraction]]) -> list[Fraction]:
     "attitude/stiff-noise", "the covariance that those lags settle to under noise",
     "Lyapunov's equation solved in whole fractions", 1e-8,
 )  # fmt: skip
-def stiff_noise(_: Path) -> Found:
+def stiff_noise(_: Path) -> CaseResult:
     a, b = _cascade()
     right = _exact_covariance(a, b)
     size = np.sqrt(np.diag(right))
@@ -92,4 +92,4 @@ def stiff_noise(_: Path) -> Found:
     error = float(np.abs((ours - right) / np.outer(size, size)).max())
     found = np.sqrt(np.diag(ours))
     known, told = (f"rms {rms[0]:.6g} to {rms[-1]:.6g}" for rms in (size, found))
-    return Found(known, told, error)
+    return CaseResult(known, told, error)

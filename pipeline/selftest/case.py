@@ -13,7 +13,7 @@ from pipeline.errors import NightglassError
 
 
 @dataclass(frozen=True)
-class Found:
+class CaseResult:
     """What a case found: the right answer and ours, for people, and how far they are apart."""
 
     right: str
@@ -22,7 +22,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Case:
+class LimitingCase:
     """One hard end.
 
     source : of the right answer; allowed : largest error in `unit`
@@ -34,15 +34,15 @@ class Case:
     source: str
     unit: str
     allowed: float
-    run: Callable[[Path], Found]
+    run: Callable[[Path], CaseResult]
 
 
 @dataclass(frozen=True)
 class Outcome:
     """A case that was run; `found` is None and `fault` says why where it broke."""
 
-    case: Case
-    found: Found | None
+    case: LimitingCase
+    found: CaseResult | None
     fault: str
     seconds: float
 
@@ -64,16 +64,16 @@ class Outcome:
 
 def case(
     name: str, what: str, source: str, allowed: float, unit: str = "relative"
-) -> Callable[[Callable[[Path], Found]], Case]:
+) -> Callable[[Callable[[Path], CaseResult]], LimitingCase]:
     """Make a case of the function below it."""
 
-    def make(run: Callable[[Path], Found]) -> Case:
-        return Case(name, what, source, unit, allowed, run)
+    def make(run: Callable[[Path], CaseResult]) -> LimitingCase:
+        return LimitingCase(name, what, source, unit, allowed, run)
 
     return make
 
 
-def run_case(one: Case, folder: Path) -> Outcome:
+def run_case(one: LimitingCase, folder: Path) -> Outcome:
     """Run one case in a folder of its own; what breaks is a failed case, no end of the rest."""
     folder.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
@@ -87,6 +87,6 @@ def run_case(one: Case, folder: Path) -> Outcome:
     return Outcome(one, found, fault, time.perf_counter() - began)
 
 
-def every(modules: Iterable[object]) -> tuple[Case, ...]:
+def every(modules: Iterable[object]) -> tuple[LimitingCase, ...]:
     """The cases of modules, in the order in which they stand there."""
-    return tuple(v for m in modules for v in vars(m).values() if isinstance(v, Case))
+    return tuple(v for m in modules for v in vars(m).values() if isinstance(v, LimitingCase))

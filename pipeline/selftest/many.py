@@ -12,7 +12,7 @@ from pipeline.physics.positions.earth import site_state, teme_to_gcrs
 from pipeline.physics.positions.orbit_screen import screen_cone
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.vectors import unit
-from pipeline.selftest.case import Found, case
+from pipeline.selftest.case import CaseResult, case
 from pipeline.selftest.scenes import BODY, frames, scene
 
 Array = np.ndarray
@@ -78,17 +78,17 @@ def screened(count: int, seed: int = 3) -> tuple[int, int, int]:
     "many/population", f"a field over a site among {SELFTEST_COUNT:,} satellites",
     "every satellite's place by SGP4, moment by moment", 0.0, "missed",
 )  # fmt: skip
-def population(_: Path) -> Found:
+def population(_: Path) -> CaseResult:
     kept, inside, missed = screened(SELFTEST_COUNT)
     empty = 0.0 if inside else np.inf
-    return Found(f"{inside} in the field", f"{kept} kept, {missed} missed", missed + empty)
+    return CaseResult(f"{inside} in the field", f"{kept} kept, {missed} missed", missed + empty)
 
 
 @case(
     "many/fly-by-drawn", "a body that passes at 1 km with 10 km/s, drawn: an exposure of 1 ms",
     "10 m at 1 km, swept evenly: erf along a line of 10 px", 0.05, "sigma of the pixel's noise",
 )  # fmt: skip
-def fly_by_drawn(folder: Path) -> Found:
+def fly_by_drawn(folder: Path) -> CaseResult:
     body = BODY | {"orbit": {
         "kind": "state", "position_m": [-7.001e6, -5.0, 0.0], "velocity_m_s": [0.0, 1e4, 0.0],
     }, "body": {"kind": "sphere", "diameter_m": 0.01, "albedo": 0.5}}  # fmt: skip
@@ -112,4 +112,4 @@ def fly_by_drawn(folder: Path) -> Found:
     off = float((np.abs(mean - right) / np.sqrt(right + 1.0)).max())
     apart = max(abs(length - 10.0) / 0.01, abs(t["range_m"] - 1000.0) / 0.1)
     said = f"{length:.4f} px, {t['range_m']:.2f} m, {t['electrons']:.4g} e-, {off:.2g} sigma"
-    return Found("10 px, 1000 m", said, off if apart <= 1.0 else np.inf)
+    return CaseResult("10 px, 1000 m", said, off if apart <= 1.0 else np.inf)

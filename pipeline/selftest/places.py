@@ -15,7 +15,7 @@ from pipeline.physics.positions.focal_plane import Camera, ifov_rad, project
 from pipeline.physics.positions.orbit_elements import keplerian_states
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.vectors import from_angles, separation
-from pipeline.selftest.case import Found, case
+from pipeline.selftest.case import CaseResult, case
 
 Array = np.ndarray
 
@@ -34,51 +34,51 @@ def _off_px(camera: Camera, ra0: float, dec0: float, ra: Array, dec: Array) -> f
     "places/pole", "stars around the pole, the pole 0.36 arcsec from the boresight",
     "ERFA tpxes (tangent plane)", 1e-6, "px",
 )  # fmt: skip
-def pole(_: Path) -> Found:
+def pole(_: Path) -> CaseResult:
     ra = np.linspace(0.0, 2.0 * np.pi, 721)
     dec = np.radians(90.0 - np.geomspace(1e-9, 0.5, 721))
     off = _off_px(Camera(4096, 4096, 1e-5, 1.0), 0.3, np.radians(90.0 - 1e-4), ra, dec)
-    return Found("as ERFA", f"{ra.size} stars within {off:.2g} px", off)
+    return CaseResult("as ERFA", f"{ra.size} stars within {off:.2g} px", off)
 
 
 @case(
     "places/ra-wrap", "stars on both sides of right ascension 0, boresight at 360 deg",
     "ERFA tpxes", 1e-6, "px",
 )  # fmt: skip
-def ra_wrap(_: Path) -> Found:
+def ra_wrap(_: Path) -> CaseResult:
     ra = np.radians(np.concatenate([np.linspace(359.5, 360.0, 99), np.linspace(0.0, 0.5, 99)]))
     off = _off_px(Camera(4096, 4096, 1e-5, 1.0), 2.0 * np.pi, 0.2, ra, np.full(ra.size, 0.2))
-    return Found("as ERFA", f"{ra.size} stars within {off:.2g} px", off)
+    return CaseResult("as ERFA", f"{ra.size} stars within {off:.2g} px", off)
 
 
 @case("places/wide-and-narrow", "fields of 20 degrees and of 0.01 arcsec", "ERFA tpxes", 1e-4, "px")
-def wide_and_narrow(_: Path) -> Found:
+def wide_and_narrow(_: Path) -> CaseResult:
     offs = []
     for field in (np.radians(20.0), np.radians(0.01 / 3600.0)):
         camera = Camera(1001, 1001, 1e-5, 1e-5 / (2.0 * np.tan(0.5 * field) / 1001))
         step = np.linspace(-0.5, 0.5, 41) * field
         ra, dec = (g.ravel() for g in np.meshgrid(0.1 + step, 0.1 + step))
         offs.append(_off_px(camera, 0.1, 0.1, ra, dec))
-    return Found("as ERFA", f"{offs[0]:.2g} px wide, {offs[1]:.2g} px narrow", max(offs))
+    return CaseResult("as ERFA", f"{offs[0]:.2g} px wide, {offs[1]:.2g} px narrow", max(offs))
 
 
 @case(
     "places/antipode", "stars 90 to 180 degrees from the boresight must not be seen",
     "geometry", 0.0, "stars seen",
 )  # fmt: skip
-def antipode(_: Path) -> Found:
+def antipode(_: Path) -> CaseResult:
     angle = np.concatenate([[0.5 * np.pi, np.pi], np.linspace(np.pi / 2, np.pi, 181)])
     u = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
     x, y = project(Camera(64, 64, 1e-5, 1e-3), boresight_frame(np.array([[1.0, 0, 0]]))[0], u)
     inside = np.isfinite(x) & np.isfinite(y) & (np.hypot(x, y) < 1e6)
-    return Found("0 stars", f"{inside.sum()} stars", float(inside.sum()))
+    return CaseResult("0 stars", f"{inside.sum()} stars", float(inside.sum()))
 
 
 @case(
     "places/0.99c", "aberration for an observer at 0.99 c, all angles from 0 to 180 degrees",
     "tan(t'/2) = sqrt((1 - b)/(1 + b)) tan(t/2) (Einstein 1905)", 1e-12, "rad",
 )  # fmt: skip
-def near_light_speed(_: Path) -> Found:
+def near_light_speed(_: Path) -> CaseResult:
     b = 0.99
     angle = np.linspace(0.0, np.pi, 1801)
     u = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
@@ -86,14 +86,14 @@ def near_light_speed(_: Path) -> Found:
     right = 2.0 * np.arctan2(np.sqrt(1.0 - b) * np.sin(0.5 * angle),
                              np.sqrt(1.0 + b) * np.cos(0.5 * angle))  # fmt: skip
     error = np.abs(np.arctan2(seen[:, 1], seen[:, 0]) - right).max()
-    return Found("90 deg -> 8.109614 deg", f"within {error:.2g} rad", float(error))
+    return CaseResult("90 deg -> 8.109614 deg", f"within {error:.2g} rad", float(error))
 
 
 @case(
     "places/fly-by", "light time and direction of a body that passes at 1 km with 10 km/s",
     "the quadratic for the time of emission on a straight line", 1e-9, "rad",
 )  # fmt: skip
-def fly_by(_: Path) -> Found:
+def fly_by(_: Path) -> CaseResult:
     c, far, speed = SPEED_OF_LIGHT_M_S, 1e3, 1e4
     t = np.linspace(-1.0, 1.0, 2001)
     nowhere = np.zeros((t.size, 3))
@@ -108,7 +108,7 @@ def fly_by(_: Path) -> Found:
     right = np.arctan2(speed * emitted, far)
     error = np.abs(np.arctan2(sight.direction_geometric[:, 1], sight.direction_geometric[:, 0])
                    - right).max()  # fmt: skip
-    return Found("closest at 1000 m", f"{sight.range_m.min():.6f} m", float(error))
+    return CaseResult("closest at 1000 m", f"{sight.range_m.min():.6f} m", float(error))
 
 
 def _by_integration(q: float, e: float, seconds: float) -> tuple[Array, Array]:
@@ -129,21 +129,21 @@ def _by_integration(q: float, e: float, seconds: float) -> tuple[Array, Array]:
     "places/orbits", "e = 0.999999, 1 and 1.5 from perigee at 7000 km over an hour and ten days",
     "DOP853 integration of the equation of motion (scipy)", 1e-9,
 )  # fmt: skip
-def orbits(_: Path) -> Found:
+def orbits(_: Path) -> CaseResult:
     worst = 0.0
     for e in (0.999999, 1.0, 1.5):
         for seconds in (3600.0, 864_000.0):
             place, _v = keplerian_states(7e6, e, 0.0, 0.0, 0.0, np.array([seconds]))
             right, _v = _by_integration(7e6, e, seconds)
             worst = max(worst, float(np.hypot(*(place[0, :2] - right)) / np.hypot(*right)))
-    return Found("as integrated", f"within {worst:.2g} of the distance", worst)
+    return CaseResult("as integrated", f"within {worst:.2g} of the distance", worst)
 
 
 @case(
     "places/1950-2100", "a site's place in GCRS in 1950 and 2100; the Sun finite",
     "the equinox route: ERFA gd2gc, gst06a, pnm06a (ours goes by the CIO)", 1e-2, "m",
 )  # fmt: skip
-def far_dates(_: Path) -> Found:
+def far_dates(_: Path) -> CaseResult:
     worst = 0.0
     lon, lat = np.radians(-156.3), np.radians(20.7)
     for date in ("1950-01-01T00:00:00Z", "2100-01-01T00:00:00Z"):
@@ -158,16 +158,16 @@ def far_dates(_: Path) -> Found:
         earth = earth_and_sun(when.tt1, when.tt2)
         worst = max(worst, float(np.abs(place - turned).max()))
         assert np.isfinite(earth.sun_from_earth_m).all()
-    return Found("as ERFA", f"within {worst:.2g} m", worst)
+    return CaseResult("as ERFA", f"within {worst:.2g} m", worst)
 
 
 @case(
     "places/opposite-boresight", "separations of 0, 1e-12 and 180 degrees - 1e-12 rad",
     "the angles that the directions were made from", 1e-15, "rad",
 )  # fmt: skip
-def separations(_: Path) -> Found:
+def separations(_: Path) -> CaseResult:
     e = 1e-12
     one = np.array([[1.0, 0, 0]] * 3)
     two = np.array([[1.0, 0, 0], [1.0, e, 0], [-1.0, e, 0]])
     off = np.abs(separation(one, two) - np.array([0.0, e, np.pi - e]))
-    return Found("0, 1e-12, pi - 1e-12", f"within {off.max():.2g} rad", float(off.max()))
+    return CaseResult("0, 1e-12, pi - 1e-12", f"within {off.max():.2g} rad", float(off.max()))

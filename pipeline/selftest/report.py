@@ -9,17 +9,17 @@ from typing import Any
 
 from pipeline.errors import BadInput
 from pipeline.lines import fold
-from pipeline.selftest.case import Case, Outcome, every, run_case
+from pipeline.selftest.case import LimitingCase, Outcome, every, run_case
 
 
-def all_cases() -> tuple[Case, ...]:
+def all_cases() -> tuple[LimitingCase, ...]:
     """Every case, in the order of the page."""
     from pipeline.selftest import attitude, frames, light, many, places, stars
 
     return every((places, attitude, light, frames, stars, many))
 
 
-def chosen(pattern: str | None) -> tuple[Case, ...]:
+def chosen(pattern: str | None) -> tuple[LimitingCase, ...]:
     """Cases whose name holds a text; all without one. BadInput where none does."""
     cases = all_cases()
     kept = tuple(c for c in cases if pattern is None or pattern in c.name)
@@ -29,7 +29,7 @@ def chosen(pattern: str | None) -> tuple[Case, ...]:
 
 
 def run_cases(
-    cases: tuple[Case, ...], listen: Callable[[str, int, int], None] | None
+    cases: tuple[LimitingCase, ...], listen: Callable[[str, int, int], None] | None
 ) -> list[Outcome]:
     """Run cases one after another in a temporary folder; `listen` hears how many are done."""
     outcomes = []

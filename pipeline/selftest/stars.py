@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.special import erf
 
-from pipeline.selftest.case import Found, case
+from pipeline.selftest.case import CaseResult, case
 from pipeline.selftest.scenes import Frames, frames, sky_only
 
 Array = np.ndarray
@@ -82,7 +82,7 @@ def _all_stars(shape: tuple[int, int], truth: dict[str, Array]) -> Array:
     "stars/streaks", "streaks of 0, 1e-9, 0.1 and 40 px: every pixel of a star of 10,000 e-",
     "erf swept by quadrature along the truth's line", 0.05, "sigma of the pixel's noise",
 )  # fmt: skip
-def streaks(folder: Path) -> Found:
+def streaks(folder: Path) -> CaseResult:
     worst, said = 0.0, []
     at = np.array([31.3])
     for length in (0.0, 1e-9, 0.1, 40.0):
@@ -93,14 +93,14 @@ def streaks(folder: Path) -> Found:
         off = float((np.abs(mean - right) / np.sqrt(right + 1.0)).max())
         worst = max(worst, off)
         said.append(f"{length:g} px: {off:.2g}")
-    return Found("as swept", ", ".join(said), worst)
+    return CaseResult("as swept", ", ".join(said), worst)
 
 
 @case(
     "stars/long-streak", "a streak of 3000 px: light per pixel in the middle of the frame",
     "the star's light over rate and time", 1e-4,
 )  # fmt: skip
-def long_streak(folder: Path) -> Found:
+def long_streak(folder: Path) -> CaseResult:
     found = _stars(folder, np.array([31.3]), np.array([31.3]), np.array([4.0]), {
         **_rate(3000.0), "sensor.focal_length_m": 0.2, "pointing.boresight_ra_deg": 180.0 - 4.2967,
         "pointing.rate_ra_arcsec_s": 3000.0 * PIXEL_ARCSEC / 20.0,
@@ -109,14 +109,14 @@ def long_streak(folder: Path) -> Found:
     length = 3000.0  # px of 5e-5 rad: the rate is exact on the axis, and the frame's 64 px near it
     per_px = found.layers["mean_e"][0].astype(float).sum(axis=0)[20:44]
     error = float(np.abs(per_px * length / t["electrons"] - 1.0).max())
-    return Found(f"{t['electrons'] / length:.6g} e-/px", f"{per_px.mean():.6g} e-/px", error)
+    return CaseResult(f"{t['electrons'] / length:.6g} e-/px", f"{per_px.mean():.6g} e-/px", error)
 
 
 @case(
     "stars/neighbour", "one star of 1e9 e- and one of about 1 e- 12 px away",
     "the sum of both by erf", 0.05, "e-",
 )  # fmt: skip
-def neighbour(folder: Path) -> Found:
+def neighbour(folder: Path) -> CaseResult:
     x, y, g = np.array([20.3, 32.3]), np.array([31.7, 31.7]), np.array([-4.5, 18.0])
     found = _stars(folder, x, y, g, {"exposure.integration_s": 1.0})
     mean = found.layers["mean_e"][0].astype(float)
@@ -124,14 +124,14 @@ def neighbour(folder: Path) -> Found:
     right = _all_stars(mean.shape, t)
     box = np.s_[28:36, 29:37]
     off = float(np.abs(mean[box] - right[box]).max())
-    return Found(f"{right[box].sum():.6f} e- in 8 x 8 px", f"{mean[box].sum():.6f} e-", off)
+    return CaseResult(f"{right[box].sum():.6f} e- in 8 x 8 px", f"{mean[box].sum():.6f} e-", off)
 
 
 @case(
     "stars/edges", "stars on corners, edges and tile borders, and three stamps outside",
     "erf", 0.05, "sigma of the pixel's noise",
 )  # fmt: skip
-def edges(folder: Path) -> Found:
+def edges(folder: Path) -> CaseResult:
     x, y = (v.ravel() for v in np.meshgrid([-40.0, -0.5, 0.0, 255.5, 256.0, 511.49, 551.0],
                                            [-40.0, -0.5, 255.5, 511.5, 551.0]))  # fmt: skip
     found = _stars(folder, x, y, np.full(x.size, 7.0), {
@@ -140,15 +140,15 @@ def edges(folder: Path) -> Found:
     mean, t = found.layers["mean_e"][0].astype(float), found.truth
     right = _all_stars(mean.shape, t)
     off = float((np.abs(mean - right) / np.sqrt(right + 1.0)).max())
-    return Found("as erf", f"{t['electrons'].size} stars in the truth", off)
+    return CaseResult("as erf", f"{t['electrons'].size} stars in the truth", off)
 
 
 @case(
     "stars/magnitudes", "stars of magnitude 30 and of magnitude -20 in one frame",
     "finite and not negative", 0.0, "pixels",
 )  # fmt: skip
-def ends_of_magnitude(folder: Path) -> Found:
+def ends_of_magnitude(folder: Path) -> CaseResult:
     at = np.array([20.0, 40.0])
     mean = _stars(folder, at, at, np.array([30.0, -20.0]), {}).layers["mean_e"]
     bad = int(np.count_nonzero(~np.isfinite(mean) | (mean < 0)))
-    return Found("0 bad pixels", f"{bad}; brightest {mean.max():.3g} e-", float(bad))
+    return CaseResult("0 bad pixels", f"{bad}; brightest {mean.max():.3g} e-", float(bad))

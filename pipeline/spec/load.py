@@ -123,7 +123,7 @@ def _yaml_reader(name: str) -> Any:
     from ruamel.yaml.constructor import SafeConstructor
     from ruamel.yaml.events import AliasEvent, ScalarEvent
 
-    class Bounded(Composer):
+    class BoundedComposer(Composer):
         """Composes nodes down to MAX_DEPTH, and none twice."""
 
         nested = 0
@@ -146,7 +146,7 @@ def _yaml_reader(name: str) -> Any:
     Plain.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
     reader = YAML(typ="safe", pure=True)
     reader.version = (1, 2)
-    reader.Composer, reader.Constructor = Bounded, Plain
+    reader.Composer, reader.Constructor = BoundedComposer, Plain
     return reader
 
 

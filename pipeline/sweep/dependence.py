@@ -66,7 +66,7 @@ def barred(model: Any, names: tuple[str, ...]) -> Any:
 
 
 @dataclass(frozen=True)
-class Part:
+class LightPlan:
     """What one kind of light is drawn from: its plan, and the content that it depends on."""
 
     kind: str
@@ -85,17 +85,17 @@ class Part:
         return replace(g, **none)
 
 
-def parts_of(plan: Plan, whole: bool) -> dict[str, Part]:
+def parts_of(plan: Plan, whole: bool) -> dict[str, LightPlan]:
     """The parts of a plan's light; `whole` takes them from the whole plan, with nothing barred.
 
     The plan's own scene has barred detector fields and a barred seed where it is not `whole`.
     """
     if whole:
-        return {kind: Part(kind, plan, ()) for kind in LIGHTS}
+        return {kind: LightPlan(kind, plan, ()) for kind in LIGHTS}
     return {kind: _part(plan, kind) for kind in LIGHTS}
 
 
-def _part(plan: Plan, kind: str) -> Part:
+def _part(plan: Plan, kind: str) -> LightPlan:
     scene, facts = plan.scene, plan.facts
     drop: dict[str, Any] = {}
     if kind != "targets":
@@ -114,7 +114,7 @@ def _part(plan: Plan, kind: str) -> Part:
         plan, scene=kept, facts=replace(facts, **without),
         sky=plan.sky if kind == "sky" else None, decisions=(), remarks=(), warnings=(), checks=(),
     )  # fmt: skip
-    return Part(kind, reduced, tuple(content))
+    return LightPlan(kind, reduced, tuple(content))
 
 
 def _values(of: Facts | Plan, but: tuple[str, ...]) -> list[Any]:

@@ -68,7 +68,7 @@ def _type_of(values: list[Any]) -> pa.DataType:
     return pa.float64() if kinds and kinds <= {int, float} else pa.string()
 
 
-class Ledger:
+class PointLedger:
     """Rows of points that are done, in parts that are there whole or not at all."""
 
     def __init__(self, out: Path, schema: pa.Schema, size: int) -> None:

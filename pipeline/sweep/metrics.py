@@ -27,7 +27,7 @@ LARGEST_WINDOW_PX = 1024
 KEPT_LIGHT = 0.98  # a window that holds less of a target's light is said to be outside
 
 
-class Window:
+class TargetWindow:
     """The calibrated pixels around one target in one frame, gathered tile by tile."""
 
     def __init__(self, place: Tile, response: Array, corner: tuple[int, int]) -> None:
@@ -55,11 +55,11 @@ class Measurement:
         self._peaks: dict[str, list[float]] = {name: [] for name in names}
         self._snr: dict[str, list[float]] = {name: [] for name in names}
         self._limits: list[tuple[float, float]] = []  # light [e-], integration time [s]
-        self._windows: list[tuple[str, Window]] = []
+        self._windows: list[tuple[str, TargetWindow]] = []
 
-    def begin_frame(self, g: Geometry, windows: list[tuple[str, Window]]) -> None:
+    def begin_frame(self, g: Geometry, windows: list[tuple[str, TargetWindow]]) -> None:
         """Before a frame's tiles. windows : of targets, empty ones to copy."""
-        self._windows = [(name, Window(w.place, w.response, w.corner)) for name, w in windows]
+        self._windows = [(name, TargetWindow(w.place, w.response, w.corner)) for name, w in windows]
         if "snr" in self.metrics:
             for name, snr in target_snr(self.plan, g, self.names).items():
                 self._snr[name].append(snr)
@@ -155,9 +155,9 @@ class Measurement:
 
 def target_windows(
     plan: Plan, g: Geometry, names: tuple[str, ...], search_px: float
-) -> list[tuple[str, Window]]:
+) -> list[tuple[str, TargetWindow]]:
     """An empty window for each target that is wholly in view, with the response in it."""
-    out: list[tuple[str, Window]] = []
+    out: list[tuple[str, TargetWindow]] = []
     for t in place_targets(plan, g) if names else ():
         name = plan.scene.targets[t.index].name
         if name not in names or t.light_e <= 0:
@@ -168,7 +168,7 @@ def target_windows(
     return out
 
 
-def _window(plan: Plan, g: Geometry, t: FrameTarget, spare_px: int) -> Window | None:
+def _window(plan: Plan, g: Geometry, t: FrameTarget, spare_px: int) -> TargetWindow | None:
     """An empty window around a target and `spare_px` more; None if too large or not in view."""
     reach = math.ceil(min(8.0 * _core_px(plan), 64.0)) + math.ceil(t.radius_px)
     (top, bottom), (left, right) = (
@@ -190,7 +190,7 @@ def _window(plan: Plan, g: Geometry, t: FrameTarget, spare_px: int) -> Window | 
     response = light[_cut(core, seen)] / total
     if float(response.sum()) < KEPT_LIGHT:
         return None
-    return Window(inside, response, (seen.y0 - inside.y0, seen.x0 - inside.x0))
+    return TargetWindow(inside, response, (seen.y0 - inside.y0, seen.x0 - inside.x0))
 
 
 def _one(plan: Plan, index: int) -> Plan:

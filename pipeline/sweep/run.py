@@ -23,7 +23,7 @@ from pipeline.spec.sweep_load import load_sweep
 from pipeline.store.layout import full_disk, only_writer
 from pipeline.sweep import ledger
 from pipeline.sweep.dependence import AFTER_LIGHT
-from pipeline.sweep.ledger import Ledger
+from pipeline.sweep.ledger import PointLedger
 from pipeline.sweep.points import Course, check_axes, floors_of, light_group, scene_of, with_floor
 from pipeline.sweep.stages import stages
 from pipeline.sweep.summary import summarise
@@ -74,7 +74,7 @@ def _run_course(
     ledger.begin(out, ledger.identity_of(course.sweep, course.data, digests), options.resume)
     with only_writer(out):
         schema = ledger.schema_of(course.sweep, names)
-        book = Ledger(out, schema, course.sweep.points)
+        book = PointLedger(out, schema, course.sweep.points)
         if ledger.is_complete(out) and not retry_failed:
             report: dict[str, Any] = json.loads((out / ledger.REPORT).read_text())
             return report
@@ -181,7 +181,7 @@ def _reopen(out: Path) -> None:
 
 
 def _stream(
-    course: Course, book: Ledger, scheduler: Scheduler, listen: Listener | None
+    course: Course, book: PointLedger, scheduler: Scheduler, listen: Listener | None
 ) -> None:
     """Run all missing points; rows become durable part by part."""
 
@@ -202,7 +202,7 @@ def _stream(
 
 
 def _run(
-    course: Course, book: Ledger, scheduler: Scheduler, work: Iterator[tuple[int, ...]],
+    course: Course, book: PointLedger, scheduler: Scheduler, work: Iterator[tuple[int, ...]],
     tell: Callable[[], None],
 ) -> Iterator[tuple[int, ...]]:  # fmt: skip
     """Run groups of points; yields those whose processes were killed again and again."""
@@ -218,7 +218,7 @@ def _run(
         tell()
 
 
-def groups(course: Course, book: Ledger) -> Iterator[tuple[int, ...]]:
+def groups(course: Course, book: PointLedger) -> Iterator[tuple[int, ...]]:
     """Missing points in groups that share their light, in the order of the work."""
     design = course.design
     order = (p for p in design.order(frozenset(AFTER_LIGHT)) if not book.done[p])

@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
-from pipeline.execute.blocks import Block, plan_blocks, render_block
+from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.graph import Inputs, place_task, read_shard, shard_key
 from pipeline.execute.tables import ContentCache
 from pipeline.execute.tile import LIGHTS, tile_light
@@ -26,7 +26,7 @@ from pipeline.plan.timing import integration_range_s
 from pipeline.prepare import Prepared, prepare, shards_of
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import CubeWriter
-from pipeline.sweep.dependence import DETECTOR, Barred, Part, barred, parts_of
+from pipeline.sweep.dependence import DETECTOR, Barred, LightPlan, barred, parts_of
 
 MOST_BYTES, MEMORY_SHARE = 1.5e9, 0.2
 PLANS_BYTES = 200e6
@@ -44,7 +44,7 @@ class Base:
     key: str
     prepared: Prepared
     inputs: Inputs
-    parts: dict[str, tuple[Part, str]]
+    parts: dict[str, tuple[LightPlan, str]]
 
     @property
     def plan(self) -> Plan:
@@ -150,7 +150,7 @@ class Stages:
 
     def _blocks(
         self, key: str, plan: Plan, g: Geometry, tile: Tile, stars: list[FrameStars]
-    ) -> list[Block]:
+    ) -> list[LightBlock]:
         """Blocks that a tile overlaps, with the light of stars or of targets alone."""
         found = []
         for block in plan_blocks(plan, sum(len(s) for s in stars)):
@@ -263,7 +263,7 @@ def _bytes_of(table: Any) -> int:
     return sum(getattr(getattr(table, f.name), "nbytes", 0) for f in fields(table)) + 1000
 
 
-def _block_bytes(block: Block) -> int:
+def _block_bytes(block: LightBlock) -> int:
     arrays = (block.star_wings, block.target_wings, block.crowd_e)
     return sum(a.nbytes for a in arrays if a is not None) + 1000
 

@@ -24,7 +24,7 @@ from pipeline.store.cube import CubeWriter
 from pipeline.store.product import begin
 from pipeline.sweep.dependence import ReadsBarredError
 from pipeline.sweep.design import Design
-from pipeline.sweep.metrics import Measurement, Window, target_windows
+from pipeline.sweep.metrics import Measurement, TargetWindow, target_windows
 from pipeline.sweep.points import Course, scene_of, with_floor
 from pipeline.sweep.stages import Base, Stages, maps_of, point_plan, stages
 
@@ -135,7 +135,7 @@ def _draw(course: Course, kept: Stages, group: list[_Point]) -> None:
     base = group[0].ready.base
     for frame in range(base.plan.frames):
         living = [p for p in group if p.alive]
-        found: list[tuple[Geometry, list[tuple[str, Window]]]] = []
+        found: list[tuple[Geometry, list[tuple[str, TargetWindow]]]] = []
         if not living or not _shared(living, partial(_look, course, kept, living[0], frame, found)):
             return
         g, windows = found[0]

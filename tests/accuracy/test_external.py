@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.accuracy.engines import Case
+from pipeline.accuracy.engines import EngineCase
 from pipeline.accuracy.external import PeerFailed, _run, run_skymaker
 from pipeline.accuracy.peers import external_settings, installed_peers
 from pipeline.accuracy.reference import GaussianStar, straight
@@ -42,7 +42,7 @@ def test_skymaker_is_told_places_light_and_response(
     program.write_text(STAND_IN.format(python=sys.executable))
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    case = Case(GaussianStar(0.8), straight(0.0, 0.0), 0.0, (300, 400))
+    case = EngineCase(GaussianStar(0.8), straight(0.0, 0.0), 0.0, (300, 400))
     probes = np.array([10.2, 350.0]), np.array([20.0, 280.4])
     made = run_skymaker(case, probes, probes, oversampling=3)
     assert made.image.shape == (300, 400)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.accuracy.engines import Case
+from pipeline.accuracy.engines import EngineCase
 from pipeline.accuracy.probes import make_probes
 from pipeline.accuracy.reference import GaussianStar, Track, exact_pixels, straight
 from pipeline.accuracy.report import report_accuracy
@@ -123,7 +123,7 @@ def test_probes_of_an_exact_image_of_an_oblong_frame_find_no_error(
     if curved:  # two parts of unequal light
         track = Track(np.array([[-9.0, 3.0], [3.0, 5.0]]), np.array([[2.0, 2.0], [2.0, -8.0]]),
                       np.array([0.7, 0.3]))  # fmt: skip
-    case = Case(GaussianStar(0.9), track, 20.0, frame, curved)
+    case = EngineCase(GaussianStar(0.9), track, 20.0, frame, curved)
     probes = make_probes(case, 3)
     rows, columns = (np.arange(float(n)) for n in frame)
     assert np.isfinite(probes.boxed[:-2]).all()

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from pipeline.cli import app
 from pipeline.detection.finders import drift_of, tasks
-from pipeline.detection.judge import Verdict, judge
-from pipeline.detection.points import Found, find_points, flattened
+from pipeline.detection.judge import DetectionVerdict, judge
+from pipeline.detection.points import Detections, find_points, flattened
 from pipeline.detection.streaks import all_lines, find_lines, without_streaks
 from pipeline.detection.study import _one, _summed, report_detection
 from pipeline.errors import BadInput
@@ -58,7 +58,7 @@ def drawn(rows, noise=1.0, seed=0):
 def found_at(*places):
     x, y = np.array(places, float).reshape(-1, 2).T
     none = np.zeros(len(x))
-    return Found(x, y, none + 5, none, none)
+    return Detections(x, y, none + 5, none, none)
 
 
 def test_sep_finds_round_sources_and_leaves_long_ones():
@@ -247,7 +247,7 @@ def test_bins_of_magnitude_and_their_sum():
     told = replace(labels([(STAR, 0, 0, 0, 0, 9)] * 5 + [(TARGET, 0, 0, 0, 0, 9)]),
                    g_mag=np.array([10.0, 10.4, 10.5, 11.2, 11.6, np.nan]))  # fmt: skip
     sought, found = np.array([1, 1, 1, 0, 1, 1], bool), np.array([1, 0, 1, 0, 0, 1], bool)
-    verdict = Verdict(found, np.array([True, False]), np.array([True, False]))
+    verdict = DetectionVerdict(found, np.array([True, False]), np.array([True, False]))
     none = found_at((0, 0), (1, 1))
     frames = [_one(k, "sep", told, sought, none, verdict) for k in range(2)]
     total = _summed(frames)["sep"]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pipeline.accuracy.reference import GaussianStar, exact_pixels, straight
 from pipeline.arrays import FrameStars, Geometry
 from pipeline.execute import tables
-from pipeline.execute.blocks import Block, render_block
+from pipeline.execute.blocks import LightBlock, render_block
 from pipeline.execute.check import _nearest, _points, reference, summary
 from pipeline.execute.light import draw_along, draw_stars
 from pipeline.execute.tables import ContentCache
@@ -69,7 +69,7 @@ def geometry_of(plan: Plan) -> Geometry:
     return plan_geometry(plan.scene, np.zeros(1, int), 0.0)
 
 
-def blocks_of(plan: Plan, stars: FrameStars) -> list[Block]:
+def blocks_of(plan: Plan, stars: FrameStars) -> list[LightBlock]:
     if not plan.responses.spacing_px and not plan.responses.spectral_from:
         return []
     return [render_block(plan, geometry_of(plan), WHOLE, [stars])]

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.export.formats import Wish, export_product
+from pipeline.export.formats import ExportRequest, export_product
 from pipeline.run import Options, render
 from pipeline.spec.load import parse_scene
 
@@ -102,12 +102,12 @@ def test_truth_is_of_the_middle_of_the_exposure(tmp_path):
 def test_labels_have_them(product, tmp_path):
     row = row_of(product)
     assert row["object_name"] == "SPHERE 1 (R/B)"
-    list(export_product(product, "satnet", tmp_path / "satnet", Wish()))
+    list(export_product(product, "satnet", tmp_path / "satnet", ExportRequest()))
     (path,) = (tmp_path / "satnet" / "Annotations").iterdir()
     (seen,) = json.loads(path.read_text())["data"]["objects"]
     assert seen["magnitude"] == pytest.approx(row["v_mag"])
     assert (seen["object_name"], seen["object_id"]) == ("SPHERE 1 (R/B)", "ball")
-    list(export_product(product, "coco", tmp_path / "coco", Wish()))
+    list(export_product(product, "coco", tmp_path / "coco", ExportRequest()))
     found = json.loads((tmp_path / "coco" / "annotations.json").read_text())["annotations"][0]
     assert found["mag_ab"] == pytest.approx(row["mag_ab"])
     assert None not in found.values()

@@ -9,7 +9,7 @@ import pytest
 from astropy.io import fits
 from astropy.wcs import WCS
 
-from pipeline.export.formats import Wish, export_product
+from pipeline.export.formats import ExportRequest, export_product
 from pipeline.store.cube import read_layer
 
 TOLERANCE_PX = 1e-3
@@ -25,7 +25,7 @@ def product(request):
 @pytest.fixture(scope="module")
 def satnet(product, tmp_path_factory):
     folder = tmp_path_factory.mktemp("satnet") / "out"
-    return list(export_product(product, "satnet", folder, Wish(stars_snr=10.0)))
+    return list(export_product(product, "satnet", folder, ExportRequest(stars_snr=10.0)))
 
 
 @pytest.mark.parametrize("frame", [0, 1])
@@ -61,7 +61,7 @@ def test_boxes_are_where_the_light_is(product, satnet, frame, tmp_path):
             assert abs(o[f"{axis}_min"] - min(ends)) * 512 < TOLERANCE_PX
             assert abs(o[f"{axis}_max"] - max(ends)) * 512 < TOLERANCE_PX
             assert o[f"{axis}_min"] - 1e-9 <= o[f"{axis}_light"] <= o[f"{axis}_max"] + 1e-5
-    (*_, coco) = export_product(product, "coco", tmp_path / "coco", Wish(stars_snr=10.0))
+    (*_, coco) = export_product(product, "coco", tmp_path / "coco", ExportRequest(stars_snr=10.0))
     whole = json.loads(coco.read_text())
     mine = [a for a in whole["annotations"] if a["image_id"] == whole["images"][frame]["id"]]
     layers = [read_layer(product, name, frame).astype(float) for name in ("targets_e", "stars_e")]
@@ -90,7 +90,7 @@ def _centroid(image, at):
 
 def test_times_are_told_alike(labelled, satnet, tmp_path):
     """FITS, SatNet and COCO give one start, middle and end."""
-    (*_, coco) = export_product(labelled, "coco", tmp_path / "coco", Wish())
+    (*_, coco) = export_product(labelled, "coco", tmp_path / "coco", ExportRequest())
     entries = json.loads(coco.read_text())["images"]
     for frame, entry in enumerate(entries):
         header = fits.getheader(satnet[2 * frame])
@@ -106,6 +106,6 @@ def test_times_are_told_alike(labelled, satnet, tmp_path):
         assert header["XPOSURE"] == header["EXPTIME"] == entry["exposure_s"] == 1.0
         days = header["MJD-END"] - header["MJD-BEG"]
         assert days * 86_400 == pytest.approx(1.0, abs=2e-6)
-    (*_, coco) = export_product(labelled, "coco", tmp_path / "last", Wish(1))
+    (*_, coco) = export_product(labelled, "coco", tmp_path / "last", ExportRequest(1))
     (alone,) = json.loads(coco.read_text())["images"]
     assert {k for k in alone if alone[k] != entries[1][k]} == {"id"}

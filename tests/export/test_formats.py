@@ -22,13 +22,13 @@ from PIL import Image
 from pipeline.errors import BadInput
 from pipeline.export import satnet
 from pipeline.export.coco import annotation, image_entry, packed, run_lengths
-from pipeline.export.formats import Wish, _Job, export_product
+from pipeline.export.formats import ExportRequest, _Job, export_product
 from pipeline.export.labels import Labels
 from pipeline.export.masks import Mask, _as_disc, _cut, classes_from_light, mask_fits, paint
-from pipeline.export.times import Exposure
+from pipeline.export.times import ExposureTimes
 from pipeline.store.cube import read_layer
 
-STARS = Wish(stars_snr=10.0)
+STARS = ExportRequest(stars_snr=10.0)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_masks_hold_the_pixels_that_the_light_says(labelled, tmp_path):
     """Classes from responses and paths against those from the noise-free layers, and their sum."""
     out = {
         light: next(export_product(
-            labelled, "masks", tmp_path / light, Wish(0, stars_snr=0.0, light=light)
+            labelled, "masks", tmp_path / light, ExportRequest(0, stars_snr=0.0, light=light)
         ))
         for light in ("response", "layers")
     }  # fmt: skip
@@ -140,11 +140,11 @@ def _unpacked(text):
 
 
 def test_movies(labelled, tmp_path):
-    (gif,) = export_product(labelled, "gif", tmp_path / "a.gif", Wish(fps=4.0))
+    (gif,) = export_product(labelled, "gif", tmp_path / "a.gif", ExportRequest(fps=4.0))
     picture = Image.open(gif)
     assert (picture.n_frames, picture.size, picture.info["duration"]) == (2, (512, 512), 250)
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    (mp4,) = export_product(labelled, "mp4", tmp_path / "a.mp4", Wish(fps=4.0))
+    (mp4,) = export_product(labelled, "mp4", tmp_path / "a.mp4", ExportRequest(fps=4.0))
     reader = ffmpeg.read_frames(str(mp4))
     about = next(reader)
     assert (about["size"], about["fps"]) == ((512, 512), 4.0)
@@ -155,13 +155,13 @@ def test_movies(labelled, tmp_path):
 def test_without_an_encoder(labelled, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(BadInput, match=r"nightglass\[movie\]"):
-        list(export_product(labelled, "mp4", tmp_path / "a.mp4", Wish()))
+        list(export_product(labelled, "mp4", tmp_path / "a.mp4", ExportRequest()))
     assert not list(tmp_path.iterdir())
 
 
 def test_header_tells_site_and_sensor(labelled, tmp_path):
     """astropy reads both WCS and the site; it says that SIP is not for the alternate one."""
-    (path,) = export_product(labelled, "fits", tmp_path / "a.fits", Wish(0))
+    (path,) = export_product(labelled, "fits", tmp_path / "a.fits", ExportRequest(0))
     header = fits.getheader(path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -184,7 +184,7 @@ def test_header_tells_site_and_sensor(labelled, tmp_path):
     place = (np.radians(header["OBSGEO-L"]), np.radians(header["OBSGEO-B"]), header["OBSGEO-H"])
     on_fits = erfa.gd2gce(6_378_140.0, 1 / 298.257, *place)  # FITS 4.0, table 33: IAU 1976
     assert np.allclose(on_fits, [header[f"OBSGEO-{axis}"] for axis in "XYZ"], atol=0.1)
-    (path,) = export_product(labelled, "fits", tmp_path / "b.fits", Wish(0, "mean_e"))
+    (path,) = export_product(labelled, "fits", tmp_path / "b.fits", ExportRequest(0, "mean_e"))
     light = fits.getheader(path)
     assert (light["BUNIT"], "SATURATE" in light) == ("electron", False)
     assert header["GAIN"] == 1.5
@@ -195,17 +195,17 @@ def test_header_tells_site_and_sensor(labelled, tmp_path):
 @pytest.mark.parametrize(
     ("kind", "name", "wish", "field"),
     [
-        ("tiff", "x", Wish(), "--to"),
-        ("gif", "x.png", Wish(), "-o"),
-        ("coco", "x", Wish(frame=9), "--frame"),
-        ("gif", "x.gif", Wish(layer="stars"), "--layer"),
-        ("gif", "x.gif", Wish(fps=0.0), "--fps"),
-        ("masks", "x", Wish(threshold_sigma=-1.0), "--threshold"),
-        ("masks", "x", Wish(threshold_sigma=0.0), "--threshold"),
-        ("masks", "x", Wish(threshold_sigma=float("nan")), "--threshold"),
-        ("masks", "x", Wish(light="lamp"), "--light"),
-        ("satnet", "x", Wish(stars_snr=float("nan")), "--stars-snr"),
-        ("coco", ".", Wish(), "-o"),
+        ("tiff", "x", ExportRequest(), "--to"),
+        ("gif", "x.png", ExportRequest(), "-o"),
+        ("coco", "x", ExportRequest(frame=9), "--frame"),
+        ("gif", "x.gif", ExportRequest(layer="stars"), "--layer"),
+        ("gif", "x.gif", ExportRequest(fps=0.0), "--fps"),
+        ("masks", "x", ExportRequest(threshold_sigma=-1.0), "--threshold"),
+        ("masks", "x", ExportRequest(threshold_sigma=0.0), "--threshold"),
+        ("masks", "x", ExportRequest(threshold_sigma=float("nan")), "--threshold"),
+        ("masks", "x", ExportRequest(light="lamp"), "--light"),
+        ("satnet", "x", ExportRequest(stars_snr=float("nan")), "--stars-snr"),
+        ("coco", ".", ExportRequest(), "-o"),
     ],
 )
 def test_limits_refused(labelled, tmp_path, kind, name, wish, field):
@@ -240,7 +240,7 @@ def three_labels():
     return Labels(**values)
 
 
-TIMES = Exposure(*(np.datetime64(f"2020-01-01T00:00:0{s}.000000", "us") for s in (0, 2, 4)), 4.0)
+TIMES = ExposureTimes(*(np.datetime64(f"2020-01-01T00:00:0{s}.000000", "us") for s in (0, 2, 4)), 4.0)
 
 
 def test_satnet_tells_each_number_of_its_own():
@@ -322,7 +322,7 @@ def test_masks_of_faint_sources_discs_and_overlaps(tmp_path):
 
 def test_satnet_names_its_image_and_holds_nine_tenths_of_a_point(labelled, tmp_path):
     """90% of a Gaussian's light lie within sigma sqrt(2 ln 10), wider by the pixel's own 1/12."""
-    *_, path = export_product(labelled, "satnet", tmp_path / "set", Wish(1))
+    *_, path = export_product(labelled, "satnet", tmp_path / "set", ExportRequest(1))
     told = json.loads(path.read_text())["data"]
     assert told["file"] == {"dirname": "set", "sequence": 0, "filename": "labelled.0001.fits",
                             "sequence_id": 1}  # fmt: skip
@@ -331,4 +331,4 @@ def test_satnet_names_its_image_and_holds_nine_tenths_of_a_point(labelled, tmp_p
     margin = 0.5 * (one["bbox_width"] - (one["x_max"] - one["x_min"])) * 512
     assert margin == pytest.approx(np.sqrt((0.9**2 + 1 / 12) * 2 * np.log(10)), abs=0.15)
     floor = json.loads((labelled / "report.json").read_text())["errors"]["noise_floor_e"]
-    assert _Job(labelled, Wish(threshold_sigma=3.0)).threshold_e == 3.0 * floor
+    assert _Job(labelled, ExportRequest(threshold_sigma=3.0)).threshold_e == 3.0 * floor

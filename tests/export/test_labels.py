@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.export.formats import Wish, export_product
+from pipeline.export.formats import ExportRequest, export_product
 from pipeline.export.labels import frame_labels
 from pipeline.store.cube import read_layer
 
@@ -70,7 +70,7 @@ def test_labels_shine_and_reach_the_limit(tmp_path):
 
 def test_angle_of_a_streak_is_that_of_its_light(labelled, tmp_path):
     """The drifting satellite: its angle in the file against second moments of its drawn light."""
-    (*_, coco) = export_product(labelled, "coco", tmp_path / "coco", Wish(0))
+    (*_, coco) = export_product(labelled, "coco", tmp_path / "coco", ExportRequest(0))
     told = {a["name"]: a for a in json.loads(coco.read_text())["annotations"]}["drifter"]["streak"]
     light = read_layer(labelled, "targets_e", 0).astype(float)
     x0, y0 = np.round(told["light"]).astype(int) - 40

@@ -16,7 +16,15 @@ from PIL import Image
 
 from pipeline.export.files import _png
 from pipeline.export.movie import movie_frames
-from pipeline.export.picture import CYAN, GREEN, Limits, frame_picture, limits_of, shrink, stretch
+from pipeline.export.picture import (
+    CYAN,
+    GREEN,
+    GreyLimits,
+    frame_picture,
+    limits_of,
+    shrink,
+    stretch,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -101,7 +109,7 @@ def test_grey_levels_are_those_that_are_documented():
     low, scatter, top = limits_of(noise)
     assert (low, scatter, top) == pytest.approx((100 - 2.3263 * 5, 5.0, 160.0), abs=0.3)
     half = 10.0 + 6.0 * np.sinh(0.5 * np.arcsinh(90.0 / 6.0))
-    levels = stretch(np.array([[5.0, 10.0, half, 100.0, 900.0]]), Limits(10.0, 2.0, 100.0))
+    levels = stretch(np.array([[5.0, 10.0, half, 100.0, 900.0]]), GreyLimits(10.0, 2.0, 100.0))
     assert levels.tolist() == [[0, 0, 127, 255, 255]]
     blocks, factor = shrink(np.array([[0.0, 0, 1, 1, 9], [0, 8, 1, 1, 9], [9, 9, 9, 9, 9]]), 3)
     assert (blocks.tolist(), factor) == ([[5.0, 1.0]], 2)

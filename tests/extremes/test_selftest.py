@@ -11,7 +11,7 @@ from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.selftest import frames as of_frames
 from pipeline.selftest import stars
-from pipeline.selftest.case import Case, Found, run_case
+from pipeline.selftest.case import CaseResult, LimitingCase, run_case
 from pipeline.selftest.report import all_cases, chosen, markdown
 
 CASES = all_cases()
@@ -44,13 +44,13 @@ def test_one_wrong_pixel_fails_a_case(name, tmp_path, monkeypatch):
 
 def test_a_wrong_answer_and_a_fault_are_failures(tmp_path):
     def nothing(_):
-        return Found("1", "nan", float("nan"))
+        return CaseResult("1", "nan", float("nan"))
 
     def broken(_):
         raise BadInput("field", 1, "2")
 
     for run, fault in ((nothing, ""), (broken, "field: 1 is not accepted; allowed: 2")):
-        outcome = run_case(Case("x", "x", "x", "1", 1.0, run), tmp_path)
+        outcome = run_case(LimitingCase("x", "x", "x", "1", 1.0, run), tmp_path)
         assert not outcome.passed
         assert outcome.fault == fault
         assert "x" in markdown([outcome])

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from pipeline.cli import app
 from pipeline.errors import BadInput
-from pipeline.ledger_report.probe import PROBES, Found
+from pipeline.ledger_report.probe import PROBES, ProbeResult
 from pipeline.ledger_report.report import report_ledger
 from pipeline.ledger_report.study import checked_rules, run_ledger
 from pipeline.ledger_report.targets import _rastered
@@ -52,9 +52,9 @@ def test_two_rules_measured_anew(tmp_path):
 
 
 def test_a_broken_bound_is_told():
-    assert Found("x", "", 1.0, 0.9, "px", 0.0, 0.0).holds
-    assert not Found("x", "", 1.0, 1.1, "px", 0.0, 0.0).holds
-    assert not Found("x", "", 1.0, float("nan"), "px", 0.0, 0.0).holds
+    assert ProbeResult("x", "", 1.0, 0.9, "px", 0.0, 0.0).holds
+    assert not ProbeResult("x", "", 1.0, 1.1, "px", 0.0, 0.0).holds
+    assert not ProbeResult("x", "", 1.0, float("nan"), "px", 0.0, 0.0).holds
 
 
 @pytest.fixture(scope="module")

@@ -143,11 +143,11 @@ def _calibrated(product: Path, folder: Path) -> dict[str, np.ndarray]:
 
 def _exported(product: Path, kind: str) -> dict[str, np.ndarray]:
     """Every number in the files of an export."""
-    from pipeline.export.formats import Wish, export_product
+    from pipeline.export.formats import ExportRequest, export_product
 
     out: dict[str, np.ndarray] = {}
     target = product.with_name(f"{kind}.gif" if kind == "gif" else kind)
-    for path in export_product(product, kind, target, Wish(stars_snr=5.0)):
+    for path in export_product(product, kind, target, ExportRequest(stars_snr=5.0)):
         read = {".fits": _fits, ".json": _json}.get(path.suffix, _picture)
         out |= {f"{path.name}/{k}": v for k, v in read(path).items()}
     return out

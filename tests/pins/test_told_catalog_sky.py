@@ -440,7 +440,7 @@ def asked_by_tap(most: int, cut: int = 0, more: int = 0, lost: str = "", count: 
 
     release = layout.RELEASES["gaia-dr2"]
     service: Any = type("Service", (), {"address": "http://t", "ask": staticmethod(ask)})()
-    cone = cones.Cone(10.0, 20.0, 30.0, 18.5)
+    cone = cones.FetchCone(10.0, 20.0, 30.0, 18.5)
     with ledger.folder_for(Path("tap"), release) as held:
         tap.fetch_cone(service, release, cone, held, lambda *_: None)
         text = gzip.decompress(Path("tap", tap.file_name(release, cone)).read_bytes()).decode()
@@ -556,7 +556,7 @@ def test_what_is_made_and_fetched(here: Path) -> None:
         return report.files, report.rows, names, text[0][:50], text[1]
 
     def banded(low: float | None, high: float | None) -> Any:
-        cone, band = cones.Cone(-10.0, 2, 3, 9), tap.Band(low, high)
+        cone, band = cones.FetchCone(-10.0, 2, 3, 9), tap.DeclinationBand(low, high)
         return tap.condition(cone, band), band.halves(cone)
 
     from tests.pins.test_told_catalog import whole

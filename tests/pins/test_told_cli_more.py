@@ -554,7 +554,7 @@ def test_pictures() -> None:
     told += arrays(
         {
             "own": picture.stretch(image),
-            "set": picture.stretch(image, picture.Limits(90, 4, 200)),
+            "set": picture.stretch(image, picture.GreyLimits(90, 4, 200)),
             "nan": picture.stretch(np.full((2, 2), np.nan)),
         }
     )

@@ -35,7 +35,7 @@ from service.named_files import files_in
 from service.routes import uws
 from service.scenes import product_bytes_of
 from service.settings import Settings, read_settings
-from service.submissions import Ask, Limits, Used, refuse, run_pending, submit_many
+from service.submissions import Ask, TeamLimits, Used, refuse, run_pending, submit_many
 from service.teams import pixel_frames_of
 from tests.pins.test_told_service import SMALL, Clock, clock, fill, scene, short
 from tests.pins.told import check_told
@@ -80,7 +80,7 @@ def brief(value: Any) -> str:
         return f"job {value.id} {kept}"
     return (
         type(value).__name__
-        if isinstance(value, Queue | sa.Engine | Limits | Settings)
+        if isinstance(value, Queue | sa.Engine | TeamLimits | Settings)
         else repr(value)
     )
 
@@ -483,7 +483,7 @@ def test_the_job_table(clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyP
             [("red", Phase.QUEUED)] * 3 + [("blue", Phase.QUEUED)] * 2 + [("red", Phase.PENDING)]
         )
     ]
-    limits = Limits(queued_jobs=4, pixel_frames_day=30)
+    limits = TeamLimits(queued_jobs=4, pixel_frames_day=30)
     made = submit_many(
         table,
         [*asks, dataclasses.replace(asks[0], key="k"), dataclasses.replace(asks[0], key="k")],
@@ -521,7 +521,7 @@ def test_the_job_table(clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyP
         (table.cancel, (pending.id, "red")),
         (table.amend, (pending.id,)),
         (table.scene, (ids[1], False, "blue")),
-        (run_pending, (table, pending.id, Limits(0), "green", "x")),
+        (run_pending, (table, pending.id, TeamLimits(0), "green", "x")),
         (run_pending, (table, pending.id, limits, "green", "x")),
         (run_pending, (table, pending.id, limits, "green", "x")),
         (table.get, ("zed",)),

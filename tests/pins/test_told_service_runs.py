@@ -62,7 +62,7 @@ from service.problems import NotReady
 from service.routes import health
 from service.settings import Settings
 from service.shares import Shares
-from service.submissions import Ask, Limits, submit_many
+from service.submissions import Ask, TeamLimits, submit_many
 from service.tables import metadata
 from service.tickets import Tickets
 from service.wire import bounded
@@ -133,7 +133,7 @@ def test_attempts(clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     ):
         scene = {"scene": dict(SMALL)} if more else dict(SMALL)
         scene = scene if more.get("kind") else dict(SMALL)
-        [(job, _)] = submit_many(table, [Ask("n", scene, "0" * 64, **more)], Limits())  # type: ignore[misc]
+        [(job, _)] = submit_many(table, [Ask("n", scene, "0" * 64, **more)], TeamLimits())  # type: ignore[misc]
         jobs[course], script[:], begun = job, course.split(";"), clock.now
         for _ in range(6):
             claimed = table.claim()
@@ -160,7 +160,7 @@ def _led(clock: Clock, settings: Settings, script: list[str]) -> list[str]:
     asks = [
         Ask(f"n{i}", SMALL, "0" * 64, team=team) for i, team in enumerate(("red", "red", "blue"))
     ]
-    made = [m[0] for m in submit_many(table, asks, Limits()) if isinstance(m, tuple)]
+    made = [m[0] for m in submit_many(table, asks, TeamLimits()) if isinstance(m, tuple)]
     led = runner.Dispatcher(settings, table)
     led.holder = "me"
     script[:] = ["done"]
@@ -737,7 +737,7 @@ def _older(folder: Path) -> list[str]:
             db.execute(f"insert into jobs values ({','.join('?' * 19)})", row)
     table = Queue(path)
     kept = [brief(table.seen(SimpleNamespace(id=f"{i:032x}"))) for i in (3, 7)]
-    new = submit_many(table, [Ask("n", {}, "0")], Limits())[0]
+    new = submit_many(table, [Ask("n", {}, "0")], TeamLimits())[0]
     return [
         short(line)
         for line in (*kept, brief(new), *map(str, integrity.find_faults(table.engine, True)))
@@ -956,7 +956,7 @@ def _attempts_that_stop(clock: Clock, settings: Settings) -> list[str]:
     table, lines = Queue(settings.database_url), []
 
     def attempt(what: str, go_on: bool = True, **changes: Any) -> None:
-        submit_many(table, [Ask(what, SMALL, "0" * 64)], Limits())
+        submit_many(table, [Ask(what, SMALL, "0" * 64)], TeamLimits())
         job: Any = table.claim()
         product = settings.product(job.id)
         if what in ("held", "unfinished"):
@@ -988,7 +988,7 @@ def _attempts_that_stop(clock: Clock, settings: Settings) -> list[str]:
         attempt(what)
     attempt("left", go_on=False)
     led = runner.Dispatcher(settings, table)
-    submit_many(table, [Ask("guarded", SMALL, "0" * 64)], Limits())
+    submit_many(table, [Ask("guarded", SMALL, "0" * 64)], TeamLimits())
     for error in (NotReady("over"), ValueError("odd"), OperationalError("s", {}, Exception("x"))):
         job: Any = table.claim()
         with pytest.MonkeyPatch.context() as patch:
@@ -998,7 +998,7 @@ def _attempts_that_stop(clock: Clock, settings: Settings) -> list[str]:
             led.stopping.wait = lambda s: lines.append(f"waits {s}")
             led._guarded(job)
         lines.append(f"{type(error).__name__}: {brief(table.seen(job))}")
-        submit_many(table, [Ask("guarded", SMALL, "0" * 64)], Limits())
+        submit_many(table, [Ask("guarded", SMALL, "0" * 64)], TeamLimits())
     led._renewed_s, led._store = clock.now, SimpleNamespace(claim=lambda *_: 1 / 0, engine=None)
     lines.append(f"{led._step()}")
     both = [table.submit("n", {}, "0", "key", 99) for _ in range(2)] + [table.newest(1)]
@@ -1094,7 +1094,7 @@ def _answers_that_fail(house: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]
         answer_told(house.client.post("/v1/files?name=a.csv", content=iter([b"12345", b"67890"])))
     )
     context = SimpleNamespace(table=house.table, damaged=0)
-    submit_many(house.table, [Ask("n", {}, "0")], Limits())
+    submit_many(house.table, [Ask("n", {}, "0")], TeamLimits())
     with house.table.engine.connect().execution_options(writes=True) as db, db.begin():
         db.execute(sa.text("update jobs set name='z', bytes_kept=5000"))
     lines.append(answer_told(house.client.post("/v1/files?name=a.csv", content=b"x")))

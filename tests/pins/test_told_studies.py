@@ -251,7 +251,7 @@ def test_pages_and_refusals(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
         return study.run_child({"scene": {"name": "x"}})
 
     def probe_errors(more: float) -> Any:
-        case = engines.Case(
+        case = engines.EngineCase(
             probes.GaussianStar(0.8),
             engines.Track(*[np.zeros((1, 2))] * 2, np.ones(1)),
             0.0,

@@ -112,7 +112,7 @@ def test_ledger(stars: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def _tiny(name: str, quick: bool) -> Any:
     """A scene of the report on few pixels: stars that streak, or targets in two tiles."""
     from pipeline.ledger_report.scenes import ORBIT, before, scene
-    from pipeline.scene_report.scenes import Wish
+    from pipeline.scene_report.scenes import ReportScene
 
     base: dict[str, Any] = {"name": name, "sensor.dark_e_per_s": 3.0}
     if name == "streaks":
@@ -123,7 +123,7 @@ def _tiny(name: str, quick: bool) -> Any:
             "sensor.psf": {"kind": "airy", "jitter_px": 0.5, "wavelengths": 2},
             "sensor.shape": [48, 64],
         }
-        return Wish(name, "stars", scene(base))
+        return ReportScene(name, "stars", scene(base))
     near = [before([-2724520.7, -41120448.5, y], 2e4, f"n{y:g}") for y in (0.0, 2e4, -3e4)]
     base |= {
         "observer": ORBIT,
@@ -134,7 +134,7 @@ def _tiny(name: str, quick: bool) -> Any:
         "sensor.shape": [32, 512],
         "output.tile_shape": [32, 256],
     }
-    return Wish(name, "targets", scene(base), (1, 2))
+    return ReportScene(name, "targets", scene(base), (1, 2))
 
 
 def test_scenes(stars: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_accuracy(monkeypatch: pytest.MonkeyPatch) -> None:
     from pipeline.accuracy import engines, external, probes, reference, study
 
     cases = [c for c in study.cases((50, 120), True) if isinstance(c.shape, study.GaussianStar)]
-    cases.append(engines.Case(study.AiryStar(1.0, 0.3), study.straight(5.0, 0.6435), 5.0, (30, 34)))
+    cases.append(engines.EngineCase(study.AiryStar(1.0, 0.3), study.straight(5.0, 0.6435), 5.0, (30, 34)))
     at, rows = np.array([3.0, 20.4]), []
     made = [probes.make_probes(case, 2) for case in cases]
     for case, seen in zip(cases, made, strict=True):
@@ -244,7 +244,7 @@ def test_peers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(peers, "_version", lambda _: "1")
     monkeypatch.setattr(peers, "shutil", SimpleNamespace(which=lambda name: name))
     cases = [
-        engines.Case(shape, study.straight(n, 0.5), n, (9, 12))
+        engines.EngineCase(shape, study.straight(n, 0.5), n, (9, 12))
         for shape in study.SHAPES
         for n in (0.0, 6.0)
     ][:4:3]
@@ -331,7 +331,7 @@ def test_detection(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
                 judge.judge(labels, task.sought, seen),
             ]
     x, y = (20, 22.4, 20, 60, 70, 72, 118, 200, 2), (20, 20, 23.5, 50, 56, 50, 80, 50, 60)
-    spots = points.Found(*(np.array(v, float) for v in (x, y, range(9, 0, -1), x, y)))
+    spots = points.Detections(*(np.array(v, float) for v in (x, y, range(9, 0, -1), x, y)))
     every = np.ones(len(still), bool)
     verdicts = [judge.judge(still, w, spots) for w in (every, ~every, still.length_px > 3)]
     found += [(v, v.fragments, v.false) for v in verdicts]

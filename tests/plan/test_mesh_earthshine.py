@@ -13,9 +13,9 @@ from pipeline.errors import BadInput
 from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.facets import Facets
-from pipeline.physics.meshes.intensity import Surface, mesh_intensity, seen_areas
+from pipeline.physics.meshes.intensity import FacetSurface, mesh_intensity, seen_areas
 from pipeline.physics.meshes.lamps import wide_lamp_intensity
-from pipeline.physics.meshes.model import MeshModel, Part
+from pipeline.physics.meshes.model import MeshModel, RigidPart
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.vectors import unit
@@ -29,8 +29,8 @@ ALBEDO, ERROR = 0.3, 1e-3
 TURNED = {"kind": "nadir", "quaternion": [0.9, 0.3, -0.2, 0.1]}
 
 
-def grey(two_sided: bool = False) -> Surface:
-    return Surface(partial(brdf.lambert, albedo=ALBEDO), two_sided)
+def grey(two_sided: bool = False) -> FacetSurface:
+    return FacetSurface(partial(brdf.lambert, albedo=ALBEDO), two_sided)
 
 
 def square(side: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
@@ -55,7 +55,7 @@ def facets(corners: np.ndarray, closed: bool = False, convex: bool = False) -> F
 
 
 def mesh_body(corners: np.ndarray, convex: bool, two_sided: bool = False) -> MeshBody:
-    model = MeshModel((Part(facets(corners, convex, convex)),), (grey(two_sided),), "x")
+    model = MeshModel((RigidPart(facets(corners, convex, convex)),), (grey(two_sided),), "x")
     wish = {"kind": "mesh", "path": "x.obj", "unit": "m", "attitude": TURNED}
     return MeshBody.model_validate(wish).with_model(model, ERROR)
 
@@ -135,7 +135,7 @@ def test_seen_areas_against_light_from_the_observer() -> None:
     for direction in ([0.3, 0.2, 0.9], [0.5, -0.6, -0.4]):
         o = unit(np.array(direction))
         area, off = seen_areas(body, o, 1e-6)
-        white = Surface(partial(brdf.lambert, albedo=1.0), two_sided=True)
+        white = FacetSurface(partial(brdf.lambert, albedo=1.0), two_sided=True)
         light = mesh_intensity(body, [white], o, o, 1e-6).facet_m2_sr
         np.testing.assert_allclose(area * np.abs(body.normal @ o) / np.pi, light, rtol=1e-5)
         assert off <= 1e-6 * area.sum()

@@ -18,7 +18,7 @@ from pipeline.physics.targets.shadow import moon_m
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.sky import plan_sky, sky_tile
-from pipeline.plan.sky_light import Light
+from pipeline.plan.sky_light import LightOfSky
 from pipeline.plan.stray_light import _check, stray_parts
 from pipeline.plan.tiles import Tile
 from pipeline.prepare import gather_response
@@ -87,7 +87,7 @@ def test_grid_follows_a_steep_gradient(scene, curve):
     """Half a degree off the limb, extrapolated: every pixel against direct evaluation."""
     wish = {"pst": {"kind": "table", "path": curve}, "inside": "extrapolate", "sun": False}
     s, facts, inputs, g, sky = planned(scene, wish, at(190.0, 0.0))
-    light = Light(s, camera_of(s), facts, inputs, None)
+    light = LightOfSky(s, camera_of(s), facts, inputs, None)
     rng = np.random.default_rng(1)
     x, y = rng.uniform(-0.5, 255.5, (2, 60)).round()
     x, y = np.clip(x, 0, 255), np.clip(y, 0, 255)

@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import Damaged
-from pipeline.execute.graph import Inputs, Work, window_graph
+from pipeline.execute.graph import Inputs, WindowWork, window_graph
 from pipeline.plan.geometry import plan_geometry
 from pipeline.prepare import plan_scene, prepare, shards_of
 from pipeline.run import Options, render
@@ -119,7 +119,7 @@ def test_tasks_of_stars_alone(one_star):
     geometry = plan_geometry(plan.scene, frames, plan.dut1_s)
     shards = shards_of(plan, prepared.catalogues, geometry)
     tiles = tuple((int(f), tile) for f in frames for tile in plan.tiles)
-    work = Work(geometry, tiles, tuple(range(plan.frames)), ())
+    work = WindowWork(geometry, tiles, tuple(range(plan.frames)), ())
     inputs = prepared.inputs(CubeWriter("nowhere", ("dn",)))
 
     def counted(plan) -> Counter[str]:
@@ -169,7 +169,7 @@ def tasks(data) -> dict[str, int]:
     tiles = tuple((int(f), tile) for f in frames for tile in plan.tiles)
     truth = tuple(range(plan.frames)) if plan.scene.targets else ()
     inputs = Inputs(plan, prepared.maps, (), (), CubeWriter("nowhere", ("dn",)))
-    graph, keys = window_graph(inputs, plan, Work(geometry, tiles, (), truth), {})
+    graph, keys = window_graph(inputs, plan, WindowWork(geometry, tiles, (), truth), {})
     assert set(keys) <= set(graph)
     kinds = [key[0] for key in graph]
     return {kind: kinds.count(kind) for kind in set(kinds)}

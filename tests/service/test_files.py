@@ -22,7 +22,7 @@ from service.database import writing
 from service.jobs import Phase, Queue
 from service.problems import NotAllowed, NotReady, NotThere
 from service.settings import Settings
-from service.submissions import Ask, Limits, submit_many
+from service.submissions import Ask, TeamLimits, submit_many
 from service.tables import uploads
 from service.uploads import Uploads, check_content
 
@@ -91,7 +91,7 @@ def test_removing_and_submitting_never_cross(store: Queue, tmp_path: Path, phase
     settings.make_folders()
     files, named = Uploads(settings, store.engine), {"sensor": {"flat": f"upload:{FILE}"}}
     asks = [ask(phase, **named), ask(name=f"upload:{FILE}"), ask(phase, scene=named, axes=[])]
-    jobs = [job.id for job, _ in submit_many(store, asks, Limits())]  # type: ignore[misc]
+    jobs = [job.id for job, _ in submit_many(store, asks, TeamLimits())]  # type: ignore[misc]
     with pytest.raises(NotReady) as told:
         files.remove(RED, FILE)
     assert (jobs[0] in str(told.value), jobs[1] in str(told.value)) == (True, False)
@@ -102,11 +102,11 @@ def test_removing_and_submitting_never_cross(store: Queue, tmp_path: Path, phase
     files.remove(RED, FILE)
     with pytest.raises(NotThere):
         files.remove(RED, FILE)
-    late, plain = submit_many(store, [ask(phase, **named), ask()], Limits())
+    late, plain = submit_many(store, [ask(phase, **named), ask()], TeamLimits())
     assert isinstance(late, NotAllowed)
     assert "sensor.flat" in str(late)
     assert not isinstance(plain, Exception)
-    waiting = submit_many(store, [ask(Phase.PENDING)], Limits())[0][0]  # type: ignore[index]
+    waiting = submit_many(store, [ask(Phase.PENDING)], TeamLimits())[0][0]  # type: ignore[index]
     with pytest.raises(NotAllowed, match=r"sensor\.flat"):
         store.amend(waiting.id, scene=named)
 

@@ -21,7 +21,7 @@ from pipeline.spec.load import parse_scene
 from service.attempts import Attempt
 from service.database import connect, sqlite_url
 from service.jobs import Queue
-from service.submissions import Ask, Limits, submit_many
+from service.submissions import Ask, TeamLimits, submit_many
 from service.tables import jobs
 
 
@@ -75,7 +75,7 @@ def test_a_job_may_be_given_little_time_and_a_short_life(
         Ask("short", scene, "b", duration_s=0.5),
         Ask("gone", scene, "b", destruction_s=time.time() + 1.0),
     ]
-    (short, _), (gone, _) = submit_many(store, asks, Limits())  # type: ignore[misc]
+    (short, _), (gone, _) = submit_many(store, asks, TeamLimits())  # type: ignore[misc]
     found = server.ended(f"/v1/jobs/{short.id}")
     assert (found["phase"], "longer than" in found["error"]["message"]) == ("ABORTED", True)
     deadline = time.monotonic() + 60

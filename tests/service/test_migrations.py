@@ -18,7 +18,7 @@ import service.migrations
 from service.database import connect, writing
 from service.integrity import find_faults
 from service.jobs import Phase, Queue
-from service.submissions import Ask, Limits, submit_many
+from service.submissions import Ask, TeamLimits, submit_many
 from service.tables import HEAD, metadata
 
 SCENE = json.dumps({"sensor": {"shape": [4, 5]}, "exposure": {"frames": 3}})
@@ -74,7 +74,7 @@ def test_every_form_with_rows_becomes_the_newest(database: str) -> None:
     assert find_faults(store.engine) == []
     again = Ask(name="old", scene=json.loads(SCENE), body_sha256="b" * 64, key="key")
     new = Ask(name="new", scene={}, body_sha256="d" * 64)
-    (replayed, made), (fresh, _) = submit_many(store, [again, new], Limits())  # type: ignore[misc]
+    (replayed, made), (fresh, _) = submit_many(store, [again, new], TeamLimits())  # type: ignore[misc]
     assert (replayed.id, made) == ("a" * 32, False)
     assert fresh.number == 10
     with store.engine.connect() as db:
@@ -111,7 +111,7 @@ def test_jobs_of_the_first_form_go_along(tmp_path: Path) -> None:
     store = Queue(path)
     job = store.get("a" * 32)
     assert (job.team, job.phase, job.pixel_frames, job.damaged) == ("local", "EXECUTING", 60, False)
-    [(new, _)] = submit_many(store, [Ask("new", {}, "b")], Limits())
+    [(new, _)] = submit_many(store, [Ask("new", {}, "b")], TeamLimits())
     assert new.number == 8
     store.close()
     assert Queue(path).get("a" * 32) == job

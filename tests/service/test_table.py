@@ -25,7 +25,7 @@ from service.leases import give_up, take
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
 from service.routes.jobs import _events
 from service.settings import Settings
-from service.submissions import Ask, Intake, Limits, run_pending, submit_many, used_by
+from service.submissions import Ask, Intake, TeamLimits, run_pending, submit_many, used_by
 from service.tables import audit, jobs, uploads
 from service.uploads import Uploads
 from service.views import job_dict
@@ -38,13 +38,13 @@ def ask(key: str | None = None, team: str = "red", body: str = "b", **more: Any)
 def test_a_batch_is_one_commit_and_each_key_one_job(database: str) -> None:
     store = Queue(database)
     keys = [f"k{i % 5}" for i in range(20)]
-    answers = submit_many(store, [ask(key) for key in keys], Limits())
+    answers = submit_many(store, [ask(key) for key in keys], TeamLimits())
     found = [(job.id, made) for job, made in answers]
     assert len({job for job, _ in found}) == 5
     assert [made for _, made in found] == [i < 5 for i in range(20)]
     assert [j.number for j in store.listing((), 0, 50)] == [1, 2, 3, 4, 5]
     [again, other, blue] = submit_many(
-        store, [ask("k0"), ask("k0", body="x"), ask("k0", team="blue")], Limits()
+        store, [ask("k0"), ask("k0", body="x"), ask("k0", team="blue")], TeamLimits()
     )
     assert again == (store.get(found[0][0]), False)
     assert isinstance(other, KeyReused)
@@ -59,7 +59,7 @@ def test_many_processes_worth_of_writers(database: str) -> None:
     def work(which: int) -> list[str]:
         out = []
         for i in range(15):
-            [answer] = submit_many(stores[which], [ask(f"k{i}")], Limits())
+            [answer] = submit_many(stores[which], [ask(f"k{i}")], TeamLimits())
             out.append(answer[0].id)
         return out
 
@@ -94,12 +94,12 @@ def test_many_processes_worth_of_writers(database: str) -> None:
 def test_events_of_every_version(database: str) -> None:
     """The ninth change is followed by the tenth; who comes back is told what is new."""
     store = Queue(database)
-    [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING)], Limits())
+    [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING)], TeamLimits())
     seen: list[int] = []
 
     async def after(*_: Any) -> None:
         if len(seen) < 12:
-            store.amend(job.id, "red", Limits(), run_id=f"run-{len(seen)}")
+            store.amend(job.id, "red", TeamLimits(), run_id=f"run-{len(seen)}")
         else:
             store.delete(job.id, "red", "x")
 
@@ -125,7 +125,7 @@ def test_events_of_every_version(database: str) -> None:
 
 def test_a_job_at_work_has_a_start_and_no_end(database: str) -> None:
     store = Queue(database)
-    submit_many(store, [ask()], Limits())
+    submit_many(store, [ask()], TeamLimits())
     job = store.claim()
     assert job is not None
     told = job_dict(store.get(job.id))
@@ -138,7 +138,7 @@ def test_a_job_at_work_has_a_start_and_no_end(database: str) -> None:
 
 def test_quotas(database: str) -> None:
     store = Queue(database)
-    limits = Limits(queued_jobs=3, pixel_frames_day=100, bytes_kept=50)
+    limits = TeamLimits(queued_jobs=3, pixel_frames_day=100, bytes_kept=50)
     answers = submit_many(store, [ask() for _ in range(5)], limits)
     assert [isinstance(a, QueueFull) for a in answers] == [False] * 3 + [True] * 2
     [other] = submit_many(store, [ask(team="blue", pixel_frames=90)], limits)
@@ -165,15 +165,15 @@ def test_quotas(database: str) -> None:
 
 def test_pending_jobs_are_amended_and_run_once(database: str) -> None:
     store = Queue(database)
-    [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING)], Limits())
+    [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING)], TeamLimits())
     store.amend(job.id, "red", scene={"b": 2}, name="new", run_id="mine")
     assert (store.scene(job.id), store.get(job.id).run_id) == ({"b": 2}, "mine")
     assert store.claim() is None
     with pytest.raises(NotThere):
-        run_pending(store, job.id, Limits(), "blue", "x")
-    assert run_pending(store, job.id, Limits(), "red", "x").phase == Phase.QUEUED
+        run_pending(store, job.id, TeamLimits(), "blue", "x")
+    assert run_pending(store, job.id, TeamLimits(), "red", "x").phase == Phase.QUEUED
     with pytest.raises(NotReady):
-        run_pending(store, job.id, Limits(), "red", "x")
+        run_pending(store, job.id, TeamLimits(), "red", "x")
     with pytest.raises(NotReady):
         store.amend(job.id, "red", scene={"c": 3})
     store.amend(job.id, "red", destruction_s=1.0)
@@ -183,14 +183,14 @@ def test_pending_jobs_are_amended_and_run_once(database: str) -> None:
 
 def test_a_pending_job_does_not_stand_in_its_own_way(database: str) -> None:
     """A full quota counts the job that asks to run; one more than the quota is refused."""
-    store, limits = Queue(database), Limits(queued_jobs=2)
+    store, limits = Queue(database), TeamLimits(queued_jobs=2)
     [(first, _), (second, _)] = submit_many(
         store, [ask(phase=Phase.PENDING) for _ in range(2)], limits
     )
     assert isinstance(submit_many(store, [ask()], limits)[0], QueueFull)
     for job in (first, second):
         assert run_pending(store, job.id, limits, "red", "x").phase == Phase.QUEUED
-    [(third, _)] = submit_many(store, [ask(phase=Phase.PENDING)], Limits())
+    [(third, _)] = submit_many(store, [ask(phase=Phase.PENDING)], TeamLimits())
     with pytest.raises(QueueFull):
         run_pending(store, third.id, limits, "red", "x")
     assert store.get(third.id).phase == Phase.PENDING
@@ -199,7 +199,7 @@ def test_a_pending_job_does_not_stand_in_its_own_way(database: str) -> None:
 
 def test_a_pending_job_grows_within_the_quota(database: str) -> None:
     """A larger scene counts as asked for, by what it is larger; one that is too large stays out."""
-    store, limits = Queue(database), Limits(pixel_frames_day=100)
+    store, limits = Queue(database), TeamLimits(pixel_frames_day=100)
     [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING, pixel_frames=40)], limits)
     with pytest.raises(QueueFull, match="this is 101"):
         store.amend(job.id, "red", limits, scene={"b": 2}, pixel_frames=101)
@@ -215,7 +215,7 @@ def test_a_pending_job_grows_within_the_quota(database: str) -> None:
 def test_a_deleted_job_is_not_overdue(database: str) -> None:
     """Its time of destruction came, and it is deleted already: nothing is left to be done."""
     store = Queue(database)
-    [(job, _), (kept, _)] = submit_many(store, [ask(destruction_s=1.0) for _ in range(2)], Limits())
+    [(job, _), (kept, _)] = submit_many(store, [ask(destruction_s=1.0) for _ in range(2)], TeamLimits())
     assert sorted(store.overdue()) == sorted([job.id, kept.id])
     store.delete(job.id, "red")
     assert store.overdue() == [kept.id]
@@ -225,7 +225,7 @@ def test_a_deleted_job_is_not_overdue(database: str) -> None:
 
 def test_files_of_a_team_count_in_what_it_keeps(database: str) -> None:
     """Products and uploads together are held against the quota; another team's are not."""
-    store, limits = Queue(database), Limits(bytes_kept=100)
+    store, limits = Queue(database), TeamLimits(bytes_kept=100)
     with store.engine.begin() as db:
         for team, size in (("red", 60), ("blue", 5000)):
             row = {"team": team, "id": "a.npy", "name": "a.npy", "bytes": size, "created_s": 0.0}
@@ -265,7 +265,7 @@ def test_bytes_that_two_teams_uploaded_stay_for_the_other(database: str, tmp_pat
 
 def test_the_lease_has_one_holder(database: str) -> None:
     store = Queue(database)
-    submit_many(store, [ask()], Limits())
+    submit_many(store, [ask()], TeamLimits())
     assert take(store.engine, "one", 60)
     assert not take(store.engine, "two", 60)
     assert store.claim(holder="two") is None
@@ -283,7 +283,7 @@ def test_the_lease_has_one_holder(database: str) -> None:
 
 def test_teams_take_turns(database: str) -> None:
     store = Queue(database)
-    submit_many(store, [ask() for _ in range(4)] + [ask(team="blue")], Limits())
+    submit_many(store, [ask() for _ in range(4)] + [ask(team="blue")], TeamLimits())
     turns: dict[str, float] = {}
     order = []
     for i in range(5):
@@ -294,14 +294,14 @@ def test_teams_take_turns(database: str) -> None:
     assert [job.team for job in order][:3] == ["red", "blue", "red"]
     store.close()
     store = Queue(database)
-    submit_many(store, [ask() for _ in range(2)], Limits())
+    submit_many(store, [ask() for _ in range(2)], TeamLimits())
     assert store.claim([j.id for j in order], team_limit=4) is None
     store.close()
 
 
 def test_audit_only_grows(database: str) -> None:
     store = Queue(database)
-    [(job, _)] = submit_many(store, [ask()], Limits())
+    [(job, _)] = submit_many(store, [ask()], TeamLimits())
     store.forget(job.id)  # one that nobody deleted stays
     store.cancel(job.id, "red", "key:ann")
     store.delete(job.id, "red", "key:ann")
@@ -331,7 +331,7 @@ DAMAGE: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("values", DAMAGE.values(), ids=DAMAGE.keys())
 def test_a_damaged_row_is_named_and_never_run(database: str, values: dict[str, Any]) -> None:
     store = Queue(database)
-    [(job, _), (whole, _)] = submit_many(store, [ask(), ask()], Limits())
+    [(job, _), (whole, _)] = submit_many(store, [ask(), ask()], TeamLimits())
     with store.engine.begin() as db:
         db.execute(sa.update(jobs).where(jobs.c.id == job.id).values(**values))
     faults = find_faults(store.engine)
@@ -353,7 +353,7 @@ def test_a_damaged_row_is_named_and_never_run(database: str, values: dict[str, A
 
 def test_a_missing_row_is_named(database: str) -> None:
     store = Queue(database)
-    [(job, _), _] = submit_many(store, [ask(), ask()], Limits())
+    [(job, _), _] = submit_many(store, [ask(), ask()], TeamLimits())
     with store.engine.begin() as db:
         db.execute(sa.delete(jobs).where(jobs.c.id == job.id))
     assert [fault.job for fault in find_faults(store.engine)] == [job.id]
@@ -363,7 +363,7 @@ def test_a_missing_row_is_named(database: str) -> None:
 def test_damaged_pages_are_named(tmp_path: Path) -> None:
     """Every page of the file overwritten, one at a time: named, or the answers are still right."""
     store = Queue(tmp_path / "jobs.sqlite")
-    submit_many(store, [ask(f"k{i}") for i in range(20)], Limits())
+    submit_many(store, [ask(f"k{i}") for i in range(20)], TeamLimits())
     before = [job.id for job in store.listing((), 0, 100)]
     with store.engine.connect() as db:
         db.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -395,7 +395,7 @@ def test_damaged_pages_are_named(tmp_path: Path) -> None:
 
 def test_an_intake_serves_many_with_few_commits(database: str) -> None:
     store = Queue(database)
-    intake = Intake(store, Limits(queued_jobs=250))
+    intake = Intake(store, TeamLimits(queued_jobs=250))
 
     async def work() -> list[Any]:
         intake.start()
@@ -439,7 +439,7 @@ class JobMachine(RuleBasedStateMachine):
     @rule(pending=st.booleans(), team=st.sampled_from(["red", "blue"]))
     def submit(self, pending: bool, team: str) -> None:
         phase = Phase.PENDING if pending else Phase.QUEUED
-        [(job, made)] = submit_many(self.store, [ask(team=team, phase=phase)], Limits())
+        [(job, made)] = submit_many(self.store, [ask(team=team, phase=phase)], TeamLimits())
         assert made
         self.known[job.id] = self.store.get(job.id)
 
@@ -450,7 +450,7 @@ class JobMachine(RuleBasedStateMachine):
             return
         job_id, team = ids[which], self.known[ids[which]].team
         if action == "run":
-            self._try(run_pending, self.store, job_id, Limits(), team, "x")
+            self._try(run_pending, self.store, job_id, TeamLimits(), team, "x")
         elif action == "amend":
             self._try(self.store.amend, job_id, team, run_id="r")
         else:

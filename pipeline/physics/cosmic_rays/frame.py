@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.physics.cosmic_rays.deposit import add_tracks
 from pipeline.physics.cosmic_rays.library import (
-    Placed,
+    PlacedEvents,
     Recorded,
     add_events,
     expected_count,
@@ -91,7 +91,7 @@ def no_truth() -> dict[str, Any]:
     return truth_columns(none, 0, 0)
 
 
-def _recorded(rays: Recorded, placed: Placed, frame: int, electrons: Array) -> dict[str, Any]:
+def _recorded(rays: Recorded, placed: PlacedEvents, frame: int, electrons: Array) -> dict[str, Any]:
     seen = np.flatnonzero(electrons > 0.0)
     number = placed.number[seen]
     left, right, top, bottom = (b[number] for b in rays.library.boxes())

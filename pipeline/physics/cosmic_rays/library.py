@@ -76,7 +76,7 @@ class Recorded:
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedEvents:
     """Library events on a frame, (n,): which one, and by how much it is moved [px]."""
 
     number: Whole
@@ -108,15 +108,15 @@ def expected_count(r: Recorded) -> float:
     return mean_count(r) * (r.rows + height) * (r.columns + width) / (r.rows * r.columns)
 
 
-def place_events(r: Recorded, frame: int, key: tuple[int, int]) -> Placed:
+def place_events(r: Recorded, frame: int, key: tuple[int, int]) -> PlacedEvents:
     """The library events of a frame, from its stream alone."""
     if not len(r.library):
         none = np.empty(0, np.int64)
-        return Placed(none, none, none)
+        return PlacedEvents(none, none, none)
     return _whole_frames(r, frame, key) if r.arrival == "frames" else _singly(r, frame, key)
 
 
-def _singly(r: Recorded, frame: int, key: tuple[int, int]) -> Placed:
+def _singly(r: Recorded, frame: int, key: tuple[int, int]) -> PlacedEvents:
     """A Poisson number of events, each any of the library, anywhere it touches the frame."""
     left, right, top, bottom = r.library.boxes()
     width, height = int((right - left).max()), int((bottom - top).max())
@@ -126,10 +126,10 @@ def _singly(r: Recorded, frame: int, key: tuple[int, int]) -> Placed:
     x = np.floor(u[1] * (r.columns + width)).astype(np.int64) - width
     y = np.floor(u[2] * (r.rows + height)).astype(np.int64) - height
     touch = (x + (right - left)[number] >= 0) & (y + (bottom - top)[number] >= 0)
-    return Placed(number[touch], (x - left[number])[touch], (y - top[number])[touch])
+    return PlacedEvents(number[touch], (x - left[number])[touch], (y - top[number])[touch])
 
 
-def _whole_frames(r: Recorded, frame: int, key: tuple[int, int]) -> Placed:
+def _whole_frames(r: Recorded, frame: int, key: tuple[int, int]) -> PlacedEvents:
     """Whole frames: recorded frames drawn at random, with all of their events or none.
 
     Their number is rate_scale times the exposure over that of a recorded frame; a fraction is one
@@ -150,7 +150,7 @@ def _whole_frames(r: Recorded, frame: int, key: tuple[int, int]) -> Placed:
     dx = _offsets(lib.shape[1], r.columns)
     dy = _offsets(lib.shape[0], r.rows)
     gx, gy = (g.ravel() for g in np.meshgrid(dx, dy))
-    return Placed(np.repeat(number, len(gx)), np.tile(gx, len(number)), np.tile(gy, len(number)))
+    return PlacedEvents(np.repeat(number, len(gx)), np.tile(gx, len(number)), np.tile(gy, len(number)))
 
 
 def _offsets(recorded: int, wanted: int) -> Whole:
@@ -161,7 +161,7 @@ def _offsets(recorded: int, wanted: int) -> Whole:
 
 
 def add_events(
-    image_e: Array | None, placed: Placed, r: Recorded, place: tuple[int, int, int, int]
+    image_e: Array | None, placed: PlacedEvents, r: Recorded, place: tuple[int, int, int, int]
 ) -> Array:
     """Add placed events to an image in place; electrons (n,) of each inside the rectangle.
 

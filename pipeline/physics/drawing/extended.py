@@ -38,7 +38,7 @@ ERROR_STEPS = 256  # of the frequency integral of `point_error`, along each half
 
 
 @dataclass(frozen=True)
-class Block:
+class BodyBlock:
     """A square of the body: its first row and column and its sides, whole pixels."""
 
     y0_px: int
@@ -62,7 +62,7 @@ def block_side(core: Core) -> int:
     return int(2 ** np.ceil(np.log2(least)))
 
 
-def body_blocks(body: Appearance, side_px: int, near: Box = EVERYWHERE) -> tuple[Block, ...]:
+def body_blocks(body: Appearance, side_px: int, near: Box = EVERYWHERE) -> tuple[BodyBlock, ...]:
     """The blocks that a body is drawn in: one of its own size if small, else squares of a side.
 
     Those that do not touch `near` are left out; the others do not depend on it.
@@ -73,19 +73,19 @@ def body_blocks(body: Appearance, side_px: int, near: Box = EVERYWHERE) -> tuple
     return _squares(whole, side_px, near)
 
 
-def _around(body: Appearance) -> Block:
+def _around(body: Appearance) -> BodyBlock:
     """Whole pixels around a body."""
     y0, y1, x0, x1 = body.box
     top, left = int(np.floor(y0)), int(np.floor(x0))
-    return Block(top, left, int(np.ceil(y1)) - top, int(np.ceil(x1)) - left)
+    return BodyBlock(top, left, int(np.ceil(y1)) - top, int(np.ceil(x1)) - left)
 
 
-def _squares(whole: Block, side: int, near: Box = EVERYWHERE) -> tuple[Block, ...]:
+def _squares(whole: BodyBlock, side: int, near: Box = EVERYWHERE) -> tuple[BodyBlock, ...]:
     """A block cut into squares from its first corner on."""
     top, bottom = _steps(whole.y0_px, whole.rows, side, near[0], near[1])
     left, right = _steps(whole.x0_px, whole.columns, side, near[2], near[3])
     return tuple(
-        Block(whole.y0_px + i * side, whole.x0_px + j * side, side, side)
+        BodyBlock(whole.y0_px + i * side, whole.x0_px + j * side, side, side)
         for i in range(top, bottom)
         for j in range(left, right)
     )
@@ -108,7 +108,7 @@ def core_band(spectrum: Spectrum, core: Core, period: tuple[int, int]) -> float:
 
 
 def block_spectrum(
-    body: Appearance, block: Block, oversampling: int, period: tuple[int, int], band_per_px: float
+    body: Appearance, block: BodyBlock, oversampling: int, period: tuple[int, int], band_per_px: float
 ) -> Spectrum | None:
     """Fourier transform of a block of a body about the block's middle; None where it is dark.
 

@@ -23,7 +23,7 @@ FINE_SAMPLES = 1024  # cores up to this size get cells half as wide as their sam
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class TransferBand:
     """|transfer| of a streaked response in cells of frequency.
 
     fy (n,), fx (m,) : middles of the cells [cycles/px], rising from 0
@@ -76,7 +76,7 @@ def roll_off(f: Array, limit: float) -> Array:
     return taper(np.abs(f), ROLL_FROM * limit, limit)
 
 
-def band_of(core: Core, path: Path, longest_px: float) -> Band:
+def band_of(core: Core, path: Path, longest_px: float) -> TransferBand:
     """Cells of frequency of a core swept along a path that is cut at `longest_px`."""
     os, n = core.oversampling, core.samples.shape[0]
     size = scipy.fft.next_fast_len(2 * n if n <= FINE_SAMPLES else n, real=True)
@@ -91,7 +91,7 @@ def band_of(core: Core, path: Path, longest_px: float) -> Band:
     width = step * -(-fx.size // MOST_CELLS)
     fy, amount = _merged(np.abs(fy), amount, width)
     fx, turned = _merged(fx, amount.T, width)
-    return Band(fy, fx, np.ascontiguousarray(turned.T))
+    return TransferBand(fy, fx, np.ascontiguousarray(turned.T))
 
 
 def _merged(f: Array, amount: Array, width: float) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
-from pipeline.physics.drawing.spectral_band import Band, band_of
+from pipeline.physics.drawing.spectral_band import TransferBand, band_of
 from pipeline.physics.drawing.spectral_spread import Kernel
 from pipeline.physics.motion.streak import Path, half_extent_px, pieces
 from pipeline.physics.psf.response import Core
@@ -200,7 +200,7 @@ class _Need:
 
     shape: Pair
     reach: tuple[float, float]
-    band: Band
+    band: TransferBand
     longest_px: float
     single: bool
 

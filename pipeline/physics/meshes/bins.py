@@ -15,7 +15,7 @@ MOST_BINS = 512  # along one side
 ENTRIES = 6  # per facet on average, at most: else fewer bins
 
 
-class Bins(NamedTuple):
+class FacetBins(NamedTuple):
     """Facets of a mesh seen along a direction.
 
     flat_m : (F, 3, 3) corners as x, y on the plane and height towards the viewer
@@ -45,7 +45,7 @@ def plane_axes(direction: Array) -> Array:
     return np.stack([x, np.cross(z, x), z])
 
 
-def binned(corners_m: Array, axes: Array, hides: NDArray[np.bool_]) -> Bins:
+def binned(corners_m: Array, axes: Array, hides: NDArray[np.bool_]) -> FacetBins:
     """Facets (F, 3, 3) in bins across the rows x and y of `axes` (3, 3), z towards the viewer.
 
     hides : (F,) the facets that go into bins
@@ -62,7 +62,7 @@ def binned(corners_m: Array, axes: Array, hides: NDArray[np.bool_]) -> Bins:
             break
         count /= 4.0
     facet = _fill(low, high, hides, x0, y0, side, columns, many)
-    return Bins(flat, low, high, many, facet, x0, y0, side, rows, columns)
+    return FacetBins(flat, low, high, many, facet, x0, y0, side, rows, columns)
 
 
 @njit(cache=True, nogil=True)

@@ -16,7 +16,7 @@ CORNERS = 4  # of a triangle cut by a plane, at most
 STACK = 64  # pieces that wait: one for each level of halving, and some
 
 
-class Work(NamedTuple):
+class CoverBuffers(NamedTuple):
     """Room for a facet (row 0) and the convex polygons that cover it (rows 1 ...).
 
     x, y : (n, 4) corners; size : (n,) how many; low, high : (n,) range of y
@@ -41,7 +41,7 @@ class Work(NamedTuple):
 def room_for(facets):
     """Work for a mesh of so many facets: each may cover another one twice."""
     n = 2 * facets + 2
-    return Work(
+    return CoverBuffers(
         np.empty((n, CORNERS)), np.empty((n, CORNERS)), np.empty(n, np.int64), np.empty(n),
         np.empty(n), np.full(facets, -1, np.int64), np.empty(n, np.int64), np.empty(n + 1),
         np.empty(n + 1), np.empty((STACK, 5)), np.empty(STACK, np.int64),

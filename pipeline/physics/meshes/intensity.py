@@ -35,7 +35,7 @@ class Brdf(Protocol):
 
 
 @dataclass(frozen=True)
-class Surface:
+class FacetSurface:
     """How a kind of facet reflects.
 
     two_sided : a facet's back reflects like its front; else it is black
@@ -62,7 +62,7 @@ class MeshLight:
 
 def mesh_intensity(
     facets: Facets,
-    surfaces: Sequence[Surface],
+    surfaces: Sequence[FacetSurface],
     sun: ArrayLike,
     observer: ArrayLike,
     error: float = 1e-3,
@@ -126,7 +126,7 @@ def seen_areas(facets: Facets, observer: ArrayLike, error: float = 1e-3) -> tupl
 def facet_weights(
     normal: Array,
     surface_of: NDArray[np.int64],
-    surfaces: Sequence[Surface],
+    surfaces: Sequence[FacetSurface],
     sun: Array,
     observer: Array,
     sun_radius_rad: float = 0.0,

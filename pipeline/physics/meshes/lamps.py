@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.physics.meshes.facets import Facets
-from pipeline.physics.meshes.intensity import Surface, facet_weights, mesh_intensity, seen_areas
+from pipeline.physics.meshes.intensity import (
+    FacetSurface,
+    facet_weights,
+    mesh_intensity,
+    seen_areas,
+)
 
 Array = NDArray[np.float64]
 Lamps = tuple[Array, Array]
@@ -20,7 +25,7 @@ COARSEST = 0.02  # of one part's light: what its shadows may err by at most
 
 def wide_lamp_intensity(
     facets: Facets,
-    surfaces: Sequence[Surface],
+    surfaces: Sequence[FacetSurface],
     lamp: Callable[[int], Lamps],
     observer: ArrayLike,
     error: float = 1e-3,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.physics.meshes.facets import Facets, together
-from pipeline.physics.meshes.intensity import Surface, mesh_intensity
+from pipeline.physics.meshes.intensity import FacetSurface, mesh_intensity
 from pipeline.physics.vectors import rotate_about, unit
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class RigidPart:
     """A rigid part: x_parent = rotation x_part + place_m, x_part after the joint's turn.
 
     on : number of the part that carries it, an earlier one; None: the body's frame
@@ -56,8 +56,8 @@ class MeshModel:
     digest : of the files and everything else that shapes the light
     """
 
-    parts: tuple[Part, ...]
-    surfaces: tuple[Surface, ...]
+    parts: tuple[RigidPart, ...]
+    surfaces: tuple[FacetSurface, ...]
     digest: str = ""
     notices: tuple[str, ...] = ()
 

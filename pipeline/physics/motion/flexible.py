@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.physics.motion.linear_system import (
-    Step,
+    LinearStep,
     bridge,
     discretise,
     factor,
@@ -92,7 +92,7 @@ def _output(axis: int, states: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Split:
+class ModeSplit:
     """What of a mode becomes path, and what blur, between nodes `step_s` apart.
 
     c_slow : (3, n) output that is followed from node to node; variance : (3,) of the rest, blur;
@@ -104,7 +104,7 @@ class Split:
     mean_variance: Array
 
 
-def split(mode: Mode, step_s: float, exposure_s: float) -> Split:
+def split(mode: Mode, step_s: float, exposure_s: float) -> ModeSplit:
     """Slow and fast part of a mode, told by its eigenvalues; the variance that lines lose is blur.
 
     An eigenvalue is fast if it turns by more than FAST_TURN_RAD between nodes, or decays by more
@@ -127,7 +127,7 @@ def split(mode: Mode, step_s: float, exposure_s: float) -> Split:
     change = c_slow @ step.change
     moved = np.einsum("ij,jk,ik->i", change, mode.start, change)
     moved += np.einsum("ij,jk,ik->i", c_slow, step.noise, c_slow)
-    return Split(c_slow, variance + moved / 6.0, mean)
+    return ModeSplit(c_slow, variance + moved / 6.0, mean)
 
 
 def mean_variance(mode: Mode, c: Array, exposure_s: float) -> Array:
@@ -184,7 +184,7 @@ def between(
     return out
 
 
-def _half(mode: Mode, span_s: float, stride: int, levels: int) -> Step:
+def _half(mode: Mode, span_s: float, stride: int, levels: int) -> LinearStep:
     return discretise(mode.a, mode.b, 0.5 * span_s * stride / 2**levels)
 
 

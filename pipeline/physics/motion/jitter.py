@@ -71,7 +71,7 @@ def table(frequency_hz: Array, density: Array) -> Spectrum:
 
 
 @dataclass(frozen=True, eq=False)
-class Bins:
+class SpectrumBins:
     """A spectrum in bins of frequency: edges (n + 1,) [Hz], variance (n,) [rad^2] of each."""
 
     edge_hz: Array
@@ -82,7 +82,7 @@ class Bins:
         return 0.5 * (self.edge_hz[1:] + self.edge_hz[:-1])
 
 
-def bins_of(spectrum: Spectrum, split_hz: float) -> Bins:
+def bins_of(spectrum: Spectrum, split_hz: float) -> SpectrumBins:
     """Bins of a spectrum, `split_hz` among their edges; variances by 8-point Gauss-Legendre."""
     low, high = spectrum.low_hz, spectrum.high_hz
     octaves = np.log2(high / low)
@@ -95,7 +95,7 @@ def bins_of(spectrum: Spectrum, split_hz: float) -> Bins:
     variance = half * (spectrum.density(middle[:, None] + half[:, None] * node) @ weight)
     if spectrum.rms_rad is not None:
         variance = variance * (spectrum.rms_rad**2 / variance.sum())
-    return Bins(edge, variance)
+    return SpectrumBins(edge, variance)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class FastPart:
     scatter: float
 
 
-def fast_part(bins: Bins, split_hz: float, exposure_s: float) -> FastPart:
+def fast_part(bins: SpectrumBins, split_hz: float, exposure_s: float) -> FastPart:
     """The part of a spectrum above `split_hz`, for exposures of `exposure_s`.
 
     The mean of a wave over T is at most 1 / (pi f T) of it (half of that squared on average over
@@ -147,7 +147,7 @@ class Waves:
         return out
 
 
-def waves(bins: Bins, split_hz: float, normals: Array, shares: Array) -> Waves:
+def waves(bins: SpectrumBins, split_hz: float, normals: Array, shares: Array) -> Waves:
     """A random run of the part below `split_hz`: one wave a bin, Gaussian in each moment.
 
     normals : (bins, 4) standard normal draws; shares : (bins,) in (0, 1), where in its bin a wave
@@ -161,7 +161,7 @@ def waves(bins: Bins, split_hz: float, normals: Array, shares: Array) -> Waves:
     return Waves(f[keep], draws[keep, :2], draws[keep, 2:])
 
 
-def slow_loss(bins: Bins, split_hz: float, step_s: float) -> float:
+def slow_loss(bins: SpectrumBins, split_hz: float, step_s: float) -> float:
     """Variance [rad^2] of the slow part that straight lines between nodes lose, on average.
 
     A wave loses (1 - cos w h) / 3 of its variance between nodes h apart.

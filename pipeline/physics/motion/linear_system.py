@@ -14,7 +14,7 @@ SETTLED = 1e-18  # of a transition's size, where the covariance no longer grows
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class LinearStep:
     """x(t + h) = (1 + change) x(t) + noise of the covariance `noise`: (n, n) each.
 
     The change is kept instead of the transition, so that slow states keep their digits in steps
@@ -28,14 +28,14 @@ class Step:
     def transition(self) -> Array:
         return np.eye(len(self.change)) + self.change
 
-    def doubled(self) -> Step:
+    def doubled(self) -> LinearStep:
         """The step of twice the length."""
         phi = self.transition
         noise = self.noise + phi @ self.noise @ phi.T
-        return Step(2.0 * self.change + self.change @ self.change, 0.5 * (noise + noise.T))
+        return LinearStep(2.0 * self.change + self.change @ self.change, 0.5 * (noise + noise.T))
 
 
-def discretise(a: Array, b: Array, step_s: float) -> Step:
+def discretise(a: Array, b: Array, step_s: float) -> LinearStep:
     """The exact step of a system over `step_s` >= 0 seconds: a (n, n), b (n, m), unit white noise.
 
     Van Loan (1978, IEEE Trans. AC-23, 395): the exponential of [[-A, B B^T], [0, A^T]] h holds
@@ -47,7 +47,7 @@ def discretise(a: Array, b: Array, step_s: float) -> Step:
 
     n = len(a)
     if step_s == 0.0 or n == 0:
-        return Step(np.zeros((n, n)), np.zeros((n, n)))
+        return LinearStep(np.zeros((n, n)), np.zeros((n, n)))
     _, (scale, _) = matrix_balance(a, permute=False, separate=True)
     a = a / scale[:, None] * scale
     b = b / scale[:, None]
@@ -58,10 +58,10 @@ def discretise(a: Array, b: Array, step_s: float) -> Step:
     whole = expm(block)
     phi = whole[n:, n:].T
     noise = phi @ whole[:n, n:]
-    step = Step(_exponential_less_one(a * h), 0.5 * (noise + noise.T))
+    step = LinearStep(_exponential_less_one(a * h), 0.5 * (noise + noise.T))
     for _ in range(doublings):
         step = step.doubled()
-    return Step(step.change * scale[:, None] / scale, step.noise * np.outer(scale, scale))
+    return LinearStep(step.change * scale[:, None] / scale, step.noise * np.outer(scale, scale))
 
 
 def _exponential_less_one(a: Array) -> Array:
@@ -111,7 +111,7 @@ class Bridge:
     spread: Array
 
 
-def bridge(half: Step) -> Bridge:
+def bridge(half: LinearStep) -> Bridge:
     """The state in the middle of two steps, given those at its ends: exact for Gaussian systems.
 
     With Phi and Q of half the way, S = Phi Q Phi^T + Q and G = Q Phi^T S^+: the mean is Phi x0 +

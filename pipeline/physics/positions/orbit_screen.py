@@ -33,7 +33,7 @@ _SPEED_ROOM = 1.01  # SGP4's velocity is the derivative of its place to 1e-3
 
 
 @dataclass(frozen=True)
-class Screened:
+class ScreenResult:
     """inside : indices of satellites that may come into the cone; failed : SGP4 ended for them,
     at any moment looked at: those are not among `inside`.
 
@@ -55,7 +55,7 @@ def screen_cone(
     half_angle_rad: float,
     boresight_turn_rad_s: float = 0.0,
     observer_pull_m_s2: float = 9.9,
-) -> Screened:
+) -> ScreenResult:
     """Satellites whose apparent direction comes within a cone about the boresight.
 
     A satellite may move from its place at an interval's middle by at most
@@ -98,7 +98,7 @@ def screen_cone(
     _refine(satellites, since_s, sky, (np.concatenate(who), np.concatenate(when), half),
             inside, codes)  # fmt: skip
     failed = np.flatnonzero(codes != _WHOLE)
-    return Screened(np.flatnonzero(inside & (codes == _WHOLE)), failed, codes[failed])
+    return ScreenResult(np.flatnonzero(inside & (codes == _WHOLE)), failed, codes[failed])
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ LIGHT_NODES = 4096
 
 
 @dataclass(frozen=True)
-class Vanes:
+class SpiderVanes:
     """Straight vanes from the centre to the rim, at equal angles.
 
     width : over the aperture's diameter; angle_rad : of the first, from +x towards +y
@@ -44,7 +44,7 @@ class Vanes:
 
 
 @dataclass(frozen=True)
-class Lattice:
+class ApertureLattice:
     """What vanes and wavefront change in the transfer function of an annulus.
 
     values : (2 cells + 1, cells + 1) at shifts of whole cells, rows -cells ... cells, columns
@@ -73,15 +73,15 @@ class Pupil:
 
     q_px: float
     obscuration: float = 0.0
-    vanes: Vanes | None = None
+    vanes: SpiderVanes | None = None
     waves: Terms = ()
 
     @property
-    def _shape(self) -> Lattice:
+    def _shape(self) -> ApertureLattice:
         return lattice(self.obscuration, self.vanes, self.waves)
 
     @property
-    def _traits(self) -> Lattice:
+    def _traits(self) -> ApertureLattice:
         return _traits(self.obscuration, self.vanes, self.waves)
 
     @property
@@ -153,7 +153,7 @@ class Pupil:
 
 
 @lru_cache(maxsize=24)  # the wavelengths of a band are at most 20
-def lattice(obscuration: float, vanes: Vanes | None, waves: Terms, cells: int = CELLS) -> Lattice:
+def lattice(obscuration: float, vanes: SpiderVanes | None, waves: Terms, cells: int = CELLS) -> ApertureLattice:
     """Sample the pupil, correlate it with itself, and subtract the plain annulus."""
     at = (np.arange(cells) + 0.5) / cells - 0.5  # in diameters
     y, x = at[:, None], at[None, :]
@@ -179,11 +179,11 @@ def lattice(obscuration: float, vanes: Vanes | None, waves: Terms, cells: int = 
     values.setflags(write=False)
     edge = _edges(obscuration, vanes) / (np.pi * area)
     open_fraction = area * cells**2 / float(plain.sum())
-    return Lattice(cells, values, open_fraction, edge, steepest * cells)
+    return ApertureLattice(cells, values, open_fraction, edge, steepest * cells)
 
 
 @lru_cache(maxsize=256)
-def _traits(obscuration: float, vanes: Vanes | None, waves: Terms) -> Lattice:
+def _traits(obscuration: float, vanes: SpiderVanes | None, waves: Terms) -> ApertureLattice:
     """The lattice without its values, which are 8 MB each."""
     return replace(lattice(obscuration, vanes, waves), values=np.zeros((0, 0)))
 
@@ -202,7 +202,7 @@ def _correlate(field: NDArray[np.complex128] | Array, area: float) -> Transfer:
 
 
 @lru_cache(maxsize=256)
-def _light(obscuration: float, vanes: Vanes | None, waves: Terms) -> Callable[[float], float]:
+def _light(obscuration: float, vanes: SpiderVanes | None, waves: Terms) -> Callable[[float], float]:
     """Light beyond a radius in units of Q, up to FARTHEST_Q."""
     one = Pupil(1.0, obscuration, vanes, waves)
     f = np.linspace(0.0, 1.0, LIGHT_NODES)
@@ -214,7 +214,7 @@ def _light(obscuration: float, vanes: Vanes | None, waves: Terms) -> Callable[[f
     return light_table(mtf, 1.0, 1.0, FARTHEST_Q)
 
 
-def _edges(obscuration: float, vanes: Vanes | None) -> float:
+def _edges(obscuration: float, vanes: SpiderVanes | None) -> float:
     """Length of all edges of the pupil, in diameters."""
     rims = np.pi * (1.0 + obscuration)
     return float(rims if vanes is None else rims + vanes.count * (1.0 - obscuration))
@@ -228,7 +228,7 @@ def _disc(y: Array, x: Array, radius: float, cells: int) -> Array:
     return _covered(radius - r, x / r, y / r, cells)
 
 
-def _blocked(y: Array, x: Array, vanes: Vanes, cells: int) -> Array:
+def _blocked(y: Array, x: Array, vanes: SpiderVanes, cells: int) -> Array:
     """Share of each cell behind vanes."""
     clear = np.ones(np.broadcast_shapes(y.shape, x.shape))
     for k in range(vanes.count):

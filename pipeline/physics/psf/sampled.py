@@ -68,7 +68,7 @@ class Sampled:
         return out.reshape(fy.shape)
 
     @property
-    def band(self) -> Band:
+    def band(self) -> SampledBand:
         """Where the table's detail ends, and what cutting there costs."""
         return _band(self)
 
@@ -112,7 +112,7 @@ class Sampled:
 
 
 @dataclass(frozen=True)
-class Band:
+class SampledBand:
     """The band of a table.
 
     limit : frequency beyond which it is taken as empty [cycles/px]
@@ -132,7 +132,7 @@ class Band:
 
 
 @dataclass(frozen=True)
-class Lattice:
+class SampleLattice:
     """A fine transform of the samples about sample (ny // 2, nx // 2), for reading in between.
 
     values : rows from row0 along fy, columns from -WIDTH along fx
@@ -210,7 +210,7 @@ def _rings(table: Sampled) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=8)
-def _band(table: Sampled) -> Band:
+def _band(table: Sampled) -> SampledBand:
     """The smallest band beyond which no more than LEFT_OUT is lost, from a plain transform.
 
     Where that is finer than FINE_BAND more is lost, up to MOST_LEFT_OUT: sources of which it would
@@ -247,11 +247,11 @@ def _band(table: Sampled) -> Band:
         BETWEEN * float(np.abs(scipy.fft.irfft2(part, s=(ny, nx))).max()) / h**2
         for part in (rest * square, rest)
     )
-    return Band(limit, left, bare, nyquist, largest * table.light, step)
+    return SampledBand(limit, left, bare, nyquist, largest * table.light, step)
 
 
 @lru_cache(maxsize=4)
-def _spectrum(table: Sampled) -> Lattice:
+def _spectrum(table: Sampled) -> SampleLattice:
     """Transform of the samples over the kernel's own transform, cropped to the band."""
     ny, nx = table.samples.shape
     period = tuple(scipy.fft.next_fast_len(max(FINER * n, 4 * WIDTH), real=True) for n in (ny, nx))
@@ -276,7 +276,7 @@ def _spectrum(table: Sampled) -> Lattice:
     column = np.where(turned, -kx, kx) % period[1]
     values = spectrum[np.ix_(ky % period[0], np.where(turned, 0, column))]
     values[:, turned] = np.conj(spectrum[np.ix_(-ky % period[0], column[turned])])
-    return Lattice(values, -half_y, (period[0], period[1]))
+    return SampleLattice(values, -half_y, (period[0], period[1]))
 
 
 def _kernel_transform(k: NDArray[np.int64], period: int) -> Array:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from catalog_tools.errors import BadInput, Incomplete
 from catalog_tools.fetch import layout
-from catalog_tools.fetch.cones import Cone, parse_cone
+from catalog_tools.fetch.cones import FetchCone, parse_cone
 from catalog_tools.fetch.fetch import fetch
 from catalog_tools.fetch.layout import Entry, choose, cone_ranges, parse_index, parse_md5sum
 from catalog_tools.readers import read_tables
@@ -47,8 +47,8 @@ def test_list_of_dr3():
     assert (entry.first_id, entry.last_id) == (0, (3112 << 43) - 1)
     healpy = pytest.importorskip("healpy")
     ra, dec = healpy.pix2ang(256, 3111, nest=True, lonlat=True)
-    assert choose([entry], [Cone(ra, dec, 0.01)]) == [entry]
-    assert choose([entry], [Cone(ra, -dec, 0.01)]) == []
+    assert choose([entry], [FetchCone(ra, dec, 0.01)]) == [entry]
+    assert choose([entry], [FetchCone(ra, -dec, 0.01)]) == []
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_index_pages():
     assert parse_index("<html><script>render()</script></html>") == {}
 
 
-def in_ranges(cone: Cone, pixels: np.ndarray) -> np.ndarray:
+def in_ranges(cone: FetchCone, pixels: np.ndarray) -> np.ndarray:
     starts, ends = cone_ranges(cone)
     assert (starts[1:] > ends[:-1]).all()
     assert (starts < ends).all()
@@ -107,7 +107,7 @@ def test_choice_against_brute_force():
             for a, b in zip(breaks[:-1:2], breaks[1::2], strict=False)
         ]
         ra, dec = rng.uniform(0, 360), math.degrees(math.asin(rng.uniform(-1, 1)))
-        cone = Cone(ra, dec, float(np.exp(rng.uniform(np.log(0.01), np.log(179)))))
+        cone = FetchCone(ra, dec, float(np.exp(rng.uniform(np.log(0.01), np.log(179)))))
         apart = np.arccos(np.clip(everywhere @ healpy.ang2vec(ra, dec, lonlat=True), -1, 1))
         chosen = {entry.name for entry in choose(entries, [cone])}
         for entry in entries:
@@ -128,14 +128,14 @@ def test_a_star_that_moved_is_found(centre, radius_deg, share, towards, drift):
     star = middle.directional_offset_by(towards * u.deg, share * radius_deg * u.deg)
     first = star.directional_offset_by(drift * u.deg, 180.0 * u.arcsec)
     pixel = healpy.ang2pix(4096, first.ra.deg, first.dec.deg, nest=True, lonlat=True)
-    assert in_ranges(Cone(*centre, radius_deg), np.array([pixel])).all()
+    assert in_ranges(FetchCone(*centre, radius_deg), np.array([pixel])).all()
 
 
 def test_small_cones_bring_few_pixels():
     import healpy
 
     for radius_deg in (0.01, 0.3, 1.4):
-        cone = Cone(83.0, -5.0, radius_deg)
+        cone = FetchCone(83.0, -5.0, radius_deg)
         starts, ends = cone_ranges(cone)
         pixels = np.concatenate([np.arange(a, b) for a, b in zip(starts, ends, strict=True)])
         ra, dec = healpy.pix2ang(4096, pixels, nest=True, lonlat=True)
@@ -147,7 +147,7 @@ def test_small_cones_bring_few_pixels():
 
 def test_whole_sky_is_every_file():
     entries = parse_md5sum(md5sum_text(small_archive()), DR2, "there")
-    assert choose(entries, [Cone(0.0, 0.0, 180.0)]) == entries
+    assert choose(entries, [FetchCone(0.0, 0.0, 180.0)]) == entries
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_real_rows_lie_in_chosen_files(shared_data, name):
     places = zip(pixels[tried].tolist(), edges.ra.deg, edges.dec.deg, radii_deg, strict=True)
     for pixel, edge_ra, edge_dec, radius_deg in places:
         entry = Entry("", "", pixel << 35, ((pixel + 1) << 35) - 1)
-        assert choose([entry], [Cone(edge_ra, edge_dec, radius_deg)]) == [entry]
+        assert choose([entry], [FetchCone(edge_ra, edge_dec, radius_deg)]) == [entry]
 
 
 def test_barnards_star_is_found():
@@ -189,7 +189,7 @@ def test_barnards_star_is_found():
     Gaia DR2 4472832130942575872 at its DR2 position.
     """
     pixel = np.array([4472832130942575872 >> 35])
-    assert in_ranges(Cone(269.44850252543836, 4.739420051112412, 0.001), pixel).all()
+    assert in_ranges(FetchCone(269.44850252543836, 4.739420051112412, 0.001), pixel).all()
 
 
 def test_a_cone_brings_its_files(archive, tmp_path, hasty):
@@ -262,5 +262,5 @@ def test_folder_that_cannot_be_written(archive, tmp_path, hasty):
 
 
 def test_cones_are_read_as_written():
-    assert parse_cone("56.75, 24.1,1,16.5") == Cone(56.75, 24.1, 1.0, 16.5)
-    assert parse_cone("-10,0,180") == Cone(-10.0, 0.0, 180.0)
+    assert parse_cone("56.75, 24.1,1,16.5") == FetchCone(56.75, 24.1, 1.0, 16.5)
+    assert parse_cone("-10,0,180") == FetchCone(-10.0, 0.0, 180.0)

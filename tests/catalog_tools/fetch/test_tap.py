@@ -19,12 +19,12 @@ from tap_server import TapServer
 from catalog_tools.coverage import coverage_of
 from catalog_tools.errors import BadInput, Incomplete
 from catalog_tools.fetch import tap
-from catalog_tools.fetch.cones import Cone
+from catalog_tools.fetch.cones import FetchCone
 from catalog_tools.fetch.fetch import fetch
 from catalog_tools.ingest import ingest
 from catalog_tools.readers import read_tables
 
-CONE = Cone(359.8, -40.0, 1.5)
+CONE = FetchCone(359.8, -40.0, 1.5)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def service(sky):
         yield server
 
 
-def expected(stars: pa.Table, cone: Cone) -> pa.Table:
+def expected(stars: pa.Table, cone: FetchCone) -> pa.Table:
     places = SkyCoord(stars["ra"].to_numpy() * u.deg, stars["dec"].to_numpy() * u.deg)
     apart = places.separation(SkyCoord(cone.ra_deg * u.deg, cone.dec_deg * u.deg))
     inside = apart <= cone.radius_deg * u.deg
@@ -84,9 +84,9 @@ def test_large_results_come_by_jobs_that_are_removed(service, sky, tmp_path, has
 
 
 def test_magnitude_limits(service, sky, tmp_path, hasty):
-    own = Cone(0.3, -39.5, 1.0, 12.25)
+    own = FetchCone(0.3, -39.5, 1.0, 12.25)
     report = ask(service, tmp_path, hasty, CONE, own, faintest_g_mag=15.5)
-    for i, cone in enumerate((Cone(359.8, -40.0, 1.5, 15.5), own)):
+    for i, cone in enumerate((FetchCone(359.8, -40.0, 1.5, 15.5), own)):
         assert same_rows(read(tmp_path, report, i), expected(sky, cone))
 
 
@@ -101,7 +101,7 @@ def test_memory_is_bounded_by_parts(service, sky, tmp_path, hasty, monkeypatch):
     monkeypatch.setattr(tap, "ROWS_AT_ONCE", 150)
     report = ask(service, tmp_path, hasty)
     assert same_rows(read(tmp_path, report), expected(sky, CONE))
-    pole = Cone(10.0, -90.0, 51.0)  # the bands end at the pole
+    pole = FetchCone(10.0, -90.0, 51.0)  # the bands end at the pole
     report = ask(service, tmp_path, hasty, pole)
     assert same_rows(read(tmp_path, report), expected(sky, pole))
 
@@ -109,7 +109,7 @@ def test_memory_is_bounded_by_parts(service, sky, tmp_path, hasty, monkeypatch):
 def test_a_service_that_loses_rows_is_not_believed(service, tmp_path, hasty):
     service.does.lost_rows = 1
     with pytest.raises(Incomplete, match=r"gives \d+ of \d+ rows, and not always"):
-        ask(service, tmp_path, hasty, Cone(359.8, -40.0, 0.4))
+        ask(service, tmp_path, hasty, FetchCone(359.8, -40.0, 0.4))
     assert not list(tmp_path.glob("*.csv.gz"))
 
 
@@ -144,7 +144,7 @@ def test_addresses_that_are_no_service(service, tmp_path, hasty):
 
 
 def test_empty_cone_is_an_empty_file(service, tmp_path, hasty):
-    report = ask(service, tmp_path, hasty, Cone(180.0, 60.0, 0.1))
+    report = ask(service, tmp_path, hasty, FetchCone(180.0, 60.0, 0.1))
     assert sum(table.num_rows for table in read_tables(tmp_path / report.files[0])) == 0
 
 
@@ -170,8 +170,8 @@ def test_fetched_cones_are_ingested(service, sky, tmp_path, hasty):
     from catalog_tools.ingest import ingest
     from catalog_tools.query import cone as rows_in_cone
 
-    other = Cone(0.5, -40.0, 1.0)
-    ask(service, tmp_path / "rows", hasty, CONE, other, Cone(180.0, 60.0, 0.1))
+    other = FetchCone(0.5, -40.0, 1.0)
+    ask(service, tmp_path / "rows", hasty, CONE, other, FetchCone(180.0, 60.0, 0.1))
     made = ingest([tmp_path / "rows"], tmp_path / "made", workers=1)
     rows = [expected(sky, cone) for cone in (CONE, other)]
     distinct = len(pc.unique(pa.concat_tables(rows)["source_id"]))
@@ -183,7 +183,7 @@ def test_fetched_cones_are_ingested(service, sky, tmp_path, hasty):
 
 def test_what_was_asked_for_is_what_the_catalogue_covers(service, sky, tmp_path, hasty):
     """A cone that is cut at G = 15, and one without a star: both are covered, nothing else is."""
-    bright, void = Cone(359.8, -40.0, 1.5, 15.0), Cone(100.0, 10.0, 1.0)
+    bright, void = FetchCone(359.8, -40.0, 1.5, 15.0), FetchCone(100.0, 10.0, 1.0)
     ask(service, tmp_path / "fetched", hasty, bright, void)
     report = ingest([tmp_path / "fetched"], tmp_path / "made")
     assert report.catalogue.rows == expected(sky, bright).num_rows
@@ -194,8 +194,8 @@ def test_what_was_asked_for_is_what_the_catalogue_covers(service, sky, tmp_path,
 
 def test_a_row_on_the_border_of_two_bands_is_in_one_of_them():
     """Bands that are halved twice: each declination, also of a border, is asked for once."""
-    cone = Cone(10.0, 20.0, 1.0, 15.0)
-    bands = [b for half in tap.Band().halves(cone) for b in half.halves(cone)]
+    cone = FetchCone(10.0, 20.0, 1.0, 15.0)
+    bands = [b for half in tap.DeclinationBand().halves(cone) for b in half.halves(cone)]
     asked = [re.findall(r"dec ([<>]=?) ([\d.]+)", tap.condition(cone, band)) for band in bands]
     borders = {band.low_deg for band in bands} - {None}
     assert borders == {19.5, 20.0, 20.5}

@@ -13,7 +13,7 @@ from pipeline.errors import BadInput
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.facets import Facets, is_convex, together
 from pipeline.physics.meshes.intensity import (
-    Surface,
+    FacetSurface,
     mesh_intensity,
     mesh_picture,
     sun_points,
@@ -24,8 +24,8 @@ from pipeline.physics.targets.plate import box_area_function
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.physics.vectors import separation, unit
 
-WHITE = Surface(partial(brdf.lambert, albedo=1.0))
-SHEET = Surface(partial(brdf.lambert, albedo=1.0), two_sided=True)
+WHITE = FacetSurface(partial(brdf.lambert, albedo=1.0))
+SHEET = FacetSurface(partial(brdf.lambert, albedo=1.0), two_sided=True)
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -154,7 +154,7 @@ def test_same_with_and_without_the_backs_of_closed_shells():
 
 def test_same_when_sun_and_observer_change_places():
     rng = np.random.default_rng(7)
-    gloss = Surface(partial(brdf.cook_torrance, diffuse=0.3, roughness=0.3, index=1.5))
+    gloss = FacetSurface(partial(brdf.cook_torrance, diffuse=0.3, roughness=0.3, index=1.5))
     corners = np.concatenate([box(rng.uniform(0.3, 2, 3), rng.uniform(-1, 1, 3)) for _ in "abc"])
     mesh = facets(corners, True)
     for _ in range(8):
@@ -246,7 +246,7 @@ def test_the_suns_disc_widens_a_sharp_highlight():
     across = np.sum(points[:, :2] ** 2, axis=1)
     assert across.max() < radius**2
     assert across.mean() == pytest.approx(0.5 * radius**2, rel=1e-4)  # of an even disc
-    mirror = Surface(
+    mirror = FacetSurface(
         partial(brdf.cook_torrance, diffuse=0.0, roughness=0.005, normal_reflectance=1.0),
         sun_rings=3,
     )
@@ -306,7 +306,7 @@ def test_the_inside_of_a_convex_shell_sends_nothing():
 @pytest.mark.parametrize("apart", [1.5, 0.75])
 def test_each_facet_has_its_own_surface(apart):
     """Two plates side by side or one before the other, one of them white on both sides."""
-    grey = Surface(partial(brdf.lambert, albedo=0.2))
+    grey = FacetSurface(partial(brdf.lambert, albedo=0.2))
     both = np.concatenate([square(1.0), square(1.0, (apart, 0.0, 0.5))])
     mesh = Facets(both, np.array([0, 0, 1, 1]), np.zeros(4, bool))
     hidden = max(0.0, 1.0 - apart)

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.facets import Facets
-from pipeline.physics.meshes.intensity import Surface
+from pipeline.physics.meshes.intensity import FacetSurface
 from pipeline.physics.meshes.model import (
     Joint,
     MeshModel,
-    Part,
+    RigidPart,
     model_light,
     posed,
     tracking_angle,
@@ -23,7 +23,7 @@ from pipeline.physics.meshes.model import (
 from pipeline.physics.vectors import rotate_about, unit
 
 X, Y, Z = np.eye(3)
-WHITE = Surface(partial(brdf.lambert, albedo=1.0))
+WHITE = FacetSurface(partial(brdf.lambert, albedo=1.0))
 
 
 def plate(side=1.0):
@@ -53,8 +53,8 @@ def test_limits_the_sun_on_the_axis_turns_nothing():
 
 def test_parts_stand_on_parts():
     quarter = rotate_about(Z, np.pi / 2)
-    arm = Part(plate(), None, quarter, np.array([1.0, 0.0, 0.0]))
-    hand = Part(plate(), 0, None, np.array([2.0, 0.0, 0.0]), Joint("fixed", X, Y, Z, np.pi))
+    arm = RigidPart(plate(), None, quarter, np.array([1.0, 0.0, 0.0]))
+    hand = RigidPart(plate(), 0, None, np.array([2.0, 0.0, 0.0]), Joint("fixed", X, Y, Z, np.pi))
     mesh = posed(MeshModel((arm, hand), (WHITE,)), Z)
     np.testing.assert_allclose(mesh.corners_m[:2].mean(axis=(0, 1)), [1, 0, 0], atol=1e-12)
     # turned half about x through y = 1: its middle goes to y = 2, normal down; then on the arm
@@ -64,8 +64,8 @@ def test_parts_stand_on_parts():
 
 
 def test_a_tracking_panel_on_a_spinning_bus_stays_bright():
-    bus = Part(plate(1e-3), None, None, None, Joint("spin", Y, 0 * X, Z, 0.0, 0.1))
-    panel = Part(plate(), 0, None, np.array([0.0, 2.0, 0.0]), Joint("sun", Y, 0 * X, Z))
+    bus = RigidPart(plate(1e-3), None, None, None, Joint("spin", Y, 0 * X, Z, 0.0, 0.1))
+    panel = RigidPart(plate(), 0, None, np.array([0.0, 2.0, 0.0]), Joint("sun", Y, 0 * X, Z))
     model = MeshModel((bus, panel), (WHITE,))
     t = np.linspace(0, 60, 13)
     sun = np.tile(unit(np.array([1.0, 0.5, 0.2])), (13, 1))
@@ -77,7 +77,7 @@ def test_a_tracking_panel_on_a_spinning_bus_stays_bright():
 
 
 def test_a_spinning_plate_flashes_with_its_period():
-    model = MeshModel((Part(plate(), None, None, None, Joint("spin", X, 0 * X, Z, 0.0, 0.5)),),
+    model = MeshModel((RigidPart(plate(), None, None, None, Joint("spin", X, 0 * X, Z, 0.0, 0.5)),),
                       (WHITE,))  # fmt: skip
     t = np.linspace(0, 20, 41)
     z = np.tile(Z, (41, 1))
@@ -86,8 +86,8 @@ def test_a_spinning_plate_flashes_with_its_period():
 
 
 def test_a_dish_shades_the_bus_below_it():
-    dish = Part(plate(0.5), None, None, np.array([0.0, 0.0, 1.0]))
-    model = MeshModel((Part(plate()), dish), (WHITE,))
+    dish = RigidPart(plate(0.5), None, None, np.array([0.0, 0.0, 1.0]))
+    model = MeshModel((RigidPart(plate()), dish), (WHITE,))
     s, o = unit(np.array([[0.2, 0.0, 1.0]])), Z[None]
     light, _ = model_light(model, s, o, np.zeros(1), 1e-6)
     # covered: 0.5 x 0.5 as seen and as shaded, of which 0.3 x 0.5 is both
@@ -96,8 +96,8 @@ def test_a_dish_shades_the_bus_below_it():
 
 
 def test_moments_close_to_each_other_are_interpolated():
-    dish = Part(plate(0.5), None, None, np.array([0.0, 0.0, 1.0]))
-    model = MeshModel((Part(plate()), dish), (WHITE,))
+    dish = RigidPart(plate(0.5), None, None, np.array([0.0, 0.0, 1.0]))
+    model = MeshModel((RigidPart(plate()), dish), (WHITE,))
     angle = np.linspace(0.1, 0.4, 201)
     o = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=-1)
     s = np.tile(unit(np.array([-0.3, 0.2, 1.0])), (201, 1))
@@ -109,7 +109,7 @@ def test_moments_close_to_each_other_are_interpolated():
 
 
 def test_limits_no_moments_and_moments_that_repeat():
-    model = MeshModel((Part(plate()),), (WHITE,))
+    model = MeshModel((RigidPart(plate()),), (WHITE,))
     z = np.tile(Z, (5, 1))
     for step in (0.0, 0.1):
         light, error = model_light(model, z, z, np.arange(5.0), step_rad=step)
@@ -123,7 +123,7 @@ def test_no_corner_leaves_the_radius_however_the_joints_turn(seed):
     """Chains of parts on parts with pivots of their own; in some pose most of it is used."""
     rng = np.random.default_rng(seed)
     parts = [
-        Part(plate(0.1), k - 1 if k else None, None, rng.normal(size=3),
+        RigidPart(plate(0.1), k - 1 if k else None, None, rng.normal(size=3),
              Joint("spin", unit(rng.normal(size=3)), rng.normal(size=3), Z, 0.0, 1.0 + 0.7 * k))
         for k in range(3)
     ]  # fmt: skip
@@ -131,7 +131,7 @@ def test_no_corner_leaves_the_radius_however_the_joints_turn(seed):
     far = [posed(model, Z, t).radius_m for t in np.linspace(0.0, 60.0, 40)]
     assert max(far) <= model.radius_m
     one = Joint("fixed", X, 3.0 * Y, Z, np.pi)
-    turned = MeshModel((Part(plate(0.1), None, None, None, one),), (WHITE,))
+    turned = MeshModel((RigidPart(plate(0.1), None, None, None, one),), (WHITE,))
     assert 5.9 < posed(turned, Z).radius_m <= turned.radius_m < 6.1
 
 
@@ -140,7 +140,7 @@ def test_joints_turn_on_from_their_first_angle():
     track = Joint("sun", X, 0 * X, Z, 0.4)
     light = []
     for joint in (spin, track):
-        model = MeshModel((Part(plate(), None, None, None, joint),), (WHITE,))
+        model = MeshModel((RigidPart(plate(), None, None, None, joint),), (WHITE,))
         z = np.array([[0.0, -0.6, 0.8] if joint is track else Z])
         light.append(model_light(model, z, z, np.array([1.4]))[0][0] * np.pi)
     assert light == pytest.approx([np.cos(1.0) ** 2, np.cos(0.4) ** 2], rel=1e-12)

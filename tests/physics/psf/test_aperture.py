@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import BadInput
-from pipeline.physics.psf.aperture import CELLS, STEEPEST, Pupil, Vanes, lattice
+from pipeline.physics.psf.aperture import CELLS, STEEPEST, Pupil, SpiderVanes, lattice
 from pipeline.physics.psf.pupil import Airy
 from pipeline.physics.psf.radial import light_beyond, mean_over_directions
 from pipeline.physics.psf.zernike import wavefront
@@ -48,11 +48,11 @@ def brute(p: Pupil, y: np.ndarray, x: np.ndarray, n: int = 3000) -> np.ndarray:
 
 
 PUPILS = [
-    Pupil(1.0, 0.3, Vanes(4, 0.02, 0.3)),
-    Pupil(1.0, 0.0, Vanes(1, 0.1, 1.0)),
-    Pupil(1.0, 0.5, Vanes(3, 0.05, np.pi / 2), ((8, 0.1),)),
+    Pupil(1.0, 0.3, SpiderVanes(4, 0.02, 0.3)),
+    Pupil(1.0, 0.0, SpiderVanes(1, 0.1, 1.0)),
+    Pupil(1.0, 0.5, SpiderVanes(3, 0.05, np.pi / 2), ((8, 0.1),)),
     Pupil(1.0, 0.2, None, ((4, 0.4), (5, -0.1), (7, 0.15), (11, 0.2))),
-    Pupil(1.0, 0.95, Vanes(2, 0.01)),
+    Pupil(1.0, 0.95, SpiderVanes(2, 0.01)),
 ]
 
 
@@ -115,7 +115,7 @@ def test_same_as_airy_without_vanes_and_wavefront(q: float, eps: float) -> None:
     assert np.array_equal(Pupil(q, eps).transfer(f[:, None], f[None, :]), plain)
     flat = Pupil(q, eps, None, ((11, 0.0),)).transfer(f[:, None], f[None, :])
     assert np.abs(flat - plain).max() < 1e-14
-    faint = Pupil(q, eps, Vanes(4, 1e-7)).transfer(f[:, None], f[None, :])
+    faint = Pupil(q, eps, SpiderVanes(4, 1e-7)).transfer(f[:, None], f[None, :])
     assert np.abs(faint - plain).max() < 1e-4
 
 
@@ -127,7 +127,7 @@ def test_same_as_airy_without_vanes_and_wavefront(q: float, eps: float) -> None:
 def test_transfer_is_hermitian_bounded_and_one_at_zero(
     q: float, eps: float, count: int, width: float, angle: float, rms: float, noll: int
 ) -> None:
-    p = Pupil(q, eps, Vanes(count, width, angle), ((noll, rms),))
+    p = Pupil(q, eps, SpiderVanes(count, width, angle), ((noll, rms),))
     rng = np.random.default_rng(5)
     f = rng.uniform(-1.2 / q, 1.2 / q, (400, 2))
     there, back = p.transfer(f[:, 0], f[:, 1]), p.transfer(-f[:, 0], -f[:, 1])
@@ -139,7 +139,7 @@ def test_transfer_is_hermitian_bounded_and_one_at_zero(
 
 def test_symmetric_pupils_have_real_transfer_functions() -> None:
     f = np.linspace(-1, 1, 9)
-    even = Pupil(1.0, 0.3, Vanes(4, 0.03, 0.2), ((4, 0.2), (6, 0.1), (11, 0.1)))
+    even = Pupil(1.0, 0.3, SpiderVanes(4, 0.03, 0.2), ((4, 0.2), (6, 0.1), (11, 0.1)))
     assert even.transfer(f, f).dtype == np.float64
     assert Pupil(1.0, 0.3, None, ((7, 0.1),)).transfer(f, f).dtype == np.complex128
 
@@ -159,7 +159,7 @@ def test_twice_the_cells_change_little(p: Pupil) -> None:
 )
 def test_vanes_cover_their_area(count: int, width: float, eps: float) -> None:
     """Strips of the vanes' width from rim to rim; at the centre of a full pupil they overlap."""
-    p = Pupil(1.0, eps, Vanes(count, width, 0.4))
+    p = Pupil(1.0, eps, SpiderVanes(count, width, 0.4))
     strips = count * width * 0.5 * (1.0 - eps)
     share = strips / (np.pi / 4.0 * (1.0 - eps**2))
     overlap = count * width**2 / (np.pi / 4.0) if eps == 0 else width**2
@@ -194,7 +194,7 @@ def test_limits_of_vanes_and_wavefronts_are_refused_by_name() -> None:
         Pupil(1.0, 0.3, None, ((37, 5.0),)).transfer(ZERO, ZERO)
     assert "waves a diameter" in str(error.value)
     with pytest.raises(BadInput, match="vanes"):
-        Pupil(1.0, 0.3, Vanes(12, 0.5)).transfer(ZERO, ZERO)
+        Pupil(1.0, 0.3, SpiderVanes(12, 0.5)).transfer(ZERO, ZERO)
     strong = Pupil(1.0, 0.3, None, ((4, 8.0),))
     assert abs(strong.transfer(ZERO, np.array([0.5]))[0]) < 0.05
     assert strong.core_px > strong.blur_px > 100.0

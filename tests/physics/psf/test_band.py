@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.physics.psf.aperture import Pupil, Vanes
+from pipeline.physics.psf.aperture import Pupil, SpiderVanes
 from pipeline.physics.psf.band import (
     Chromatic,
     Mixture,
@@ -116,7 +116,7 @@ def test_a_narrow_band_needs_one_wavelength() -> None:
 
 def test_vanes_and_wavefronts_of_a_band_against_a_hundred_wavelengths() -> None:
     def make(wavelength_m: float) -> Chromatic:
-        return Pupil(0.8 * wavelength_m / MEAN, 0.3, Vanes(4, 0.03, 0.2))
+        return Pupil(0.8 * wavelength_m / MEAN, 0.3, SpiderVanes(4, 0.03, 0.2))
 
     chosen = choose_wavelengths(make, Blur(Airy(1.0)), *BOX, 5e-4)
     assert isinstance(chosen.optics, Mixture)
