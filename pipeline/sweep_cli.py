@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pipeline.errors import BadInput
 from pipeline.jobs_cli import Server
 from pipeline.lines import fold
 from pipeline.options import (
@@ -49,8 +50,8 @@ def sweep(
     With --server it runs there, and its results are fetched.
     """
     if server is not None:
-        decided = scheduler != "threads" or workers is not None or slurm
-        _there(file, output, server, as_json, decided or resume or retry_failed or dry_run, point)
+        here = (scheduler != "threads", workers is not None, slurm, resume, retry_failed, dry_run)
+        _there(file, output, server, as_json, any(here), point)
         return
     if dry_run:
         _print_forecast(file, as_json)
@@ -101,7 +102,6 @@ def _print_forecast(file: Path, as_json: bool) -> None:
 def _there(
     file: Path, output: Path, server: str, as_json: bool, decided: bool, point: int | None
 ) -> None:
-    from pipeline.errors import BadInput
     from pipeline.jobs_cli import sweep_there
 
     if decided or point is not None:

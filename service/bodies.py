@@ -152,23 +152,28 @@ def _check_nodes(data: Any) -> None:
             break
         deeper: list[Any] = []
         for node in level:
-            if isinstance(node, str):
-                _check_text(node)
-            elif isinstance(node, dict):
+            if isinstance(node, dict):
                 if not all(isinstance(key, str) for key in node):
                     raise Malformed("a key of a mapping is no text: put it in quotes")
                 deeper += node
                 deeper += node.values()
             elif isinstance(node, list):
                 deeper += node
-            elif isinstance(node, float) and not math.isfinite(node):
-                raise Malformed(f"{node} is no number of a scene")
-            elif not (node is None or isinstance(node, bool | int | float)):
-                raise Malformed(f"a value of kind {type(node).__name__} is no plain data")
+            else:
+                _check_value(node)
         if not deeper:
             return
         level = deeper
     raise Malformed(f"the body is nested deeper than {MAX_DEPTH} levels")
+
+
+def _check_value(value: Any) -> None:
+    if isinstance(value, str):
+        _check_text(value)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise Malformed(f"{value} is no number of a scene")
+    elif not (value is None or isinstance(value, bool | int | float)):
+        raise Malformed(f"a value of kind {type(value).__name__} is no plain data")
 
 
 def _check_text(text: str) -> None:

@@ -150,22 +150,9 @@ def _complete(document: dict[str, Any]) -> dict[str, Any]:
     schemas |= {"Job": JOB, "Problem": PROBLEM}
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
-    problem = {"application/problem+json": {"schema": A_PROBLEM}}
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
-            answers = operation["responses"]
-            refusals = {"503": "not now"} if path in PLAIN else REFUSALS
-            for status, told in refusals.items():
-                answers[status] = {"description": told, "content": problem}
-            for status in JOB_ANSWERS.get((method, path), ()):
-                answers.setdefault(status, {"description": "the job"})
-                answers[status]["content"] = {"application/json": {"schema": A_JOB}}
-            for kinds in [KINDS[path]] if method == "get" and path in KINDS else []:
-                answers["200"]["content"] = {kind: {} for kind in kinds}
-            for status, told in OTHERS.get((method, path), {}).items():
-                answers[status] = {"description": told}
-                if status == "206":
-                    answers[status]["content"] = answers["200"]["content"]
+            _add_answers(path, method, operation["responses"])
     body = document["paths"]["/v1/jobs"]["post"]["requestBody"]["content"]["application/json"]
     body["examples"] = {"sidereal": {"summary": "two short frames, no stars", "value": SCENE}}
     planned = {"anyOf": [A_JOB, {"type": "object", "description": "a plan (dry_run)"}]}
@@ -178,3 +165,20 @@ def _complete(document: dict[str, Any]) -> dict[str, Any]:
             "application/json": {"schema": ANY_OBJECT}
         }
     return document
+
+
+def _add_answers(path: str, method: str, answers: dict[str, Any]) -> None:
+    """Every answer of an operation, with its content."""
+    problem = {"application/problem+json": {"schema": A_PROBLEM}}
+    refusals = {"503": "not now"} if path in PLAIN else REFUSALS
+    for status, told in refusals.items():
+        answers[status] = {"description": told, "content": problem}
+    for status in JOB_ANSWERS.get((method, path), ()):
+        answers.setdefault(status, {"description": "the job"})
+        answers[status]["content"] = {"application/json": {"schema": A_JOB}}
+    if method == "get" and path in KINDS:
+        answers["200"]["content"] = {kind: {} for kind in KINDS[path]}
+    for status, told in OTHERS.get((method, path), {}).items():
+        answers[status] = {"description": told}
+        if status == "206":
+            answers[status]["content"] = answers["200"]["content"]

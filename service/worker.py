@@ -173,10 +173,9 @@ def describe(error: Exception, order: dict[str, Any]) -> dict[str, Any]:
         reason = os.strerror(code or errno.ENOSPC)
         message = f"the server's disk is full ({reason}); submit again when there is room"
         return {"kind": "disk full", "message": message, "errors": []}
-    if isinstance(error, TryLater):
-        return {"kind": "try later", "message": cut(_clean(str(error), order)), "errors": []}
     if isinstance(error, NightglassError):
-        return {"kind": "incomplete", "message": cut(_clean(str(error), order)), "errors": []}
+        kind = "try later" if isinstance(error, TryLater) else "incomplete"
+        return {"kind": kind, "message": cut(_clean(str(error), order)), "errors": []}
     if isinstance(error, OSError):
         message = f"the server could not read or write: {error.strerror or type(error).__name__}"
     elif isinstance(error, MemoryError):

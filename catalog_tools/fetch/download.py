@@ -123,23 +123,10 @@ def in_threads(
     Refused) end the run only when they are many, any other at once.
     """
     waiting, faults = deque(items), list[Exception]()
-
-    def serve() -> None:
-        while waiting and not stop.is_set():
-            try:
-                item = waiting.popleft()
-            except IndexError:
-                return
-            try:
-                work(item)
-            except Stopped:
-                return
-            except Exception as error:
-                faults.append(error)
-                if not isinstance(error, Damaged | Refused) or len(faults) >= MOST_FAULTS:
-                    stop.set()
-
-    crew = [threading.Thread(target=serve, daemon=True) for _ in range(min(threads, len(waiting)))]
+    crew = [
+        threading.Thread(target=_serve, args=(waiting, work, stop, faults), daemon=True)
+        for _ in range(min(threads, len(waiting)))
+    ]
     tick()
     try:
         for thread in crew:
@@ -153,6 +140,26 @@ def in_threads(
             if thread.ident is not None:
                 thread.join(LEAVE_S / len(crew))
     return faults
+
+
+def _serve(
+    waiting: deque[Entry], work: Callable[[Entry], None], stop: threading.Event,
+    faults: list[Exception],
+) -> None:  # fmt: skip
+    """Work through what is waiting, beside other threads, until it is done or all shall stop."""
+    while waiting and not stop.is_set():
+        try:
+            item = waiting.popleft()
+        except IndexError:
+            return
+        try:
+            work(item)
+        except Stopped:
+            return
+        except Exception as error:
+            faults.append(error)
+            if not isinstance(error, Damaged | Refused) or len(faults) >= MOST_FAULTS:
+                stop.set()
 
 
 def _missing(

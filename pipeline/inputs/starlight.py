@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from catalog_tools.catalogue import Catalogue
 from pipeline.plan.sky_light import background_of
 from pipeline.spec.scene import Scene, Stars
+
 if TYPE_CHECKING:
     from catalog_tools.starlight import Starlight
 
@@ -31,7 +32,8 @@ def gather_starlight(
 
     if scene.stars is None:
         return CountedLight()
-    main, parts = catalogues[0], list[Starlight]()
+    main = catalogues[0]
+    parts: list[Starlight] = []
     end = -math.inf if main.faintest_g_mag is None else main.faintest_g_mag
     if _limit_g_mag(scene.stars, limit_from_noise) < end:
         counted = CountedLight(faintest_g_mag=min(end, COUNTS_END_G_MAG))
