@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from catalog_tools.errors import BadInput, Damaged
 from pipeline.options import Json, Output, SchedulerName, Workers, print_mapping
 
 catalog = typer.Typer(help="Make and look at star catalogues.", no_args_is_help=True)
@@ -72,7 +73,6 @@ def verify(catalogue: Place, workers: Workers = None, as_json: Json = False) -> 
     from dataclasses import asdict
 
     from catalog_tools.catalogue import open_catalogue
-    from catalog_tools.errors import Damaged
     from catalog_tools.verify import verify as run
 
     with _stages(as_json) as progress:
@@ -126,7 +126,6 @@ def cone(
     """Stars in a cone or a polygon, to the screen (CSV) or a file."""
     from catalog_tools import query
     from catalog_tools.catalogue import open_catalogue
-    from catalog_tools.errors import BadInput
 
     corners = [_numbers("--corner", text, 2, "56.75,24.1") for text in corner or []]
     centre = (ra_deg, dec_deg, radius_deg)
@@ -161,41 +160,41 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Make a SYNTHETIC all-sky catalogue from published star counts; no star of it is real."""
-    from catalog_tools.errors import BadInput
     from catalog_tools.info import info as facts
 
     if rows is not None and (field or faintest_g_mag != 10.0):
         raise BadInput("--rows", rows, "without --faintest and --field: a sample goes to G = 21")
     if as_csv:
-        if rows is None or overwrite:
-            raise BadInput("--as-csv", True, "together with --rows N, and without --overwrite")
-        from dataclasses import asdict
-
-        from catalog_tools.synthetic_csv import write_csv_files
-
-        with _stages(as_json) as progress:
-            written = write_csv_files(output, rows, seed=seed, workers=workers, progress=progress)
-        print_mapping(asdict(written), as_json)
+        _write_csv(output, rows, seed, workers, overwrite, as_json)
         return
-    if rows is not None:
-        from catalog_tools.synthetic_sample import make_sample
-
-        with _stages(as_json) as progress:
-            made = make_sample(
-                output, rows, seed=seed, workers=workers or 2, progress=progress,
-                overwrite=overwrite,
-            )  # fmt: skip
-        print_mapping(facts(made.catalogue), as_json)
-        return
-    from catalog_tools.synthetic import make_demo
-
     fields = [_numbers("--field", text, 4, "56.75,24.1,1.0,20") for text in field or []]
     with _stages(as_json) as progress:
-        made = make_demo(
-            output, faintest_g_mag=faintest_g_mag, deep_fields=fields, seed=seed,
-            workers=workers or 2, progress=progress, overwrite=overwrite,
-        )  # fmt: skip
+        shared: dict[str, Any] = {
+            "seed": seed, "workers": workers or 2, "progress": progress, "overwrite": overwrite,
+        }  # fmt: skip
+        if rows is not None:
+            from catalog_tools.synthetic_sample import make_sample
+
+            made = make_sample(output, rows, **shared)
+        else:
+            from catalog_tools.synthetic import make_demo
+
+            made = make_demo(output, faintest_g_mag=faintest_g_mag, deep_fields=fields, **shared)
     print_mapping(facts(made.catalogue), as_json)
+
+
+def _write_csv(
+    output: Path, rows: int | None, seed: int, workers: int | None, overwrite: bool, as_json: bool
+) -> None:
+    from dataclasses import asdict
+
+    from catalog_tools.synthetic_csv import write_csv_files
+
+    if rows is None or overwrite:
+        raise BadInput("--as-csv", True, "together with --rows N, and without --overwrite")
+    with _stages(as_json) as progress:
+        written = write_csv_files(output, rows, seed=seed, workers=workers, progress=progress)
+    print_mapping(asdict(written), as_json)
 
 
 @catalog.command()
@@ -242,8 +241,6 @@ def _note_coverage(catalogue: Any, centre: Any) -> None:
 
 def _numbers(option: str, text: str, count: int, example: str) -> Any:
     """Numbers parted by commas."""
-    from catalog_tools.errors import BadInput
-
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -256,8 +253,6 @@ def _numbers(option: str, text: str, count: int, example: str) -> Any:
 def _bytes(text: str) -> int:
     """A size such as 2GiB or 500MB."""
     from dask.utils import parse_bytes
-
-    from catalog_tools.errors import BadInput
 
     try:
         if not text[:1].isdigit():
@@ -278,8 +273,6 @@ def _write_table(rows: Any, output: Path | None) -> None:
     """A table to a .csv or .parquet file, or as CSV to the screen."""
     import pyarrow.csv
     import pyarrow.parquet
-
-    from catalog_tools.errors import BadInput
 
     if output is None:
         pyarrow.csv.write_csv(rows, sys.stdout.buffer)

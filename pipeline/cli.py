@@ -93,10 +93,10 @@ def _explain(error: BaseException) -> int:
         _say("interrupted; a catalogue or a download is gone on with by the same command")
         return 130
     if isinstance(error, OSError) and error.errno is not None:
-        full = error.errno in NO_ROOM
-        said = f"the disk is full ({os.strerror(error.errno)})" if full else error.strerror
+        full = f"the disk is full ({os.strerror(error.errno)})"
+        said, code = (full, 3) if error.errno in NO_ROOM else (error.strerror, 1)
         _say(f"{error.filename or 'a file'}: {said}")
-        return 3 if full else 1
+        return code
     if isinstance(error, NightglassError):
         _say(str(error))
         return exit_code(error)

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from pipeline.errors import BadInput
 from pipeline.options import Json, Output, print_mapping
 
 cosmic_rays = typer.Typer(help="Make and compare libraries of cosmic rays.", no_args_is_help=True)
@@ -26,12 +27,11 @@ def extract(
     as_json: Json = False,
 ) -> None:
     """Collect the events of a stack of dark frames of equal exposure into a library."""
-    from pipeline.errors import BadInput
     from pipeline.inputs.cosmic_rays import extract_library, open_darks, write_library
 
     for name, value in (("exposure-s", exposure_s), ("pixel-pitch-um", pixel_pitch_um),
                         ("gain-e-per-dn", gain_e_per_dn)):  # fmt: skip
-        if not (math.isfinite(value) and value > 0):
+        if not 0.0 < value < math.inf:
             raise BadInput(f"--{name}", value, "a number above 0")
     if not 3.0 <= threshold_sigma <= 1e6:
         raise BadInput("--threshold-sigma", threshold_sigma, "3 or more: noise is no event")
@@ -39,8 +39,7 @@ def extract(
         raise BadInput("--grow-sigma", grow_sigma, f"1 to the threshold, {threshold_sigma:g}")
     if output.exists():
         raise BadInput("-o", str(output), "a path that does not exist yet")
-    if not output.parent.is_dir() or output.suffix != ".fits":
-        raise BadInput("-o", str(output), "a .fits file in a folder that exists")
+    _check_place(output, ".fits")
     darks = open_darks(dark_frames)
     show = None if as_json or not sys.stderr.isatty() else _show
     library, found = extract_library(
@@ -65,11 +64,9 @@ def compare(
 ) -> None:
     """Draw a library beside the generator (PNG or SVG): size, charge, charge per length, rate."""
     from pipeline.cosmic_rays_figure import compare_library, draw_comparison
-    from pipeline.errors import BadInput
     from pipeline.inputs.cosmic_rays import read_library
 
-    if not output.parent.is_dir() or output.suffix not in (".png", ".svg"):
-        raise BadInput("-o", str(output), "a .png or .svg file in a folder that exists")
+    _check_place(output, ".png", ".svg")
     events = read_library(library, "LIBRARY")
     pitch = events.pixel_pitch_um or pixel_pitch_um
     if pitch is None or not 0.05 <= pitch <= 1000:
@@ -77,6 +74,11 @@ def compare(
     study = compare_library(events, pitch, thickness_um, diffusion_um, threshold_e)
     draw_comparison(study, output)
     print_mapping(study["summary"], as_json)
+
+
+def _check_place(output: Path, *kinds: str) -> None:
+    if not output.parent.is_dir() or output.suffix not in kinds:
+        raise BadInput("-o", str(output), f"a {' or '.join(kinds)} file in a folder that exists")
 
 
 def _show(done: int, total: int) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pipeline.errors import BadInput, Interrupted
 from pipeline.lines import fold, pair, table
 from pipeline.options import Json, Output, print_json
 
@@ -28,7 +29,6 @@ def connect(server: str) -> Any:
 
 def read_scene(scene: Path, overrides: list[str]) -> Any:
     """A scene file as plain data with its overrides; judged by the server."""
-    from pipeline.errors import BadInput
     from pipeline.spec.load import MAX_BYTES, apply_override, parse_text
 
     if not scene.is_file() or scene.stat().st_size > MAX_BYTES:
@@ -47,8 +47,6 @@ def render_there(
 
     Interrupted, the job goes on; `nightglass jobs fetch` brings what it made.
     """
-    from pipeline.errors import BadInput, Interrupted
-
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise BadInput("-o", str(output), "a path that does not exist yet")
     with connect(server) as client:
@@ -66,8 +64,6 @@ def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> dict[st
 
     Interrupted, the job goes on; `nightglass jobs show` tells of it.
     """
-    from pipeline.errors import BadInput, Interrupted
-
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise BadInput("-o", str(output), "a path that does not exist yet")
     with connect(server) as client:

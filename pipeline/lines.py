@@ -53,7 +53,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> st
             fold(", ".join(filter(None, row[:texts])), "  ", ""),
             "  " + _right(numbers, short),
         ]
-    return "\n".join(line.rstrip() for line in lines)
+    return "\n".join(map(str.rstrip, lines))
 
 
 def _right(cells: Sequence[str], sizes: Sequence[int]) -> str:

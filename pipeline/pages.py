@@ -198,9 +198,19 @@ CONTENTS = {
 def print_info(product: Path, found: dict[str, Any]) -> None:
     """A product at a glance, and how to open it or go on with it."""
     print_warnings(found["warnings"])
+    for name, text in _facts(found).items():
+        if text:
+            print(pair(name, text, 8))
+    if found["state"] == "complete":
+        print_product(product)
+    else:
+        print(fold("`nightglass render SCENE -o PRODUCT --resume` goes on with it"))
+
+
+def _facts(found: dict[str, Any]) -> dict[str, str]:
     rows, columns = found["shape"] or (0, 0)
     size = found["field_deg"] or (0.0, 0.0)
-    lines = {
+    return {
         "scene": f"{found['scene']}, {found['epoch']}, seed {found['seed']}",
         "state": f"{found['state']}, {found['tiles']} of {found['tiles_expected']} tiles",
         "frames": f"{found['frames']} of {rows} x {columns} px, {size[1]:.4g} x {size[0]:.4g} deg",
@@ -212,13 +222,6 @@ def print_info(product: Path, found: dict[str, Any]) -> None:
         "made by": f"nightglass {found['version']}" if found["version"] else "",
         "digest": found["content_digest"] or "",
     }
-    for name, text in lines.items():
-        if text:
-            print(pair(name, text, 8))
-    if found["state"] == "complete":
-        print_product(product)
-    else:
-        print(fold("`nightglass render SCENE -o PRODUCT --resume` goes on with it"))
 
 
 def print_product(product: Path) -> None:

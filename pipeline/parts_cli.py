@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pipeline.errors import BadInput
 from pipeline.options import Json, ProductOrUrl, Wait, as_stated, print_json, told_if_interrupted
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ def render_part(
     options: Options, as_json: bool,
 ) -> None:  # fmt: skip
     """Render one part of a scene; the last one finishes the product."""
-    from pipeline.errors import BadInput
     from pipeline.pages import tile_progress
     from pipeline.run import render as run
     from pipeline.shares import parse_part

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
+from operator import or_
 
 import numpy as np
 
@@ -26,17 +28,13 @@ def frame_lights(
 
     geometry : of frames of the scene; shards_of : the shards that a frame needs
     """
-    lit = [i for i, k in enumerate(geometry.frame) if plan.integration_s(int(k)) > 0.0]
-    if not lit:
+    frames = _looked_at(plan, geometry, shards_of)
+    if not frames:
         return np.empty(0), 1.0
-    first = _rows(shards_of(geometry.frame_slice(lit[0])))
-    most = int(np.clip(PLACED // max(1, first), 1, LOOKED_AT))
-    looked = np.unique(np.linspace(0, len(lit) - 1, most).astype(int))
-    frames = [geometry.frame_slice(lit[i]) for i in looked]
-    needed = [{(s.catalogue, s.leaf.order, s.leaf.pixel): s for s in shards_of(g)} for g in frames]
+    needed = [_by_leaf(shards_of(g)) for g in frames]
     step = max(1, max(_rows(shards.values()) for shards in needed) // PLACED)
     found: list[list[Array]] = [[] for _ in frames]
-    for key, shard in {k: s for shards in needed for k, s in shards.items()}.items():
+    for key, shard in reduce(or_, needed).items():
         stars = _read(plan, catalogues[shard.catalogue], shard, left_out[shard.catalogue])
         stars = select(stars, np.arange(0, len(stars), step))
         epoch = catalogues[shard.catalogue].ref_epoch_jyear
@@ -45,6 +43,23 @@ def frame_lights(
                 lights.append(place_stars(plan, stars, g, epoch, shard.catalogue).light_e)
     each = [np.sort(np.concatenate(lights or [np.empty(0)])) for lights in found]
     return max(each, key=len), float(step)
+
+
+def _looked_at(
+    plan: Plan, geometry: Geometry, shards_of: Callable[[Geometry], Sequence[Shard]]
+) -> list[Geometry]:
+    """Some of the frames that are exposed to light: the fewer, the more stars they hold."""
+    lit = [i for i, k in enumerate(geometry.frame) if plan.integration_s(int(k)) > 0.0]
+    if not lit:
+        return []
+    first = _rows(shards_of(geometry.frame_slice(lit[0])))
+    most = int(np.clip(PLACED // max(1, first), 1, LOOKED_AT))
+    looked = np.unique(np.linspace(0, len(lit) - 1, most).astype(int))
+    return [geometry.frame_slice(lit[i]) for i in looked]
+
+
+def _by_leaf(shards: Iterable[Shard]) -> dict[tuple[int, int, int], Shard]:
+    return {(s.catalogue, s.leaf.order, s.leaf.pixel): s for s in shards}
 
 
 def _rows(shards: Iterable[Shard]) -> int:

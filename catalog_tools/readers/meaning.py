@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..columns import INCOMING
 from ..errors import BadInput
-from ..forms import Epoch, Form, IdRule, ColumnSource
+from ..forms import ColumnSource, Epoch, Form, IdRule
 from ..forms.form import MU_ALPHA, Names
 from ..partition import healpix_29
 

@@ -156,31 +156,38 @@ def _crowd(
     found = [piece.path for zone in np.unique(zones) for piece in paths[zone].pieces]
     longest = max(found, key=lambda p: p.length_px)
     shape, radius = (place.rows, place.columns), r.classes[0].radius_px
+    asked = radius, longest, shape, len(stars), r.budget_e / r.crowd_e
     near = _near(plan, place, radius + _farthest(paths))
     limit = min(r.classes[0].brightest_e, *(paths[zone].mixed_from_e for zone in np.unique(zones)))
-    error = r.budget_e / r.crowd_e
     for blur in near:
-        spectral = spectral_plan_of(blur, radius, longest, shape, len(stars), error)
+        spectral = spectral_plan_of(blur, *asked)
         if spectral is None:
             return None, 0.0
         limit = min(limit, brightest_for(spectral, r.budget_e))
+    image: NDArray[np.floating] | None = None
+    for blur, sources in _crowd_sources(plan, near, stars, limit, paths).items():
+        engine = spectral_of(blur, *asked)
+        one = draw_spectral(*engine, sources, (place.y0, place.x0))
+        image = one if image is None else image + one
+    return image, limit
+
+
+def _crowd_sources(
+    plan: Plan, near: tuple[Blur, ...], stars: FrameStars, limit: float, paths: list[Streak]
+) -> dict[Blur, list[Sources]]:
+    """The stars of up to so much light, by the responses near a block that have a part in them."""
     groups: dict[Blur, list[Sources]] = {blur: [] for blur in near}
+    zones = zone_of(plan, stars.x_px, stars.y_px)
     for zone in np.unique(zones):
         mine, streak = (zones == zone) & (stars.light_e <= limit), paths[zone]
         x, y, light = stars.x_px[mine], stars.y_px[mine], stars.light_e[mine]
         for piece in streak.pieces:
             dx, dy = streak.at(piece.centre, x, y)
             at_x, at_y = x + dx, y + dy
-            for blur, which, part in r.parts(at_x, at_y, light * piece.share):
+            for blur, which, part in plan.responses.parts(at_x, at_y, light * piece.share):
                 if blur in groups:
                     groups[blur].append(Sources(at_x[which], at_y[which], part, piece.path))
-    image: NDArray[np.floating] | None = None
-    for blur, sources in groups.items():
-        if sources:
-            engine = spectral_of(blur, radius, longest, shape, len(stars), error)
-            one = draw_spectral(*engine, sources, (place.y0, place.x0))
-            image = one if image is None else image + one
-    return image, limit
+    return {blur: sources for blur, sources in groups.items() if sources}
 
 
 def _near(plan: Plan, place: Tile, margin_px: float) -> tuple[Blur, ...]:

@@ -180,38 +180,47 @@ def reference(
     its spectrum, in float64. Those alone on their path are integrated over each pixel instead
     where the profile of the response is known. None where that would cost more than `most_s`.
     """
-    every = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
-    near, setting = whole_stars(every), setting_stars(plan, g, every)
-    targets = place_targets(plan, g)
-    points = [t for t in (*setting, *targets) if t.body is None]
-    followed = _star_groups(plan, g, at, near, own_paths)
-    alone = [(_alone(plan, at, t), _end(plan, t)) for t in points]
-    groups = [*followed, *(group for group, _ in alone if group is not None)]
-    ends = [plan.responses.fades_px] * len(followed)
-    ends += [end for group, end in alone if group is not None]
+    groups, bodies = _sources(plan, g, at, stars, own_paths)
+    sources = sum(len(group[0]) for group, _ in groups) + len(bodies)
     most = MOST_VALUES / max(1, len(groups))
-    costs = [_quadrature_cost(plan, at, group, most) for group in groups]
-    work = list(_pieces(plan, at, [of for of, c in zip(groups, costs, strict=True) if c is None]))
-    size = at.rows, at.columns
+    together, alone, values = [], [], 0.0
+    for group, end in groups:
+        cost = _quadrature_cost(plan, at, group, most)
+        if cost is None:
+            together.append(group)
+        else:
+            alone.append((*group, end))
+            values += cost
+    work, size = list(_pieces(plan, at, together)), (at.rows, at.columns)
     cost_s = sum(_spectra_s(core, piece, size, len(x)) for core, piece, x, _, _ in work)
-    cost_s += VALUE_S * sum(c for c in costs if c is not None)
-    bodies = [t for t in targets if t.body is not None]
-    sources = sum(len(group[0]) for group in groups) + len(bodies)
-    if cost_s > most_s:
+    if cost_s + VALUE_S * values > most_s:
         return None, sources
-    image = np.zeros((at.rows, at.columns))
+    image = np.zeros(size)
     for core, piece, x, y, light in work:
-        image += draw_direct(core, piece, image.shape, (at.y0, at.x0), x, y, light)
-    for (x, y, light, path), end, c in zip(groups, ends, costs, strict=True):
-        if c is not None:
-            place = float(x[0]), float(y[0]), float(light[0])
-            add_beyond(plan, image, at, path, *place, end, finer=True)
+        image += draw_direct(core, piece, size, (at.y0, at.x0), x, y, light)
+    for x, y, light, path, end in alone:
+        place = float(x[0]), float(y[0]), float(light[0])
+        add_beyond(plan, image, at, path, *place, end, finer=True)
     if plan.responses.spacing_px:
-        rest = [of for of, c in zip(groups, costs, strict=True) if c is None]
-        _add_fine_wings(plan, image, at, rest)
+        _add_fine_wings(plan, image, at, together)
     for body in bodies:
         _add_body(plan, image, at, body)
     return image, sources
+
+
+def _sources(
+    plan: Plan, g: Geometry, at: Tile, stars: FrameStars, own_paths: int
+) -> tuple[list[tuple[Group, float]], list[FrameTarget]]:
+    """Groups of points near a window, each with the radius where its light ends, and bodies."""
+    every = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
+    near, setting = whole_stars(every), setting_stars(plan, g, every)
+    targets = place_targets(plan, g)
+    followed = _star_groups(plan, g, at, near, own_paths)
+    groups = [(group, plan.responses.fades_px) for group in followed]
+    for t in (*setting, *targets):
+        if t.body is None and (group := _alone(plan, at, t)) is not None:
+            groups.append((group, _end(plan, t)))
+    return groups, [t for t in targets if t.body is not None]
 
 
 def _spectra_s(core: Core, path: Path, size: tuple[int, int], sources: int) -> float:

@@ -92,60 +92,71 @@ def window_graph(
     """
     graph: dict[Key, Any] = {}
     wanted: list[Key] = []
+    g, frames, lag = work.geometry, work.geometry.frame.tolist(), plan.lag_frames
     blocks = plan_blocks(plan, sum(rows_wanted(shard) for shard in shards))
-    lag = plan.lag_frames
-    place = {int(frame): i for i, frame in enumerate(work.geometry.frame)}
-    needed = {i - j for i, _ in work.tiles for j in range(min(i, lag) + 1)}
-    needed |= {place[plan.drawn_frame(int(work.geometry.frame[i]))] for i in needed}
-    needed |= set(work.star_truth)
-    rectangles = tuple(dict.fromkeys((*(tile for _, tile in work.tiles), *blocks)))  # each once
-    views = {
-        index: _view(plan, work.geometry.frame_slice(index), shards, ref_epochs_jyear, rectangles)
-        for index in sorted(needed)
-    }
-
-    def light_of(view: _View, tile: Tile) -> tuple[list[Key], list[Key], list[Key]]:
-        """Keys of what a tile of a frame is drawn from: its stars' places, its blocks, and the
-        light of its stars, where that is drawn for several frames."""
-        frame = int(view.g.frame[0])
-        if plan.shared_frames == 1:
-            return *_seen_by(graph, inputs, view, tile, blocks), []
-        first = views[place[plan.drawn_frame(frame)]]
-        key = ("stars", int(first.g.frame[0]), tile.row, tile.column)
-        if key not in graph:
-            seen = _seen_by(graph, inputs, first, tile, blocks)
-            graph[key] = (star_task, inputs, first.g, tile, *seen)
-        of_targets = blocks if plan.scene.targets and plan.responses.spacing_px else ()
-        bare = replace(view, shards={}, near={r: [] for r in view.near})
-        around = _seen_by(graph, inputs, bare, tile, of_targets, "target_block")[1]
-        return _places(graph, inputs, view, tile), around, [key]
-
+    views = _views(plan, work, shards, ref_epochs_jyear, blocks)
     for index, tile in work.tiles:
         before = []
-        for earlier in range(max(0, index - lag), index):
-            key = ("charge", int(views[earlier].g.frame[0]), tile.row, tile.column)
+        for earlier in frames[max(0, index - lag) : index]:
+            key = ("charge", earlier, tile.row, tile.column)
             if key not in graph:
-                seen = light_of(views[earlier], tile)
+                seen = _light_of(graph, inputs, plan, views, earlier, tile, blocks)
                 graph[key] = (charge_task, inputs, views[earlier].g, tile, *seen)
             before.append(key)
-        view = views[index]
-        name = ("tile", int(view.g.frame[0]), tile.row, tile.column)
-        graph[name] = (tile_task, inputs, view.g, tile, *light_of(view, tile), before)
-        wanted.append(name)
+        frame = frames[index]
+        seen = _light_of(graph, inputs, plan, views, frame, tile, blocks)
+        wanted.append(("tile", frame, tile.row, tile.column))
+        graph[wanted[-1]] = (tile_task, inputs, views[frame].g, tile, *seen, before)
     for index in work.star_truth:
-        view = views[index]
+        view = views[frames[index]]
         everywhere = _places(graph, inputs, view, None)
-        graph["star_truth", int(view.g.frame[0])] = (star_truth_task, inputs, view.g, everywhere)
-        wanted.append(("star_truth", int(view.g.frame[0])))
-    for index in work.target_truth:
-        g = work.geometry.frame_slice(index)
-        graph[("target_truth", int(g.frame[0]))] = (target_truth_task, inputs, g)
-        wanted.append(("target_truth", int(g.frame[0])))
-    for index in work.ray_truth:
-        frame = int(work.geometry.frame[index])
-        graph[("ray_truth", frame)] = (ray_truth_task, inputs, work.geometry.frame_slice(index))
-        wanted.append(("ray_truth", frame))
+        wanted.append(("star_truth", frames[index]))
+        graph[wanted[-1]] = (star_truth_task, inputs, view.g, everywhere)
+    for name, task, indices in (
+        ("target_truth", target_truth_task, work.target_truth),
+        ("ray_truth", ray_truth_task, work.ray_truth),
+    ):
+        for index in indices:
+            wanted.append((name, frames[index]))
+            graph[wanted[-1]] = (task, inputs, g.frame_slice(index))
     return graph, wanted
+
+
+def _views(
+    plan: Plan, work: WindowWork, shards: dict[Shard, Any], ref_epochs_jyear: tuple[float, ...],
+    blocks: Iterable[Tile],
+) -> dict[int, _View]:  # fmt: skip
+    """The frames, by number, whose stars the tasks of a window ask for."""
+    g, lag = work.geometry, plan.lag_frames
+    place = {int(frame): i for i, frame in enumerate(g.frame)}
+    needed = {i - j for i, _ in work.tiles for j in range(min(i, lag) + 1)}
+    needed |= {place[plan.drawn_frame(int(g.frame[i]))] for i in needed}
+    needed |= set(work.star_truth)
+    rectangles = tuple(dict.fromkeys((*(tile for _, tile in work.tiles), *blocks)))  # each once
+    return {
+        int(g.frame[i]): _view(plan, g.frame_slice(i), shards, ref_epochs_jyear, rectangles)
+        for i in sorted(needed)
+    }
+
+
+def _light_of(
+    graph: dict[Key, Any], inputs: Any, plan: Plan, views: dict[int, _View], frame: int, tile: Tile,
+    blocks: Iterable[Tile],
+) -> tuple[list[Key], list[Key], list[Key]]:  # fmt: skip
+    """Keys of what a tile of a frame is drawn from: its stars' places, its blocks, and the
+    light of its stars, where that is drawn for several frames."""
+    view = views[frame]
+    if plan.shared_frames == 1:
+        return *_seen_by(graph, inputs, view, tile, blocks), []
+    first = plan.drawn_frame(frame)
+    key = ("stars", first, tile.row, tile.column)
+    if key not in graph:
+        seen = _seen_by(graph, inputs, views[first], tile, blocks)
+        graph[key] = (star_task, inputs, views[first].g, tile, *seen)
+    of_targets = blocks if plan.scene.targets and plan.responses.spacing_px else ()
+    bare = replace(view, shards={}, near={r: [] for r in view.near})
+    around = _seen_by(graph, inputs, bare, tile, of_targets, "target_block")[1]
+    return _places(graph, inputs, view, tile), around, [key]
 
 
 def _seen_by(

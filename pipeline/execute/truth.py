@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -120,19 +121,16 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     """
     middle, count = g.middle, len(plan.scene.targets)
     drawn = {t.index: t for t in place_targets(plan, g, everywhere=True)}
+    shown = [drawn.get(i) for i in range(count)]
     seen = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     effects = plan.scene.star_effects
     proper = unrefract(g.target_direction[:, 0], g.air_at(0, middle))
     direction = proper_to_astrometric(proper, seen[0], seen[1], seen[2], **effects)
     ra, dec = to_angles(direction)
     apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
-    light = np.array([drawn[i].light_e if i in drawn else 0.0 for i in range(count)])
-    near = set(reaching(plan, g))
-    snr = [
-        _snr_of(plan, drawn[i], int(g.frame[0])) if i in drawn and i in near else 0.0
-        for i in range(count)
-    ]
-    centroid = np.array([_centroid(drawn.get(i)) for i in range(count)])
+    near, frame = set(reaching(plan, g)), int(g.frame[0])
+    snr = _each(shown, lambda t: _snr_of(plan, t, frame) if t.index in near else 0.0)
+    centroid = np.array([_centroid(t) for t in shown])
     v_mag, mag_ab = target_magnitudes(plan, g)
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     ends = np.stack([x[:, 0], y[:, 0], x[:, -1], y[:, -1]])
@@ -163,15 +161,22 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
         "range_m": g.target_range_m[:, 0, middle],
         "phase_deg": np.degrees(g.target_phase_rad[:, 0, middle]),
         "sunlit_fraction": g.target_sunlit[:, 0, middle],
-        "electrons": collected_e(plan, light),
+        "electrons": collected_e(plan, _each(shown, lambda t: t.light_e)),
         "v_mag": v_mag,
         "mag_ab": mag_ab,
-        "radius_px": np.array([drawn[i].radius_px if i in drawn else 0.0 for i in range(count)]),
-        "extended": np.array([i in drawn and drawn[i].body is not None for i in range(count)]),
-        "snr": np.array(snr),
+        "radius_px": _each(shown, lambda t: t.radius_px),
+        "extended": _each(shown, lambda t: t.body is not None, False),
+        "snr": snr,
         "in_frame": inside,
         **_hidden(plan, visible),
     }
+
+
+def _each(
+    targets: list[FrameTarget | None], value: Callable[[FrameTarget], Any], absent: Any = 0.0
+) -> Array:
+    """A value of each target (n,), and what stands for it where a target is not drawn."""
+    return np.array([absent if t is None else value(t) for t in targets])
 
 
 def target_magnitudes(plan: Plan, g: Geometry) -> tuple[Array, Array]:

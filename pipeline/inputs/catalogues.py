@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -133,19 +134,25 @@ def catalogue_remarks(
         for c in catalogues
         if c.brightest_g_mag is not None and c.faintest_g_mag is not None
     )
-    if not spans:
-        return tuple(out)
-    who, s = ("the catalogue", "s") if len(catalogues) == 1 else ("the catalogues", "")
+    if spans:
+        who = "the catalogue {}s" if len(catalogues) == 1 else "the catalogues {}"
+        out += _gaps(who, spans, faintest_g_mag)
+    return tuple(out)
+
+
+def _gaps(who: str, spans: list[tuple[float, float]], faintest_g_mag: float | None) -> list[str]:
+    """Magnitudes up to the asked limit that none of the spans (brightest, faintest) reaches."""
+    out, limit = [], math.inf if faintest_g_mag is None else faintest_g_mag
     if spans[0][0] > BRIGHT_END_G_MAG:
         out.append(
-            f"{who} begin{s} at G = {spans[0][0]:.1f}: brighter real stars are missing "
+            f"{who.format('begin')} at G = {spans[0][0]:.1f}: brighter real stars are missing "
             "(Gaia DR2 lacks about 250 above G = 3; a bright list in a layer over it has them)"
         )
     reached = spans[0][1]
     for brightest, faintest in spans[1:]:
-        if brightest > reached + GAP_G_MAG and (faintest_g_mag is None or reached < faintest_g_mag):
+        if brightest > reached + GAP_G_MAG and reached < limit:
             out.append(f"no catalogue holds stars of G = {reached:.1f} to {brightest:.1f}")
         reached = max(reached, faintest)
-    if faintest_g_mag is not None and reached < faintest_g_mag - GAP_G_MAG:
-        out.append(f"{who} end{s} at G = {reached:.1f}, the scene asks for {faintest_g_mag}")
-    return tuple(out)
+    if reached < limit - GAP_G_MAG < math.inf:
+        out.append(f"{who.format('end')} at G = {reached:.1f}, the scene asks for {faintest_g_mag}")
+    return out

@@ -104,7 +104,7 @@ def _checked(path: Path, content: dict[str, Any]) -> ColourFit:
         "spectra_count": (0, 10**9),
     }  # fmt: skip
     for name, (low, high) in numbers.items():
-        if not _is_number(content.get(name)) or not low <= content[name] <= high:
+        if not _is_number(content.get(name), low, high):
             raise refuse(name, f"a number from {low:g} to {high:g}")
     for name in ("band_name", "source"):
         if not isinstance(content.get(name), str):
@@ -116,7 +116,7 @@ def _checked(path: Path, content: dict[str, Any]) -> ColourFit:
     terms: Any = content.get("coefficients")
     if not _numbers(terms, 1, MOST_COEFFICIENTS):
         raise refuse("coefficients", f"1 to {MOST_COEFFICIENTS} numbers")
-    largest = max(abs(x) for x in ends)
+    largest = max(map(abs, ends))
     if sum(abs(c) * largest**k for k, c in enumerate(terms)) > 1e3 * LARGEST_MAG:
         raise refuse("coefficients", f"corrections of at most {LARGEST_MAG:g} mag in colour_range")
     return fit_of(content)
@@ -127,5 +127,6 @@ def _numbers(values: Any, least: int, most: int) -> bool:
     return right and all(_is_number(v) for v in values)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def _is_number(value: Any, low: float = -math.inf, high: float = math.inf) -> bool:
+    right = isinstance(value, int | float) and not isinstance(value, bool)
+    return right and math.isfinite(value) and low <= value <= high

@@ -43,25 +43,11 @@ def gather_cosmic_rays(
 
     BadInput where a library cannot be read, or lacks what the arrival asks for.
     """
-    rows, columns = sensor.shape
     if wish is None:
         return None
     if isinstance(wish, spec.GeneratedCosmicRays):
-        space = wish.source == "space"
-        rate = wish.rate_per_cm2_s
-        if rate is None:
-            rate = spec.SPACE_RATE_PER_CM2_S if space else spec.GROUND_RATE_PER_CM2_S
-        helium = wish.helium_share
-        if helium is None:
-            helium = spec.SPACE_HELIUM_SHARE if space else 0.0
-        if rate == 0.0:
-            return None
-        flux = Flux(
-            rows, columns, sensor.pixel_pitch_um, wish.thickness_um, rate, integration_s,
-            0.0 if space else spec.MUON_ZENITH_POWER, helium, wish.diffusion_um,
-            wish.delta_electrons,
-        )  # fmt: skip
-        return _few_enough("rate_per_cm2_s", rate, flux)
+        flux = _flux(wish, sensor, integration_s)
+        return flux and _few_enough("rate_per_cm2_s", flux.rate_per_cm2_s, flux)
     if wish.rate_scale == 0.0:
         return None
     library = read_library(Path(wish.path))
@@ -69,9 +55,26 @@ def gather_cosmic_rays(
         allowed = "poisson: the library does not say which frame an event is of"
         raise BadInput("cosmic_rays.arrival", wish.arrival, allowed)
     recorded = Recorded(
-        library, rows, columns, sensor.pixel_pitch_um, integration_s, wish.rate_scale, wish.arrival
+        library, *sensor.shape, sensor.pixel_pitch_um, integration_s, wish.rate_scale, wish.arrival
     )
     return _few_enough("rate_scale", wish.rate_scale, recorded)
+
+
+def _flux(
+    wish: spec.GeneratedCosmicRays, sensor: Sensor, integration_s: float
+) -> Flux | None:
+    """The particles that are generated, defaults filled in; None of rate 0."""
+    defaults = (spec.GROUND_RATE_PER_CM2_S, 0.0, spec.MUON_ZENITH_POWER)
+    if wish.source == "space":
+        defaults = (spec.SPACE_RATE_PER_CM2_S, spec.SPACE_HELIUM_SHARE, 0.0)
+    rate = defaults[0] if wish.rate_per_cm2_s is None else wish.rate_per_cm2_s
+    helium = defaults[1] if wish.helium_share is None else wish.helium_share
+    if rate == 0.0:
+        return None
+    return Flux(
+        *sensor.shape, sensor.pixel_pitch_um, wish.thickness_um, rate, integration_s,
+        defaults[2], helium, wish.diffusion_um, wish.delta_electrons,
+    )  # fmt: skip
 
 
 def _few_enough(key: str, value: float, rays: CosmicRays) -> CosmicRays:
@@ -114,13 +117,9 @@ def _library(
 ) -> Library:  # fmt: skip
     """Rows of the table, checked, as events of pixels."""
     exposure_s, pixels = (_positive(path, field, header, n) for n in ("EXPTIME", "NUM_PIX"))
-    lengths = np.array([len(s) for s in spans], dtype=np.int64)
+    lengths = np.array(list(map(len, spans)), dtype=np.int64)
     electrons = np.concatenate([np.empty(0), *spans])
-    if not np.isfinite(electrons).all() or (electrons < 0).any():
-        raise BadInput(field, f"{path.name} with a negative or NaN charge", "electrons, 0 or more")
-    if len(x0) and (min(x0.min(), y0.min()) < 0 or max(x0.max(), y0.max()) > LARGEST_PLACE):
-        raise BadInput(field, f"{path.name} with a pixel at {x0.min()}, {y0.min()} to {x0.max()}, "
-                       f"{y0.max()}", f"places from 0 to {LARGEST_PLACE}")  # fmt: skip
+    _check_rows(path, field, electrons, x0, y0)
     row = np.repeat(np.arange(len(spans)), lengths)
     along = np.arange(len(row)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
     order = np.argsort(event[row], kind="stable")
@@ -128,24 +127,39 @@ def _library(
     _, first = np.unique(event[row], return_index=True)
     start = np.append(first, len(row)).astype(np.int64)
     x, y = x0[row] + along[order], y0[row]
-    shape, frames = _shape(header), header.get("FRAMES")
+    shape = _shape(header)
     if shape and len(x) and (y.max() >= shape[0] or x.max() >= shape[1]):
         raise BadInput(field, f"{path.name} with a pixel at {x.max()}, {y.max()}",
                        f"places in its {shape[0]} rows and {shape[1]} columns")  # fmt: skip
     pitch = header.get("PITCH_UM")
-    of_event = np.zeros(len(first), np.int64)
-    if frame is None or not isinstance(frames, int) or frames < 1:
-        frames = None
-    else:
-        of_event = frame[row[start[:-1]]]
-    if frames and len(of_event) and not 0 <= of_event.min() <= of_event.max() < frames:
-        raise BadInput(field, f"{path.name} with an event of frame {of_event.max()}",
-                       f"frames 0 to {frames - 1}")  # fmt: skip
+    frames, of_event = _frames_of(path, field, header.get("FRAMES"), frame, row[start[:-1]])
     return Library(
         start, x, y, electrons[order], exposure_s, pixels,
         float(pitch) if isinstance(pitch, int | float) and pitch > 0 else None,
         shape, frames, of_event,
     )  # fmt: skip
+
+
+def _check_rows(path: Path, field: str, electrons: Any, x0: Any, y0: Any) -> None:
+    """BadInput for charges that are none, and for pixels at impossible places."""
+    if not np.isfinite(electrons).all() or (electrons < 0).any():
+        raise BadInput(field, f"{path.name} with a negative or NaN charge", "electrons, 0 or more")
+    if len(x0) and (min(x0.min(), y0.min()) < 0 or max(x0.max(), y0.max()) > LARGEST_PLACE):
+        raise BadInput(field, f"{path.name} with a pixel at {x0.min()}, {y0.min()} to {x0.max()}, "
+                       f"{y0.max()}", f"places from 0 to {LARGEST_PLACE}")  # fmt: skip
+
+
+def _frames_of(
+    path: Path, field: str, frames: Any, frame: Any, rows: Any
+) -> tuple[int | None, Any]:
+    """How many frames there are, and that of each event, by its row; None, 0 where not said."""
+    if frame is None or not isinstance(frames, int) or frames < 1:
+        return None, np.zeros(len(rows), np.int64)
+    of_event = frame[rows]
+    if len(of_event) and not 0 <= of_event.min() <= of_event.max() < frames:
+        raise BadInput(field, f"{path.name} with an event of frame {of_event.max()}",
+                       f"frames 0 to {frames - 1}")  # fmt: skip
+    return frames, of_event
 
 
 def _positive(path: Path, field: str, header: dict[str, Any], name: str) -> Any:

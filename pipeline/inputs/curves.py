@@ -158,23 +158,7 @@ def _covering_table(
 
 def read_table(field: str, path: str | Path, base: Path | None = None) -> ResponseCurve:
     """Read a CSV table (wavelength_nm, value): ascending, finite, 0 <= value <= 1."""
-    file = (base or Path()) / path
-    try:
-        if file.stat().st_size > LARGEST_TABLE_BYTES:
-            raise BadInput(field, str(path), f"a table of at most {LARGEST_TABLE_BYTES} bytes")
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
-        raise BadInput(field, str(path), "a readable text file") from error
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    rows = list(csv.reader(lines))
-    if rows and not _is_number(rows[0][0]):
-        rows = rows[1:]
-    for row in rows:
-        if len(row) != 2 or not all(map(_is_number, row)):
-            raise BadInput(field, ",".join(row), "rows of two finite numbers: wavelength_nm, value")
-    if len(rows) < 2:
-        raise BadInput(field, str(path), "at least two rows: wavelength_nm, value")
-    table = np.array(rows, dtype=np.float64)
+    table = _table(field, path, (base or Path()) / path)
     for before, row in itertools.pairwise(table):
         if row[0] <= before[0]:
             raise BadInput(field, f"{row[0]:g} after {before[0]:g}", "ascending wavelengths")
@@ -184,6 +168,25 @@ def read_table(field: str, path: str | Path, base: Path | None = None) -> Respon
     if len(wrong):
         raise BadInput(field, f"{wrong[0, 1]:g} at {wrong[0, 0]:g} nm", "values from 0 to 1")
     return ResponseCurve(table[:, 0] * 1e-9, table[:, 1])
+
+
+def _table(field: str, path: str | Path, file: Path) -> Array:
+    """The rows (n, 2) of finite numbers of a file; `path` : as the user wrote it."""
+    try:
+        if file.stat().st_size > LARGEST_TABLE_BYTES:
+            raise BadInput(field, str(path), f"a table of at most {LARGEST_TABLE_BYTES} bytes")
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise BadInput(field, str(path), "a readable text file") from error
+    rows = list(csv.reader(line for line in lines if not re.match(r"\s*(#|$)", line)))
+    if rows and not _is_number(rows[0][0]):
+        rows = rows[1:]
+    for row in rows:
+        if len(row) != 2 or not all(map(_is_number, row)):
+            raise BadInput(field, ",".join(row), "rows of two finite numbers: wavelength_nm, value")
+    if len(rows) < 2:
+        raise BadInput(field, str(path), "at least two rows: wavelength_nm, value")
+    return np.array(rows, dtype=np.float64)
 
 
 def _is_number(text: str) -> bool:
@@ -214,9 +217,8 @@ def named_filter(name: str) -> ResponseCurve:
         allowed = f"a filter of speclite, e.g. {', '.join(near or ['gaiadr2-G', 'bessell-V'])}"
         raise BadInput("sensor.bandpass.name", name, allowed)
     text = (folder / f"{name}.ecsv").read_text(encoding="utf-8")
-    head = [line for line in text.splitlines() if line.startswith("#")]
     body = [line.split() for line in text.splitlines() if line and not line.startswith("#")][1:]
-    unit = re.search(r"unit: ['\"]?(Angstrom|nm|um|micron)\b", "\n".join(head))
+    unit = re.search(r"^#.*?unit: ['\"]?(Angstrom|nm|um|micron)\b", text, re.MULTILINE)
     if unit is None or any(len(row) != 2 for row in body):
         raise Damaged(str(folder / f"{name}.ecsv"), "no wavelength unit or not two columns")
     table = np.array(body, dtype=np.float64)

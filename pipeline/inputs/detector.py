@@ -55,27 +55,29 @@ def gather_faults(scene: Scene) -> dict[str, Array] | None:
     In TDI a pixel is a place of the frame: dead and hot ones act on their whole columns.
     """
     d, shape, seed = scene.sensor.detector, scene.sensor.shape, scene.seed
+    if d is None:
+        return None
     parts = []
     for name in ("bad", "dead"):
-        found = None if d is None else getattr(d, name)
+        found = getattr(d, name)
         if found is not None:
             y, x = np.nonzero(gather_failing(found, name, shape, seed))
             parts.append((y, x, name, getattr(found, "reads_dn", -1), np.zeros(y.shape)))
-    if d is not None and d.hot is not None:
+    if d.hot is not None:
         extra = _hot(d.hot, shape, seed)
         y, x = np.nonzero(extra)
         parts.append((y, x, "hot", -1, extra[y, x]))
     if not parts:
         return None
-    rows, columns = (np.concatenate([p[k] for p in parts]).astype(np.int32) for k in (0, 1))
-    order = np.lexsort((columns, rows))
-    many = [len(p[0]) for p in parts]
+    *places, names, reads_dn, dark_e_per_s = zip(*parts, strict=True)
+    rows, columns = (np.concatenate(place).astype(np.int32) for place in places)
+    order, many = np.lexsort((columns, rows)), list(map(len, dark_e_per_s))
     return {
         "row": rows[order],
         "column": columns[order],
-        "fault": np.repeat([p[2] for p in parts], many)[order],
-        "reads_dn": np.repeat(np.array([p[3] for p in parts], np.int64), many)[order],
-        "dark_e_per_s": np.concatenate([p[4] for p in parts])[order],
+        "fault": np.repeat(names, many)[order],
+        "reads_dn": np.repeat(np.array(reads_dn, np.int64), many)[order],
+        "dark_e_per_s": np.concatenate(dark_e_per_s)[order],
     }
 
 

@@ -37,21 +37,23 @@ def read_distortion(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise BadInput(FIELD, str(path), "an existing FITS file, or a FITS header as text")
     for header in _headers(path):
-        ctype = [str(header.get(f"CTYPE{i}", "")) for i in (1, 2)]
-        scamp = ctype[0].endswith("-TAN") and any(f"PV2_{k}" in header for k in range(1, 40))
-        is_tpv = ctype[0].endswith("-TPV") or scamp
-        if not (is_tpv or "A_ORDER" in header or "B_ORDER" in header):
+        is_tpv = _is_tpv(header)
+        if not is_tpv and not {"A_ORDER", "B_ORDER"}.intersection(header):
             continue
         if any(k.startswith(("CPDIS", "CQDIS")) for k in header):
             raise BadInput(FIELD, str(path), "a WCS without lookup tables (CPDIS, CQDIS)")
         try:
-            reference = [float(header.get(f"CRPIX{i}", 0.0)) - 1.0 for i in (1, 2)]
-            if is_tpv:
-                return _tpv(header, reference)
-            return _sip(header, path, reference)
+            reference = [float(header.get(name, 0.0)) - 1.0 for name in ("CRPIX1", "CRPIX2")]
+            return _tpv(header, reference) if is_tpv else _sip(header, path, reference)
         except (TypeError, ValueError, KeyError) as error:
             raise BadInput(FIELD, str(path), f"a WCS with numbers in its cards; {error}") from None
     raise BadInput(FIELD, str(path), "a file with a SIP (A_ORDER, B_ORDER) or TPV distortion")
+
+
+def _is_tpv(header: Any) -> bool:
+    ctype = str(header.get("CTYPE1", ""))
+    scamp = ctype.endswith("-TAN") and any(f"PV2_{k}" in header for k in range(1, 40))
+    return ctype.endswith("-TPV") or scamp
 
 
 def _headers(path: Path) -> list[Any]:
@@ -102,8 +104,7 @@ def _tpv(header: Any, reference: list[float]) -> dict[str, Any]:
     else:
         cd = [
             [
-                float(header.get(f"CDELT{i}", 1.0))
-                * float(header.get(f"PC{i}_{j}", 1.0 if i == j else 0.0))
+                float(header.get(f"CDELT{i}", 1.0)) * float(header.get(f"PC{i}_{j}", i == j))
                 for j in (1, 2)
             ]
             for i in (1, 2)

@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,10 @@ _TAI_MINUS_S = {  # seconds from a satellite system's time to TAI
 _FRAMES = {
     "EME2000": "gcrs", "J2000": "gcrs", "GCRF": "gcrs", "GCRS": "gcrs", "ICRF": "gcrs",
     "ICRS": "gcrs", "TEME": "teme", "TEMEOFDATE": "teme", "WGS84": "itrf", "WGS-84": "itrf",
+}  # fmt: skip
+_PARTS = {  # of an OEM, by the line before them
+    "META_START": "META_START", "COVARIANCE_START": "COVARIANCE_START", "META_STOP": "data",
+    "COVARIANCE_STOP": "data",
 }  # fmt: skip
 _TIME = re.compile(r"(\d{4})-(?:(\d{3})|(\d{2})-(\d{2}))T(\d{2}):(\d{2})(?::(\d{2}(?:\.\d*)?))?Z?")
 
@@ -135,24 +140,14 @@ def _sp3(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:
     """Positions [km] (and velocities [dm/s]) in the Earth-fixed frame (Hilla 2016, SP3-d)."""
     lines = text.splitlines()
     scale = next((t[9:12].strip() for t in lines if t.startswith("%c")), "GPS")
-    scale = "UTC" if scale == "GLO" else "GPS" if scale in ("", "ccc") else scale
+    scale = {"GLO": "UTC", "": "GPS", "ccc": "GPS"}.get(scale, scale)
     dates: list[list[float]] = []
     rows: dict[str, dict[int, list[float]]] = {}
-    try:
-        for line in lines:
-            if line.startswith("* "):
-                dates.append([float(x) for x in line[1:].split()[:6]])
-            elif line[:1] == "P" and dates:
-                place = [1e3 * float(line[c : c + 14]) for c in (4, 18, 32)]
-                if any(place):  # zeros: not known
-                    rows.setdefault(line[1:4].strip(), {})[len(dates) - 1] = place
-            elif line[:1] == "V" and dates:
-                place = rows.get(line[1:4].strip(), {}).get(len(dates) - 1, [])
-                place += [0.1 * float(line[c : c + 14]) for c in (4, 18, 32)] if place else []
-            elif line.startswith("EOF"):
-                break
-    except ValueError as error:
-        raise BadInput(field, f"{line[:60]} in {path.name}", f"SP3 numbers; {error}") from None
+    for line in takewhile(lambda line: not line.startswith("EOF"), lines):
+        try:
+            _sp3_line(line, dates, rows)
+        except ValueError as error:
+            raise BadInput(field, f"{line[:60]} in {path.name}", f"SP3 numbers; {error}") from None
     if not dates:
         raise BadInput(field, path.name, "an SP3 file with epochs")
     utc1, utc2 = _to_utc(np.array(dates), scale, path, field)
@@ -164,6 +159,23 @@ def _sp3(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:
         if len(index) > 1:
             out[name] = [_table(name, "itrf", (utc1[index], utc2[index]), values, (path, field))]
     return out
+
+
+def _sp3_line(
+    line: str, dates: list[list[float]], rows: dict[str, dict[int, list[float]]]
+) -> None:
+    """Put what a line says to the dates, or to an object's rows by the number of their date."""
+    if line.startswith("* "):
+        dates.append([float(x) for x in line[1:].split()[:6]])
+    elif not dates:
+        return
+    elif line[:1] == "P":
+        place = [1e3 * float(line[c : c + 14]) for c in (4, 18, 32)]
+        if any(place):  # zeros: not known
+            rows.setdefault(line[1:4].strip(), {})[len(dates) - 1] = place
+    elif line[:1] == "V":
+        place = rows.get(line[1:4].strip(), {}).get(len(dates) - 1, [])
+        place += [0.1 * float(line[c : c + 14]) for c in (4, 18, 32)] if place else []
 
 
 def _oem(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:
@@ -180,15 +192,13 @@ def _oem(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:
 
     for number, raw in enumerate(text.splitlines(), 1):
         line = raw.strip()
-        if not line or line.startswith("COMMENT"):
+        if line[:7] in ("", "COMMENT"):
             continue
-        if line in ("META_START", "COVARIANCE_START"):
-            if line == "META_START":
-                close()
-                meta, rows = {}, []
-            part = line
-        elif line in ("META_STOP", "COVARIANCE_STOP"):
-            part = "data"
+        if line == "META_START":
+            close()
+            meta, rows = {}, []
+        if line in _PARTS:
+            part = _PARTS[line]
         elif part == "META_START":
             key, _, value = line.partition("=")
             meta[key.strip()] = value.strip()
@@ -227,28 +237,34 @@ def _csv(text: str, path: Path, frame: str, epoch: str, field: str) -> Ephemeris
     reader = csv.reader(io.StringIO(text))
     names = [name.strip().lower() for name in next(reader)]
     lines = [row for row in reader if row and not row[0].lstrip().startswith("#")]
-    if any(len(row) != len(names) for row in lines):
-        i = next(i for i, row in enumerate(lines) if len(row) != len(names))
-        raise BadInput(field, f"row {i + 1} of {path.name}", f"{len(names)} values")
-    column = {name: [row[i] for row in lines] for i, name in enumerate(names)}
+    for i, row in enumerate(lines, 1):
+        if len(row) != len(names):
+            raise BadInput(field, f"row {i} of {path.name}", f"{len(names)} values")
+    column = {name: values for name, *values in zip(names, *lines, strict=True)}
     parts = [_triple(column, "{}_m", "{}_km", "xyz", path, field)]
-    if any(name.startswith(("vx_", "vy_", "vz_")) for name in names):
+    if any(map(re.compile("v[xyz]_").match, names)):
         parts.append(_triple(column, "{}_m_s", "{}_km_s", ("vx", "vy", "vz"), path, field))
     times = [n for n in names if n.startswith("time_")]
     if len(times) != 1:
         raise BadInput(field, f"{len(times)} time columns in {path.name}", "one: time_utc, time_s")
-    if times[0] == "time_s":
-        start1, start2, _ = era.utctai(*parse_utc(epoch, f"{field.removesuffix('.path')}.epoch"))
-        seconds = _numbers([[t] for t in column["time_s"]], path, field)[:, 0]
-        if not np.isfinite(seconds).all():
-            raise BadInput(field, f"time_s of {path.name}", "finite numbers")
-        utc1, utc2, _ = era.taiutc(np.full(len(seconds), start1), start2 + seconds / 86_400.0)
-    else:
-        texts = [t.strip().replace(" ", "T", 1) for t in column[times[0]]]
-        scale = times[0].removeprefix("time_").upper()
-        utc1, utc2 = _to_utc(_calendar(texts, path, field), scale, path, field)
-    return _table(path.stem, frame, (np.asarray(utc1), np.asarray(utc2)), np.hstack(parts),
-                  (path, field))  # fmt: skip
+    utc = _csv_times(times[0], column[times[0]], path, epoch, field)
+    return _table(path.stem, frame, utc, np.hstack(parts), (path, field))
+
+
+def _csv_times(
+    name: str, texts: list[str], path: Path, epoch: str, field: str
+) -> tuple[Array, Array]:
+    """UTC (n,), (n,) of a column of times, by its name."""
+    if name != "time_s":
+        texts = [t.strip().replace(" ", "T", 1) for t in texts]
+        scale = name.removeprefix("time_").upper()
+        return _to_utc(_calendar(texts, path, field), scale, path, field)
+    start1, start2, _ = era.utctai(*parse_utc(epoch, f"{field.removesuffix('.path')}.epoch"))
+    seconds = _numbers([[t] for t in texts], path, field)[:, 0]
+    if not np.isfinite(seconds).all():
+        raise BadInput(field, f"time_s of {path.name}", "finite numbers")
+    utc1, utc2, _ = era.taiutc(np.full(len(seconds), start1), start2 + seconds / 86_400.0)
+    return np.asarray(utc1), np.asarray(utc2)
 
 
 def _triple(

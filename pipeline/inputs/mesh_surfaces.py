@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -67,33 +68,48 @@ class Palette:
 
 def make_surface(wish: Any, field: str = "surface") -> tuple[FacetSurface, bytes]:
     """The surface that a scene describes, and the bytes of the file it was read from, if any."""
-    if isinstance(wish, LambertSurface):
-        return FacetSurface(partial(brdf.lambert, albedo=wish.albedo), wish.two_sided), b""
-    if isinstance(wish, PhongSurface):
-        given = partial(
-            brdf.phong, diffuse=wish.diffuse, specular=wish.specular, exponent=wish.exponent
-        )
-        rings = SUN_RINGS if wish.specular and wish.exponent > SHARP_EXPONENT else 0
-        return FacetSurface(given, wish.two_sided, rings), b""
-    if isinstance(wish, CookTorranceSurface):
-        index = None if wish.refractive_index is None else complex(*wish.refractive_index)
-        given = partial(
-            brdf.cook_torrance, diffuse=wish.diffuse, roughness=wish.roughness, index=index,
-            normal_reflectance=wish.normal_reflectance or 0.0,
-        )  # fmt: skip
-        rings = SUN_RINGS if wish.roughness < SHARP_ROUGHNESS else 0
-        return FacetSurface(given, wish.two_sided, rings), b""
-    if isinstance(wish, AshikhminShirleySurface):
-        across = wish.exponent_u if wish.exponent_v is None else wish.exponent_v
-        given = partial(
-            brdf.ashikhmin_shirley, diffuse=wish.diffuse, specular=wish.specular,
-            exponent_u=wish.exponent_u, exponent_v=across, grain=np.array(wish.grain),
-        )  # fmt: skip
-        sharp = max(wish.exponent_u, across) > 0.25 * SHARP_EXPONENT
-        return FacetSurface(given, wish.two_sided, SUN_RINGS if sharp and wish.specular else 0), b""
-    assert isinstance(wish, TableSurface)
-    table, raw = read_brdf_table(Path(wish.path), wish.scale, field)
-    return FacetSurface(table, wish.two_sided), raw
+    if isinstance(wish, TableSurface):
+        given, raw = read_brdf_table(Path(wish.path), wish.scale, field)
+        return FacetSurface(given, wish.two_sided), raw
+    given, sharp = FORMULAS[type(wish)](wish)
+    return FacetSurface(given, wish.two_sided, SUN_RINGS if sharp else 0), b""
+
+
+def _lambert(wish: LambertSurface) -> tuple[Any, bool]:
+    return partial(brdf.lambert, albedo=wish.albedo), False
+
+
+def _phong(wish: PhongSurface) -> tuple[Any, bool]:
+    given = partial(
+        brdf.phong, diffuse=wish.diffuse, specular=wish.specular, exponent=wish.exponent
+    )
+    return given, bool(wish.specular) and wish.exponent > SHARP_EXPONENT
+
+
+def _cook_torrance(wish: CookTorranceSurface) -> tuple[Any, bool]:
+    index = None if wish.refractive_index is None else complex(*wish.refractive_index)
+    given = partial(
+        brdf.cook_torrance, diffuse=wish.diffuse, roughness=wish.roughness, index=index,
+        normal_reflectance=wish.normal_reflectance or 0.0,
+    )  # fmt: skip
+    return given, wish.roughness < SHARP_ROUGHNESS
+
+
+def _ashikhmin_shirley(wish: AshikhminShirleySurface) -> tuple[Any, bool]:
+    across = wish.exponent_u if wish.exponent_v is None else wish.exponent_v
+    given = partial(
+        brdf.ashikhmin_shirley, diffuse=wish.diffuse, specular=wish.specular,
+        exponent_u=wish.exponent_u, exponent_v=across, grain=np.array(wish.grain),
+    )  # fmt: skip
+    sharp = max(wish.exponent_u, across) > 0.25 * SHARP_EXPONENT
+    return given, sharp and bool(wish.specular)
+
+
+# By kind of surface: its reflectance, and whether its highlight is as sharp as the Sun's disc.
+FORMULAS: dict[type, Callable[[Any], tuple[Any, bool]]] = {
+    LambertSurface: _lambert, PhongSurface: _phong, CookTorranceSurface: _cook_torrance,
+    AshikhminShirleySurface: _ashikhmin_shirley,
+}  # fmt: skip
 
 
 def read_brdf_table(
@@ -105,14 +121,7 @@ def read_brdf_table(
     the rows are not one for each point of a grid.
     """
     name = f"{field}.path"
-    if not path.is_file() or path.suffix.lower() not in (".csv", ".npy"):
-        raise BadInput(name, str(path), "an existing .csv or .npy file")
-    if path.stat().st_size > LARGEST_TABLE_BYTES:
-        raise BadInput(name, path.name, f"a file of at most {LARGEST_TABLE_BYTES} bytes")
-    raw = path.read_bytes()
-    rows = _npy(path, name) if path.suffix.lower() == ".npy" else _csv(raw, path.name, name)
-    if rows.ndim != 2 or rows.shape[1] != 4 or not np.all(np.isfinite(rows)):
-        raise BadInput(name, path.name, f"rows of 4 finite numbers: {', '.join(COLUMNS)}")
+    raw, rows = _brdf_rows(path, name)
     axes, places = zip(*(np.unique(c, return_inverse=True) for c in rows.T[:3]), strict=True)
     shape = tuple(a.size for a in axes)
     values = np.full(shape, np.nan)
@@ -122,6 +131,19 @@ def read_brdf_table(
         raise BadInput(name, f"{path.name} of {len(rows)} rows", allowed)
     theta_i, theta_o, phi = (np.deg2rad(a) for a in axes)
     return brdf_table(theta_i, theta_o, phi, values, field), raw
+
+
+def _brdf_rows(path: Path, name: str) -> tuple[bytes, Array]:
+    """The bytes of a table's file, and its rows (n, 4) of finite numbers."""
+    if not path.is_file() or path.suffix.lower() not in (".csv", ".npy"):
+        raise BadInput(name, str(path), "an existing .csv or .npy file")
+    if path.stat().st_size > LARGEST_TABLE_BYTES:
+        raise BadInput(name, path.name, f"a file of at most {LARGEST_TABLE_BYTES} bytes")
+    raw = path.read_bytes()
+    rows = _npy(path, name) if path.suffix.lower() == ".npy" else _csv(raw, path.name, name)
+    if rows.ndim != 2 or rows.shape[1] != 4 or not np.all(np.isfinite(rows)):
+        raise BadInput(name, path.name, f"rows of 4 finite numbers: {', '.join(COLUMNS)}")
+    return raw, rows
 
 
 def _npy(path: Path, field: str) -> Array:

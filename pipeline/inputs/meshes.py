@@ -6,7 +6,9 @@ import hashlib
 import io
 import json
 import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +81,8 @@ def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
     whole = read_mesh(Path(body.path), body.unit, f"{field}.path")
     files = {(body.path, body.unit): whole}
     palette = Palette()
-    moved = {one for part in body.parts if part.path is None for one in part.objects or ()}
-    rest = _take(whole, None, moved, f"{field}.parts")
+    moved = (part.objects or () for part in body.parts if part.path is None)
+    rest = _take(whole, None, set().union(*moved), f"{field}.parts")
     parts = []
     if rest.any():
         parts.append(RigidPart(_facets(whole, rest, palette, (body,), field)))
@@ -95,14 +97,19 @@ def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
         on = None if part.on is None else numbers[part.on]
         numbers[part.name] = len(parts)
         parts.append(_placed(part, facets, on))
+    notices = tuple(chain.from_iterable(file.notices for file in files.values()))
+    return MeshModel(tuple(parts), palette.surfaces, _digest(body, files, palette), notices)
+
+
+def _digest(body: MeshBody, files: Mapping[tuple[str, Any], MeshFile], palette: Palette) -> str:
+    """Of a body and its files: names, but not the folders that they lie in."""
     content = hashlib.sha256(
         body.model_dump_json(exclude={"path": True, "parts": {"__all__": {"path"}}}).encode()
     )
     for (path, unit), file in files.items():
         content.update(f"{Path(path).name} {unit} {file.digest}\n".encode())
     content.update(palette.digest.encode())
-    notices = tuple(note for file in files.values() for note in file.notices)
-    return MeshModel(tuple(parts), palette.surfaces, content.hexdigest(), notices)
+    return content.hexdigest()
 
 
 def _placed(part: MeshPart, facets: Facets, on: int | None) -> RigidPart:
@@ -241,19 +248,7 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
         raw, options = _with_materials(raw)
     try:
         scene = trimesh.load_scene(io.BytesIO(raw), file_type=kind, process=False, **options)
-        pieces = []
-        for node in scene.graph.nodes_geometry:
-            turn, key = scene.graph[node]
-            mesh = scene.geometry[key]
-            if not isinstance(mesh, trimesh.Trimesh):
-                continue
-            points = trimesh.transform_points(np.asarray(mesh.vertices, float), turn)
-            faces = np.asarray(mesh.faces)
-            if np.linalg.det(turn[:3, :3]) < 0.0:
-                faces = faces[:, ::-1]
-            material = str(getattr(getattr(mesh.visual, "material", None), "name", None) or "")
-            thing = _thing(str(key if kind == "obj" else node), material, kind)
-            pieces.append((points[faces], material, thing))
+        pieces = list(_pieces(trimesh, scene, kind))
     except MemoryError:
         raise
     except Exception as error:  # trimesh raises whatever its readers stumble upon
@@ -262,6 +257,21 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
     if not sum(len(p[0]) for p in pieces):
         raise BadInput(field, name, f"a whole {kind.upper()} file with triangles in it")
     return pieces
+
+
+def _pieces(trimesh: Any, scene: Any, kind: str) -> Iterator[tuple[Array, str, str]]:
+    """(corners, material, object) of each mesh of a scene of trimesh, as often as it is placed."""
+    for node in scene.graph.nodes_geometry:
+        turn, key = scene.graph[node]
+        mesh = scene.geometry[key]
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        points = trimesh.transform_points(np.asarray(mesh.vertices, float), turn)
+        faces = np.asarray(mesh.faces)
+        if np.linalg.det(turn[:3, :3]) < 0.0:
+            faces = faces[:, ::-1]
+        material = str(getattr(getattr(mesh.visual, "material", None), "name", None) or "")
+        yield points[faces], material, _thing(str(key if kind == "obj" else node), material, kind)
 
 
 def _told_facets(raw: bytes, kind: str) -> int:

@@ -32,13 +32,8 @@ def read_omm(path: Path, field: str) -> dict[str, dict[str, Any]]:
     text = read_text(path, field, LARGEST_BYTES)
     start = text.lstrip("\ufeff \t\r\n")[:1]
     try:
-        if start in ("{", "["):
-            sets = _from_json(text)
-        elif start == "<":
-            sets = _from_xml(text, path, field)
-        else:
-            sets = _from_kvn(text)
-        sets = [*sets]
+        reader = {"{": _from_json, "[": _from_json}.get(start, _from_kvn)
+        sets = [*(_from_xml(text, path, field) if start == "<" else reader(text))]
         if not all(isinstance(fields, Mapping) for fields in sets):
             raise TypeError("a list holds something else than messages")
     except (ValueError, TypeError, AttributeError, SyntaxError, RecursionError) as error:

@@ -34,27 +34,27 @@ def gather_pointing(scene: Scene) -> Scene:
     the error measured on left-out rows. A scene without tables comes back as it is. BadInput where
     a file cannot be used or does not cover the exposures.
     """
-    model = scene.pointing.attitude
-    spectra = [] if model is None else [p for p in model.jitter if _is_file(p)]
-    plans = [p for p in dwell_plans(scene) if isinstance(p.pointing, TablePointing)]
+    spectra = _spectra(scene)
+    plans = [(p, p.pointing) for p in dwell_plans(scene) if isinstance(p.pointing, TablePointing)]
     if not plans and not spectra:
         return scene
     data, read = scene.as_dict(), dict[Any, Any]()
-    for plan in plans:
-        assert isinstance(plan.pointing, TablePointing)
+    for plan, pointing in plans:
         own = plan.dwell is not None and plan.dwell.pointing is not None
         holder = data["dwells"][plan.index] if own else data
         span = None if own or scene.dwells is None else (0.0, dwell_plans(scene)[-1].end_s)
-        holder["pointing"] |= _table(scene, plan, plan.pointing, span, read)
-    for i, part in enumerate(() if model is None else model.jitter):
-        if isinstance(part, TableJitter) and part.path is not None:
-            name = f"pointing.attitude.jitter.{i}.path"
-            data["pointing"]["attitude"]["jitter"][i] |= _spectrum(Path(part.path), name)
+        holder["pointing"] |= _table(scene, plan, pointing, span, read)
+    for i, path in spectra.items():
+        name = f"pointing.attitude.jitter.{i}.path"
+        data["pointing"]["attitude"]["jitter"][i] |= _spectrum(Path(path), name)
     return parse_scene(data)
 
 
-def _is_file(part: Any) -> bool:
-    return getattr(part, "path", None) is not None
+def _spectra(scene: Scene) -> dict[int, str]:
+    """The files of spectra by the number of their part of the jitter."""
+    model = scene.pointing.attitude
+    tables = () if model is None else enumerate(model.jitter)
+    return {i: p.path for i, p in tables if isinstance(p, TableJitter) and p.path is not None}
 
 
 def _table(
@@ -69,25 +69,7 @@ def _table(
     field = pointing_field(plan, "rows" if p.path is None else "path")
     made: dict[str, Any] = {}
     if p.path is not None:
-        path = Path(p.path)
-        if path not in read:
-            read[path] = _read(path, field)
-        columns = read[path]
-        rows, scalar = _rows(columns, p, scene.epoch, path, field)
-        check_rows(rows, field)
-        first = max(int(np.searchsorted(rows[:, 0], begin)) - SPARE_ROWS, 0)
-        kept = rows[first : int(np.searchsorted(rows[:, 0], end)) + SPARE_ROWS]
-        if rows[0, 0] > plan.start_s or rows[-1, 0] < plan.end_s:
-            raise BadInput(
-                field,
-                f"{path.name} from {rows[0, 0]:.6g} to {rows[-1, 0]:.6g} s after the epoch",
-                f"rows over all exposures, {plan.start_s:.6g} to {plan.end_s:.6g} s after it",
-            )
-        if len(kept) > MOST_ROWS:
-            allowed = f"at most {MOST_ROWS} rows around the exposures"
-            raise BadInput(field, f"{len(kept)} rows of {path.name}", allowed)
-        made = {"path": None, "rows": kept.tolist(), "scalar": scalar, "epoch": None,
-                "source": path.name[:200]}  # fmt: skip
+        made = _kept(scene, plan, p, (begin, end), read)
         p = TablePointing.model_validate(p.model_dump() | made)
     table = quaternion_table(p, field)
     shift = 0.0
@@ -98,6 +80,31 @@ def _table(
     used[:-1] |= used[1:]
     error = table_error_rad(table, used)
     return made | {"error_arcsec": None if error is None else error / ARCSEC_RAD}
+
+
+def _kept(
+    scene: Scene, plan: DwellPlan, p: TablePointing, span_s: tuple[float, float],
+    read: dict[Any, Any],
+) -> dict[str, Any]:  # fmt: skip
+    """The rows of a pointing's file that are kept, as the scene holds them."""
+    field, path = pointing_field(plan, "path"), Path(str(p.path))
+    if path not in read:
+        read[path] = _read(path, field)
+    rows, scalar = _rows(read[path], p, scene.epoch, path, field)
+    check_rows(rows, field)
+    begin, end = np.searchsorted(rows[:, 0], span_s).tolist()
+    kept = rows[max(begin - SPARE_ROWS, 0) : end + SPARE_ROWS]
+    if rows[0, 0] > plan.start_s or rows[-1, 0] < plan.end_s:
+        raise BadInput(
+            field,
+            f"{path.name} from {rows[0, 0]:.6g} to {rows[-1, 0]:.6g} s after the epoch",
+            f"rows over all exposures, {plan.start_s:.6g} to {plan.end_s:.6g} s after it",
+        )
+    if len(kept) > MOST_ROWS:
+        allowed = f"at most {MOST_ROWS} rows around the exposures"
+        raise BadInput(field, f"{len(kept)} rows of {path.name}", allowed)
+    return {"path": None, "rows": kept.tolist(), "scalar": scalar, "epoch": None,
+            "source": path.name[:200]}  # fmt: skip
 
 
 def _rows(
@@ -114,18 +121,25 @@ def _rows(
         name = field.rsplit(".", 1)[0] + ".scalar"
         raise BadInput(name, None, f"first or last: {path.name} numbers its columns")
     q = np.stack([_floats(columns[k], path, field) for k in names], axis=-1)
-    zero = parse_utc(epoch)
-    if times[0] == "time_s":
-        seconds = _floats(columns["time_s"], path, field)
-        if p.epoch is not None:
-            name = field.rsplit(".", 1)[0] + ".epoch"
-            seconds = seconds - float(elapsed_s(parse_utc(p.epoch, name), *zero))
-    else:
-        utc = np.array([_utc(t, path, field) for t in columns["time_utc"]])
-        seconds = elapsed_s(zero, utc[:, 0], utc[:, 1])
+    seconds = _seconds(columns, p, epoch, path, field)
     if len(seconds) < 2:
         raise BadInput(field, f"{len(seconds)} rows in {path.name}", "two rows or more")
     return np.column_stack([seconds, q]), scalar
+
+
+def _seconds(
+    columns: dict[str, Any], p: TablePointing, epoch: str, path: Path, field: str
+) -> Array:
+    """Times (n,) of rows, in seconds after the scene's epoch."""
+    zero = parse_utc(epoch)
+    if "time_s" not in columns:
+        utc = np.array([_utc(t, path, field) for t in columns["time_utc"]])
+        return elapsed_s(zero, utc[:, 0], utc[:, 1])
+    seconds = _floats(columns["time_s"], path, field)
+    if p.epoch is None:
+        return seconds
+    name = field.rsplit(".", 1)[0] + ".epoch"
+    return seconds - float(elapsed_s(parse_utc(p.epoch, name), *zero))
 
 
 def _utc(value: Any, path: Path, field: str) -> tuple[float, float]:
@@ -211,7 +225,7 @@ def _spectrum(path: Path, field: str) -> dict[str, Any]:
         value = f"columns {', '.join(columns)} of {path.name}"
         raise BadInput(field, value[:200], f"columns {' and '.join(names)}")
     f, s = (_floats(columns[n], path, field) for n in names)
-    if len(f) > MOST_POINTS or len(f) < 2:
+    if not 2 <= len(f) <= MOST_POINTS:
         raise BadInput(field, f"{len(f)} rows of {path.name}", f"2 to {MOST_POINTS} rows")
     if not (np.isfinite(f).all() and np.isfinite(s).all() and (s >= 0).all() and (f > 0).all()):
         raise BadInput(field, path.name, "finite frequencies above 0 and densities of 0 or more")

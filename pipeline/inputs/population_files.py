@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -47,10 +48,16 @@ def element_sets(path: Path, field: str) -> Iterator[list[ElementSet]]:
     kind = _kind(path, field)
     if kind == "tle":
         sets = _from_lines(path, field)
+        allowed = "two-line elements, or OMM as JSON, CSV, KVN or XML"
     else:
         sets = (_from_omm(fields) for fields in _messages(path, kind, field))
+        allowed = "an OMM (JSON, CSV, KVN or XML) with EPOCH, MEAN_MOTION"
+    some = False
     while batch := list(islice(sets, BATCH)):
+        some = True
         yield batch
+    if not some:
+        raise BadInput(field, path.name, allowed)
 
 
 def file_digest(path: Path) -> str:
@@ -67,7 +74,7 @@ def _kind(path: Path, field: str) -> str:
         raise BadInput(field, f"{path.name} of {size} bytes", f"at most {LARGEST_BYTES} bytes")
     with path.open("rb") as stream:
         head = stream.read(LONGEST_LINE)
-    if head[:4] == b"PK\x03\x04" or head[:2] == b"\x1f\x8b":
+    if head.startswith((b"PK\x03\x04", b"\x1f\x8b")):
         raise BadInput(field, path.name, "the unpacked file, not an archive")
     text = head.decode("utf-8-sig", "replace").lstrip()
     if not text:
@@ -100,27 +107,29 @@ def _read(stream: IO[str], field: str, path: Path, most: int, block: bool = Fals
 
 def _from_lines(path: Path, field: str) -> Iterator[ElementSet]:
     """Pairs of lines, each after the line of its name where there is one."""
-    name, first, at, found = "", "", 0, False
+    name, first, at = "", "", 0
     for number, line in _lines(path, field):
-        if not line.strip() or line.startswith("#"):
+        if re.match(r"\s*$|#", line):
             continue
-        if first and line.startswith("2 "):
-            found = True
+        kind = _kind_of(line, first)
+        if kind == "pair":
             yield _from_pair(name, first, line, at)
             name, first = "", ""
-        elif line.startswith(("1 ", "2 ")) and len(line) > 40:
-            found = True
-            if first or line[0] == "2":
-                yield ElementSet(name, 0, None, None, f"line {at or number} without its other line")
-            first, at = (line, number) if line[0] == "1" else ("", 0)
-        else:
-            if first:
-                yield ElementSet(name, 0, None, None, f"line {at} without its other line")
-            name, first, at = line.removeprefix("0 ").strip(), "", 0
+            continue
+        if first or kind == "2":
+            yield ElementSet(name, 0, None, None, f"line {at or number} without its other line")
+        first, at = (line, number) if kind == "1" else ("", 0)
+        if kind == "name":
+            name = line.removeprefix("0 ").strip()
     if first:
         yield ElementSet(name, 0, None, None, f"line {at} without its other line")
-    if not found:
-        raise BadInput(field, path.name, "two-line elements, or OMM as JSON, CSV, KVN or XML")
+
+
+def _kind_of(line: str, first: str) -> str:
+    """`pair` for a second line after its first, 1 or 2 for one without its other, else `name`."""
+    if first and line.startswith("2 "):
+        return "pair"
+    return line[0] if line.startswith(("1 ", "2 ")) and len(line) > 40 else "name"
 
 
 def _from_pair(name: str, line1: str, line2: str, at: int) -> ElementSet:
@@ -156,16 +165,11 @@ def _messages(path: Path, kind: str, field: str) -> Iterator[dict[str, Any]]:
             name, _, number = (key.split(" | ") + ["", ""])[:3]
             yield {"OBJECT_NAME": name, "NORAD_CAT_ID": number, "elements": elements}
         return
-    some = False
     with path.open(encoding="utf-8-sig", newline="") as stream:
         try:
-            for fields in _csv(stream) if kind == "csv" else _json(stream, path, field):
-                some = True
-                yield fields
+            yield from _csv(stream) if kind == "csv" else _json(stream, path, field)
         except (csv.Error, UnicodeDecodeError) as error:
             raise BadInput(field, path.name, f"OMM as CSV or JSON (UTF-8); {error}") from None
-    if not some:
-        raise BadInput(field, path.name, "an OMM (JSON, CSV, KVN or XML) with EPOCH, MEAN_MOTION")
 
 
 def _csv(stream: IO[str]) -> Iterable[dict[str, Any]]:
@@ -208,10 +212,7 @@ def read_sizes(path: Path, field: str) -> dict[int, tuple[float | None, float | 
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             rows = csv.DictReader(stream)
-            names = set(rows.fieldnames or ())
-            if "norad_id" not in names or not names & {"diameter_m", "albedo"}:
-                shown = ", ".join(sorted(names)) or "nothing"
-                raise BadInput(field, shown, "columns norad_id and diameter_m, albedo or both")
+            _check_names(set(rows.fieldnames or ()), field)
             for row in rows:
                 number, sizes = _size(row, f"{path.name}, line {rows.line_num}", field)
                 if number in out:
@@ -222,6 +223,12 @@ def read_sizes(path: Path, field: str) -> dict[int, tuple[float | None, float | 
     except (csv.Error, UnicodeDecodeError) as error:
         raise BadInput(field, path.name, f"a CSV file (UTF-8); {error}") from None
     return out
+
+
+def _check_names(names: set[str], field: str) -> None:
+    if "norad_id" not in names or not names & {"diameter_m", "albedo"}:
+        shown = ", ".join(sorted(names)) or "nothing"
+        raise BadInput(field, shown, "columns norad_id and diameter_m, albedo or both")
 
 
 def _size(

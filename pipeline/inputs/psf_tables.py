@@ -59,7 +59,7 @@ def gather_psf_table(scene: Scene) -> Sampled | tuple[Sampled | None, ...] | Non
         return _gather(psf, pitch_um)
     if not isinstance(psf, FieldPsf):
         return None
-    every = [one for row in psf.psfs for one in row]
+    every = scene.sensor.every_psf
     read: dict[TablePsf, Sampled] = {}
     for node, one in enumerate(every):
         if isinstance(one, TablePsf) and one not in read:
@@ -101,23 +101,21 @@ def _spacing_px(psf: TablePsf, table: PsfTable, pitch_um: float) -> float:
 
 def _centre(psf: TablePsf, table: PsfTable) -> tuple[float, float]:
     """Where the source stands: as the scene says, else the file, else the one middle sample."""
-    ny, nx = table.samples.shape
-    asked = psf.centre
-    if asked is None and table.centre is None:
-        if not (ny % 2 and nx % 2):
+    (ny, nx), known, asked = table.samples.shape, table.centre, psf.centre
+    if asked is None:
+        asked = "middle" if known is None else "file"
+        if known is None and ny * nx % 2 == 0:
             allowed = (
                 "centre: middle (between its two middle samples), sample (number n / 2 from 0, as "
                 "FFTs put it), peak, centroid or [row, column]: half a sample lies between the "
                 "first two"
             )
             raise BadInput("sensor.psf.centre", f"none for a table of {ny} x {nx} samples", allowed)
-        asked = "middle"
-    if asked == "file" and table.centre is None:
-        allowed = "middle, sample, peak, centroid or [row, column]: the file names no centre"
-        raise BadInput("sensor.psf.centre", "file", allowed)
-    if asked is None or asked == "file":
-        assert table.centre is not None
-        place = table.centre
+    if asked == "file":
+        if known is None:
+            allowed = "middle, sample, peak, centroid or [row, column]: the file names no centre"
+            raise BadInput("sensor.psf.centre", "file", allowed)
+        place = known
     else:
         place = find_centre(table.samples, asked) if isinstance(asked, str) else asked
     if not (0 <= place[0] <= ny - 1 and 0 <= place[1] <= nx - 1):

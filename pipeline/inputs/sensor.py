@@ -76,18 +76,22 @@ def read_image(path: Path, field: str) -> Array:
         except (ValueError, OSError, EOFError) as error:
             raise BadInput(field, str(path), f"a readable .npy image; {error}") from None
     elif path.name.endswith((".fits", ".fits.gz", ".fit")):
-        from astropy.io import fits
-
-        try:
-            with fits.open(path) as hdus:
-                image = next((h.data for h in hdus if getattr(h, "data", None) is not None), None)
-        except (OSError, ValueError, TypeError) as error:
-            raise BadInput(field, str(path), f"a readable FITS image; {error}") from None
+        image = _read_fits(path, field)
     else:
         raise BadInput(field, str(path), "an image of kind .npy, .fits, .fits.gz or .zarr")
     if image is None or np.ndim(image) != 2 or np.asarray(image).dtype.kind not in "fiu":
         raise BadInput(field, str(path), "a two-dimensional image of numbers")
     return np.ascontiguousarray(image, dtype=np.float64)
+
+
+def _read_fits(path: Path, field: str) -> np.ndarray | None:
+    from astropy.io import fits
+
+    try:
+        with fits.open(path) as hdus:
+            return next((h.data for h in hdus if getattr(h, "data", None) is not None), None)
+    except (OSError, ValueError, TypeError) as error:
+        raise BadInput(field, str(path), f"a readable FITS image; {error}") from None
 
 
 def _read_zarr(path: Path, field: str) -> np.ndarray:

@@ -12,7 +12,7 @@ from pipeline.inputs.colour_fit_files import colour_fit_of
 from pipeline.inputs.curves import solar_spectrum
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.radiometry import ResponseCurve, surface_brightness_electron_rate
-from pipeline.plan.sky_light import SkyInputs, StarlightLike
+from pipeline.plan.sky_light import SkyInputs, StarlightLike, background_of
 from pipeline.spec.background import Background
 from pipeline.spec.scene import Scene
 
@@ -36,9 +36,9 @@ def gather_sky(
     one already; extinction : of the air above the site. Raises Damaged for a damaged map of
     starlight.
     """
-    b = scene.background
+    b = background_of(scene)
     table, rates, every = None, (0.0, 0.0), None
-    if b is not None and b.zodiacal:
+    if b.zodiacal:
         from pipeline.inputs.reference import zodiacal as published
         from pipeline.physics.sky.zodiacal import band_rates, zodiacal_table
 
@@ -48,7 +48,7 @@ def gather_sky(
         )  # fmt: skip
         wavelength, irradiance, _, _ = solar_spectrum()
         rates = band_rates(wavelength, irradiance, response)
-    if b is not None and b.galactic:
+    if b.galactic:
         from catalog_tools.starlight import CountedLight
 
         every = CountedLight()
@@ -56,12 +56,12 @@ def gather_sky(
     if fit is None and (every is not None or undrawn is not None or limit_from_noise):
         fit = colour_fit_of(scene, response, band, digest)
     stray = None
-    if b is not None and b.stray_light is not None:
+    if b.stray_light is not None:
         from pipeline.inputs.stray_light import gather_stray_light
 
         stray = gather_stray_light(scene, b.stray_light)
     air = None
-    if b is not None and b.of_the_air:
+    if b.of_the_air:
         from pipeline.inputs.night import gather_night
 
         air = gather_night(b, response)
@@ -74,16 +74,15 @@ def _undrawn(
     scene: Scene, catalogues: Sequence[Catalogue], limit_from_noise: bool
 ) -> StarlightLike | None:
     """Light of the stars that are not drawn; nothing is imported for a scene without."""
-    b = scene.background
-    if not limit_from_noise and (b is None or b.starlight != "all"):
+    if not limit_from_noise and background_of(scene).starlight != "all":
         return None
     from pipeline.inputs.starlight import gather_starlight
 
     return gather_starlight(scene, catalogues, limit_from_noise)
 
 
-def _uniform(b: Background | None, response: ResponseCurve) -> tuple[float | None, float | None]:
+def _uniform(b: Background, response: ResponseCurve) -> tuple[float | None, float | None]:
     """A uniform sky: electrons/s per m2 of pupil and sr, and electrons/s of each pixel."""
-    if b is None or b.uniform_mag_arcsec2 is None:
-        return None, b.uniform_e_per_s if b is not None else None
+    if b.uniform_mag_arcsec2 is None:
+        return None, b.uniform_e_per_s
     return surface_brightness_electron_rate(b.uniform_mag_arcsec2, response, 1.0, 1.0), None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from catalog_tools.catalogue import Catalogue
-from pipeline.spec.background import Background
-from pipeline.spec.scene import Scene
+from pipeline.plan.sky_light import background_of
+from pipeline.spec.scene import Scene, Stars
 
 if TYPE_CHECKING:
     from catalog_tools.starlight import Starlight
@@ -24,20 +25,26 @@ def gather_starlight(
     `starlight: all` is asked for, the star counts from its end on (all, without a catalogue). The
     layers' own fainter stars are not in it. Raises Damaged for a map that cannot be trusted.
     """
-    wish = (scene.background or Background(starlight="auto")).starlight
+    wish = background_of(scene).starlight
     if wish != "all" and not limit_from_noise:
         return None
     from catalog_tools.starlight import AddedLight, CountedLight, read_starlight
 
     if scene.stars is None:
         return CountedLight()
-    main, limit = catalogues[0], scene.stars.faintest_g_mag
-    end = main.faintest_g_mag
+    main = catalogues[0]
     parts: list[Starlight] = []
-    if end is not None and (limit_from_noise or (limit is not None and limit < end)):
+    end = -math.inf if main.faintest_g_mag is None else main.faintest_g_mag
+    if _limit_g_mag(scene.stars, limit_from_noise) < end:
         counted = CountedLight(faintest_g_mag=min(end, COUNTS_END_G_MAG))
         parts.append(read_starlight(main) or counted)
-    if wish == "all" and (end is None or end < COUNTS_END_G_MAG):
-        begin = COUNTS_BEGIN_G_MAG if end is None else max(end, COUNTS_BEGIN_G_MAG)
-        parts.append(CountedLight(begin, in_no_catalogue=True))
+    if wish == "all" and end < COUNTS_END_G_MAG:
+        parts.append(CountedLight(max(end, COUNTS_BEGIN_G_MAG), in_no_catalogue=True))
     return AddedLight(tuple(parts)) if parts else None
+
+
+def _limit_g_mag(stars: Stars, limit_from_noise: bool) -> float:
+    """Magnitude that stars which are not drawn may begin at; infinite where all are drawn."""
+    if limit_from_noise:
+        return -math.inf
+    return math.inf if stars.faintest_g_mag is None else stars.faintest_g_mag

@@ -90,19 +90,7 @@ def read_pst(path: Path) -> tuple[Array, Array]:
 
 def read_albedo(path: Path) -> Array:
     """A map (rows, columns) of the Earth's albedo from CSV or NPY, as `physics.sky.earth_disc`."""
-    if path.suffix == ".npy":
-        try:
-            table = np.load(path, allow_pickle=False)
-        except (OSError, ValueError) as error:
-            raise BadInput(ALBEDO, str(path), f"a readable NPY file; {error}") from None
-        if table.ndim != 2 or table.dtype.kind not in "fiu":
-            raise BadInput(ALBEDO, str(path), "a two-dimensional array of numbers")
-        table = table.astype(np.float64)
-    else:
-        rows = [_numbers(row, ALBEDO) for row in _rows(path, ALBEDO, heading=False)]
-        if len({len(row) for row in rows}) > 1:
-            raise BadInput(ALBEDO, str(path), "rows of equal length")
-        table = np.array(rows, np.float64)
+    table = _npy(path) if path.suffix == ".npy" else _csv(path)
     if table.ndim != 2 or min(table.shape) < 2 or table.size > 4_000_000:
         raise BadInput(ALBEDO, str(path), "2 x 2 to 4 million cells: latitudes x longitudes")
     wrong = np.argwhere(~((table >= 0.0) & (table <= 1.0)))
@@ -113,6 +101,23 @@ def read_albedo(path: Path) -> Array:
             "a fraction from 0 to 1 in every cell",
         )  # fmt: skip
     return table
+
+
+def _npy(path: Path) -> Array:
+    try:
+        table = np.load(path, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise BadInput(ALBEDO, str(path), f"a readable NPY file; {error}") from None
+    if table.ndim != 2 or table.dtype.kind not in "fiu":
+        raise BadInput(ALBEDO, str(path), "a two-dimensional array of numbers")
+    return np.asarray(table, np.float64)
+
+
+def _csv(path: Path) -> Array:
+    rows = [_numbers(row, ALBEDO) for row in _rows(path, ALBEDO, heading=False)]
+    if len({len(row) for row in rows}) > 1:
+        raise BadInput(ALBEDO, str(path), "rows of equal length")
+    return np.array(rows, np.float64)
 
 
 def _rows(path: Path, field: str, heading: bool = True) -> list[list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -78,27 +79,24 @@ def _reflected(
     known: Mapping[int, Array],
 ) -> Array:
     """Intensities (T, n) [m2/sr] of bodies of every kind."""
-    out = np.zeros(alpha.shape)
-    spheres = [i for i, t in enumerate(targets) if isinstance(t.body, SphereBody)]
-    meshes = [i for i, t in enumerate(targets) if isinstance(t.body, MeshBody)]
+    out, bodies = np.zeros(alpha.shape), list[Any](map(attrgetter("body"), targets))
+    spheres = [i for i, b in enumerate(bodies) if isinstance(b, SphereBody)]
+    meshes = [i for i, b in enumerate(bodies) if isinstance(b, MeshBody)]
+    others = sorted(set(range(len(targets))) - {*spheres, *meshes})
     if spheres:
-        balls = [(targets[i].body, fields[i]) for i in spheres]
-        diameter = np.array([[b.diameter_m] for b, _ in balls])  # type: ignore[union-attr]
-        albedo = np.array([[albedo_of(b, f)] for b, f in balls])  # type: ignore[arg-type]
+        diameter = np.array([[bodies[i].diameter_m] for i in spheres])
+        albedo = np.array([[albedo_of(bodies[i], fields[i])] for i in spheres])
         out[spheres] = sphere_intensity_per_irradiance(alpha[spheres], diameter, albedo)
     for i in meshes:
         from pipeline.plan.meshes import mesh_m2_sr  # only scenes with meshes need it
 
-        body: Any = targets[i].body
         if i in known:
             out[i] = known[i][:, 0]
         else:
-            out[i] = mesh_m2_sr(body, epoch, view.of(np.array([i])), fields[i], frames)
-    others = sorted(set(range(len(targets))) - {*spheres, *meshes})
+            out[i] = mesh_m2_sr(bodies[i], epoch, view.of(np.array([i])), fields[i], frames)
     if others:
-        bodies: list[Any] = [targets[i].body for i in others]
-        names = [fields[i] for i in others]
-        out[others] = reflected_m2_sr(bodies, epoch, view.of(np.array(others)), names)
+        asked, names = zip(*((bodies[i], fields[i]) for i in others), strict=True)
+        out[others] = reflected_m2_sr(asked, epoch, view.of(np.array(others)), names)
     return out
 
 

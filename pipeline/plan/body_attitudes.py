@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.times import elapsed_s, parse_utc
+from pipeline.physics.targets import attitude as at
 from pipeline.physics.vectors import separation
 from pipeline.spec.body import Body, CompositeBody, InertialAttitude, LightCurveBody, SphereBody
 from pipeline.spec.mesh import MeshBody
@@ -65,41 +66,49 @@ def attitudes(
     laws: Sequence[Any], epoch: tuple[float, float], view: View, fields: Sequence[str]
 ) -> Array:
     """Attitudes (P, n, 3, 3) or (P, 1, 3, 3) of P parts under laws of one kind (and one bus)."""
-    from pipeline.physics.targets import attitude as at
-
     kind = laws[0].kind
     mount = at.quaternion_matrices(np.array([law.quaternion for law in laws]))[:, None]
     if kind == "inertial":
         return mount
     if kind == "spin":
-        axis, rate, phase, after = (
-            np.array(v)
-            for v in (
-                [law.axis for law in laws],
-                [[law.rate_deg_s] for law in laws],
-                [[law.phase_deg] for law in laws],
-                [[since_s(law.epoch, epoch, f)] for law, f in zip(laws, fields, strict=True)],
-            )
-        )
-        turned = np.fmod(rate * (view.time_s + after), 360.0) + phase
-        return at.spin_attitude(mount, axis[:, None], turned * DEG_RAD)
-    if kind == "table":
-        each = []
-        for law, times, field in zip(laws, view.time_s, fields, strict=True):
-            moments = times + since_s(law.epoch, epoch, field)
-            name = f"{field}.attitude"
-            each.append(at.table_attitude(law.times_s, law.quaternions, moments, name))
-        return np.stack(each) @ mount
+        return _spinning(mount, laws, epoch, view, fields)
     frame = {
         "sun": lambda: at.sun_attitude(view.sun, view.place_m, view.velocity_m_s),
         "nadir": lambda: at.nadir_attitude(view.place_m, view.velocity_m_s),
         "velocity": lambda: at.velocity_attitude(view.place_m, view.velocity_m_s),
         "inertial": lambda: np.eye(3),
+        "table": lambda: _of_tables(laws, epoch, view, fields),
     }
     if kind != "sun_tracking":
         return frame[kind]() @ mount
     bus = frame[laws[0].bus]() @ mount
     return at.tracking_attitude(bus, np.array([law.axis for law in laws])[:, None], view.sun)
+
+
+def _spinning(
+    mount: Array, laws: Sequence[Any], epoch: tuple[float, float], view: View, fields: Sequence[str]
+) -> Array:
+    axis, rate, phase, after = (
+        np.array(v)
+        for v in (
+            [law.axis for law in laws],
+            [[law.rate_deg_s] for law in laws],
+            [[law.phase_deg] for law in laws],
+            [[since_s(law.epoch, epoch, f)] for law, f in zip(laws, fields, strict=True)],
+        )
+    )
+    turned = np.fmod(rate * (view.time_s + after), 360.0) + phase
+    return at.spin_attitude(mount, axis[:, None], turned * DEG_RAD)
+
+
+def _of_tables(
+    laws: Sequence[Any], epoch: tuple[float, float], view: View, fields: Sequence[str]
+) -> Array:
+    each = []
+    for law, times, field in zip(laws, view.time_s, fields, strict=True):
+        moments = times + since_s(law.epoch, epoch, field)
+        each.append(at.table_attitude(law.times_s, law.quaternions, moments, f"{field}.attitude"))
+    return np.stack(each)
 
 
 def since_s(own: str | None, epoch: tuple[float, float], field: str) -> float:

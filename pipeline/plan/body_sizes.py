@@ -3,34 +3,35 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from pipeline.spec.body import CompositeBody
-from pipeline.spec.mesh import MeshBody
 
 Array = NDArray[np.float64]
 
 
 def radius_m(body: Any) -> float:
     """Radius of a body about its reference point; 0 of a light curve."""
-    if isinstance(body, MeshBody):
-        return 0.0 if body.model is None else float(body.model.radius_m)
-    if isinstance(body, CompositeBody):
-        return max(radius_m(part) for part in body.parts)
-    if body.kind == "sphere":
-        return 0.5 * float(body.diameter_m)
-    if body.kind == "plate":
-        return math.sqrt(0.5 * body.area_m2)  # a square's
-    if body.kind in ("box", "cube"):
-        sides = body.size_m if body.kind == "box" else 3 * (body.edge_m,)
-        return 0.5 * math.hypot(*sides)
-    if body.kind == "light_curve":
-        return 0.0
+    return RADIUS_M.get(body.kind, _round_m)(body)
+
+
+def _round_m(body: Any) -> float:
+    """Of a cylinder or a cone: half the diagonal of its length and its wider end."""
     wide = getattr(body, "diameter_m", 0.0) or max(body.base_diameter_m, body.top_diameter_m)
     return 0.5 * math.hypot(wide, body.length_m)
+
+
+RADIUS_M: dict[str, Callable[[Any], float]] = {
+    "mesh": lambda body: 0.0 if body.model is None else float(body.model.radius_m),
+    "sphere": lambda body: 0.5 * float(body.diameter_m),
+    "plate": lambda body: math.sqrt(0.5 * body.area_m2),  # a square's
+    "box": lambda body: 0.5 * math.hypot(*body.size_m),
+    "cube": lambda body: 0.5 * math.hypot(*3 * (body.edge_m,)),
+    "composite": lambda body: max(map(radius_m, body.parts)),
+    "light_curve": lambda _: 0.0,
+}
 
 
 def limb_px(radius_m: ArrayLike, range_m: ArrayLike, ifov_rad: float) -> Array:

@@ -156,7 +156,7 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
         out.append(_wavelengths(scene, facts, facts.band))
     if not (scene.stars or scene.targets):
         return out
-    table = max(table_error(b) for b in r.blurs)
+    table = max(map(table_error, r.blurs))
     if table:
         reason = (
             "spectra of tables are cut where little is left; the product says what that is beside "

@@ -33,8 +33,8 @@ from pipeline.spec.sensor import (
     OnePsf,
     Sensor,
     TablePsf,
+    Vanes,
 )
-from pipeline.spec.sensor import Vanes
 
 ARCSEC_RAD = math.radians(1.0 / 3600.0)
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
@@ -142,7 +142,7 @@ def _band(
 
     of = make(float(curve[0][0])), make(float(curve[0][-1]))
     found = kept(("wavelengths", of, rest, curve, most, psf.wavelengths, limit), choose)
-    waves, weights = (tuple(found[k].tolist()) for k in ("wavelengths_m", "weights"))
+    waves, weights = tuple(found["wavelengths_m"].tolist()), tuple(found["weights"].tolist())
     if len(waves) == 1:  # the mean, to the last bit
         waves, weights = (mean_m,), (1.0,)
     errors = (float(found[k]) for k in ("error", "error_of_one", "error_sigma"))
@@ -156,13 +156,7 @@ def _chromatic(
     pitch = s.pixel_pitch_um * 1e-6
     q = wavelength_m * s.focal_length_m / (s.aperture_m * pitch)
     if isinstance(psf, KolmogorovPsf):
-        reference = psf.reference_nm * 1e-9
-        if psf.r0_m is not None:
-            r0 = psf.r0_m
-        else:
-            assert psf.fwhm_arcsec is not None
-            r0 = r0_m(psf.fwhm_arcsec * ARCSEC_RAD, reference)
-        scale = wavelength_m / r0_at(r0, reference, wavelength_m) * s.focal_length_m / pitch
+        scale = wavelength_m / _fried_m(psf, wavelength_m) * s.focal_length_m / pitch
         return Kolmogorov(scale, Airy(q, s.obscuration) if psf.diffraction else None)
     terms: dict[int, float] = {}
     for a in psf.aberrations:
@@ -175,6 +169,15 @@ def _chromatic(
         return Airy(q, s.obscuration)
     vanes = None if psf.vanes is None else _vanes(s, psf.vanes)
     return Pupil(q, s.obscuration, vanes, tuple(sorted(terms.items())))
+
+
+def _fried_m(psf: KolmogorovPsf, wavelength_m: float) -> float:
+    """Fried's parameter at a wavelength."""
+    reference, r0 = psf.reference_nm * 1e-9, psf.r0_m
+    if r0 is None:
+        assert psf.fwhm_arcsec is not None
+        r0 = r0_m(psf.fwhm_arcsec * ARCSEC_RAD, reference)
+    return r0_at(r0, reference, wavelength_m)
 
 
 def check_scale(kind: str, blur: Blur) -> None:

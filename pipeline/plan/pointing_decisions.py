@@ -39,26 +39,11 @@ def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
                 bound=0.0, unit="e-",
             )
         )  # fmt: skip
-    ifov = scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
     for plan in plans:
         p = plan.pointing
         where = "" if scene.dwells is None else f" in dwell {plan.index}"
         if isinstance(p, TablePointing):
-            told = "not known: too few rows"
-            if p.error_arcsec is not None:
-                px = p.error_arcsec * ARCSEC_RAD / ifov
-                told = f"{p.error_arcsec:.2g} arcsec ({px:.2g} px), from every other row left out"
-            out.append(
-                Decision(
-                    "pointing_table", True,
-                    f"{len(p.rows or ())} rows{where}, {p.interpolation} between them; error "
-                    f"between rows {told}; where rows are noisy, straight lines between an "
-                    f"exposure's nodes may be off by up to {ROUGH_PX:g} px"
-                    f"{'' if p.source is None else f'; {p.source}'}",
-                    bound=None if p.error_arcsec is None else OVER_ROWS * p.error_arcsec,
-                    unit="arcsec",
-                )
-            )  # fmt: skip
+            out.append(_table_told(scene, p, where))
         elif isinstance(p, LocalPointing):
             out.append(
                 Decision(
@@ -69,3 +54,21 @@ def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
                 )
             )  # fmt: skip
     return tuple(out)
+
+
+def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
+    """What is known of the error between the rows of a table of attitudes."""
+    told = "not known: too few rows"
+    if p.error_arcsec is not None:
+        ifov = scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
+        px = p.error_arcsec * ARCSEC_RAD / ifov
+        told = f"{p.error_arcsec:.2g} arcsec ({px:.2g} px), from every other row left out"
+    return Decision(
+        "pointing_table", True,
+        f"{len(p.rows or ())} rows{where}, {p.interpolation} between them; error "
+        f"between rows {told}; where rows are noisy, straight lines between an "
+        f"exposure's nodes may be off by up to {ROUGH_PX:g} px"
+        f"{'' if p.source is None else f'; {p.source}'}",
+        bound=None if p.error_arcsec is None else OVER_ROWS * p.error_arcsec,
+        unit="arcsec",
+    )  # fmt: skip

@@ -121,14 +121,7 @@ class Sieve:
 
     def take(self, sets: Iterable[Any]) -> None:
         """Look at a batch of element sets (`pipeline.inputs.population_files.ElementSet`)."""
-        good = []
-        for one in sets:
-            self.read += 1
-            if one.orbit is None:
-                self.unreadable += 1
-                self._tell(f"{one.name or 'no name'}: {one.fault}")
-            else:
-                good.append(one)
+        good = [one for one in sets if self._is_readable(one)]
         if not good:
             return
         satellites = [one.satellite for one in good]
@@ -150,6 +143,13 @@ class Sieve:
                 f"{self.place}.path", f"{len(self.kept)} objects that cross the field",
                 f"at most {MOST_TARGETS}: a smaller field, a shorter dwell, or a smaller file",
             )  # fmt: skip
+
+    def _is_readable(self, one: Any) -> bool:
+        self.read += 1
+        if one.orbit is None:
+            self.unreadable += 1
+            self._tell(f"{one.name or 'no name'}: {one.fault}")
+        return one.orbit is not None
 
     def _tell(self, text: str) -> None:
         if len(self.told) < MOST_TOLD:

@@ -38,6 +38,8 @@ from pipeline.spec.scene import Scene
 if TYPE_CHECKING:
     from pipeline.plan.psf_field import PsfField
 
+Cores = tuple[tuple[float, float, float], ...]  # radius [px], brightest [e-], wing's error
+
 TABLE_BYTES = 48e6
 FIELD_BYTES = 80e6  # what the tables of one core class may take together, over a field
 MOST_CLASSES = 5
@@ -178,59 +180,67 @@ def plan_responses(
     path, streaks = _star_streaks(scene, facts, camera, ends, blurs)
     shape, length = scene.sensor.shape, 0.5 * streaks.longest_px
     longest = Path(np.array([-length, length]), np.zeros(2), np.ones(1))
-    served = all(affordable(b, longest, shape) for b in blurs)
-    targets_served = all(affordable(b, POINT, shape) for b in blurs)
+    served, targets_served = (all(affordable(b, p, shape) for b in blurs) for p in (longest, POINT))
     if any(b.has_wings for b in blurs):
-        for b in blurs:
-            check_scale(scene.sensor.psf.kind, b)
-        first = max(b.core_px if b.has_wings else _radius_holding(b, 1e-8) for b in blurs)
-        spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
-        first *= FAINT_RADIUS
-        reach = max(_reach(b, scene) for b in blurs)
-        reach = _farther(blurs, max(reach / CUT_FROM, 2.0 * first), facts)
-        swept, sweeps = path, None
-        if not streaks.still:
-            sweeps = wing_sweeps(camera, ends, streaks.zones, scene.star_effects["aberration"])
-            if sweeps.slowest_px < HARDLY * streaks.pieces * path.length_px:
-                swept = POINT  # somewhere, as where the field turns about, stars stand still
-        light = facts.budget_e, facts.brightest_e
-        cores = _cores(blurs, first, spacing, swept, *light, sweeps)
-        cores = _limited(cores, facts.budget_e, served)
-        # Errors at rest are the largest: a path takes their mean.
-        at_rest = swept if not (scene.targets or scene.populations) else POINT
-        for_targets = _cores(blurs, first, spacing, at_rest, *light)
-        for_targets = _limited(for_targets, facts.budget_e, targets_served)
-        reach = max(reach, 2.0 * cores[-1][0])  # a wing is not cut off where its core still fades
-        cut = CUT_FROM * reach
+        found = _with_wings(scene, facts, camera, ends, blurs, path, streaks)
     else:
-        usual, whole = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
-        brightest = facts.budget_e / NOTHING_BEYOND[0]
-        far = NOTHING_BEYOND[1]
-        cores, spacing, cut = ((usual, brightest, 0.0), (whole, math.inf, far)), 0, usual
-        for_targets = _limited(cores, facts.budget_e, targets_served)
-        cores = _limited(cores, facts.budget_e, served)
-        steep = [b for b in blurs if isinstance(b.optics, Gaussian | EllipticalGaussian)]
-        reach = max([whole, *(_radius_holding(b, FAINTEST) / CUT_FROM for b in steep)])
-    most_bytes = TABLE_BYTES
-    if none.field is not None:
-        most_bytes = min(most_bytes, FIELD_BYTES / (len(blurs) * streaks.shapes))
-    needed = max(_phases(_asked_phases(scene), b) for b in blurs)
-    tables = [_table_phases(needed, core[0], path, most_bytes) for core in cores]
+        found = _without_wings(facts, blurs)
+    cores, for_targets, spacing, reach, cut = found
+    limited = zip(
+        _limited(cores, facts.budget_e, served),
+        _limited(for_targets, facts.budget_e, targets_served),
+        _table_phases(scene, facts, blurs, cores, path, streaks),
+        strict=True,
+    )
     classes = tuple(
         CoreClass(radius, bright, target, error, still, phases)
-        for (radius, bright, error), (_, target, still), phases in zip(
-            cores, for_targets, tables, strict=True
-        )
+        for (radius, bright, error), (_, target, still), phases in limited
     )
     planned = replace(
         none, classes=classes, spacing_px=spacing, reach_px=reach,
         lost_light=max(_lost(b, cut) for b in blurs), streaks=streaks,
     )  # fmt: skip
-    mb = 0.0
-    if none.field is not None:
-        each = sum(table_bytes(c.phases, c.radius_px, path) for c in classes if c.phases)
-        mb = each * len(blurs) * streaks.shapes / 1e6
+    mb = _tables_mb(planned, path)
     return replace(planned, spectral_from=_spectral_from(scene, planned), table_mb=mb)
+
+
+def _with_wings(
+    scene: Scene, facts: Facts, camera: Camera, ends: Geometry, blurs: tuple[Blur, ...],
+    path: Path, streaks: StreakPlan,
+) -> tuple[Cores, Cores, int, float, float]:  # fmt: skip
+    """Cores for stars and for targets, the wings' grid, their reach, and where they are cut."""
+    for b in blurs:
+        check_scale(scene.sensor.psf.kind, b)
+    first = max(b.core_px if b.has_wings else _radius_holding(b, 1e-8) for b in blurs)
+    spacing = int(2 ** max(1, math.floor(math.log2(first / 5.0))))
+    first *= FAINT_RADIUS
+    reach = max(_reach(b, scene) for b in blurs)
+    reach = _farther(blurs, max(reach / CUT_FROM, 2.0 * first), facts)
+    swept, sweeps = path, None
+    if not streaks.still:
+        sweeps = wing_sweeps(camera, ends, streaks.zones, scene.star_effects["aberration"])
+        if sweeps.slowest_px < HARDLY * streaks.pieces * path.length_px:
+            swept = POINT  # somewhere, as where the field turns about, stars stand still
+    light = facts.budget_e, facts.brightest_e
+    cores = _cores(blurs, first, spacing, swept, *light, sweeps)
+    # Errors at rest are the largest: a path takes their mean.
+    at_rest = swept if not (scene.targets or scene.populations) else POINT
+    for_targets = _cores(blurs, first, spacing, at_rest, *light)
+    reach = max(reach, 2.0 * cores[-1][0])  # a wing is not cut off where its core still fades
+    return cores, for_targets, spacing, reach, CUT_FROM * reach
+
+
+def _without_wings(
+    facts: Facts, blurs: tuple[Blur, ...]
+) -> tuple[Cores, Cores, int, float, float]:
+    """As `_with_wings`, of responses whose light ends by itself."""
+    usual, whole = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
+    cores = (
+        (usual, facts.budget_e / NOTHING_BEYOND[0], 0.0), (whole, math.inf, NOTHING_BEYOND[1])
+    )  # fmt: skip
+    steep = [b for b in blurs if isinstance(b.optics, Gaussian | EllipticalGaussian)]
+    reach = max([whole, *(_radius_holding(b, FAINTEST) / CUT_FROM for b in steep)])
+    return cores, cores, 0, reach, usual
 
 
 def _star_streaks(
@@ -326,42 +336,44 @@ def _most_near(r: ResponsePlan, shape: tuple[int, int], margin_px: float) -> int
 def _cores(
     blurs: tuple[Blur, ...], first: float, spacing: int, path: Path, budget_e: float,
     brightest_e: float, sweeps: WingSweeps | None = None,
-) -> tuple[tuple[float, float, float], ...]:  # fmt: skip
+) -> Cores:  # fmt: skip
     """(radius [px], brightest [e-], wing's error) of cores of doubling radius.
 
     The wing's error is measured for the first of all responses, for the next (MEASURED in all, and
     as long as the brightest source asks for larger ones, up to LARGEST_CORE_PX) of the two that
     erred most then, and falls as told after. sweeps : adds what a block's one streak errs by.
     """
-    largest = LARGEST_CORE_SAMPLES / max(oversampling_for(b) for b in blurs)
-    worst, winged = list(blurs), [b for b in blurs if b.has_wings]
-    out: list[tuple[float, float, float]] = []
-    for k in range(MOST_CLASSES):
-        radius = first * 2.0**k
-        asked = k < MEASURED or brightest_e * out[-1][2] > budget_e
-        if k == 0 or (asked and radius <= LARGEST_CORE_PX):
-            errors = [_measured_wing_error(b, radius, spacing, path) for b in worst]
-            if sweeps is not None:
-                errors = [
-                    e + _sweep_error(b, radius, sweeps, NEGLIGIBLE * e)
-                    for e, b in zip(errors, worst, strict=True)
-                ]
-            error = max(errors)
-            order = sorted(range(len(worst)), key=lambda i: -errors[i])
-            worst = [worst[i] for i in order[:2]]
+    largest = LARGEST_CORE_SAMPLES / max(map(oversampling_for, blurs))
+    radii, errors, worst = [first], list[float](), list(blurs)
+    while len(radii) < MOST_CLASSES and 2.0 * radii[-1] <= largest:
+        radii.append(2.0 * radii[-1])
+    for radius in radii:
+        asked = len(errors) < MEASURED or brightest_e * errors[-1] > budget_e
+        if not errors or (asked and radius <= LARGEST_CORE_PX):
+            error, worst = _worst(worst, radius, spacing, path, sweeps)
         else:
-            error = out[-1][2] / min(b.optics.wing_fall(0.5 * radius) for b in winged)
-        last = k == MOST_CLASSES - 1 or 2.0 * radius > largest
-        part = FAINT_PART if k == 0 else 1.0
-        out.append((radius, math.inf if last else part * budget_e / error, error))
-        if last:
-            break
-    return tuple(out)
+            error = errors[-1] / min(b.optics.wing_fall(0.5 * radius) for b in blurs if b.has_wings)
+        errors.append(error)
+    limits = [*(budget_e / error for error in errors[:-1]), math.inf]
+    limits[0] *= FAINT_PART
+    return tuple(zip(radii, limits, errors, strict=True))
 
 
-def _limited(
-    cores: tuple[tuple[float, float, float], ...], budget_e: float, served: bool
-) -> tuple[tuple[float, float, float], ...]:
+def _worst(
+    blurs: list[Blur], radius: float, spacing: int, path: Path, sweeps: WingSweeps | None
+) -> tuple[float, list[Blur]]:
+    """The largest error of a core's wings, and the two responses that err most."""
+    errors = [_measured_wing_error(b, radius, spacing, path) for b in blurs]
+    if sweeps is not None:
+        errors = [
+            e + _sweep_error(b, radius, sweeps, NEGLIGIBLE * e)
+            for e, b in zip(errors, blurs, strict=True)
+        ]
+    order = sorted(range(len(blurs)), key=lambda i: -errors[i])
+    return max(errors), [blurs[i] for i in order[:2]]
+
+
+def _limited(cores: Cores, budget_e: float, served: bool) -> Cores:
     """Cores of which the last has a limit too, where quadrature serves sources above it."""
     radius, _, error = cores[-1]
     limit = budget_e / error if served else math.inf
@@ -420,15 +432,33 @@ def _phases(asked: int, blur: Blur) -> int:
     return int(min(256, max(asked, needed)))
 
 
-def _table_phases(phases: int, radius_px: float, path: Path, most_bytes: float) -> int:
-    """Phases that a table of this radius may have within its bytes; 0 if fewer than needed.
+def _table_phases(
+    scene: Scene, facts: Facts, blurs: tuple[Blur, ...], cores: Cores, path: Path,
+    streaks: StreakPlan,
+) -> list[int]:  # fmt: skip
+    """Phases that tables of these cores may have within their bytes; 0 if fewer than needed.
 
     A response that is broad against a pixel needs few phases, so halving them costs nothing until
     the interpolation's own bound (checked for each source when it is drawn) says otherwise.
     """
-    while phases >= 16 and table_bytes(phases, radius_px, path) > most_bytes:
-        phases //= 2
-    return phases if table_bytes(phases, radius_px, path) <= most_bytes else 0
+    most_bytes = TABLE_BYTES
+    if facts.field is not None:
+        most_bytes = min(most_bytes, FIELD_BYTES / (len(blurs) * streaks.shapes))
+    needed, out = max(_phases(_asked_phases(scene), b) for b in blurs), []
+    for radius_px, _, _ in cores:
+        phases = needed
+        while phases >= 16 and table_bytes(phases, radius_px, path) > most_bytes:
+            phases //= 2
+        out.append(phases if table_bytes(phases, radius_px, path) <= most_bytes else 0)
+    return out
+
+
+def _tables_mb(r: ResponsePlan, path: Path) -> float:
+    """What the tables of a field take together [MB]; 0 without one."""
+    if r.field is None:
+        return 0.0
+    each = sum(table_bytes(c.phases, c.radius_px, path) for c in r.classes if c.phases)
+    return each * len(r.blurs) * r.streaks.shapes / 1e6
 
 
 def table_bytes(phases: int, radius_px: float, path: Path) -> float:

@@ -122,6 +122,9 @@ class StarForecast:
     stars_per_frame: int
 
 
+NOTHING_READ = StarForecast(0, 0, 0, 0, 0)
+
+
 def make_plan(
     scene: Scene,
     facts: Facts,
@@ -193,7 +196,7 @@ def plan_dict(
     catalogues : name, digest and what else is told of each, the main one first
     spent : what planning took, and how far its stars move
     """
-    f, r = plan.facts, plan.responses
+    f, r, read = plan.facts, plan.responses, forecast or NOTHING_READ
     needs = predict(plan, forecast, spent)
     return {
         "scene": plan.scene.name,
@@ -202,11 +205,11 @@ def plan_dict(
         "shape": list(plan.scene.sensor.shape),
         "tile_shape": list(tile_shape(plan.scene)),
         "tiles": len(plan.tiles) * plan.frames,
-        "shards": forecast.shards if forecast else 0,
-        "row_groups": forecast.row_groups if forecast else 0,
-        "star_rows_to_read": forecast.rows_to_read if forecast else 0,
-        "bytes_to_read": forecast.bytes_to_read if forecast else 0,
-        "stars_per_frame": forecast.stars_per_frame if forecast else 0,
+        "shards": read.shards,
+        "row_groups": read.row_groups,
+        "star_rows_to_read": read.rows_to_read,
+        "bytes_to_read": read.bytes_to_read,
+        "stars_per_frame": read.stars_per_frame,
         "catalogue": catalogues[0] if catalogues else None,
         "layers": list(catalogues[1:]),
         "coverage": plan.coverage.as_dict() if plan.coverage else None,

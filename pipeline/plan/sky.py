@@ -207,9 +207,43 @@ def _over_time(
 def _parts_told(light: LightOfSky, g: Geometry) -> list[Decision]:
     """What each part gives, and how well it is known."""
     x, y = _field(light.camera)
-    ends = [light.parts(g, f, g.middle, x, y) for f in (0, len(g.frame) - 1)]
+    frames, b, inputs = (0, len(g.frame) - 1), background_of(light.scene), light.inputs
     area = light.pixel_m2_sr(x, y)
-    b, inputs, out = background_of(light.scene), light.inputs, []
+    ends = [{k: v * area for k, v in light.parts(g, f, g.middle, x, y).items()} for f in frames]
+    out = _published_told(light, ends)
+    if inputs.uniform_e_s is not None:
+        how = "the same in every pixel, as the scene gives it of a pixel: no solid angle, no pupil"
+        out.append(Decision("background.uniform", True, f"{inputs.uniform_e_s:.4g} e-/s: {how}"))
+    if inputs.stray is not None and b.stray_light is not None:
+        from pipeline.plan.stray_light import stray_told
+
+        stray = [light.stray(g, f, g.middle, x, y) for f in frames]
+        out += stray_told(b.stray_light, stray)
+    if g.has_air:
+        from pipeline.plan.night_sky import night_told
+
+        out += night_told(light.scene, ends)
+    return out
+
+
+def _published_told(light: LightOfSky, ends: list[dict[str, Array]]) -> list[Decision]:
+    """Of parts that follow published tables and maps; ends : e-/s per pixel in some frames."""
+    b, out = background_of(light.scene), []
+    dim = "" if light.inputs.extinction is None else "; dimmed by the air (observer.atmosphere)"
+    for name, how in _sources_of(light).items():
+        if name in ends[0]:
+            values = np.concatenate([e[name] for e in ends])
+            span = f"{values.min():.4g} to {values.max():.4g} e-/s per pixel"
+            how += dim if name != "uniform" else ""
+            out.append(Decision(f"background.{name}", True, f"{span}: {how}"))
+        elif name != "uniform" and (name != "starlight" or b.starlight == "none"):
+            out.append(Decision(f"background.{name}", False, "not asked for", 0.0, 0.0))
+    return out
+
+
+def _sources_of(light: LightOfSky) -> dict[str, str]:
+    """Where what is known of each part comes from, and how well it is known."""
+    inputs, stars = light.inputs, light.scene.stars
     known = {
         "uniform": "as bright in all directions; each pixel sees it through its own solid angle"
         + (" and the pupil's cosine" if light.scene.sensor.pupil_projection else ""),
@@ -219,32 +253,10 @@ def _parts_told(light: LightOfSky, g: Geometry) -> list[Decision]:
         f"good to {RELATIVE_ERROR:.0%}; {inputs.every.source if inputs.every else ''}",
         "starlight": f"stars that are not drawn: {inputs.undrawn.source if inputs.undrawn else ''}",
     }
-    if len(light.scene.stars.catalogues if light.scene.stars else ()) > 1:
+    if stars and len(stars.catalogues) > 1:
         known["starlight"] += "; of the main catalogue alone: stars that only the layers hold, and "
         known["starlight"] += "that are beyond the limit, are in no map and left out"
-    dim = "" if inputs.extinction is None else "; dimmed by the air (observer.atmosphere)"
-    for name, how in known.items():
-        if name in ends[0]:
-            how += dim if name != "uniform" else ""
-            values = np.concatenate([e[name] * area for e in ends])
-            span = f"{values.min():.4g} to {values.max():.4g} e-/s per pixel"
-            out.append(Decision(f"background.{name}", True, f"{span}: {how}"))
-        elif name != "uniform" and (name != "starlight" or b.starlight == "none"):
-            out.append(Decision(f"background.{name}", False, "not asked for", 0.0, 0.0))
-    if inputs.uniform_e_s is not None:
-        how = "the same in every pixel, as the scene gives it of a pixel: no solid angle, no pupil"
-        out.append(Decision("background.uniform", True, f"{inputs.uniform_e_s:.4g} e-/s: {how}"))
-    if inputs.stray is not None and b.stray_light is not None:
-        from pipeline.plan.stray_light import stray_told
-
-        frames = (0, len(g.frame) - 1)
-        stray = [light.stray(g, f, g.middle, x, y) for f in frames]
-        out += stray_told(b.stray_light, stray)
-    if g.has_air:
-        from pipeline.plan.night_sky import night_told
-
-        out += night_told(light.scene, [{k: v * area for k, v in e.items()} for e in ends])
-    return out
+    return known
 
 
 def _limit_told(limit: FaintLimit | None, in_sky: bool, sigma_e: float) -> list[Decision]:

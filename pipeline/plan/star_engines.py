@@ -7,6 +7,7 @@ workers. It changes costs alone: either way meets the bounds that the plan state
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -71,41 +72,62 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
     if not r.classes:
         return plan
     streaks = _streaks(plan, g)
-    frames = plan.frames if not r.streaks.longest_px else 1.0  # that share their tables
-    classes, said, low_e, stars_s = [], [], 0.0, 0.0
-    for k, core in enumerate(r.classes):
-        ways = [_Costs(r, core, streak, frames) for streak in streaks]
-        splits = [float(np.clip(s.mixed_from_e, low_e, core.brightest_e)) for s in streaks]
-        usual = [counts.between(low_e, split) for split in splits]
-        bright = [counts.between(split, core.brightest_e) for split in splits]
-        if k == 0 and r.spectral_from and max(usual) >= r.spectral_from * _blocks(plan):
-            usual = [math.inf] * len(usual)  # crowds have them
-        tables_s, singly_s, mixtures_s, along_s = (
-            sum(getattr(way, name)(n) for way, n in zip(ways, stars, strict=True)) / len(ways)
-            for name, stars in
-            (("tables", usual), ("singly", usual), ("mixtures", bright), ("along", bright))
-        )  # fmt: skip
-        tables = r.products or tables_s <= SURE * singly_s
-        phases = core.phases * tables
-        mixed = max(way.mixed_phases for way in ways) * (mixtures_s <= along_s)
-        stars_s += min(mixtures_s, along_s)
-        if math.isfinite(max(usual)):
-            stars_s += tables_s if tables else singly_s
-        classes.append(replace(core, phases=phases, mixed_phases=mixed))
-        said += _said(core, max(usual), max(bright), phases, mixed)
-        low_e = core.brightest_e
     limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
+    classes, said, stars_s = [], [], 0.0
+    for core, low_e in zip(r.classes, limits, strict=False):
+        chosen, words, bright_s, usual_s = _choose(plan, core, low_e, streaks, counts)
+        classes.append(chosen)
+        said += words
+        stars_s = stars_s + bright_s + usual_s
     expected = tuple(counts.between(a, b) for a, b in pairwise(limits))
     spent_s = None if r.products else stars_s
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
     if r.spectral_from:
-        mixed_from_e = min(streak.mixed_from_e for streak in streaks)
-        made = replace(made, crowd_e=_crowd_e(plan, counts, mixed_from_e))
+        made = replace(made, crowd_e=_crowd_e(plan, counts, streaks))
     total = round(counts.each * len(counts.light_e))
-    tables = r.spectral_from or r.products or any(c.phases or c.mixed_phases for c in classes)
-    before = plan.decisions if tables else _without_tables(plan)
-    decided = (*before, _decision(said))
+    decided = (*_of_tables(plan, classes), _decision(said))
     return replace(plan, responses=made, decisions=decided, stars_per_frame=total)
+
+
+def _choose(
+    plan: Plan, core: CoreClass, low_e: float, streaks: list[Streak], counts: StarCounts
+) -> tuple[CoreClass, list[str], float, float]:
+    """A class of stars above `low_e` with its phases, what is said of it, and the CPU seconds of
+    its bright and of its usual stars, 0 of those in crowds."""
+    r = plan.responses
+    ways = [_Costs(plan, core, streak) for streak in streaks]
+    splits = [float(np.clip(s.mixed_from_e, low_e, core.brightest_e)) for s in streaks]
+    usual = [counts.between(low_e, split) for split in splits]
+    bright = [counts.between(split, core.brightest_e) for split in splits]
+    if _in_crowds(plan, core, max(usual)):
+        usual = [math.inf] * len(usual)
+    tables_s, singly_s = _mean_s(_Costs.tables, ways, usual), _mean_s(_Costs.singly, ways, usual)
+    mixtures_s = _mean_s(_Costs.mixtures, ways, bright)
+    along_s = _mean_s(_Costs.along, ways, bright)
+    tables = r.products or tables_s <= SURE * singly_s
+    phases = core.phases * tables
+    mixed = max(way.mixed_phases for way in ways) * (mixtures_s <= along_s)
+    usual_s = tables_s if tables else singly_s
+    return (
+        replace(core, phases=phases, mixed_phases=mixed),
+        _said(core, max(usual), max(bright), phases, mixed),
+        min(mixtures_s, along_s),
+        usual_s if math.isfinite(max(usual)) else 0.0,
+    )
+
+
+def _in_crowds(plan: Plan, core: CoreClass, stars: float) -> bool:
+    """Whether transforms draw so many stars of a class together."""
+    r = plan.responses
+    many = core is r.classes[0] and stars >= r.spectral_from * _blocks(plan)
+    return many and r.spectral_from > 0
+
+
+def _mean_s(
+    cost_s: Callable[[_Costs, float], float], ways: list[_Costs], stars: list[float]
+) -> float:
+    """Mean over the streaks of what so many stars on each cost."""
+    return sum(cost_s(way, n) for way, n in zip(ways, stars, strict=True)) / len(ways)
 
 
 def _streaks(plan: Plan, g: Geometry) -> list[Streak]:
@@ -118,7 +140,7 @@ def _streaks(plan: Plan, g: Geometry) -> list[Streak]:
     ]
 
 
-def _crowd_e(plan: Plan, counts: StarCounts, mixed_from_e: float) -> float:
+def _crowd_e(plan: Plan, counts: StarCounts, streaks: list[Streak]) -> float:
     """Light [e-] up to which transforms are to serve stars: the finer they are the dearer.
 
     So many brighter ones are left to stamps as cost FEW_BRIGHT of the transforms. Not below what
@@ -127,7 +149,7 @@ def _crowd_e(plan: Plan, counts: StarCounts, mixed_from_e: float) -> float:
     r = plan.responses
     light, fixed_s = counts.light_e, SPECTRAL_S_PER_PIXEL * math.prod(plan.scene.sensor.shape)
     left = FEW_BRIGHT * fixed_s / (r.streaks.pieces * stamp_s(r)) / counts.each
-    limit_e = min(r.classes[0].brightest_e, mixed_from_e)
+    limit_e = min(r.classes[0].brightest_e, *(streak.mixed_from_e for streak in streaks))
     if 1.0 <= left < len(light):
         limit_e = min(limit_e, float(light[-int(left)]))
     elif left >= len(light):
@@ -145,8 +167,10 @@ def _blocks(plan: Plan) -> int:
 class _Costs:
     """Seconds of drawing stars of a class in one frame, by each way."""
 
-    def __init__(self, r: ResponsePlan, core: CoreClass, streak: Streak, frames: float) -> None:
-        self._core, self._frames, self._count = core, frames, len(streak.pieces)
+    def __init__(self, plan: Plan, core: CoreClass, streak: Streak) -> None:
+        r = plan.responses
+        self._core, self._count = core, len(streak.pieces)
+        self._frames = 1.0 if r.streaks.longest_px else plan.frames  # that share their tables
         self._tables = r.streaks.shapes * len(r.blurs)
         self._each = min(4, len(r.blurs))  # responses that one star is drawn by
         self._segments = streak.path.segments
@@ -236,10 +260,12 @@ def _said(
     return said
 
 
-def _without_tables(plan: Plan) -> list[Decision]:
-    """The decisions of a plan whose stars need no tables."""
-    why = "each star at its exact place: no tables are made"
+def _of_tables(plan: Plan, classes: list[CoreClass]) -> Sequence[Decision]:
+    """The decisions so far; of classes that need no tables, without those of tables."""
     name, r = "phase_interpolation", plan.responses
+    if r.spectral_from or r.products or any(c.phases or c.mixed_phases for c in classes):
+        return plan.decisions
+    why = "each star at its exact place: no tables are made"
     out = [Decision(name, False, why) if d.component == name else d for d in plan.decisions]
     return out if r.spacing_px else [*out, core_ends(r, plan.facts)]
 

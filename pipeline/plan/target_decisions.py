@@ -76,48 +76,19 @@ def _names(targets: list[Target]) -> str:
 def _lighting(scene: Scene, ends: Geometry) -> list[Decision]:
     """Eclipse, earthshine, and what parts of a body do to each other."""
     targets = list(scene.targets)
-    dark = [t for t in targets if not t.eclipse]
     finer = [t for t in targets if t.lighting is not None]
     lamps = [t for t in finer if t.lighting and t.lighting.earthshine_albedo]
-    composite = [t for t in targets if isinstance(t.body, CompositeBody)]
-    out = [
-        Decision(
-            "targets.eclipse", len(dark) < len(targets),
-            "umbra and penumbra of a spherical Earth without air, uniform solar disc"
-            + (f"; switched off for {_names(dark)}" if dark else "")
-            + (f"; ellipsoid, limb darkening or Moon as asked for {_names(finer)}, to 1.5e-4 of "
-               "sunlight" if finer else ""),
-            bound=1.0 if dark else FINER_SHADOW if finer else None, unit="of sunlight",
-        ),
-        Decision(
-            "targets.earthshine", bool(lamps),
-            f"Lambertian Earth without clouds or seasons for {_names(lamps)}, in 256 lamps: to "
-            "5e-4 of albedo (R/r)^2 of direct sunlight" if lamps else
-            "not asked for: at most albedo (R/r)^2 of direct sunlight on a surface that faces the "
-            "Earth, 0.7% at GEO, 26% at 500 km (albedo 0.3), all of it in the shadow of the body",
-            bound=(LAMPS_ERROR if lamps else 1.0) * earthshine_share(lamps, ends),
-            unit="of direct sunlight",
-        ),
-    ]  # fmt: skip
     meshes = [t for t in targets if isinstance(t.body, MeshBody)]
+    out = [_eclipse(targets, finer), _earthshine(lamps, ends)]
     if meshes:
         from pipeline.plan.mesh_tables import decide_tables
 
         out += decide_tables(scene)
-    glowing = [t for t in lamps if isinstance(t.body, MeshBody)]
-    if glowing:
-        out.append(_earthshine_on_meshes(glowing))
-    if meshes:
-        shares = [t.body.error for t in meshes if isinstance(t.body, MeshBody) and t.body.error]
-        out += [
-            Decision(
-                "targets.mesh_shadows", True,
-                f"{_names(meshes)}: self-shadowing and mutual occlusion, areas to within "
-                f"{max(shares, default=0.0):.2g} of the light; a convex body needs none",
-                bound=max(shares, default=0.0), unit="of the light",
-            ),
-            between_facets(meshes),
-        ]  # fmt: skip
+        glowing = [t for t in lamps if isinstance(t.body, MeshBody)]
+        if glowing:
+            out.append(_earthshine_on_meshes(glowing))
+        out += [_mesh_shadows(meshes), between_facets(meshes)]
+    composite = [t for t in targets if isinstance(t.body, CompositeBody)]
     if composite:
         out.append(
             Decision(
@@ -128,6 +99,44 @@ def _lighting(scene: Scene, ends: Geometry) -> list[Decision]:
             )
         )  # fmt: skip
     return out
+
+
+def _eclipse(targets: list[Target], finer: list[Target]) -> Decision:
+    """Of the Earth's shadow; finer : targets that ask for more than its usual form."""
+    dark = [t for t in targets if not t.eclipse]
+    return Decision(
+        "targets.eclipse", len(dark) < len(targets),
+        "umbra and penumbra of a spherical Earth without air, uniform solar disc"
+        + (f"; switched off for {_names(dark)}" if dark else "")
+        + (f"; ellipsoid, limb darkening or Moon as asked for {_names(finer)}, to 1.5e-4 of "
+           "sunlight" if finer else ""),
+        bound=1.0 if dark else FINER_SHADOW if finer else None, unit="of sunlight",
+    )  # fmt: skip
+
+
+def _earthshine(lamps: list[Target], ends: Geometry) -> Decision:
+    """Of the Earth's light on the targets that ask for it."""
+    return Decision(
+        "targets.earthshine", bool(lamps),
+        f"Lambertian Earth without clouds or seasons for {_names(lamps)}, in 256 lamps: to "
+        "5e-4 of albedo (R/r)^2 of direct sunlight" if lamps else
+        "not asked for: at most albedo (R/r)^2 of direct sunlight on a surface that faces the "
+        "Earth, 0.7% at GEO, 26% at 500 km (albedo 0.3), all of it in the shadow of the body",
+        bound=(LAMPS_ERROR if lamps else 1.0) * earthshine_share(lamps, ends),
+        unit="of direct sunlight",
+    )  # fmt: skip
+
+
+def _mesh_shadows(meshes: list[Target]) -> Decision:
+    """Of what the facets of meshes hide from the Sun and from the observer."""
+    errors = (t.body.error or 0.0 for t in meshes if isinstance(t.body, MeshBody))
+    error = max(errors, default=0.0)
+    return Decision(
+        "targets.mesh_shadows", True,
+        f"{_names(meshes)}: self-shadowing and mutual occlusion, areas to within "
+        f"{error:.2g} of the light; a convex body needs none",
+        bound=error, unit="of the light",
+    )  # fmt: skip
 
 
 def _earthshine_on_meshes(glowing: list[Target]) -> Decision:

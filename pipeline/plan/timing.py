@@ -11,7 +11,7 @@ from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.spec.dwell import Dwell, Slew
 from pipeline.spec.pointing import Pointing
-from pipeline.spec.scene import Scene
+from pipeline.spec.scene import Exposure, Scene
 
 MOST_FRAMES = 100_000
 BIAS_PLANNED_AS_S = 1e-6  # what plans take for the exposure of bias frames: no light, no division
@@ -71,37 +71,49 @@ def dwell_plans(scene: Scene) -> tuple[DwellPlan, ...]:
     out: list[DwellPlan] = []
     first, end = 0, 0.0
     for i, dwell in enumerate(scene.dwells):
-        own = dwell.integration_s
-        times = exposure.integration_s if own is None else own
-        times = times if isinstance(times, tuple) else (times,)
-        step = dwell.cadence_s or exposure.cadence_s
-        if step is None and len(times) == 1:
-            step = times[0]
-        if step is not None and step < max(times):
-            raise BadInput(
-                f"dwells.{i}.integration_s", max(times),
-                f"at most the cadence, {step:g} s, or a longer cadence_s",
-            )  # fmt: skip
-        if dwell.slew is not None and i == 0:
-            raise BadInput("dwells.0.slew", "a slew", "a slew only after another dwell")
-        slew = None if dwell.slew is None else (end, end + dwell.slew.duration_s)
-        start = (end if slew is None else slew[1]) + dwell.wait_s
-        if dwell.start_s is not None:
-            if dwell.start_s < end:
-                raise BadInput(
-                    f"dwells.{i}.start_s", dwell.start_s,
-                    f"at least {end:g} s, when the dwell before it ends",
-                )  # fmt: skip
-            start = dwell.start_s
-        pointing = dwell.pointing or scene.pointing
-        made = DwellPlan(
-            i, dwell, pointing, first, dwell.frames or exposure.frames, start, step, times, slew
-        )
-        out.append(made)
-        first, end = first + made.frames, made.end_s
+        times, step = _times_s(exposure, i, dwell)
+        start, slew = _begin_s(i, dwell, end)
+        pointing, frames = dwell.pointing or scene.pointing, dwell.frames or exposure.frames
+        out.append(DwellPlan(i, dwell, pointing, first, frames, start, step, times, slew))
+        first, end = first + frames, out[-1].end_s
     if first > MOST_FRAMES:
         raise BadInput("dwells", f"{first} frames", f"at most {MOST_FRAMES} frames in all")
     return tuple(out)
+
+
+def _times_s(
+    exposure: Exposure, i: int, dwell: Dwell
+) -> tuple[tuple[float, ...], float | None]:
+    """Integration times of dwell `i`, and the time between its frames' starts as in DwellPlan."""
+    own = dwell.integration_s
+    times = exposure.integration_s if own is None else own
+    times = times if isinstance(times, tuple) else (times,)
+    step = dwell.cadence_s or exposure.cadence_s
+    if step is None and len(times) == 1:
+        step = times[0]
+    if step is not None and step < max(times):
+        raise BadInput(
+            f"dwells.{i}.integration_s", max(times),
+            f"at most the cadence, {step:g} s, or a longer cadence_s",
+        )  # fmt: skip
+    return times, step
+
+
+def _begin_s(
+    i: int, dwell: Dwell, end: float
+) -> tuple[float, tuple[float, float] | None]:
+    """When the first frame of dwell `i` starts, and its slew; `end` : of the dwell before it."""
+    if dwell.slew is not None and i == 0:
+        raise BadInput("dwells.0.slew", "a slew", "a slew only after another dwell")
+    slew = None if dwell.slew is None else (end, end + dwell.slew.duration_s)
+    if dwell.start_s is None:
+        return (end if slew is None else slew[1]) + dwell.wait_s, slew
+    if dwell.start_s < end:
+        raise BadInput(
+            f"dwells.{i}.start_s", dwell.start_s,
+            f"at least {end:g} s, when the dwell before it ends",
+        )  # fmt: skip
+    return dwell.start_s, slew
 
 
 def frame_count(scene: Scene) -> int:

@@ -205,9 +205,14 @@ class Detector(Strict):
 
 def check_detector(sensor: Sensor) -> None:
     """What must fit between a sensor and its detector. Raises PydanticCustomError."""
-    d, (ny, nx) = sensor.detector, sensor.shape
-    if d is None:
-        return
+    if sensor.detector is not None:
+        _check_pixels(sensor, sensor.detector)
+        _check_charge(sensor, sensor.detector)
+
+
+def _check_pixels(sensor: Sensor, d: Detector) -> None:
+    """Pixels that fail, and the amplifiers' rectangles."""
+    ny, nx = sensor.shape
     for name in ("bad", "dead", "hot"):
         found = getattr(d, name)
         if found is not None:
@@ -222,19 +227,22 @@ def check_detector(sensor: Sensor) -> None:
         if a.meets(b):
             allowed = f"allowed: rectangles that share no pixel (numbers {i} and {j} do)"
             raise _error("detector.amplifiers", allowed)
-    needs = {
+
+
+def _check_charge(sensor: Sensor, d: Detector) -> None:
+    """What goes by the full well, and what time delay and integration cannot have."""
+    used = {
         "blooming": d.blooming, "nonlinearity": d.nonlinearity is not None,
         "lag": d.lag is not None,
     }  # fmt: skip
-    for name, needed in needs.items():
-        if needed and sensor.full_well_e is None:
+    for name, is_used in used.items():
+        if is_used and sensor.full_well_e is None:
             raise _error(f"detector.{name}", "allowed: with sensor.full_well_e")
     if d.nonlinearity is not None:
         _check_response(d.nonlinearity, float(sensor.full_well_e or 0.0))
-    if isinstance(d.readout, TimeDelay) and d.blooming:
-        raise _error("detector.blooming", "allowed: without a readout of kind tdi")
-    if isinstance(d.readout, TimeDelay) and d.lag is not None:
-        raise _error("detector.lag", "allowed: without a readout of kind tdi")
+    for name in ("blooming", "lag") if isinstance(d.readout, TimeDelay) else ():
+        if used[name]:
+            raise _error(f"detector.{name}", "allowed: without a readout of kind tdi")
 
 
 def _check_places(found: Failing | HotPixels, name: str, ny: int, nx: int) -> None:

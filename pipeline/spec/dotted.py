@@ -51,16 +51,22 @@ def _holder(data: Any, name: str) -> tuple[Any, Any]:
     *parents, last = name.split(".")
     holder = data
     for i, part in enumerate(parents):
-        if isinstance(holder, list) and part.isdigit() and int(part) < len(holder):
-            holder = holder[int(part)]
+        if (place := _place(holder, part)) is not None:
+            holder = holder[place]
         elif isinstance(holder, dict):
             if holder.get(part) is None:
                 holder[part] = {}
             holder = holder[part]
         else:
             raise NoFieldError(".".join(parents[: i + 1]))
-    if isinstance(holder, list) and last.isdigit() and int(last) < len(holder):
-        return holder, int(last)
+    if (place := _place(holder, last)) is not None:
+        return holder, place
     if isinstance(holder, dict):
         return holder, last
     raise NoFieldError(name)
+
+
+def _place(holder: Any, name: str) -> int | None:
+    """The place in a list that a number names; None where there is none."""
+    there = isinstance(holder, list) and name.isdigit() and int(name) < len(holder)
+    return int(name) if there else None

@@ -313,39 +313,57 @@ def scene_yaml(scene: Scene) -> str:
 
 def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
     """One mistake as (dotted field, value given, what is allowed), in the user's own names."""
-    context = error.get("ctx", {})
-    value = error.get("input")
-    names = _names(error["loc"], data, error["type"] == "missing", value)
-    if error["type"] == "unknown_key":
-        names.append(str(context["key"]))
-        value = value.get(context["key"]) if isinstance(value, dict) else value
-        return ".".join(names), value, str(context["allowed"])
-    if error["type"] == "missing":
+    kind, context, value = error["type"], error.get("ctx", {}), error.get("input")
+    names = _names(error["loc"], data, kind == "missing", value)
+    if kind == "unknown_key":
+        key = context["key"]
+        return ".".join([*names, str(key)]), _under(key, value), str(context["allowed"])
+    if kind == "missing":
         return ".".join(names), None, "it must be given"
+    value = _pointed_at(names, value, context)
+    if kind.startswith("union_tag"):
+        tag = str(context["discriminator"]).strip("'")
+        allowed = f"allowed: {context['expected_tags']}" if "tag" in context else "it must be given"
+        names.append(tag)
+        return ".".join(names), _under(tag, value), allowed
+    if of_scene and (allowed := _of_type(kind, names)):
+        return ".".join(names), value, allowed
+    allowed = _allowed(error["msg"])[:400]
+    if of_scene and kind in BEYOND:
+        allowed += _ends_of(names)
+    return ".".join(names) or "scene", value, allowed
+
+
+def _under(key: str, value: Any) -> Any:
+    """What a mapping holds under a key; any other value as it is."""
+    return value.get(key) if isinstance(value, dict) else value
+
+
+def _pointed_at(names: list[str], value: Any, context: dict[str, Any]) -> Any:
+    """The value that a mistake's context points at in another; its names are put to `names`."""
     if "index" in context:
         names[-1] += f"[{context['index']}]"
         value = value[context["index"]]
     if "field" in context:
         names.append(context["field"])
         for part in context["field"].split("."):
-            index = int(part) if isinstance(value, list | tuple) and part.isdigit() else None
-            value = value.get(part) if isinstance(value, dict) else value
-            if isinstance(value, list | tuple) and index is not None and index < len(value):
-                value = value[index]
-    if error["type"].startswith("union_tag"):
-        tag = str(context["discriminator"]).strip("'")
-        names.append(tag)
-        allowed = f"allowed: {context['expected_tags']}" if "tag" in context else "it must be given"
-        return ".".join(names), value.get(tag) if isinstance(value, dict) else value, allowed
-    if of_scene and error["type"] in WRONG_TYPE:
-        words = words_of(names)
-        if words:
-            but = ", not true or false" if error["type"] == "boolean" else ""
-            return ".".join(names), value, f"allowed: {words[:380]}{but}"
-    allowed = _allowed(error["msg"])[:400]
-    if of_scene and error["type"] in BEYOND and (whole := range_of(names)):
-        allowed += f" ({whole})"
-    return ".".join(names) or "scene", value, allowed
+            if isinstance(value, list | tuple) and part.isdigit() and int(part) < len(value):
+                value = value[int(part)]
+            else:
+                value = _under(part, value)
+    return value
+
+
+def _ends_of(names: list[str]) -> str:
+    whole = range_of(names)
+    return whole and f" ({whole})"
+
+
+def _of_type(kind: str, names: list[str]) -> str:
+    """What is allowed where a value is of a wrong type altogether; empty elsewhere."""
+    words = words_of(names) if kind in WRONG_TYPE else ""
+    but = ", not true or false" if kind == "boolean" else ""
+    return words and f"allowed: {words[:380]}{but}"
 
 
 # Values of a wrong type altogether: what the format takes there is told instead of how it failed.
@@ -407,7 +425,7 @@ def _names(loc: tuple[int | str, ...], data: Any, missing: bool, value: Any) -> 
             elif part in holder or rest or not missing:
                 continue
         elif isinstance(holder, list | tuple) and isinstance(part, int):
-            holder = holder[part] if part < len(holder) else None
+            holder = dict(enumerate(holder)).get(part)
         else:
             continue
         names.append(str(part))

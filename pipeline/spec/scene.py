@@ -198,7 +198,7 @@ class Scene(Strict):
     output: Output = Output()
 
     @model_validator(mode="after")
-    def _targets_are_known(self) -> Scene:
+    def _targets_differ_in_name(self) -> Scene:
         names = [t.name for t in self.targets]
         twice = sorted({n for n in names if names.count(n) > 1}) if len(names) < 2000 else []
         if twice or len(set(names)) != len(names):
@@ -207,6 +207,11 @@ class Scene(Strict):
                 "allowed: different names; twice: {twice}",
                 {"twice": ", ".join(twice) or "a name", "field": "targets"},
             )
+        return self
+
+    @model_validator(mode="after")
+    def _targets_are_known(self) -> Scene:
+        names = [t.name for t in self.targets]
         pointings = {"pointing": self.pointing} | {
             f"dwells.{i}.pointing": d.pointing for i, d in enumerate(self.dwells or ())
         }

@@ -267,6 +267,10 @@ class FieldPsf(Strict):
         if len(self.psfs) != rows or any(len(row) != columns for row in self.psfs):
             allowed = f"allowed: a row for each of {rows} rows_px, one for each of {columns} "
             raise _error("psfs", f"{allowed}columns_px in it")
+        return self
+
+    @model_validator(mode="after")
+    def _one_aperture(self) -> FieldPsf:
         every = [psf for row in self.psfs for psf in row]
         if len({isinstance(psf, TablePsf) and psf.includes_pixel for psf in every}) > 1:
             raise _error("psfs", "allowed: includes_pixel for all of them or for none")

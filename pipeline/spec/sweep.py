@@ -173,20 +173,23 @@ class Sweep(Strict):
     @model_validator(mode="after")
     def _axes_fit_the_design(self) -> Sweep:
         for i, axis in enumerate(self.axes):
-            if isinstance(axis, RangeAxis):
-                random = isinstance(self.design, QuasiRandom)
-                if random != (axis.count is None):
-                    raise PydanticCustomError(
-                        "count",
-                        "allowed: no count where the design is quasi-random, a count elsewhere",
-                        {"field": f"axes.{i}.count"},
-                    )
+            random = isinstance(self.design, QuasiRandom)
+            if isinstance(axis, RangeAxis) and random != (axis.count is None):
+                raise PydanticCustomError(
+                    "count",
+                    "allowed: no count where the design is quasi-random, a count elsewhere",
+                    {"field": f"axes.{i}.count"},
+                )
         lengths = [axis_length(axis) for axis in self.axes]
         if isinstance(self.design, Zip) and len(set(lengths)) > 1:
             raise PydanticCustomError(
                 "zip", "allowed: axes of one length; these have {n}",
                 {"n": ", ".join(map(str, lengths)), "field": "axes"},
             )  # fmt: skip
+        return self
+
+    @model_validator(mode="after")
+    def _points_are_few_enough(self) -> Sweep:
         design = self.design if isinstance(self.design, QuasiRandom) else None
         latin = design is not None and design.kind == "latin_hypercube"
         if latin and design is not None and design.points * len(self.axes) > MOST_DRAWN:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -64,10 +64,13 @@ def _below(node: Node, name: str) -> Iterator[Node]:
             yield one["additionalProperties"]
 
 
+def _resolved(node: Node) -> Node:
+    return _schema()["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
+
+
 def _choices(node: Node) -> Iterator[Node]:
     """What a node stands for: the models and types behind references and unions."""
-    if "$ref" in node:
-        node = _schema()["$defs"][node["$ref"].rpartition("/")[2]]
+    node = _resolved(node)
     inner = node.get("anyOf") or node.get("oneOf")
     if not inner:
         yield node
@@ -76,8 +79,7 @@ def _choices(node: Node) -> Iterator[Node]:
 
 
 def _words(node: Node, unit: str | None) -> Iterator[str]:
-    if "$ref" in node:
-        node = _schema()["$defs"][node["$ref"].rpartition("/")[2]]
+    node = _resolved(node)
     if "discriminator" in node:
         tag = node["discriminator"]
         yield f"a mapping with `{tag['propertyName']}`: {', '.join(sorted(tag['mapping']))}"
@@ -86,17 +88,30 @@ def _words(node: Node, unit: str | None) -> Iterator[str]:
         yield from _words(one, unit)
     if "const" in node or "enum" in node:
         yield ", ".join(repr(v) for v in node.get("enum", [node.get("const")]))
-    elif node.get("type") == "object":
-        keys = ", ".join(node.get("required", []))
-        yield f"a mapping with {keys}" if keys else "a mapping"
-    elif node.get("type") in ("number", "integer"):
-        word = "a number" if node["type"] == "number" else "a whole number"
-        yield f"{word} in {unit} (the unit stands in the key)" if unit else word
-    elif node.get("type") == "array":
-        inner = node.get("prefixItems") or [node.get("items") or {}]
-        each = next(_words(inner[0], unit), "").removeprefix("a ")
-        several = re.sub(r"^(list|(?:whole )?number|mapping)\b", r"\1s", each)
-        count = f" of {len(inner)}" if len(inner) > 1 else " of" if several else ""
-        yield f"a list{count} {several}".rstrip()
     elif "type" in node:
-        yield {"string": "text", "boolean": "true or false"}.get(node["type"], str(node["type"]))
+        yield WORDS.get(node["type"], lambda node, _: str(node["type"]))(node, unit)
+
+
+def _mapping_words(node: Node, _unit: str | None) -> str:
+    keys = ", ".join(node.get("required", []))
+    return f"a mapping with {keys}" if keys else "a mapping"
+
+
+def _number_words(node: Node, unit: str | None) -> str:
+    word = "a number" if node["type"] == "number" else "a whole number"
+    return f"{word} in {unit} (the unit stands in the key)" if unit else word
+
+
+def _list_words(node: Node, unit: str | None) -> str:
+    inner = node.get("prefixItems") or [node.get("items") or {}]
+    each = next(_words(inner[0], unit), "").removeprefix("a ")
+    several = re.sub(r"^(list|(?:whole )?number|mapping)\b", r"\1s", each)
+    count = f" of {len(inner)}" if len(inner) > 1 else " of" if several else ""
+    return f"a list{count} {several}".rstrip()
+
+
+# What is told of a value by its type in the format.
+WORDS: dict[str, Callable[[Node, str | None], str]] = {
+    "object": _mapping_words, "number": _number_words, "integer": _number_words,
+    "array": _list_words, "string": lambda *_: "text", "boolean": lambda *_: "true or false",
+}  # fmt: skip
