@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from pipeline.errors import BadInput, Damaged, Incomplete, NightglassError, TryLater
 
 if TYPE_CHECKING:  # functions import what they need, so that `import nightglass` is quick
-    from catalog_tools.star_catalogue import StarCatalogue
-    from pipeline.draw import Progress
+    from catalog_tools.query.star_catalogue import StarCatalogue
     from pipeline.opened_product import Product
+    from pipeline.route.draw import Progress
     from pipeline.spec.scene import Scene
 
     AnyPath = str | os.PathLike[str]
@@ -77,7 +77,7 @@ def plan(scene: AnyScene) -> dict[str, Any]:
     Damaged
         Where a star catalogue does not match its checksums.
     """
-    from pipeline.prepare import plan_scene
+    from pipeline.route.prepare import plan_scene
 
     return plan_scene(load_scene(scene))
 
@@ -93,7 +93,7 @@ def render(
     scene : Scene, path or mapping
         As `load_scene` gives or takes it.
     product : path
-        Folder to make; `pipeline.run.render` takes s3 URLs too.
+        Folder to make; `pipeline.route.run.render` takes s3 URLs too.
     scheduler : str, optional
         "threads", "synchronous", "processes" (a script then needs `if __name__ == "__main__":`),
         "slurm", or the address of a Dask scheduler. It does not change the product.
@@ -118,8 +118,8 @@ def render(
     if not isinstance(product, str | os.PathLike) or "://" in str(product):
         raise BadInput("product", product, "the path of a folder")
     from pipeline.opened_product import open_product
-    from pipeline.run import Options
-    from pipeline.run import render as run
+    from pipeline.route.run import Options
+    from pipeline.route.run import render as run
 
     run(load_scene(scene), Path(product), Options(scheduler, workers, resume, replace), listen)
     return open_product(product)
@@ -140,6 +140,6 @@ def open_catalogue(path: AnyPath) -> StarCatalogue:
 
     Raises BadInput where there is none of this format, Damaged where it fails its checksums.
     """
-    from catalog_tools.star_catalogue import open_star_catalogue
+    from catalog_tools.query.star_catalogue import open_star_catalogue
 
     return open_star_catalogue(path)

@@ -154,7 +154,7 @@ def read_everything(files: Path) -> None:
 def make_catalogue(folder: Path, small: bool) -> None:
     """All sky to G = 12, and the fields of PLACES."""
     from catalog_tools.partition import ROWS_PER_LEAF
-    from catalog_tools.synthetic import make_demo
+    from catalog_tools.synthetic.synthetic import make_demo
 
     if folder.exists():
         return
@@ -213,7 +213,7 @@ def print_cone(r: Row) -> None:
 def our_cones(catalogue: Path) -> Row:
     """Every query by Nightglass: catalogue open, ten columns."""
     from catalog_tools.catalogue import open_catalogue
-    from catalog_tools.query import cone
+    from catalog_tools.query.query import cone
 
     opened = open_catalogue(catalogue)
 
@@ -285,7 +285,7 @@ def main() -> None:
     rows = 200_000 if args.small else args.rows
     files = args.csv or work / f"csv_{rows}"
     if not args.csv and args.only != "cones":
-        from catalog_tools.synthetic_csv import write_csv_files
+        from catalog_tools.synthetic.csv import write_csv_files
 
         write_csv_files(files, rows)
     peers = make_peers(args.peers or work / "peers")

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from catalog_tools.heap import one_heap
+from catalog_tools.engine.heap import one_heap
 
 STARS, SHAPE, STREAK_PX = 100_000, 2048, 60.0
 RA_DEG, DEC_DEG, IFOV_ARCSEC = 80.0, 20.0, 2.0
@@ -33,7 +33,7 @@ def make_catalogue(folder: Path, stars: int) -> Path:
     import pyarrow as pa
     import pyarrow.csv
 
-    from catalog_tools.ingest import ingest
+    from catalog_tools.ingest.ingest import ingest
 
     rng = np.random.default_rng(1)
     half = 0.5 * SHAPE * IFOV_ARCSEC / 3600.0
@@ -95,7 +95,7 @@ def timed(
     catalogue: Path, frames: int, psf: dict[str, Any], streak_px: float | None
 ) -> tuple[float, float]:
     """Seconds and CPU seconds of one whole render, on two threads."""
-    from pipeline.run import Options, render
+    from pipeline.route.run import Options, render
     from pipeline.spec.load import parse_scene
 
     with tempfile.TemporaryDirectory() as folder:

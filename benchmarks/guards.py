@@ -28,7 +28,7 @@ def measure(side: int, stars: int) -> dict[str, Any]:
     """Seconds of a tile of `side` pixels with so many stars, and of the guards in it."""
     from pipeline.arrays import SensorMaps, StarTable
     from pipeline.execute import light, sources, tile
-    from pipeline.plan.geometry import plan_geometry
+    from pipeline.plan.pointing.geometry import plan_geometry
     from pipeline.store.product import begin
 
     plan = _plan(side)
@@ -83,7 +83,7 @@ def _plan(side: int) -> Any:
     """A plan of one still frame; nothing is read."""
     from pipeline.physics.radiometry import box
     from pipeline.plan.facts import gather_facts
-    from pipeline.plan.geometry import plan_geometry
+    from pipeline.plan.pointing.geometry import plan_geometry
     from pipeline.plan.scene_plan import make_plan
     from pipeline.spec.load import parse_scene
 

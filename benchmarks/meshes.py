@@ -83,7 +83,7 @@ def _tiles(grid: Array) -> Array:
 
 def load(path: Path) -> tuple[str, Facets]:
     """A file in metres as white facets."""
-    from pipeline.inputs.meshes import read_mesh
+    from pipeline.inputs.targets.meshes import read_mesh
 
     mesh = read_mesh(path, "m")
     return path.stem, Facets(mesh.corners_m, np.zeros(len(mesh.corners_m), np.int64), mesh.closed)

@@ -29,10 +29,10 @@ from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.targets.eclipse import sunlit_fraction
 from pipeline.physics.targets.lighting import photon_rate_at_aperture, sun_distance
 from pipeline.physics.vectors import unit
-from pipeline.plan.bodies import earthshine_m2_sr
-from pipeline.plan.body_attitudes import View
-from pipeline.plan.body_shapes import reflected_m2_sr
-from pipeline.spec.body import CompositeBody, SphereBody
+from pipeline.plan.bodies.attitudes import View
+from pipeline.plan.bodies.bodies import earthshine_m2_sr
+from pipeline.plan.bodies.shapes import reflected_m2_sr
+from pipeline.spec.targets.body import CompositeBody, SphereBody
 
 Array = NDArray[np.float64]
 Brdf = Callable[[Array, Array, Array], Array]

@@ -103,9 +103,9 @@ def _cpu_s() -> float:
 
 def overhead(scheduler: str, frames: int, workers: int = 2) -> dict[str, Any]:
     """Share of a job's CPU seconds that is not spent in its tasks."""
-    from catalog_tools.schedulers import open_scheduler
-    from pipeline.draw import draw
-    from pipeline.prepare import prepare
+    from catalog_tools.engine.schedulers import open_scheduler
+    from pipeline.route.draw import draw
+    from pipeline.route.prepare import prepare
     from pipeline.spec.load import parse_scene
     from pipeline.store.product import begin
 
@@ -166,9 +166,9 @@ def _started(stack: ExitStack, command: list[str]) -> subprocess.Popen[bytes]:
 
 def scale(scheduler: str, tiles: int) -> dict[str, Any]:
     """Peak memory of this process and of a scheduler's while a long plan is streamed."""
-    from catalog_tools.schedulers import open_scheduler
-    from pipeline.draw import draw
-    from pipeline.prepare import prepare
+    from catalog_tools.engine.schedulers import open_scheduler
+    from pipeline.route.draw import draw
+    from pipeline.route.prepare import prepare
     from pipeline.spec.load import parse_scene
     from pipeline.store.cube import CubeWriter
     from pipeline.store.product import Begun

@@ -33,14 +33,14 @@ SEED = 100_000_000  # of as many digits as those that follow it
 SERVE = """
 import sys
 from pathlib import Path
-from service import main, submissions
+from service import main; from service.jobs import submissions
 kind, home = sys.argv[1:]
 if kind == "bare":
-    from service.jobs import job_of
+    from service.jobs.jobs import job_of
     async def put(self, ask):
         return job_of(submissions._row(ask, 1e9)), True
     submissions.Intake.put = put
-from service.runner import Dispatcher
+from service.engine.runner import Dispatcher
 Dispatcher._step = lambda self: False  # jobs are taken in, none is run
 main.serve("127.0.0.1", 0, Path(home))
 """

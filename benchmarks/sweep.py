@@ -52,7 +52,7 @@ def sweep_data(catalogue: Path, side: int, points: int) -> dict[str, Any]:
 def measure(folder: Path, catalogue: Path, side: int, points: int) -> dict[str, Any]:
     """CPU seconds of one sky, of all chains, and of the sweep; their ratio."""
     from pipeline.execute.tile import render_tile
-    from pipeline.run import Options
+    from pipeline.route.run import Options
     from pipeline.sweep.points import scene_of, with_floor
     from pipeline.sweep.run import gather_course, sweep
     from pipeline.sweep.stages import Stages, maps_of, point_plan

@@ -14,9 +14,9 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from pipeline.physics.positions.times import parse_utc
-from pipeline.plan.body_attitudes import View
-from pipeline.plan.body_shapes import reflected_m2_sr
-from pipeline.spec.body import Body
+from pipeline.plan.bodies.attitudes import View
+from pipeline.plan.bodies.shapes import reflected_m2_sr
+from pipeline.spec.targets.body import Body
 
 SHAPES: tuple[dict[str, Any], ...] = (
     {"kind": "sphere", "diameter_m": 1.0},

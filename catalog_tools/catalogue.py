@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .durable import save_array
 from .errors import BadInput, Damaged
-from .stores import LocalStore, Store, Unreachable, open_store
+from .storage.durable import save_array
+from .storage.stores import LocalStore, Store, Unreachable, open_store
 
 MANIFEST_NAME = "nightglass.json"
 FORMAT = "nightglass/catalogue"

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .catalogue import MANIFEST_NAME, Catalogue
 from .errors import Damaged
-from .healpix import FINEST_ORDER, neighbours_of, pixels_of
-from .sphere import angles_deg, directions, separation_rad
+from .geometry.healpix import FINEST_ORDER, neighbours_of, pixels_of
+from .geometry.sphere import angles_deg, directions, separation_rad
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .columns import HEALPIX_ORDER
-from .healpix import pixels_of
+from .geometry.healpix import pixels_of
 
 Pixels = NDArray[np.int64]
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from catalog_tools.durable import full_disk_told
+from catalog_tools.storage.durable import full_disk_told
 from pipeline.arrays import SensorMaps
 from pipeline.errors import BadInput, Damaged
 from pipeline.execute.detector import tile_chain
 from pipeline.export.picture import frame_picture, png_bytes
-from pipeline.inputs.sensor import gather_sensor_maps
+from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.physics.noise.calibration import calibrated_e
 from pipeline.plan.tiles import cut_up
 from pipeline.plan.timing import frame_count, integration_s

@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 import typer
 
-from catalog_tools.heap import one_heap
-from pipeline.catalog_cli import catalog
-from pipeline.cosmic_rays_cli import cosmic_rays
-from pipeline.export_cli import export, import_app
-from pipeline.jobs_cli import Server, jobs
-from pipeline.options import (
+from catalog_tools.engine.heap import one_heap
+from pipeline.commands.catalog import catalog
+from pipeline.commands.cosmic_rays import cosmic_rays
+from pipeline.commands.export import export, import_app
+from pipeline.commands.jobs import Server, jobs
+from pipeline.commands.options import (
     Accepts,
     AcceptsError,
     Json,
@@ -32,10 +32,10 @@ from pipeline.options import (
     print_json,
     told_if_interrupted,
 )
-from pipeline.parts_cli import join
-from pipeline.report_cli import report_ledger, report_scenes
-from pipeline.sweep_cli import sweep
-from pipeline.worker_cli import worker
+from pipeline.commands.parts import join
+from pipeline.commands.report import report_ledger, report_scenes
+from pipeline.commands.sweep import sweep
+from pipeline.commands.worker import worker
 
 app = typer.Typer(
     name="nightglass",
@@ -140,22 +140,22 @@ def render(
     overrides = overrides_of(set_, accept, accept_error)
     scheduler = "slurm" if slurm else scheduler
     if server is not None:
-        from pipeline.jobs_cli import render_there
+        from pipeline.commands.jobs import render_there
 
         elsewhere = scheduler != "threads" or part is not None
         _only_here(resume, replace, workers is not None, elsewhere)
         to = local_path(output)
         _print_result(render_there(scene, to, overrides, server, as_json), output, as_json)
         return
-    from pipeline.run import Options
+    from pipeline.route.run import Options
 
     if part is not None:
-        from pipeline.parts_cli import render_part
+        from pipeline.commands.parts import render_part
 
         options = Options(scheduler, workers, replace=replace, wait_s=wait)
         render_part(scene, output, overrides, part, options, as_json)
         return
-    from pipeline.run import render as run
+    from pipeline.route.run import render as run
     from pipeline.spec.load import load_scene
 
     loaded = load_scene(scene, overrides)
@@ -193,18 +193,18 @@ def plan(
     """Show what a scene gives and needs: targets in view, limit, stars, time, memory."""
     overrides = overrides_of(set_, accept, accept_error)
     if server is not None:
-        from pipeline.jobs_cli import plan_there
+        from pipeline.commands.jobs import plan_there
 
         summary = plan_there(scene, overrides, server)
     else:
-        from pipeline.prepare import plan_scene
+        from pipeline.route.prepare import plan_scene
         from pipeline.spec.load import load_scene
 
         summary = plan_scene(load_scene(scene, overrides))
     if as_json:
         print_json(summary)
     else:
-        from pipeline.pages import print_plan
+        from pipeline.commands.pages import print_plan
 
         print_plan(summary, everything, explain)
 
@@ -212,7 +212,7 @@ def plan(
 @app.command()
 def check(product: ProductOrUrl, as_json: Json = False) -> None:
     """Verify a product whole: markers, chunk checksums, tables. Exit 3 if it is not complete."""
-    from pipeline.run import check as verify
+    from pipeline.route.run import check as verify
 
     verdict = verify(product)
     if as_json:
@@ -228,7 +228,7 @@ def check(product: ProductOrUrl, as_json: Json = False) -> None:
 @app.command()
 def info(product: ProductPath, as_json: Json = False) -> None:
     """Show what a product is: state, frames, layers, truth, origin. Reads no pixel."""
-    from pipeline.pages import print_info
+    from pipeline.commands.pages import print_info
     from pipeline.store.info import describe
 
     found = describe(product)
@@ -268,9 +268,9 @@ def color_fit(
     ] = None,
 ) -> None:
     """Show the colour correction from Gaia G to the sensor's band, with its residuals."""
-    from pipeline.inputs.colour_fit import describe, gather_colour_points
-    from pipeline.inputs.colour_fit_files import colour_fit_of, write_colour_fit
-    from pipeline.prepare import gather_response
+    from pipeline.inputs.band.colour_fit import describe, gather_colour_points
+    from pipeline.inputs.band.colour_fit_files import colour_fit_of, write_colour_fit
+    from pipeline.route.prepare import gather_response
     from pipeline.spec.load import load_scene
 
     loaded = load_scene(scene, set_ or [])
@@ -302,7 +302,7 @@ def light_curve(
     """Magnitude, phase angle, range and eclipse of a target against time, as Parquet."""
     from pipeline.light_curve import light_curve as follow
     from pipeline.light_curve import write_light_curve
-    from pipeline.prepare import gather_response, resolve
+    from pipeline.route.prepare import gather_response, resolve
     from pipeline.spec.load import load_scene
 
     loaded = resolve(load_scene(scene, set_ or []))
@@ -321,9 +321,9 @@ def report_accuracy(
     as_json: Json = False,
 ) -> None:
     """Error against CPU time of every engine and installed peer: JSON, table, figure."""
-    from pipeline.accuracy.report import report_accuracy as study_all
-    from pipeline.accuracy.tables import print_study
-    from pipeline.pages import stage_progress
+    from pipeline.commands.pages import stage_progress
+    from pipeline.studies.accuracy.report import report_accuracy as study_all
+    from pipeline.studies.accuracy.tables import print_study
 
     with stage_progress(as_json or not sys.stderr.isatty()) as listen:
         study = study_all(
@@ -344,9 +344,9 @@ def report_detection(
     as_json: Json = False,
 ) -> None:
     """Completeness and false alarms of public finders on a product: JSON, table, figure."""
-    from pipeline.detection.study import report_detection as study_all
-    from pipeline.detection.tables import print_study
-    from pipeline.pages import stage_progress
+    from pipeline.commands.pages import stage_progress
+    from pipeline.studies.detection.study import report_detection as study_all
+    from pipeline.studies.detection.tables import print_study
 
     with stage_progress(as_json or not sys.stderr.isatty()) as listen:
         study = study_all(product, output, threshold, frames, listen)
@@ -379,7 +379,7 @@ def keys(context: typer.Context) -> None:
     """API keys of the service: create, revoke, list."""
     from importlib import import_module
 
-    app = import_module("service.keys_cli").app
+    app = import_module("service.accounts.commands").app
     app(context.args, prog_name="nightglass keys", standalone_mode=False)
 
 
@@ -389,8 +389,8 @@ def demo(
     replace: Annotated[bool, typer.Option("--replace", help="remove an old demo first")] = False,
 ) -> None:
     """Make the demo catalogue, render the demo scene, and say what came out."""
+    from pipeline.commands.pages import print_product
     from pipeline.demo import run_demo
-    from pipeline.pages import print_product
 
     kept = told_if_interrupted(str(output), lambda: "what is finished is kept", resumes=False)
     with kept, _progress(quiet=False) as listen:
@@ -406,8 +406,8 @@ def selftest(
     as_json: Json = False,
 ) -> None:
     """Hard ends of the product against answers known from elsewhere. Exit 1 where one fails."""
-    from pipeline.pages import stage_progress
-    from pipeline.selftest.report import as_data, chosen, markdown, print_table, run_cases
+    from pipeline.commands.pages import stage_progress
+    from pipeline.studies.selftest.report import as_data, chosen, markdown, print_table, run_cases
 
     cases = chosen(only)
     with stage_progress(as_json or not sys.stderr.isatty()) as listen:
@@ -437,7 +437,7 @@ report_app.command("ledger")(report_ledger)
 
 def _progress(quiet: bool) -> Any:
     """A bar of tiles on stderr; nothing when it is no terminal or not wanted."""
-    from pipeline.pages import tile_progress
+    from pipeline.commands.pages import tile_progress
 
     return tile_progress(quiet or not sys.stderr.isatty())
 
@@ -460,8 +460,8 @@ def _print_result(report: dict[str, Any], output: Path | str, as_json: bool) -> 
 
 
 def _print_report(report: dict[str, Any], product: Path | str) -> None:
+    from pipeline.commands.pages import print_warnings
     from pipeline.lines import fold
-    from pipeline.pages import print_warnings
 
     seconds = report["seconds"]
     errors = report["errors"]

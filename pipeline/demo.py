@@ -7,9 +7,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from pipeline.draw import Listener
 from pipeline.errors import BadInput
-from pipeline.run import Options, render
+from pipeline.route.draw import Listener
+from pipeline.route.run import Options, render
 from pipeline.spec.load import load_scene
 
 ALL_SKY_G_MAG = 9.0
@@ -30,7 +30,7 @@ def run_demo(
     folder.mkdir(parents=True, exist_ok=True)
     scene_file.write_bytes(files("pipeline").joinpath("scenes/demo.yaml").read_bytes())
     if not (folder / "catalogue").exists():
-        from catalog_tools.synthetic import make_demo
+        from catalog_tools.synthetic.synthetic import make_demo
 
         say("making the synthetic catalogue (no star of it is real)")
         made = make_demo(

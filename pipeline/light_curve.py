@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
-from pipeline.inputs.curves import solar_spectrum
+from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.times import format_utc, parse_utc
@@ -19,14 +19,14 @@ from pipeline.physics.radiometry import (
     ab_photon_rate,
     band_photon_irradiance_sun,
 )
-from pipeline.plan.bodies import target_lights
-from pipeline.plan.body_albedos import with_band_albedos
-from pipeline.plan.body_attitudes import View
-from pipeline.plan.geometry import moments_at
-from pipeline.plan.target_paths import Moments, clear_of_earth, sights
+from pipeline.plan.bodies.albedos import with_band_albedos
+from pipeline.plan.bodies.attitudes import View
+from pipeline.plan.bodies.bodies import target_lights
+from pipeline.plan.bodies.paths import Moments, clear_of_earth, sights
+from pipeline.plan.pointing.geometry import moments_at
 from pipeline.plan.timing import end_s
-from pipeline.spec.mesh import MeshBody
 from pipeline.spec.scene import Scene
+from pipeline.spec.targets.mesh import MeshBody
 
 Array = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ def _worked_out(scene: Scene, index: int, at: Moments, view: View) -> dict[int, 
     """A mesh's light from a table, where that takes fewer moments than the curve has points."""
     if not isinstance(scene.targets[index].body, MeshBody):
         return {}
-    from pipeline.plan.mesh_tables import table_between, table_phase
+    from pipeline.plan.bodies.mesh_tables import table_between, table_phase
 
     start, stop = (float(t) for t in at.offset_s[[0, -1]])
     table = table_between(scene, index, at, start, stop, len(at.offset_s))

@@ -20,14 +20,17 @@ from starlette.exceptions import HTTPException
 
 from pipeline.errors import BadInput, Damaged, NightglassError
 from service import problems
-from service.accepted import Acceptance
-from service.auth import Authenticator
-from service.changes import Changes
+from service.accounts.auth import Authenticator
+from service.accounts.teams import limits_of
+from service.accounts.tickets import Tickets
 from service.context import Context
-from service.gate import Gate
+from service.engine.looks import Looks
+from service.engine.runner import Dispatcher
+from service.http.gate import Gate
 from service.integrity import find_faults
-from service.jobs import Queue
-from service.looks import Looks
+from service.jobs.changes import Changes
+from service.jobs.jobs import Queue
+from service.jobs.submissions import Intake
 from service.metrics import Gauges, Numbers
 from service.openapi import describe
 from service.routes import (
@@ -36,7 +39,6 @@ from service.routes import (
     frames,
     health,
     jobs,
-    ogc,
     pages,
     queue,
     results,
@@ -44,14 +46,11 @@ from service.routes import (
     sweeps,
     tickets,
     usage,
-    uws,
 )
-from service.runner import Dispatcher
+from service.scenes.accepted import Acceptance
+from service.scenes.uploads import Uploads
 from service.settings import Settings
-from service.submissions import Intake
-from service.teams import limits_of
-from service.tickets import Tickets
-from service.uploads import Uploads
+from service.standards import ogc, uws
 
 log = logging.getLogger("nightglass.service")
 

@@ -14,7 +14,7 @@ def bar(name: str, unit: str = "") -> Iterator[Callable[[dict[str, Any]], None] 
     if not sys.stderr.isatty():
         yield None
         return
-    from pipeline.pages import progress_bar
+    from pipeline.commands.pages import progress_bar
 
     with progress_bar(unit) as shown:
         task = shown.add_task(name, total=None)

@@ -10,18 +10,18 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
 
-from service.accepted import Acceptance
-from service.auth import OPEN, Authenticator, Caller
-from service.changes import Changes
-from service.jobs import Queue
-from service.looks import Looks
+from service.accounts.auth import OPEN, Authenticator, Caller
+from service.accounts.teams import TeamStore
+from service.accounts.tickets import Tickets
+from service.engine.looks import Looks
+from service.engine.runner import Dispatcher
+from service.jobs.changes import Changes
+from service.jobs.jobs import Queue
+from service.jobs.submissions import Intake, TeamLimits
 from service.metrics import Numbers
-from service.runner import Dispatcher
+from service.scenes.accepted import Acceptance
+from service.scenes.uploads import Uploads
 from service.settings import Settings
-from service.submissions import Intake, TeamLimits
-from service.teams import TeamStore
-from service.tickets import Tickets
-from service.uploads import Uploads
 
 
 @dataclass

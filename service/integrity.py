@@ -11,10 +11,10 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from pipeline.errors import BadInput
-from service.database import connect
-from service.jobs import job_of
+from service.jobs.jobs import job_of
 from service.settings import read_settings
-from service.tables import audit, jobs, scene_crc
+from service.store.database import connect
+from service.store.tables import audit, jobs, scene_crc
 
 
 @dataclass(frozen=True)

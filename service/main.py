@@ -28,8 +28,8 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
 
         from service import logs
         from service.app import create_app
-        from service.database import connect
-        from service.wire import bounded
+        from service.http.wire import bounded
+        from service.store.database import connect
 
         logs.set_up()
         settings.make_folders()
@@ -53,9 +53,9 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
 
 def _guarded(settings: object) -> bool:
     """Whether requests will need a key or token: an identity provider is set, or a key was made."""
-    from service.database import connect
-    from service.keys import any_key
+    from service.accounts.keys import any_key
     from service.settings import Settings
+    from service.store.database import connect
 
     assert isinstance(settings, Settings)
     if settings.oidc_issuer:

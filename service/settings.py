@@ -96,7 +96,7 @@ class Settings:
 
     @property
     def database_url(self) -> str:
-        from service.database import sqlite_url
+        from service.store.database import sqlite_url
 
         return self.database or sqlite_url(self.home / "jobs.sqlite")
 
@@ -133,7 +133,7 @@ class Settings:
 
     def check(self) -> None:
         """BadInput for settings that do not go together, or that would be unsafe."""
-        from catalog_tools.schedulers import _check_address
+        from catalog_tools.engine.schedulers import _check_address
 
         _check_address(self.scheduler)  # beyond this machine only tls://
         if bool(self.tls_cert) != bool(self.tls_key):

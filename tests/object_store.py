@@ -21,7 +21,7 @@ def s3_bucket(name: str) -> Iterator[str]:
     import s3fs
     from moto.server import ThreadedMotoServer
 
-    from catalog_tools import objects
+    from catalog_tools.storage import objects
 
     def forget() -> None:
         s3fs.S3FileSystem.clear_instance_cache()

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.physics.targets.disc import photocentre_offset
-from pipeline.run import render
+from pipeline.route.run import render
 from pipeline.spec.load import load_scene, parse_scene
 from pipeline.store.cube import open_cube
 from pipeline.sweep.run import check, gather_course

@@ -63,7 +63,8 @@ INTRO = """# Layout
 `nightglass.py` is the door for Python. Behind it stand three packages, one direction: `service` >
 `pipeline` > `catalog_tools`. Inside `pipeline` the folders are the data's route: `spec` (what is
 asked) and `physics` (pure functions) at the bottom, then `plan`, `inputs` and `store`, `execute`
-and `export`, `finish`, `run`, the command line on top.
+and `export`, `route`, `sweep`, `studies`, `commands`. Packages inside them are subjects; where one
+has a main file, that has its own name.
 import-linter holds the arrows (`pyproject.toml`); this page is made from the docstrings by
 `python tests/test_layout.py`.
 """

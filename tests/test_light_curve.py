@@ -9,10 +9,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import BadInput
-from pipeline.inputs.curves import solar_spectrum
+from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.light_curve import light_curve, write_light_curve
 from pipeline.physics.radiometry import ab_photon_rate, band_photon_irradiance_sun, box
-from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.spec.load import parse_scene
 
 BAND = box(400e-9, 900e-9)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import nightglass
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = {

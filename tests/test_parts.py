@@ -13,8 +13,8 @@ import pytest
 import xarray as xr
 
 from pipeline.errors import BadInput, Incomplete
-from pipeline.run import Options, join, render
-from pipeline.shares import Share, parse_part
+from pipeline.route.run import Options, join, render
+from pipeline.route.shares import Share, parse_part
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import check, content_digest
 
@@ -46,7 +46,7 @@ def whole(tmp_path_factory):
 @pytest.mark.parametrize("parts", [1, 2, 7, 18, 40])
 def test_parts_hold_every_tile_once(parts):
     """Also where there are more parts than tiles."""
-    from pipeline.prepare import prepare
+    from pipeline.route.prepare import prepare
 
     plan = prepare(parse_scene(SCENE)).plan
     spans = [Share(k + 1, parts).span(plan) for k in range(parts)]
@@ -58,8 +58,8 @@ def test_parts_hold_every_tile_once(parts):
 @pytest.mark.parametrize("parts", [2, 3, 4, 5, 7, 11, 18, 40])
 def test_the_part_that_lacks_a_tile_is_named(parts):
     """By the same division that gave the tile to it, also where it is not an even one."""
-    from pipeline.prepare import prepare
-    from pipeline.shares import lacking
+    from pipeline.route.prepare import prepare
+    from pipeline.route.shares import lacking
 
     plan = prepare(parse_scene(SCENE)).plan
     all_tiles = {(f, t.row, t.column) for f in range(plan.frames) for t in plan.tiles}

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
-from pipeline.run import Options, check, join, render
-from pipeline.shares import Share
+from pipeline.route.run import Options, check, join, render
+from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.markers import place_of
 from tests.object_store import SECRET, needs_s3, s3_bucket
@@ -70,7 +70,7 @@ def test_same_product_as_in_a_folder(local, made):
     """Every chunk and marker has the bytes of the folder's; xarray opens it."""
     import xarray as xr
 
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     (path, report), (url, remote) = local, made
     assert remote["complete"]
     assert remote["content_digest"] == report["content_digest"]
@@ -96,7 +96,7 @@ def test_same_product_as_in_a_folder(local, made):
 
 
 def test_damage_is_named(made):
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     url, objects, scene = made[0], Objects(made[0]), parse_scene(SCENE)
     names = ("cube.zarr/dn/c/1/1/0", "cube.zarr/mean_e/c/0/1/0", "plan.json", ".begun.json")
     chunk, gone, plan, begun = names
@@ -122,7 +122,7 @@ def test_damage_is_named(made):
 
 def test_a_join_that_lacks_a_chunk_takes_the_seal_away(made):
     """A product that was whole and lost a chunk does not look whole after `join` refused it."""
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     url, objects, gone = made[0], Objects(made[0]), "cube.zarr/mean_e/c/0/1/0"
     objects.delete([gone])
     with pytest.raises(Incomplete):
@@ -135,7 +135,7 @@ def test_a_join_that_lacks_a_chunk_takes_the_seal_away(made):
 @pytest.mark.parametrize("seal", ["cube.zarr/zarr.json", "_COMPLETE"])
 def test_a_product_cut_off_while_it_is_sealed_is_not_whole(bucket, seal, monkeypatch):
     """The mark of a whole product comes after the cube's group: one without the other opens."""
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     url, scene, put = f"{bucket}/seal-{seal[-4:]}", parse_scene(SCENE), Objects.put
 
     def killed(self, name, content, *args, **kwargs):
@@ -155,7 +155,7 @@ def test_a_product_cut_off_while_it_is_sealed_is_not_whole(bucket, seal, monkeyp
 
 def test_an_interrupted_product_is_not_whole_and_goes_on(bucket, local):
     """What is cut off shows no cube; --resume draws what is missing or damaged, and only that."""
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     from pipeline.store.remote import remove_remote
 
     url, scene = f"{bucket}/cut", parse_scene(SCENE)
@@ -191,7 +191,7 @@ def test_an_interrupted_product_is_not_whole_and_goes_on(bucket, local):
 
 
 def test_one_writer_at_a_time(bucket, monkeypatch):
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     from pipeline.store import lease
 
     objects, scene = Objects(f"{bucket}/busy"), parse_scene(SCENE)
@@ -223,7 +223,7 @@ def test_one_writer_at_a_time(bucket, monkeypatch):
 def test_a_lease_that_was_left_days_ago_keeps_nobody_out(bucket, monkeypatch):
     from datetime import timedelta
 
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     from pipeline.store import lease
 
     objects, now = Objects(f"{bucket}/left"), lease._now
@@ -237,7 +237,7 @@ def holding(url, **environment):
     """A process that renders into a URL and is killed with -9 after its first tile."""
     code = (
         "import json, os, signal, sys; "
-        "from pipeline.run import Options, render; "
+        "from pipeline.route.run import Options, render; "
         "from pipeline.spec.load import parse_scene; "
         "render(parse_scene(json.loads(sys.argv[1])), sys.argv[2], Options('synchronous'), "
         "lambda p: p.done and os.kill(os.getpid(), signal.SIGKILL))"
@@ -248,7 +248,7 @@ def holding(url, **environment):
 
 def test_the_same_writer_goes_on_at_once(bucket, local, monkeypatch):
     """Killed, and started again on this machine; or by Slurm, on any machine."""
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     from pipeline.store import lease
 
     slurm = {"SLURM_CLUSTER_NAME": "c", "SLURM_JOB_ID": "77"}
@@ -291,7 +291,7 @@ def test_who_has_ended_is_known(monkeypatch):
 
 
 def test_others_wait_for_a_lease(bucket):
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     from pipeline.store import lease
 
     objects = Objects(f"{bucket}/waited")
@@ -309,7 +309,7 @@ def test_others_wait_for_a_lease(bucket):
 
 
 def test_a_conditional_put_has_one_winner(bucket):
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
 
     objects = Objects(f"{bucket}/race")
     with ThreadPoolExecutor(8) as pool:
@@ -320,7 +320,7 @@ def test_a_conditional_put_has_one_winner(bucket):
 
 def test_who_asks_again_has_still_won(bucket):
     """The answer to a first try may be lost on its way."""
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
 
     objects = Objects(f"{bucket}/again")
     assert [objects.create("one", mine) for mine in (b"a", b"a", b"b")] == [True, True, False]
@@ -342,7 +342,7 @@ def test_bad_urls(url):
 
 def test_names_are_never_patterns_and_never_lead_outside(bucket, tmp_path):
     """What others put into a bucket deletes nothing and writes no file of this machine."""
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     from pipeline.store.remote import bring
 
     objects = Objects(f"{bucket}/odd")
@@ -361,7 +361,7 @@ def test_names_are_never_patterns_and_never_lead_outside(bucket, tmp_path):
 @pytest.mark.parametrize("options", [HERE, replace(HERE, resume=True), replace(HERE, replace=True)])
 def test_cut_off_before_it_was_begun(bucket, local, options):
     """Only what is put before the record of the beginning: begun anew, whatever is asked."""
-    from catalog_tools.objects import Objects
+    from catalog_tools.storage.objects import Objects
     objects = Objects(f"{bucket}/bare-{options.resume}-{options.replace}")
     objects.put("cube.zarr/dn/zarr.json", b"{}")
     objects.put("scene.yaml", b"{}")

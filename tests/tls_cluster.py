@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from catalog_tools.clusters import security_of
+from catalog_tools.engine.clusters import security_of
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = {"CA": "ca.pem", "CERT": "cluster.pem", "KEY": "cluster.key"}

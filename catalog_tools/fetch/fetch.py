@@ -11,9 +11,9 @@ from pathlib import Path
 
 from ..coverage import Coverage, all_sky
 from ..errors import BadInput, Incomplete
-from ..fetched import note_coverage
 from .cones import FetchCone, parse_cone
 from .download import Progress, download
+from .fetched import note_coverage
 from .layout import Entry, Release, choose, files_coverage, parse_md5sum, release_named
 from .ledger import FileLedger, file_md5, folder_for, write_whole
 from .patience import FinalFailure, Patience, Unavailable
@@ -97,7 +97,8 @@ def fetch(
 
 
 def _cones(
-    cones: Sequence[FetchCone | str], everything: bool, faintest_g_mag: float | None, tap_url: str | None
+    cones: Sequence[FetchCone | str], everything: bool, faintest_g_mag: float | None,
+    tap_url: str | None
 ) -> list[FetchCone]:
     """The cones asked for, each once and with its limit."""
     if everything == bool(cones):
@@ -113,7 +114,9 @@ def _cones(
     )
 
 
-def _listed(remote: Remote, release: Release, ledger: FileLedger, patience: Patience) -> list[Entry]:
+def _listed(
+    remote: Remote, release: Release, ledger: FileLedger, patience: Patience
+) -> list[Entry]:
     """The archive's list of files; it is kept beside them as MD5SUM.txt, where ingest looks."""
     name, failures = release.md5sum_name, 0
     hasty = replace(patience, tries=min(FIRST_TRIES, patience.tries))

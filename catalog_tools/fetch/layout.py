@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..coverage import Coverage, of_pixels
 from ..errors import BadInput
-from ..gaia_ids import ID_ORDER, ID_SHIFT, MOVED_DEG
+from ..geometry.gaia_ids import ID_ORDER, ID_SHIFT, MOVED_DEG
 from ..partition import COUNT_ORDER
 from .cones import FetchCone
 

@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..durable import sync
 from ..errors import BadInput
+from ..storage.durable import sync
 from .layout import Release
 
 HIDDEN = ".fetch"

@@ -59,7 +59,9 @@ class Question:
             raise Incomplete(f"{self.service.address}: COUNT(*) gave a table of {table.shape}")
         return int(table[0][0].as_py())
 
-    def tables(self, band: DeclinationBand, rows: int, at_once: int, told: bool = False) -> Iterator[pa.Table]:
+    def tables(
+        self, band: DeclinationBand, rows: int, at_once: int, told: bool = False
+    ) -> Iterator[pa.Table]:
         """The `rows` rows of a band, in parts of at most `at_once`.
 
         told : whether `at_once` is what the service gave when it cut a result. One that cuts even

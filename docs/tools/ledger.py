@@ -10,7 +10,7 @@ DOCS = Path(__file__).resolve().parents[1]
 
 def main() -> None:
     """Measure, and write the rows that the page of omissions shows."""
-    from pipeline.ledger_report.study import run_ledger
+    from pipeline.studies.ledger.study import run_ledger
 
     study = run_ledger()
     (DOCS / "measured.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")

@@ -19,7 +19,7 @@ COLOURS = {1: (80, 255, 120), 2: (230, 120, 40)}
 def main() -> None:
     """Render the demo (or take one that is there) and draw its pictures."""
     from pipeline.demo import run_demo
-    from pipeline.detection.study import report_detection
+    from pipeline.studies.detection.study import report_detection
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--demo", type=Path, help="a demo's folder; default: make one")

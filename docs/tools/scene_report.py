@@ -40,9 +40,9 @@ with {stars:,} stars, written to disk (`python -m benchmarks.guards`; `benchmark
 
 def main() -> None:
     """Run the report (or take finished ones), and write page, picture and rows."""
-    from pipeline.scene_report.figure import ladder_figure, omission_figure
-    from pipeline.scene_report.report import report_scenes, text
-    from pipeline.scene_report.scenes import MAKERS
+    from pipeline.studies.scenes.figure import ladder_figure, omission_figure
+    from pipeline.studies.scenes.report import report_scenes, text
+    from pipeline.studies.scenes.scenes import MAKERS
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--docs", type=Path, default=DOCS)

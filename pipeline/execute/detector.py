@@ -8,8 +8,8 @@ from pipeline.arrays import Array, SensorMaps
 from pipeline.physics.noise.chain import Chain, StreamPlace
 from pipeline.physics.noise.streams import stream_key
 from pipeline.plan.tiles import Tile
-from pipeline.spec.detector import Detector, FrameTransfer, TimeDelay
 from pipeline.spec.scene import Scene
+from pipeline.spec.sensor.detector import Detector, FrameTransfer, TimeDelay
 
 NONE = Detector()
 

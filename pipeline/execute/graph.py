@@ -14,10 +14,10 @@ from pipeline.execute.coordinates import frame_coordinates
 from pipeline.execute.sources import excursion_px, place_stars, truth_order
 from pipeline.execute.tile import StarLight, charge_of_tile, render_tile, star_light
 from pipeline.execute.truth import star_truth, target_truth
-from pipeline.inputs.stars import Catalogue, Shard, gather_leaf, leaf_pad_rad
+from pipeline.inputs.stars.stars import Catalogue, Shard, gather_leaf, leaf_pad_rad
 from pipeline.physics.positions.focal_plane import deproject, stretch
 from pipeline.physics.vectors import separation
-from pipeline.plan.geometry import epochs_jyear, observer_distances_au
+from pipeline.plan.pointing.geometry import epochs_jyear, observer_distances_au
 from pipeline.plan.scene_plan import Plan, catalogue_cones
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.store.cube import CubeWriter

@@ -13,7 +13,7 @@ from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.vectors import separation
 from pipeline.plan.accuracy import part_sigma
-from pipeline.plan.responses import table_error
+from pipeline.plan.response.responses import table_error
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 

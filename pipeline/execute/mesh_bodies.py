@@ -21,7 +21,7 @@ from pipeline.physics.meshes.model import MeshModel, posed
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.targets.disc import Picture, picture
 from pipeline.physics.vectors import unit
-from pipeline.plan.meshes import SUN_RADIUS_RAD
+from pipeline.plan.bodies.meshes import SUN_RADIUS_RAD
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from pipeline.arrays import Geometry
 from pipeline.execute.sources import place_targets, streaks
 from pipeline.execute.truth import matched_snr, target_magnitudes
 from pipeline.physics.motion.streak import POINT
-from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan
 
 SNR_AT_LIMIT = 5.0

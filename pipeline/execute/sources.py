@@ -17,17 +17,17 @@ from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.targets.disc import Appearance, Sphere, photocentre_offset
 from pipeline.physics.vectors import from_angles, to_angles
-from pipeline.plan.air import path_transmission, star_transmission
-from pipeline.plan.body_sizes import limb_px
-from pipeline.plan.occultation import seen_fraction, stars_clear, visible_path
-from pipeline.plan.own_paths import star_offsets
-from pipeline.plan.pupil import pupil_along, pupil_fraction
-from pipeline.plan.responses import point_curvature, point_slope
+from pipeline.plan.bodies.sizes import limb_px
+from pipeline.plan.optics.pupil import pupil_along, pupil_fraction
+from pipeline.plan.pointing.air import path_transmission, star_transmission
+from pipeline.plan.pointing.occultation import seen_fraction, stars_clear, visible_path
+from pipeline.plan.pointing.star_paths import excursions_px, rolled_stars
+from pipeline.plan.response.own_paths import star_offsets
+from pipeline.plan.response.responses import point_curvature, point_slope
+from pipeline.plan.response.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
 from pipeline.plan.scene_plan import Plan
-from pipeline.plan.star_paths import excursions_px, rolled_stars
-from pipeline.plan.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
-from pipeline.spec.body import SphereBody
-from pipeline.spec.mesh import MeshBody
+from pipeline.spec.targets.body import SphereBody
+from pipeline.spec.targets.mesh import MeshBody
 
 POINT_RADIUS_PX = 1e-4  # smaller bodies are points whatever their light
 SQUARE_PX = 64.0  # stars are drawn square by square, so that a stamp's pixels stay in the cache

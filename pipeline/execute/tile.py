@@ -169,7 +169,7 @@ def tile_light(
         return light
     frame = int(g.frame[0])
     if plan.sky is not None:
-        from pipeline.plan.sky import sky_tile
+        from pipeline.plan.sky.sky import sky_tile
 
         part = replace(tile, rows=1, columns=1) if plan.sky.even else tile  # one value for all
         light["background_e"] = sky_tile(plan.sky, frame, part) * plan.integration_s(frame)

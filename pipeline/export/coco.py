@@ -37,7 +37,9 @@ def dataset(title: str, threshold_e: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def image_entry(number: int, name: str, shape: tuple[int, int], times: ExposureTimes) -> dict[str, Any]:
+def image_entry(
+    number: int, name: str, shape: tuple[int, int], times: ExposureTimes
+) -> dict[str, Any]:
     """One image; `date_captured` is the middle of the exposure."""
     iso = times.iso()
     return {

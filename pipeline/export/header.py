@@ -150,7 +150,7 @@ def _astrometric_cards(one: xr.Dataset) -> Cards:
 def _apparent_cards(scene: Scene, one: xr.Dataset) -> Cards:
     """Cards of the alternate WCS `A`, or a comment that says why there is none."""
     from pipeline.physics.positions.apparent_wcs import LARGEST_RESIDUAL_PX, apparent_wcs_header
-    from pipeline.plan.geometry import camera_of
+    from pipeline.plan.pointing.geometry import camera_of
 
     has_sip = int(one["wcs_sip_order"]) > 0
     header = apparent_wcs_header(camera_of(scene), one["attitude"].values, has_sip)

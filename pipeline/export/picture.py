@@ -29,7 +29,9 @@ class GreyLimits(NamedTuple):
     top: float
 
 
-def limits_of(image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7) -> GreyLimits:
+def limits_of(
+    image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7
+) -> GreyLimits:
     """Limits between the sky and a bright percentile of an image."""
     values = _seen(image)
     sample = values.ravel()[:: max(1, values.size // 400_000)]

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.inputs.curves import resolve_response
-from pipeline.inputs.psf_tables import gather_psf_table
+from pipeline.inputs.band.curves import resolve_response
+from pipeline.inputs.sensor.psf_tables import gather_psf_table
 from pipeline.physics.motion.streak import Path, pieces, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import (
@@ -23,7 +23,7 @@ from pipeline.physics.psf.response import (
     window,
 )
 from pipeline.plan.facts import gather_facts
-from pipeline.plan.psf_field import PsfField
+from pipeline.plan.optics.psf_field import PsfField
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]

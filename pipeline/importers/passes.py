@@ -11,16 +11,16 @@ import numpy as np
 
 from pipeline.errors import BadInput
 from pipeline.importers.placing import EARTH_MU_M3_S2, electrons_of_sunlight
-from pipeline.inputs.curves import resolve_response
+from pipeline.inputs.band.curves import resolve_response
 from pipeline.inputs.earth_orientation import gather_dut1_s, gather_pole_arcsec, with_pole
 from pipeline.physics.positions.apparent import proper_to_astrometric
 from pipeline.physics.positions.times import format_utc, instants, parse_utc
 from pipeline.physics.radiometry import ab_photon_rate, collecting_area_m2
 from pipeline.physics.vectors import to_angles
-from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.site import place_of
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.pointing.site import place_of
 from pipeline.spec.load import parse_scene
-from pipeline.spec.observer import GroundObserver
+from pipeline.spec.pointing.observer import GroundObserver
 
 LONG_S = 1e9
 MOMENT_S = 1e-3  # an exposure so short that nothing moves far

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
-from pipeline.inputs.curves import resolve_response, solar_spectrum
+from pipeline.inputs.band.curves import resolve_response, solar_spectrum
 from pipeline.physics.positions.focal_plane import Camera, deproject
 from pipeline.physics.radiometry import band_photon_irradiance_sun, collecting_area_m2
-from pipeline.plan.geometry import camera_of, plan_geometry
+from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.spec.load import parse_scene
 
 Array = NDArray[np.float64]

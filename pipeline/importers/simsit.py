@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
 from pipeline.importers.passes import Pass, zenith_pass
-from pipeline.inputs.curves import resolve_response
+from pipeline.inputs.band.curves import resolve_response
 from pipeline.physics.radiometry import ab_photon_rate, collecting_area_m2
 
 ARCSEC_RAD = math.radians(1 / 3600)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.physics.positions.times import parse_utc
-from pipeline.spec.observer import GroundObserver
+from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
 MJD_ZERO = 2_400_000.5

@@ -13,11 +13,11 @@ from pipeline.errors import BadInput
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.motion.attitude_table import table_error_rad
 from pipeline.physics.positions.times import elapsed_s, parse_utc
-from pipeline.plan.pointing import check_rows, pointing_field, quaternion_table
+from pipeline.plan.pointing.pointing import check_rows, pointing_field, quaternion_table
 from pipeline.plan.timing import DwellPlan, dwell_plans
-from pipeline.spec.attitude import MOST_POINTS, TableJitter
 from pipeline.spec.load import parse_scene
-from pipeline.spec.pointing import MOST_ROWS, TablePointing
+from pipeline.spec.pointing.attitude import MOST_POINTS, TableJitter
+from pipeline.spec.pointing.pointing import MOST_ROWS, TablePointing
 from pipeline.spec.scene import Scene
 
 LARGEST_BYTES = 500_000_000

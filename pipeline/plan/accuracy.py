@@ -14,7 +14,7 @@ from pipeline.arrays import Array
 from pipeline.plan.acceptance import accept_or_refuse
 from pipeline.plan.decision import Decision
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor import AiryPsf, GaussianPsf, KolmogorovPsf
+from pipeline.spec.sensor.sensor import AiryPsf, GaussianPsf, KolmogorovPsf
 
 SMALL = 0.25  # of a part: what is refined until it errs by little, at no cost
 INSTEAD = ("crowds_by_transforms",)  # of phase_interpolation, whose bound is counted

@@ -11,8 +11,8 @@ from pipeline.physics.psf.product import PHASES
 from pipeline.plan.accuracy import by_wavelength
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts, planned_floor_e
-from pipeline.plan.geometry import camera_of
-from pipeline.plan.responses import ResponsePlan, cut_share, table_error
+from pipeline.plan.pointing.geometry import camera_of
+from pipeline.plan.response.responses import ResponsePlan, cut_share, table_error
 from pipeline.plan.star_decisions import decide_star_effects
 from pipeline.plan.tiles import BLOCK_PX
 from pipeline.spec.scene import Scene

@@ -19,13 +19,13 @@ from pipeline.physics.radiometry import (
     surface_brightness_electron_rate,
 )
 from pipeline.plan.accuracy import part_sigma
-from pipeline.plan.optics import blur_of, open_fraction, open_past_vanes
+from pipeline.plan.optics.optics import blur_of, open_fraction, open_past_vanes
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor import FieldPsf
+from pipeline.spec.sensor.sensor import FieldPsf
 
 if TYPE_CHECKING:
-    from pipeline.plan.psf_field import PsfField
+    from pipeline.plan.optics.psf_field import PsfField
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def gather_facts(
         limit = NoiseLimit(brightest_e, floor_e, part_sigma(scene), photons)
     field = None
     if isinstance(s.psf, FieldPsf):
-        from pipeline.plan.psf_field import plan_psf_field
+        from pipeline.plan.optics.psf_field import plan_psf_field
 
         tables = table if isinstance(table, tuple) else ()
         field, blur, band = plan_psf_field(scene, s.psf, response, wavelength, tables, limit)

@@ -50,7 +50,7 @@ LEDGER = (
     Rule(("stars.faint", "stars.layer_*"),
          "stars below the limit (given, or where the sum of all fainter ones is below a share of "
          "the noise) become smooth light; in layers each star is drawn once",
-         "tests/plan/test_sky.py"),
+         "tests/plan/sky/test_sky.py"),
     Rule(("shared_frames",),
          "frames in a row of a sidereal pointing share one drawing of their stars, where these "
          "move by less than the accuracy leaves room for",
@@ -87,7 +87,7 @@ LEDGER = (
          "as few wavelengths as keep a pixel within a share of its source's light",
          "tests/physics/psf/test_band.py::test_against_a_hundred_wavelengths"),
     Rule(("stray_light.*",), "each body where background.stray_light asks for it",
-         "tests/plan/test_stray_light.py::test_sources_are_switched"),
+         "tests/plan/sky/test_stray_light.py::test_sources_are_switched"),
     Rule(("background.*",),
          "light per solid angle where a pixel looks, through its own solid angle and the pupil's "
          "cosine; on a grid, of one value or refined until its error is within the accuracy",
@@ -115,7 +115,7 @@ LEDGER = (
          "tests/plan/test_mesh_earthshine.py::test_against_every_lamp_traced"),
     Rule(("targets.light_table",), "where the frames need many moments of a mesh's light, and a "
          "table within the error asked for takes at most a third of them",
-         "tests/plan/test_mesh_tables.py::test_the_stated_error_holds"),
+         "tests/plan/bodies/test_mesh_tables.py::test_the_stated_error_holds"),
     Rule(("targets.ephemeris",), "tables are interpolated; the error is measured by leaving rows "
          "out", "tests/physics/positions/test_orbit_table.py::test_stated_error_holds"),
     Rule(("targets.forces", "targets.perturbations"),
@@ -123,13 +123,13 @@ LEDGER = (
          "tests/physics/positions/test_orbit_numerical.py::test_forces_one_by_one"),
     Rule(("targets.light_between_nodes",),
          "as many moments as keep the light within accuracy.flux_fraction",
-         "tests/plan/test_bodies.py::test_flicker_bounds_the_error_at_the_edge_of_the_shadow"),
+         "tests/plan/bodies/test_bodies.py::test_flicker_bounds_the_error_at_the_edge_of_the_shadow"),
     Rule(("targets.light_between_facets", "targets.mesh_shadows", "targets.mutual_shadowing"),
          "shadows within a mesh always, to the error asked for; between facets and between the "
          "parts of composites never",
          "tests/physics/meshes/test_intensity.py::test_the_error_asked_for_is_met"),
     Rule(("populations.*",), "objects that come near the field in the dwell; none is missed",
-         "tests/plan/test_populations.py"),
+         "tests/plan/targets/test_populations.py"),
 )  # fmt: skip
 
 

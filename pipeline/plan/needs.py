@@ -15,8 +15,8 @@ from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.checks import FINE_KERNELS, fine_ends
 from pipeline.plan.cost import NOISE_S_PER_PIXEL, START_S, check_count, least_cpu_s
-from pipeline.plan.optics import LARGEST_CORE_SAMPLES
-from pipeline.plan.responses import SPECTRAL_S, SPECTRAL_S_PER_PIXEL, stamp_s
+from pipeline.plan.optics.optics import LARGEST_CORE_SAMPLES
+from pipeline.plan.response.responses import SPECTRAL_S, SPECTRAL_S_PER_PIXEL, stamp_s
 from pipeline.plan.tiles import BLOCK_PX, tile_shape
 
 if TYPE_CHECKING:

@@ -14,33 +14,33 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrated_caps
 from pipeline.physics.positions.focal_plane import Camera, corner_radius, stretch
-from pipeline.plan.air import above_air
-from pipeline.plan.air_decisions import decide_air
-from pipeline.plan.attitude_motion import decide_motion
 from pipeline.plan.checks import CheckCell, choose_checks
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.decision import Decision
 from pipeline.plan.decisions import decide
-from pipeline.plan.detector import decide_detector, lag_depth
 from pipeline.plan.facts import Facts
-from pipeline.plan.geometry import camera_of
 from pipeline.plan.ledger import rule_of
 from pipeline.plan.needs import NOTHING_SPENT, Spent, predict
-from pipeline.plan.occultation import decide_occultation
-from pipeline.plan.optics import describe
-from pipeline.plan.pointing_decisions import decide_pointing
-from pipeline.plan.pupil import decide_pupil
-from pipeline.plan.responses import ResponsePlan, plan_responses
-from pipeline.plan.star_paths import excursions_px
-from pipeline.plan.target_decisions import decide_targets
+from pipeline.plan.optics.optics import describe
+from pipeline.plan.optics.pupil import decide_pupil
+from pipeline.plan.pointing.air import above_air
+from pipeline.plan.pointing.attitude_motion import decide_motion
+from pipeline.plan.pointing.decisions import decide_pointing
+from pipeline.plan.pointing.geometry import camera_of
+from pipeline.plan.pointing.occultation import decide_occultation
+from pipeline.plan.pointing.star_paths import excursions_px
+from pipeline.plan.response.responses import ResponsePlan, plan_responses
+from pipeline.plan.sensor.detector import decide_detector, lag_depth
+from pipeline.plan.sky.air import decide_air
+from pipeline.plan.targets.decisions import decide_targets
+from pipeline.plan.targets.umbra import decide_umbra
 from pipeline.plan.tiles import Tile, plan_tiles, tile_shape
 from pipeline.plan.timing import frame_count, integration_range_s, integration_s
-from pipeline.plan.umbra import decide_umbra
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
-    from pipeline.plan.sky import SkyPlan
+    from pipeline.plan.sky.sky import SkyPlan
 
 FIELD_MARGIN_RAD = 30.0 * ARCSEC_RAD  # deflection: 1.75 arcsec at the Sun's limb
 

@@ -13,8 +13,8 @@ from pipeline.physics.constants import (
 from pipeline.physics.positions.focal_plane import corner_radius
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
-from pipeline.plan.geometry import camera_of
-from pipeline.spec.observer import FixedObserver, GroundObserver
+from pipeline.plan.pointing.geometry import camera_of
+from pipeline.spec.pointing.observer import FixedObserver, GroundObserver
 from pipeline.spec.scene import Scene
 
 FASTEST_ARCSEC_YR, NEAREST_ARCSEC = 10.4, 0.77  # Barnard's star, Proxima

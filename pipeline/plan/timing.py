@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
-from pipeline.spec.dwell import Dwell, Slew
-from pipeline.spec.pointing import Pointing
+from pipeline.spec.pointing.dwell import Dwell, Slew
+from pipeline.spec.pointing.pointing import Pointing
 from pipeline.spec.scene import Exposure, Scene
 
 MOST_FRAMES = 100_000

@@ -8,17 +8,17 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from pipeline.spec.accept import ACCEPTABLE, Accepted
-from pipeline.spec.background import Background
-from pipeline.spec.body import Body, Lighting
-from pipeline.spec.cosmic_rays import CosmicRays
-from pipeline.spec.dwell import Cadence_s, Dwells
-from pipeline.spec.mesh import MeshBody
-from pipeline.spec.observer import GroundObserver, Observer
-from pipeline.spec.orbit import Orbit
-from pipeline.spec.pointing import Pointing, TargetPointing
-from pipeline.spec.population import MOST_POPULATIONS, Population
-from pipeline.spec.sensor import Sensor
+from pipeline.spec.pointing.dwell import Cadence_s, Dwells
+from pipeline.spec.pointing.observer import GroundObserver, Observer
+from pipeline.spec.pointing.pointing import Pointing, TargetPointing
+from pipeline.spec.sensor.cosmic_rays import CosmicRays
+from pipeline.spec.sensor.sensor import Sensor
+from pipeline.spec.sky.background import Background
 from pipeline.spec.strict import Strict
+from pipeline.spec.targets.body import Body, Lighting
+from pipeline.spec.targets.mesh import MeshBody
+from pipeline.spec.targets.orbit import Orbit
+from pipeline.spec.targets.population import MOST_POPULATIONS, Population
 
 SCHEMA = "nightglass/scene/1"
 LAYERS = (

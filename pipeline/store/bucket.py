@@ -9,8 +9,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from catalog_tools.objects import Objects, open_objects
-from catalog_tools.stores import Unreachable
+from catalog_tools.storage.objects import Objects, open_objects
+from catalog_tools.storage.stores import Unreachable
 from pipeline.errors import BadInput, Incomplete
 from pipeline.plan.scene_plan import Plan
 from pipeline.spec.load import parse_scene, parse_text

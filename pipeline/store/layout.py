@@ -9,8 +9,8 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from catalog_tools.durable import full_disk_told, write_atomically
-from catalog_tools.durable import sync as sync_folder
+from catalog_tools.storage.durable import full_disk_told, write_atomically
+from catalog_tools.storage.durable import sync as sync_folder
 from pipeline.errors import NO_ROOM, TryLater
 
 __all__ = [

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from catalog_tools.objects import Listed, Objects
-from catalog_tools.stores import Unreachable
+from catalog_tools.storage.objects import Listed, Objects
+from catalog_tools.storage.stores import Unreachable
 from pipeline.errors import BadInput, Incomplete, TryLater
 from pipeline.store.layout import LOCK, waited
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from catalog_tools.durable import sync, sync_all
+from catalog_tools.storage.durable import sync, sync_all
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import tile_shape

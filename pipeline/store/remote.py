@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from catalog_tools.objects import Listed, Objects
-from catalog_tools.stores import Unreachable
+from catalog_tools.storage.objects import Listed, Objects
+from catalog_tools.storage.stores import Unreachable
 from pipeline.errors import BadInput, Damaged
 from pipeline.plan.scene_plan import Plan
 from pipeline.store import layout

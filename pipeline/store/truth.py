@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import google_crc32c
 
-from catalog_tools.durable import whole_file
+from catalog_tools.storage.durable import whole_file
 from pipeline.errors import Damaged
 from pipeline.store.layout import PARTS, TRUTH
 

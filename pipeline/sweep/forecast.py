@@ -12,7 +12,7 @@ from typing import Any
 from pipeline.execute.tile import LIGHTS
 from pipeline.plan.cost import CHUNK_S, NOISE_S_PER_PIXEL, START_S, TILE_S
 from pipeline.plan.needs import predict
-from pipeline.prepare import forecast as star_forecast
+from pipeline.route.prepare import forecast as star_forecast
 from pipeline.spec.load import parse_scene
 from pipeline.spec.sweep import Grid, axis_length
 from pipeline.sweep.dependence import AFTER_LIGHT

@@ -14,7 +14,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from catalog_tools.durable import whole_file, write_atomically
+from catalog_tools.storage.durable import whole_file, write_atomically
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.spec.sweep import Sweep
 from pipeline.sweep.design import Design

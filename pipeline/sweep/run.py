@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from catalog_tools.durable import write_atomically
-from catalog_tools.schedulers import Scheduler, open_scheduler
+from catalog_tools.engine.schedulers import Scheduler, open_scheduler
+from catalog_tools.storage.durable import write_atomically
 from pipeline.errors import BadInput, DiskFull, Incomplete, NightglassError
-from pipeline.prepare import Prepared, prepare
-from pipeline.run import Options
+from pipeline.route.prepare import Prepared, prepare
+from pipeline.route.run import Options
 from pipeline.spec.load import parse_text, path_holders
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep

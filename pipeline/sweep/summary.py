@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from catalog_tools.durable import write_atomically
+from catalog_tools.storage.durable import write_atomically
 from pipeline.spec.sweep import Sweep
 from pipeline.sweep.figure import figure
 from pipeline.sweep.ledger import FIGURE, PAGE, REPORT, TABLE

@@ -17,8 +17,8 @@ from pipeline.errors import NO_ROOM, DiskFull, NightglassError, shorten
 from pipeline.execute.tile import charge_of_tile, render_tile
 from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
-from pipeline.prepare import prepare
-from pipeline.run import Options, render
+from pipeline.route.prepare import prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import CubeWriter
 from pipeline.store.product import begin

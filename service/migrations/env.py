@@ -1,4 +1,4 @@
-"""What alembic runs: the migrations inside the transaction that service/database.py has begun."""
+"""What alembic runs: the migrations inside the transaction that service/store/database.py began."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse, Response
 
-from service.catalogues import catalogue_facts, catalogue_names
 from service.context import Service
+from service.scenes.catalogues import catalogue_facts, catalogue_names
 
 router = APIRouter(prefix="/v1/catalogues", tags=["catalogues"])
 

@@ -8,8 +8,8 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 
 from service.context import Service
-from service.gate import allow_time
-from service.named_files import PREFIX
+from service.http.gate import allow_time
+from service.store.named_files import PREFIX
 
 router = APIRouter(prefix="/v1/files", tags=["files"])
 BODY = {

@@ -13,9 +13,9 @@ from fastapi import Path as InPath
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
 from pipeline.store import layout
-from service import frames
-from service.archive import archive
 from service.context import Context, Service
+from service.products import frames
+from service.products.archive import archive
 from service.routes.results import _product as complete_product
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["frames"])

@@ -15,12 +15,12 @@ from starlette.concurrency import run_in_threadpool
 from starlette.routing import Match, Route
 from starlette.types import Receive, Scope, Send
 
-from service.bodies import JSON, TEXTS, media_type, read_body
 from service.context import Context, Service, context_of
-from service.gate import allow_time
-from service.jobs import FINAL, Job, Phase
+from service.http.bodies import JSON, TEXTS, media_type, read_body
+from service.http.gate import allow_time
+from service.jobs.jobs import FINAL, Job, Phase
+from service.jobs.views import etag, job_dict
 from service.problems import Malformed, NotThere
-from service.views import etag, job_dict
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse, Response
 
 from service.context import Service
-from service.views import job_dict
+from service.jobs.views import job_dict
 
 router = APIRouter(prefix="/v1/queue", tags=["jobs"])
 

@@ -11,9 +11,9 @@ from fastapi.responses import JSONResponse, Response
 
 from pipeline.store import layout
 from service.context import Context, Service
-from service.files import list_files, serve_file
-from service.jobs import Phase
+from service.jobs.jobs import Phase
 from service.problems import NotReady
+from service.products.files import list_files, serve_file
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 

@@ -7,8 +7,8 @@ from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.spec.scene import Scene
-from service.bodies import TEXTS, media_type, parse_text, read_body
 from service.context import Service
+from service.http.bodies import TEXTS, media_type, parse_text, read_body
 from service.routes.jobs import json_body
 
 router = APIRouter(prefix="/v1/schema", tags=["schema"])

@@ -10,12 +10,12 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.bodies import TEXTS, media_type, parse_text, read_body
+from service.accounts.teams import pixel_frames_of
 from service.context import Service
-from service.gate import allow_time
+from service.http.bodies import TEXTS, media_type, parse_text, read_body
+from service.http.gate import allow_time
 from service.routes.jobs import check_key, json_body, taken, with_time
-from service.sweeps import accept_sweep, can_run
-from service.teams import pixel_frames_of
+from service.scenes.sweeps import accept_sweep, can_run
 
 router = APIRouter(prefix="/v1/sweeps", tags=["sweeps"], include_in_schema=can_run())
 SWEEP_BODY = json_body("A sweep: a base scene and axes over its keys.", TEXTS)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 
-from service.bodies import parse_json, read_body
 from service.context import Service
+from service.http.bodies import parse_json, read_body
 from service.problems import NotAllowed
 from service.routes.jobs import json_body
 

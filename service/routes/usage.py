@@ -8,9 +8,9 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse, Response
 
 from service.context import Service
-from service.jobs import Phase
-from service.submissions import DAY_S, used_by
-from service.uploads import bytes_kept
+from service.jobs.jobs import Phase
+from service.jobs.submissions import DAY_S, used_by
+from service.scenes.uploads import bytes_kept
 
 router = APIRouter(prefix="/v1/usage", tags=["usage"])
 

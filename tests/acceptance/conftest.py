@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.spec.load import parse_scene
 
 SITE = {"kind": "ground", "latitude_deg": 1.0, "longitude_deg": -113.16, "height_m": 10}

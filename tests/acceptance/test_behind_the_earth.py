@@ -9,11 +9,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.export.labels import frame_labels
 from pipeline.physics.positions.limb import pole_at
 from pipeline.physics.positions.times import parse_utc
-from pipeline.run import render
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

@@ -10,9 +10,9 @@ import pytest
 import zarr
 
 from pipeline.errors import BadInput
-from pipeline.inputs.cosmic_rays import write_library
+from pipeline.inputs.sensor.cosmic_rays import write_library
 from pipeline.physics.cosmic_rays.library import Library
-from pipeline.run import render
+from pipeline.route.run import render
 from pipeline.spec.load import load_scene, parse_scene
 
 SCENE = {

@@ -10,13 +10,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from catalog_tools.build import About, build
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.coverage import Coverage, all_sky
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.build import About, build
+from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
-from pipeline.prepare import plan_scene, prepare
-from pipeline.run import Options, render
+from pipeline.route.prepare import plan_scene, prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from tests.command import nightglass
 
@@ -130,8 +130,8 @@ def test_a_shallower_part_of_the_field_is_remarked(tmp_path):
     deep = open_catalogue(tmp_path / "made")
     from dataclasses import replace
 
-    from pipeline.inputs.coverage import coverage_sentences, gather_coverage
-    from pipeline.plan.geometry import plan_geometry
+    from pipeline.inputs.stars.coverage import coverage_sentences, gather_coverage
+    from pipeline.plan.pointing.geometry import plan_geometry
 
     scene = scene_of(deep.path, 10.0)
     g = plan_geometry(scene, np.zeros(1, np.int64), 0.0)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
 from pipeline.store.cube import open_cube
 
 MOVING: dict[str, Any] = {

@@ -11,11 +11,11 @@ import pytest
 from astropy.io import fits
 from astropy.wcs import WCS
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.export.files import export_frames
-from pipeline.prepare import plan_scene
-from pipeline.run import Options, render
+from pipeline.route.prepare import plan_scene
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

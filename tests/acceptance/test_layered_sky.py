@@ -16,13 +16,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from catalog_tools import shards
-from catalog_tools.build import About, build
 from catalog_tools.columns import INCOMING
-from catalog_tools.sphere import angles_deg, moved
+from catalog_tools.geometry.sphere import angles_deg, moved
+from catalog_tools.ingest import shards
+from catalog_tools.ingest.build import About, build
 from pipeline.errors import BadInput
-from pipeline.prepare import plan_scene
-from pipeline.run import Options, render
+from pipeline.route.prepare import plan_scene
+from pipeline.route.run import Options, render
 from pipeline.spec.load import load_scene, parse_scene, scene_yaml
 from pipeline.store.cube import open_cube
 from pipeline.store.product import check
@@ -242,7 +242,7 @@ def test_same_bits_for_every_cut_of_the_catalogue(folders, reference, tmp_path):
 def test_same_bits_window_by_window(layered, reference, tmp_path, monkeypatch):
     """A window reads the row groups of its own frames."""
     for module in ("prepare", "run"):
-        monkeypatch.setattr(f"pipeline.{module}.TASKS_PER_WINDOW", 1)
+        monkeypatch.setattr(f"pipeline.route.{module}.TASKS_PER_WINDOW", 1)
     assert_same(tmp_path / "run", render(layered(), tmp_path / "run"), reference)
 
 
@@ -274,7 +274,7 @@ def test_a_list_of_one_is_that_one(folders, tmp_path):
     (tmp_path / "scene.yaml").write_text(scene_yaml(one))
     code = (
         "import sys, json, pathlib\n"
-        "from pipeline.run import render\n"
+        "from pipeline.route.run import render\n"
         "from pipeline.spec.load import load_scene\n"
         "render(load_scene(pathlib.Path(sys.argv[1])), pathlib.Path(sys.argv[2]))\n"
         "print(json.dumps(sorted(sys.modules)))\n"
@@ -282,8 +282,8 @@ def test_a_list_of_one_is_that_one(folders, tmp_path):
     command = [sys.executable, "-c", code, str(tmp_path / "scene.yaml"), str(tmp_path / "run")]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
     loaded = json.loads(result.stdout.splitlines()[-1])
-    assert "catalog_tools.query" in loaded
-    assert not {"catalog_tools.layers", "healpy"} & set(loaded)
+    assert "catalog_tools.query.query" in loaded
+    assert not {"catalog_tools.query.layers", "healpy"} & set(loaded)
     assert set(truth_of(tmp_path / "run")["catalogue"].tolist()) == {0}
 
 
@@ -352,7 +352,7 @@ def test_set_takes_a_list(folders, tmp_path):
 
 def test_sirius_over_real_dr2(wide_catalogue, sidereal, shared_data, tmp_path):
     """Hipparcos under the real field's sky: Sirius, which no release of Gaia holds, is there."""
-    from catalog_tools.ingest import ingest
+    from catalog_tools.ingest.ingest import ingest
 
     file = shared_data / "bright_stars" / "hip_main_bright.dat.gz"
     ingest([file], tmp_path / "hip", form="hipparcos", workers=1)

@@ -10,7 +10,7 @@ from astropy.io import fits
 from astropy.wcs import WCS
 
 from pipeline.export.files import export_frames
-from pipeline.run import render
+from pipeline.route.run import render
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import pipeline.plan.shared_frames
-from pipeline.prepare import prepare
-from pipeline.run import Options, render
+import pipeline.plan.stars.shared_frames
+from pipeline.route.prepare import prepare
+from pipeline.route.run import Options, render
 from pipeline.store.cube import open_cube
 from pipeline.store.markers import place_of
 from pipeline.store.product import check
@@ -54,7 +54,7 @@ def test_stars_are_where_their_frame_has_them_within_the_bound(
     plan = prepare(scene()).plan
     assert plan.shared_frames == FRAMES
     d = stated(plan)
-    monkeypatch.setattr(pipeline.plan.shared_frames, "share_frames", lambda plan, *_: plan)
+    monkeypatch.setattr(pipeline.plan.stars.shared_frames, "share_frames", lambda plan, *_: plan)
     apart = prepare(scene()).plan
     assert apart.shared_frames == 1
     assert not [one for one in apart.decisions if one.component == "shared_frames"]
@@ -75,7 +75,7 @@ def test_stars_are_where_their_frame_has_them_within_the_bound(
 def test_the_bound_is_of_the_sources_light_and_its_own_noise(scene):
     """Twice as far is twice as bad; none that stands still errs; a brighter one hides its own."""
     plan = prepare(scene()).plan
-    bound = pipeline.plan.shared_frames.bound_sigma
+    bound = pipeline.plan.stars.shared_frames.bound_sigma
     assert bound(plan, 0.0) == 0.0
     assert bound(plan, 2e-7) == pytest.approx(2.0 * bound(plan, 1e-7), rel=1e-3)
     total = sum(d.error_bound_sigma or 0.0 for d in plan.decisions)

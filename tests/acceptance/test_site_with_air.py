@@ -10,12 +10,12 @@ import pytest
 from astropy.io import fits
 from astropy.wcs import WCS
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.export.files import export_frames
-from pipeline.plan.geometry import plan_geometry
-from pipeline.prepare import plan_scene, prepare
-from pipeline.run import render
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.route.prepare import plan_scene, prepare
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

@@ -10,13 +10,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.execute.sources import place_targets
-from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.pupil import pupil_along
-from pipeline.plan.star_paths import star_paths
-from pipeline.prepare import plan_scene, prepare
-from pipeline.run import render
+from pipeline.plan.optics.pupil import pupil_along
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.pointing.star_paths import star_paths
+from pipeline.route.prepare import plan_scene, prepare
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

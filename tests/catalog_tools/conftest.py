@@ -11,8 +11,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from star_rows import random_stars, write_csv
 
-from catalog_tools import shards
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest import shards
+from catalog_tools.ingest.ingest import ingest
 
 
 @pytest.fixture(scope="session")

@@ -18,14 +18,14 @@ from star_rows import random_stars, write_csv
 from catalog_tools.catalogue import MANIFEST_NAME, _digest, open_catalogue
 from catalog_tools.coverage import Coverage, all_sky, coverage_of, from_json, of_pixels, of_rows
 from catalog_tools.errors import Damaged
+from catalog_tools.fetch.fetched import note_coverage
 from catalog_tools.fetch.layout import RELEASES, Entry, files_coverage
-from catalog_tools.fetched import note_coverage
-from catalog_tools.healpix import pixels_of
+from catalog_tools.geometry.healpix import pixels_of
 from catalog_tools.info import info
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from catalog_tools.partition import COUNT_ORDER
-from catalog_tools.synthetic import make_demo
-from catalog_tools.verify import verify
+from catalog_tools.synthetic.synthetic import make_demo
+from catalog_tools.verify.verify import verify
 from tests.command import nightglass
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from catalog_tools.catalogue import LEAVES_NAME, MANIFEST_NAME, ROW_GROUPS_NAME, open_catalogue
 from catalog_tools.errors import BadInput, Damaged
-from catalog_tools.query import cone, read_leaf
+from catalog_tools.query.query import cone, read_leaf
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def test_what_is_no_catalogue_is_told_apart(tmp_path, copy):
 
 def test_opening_imports_nothing_heavy():
     code = (
-        "import sys, catalog_tools.catalogue, catalog_tools.query, catalog_tools.info\n"
+        "import sys, catalog_tools.catalogue, catalog_tools.query.query, catalog_tools.info\n"
         "heavy = {'healpy', 'astropy', 'pyarrow', 'dask', 'scipy', 'fsspec'} & set(sys.modules)\n"
         "sys.exit(f'imported: {heavy}' if heavy else 0)"
     )

@@ -13,8 +13,8 @@ import pytest
 from star_rows import random_stars, same_rows, write_csv
 
 from catalog_tools.catalogue import open_catalogue
-from catalog_tools.ingest import ingest
-from catalog_tools.query import cone
+from catalog_tools.ingest.ingest import ingest
+from catalog_tools.query.query import cone
 
 KILLS = 10
 
@@ -23,8 +23,8 @@ DRIVER = """
 import json, os, random, signal, sys, time
 from pathlib import Path
 import healpy, pyarrow.parquet, pyarrow.csv
-from catalog_tools import build
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest import build
+from catalog_tools.ingest.ingest import ingest
 
 build.BATCH_SOURCES = 2
 source, folder, kills = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])

@@ -12,12 +12,12 @@ from astropy.table import Table
 from catalog_tools.catalogue import REJECTS_NAME
 from catalog_tools.coverage import Coverage
 from catalog_tools.errors import BadInput
-from catalog_tools.fetched import note_coverage
-from catalog_tools.gaia_ids import CORNER_DEG, MOVED_DEG, misplaced
-from catalog_tools.ingest import ingest
-from catalog_tools.judging import DUPLICATE, ELSEWHERE, MISPLACED
+from catalog_tools.fetch.fetched import note_coverage
+from catalog_tools.geometry.gaia_ids import CORNER_DEG, MOVED_DEG, misplaced
+from catalog_tools.ingest.ingest import ingest
+from catalog_tools.ingest.judging import DUPLICATE, ELSEWHERE, MISPLACED
 from catalog_tools.readers import read_tables
-from catalog_tools.verify import verify
+from catalog_tools.verify.verify import verify
 
 HEAD = "source_id,ra,dec,phot_g_mean_mag"
 

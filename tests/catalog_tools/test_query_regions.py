@@ -9,8 +9,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from catalog_tools.errors import BadInput
-from catalog_tools.regions import Cone, Polygon, cone_of, polygon_of
-from catalog_tools.sphere import directions
+from catalog_tools.geometry.regions import Cone, Polygon, cone_of, polygon_of
+from catalog_tools.geometry.sphere import directions
 
 ARCSEC_RAD = np.pi / 648_000.0
 

@@ -16,10 +16,10 @@ from scipy.spatial import cKDTree
 from catalog_tools.columns import INCOMING
 from catalog_tools.errors import BadInput
 from catalog_tools.forms import load_form
-from catalog_tools.ingest import ingest
-from catalog_tools.judging import judge
+from catalog_tools.ingest.ingest import ingest
+from catalog_tools.ingest.judging import judge
 from catalog_tools.readers import detect_form, read_tables
-from catalog_tools.verify import verify
+from catalog_tools.verify.verify import verify
 
 FORMS = Path(__file__).parent / "forms"
 TABLES = {  # form, rows

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from pipeline import pages
+from pipeline.commands import pages
 from pipeline.store.product import check
 from tests.command import nightglass
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog_tools import clusters
 from catalog_tools.catalogue import open_catalogue
-from catalog_tools.synthetic import make_demo
+from catalog_tools.engine import clusters
+from catalog_tools.synthetic.synthetic import make_demo
 from tests.command import nightglass
 
 SCENE = {

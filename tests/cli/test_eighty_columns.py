@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import typer.main
 
-from catalog_tools.synthetic import make_demo
+from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.cli import app
 from pipeline.spec.load import load_scene
 from tests.command import nightglass

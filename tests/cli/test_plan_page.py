@@ -9,10 +9,10 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from catalog_tools.synthetic import make_demo
+from catalog_tools.synthetic.synthetic import make_demo
 from pipeline import demo
+from pipeline.commands.pages import print_plan
 from pipeline.demo import DEEP_FIELD
-from pipeline.pages import print_plan
 from pipeline.spec.load import load_scene
 from tests.command import nightglass
 

@@ -76,7 +76,7 @@ def test_every_command_is_told_of(site):
 
 def test_python_reference_has_signatures(site):
     page = (site / "reference" / "python.html").read_text()
-    for name in ("pipeline.run.render", "pipeline.store.cube.open_cube"):
+    for name in ("pipeline.route.run.render", "pipeline.store.cube.open_cube"):
         assert f'id="{name}"' in page
 
 

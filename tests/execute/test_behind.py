@@ -10,8 +10,8 @@ import pytest
 from pipeline.execute.outlook import target_snr
 from pipeline.execute.sources import place_targets, reaching
 from pipeline.execute.truth import target_truth
-from pipeline.plan.geometry import plan_geometry
-from pipeline.prepare import prepare
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 
 SCENE = {

@@ -12,7 +12,7 @@ import pytest
 from pipeline.calibrate import calibrate
 from pipeline.errors import BadInput
 from pipeline.export.files import export_frames
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from catalog_tools.schedulers import LocalScheduler
+from catalog_tools.engine.schedulers import LocalScheduler
 from pipeline.execute.bundles import MOST_TILES, bundled, tiles_a_bundle, tiles_done
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 
 
@@ -58,8 +58,8 @@ def test_streams_of_graphs_on_a_cluster():
     """Graphs are taken as there is room; an error ends the stream."""
     from distributed import Client, LocalCluster
 
+    from catalog_tools.engine.schedulers import FEWEST_WAITING, ClusterScheduler
     from catalog_tools.errors import BadInput
-    from catalog_tools.schedulers import FEWEST_WAITING, ClusterScheduler
 
     taken, done = [], []
 
@@ -106,7 +106,7 @@ def test_same_bits_in_bundles(tmp_path, monkeypatch):
     })  # fmt: skip
     digests = []
     for size in (1, 5, 8):
-        monkeypatch.setattr("pipeline.draw.tiles_a_bundle", lambda *_, size=size: size)
+        monkeypatch.setattr("pipeline.route.draw.tiles_a_bundle", lambda *_, size=size: size)
         told = []
         report = render(scene, tmp_path / str(size), Options("synchronous"), told.append)
         digests.append((report["content_digest"], report["truth_rows"]))

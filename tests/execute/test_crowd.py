@@ -9,10 +9,10 @@ import pytest
 
 import pipeline.execute.blocks
 import pipeline.execute.tile
-import pipeline.plan.responses
-from catalog_tools.ingest import ingest
-from pipeline.prepare import plan_scene
-from pipeline.run import Options, render
+import pipeline.plan.response.responses
+from catalog_tools.ingest.ingest import ingest
+from pipeline.route.prepare import plan_scene
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 
@@ -75,7 +75,7 @@ def stars_of(made, path, scheduler="synchronous"):
 
 @pytest.fixture
 def crowded(monkeypatch):
-    monkeypatch.setattr(pipeline.plan.responses, "_spectral_from", lambda *_: 1)
+    monkeypatch.setattr(pipeline.plan.response.responses, "_spectral_from", lambda *_: 1)
 
 
 GAUSS, AIRY = {"kind": "gaussian", "sigma_px": 0.8}, {"kind": "airy", "wavelengths": 1}
@@ -93,9 +93,9 @@ MOFFAT = {"kind": "moffat", "fwhm_px": 2.5}
 )  # fmt: skip
 def test_engines_agree_within_their_bounds(psf, streak, catalogue, tmp_path, monkeypatch):
     made = scene(catalogue, psf, streak)
-    monkeypatch.setattr(pipeline.plan.responses, "_spectral_from", lambda *_: 0)
+    monkeypatch.setattr(pipeline.plan.response.responses, "_spectral_from", lambda *_: 0)
     stamps, _ = stars_of(made, tmp_path / "stamps")
-    monkeypatch.setattr(pipeline.plan.responses, "_spectral_from", lambda *_: 1)
+    monkeypatch.setattr(pipeline.plan.response.responses, "_spectral_from", lambda *_: 1)
     together, report = stars_of(made, tmp_path / "together")
     plan = json.loads((tmp_path / "together" / "plan.json").read_text())
     names = [d["component"] for d in plan["decisions"]]

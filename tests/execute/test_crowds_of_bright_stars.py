@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from catalog_tools.ingest import ingest
-from pipeline.finish import _crowd_error_e
+from catalog_tools.ingest.ingest import ingest
 from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.motion.streak import POINT
 from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.plan.accuracy import crowd_error_e
 from pipeline.plan.scene_plan import Plan
-from pipeline.prepare import prepare
-from pipeline.run import render
+from pipeline.route.finish import _crowd_error_e
+from pipeline.route.prepare import prepare
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import Begun
 

@@ -12,15 +12,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.arrays import FrameStars, select
-from pipeline.draw import missing
 from pipeline.execute.detector import collected_e, stream_place, tile_chain
 from pipeline.execute.sources import drawing_order
 from pipeline.execute.tile import noise_e
 from pipeline.physics.noise.chain import to_dn
 from pipeline.physics.noise.streams import stream_key
 from pipeline.plan.tiles import Tile
-from pipeline.prepare import plan_scene, prepare
-from pipeline.run import Options, render
+from pipeline.route.draw import missing
+from pipeline.route.prepare import plan_scene, prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import CELL_PX
 from pipeline.store.cube import open_cube
@@ -270,7 +270,7 @@ def test_tdi_meets_the_mean_of_each_column():
 
 def test_tdi_holds_an_image_that_moves_with_the_charge(tmp_path):
     """A drifting camera and charge that follows its image hold the image still."""
-    from pipeline.plan.geometry import plan_geometry, star_paths
+    from pipeline.plan.pointing.geometry import plan_geometry, star_paths
 
     drift = {"mode": "rate", "boresight_ra_deg": 10.0, "boresight_dec_deg": 5.0}
     pixel_arcsec = np.degrees(9e-6 / 0.5) * 3600

@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.physics.noise.transfer import exposed_share
-from pipeline.prepare import plan_scene, prepare
-from pipeline.run import Options, render
+from pipeline.route.prepare import plan_scene, prepare
+from pipeline.route.run import Options, render
 from pipeline.store.product import check
 from tests.execute.test_detector import ALL_LAYERS, SIDE, frames, scene
 

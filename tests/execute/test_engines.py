@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.accuracy.reference import GaussianStar, exact_pixels, straight
 from pipeline.arrays import FrameStars, Geometry
 from pipeline.execute import tables
 from pipeline.execute.blocks import LightBlock, render_block
@@ -24,10 +23,11 @@ from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
-from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan, make_plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
+from pipeline.studies.accuracy.reference import GaussianStar, exact_pixels, straight
 
 SIDE = 160
 WHOLE = Tile(0, 0, 0, 0, SIDE, SIDE)

@@ -7,8 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.plan.needs import _profiles_s
-from pipeline.prepare import prepare
-from pipeline.run import Options, render
+from pipeline.route.prepare import prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.prepare import plan_scene
-from pipeline.run import Options, render
+from pipeline.route.prepare import plan_scene
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 from tests.execute.test_extended import scene

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 import pipeline.execute.blocks
-import pipeline.plan.responses
-from catalog_tools.ingest import ingest
+import pipeline.plan.response.responses
+from catalog_tools.ingest.ingest import ingest
 from pipeline.arrays import FrameStars
 from pipeline.errors import BadInput
 from pipeline.execute.blocks import render_block
 from pipeline.execute.light import draw_stars
 from pipeline.execute.truth import matched_snr
 from pipeline.physics.motion.streak import POINT
-from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.tiles import Tile
-from pipeline.prepare import prepare
-from pipeline.run import Options, render
+from pipeline.route.prepare import prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 
@@ -176,7 +176,7 @@ def test_products_have_small_errors_and_the_same_bits(psfs, catalogue, tmp_path,
     images = []
     for crowd in (False, True):
         if crowd:
-            monkeypatch.setattr(pipeline.plan.responses, "_spectral_from", lambda *_: 1)
+            monkeypatch.setattr(pipeline.plan.response.responses, "_spectral_from", lambda *_: 1)
             monkeypatch.setattr(pipeline.execute.blocks, "BLOCK_PX", 256)
         digests = set()
         for k, tile in enumerate(([320, 320], [256, 320])):
@@ -253,10 +253,10 @@ def test_tables_from_files_at_their_places(catalogue, tmp_path):
 def test_without_a_field_nothing_of_it_is_loaded(catalogue, tmp_path):
     code = (
         "import sys, json, pathlib\n"
-        "from pipeline.prepare import prepare\n"
+        "from pipeline.route.prepare import prepare\n"
         "from pipeline.spec.load import parse_scene\n"
         "prepare(parse_scene(json.loads(sys.argv[1])))\n"
-        "print('pipeline.plan.psf_field' in sys.modules)\n"
+        "print('pipeline.plan.optics.psf_field' in sys.modules)\n"
     )
     for psf, loaded in ((ROUND, "False"), (field([[ROUND]]), "True")):
         text = json.dumps(scene(catalogue, psf).as_dict())

@@ -6,8 +6,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from catalog_tools.ingest import ingest
-from pipeline.run import Options, render
+from catalog_tools.ingest.ingest import ingest
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

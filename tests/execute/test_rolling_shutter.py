@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import erf
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.physics.motion.rolling import exposed_longer, rolled, rolled_sources, row_delay_s
-from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.star_paths import star_paths
-from pipeline.prepare import plan_scene, prepare
-from pipeline.run import Options, render
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.pointing.star_paths import star_paths
+from pipeline.route.prepare import plan_scene, prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 

@@ -19,9 +19,9 @@ from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import phase_table
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
-from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.scene_plan import Plan, make_plan
-from pipeline.plan.star_engines import StarCounts, choose_engines, cubic_bound
+from pipeline.plan.stars.engines import StarCounts, choose_engines, cubic_bound
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
 

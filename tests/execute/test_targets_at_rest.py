@@ -14,8 +14,8 @@ from pipeline.execute.light import draw_targets
 from pipeline.execute.sources import place_targets
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
-from pipeline.plan.geometry import plan_geometry
-from pipeline.plan.responses import FAINT_PART
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.response.responses import FAINT_PART
 from pipeline.plan.scene_plan import Plan, make_plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene

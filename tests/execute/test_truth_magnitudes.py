@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.export.formats import ExportRequest, export_product
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 
 DIAMETER_M, ALBEDO, SECONDS, APERTURE_M = 4.0, 0.25, 2.0, 0.4

@@ -10,12 +10,12 @@ import pytest
 from pipeline.execute.check import reference
 from pipeline.physics.drawing.wings import swept_apart
 from pipeline.physics.psf.response import compact_core
-from pipeline.plan import wing_sweeps as of_sweeps
-from pipeline.plan.responses import FAINT_PART, MARGIN, NOTHING_BEYOND
+from pipeline.plan.response import wing_sweeps as of_sweeps
+from pipeline.plan.response.responses import FAINT_PART, MARGIN, NOTHING_BEYOND
+from pipeline.plan.response.streaks import exact_path
+from pipeline.plan.response.wing_sweeps import wing_sweeps
 from pipeline.plan.scene_plan import Plan
-from pipeline.plan.streaks import exact_path
 from pipeline.plan.tiles import Tile
-from pipeline.plan.wing_sweeps import wing_sweeps
 from tests.execute.test_engines import SIDE, drawn, field, geometry_of, plan_of
 
 PIXEL_ARCSEC = np.degrees(1e-5) * 3600.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from catalog_tools.ingest import ingest
-from pipeline.run import render
+from catalog_tools.ingest.ingest import ingest
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 
 RA_DEG, DEC_DEG, SIDE, STEP_PX = 275.94299663, -3.60041723, 512, 80

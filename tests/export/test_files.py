@@ -13,7 +13,7 @@ from PIL import Image
 from pipeline.errors import BadInput
 from pipeline.export.files import export_frames
 from pipeline.export.picture import shrink, stretch
-from pipeline.run import render
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import read_layer
 

@@ -240,7 +240,9 @@ def three_labels():
     return Labels(**values)
 
 
-TIMES = ExposureTimes(*(np.datetime64(f"2020-01-01T00:00:0{s}.000000", "us") for s in (0, 2, 4)), 4.0)
+TIMES = ExposureTimes(
+    *(np.datetime64(f"2020-01-01T00:00:0{s}.000000", "us") for s in (0, 2, 4)), 4.0
+)
 
 
 def test_satnet_tells_each_number_of_its_own():

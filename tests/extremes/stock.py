@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from catalog_tools.ingest import ingest
-from pipeline.inputs.cosmic_rays import extract_library, open_darks, write_library
+from catalog_tools.ingest.ingest import ingest
+from pipeline.inputs.sensor.cosmic_rays import extract_library, open_darks, write_library
 from pipeline.physics.cosmic_rays.frame import charge_e
 from pipeline.physics.cosmic_rays.tracks import Flux
 

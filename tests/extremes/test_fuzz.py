@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import BadInput
-from pipeline.prepare import plan_scene
+from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
 from tests.extremes import fuzz
 from tests.extremes.scenes import LARGE_PX, SMALL_PX, broken, random_scene

@@ -18,11 +18,11 @@ from pipeline.execute.sources import place_targets
 from pipeline.physics.motion.streak import Path, part_within, piece_counts, pieces
 from pipeline.physics.psf import band
 from pipeline.physics.psf.pupil import Airy, Blur
-from pipeline.plan.geometry import plan_geometry
 from pipeline.plan.needs import Spent, check_memory, predict
-from pipeline.plan.own_paths import exact_path, exact_paths
-from pipeline.prepare import check_room, prepare
-from pipeline.run import Options, render
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.response.own_paths import exact_path, exact_paths
+from pipeline.route.prepare import check_room, prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 
 PITCH_UM, FOCAL_M, APERTURE_M, WAVE_NM = 10.0, 1.0, 0.1, 600.0  # Q = 0.6 px
@@ -122,7 +122,7 @@ def test_more_memory_than_there_is_names_what_takes_it():
 def test_processes_share_the_memory_that_is_free(monkeypatch):
     """Some 330 MB each: one process fits in 600 MB, two do not."""
     prepared = prepare(parse_scene(scene_data(MONO)))
-    monkeypatch.setattr("pipeline.prepare.free_mb", lambda: 600.0)
+    monkeypatch.setattr("pipeline.route.prepare.free_mb", lambda: 600.0)
     check_room(prepared, processes=1)
     with pytest.raises(BadInput, match="300 MB of memory that there are"):
         check_room(prepared, processes=2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.selftest.many import screened
+from pipeline.studies.selftest.many import screened
 
 
 @pytest.mark.slow

@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 from pipeline.cli import app
 from pipeline.errors import BadInput
-from pipeline.selftest import frames as of_frames
-from pipeline.selftest import stars
-from pipeline.selftest.case import CaseResult, LimitingCase, run_case
-from pipeline.selftest.report import all_cases, chosen, markdown
+from pipeline.studies.selftest import frames as of_frames
+from pipeline.studies.selftest import stars
+from pipeline.studies.selftest.case import CaseResult, LimitingCase, run_case
+from pipeline.studies.selftest.report import all_cases, chosen, markdown
 
 CASES = all_cases()
 

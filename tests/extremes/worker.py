@@ -18,7 +18,7 @@ import zarr
 from numba.core import event
 
 from pipeline.errors import NightglassError, exit_code
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 
 MOST_CPU_S, MOST_MEMORY_MB = 60.0, 2000.0  # a plan that predicts more is to be refused

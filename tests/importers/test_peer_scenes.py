@@ -15,9 +15,9 @@ from pipeline.importers.passes import Pass, zenith_pass
 from pipeline.importers.satsim import read_satsim, sphere_mag
 from pipeline.importers.satsim_values import settled
 from pipeline.importers.simsit import radial_terms, read_simsit
-from pipeline.plan.geometry import camera_of, plan_geometry, star_paths
-from pipeline.prepare import plan_scene
-from pipeline.run import render
+from pipeline.plan.pointing.geometry import camera_of, plan_geometry, star_paths
+from pipeline.route.prepare import plan_scene
+from pipeline.route.run import render
 from pipeline.spec.load import load_scene
 
 EPOCH = "2019-07-20T09:00:00Z"

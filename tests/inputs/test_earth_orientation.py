@@ -8,9 +8,9 @@ import pytest
 from pipeline.inputs.earth_orientation import gather_dut1_s, gather_pole_arcsec, with_pole
 from pipeline.physics.positions.earth import gcrs_to_itrs
 from pipeline.physics.positions.times import instants, parse_utc
-from pipeline.plan.geometry import moments_at
-from pipeline.plan.site import axes_of
-from pipeline.prepare import prepare
+from pipeline.plan.pointing.geometry import moments_at
+from pipeline.plan.pointing.site import axes_of
+from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 
 

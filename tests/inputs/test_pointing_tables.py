@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import BadInput
 from pipeline.inputs.pointing_tables import gather_pointing
-from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.spec.load import parse_scene
 
 BASE: dict[str, Any] = {

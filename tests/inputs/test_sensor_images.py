@@ -9,10 +9,10 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.execute.truth import target_truth
 from pipeline.inputs import memory
-from pipeline.inputs.sensor import gather_sensor_maps
-from pipeline.plan.geometry import plan_geometry
-from pipeline.prepare import prepare
-from pipeline.run import render
+from pipeline.inputs.sensor.sensor import gather_sensor_maps
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.route.prepare import prepare
+from pipeline.route.run import render
 from pipeline.spec.load import InvalidScene, parse_scene
 from pipeline.store.cube import open_cube
 

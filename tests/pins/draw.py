@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
 from pipeline.spec.dotted import changed
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.inputs.cosmic_rays import write_library
+from pipeline.inputs.sensor.cosmic_rays import write_library
 from pipeline.physics.cosmic_rays.library import Library
 
 RA_DEG, DEC_DEG = 80.0, 20.0
@@ -74,8 +74,8 @@ def _catalogue(
     """
     from catalog_tools.catalogue import open_catalogue
     from catalog_tools.forms.load import FOLDER
-    from catalog_tools.ingest import ingest
-    from catalog_tools.starlight import make_starlight
+    from catalog_tools.ingest.ingest import ingest
+    from catalog_tools.query.starlight import make_starlight
 
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-half_deg, half_deg, (2, count))

@@ -34,7 +34,7 @@ EXCEPTIONS = {
     "MeshBody.digest: *": "written by the program",
     "Population.screened: *": "written by the program",
     "Target.object_name: *": "written by the program",
-    # Its own tests draw with one (tests/inputs/test_colour_fit_files.py).
+    # Its own tests draw with one (tests/inputs/band/test_colour_fit_files.py).
     "Stars.colour_fit: *": "a file that `nightglass color-fit` writes",
     "model Screened": "written by the program",
     "Screened.*": "written by the program",

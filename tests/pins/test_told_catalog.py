@@ -28,10 +28,10 @@ from catalog_tools.catalogue import REJECTS_NAME, SOURCES_NAME, Catalogue, open_
 from catalog_tools.columns import INCOMING, NAMES, STORED
 from catalog_tools.errors import BadInput
 from catalog_tools.forms import Layout, load_form
-from catalog_tools.healpix import pixels_of
+from catalog_tools.geometry.healpix import pixels_of
 from catalog_tools.info import info
-from catalog_tools.ingest import ingest
-from catalog_tools.query import read_leaf
+from catalog_tools.ingest.ingest import ingest
+from catalog_tools.query.query import read_leaf
 from catalog_tools.readers import read_tables
 from tests.pins.told import check_told
 
@@ -89,7 +89,11 @@ def _sums(array: np.ndarray) -> str:
 
 def tell(name: str, cases: str, names: Names, **places: str | Path) -> None:
     """Hold what each case gives, or the error that it raises, against a stored text."""
-    modules = {part.rpartition(".")[2]: import_module(f"catalog_tools.{part}") for part in PARTS}
+    modules: Names = {}  # by name, and by room_name where two rooms have the same
+    for part in sorted(PARTS, key=lambda part: (part.count("."), part)):
+        room, _, last = part.rpartition(".")
+        modules.setdefault(last, import_module(f"catalog_tools.{part}"))
+        modules.setdefault(f"{room}_{last}", import_module(f"catalog_tools.{part}"))
     known = modules | {"np": np, "pa": pa, "replace": replace, "Path": Path} | names
     lines: list[str] = []
     for line in cases.strip().replace("\n  ", " ").splitlines():
@@ -456,8 +460,8 @@ sorted(p.name for p in Path().iterdir())
 
 
 def test_catalogues_of_files(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("catalog_tools.shards.MIN_BAND_ROWS", 20)
-    monkeypatch.setattr("catalog_tools.shards.MAX_ROW_GROUP_ROWS", 30)
+    monkeypatch.setattr("catalog_tools.ingest.shards.MIN_BAND_ROWS", 20)
+    monkeypatch.setattr("catalog_tools.ingest.shards.MAX_ROW_GROUP_ROWS", 30)
     for folder in ("many/below", "empty", "hats"):
         (here / folder).mkdir(parents=True)
     write_csv("many/a.csv.gz", stars(90, 4))

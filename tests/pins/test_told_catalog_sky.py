@@ -21,12 +21,13 @@ import pytest
 import requests
 import urllib3
 
-from catalog_tools import query, shards, starlight
 from catalog_tools.catalogue import Catalogue, open_catalogue
 from catalog_tools.columns import INCOMING, NAMES
-from catalog_tools.ingest import ingest
-from catalog_tools.regions import Cone, cone_of, polygon_of
-from catalog_tools.verify import verify
+from catalog_tools.geometry.regions import Cone, cone_of, polygon_of
+from catalog_tools.ingest import shards
+from catalog_tools.ingest.ingest import ingest
+from catalog_tools.query import query, starlight
+from catalog_tools.verify.verify import verify
 from tests.pins.test_told_catalog import here, show, stars, tell, write_csv
 
 __all__ = ["here"]
@@ -113,7 +114,8 @@ def about(region: Any) -> Any:
 
 
 def test_functions_of_the_sky(here: Path) -> None:
-    from catalog_tools import coverage, healpix, sphere
+    from catalog_tools import coverage
+    from catalog_tools.geometry import healpix, sphere
 
     parts = [
         coverage.all_sky("s", 15.5, [(10, 20, 5, 18.0), (12, 20, 5, 17)]),
@@ -481,8 +483,12 @@ def web(kind: Any) -> Any:
 def test_what_is_made_and_fetched(here: Path) -> None:
     from threading import Event
 
-    from catalog_tools import distinct, durable, schedulers, synthetic, synthetic_csv
+    from catalog_tools.engine import schedulers
     from catalog_tools.fetch import cones, fetch, layout, tap
+    from catalog_tools.storage import durable
+    from catalog_tools.synthetic import csv as synthetic_csv
+    from catalog_tools.synthetic import synthetic
+    from catalog_tools.verify import distinct
 
     data = {
         f"GaiaSource_{a << 35}_{(b << 35) - 1}.csv.gz": str(a).encode() * 9

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from catalog_tools.objects import Listed
+from catalog_tools.storage.objects import Listed
 from pipeline.errors import NightglassError
 from tests.pins.draw import _columns, _cube
 from tests.pins.scenes import IN_ORBIT, SITE, SPHERE
@@ -189,7 +189,7 @@ def test_cosmic_rays() -> None:
         cosmic-rays compare none.fits -o x.png
         cosmic-rays compare rays.fits -o none/x.png
     """)
-    from pipeline.inputs.cosmic_rays import read_library
+    from pipeline.inputs.sensor.cosmic_rays import read_library
 
     told += array_fields(read_library(Path("lib.fits"), "LIBRARY"))
     check_told("cli/rays", told, folder=Path.cwd())
@@ -271,7 +271,7 @@ class Client:
         return self.job(f"submit {scene['seed']} {scene.get('accept')}")
 
     def plan(self, scene: Any) -> Any:
-        from pipeline.prepare import plan_scene
+        from pipeline.route.prepare import plan_scene
         from pipeline.spec.load import parse_scene
 
         self.job(f"plan {scene['seed']}")
@@ -286,7 +286,7 @@ def test_servers(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     emptied("x")
     client = Client(said, kind, kind == "cut")
     monkeypatch.setattr(
-        "pipeline.jobs_cli.connect", lambda server: (said.append(server), client)[1]
+        "pipeline.commands.jobs.connect", lambda server: (said.append(server), client)[1]
     )
     monkeypatch.setattr("pipeline.cli._print_report", lambda report, to: print(report, to))
     there = "--server http://h"
@@ -324,7 +324,7 @@ STORE: dict[str, tuple[bytes, datetime]] = {}
 
 
 class Kept:
-    """An object store in memory, as `catalog_tools.objects.Objects` is one."""
+    """An object store in memory, as `catalog_tools.storage.objects.Objects` is one."""
 
     def __init__(self, url: str) -> None:
         self.url = url
@@ -358,7 +358,7 @@ def test_object_store(monkeypatch: pytest.MonkeyPatch) -> None:
     """Products of an object store: whole, in parts, gone on with, damaged, held by another."""
     for place in ("pipeline.store.bucket.open_objects", "pipeline.store.remote.Objects"):
         monkeypatch.setattr(place, lambda url, *_: Kept(url))
-    monkeypatch.setattr("pipeline.run.JOIN_AGAIN_S", 0.0)
+    monkeypatch.setattr("pipeline.route.run.JOIN_AGAIN_S", 0.0)
     STORE.clear()
     write_scene("small", SMALL | {"exposure.frames": 2, "accuracy.check_cells": 0})
     at, one = "render small.json -o s3://b/n", "--scheduler synchronous"
@@ -451,7 +451,7 @@ def test_faults(monkeypatch: pytest.MonkeyPatch) -> None:
         def fail(*_: Any, error: BaseException = error) -> None:
             raise error
 
-        monkeypatch.setattr("pipeline.run.prepare", fail)
+        monkeypatch.setattr("pipeline.route.run.prepare", fail)
         told += f"{type(error).__name__} {exit_code(error)}\n"
         told += runs("""
             render small.json -o x --replace --set seed=2
@@ -464,7 +464,7 @@ def test_faults(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_judged() -> None:
     """What is said against scenes before they are planned."""
-    from pipeline.judge import judge
+    from pipeline.route.judge import judge
     from pipeline.spec.load import load_scene
 
     told = ""
@@ -543,7 +543,7 @@ def test_pictures() -> None:
     """Grey levels, binned images, masks as text, paths across a frame, films, lines of text."""
     from pipeline.export import coco, labels, masks, picture
     from pipeline.lines import table
-    from pipeline.shares import parse_part
+    from pipeline.route.shares import parse_part
 
     rng = np.random.default_rng(4)
     image = rng.normal(100.0, 5.0, (50, 70))
@@ -597,10 +597,10 @@ def test_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     """What bars show, and what they are told."""
     from types import SimpleNamespace
 
-    from pipeline import pages
-    from pipeline.draw import Progress
+    from pipeline.commands import pages
+    from pipeline.commands.sweep import _progress
+    from pipeline.route.draw import Progress
     from pipeline.sweep.run import SweepProgress
-    from pipeline.sweep_cli import _progress
 
     told = ""
     for column in pages.progress_bar("tiles").columns:

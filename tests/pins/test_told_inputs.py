@@ -26,10 +26,10 @@ from pydantic import TypeAdapter
 import pipeline.inputs
 from catalog_tools.coverage import of_pixels
 from pipeline.errors import NightglassError
-from pipeline.plan.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.spec.dotted import changed
 from pipeline.spec.load import InvalidScene, parse_scene
-from pipeline.spec.mesh import MeshBody, Reflecting
+from pipeline.spec.targets.mesh import MeshBody, Reflecting
 from tests.pins import files
 from tests.pins.scenes import AT_FIELD, BASE, IN_ORBIT, SITE, SPHERE
 from tests.pins.told import TOLD, check_told
@@ -247,6 +247,8 @@ ASKED = {
 
 @pytest.mark.parametrize("group", ASKED)
 def test_read_as_pinned(group: str, names: dict[str, Any]) -> None:
-    for path in sorted(Path(pipeline.inputs.__path__[0]).glob("*.py")):
-        names[path.stem] = import_module(f"pipeline.inputs.{path.stem}")
+    root = Path(pipeline.inputs.__path__[0])
+    for path in sorted(root.glob("*.py")) + sorted(root.glob("[!r]*/[!_]*.py")):
+        name = ".".join(path.relative_to(root).with_suffix("").parts)
+        names[path.stem] = import_module(f"pipeline.inputs.{name}")
     answered(f"inputs/{group}", ASKED[group], names)

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.pages import print_plan
-from pipeline.prepare import plan_scene
+from pipeline.commands.pages import print_plan
+from pipeline.route.prepare import plan_scene
 from tests.pins.draw import embedded_spectra, scene_of
 from tests.pins.files import write_files
 from tests.pins.scenes import SCENES
@@ -27,7 +27,7 @@ def test_plan_as_told(
     name: str, files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The forecast is that of a machine on which planning takes no time."""
-    monkeypatch.setattr("pipeline.prepare.time", SimpleNamespace(thread_time=lambda: 0.0))
+    monkeypatch.setattr("pipeline.route.prepare.time", SimpleNamespace(thread_time=lambda: 0.0))
     monkeypatch.setenv("COLUMNS", "80")
     with embedded_spectra():
         plan = plan_scene(scene_of(name, files))

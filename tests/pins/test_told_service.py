@@ -31,20 +31,21 @@ from anyio.from_thread import start_blocking_portal
 import service
 from catalog_tools.catalogue import MANIFEST_NAME
 from pipeline.spec.dotted import changed
-from service import submissions, worker
+from service.accounts.keys import create_key, revoke_key
 from service.app import create_app
 from service.client import Client, RemoteJob
-from service.database import connect
-from service.jobs import Phase
-from service.keys import create_key, revoke_key
-from service.leases import take
+from service.engine import worker
+from service.jobs import submissions
+from service.jobs.jobs import Phase
 from service.settings import Settings
+from service.store.database import connect
+from service.store.leases import take
 from tests.pins.told import check_told
 from tests.service.conftest import SCENE
 
 FILE = "d36fc21bd4646d6704cbab4077af88fc.csv"  # its content, by its digest
 LONG_S = 1e6
-REAL = ("routes.uws", "looks", "changes")  # that wait by the real clock
+REAL = ("standards.uws", "engine.looks", "jobs.changes")  # that wait by the real clock
 SMALL = changed(SCENE, {"sensor.shape": [16, 24], "sensor.psf.sigma_px": 1.25})
 FORM = "application/x-www-form-urlencoded"
 LIMITS: dict[str, Any] = {
@@ -102,17 +103,17 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clock]:
     def urandom(size: int) -> bytes:
         return b"".join([next(ids).to_bytes(16, "big") for _ in range(size // 16)][::-1])
 
-    monkeypatch.setattr("service.submissions.os", SimpleNamespace(urandom=urandom))
+    monkeypatch.setattr("service.jobs.submissions.os", SimpleNamespace(urandom=urandom))
     monkeypatch.setattr(
-        "service.keys.secrets",
+        "service.accounts.keys.secrets",
         SimpleNamespace(
             token_hex=lambda n: f"{next(secrets):0{2 * n}x}",
             token_urlsafe=lambda n: "k" * 43,
         ),
     )
-    monkeypatch.setattr("service.changes.BETWEEN_LOOKS_S", 0.002)
-    monkeypatch.setattr("service.processes.worker", engine)
-    monkeypatch.setattr("service.attempts.worker", engine)
+    monkeypatch.setattr("service.jobs.changes.BETWEEN_LOOKS_S", 0.002)
+    monkeypatch.setattr("service.engine.processes.worker", engine)
+    monkeypatch.setattr("service.engine.attempts.worker", engine)
     monkeypatch.setattr(worker, "one_heap", lambda: None)
     monkeypatch.setattr(worker.logs, "set_up", lambda: None)
     submissions._random.clear()
@@ -320,8 +321,8 @@ def fill(product: Path, note: str = "") -> None:
 
 def acts_of(house: Any, clock: Clock) -> dict[str, Any]:
     """What happens behind the requests."""
-    from service.attempts import Attempt
-    from service.cluster import SchedulerHealth
+    from service.engine.attempts import Attempt
+    from service.engine.cluster import SchedulerHealth
 
     table, settings, held = house.table, house.context.settings, SimpleNamespace(job=None)
 
@@ -670,7 +671,7 @@ def client_told(client: Client, jobs: list[RemoteJob], folder: Path) -> list[str
 
 async def events_told(house: Any, job_id: str) -> list[str]:
     """A stream of events: beats, a change, and the end of a job that is deleted."""
-    from service.changes import Changes
+    from service.jobs.changes import Changes
     from service.routes.jobs import _events
 
     table, settings = house.table, SimpleNamespace(heartbeat_s=0.01)

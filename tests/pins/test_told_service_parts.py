@@ -24,19 +24,24 @@ from starlette.responses import StreamingResponse
 from catalog_tools.catalogue import MANIFEST_NAME
 from pipeline.errors import BadInput, Damaged, DiskFull, Incomplete, TryLater
 from pipeline.spec.load import InvalidScene
-from service import bodies, frames, logs, problems, uploads, views, worker
-from service import uws_xml as xml
+from service import logs, problems
+from service.accounts.teams import pixel_frames_of
 from service.client import problem_of
-from service.files import _part, serve_file
+from service.engine import worker
+from service.http import bodies
 from service.integrity import find_faults
-from service.jobs import NEXT, Job, Phase, Queue
-from service.leases import give_up, holds, take
-from service.named_files import files_in
-from service.routes import uws
-from service.scenes import product_bytes_of
+from service.jobs import views
+from service.jobs.jobs import NEXT, Job, Phase, Queue
+from service.jobs.submissions import Ask, TeamLimits, Used, refuse, run_pending, submit_many
+from service.products import frames
+from service.products.files import _part, serve_file
+from service.scenes import uploads
+from service.scenes.scenes import product_bytes_of
 from service.settings import Settings, read_settings
-from service.submissions import Ask, TeamLimits, Used, refuse, run_pending, submit_many
-from service.teams import pixel_frames_of
+from service.standards import uws
+from service.standards import uws_xml as xml
+from service.store.leases import give_up, holds, take
+from service.store.named_files import files_in
 from tests.pins.test_told_service import SMALL, Clock, clock, fill, scene, short
 from tests.pins.told import check_told
 

@@ -33,39 +33,28 @@ from catalog_tools.catalogue import MANIFEST_NAME
 from pipeline.errors import BadInput, Damaged
 from pipeline.store.product import file_digest
 from service import app as app_module
-from service import (
-    archive,
-    attempts,
-    catalogues,
-    database,
-    fetching,
-    frames,
-    integrity,
-    looks,
-    main,
-    oidc,
-    problems,
-    processes,
-    runner,
-    sweeps,
-    worker,
-)
-from service.accepted import Acceptance
-from service.auth import Authenticator, Caller
+from service import fetching, integrity, main, problems
+from service.accounts import oidc
+from service.accounts.auth import Authenticator, Caller
+from service.accounts.commands import app as keys_app
+from service.accounts.keys import create_key, revoke_key
+from service.accounts.tickets import Tickets
 from service.client import Client, RemoteJob
-from service.cluster import SchedulerHealth
-from service.database import connect, sqlite_url
-from service.jobs import Phase, Queue
-from service.keys import create_key, revoke_key
-from service.keys_cli import app as keys_app
+from service.engine import attempts, looks, processes, runner, worker
+from service.engine.cluster import SchedulerHealth
+from service.http.wire import bounded
+from service.jobs.jobs import Phase, Queue
+from service.jobs.shares import Shares
+from service.jobs.submissions import Ask, TeamLimits, submit_many
 from service.problems import NotReady
+from service.products import archive, frames
 from service.routes import health
+from service.scenes import catalogues, sweeps
+from service.scenes.accepted import Acceptance
 from service.settings import Settings
-from service.shares import Shares
-from service.submissions import Ask, TeamLimits, submit_many
-from service.tables import metadata
-from service.tickets import Tickets
-from service.wire import bounded
+from service.store import database
+from service.store.database import connect, sqlite_url
+from service.store.tables import metadata
 from tests.pins.test_told_service import (
     SMALL,
     Clock,
@@ -117,7 +106,7 @@ def test_attempts(clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
             answers = SimpleNamespace(get=lambda timeout: clock.sleep(timeout) or _empty())
         yield answers
 
-    monkeypatch.setattr("service.attempts.worker", scripted)
+    monkeypatch.setattr("service.engine.attempts.worker", scripted)
     jobs = {}
     for course, more in (
         ("done", {}),
@@ -219,7 +208,7 @@ def test_the_process_of_the_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         return subprocess.Popen([sys.executable, "-S", "-E", "-c", code], env=seen, **more)
 
     fake = SimpleNamespace(Popen=start, PIPE=subprocess.PIPE)
-    monkeypatch.setattr("service.processes.subprocess", fake)
+    monkeypatch.setattr("service.engine.processes.subprocess", fake)
     for name in [k for k in os.environ if "NIGHTGLASS" in k and "PINS" not in k]:
         monkeypatch.delenv(name)
     for name in ("DATABASE", "OIDC_JWKS", "TLS_KEY", "DATA", "KEYS"):
@@ -818,7 +807,9 @@ def _health(clock: Clock, folder: Path) -> list[str]:
     health_ = SchedulerHealth("tcp://127.0.0.1:1")
     asked: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("service.cluster.ask", lambda *given: asked.append(str(given)) or _gone())
+        patch.setattr(
+            "service.engine.cluster.ask", lambda *given: asked.append(str(given)) or _gone()
+        )
         for step in (0.0, 1.9, 0.2):
             clock.now += step
             lines.append(f"{health_.fault()} {len(asked)}")

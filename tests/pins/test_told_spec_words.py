@@ -10,7 +10,8 @@ from typing import Any, get_args
 import pytest
 import typer
 
-from pipeline import errors, options
+from pipeline import errors
+from pipeline.commands import options
 from pipeline.errors import BadInput, Damaged, DiskFull, Incomplete, Interrupted, TryLater
 from pipeline.lines import fold, pair, table, width
 from tests.pins.told import check_told

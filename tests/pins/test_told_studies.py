@@ -226,10 +226,12 @@ report.report_scenes(folder / "new", (), None, True, folder / "none")
 
 
 def test_pages_and_refusals(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from pipeline import accuracy, ledger_report, scene_report, selftest
-    from pipeline.accuracy import engines, probes
-    from pipeline.scene_report import study
-    from pipeline.scene_report.scenes import SENSOR
+    from pipeline.studies import accuracy, selftest
+    from pipeline.studies import ledger as ledger_report
+    from pipeline.studies import scenes as scene_report
+    from pipeline.studies.accuracy import engines, probes
+    from pipeline.studies.scenes import study
+    from pipeline.studies.scenes.scenes import SENSOR
 
     def listed(data: dict[str, Any]) -> str:
         """A scene as JSON, many targets as sums."""

@@ -57,7 +57,7 @@ TURN |= {"rate_ra_arcsec_s": 9.0, "rate_dec_arcsec_s": 12.0}
 
 @pytest.fixture(scope="module")
 def stars(tmp_path_factory: pytest.TempPathFactory) -> str:
-    from pipeline.ledger_report.scenes import make_stars
+    from pipeline.studies.ledger.scenes import make_stars
 
     return make_stars(tmp_path_factory.mktemp("stars"))
 
@@ -67,8 +67,8 @@ def pin(name: str, *parts: Any, **places: Any) -> None:
 
 
 def test_selftests(tmp_path: Path) -> None:
-    from pipeline.selftest.case import run_case
-    from pipeline.selftest.report import all_cases
+    from pipeline.studies.selftest.case import run_case
+    from pipeline.studies.selftest.report import all_cases
 
     ran = [
         run_case(c, tmp_path / c.name)
@@ -80,10 +80,10 @@ def test_selftests(tmp_path: Path) -> None:
 
 
 def test_ledger(stars: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from pipeline.ledger_report import drawing, meshes, pointing, probe, scenes, study, targets
-    from pipeline.ledger_report import stars as of_stars
-    from pipeline.prepare import prepare
+    from pipeline.route.prepare import prepare
     from pipeline.spec.load import parse_scene
+    from pipeline.studies.ledger import drawing, meshes, pointing, probe, scenes, study, targets
+    from pipeline.studies.ledger import stars as of_stars
 
     monkeypatch.setitem(scenes.SCENE["sensor"], "shape", [48, 48])
     small = partial(targets._rastered, lines=150)
@@ -111,8 +111,8 @@ def test_ledger(stars: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _tiny(name: str, quick: bool) -> Any:
     """A scene of the report on few pixels: stars that streak, or targets in two tiles."""
-    from pipeline.ledger_report.scenes import ORBIT, before, scene
-    from pipeline.scene_report.scenes import ReportScene
+    from pipeline.studies.ledger.scenes import ORBIT, before, scene
+    from pipeline.studies.scenes.scenes import ReportScene
 
     base: dict[str, Any] = {"name": name, "sensor.dark_e_per_s": 3.0}
     if name == "streaks":
@@ -138,7 +138,7 @@ def _tiny(name: str, quick: bool) -> Any:
 
 
 def test_scenes(stars: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from pipeline.scene_report import child, rung, scenes, study
+    from pipeline.studies.scenes import child, rung, scenes, study
 
     def here(_: Any, input: str, **__: Any) -> Any:
         with monkeypatch.context() as patch:
@@ -158,10 +158,12 @@ def test_scenes(stars: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 
 
 def test_accuracy(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pipeline.accuracy import engines, external, probes, reference, study
+    from pipeline.studies.accuracy import engines, external, probes, reference, study
 
     cases = [c for c in study.cases((50, 120), True) if isinstance(c.shape, study.GaussianStar)]
-    cases.append(engines.EngineCase(study.AiryStar(1.0, 0.3), study.straight(5.0, 0.6435), 5.0, (30, 34)))
+    cases.append(
+        engines.EngineCase(study.AiryStar(1.0, 0.3), study.straight(5.0, 0.6435), 5.0, (30, 34))
+    )
     at, rows = np.array([3.0, 20.4]), []
     made = [probes.make_probes(case, 2) for case in cases]
     for case, seen in zip(cases, made, strict=True):
@@ -211,12 +213,12 @@ def test_peers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """What the adapters ask of other simulators, told by stand-ins that note every call."""
     from astropy.io import fits
 
-    from pipeline.accuracy import engines, external, peers, study
+    from pipeline.studies.accuracy import engines, external, peers, study
 
     for name in ("CUDA_VISIBLE_DEVICES", "TF_CPP_MIN_LOG_LEVEL", "TF_NUM_INTRAOP_THREADS"):
         monkeypatch.setenv(name, "1")
     monkeypatch.setenv("TF_NUM_INTEROP_THREADS", "1")  # else the worker's import would set them
-    from pipeline.accuracy import satsim_worker
+    from pipeline.studies.accuracy import satsim_worker
 
     lib, said = MagicMock(), []
     for name in PEERS:
@@ -289,7 +291,7 @@ def _sky(labels: Any) -> np.ndarray:
 
 
 def test_detection(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from pipeline.detection import finders, judge, points, streaks, study, tables
+    from pipeline.studies.detection import finders, judge, points, streaks, study, tables
 
     still = _labels(
         (1, 60, 50, 24, 30, 300),
@@ -355,10 +357,10 @@ def test_detection(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_cosmic_rays_and_the_demo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from catalog_tools import synthetic
-    from pipeline import cosmic_rays_figure as figure
+    from catalog_tools.synthetic import synthetic
     from pipeline import demo
-    from pipeline.scene_report import study
+    from pipeline.studies import cosmic_rays as figure
+    from pipeline.studies.scenes import study
 
     monkeypatch.setattr(figure, "FRAME_PX", 150)
     made = figure.compare_library(_library(), 9.0, 100.0, 3.0, 300.0, 60)

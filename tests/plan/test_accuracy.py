@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.physics.psf.band import BandOptics, NoiseLimit, choose_wavelengths
 from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.plan.accuracy import doubts_of, judge, parts, total_e, total_sigma
 from pipeline.plan.decision import Decision
-from pipeline.prepare import plan_scene
-from pipeline.scene_report.scenes import wishes
+from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import load_scene, parse_scene
+from pipeline.studies.scenes.scenes import wishes
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = [*sorted((ROOT / "examples").glob("*.yaml")), ROOT / "pipeline" / "scenes" / "demo.yaml"]

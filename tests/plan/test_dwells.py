@@ -12,9 +12,9 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.vectors import separation
-from pipeline.plan.brightest import brightest_star_e, brightest_target_e
-from pipeline.plan.geometry import camera_of, plan_geometry, sampled_frames, star_paths
+from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames, star_paths
 from pipeline.plan.scene_plan import make_plan
+from pipeline.plan.stars.brightest import brightest_star_e, brightest_target_e
 from pipeline.plan.timing import (
     end_s,
     frame_count,

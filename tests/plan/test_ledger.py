@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.plan.ledger import LEDGER, page, rule_of
-from pipeline.prepare import plan_scene
+from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import load_scene, parse_scene
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -19,10 +19,10 @@ from pipeline.physics.meshes.model import MeshModel, RigidPart
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.vectors import unit
-from pipeline.plan.bodies import earthshine_m2_sr
-from pipeline.plan.body_attitudes import View
-from pipeline.spec.body import Body
-from pipeline.spec.mesh import MeshBody
+from pipeline.plan.bodies.attitudes import View
+from pipeline.plan.bodies.bodies import earthshine_m2_sr
+from pipeline.spec.targets.body import Body
+from pipeline.spec.targets.mesh import MeshBody
 
 EPOCH = parse_utc("2019-07-20T09:00:00Z")
 ALBEDO, ERROR = 0.3, 1e-3

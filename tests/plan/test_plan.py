@@ -44,10 +44,9 @@ from pipeline.plan.checks import choose_checks
 from pipeline.plan.cost import CHECK_S, check_count, least_cpu_s
 from pipeline.plan.decisions import core_ends
 from pipeline.plan.facts import Facts, gather_facts
-from pipeline.plan.faint_stars import peak_share
-from pipeline.plan.geometry import camera_of, plan_geometry
 from pipeline.plan.needs import drawing_s, frame_seconds, predict
-from pipeline.plan.responses import ResponsePlan, cut_share, plan_responses
+from pipeline.plan.pointing.geometry import camera_of, plan_geometry
+from pipeline.plan.response.responses import ResponsePlan, cut_share, plan_responses
 from pipeline.plan.scene_plan import (
     Plan,
     StarForecast,
@@ -56,6 +55,7 @@ from pipeline.plan.scene_plan import (
     make_plan,
     plan_dict,
 )
+from pipeline.plan.stars.faint import peak_share
 from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 

@@ -11,15 +11,15 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.execute.truth import target_truth
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
-from pipeline.plan.body_sizes import limb_px
-from pipeline.plan.geometry import moments_at, plan_geometry
-from pipeline.plan.orbit_age import _aged, elements_error_m
-from pipeline.plan.target_bounds import _lowest_m, between_facets, two_body_m
-from pipeline.plan.target_paths import sights
-from pipeline.prepare import prepare
+from pipeline.plan.bodies.paths import sights
+from pipeline.plan.bodies.sizes import limb_px
+from pipeline.plan.pointing.geometry import moments_at, plan_geometry
+from pipeline.plan.targets.bounds import _lowest_m, between_facets, two_body_m
+from pipeline.plan.targets.orbit_age import _aged, elements_error_m
+from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
-from pipeline.spec.orbit import TleOrbit
 from pipeline.spec.scene import Target
+from pipeline.spec.targets.orbit import TleOrbit
 
 GEO_M = 4.2164e7
 SCENE: dict[str, Any] = {

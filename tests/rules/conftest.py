@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import open_cube

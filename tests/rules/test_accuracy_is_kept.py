@@ -23,14 +23,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pipeline.accuracy.reference import GaussianStar, Track, exact_pixels
 from pipeline.errors import BadInput
 from pipeline.execute import check
 from pipeline.plan.accuracy import total_sigma
-from pipeline.prepare import plan_scene, prepare
-from pipeline.run import Options, render
+from pipeline.route.prepare import plan_scene, prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import scene_yaml
 from pipeline.store.cube import open_cube
+from pipeline.studies.accuracy.reference import GaussianStar, Track, exact_pixels
 from tests.command import nightglass
 from tests.rules.conftest import SIDEREAL, layers, truth
 

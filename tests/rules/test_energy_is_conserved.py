@@ -20,11 +20,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pipeline.accuracy.reference import AiryStar, GaussianStar, exact_pixels, straight
 from pipeline.execute.blocks import render_block
 from pipeline.execute.light import draw_stars
 from pipeline.plan.tiles import Tile
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
+from pipeline.studies.accuracy.reference import AiryStar, GaussianStar, exact_pixels, straight
 from tests.execute.test_engines import field, geometry_of, plan_of
 from tests.rules.conftest import layers, truth
 

@@ -6,10 +6,10 @@ render unless the scene accepts it by name; accepted, it stands first in the pla
 the product. A scene of which nothing of the kind is true is drawn without a word.
 """
 
-# Deeper, elsewhere: tests/plan/test_sky_doubts.py (all bodies, in all exposures),
+# Deeper, elsewhere: tests/plan/sky/test_sky_doubts.py (all bodies, in all exposures),
 # tests/acceptance/test_coverage.py, test_behind_the_earth.py and test_site_with_air.py,
 # tests/plan/test_target_remarks.py (orbits, shadows), tests/catalog_tools/test_coverage.py,
-# tests/inputs/test_catalogues.py (colours), tests/plan/test_accuracy.py,
+# tests/inputs/stars/test_catalogues.py (colours), tests/plan/test_accuracy.py,
 # tests/spec and tests/cli (values that cannot be).
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
-from pipeline.prepare import plan_scene
-from pipeline.run import Options, render
+from pipeline.route.prepare import plan_scene
+from pipeline.route.run import Options, render
 from pipeline.spec.accept import ACCEPTABLE
 from pipeline.spec.load import parse_scene, scene_yaml
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import open_cube
 from tests.command import nightglass
-from tests.plan.test_sky_doubts import AU_M, HALF_DEG, HIGH, SCENE, SITE, beside, body, scene_of
+from tests.plan.sky.test_sky_doubts import AU_M, HALF_DEG, HIGH, SCENE, SITE, beside, body, scene_of
 from tests.rules.conftest import GEO_TLE, SIDEREAL
 from tests.rules.test_accuracy_is_kept import TOO_MUCH
 

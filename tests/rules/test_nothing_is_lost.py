@@ -30,11 +30,11 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from catalog_tools.schedulers import LocalScheduler
+from catalog_tools.engine.schedulers import LocalScheduler
 from pipeline.errors import Damaged, Incomplete
 from pipeline.execute.bundles import tiles_done
-from pipeline.prepare import prepare
-from pipeline.run import Options, render
+from pipeline.route.prepare import prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import scene_yaml
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.markers import markers_present
@@ -129,7 +129,7 @@ def assert_unfinished(product: Path) -> None:
 CHILD = """
 import sys
 from pathlib import Path
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
 from pipeline.spec.load import load_scene
 render(load_scene(Path(sys.argv[1])), Path(sys.argv[2]), Options("threads", 2),
        lambda progress: print(progress.done, flush=True))

@@ -8,7 +8,7 @@ changes, where that is no pixel's charge). A component that is off costs no task
 
 # Deeper, elsewhere: tests/plan/test_ledger.py (each line of a plan has a rule, and each rule a test
 # that measures it), tests/ledger_report (the bounds measured anew), tests/plan/test_plan.py,
-# tests/catalog_tools/test_query.py (rows that are read), tests/execute/test_detector.py and
+# tests/catalog_tools/query/test_query.py (rows that are read), tests/execute/test_detector.py and
 # test_psf_field.py (nothing of the detector's extras or of a field of responses unless asked for).
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ import pytest
 
 from pipeline.errors import Damaged
 from pipeline.execute.graph import Inputs, WindowWork, window_graph
-from pipeline.plan.geometry import plan_geometry
-from pipeline.prepare import plan_scene, prepare, shards_of
-from pipeline.run import Options, render
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.route.prepare import plan_scene, prepare, shards_of
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import CubeWriter
 from tests.rules.conftest import SIDEREAL, truth
@@ -58,12 +58,14 @@ TARGET = {
 }
 UNNEEDED = {
     "sky": ["healpy", "pyarrow", "speclite", "sgp4", "astropy", "distributed", "fastapi", "pandas",
-            "catalog_tools.query", "catalog_tools.layers", "catalog_tools.regions",
-            "catalog_tools.ingest", "sqlalchemy", "xarray", "pipeline.plan.stray_light",
+            "catalog_tools.query.query", "catalog_tools.query.layers",
+            "catalog_tools.geometry.regions",
+            "catalog_tools.ingest.ingest", "sqlalchemy", "xarray", "pipeline.plan.sky.stray_light",
             "pipeline.physics.sky.extinction", "pipeline.physics.sky.night", "s3fs", "fsspec.asyn",
-            "pipeline.store.bucket", "pipeline.store.remote", "catalog_tools.objects"],
+            "pipeline.store.bucket", "pipeline.store.remote", "catalog_tools.storage.objects"],
     "target": ["healpy", "speclite", "sgp4", "astropy", "distributed", "fastapi",
-               "catalog_tools.query", "sqlalchemy", "xarray", "s3fs", "pipeline.store.bucket"],
+               "catalog_tools.query.query", "sqlalchemy", "xarray", "s3fs",
+               "pipeline.store.bucket"],
 }  # fmt: skip
 SCENES = {"sky": SKY, "target": SKY | {"targets": [TARGET]}}
 
@@ -75,14 +77,17 @@ NOT_FOR_STARS = [
     "pipeline.physics.motion.flexible", "pipeline.physics.motion.linear_system",
     "pipeline.physics.noise.calibration", "pipeline.physics.positions.distortion",
     "pipeline.physics.positions.orbit_screen", "pipeline.physics.positions.orbit_numerical",
-    "pipeline.plan.sky", "pipeline.plan.sky_light", "pipeline.plan.faint_stars",
-    "pipeline.plan.stray_light", "pipeline.plan.night_sky", "pipeline.plan.psf_field",
-    "pipeline.plan.populations", "pipeline.plan.meshes", "pipeline.inputs.sky",
-    "pipeline.inputs.starlight", "pipeline.inputs.stray_light", "pipeline.inputs.meshes",
-    "pipeline.inputs.cosmic_rays", "pipeline.inputs.populations", "pipeline.inputs.night",
-    "pipeline.execute.mesh_bodies", "pipeline.accuracy", "pipeline.detection",
-    "pipeline.scene_report", "pipeline.selftest", "pipeline.sweep", "pipeline.importers",
-    "catalog_tools.ingest", "catalog_tools.layers", "catalog_tools.synthetic",
+    "pipeline.plan.sky.sky", "pipeline.plan.sky.light", "pipeline.plan.stars.faint",
+    "pipeline.plan.sky.stray_light", "pipeline.plan.sky.night", "pipeline.plan.optics.psf_field",
+    "pipeline.plan.targets.populations", "pipeline.plan.bodies.meshes", "pipeline.inputs.sky.sky",
+    "pipeline.inputs.sky.starlight", "pipeline.inputs.sky.stray_light",
+    "pipeline.inputs.targets.meshes",
+    "pipeline.inputs.sensor.cosmic_rays", "pipeline.inputs.targets.populations",
+    "pipeline.inputs.sky.night",
+    "pipeline.execute.mesh_bodies", "pipeline.studies.accuracy", "pipeline.studies.detection",
+    "pipeline.studies.scenes", "pipeline.studies.selftest", "pipeline.sweep", "pipeline.importers",
+    "catalog_tools.ingest.ingest", "catalog_tools.query.layers",
+    "catalog_tools.synthetic.synthetic",
     "catalog_tools.fetch", "service", "healpy", "sgp4", "astropy", "speclite", "trimesh",
     "distributed", "fastapi", "sqlalchemy", "xarray", "matplotlib",
 ]  # fmt: skip
@@ -90,7 +95,7 @@ NOT_FOR_STARS = [
 
 @pytest.fixture(scope="module")
 def one_star(tmp_path_factory):
-    from catalog_tools.ingest import ingest
+    from catalog_tools.ingest.ingest import ingest
 
     folder = tmp_path_factory.mktemp("one")
     (folder / "stars.csv").write_text("source_id,ra,dec,phot_g_mean_mag\n1,10.0,5.0,12.0\n")
@@ -146,7 +151,7 @@ CODE = """
 import sys, json, pathlib
 read = set()
 sys.addaudithook(lambda event, args: read.add(str(args[0])) if event == "open" else None)
-from pipeline.run import render
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 render(parse_scene(json.loads(sys.argv[1])), pathlib.Path(sys.argv[2]))
 print(json.dumps([sorted(sys.modules), sorted(read)]))

@@ -35,10 +35,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from catalog_tools.schedulers import LocalScheduler
+from catalog_tools.engine.schedulers import LocalScheduler
 from pipeline.errors import BadInput
-from pipeline.prepare import prepare
-from pipeline.run import Options, render
+from pipeline.route.prepare import prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import scene_yaml
 from pipeline.spec.scene import CELL_PX
 from pipeline.store.cube import open_cube

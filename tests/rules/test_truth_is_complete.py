@@ -17,8 +17,8 @@ import copy
 import numpy as np
 import pytest
 
-from pipeline.accuracy.reference import GaussianStar, Track, exact_pixels
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
+from pipeline.studies.accuracy.reference import GaussianStar, Track, exact_pixels
 from tests.rules.conftest import SCENE, SIDEREAL, layers, truth
 
 SIGMA_PX, FRAMES = 1.1, 6

@@ -15,8 +15,8 @@ from typing import Any
 import httpx
 import pytest
 
-from service.database import connect, sqlite_url
-from service.keys import create_key
+from service.accounts.keys import create_key
+from service.store.database import connect, sqlite_url
 
 SCENE: dict[str, Any] = {
     "schema": "nightglass/scene/1",

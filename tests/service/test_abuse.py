@@ -21,7 +21,7 @@ import numpy as np
 import psutil
 import pytest
 
-from pipeline.run import render
+from pipeline.route.run import render
 from pipeline.spec.load import PATH_FIELDS, parse_scene
 
 JSON = {"content-type": "application/json"}

@@ -13,8 +13,8 @@ import httpx
 import psutil
 import pytest
 
+from service.jobs.shares import IN_LINE, Shares
 from service.problems import TooMany
-from service.shares import IN_LINE, Shares
 from tests.service.conftest import SCENE, bearer
 
 MANY = 6000  # targets, whose plan takes some 20 s

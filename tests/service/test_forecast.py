@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from pipeline.errors import BadInput
-from pipeline.prepare import check_cost
-from pipeline.run import Options, render
+from pipeline.route.prepare import check_cost
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 
 

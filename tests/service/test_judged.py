@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.inputs.meshes import MOST_FACETS
+from pipeline.inputs.targets.meshes import MOST_FACETS
 
 STARE = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0}
 TURNED = {  # its boresight sinks below the horizon of the site within the exposures

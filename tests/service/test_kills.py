@@ -16,7 +16,7 @@ import httpx
 import psutil
 import pytest
 
-from pipeline.run import render
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import check
 
@@ -249,6 +249,6 @@ def test_a_hundred_kills_while_jobs_come(
 
 @pytest.mark.parametrize("order", [b"", b'{"do": "rend'])
 def test_a_worker_whose_parent_dies_before_the_order_is_whole_ends_silently(order: bytes) -> None:
-    words = [sys.executable, "-m", "service.worker"]
+    words = [sys.executable, "-m", "service.engine.worker"]
     told = subprocess.run(words, input=order, capture_output=True, check=False)
     assert (told.returncode, told.stdout, told.stderr) == (1, b"", b"")

@@ -15,14 +15,14 @@ from typing import Any, cast
 import pytest
 import sqlalchemy as sa
 
-from catalog_tools.synthetic import make_demo
-from pipeline.run import render
+from catalog_tools.synthetic.synthetic import make_demo
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
-from service.attempts import Attempt
-from service.database import connect, sqlite_url
-from service.jobs import Queue
-from service.submissions import Ask, TeamLimits, submit_many
-from service.tables import jobs
+from service.engine.attempts import Attempt
+from service.jobs.jobs import Queue
+from service.jobs.submissions import Ask, TeamLimits, submit_many
+from service.store.database import connect, sqlite_url
+from service.store.tables import jobs
 
 
 @pytest.fixture

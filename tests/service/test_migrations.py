@@ -15,11 +15,11 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 import service.migrations
-from service.database import connect, writing
 from service.integrity import find_faults
-from service.jobs import Phase, Queue
-from service.submissions import Ask, TeamLimits, submit_many
-from service.tables import HEAD, metadata
+from service.jobs.jobs import Phase, Queue
+from service.jobs.submissions import Ask, TeamLimits, submit_many
+from service.store.database import connect, writing
+from service.store.tables import HEAD, metadata
 
 SCENE = json.dumps({"sensor": {"shape": [4, 5]}, "exposure": {"frames": 3}})
 FIRST: dict[str, Any] = {

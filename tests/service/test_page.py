@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from catalog_tools.synthetic import make_demo
+from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.spec.load import parse_scene, scene_yaml
 
 SHOWN = "canvas.sky[data-tiles]:not([data-tiles='0'])"  # at least one tile is on the canvas

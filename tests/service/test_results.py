@@ -16,12 +16,12 @@ import pytest
 import zarr
 from PIL import Image
 
-from pipeline.shares import parse_part
+from pipeline.route.shares import parse_part
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
-from service.files import open_inside
-from service.frames import frame_facts, tile_picture, tile_values, truth_of
 from service.problems import NotReady, NotThere
+from service.products.files import open_inside
+from service.products.frames import frame_facts, tile_picture, tile_values, truth_of
 
 
 def test_every_file_is_fetched_whole(server: Any, finished: str, tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_open_inside_refuses_a_linked_folder(tmp_path: Path) -> None:
 def test_tiles_are_told_and_shown_as_they_are_drawn(scene: dict[str, Any], tmp_path: Path) -> None:
     """Some tiles of 2 x 3 in a product that is not finished: just these can be seen."""
     scene["sensor"]["shape"], scene["output"] = [512, 768], {"tile_shape": [256, 256]}
-    from pipeline.run import render
+    from pipeline.route.run import render
 
     render(parse_scene(scene), tmp_path / "run", share=parse_part("1/3"))
     drawn = frame_facts(tmp_path / "run", 0)["drawn"]
@@ -170,7 +170,7 @@ def test_pictures_are_black_at_low_and_white_at_high(stretch: str) -> None:
 
 def test_the_wcs_of_a_frame_is_the_first_one_alone(scene: dict[str, Any], tmp_path: Path) -> None:
     """What places need, and no card of the alternate WCS."""
-    from pipeline.run import Options, render
+    from pipeline.route.run import Options, render
 
     render(parse_scene(scene), tmp_path / "run", Options("synchronous"))
     wcs = frame_facts(tmp_path / "run", 0)["wcs"]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.run import render
+from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from tests.tls_cluster import TlsCluster, make_certificates, tls_cluster_in
 

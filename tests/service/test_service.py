@@ -12,11 +12,11 @@ import psutil
 import pytest
 
 from catalog_tools.catalogue import VERSION
-from catalog_tools.synthetic import make_demo
-from pipeline.run import Options, render
+from catalog_tools.synthetic.synthetic import make_demo
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import check
-from service.attempts import bytes_of
+from service.engine.attempts import bytes_of
 
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
 

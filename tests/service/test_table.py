@@ -17,18 +17,18 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from pipeline.errors import BadInput
-from service.auth import Caller
-from service.database import connect
+from service.accounts.auth import Caller
 from service.integrity import find_faults
-from service.jobs import FINAL, NEXT, Job, Phase, Queue
-from service.leases import give_up, take
+from service.jobs.jobs import FINAL, NEXT, Job, Phase, Queue
+from service.jobs.submissions import Ask, Intake, TeamLimits, run_pending, submit_many, used_by
+from service.jobs.views import job_dict
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
 from service.routes.jobs import _events
+from service.scenes.uploads import Uploads
 from service.settings import Settings
-from service.submissions import Ask, Intake, TeamLimits, run_pending, submit_many, used_by
-from service.tables import audit, jobs, uploads
-from service.uploads import Uploads
-from service.views import job_dict
+from service.store.database import connect
+from service.store.leases import give_up, take
+from service.store.tables import audit, jobs, uploads
 
 
 def ask(key: str | None = None, team: str = "red", body: str = "b", **more: Any) -> Ask:
@@ -215,7 +215,9 @@ def test_a_pending_job_grows_within_the_quota(database: str) -> None:
 def test_a_deleted_job_is_not_overdue(database: str) -> None:
     """Its time of destruction came, and it is deleted already: nothing is left to be done."""
     store = Queue(database)
-    [(job, _), (kept, _)] = submit_many(store, [ask(destruction_s=1.0) for _ in range(2)], TeamLimits())
+    [(job, _), (kept, _)] = submit_many(
+        store, [ask(destruction_s=1.0) for _ in range(2)], TeamLimits()
+    )
     assert sorted(store.overdue()) == sorted([job.id, kept.id])
     store.delete(job.id, "red")
     assert store.overdue() == [kept.id]

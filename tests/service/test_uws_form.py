@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lxml import etree
 
-from service.jobs import Job, Phase
-from service.routes.uws import _time
-from service.uws_xml import job_xml, jobs_xml, parameters_xml, result_names, results_xml
+from service.jobs.jobs import Job, Phase
+from service.standards.uws import _time
+from service.standards.uws_xml import job_xml, jobs_xml, parameters_xml, result_names, results_xml
 
 # The form in RELAX NG, in this project's own words, after the standard's XML Schema
 # (1.1-REC-20161024); UWS_XSD names a copy of that one, where the documents are to be held

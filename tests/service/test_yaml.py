@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from pipeline.spec.load import parse_scene, scene_yaml
-from service.bodies import YAML_BYTES
+from service.http.bodies import YAML_BYTES
 
 YAML = {"content-type": "application/yaml"}
 MALFORMED = {

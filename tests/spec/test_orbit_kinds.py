@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from pipeline.spec.orbit import Orbit
+from pipeline.spec.targets.orbit import Orbit
 
 ADAPTER: TypeAdapter[Any] = TypeAdapter(Orbit)
 KEPLER = {"kind": "keplerian", "perigee_radius_m": 7e6, "eccentricity": 0.1,

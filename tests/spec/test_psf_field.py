@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.errors import BadInput
 from pipeline.spec.load import parse_scene
-from pipeline.spec.sensor import FieldPsf
+from pipeline.spec.sensor.sensor import FieldPsf
 
 Data = dict[str, Any]
 G, AIRY = {"kind": "gaussian", "sigma_px": 1.0}, {"kind": "airy", "defocus_um": 5.0}

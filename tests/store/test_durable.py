@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from catalog_tools.durable import whole_file, write_atomically
-from catalog_tools.ingest import ingest
-from pipeline.run import Options, render
+from catalog_tools.ingest.ingest import ingest
+from catalog_tools.storage.durable import whole_file, write_atomically
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.markers import read_marker
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import zarr
 
-from pipeline import run
 from pipeline.execute import coordinates
-from pipeline.run import Options, render
+from pipeline.route import run
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import _write_coordinate
 from pipeline.store.markers import markers_present, read_marker, write_marker

@@ -16,8 +16,8 @@ import zarr
 
 from pipeline.calibrate import calibrate
 from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
-from pipeline.run import Options, render
-from pipeline.shares import Share
+from pipeline.route.run import Options, render
+from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.markers import markers_present, read_marker

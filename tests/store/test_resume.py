@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 import zarr
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
-from pipeline.run import Options, join, render
-from pipeline.shares import Share
+from pipeline.route.run import Options, join, render
+from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 from pipeline.store.layout import only_writer
@@ -196,7 +196,7 @@ def stopped_before_the_end(scene, product, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.run.finish", stop)
+        patch.setattr("pipeline.route.run.finish", stop)
         with pytest.raises(KeyboardInterrupt):
             render(scene, product, HERE)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 
 IFOV_DEG, RA_DEG, DEC_DEG, SIDE = 2.0 / 3600.0, 160.0, 20.0, 256
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.run import Options
+from pipeline.route.run import Options
 from pipeline.sweep.forecast import forecast_course
 from pipeline.sweep.run import gather_course, run_course
 from pipeline.sweep.stages import stages

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.run import Options, render
+from pipeline.route.run import Options, render
 from pipeline.store.product import content_digest
 from pipeline.sweep.dependence import Barred, ReadsBarredError
 from pipeline.sweep.run import gather_course, point_scene, sweep

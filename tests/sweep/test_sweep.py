@@ -19,11 +19,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import BadInput
-from pipeline.inputs.sensor import gather_sensor_maps
-from pipeline.plan.geometry import plan_geometry
+from pipeline.inputs.sensor.sensor import gather_sensor_maps
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.tiles import Tile
-from pipeline.prepare import prepare
-from pipeline.run import Options
+from pipeline.route.prepare import prepare
+from pipeline.route.run import Options
 from pipeline.spec.load import InvalidScene, parse_scene
 from pipeline.spec.sweep import Detection
 from pipeline.spec.sweep_load import parse_sweep
@@ -177,7 +177,7 @@ def test_killed_at_any_moment_it_goes_on(sweep_file, tmp_path, monkeypatch):
     code = (
         "import sys, pathlib, pipeline.sweep.ledger as l\n"
         "l.PART_S = 0.05\n"
-        "from pipeline.run import Options\nfrom pipeline.sweep.run import sweep\n"
+        "from pipeline.route.run import Options\nfrom pipeline.sweep.run import sweep\n"
         "sweep(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]),"
         " Options('threads', 2, resume=pathlib.Path(sys.argv[2]).exists()))\n"
     )

@@ -150,7 +150,9 @@ def _whole_frames(r: Recorded, frame: int, key: tuple[int, int]) -> PlacedEvents
     dx = _offsets(lib.shape[1], r.columns)
     dy = _offsets(lib.shape[0], r.rows)
     gx, gy = (g.ravel() for g in np.meshgrid(dx, dy))
-    return PlacedEvents(np.repeat(number, len(gx)), np.tile(gx, len(number)), np.tile(gy, len(number)))
+    return PlacedEvents(
+        np.repeat(number, len(gx)), np.tile(gx, len(number)), np.tile(gy, len(number))
+    )
 
 
 def _offsets(recorded: int, wanted: int) -> Whole:

@@ -108,7 +108,8 @@ def core_band(spectrum: Spectrum, core: Core, period: tuple[int, int]) -> float:
 
 
 def block_spectrum(
-    body: Appearance, block: BodyBlock, oversampling: int, period: tuple[int, int], band_per_px: float
+    body: Appearance, block: BodyBlock, oversampling: int, period: tuple[int, int],
+    band_per_px: float
 ) -> Spectrum | None:
     """Fourier transform of a block of a body about the block's middle; None where it is dark.
 

@@ -63,7 +63,8 @@ class Distortion:
 def distortion_of(wish: Mapping[str, Any], rows: int, columns: int, ifov_rad: float) -> Distortion:
     """The distortion that a scene's plain data ask for, checked over the frame and a margin.
 
-    wish : `kind` (sip, tpv or radial) and its coefficients, as `pipeline.spec.distortion` has them
+    wish : `kind` (sip, tpv or radial) and its coefficients, as `pipeline.spec.sensor.distortion`
+        has them
     Raises BadInput that names `sensor.distortion` where it is not one-to-one.
     """
     origin = (0.0, 0.0)

@@ -153,7 +153,9 @@ class Pupil:
 
 
 @lru_cache(maxsize=24)  # the wavelengths of a band are at most 20
-def lattice(obscuration: float, vanes: SpiderVanes | None, waves: Terms, cells: int = CELLS) -> ApertureLattice:
+def lattice(
+    obscuration: float, vanes: SpiderVanes | None, waves: Terms, cells: int = CELLS
+) -> ApertureLattice:
     """Sample the pupil, correlate it with itself, and subtract the plain annulus."""
     at = (np.arange(cells) + 0.5) / cells - 0.5  # in diameters
     y, x = at[:, None], at[None, :]

@@ -1,7 +1,7 @@
 """Teams, keys, audit, usage, uploads, leases; jobs with seals. Jobs of the first form go along.
 
-Everything is written out here as it was in the second form: later forms change service/tables.py,
-and this file must not change with it.
+Everything is written out here as it was in the second form: later forms change
+service/store/tables.py, and this file must not change with it.
 """
 
 from __future__ import annotations

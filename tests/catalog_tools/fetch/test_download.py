@@ -17,10 +17,10 @@ from archive_server import ArchiveServer, md5sum_text, small_archive
 
 from catalog_tools.errors import BadInput, Damaged, Incomplete
 from catalog_tools.fetch.fetch import fetch
+from catalog_tools.fetch.fetched import stated_coverage
 from catalog_tools.fetch.layout import RELEASES
 from catalog_tools.fetch.ledger import folder_for
 from catalog_tools.fetch.patience import Patience, Unavailable
-from catalog_tools.fetched import stated_coverage
 
 
 def bring(archive, folder, patience, **options):

@@ -21,7 +21,7 @@ from catalog_tools.errors import BadInput, Incomplete
 from catalog_tools.fetch import tap
 from catalog_tools.fetch.cones import FetchCone
 from catalog_tools.fetch.fetch import fetch
-from catalog_tools.ingest import ingest
+from catalog_tools.ingest.ingest import ingest
 from catalog_tools.readers import read_tables
 
 CONE = FetchCone(359.8, -40.0, 1.5)
@@ -167,8 +167,8 @@ def test_same_bytes_every_time(service, tmp_path, hasty):
 
 def test_fetched_cones_are_ingested(service, sky, tmp_path, hasty):
     """Overlapping cones give rows twice; ingest keeps one of each and says so."""
-    from catalog_tools.ingest import ingest
-    from catalog_tools.query import cone as rows_in_cone
+    from catalog_tools.ingest.ingest import ingest
+    from catalog_tools.query.query import cone as rows_in_cone
 
     other = FetchCone(0.5, -40.0, 1.0)
     ask(service, tmp_path / "rows", hasty, CONE, other, FetchCone(180.0, 60.0, 0.1))

@@ -44,7 +44,7 @@ def pixel_light(dx: float, dy: float, q: float, eps: float, side: float = 1.0) -
 
 
 def radius_and_spacing(q: float) -> tuple[float, int]:
-    """The first core class of the plan (pipeline/plan/responses.py)."""
+    """The first core class of the plan (pipeline/plan/response/responses.py)."""
     radius = 12.0 * max(q, min(1.0, q) ** (1.0 / 3.0), 0.5)
     return radius, int(2 ** max(1, np.floor(np.log2(radius / 5.0))))
 

@@ -14,8 +14,8 @@ from pipeline.physics.positions.earth import EarthState, earth_and_sun, site_sta
 from pipeline.physics.positions.orbit_sgp4 import satellite_states, tle_satellite
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.vectors import separation, unit
-from pipeline.plan.orbits import Movers
-from pipeline.spec.orbit import TleOrbit
+from pipeline.plan.bodies.orbits import Movers
+from pipeline.spec.targets.orbit import TleOrbit
 
 skyfield = pytest.importorskip("skyfield.api")
 from skyfield.vectorlib import VectorFunction  # noqa: E402

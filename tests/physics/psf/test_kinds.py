@@ -63,7 +63,8 @@ def table() -> Optics:
 KINDS: list[Optics] = [
     Gaussian(0.05), Gaussian(1.0), Gaussian(50.0), EllipticalGaussian(3.0, 0.4, 1.0), Airy(0.1),
     Airy(1.0, 0.3), Airy(8.0, 0.95), Pupil(0.1, 0.3, SpiderVanes(4, 0.02)),
-    Pupil(1.0, 0.0, SpiderVanes(3, 0.05), ((8, 0.1),)), Pupil(8.0, 0.95, None, ((4, 0.2),)), band(0.1),
+    Pupil(1.0, 0.0, SpiderVanes(3, 0.05), ((8, 0.1),)), Pupil(8.0, 0.95, None, ((4, 0.2),)),
+    band(0.1),
     band(2.0), Moffat(0.5, 1.5), Moffat(3.0, 4.765), Moffat(100.0, 2.5), Kolmogorov(2.0),
     Kolmogorov(0.3, Airy(1.0, 0.3)), Kolmogorov(60.0, Airy(0.1)), table(),
 ]  # fmt: skip
@@ -204,7 +205,8 @@ def test_core_and_wings_together_against_the_whole_response(optics: Optics) -> N
 
 
 @pytest.mark.parametrize("optics", [Pupil(1.0, 0.3, SpiderVanes(3, 0.05)),
-                                    Pupil(1.0, 0.3, SpiderVanes(4, 0.02)), band(1.0), Moffat(2.0, 2.5),
+                                    Pupil(1.0, 0.3, SpiderVanes(4, 0.02)), band(1.0), Moffat(2.0,
+                                    2.5),
                                     Kolmogorov(1.0, Airy(1.0))], ids=name)  # fmt: skip
 def test_wings_fall_at_least_as_said(optics: Optics) -> None:
     blur = Blur(optics)

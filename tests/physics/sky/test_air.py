@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.inputs.curves import named_filter, solar_spectrum
-from pipeline.inputs.night import gather_night
+from pipeline.inputs.band.curves import named_filter, solar_spectrum
 from pipeline.inputs.reference import airglow as published
+from pipeline.inputs.sky.night import gather_night
 from pipeline.physics.constants import ARCSEC2_SR, DEG_RAD
 from pipeline.physics.radiometry import ab_photon_rate, box, photon_integral
 from pipeline.physics.sky.extinction import (
@@ -38,7 +38,7 @@ from pipeline.physics.sky.night import (
     twilight,
     twilight_zenith_v_mag,
 )
-from pipeline.spec.background import Background
+from pipeline.spec.sky.background import Background
 
 SUN_W, SUN_E, *_ = solar_spectrum()
 PARANAL = (2635.0, 0.12, 1.3, 260.0)

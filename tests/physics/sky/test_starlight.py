@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.inputs.colour_fit import gather_colour_fit
-from pipeline.inputs.curves import resolve_response
+from pipeline.inputs.band.colour_fit import gather_colour_fit
+from pipeline.inputs.band.curves import resolve_response
 from pipeline.physics.colour import brightest_electrons, star_electron_rate
 from pipeline.physics.sky.galactic import diffuse_light
 from pipeline.physics.sky.starlight import band_light

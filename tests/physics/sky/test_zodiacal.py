@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.inputs.curves import solar_spectrum
+from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.inputs.reference import zodiacal as published
 from pipeline.physics.radiometry import box
 from pipeline.physics.sky import zodiacal as z

@@ -1,0 +1,1 @@
+"""Where work runs: schedulers, clusters, threads, and how processes hold memory."""

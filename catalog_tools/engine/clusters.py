@@ -1,0 +1,185 @@
+"""Clusters beyond this machine: TLS with client certificates, workers of ours or of Slurm."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+import ssl
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import SplitResult, urlsplit
+
+from ..errors import BadInput, TryLater
+
+LOOPBACK = ("localhost", "::1")
+CERTIFICATES = ("NIGHTGLASS_CLUSTER_CA", "NIGHTGLASS_CLUSTER_CERT", "NIGHTGLASS_CLUSTER_KEY")
+WAIT_S = "NIGHTGLASS_WORKERS_WAIT_S"  # how long to wait for the first worker
+MOST_JOBS = 16
+ANSWER_S = 10.0  # how long a scheduler may take to answer
+
+
+def check_address(address: str, others: tuple[str, ...]) -> None:
+    """Refuse what is no scheduler's address: an open one runs anybody's code, so TLS off loopback.
+
+    others : names of schedulers that are no addresses, for the message
+    """
+    try:
+        parts = urlsplit(address)
+        known = parts.scheme in ("tcp", "tls") and bool(parts.hostname) and bool(parts.port)
+    except ValueError:  # a port that is no number
+        known = False
+    if not known:
+        allowed = f"{', '.join(others)}, tcp://127.0.0.1:PORT or tls://HOST:PORT"
+        raise BadInput("--scheduler", address, allowed)
+    host = str(parts.hostname)
+    if parts.scheme == "tcp" and not (host in LOOPBACK or host.startswith("127.")):
+        raise BadInput("--scheduler", address, "tls:// with certificates beyond this machine")
+
+
+def security_of(address: str) -> Any:
+    """TLS settings for an address: certificates from the environment, or from Dask's own settings.
+
+    None for tcp://. Raises BadInput where a file is not given or not there.
+    """
+    if not address.startswith("tls://"):
+        return None
+    from distributed import Security
+
+    files = {name: os.environ.get(name) for name in CERTIFICATES}
+    if not any(files.values()):
+        security = Security(require_encryption=True)  # distributed.comm.tls of Dask's settings
+        told = (getattr(security, name, None) for name in ("tls_ca_file", "tls_client_cert"))
+        if all(told):
+            return security
+    for name, path in files.items():
+        if not path or not Path(path).is_file():
+            raise BadInput(name, path, "a PEM file of the cluster's TLS (docs/cluster.md)")
+    ca, cert, key = (files[name] for name in CERTIFICATES)
+    return Security(
+        tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key, tls_worker_cert=cert,
+        tls_worker_key=key, require_encryption=True,
+    )  # fmt: skip
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """A client of the scheduler at an address, with at least one worker there."""
+    from distributed import Client
+
+    ask(address)
+    try:
+        client = Client(address, timeout=ANSWER_S, security=security_of(address))
+    except (OSError, TimeoutError, ValueError) as error:
+        raise TryLater(f"the scheduler at {address} takes no client ({error})") from None
+    with client:
+        if not client.nthreads():
+            wait_for_workers(client, address, float(os.environ.get(WAIT_S, "0")))
+        yield client
+
+
+def ask(address: str, patience_s: float | None = None) -> None:
+    """Make sure that a scheduler answers at an address: it speaks first.
+
+    Raises TryLater where none does, BadInput where the certificates do not fit.
+    """
+    security = security_of(address)
+    try:
+        _await_greeting(urlsplit(address), security, patience_s or ANSWER_S)
+    except ssl.SSLError as error:
+        allowed = f"a scheduler whose certificates fit those given here ({error.reason or error})"
+        raise BadInput("--scheduler", address, allowed) from None
+    except OSError as error:
+        hint = "" if security else "; is it a tls:// one?"
+        reason = error.strerror or str(error) or type(error).__name__
+        raise TryLater(f"no scheduler answers at {address} ({reason}{hint})") from None
+
+
+def _await_greeting(parts: SplitResult, security: Any, patience_s: float) -> None:
+    """Connect and wait for the first byte. Raises OSError."""
+    with ExitStack() as closing:
+        wire = socket.create_connection((str(parts.hostname), int(parts.port or 0)), patience_s)
+        closing.callback(wire.close)
+        if security is not None:
+            context = security.get_connection_args("client")["ssl_context"]
+            wire = closing.enter_context(context.wrap_socket(wire))
+        if not wire.recv(1):
+            raise ConnectionResetError("it closes the connection")
+
+
+def wait_for_workers(client: Any, where: str, seconds: float) -> None:
+    """Wait for a first worker. Raises TryLater where none comes."""
+    try:
+        if seconds <= 0:
+            raise TimeoutError
+        client.wait_for_workers(1, timeout=seconds)
+    except TimeoutError:
+        told = f"{WAIT_S} says how many seconds are waited for the first"
+        raise TryLater(f"the scheduler at {where} has no workers ({told})") from None
+
+
+async def work(address: str, patience_s: float, **options: Any) -> None:
+    """Work for the scheduler at an address until a signal comes.
+
+    patience_s : how long a scheduler is waited for; options : of Dask's Nanny
+    Raises TryLater where the scheduler goes away, or does not come.
+    """
+    from distributed import Nanny
+
+    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stopped.set)
+    stop = asyncio.ensure_future(stopped.wait())
+    security = security_of(address)
+    nanny = Nanny(address, security=security, death_timeout=patience_s, dashboard=False, **options)
+
+    async def whole() -> None:
+        await nanny
+        await nanny.finished()
+
+    life = asyncio.ensure_future(whole())
+    await asyncio.wait({life, stop}, return_when=asyncio.FIRST_COMPLETED)
+    if stopped.is_set():
+        await nanny.close(timeout=10)
+        return
+    stop.cancel()
+    if error := life.exception():
+        reason = str(error.__cause__ or error) or f"within {patience_s:g} s"
+        raise TryLater(f"no scheduler answers at {address} ({reason})") from None
+    raise TryLater(f"the scheduler at {address} went away: this worker ends")
+
+
+@contextmanager
+def slurm(jobs: int | None) -> Iterator[Any]:
+    """A client of workers that Slurm starts: as many jobs as there is work for, up to `jobs`.
+
+    Queue, cores, memory and the like come from Dask's own settings (jobqueue.slurm). Scheduler and
+    workers speak TLS with certificates made for this run, in a folder that only the user can read.
+    """
+    try:
+        from dask_jobqueue import SLURMCluster
+    except ImportError:
+        allowed = "pip install nightglass[slurm], which brings dask-jobqueue"
+        raise BadInput("--scheduler", "slurm", allowed) from None
+    from distributed import Client, Security
+
+    folder = Path(os.environ.get("NIGHTGLASS_SLURM_FOLDER") or Path.home() / ".nightglass-slurm")
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    try:
+        cluster = SLURMCluster(
+            security=Security.temporary(), protocol="tls://", shared_temp_directory=str(folder)
+        )
+    except (ValueError, RuntimeError, OSError) as error:
+        raise BadInput(
+            "--scheduler", "slurm", f"settings in jobqueue.slurm of Dask's configuration; {error}"
+        ) from None
+    with cluster, Client(cluster, timeout=30) as client:
+        cluster.adapt(minimum_jobs=1, maximum_jobs=jobs or MOST_JOBS)
+        try:
+            client.wait_for_workers(1, timeout=float(os.environ.get(WAIT_S, "86400")))
+        except TimeoutError:
+            raise TryLater("Slurm started no job in time") from None
+        yield client

@@ -1,0 +1,1 @@
+"""The sphere: directions, nested HEALPix pixels and what they number, regions."""

@@ -1,0 +1,1 @@
+"""Read a catalogue: the stars in a region, the light of stars not drawn."""

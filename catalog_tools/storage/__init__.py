@@ -1,0 +1,1 @@
+"""Bytes at rest: files that are whole or absent, folders, URLs, object stores."""

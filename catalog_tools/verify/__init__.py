@@ -1,0 +1,1 @@
+"""Prove a catalogue whole: every byte, every row, every count."""

@@ -1,0 +1,150 @@
+"""The command line's `nightglass sweep`: run a sweep file, go on with one, show a point's scene."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pipeline.commands.jobs import Server
+from pipeline.commands.options import (
+    Json,
+    Output,
+    SchedulerName,
+    Slurm,
+    Workers,
+    print_json,
+    told_if_interrupted,
+)
+from pipeline.lines import fold
+
+SweepFile = Annotated[Path, typer.Argument(help="sweep file, YAML or JSON", metavar="SWEEP")]
+
+
+def sweep(
+    file: SweepFile,
+    output: Output = Path("sweep"),
+    scheduler: SchedulerName = "threads",
+    workers: Workers = None,
+    slurm: Slurm = False,
+    resume: Annotated[bool, typer.Option("--resume", help="go on with an unfinished one")] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="with --resume: failed points once more")
+    ] = False,
+    point: Annotated[
+        int | None, typer.Option("--point", help="only print the scene of this point")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="only say what the whole sweep would take")
+    ] = False,
+    server: Server = None,
+    as_json: Json = False,
+) -> None:
+    """Run a sweep: many scenes that differ in some fields, measured into one table of points.
+
+    With --server it runs there, and its results are fetched.
+    """
+    if server is not None:
+        placed = scheduler != "threads", workers is not None, slurm
+        here = any((*placed, resume, retry_failed, dry_run))
+        _there(file, output, server, as_json, here, point)
+        return
+    if dry_run:
+        _print_forecast(file, as_json)
+        return
+    from pipeline.sweep.run import Options, point_scene
+    from pipeline.sweep.run import sweep as run
+
+    if point is not None:
+        from pipeline.spec.load import scene_yaml
+
+        print(scene_yaml(point_scene(file, point)), end="")
+        return
+    options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
+    kept = told_if_interrupted(str(output), lambda: "finished points are kept")
+    with kept, _progress(as_json or not sys.stderr.isatty()) as listen:
+        report = run(file, output, options, retry_failed, listen)
+    if as_json:
+        print_json(report)
+    else:
+        _print(report, output)
+
+
+def _print_forecast(file: Path, as_json: bool) -> None:
+    from pipeline.lines import pair
+    from pipeline.sweep.forecast import forecast_course
+    from pipeline.sweep.run import gather_course
+
+    told = forecast_course(gather_course(file, Path()))
+    if as_json:
+        print_json(told)
+        return
+    rows, columns = told["shape"]
+    counts, each = told["different"], told["seconds_each"]
+    drawn = ", ".join(f"{counts[kind]} of {kind}" for kind in ("stars", "targets", "sky"))
+    for name, text in (
+        ("points", f"{told['points']}, each {told['frames']} frame(s) of {rows} x {columns} px"),
+        ("shared", f"{counts['plans']} plans; different light: {drawn}"),
+        ("time", f"{told['cpu_s']:.3g} s of one core; {told['alone_cpu_s']:.3g} s if nothing were "
+                 f"shared"),
+        ("each", f"plan {each['plan']:.2g} s, light {each['light']:.2g} s, "
+                 f"point {each['point']:.2g} s"),
+        ("memory", f"{told['worker_memory_mb']:.0f} MB a worker, and what it keeps of the light"),
+        ("metrics", ", ".join(told["metrics"])),
+    ):  # fmt: skip
+        print(pair(name, text, 8))
+
+
+def _there(
+    file: Path, output: Path, server: str, as_json: bool, decided: bool, point: int | None
+) -> None:
+    from pipeline.commands.jobs import sweep_there
+    from pipeline.errors import BadInput
+
+    if decided or point is not None:
+        allowed = (
+            "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point, --dry-run"
+        )
+        raise BadInput("--server", "with them", allowed)
+    report = sweep_there(file, output, server, as_json)
+    if as_json:
+        print_json(report)
+    else:
+        _print(report, output)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[Any], None] | None]:
+    """A listener that shows points done, failed ones and the time left on stderr."""
+    if quiet:
+        yield None
+        return
+    from pipeline.commands.pages import progress_bar
+
+    with progress_bar("points") as bar:
+        task = bar.add_task("planning", total=None)
+
+        def listen(progress: Any) -> None:
+            failed = f", {progress.failed} failed" if progress.failed else ""
+            bar.update(
+                task, total=progress.total, completed=progress.done, description=f"running{failed}"
+            )
+
+        yield listen
+
+
+def _print(report: dict[str, Any], output: Path) -> None:
+    print(
+        f"{output}: {report['points']} points in {report['seconds']:.2f} s, "
+        f"{report['failed']} failed"
+    )
+    for name, spread in report["metrics"].items():
+        if spread["known"]:
+            print(f"  {name:>28}  {spread['least']:.5g} .. {spread['largest']:.5g}")
+    for text, count in report["messages"].items():
+        print(fold(text, " " * 6, f"  failed, {count} x: "))
+    print(f"  {output / 'points.parquet'}, {output / 'summary.html'}")

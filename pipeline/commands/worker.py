@@ -1,0 +1,31 @@
+"""The command line's `nightglass worker`: work for a scheduler until it goes away."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def worker(
+    address: Annotated[str, typer.Argument(help="tls://HOST:PORT", metavar="SCHEDULER")],
+    threads: Annotated[int, typer.Option(min=1, help="tasks at once")] = 1,
+    memory: Annotated[str, typer.Option(help="most memory, such as 2GiB")] = "auto",
+    folder: Annotated[Path | None, typer.Option(help="for what it must put aside")] = None,
+    port: Annotated[int, typer.Option(help="its own port; 0: any")] = 0,
+    nanny_port: Annotated[int, typer.Option(help="of the process that watches it")] = 0,
+    patience: Annotated[float, typer.Option(help="seconds to wait for the scheduler")] = 60.0,
+) -> None:
+    """Draw for a scheduler, with the certificates of the environment. Exit 4 when it goes away."""
+    import asyncio
+
+    from catalog_tools.engine.clusters import check_address, work
+    from catalog_tools.engine.schedulers import LOCAL_KINDS, set_up_dask
+
+    check_address(address, LOCAL_KINDS)
+    set_up_dask()
+    asyncio.run(work(
+        address, patience, nthreads=threads, memory_limit=memory, port=nanny_port,
+        worker_port=port, local_directory=folder and str(folder),
+    ))  # fmt: skip

@@ -1,0 +1,1 @@
+"""The sensor's band: spectral curves, and the fit of colours to it."""

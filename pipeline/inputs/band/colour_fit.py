@@ -1,0 +1,195 @@
+"""Fit the colour correction of a band once, keep it on disk, describe it."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import tempfile
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.inputs.band.curves import named_filter, stellar_library, stellar_library_digest
+from pipeline.physics.colour import ColourFit, choose_degree, colour_correction_mag, fit_colour
+from pipeline.physics.radiometry import Array, ResponseCurve, photon_integral
+
+FORMAT = "nightglass/colour-fit/1"
+
+# Of the published DR2 magnitudes: measured on real rows as mag + 2.5 log10(flux), 25.6884 with a
+# scatter of 5e-7 (Evans et al. 2018, A&A 616, A4). The revised passbands' own 25.6914 belongs to
+# magnitudes that DR2 does not publish; it would make every star 0.28% brighter.
+GAIA_G_ZERO_POINT_MAG = 25.6883657251
+GAIA_PUPIL_M2 = 0.7278  # Gaia Collaboration, Prusti et al. 2016, A&A 595, A1
+
+# Redder spectra (M6V, M7III...) leave the common relation: 0.4% of DR2's stars, which are clamped.
+REDDEST_BP_RP_MAG = 3.4
+
+# Median and half of the 16 to 84% range of BP-RP of 727 random DR2 rows with G > 18.
+DEFAULT_BP_RP_MAG, DEFAULT_SCATTER_MAG = 1.44, 0.50
+
+
+# Of 921 random stars of DR2 with colours, G 12 to 21: BP-RP at 5, 15 ... 95%, and of all.
+TYPICAL_BP_RP_MAG = (0.81, 1.01, 1.13, 1.24, 1.37, 1.50, 1.66, 1.83, 2.04, 2.58)
+BLUEST_AND_REDDEST_MAG = (-0.47, 4.09)
+
+
+class ColourPoints(NamedTuple):
+    """Synthetic colours of the library relative to its A0V: names, BP-RP (n,), band - G (n,)."""
+
+    names: tuple[str, ...]
+    bp_rp: Array
+    band_minus_g: Array
+    a0v_band_over_g: float
+    source: str
+
+
+def gather_colour_points(response: ResponseCurve) -> ColourPoints:
+    """Colours of every spectrum of the stellar library through a response, sorted by BP-RP.
+
+    Photon-counting synthetic photometry with the revised DR2 passbands (photon responses).
+    `a0v_band_over_g` is the ratio of A0V's electrons in the band to those in Gaia's G.
+    """
+    library, source = stellar_library()
+    bands = [named_filter(f"gaiadr2-{band}") for band in ("G", "BP", "RP")] + [response]
+    rates = np.array([[photon_integral(w, f, band) for band in bands] for _, w, f in library])
+    names = [name for name, _, _ in library]
+    a0v = rates[names.index("A0V")]
+    with np.errstate(divide="ignore"):
+        g, bp, rp, band = -2.5 * np.log10(rates / a0v).T
+    order = [i for i in np.argsort(bp - rp) if math.isfinite(band[i])]
+    return ColourPoints(
+        tuple(names[i] for i in order),
+        (bp - rp)[order],
+        (band - g)[order],
+        float(a0v[3] / a0v[0]),
+        source,
+    )
+
+
+def fit_band(points: ColourPoints, band_name: str, degree: int | None = None) -> ColourFit:
+    """Fit the colour polynomial to the library's points; degree None is cross-validated."""
+    used = points.bp_rp <= REDDEST_BP_RP_MAG
+    x, y = points.bp_rp[used], points.band_minus_g[used]
+    coefficients = fit_colour(x, y, degree if degree is not None else choose_degree(x, y))
+    residual = y - np.polynomial.polynomial.polyval(x, coefficients)
+    around = DEFAULT_BP_RP_MAG + DEFAULT_SCATTER_MAG * np.array([-1.0, 0.0, 1.0])
+    blue, middle, red = np.polynomial.polynomial.polyval(around, coefficients)
+    zero_g = 10.0 ** (0.4 * GAIA_G_ZERO_POINT_MAG) / GAIA_PUPIL_M2
+    return ColourFit(
+        band_name=band_name,
+        coefficients=coefficients,
+        colour_range=(float(x[0]), float(x[-1])),
+        residual_rms_mag=float(np.sqrt(np.mean(residual**2))),
+        residual_max_mag=float(np.max(np.abs(residual))),
+        default_colour=DEFAULT_BP_RP_MAG,
+        default_colour_scatter=DEFAULT_SCATTER_MAG,
+        default_error_mag=float(max(abs(blue - middle), abs(red - middle))),
+        zero_electrons_s_m2=zero_g * points.a0v_band_over_g,
+        source=points.source,
+        spectra_count=int(x.size),
+    )
+
+
+def default_colour_error_mag(fit: ColourFit) -> tuple[float, float]:
+    """What the default colour may cost a star's magnitude in the band: rms and largest.
+
+    From the fit at the colours of typical stars, against that at the default one.
+    """
+    taken = colour_correction_mag(np.array([fit.default_colour]), fit)
+    typical = colour_correction_mag(np.array(TYPICAL_BP_RP_MAG), fit) - taken
+    extreme = colour_correction_mag(np.array(BLUEST_AND_REDDEST_MAG), fit) - taken
+    return float(np.sqrt(np.mean(typical**2))), float(np.abs([*typical, *extreme]).max())
+
+
+def gather_colour_fit(
+    response: ResponseCurve,
+    band_name: str,
+    digest: str,
+    cache_dir: Path | None,
+    degree: int | None = None,
+) -> ColourFit:
+    """The colour fit of a band: read from `cache_dir` where it is known, else fitted and kept.
+
+    digest : of the response (`resolve_response`); with the library's content, the degree and
+    the format it names the file. A damaged file is fitted anew; a folder that cannot be written
+    keeps nothing.
+    """
+    if cache_dir is None:
+        return fit_band(gather_colour_points(response), band_name, degree)
+    key = "|".join((FORMAT, digest, band_name, stellar_library_digest(), str(degree)))
+    path = Path(cache_dir) / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
+    known = _read_fit(path)
+    if known is not None:
+        return known
+    fit = fit_band(gather_colour_points(response), band_name, degree)
+    with contextlib.suppress(OSError):
+        _write_fit(path, fit)
+    return fit
+
+
+def _read_fit(path: Path) -> ColourFit | None:
+    """The stored fit, or None where there is none or it is damaged."""
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        content = stored["fit"]
+        if stored["format"] != FORMAT or stored["sha256"] != checksum(content):
+            return None
+        return fit_of(content)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def fit_of(content: dict[str, Any]) -> ColourFit:
+    """A fit from its plain data. KeyError, TypeError or ValueError for what is none."""
+    low, high = content["colour_range"]
+    arrays = {
+        "coefficients": np.array(content["coefficients"], dtype=np.float64),
+        "colour_range": (float(low), float(high)),
+        "digest": None,
+    }
+    return ColourFit(**{f.name: ({**content, **arrays})[f.name] for f in fields(ColourFit)})
+
+
+def _write_fit(path: Path, fit: ColourFit) -> None:
+    content = plain_fit(fit)
+    text = json.dumps({"format": FORMAT, "sha256": checksum(content), "fit": content}, indent=1)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        Path(temporary).replace(path)
+    except OSError:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def plain_fit(fit: ColourFit) -> dict[str, Any]:
+    """A fit as plain data."""
+    return asdict(fit) | {
+        "coefficients": [float(c) for c in fit.coefficients],
+        "colour_range": list(fit.colour_range),
+    }
+
+
+def checksum(content: dict[str, Any]) -> str:
+    """SHA-256 of a fit's plain data."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def describe(fit: ColourFit, points: ColourPoints | None = None) -> dict[str, Any]:
+    """What `nightglass color-fit` shows: the fit and, with points, each spectrum's residual."""
+    described = plain_fit(fit)
+    described["formula"] = "band - G = sum of coefficients[k] (BP-RP)^k, zero at A0V"
+    if points is not None:
+        residual = points.band_minus_g - colour_correction_mag(points.bp_rp, fit)
+        described["spectra"] = [
+            {"name": n, "bp_rp": float(x), "band_minus_g": float(y), "residual_mag": float(r)}
+            for n, x, y, r in zip(*points[:3], residual, strict=True)
+        ]
+    return described

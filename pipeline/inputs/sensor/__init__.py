@@ -1,0 +1,1 @@
+"""What sensor and optics are made from: images, tables, libraries."""

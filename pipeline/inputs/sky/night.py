@@ -1,0 +1,32 @@
+"""What airglow, moonlight and twilight need: the published airglow, Sun and Moon in the band."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.errors import BadInput
+from pipeline.inputs.band.curves import solar_spectrum
+from pipeline.inputs.reference import airglow as published
+from pipeline.physics.radiometry import ResponseCurve
+from pipeline.physics.sky.moon import spectrum
+from pipeline.physics.sky.night import NightBand, airglow_pieces, pieces_of, solar_activity
+from pipeline.spec.sky.background import Airglow, Background
+
+
+def gather_night(wish: Background, response: ResponseCurve) -> NightBand:
+    """Light of the air in a band. Raises BadInput for airglow where its table has no values."""
+    wavelength, irradiance, _, _ = solar_spectrum()
+    sun = pieces_of(wavelength, irradiance, response)
+    moon = pieces_of(wavelength, spectrum(wavelength, irradiance), response)
+    glow = np.zeros(len(sun))
+    if isinstance(wish.airglow, Airglow):
+        edges = np.array(published.EDGES_NM, float)
+        ends = response.wavelength_m[[0, -1]] * 1e9
+        if ends[0] < edges[0] - 1e-6 or ends[1] > edges[-1] + 1e-6:
+            raise BadInput(
+                "background.airglow", f"a band from {ends[0]:g} to {ends[1]:g} nm",
+                f"a band within {edges[0]:g} to {edges[-1]:g} nm, where airglow is known",
+            )  # fmt: skip
+        activity = solar_activity(wish.airglow.solar_flux_sfu, published.SOLAR_FLUX_SFU)
+        glow = airglow_pieces(edges * 1e-9, np.array(published.ZENITH), response, activity)
+    return NightBand(glow, sun, moon)

@@ -1,0 +1,1 @@
+"""Stars from catalogues: opened, covered, read."""

@@ -1,0 +1,1 @@
+"""What targets are made from: orbits, ephemerides, populations, meshes."""

@@ -1,0 +1,166 @@
+"""The surfaces that a mesh's materials stand for: BRDFs with their numbers, tables read."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput
+from pipeline.physics.meshes import brdf
+from pipeline.physics.meshes.brdf_table import BrdfTable, brdf_table
+from pipeline.physics.meshes.intensity import FacetSurface
+from pipeline.spec.targets.mesh import (
+    AshikhminShirleySurface,
+    CookTorranceSurface,
+    LambertSurface,
+    PhongSurface,
+    TableSurface,
+)
+
+Array = NDArray[np.float64]
+
+COLUMNS = ("theta_i_deg", "theta_o_deg", "phi_deg", "brdf_per_sr")
+LARGEST_TABLE_BYTES = 100_000_000
+# Sharper highlights than these are drawn with the Sun as a disc of 0.53 degrees: below, it changes
+# their peak by less than 1%
+SHARP_EXPONENT, SHARP_ROUGHNESS, SUN_RINGS = 400.0, 0.05, 3
+
+
+class Palette:
+    """The surfaces of one body, each once; grows while its parts are put together."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, int] = {}
+        self._surfaces: list[FacetSurface] = []
+        self._digest = hashlib.sha256()
+
+    @property
+    def surfaces(self) -> tuple[FacetSurface, ...]:
+        return tuple(self._surfaces)
+
+    @property
+    def digest(self) -> str:
+        return self._digest.hexdigest()
+
+    def number(self, material: str, owners: tuple[Any, ...], field: str) -> int | None:
+        """The surface of a material: the first owner's that has one, by name, then for all."""
+        for owner in owners:
+            wish = owner.materials.get(material, owner.surface)
+            if wish is not None:
+                break
+        else:
+            return None
+        key = wish.model_dump_json()
+        if key not in self._made:
+            where = f"{field}.materials.{material}" if material else f"{field}.surface"
+            surface, content = make_surface(wish, where)
+            self._made[key] = len(self._surfaces)
+            self._surfaces.append(surface)
+            self._digest.update(key.encode() + content)
+        return self._made[key]
+
+
+def make_surface(wish: Any, field: str = "surface") -> tuple[FacetSurface, bytes]:
+    """The surface that a scene describes, and the bytes of the file it was read from, if any."""
+    if isinstance(wish, TableSurface):
+        given, raw = read_brdf_table(Path(wish.path), wish.scale, field)
+        return FacetSurface(given, wish.two_sided), raw
+    given, sharp = FORMULAS[type(wish)](wish)
+    return FacetSurface(given, wish.two_sided, SUN_RINGS if sharp else 0), b""
+
+
+def _lambert(wish: LambertSurface) -> tuple[Any, bool]:
+    return partial(brdf.lambert, albedo=wish.albedo), False
+
+
+def _phong(wish: PhongSurface) -> tuple[Any, bool]:
+    given = partial(
+        brdf.phong, diffuse=wish.diffuse, specular=wish.specular, exponent=wish.exponent
+    )
+    return given, bool(wish.specular) and wish.exponent > SHARP_EXPONENT
+
+
+def _cook_torrance(wish: CookTorranceSurface) -> tuple[Any, bool]:
+    index = None if wish.refractive_index is None else complex(*wish.refractive_index)
+    given = partial(
+        brdf.cook_torrance, diffuse=wish.diffuse, roughness=wish.roughness, index=index,
+        normal_reflectance=wish.normal_reflectance or 0.0,
+    )  # fmt: skip
+    return given, wish.roughness < SHARP_ROUGHNESS
+
+
+def _ashikhmin_shirley(wish: AshikhminShirleySurface) -> tuple[Any, bool]:
+    across = wish.exponent_u if wish.exponent_v is None else wish.exponent_v
+    given = partial(
+        brdf.ashikhmin_shirley, diffuse=wish.diffuse, specular=wish.specular,
+        exponent_u=wish.exponent_u, exponent_v=across, grain=np.array(wish.grain),
+    )  # fmt: skip
+    sharp = max(wish.exponent_u, across) > 0.25 * SHARP_EXPONENT
+    return given, sharp and bool(wish.specular)
+
+
+# By kind of surface: its reflectance, and whether its highlight is as sharp as the Sun's disc.
+FORMULAS: dict[type, Callable[[Any], tuple[Any, bool]]] = {
+    LambertSurface: _lambert, PhongSurface: _phong, CookTorranceSurface: _cook_torrance,
+    AshikhminShirleySurface: _ashikhmin_shirley,
+}  # fmt: skip
+
+
+def read_brdf_table(
+    path: Path, scale: float = 1.0, field: str = "surface"
+) -> tuple[BrdfTable, bytes]:
+    """A measured BRDF from CSV or NPY: rows of theta_i, theta_o, phi [deg] and BRDF [1/sr].
+
+    BadInput where the file is missing or too large, a column is missing, a value is no number, or
+    the rows are not one for each point of a grid.
+    """
+    name = f"{field}.path"
+    raw, rows = _brdf_rows(path, name)
+    axes, places = zip(*(np.unique(c, return_inverse=True) for c in rows.T[:3]), strict=True)
+    shape = tuple(a.size for a in axes)
+    values = np.full(shape, np.nan)
+    values[places] = rows[:, 3] * scale
+    if rows.shape[0] != values.size or np.any(np.isnan(values)):
+        allowed = f"one row for each point of the grid of {shape[0]} x {shape[1]} x {shape[2]}"
+        raise BadInput(name, f"{path.name} of {len(rows)} rows", allowed)
+    theta_i, theta_o, phi = (np.deg2rad(a) for a in axes)
+    return brdf_table(theta_i, theta_o, phi, values, field), raw
+
+
+def _brdf_rows(path: Path, name: str) -> tuple[bytes, Array]:
+    """The bytes of a table's file, and its rows (n, 4) of finite numbers."""
+    if not path.is_file() or path.suffix.lower() not in (".csv", ".npy"):
+        raise BadInput(name, str(path), "an existing .csv or .npy file")
+    if path.stat().st_size > LARGEST_TABLE_BYTES:
+        raise BadInput(name, path.name, f"a file of at most {LARGEST_TABLE_BYTES} bytes")
+    raw = path.read_bytes()
+    rows = _npy(path, name) if path.suffix.lower() == ".npy" else _csv(raw, path.name, name)
+    if rows.ndim != 2 or rows.shape[1] != 4 or not np.all(np.isfinite(rows)):
+        raise BadInput(name, path.name, f"rows of 4 finite numbers: {', '.join(COLUMNS)}")
+    return raw, rows
+
+
+def _npy(path: Path, field: str) -> Array:
+    try:
+        return np.asarray(np.load(path, allow_pickle=False), float)
+    except (ValueError, OSError, EOFError, TypeError):
+        raise BadInput(field, path.name, "an NPY file of numbers") from None
+
+
+def _csv(raw: bytes, name: str, field: str) -> Array:
+    lines = raw.decode("utf-8", "replace").splitlines()
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    heads = [h.strip() for h in lines[0].split(",")] if lines else []
+    if any(c not in heads for c in COLUMNS):
+        raise BadInput(field, name, f"a first line with the columns {', '.join(COLUMNS)}")
+    try:
+        table = np.array([line.split(",") for line in lines[1:]], float)
+        return table[:, [heads.index(c) for c in COLUMNS]]
+    except (ValueError, IndexError):
+        raise BadInput(field, name, "rows of numbers under each column") from None

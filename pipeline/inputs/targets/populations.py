@@ -1,0 +1,35 @@
+"""Populations of a scene: their files read batch by batch, screened, the kept made targets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.inputs.targets.population_files import element_sets, file_digest, read_sizes
+from pipeline.plan.targets.populations import Sieve, look_of, with_members
+from pipeline.spec.scene import Scene, Target
+from pipeline.spec.targets.population import Population
+
+
+def gather_populations(scene: Scene, halo_px: float, dut1_s: float) -> Scene:
+    """The scene with the objects of its populations that come into the field among its targets.
+
+    halo_px : how far off the frame a source may be and still be drawn. A population that has been
+    screened is not read again: its targets stand in the scene. BadInput where a file cannot be used
+    """
+    if all(p.screened is not None for p in scene.populations):
+        return scene
+    look = look_of(scene, halo_px, dut1_s)
+    found: list[tuple[list[Target], Population]] = []
+    for i, population in enumerate(scene.populations):
+        if population.screened is not None:
+            found.append(([], population))
+            continue
+        field = f"populations.{i}"
+        sizes = {} if population.sizes is None else read_sizes(
+            Path(population.sizes), f"{field}.sizes"
+        )  # fmt: skip
+        sieve = Sieve(population, look, sizes, field)
+        for batch in element_sets(Path(population.path), f"{field}.path"):
+            sieve.take(batch)
+        found.append(sieve.close(file_digest(Path(population.path))))
+    return with_members(scene, found)

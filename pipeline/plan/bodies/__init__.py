@@ -1,0 +1,1 @@
+"""Bodies and their orbits: where they are seen, and the light they send."""

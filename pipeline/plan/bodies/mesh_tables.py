@@ -1,0 +1,175 @@
+"""Meshes that many frames need: their light worked out beforehand, along time and spin phase."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.physics.meshes.light_table import TURN, LightTable, tabulated
+from pipeline.physics.meshes.model import MeshModel
+from pipeline.physics.positions.times import parse_utc
+from pipeline.plan.bodies.attitudes import View, since_s
+from pipeline.plan.bodies.meshes import STEP_RAD, mesh_earthshine_m2_sr, mesh_m2_sr
+from pipeline.plan.bodies.paths import Moments, sights
+from pipeline.plan.decision import Decision
+from pipeline.plan.timing import end_s, frame_count, frame_times, integration_range_s
+from pipeline.spec.scene import Scene
+from pipeline.spec.targets.body import SpinAttitude
+from pipeline.spec.targets.mesh import MeshBody
+
+Array = NDArray[np.float64]
+
+WORTH = 300  # moments to work out: below it a table is not tried
+FINER = 0.1  # of the error asked for: that of single moments, or the table would follow it
+SHARE = 3  # a table takes at most a third of the moments that it saves
+MOST_NODES = 257  # of a frame
+KEPT: dict[str, LightTable | None] = {}  # of this process, by what they follow from
+MOST_KEPT = 256
+
+
+def table_of(scene: Scene, index: int, at: Moments) -> LightTable | None:
+    """The table of a mesh target of a scene, None where each frame works out its own light.
+
+    It follows from the scene alone: from the first exposure's start to the last one's end, whatever
+    frames are asked for. Lights: in sunlight (eclipses not counted), and in earthshine where that
+    is asked for, as `mesh_m2_sr` and `mesh_earthshine_m2_sr` tell them.
+    """
+    body: Any = scene.targets[index].body
+    wanted = moments_wanted(scene, body)
+    return table_between(scene, index, at, *_span(scene), wanted)
+
+
+def table_between(
+    scene: Scene, index: int, at: Moments, start_s: float, stop_s: float, wanted: int
+) -> LightTable | None:
+    """The same between two times after the epoch, for about so many moments."""
+    body: Any = scene.targets[index].body
+    if wanted < WORTH or at.elsewhere is None:
+        return None
+    key = _key(scene, index, start_s, stop_s, wanted)
+    if key not in KEPT:
+        made, spin = None, spin_rad_s(body)
+        if spin is not None:
+            light, share = _Light(scene, index, at, spin), 2.0 * body.error
+            made = tabulated(light, start_s, stop_s, share, wanted // SHARE, spin != 0.0)
+        while len(KEPT) >= MOST_KEPT:
+            KEPT.pop(next(iter(KEPT)))
+        KEPT[key] = made
+    return KEPT[key]
+
+
+def moments_wanted(scene: Scene, body: MeshBody) -> int:
+    """About how many moments of a body's light the frames of a scene need by themselves."""
+    spin = spin_rad_s(body)
+    rate = max((abs(r) for r in _rates(body)), default=0.0) if spin is None else abs(spin)
+    turned = rate * integration_range_s(scene)[1]
+    return frame_count(scene) * min(2 + int(turned / STEP_RAD), MOST_NODES)
+
+
+def table_phase(scene: Scene, index: int, view: View) -> Array:
+    """Spin phases (n,) [rad] of a mesh target at the moments of a view (T = 1)."""
+    body: Any = scene.targets[index].body
+    return _phase(body, parse_utc(scene.epoch), view.time_s[0], f"targets.{index}.body")
+
+
+def spin_rad_s(body: MeshBody) -> float | None:
+    """Rate of the one even turn of a body or of a joint, 0 without; None where there are more."""
+    rates = _rates(body)
+    return None if len(rates) > 1 else sum(rates)
+
+
+def decide_tables(scene: Scene) -> list[Decision]:
+    """What the plan says of tables of light; nothing where no mesh needs many moments."""
+    out = []
+    for index, target in enumerate(scene.targets):
+        body = target.body
+        if not isinstance(body, MeshBody) or moments_wanted(scene, body) < WORTH:
+            continue
+        wanted = moments_wanted(scene, body)
+        table = KEPT.get(_key(scene, index, *_span(scene), wanted))
+        bound = None if table is None else table.worst if len(table.values) > 1 else table.error
+        if table is None:
+            why = (
+                f"{target.name}: none within a third of the about {wanted} moments that the frames "
+                f"need and {2.0 * (body.error or 0.0):.2g} of the light, or more than one part "
+                "spins by itself: each frame works out its own light"
+            )
+        else:
+            phases = len(table.values)
+            grid = f"{phases} phases of its spin by " if phases > 1 else ""
+            why = (
+                f"{target.name}: worked out beforehand at {grid}{len(table.times_s)} times, "
+                f"{table.worked} moments instead of about {wanted}; straight lines between. "
+            )
+            why += (
+                f"Moments that were left out differ by {table.error:.2g} of the mean light on "
+                f"average, by up to {table.worst:.2g} of the brightest where a face or a shadow "
+                "sets in"
+                if phases > 1
+                else f"Moments that were left out differ by at most {table.error:.2g} of the "
+                "light, or of a tenth of the brightest where it is fainter"
+            )
+        unit = "of the brightest light"
+        out.append(Decision("targets.light_table", table is not None, why, bound=bound, unit=unit))
+    return out
+
+
+class _Light:
+    """Lights (m, C) of a target at phases and times (m,) of arrival."""
+
+    def __init__(self, scene: Scene, index: int, at: Moments, spin: float) -> None:
+        self.scene, self.index, self.at, self.spin = scene, index, at, spin
+
+    def __call__(self, phase: Array, time_s: Array) -> Array:
+        assert self.at.elsewhere is not None
+        target = self.scene.targets[self.index]
+        epoch, field = parse_utc(self.scene.epoch), f"targets.{self.index}.body"
+        body: Any = target.body
+        body = body.model_copy(update={"error": FINER * body.error})
+        each, back = np.unique(time_s, return_inverse=True)
+        _, seen = sights(self.scene, [self.index], self.at.elsewhere(each))
+        view = View(*(getattr(seen, name)[:, back] for name in seen.__dataclass_fields__))
+        if self.spin:
+            # the phase alone tells how it stands: the moment at which the spin has that phase
+            zero = _phase(body, epoch, np.zeros(1), field)[0]
+            turned = np.mod(phase - zero, TURN) / self.spin
+            view = View(turned[None], view.place_m, view.velocity_m_s, view.sun_m, view.observer_m)
+        albedo = None if target.lighting is None else target.lighting.earthshine_albedo
+        out = np.zeros((len(time_s), 1 if albedo is None else 2))
+        for k in range(len(time_s)):
+            one = View(*(getattr(view, name)[:, k : k + 1] for name in view.__dataclass_fields__))
+            out[k, 0] = mesh_m2_sr(body, epoch, one, field)[0]
+            if albedo is not None:
+                out[k, 1] = mesh_earthshine_m2_sr(body, epoch, one, albedo, out[k, :1], field)[0]
+        return out
+
+
+def _phase(body: MeshBody, epoch: tuple[float, float], time_s: Array, field: str) -> Array:
+    law = body.attitude
+    if isinstance(law, SpinAttitude) and law.rate_deg_s:
+        turned = np.fmod(law.rate_deg_s * (time_s + since_s(law.epoch, epoch, field)), 360.0)
+        return np.asarray(np.radians(turned + law.phase_deg))
+    return np.fmod((spin_rad_s(body) or 0.0) * time_s, TURN)
+
+
+def _rates(body: MeshBody) -> list[float]:
+    """Rates [rad/s] of everything that spins evenly: the body and its joints."""
+    law = body.attitude
+    rates = [math.radians(law.rate_deg_s)] if isinstance(law, SpinAttitude) else []
+    model: MeshModel = body.model
+    rates += [p.joint.rate_rad_s for p in model.parts if p.joint and p.joint.law == "spin"]
+    return [r for r in rates if r != 0.0]
+
+
+def _span(scene: Scene) -> tuple[float, float]:
+    """Start of the first exposure and end of the last, after the epoch."""
+    return float(frame_times(scene, np.zeros(1, np.int64))[0][0]), end_s(scene)
+
+
+def _key(scene: Scene, index: int, start_s: float, stop_s: float, wanted: int) -> str:
+    """All that a table follows from, as text."""
+    told = [m.model_dump_json() for m in (scene.targets[index], scene.observer)]
+    return "\n".join([scene.epoch, *told, repr((start_s, stop_s, wanted))])

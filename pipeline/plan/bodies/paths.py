@@ -1,0 +1,185 @@
+"""Where all targets are seen during some frames, and the light that they send: many together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput
+from pipeline.physics.constants import DEG_RAD
+from pipeline.physics.positions.apparent import TargetSight, apparent_sun_m, target_apparent
+from pipeline.physics.positions.earth import EarthState
+from pipeline.physics.positions.focal_plane import Camera, project
+from pipeline.physics.positions.limb import height_of_line_m, pole_at, zenith_of
+from pipeline.physics.positions.refraction import refract
+from pipeline.physics.positions.times import Instants
+from pipeline.plan.bodies.attitudes import View, needs_velocity
+from pipeline.plan.bodies.bodies import target_lights
+from pipeline.plan.bodies.orbits import Movers
+from pipeline.plan.bodies.sizes import radius_m
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.scene import Scene
+from pipeline.spec.targets.mesh import MeshBody
+
+Array = NDArray[np.float64]
+
+LEAST_RANGE_M = 0.01  # nearer than that a target is where the observer is
+TOGETHER, SAMPLES = 1000, 200_000  # targets, and their moments, that are worked out in one go
+
+
+@dataclass(frozen=True)
+class Moments:
+    """The n moments at which targets are looked at, and who looks.
+
+    offset_s : (n,) after the scene's epoch (two-part UTC); times : the same instants
+    observer_m : (n, 3) geocentric GCRS; observer_m_s : (n, 3) barycentric
+    elsewhere : from other offsets (m,) to the same of them
+    """
+
+    epoch: tuple[float, float]
+    offset_s: Array
+    times: Instants
+    earth: EarthState
+    observer_m: Array
+    observer_m_s: Array
+    elsewhere: Callable[[Array], Moments] | None = None
+
+
+@dataclass(frozen=True)
+class TargetPaths:
+    """Of T targets at n moments (T, n): pixels, light over the Sun's at 1 au, phase [rad], sunlit
+    share, range [m], how clear of the Earth (`Geometry.target_clear`); direction (T, F, 3), proper,
+    at mid-exposure of F frames; and of M meshes pose (M, F, 4, 3), pose_s and turn_rad (M, F), as
+    in `Geometry`."""
+
+    x_px: Array
+    y_px: Array
+    light: Array
+    phase_rad: Array
+    sunlit: Array
+    range_m: Array
+    clear: Array
+    direction: Array
+    pose: Array
+    pose_s: Array
+    turn_rad: Array
+
+
+def sights(scene: Scene, which: Sequence[int], at: Moments) -> tuple[TargetSight, View]:
+    """How the observer sees m of the targets at each moment, and what lights them: (m, n, ...)."""
+    targets = [scene.targets[i] for i in which]
+    movers = Movers(
+        [t.orbit for t in targets], [f"targets.{i}.orbit" for i in which], at.epoch, at.times
+    )
+    offsets = np.broadcast_to(at.offset_s, (len(targets), len(at.offset_s)))
+    seen = target_apparent(
+        lambda at_s: movers.states(at_s)[0], at.observer_m, at.observer_m_s, at.earth, offsets
+    )
+    _check_ranges(scene, which, seen.range_m)
+    at_s, place = offsets - seen.light_time_s, seen.target_geocentric_m
+    moves = [needs_velocity(t.body) for t in targets]
+    speed = movers.states(at_s)[1] if any(moves) else np.zeros_like(place)
+    sun = np.broadcast_to(apparent_sun_m(at.earth), place.shape)
+    return seen, View(at_s, place, speed, sun, np.broadcast_to(at.observer_m, place.shape))
+
+
+def _check_ranges(scene: Scene, which: Sequence[int], range_m: Array) -> None:
+    """Refuse an observer inside of a target, or at its place. range_m : (m, n)"""
+    for i, nearest in zip(which, range_m.min(axis=-1), strict=True):
+        least = max(radius_m(scene.targets[i].body), LEAST_RANGE_M)
+        if nearest > least:
+            continue
+        where, name = "at one place with", scene.targets[i].name
+        where = where if nearest < LEAST_RANGE_M else "inside of"
+        raise BadInput(
+            f"targets.{i}", f"the observer {where} {name}, {nearest:.3g} m from it",
+            f"a target farther from it than its own radius ({least:.3g} m) at all times",
+        )  # fmt: skip
+
+
+def target_paths(
+    scene: Scene,
+    camera: Camera,
+    attitude: Array,
+    at: Moments,
+    frames: int = 1,
+    air: Array | None = None,
+) -> TargetPaths:
+    """Paths and light of all targets, as observed through the air where there is any.
+
+    attitude : (n, 3, 3) observed; air : (n, 5) of `air_of`
+    The moments are the nodes of `frames` exposures, one after another.
+    """
+    count, moments = len(scene.targets), len(at.offset_s)
+    nodes = moments // frames
+    middles = np.arange(frames) * nodes + nodes // 2
+    seven = np.zeros((7, count, moments))
+    direction = np.zeros((count, frames, 3))
+    poses: list[tuple[Array, Array, Array]] = []
+    by_row = np.moveaxis(attitude, 0, -1)  # (3, 3, n): rows of numbers, one for each moment
+    for which in _batches(count, moments):
+        seen, view = sights(scene, which, at)
+        some = slice(which[0], which[-1] + 1)
+        names = [f"targets.{i}.body" for i in which]
+        light = target_lights(
+            [scene.targets[i] for i in which], names, at.epoch, view, at.earth.sun_from_earth_m,
+            (at.times.tt1, at.times.tt2), seen.range_m, frames, _tabled(scene, which, at, view),
+        )  # fmt: skip
+        observed = refract(seen.direction_proper, air)
+        clear = clear_of_earth(scene, at, seen, observed)
+        seven[:, some] = *project(camera, by_row, observed), *light, seen.range_m, clear
+        direction[some] = observed[:, middles]
+        for k, i in enumerate(which):
+            body = scene.targets[i].body
+            if isinstance(body, MeshBody):
+                from pipeline.plan.bodies.meshes import (
+                    mesh_poses,  # only scenes with meshes need it
+                )
+
+                one = view.of(np.array([k]))
+                pose, turn = mesh_poses(body, at.epoch, one, attitude, names[k])
+                turn = turn.reshape(frames, nodes)
+                poses.append((pose[middles], one.time_s[0, middles], turn[:, -1] - turn[:, 0]))
+    x, y, bright, phase, lit, distance, clear = seven
+    if not poses:
+        poses_, pose_s, turned = np.zeros((0, frames, 4, 3)), *np.zeros((2, 0, frames))
+    else:
+        poses_, pose_s, turned = (np.stack(column) for column in zip(*poses, strict=True))
+    return TargetPaths(x, y, bright, phase, lit, distance, clear, direction, poses_, pose_s, turned)
+
+
+def clear_of_earth(scene: Scene, at: Moments, seen: TargetSight, observed: Array) -> Array:
+    """How clear of the Earth targets (m, n) are: positive where they are seen.
+
+    From space the least height [m] of the line of sight above the ellipsoid, of a site the sine of
+    the apparent elevation. observed : (m, n, 3) apparent directions
+    """
+    pole = pole_at(at.epoch)
+    if isinstance(scene.observer, GroundObserver):
+        up = zenith_of(at.observer_m, pole, scene.observer.latitude_deg * DEG_RAD)
+        return np.asarray(np.sum(observed * up, axis=-1))
+    return height_of_line_m(at.observer_m, seen.direction_geometric, pole, seen.range_m)
+
+
+def _tabled(scene: Scene, which: range, at: Moments, view: View) -> dict[int, Array]:
+    """Lights (n, C) of meshes whose light was worked out beforehand, by their place in `which`."""
+    out = {}
+    for k, i in enumerate(which):
+        if isinstance(scene.targets[i].body, MeshBody):
+            from pipeline.plan.bodies.mesh_tables import table_of, table_phase
+
+            table = table_of(scene, i, at)
+            if table is not None:
+                phase = table_phase(scene, i, view.of(np.array([k])))
+                out[k] = table.at(at.offset_s, phase)
+    return out
+
+
+def _batches(count: int, moments: int) -> Iterator[range]:
+    """Targets that are worked out together: so many that their arrays stay small."""
+    step = max(1, min(TOGETHER, SAMPLES // max(1, moments)))
+    for first in range(0, count, step):
+        yield range(first, min(first + step, count))

@@ -1,0 +1,1 @@
+"""The optics of a scene: its point-spread function, over the field, and its pupil."""

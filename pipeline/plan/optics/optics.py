@@ -1,0 +1,237 @@
+"""The optics that a scene asks for: one of the kinds of point-spread function, over its band."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, fields, replace
+from typing import Any
+
+from pipeline.errors import BadInput
+from pipeline.kept import kept
+from pipeline.physics.psf.aperture import Pupil, SpiderVanes
+from pipeline.physics.psf.band import (
+    BandOptics,
+    Chromatic,
+    NoiseLimit,
+    choose_wavelengths,
+    mixture,
+)
+from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian, Optics
+from pipeline.physics.psf.response import oversampling_for
+from pipeline.physics.psf.sampled import Sampled
+from pipeline.physics.psf.seeing import Kolmogorov, Moffat, r0_at, r0_m
+from pipeline.physics.psf.zernike import defocus_rms
+from pipeline.physics.radiometry import ResponseCurve
+from pipeline.plan.pointing.attitude_motion import fast_blur_px
+from pipeline.spec.scene import Scene
+from pipeline.spec.sensor.detector import TimeDelay
+from pipeline.spec.sensor.sensor import (
+    AiryPsf,
+    GaussianPsf,
+    KolmogorovPsf,
+    MoffatPsf,
+    OnePsf,
+    Sensor,
+    TablePsf,
+    Vanes,
+)
+
+ARCSEC_RAD = math.radians(1.0 / 3600.0)
+SMALLEST_Q, LARGEST_Q = 0.02, 64.0
+LARGEST_CORE_PX = 256.0
+LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
+MOST_BLUR_PX = 50.0  # rms per axis, of fast motion of the pointing and of charge diffusion
+
+
+def blur_of(
+    scene: Scene, psf: OnePsf, response: ResponseCurve, mean_m: float, table: Sampled | None,
+    limit: NoiseLimit | None = None,
+) -> tuple[Blur, BandOptics | None]:
+    """All that blurs a star, and how its band was resolved (None where nothing depends on it).
+
+    psf : the scene's, or one of its field's; table : its table of light, where it names one
+    limit : what the brightest source may err by where the band is resolved
+    """
+    s = scene.sensor
+    diffusion = psf.diffusion_px(s.pixel_pitch_um)
+    if diffusion > MOST_BLUR_PX:
+        raise BadInput(
+            "sensor.psf.charge_diffusion_um", f"{diffusion:.4g} px rms", f"{MOST_BLUR_PX:g} px"
+        )
+    rest = Blur(
+        Gaussian(1.0), _jitter_px(scene, psf), diffusion, s.fill_factor,
+        isinstance(psf, TablePsf) and psf.includes_pixel, clock_step_px(scene),
+    )  # fmt: skip
+    if isinstance(psf, AiryPsf | KolmogorovPsf):
+        band = _band(scene, psf, rest, response, mean_m, limit)
+        return _with(rest, band.optics), band
+    return _with(rest, _fixed(s, psf, table)), None
+
+
+def _jitter_px(scene: Scene, psf: OnePsf) -> float:
+    """Rms per axis of all motion that is drawn as blur: the PSF's own and fast pointing."""
+    fast = check_motion(scene)
+    return math.hypot(psf.jitter_px, fast) if fast else psf.jitter_px
+
+
+def check_motion(scene: Scene) -> float:
+    """Rms per axis [px] of the motion that is drawn as blur. BadInput where it is too wide."""
+    fast = fast_blur_px(scene)
+    if fast > MOST_BLUR_PX:
+        raise BadInput(
+            "pointing.attitude", f"motion that blurs by {fast:.4g} px rms",
+            f"at most {MOST_BLUR_PX:g} px: weaker or slower motion, or larger pixels",
+        )  # fmt: skip
+    return fast
+
+
+def clock_step_px(scene: Scene) -> float:
+    """Length of the steps in which charge follows a moving image; 0 where it does not."""
+    readout = scene.sensor.detector.readout if scene.sensor.detector else None
+    if not isinstance(readout, TimeDelay) or readout.rows_per_s == 0:
+        return 0.0
+    return 1.0 / readout.clock_phases
+
+
+def _with(rest: Blur, optics: Optics) -> Blur:
+    return replace(rest, optics=optics)
+
+
+def _fixed(s: Sensor, psf: OnePsf, table: Sampled | None) -> Optics:
+    """Optics whose size does not follow the wavelength."""
+    if isinstance(psf, GaussianPsf):
+        if psf.sigma_minor_px is None:
+            return Gaussian(psf.sigma_px)
+        angle = math.radians(psf.angle_deg)
+        return EllipticalGaussian(psf.sigma_px, psf.sigma_minor_px, angle)
+    if isinstance(psf, MoffatPsf):
+        if psf.fwhm_px is not None:
+            return Moffat(psf.fwhm_px, psf.beta)
+        assert psf.fwhm_arcsec is not None
+        ifov = s.pixel_pitch_um * 1e-6 / s.focal_length_m
+        return Moffat(psf.fwhm_arcsec * ARCSEC_RAD / ifov, psf.beta)
+    assert table is not None
+    return table
+
+
+def _band(
+    scene: Scene,
+    psf: AiryPsf | KolmogorovPsf,
+    rest: Blur,
+    response: ResponseCurve,
+    mean_m: float,
+    limit: NoiseLimit | None,
+) -> BandOptics:
+    """Optics of one wavelength where one is asked for, else as many as the accuracy asks for."""
+    wave_m = mean_m if psf.wavelength_nm is None else psf.wavelength_nm * 1e-9
+
+    def make(wavelength_m: float) -> Chromatic:
+        return _chromatic(scene.sensor, psf, wavelength_m, wave_m)
+
+    if psf.wavelength_nm is not None or psf.wavelengths == 1:
+        return BandOptics(make(wave_m), (wave_m,), (1.0,), 0.0, 0.0)
+    if not (scene.stars or scene.targets or scene.populations):  # nothing is drawn with it
+        return BandOptics(make(mean_m), (mean_m,), (1.0,), 0.0, 0.0)
+    check_scale(psf.kind, _with(rest, make(wave_m)))  # before work that grows with it
+    curve = (response.wavelength_m, response.value)
+    most = scene.accuracy.flux_fraction
+
+    def choose() -> dict[str, Any]:
+        chosen = choose_wavelengths(make, rest, *curve, most, psf.wavelengths, limit)
+        return {f.name: getattr(chosen, f.name) for f in fields(chosen)[1:]}
+
+    of = make(float(curve[0][0])), make(float(curve[0][-1]))
+    found = kept(("wavelengths", of, rest, curve, most, psf.wavelengths, limit), choose)
+    waves, weights = tuple(found["wavelengths_m"].tolist()), tuple(found["weights"].tolist())
+    if len(waves) == 1:  # the mean, to the last bit
+        waves, weights = (mean_m,), (1.0,)
+    errors = (float(found[k]) for k in ("error", "error_of_one", "error_sigma"))
+    return BandOptics(mixture(tuple(map(make, waves)), weights), waves, weights, *errors)
+
+
+def _chromatic(
+    s: Sensor, psf: AiryPsf | KolmogorovPsf, wavelength_m: float, wave_m: float
+) -> Chromatic:
+    """Optics at a wavelength; `wave_m` is the wave that aberrations in waves are counted in."""
+    pitch = s.pixel_pitch_um * 1e-6
+    q = wavelength_m * s.focal_length_m / (s.aperture_m * pitch)
+    if isinstance(psf, KolmogorovPsf):
+        scale = wavelength_m / _fried_m(psf, wavelength_m) * s.focal_length_m / pitch
+        return Kolmogorov(scale, Airy(q, s.obscuration) if psf.diffraction else None)
+    terms: dict[int, float] = {}
+    for a in psf.aberrations:
+        rms = a.rms_nm * 1e-9 if a.rms_nm is not None else (a.rms_waves or 0.0) * wave_m
+        terms[a.noll] = rms / wavelength_m
+    if psf.defocus_um:
+        rms = defocus_rms(psf.defocus_um * 1e-6, s.focal_length_m / s.aperture_m)
+        terms[4] = terms.get(4, 0.0) + rms / wavelength_m
+    if psf.vanes is None and not terms:
+        return Airy(q, s.obscuration)
+    vanes = None if psf.vanes is None else _vanes(s, psf.vanes)
+    return Pupil(q, s.obscuration, vanes, tuple(sorted(terms.items())))
+
+
+def _fried_m(psf: KolmogorovPsf, wavelength_m: float) -> float:
+    """Fried's parameter at a wavelength."""
+    reference, r0 = psf.reference_nm * 1e-9, psf.r0_m
+    if r0 is None:
+        assert psf.fwhm_arcsec is not None
+        r0 = r0_m(psf.fwhm_arcsec * ARCSEC_RAD, reference)
+    return r0_at(r0, reference, wavelength_m)
+
+
+def check_scale(kind: str, blur: Blur) -> None:
+    """BadInput for a response with wings that is too sharp or too wide for the pixels."""
+    optics = blur.optics
+    if not optics.has_wings:
+        return
+    q, core = optics.scale_px, optics.core_px
+    most = LARGEST_CORE_PX
+    if SMALLEST_Q <= q <= LARGEST_Q:
+        most = min(most, LARGEST_CORE_SAMPLES / oversampling_for(blur))
+        if core <= most:
+            return
+    raise BadInput(
+        "sensor.psf",
+        f"{kind} of a scale (Q = lambda F / (D pitch), or FWHM) of {q:.3g} px and a core of "
+        f"{core:.3g} px",
+        f"{SMALLEST_Q} px to {LARGEST_Q:g} px, a core of at most {most:.4g} px: another pitch, "
+        "focal length or wavelength, weaker aberrations, or a gaussian",
+    )
+
+
+def open_fraction(optics: Optics, band: BandOptics | None) -> float:
+    """Share of the annular aperture that vanes leave open."""
+    parts = getattr(optics, "parts", (optics,)) if band else ()
+    return min((p.open_fraction for p in parts if isinstance(p, Pupil)), default=1.0)
+
+
+def open_past_vanes(s: Sensor) -> float:
+    """Fraction of the annular aperture that the vanes leave open, whatever the wavefront."""
+    vanes = {p.vanes for p in s.every_psf if isinstance(p, AiryPsf) and p.vanes is not None}
+    return min(
+        (Pupil(1.0, s.obscuration, _vanes(s, v)).open_fraction for v in vanes), default=1.0
+    )
+
+
+def _vanes(s: Sensor, given: Vanes) -> SpiderVanes:
+    """Vanes in units of the aperture and radians."""
+    return SpiderVanes(given.count, given.width_m / s.aperture_m, math.radians(given.angle_deg))
+
+
+def missing_light(optics: Optics) -> float:
+    """Share of a source's light that the optics do not hold at all (outside of a table)."""
+    return 1.0 - optics.light if isinstance(optics, Sampled) else 0.0
+
+
+def describe(optics: Optics) -> dict[str, Any]:
+    """The optics as plain values, for the plan."""
+    if isinstance(optics, Sampled):
+        band = optics.band
+        return {
+            "kind": "table", "shape": list(optics.samples.shape), "light": optics.light,
+            "spacing_px": optics.spacing_px, "centre": list(optics.centre),
+            "digest": optics.digest, "band_cycles_px": band.limit, "left_out": band.left_out,
+            "at_highest_frequency": band.nyquist,
+        }  # fmt: skip
+    return asdict(optics) | {"kind": type(optics).__name__.lower()}

@@ -1,0 +1,1 @@
+"""Where the camera looks, and where stars, lamps and the Earth stand in each exposure."""

@@ -1,0 +1,146 @@
+"""The air above a site in the plan: zenith, refraction, and what of the light comes down."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Geometry
+from pipeline.errors import BadInput
+from pipeline.physics.motion.pointing import proper_attitude
+from pipeline.physics.positions.focal_plane import Camera, deproject
+from pipeline.physics.positions.refraction import (
+    refract,
+    refraction_terms,
+    squeeze,
+    standard_air,
+    unrefract,
+)
+from pipeline.physics.positions.times import Instants
+from pipeline.plan.pointing.site import axes_of
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.scene import Scene
+from pipeline.spec.sky.atmosphere import Refraction
+
+if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
+
+Array = NDArray[np.float64]
+
+USUAL_WAVELENGTH_M = 550e-9  # where the scene's own is not worked out yet
+LOWEST_REFRACTED_DEG = 3.0  # below, the law of refraction is not known
+
+
+def needs_air(scene: Scene) -> bool:
+    """Whether anything in a scene depends on the zenith of its site."""
+    o, b = scene.observer, scene.background
+    return isinstance(o, GroundObserver) and (
+        o.atmosphere is not None or (b is not None and b.of_the_air)
+    )
+
+
+def air_of(scene: Scene, times: Instants) -> Array | None:
+    """Zenith and refraction's terms (n, 5) at instants; None where a scene needs neither.
+
+    The zenith is the normal of the ellipsoid at the site: deflections of the vertical (up to an
+    arcminute in mountains) are left out.
+    """
+    o = scene.observer
+    if not needs_air(scene):
+        return None
+    assert isinstance(o, GroundObserver)
+    zenith = axes_of(o, times)[:, 2]
+    terms = terms_of(scene)
+    return np.concatenate([zenith, np.broadcast_to(terms, (len(zenith), 2))], axis=1)
+
+
+def terms_of(scene: Scene) -> tuple[float, float]:
+    """A and B [rad] of a scene's refraction; zeros without."""
+    wish = _refraction(scene)
+    if wish is None:
+        return 0.0, 0.0
+    wavelength = USUAL_WAVELENGTH_M if wish.wavelength_nm is None else wish.wavelength_nm * 1e-9
+    return refraction_terms(*weather_of(scene), wavelength)
+
+
+def weather_of(scene: Scene) -> tuple[float, float, float]:
+    """Pressure [hPa], temperature [C] and humidity of a scene with refraction."""
+    o, wish = scene.observer, _refraction(scene)
+    assert isinstance(o, GroundObserver)
+    assert wish is not None
+    pressure, temperature = standard_air(o.height_m)
+    return (
+        pressure if wish.pressure_hpa is None else wish.pressure_hpa,
+        temperature if wish.temperature_c is None else wish.temperature_c,
+        wish.humidity,
+    )  # fmt: skip
+
+
+def _refraction(scene: Scene) -> Refraction | None:
+    o = scene.observer
+    assert isinstance(o, GroundObserver)
+    wish = o.atmosphere.refraction if o.atmosphere is not None else None
+    return wish if isinstance(wish, Refraction) else None
+
+
+def lifted(camera: Camera, attitude: Array, air: Array) -> Array:
+    """Attitudes (n, 3, 3) that look where refraction puts what a pointing names: (n, 3, 3) before.
+
+    Raises BadInput where a part of the frame looks below the horizon, or so low that refraction is
+    not known.
+    """
+    turned = (
+        proper_attitude(attitude, refract(attitude[:, 2], air)) if air[:, 3].any() else attitude
+    )
+    lowest = float(np.min(frame_sines(camera, turned, air[:, :3])))
+    height_deg = float(np.degrees(np.arcsin(lowest)))
+    least = LOWEST_REFRACTED_DEG if air[:, 3].any() else 0.0
+    if height_deg < least:
+        why = "where refraction is known" if least else "above the horizon"
+        raise BadInput(
+            "pointing", f"a frame that goes down to {height_deg:.2f} deg of elevation",
+            f"{least:g} degrees or more in all of the frame and all exposures, {why}",
+        )  # fmt: skip
+    return turned
+
+
+def frame_sines(camera: Camera, attitude: Array, zenith: Array) -> Array:
+    """Sines of the elevation (n, 8) of a frame's corners and middles of its edges."""
+    x, y = np.meshgrid(
+        np.array([-0.5, 0.5 * (camera.columns - 1), camera.columns - 0.5]),
+        np.array([-0.5, 0.5 * (camera.rows - 1), camera.rows - 0.5]),
+    )
+    u = np.stack([deproject(camera, a, x.ravel(), y.ravel()) for a in attitude])
+    return np.clip(np.einsum("nki,ni->nk", u, zenith), -1.0, 1.0)
+
+
+def above_air(g: Geometry, centres: Array, radii_rad: Array) -> tuple[Array, Array]:
+    """Cones (n, 3), (n,) of the true sky that hold what is seen in cones at mid-exposure."""
+    if not g.has_air:
+        return centres, radii_rad
+    air = g.air[:, g.middle]
+    sine = np.sum(centres * air[:, :3], axis=-1)
+    low = np.arcsin(np.clip(sine, -1.0, 1.0)) - radii_rad
+    radii = np.minimum(radii_rad * squeeze(np.sin(np.maximum(low, 0.0)), air), np.pi)
+    return unrefract(centres, air), radii
+
+
+def star_transmission(extinction: BandExtinction, g: Geometry, observed: Array) -> Array:
+    """Share (n,) of stars' light that comes down in the one frame of `g`: mean of an exposure.
+
+    observed : (n, 3) at mid-exposure. Simpson's rule over its start, middle and end.
+    """
+    shares = [extinction.transmission(observed @ g.air[0, node, :3]) for node in (0, g.middle, -1)]
+    return (shares[0] + 4.0 * shares[1] + shares[2]) / 6.0
+
+
+def path_transmission(
+    extinction: BandExtinction, camera: Camera, g: Geometry, x_px: Array, y_px: Array
+) -> Array:
+    """Share (K,) of a target's light that comes down at each node of the one frame of `g`."""
+    u = np.concatenate([
+        deproject(camera, a, x_px[[k]], y_px[[k]]) for k, a in enumerate(g.attitude[0])
+    ])  # fmt: skip
+    return extinction.transmission(np.sum(u * g.air[0, :, :3], axis=-1))

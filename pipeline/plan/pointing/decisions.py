@@ -1,0 +1,74 @@
+"""What the plan says of pointing and dwells: tables and their error, slews, several exposures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.plan.decision import Decision
+from pipeline.plan.pointing.air import needs_air, terms_of
+from pipeline.plan.pointing.geometry import ROUGH_PX
+from pipeline.plan.timing import dwell_plans, frame_count, integration_range_s
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.pointing.pointing import LocalPointing, TablePointing
+from pipeline.spec.scene import Scene
+
+OVER_ROWS = 1.25  # more than left-out rows tell: motions with eight rows or more in a period
+
+def _lift_arcsec(scene: Scene, p: LocalPointing) -> float | None:
+    """By how much the air lifts a boresight, at most [arcsec]; 0 without refraction."""
+    if not isinstance(scene.observer, GroundObserver) or not needs_air(scene):
+        return 0.0
+    if p.elevation_deg <= 0.0:
+        return None
+    return float(terms_of(scene)[0] / np.tan(np.radians(p.elevation_deg)) / ARCSEC_RAD)
+
+
+def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
+    """Decisions of a scene's pointing; none for one dwell that holds, scans or tracks."""
+    out = []
+    plans = dwell_plans(scene)
+    if scene.dwells is not None:
+        shortest, longest = integration_range_s(scene)
+        slews = sum(p.slew is not None for p in plans)
+        out.append(
+            Decision(
+                "dwells", True,
+                f"{len(plans)} dwells with {frame_count(scene)} frames of {shortest:g} to "
+                f"{longest:g} s, {slews} slews; bounds are those of the shortest exposure's noise",
+                bound=0.0, unit="e-",
+            )
+        )  # fmt: skip
+    for plan in plans:
+        p = plan.pointing
+        where = "" if scene.dwells is None else f" in dwell {plan.index}"
+        if isinstance(p, TablePointing):
+            out.append(_table_told(scene, p, where))
+        elif isinstance(p, LocalPointing):
+            out.append(
+                Decision(
+                    "pointing_refraction", False,
+                    f"azimuth and elevation{where} are those of the sky without air: with the "
+                    "site's refraction the camera is held as much higher (60 arcsec at 45 degrees)",
+                    bound=_lift_arcsec(scene, p), unit="arcsec",
+                )
+            )  # fmt: skip
+    return tuple(out)
+
+
+def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
+    """What is known of the error between the rows of a table of attitudes."""
+    told = "not known: too few rows"
+    if p.error_arcsec is not None:
+        ifov = scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
+        px = p.error_arcsec * ARCSEC_RAD / ifov
+        told = f"{p.error_arcsec:.2g} arcsec ({px:.2g} px), from every other row left out"
+    return Decision(
+        "pointing_table", True,
+        f"{len(p.rows or ())} rows{where}, {p.interpolation} between them; error "
+        f"between rows {told}; where rows are noisy, straight lines between an "
+        f"exposure's nodes may be off by up to {ROUGH_PX:g} px"
+        f"{'' if p.source is None else f'; {p.source}'}",
+        bound=None if p.error_arcsec is None else OVER_ROWS * p.error_arcsec,
+        unit="arcsec",
+    )  # fmt: skip

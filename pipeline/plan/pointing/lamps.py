@@ -1,0 +1,238 @@
+"""Where Sun, Moon, Earth and planets stand in all exposures: as frames, horizon and limb see."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.physics.constants import (
+    DEG_RAD,
+    EARTH_EQUATORIAL_RADIUS_M,
+    EARTH_FLATTENING,
+    SPEED_OF_LIGHT_M_S,
+    SUN_RADIUS_M,
+)
+from pipeline.physics.positions.apparent import aberrate
+from pipeline.physics.positions.focal_plane import (
+    Camera,
+    corner_radius,
+    deproject,
+    project,
+)
+from pipeline.physics.positions.planets import OFF_RAD, PLANETS, brightest_v_mag, planet_m
+from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
+from pipeline.physics.vectors import separation, unit
+from pipeline.plan.bodies.paths import Moments
+from pipeline.plan.pointing.air import air_of
+from pipeline.plan.pointing.geometry import aimed, camera_of, check_view
+from pipeline.plan.pointing.pointing import swept_rad
+from pipeline.plan.timing import dwell_of, dwell_plans, frame_count, frame_times
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.pointing.pointing import RatePointing
+from pipeline.spec.scene import Scene
+
+Array = NDArray[np.float64]
+Ticks = NDArray[np.int64]
+
+TICKS = 65  # moments of an exposure that may be looked at
+STEP_S = 300.0  # most between two moments looked at first: orbits turn by 20 degrees in it
+STEP_RAD = 20.0 * DEG_RAD  # most that a rate turns by in it
+FIRST, MOST_FIRST, MOST_MOMENTS = 256, 2049, 8192
+REFRACTED_RAD = 0.57 * DEG_RAD  # by which the air lifts what stands at the horizon
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A body that lights the sky at n moments; angles [rad], each (n,).
+
+    off_axis : from the boresight to its middle; off_frame : from the nearest place of the frame to
+    it, 0 inside; radius : of its disc; hidden : how far the whole disc is behind the Earth's limb
+    or the horizon, below 0 where some of it is seen; elevation : of its middle without refraction
+    """
+
+    off_axis: Array
+    off_frame: Array
+    radius: Array
+    hidden: Array
+    elevation: Array
+
+
+@dataclass(frozen=True)
+class LampGeometry:
+    """Sun, Moon, Earth and planets at n moments of the exposures, in order.
+
+    tick : (n,) number of the moment: TICKS of each frame; earth : its disc, or all below a site's
+    horizon; planets : by name, with V (n,) at full phase; to_moon_m, moon_to_sun_m : (n, 3) from
+    the observer, and from there;
+    turn : (n - 1,) angle [rad] by which what is looked at turns from each moment to the next:
+    camera, horizon and bodies together
+    """
+
+    tick: Ticks
+    sun: Lamp
+    moon: Lamp
+    earth: Lamp
+    planets: dict[str, tuple[Lamp, Array]]
+    to_moon_m: Array
+    moon_to_sun_m: Array
+    turn: Array
+
+    def moon_fraction(self, k: int) -> float:
+        """Irradiance of the Moon at moment k over the Sun's at 1 au, in V, without eclipses."""
+        from pipeline.physics.sky.moon import irradiance_share  # where moonlight is looked at
+
+        to_moon, on = self.to_moon_m[[k]], self.moon_to_sun_m[[k]]
+        far, from_sun = (np.sqrt(np.sum(v**2, axis=-1)) for v in (to_moon, on))
+        return float(irradiance_share(separation(-to_moon, on), from_sun, far)[0])
+
+    def frame(self, k: int) -> int:
+        """Frame of moment k."""
+        return int(self.tick[k]) // TICKS
+
+
+def look(
+    scene: Scene, dut1_s: float, margin: Callable[[LampGeometry], Array]
+) -> tuple[LampGeometry, bool]:
+    """Sun and Moon in the exposures, at moments that are halved where something may be missed.
+
+    margin : how far (n,) [rad] each moment is from what is looked for, at or below 0 where that is
+    found. Two neighbours are enough where neither has found it and both are farther from it than
+    everything turns between them (twice what an even turn needs). Also returns whether that holds
+    everywhere; where not, it is at MOST_MOMENTS, or within neighbouring moments of an exposure.
+    """
+    ticks = _first(scene)
+    while True:
+        found = _look(scene, dut1_s, ticks)
+        least = margin(found)
+        nearer = np.minimum(least[:-1], least[1:])
+        doubtful = (nearer > 0.0) & (nearer <= found.turn)
+        split = doubtful & (np.diff(ticks) > 1)
+        if not split.any() or len(ticks) >= MOST_MOMENTS:
+            within = ticks[:-1] // TICKS == ticks[1:] // TICKS
+            return found, not (split | (doubtful & within)).any()
+        ticks = np.union1d(ticks, ((ticks[:-1] + ticks[1:]) // 2)[split])
+
+
+def _first(scene: Scene) -> Ticks:
+    """Moments looked at first: at even steps, and where each dwell begins and ends."""
+    plans, frames = dwell_plans(scene), frame_count(scene)
+    steps = max((plans[-1].end_s - plans[0].start_s) / STEP_S, min(2 * frames, FIRST))
+    if any(p.pointing.mode == "table" for p in plans):  # may turn as it likes
+        steps = 2 * frames
+    for p in plans:
+        if isinstance(p.pointing, RatePointing):
+            span_s = p.end_s - p.start_s
+            steps = max(steps, swept_rad(p.pointing, span_s, span_s) / STEP_RAD)
+    even = np.linspace(0, frames * TICKS - 1, min(MOST_FIRST, 2 + math.ceil(steps)))
+    ends = [(p.first * TICKS, (p.first + p.frames) * TICKS - 1) for p in plans]
+    edges = np.array(ends).ravel()[:: math.ceil(2 * len(ends) / MOST_MOMENTS)]
+    return np.union1d(even.round().astype(np.int64), edges)
+
+
+def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> LampGeometry:
+    frames = ticks // TICKS
+    start, time = frame_times(scene, frames)
+    moments = start + time * (ticks % TICKS) / (TICKS - 1)
+    at, attitude = aimed(scene, moments, dut1_s, dwell_of(dwell_plans(scene), frames))
+    if air_of(scene, at.times) is None:  # the air lifts what is near a horizon
+        check_view(scene, at.observer_m, attitude[:, 2])
+    camera, beta = camera_of(scene), at.observer_m_s / SPEED_OF_LIGHT_M_S
+    if not scene.star_effects["aberration"]:
+        beta = np.zeros_like(beta)
+    sun = at.earth.sun_from_earth_m - at.observer_m
+    moon = moon_m(at.times.tt1, at.times.tt2) - at.observer_m
+    lamps = (
+        _lamp(scene, camera, attitude, at, sun, SUN_RADIUS_M, beta),
+        _lamp(scene, camera, attitude, at, moon, MOON_RADIUS_M, beta),
+        _earth(scene, camera, attitude, at.observer_m),
+    )
+    turned = [separation(v[:-1], v[1:]) for v in (*np.moveaxis(attitude, 1, 0), at.observer_m)]
+    bodies = np.maximum(*(separation(v[:-1], v[1:]) for v in (sun, moon)))
+    planets = {n: _planet(scene, camera, attitude, at, n, sun) for n in PLANETS}
+    return LampGeometry(ticks, *lamps, planets, moon, sun - moon, np.max(turned, axis=0) + bodies)
+
+
+def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lamp:
+    """The Earth's disc at geocentric places (n, 3), which move along with it: of a site all that is
+    below its horizon, which comes into a frame by a corner."""
+    seen = np.full(len(place_m), -np.pi)
+    if isinstance(scene.observer, GroundObserver):
+        down = -unit(_upright(place_m))
+        off_axis, radius = separation(attitude[:, 2], down), np.full(len(down), 0.5 * np.pi)
+        x = np.array([-0.5, camera.columns - 0.5])
+        x, y = np.tile(x, 2), np.repeat([-0.5, camera.rows - 0.5], 2)
+        corners = np.stack([deproject(camera, axes, x, y) for axes in attitude])
+        off_frame = separation(corners, down[:, None]).min(axis=-1)
+        return Lamp(off_axis, off_frame, radius, seen, seen)
+    down = unit(-place_m)
+    height = np.sqrt(np.sum(place_m**2, axis=-1))
+    radius = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / height))
+    off_axis = separation(attitude[:, 2], down)
+    return Lamp(off_axis, _off_frame(camera, attitude, down, off_axis), radius, seen, seen)
+
+
+def _upright(place_m: Array) -> Array:
+    """Normals (n, 3) of the Earth's ellipsoid at geocentric places, of any length."""
+    return place_m * [1.0, 1.0, (1.0 - EARTH_FLATTENING) ** -2]
+
+
+def _lamp(
+    scene: Scene, camera: Camera, attitude: Array, at: Moments, body_m: Array, radius_m: float,
+    beta: Array,
+) -> Lamp:  # fmt: skip
+    """A body at vectors (n, 3) from the observer."""
+    distance = np.sqrt(np.sum(body_m**2, axis=-1))
+    towards = aberrate(unit(body_m), beta)
+    radius = np.arcsin(np.minimum(1.0, radius_m / distance))
+    elevation = 0.5 * np.pi - separation(body_m, _upright(at.observer_m))
+    off_axis = separation(attitude[:, 2], towards)
+    return Lamp(
+        off_axis, _off_frame(camera, attitude, towards, off_axis), radius,
+        _hidden(scene, at.observer_m, body_m, elevation) - radius, elevation,
+    )  # fmt: skip
+
+
+def _planet(
+    scene: Scene, camera: Camera, attitude: Array, at: Moments, name: str, sun_m: Array
+) -> tuple[Lamp, Array]:
+    """A planet, a point that is known to OFF_RAD, and its V (n,) at full phase."""
+    from_sun = planet_m(name, at.times.tt1, at.times.tt2)
+    body = sun_m + from_sun
+    towards, far = unit(body), [np.sqrt(np.sum(v**2, axis=-1)) for v in (from_sun, body)]
+    elevation = 0.5 * np.pi - separation(body, _upright(at.observer_m))
+    off_axis = separation(attitude[:, 2], towards)
+    off_frame = off_axis - corner_radius(camera)  # at least
+    near = off_frame <= OFF_RAD
+    off_frame[near] = _off_frame(camera, attitude[near], towards[near], off_axis[near])
+    hidden = _hidden(scene, at.observer_m, body, elevation)
+    lamp = Lamp(off_axis, off_frame, np.full(len(off_axis), OFF_RAD), hidden, elevation)
+    return lamp, brightest_v_mag(name, *far)
+
+
+def _hidden(scene: Scene, place_m: Array, body_m: Array, elevation: Array) -> Array:
+    """How far (n,) [rad] a body's middle is behind the horizon of a site, or the Earth's limb."""
+    o = scene.observer
+    if isinstance(o, GroundObserver):
+        radius = EARTH_EQUATORIAL_RADIUS_M
+        dip = math.acos(radius / (radius + max(o.height_m, 0.0)))
+        return -elevation - dip - REFRACTED_RAD
+    height, distance = (np.sqrt(np.sum(v**2, axis=-1)) for v in (place_m, body_m))
+    limb = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / height))
+    return np.where(distance < height, -np.pi, limb - separation(body_m, -place_m))
+
+
+def _off_frame(camera: Camera, attitude: Array, towards: Array, off_axis: Array) -> Array:
+    """Angle (n,) from the nearest pixel of the frame to directions (n, 3) [rad]; 0 inside it."""
+    out = off_axis - corner_radius(camera)  # of what is seen by no pixel: at least this
+    for k, (axes, u) in enumerate(zip(attitude, towards, strict=True)):
+        x, y = (float(v[0]) for v in project(camera, axes, u[None]))
+        if math.isfinite(x) and math.isfinite(y):
+            x1, y1 = min(max(x, -0.5), camera.columns - 0.5), min(max(y, -0.5), camera.rows - 0.5)
+            nearest = deproject(camera, axes, np.array([x1]), np.array([y1]))
+            inside = (x1, y1) == (x, y)
+            out[k] = 0.0 if inside else float(separation(nearest, u[None])[0])
+    return out

@@ -1,0 +1,409 @@
+"""Common streaks: zones whose stars move alike, and the pieces of time that they are drawn in.
+
+Stars of one frame move along almost the same path. In each piece of the exposure all stars of a
+zone get one shape, placed where each star's own light is in that piece; so what remains of the
+difference between two paths is divided by the number of pieces, and few tables serve all stars.
+Stars so bright that even that would show get a mixture of three shapes whose ends stand, to second
+order, where the star's own do; and those of which that second order would show are drawn along
+their own path, one by one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.arrays import Array, Geometry
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
+from pipeline.physics.positions.focal_plane import Camera
+from pipeline.plan.response.own_paths import EXACT_MERGE_PX, exact_path, star_offsets
+from pipeline.plan.response.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
+from pipeline.spec.scene import CELL_PX
+
+__all__ = ["StreakSegment", "Streak", "StreakPlan", "centroid", "exact_path", "plan_streaks", "resting",
+           "zone_streak"]  # fmt: skip
+
+PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables
+MERGE_TOLERANCE_PX = 2e-4
+SPREAD_TOLERANCE_PX = 4e-3
+USUAL_FRACTION = 0.05  # noise_fraction for which these tolerances are
+MOST_PIECES = 16
+SLACK = 1.5  # over the plan's spread, beyond which a frame gets more pieces of its own
+STRETCH_PX = 2.0**-6  # by how much the ends of shapes for mixtures differ, and their rounding
+FINER_SHAPE = 16.0  # times finer are shapes for mixtures rounded than the others
+SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
+USUAL_EDGE = 0.5  # of a response a pixel wide or so
+
+
+@dataclass(frozen=True)
+class StreakSegment:
+    """One part of the exposure: the shape of its light about its centroid, and where that stands.
+
+    path : on the PATH_STEP_PX grid, weights of sum one; share : part of the light
+    centre : (2, 3, 3) x and y of the centroid, from the star's place at mid-exposure, for stars
+        at the zone's NODES (rows of v, columns of u)
+    base : the shape that mixtures are of, base_centre : (2, 3, 3) its `centre`
+    stretch : (2, 3, 3) how much farther than the base's the ends of stars at the NODES are apart
+    stretch_px : the same of the other two shapes of a mixture
+    """
+
+    path: Path
+    share: float
+    centre: Array
+    base: Path
+    base_centre: Array
+    stretch: Array
+    stretch_px: float
+
+    @property
+    def stretched(self) -> tuple[Path, Path]:
+        """The base with its ends farther apart, along x and along y; the centroid stays."""
+        p, ramp = self.base, self.stretch_px * (_times(self.base) - 0.5)
+        return Path(p.x_px + ramp, p.y_px, p.weight), Path(p.x_px, p.y_px + ramp, p.weight)
+
+
+@dataclass(frozen=True)
+class Streak:
+    """How the stars of a zone move in one frame.
+
+    path : of the star in the middle of the zone, from its place at mid-exposure
+    followed : (K, 2, 3, 3) places at equal times of stars at the zone's NODES, from mid-exposure
+    mixed_from_e : stars of more light are drawn by mixtures or along their own path
+    own_from_e : and of still more along their own path in any case
+    """
+
+    zone: Zone
+    path: Path
+    pieces: tuple[StreakSegment, ...]
+    followed: Array
+    mixed_from_e: float
+    own_from_e: float
+
+    @property
+    def start(self) -> Array:
+        """(2, 3, 3) first places of the paths of stars at the zone's NODES."""
+        return self.followed[0]
+
+    @property
+    def end(self) -> Array:
+        """(2, 3, 3) and their last ones."""
+        return self.followed[-1]
+
+    def mixture(
+        self, piece: StreakSegment, x_px: Array, y_px: Array, light_e: Array
+    ) -> Iterator[tuple[Path, Array, Array, Array]]:
+        """The three shapes of a piece, where each stands for stars at (x, y), its light (n,)."""
+        dx, dy = self.at(piece.base_centre, x_px, y_px)
+        a, b = (v / piece.stretch_px for v in self.at(piece.stretch, x_px, y_px))
+        parts = (1.0 - a - b, a, b)
+        for path, part in zip((piece.base, *piece.stretched), parts, strict=True):
+            yield path, x_px + dx, y_px + dy, light_e * piece.share * part
+
+    def at(self, table: Array, x_px: Array, y_px: Array) -> tuple[Array, Array]:
+        """A quantity known at the zone's NODES for stars at (x, y): biquadratic interpolation."""
+        return biquadratic(table, *self.zone.uv(x_px, y_px))
+
+
+@dataclass(frozen=True)
+class StreakPlan:
+    """Zones per axis, pieces of an exposure, and what is left: px from a star's own path.
+
+    shapes : different pieces that a frame has at most
+    step_px, merge_px : what shapes are rounded to, and how far their bends may be off
+    mixed_px : px from a bright star's own path, drawn as a mixture
+    mixed_from_e_px : light per px of path from which it is so drawn
+    floor_e, budget_e : noise of a pixel without sources, and what streaks may err by there
+    edge : steepest that the end of a streak falls off, per px and light per px of path [1 / px]
+    own_px : px from a star's own path, where that is interpolated across its zone
+    photons : light has noise of its own, so that a pixel with more of it may err by more
+    at_rest : what a pixel errs by of a star's light where every shape is a point
+    """
+
+    zones: int
+    pieces: int
+    spread_px: float
+    longest_px: float
+    shapes: int
+    step_px: float
+    merge_px: float
+    mixed_px: float = 0.0
+    mixed_from_e_px: float = math.inf
+    floor_e: float = 1.0
+    budget_e: float = math.inf
+    edge: float = USUAL_EDGE
+    own_px: float = math.inf
+    photons: bool = True
+    at_rest: float = math.inf
+
+    @property
+    def off_px(self) -> float:
+        """How far light may be from where a star's own path has it, of stars with one shape.
+
+        A pixel errs by at most that part of the light of a px of path.
+        """
+        apart = min(self.spread_px + 0.5 * self.step_px + self.merge_px, self.longest_px)
+        return min(apart, self.at_rest)
+
+    @property
+    def still(self) -> bool:
+        """Whether every shape is a point: the longest is rounded to none."""
+        return self.longest_px <= 0.25 * self.step_px
+
+    def error_e(self, light_e: float) -> float:
+        """What a star of so much light may err by for having a streak in common [e-].
+
+        In a pixel at the noise floor: one with the star's light may err by more as it has noise.
+        """
+        return min(self.off_px * light_e, self.budget_e) if self.off_px else 0.0
+
+    def merged_px(self, light_e: Array, length_px: float) -> Array:
+        """How far straight runs of a star's own path may be off (n,): by SHOWN of the budget."""
+        along_e = np.maximum(light_e, 1e-9) / max(1.0, length_px)
+        rises = along_e / self.floor_e**2 if self.photons else 0.0
+        allowed_e = self.budget_e * np.sqrt(1.0 + rises)
+        return np.clip(SHOWN * allowed_e / along_e, EXACT_MERGE_PX, MERGE_TOLERANCE_PX)
+
+
+def plan_streaks(
+    camera: Camera,
+    ends: Geometry,
+    aberration: bool,
+    noise_fraction: float = USUAL_FRACTION,
+    floor_e: float = 1.0,
+    budget_e: float = math.inf,
+    edge: float = USUAL_EDGE,
+    photons: bool = True,
+) -> StreakPlan:
+    """Fewest zones, then fewest pieces, whose stars streak alike.
+
+    They do to SPREAD_TOLERANCE_PX at the usual accuracy; a finer one makes all tolerances finer.
+    floor_e : noise of a pixel without sources; budget_e : what streaks may err by there. A pixel
+    with more light may err by as much more as it has noise. edge, photons : see `StreakPlan`.
+    """
+    finer = 2.0 ** min(0.0, max(-8.0, math.floor(math.log2(noise_fraction / USUAL_FRACTION))))
+    tolerance = SPREAD_TOLERANCE_PX * finer
+    most = max(1, math.ceil(max(camera.rows, camera.columns) / CELL_PX))
+    zones = 1
+    while True:
+        offsets = _followed(camera, ends, zones, aberration)
+        longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
+        fewest = _power_of_two(longest / LONGEST_PIECE_PX)
+        pieces, spread = fewest, _spread_px(offsets, fewest)
+        while spread > tolerance and pieces < MOST_PIECES:
+            pieces, spread = 2 * pieces, _spread_px(offsets, 2 * pieces)
+        if spread <= tolerance or zones >= most:
+            shapes = zones**2 * _shapes(offsets, pieces)
+            step, merge = PATH_STEP_PX * finer, MERGE_TOLERANCE_PX * finer
+            mixed = _spread_px(offsets, pieces, mixed=True)
+            own = _interpolated_px(offsets)
+            made = StreakPlan(zones, pieces, spread, longest, shapes, step, merge, mixed,
+                              math.inf, floor_e, budget_e, edge, own, photons)  # fmt: skip
+            begin = _light_from(made.off_px, made)
+            return replace(made, mixed_from_e_px=begin) if made.off_px else made
+        zones = min(2 * zones, most)
+
+
+def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
+    """The plan of stars that move so little that each is a point, at the centroid of its light.
+
+    curvature : what a pixel errs by, per unit light and px^2 of five times the light's variance
+    along a path, at most a quarter of its length squared; slope : and per px that the point is off
+    (drawing/extended.py)
+    """
+    error = curvature * 5.0 * plan.longest_px**2 / 4.0 + slope * min(plan.own_px, plan.spread_px)
+    made = replace(plan, at_rest=error)
+    return replace(made, mixed_from_e_px=_light_from(made.off_px, made))
+
+
+def _light_from(off_px: float, plan: StreakPlan) -> float:
+    """Light per px of path x [e-] where its error x off equals budget sqrt(1 + x/floor^2) [e-],
+    or, where light has no noise of its own, the budget."""
+    if off_px == 0.0 or not math.isfinite(plan.budget_e):
+        return math.inf
+    if not plan.photons:
+        return plan.budget_e / off_px
+    rise = (plan.budget_e / (off_px * plan.floor_e)) ** 2
+    return 0.5 * (rise + math.sqrt(rise * rise + 4.0 * rise * plan.floor_e * plan.floor_e))
+
+
+def _power_of_two(n: float) -> int:
+    return int(2 ** max(0, math.ceil(math.log2(max(n, 1.0)))))
+
+
+def _followed(camera: Camera, g: Geometry, zones: int, aberration: bool) -> Array:
+    """(2, zones looked at, points, frames, nodes) offsets of stars from mid-exposure.
+
+    Points are the 3 x 3 NODES and the 4 x 4 CHECKS of the zones in the frame's corners, edges and
+    middle, where paths differ most and least; with distortion, of all zones.
+    """
+    looked_at = sorted({0, zones // 2, zones - 1} if camera.distortion is None else range(zones))
+    u, v = (np.concatenate([np.meshgrid(a, a)[k].ravel() for a in (NODES, CHECKS)]) for k in (0, 1))
+    places = [zone_of_frame(camera, r, c, zones).places(u, v) for r in looked_at for c in looked_at]
+    x, y = np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places])
+    offsets = star_offsets(camera, g, x, y, aberration)
+    return offsets.reshape(2, len(places), u.size, *offsets.shape[2:])
+
+
+def _resampled(offsets: Array, pieces: int) -> Array:
+    """Offsets (..., n + 1) at equal times of which each piece has at least two steps."""
+    steps = offsets.shape[-1] - 1
+    wanted = max(steps, 2 * pieces)
+    if wanted == steps:
+        return offsets
+    at = np.arange(wanted + 1) * (steps / wanted)
+    low = np.minimum(at.astype(int), steps - 1)
+    t = at - low
+    return offsets[..., low] * (1.0 - t) + offsets[..., low + 1] * t
+
+
+def _in_pieces(offsets: Array, pieces: int) -> tuple[Array, Array]:
+    """(..., pieces, steps + 1) offsets piece by piece, and their mean places (..., pieces)."""
+    fine = _resampled(offsets, pieces)
+    steps = (fine.shape[-1] - 1) // pieces
+    index = np.arange(pieces)[:, None] * steps + np.arange(steps + 1)[None, :]
+    parts = fine[..., index]
+    means = 0.5 * (parts[..., 1:] + parts[..., :-1]).mean(axis=-1)
+    return parts, means
+
+
+def _spread_px(offsets: Array, pieces: int, mixed: bool = False) -> float:
+    """Largest distance between a star's own path and the one that it is drawn along [px].
+
+    mixed : the shape in the middle, stretched to the distance of the star's own ends
+    """
+    parts, means = _in_pieces(offsets, pieces)
+    nodes = NODES.size**2
+    shapes = np.moveaxis(parts[:, :, :nodes] - means[:, :, :nodes, ..., None], 2, -1)
+    table = np.moveaxis(means[:, :, :nodes], 2, -1)
+    ramp = np.linspace(-0.5, 0.5, shapes.shape[-2])
+
+    def off(at: int, a: float, b: float) -> float:
+        """At point `at`, which stands at (a, b) in the zone's own units."""
+        place = np.outer(lagrange(np.array([b]))[:, 0], lagrange(np.array([a]))[:, 0]).ravel()
+        shape = shapes[..., nodes // 2]
+        if mixed:
+            ends = shapes[..., -1, :] - shapes[..., 0, :]
+            longer = ends @ place - ends[..., nodes // 2]
+            shape = shape + longer[..., None] * ramp
+        drawn = (table @ place)[..., None] + shape
+        return float(np.hypot(*(parts[:, :, at] - drawn)).max())
+
+    worst = 0.0
+    for first, axis in ((0, NODES), (nodes, CHECKS)):
+        u, v = (m.ravel() for m in np.meshgrid(axis, axis))
+        for k, (a, b) in enumerate(zip(u, v, strict=True)):
+            worst = max(worst, off(first + k, a, b))
+    return worst
+
+
+def _interpolated_px(offsets: Array) -> float:
+    """Largest error of paths that are interpolated across their zone from its NODES [px]."""
+    u, v = (m.ravel() for m in np.meshgrid(CHECKS, CHECKS))
+    weight = (lagrange(v)[:, None] * lagrange(u)[None, :]).reshape(NODES.size**2, -1)
+    at_nodes, at_checks = np.split(offsets, [NODES.size**2], axis=2)
+    off = at_checks - np.einsum("czpfk,pq->czqfk", at_nodes, weight)
+    return float(np.hypot(*off).max())
+
+
+def _apart(parts: Array, means: Array) -> float:
+    """Largest distance between the shapes at a zone's NODES and the one in its middle [px]."""
+    shapes = parts - means[..., None]
+    return float(np.hypot(*(shapes - shapes[:, [NODES.size**2 // 2]])).max())
+
+
+def _shapes(offsets: Array, pieces: int) -> int:
+    """Different shapes among the pieces of one zone's frame: one where it moves evenly."""
+    parts, means = _in_pieces(offsets, pieces)
+    shape = parts[:, :, NODES.size**2 // 2] - means[:, :, NODES.size**2 // 2, ..., None]
+    apart = np.abs(shape - shape[..., :1, :]).max()
+    return 1 if apart < 0.25 * PATH_STEP_PX else pieces
+
+
+def zone_streak(
+    camera: Camera, g: Geometry, row: int, column: int, plan: StreakPlan, aberration: bool
+) -> Streak:
+    """The common streak of a zone's stars in the one frame of `g`."""
+    zone = zone_of_frame(camera, row, column, plan.zones)
+    u, v = (m.ravel() for m in np.meshgrid(NODES, NODES))
+    offsets = star_offsets(camera, g, *zone.places(u, v), aberration)[:, :, 0]
+    middle = NODES.size**2 // 2
+    longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
+    count = max(plan.pieces, _power_of_two(longest / LONGEST_PIECE_PX))  # this frame may be faster
+    parts, means = _in_pieces(offsets, count)
+    allowed = SLACK * max(plan.spread_px, SPREAD_TOLERANCE_PX * plan.step_px / PATH_STEP_PX)
+    while _apart(parts, means) > allowed and count < MOST_PIECES:  # or turn more
+        count *= 2
+        parts, means = _in_pieces(offsets, count)
+    made = []
+    paths = [_rounded(parts[:, middle, k] - means[:, middle, k, None], plan) for k in range(count)]
+    fine = replace(
+        plan, step_px=plan.step_px / FINER_SHAPE, merge_px=plan.merge_px / FINER_SHAPE
+    )
+    common, worst = _common(parts[:, middle] - means[:, middle, :, None], fine), 0.0
+    for k, path in enumerate(paths):
+        own = _rounded(parts[:, middle, k] - means[:, middle, k, None], fine)
+        base = own if common is None else common
+        longer = parts[:, :, k, -1] - parts[:, :, k, 0]
+        longer = longer - np.array([[v[-1] - v[0]] for v in (base.x_px, base.y_px)])
+        step = max(STRETCH_PX, float(2.0 ** math.ceil(math.log2(max(np.abs(longer).max(), 1e-9)))))
+        centre, base_centre = (
+            (means[:, :, k] - np.array(centroid(p))[:, None]).reshape(2, 3, 3) for p in (path, base)
+        )
+        stretch = longer.reshape(2, 3, 3)
+        worst = max(worst, _blend_px2(longer, step))
+        made.append(StreakSegment(path, 1.0 / count, centre, base, base_centre, stretch, step))
+    followed = np.moveaxis(offsets, -1, 0).reshape(-1, 2, 3, 3)
+    whole = _rounded(offsets[:, middle], plan)
+    length_px = max(1.0, whole.length_px)
+    off_px = plan.mixed_px + 0.5 * fine.step_px + fine.merge_px + plan.edge * worst
+    own_e = max(plan.mixed_from_e_px, _light_from(off_px, plan)) * length_px
+    return Streak(zone, whole, tuple(made), followed, plan.mixed_from_e_px * length_px, own_e)
+
+
+def _blend_px2(longer: Array, step_px: float) -> float:
+    """What mixtures leave of the squared distance of ends from where they belong [px^2].
+
+    longer : (2, n) stretch of stars. Ends of the shapes stand 0, d and d apart along x and y
+    (d = step_px / 2), with weights 1 - a - b, a, b; to second order the mixture errs by
+    (|a (a - 1)| + |b (b - 1)| + 2 |a b|) d^2 / 2 times the second derivative of the light.
+    """
+    a, b = np.abs(longer) / step_px  # either sign: the larger of a (a - 1) and a (a + 1)
+    return float(np.max(a * (a + 1.0) + b * (b + 1.0) + 2.0 * a * b)) * step_px**2 / 8.0
+
+
+def _rounded(places: Array, plan: StreakPlan) -> Path:
+    """Path through places at equal times, straight runs merged, on the plan's grid."""
+    dx, dy = places
+    steps = len(dx) - 1
+    path = path_through(dx, dy, np.full(steps, 1.0 / steps), plan.merge_px)
+    x, y = (np.round(a / plan.step_px) * plan.step_px + 0.0 for a in (path.x_px, path.y_px))
+    return Path(x, y, path.weight)
+
+
+def _common(shapes: Array, plan: StreakPlan) -> Path | None:
+    """One shape for all pieces (2, pieces, steps + 1) but for the distance of their ends.
+
+    None where stretching does not make them alike, or stretches so far that it would show.
+    """
+    mean = shapes.mean(axis=1)
+    ends = shapes[..., -1] - shapes[..., 0]
+    longer = ends - (mean[:, -1] - mean[:, 0])[:, None]
+    ramp = np.linspace(-0.5, 0.5, shapes.shape[-1])
+    off = shapes - mean[:, None] - longer[..., None] * ramp
+    alike = np.hypot(*off).max() <= plan.merge_px and np.abs(longer).max() <= STRETCH_PX
+    return _rounded(mean, plan) if alike else None
+
+
+def _times(path: Path) -> Array:
+    """When a path passes its nodes, 0 to 1: light falls evenly in time."""
+    return np.concatenate([[0.0], np.cumsum(path.weight)]) / path.weight.sum()
+
+
+def centroid(path: Path) -> tuple[float, float]:
+    """Mean place of the light of a path (x, y)."""
+    middle_x = 0.5 * (path.x_px[1:] + path.x_px[:-1])
+    middle_y = 0.5 * (path.y_px[1:] + path.y_px[:-1])
+    return float(path.weight @ middle_x), float(path.weight @ middle_y)

@@ -1,0 +1,1 @@
+"""Decisions about the detector: what it adds, and its rolling shutter."""

@@ -1,0 +1,136 @@
+"""Rolling shutters in the plan: how far sources shift from row to row, and what that leaves out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Geometry
+from pipeline.errors import BadInput
+from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
+from pipeline.physics.motion.rolling import later
+from pipeline.physics.positions.apparent import aberrate, unaberrate
+from pipeline.physics.positions.focal_plane import Camera, deproject, project
+from pipeline.physics.positions.refraction import refract, unrefract
+from pipeline.plan.pointing.attitude_motion import motion_plan
+from pipeline.plan.pointing.geometry import camera_of, late_geometry
+from pipeline.plan.pointing.paths import near_frame
+from pipeline.plan.pointing.star_paths import field_points, still_paths
+from pipeline.spec.scene import Scene
+from pipeline.spec.sensor.detector import RollingShutter
+
+Array = NDArray[np.float64]
+
+FIELD = "sensor.detector.readout.line_s"
+MOST_SHEAR = 0.05  # px that a source may move in the time from one row to the next
+MOST_OFF_PX = 0.1  # that the parabola of its motion may be off at the last row
+
+
+def rolling_shutter(
+    scene: Scene, r: RollingShutter, ends: Geometry, dut1_s: float
+) -> tuple[str, float]:
+    """What a rolling shutter does to a scene, and how far places are off by it [px].
+
+    BadInput where it cannot be drawn rightly.
+    """
+    if motion_plan(scene) is not None:
+        raise BadInput(
+            "sensor.detector.readout", "rolling",
+            "a readout without rows in turn, or a pointing without random motion (its course after "
+            "an exposure is not known)",
+        )  # fmt: skip
+    if scene.populations:
+        raise BadInput(
+            "sensor.detector.readout", "rolling",
+            "a readout without rows in turn, or targets of their own: populations are screened for "
+            "the time of the first row",
+        )  # fmt: skip
+    readout_s = r.line_s * (scene.sensor.shape[0] - 1)
+    lit = _exposed(ends)
+    speed = max((_fastest_px_s(scene, g) for g in lit), default=0.0)
+    shear = speed * r.line_s
+    if shear > MOST_SHEAR:
+        raise BadInput(
+            FIELD, r.line_s,
+            f"at most {MOST_SHEAR / speed:.3g} s here, where a source moves {speed:.3g} px/s: "
+            f"{MOST_SHEAR:g} px from row to row",
+        )  # fmt: skip
+    off = max((_off_px(scene, g, dut1_s, readout_s) for g in lit), default=0.0)
+    if off > MOST_OFF_PX:
+        raise BadInput(
+            FIELD, r.line_s,
+            f"a shorter readout: in {readout_s:.3g} s a source comes {off:.3g} px off the parabola "
+            f"through its exposure ({MOST_OFF_PX:g} px are allowed)",
+        )  # fmt: skip
+    told = (
+        f"row by row in {readout_s:.4g} s, {r.line_s:.3g} s each; a frame's times are those of its "
+        f"first row. The fastest source moves {speed:.3g} px/s, {speed * readout_s:.3g} px in the "
+        "readout: each is drawn with the path and light of its own row's exposure, told by a "
+        f"parabola from its path in the first row's, {off:.2g} px off at most. Its image is drawn "
+        f"as of one row: a shear of {shear:.2g} px for each row from its middle is left out, less "
+        "than that share of its brightest pixel. Sky, ranges and the WCS are of the first row's "
+        "time; light that changes beyond the first row's exposure stays as it is at its end"
+    )
+    return told, off
+
+
+def _exposed(g: Geometry) -> list[Geometry]:
+    """The frames of a geometry without bias frames, in which nothing is seen to move."""
+    took = g.offset_s[:, -1] - g.offset_s[:, 0]
+    if (took > 0.0).all():
+        return [g]
+    return [g.frame_slice(int(k)) for k in np.flatnonzero(took > 0.0)]
+
+
+def _fastest_px_s(scene: Scene, g: Geometry) -> float:
+    """The fastest motion of stars over the field, and of targets in or beside the frame."""
+    camera, took = camera_of(scene), g.offset_s[:, -1] - g.offset_s[:, 0]
+    step_s = took[:, None] / (g.nodes - 1)
+    speeds = [0.0]
+    if scene.stars is not None or not scene.targets:
+        paths = still_paths(camera, g, *field_points(camera), scene.star_effects["aberration"])
+        speeds.append(float((np.hypot(*np.diff(paths, axis=-1)) / step_s).max()))
+    if scene.targets:
+        with np.errstate(invalid="ignore"):
+            steps = np.hypot(np.diff(g.target_x_px, axis=-1), np.diff(g.target_y_px, axis=-1))
+            found = (steps / step_s)[near_frame(scene, g)]
+        speeds.append(float(np.nanmax(found, initial=0.0)))
+    return max(speeds)
+
+
+def _off_px(scene: Scene, g: Geometry, dut1_s: float, readout_s: float) -> float:
+    """How far sources at the last row are from where the parabola has them."""
+    camera, d = camera_of(scene), scene.sensor.detector
+    assert d is not None
+    plain = d.model_copy(update={"readout": None})
+    sensor = scene.sensor.model_copy(update={"detector": plain})
+    scene = scene.model_copy(update={"sensor": sensor})
+    now, late = (late_geometry(scene, g, dut1_s, s) for s in (0.0, readout_s))
+    times, aberration = now.offset_s - now.offset_s[:, [0]], scene.star_effects["aberration"]
+    off = [0.0]
+    if scene.stars is not None:
+        x, y = field_points(camera)
+        told = later(still_paths(camera, now, x, y, aberration), times, readout_s)
+        off.append(float(np.abs(told - _stars_late(camera, now, late, aberration)).max()))
+    if scene.targets:
+        near = near_frame(scene, now)
+        for name in ("target_x_px", "target_y_px"):
+            with np.errstate(invalid="ignore"):
+                apart = later(getattr(now, name), times, readout_s) - getattr(late, name)
+            off.append(float(np.nanmax(np.abs(apart[near]), initial=0.0)))
+    return max(off)
+
+
+def _stars_late(camera: Camera, now: Geometry, late: Geometry, aberration: bool) -> Array:
+    """Where the stars that `still_paths` follows really are at the nodes of a later geometry."""
+    x, y = field_points(camera)
+    out = np.empty((2, len(x), *late.offset_s.shape))
+    whole = 1.0 / SPEED_OF_LIGHT_M_S if aberration else 0.0
+    for f in range(len(now.frame)):
+        seen = unrefract(deproject(camera, now.attitude[f, now.middle], x, y),
+                         now.air_at(f, now.middle))  # fmt: skip
+        stars = unaberrate(seen, now.observer_m_s[f, now.middle] * whole)
+        for k in range(late.nodes):
+            u = refract(aberrate(stars, late.observer_m_s[f, k] * whole), late.air_at(f, k))
+            out[:, :, f, k] = project(camera, late.attitude[f, k], u)
+    return out

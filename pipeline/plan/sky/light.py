@@ -1,0 +1,235 @@
+"""The light of a sky as a function of place and time: what its grids are made from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Geometry
+from pipeline.errors import BadInput
+from pipeline.physics.colour import ColourFit
+from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, DEG_RAD, SPEED_OF_LIGHT_M_S
+from pipeline.physics.positions.apparent import unaberrate
+from pipeline.physics.positions.focal_plane import Camera, deproject, solid_angle_sr
+from pipeline.physics.positions.refraction import unrefract
+from pipeline.physics.sky import zodiacal as z
+from pipeline.physics.sky.galactic import diffuse_light
+from pipeline.physics.sky.smooth import smooth
+from pipeline.physics.sky.starlight import band_light
+from pipeline.plan.facts import Facts
+from pipeline.plan.optics.pupil import pupil_fraction
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.scene import Scene
+from pipeline.spec.sky.background import Background, Galactic, Zodiacal
+
+if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
+    from pipeline.physics.sky.night import NightBand
+    from pipeline.plan.sky.stray_light import StrayInputs
+    from pipeline.spec.sky.stray_light import StrayLight
+
+Array = NDArray[np.float64]
+
+ALL_G_MAG = -99.0  # brighter than any star
+MOVED = 1e-5  # radians by which a boresight turns in an exposure before its ends are looked at too
+
+
+class LightLike(Protocol):
+    """Summed light of stars per sr, as `catalog_tools.query.starlight.Light`."""
+
+    @property
+    def g(self) -> Array: ...
+    @property
+    def g_colour(self) -> Array: ...
+    @property
+    def g_colour_squared(self) -> Array: ...
+    @property
+    def g_without_colour(self) -> Array: ...
+    @property
+    def g_squared(self) -> Array: ...
+    @property
+    def g_error(self) -> Array: ...
+
+
+class StarlightLike(Protocol):
+    """A source of the summed light of stars beyond a magnitude."""
+
+    @property
+    def source(self) -> str: ...
+    def fainter(self, limit_g_mag: float, directions: Array) -> LightLike: ...
+
+
+@dataclass(frozen=True, eq=False)
+class SkyInputs:
+    """What was read for the sky; None for a part that the scene does not ask for.
+
+    uniform_m2_sr : electrons/s per m2 of pupil and sr of a uniform sky; uniform_e_s : electrons/s
+        of each pixel, where the scene gives that
+    zodiacal_rates : of `physics.sky.zodiacal.band_rates`
+    undrawn : stars that are left to the sky; every : all stars of the sky, for the Galaxy's dust
+    """
+
+    uniform_m2_sr: float | None = None
+    uniform_e_s: float | None = None
+    zodiacal: z.ZodiacalTable | None = None
+    zodiacal_rates: tuple[float, float] = (0.0, 0.0)
+    undrawn: StarlightLike | None = None
+    every: StarlightLike | None = None
+    fit: ColourFit | None = None
+    stray: StrayInputs | None = None
+    extinction: BandExtinction | None = None
+    night: NightBand | None = None
+
+
+@dataclass(frozen=True)
+class LightOfSky:
+    """The light of a sky as a function of place: what the grids are made from.
+
+    Each part is light per solid angle in a direction, which `pixel_m2_sr` turns into a pixel's;
+    light that comes as a rate of each pixel (`per_pixel`) is added to it.
+    limit_g_mag : stars beyond it are left to the sky; None while that is not known: no star is
+    """
+
+    scene: Scene
+    camera: Camera
+    facts: Facts
+    inputs: SkyInputs
+    limit_g_mag: float | None
+    dut1_s: float = 0.0
+
+    def at(self, g: Geometry) -> Callable[[Array, Array], Array]:
+        """Light (F, n) [e-/s and pixel] of the frames of a geometry, at x, y (n,) [px]."""
+        return lambda x, y: np.stack([self._frame(g, f, x, y) for f in range(len(g.frame))])
+
+    def _frame(self, g: Geometry, f: int, x: Array, y: Array) -> Array:
+        """The mean over an exposure: Simpson's rule over its start, middle and end."""
+        turned = np.abs(g.attitude[f, 0, 2] - g.attitude[f, -1, 2]).max()
+        nodes = {g.middle: 1.0}
+        if turned > MOVED:
+            nodes = {0: 1.0 / 6.0, g.middle: 4.0 / 6.0, g.nodes - 1: 1.0 / 6.0}
+        total = sum(w * sum(self.parts(g, f, k, x, y).values()) for k, w in nodes.items())
+        light = total * self.pixel_m2_sr(x, y)
+        for k, w in nodes.items():
+            light = light + w * sum(self.per_pixel(g, f, k, x, y).values())
+        return light
+
+    @property
+    def still(self) -> bool:
+        """Whether it is the same in all frames: a uniform sky alone."""
+        i, b = self.inputs, background_of(self.scene)
+        moving = (i.zodiacal, i.undrawn, i.every, i.stray)
+        return all(part is None for part in moving) and not b.of_the_air
+
+    def parts(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
+        """Each part's electrons/s per m2 of pupil and sr (n,)."""
+        out = {"none": np.zeros(len(x))}
+        if not self.still:
+            out |= self._directed(g, f, node, x, y)
+        if self.inputs.uniform_m2_sr is not None:  # as it reaches the site: below the air
+            out["uniform"] = np.full(len(x), self.inputs.uniform_m2_sr)
+        return out
+
+    def _directed(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
+        """The parts that follow from where a pixel looks."""
+        u = self.directions(g, f, node, x, y)
+        out: dict[str, Array] = {}
+        if self.inputs.zodiacal is not None:
+            out["zodiacal"] = self._zodiacal(u, g.sun_m[f, node] - g.observer_m[f, node])
+        galactic = background_of(self.scene).galactic
+        if self.inputs.every is not None and isinstance(galactic, Galactic):
+            stars = self._stars(self.inputs.every, ALL_G_MAG, u)
+            out["galactic"] = diffuse_light(stars, galactic.share)
+        undrawn, limit = self.inputs.undrawn, self.limit_g_mag
+        wanted = background_of(self.scene).starlight != "none"
+        if wanted and undrawn is not None and limit is not None:
+            out["starlight"] = self._stars(undrawn, limit, u)
+        if not g.has_air:
+            return out
+        from pipeline.plan.sky.night import dimmed, night_parts
+
+        observed = deproject(self.camera, g.attitude[f, node], x, y)
+        out = dimmed(self.scene, self.inputs.extinction, g.air[f, node], observed, out)
+        return out | night_parts(self.scene, self.inputs, g, f, node, observed)
+
+    def per_pixel(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
+        """Each part that is a pixel's own rate (n,) [e-/s]: as given, and stray light."""
+        out = {"none": np.zeros(len(x))}
+        if self.inputs.uniform_e_s is not None:
+            out["uniform"] = np.full(len(x), self.inputs.uniform_e_s)
+        if self.inputs.stray is not None:
+            out |= self.stray(g, f, node, x, y)
+        return out
+
+    def stray(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
+        """Each body's stray light (n,) [e-/s and pixel]."""
+        from pipeline.plan.sky.stray_light import stray_parts
+
+        wish = background_of(self.scene).stray_light
+        assert wish is not None
+        assert self.inputs.stray is not None
+        inputs, air = self.inputs.stray, self.inputs.extinction
+
+        def parts(wish: StrayLight, x: Array, y: Array) -> dict[str, Array]:
+            u = self.directions(g, f, node, x, y)
+            return stray_parts(self.scene, wish, inputs, g, f, node, u, self.dut1_s, air)
+
+        lamps = wish.model_copy(update={"earth": False})
+        out = parts(lamps, x, y)
+        if wish.earth and not isinstance(self.scene.observer, GroundObserver):
+            earth = wish.model_copy(update={"sun": False, "moon": False})
+            rows, columns = self.camera.rows, self.camera.columns
+            out["earth"] = smooth(lambda x, y: parts(earth, x, y)["earth"], rows, columns, x, y)
+        return out
+
+    def directions(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> Array:
+        """Unit vectors (n, 3) of the sky before refraction and aberration."""
+        observed = deproject(self.camera, g.attitude[f, node], x, y)
+        seen = unrefract(observed, g.air_at(f, node))
+        if not self.scene.star_effects["aberration"]:
+            return seen
+        return unaberrate(seen, g.observer_m_s[f, node] / SPEED_OF_LIGHT_M_S)
+
+    def _zodiacal(self, u: Array, sun_m: Array) -> Array:
+        assert self.inputs.zodiacal is not None
+        distance = float(np.sqrt(sun_m @ sun_m)) / ASTRONOMICAL_UNIT_M
+        if not z.LEAST_AU <= distance <= z.MOST_AU:
+            raise BadInput(
+                "observer", f"{distance:.3g} au from the Sun",
+                f"{z.LEAST_AU:g} to {z.MOST_AU:g} au for zodiacal light, whose fall with distance "
+                "is known there (or leave background.zodiacal out)",
+            )  # fmt: skip
+        lon, lat, elongation = z.sun_coordinates(u, sun_m)
+        _check_elongation(float(elongation.min()), background_of(self.scene).zodiacal)
+        radiance = z.radiance_500(self.inputs.zodiacal, lon, lat) * z.distance_factor(distance)
+        return z.band_radiance(radiance, elongation, self.inputs.zodiacal_rates)
+
+    def _stars(self, source: StarlightLike, limit_g_mag: float, u: Array) -> Array:
+        assert self.inputs.fit is not None
+        found = source.fainter(limit_g_mag, u)
+        moments = (found.g, found.g_colour, found.g_colour_squared)
+        return band_light(moments, found.g_without_colour, self.inputs.fit)
+
+    def pixel_m2_sr(self, x: Array, y: Array) -> Array:
+        """Area of the pupil as a pixel at x, y (n,) sees it, times the solid angle that it collects
+        from."""
+        pupil_m2 = self.facts.area_m2 * pupil_fraction(self.scene, self.camera, x, y)
+        return pupil_m2 * self.scene.sensor.fill_factor * solid_angle_sr(self.camera, x, y)
+
+
+def background_of(scene: Scene) -> Background:
+    return scene.background or Background(starlight="auto")
+
+
+def _check_elongation(least_rad: float, wish: Zodiacal | bool | None) -> None:
+    extrapolate = isinstance(wish, Zodiacal) and wish.near_sun == "extrapolate"
+    end = z.NEAREST_RAD if extrapolate else z.TABLE_ENDS_RAD
+    if least_rad < end:
+        hint = "" if extrapolate else "; near_sun: extrapolate goes to 2"
+        raise BadInput(
+            "background.zodiacal", f"{least_rad / DEG_RAD:.3g} deg from the Sun in the field",
+            f"{end / DEG_RAD:.0f} degrees or more{hint}",
+        )  # fmt: skip

@@ -1,0 +1,116 @@
+"""A site's night sky in the plan: light of the air, and what the air takes from other light."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Geometry
+from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.positions.refraction import refract
+from pipeline.physics.sky.moon import irradiance_share
+from pipeline.physics.sky.night import airglow, moonlight, twilight
+from pipeline.physics.targets.lighting import phase_angle
+from pipeline.physics.targets.shadow import moon_m, sunlit_past_earth
+from pipeline.physics.vectors import separation, unit
+from pipeline.plan.decision import Decision
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.scene import Scene
+from pipeline.spec.sky.atmosphere import Extinction
+from pipeline.spec.sky.background import Background
+
+if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
+    from pipeline.plan.sky.light import SkyInputs
+
+Array = NDArray[np.float64]
+
+
+def dimmed(
+    scene: Scene,
+    extinction: BandExtinction | None,
+    air: Array,
+    observed: Array,
+    parts: dict[str, Array],
+) -> dict[str, Array]:
+    """Light from beyond the air, less the part of the extinction that diffuse light suffers.
+
+    Undrawn stars are dimmed as drawn ones are, so that a limiting magnitude changes no sum.
+
+    air : (5,) of the Geometry; observed : (n, 3)
+    """  # fmt: skip
+    o = scene.observer
+    if extinction is None or not isinstance(o, GroundObserver) or o.atmosphere is None:
+        return parts
+    wish = o.atmosphere.extinction
+    assert isinstance(wish, Extinction)
+    sine = observed @ air[:3]
+    diffuse = extinction.transmission(sine, wish.diffuse_share)
+    stars = extinction.transmission(sine)
+    return {n: light * (stars if n == "starlight" else diffuse) for n, light in parts.items()}
+
+
+def night_parts(
+    scene: Scene, inputs: SkyInputs, g: Geometry, f: int, node: int, observed: Array
+) -> dict[str, Array]:
+    """Electrons/s per m2 of pupil and sr (n,) of the light of the air; observed : (n, 3).
+
+    Twilight of a Sun above the horizon (`plan.sky_doubts`) is that of one at the horizon.
+    """
+    b, band, out = scene.background or Background(starlight="none"), inputs.night, {}
+    if band is None or not b.of_the_air:
+        return {}
+    air = g.air[f, node]
+    sine = observed @ air[:3]
+    if b.airglow:
+        out["airglow"] = airglow(band, inputs.extinction, sine)
+    if not (b.moonlight or b.twilight):
+        return out
+    assert inputs.extinction is not None
+    tt = g.tt1[f, node], g.tt2[f, node]
+    earth = earth_and_sun(*tt)
+    place, sun = g.observer_m[f, node] - earth.position_m[0], earth.sun_from_earth_m[0]
+    if b.moonlight:
+        moon = moon_m(*tt)[0]
+        seen = refract(unit(moon - place), air)
+        out["moonlight"] = moonlight(
+            band, inputs.extinction, sine, float(seen @ air[:3]), separation(observed, seen[None]),
+            _moon_share(place, sun, moon),
+        )  # fmt: skip
+    if b.twilight:
+        up = unit(sun - place)
+        apart = separation(observed, up[None])
+        sun_sine = min(float(up @ air[:3]), 0.0)
+        out["twilight"] = twilight(band, inputs.extinction, sine, sun_sine, apart)
+    return out
+
+
+def _moon_share(place: Array, sun: Array, moon: Array) -> float:
+    """The Moon's irradiance above the air over the Sun's at 1 au, eclipses included."""
+    to_moon, to_sun = moon - place, sun - moon
+    far, from_sun = np.sqrt(to_moon @ to_moon), np.sqrt(to_sun @ to_sun)
+    share = float(irradiance_share(phase_angle(moon, sun, place), from_sun, far))
+    return share * float(sunlit_past_earth(moon[None], sun)[0])
+
+
+def night_told(scene: Scene, ends: list[dict[str, Array]]) -> list[Decision]:
+    """What the air sends, and how well it is known; ends : e-/s and pixel of two frames."""
+    known = {
+        "airglow": "zenith of the Paranal sky model (Noll et al. 2012) in the band, a layer at 90 "
+        "km (van Rhijn), the Sun's activity as given; a night differs by 50%",
+        "moonlight": "Krisciunas & Schaefer 1991 with the band's own extinction (23% in V); one "
+        "scattering law for all wavelengths",
+        "twilight": "Schaefer 1993 (a magnitude); fainter than the night sky beyond 18 degrees",
+    }
+    out = []
+    for name, how in known.items():
+        wanted = scene.background is not None and getattr(scene.background, name)
+        if wanted:
+            values = np.concatenate([e[name] for e in ends])
+            span = f"{values.min():.4g} to {values.max():.4g} e-/s per pixel"
+            out.append(Decision(f"background.{name}", True, f"{span}: {how}"))
+        else:
+            out.append(Decision(f"background.{name}", False, "not asked for"))
+    return out

@@ -1,0 +1,278 @@
+"""Tables or star by star: the cheapest way to draw the stars of each core class and streak.
+
+The choice follows from the scene and the stars of its fullest frame (of a few), never from tiles or
+workers. It changes costs alone: either way meets the bounds that the plan states.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.arrays import Array, Geometry
+from pipeline.physics.drawing.spectral_plan import CROWD_PX
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, transfer
+from pipeline.physics.psf.pupil import Blur
+from pipeline.physics.psf.response import oversampling_for
+from pipeline.plan.decision import Decision
+from pipeline.plan.decisions import core_ends
+from pipeline.plan.response.responses import (
+    FIELD_BYTES,
+    SPECTRAL_S_PER_PIXEL,
+    STAMP_S,
+    STAMP_S_PER_PIXEL,
+    CoreClass,
+    ResponsePlan,
+    stamp_s,
+    table_bytes,
+)
+from pipeline.plan.response.streaks import Streak, zone_streak
+from pipeline.plan.tiles import BLOCK_PX
+
+if TYPE_CHECKING:
+    from pipeline.plan.scene_plan import Plan
+
+# Seconds a star and a sample of its transform for each segment of its path, a value of a table:
+# one core of the 2-core reference machine. A cubic stamp costs as much more as it has points.
+ALONG_S, ALONG_S_PER_SAMPLE, TABLE_S_PER_VALUE = 2e-4, 9e-9, 4e-8
+CUBIC = 3.0
+FEWEST_PHASES, MOST_PHASES = 8, 32
+MIXTURE_BYTES = 48e6  # what the three tables of a mixture may take
+SURE = 4.0  # times cheaper must star by star be: other frames may hold more
+FREQUENCIES = 65
+FEW_BRIGHT = 0.1  # of the cost of transforms: what the stars may cost that are too bright for them
+TOGETHER = 5.0  # standard deviations of what a crowd's errors add up to
+
+
+@dataclass(frozen=True)
+class StarCounts:
+    """The stars that light a frame: their light [e-] (n,), sorted, and how many each stands for."""
+
+    light_e: Array
+    each: float = 1.0
+
+    def brighter(self, light_e: float) -> float:
+        """Stars of more light than so many electrons."""
+        fainter = np.searchsorted(self.light_e, light_e, "right")
+        return self.each * float(len(self.light_e) - fainter)
+
+    def between(self, low_e: float, high_e: float) -> float:
+        """Stars of more than `low_e` and at most `high_e` electrons."""
+        return self.brighter(low_e) - self.brighter(high_e) if low_e < high_e else 0.0
+
+
+def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
+    """The plan with tables only where they are cheaper than drawing star by star.
+
+    g : some of the scene's frames
+    """
+    r = plan.responses
+    if not r.classes:
+        return plan
+    streaks = _streaks(plan, g)
+    limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
+    classes, said, stars_s = [], [], 0.0
+    for core, low_e in zip(r.classes, limits, strict=False):
+        chosen, words, bright_s, usual_s = _choose(plan, core, low_e, streaks, counts)
+        classes.append(chosen)
+        said += words
+        stars_s = stars_s + bright_s + usual_s
+    expected = tuple(counts.between(a, b) for a, b in pairwise(limits))
+    spent_s = None if r.products else stars_s
+    made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
+    if r.spectral_from:
+        made = replace(made, crowd_e=_crowd_e(plan, counts, streaks))
+    total = round(counts.each * len(counts.light_e))
+    decided = (*_of_tables(plan, classes), _decision(said))
+    return replace(plan, responses=made, decisions=decided, stars_per_frame=total)
+
+
+def _choose(
+    plan: Plan, core: CoreClass, low_e: float, streaks: list[Streak], counts: StarCounts
+) -> tuple[CoreClass, list[str], float, float]:
+    """A class of stars above `low_e` with its phases, what is said of it, and the CPU seconds of
+    its bright and of its usual stars, 0 of those in crowds."""
+    r = plan.responses
+    ways = [_Costs(plan, core, streak) for streak in streaks]
+    splits = [float(np.clip(s.mixed_from_e, low_e, core.brightest_e)) for s in streaks]
+    usual = [counts.between(low_e, split) for split in splits]
+    bright = [counts.between(split, core.brightest_e) for split in splits]
+    if _in_crowds(plan, core, max(usual)):
+        usual = [math.inf] * len(usual)
+    tables_s, singly_s = _mean_s(_Costs.tables, ways, usual), _mean_s(_Costs.singly, ways, usual)
+    mixtures_s = _mean_s(_Costs.mixtures, ways, bright)
+    along_s = _mean_s(_Costs.along, ways, bright)
+    tables = r.products or tables_s <= SURE * singly_s
+    phases = core.phases * tables
+    mixed = max(way.mixed_phases for way in ways) * (mixtures_s <= along_s)
+    usual_s = tables_s if tables else singly_s
+    return (
+        replace(core, phases=phases, mixed_phases=mixed),
+        _said(core, max(usual), max(bright), phases, mixed),
+        min(mixtures_s, along_s),
+        usual_s if math.isfinite(max(usual)) else 0.0,
+    )
+
+
+def _in_crowds(plan: Plan, core: CoreClass, stars: float) -> bool:
+    """Whether transforms draw so many stars of a class together."""
+    r = plan.responses
+    many = core is r.classes[0] and stars >= r.spectral_from * _blocks(plan)
+    return many and r.spectral_from > 0
+
+
+def _mean_s(
+    cost_s: Callable[[_Costs, float], float], ways: list[_Costs], stars: list[float]
+) -> float:
+    """Mean over the streaks of what so many stars on each cost."""
+    return sum(cost_s(way, n) for way, n in zip(ways, stars, strict=True)) / len(ways)
+
+
+def _streaks(plan: Plan, g: Geometry) -> list[Streak]:
+    """The common streak at the field's middle in each of some frames."""
+    streaks, aberration = plan.responses.streaks, plan.scene.star_effects["aberration"]
+    middle = streaks.zones // 2
+    return [
+        zone_streak(plan.camera, g.frame_slice(k), middle, middle, streaks, aberration)
+        for k in range(len(g.frame))
+    ]
+
+
+def _crowd_e(plan: Plan, counts: StarCounts, streaks: list[Streak]) -> float:
+    """Light [e-] up to which transforms are to serve stars: the finer they are the dearer.
+
+    So many brighter ones are left to stamps as cost FEW_BRIGHT of the transforms. Not below what
+    the sum of all in a pixel errs by together, as errors of many stars add up like noise.
+    """
+    r = plan.responses
+    light, fixed_s = counts.light_e, SPECTRAL_S_PER_PIXEL * math.prod(plan.scene.sensor.shape)
+    left = FEW_BRIGHT * fixed_s / (r.streaks.pieces * stamp_s(r)) / counts.each
+    limit_e = min(r.classes[0].brightest_e, *(streak.mixed_from_e for streak in streaks))
+    if 1.0 <= left < len(light):
+        limit_e = min(limit_e, float(light[-int(left)]))
+    elif left >= len(light):
+        return limit_e
+    faint = light[light <= limit_e]
+    area = math.prod(plan.scene.sensor.shape)
+    crowd_e = TOGETHER * math.sqrt(CROWD_PX * counts.each * float(faint @ faint) / area)
+    return max(limit_e, crowd_e)
+
+
+def _blocks(plan: Plan) -> int:
+    return math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
+
+
+class _Costs:
+    """Seconds of drawing stars of a class in one frame, by each way."""
+
+    def __init__(self, plan: Plan, core: CoreClass, streak: Streak) -> None:
+        r = plan.responses
+        self._core, self._count = core, len(streak.pieces)
+        self._frames = 1.0 if r.streaks.longest_px else plan.frames  # that share their tables
+        self._tables = r.streaks.shapes * len(r.blurs)
+        self._each = min(4, len(r.blurs))  # responses that one star is drawn by
+        self._segments = streak.path.segments
+        self._os = max(oversampling_for(b) for b in r.blurs)
+        self._path = max((p.path for p in streak.pieces), key=lambda p: p.length_px)
+        self._sweep = streak.path
+        self.mixed_phases = self._phases_of_mixtures(r, streak)
+
+    def tables(self, stars: float) -> float:
+        """From tables of the common shapes."""
+        made = self._table_s(self._core.phases) * self._tables / self._frames
+        return made + stars * self._each * self._count * self._stamp_s(1.0)
+
+    def singly(self, stars: float) -> float:
+        """Each at its exact place, with the common shapes."""
+        one_s = self._transform_s(self._path, 0.5 + 0.5 / max(1, self._count))
+        return stars * self._each * self._count * one_s
+
+    def mixtures(self, stars: float) -> float:
+        """From tables of three shapes."""
+        if not self.mixed_phases or math.isinf(stars):
+            return math.inf
+        made = 3.0 * self._table_s(self.mixed_phases) * self._tables
+        return made + stars * self._each * self._count * 3.0 * self._stamp_s(CUBIC)
+
+    def along(self, stars: float) -> float:
+        """Each along its own path."""
+        pieces = max(1.0, math.ceil(self._sweep.length_px / LONGEST_PIECE_PX))
+        return stars * self._each * self._transform_s(self._sweep, self._segments, pieces)
+
+    def _stamp_s(self, more: float) -> float:
+        radius = self._core.radius_px
+        pixels = math.pi * radius**2 + 2.0 * radius * self._path.length_px
+        return STAMP_S + more * STAMP_S_PER_PIXEL * pixels
+
+    def _table_s(self, phases: int) -> float:
+        return TABLE_S_PER_VALUE * table_bytes(phases, self._core.radius_px, self._path) / 4.0
+
+    def _transform_s(self, path: Path, passes: float, pieces: float = 1.0) -> float:
+        """Transform of one star along a path, whose spectrum is gone through so many times."""
+        sides = [
+            2.0 * self._core.radius_px + float(np.ptp(v)) / pieces + 10.0
+            for v in (path.x_px, path.y_px)
+        ]
+        samples = 0.5 * math.prod(sides) * self._os**2
+        return ALONG_S * pieces + ALONG_S_PER_SAMPLE * samples * max(passes, pieces)
+
+    def _phases_of_mixtures(self, r: ResponsePlan, streak: Streak) -> int:
+        """Fewest phases whose cubic interpolation serves the class's brightest; 0 for none."""
+        piece = streak.pieces[len(streak.pieces) // 2]
+        brightest = self._core.brightest_e * piece.share
+        if not math.isfinite(brightest):
+            return 0
+        needed = max(cubic_bound(b, piece.base) for b in r.blurs) * brightest / r.budget_e
+        wanted = 2 ** math.ceil(0.25 * math.log2(max(needed, 1e-9)))
+        phases = max(FEWEST_PHASES, int(wanted)) if wanted <= MOST_PHASES else 0
+        together = 3.0 * table_bytes(phases, self._core.radius_px, piece.base) * self._tables
+        most = MIXTURE_BYTES * max(1, r.streaks.shapes) if r.field is None else FIELD_BYTES
+        return phases if together <= most else 0
+
+
+def cubic_bound(blur: Blur, path: Path) -> float:
+    """Upper bound of the error of cubic interpolation between phases, times their number^4.
+
+    Per unit light: 3/128 times the integral of ((2 pi fx)^4 + (2 pi fy)^4) |T| over frequencies.
+    """
+    end = blur.band_limit(1e-3)
+    f = np.linspace(-end, end, 2 * FREQUENCIES - 1)
+    swept = np.abs(transfer(f, f, path.x_px, path.y_px, path.weight))
+    swept *= np.abs(blur.transfer(f[:, None], f[None, :]))
+    fourth = (2.0 * np.pi * f) ** 4
+    integrand = (fourth[:, None] + fourth[None, :]) * swept
+    return 3.0 / 128.0 * float(np.trapezoid(np.trapezoid(integrand, f), f))
+
+
+def _said(
+    core: CoreClass, usual: float, bright: float, phases: int, mixed: int
+) -> list[str]:
+    """What the decision says of a class."""
+    name = f"cores of {core.radius_px:.0f} px"
+    said = []
+    if core.phases and not phases and usual >= 0.5:
+        said.append(f"about {usual:.0f} stars with {name} one by one, without tables")
+    if bright >= 0.5:
+        way = f"by mixtures of {mixed} phases" if mixed else "each along its own path"
+        said.append(f"about {bright:.0f} bright streaks with {name} {way}")
+    return said
+
+
+def _of_tables(plan: Plan, classes: list[CoreClass]) -> Sequence[Decision]:
+    """The decisions so far; of classes that need no tables, without those of tables."""
+    name, r = "phase_interpolation", plan.responses
+    if r.spectral_from or r.products or any(c.phases or c.mixed_phases for c in classes):
+        return plan.decisions
+    why = "each star at its exact place: no tables are made"
+    out = [Decision(name, False, why) if d.component == name else d for d in plan.decisions]
+    return out if r.spacing_px else [*out, core_ends(r, plan.facts)]
+
+
+def _decision(said: list[str]) -> Decision:
+    reason = "the cheapest for the stars of the fullest frame; the bounds are the same"
+    return Decision("star_engines", True, f"{'; '.join(said) or 'stamps from tables'}: {reason}")

@@ -1,0 +1,140 @@
+"""How large what is left out of targets may be: forces, earthshine, light between facets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Geometry
+from pipeline.physics.constants import DAY_S, EARTH_EQUATORIAL_RADIUS_M, EARTH_GM_M3_S2
+from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.positions.times import parse_utc
+from pipeline.plan.decision import Decision
+from pipeline.plan.timing import end_s
+from pipeline.spec.scene import Scene, Target
+from pipeline.spec.targets.mesh import LambertSurface, MeshBody
+
+J2 = 1.0826267e-3
+SMALLER = 1.05  # harmonics beyond the flattening, of its acceleration: 1.4e-2 of it, and sunlight
+MOON_PER_S2, SUN_PER_S2 = 2.0 * 4.9028e12 / 3.56e8**3, 2.0 * 1.32712e20 / 1.47e11**3  # tides
+USUAL_ALBEDO = 0.3
+
+
+def geocentric_m(g: Geometry) -> np.ndarray:
+    """Distances (T, F) of targets from the Earth's middle at mid-exposure."""
+    earth = earth_and_sun(g.tt1[:, g.middle], g.tt2[:, g.middle]).position_m
+    place = g.observer_m[:, g.middle] - earth
+    target = place + g.target_range_m[:, :, g.middle, None] * g.target_direction
+    return np.asarray(np.sqrt(np.sum(target**2, axis=-1)))
+
+
+def earthshine_share(lamps: Sequence[Target], g: Geometry) -> float:
+    """Irradiance by the Earth over the Sun's of the nearest target: albedo (R/r)^2, at most."""
+    albedos = [t.lighting.earthshine_albedo or 0.0 for t in lamps if t.lighting is not None]
+    nearest = max(float(geocentric_m(g).min()), EARTH_EQUATORIAL_RADIUS_M)
+    albedo = max(albedos, default=USUAL_ALBEDO)
+    return 1.01 * albedo * (EARTH_EQUATORIAL_RADIUS_M / nearest) ** 2
+
+
+def two_body_m(targets: Sequence[Target], scene: Scene, g: Geometry) -> float:
+    """How far two-body motion may be off at the end of a scene, by all forces but drag [m].
+
+    In a coming and going orbit a steady force f moves a body by at most 2 f t^2 (Clohessy &
+    Wiltshire 1960: 3/2 along the track, the rest across and with the period). f: the flattening's
+    3 J2 mu R^2 / r^4 at the lowest height, with what is smaller, and the tides of Moon and Sun.
+    """
+    worst = 0.0
+    for i, target in enumerate(scene.targets):
+        if target not in targets:
+            continue
+        r = max(_lowest_m(target.orbit, float(geocentric_m(g)[i].min())),
+                EARTH_EQUATORIAL_RADIUS_M)  # fmt: skip
+        time_s = longest_from_elements_s(scene, target.orbit)
+        flat = 3.0 * J2 * EARTH_GM_M3_S2 * EARTH_EQUATORIAL_RADIUS_M**2 / r**4
+        force = SMALLER * flat + (MOON_PER_S2 + SUN_PER_S2) * 1.2 * r
+        worst = max(worst, 2.0 * force * time_s**2)
+    return worst
+
+
+def longest_from_elements_s(scene: Scene, orbit: Any) -> float:
+    """Longest time [s] of a scene from when a state, or elements, were right: at their epoch."""
+    told = getattr(orbit, "time_of_perigee", None) or orbit.epoch
+    start, right = parse_utc(scene.epoch), parse_utc(told or scene.epoch)
+    since = DAY_S * ((start[0] - right[0]) + (start[1] - right[1]))
+    return max(abs(since), abs(since + end_s(scene)))
+
+
+def _lowest_m(orbit: Any, seen_m: float) -> float:
+    """Distance of perigee [m]; that which is seen where the orbit does not say."""
+    if orbit.kind == "keplerian":
+        if orbit.perigee_radius_m is not None:
+            return float(orbit.perigee_radius_m)
+        return float(orbit.semi_major_axis_m * (1.0 - orbit.eccentricity))
+    place, speed = (np.array(v, float) for v in (orbit.position_m, orbit.velocity_m_s))
+    r, momentum = np.sqrt(place @ place), np.cross(place, speed)
+    pull = np.cross(speed, momentum) / EARTH_GM_M3_S2 - place / r
+    low = (momentum @ momentum) / EARTH_GM_M3_S2 / (1.0 + np.sqrt(pull @ pull))
+    return float(min(low, r, seen_m))
+
+
+def table_told(target: Target) -> Decision:
+    """How well a table of places tells an orbit between its rows."""
+    o: Any = target.orbit
+    nodes, error = o.nodes, o.error_m
+    if nodes is None or error is None:  # rows in the scene itself: nobody measured them yet
+        from pipeline.physics.positions.orbit_table import best_nodes, left_out_error
+
+        rows = np.array(o.rows, float)
+        table = rows[:, 0], rows[:, 1:4], rows[:, 4:] if rows.shape[1] == 7 else None
+        if nodes is None:
+            nodes, error = best_nodes(*table)
+        else:
+            error = left_out_error(*table, nodes)
+    known = bool(np.isfinite(error))
+    told = f"at most {error:.2g} m off on rows left out" if known else "too few to leave one out"
+    return Decision(
+        "targets.ephemeris", True,
+        f"{target.name}: {o.source or 'rows in the scene'}, polynomials through {nodes} rows, "
+        f"{told}", bound=float(error) if known else None, unit="m",
+    )  # fmt: skip
+
+
+def between_facets(meshes: Sequence[Target]) -> Decision:
+    """Light that goes from one facet to another and then on to the observer: never drawn.
+
+    Of matt surfaces of albedo a under the irradiance E no facet is lit by others with more than
+    a E / (1 - a), so that a body sends at most that over E more than a matt plate of its outline
+    that faces the Sun. A closed convex body sends nothing of it.
+    """
+    found = [_albedo(t.body) for t in meshes if isinstance(t.body, MeshBody)]
+    known = [a for a in found if a is not None]
+    told = "in concave corners of bright diffuse surfaces a part of the light is missing"
+    if len(known) < len(found):
+        return Decision(
+            "targets.light_between_facets", False,
+            f"one reflection only: {told}; no bound is known of glossy surfaces",
+        )  # fmt: skip
+    a = max(known, default=0.0)
+    return Decision(
+        "targets.light_between_facets", False,
+        f"one reflection only: {told}, at most albedo / (1 - albedo) of the light of a matt plate "
+        "of the body's outline; none of a convex body's",
+        bound=a / (1.0 - a) if a < 1.0 else None, unit="of a plate of its outline",
+    )  # fmt: skip
+
+
+def _albedo(body: MeshBody) -> float | None:
+    """Largest albedo of a body's matt surfaces, 0 of a convex body; None where it has others."""
+    model = body.model
+    if model is not None and len(model.parts) == 1 and model.parts[0].facets.convex:
+        return 0.0
+    albedos = [0.0]
+    for part in (body, *body.parts):
+        for surface in (part.surface, *part.materials.values()):
+            if isinstance(surface, LambertSurface):
+                albedos.append(float(surface.albedo))
+            elif surface is not None:
+                return None
+    return max(albedos)

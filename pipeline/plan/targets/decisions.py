@@ -1,0 +1,244 @@
+"""Decisions about targets: what lights and hides them, how they move, how they are drawn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Geometry
+from pipeline.physics.psf.pupil import Blur
+from pipeline.plan.bodies.bodies import flicker_share
+from pipeline.plan.bodies.sizes import limb_px, radius_m
+from pipeline.plan.decision import Decision
+from pipeline.plan.facts import Facts
+from pipeline.plan.pointing.paths import near_frame
+from pipeline.plan.response.responses import point_slope
+from pipeline.plan.targets.bounds import (
+    between_facets,
+    earthshine_share,
+    table_told,
+    two_body_m,
+)
+from pipeline.spec.scene import Scene, Target
+from pipeline.spec.targets.body import CompositeBody, SphereBody
+from pipeline.spec.targets.mesh import MeshBody
+from pipeline.spec.targets.orbit import KeplerianOrbit, NumericalOrbit, StateOrbit, TableOrbit
+
+FINER_SHADOW = 1.5e-4  # of sunlight: shadows with an ellipsoid, limb darkening, the Moon
+LAMPS_ERROR = 5e-4  # of earthshine, in 256 lamps
+
+
+def decide_targets(
+    scene: Scene, facts: Facts, ends: Geometry, blur: Blur
+) -> list[Decision]:
+    """Every decision about the targets of a scene; none without targets.
+
+    ends : some of the scene's frames; blur : the response
+    """
+    screened = []
+    if scene.populations:
+        from pipeline.plan.targets.populations import population_decisions
+
+        screened = population_decisions(scene)
+    if not scene.targets:
+        return screened
+    return [
+        *screened,
+        *_lighting(scene, ends),
+        *_orbits(scene, ends),
+        *_sizes(scene, facts, ends, blur),
+        Decision(
+            "targets.light_between_nodes", True,
+            f"linear between {ends.nodes} nodes of an exposure: off by at most "
+            f"{flicker_share(ends, near_frame(scene, ends)):.2g} of the light of a target in or "
+            "beside the frame, of the frames looked at",
+            bound=flicker_share(ends, near_frame(scene, ends)), unit="of a target's light",
+        ),
+    ]  # fmt: skip
+
+
+def mesh_notices(scene: Scene) -> list[str]:
+    """What the meshes of a scene have to say of themselves: holes, mended normals."""
+    return [
+        f"{t.name}: {notice}"
+        for t in scene.targets
+        if isinstance(t.body, MeshBody) and t.body.model is not None
+        for notice in t.body.model.notices
+    ]
+
+
+def _names(targets: list[Target]) -> str:
+    shown = ", ".join(t.name for t in targets[:5])
+    return shown + (f" and {len(targets) - 5} more" if len(targets) > 5 else "")
+
+
+def _lighting(scene: Scene, ends: Geometry) -> list[Decision]:
+    """Eclipse, earthshine, and what parts of a body do to each other."""
+    targets = list(scene.targets)
+    finer = [t for t in targets if t.lighting is not None]
+    lamps = [t for t in finer if t.lighting and t.lighting.earthshine_albedo]
+    meshes = [t for t in targets if isinstance(t.body, MeshBody)]
+    out = [_eclipse(targets, finer), _earthshine(lamps, ends)]
+    if meshes:
+        from pipeline.plan.bodies.mesh_tables import decide_tables
+
+        out += decide_tables(scene)
+        glowing = [t for t in lamps if isinstance(t.body, MeshBody)]
+        if glowing:
+            out.append(_earthshine_on_meshes(glowing))
+        out += [_mesh_shadows(meshes), between_facets(meshes)]
+    composite = [t for t in targets if isinstance(t.body, CompositeBody)]
+    if composite:
+        out.append(
+            Decision(
+                "targets.mutual_shadowing", False,
+                f"parts of {_names(composite)} neither shade nor hide each other: their light is "
+                "an upper bound; as much as all of it may be in excess",
+                bound=1.0, unit="of the light drawn",
+            )
+        )  # fmt: skip
+    return out
+
+
+def _eclipse(targets: list[Target], finer: list[Target]) -> Decision:
+    """Of the Earth's shadow; finer : targets that ask for more than its usual form."""
+    dark = [t for t in targets if not t.eclipse]
+    return Decision(
+        "targets.eclipse", len(dark) < len(targets),
+        "umbra and penumbra of a spherical Earth without air, uniform solar disc"
+        + (f"; switched off for {_names(dark)}" if dark else "")
+        + (f"; ellipsoid, limb darkening or Moon as asked for {_names(finer)}, to 1.5e-4 of "
+           "sunlight" if finer else ""),
+        bound=1.0 if dark else FINER_SHADOW if finer else None, unit="of sunlight",
+    )  # fmt: skip
+
+
+def _earthshine(lamps: list[Target], ends: Geometry) -> Decision:
+    """Of the Earth's light on the targets that ask for it."""
+    return Decision(
+        "targets.earthshine", bool(lamps),
+        f"Lambertian Earth without clouds or seasons for {_names(lamps)}, in 256 lamps: to "
+        "5e-4 of albedo (R/r)^2 of direct sunlight" if lamps else
+        "not asked for: at most albedo (R/r)^2 of direct sunlight on a surface that faces the "
+        "Earth, 0.7% at GEO, 26% at 500 km (albedo 0.3), all of it in the shadow of the body",
+        bound=(LAMPS_ERROR if lamps else 1.0) * earthshine_share(lamps, ends),
+        unit="of direct sunlight",
+    )  # fmt: skip
+
+
+def _mesh_shadows(meshes: list[Target]) -> Decision:
+    """Of what the facets of meshes hide from the Sun and from the observer."""
+    errors = (t.body.error or 0.0 for t in meshes if isinstance(t.body, MeshBody))
+    error = max(errors, default=0.0)
+    return Decision(
+        "targets.mesh_shadows", True,
+        f"{_names(meshes)}: self-shadowing and mutual occlusion, areas to within "
+        f"{error:.2g} of the light; a convex body needs none",
+        bound=error, unit="of the light",
+    )  # fmt: skip
+
+
+def _earthshine_on_meshes(glowing: list[Target]) -> Decision:
+    """How the Earth's light falls on meshes, and what is left out of it."""
+    share = max(t.body.error or 0.0 for t in glowing if isinstance(t.body, MeshBody))
+    return Decision(
+        "targets.earthshine_on_meshes", True,
+        f"{_names(glowing)}: the Earth in ever smaller parts until the light of the body changes "
+        f"by less than {0.5 * share:.2g}, at most 1024 parts; its self-shadowing likewise, each of "
+        "at most 1024 parts traced (highlights and shadows finer than 1/32 of the Earth's disc "
+        "may be told less well). Straight lines in time, off by at most "
+        "3e-4 of earthshine. A body larger than a point is drawn with the picture that it has in "
+        "sunlight, its brightness with earthshine",
+        bound=share, unit="of the light",
+    )  # fmt: skip
+
+
+def _sizes(scene: Scene, facts: Facts, ends: Geometry, blur: Blur) -> list[Decision]:
+    """Which bodies are points, and which have a size."""
+    out = []
+    others = [t for t in scene.targets if not isinstance(t.body, SphereBody | MeshBody)]
+    meshes = [t for t in scene.targets if isinstance(t.body, MeshBody)]
+    if meshes:
+        out.append(_resolved_meshes(scene, facts, ends))
+    if len(others) + len(meshes) < len(scene.targets):
+        out.append(
+            Decision(
+                "targets.point_sources", True,
+                "a sphere is a point, at the centre of its light, where that errs by at most the "
+                "bound in a pixel; else its disc and lit side at mid-exposure are drawn",
+                facts.budget_e, facts.budget_e / facts.sigma_floor_e,
+            )
+        )  # fmt: skip
+    if others:
+        largest = _largest_px(scene, facts, ends)
+        out.append(
+            Decision(
+                "targets.shapes_as_points", True,
+                f"{_names(others)}: points at any size, up to {largest:.3g} px in radius here: "
+                "only spheres and meshes have pictures, as parts of composites have no places",
+                bound=min(1.0, point_slope(blur) * largest), unit="of the target's light",
+            )
+        )  # fmt: skip
+    return out
+
+
+def _largest_px(scene: Scene, facts: Facts, ends: Geometry) -> float:
+    """Radius [px] of the largest simple shape, or part of one, in the frames looked at."""
+    drawn = (SphereBody, MeshBody)
+    which = [i for i, t in enumerate(scene.targets) if not isinstance(t.body, drawn)]
+    size_m = np.array([radius_m(scene.targets[i].body) for i in which])
+    nearest_m = ends.target_range_m[which].min(axis=(1, 2))
+    return float(limb_px(size_m, nearest_m, facts.ifov_rad).max(initial=0.0))
+
+
+def _mesh(target: Target) -> Any:
+    """The model of a target that is a mesh."""
+    return target.body.model if isinstance(target.body, MeshBody) else None
+
+
+def _resolved_meshes(scene: Scene, facts: Facts, ends: Geometry) -> Decision:
+    """How meshes are drawn, and what their turning in an exposure is worth."""
+    which = [i for i, t in enumerate(scene.targets) if isinstance(t.body, MeshBody)]
+    size_m = np.array([_mesh(scene.targets[i]).radius_m for i in which])
+    distance = ends.target_range_m[which]
+    radius_px = limb_px(size_m[:, None], distance.min(axis=-1), facts.ifov_rad)
+    turned = float((radius_px * ends.target_turn_rad).max(initial=0.0))
+    grown = float((np.ptp(distance, axis=-1) / distance.min(axis=-1) * radius_px).max(initial=0.0))
+    return Decision(
+        "targets.resolved_meshes", True,
+        f"{_names([scene.targets[i] for i in which])}: a point at the centre of its light where "
+        "that errs by at most the bound in a pixel; else its picture at mid-exposure, up to "
+        f"{radius_px.max(initial=0.0):.3g} px in radius. In an exposure the body turns so that its "
+        f"edge moves by up to {turned:.2g} px, and its radius changes by up to {grown:.2g} px: "
+        "neither is drawn. The picture keeps scale and axes of the middle of the field, and has "
+        "at most 512 cells across: of a body too bright for that the bound does not hold",
+        facts.budget_e, facts.budget_e / facts.sigma_floor_e,
+    )  # fmt: skip
+
+
+def _orbits(scene: Scene, ends: Geometry) -> list[Decision]:
+    """What the kinds of orbit leave out."""
+    found = []
+    plain = [t for t in scene.targets if isinstance(t.orbit, StateOrbit | KeplerianOrbit)]
+    if plain:
+        found.append(
+            Decision(
+                "targets.perturbations", False,
+                f"two-body motion for {_names(plain)}: the Earth's oblateness is left out, up to "
+                "80 km an hour after the state at 500 km, 60 m at GEO, and all smaller forces (the "
+                "bound is without drag)",
+                bound=two_body_m(plain, scene, ends), unit="m",
+            )
+        )  # fmt: skip
+    forced = [t for t in scene.targets if isinstance(t.orbit, NumericalOrbit)]
+    if forced:
+        found.append(
+            Decision(
+                "targets.forces", True,
+                f"as asked for {_names(forced)}: zonal harmonics, a static atmosphere, sunlight, "
+                "Sun and Moon; tesseral harmonics are left out: degree 2 and 3 of EGM96 are worth "
+                "0.4 to 2.2 km in a day at 500 km, 0.1 to 0.4 km at GEO",
+            )
+        )  # fmt: skip
+    return found + [table_told(t) for t in scene.targets if isinstance(t.orbit, TableOrbit)]

@@ -1,0 +1,254 @@
+"""Which objects of a population come into the field in any dwell, and what targets they are."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput
+from pipeline.physics.positions import orbit_screen
+from pipeline.physics.positions.focal_plane import corner_radius, ifov_rad, stretch
+from pipeline.physics.positions.times import elapsed_s, instants, parse_utc
+from pipeline.physics.vectors import separation
+from pipeline.plan.decision import Decision
+from pipeline.plan.pointing.air import air_of
+from pipeline.plan.pointing.geometry import camera_of, watch
+from pipeline.plan.timing import DwellPlan, dwell_plans
+from pipeline.spec.scene import MOST_TARGETS, Scene, Target
+from pipeline.spec.targets.body import Body, SphereBody
+from pipeline.spec.targets.population import MOST_TOLD, Population, Screened
+
+if TYPE_CHECKING:
+    from sgp4.api import Satrec
+
+Array = NDArray[np.float64]
+Sizes = Mapping[int, tuple[float | None, float | None]]
+
+STEP_S, MOST_STEPS = 1.0, 100_000  # between looks at the pointing, to tell how fast it turns
+TURN_ROOM = 2.0  # times the change between looks
+MOST_REFRACTION_RAD = 0.0125  # at the horizon, with room (0.6 degrees; Bennett 1982)
+
+
+@dataclass(frozen=True)
+class SearchView:
+    """Where the observer looks during the dwells, as a screen takes it.
+
+    half_angle_rad : the frame's corner and all beside the frame that may send light into it
+    turns_rad_s : the boresight's largest rate in each dwell
+    """
+
+    scene: Scene
+    dut1_s: float
+    epoch: tuple[float, float]
+    dwells: tuple[DwellPlan, ...]
+    half_angle_rad: float
+    turns_rad_s: tuple[float, ...]
+
+    @property
+    def length_s(self) -> float:
+        """Of all dwells."""
+        return sum(d.end_s - d.start_s for d in self.dwells)
+
+    def screen(self, satellites: list[Satrec]) -> tuple[list[int], dict[int, int]]:
+        """Which satellites may come into the cone of any dwell; SGP4's code of those that fail in
+        any, which are not among them."""
+        found = [self._screen(satellites, k) for k in range(len(self.dwells))]
+        codes: dict[int, int] = {}
+        for one in reversed(found):
+            codes |= dict(zip(one.failed.tolist(), one.codes.tolist(), strict=True))
+        inside = {i for one in found for i in one.inside.tolist()}
+        return sorted(inside - set(codes)), dict(sorted(codes.items()))
+
+    def _screen(self, satellites: list[Satrec], dwell: int) -> orbit_screen.ScreenResult:
+        plan = self.dwells[dwell]
+        start = instants(self.epoch, [plan.start_s])
+
+        def seen(at_s: Array) -> tuple[Array, Array, Array]:
+            return watch(self.scene, plan.start_s + at_s, self.dut1_s, dwell)
+
+        return orbit_screen.screen_cone(
+            satellites, (float(start.utc1[0]), float(start.utc2[0])), plan.end_s - plan.start_s,
+            lambda at_s: seen(at_s)[:2], lambda at_s: seen(at_s)[2], self.half_angle_rad,
+            self.turns_rad_s[dwell],
+        )  # fmt: skip
+
+
+def look_of(scene: Scene, halo_px: float, dut1_s: float) -> SearchView:
+    """The look of a scene; halo_px : how far off the frame a source may be and still be drawn."""
+    epoch, dwells, camera = parse_utc(scene.epoch), dwell_plans(scene), camera_of(scene)
+    half = corner_radius(camera) + halo_px * stretch(camera) * ifov_rad(camera)
+    if air_of(scene, instants(epoch, [0.0], dut1_s)) is not None:
+        half += MOST_REFRACTION_RAD  # the screen knows no air
+    turns = tuple(_turn_rad_s(scene, d, dut1_s) for d in dwells)
+    return SearchView(scene, dut1_s, epoch, dwells, min(half, np.pi), turns)
+
+
+def _turn_rad_s(scene: Scene, dwell: DwellPlan, dut1_s: float) -> float:
+    """The boresight's largest rate in a dwell: that between looks STEP_S apart, plus TURN_ROOM
+    times what it changes by from one to the next."""
+    length_s = dwell.end_s - dwell.start_s
+    if length_s == 0.0:  # one bias frame
+        return 0.0
+    count = int(np.clip(np.ceil(length_s / STEP_S), 8, MOST_STEPS)) + 1
+    axis = watch(scene, np.linspace(dwell.start_s, dwell.end_s, count), dut1_s, dwell.index)[2]
+    rate = separation(axis[:-1], axis[1:]) * (count - 1) / length_s
+    return float(rate.max() + TURN_ROOM * np.abs(np.diff(rate)).max(initial=0.0))
+
+
+@dataclass
+class Sieve:
+    """What has been found in a population so far: a few numbers for each set, targets kept.
+
+    place : the population's in the scene, for messages
+    """
+
+    population: Population
+    look: SearchView
+    sizes: Sizes
+    place: str
+    read: int = 0
+    unreadable: int = 0
+    failed: Counter[int] = field(default_factory=Counter)
+    told: list[str] = field(default_factory=list)
+    numbers: list[NDArray[np.int64]] = field(default_factory=list)
+    ages_s: list[Array] = field(default_factory=list)
+    kept: list[tuple[int, int, float, Target]] = field(default_factory=list)
+
+    def take(self, sets: Iterable[Any]) -> None:
+        """Look at a batch of element sets
+        (`pipeline.inputs.targets.population_files.ElementSet`).
+        """
+        good = [one for one in sets if self._is_readable(one)]
+        if not good:
+            return
+        satellites = [one.satellite for one in good]
+        days = np.array([(s.jdsatepoch, s.jdsatepochF) for s in satellites])
+        age = np.abs(elapsed_s(self.look.epoch, days[:, 0], days[:, 1]))
+        number = np.array([one.number for one in good], np.int64)
+        inside, codes = self.look.screen(satellites)
+        for i, code in codes.items():
+            self.failed[code] += 1
+            self._tell(f"{_label(good[i])}: {_meaning(code)}")
+        usable = np.ones(len(good), bool)
+        usable[list(codes)] = False
+        self.numbers.append(number[usable])
+        self.ages_s.append(age[usable])
+        for i in inside:
+            self.kept.append((int(number[i]), len(self.kept), float(age[i]), self._target(good[i])))
+        if len(self.kept) > MOST_TARGETS:
+            raise BadInput(
+                f"{self.place}.path", f"{len(self.kept)} objects that cross the field",
+                f"at most {MOST_TARGETS}: a smaller field, a shorter dwell, or a smaller file",
+            )  # fmt: skip
+
+    def _is_readable(self, one: Any) -> bool:
+        self.read += 1
+        if one.orbit is None:
+            self.unreadable += 1
+            self._tell(f"{one.name or 'no name'}: {one.fault}")
+        return one.orbit is not None
+
+    def _tell(self, text: str) -> None:
+        if len(self.told) < MOST_TOLD:
+            self.told.append(text[:400])
+
+    def _target(self, one: Any) -> Target:
+        return Target.model_construct(
+            name=f"{self.population.name}-{one.number}",
+            object_name=(one.name or "").strip()[:80] or None, orbit=one.orbit,
+            body=self._body(one.name, one.number), lighting=None, eclipse=self.population.eclipse,
+        )  # fmt: skip
+
+    def _body(self, name: str, number: int) -> Body:
+        """The default body, with the size that the table or else the first rule gives."""
+        body = self.population.body
+        if not isinstance(body, SphereBody):
+            return body
+        given: dict[str, Any] = {}
+        for rule in self.population.rules:
+            if rule.name_contains.lower() in name.lower():
+                given = {"diameter_m": rule.diameter_m, "albedo": rule.albedo}
+                break
+        diameter, albedo = self.sizes.get(number, (None, None))
+        given |= {} if diameter is None else {"diameter_m": diameter}
+        given |= {} if albedo is None else {"albedo": albedo}
+        return body.model_copy(update={k: v for k, v in given.items() if v is not None})
+
+    def close(self, digest: str) -> tuple[list[Target], Population]:
+        """The targets, and the population with what the screen found.
+
+        Of an object with several sets the one nearest to the scene's epoch counts, whether it comes
+        into the field or not. BadInput where no set of the file can be read.
+        """
+        if self.read == self.unreadable:
+            shown = self.told[0] if self.told else "nothing"
+            raise BadInput(f"{self.place}.path", shown, "element sets that can be read")
+        numbers = np.concatenate([np.zeros(0, np.int64), *self.numbers])
+        ages = np.concatenate([np.zeros(0), *self.ages_s])
+        order = np.lexsort((ages, numbers))
+        first = np.diff(numbers[order], prepend=-1) > 0
+        youngest = dict(zip(numbers[order][first], ages[order][first], strict=True))
+        chosen: dict[int, Target] = {}
+        for number, _, age, target in self.kept:
+            if number not in chosen and age <= youngest[number]:
+                chosen[number] = target
+        look = self.look
+        told = Screened(
+            digest=digest, read=self.read, kept=len(chosen), unreadable=self.unreadable,
+            superseded=len(numbers) - int(first.sum()), failed=tuple(sorted(self.failed.items())),
+            left_out=tuple(self.told), half_angle_deg=float(np.degrees(look.half_angle_rad)),
+            dwell_s=look.length_s,
+        )  # fmt: skip
+        return list(chosen.values()), self.population.model_copy(update={"screened": told})
+
+
+def _label(one: Any) -> str:
+    return f"{one.name} ({one.number})" if one.name else str(one.number)
+
+
+def _meaning(code: int) -> str:
+    from sgp4.api import SGP4_ERRORS  # only scenes with mean elements need it
+
+    told = SGP4_ERRORS.get(code, "the result is not finite")
+    return f"SGP4 code {code}: {told}"
+
+
+def with_members(scene: Scene, found: list[tuple[list[Target], Population]]) -> Scene:
+    """The scene with the populations' kept objects after its own targets. BadInput for names that
+    are taken, or too many targets."""
+    targets = [*scene.targets, *(t for members, _ in found for t in members)]
+    names = Counter(t.name for t in targets)
+    if len(names) < len(targets):
+        twice = names.most_common(1)[0][0]
+        raise BadInput("populations", twice, "names of targets and populations that do not clash")
+    if len(targets) > MOST_TARGETS:
+        raise BadInput("populations", f"{len(targets)} targets", f"at most {MOST_TARGETS} in all")
+    populations = tuple(population for _, population in found)
+    return scene.model_copy(update={"targets": tuple(targets), "populations": populations})
+
+
+def population_decisions(scene: Scene) -> list[Decision]:
+    """How many objects of each population are drawn, and why the others are not."""
+    out = []
+    dwells = "the dwell" if scene.dwells is None else "all dwells"
+    for p in scene.populations:
+        s = p.screened
+        if s is None:
+            continue
+        parts = [
+            f"{s.kept} of {s.read} element sets come within {s.half_angle_deg:.4g} deg of the "
+            f"boresight (the frame's corner and all that sends light into it) during the "
+            f"{s.dwell_s:g} s of {dwells}; for the others the screen proves that they do not"
+        ]
+        if s.superseded:
+            parts.append(f"{s.superseded} sets have a younger one of the same object")
+        parts += [f"{n} left out: {_meaning(code)}" for code, n in s.failed]
+        if s.unreadable:
+            parts.append(f"{s.unreadable} left out: not readable ({s.left_out[0]})")
+        out.append(Decision(f"populations.{p.name}", s.kept > 0, "; ".join(parts), 0.0, 0.0))
+    return out

@@ -1,0 +1,1 @@
+"""The route of a scene to its product: prepare, render, resume, join, finish."""

@@ -1,0 +1,334 @@
+"""The last stage: coordinates, WCS, truth tables, preview, report, and the seal."""
+
+from __future__ import annotations
+
+import json
+import math
+import resource
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.arrays import FrameStars, concatenate
+from pipeline.execute.check import summary
+from pipeline.execute.coordinates import frame_coordinates
+from pipeline.execute.truth import star_truth, target_truth
+from pipeline.export.picture import write_preview
+from pipeline.plan.accuracy import UNSEEN, crowd_error_e, doubts_of, total_e, total_sigma
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.response.responses import table_error
+from pipeline.plan.scene_plan import Plan, colour_facts
+from pipeline.plan.timing import longest_s
+from pipeline.spec.load import scene_yaml
+from pipeline.store import layout
+from pipeline.store.clock import UNITS
+from pipeline.store.cube import finish_cube
+from pipeline.store.markers import markers_present, read_marker
+from pipeline.store.product import Begun, Cell, cells_digest, cells_of, seal, truth_kinds
+from pipeline.store.truth import drop_parts, join_parts, write_whole
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pyarrow as pa
+
+WINDOW = 256
+DTYPES = {"wcs_sip_order": np.int16, "dwell": np.int32}  # else float64, or int64
+LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
+COVERAGE_KEY = "nightglass:coverage"  # in the schema's metadata of truth/stars.parquet
+Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
+
+
+def finish(
+    plan: Plan, catalogues: list[dict[str, Any]], begun: Begun, times: dict[str, Any]
+) -> dict[str, Any]:
+    """Turn finished tiles into a complete product; returns the report.
+
+    catalogues : name, digest and what else the report tells of each, the main one first
+    """
+    product, started = begun.path, time.perf_counter()
+    rows = {
+        kind: join_parts(product, kind, plan.frames, _empty(plan, kind))
+        for kind in truth_kinds(plan)
+    }
+    rows |= _faults(plan, product)
+    gathered = gather_markers(plan, product)
+    errors = _errors(plan, begun, gathered.checks)
+    doubts = _doubts(plan, errors)
+    plan = replace(plan, warnings=(*doubts, *plan.warnings))
+    finish_cube(product, gathered.coordinates, _attributes(plan, catalogues))
+    write_preview(product, plan)
+    residual = float(gathered.coordinates["wcs_residual_px"][1].max())
+    errors = {"wcs_residual_px": residual} | errors
+    report = _report(plan, catalogues, begun, rows, errors, gathered.digest)
+    report["errors"]["as_stated"] = not doubts
+    report["seconds"] = times | {"finish_s": time.perf_counter() - started}
+    layout.write_atomically(product / layout.REPORT, layout.to_json(report))
+    drop_parts(product)
+    seal(product, gathered.digest)
+    return report
+
+
+def _faults(plan: Plan, product: Path) -> dict[str, int]:
+    """Write the table of pixels that fail, where the scene has any; its rows."""
+    detector = plan.scene.sensor.detector
+    if detector is None or (detector.bad, detector.dead, detector.hot) == (None, None, None):
+        return {}
+    import pyarrow as pa
+
+    from pipeline.inputs.sensor.detector import gather_faults
+
+    return {"pixels": write_whole(product, "pixels", pa.table(gather_faults(plan.scene) or {}))}
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What the markers of a product hold: its coordinates, what was checked, its digest."""
+
+    coordinates: Coordinates
+    checks: list[dict[str, Any]]
+    digest: str
+
+
+def gather_markers(plan: Plan, product: Path) -> Gathered:
+    """Read every marker once. Coordinates that none holds (of sweeps, and of products that were
+    begun before markers held any) are worked out."""
+    rows, columns = plan.scene.sensor.shape
+    found: dict[str, np.ndarray] = {}
+    lacking = np.ones(plan.frames, bool)
+    cells: list[Cell] = []
+    checks: list[dict[str, Any]] = []
+
+    def keep(frame: int, values: dict[str, Any]) -> None:
+        lacking[frame] = False
+        for name, value in values.items():
+            if name not in found:
+                dtype = DTYPES.get(name, np.asarray(value).dtype)
+                found[name] = np.empty((plan.frames, *np.shape(value)), dtype)
+            found[name][frame] = value
+
+    for marker in map(read_marker, markers_present(product)):
+        cells += cells_of(marker)
+        checks += marker.checks
+        if marker.coordinates is not None:
+            keep(marker.frame, marker.coordinates)
+    frames = np.flatnonzero(lacking)
+    for start in range(0, len(frames), WINDOW):
+        g = plan_geometry(plan.scene, frames[start : start + WINDOW], plan.dut1_s)
+        for i, frame in enumerate(g.frame):
+            keep(int(frame), frame_coordinates(plan, g.frame_slice(i)))
+    out: Coordinates = {
+        "y": (("y",), np.arange(rows), {"long_name": "row", "units": "pixel"}),
+        "x": (("x",), np.arange(columns), {"long_name": "column", "units": "pixel"}),
+        "frame": (("frame",), np.arange(plan.frames), {"long_name": "frame number"}),
+    }
+    for name, (dimensions, attrs) in FRAME_COLUMNS.items():
+        if name in found:
+            out[name] = (dimensions, found[name], attrs)
+    return Gathered(out, checks, cells_digest(cells))
+
+
+_TIME = {"units": UNITS, "calendar": "proleptic_gregorian"}
+FRAME_COLUMNS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
+    "time_start": (("frame",), {"long_name": "UTC at the start of the exposure"} | _TIME),
+    "time_mid": (("frame",), {"long_name": "UTC at the middle of the exposure"} | _TIME),
+    "time_end": (("frame",), {"long_name": "UTC at the end of the exposure"} | _TIME),
+    "integration_s": (("frame",), {"long_name": "integration time", "units": "s"}),
+    "dwell": (("frame",), {"long_name": "which dwell a frame belongs to, from 0"}),
+    "wcs_crval_deg": (
+        ("frame", "world"), {"long_name": "ICRS place of the reference pixel", "units": "degree"}
+    ),
+    "wcs_crpix_px": (
+        ("frame", "world"), {"long_name": "reference pixel, 1-based (FITS)", "units": "pixel"}
+    ),
+    "wcs_cd_deg": (
+        ("frame", "world", "axis"), {"long_name": "CD matrix", "units": "degree/pixel"}
+    ),
+    "wcs_sip_order": (("frame",), {"long_name": "SIP order, 0 for plain TAN"}),
+    "wcs_sip_a": (("frame", "power_u", "power_v"), {"long_name": "SIP A coefficients"}),
+    "wcs_sip_b": (("frame", "power_u", "power_v"), {"long_name": "SIP B coefficients"}),
+    "wcs_residual_px": (
+        ("frame",), {"long_name": "largest error of the WCS over the frame", "units": "pixel"}
+    ),
+    "attitude": (
+        ("frame", "camera_axis", "icrs_axis"),
+        {"long_name": "camera axes +x, +y, boresight at mid-exposure, apparent ICRS directions"},
+    ),
+}  # fmt: skip
+
+
+def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
+    """Provenance, on the cube itself."""
+    main, layers = catalogues[0] if catalogues else {}, catalogues[1:]
+    over = {
+        "layers": [layer["name"] for layer in layers],
+        "layer_digests": [layer["digest"] for layer in layers],
+    }
+    return (
+        {
+            "title": plan.scene.name,
+            "Conventions": "CF-1.11",
+            "complete": True,
+            "source": f"Nightglass {version('nightglass')}",
+            "scene": scene_yaml(plan.scene),
+            "seed": plan.scene.seed,
+            "ifov_rad": plan.facts.ifov_rad,
+            "integration_s": longest_s(plan.scene),
+            "catalogue": main.get("name"),
+            "catalogue_digest": main.get("digest"),
+            "synthetic_stars": any(c["synthetic"] for c in catalogues),
+            "pixel_convention": "pixel (0, 0) is the centre of the first pixel; axes (y, x)",
+            "warnings": list(plan.warnings),
+        }
+        | (over if layers else {})
+        | ({"distorted": True} if plan.camera.distortion else {})
+    )
+
+
+def _report(
+    plan: Plan,
+    catalogues: list[dict[str, Any]],
+    begun: Begun,
+    rows: dict[str, int],
+    errors: dict[str, Any],
+    digest: str,
+) -> dict[str, Any]:
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return {
+        "scene": plan.scene.name,
+        "warnings": list(plan.warnings),
+        "complete": True,
+        "content_digest": digest,
+        "frames": plan.frames,
+        "tiles": len(plan.tiles) * plan.frames,
+        "tiles_resumed": len(begun.done),
+        "redrawn": list(begun.redrawn),
+        "truth_rows": rows,
+        "catalogue": catalogues[0] if catalogues else None,
+        "layers": catalogues[1:],
+        "colour_fit": colour_facts(plan),
+        "coverage": plan.coverage.as_dict() if plan.coverage else None,
+        "errors": errors,
+        "remarks": list(plan.remarks),
+        "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
+        "versions": {"nightglass": version("nightglass")} | {n: version(n) for n in LIBRARIES},
+    }  # fmt: skip
+
+
+def _errors(plan: Plan, begun: Begun, checks: list[dict[str, Any]]) -> dict[str, Any]:
+    """What the product may err by, for the sources that were drawn, and what was found."""
+    found, floor_e = _brightest(plan, begun), plan.facts.sigma_floor_e
+    brighter = found["brightest_source_e"] / (plan.facts.brightest_e or math.inf)
+    over_e = max(0.0, found["wing_error_of_brightest_e"] - plan.responses.budget_e)
+    over_e += _streak_error_e(plan, found["brightest_source_e"])
+    return (
+        {
+            "noise_floor_e": floor_e,
+            "bound_of_all_approximations_e": total_e(plan.decisions, brighter) + over_e,
+            "bound_of_all_approximations_sigma": total_sigma(plan.decisions, brighter)
+            + over_e / floor_e,
+            "asked_sigma": plan.scene.accuracy.noise_fraction,
+            "light_left_out": plan.responses.lost_light,
+            "common_streak_px": plan.responses.streaks.spread_px,
+        }
+        | found
+        | _achieved(checks)
+    )
+
+
+def _streak_error_e(plan: Plan, brightest_e: float) -> float:
+    """What common streaks err by beyond the plan's bound, for the brightest source drawn [e-]."""
+    if plan.scene.stars is None or not plan.facts.brightest_e:
+        return 0.0
+    streaks = plan.responses.streaks
+    return max(0.0, streaks.error_e(brightest_e) - streaks.error_e(plan.facts.brightest_e))
+
+
+def _doubts(plan: Plan, errors: dict[str, Any]) -> list[str]:
+    return doubts_of(
+        errors["asked_sigma"], errors["bound_of_all_approximations_sigma"],
+        errors["achieved_error_sigma"], "error" in plan.scene.accept,
+    )  # fmt: skip
+
+
+def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
+    """The brightest source drawn, and what its core class may err in one pixel of its light [e-].
+
+    Above the last core class's limit sources are drawn by quadrature and err by no more than the
+    plan's bound, where the response's profile is known; where it is not, or a table's band is cut,
+    this may be more, and the report says so.
+    """
+    table = max(table_error(b) for b in plan.responses.blurs)
+    light = error_e = 0.0
+    for kind in truth_kinds(plan):
+        import pyarrow.compute as pc
+        import pyarrow.parquet as pq
+
+        column = pq.read_table(
+            begun.path / layout.TRUTH / f"{kind}.parquet", columns=["electrons"]
+        )["electrons"]
+        fill = plan.responses.blur.fill_factor  # truth has what is collected, bounds what falls
+        most = (pc.max(column).as_py() or 0.0) / fill
+        each = [
+            (c.target_e, c.target_error) if kind == "targets" else (c.brightest_e, c.wing_error)
+            for c in plan.responses.classes
+        ]
+        light, error_e = max(light, most), max(error_e, most * (_error_of(most, each) + table))
+        if kind == "stars" and plan.responses.spacing_px:
+            error_e = max(error_e, _crowd_error_e(plan, begun, each, table))
+    return {"brightest_source_e": light, "wing_error_of_brightest_e": error_e}
+
+
+def _crowd_error_e(
+    plan: Plan, begun: Begun, each: list[tuple[float, float]], table: float
+) -> float:
+    """What wings of the densest crowd of stars err by in one pixel [e-].
+
+    each : (limit, error) of the core classes; table : of the response. Stars that each err by less
+    than UNSEEN of one approximation's part are omitted.
+    """
+    import pyarrow.parquet as pq
+
+    r, fill = plan.responses, plan.responses.blur.fill_factor
+    limits, errors = np.array(each).T
+    least_e = UNSEEN * r.budget_e / float(errors.max() + table) * fill
+    stars = pq.read_table(
+        begun.path / layout.TRUTH / "stars.parquet", columns=["frame", "x_px", "y_px", "electrons"],
+        filters=[("electrons", ">", least_e)],
+    )  # fmt: skip
+    light = stars["electrons"].to_numpy() / fill
+    errs = np.append(errors, 0.0)[np.searchsorted(limits, light)] + table
+    frame, x_px, y_px = (stars[name].to_numpy() for name in ("frame", "x_px", "y_px"))
+    return crowd_error_e(frame, x_px, y_px, errs * light, *r.crowd_sides_px)
+
+
+def _error_of(light_e: float, classes: Iterable[tuple[float, float]]) -> float:
+    """Error per electron of the first class that a light does not exceed: of (limit, error)."""
+    return next((error for limit, error in classes if light_e <= limit), 0.0)
+
+
+def _achieved(checks: list[dict[str, Any]]) -> dict[str, Any]:
+    """What the reference path found in the cells that were drawn again."""
+    records = sorted(checks, key=lambda c: (c["frame"], c["y0"], c["x0"]))
+    return summary(records) | {"checked": records}
+
+
+def _empty(plan: Plan, kind: str) -> pa.Table:
+    """A truth table without rows, for its schema."""
+    import pyarrow as pa
+
+    if kind == "cosmic_rays":
+        from pipeline.physics.cosmic_rays.frame import no_truth
+
+        return pa.table(no_truth())
+    g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
+    if kind == "targets":
+        return pa.table(target_truth(plan, g)).slice(0, 0)
+    stars = pa.table(star_truth(plan, g, concatenate([], FrameStars)))
+    if plan.coverage is None:
+        return stars
+    return stars.replace_schema_metadata({COVERAGE_KEY: json.dumps(plan.coverage.as_dict())})

@@ -1,0 +1,200 @@
+"""The one route: a scene prepared, its missing tiles drawn, the product finished.
+
+A whole render, one part of several and a join differ in their share; a folder and an s3 URL in
+their place.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from catalog_tools.engine.schedulers import open_scheduler
+from pipeline.errors import Incomplete, NightglassError, TryLater
+from pipeline.route.draw import Listener, Progress, draw
+from pipeline.route.finish import finish
+from pipeline.route.prepare import (
+    Prepared,
+    catalogue_facts_of,
+    check_cost,
+    check_room,
+    prepare,
+    summary_of,
+)
+from pipeline.route.shares import WHOLE, Share, lacking
+from pipeline.spec.load import load_scene
+from pipeline.spec.scene import Scene
+from pipeline.store import layout
+from pipeline.store.place import Claim, Place, Writing, place_for
+from pipeline.store.product import Verdict
+
+JOIN_AGAIN_S = 1.0
+NOT_DRAWN = {"plan_s": 0.0, "draw_s": 0.0, "workers": 0, "scheduler": "parts"}
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to render; none of it changes a bit of the result.
+
+    scheduler : threads, synchronous, processes, or an address; workers : None for all cores
+    resume : go on with an unfinished product; replace : remove what stands at the path first
+    wait_s : how long another render of the same product is waited for
+    most_cpu_s : a scene whose plan predicts more is refused before anything is drawn
+    most_memory_mb : likewise of memory; None: what this machine has free, unless others draw
+    """
+
+    scheduler: str = "threads"
+    workers: int | None = None
+    resume: bool = False
+    replace: bool = False
+    wait_s: float = 0.0
+    most_cpu_s: float | None = None
+    most_memory_mb: float | None = None
+
+    @property
+    def processes(self) -> int:
+        """How many processes of this machine draw; 0 where those of others do."""
+        own = {"threads": 1, "synchronous": 1, "processes": self.workers or os.cpu_count() or 1}
+        return own.get(self.scheduler, 0)
+
+
+def render(
+    scene: Scene, product: Path | str, options: Options | None = None,
+    listen: Listener | None = None, share: Share | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Render a scene, or a part of it, into a product and return its report.
+
+    product : a folder, or an s3 URL
+    share : the part to draw beside other processes, which draw the others; None for all of it.
+        One that was cut off goes on when it is run again. The one that ends last finishes the
+        product and returns its report; before that `complete` is false.
+    Raises BadInput for a scene or path that cannot be used, Damaged for a damaged catalogue,
+    Incomplete where work stopped before everything was done (what is done is kept) or the store is
+    not reached any more, DiskFull where that was for want of room, TryLater where another render
+    is writing the product.
+    """
+    options, started = options or Options(), time.perf_counter()
+    place = place_for(product)
+    place.reached("-o")
+    with place.explained():
+        prepared = prepare(scene)
+        summary = summary_of(prepared)
+        check_cost(scene, summary, options.most_cpu_s)
+        if options.processes or options.most_memory_mb:
+            check_room(prepared, options.most_memory_mb, options.processes)
+        with place.written(_claim(prepared, options, share)) as writing:
+            if writing.is_sealed((share or WHOLE).tiles(prepared.plan)):
+                return writing.report()
+            writing.unseal()
+            writing.put_plan(layout.to_json(summary))
+            times = _drawn(prepared, writing, options, listen, share, started)
+            if share is None:
+                return _finished(prepared, writing, times)
+        return _joined_by_the_last(place, prepared, share, times)
+
+
+def join(product: Path | str, scene: Path | None = None, wait_s: float = 0.0) -> dict[str, Any]:
+    """Finish a product whose parts are all done, and return its report.
+
+    scene : default the one in the product; wait_s : for whoever writes it now
+    Raises Incomplete where tiles are missing, TryLater where a part is still at work.
+    """
+    place = place_for(product)
+    place.reached("PRODUCT")
+    with place.explained():
+        stored = place.scene()
+        prepared = prepare(load_scene(scene) if scene else stored)
+        return _joined(place, prepared, NOT_DRAWN, wait_s)
+
+
+def check(product: Path | str) -> Verdict:
+    """Verify a product, in a folder or below an s3 URL: every tile by its marker, every table."""
+    place = place_for(product)
+    place.reached("PRODUCT")
+    with place.explained():
+        return place.verdict()
+
+
+def _claim(prepared: Prepared, options: Options, share: Share | None) -> Claim:
+    plan, digest = prepared.plan, prepared.catalogue_digest
+    if share is None:
+        return Claim(plan, digest, options.resume, options.replace, options.wait_s)
+    return Claim(
+        plan, digest, wait_s=options.wait_s, replace=options.replace, part=share.name,
+        mine=share.mine(plan),
+    )  # fmt: skip
+
+
+def _drawn(
+    prepared: Prepared, writing: Writing, options: Options, listen: Listener | None,
+    share: Share | None, started: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Draw what a share lacks; what the report says of the time. started : when planning began."""
+    drawing = time.perf_counter()
+
+    def heard(progress: Progress) -> None:
+        writing.check()
+        if listen is not None:
+            listen(progress)
+
+    try:
+        with open_scheduler(options.scheduler, options.workers) as scheduler:
+            draw(prepared, writing.begun, scheduler, heard, share or WHOLE)
+            workers = scheduler.workers
+    except NightglassError as error:
+        kept = share is not None or writing.has_tiles()
+        if not kept:
+            writing.discard()  # nothing was finished, so nothing is left behind
+        raise _how_to_go_on(error, kept, share is None) from None
+    return {
+        "plan_s": drawing - started, "draw_s": time.perf_counter() - drawing,
+        "workers": workers, "scheduler": options.scheduler,
+    }  # fmt: skip
+
+
+def _how_to_go_on(error: NightglassError, kept: bool, whole: bool) -> NightglassError:
+    """An error that ended the drawing; where it says to try later, also by which command."""
+    if not isinstance(error, TryLater):
+        return error
+    again = "go on with --resume" if whole else "run the part again"
+    told = f"what is finished is kept: {again}" if kept else "nothing was finished yet"
+    return TryLater(f"{error}; {told}")
+
+
+def _finished(prepared: Prepared, writing: Writing, times: dict[str, Any]) -> dict[str, Any]:
+    with writing.finishing():
+        return finish(prepared.plan, catalogue_facts_of(prepared), writing.begun, times)
+
+
+def _joined_by_the_last(
+    place: Place, prepared: Prepared, share: Share, times: dict[str, Any]
+) -> dict[str, Any]:
+    """The product's report where this part was the last, else what is told of the part."""
+    plan = prepared.plan
+    for left in reversed(range(place.join_tries)):
+        if lacking(plan, *place.present(plan)).tiles:
+            break
+        try:
+            return _joined(place, prepared, times)
+        except TryLater:  # another part is closing, or is finishing it
+            time.sleep(JOIN_AGAIN_S if left else 0.0)
+    return share.told(plan, times)
+
+
+def _joined(
+    place: Place, prepared: Prepared, times: dict[str, Any], wait_s: float = 0.0
+) -> dict[str, Any]:
+    plan = prepared.plan
+    claim = Claim(plan, prepared.catalogue_digest, resume=True, wait_s=wait_s)
+    with place.written(claim) as writing:  # every chunk against its marker
+        begun = writing.begun
+        if writing.is_sealed(WHOLE.tiles(plan)):
+            return writing.report()
+        writing.unseal()
+        if lacks := lacking(plan, begun.done, begun.truth_done):
+            told = lacks.told(place.name, plan, writing.locks(), begun.redrawn)
+            raise Incomplete(told)
+        return _finished(prepared, writing, times)

@@ -1,0 +1,1 @@
+"""The sensor as asked for: optics, detector, distortion, cosmic rays."""

@@ -1,0 +1,1 @@
+"""The sky as asked for: backgrounds, stray light, the air."""

@@ -1,0 +1,103 @@
+"""Light from the sky: zodiacal, the Galaxy's, of stars too faint to be drawn, and uniform."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from pipeline.spec.sky.stray_light import StrayLight
+from pipeline.spec.strict import Strict
+
+COMPONENTS = (
+    "zodiacal", "galactic", "starlight", "stray_light", "airglow", "moonlight", "twilight",
+    "uniform_mag_arcsec2", "uniform_e_per_s",
+)  # fmt: skip
+
+
+class Zodiacal(Strict):
+    """Sunlight scattered by interplanetary dust, with the gegenschein.
+
+    near_sun : what happens below 15 degrees from the Sun, where the published table ends: `refuse`
+        the scene, or `extrapolate` by a power law down to 2 degrees
+    """
+
+    near_sun: Literal["refuse", "extrapolate"] = "refuse"
+
+
+class Galactic(Strict):
+    """Starlight scattered by interstellar dust, as a share of all light of the Milky Way."""
+
+    share: float = Field(
+        0.25, gt=0, le=0.5, description="a choice within what is published: 0.2 to 0.3"
+    )
+
+
+class Airglow(Strict):
+    """Light that the upper air itself sends, by a layer at 90 km.
+
+    solar_flux_sfu : radio flux of the Sun at 10.7 cm, monthly mean, 1e-22 W/m2/Hz: 70 to 250
+    """
+
+    solar_flux_sfu: float = Field(130.0, ge=50, le=400)
+
+
+class Background(Strict):
+    """Light from the sky; the parts add up.
+
+    starlight : light of the stars that are not drawn. `auto`: of the catalogue's stars beyond the
+        limiting magnitude, where the program chose it; `all` or true: those, and beyond the
+        catalogue's end the published star counts; `none` or false: left out
+    """
+
+    zodiacal: Zodiacal | bool | None = Field(None, description="true, or how")
+    galactic: Galactic | bool | None = Field(None, description="true, or how")
+    starlight: Literal["auto", "all", "none"] | bool = "auto"
+    stray_light: StrayLight | None = None
+    airglow: Airglow | bool | None = Field(None, description="true, or how; sites on the ground")
+    moonlight: Literal["yes"] | bool | None = Field(None, description="scattered by the air")
+    twilight: Literal["yes"] | bool | None = Field(None, description="of the Sun below the horizon")
+    uniform_mag_arcsec2: float | None = Field(
+        None, ge=-30, le=40, description="AB magnitude per square arcsecond in the sensor's band"
+    )
+    uniform_e_per_s: float | None = Field(
+        None, ge=0, le=1e12, description="electrons per second and pixel"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _switches(cls, data: Any) -> Any:
+        """True stands for a part with its defaults, false for none: no field keeps a boolean."""
+        if not isinstance(data, dict):
+            return data
+        meant = {
+            "zodiacal": (None, {}), "galactic": (None, {}), "starlight": ("none", "all"),
+            "airglow": (None, {}), "moonlight": (None, "yes"), "twilight": (None, "yes"),
+        }  # fmt: skip
+        return {k: meant[k][v] if k in meant and isinstance(v, bool) else v
+                for k, v in data.items()}  # fmt: skip
+
+    @model_validator(mode="after")
+    def _some_part(self) -> Background:
+        both = self.uniform_mag_arcsec2 is not None and self.uniform_e_per_s is not None
+        named = self.model_fields_set & set(COMPONENTS)
+        if both or not named:
+            raise PydanticCustomError(
+                "one_of",
+                "allowed: exactly one of uniform_mag_arcsec2 and uniform_e_per_s, or any of "
+                "zodiacal, galactic, starlight, stray_light, airglow, moonlight, twilight and at "
+                "most one of the two",
+            )
+        return self
+
+    @property
+    def varies(self) -> bool:
+        """True where some part of it differs over the sky."""
+        parts = (self.zodiacal, self.galactic, self.stray_light, self.of_the_air)
+        return any(parts) or self.starlight == "all"
+
+    @property
+    def of_the_air(self) -> bool:
+        """True where some part of it is light of the air above a site."""
+        return any((self.airglow, self.moonlight, self.twilight))

@@ -1,0 +1,1 @@
+"""Targets as asked for: bodies, meshes, orbits, populations."""

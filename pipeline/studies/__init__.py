@@ -1,0 +1,1 @@
+"""Studies of the product itself: accuracy, whole scenes, ledger, detection, self-test."""

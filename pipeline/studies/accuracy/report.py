@@ -1,0 +1,51 @@
+"""`nightglass report accuracy`: run the study and write it as JSON, a table and a figure."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import BadInput
+from pipeline.studies.accuracy.figure import draw_figure
+from pipeline.studies.accuracy.study import Progress, run_study
+from pipeline.studies.accuracy.tables import markdown
+
+MOST_STARS = 10_000_000
+SMALLEST_PX, LARGEST_PX = 256, 4096
+QUICK_STARS, QUICK_PX = 1_000, 256
+
+
+def report_accuracy(
+    out: Path,
+    stars: int = 20_000,
+    frame: tuple[int, int] = (1024, 1024),
+    quick: bool = False,
+    peers: bool = True,
+    satsim_python: str | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Measure, and write accuracy.json, accuracy.md and accuracy.png into a folder.
+
+    stars, frame : the work (rows, columns); `quick` takes less of both and fewer rungs
+    peers : also those simulators that are installed; satsim_python : a Python that has SatSim
+    progress : called with (stage, done, total)
+    Returns what accuracy.json holds. Raises BadInput for work out of range, and before anything is
+    measured where the figure cannot be drawn.
+    """
+    if not 1 <= stars <= MOST_STARS:
+        raise BadInput("stars", stars, f"1 to {MOST_STARS}")
+    for n in frame:
+        if not SMALLEST_PX <= n <= LARGEST_PX:
+            raise BadInput("frame", frame, f"{SMALLEST_PX} to {LARGEST_PX} pixels a side")
+    if find_spec("matplotlib") is None:
+        raise BadInput("figure", "matplotlib is not installed", "pip install 'nightglass[report]'")
+    if quick:
+        stars, frame = min(stars, QUICK_STARS), (QUICK_PX, QUICK_PX)
+    study = run_study(stars, frame, quick, peers, satsim_python, progress)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "accuracy.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
+    (out / "accuracy.md").write_text(markdown(study))
+    draw_figure(study, out / "accuracy.png")
+    return study

@@ -1,0 +1,56 @@
+"""A process of its own for one measurement: an order as JSON on stdin, what came out on stdout."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def main() -> None:
+    """Do what the order says; a fault that a user can mend is told as {"refused": [...]}."""
+    from pipeline.errors import BadInput, NightglassError
+
+    order = json.load(sys.stdin)
+    try:
+        found = WORK[order["work"]](order)
+    except BadInput as error:
+        found = {"refused": [error.field, str(error.value), error.allowed]}
+    except NightglassError as error:
+        found = {"failed": str(error)}
+    print(json.dumps(found, allow_nan=False))
+
+
+def _reference(order: dict[str, Any]) -> dict[str, Any]:
+    """Windows and what belongs in them, written for the others; then each approximation alone.
+
+    The scene is rendered once before, so that no other process has to compile what it draws with.
+    """
+    from pipeline.studies.scenes.exact import find_exact
+    from pipeline.studies.scenes.rung import render_once
+    from pipeline.studies.scenes.stage import open_stage, tiles_of
+    from pipeline.studies.scenes.switches import measure_switches
+
+    render_once(order["scene"], order["share"], Path(order["folder"]))
+    finest = open_stage(order["finest"])
+    tiles = tiles_of(finest, order["share"])
+    exact = find_exact(finest, tiles, order["windows"])
+    exact.save(Path(order["exact"]))
+    usual = open_stage(order["scene"], finest.plan)
+    return {
+        "sources": exact.sources, "windows": len(exact.windows),
+        "switches": measure_switches(usual, tiles, exact),
+    }  # fmt: skip
+
+
+def _rung(order: dict[str, Any]) -> dict[str, Any]:
+    from pipeline.studies.scenes.rung import measure_rung
+
+    return measure_rung(order)
+
+
+WORK = {"reference": _reference, "rung": _rung}
+
+if __name__ == "__main__":
+    main()

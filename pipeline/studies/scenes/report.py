@@ -1,0 +1,72 @@
+"""`nightglass report scenes`: run the study, write it as JSON, a page and figures."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import BadInput
+from pipeline.studies.scenes.figure import ladder_figure, omission_figure
+from pipeline.studies.scenes.page import page
+from pipeline.studies.scenes.scenes import wishes
+from pipeline.studies.scenes.study import Progress, checked_rungs, run_study
+from pipeline.studies.scenes.tables import (
+    explained,
+    markdown,
+    rung_table,
+    switch_table,
+)
+
+
+def report_scenes(
+    out: Path,
+    scenes: tuple[str, ...] = (),
+    rungs: str | None = None,
+    quick: bool = False,
+    catalogue: Path | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Measure, and write report.json, report.html, report.md and two figures into a new folder.
+
+    scenes : names, all where there is none; rungs : accuracy targets, "0.5,0.05"
+    catalogue : of stars; default a synthetic one, made for it. progress : (stage, done, total)
+    Returns what report.json holds. Raises BadInput before anything is measured: for a name or rung
+    that is none, a folder that is not empty, a catalogue that is none, a library that is missing.
+    """
+    chosen = checked_rungs(rungs, quick)
+    wishes(scenes, quick)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise BadInput("-o", str(out), "a new or empty folder")
+    if find_spec("matplotlib") is None:
+        raise BadInput("figure", "matplotlib is not installed", "pip install 'nightglass[report]'")
+    if catalogue is not None:
+        from pipeline.inputs.stars.catalogues import open_catalogues
+
+        open_catalogues((str(catalogue),))
+    with tempfile.TemporaryDirectory(prefix="nightglass-report-") as folder:
+        study = run_study(scenes, chosen, quick, catalogue, Path(folder), progress)
+    out.mkdir(parents=True, exist_ok=True)
+    write(study, out)
+    return study
+
+
+def write(study: dict[str, Any], out: Path) -> None:
+    """Write a study into a folder."""
+    ladder, omissions = ladder_figure(study), omission_figure(study)
+    (out / "report.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
+    (out / "report.html").write_text(page(study, ladder, omissions), encoding="utf-8")
+    (out / "report.md").write_text(text(study), encoding="utf-8")
+    (out / "report.png").write_bytes(ladder)
+    (out / "omissions.png").write_bytes(omissions)
+
+
+def text(study: dict[str, Any]) -> str:
+    """The study as Markdown, without its figures."""
+    notes = "\n".join(f"- {line}" for line in explained(study))
+    return (
+        f"{notes}\n\n## Scenes, rung by rung\n\n{markdown(rung_table(study))}\n"
+        f"## Approximations, one at a time switched off\n\n{markdown(switch_table(study))}"
+    )

@@ -1,0 +1,154 @@
+"""The study: every scene at every rung in a process of its own, one after another."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import BadInput, NightglassError
+from pipeline.studies.scenes.scenes import (
+    ALL_SKY_G_MAG,
+    QUICK_ALL_SKY_G_MAG,
+    ReportScene,
+    deep_fields,
+    wishes,
+    with_accuracy,
+)
+
+Progress = Callable[[str, int, int], None]
+
+RUNGS, QUICK_RUNGS = (0.5, 0.2, 0.05, 0.0125), (0.5, 0.05)
+USUAL = 0.05  # the default of a scene, at which approximations are switched off one by one
+FLUX_OF_NOISE = 0.02  # accuracy.flux_fraction of a rung, over its noise_fraction
+FINER = 0.25  # accuracy of the reference, of the finest rung's
+MOST_RUNGS, LEAST_RUNG = 12, 1e-4
+WINDOWS, QUICK_WINDOWS = 12, 5
+QUICK_SCENES = ("sidereal-sparse", "rate-track", "many-targets")
+CHILD_S = 3600.0
+
+
+def checked_rungs(text: str | None, quick: bool) -> tuple[float, ...]:
+    """Accuracy targets from "0.5,0.05", coarsest first; BadInput for what is none."""
+    if text is None:
+        return QUICK_RUNGS if quick else RUNGS
+    allowed = f"1 to {MOST_RUNGS} numbers from {LEAST_RUNG:g} to 1, with commas: 0.5,0.05,0.005"
+    try:
+        rungs = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise BadInput("--rungs", text, allowed) from None
+    if not 1 <= len(rungs) <= MOST_RUNGS or not all(LEAST_RUNG <= r <= 1.0 for r in rungs):
+        raise BadInput("--rungs", text, allowed)
+    return tuple(sorted(set(rungs), reverse=True))
+
+
+def run_study(
+    names: tuple[str, ...], rungs: tuple[float, ...], quick: bool, catalogue: Path | None,
+    folder: Path, progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Measure scenes at a ladder of accuracies; everything found, as plain data.
+
+    names : of scenes; where there is none all, or QUICK_SCENES
+    rungs : noise_fraction, coarsest first
+    catalogue : of stars; None makes a synthetic one. folder : for work, its contents are lost
+    """
+    chosen = wishes(names or (QUICK_SCENES if quick else ()), quick)
+
+    def say(stage: str, done: int, of: int) -> None:
+        if progress is not None:
+            progress(stage, done, of)
+
+    say("catalogue", 0, 1)
+    stars = str(catalogue or make_catalogue(tuple(w.name for w in chosen), quick, folder))
+    say("catalogue", 1, 1)
+    told = []
+    for wish in chosen:
+        say(wish.name, 0, len(rungs) + 1)
+        found = run_child(_reference_order(wish, rungs, quick, stars, folder))
+        rows = []
+        for k, rung in enumerate(rungs):
+            say(wish.name, k + 1, len(rungs) + 1)
+            asked = {"noise_fraction": rung, "flux_fraction": FLUX_OF_NOISE * rung}
+            rows.append(asked | run_child(_rung_order(wish, rung, stars, folder)))
+        say(wish.name, len(rungs) + 1, len(rungs) + 1)
+        told.append(_told(wish, found, rows))
+    return {
+        "schema": "nightglass/scene-report/1", "quick": quick, "rungs": list(rungs),
+        "catalogue": "given" if catalogue else "synthetic", "machine": _machine(),
+        "nightglass": version("nightglass"), "scenes": told,
+    }  # fmt: skip
+
+
+def _reference_order(
+    wish: ReportScene, rungs: tuple[float, ...], quick: bool, stars: str, folder: Path
+) -> dict[str, Any]:
+    finest = FINER * min(*rungs, USUAL)
+    return {
+        "work": "reference", "windows": QUICK_WINDOWS if quick else WINDOWS,
+        "finest": with_accuracy(wish, finest, FLUX_OF_NOISE * finest, stars),
+        "scene": with_accuracy(wish, USUAL, FLUX_OF_NOISE * USUAL, stars),
+        "share": wish.share, "exact": str(folder / f"{wish.name}.npz"),
+        "folder": str(folder / f"{wish.name}-first"),
+    }  # fmt: skip
+
+
+def _rung_order(wish: ReportScene, rung: float, stars: str, folder: Path) -> dict[str, Any]:
+    work = folder / f"{wish.name}-{rung:g}"
+    work.mkdir()
+    return {
+        "work": "rung", "scene": with_accuracy(wish, rung, FLUX_OF_NOISE * rung, stars),
+        "share": wish.share, "exact": str(folder / f"{wish.name}.npz"), "folder": str(work),
+    }  # fmt: skip
+
+
+def _told(wish: ReportScene, found: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    size = wish.data["sensor"]["shape"]
+    return {
+        "scene": wish.name, "title": wish.title, "shape": size, "tiles_drawn": list(wish.share),
+        "stars": rows[0]["stars"], "targets": rows[0]["targets"],
+        "windows": found["windows"], "sources_drawn_again": found["sources"],
+        "rungs": rows, "switches": found["switches"],
+    }  # fmt: skip
+
+
+def make_catalogue(names: tuple[str, ...], quick: bool, folder: Path) -> Path:
+    """A synthetic catalogue that is deep where these scenes look."""
+    from catalog_tools.synthetic.synthetic import make_demo
+
+    path = folder / "catalogue"
+    limit = QUICK_ALL_SKY_G_MAG if quick else ALL_SKY_G_MAG
+    make_demo(path, faintest_g_mag=limit, deep_fields=deep_fields(names, quick))
+    return path
+
+
+def run_child(order: dict[str, Any]) -> dict[str, Any]:
+    """One measurement in a process of its own; raises what it says went wrong."""
+    command = [sys.executable, "-m", "pipeline.studies.scenes.child"]
+    done = subprocess.run(
+        command, input=json.dumps(order), capture_output=True, text=True, check=False,
+        timeout=CHILD_S,
+    )  # fmt: skip
+    lines = done.stdout.strip().splitlines()
+    if done.returncode or not lines:
+        last = (done.stderr.strip().splitlines() or ["no word"])[-1]
+        name = order["scene"]["name"]
+        raise NightglassError(f"{name}: its process ended with {done.returncode}: {last}")
+    found: dict[str, Any] = json.loads(lines[-1])
+    if "refused" in found:
+        raise BadInput(*found["refused"])
+    if "failed" in found:
+        raise NightglassError(found["failed"])
+    return found
+
+
+def _machine() -> dict[str, Any]:
+    """What it was measured on, and how much else it had to do."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {"processor": platform.machine(), "cores": os.cpu_count(), "load_before": load,
+            "python": platform.python_version()}  # fmt: skip

@@ -1,0 +1,86 @@
+"""`nightglass selftest`: run the cases and write them as a table, JSON, or a page of the docs."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import BadInput
+from pipeline.lines import fold
+from pipeline.studies.selftest.case import LimitingCase, Outcome, every, run_case
+
+
+def all_cases() -> tuple[LimitingCase, ...]:
+    """Every case, in the order of the page."""
+    from pipeline.studies.selftest import attitude, frames, light, many, places, stars
+
+    return every((places, attitude, light, frames, stars, many))
+
+
+def chosen(pattern: str | None) -> tuple[LimitingCase, ...]:
+    """Cases whose name holds a text; all without one. BadInput where none does."""
+    cases = all_cases()
+    kept = tuple(c for c in cases if pattern is None or pattern in c.name)
+    if not kept:
+        raise BadInput("--only", pattern, f"part of a name: {', '.join(c.name for c in cases)}")
+    return kept
+
+
+def run_cases(
+    cases: tuple[LimitingCase, ...], listen: Callable[[str, int, int], None] | None
+) -> list[Outcome]:
+    """Run cases one after another in a temporary folder; `listen` hears how many are done."""
+    outcomes = []
+    with tempfile.TemporaryDirectory(prefix="nightglass-selftest-") as folder:
+        for i, one in enumerate(cases):
+            if listen is not None:
+                listen("cases", i, len(cases))
+            outcomes.append(run_case(one, Path(folder) / one.name))
+    return outcomes
+
+
+def as_data(outcomes: list[Outcome]) -> dict[str, Any]:
+    """All outcomes as plain data."""
+    return {
+        "passed": all(o.passed for o in outcomes),
+        "cases": [o.as_dict() for o in outcomes],
+        "seconds": round(sum(o.seconds for o in outcomes), 2),
+    }
+
+
+def print_table(outcomes: list[Outcome]) -> None:
+    """Each case, on stdout: its verdict and error, then the right answer and ours."""
+    for o in outcomes:
+        error = f"{o.found.error:.2g}" if o.found else "none"
+        text = f"{o.case.name}: error {error}, allowed {o.case.allowed:.2g} {o.case.unit}"
+        print(
+            fold(f"{text}, {o.seconds:.2f} s", "        ", "ok      " if o.passed else "FAILED  ")
+        )
+        told = f"right {o.found.right}; ours {o.found.ours}" if o.found else str(o.fault)
+        print(fold(told, "          "))
+    failed = sum(not o.passed for o in outcomes)
+    print(f"{len(outcomes) - failed} of {len(outcomes)} cases hold"
+          + (f"; {failed} FAILED" if failed else ""))  # fmt: skip
+
+
+def markdown(outcomes: list[Outcome]) -> str:
+    """The page docs/extremes.md."""
+    lines = [
+        "# Hard ends", "",
+        "What the product gives where arithmetic, geometry or a format is at its end, beside the "
+        "right answer and where that comes from. Made by `nightglass selftest --markdown "
+        "docs/extremes.md`; `nightglass selftest` runs the same cases on your machine.", "",
+        "| case | what | right answer by | right | ours | error | allowed | s |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]  # fmt: skip
+    for o in outcomes:
+        found = o.found
+        cells = [
+            o.case.name, o.case.what, o.case.source, found.right if found else "",
+            found.ours if found else o.fault, f"{found.error:.2g}" if found else "-",
+            f"{o.case.allowed:.2g} {o.case.unit}", f"{o.seconds:.2f}",
+        ]  # fmt: skip
+        lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
+    return "\n".join(lines) + "\n"

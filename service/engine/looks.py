@@ -1,0 +1,102 @@
+"""Looks at a scene that is no job: its plan, and what its files are, by a process of the engine."""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+import hashlib
+import json
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Coroutine
+from typing import Any, TypeVar
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+
+from service.engine.processes import look_at
+from service.jobs.shares import Shares
+from service.problems import EngineFault, Malformed, PlanTooSlow
+from service.scenes.uploads import Uploads, engine_scene
+from service.settings import Settings
+from service.store.named_files import files_in
+
+T = TypeVar("T")
+KEPT = 10_000
+log = logging.getLogger("nightglass.service")
+
+
+class Looks:
+    """A few at once, shared between teams; each ends when its caller goes, or the service does."""
+
+    def __init__(self, settings: Settings, files: Uploads, stopping: threading.Event) -> None:
+        self._settings, self._files, self._stopping = settings, files, stopping
+        self._places = Shares(settings.plans, "dry runs")
+        self._judged: OrderedDict[tuple[str, bytes], None] = OrderedDict()
+
+    async def plan(self, request: Request, team: str, scene: dict[str, Any]) -> dict[str, Any]:
+        """The plan of an accepted scene. Refused, PlanTooSlow, EngineFault, TooMany."""
+        asked = {"do": "plan", "most_cpu_s": self._settings.job_cpu_s}
+        look = self._look(team, scene, asked, self._settings.plan_s)
+        plan: dict[str, Any] = (await unless_gone(request, look))["plan"]
+        return plan
+
+    async def judge(self, request: Request, team: str, scene: dict[str, Any]) -> None:
+        """Refused where an uploaded file is not what the scene says; TooMany.
+
+        A scene that cannot be judged in time is taken: the engine that draws it judges it again.
+        Scenes that differ in name and seed alone are judged once.
+        """
+        text = json.dumps({k: v for k, v in scene.items() if k not in ("name", "seed")})
+        key = team, hashlib.sha256(text.encode()).digest()
+        if not files_in(text) or key in self._judged:
+            return
+        limit_s = self._settings.judge_s
+        try:
+            async with asyncio.timeout(limit_s):
+                await unless_gone(request, self._look(team, scene, {"do": "judge"}, limit_s))
+        except (TimeoutError, PlanTooSlow):
+            log.info("a scene's files were not judged in %g s; it is taken", limit_s)
+        except EngineFault as error:
+            log.warning("a scene's files could not be judged (%s); it is taken", error)
+        else:
+            self._judged[key] = None
+            while len(self._judged) > KEPT:
+                self._judged.popitem(last=False)
+
+    async def _look(
+        self, team: str, scene: dict[str, Any], asked: dict[str, Any], limit_s: float
+    ) -> dict[str, Any]:
+        gone = threading.Event()
+        async with self._places.place(team):
+            files = await run_in_threadpool(self._files.names, team, files_in(json.dumps(scene)))
+            order = asked | {"scene": engine_scene(copy.deepcopy(scene), self._settings)}
+            try:
+                return await run_in_threadpool(
+                    look_at, self._settings, order | {"files": files}, limit_s,
+                    lambda: gone.is_set() or self._stopping.is_set(),
+                )  # fmt: skip
+            finally:
+                gone.set()
+
+
+async def unless_gone(request: Request, work: Coroutine[Any, Any, T]) -> T:
+    """What work comes to; it is cancelled when its caller closes the connection.
+
+    The request's body has been read.
+    """
+    doing, gone = asyncio.create_task(work), asyncio.create_task(_gone(request))
+    try:
+        await asyncio.wait((doing, gone), return_when=asyncio.FIRST_COMPLETED)
+        if not doing.done():
+            raise Malformed("the caller has gone")
+        return doing.result()
+    finally:
+        doing.cancel()
+        gone.cancel()
+
+
+async def _gone(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass

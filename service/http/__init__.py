@@ -1,0 +1,1 @@
+"""Requests before any route: the gate, bodies, connections."""

@@ -1,0 +1,1 @@
+"""Jobs: the durable record, submissions, changes, how they look to clients."""

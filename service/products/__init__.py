@@ -1,0 +1,1 @@
+"""Products over HTTP: files, frames, archives."""

@@ -1,0 +1,121 @@
+"""Sweeps over REST: what one may hold, and how the worker runs it."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from importlib.util import find_spec
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import BadInput
+from pipeline.plan.timing import frame_count
+from pipeline.spec.load import path_holders
+from service.problems import NotAllowed
+from service.scenes.scenes import HasFile, accept_scene
+from service.scenes.uploads import engine_scene
+from service.settings import Settings
+
+RUNNER, MODELS = "pipeline.sweep.run", "pipeline.spec.sweep_load"
+# What would change how large the points are, or what they read: every point is as the base scene.
+FIXED = (
+    "sensor.shape", "exposure.frames", "dwells", "targets", "populations", "stars.catalogue",
+    "output",
+)  # fmt: skip
+
+
+def can_run() -> bool:
+    """Whether this installation holds the runner of sweeps."""
+    try:
+        return find_spec(RUNNER) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def accept_sweep(
+    data: Any, settings: Settings, has_file: HasFile | None = None
+) -> tuple[dict[str, Any], int]:
+    """A sweep as it is stored, and its pixels x frames. Its base scene is looked at like any other,
+    and its axes may neither name files nor change how large a point is.
+
+    Raises BadInput, InvalidScene, NotAllowed.
+    """
+    if not can_run():
+        raise NotAllowed("sweeps cannot be run by this installation")
+    parsed = import_module(MODELS).parse_sweep(data)
+    if not isinstance(parsed.scene, dict):
+        allowed = "the base scene itself: over REST no file is read"
+        raise NotAllowed(f"scene: {allowed}", (("scene", parsed.scene, allowed),))
+    base = accept_scene(parsed.scene, settings, has_file)
+    for i, axis in enumerate(data["axes"]):
+        _check_axis(i, axis)
+    rows, columns = base.sensor.shape
+    each = rows * columns * frame_count(base)
+    if parsed.points > settings.sweep_points:
+        allowed = f"at most {settings.sweep_points} points"
+        raise NotAllowed(f"axes: {allowed}", (("axes", parsed.points, allowed),))
+    return data | {"scene": base.as_dict()}, parsed.points * each
+
+
+def _check_axis(number: int, axis: dict[str, Any]) -> None:
+    fields = axis.get("fields") or [axis["field"]]
+    for field, fixed in product(fields, FIXED):
+        if _changes(field, fixed):
+            allowed = f"an axis that leaves {fixed} as it is"
+            raise NotAllowed(f"axes[{number}]: {allowed}", ((f"axes[{number}]", field, allowed),))
+    rows = axis.get("rows") or [[value] for value in axis.get("values", ())]
+    for row in rows:
+        for field, value in zip(fields, row, strict=False):
+            _check_value(number, field, value)
+
+
+def _changes(field: str, fixed: str) -> bool:
+    """Whether a field is, holds or lies in a fixed one; a property of one target does not."""
+    if fixed == "targets" and field.count(".") >= 2:
+        return False
+    return f"{fixed}.".startswith(f"{field}.") or field.startswith(f"{fixed}.")
+
+
+def _check_value(number: int, field: str, value: Any) -> None:
+    """No value of an axis stands where a file could be named."""
+    placed: Any = value
+    for part in reversed(field.split(".")):
+        placed = {part: placed}
+    for name, holder, key in path_holders(placed):
+        if isinstance(holder.get(key), str | list):
+            allowed = f"numbers for {name}: over REST no axis goes through files"
+            raise NotAllowed(f"axes[{number}]: {allowed}", ((f"axes[{number}]", value, allowed),))
+
+
+def run_sweep(order: dict[str, Any], listen: Any) -> dict[str, Any]:
+    """Run a stored sweep, in the worker's process. Its file lies beside the product meanwhile."""
+    from pipeline.route.run import Options
+
+    product = Path(order["product"])
+    file = product.with_name(f"{product.name}.sweep.json")
+    sweep = order["scene"]
+    here = Path.cwd()
+    for _, holder, key in path_holders(sweep["scene"]):
+        value = holder.get(key)
+        if isinstance(value, list):
+            holder[key] = [str(here / name) for name in value]
+        elif isinstance(value, str):
+            holder[key] = str(here / value)
+    file.write_text(json.dumps(sweep))
+    options = Options(
+        scheduler=order["scheduler"], workers=order["workers"], resume=order["resume"]
+    )
+    try:
+        report = import_module(RUNNER).sweep(file, product, options, False, listen)
+    finally:
+        file.unlink(missing_ok=True)
+    return {"tiles": report["points"], "content_digest": None}
+
+
+def engine_sweep(sweep: dict[str, Any], settings: Settings) -> dict[str, Any]:
+    """A stored sweep as the worker gets it: its base scene as any scene."""
+    if not isinstance(sweep.get("scene"), dict):
+        raise BadInput("scene", None, "a base scene")
+    engine_scene(sweep["scene"], settings)
+    return sweep

@@ -1,0 +1,1 @@
+"""Interfaces that others have defined: IVOA UWS, OGC API - Processes."""

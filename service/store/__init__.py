@@ -1,0 +1,1 @@
+"""The database: its tables, leases, and the files that stored scenes name."""

@@ -1,0 +1,319 @@
+"""Schedulers beyond this process: TLS with our own certificates, jobs that Slurm would start."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import signal
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from catalog_tools.engine.clusters import check_address, security_of
+from catalog_tools.engine.schedulers import LOCAL_KINDS, open_scheduler
+from catalog_tools.errors import BadInput, TryLater
+from pipeline.route.run import render
+from pipeline.spec.load import parse_scene
+from pipeline.store.product import content_digest
+from tests.service.conftest import SCENE
+from tests.slurm import slurm_of_one_node
+from tests.tls_cluster import ROOT, make_certificates, tls_cluster_in
+
+LONGER_THAN_A_JOB_S = 120.0  # CPU seconds; Slurm looks at limits every half minute
+
+
+def double(shared: int, item: int) -> int:
+    if item == 13:
+        raise ValueError("an unlucky item")
+    return shared * item
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory) -> Path:
+    folder = make_certificates(tmp_path_factory.mktemp("tls"), "example.org")
+    assert (folder / "cluster.key").stat().st_mode & 0o077 == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tls_cluster(certificates, tmp_path_factory):
+    """The address of a scheduler that takes only TLS, with one worker."""
+    with tls_cluster_in(certificates, tmp_path_factory.mktemp("worker")) as cluster:
+        cluster.start()
+        cluster.add_workers(1)
+        yield cluster.address
+
+
+@pytest.fixture
+def own_cluster(certificates, with_certificates, tmp_path):
+    """A scheduler that a test may stop, without workers."""
+    with tls_cluster_in(certificates, tmp_path) as cluster:
+        cluster.start()
+        yield cluster
+
+
+@pytest.fixture
+def with_certificates(certificates, monkeypatch):
+    for name, file in (("CA", "ca.pem"), ("CERT", "cluster.pem"), ("KEY", "cluster.key")):
+        monkeypatch.setenv(f"NIGHTGLASS_CLUSTER_{name}", str(certificates / file))
+    monkeypatch.setenv("NIGHTGLASS_WORKERS_WAIT_S", "120")
+
+
+@pytest.mark.parametrize("kind", ["synchronous", "threads"])
+def test_each_gives_every_outcome_once(kind):
+    with open_scheduler(kind, 3) as scheduler:
+        found = dict(scheduler.each(double, 2, range(30)))
+    assert len(found) == 30
+    assert isinstance(found.pop(13), ValueError)
+    assert found == {i: 2 * i for i in range(30) if i != 13}
+
+
+def test_processes_listen_to_this_machine_alone():
+    with open_scheduler("processes", 1) as scheduler:
+        told = scheduler.client.scheduler_info()
+    addresses = [told["address"], *told["workers"]]
+    assert all(address.startswith("tcp://127.0.0.1:") for address in addresses)
+
+
+@pytest.mark.parametrize("kind", ["synchronous", "threads"])
+def test_each_takes_items_only_a_few_ahead(kind):
+    taken = []
+
+    def items():
+        for i in range(10_000):
+            taken.append(i)
+            yield i
+
+    with open_scheduler(kind, 2) as scheduler:
+        results = scheduler.each(double, 1, items())
+        for _ in range(5):
+            next(results)
+        assert len(taken) < 20
+        results.close()
+
+
+def test_work_over_tls(tls_cluster, with_certificates):
+    with open_scheduler(tls_cluster, None) as scheduler:
+        found = dict(scheduler.each(double, 3, range(12)))
+        assert found == {i: 3 * i for i in range(12)}
+        shared = scheduler.share(5)
+        done = []
+        out = scheduler.run({("t", i): (double, shared, i) for i in range(3)},
+                            [("t", i) for i in range(3)], done.append)  # fmt: skip
+        assert list(out) == [0, 5, 10]
+        assert done == ["t"] * 3
+
+
+def test_a_stranger_is_refused(tls_cluster, certificates, tmp_path, monkeypatch):
+    """Without a certificate, with one of another authority, and without TLS at all."""
+    with pytest.raises(BadInput, match="NIGHTGLASS_CLUSTER_CA"), open_scheduler(tls_cluster, None):
+        pass
+    make_certificates(tmp_path)
+    for name, file in (("CA", "ca.pem"), ("CERT", "cluster.pem"), ("KEY", "cluster.key")):
+        monkeypatch.setenv(f"NIGHTGLASS_CLUSTER_{name}", str(tmp_path / file))
+    with pytest.raises(BadInput, match="certificates fit"), open_scheduler(tls_cluster, None):
+        pass
+    host, port = tls_cluster.removeprefix("tls://").split(":")
+    context = ssl.create_default_context(cafile=str(certificates / "ca.pem"))
+    context.check_hostname = False
+
+    def talk() -> bytes:
+        with (
+            socket.create_connection((host, int(port)), 10) as plain,
+            context.wrap_socket(plain) as wire,
+        ):
+            wire.sendall(b"\0" * 64)  # TLS 1.3 tells of the missing certificate on the first read
+            return wire.recv(1)
+
+    with pytest.raises(ssl.SSLError):
+        talk()
+    plain = f"tcp://{host}:{port}"
+    monkeypatch.setattr("catalog_tools.engine.clusters.ANSWER_S", 1.0)
+    with pytest.raises(TryLater, match="is it a tls:// one"), open_scheduler(plain, None):
+        pass
+
+
+def slowly(shared: bytes, item: int) -> int:
+    time.sleep(0.2)
+    return item + len(shared)
+
+
+def test_work_goes_on_though_all_workers_die_three_times(own_cluster):
+    """What the tasks share is where any new worker finds it."""
+    own_cluster.add_workers(2)
+    with open_scheduler(own_cluster.address, None) as scheduler:
+        shared, done = scheduler.share(b"12345"), []
+        graphs = [({("t", i): (slowly, shared, i)}, [("t", i)]) for i in range(80)]
+
+        def heard(kind):
+            done.append(kind)
+            if len(done) in (4, 10, 16):
+                own_cluster.kill_workers()
+                own_cluster.add_workers(2)
+
+        scheduler.stream(graphs, heard)
+    assert done == ["t"] * 80
+
+
+def test_a_lost_scheduler_says_so_and_nothing_else(own_cluster, capfd):
+    def cut_off():
+        with open_scheduler(own_cluster.address, None) as scheduler:
+            found = scheduler.each(slowly, b"", range(1000))
+            next(found)
+            own_cluster.stop_scheduler()
+            list(found)
+
+    own_cluster.add_workers(1)
+    with pytest.raises(TryLater, match=own_cluster.address):
+        cut_off()
+    lost = pytest.raises(TryLater, match=own_cluster.address)
+    with lost, open_scheduler(own_cluster.address, None):
+        pass
+    assert capfd.readouterr().err == ""
+
+
+def test_a_scheduler_without_workers_is_no_mistake(own_cluster, monkeypatch):
+    monkeypatch.delenv("NIGHTGLASS_WORKERS_WAIT_S")
+    with pytest.raises(TryLater, match="no workers"), open_scheduler(own_cluster.address, None):
+        pass
+
+
+def test_a_worker_of_another_version_is_refused_by_name(own_cluster, tmp_path):
+    other = tmp_path / "other" / "nightglass-0.0.9.dist-info"
+    other.mkdir(parents=True)
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: nightglass\nVersion: 0.0.9\n")
+    own_cluster.add_workers(1, PYTHONPATH=f"{other.parent}:{ROOT}")
+    told = r"the worker tls://127\.0\.0\.1:\d+ has version 0\.0\.9 of nightglass"
+    with (
+        open_scheduler(own_cluster.address, None) as scheduler,
+        pytest.raises(TryLater, match=told),
+    ):
+        scheduler.share(5)
+
+
+def test_workers_end_with_4_when_their_scheduler_dies_and_with_0_when_asked(own_cluster, tmp_path):
+    command = [sys.executable, "-m", "pipeline", "worker", own_cluster.address, "--folder",
+               str(tmp_path), "--patience", "60"]  # fmt: skip
+    with (tmp_path / "worker").open("w") as log:
+        workers = [subprocess.Popen(command, stderr=log, cwd=ROOT) for _ in range(2)]
+        with open_scheduler(own_cluster.address, None) as scheduler:
+            scheduler.client.wait_for_workers(2, timeout=60)
+            workers[0].send_signal(signal.SIGTERM)
+            assert workers[0].wait(30) == 0
+        own_cluster.stop_scheduler()
+        assert workers[1].wait(30) == 4
+    assert f"the scheduler at {own_cluster.address} went away" in (tmp_path / "worker").read_text()
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["tcp://10.0.0.7:8786", "tcp://example.org:8786", "http://127.0.0.1:80", "tls://", "tcp://:1",
+     "tls://host", "tcp://127.0.0.1:port", "thread", "", "tcp://[::2]:8786"],
+)  # fmt: skip
+def test_bad_addresses(address):
+    with pytest.raises(BadInput, match="--scheduler"):
+        check_address(address, LOCAL_KINDS)
+
+
+@pytest.mark.parametrize("kind", ["tcp://127.0.0.1:9", "processes"])
+def test_what_is_not_encrypted_is_refused_where_that_is_required(kind, tmp_path, monkeypatch):
+    """By the command as by the service: exit 2, and no product is begun."""
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "true")
+    monkeypatch.setenv("NIGHTGLASS_SCHEDULER", kind)
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE))
+    for words in (
+        ["render", "scene.json", "-o", "product", "--scheduler", kind],
+        ["serve", "--home", "home", "--port", "0"],
+    ):
+        told = subprocess.run([sys.executable, "-m", "pipeline", *words], cwd=tmp_path,
+                              capture_output=True, text=True, timeout=120)  # fmt: skip
+        assert told.returncode == 2, told.stderr
+        assert "require-encryption" in told.stderr
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scene.json"]
+
+
+def test_half_a_certificate_is_named(certificates, monkeypatch):
+    monkeypatch.setenv("NIGHTGLASS_CLUSTER_CA", str(certificates / "ca.pem"))
+    monkeypatch.setenv("NIGHTGLASS_CLUSTER_CERT", str(certificates / "gone.pem"))
+    with pytest.raises(BadInput, match=r"NIGHTGLASS_CLUSTER_CERT.*gone.pem"):
+        security_of("tls://somewhere:8786")
+
+
+@pytest.mark.slow
+def test_slurm_starts_workers(tmp_path, monkeypatch):
+    """Our settings file through dask-jobqueue, with a stand-in for sbatch that runs the script."""
+    pytest.importorskip("dask_jobqueue")
+    import dask
+    from ruamel.yaml import YAML
+
+    bin_ = tmp_path / "bin"
+    bin_.mkdir()
+    (bin_ / "sbatch").write_text(
+        f"#!/bin/sh\ncp \"$1\" {tmp_path}/script\n"  # the caller removes its own at once
+        f"setsid sh {tmp_path}/script >{tmp_path}/log 2>&1 &\n"
+        "echo \"Submitted batch job $!\"\n"
+    )  # fmt: skip
+    (bin_ / "scancel").write_text('#!/bin/sh\nkill -- "-$1" 2>/dev/null\nexit 0\n')
+    for name in ("sbatch", "scancel"):
+        (bin_ / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{bin_}:{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("NIGHTGLASS_SLURM_FOLDER", str(tmp_path / "certificates"))
+    monkeypatch.setenv("NIGHTGLASS_WORKERS_WAIT_S", "120")
+    settings = YAML(typ="safe").load((ROOT / "deploy" / "slurm" / "jobqueue.yaml").read_text())
+    mine = dask.config.get("jobqueue.slurm") | settings["jobqueue"]["slurm"] | {
+        "cores": 1, "processes": 1, "memory": "1GiB", "interface": "lo", "python": sys.executable,
+    }  # fmt: skip
+    with dask.config.set({"jobqueue.slurm": mine}), open_scheduler("slurm", 1) as scheduler:
+        found = dict(scheduler.each(double, 2, range(6)))
+    assert found == {i: 2 * i for i in range(6)}
+    script = (tmp_path / "script").read_text()
+    assert "--requeue" in script
+    assert "tls://" in script
+    assert (tmp_path / "certificates").stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_a_slurm_worker_that_reaches_its_walltime_is_followed_by_the_next(tmp_path):
+    """A real Slurm, one job of a minute at a time, a render of some more: whole, the same bits."""
+    pytest.importorskip("dask_jobqueue")
+    from ruamel.yaml import YAML
+
+    scene = copy.deepcopy(SCENE)
+    scene["targets"] += [scene["targets"][0] | {"name": f"other-{i}"} for i in range(40)]
+    spent_s = {}
+    for frames in (1, 2, 22):  # the first compiles
+        scene["exposure"]["frames"] = frames
+        before = time.process_time()
+        render(parse_scene(scene), tmp_path / f"timed{frames}")
+        spent_s[frames] = time.process_time() - before
+    each_s = (spent_s[22] - spent_s[2]) / 20
+    scene["exposure"]["frames"] = int(LONGER_THAN_A_JOB_S / each_s)
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    yaml = YAML(typ="safe")
+    settings = yaml.load((ROOT / "deploy" / "slurm" / "jobqueue.yaml").read_text())
+    settings["jobqueue"]["slurm"] |= {
+        "cores": 1, "processes": 1, "memory": "2GiB", "walltime": "00:01:00", "interface": "lo",
+        "log-directory": str(tmp_path / "jobs"),
+    }  # fmt: skip
+    (tmp_path / "dask").mkdir()
+    yaml.dump(settings, tmp_path / "dask" / "jobqueue.yaml")
+    with slurm_of_one_node() as slurm:
+        told = subprocess.run(
+            [sys.executable, "-m", "pipeline", "render", "scene.json", "-o", "product", "--slurm",
+             "--workers", "1"], cwd=tmp_path, capture_output=True, text=True,
+            env=os.environ | {"DASK_CONFIG": str(tmp_path / "dask"), "PYTHONPATH": str(ROOT),
+                              "NIGHTGLASS_SLURM_FOLDER": str(tmp_path / "certificates")},
+        )  # fmt: skip
+        ended = (slurm / "ended").read_text()
+    assert told.returncode == 0, told.stderr
+    assert "JobState=TIMEOUT" in ended, "the render ended before the first job's walltime"
+    alone = render(parse_scene(scene), tmp_path / "alone")
+    assert alone["content_digest"] == content_digest(tmp_path / "product")

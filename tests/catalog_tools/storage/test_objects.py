@@ -1,0 +1,32 @@
+"""Objects asked for together: none is left out, however many there are."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from catalog_tools.storage import objects
+from catalog_tools.storage.objects import TOGETHER, Objects
+
+
+@pytest.mark.parametrize("count", [0, 1, TOGETHER, TOGETHER + 1, 3 * TOGETHER + 7])
+def test_every_object_of_many(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read and deleted a question of at most TOGETHER at a time."""
+    asked: list[int] = []
+    gone: list[str] = []
+
+    def cat(paths: list[str]) -> dict[str, bytes]:
+        asked.append(len(paths))
+        return {path: path.encode() for path in paths}
+
+    store = SimpleNamespace(cat=cat, rm=lambda paths: gone.extend(paths))
+    monkeypatch.setattr(objects, "_files", lambda: store)
+    monkeypatch.setattr(objects, "_all_of", lambda paths, files: files.cat(paths))
+    monkeypatch.setattr(objects, "_without", lambda paths, files: files.rm(paths))
+    names = [f"markers/{k}" for k in range(count)]
+    found = dict(Objects("s3://b/run").get_many(names))
+    assert found == {name: f"b/run/{name}".encode() for name in names}
+    assert max(asked, default=0) <= TOGETHER
+    Objects("s3://b/run").delete(names)
+    assert gone == [f"b/run/{name}" for name in names]

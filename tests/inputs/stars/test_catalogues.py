@@ -1,0 +1,147 @@
+"""What the plan says of the catalogues: what is made up, which magnitudes are missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from catalog_tools.ingest.build import About, build
+from catalog_tools.query.starlight import CountedLight
+from pipeline.inputs.band.colour_fit import gather_colour_fit
+from pipeline.inputs.band.curves import resolve_response
+from pipeline.inputs.sky.starlight import gather_starlight
+from pipeline.inputs.stars.catalogues import (
+    catalogue_facts,
+    catalogue_remarks,
+    colour_sentences,
+    gather_left_out,
+)
+from pipeline.plan.coverage import FieldCoverage
+from pipeline.spec.load import parse_scene
+from tests.spec.test_limits import BASE
+
+
+@pytest.fixture(scope="module")
+def empty(tmp_path_factory):
+    """A catalogue without a row, to say other things of."""
+    about = About("empty", "", False, 2015.5, {})
+    folder = tmp_path_factory.mktemp("empty") / "made"
+    return build([], folder, about, rows_per_leaf=1000).catalogue
+
+
+def catalogue(empty, name: str, brightest: float | None, faintest: float | None, **more):
+    return replace(empty, name=name, brightest_g_mag=brightest, faintest_g_mag=faintest, **more)
+
+
+def test_bright_end_takes_the_layers_into_account(empty):
+    gaia, bright = catalogue(empty, "gaia", 3.2, 21.0), catalogue(empty, "hip", -1.4, 6.6)
+    (told,) = catalogue_remarks([gaia], 20.0)
+    assert told.startswith("the catalogue begins at G = 3.2: brighter real stars are missing")
+    assert catalogue_remarks([gaia, bright], 20.0) == ()
+    faint = catalogue(empty, "hip", 3.0, 6.6)
+    (told,) = catalogue_remarks([gaia, faint], None)
+    assert told.startswith("the catalogues begin at G = 3.0: brighter")
+    assert catalogue_remarks([empty], 20.0) == catalogue_remarks([], None) == ()
+
+
+def test_gaps_and_faint_end(empty):
+    deep, bright = catalogue(empty, "deep", 9.0, 18.0), catalogue(empty, "hip", -1.4, 6.6)
+    (gap,) = catalogue_remarks([deep, bright], None)
+    assert gap == "no catalogue holds stars of G = 6.6 to 9.0"
+    assert catalogue_remarks([deep, bright], 6.5) == ()
+    assert catalogue_remarks([deep, bright, catalogue(empty, "more", 6.0, 9.4)], 18.2) == ()
+    (end,) = catalogue_remarks([bright], 15.0)
+    assert end == "the catalogue ends at G = 6.6, the scene asks for 15.0"
+    assert "the catalogues end at G = 18.0" in catalogue_remarks([bright, deep], 20.0)[-1]
+
+
+def test_what_is_made_up(empty):
+    real, made = catalogue(empty, "real", -1.4, 21.0), catalogue(empty, "made", -1.4, 21.0)
+    made = replace(made, synthetic=True)
+    assert catalogue_remarks([made], None) == (
+        "SYNTHETIC CATALOGUE: no star of this product is a real star",
+    )
+    assert catalogue_remarks([made, made], None) == catalogue_remarks([made], None)
+    (told,) = catalogue_remarks([real, made], None)
+    assert told == "SYNTHETIC CATALOGUE made: no star of it is a real star"
+
+
+def test_facts_and_nothing_left_out_of_the_main_catalogue(empty):
+    assert gather_left_out((), (), None) == ()
+    (none,) = gather_left_out((empty,), (), None)
+    assert (none.size, none.dtype) == (0, np.int64)
+    both = gather_left_out((empty, empty), (), 5.0)
+    assert [ids.size for ids in both] == [0, 0]
+    (told,) = catalogue_facts((empty,), (np.array([3, 4]),))
+    assert told == {
+        "name": "empty",
+        "digest": empty.digest,
+        "synthetic": False,
+        "ref_epoch_jyear": 2015.5,
+        "left_out": 2,
+        "rows": 0,
+        "without_colour": 0,
+    }
+
+
+def test_stars_without_a_colour_are_counted_with_what_it_may_cost(empty):
+    """Few are a remark, most of a catalogue a warning; an older catalogue did not count them."""
+    fit = gather_colour_fit(*resolve_response({"kind": "named", "name": "bessell-V"}, 1, 1), None)
+    counts = {0: (0, 0), 80: (0, 1), 600: (1, 0), None: (0, 1)}
+    for count, (warned, remarked) in counts.items():
+        held = replace(empty, rows=1000, without_colour=count)
+        warnings, remarks = colour_sentences([held], fit)
+        assert (len(warnings), len(remarks)) == (warned, remarked), count
+    (warning,), _ = colour_sentences([replace(empty, rows=1000, without_colour=600)], fit)
+    assert warning.startswith("600 of 1000 (60%) stars of empty have no colour")
+    assert "mag rms" in warning
+
+
+@pytest.mark.parametrize(
+    ("asked", "deepest", "limit", "told"),
+    [(None, 20.0, 15.0, True), (15.5, 20.0, 15.0, False), (15.6, 20.0, 15.0, True),
+     (18.0, 15.4, 15.0, False), (0.0, 20.0, 15.0, False), (None, None, 15.0, False),
+     (None, 20.0, None, False)],
+)  # fmt: skip
+def test_a_shallow_part_is_told_where_fainter_stars_are_drawn(asked, deepest, limit, told):
+    """More than half a magnitude, of what both the scene and the catalogue reach elsewhere."""
+    found = FieldCoverage("c", "a map", 1.0, 1.0, 0, limit).remark(asked, deepest)
+    assert (found is not None) == told
+
+
+def test_a_part_that_is_not_covered_is_a_warning():
+    for worst, mean, words in (
+        (0.99, 0.99, None), (0.98, 0.995, "covers 98% of frame 4 and 99.5% of all frames"),
+        (0.0, 0.5, "covers nothing of frame 4 and 50% of all"),
+    ):  # fmt: skip
+        warning = FieldCoverage("c", "a map", worst, mean, 4).warning()
+        assert warning is None if words is None else words in warning
+    assert FieldCoverage("c", None, 0.0, 0.0, 4).warning() is None
+
+
+@pytest.mark.parametrize(
+    ("end", "wish", "limit", "noise", "spans"),
+    [(18.0, "auto", 12.0, False, None), (18.0, "all", 12.0, False, [(12, 18), (18, 21)]),
+     (18.0, "all", 18.0, False, [(18, 21)]), (18.0, "all", None, False, [(18, 21)]),
+     (18.0, "auto", None, True, [(12, 18)]), (22.0, "all", 12.0, False, [(12, 21)]),
+     (22.0, "all", None, False, None), (None, "all", 12.0, False, [(3, 21)]),
+     (2.0, "all", None, False, [(3, 21)])],
+)  # fmt: skip
+def test_magnitudes_that_the_sky_has_where_stars_are_not_drawn(
+    empty, end, wish, limit, noise, spans
+):
+    """From the limit (or the catalogue's end) on, of the counts, which end at 21: each once."""
+    background = {"starlight": wish, "uniform_e_per_s": 0.0}
+    stars = {"catalogue": "c", "faintest_g_mag": limit}
+    scene = parse_scene(BASE | {"background": background, "stars": stars})
+    found = gather_starlight(scene, (catalogue(empty, "c", 3.0, end),), noise)
+    assert (found is None) == (spans is None)
+    if found is not None:
+        at = np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]])
+        told = found.fainter(12.0, at).g
+        each = [CountedLight(float(a), float(b)).fainter(-99.0, at).g for a, b in spans]
+        assert told == pytest.approx(np.sum(each, axis=0), rel=1e-9)
+    alone = parse_scene(BASE | {"background": background})
+    assert (gather_starlight(alone, (), False) is None) == (wish == "auto")

@@ -1,0 +1,317 @@
+"""Mesh files: real ones load, bad ones are refused by name, what is mended is told."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter
+
+from pipeline.errors import BadInput
+from pipeline.inputs.targets.mesh_surfaces import make_surface, read_brdf_table
+from pipeline.physics.meshes.intensity import mesh_intensity
+from pipeline.physics.meshes.model import model_light, posed
+from pipeline.physics.targets.sphere import sphere_area_function
+from pipeline.physics.vectors import separation, unit
+from pipeline.spec.targets.mesh import MeshBody, Reflecting
+
+trimesh = pytest.importorskip("trimesh")
+from pipeline.inputs.targets import meshes  # noqa: E402
+from pipeline.inputs.targets.meshes import gather_mesh, read_mesh  # noqa: E402
+
+MATT = {"kind": "lambert", "albedo": 0.5}
+
+CUBE = """mtllib none.mtl
+o Bus
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 0 0 1
+v 1 0 1
+v 1 1 1
+v 0 1 1
+usemtl gold
+f 4 3 2 1
+f 5 6 7 8
+f 1 2 6 5
+f 2 3 7 6
+usemtl black
+f 3 4 8 7
+f 4 1 5 8
+"""
+SHEET = """o Panel
+v 2 0 0
+v 3 0 0
+v 3 1 0
+v 2 1 0
+usemtl cell
+f 9 10 11 12
+"""
+
+
+def write(folder, text, name="body.obj"):
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def body(path, **more):
+    return MeshBody.model_validate(
+        {"kind": "mesh", "path": str(path), "unit": "m", "surface": MATT} | more
+    )
+
+
+def test_all_real_models_load(shared_data):
+    paths = sorted((shared_data / "cad_models").glob("*.obj"))
+    assert len(paths) >= 20
+    for path in paths:
+        mesh = read_mesh(path, "m")
+        assert len(mesh.corners_m) >= 12
+        assert all(mesh.materials), path.name  # every facet's material by its name
+        assert np.ptp(mesh.corners_m.reshape(-1, 3), axis=0).max() < 200.0
+
+
+def test_real_sizes_and_objects(shared_data):
+    hst = read_mesh(shared_data / "cad_models" / "HST.obj", "m")
+    assert np.ptp(hst.corners_m.reshape(-1, 3), axis=0).max() == pytest.approx(13.3, abs=0.1)
+    assert hst.closed.all()
+    iss = read_mesh(shared_data / "cad_models" / "ISS_MainBody.obj", "m")
+    assert {"ISS_ServiceModule", "ISS_UDC"} <= set(iss.things)
+    assert any("not watertight: 32" in note for note in iss.notices)
+
+
+def test_a_real_sphere_gives_the_closed_form(shared_data):
+    model = gather_mesh(body(shared_data / "cad_models" / "Cannonball.obj"))
+    facets = posed(model, (0, 0, 1))
+    assert facets.convex
+    diameter = 2.0 * facets.radius_m
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        s, o = unit(rng.normal(size=3)), unit(rng.normal(size=3))
+        true = 0.5 / np.pi * sphere_area_function(separation(s, o), diameter)
+        found = mesh_intensity(facets, model.surfaces, s, o).intensity_m2_sr
+        assert found == pytest.approx(true, abs=0.02 * diameter**2 / 6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["HST", "ISS_MainBody"])
+def test_against_ray_casting_by_embree(shared_data, name):
+    """An independent count of rays: first hits from the observer, then rays to the Sun."""
+    pytest.importorskip("embreex")
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    model = gather_mesh(body(shared_data / "cad_models" / f"{name}.obj"))
+    facets = posed(model, (0, 0, 1))
+    corners = facets.corners_m
+    mesh = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3),
+                           process=False)  # fmt: skip
+    caster = RayMeshIntersector(mesh)
+    s, o = unit(np.array([0.5, 0.6, 0.4])), unit(np.array([-0.2, 0.8, 0.6]))
+    x = unit(np.cross(o, [0.0, 0.0, 1.0]))
+    y = np.cross(o, x)
+    points = corners.reshape(-1, 3)
+    n = 500
+    u, v = (np.linspace((points @ a).min(), (points @ a).max(), n + 1) for a in (x, y))
+    cell = (u[1] - u[0]) * (v[1] - v[0])
+    um, vm = np.meshgrid(0.5 * (u[1:] + u[:-1]), 0.5 * (v[1:] + v[:-1]))
+    start = um.reshape(-1, 1) * x + vm.reshape(-1, 1) * y + 2 * facets.radius_m * o
+    hits, _, hit = caster.intersects_location(start, np.tile(-o, (len(start), 1)), False)
+    mu = facets.normal[hit] @ s
+    mu = np.where(facets.normal[hit] @ o > 0, mu, 0.0)
+    lit = mu > 0.0
+    room = 1e-4 * facets.radius_m * facets.normal[hit][lit]
+    dark = caster.intersects_any(hits[lit] + room, np.tile(s, (lit.sum(), 1)))
+    true = 0.5 / np.pi * cell * np.sum(mu[lit] * ~dark)
+    light = mesh_intensity(facets, model.surfaces, s, o)
+    assert light.intensity_m2_sr == pytest.approx(true, rel=5e-3)
+
+
+def test_objects_and_materials_of_an_obj(tmp_path):
+    mesh = read_mesh(write(tmp_path, CUBE + SHEET), "cm")
+    assert mesh.materials == ("black", "cell", "gold")
+    assert mesh.things == ("Bus", "Panel")
+    assert mesh.corners_m.max() == pytest.approx(0.03)
+    assert mesh.closed.sum() == 12
+    assert len(mesh.notices) == 1
+    assert "2 of 14 facets" in mesh.notices[0]
+    assert "two_sided" in mesh.notices[0]
+
+
+def test_objects_of_the_bodys_file_may_move(tmp_path):
+    path = write(tmp_path, CUBE + SHEET)
+    half = {"kind": "fixed", "axis": [0, 1, 0], "pivot_m": [2.5, 0, 0], "angle_deg": 180}
+    model = gather_mesh(body(path, parts=[{"name": "p", "objects": ["Panel"], "joint": half}]))
+    assert [len(p.facets) for p in model.parts] == [12, 2]
+    z = np.array([[0.0, 0.0, 1.0]])
+    light, _ = model_light(model, z, z, np.zeros(1))
+    assert light[0] == pytest.approx(0.5 / np.pi)  # the panel shows its black back
+    with pytest.raises(BadInput, match="Dish"):
+        gather_mesh(body(path, parts=[{"name": "p", "objects": ["Dish"]}]))
+
+
+def test_surfaces_go_by_the_materials_names(tmp_path):
+    path = write(tmp_path, CUBE)
+    white = {"kind": "lambert", "albedo": 1.0}
+    x, z = np.array([[1.0, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]])
+    model = gather_mesh(body(path, materials={"gold": white}))
+    assert len(model.surfaces) == 2
+    for d, albedo in ((x, 1.0), (z, 0.5)):
+        assert model_light(model, d, d, [0.0])[0][0] == pytest.approx(albedo / np.pi)
+    with pytest.raises(BadInput, match="black"):
+        gather_mesh(body(path, surface=None, materials={"gold": white}))
+    with pytest.raises(BadInput, match="silver"):
+        gather_mesh(body(path, materials={"silver": white}))
+    other = gather_mesh(body(path, materials={"gold": MATT}))
+    assert other.digest != model.digest
+
+
+@pytest.mark.parametrize("kind", ["stl", "ply", "glb"])
+def test_other_formats_hold_the_same_cube(tmp_path, kind):
+    path = tmp_path / f"cube.{kind}"
+    trimesh.creation.box(extents=(1, 2, 3)).export(path)
+    mesh = read_mesh(path, "m")
+    assert len(mesh.corners_m) == 12
+    assert mesh.closed.all()
+    size = np.ptp(mesh.corners_m.reshape(-1, 3), axis=0)
+    np.testing.assert_allclose(size, [1, 2, 3], rtol=1e-6)
+    assert mesh.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_a_glb_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    """Its JSON tells the facets of each mesh, as often as nodes hold it."""
+    box = trimesh.creation.box()
+    scene = trimesh.Scene(box)
+    scene.add_geometry(box, geom_name="other")
+    (tmp_path / "cubes.glb").write_bytes(scene.export(file_type="glb"))
+    monkeypatch.setattr(meshes, "MOST_FACETS", 23)
+    monkeypatch.setattr(trimesh, "load_scene", None)
+    with pytest.raises(BadInput, match=r"cubes\.glb of 24 facets.*at most 23"):
+        read_mesh(tmp_path / "cubes.glb", "m")
+
+
+def test_shells_that_are_inside_out_are_turned(tmp_path):
+    flipped = "\n".join(
+        "f " + " ".join(reversed(line.split()[1:])) if line.startswith("f ") else line
+        for line in CUBE.splitlines()
+    )
+    mesh, right = (
+        read_mesh(write(tmp_path, flipped), "m"),
+        read_mesh(write(tmp_path, CUBE, "b.obj"), "m"),
+    )
+    assert "inwards" in mesh.notices[0]
+    z = np.array([0.0, 0.0, 1.0])
+    for m in (mesh, right):
+        a, b, c = np.moveaxis(m.corners_m, 1, 0)
+        assert np.sum(np.maximum(np.cross(b - a, c - a) @ z, 0)) == pytest.approx(2.0)
+
+
+def test_facets_without_area_and_repeats_are_left_out(tmp_path):
+    more = CUBE + "f 1 1 2\nf 1 2 6 5\n"
+    mesh = read_mesh(write(tmp_path, more), "m")
+    assert len(mesh.corners_m) == 12
+    assert mesh.closed.all()
+    assert any("without area" in n for n in mesh.notices)
+    assert any("repeated" in n for n in mesh.notices)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        ("a.obj", "", "empty"),
+        ("a.obj", "hello\n", "triangles"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "finite|triangles"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "with an area"),
+        ("a.obj", "v 0 0 0\nv 1e9 0 0\nv 0 1 0\nf 1 2 3\n", "unit right"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n", "triangles"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nf 1 2\n", "triangles"),
+        ("a.stl", b"\x00" * 84, "triangles"),
+        ("a.stl", b"solid x\nfacet normal 0 0", "triangles"),
+        ("a.stl", b"\x00" * 80 + b"\xff\xff\xff\x7f" + b"\x00" * 50, "triangles"),
+        ("a.glb", b"glTF\x02\x00\x00\x00\xff\xff\xff\xff", "triangles"),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999\nend_header\n", "triangles"),
+        ("a.zip", b"PK\x03\x04", "obj"),
+        ("a.obj", b"PK\x03\x04 and more", "archive"),
+        ("a.fbx", b"Kaydara", "obj"),
+    ],
+)
+def test_bad_files_are_refused_by_name(tmp_path, name, content, word):
+    with pytest.raises(BadInput, match=word) as error:
+        read_mesh(write(tmp_path, content, name), "m", "targets.0.body.path")
+    assert "targets.0.body.path" in str(error.value)
+    assert name in str(error.value)
+
+
+def test_missing_and_packed_files_are_refused(tmp_path):
+    with pytest.raises(BadInput, match="existing"):
+        read_mesh(tmp_path / "none.obj", "m")
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as z:
+        z.writestr("a.obj", CUBE)
+    (tmp_path / "a.zip").rename(tmp_path / "b.obj")
+    with pytest.raises(BadInput, match="archive"):
+        read_mesh(tmp_path / "b.obj", "m")
+
+
+def test_no_other_file_is_opened(tmp_path):
+    secret = write(tmp_path, "newmtl gold\nmap_Kd /etc/hostname\n", "none.mtl")
+    secret.chmod(0o000)
+    assert "gold" in read_mesh(write(tmp_path, CUBE), "m").materials
+
+
+def _rows(value=0.1):
+    grid = np.meshgrid([0.0, 45.0, 90.0], [0.0, 45.0, 90.0], [0.0, 180.0], indexing="ij")
+    return np.stack([*(g.ravel() for g in grid), np.full(18, value)], axis=1)
+
+
+def test_measured_tables_from_csv_and_npy(tmp_path):
+    np.save(tmp_path / "t.npy", _rows())
+    head = "theta_i_deg, theta_o_deg, phi_deg, brdf_per_sr"
+    np.savetxt(tmp_path / "t.csv", _rows()[::-1], delimiter=",", header=head, comments="")
+    for name in ("t.npy", "t.csv"):
+        table, _ = read_brdf_table(tmp_path / name, 2.0)
+        z = np.array([0.0, 0.0, 1.0])
+        assert table(z, z, unit(np.array([1.0, 0.0, 1.0]))) == pytest.approx(0.2)
+    surface = {"kind": "table", "path": str(tmp_path / "t.npy")}
+    model = gather_mesh(body(write(tmp_path, CUBE), surface=surface))
+    d = np.array([[0.0, 0.0, 1.0]])
+    assert model_light(model, d, d, [0.0])[0][0] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        ("t.csv", b"theta,phi\n1,2\n", "columns"),
+        ("t.csv", b"theta_i_deg,theta_o_deg,phi_deg,brdf_per_sr\n0,0,0,x\n", "numbers"),
+        ("t.csv", b"theta_i_deg,theta_o_deg,phi_deg,brdf_per_sr\n0,0,0,nan\n", "finite"),
+        ("t.csv", b"theta_i_deg,theta_o_deg,phi_deg,brdf_per_sr\n0,0,0,1\n0,5,9,1\n", "grid"),
+        ("t.csv", b"theta_i_deg,theta_o_deg,phi_deg,brdf_per_sr\n0,0,0,1\n0,0,0,2\n", "grid"),
+        ("t.csv", b"", "columns"),
+        ("t.npy", b"not numpy", "NPY"),
+        ("t.txt", b"", "csv"),
+    ],
+)
+def test_bad_tables_are_refused(tmp_path, name, content, word):
+    with pytest.raises(BadInput, match=word):
+        read_brdf_table(write(tmp_path, content, name))
+
+
+@pytest.mark.parametrize(("wish", "sharp"), [
+    ({"kind": "lambert", "albedo": 0.3}, False),
+    ({"kind": "phong", "diffuse": 0.1, "specular": 0.2, "exponent": 400.0}, False),
+    ({"kind": "phong", "diffuse": 0.1, "specular": 0.2, "exponent": 401.0}, True),
+    ({"kind": "phong", "diffuse": 0.1, "specular": 0.0, "exponent": 401.0}, False),
+    ({"kind": "cook_torrance", "normal_reflectance": 0.5, "roughness": 0.05}, False),
+    ({"kind": "cook_torrance", "normal_reflectance": 0.5, "roughness": 0.049}, True),
+    ({"kind": "ashikhmin_shirley", "specular": 0.2, "exponent_u": 100.0, "exponent_v": 1.0}, False),
+    ({"kind": "ashikhmin_shirley", "specular": 0.2, "exponent_u": 1.0, "exponent_v": 101.0}, True),
+    ({"kind": "ashikhmin_shirley", "specular": 0.2, "exponent_u": 101.0}, True),
+    ({"kind": "ashikhmin_shirley", "specular": 0.0, "exponent_u": 101.0}, False),
+])  # fmt: skip
+def test_sharp_highlights_see_the_sun_as_a_disc(wish, sharp):
+    """By the documented limits: an exponent of 400 (a quarter of it for half vectors), 0.05."""
+    for two_sided in (False, True):
+        made, raw = make_surface(TypeAdapter(Reflecting).validate_python(
+            wish | {"two_sided": two_sided}))  # fmt: skip
+        assert (made.sun_rings > 0, made.two_sided, raw) == (sharp, two_sided, b"")

@@ -1,0 +1,328 @@
+"""Bodies in orbit: laws and parts put together, periods, tables, lighting, and a render."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter
+from scipy.spatial.transform import Rotation
+
+from pipeline.errors import BadInput
+from pipeline.inputs.band.curves import solar_spectrum
+from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.radiometry import box
+from pipeline.physics.targets.frustum import cylinder_area_function
+from pipeline.physics.targets.plate import box_area_function
+from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
+from pipeline.physics.vectors import unit
+from pipeline.plan.bodies.albedos import has_band_albedos, with_band_albedos
+from pipeline.plan.bodies.attitudes import View, needs_velocity
+from pipeline.plan.bodies.bodies import earthshine_m2_sr, flicker_share
+from pipeline.plan.bodies.shapes import light_curve_m2_sr, reflected_m2_sr
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.spec.load import parse_scene
+from pipeline.spec.targets.body import Body
+
+EPOCH = parse_utc("2019-07-20T09:00:00Z")
+AU = 1.495978707e11
+
+
+def body(**values: Any) -> Any:
+    return TypeAdapter(Body).validate_python({"albedo": 0.3} | values)
+
+
+def circular(times: np.ndarray, radius: float = 7e6, rows: int = 1) -> View:
+    """An inclined circular orbit, seen from a site that stands still; the Sun off its plane."""
+    rate = np.sqrt(3.986004418e14 / radius**3)
+    a, b = np.array([1.0, 0, 0]), unit(np.array([0.0, 1, 1]))
+    angle = rate * times[:, None]
+    place = radius * (np.cos(angle) * a + np.sin(angle) * b)
+    speed = radius * rate * (np.cos(angle) * b - np.sin(angle) * a)
+    sun, site = AU * unit(np.array([1.0, 0.2, 0.4])), np.array([6.378e6, 1e5, 2e5])
+    each = (times, place, speed, np.broadcast_to(sun, place.shape), 0 * place + site)
+    return View(*(np.broadcast_to(v, (rows, *v.shape)) for v in each))
+
+
+TIMES = np.linspace(0.0, 500.0, 401)
+Z = np.array([0.0, 0.0, 1.0])
+SKY = {
+    "schema": "nightglass/scene/1",
+    "name": "bodies",
+    "epoch": "2019-07-20T09:00:00Z",
+    "observer": {
+        "kind": "orbit",
+        "orbit": {"kind": "state", "position_m": [4.2e7, -4e5, 0], "velocity_m_s": [0, 3075, 0]},
+    },
+    "sensor": {
+        "shape": [256, 256],
+        "pixel_pitch_um": 9.0,
+        "focal_length_m": 0.5,
+        "aperture_m": 0.1,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0},
+    },
+    "pointing": {"mode": "target", "target": "t"},
+    "exposure": {"integration_s": 2.0, "frames": 3, "cadence_s": 30.0},
+    "background": {"uniform_e_per_s": 9.0},
+}
+TARGET = {
+    "name": "t",
+    "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]},
+}
+
+
+def test_against_scipy_a_spinning_box() -> None:
+    view = circular(TIMES)
+    q, axis, rate, phase = [0.3, -0.2, 0.9, 0.1], [1.0, 2.0, -0.5], 7.3, 40.0
+    law = {"kind": "spin", "rate_deg_s": rate, "axis": axis, "phase_deg": phase, "quaternion": q}
+    ours = reflected_m2_sr([body(kind="box", size_m=[1, 2, 3], attitude=law)], EPOCH, view)[0]
+    start = Rotation.from_quat(np.roll(q, -1))
+    turn = Rotation.from_rotvec(np.radians(rate * TIMES + phase)[:, None] * unit(np.array(axis)))
+    back = (start * turn).inv()
+    s, o = back.apply(view.sun[0]), back.apply(view.observer[0])
+    np.testing.assert_allclose(ours, 0.3 / np.pi * box_area_function(s, o, [1, 2, 3]), rtol=1e-9)
+
+
+def test_same_after_a_turn_of_a_spinning_box() -> None:
+    times = np.arange(0.0, 200.0, 0.25)
+    fixed = circular(np.zeros(1))
+    still = View(*(np.repeat(getattr(fixed, n), times.size, axis=1) for n in
+                   ("time_s", "place_m", "velocity_m_s", "sun_m", "observer_m")))  # fmt: skip
+    view = View(times[None], *(getattr(still, n) for n in
+                               ("place_m", "velocity_m_s", "sun_m", "observer_m")))  # fmt: skip
+    law = {"kind": "spin", "rate_deg_s": 9.0, "axis": [1, 1, 0]}
+    light = reflected_m2_sr([body(kind="box", size_m=[1, 2, 3], attitude=law)], EPOCH, view)[0]
+    np.testing.assert_allclose(light[160:], light[:-160], rtol=1e-9, atol=1e-12)  # 40 s
+    assert np.ptp(light) > 0.1 * light.mean()
+    half_a_turn_on = law | {"epoch": "2019-07-20T08:59:40Z"}
+    late = reflected_m2_sr(
+        [body(kind="box", size_m=[1, 2, 3], attitude=half_a_turn_on)], EPOCH, view
+    )[0]
+    np.testing.assert_allclose(late[:-80], light[80:], rtol=1e-9, atol=1e-12)
+
+
+def test_same_parts_and_their_sum() -> None:
+    """A composite of parts with their own laws is the sum of its parts as bodies of their own."""
+    laws = [{"kind": "nadir"}, {"kind": "sun"}, {"kind": "velocity", "quaternion": [1, 0, 1, 0]},
+            {"kind": "sun_tracking", "bus": "velocity", "axis": [1, 0, 0]},
+            {"kind": "inertial", "quaternion": [1, 2, 3, 4]}]  # fmt: skip
+    parts: list[dict[str, Any]] = [{"kind": "sphere", "diameter_m": 0.5, "albedo": 0.7}]
+    shapes = [{"kind": "plate", "area_m2": 2.0}, {"kind": "cube", "edge_m": 1.0},
+              {"kind": "cylinder", "diameter_m": 1.0, "length_m": 3.0, "closed": "top"},
+              {"kind": "frustum", "base_diameter_m": 1, "top_diameter_m": 2,
+               "length_m": 1}]  # fmt: skip
+    parts += [s | {"albedo": 0.2, "attitude": law} for s in shapes for law in laws]
+    whole = TypeAdapter(Body).validate_python({"kind": "composite", "parts": parts})
+    single = [TypeAdapter(Body).validate_python(p) for p in parts]
+    together = reflected_m2_sr([whole], EPOCH, circular(TIMES))[0]
+    apart = reflected_m2_sr(single, EPOCH, circular(TIMES, rows=len(single)))
+    np.testing.assert_allclose(together, apart.sum(axis=0), rtol=1e-12)
+    one = np.stack([reflected_m2_sr([b], EPOCH, circular(TIMES))[0] for b in single])
+    np.testing.assert_array_equal(apart, one)  # however many are worked out together
+    assert np.count_nonzero(apart.sum(axis=1)) > 10
+
+
+@pytest.mark.parametrize(
+    ("law", "follows"),
+    [({"kind": "nadir"}, True), ({"kind": "velocity"}, True), ({"kind": "inertial"}, False),
+     ({"kind": "sun_tracking", "bus": "nadir", "axis": [1, 0, 0]}, True),
+     ({"kind": "sun_tracking", "bus": "inertial", "axis": [1, 0, 0]}, False)],
+)  # fmt: skip
+def test_any_part_may_follow_the_orbit(law: dict[str, Any], follows: bool) -> None:
+    parts = [{"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2},
+             {"kind": "plate", "area_m2": 1.0, "albedo": 0.2},
+             {"kind": "plate", "area_m2": 1.0, "albedo": 0.2, "attitude": law}]  # fmt: skip
+    whole = {"kind": "composite", "parts": parts, "attitude": {"kind": "inertial"}}
+    assert needs_velocity(TypeAdapter(Body).validate_python(whole)) is follows
+
+
+def test_same_light_by_the_definitions_of_laws() -> None:
+    view = circular(TIMES)
+    s, o, place = view.sun[0], view.observer[0], unit(view.place_m[0])
+
+    def lambert(normal: np.ndarray) -> np.ndarray:
+        n = unit(normal)
+        return 0.3 / np.pi * np.maximum(np.sum(n * s, -1), 0) * np.maximum(np.sum(n * o, -1), 0)
+
+    for law, normal in (
+        ({"kind": "nadir"}, -place),
+        ({"kind": "nadir", "quaternion": [0, 1, 0, 0]}, place),
+        ({"kind": "velocity"}, view.velocity_m_s[0]),
+        ({"kind": "sun"}, s),
+        ({"kind": "inertial"}, np.broadcast_to(Z, s.shape)),
+        ({"kind": "sun_tracking", "bus": "inertial", "axis": [0, 0, 1]}, s * [1, 1, 0]),
+    ):
+        ours = reflected_m2_sr([body(kind="plate", area_m2=1.0, attitude=law)], EPOCH, view)[0]
+        np.testing.assert_allclose(ours, lambert(normal), atol=1e-14)
+    table = {"kind": "table", "times_s": [0, 500], "quaternions": [[1, 0, 0, 0], [0, 0, 0, 1]]}
+    tube = body(kind="cylinder", diameter_m=2.0, length_m=4.0, attitude=table)
+    plain = 0.3 / np.pi * cylinder_area_function(s, o, 1.0, 4.0)  # turning about its own axis
+    np.testing.assert_allclose(reflected_m2_sr([tube], EPOCH, view)[0], plain, rtol=1e-9)
+    with pytest.raises(BadInput, match=r"times_s.*covers the exposures"):
+        reflected_m2_sr([tube], EPOCH, circular(TIMES + 1.0))
+
+
+def test_light_curves() -> None:
+    times = np.linspace(0, 10, 11)
+    table = {"kind": "light_curve", "times_s": [0, 10], "magnitudes": [4, 5]}
+    curve = TypeAdapter(Body).validate_python(table)
+    value = light_curve_m2_sr(curve, EPOCH, times, np.full(11, 0.5))
+    magnitude = -26.76 - 2.5 * np.log10(value / 1e6**2)
+    np.testing.assert_allclose(magnitude, 4 + times / 10, atol=1e-12)
+    with pytest.raises(BadInput, match="covers the exposures"):
+        light_curve_m2_sr(curve, EPOCH, times + 1e-3, times)
+    again = curve.model_copy(update={"period_s": 12.0})
+    np.testing.assert_allclose(light_curve_m2_sr(again, EPOCH, times + 24, times), value, rtol=1e-9)
+    assert light_curve_m2_sr(again, EPOCH, np.array([11.0]), times[:1])[0] == pytest.approx(
+        float(np.sqrt(value[0] * value[-1]))
+    )  # the gap is bridged to the next turn
+    ball = curve.model_copy(update={"phase_law": "lambert", "magnitudes": (4.0, 4.0)})
+    phases = np.linspace(0, np.pi, 11)
+    np.testing.assert_allclose(
+        light_curve_m2_sr(ball, EPOCH, times, phases) / value[0],
+        sphere_intensity_per_irradiance(phases, 1, 1) / sphere_intensity_per_irradiance(0, 1, 1),
+        rtol=1e-12,
+    )
+    line = ball.model_copy(update={"phase_law": "linear", "mag_per_deg": 0.02, "phase_deg": 90.0})
+    fainter = light_curve_m2_sr(line, EPOCH, times[:1], np.radians([140.0]))[0]
+    assert -2.5 * np.log10(fainter / value[0]) == pytest.approx(1.0)
+
+
+def scene_of(target_body: dict[str, Any], **changes: Any) -> Any:
+    return parse_scene(SKY | {"targets": [TARGET | {"body": target_body} | changes]})
+
+
+def test_band_albedos() -> None:
+    plate = {"kind": "plate", "area_m2": 1.0, "attitude": {"kind": "sun"}}
+    table = plate | {"albedo": [[300, 0.1], [1000, 0.8]]}
+    scene = scene_of({"kind": "composite", "parts": [plate | {"albedo": 0.2}, table]})
+    wavelength, sun, _, _ = solar_spectrum()
+    assert has_band_albedos(scene)
+    grey = with_band_albedos(scene, wavelength, sun, box(400e-9, 900e-9))
+    assert not has_band_albedos(grey)
+    assert with_band_albedos(grey, wavelength, sun, box(400e-9, 900e-9)) is grey
+    fine = np.linspace(400e-9, 900e-9, 200_001)
+    photons = np.interp(fine, wavelength, sun) * fine
+    mean = np.sum(photons * np.interp(fine * 1e9, [300, 1000], [0.1, 0.8])) / np.sum(photons)
+    assert grey.targets[0].body.parts[1].albedo == pytest.approx(mean, rel=1e-5)
+    assert grey.targets[0].body.parts[0].albedo == 0.2
+    with pytest.raises(BadInput, match=r"targets\.0\.body\.parts\.1\.albedo.*whole band"):
+        with_band_albedos(scene, wavelength, sun, box(400e-9, 1100e-9))
+    with pytest.raises(BadInput, match="with_band_albedos"):
+        plan_geometry(scene, np.arange(3), 0.0)
+
+
+def test_lighting_options_in_a_scene() -> None:
+    ball = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.5}
+    plain, finer, lit = (
+        plan_geometry(scene_of(ball, **more), np.arange(3), 0.0)
+        for more in (
+            {},
+            {"lighting": {"oblate_earth": True, "limb_darkening": 0.6, "moon": True}},
+            {"lighting": {"earthshine_albedo": 0.3}},
+        )
+    )
+    np.testing.assert_array_equal(plain.target_light, finer.target_light)  # in full sunlight
+    extra = lit.target_light / plain.target_light - 1
+    assert np.all((extra > 1e-5) & (extra < 0.05))
+    # full Earth on a sphere that the observer sees from the Earth's side: 0.5% of sunlight at GEO
+    view = circular(np.zeros(1), 4.2164e7)
+    towards = View(
+        view.time_s, view.place_m, view.velocity_m_s, view.place_m * 3000, 0 * view.sun_m
+    )
+    sphere = body(**ball)
+    glow = earthshine_m2_sr(sphere, EPOCH, towards, 0.3)[0]
+    full = sphere_intensity_per_irradiance(0.0, 1.0, 0.5)
+    assert glow / full == pytest.approx(0.3 * (6.378e6 / 4.2164e7) ** 2 * 2 / 3 * 1.114, rel=0.03)
+
+
+def test_flicker_says_whether_the_nodes_suffice() -> None:
+    """The light of an exposure from its nodes, against very many of them."""
+    for rate, few in ((0.5, True), (170.0, False)):
+        law = {"kind": "spin", "rate_deg_s": rate, "axis": [1, 0.3, 0], "phase_deg": 17}
+        scene = scene_of({"kind": "box", "size_m": [1, 2, 3], "albedo": 0.5, "attitude": law})
+        g = plan_geometry(scene, np.arange(3), 0.0)
+        share = flicker_share(g)
+        assert (share < 1e-3) is few
+        light = g.target_light[0] * g.target_range_m[0] ** 2
+        ours = (0.5 * (light[:, 1:] + light[:, :-1])).mean(axis=1)
+        fine = []
+        for start in (0.0, 30.0, 60.0):
+            at = np.linspace(start, start + 2.0, g.nodes)
+            dense = np.linspace(start, start + 2.0, 20_001)
+            columns = [
+                np.stack([np.interp(dense, at, v[:, k]) for k in range(3)], -1)[None]
+                for v in _vectors(scene, start, g.nodes)
+            ]
+            emitted = dense - np.interp(dense, at, g.target_range_m[0, len(fine)]) / 299_792_458.0
+            smooth = View(emitted[None], *columns)
+            fine.append(reflected_m2_sr([scene.targets[0].body], EPOCH, smooth)[0].mean())
+        ratio = ours / np.array(fine)
+        assert np.ptp(ratio) / ratio.mean() < 2 * share + 1e-4
+
+
+def _vectors(scene: Any, start: float, nodes: int) -> Any:
+    """Place, velocity, Sun and observer (nodes, 3) as the geometry has them."""
+    from pipeline.physics.positions.apparent import apparent_sun_m
+    from pipeline.physics.positions.earth import earth_and_sun
+    from pipeline.physics.positions.orbit import two_body
+    from pipeline.physics.positions.times import instants
+
+    at = start + np.linspace(0, 2, nodes)
+    t = instants(EPOCH, at)
+    orbit, seen = scene.targets[0].orbit, scene.observer.orbit
+    place, speed = two_body(np.array(orbit.position_m), np.array(orbit.velocity_m_s), at)
+    observer, _ = two_body(np.array(seen.position_m), np.array(seen.velocity_m_s), at)
+    return place, speed, apparent_sun_m(earth_and_sun(t.tt1, t.tt2)), observer
+
+
+def test_a_spinning_cylinder_renders(tmp_path) -> None:
+    """The whole route: its light in the truth table changes as it spins, and so does the image."""
+    import pyarrow.parquet as pq
+    import zarr
+
+    from pipeline.route.run import render
+
+    tube = {"kind": "cylinder", "diameter_m": 0.5, "length_m": 4.0, "albedo": 0.5}
+    law = {"kind": "spin", "rate_deg_s": 1.0, "axis": [1, 0, 0]}
+    scene = scene_of(tube | {"attitude": law})
+    render(scene, tmp_path / "run")
+
+    truth = pq.read_table(tmp_path / "run" / "truth" / "targets.parquet").to_pydict()
+    g = plan_geometry(scene, np.arange(3), 0.0)
+    light = (0.5 * (g.target_light[0, :, 1:] + g.target_light[0, :, :-1])).mean(axis=1)
+    electrons = np.array(truth["electrons"])
+    np.testing.assert_allclose(electrons / electrons[0], light / light[0], rtol=1e-12)
+    assert np.ptp(electrons) > 0.05 * electrons.mean()
+    dn = zarr.open(tmp_path / "run" / "cube.zarr", mode="r")["dn"][:].astype(float)
+    assert np.all(dn.max(axis=(1, 2)) > np.median(dn))
+
+
+def test_flicker_bounds_the_error_at_the_edge_of_the_shadow() -> None:
+    """A low satellite enters the shadow within an exposure, told from ever more nodes."""
+    from pipeline.plan.pointing import geometry
+
+    far = {"kind": "fixed", "position_au": [-0.2, 0.5, 0.1]}
+    orbit = {"kind": "state", "position_m": [6.9e6, 1e5, 0], "velocity_m_s": [0, 5374.0, 5374.0]}
+    ball = {"kind": "sphere", "diameter_m": 2.0, "albedo": 0.2}
+    scene = parse_scene(
+        SKY | {
+            "observer": far,
+            "pointing": {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 5.0},
+            "exposure": {"integration_s": 10.0, "frames": 120, "cadence_s": 40.0},
+            "targets": [{"name": "t", "orbit": orbit, "body": ball}],
+        }
+    )  # fmt: skip
+    lit = geometry._geometry(scene, np.arange(120), 2, 0.0).target_sunlit[0]
+    frames = np.flatnonzero((lit > 0).any(axis=1) & (lit < 1).any(axis=1))
+    assert frames.size
+    for frame in frames:
+        exact = geometry._geometry(scene, np.array([frame]), 1025, 0.0).target_light[0, 0]
+        for nodes in (9, 33, 129):
+            g = geometry._geometry(scene, np.array([frame]), nodes, 0.0)
+            error = np.trapezoid(g.target_light[0, 0], dx=1 / (nodes - 1)) / np.trapezoid(
+                exact, dx=1 / 1024
+            )
+            assert abs(error - 1) <= flicker_share(g) + 1e-9

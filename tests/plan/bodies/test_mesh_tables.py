@@ -1,0 +1,127 @@
+"""Light of meshes worked out beforehand: the stated error, the same frames in any window."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.physics.meshes.light_table import TURN, tabulated
+from pipeline.plan.bodies import mesh_tables
+from pipeline.plan.bodies.mesh_tables import decide_tables, moments_wanted
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.spec.load import parse_scene
+from tests.plan.bodies.test_bodies import SKY, TARGET
+
+trimesh = pytest.importorskip("trimesh")
+WORK = {
+    "spin": {"kind": "spin", "rate_deg_s": 4.0, "axis": [1, 0.2, 0.1]},
+    "none": {"kind": "nadir", "quaternion": [-0.5, 0.5, 0.3, 0.8]},
+}
+
+
+@given(width=st.floats(0.3, 3.0), slope=st.floats(0.0, 2.0), seed=st.integers(0, 99))
+def test_along_time_the_error_holds(width: float, slope: float, seed: int) -> None:
+    """A kink, a trend and a hump, told by a few moments."""
+    kink = 10.0 * np.random.default_rng(seed).uniform()
+
+    def light(_: np.ndarray, t: np.ndarray) -> np.ndarray:
+        hump = 2.0 + np.cos(t / width)
+        return np.stack([hump, slope * np.maximum(t - kink, 0.0)], axis=-1)
+
+    table = tabulated(light, 0.0, 10.0, 1e-3, 5000, False)
+    assert table is not None
+    assert table.error <= 1e-3
+    t = np.linspace(0.0, 10.0, 7919)
+    true, ours = (v.sum(-1) for v in (light(t, t), table.at(t, 0 * t)))
+    assert np.max(np.abs(ours / true - 1)) < 1e-3
+    assert tabulated(light, 0.0, 10.0, 1e-3, 20, False) is None
+
+
+def test_over_phase_and_time_the_error_holds() -> None:
+    def light(p: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return (1.0 + 0.3 * np.cos(p - 0.1 * t) + 0.05 * np.sin(2 * p) * t / 10)[:, None]
+
+    table = tabulated(light, 5.0, 25.0, 2e-3, 20_000, True)
+    assert table is not None
+    p, t = np.meshgrid(np.linspace(-20.0, 20.0, 401), np.linspace(5.0, 25.0, 37))
+    true, ours = light(p.ravel(), t.ravel())[:, 0], table.at(t.ravel(), p.ravel())[:, 0]
+    assert np.mean(np.abs(ours - true)) < 1.5 * table.error * true.mean()
+    assert np.max(np.abs(ours - true)) < 1.5 * table.worst * true.max()
+    np.testing.assert_allclose(table.at(t[0], p[0]), table.at(t[0], p[0] + TURN), rtol=1e-9)
+
+
+def scene_of(folder: Path, law: dict[str, Any] | None, frames: int, **more: Any) -> Any:
+    from pipeline.inputs.targets.meshes import gather_meshes
+
+    body = trimesh.creation.box((1.0, 2.0, 1.5))
+    panel = trimesh.creation.box((0.05, 1.0, 3.0))
+    panel.apply_translation((0.9, 0.0, 1.0))
+    path = folder / "m.stl"
+    path.write_bytes(trimesh.util.concatenate([body, panel]).export(file_type="stl"))
+    mesh = {"kind": "mesh", "path": str(path), "unit": "m",
+            "surface": {"kind": "lambert", "albedo": 0.3}}  # fmt: skip
+    target = {**TARGET, "body": mesh | ({} if law is None else {"attitude": law}), **more}
+    exposure = {"integration_s": 0.5, "frames": frames, "cadence_s": 1.0}
+    return gather_meshes(parse_scene({**SKY, "targets": [target], "exposure": exposure}))
+
+
+@pytest.mark.parametrize(
+    "law", [pytest.param(w, marks=pytest.mark.slow) if w == "spin" else w for w in WORK]
+)
+def test_the_stated_error_holds(law: str, tmp_path: Path, monkeypatch: Any) -> None:
+    """Frames from the table against the same frames worked out one by one."""
+    scene = scene_of(tmp_path, WORK[law], 900 if law == "none" else 2000)
+    frames = np.array([0, 7, 211, 430])
+    ours = plan_geometry(scene, frames, 0.0).target_light
+    (decision,) = decide_tables(scene)
+    assert decision.kept
+    (table,) = (t for t in mesh_tables.KEPT.values() if t is not None)
+    assert table.worked <= moments_wanted(scene, scene.targets[0].body) // 3
+    monkeypatch.setattr(mesh_tables, "WORTH", 10**9)
+    true = plan_geometry(scene, frames, 0.0).target_light
+    assert true.shape == ours.shape
+    room = 0.01 if law == "spin" else 1e-3  # both follow kinks of a spinning body in steps
+    assert np.max(np.abs(ours - true)) < room * true.max()
+    assert np.mean(np.abs(ours - true)) < 2e-3 * true.mean()
+    assert not np.array_equal(ours, true)
+    assert decide_tables(scene) == []
+
+
+@pytest.fixture(autouse=True)
+def _fresh() -> Any:
+    mesh_tables.KEPT.clear()
+    yield
+    mesh_tables.KEPT.clear()
+
+
+def test_few_frames_need_none(tmp_path: Path) -> None:
+    scene = scene_of(tmp_path, WORK["spin"], 10)
+    plan_geometry(scene, np.arange(10), 0.0)
+    assert not mesh_tables.KEPT
+    assert decide_tables(scene) == []
+
+
+@pytest.mark.parametrize("frames", [8, pytest.param(900, marks=pytest.mark.slow)])
+def test_same_frame_in_any_window(frames: int, tmp_path: Path) -> None:
+    """With and without a table, also in earthshine and where the body turns slowly."""
+    slow = {"kind": "spin", "rate_deg_s": 0.1, "axis": [1, 0.2, 0.1]}
+    law = slow if frames == 8 else WORK["none"]
+    scene = scene_of(tmp_path, law, frames, lighting={"earthshine_albedo": 0.3})
+    every = plan_geometry(scene, np.arange(8), 0.0).target_light
+    assert bool(mesh_tables.KEPT) is (frames > 8)
+    assert every.max() > 0.0
+    for some in ([3], [2, 3, 5], [7, 1]):
+        found = plan_geometry(scene, np.array(some), 0.0).target_light
+        np.testing.assert_array_equal(found, every[:, some])
+
+
+def test_several_spins_are_not_put_into_a_table(tmp_path: Path) -> None:
+    scene = scene_of(tmp_path, WORK["spin"], 2000)
+    body = scene.targets[0].body
+    assert mesh_tables.spin_rad_s(body) == pytest.approx(np.radians(4.0))
+    assert moments_wanted(scene, body) == 2000 * 5

@@ -1,0 +1,122 @@
+"""The optics that a scene asks for: kinds, units, bands, vanes' shadow, and their description."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.physics.psf.aperture import Pupil
+from pipeline.physics.psf.band import Mixture
+from pipeline.physics.psf.pupil import Airy, EllipticalGaussian
+from pipeline.physics.psf.sampled import sampled
+from pipeline.physics.psf.seeing import Kolmogorov, Moffat
+from pipeline.physics.radiometry import box, collecting_area_m2
+from pipeline.plan.facts import Facts, gather_facts
+from pipeline.plan.optics.optics import describe
+from pipeline.plan.pointing.geometry import camera_of, plan_geometry
+from pipeline.plan.response.responses import plan_responses
+from pipeline.spec.scene import Scene
+
+Make = Callable[..., Scene]
+Q = 1.0 / (0.4 * 10e-6)  # px per metre of wavelength, of the scene's telescope
+IFOV = 10e-6
+
+
+def facts_of(s: Scene, **more: Any) -> Facts:
+    return gather_facts(s, box(400e-9, 900e-9), 0.0, 5.0, 1.0, **more)
+
+
+def test_airy_over_its_band_as_the_accuracy_asks(scene: Make) -> None:
+    f = facts_of(scene({"sensor.psf": {"kind": "airy"}}))
+    assert isinstance(f.blur.optics, Mixture)
+    assert f.band is not None
+    assert f.band.error <= 1e-3 < f.band.error_of_one
+    rough = facts_of(scene({"sensor.psf": {"kind": "airy"}, "accuracy": {"flux_fraction": 0.1}}))
+    assert isinstance(rough.blur.optics, Airy)
+    assert rough.blur.optics.q_px == pytest.approx(rough.mean_wavelength_m * Q, rel=1e-12)
+    one = facts_of(scene({"sensor.psf": {"kind": "airy", "wavelengths": 1}}))
+    assert one.blur.optics == rough.blur.optics
+    four = facts_of(scene({"sensor.psf": {"kind": "airy", "wavelengths": 4}}))
+    assert four.band is not None
+    assert len(four.band.wavelengths_m) == 4
+
+
+def test_vanes_and_wavefronts_in_waves_of_each_wavelength(scene: Make) -> None:
+    psf = {
+        "kind": "airy", "wavelengths": 2, "defocus_um": 20.0,
+        "vanes": {"count": 4, "width_m": 0.02, "angle_deg": 90.0},
+        "aberrations": [{"noll": 11, "rms_nm": 65.0}, {"noll": 8, "rms_waves": 0.1}],
+    }  # fmt: skip
+    f = facts_of(scene({"sensor.psf": psf}))
+    assert isinstance(f.blur.optics, Mixture)
+    assert f.band is not None
+    for part, wavelength in zip(f.blur.optics.parts, f.band.wavelengths_m, strict=True):
+        assert isinstance(part, Pupil)
+        waves = dict(part.waves)
+        assert waves[11] == pytest.approx(65e-9 / wavelength)
+        assert waves[8] == pytest.approx(0.1 * f.mean_wavelength_m / wavelength)
+        assert waves[4] == pytest.approx(20e-6 / (8 * 2.5**2) / (2 * np.sqrt(3)) / wavelength)
+        assert part.vanes is not None
+        assert part.vanes.width == pytest.approx(0.05)
+    shadow = 4 * 0.02 * 0.2 * 0.7
+    assert f.area_m2 == pytest.approx(collecting_area_m2(0.4, 0.3) - shadow, rel=3e-3)
+
+
+def test_seeing_in_arcsec_and_r0(scene: Make) -> None:
+    by_width = facts_of(
+        scene({"sensor.psf": {"kind": "kolmogorov", "fwhm_arcsec": 4.0, "wavelength_nm": 500.0}})
+    )
+    assert isinstance(by_width.blur.optics, Kolmogorov)
+    assert by_width.blur.optics.fwhm_px == pytest.approx(np.radians(4.0 / 3600) / IFOV, rel=1e-9)
+    assert by_width.blur.optics.telescope is not None
+    assert by_width.blur.optics.telescope.q_px == pytest.approx(500e-9 * Q, rel=1e-12)
+    air = {"kind": "kolmogorov", "r0_m": 0.03, "wavelength_nm": 800.0, "diffraction": False}
+    optics = facts_of(scene({"sensor.psf": air})).blur.optics
+    expected = 800e-9 / (0.03 * 1.6**1.2) / IFOV
+    assert isinstance(optics, Kolmogorov)
+    assert optics.telescope is None
+    assert optics.lambda_over_r0_px == pytest.approx(expected, rel=1e-9)
+    moffat = facts_of(scene({"sensor.psf": {"kind": "moffat", "fwhm_arcsec": 4.0, "beta": 3.0}}))
+    assert isinstance(moffat.blur.optics, Moffat)
+    assert moffat.blur.optics.fwhm_px == pytest.approx(by_width.blur.optics.fwhm_px)
+    assert moffat.band is None
+
+
+def test_other_kinds_and_the_pixel(scene: Make) -> None:
+    psf = {"kind": "gaussian", "sigma_px": 2.0, "sigma_minor_px": 1.0, "angle_deg": 90.0,
+           "charge_diffusion_um": 3.0}  # fmt: skip
+    blur = facts_of(scene({"sensor.psf": psf})).blur
+    assert blur.optics == EllipticalGaussian(2.0, 1.0, np.pi / 2)
+    assert blur.diffusion_px == pytest.approx(0.3)
+    table = sampled(np.ones((5, 5)), 0.25, "middle", 0.8)
+    psf = {"kind": "table", "path": "x.npy", "includes_pixel": True}
+    s = scene({"sensor.psf": psf})
+    f = facts_of(s, table=table)
+    assert f.blur.optics is table
+    assert f.blur.pixel_in_optics
+    r = plan_responses(s, f, camera_of(s), plan_geometry(s, np.array([0, 4]), 0.0))
+    assert r.lost_light == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    "psf",
+    [
+        {"kind": "airy"}, {"kind": "moffat", "fwhm_px": 3.0, "beta": 2.5},
+        {"kind": "moffat", "fwhm_px": 3.0}, {"kind": "kolmogorov", "fwhm_arcsec": 4.0},
+        {"kind": "airy", "vanes": {"count": 3, "width_m": 0.01}}, {"kind": "table", "path": "x"},
+    ],
+)  # fmt: skip
+def test_every_kind_is_planned_and_told(scene: Make, psf: dict[str, Any]) -> None:
+    s = scene({"sensor.psf": psf})
+    table = sampled(np.hanning(65)[:, None] * np.hanning(65)[None, :], 1 / 16, "middle")
+    f = facts_of(s, table=table if psf["kind"] == "table" else None)
+    r = plan_responses(s, f, camera_of(s), plan_geometry(s, np.array([0, 4]), 0.0))
+    assert r.lost_light <= 1.1e-3
+    assert [c.radius_px for c in r.classes] == sorted(c.radius_px for c in r.classes)
+    errors = [c.wing_error for c in r.classes if c.wing_error > 1e-14]
+    assert errors == sorted(errors, reverse=True)
+    json.dumps(describe(r.blur.optics))

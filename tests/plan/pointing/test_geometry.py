@@ -1,0 +1,188 @@
+"""Geometry: pointing modes, windows of frames, and views that are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any
+
+import erfa
+import numpy as np
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.physics.positions.focal_plane import project
+from pipeline.plan.pointing.geometry import camera_of, plan_geometry, star_paths
+from pipeline.spec.scene import Scene
+
+Make = Callable[..., Scene]
+MIDDLE = np.array([383.5]), np.array([255.5])
+ARCSEC, C = np.pi / 648_000, 299_792_458.0
+LEO = {
+    "kind": "orbit",
+    "orbit": {
+        "kind": "state", "position_m": [6.9e6, 0.0, 0.0], "velocity_m_s": [0.0, 5374.0, 5374.0],
+    },
+}  # fmt: skip
+GROUND = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055.0}
+GEO_TARGET = {
+    "name": "geo",
+    "orbit": {
+        "kind": "state", "position_m": [42164e3, 1e6, 0.0], "velocity_m_s": [-73.0, 3073.0, 50.0],
+    },
+    "body": {"kind": "sphere", "diameter_m": 3.0, "albedo": 0.2},
+}  # fmt: skip
+
+
+def every(scene: Scene) -> Any:
+    return plan_geometry(scene, np.arange(scene.exposure.frames), 0.0)
+
+
+def up(observer: dict[str, Any]) -> tuple[float, float]:
+    """Right ascension and declination of the direction away from the Earth's centre [deg]."""
+    if observer is LEO:
+        return 0.0, 0.0
+    jd = 2458593.5 + 3.0 / 24.0
+    return float(np.degrees(erfa.gst06a(jd, 0.0, jd, 69.2 / 86400)) - 156.3) % 360.0, 20.7
+
+
+@pytest.mark.parametrize("observer", [LEO, GROUND, {"kind": "fixed", "position_au": [1, 0.2, 0]}])
+def test_a_star_at_the_boresight_stays_at_the_centre(scene: Make, observer: dict) -> None:
+    """Against ERFA's aberration: the guided star does not move in any frame."""
+    ra, dec = (40.0, 25.0) if observer["kind"] == "fixed" else up(observer)
+    s = scene(
+        {"observer": observer, "pointing.boresight_ra_deg": ra, "pointing.boresight_dec_deg": dec,
+         "stars.deflection": False}
+    )  # fmt: skip
+    g, camera = every(s), camera_of(s)
+    star = erfa.s2c(np.radians(ra), np.radians(dec))
+    for f in range(5):
+        for k in range(g.nodes):
+            v = g.observer_m_s[f, k] / C
+            away = np.linalg.norm(g.observer_m[f, k] - g.sun_m[f, k]) / 149_597_870_700.0
+            seen = erfa.ab(star, v, away, np.sqrt(1 - v @ v))
+            x, y = project(camera, g.attitude[f, k], seen[None])
+            assert abs(x[0] - 383.5) < 1e-4
+            assert abs(y[0] - 255.5) < 1e-4
+
+
+@pytest.mark.parametrize("observer", [LEO, GROUND])
+def test_target_tracking_keeps_the_target_at_the_centre(scene: Make, observer: dict) -> None:
+    target = {**GEO_TARGET, "orbit": {**GEO_TARGET["orbit"]}}
+    if observer is GROUND:
+        ra, _ = up(observer)
+        c, sn = np.cos(np.radians(ra)), np.sin(np.radians(ra))
+        target["orbit"] |= {
+            "position_m": [42164e3 * c, 42164e3 * sn, 0.0],
+            "velocity_m_s": [-3074.7 * sn, 3074.7 * c, 0.0],
+        }
+    elsewhere = target | {"name": "other", "orbit": target["orbit"] | {
+        "position_m": [1.01 * x for x in target["orbit"]["position_m"]][::-1]}}  # fmt: skip
+    s = scene(
+        {"observer": observer, "targets": [elsewhere, target],
+         "pointing": {"mode": "target", "target": "geo"}}
+    )  # fmt: skip
+    g = every(s)
+    assert np.abs(g.target_x_px[1] - 383.5).max() < 1e-6
+    assert np.abs(g.target_y_px[1] - 255.5).max() < 1e-6
+    px, py = star_paths(camera_of(s), g, *MIDDLE)[:, 0]
+    assert np.hypot(np.ptp(px, axis=1), np.ptp(py, axis=1)).min() > 1.0  # the stars streak
+
+
+@pytest.mark.parametrize(("east", "north"), [(15.0, 0.0), (0.0, -40.0), (30.0, 40.0), (0.01, 0.0)])
+def test_rate_streak_is_rate_times_time(scene: Make, east: float, north: float) -> None:
+    s = scene(
+        {"pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 60.0,
+                      "rate_ra_arcsec_s": east, "rate_dec_arcsec_s": north},
+         "stars.aberration": False, "stars.deflection": False}
+    )  # fmt: skip
+    g, camera = every(s), camera_of(s)
+    px, py = star_paths(camera, g, *MIDDLE, aberration=False)[:, 0]
+    length = np.hypot(px[:, -1] - px[:, 0], py[:, -1] - py[:, 0])
+    expected = np.hypot(east, north) * ARCSEC * 2.0 / 1e-5
+    assert np.allclose(length, expected, rtol=1e-5)
+    # roll 0: +x is west, +y north; the stars run against the boresight
+    assert px[0, -1] - px[0, 0] == pytest.approx(east * ARCSEC * 2.0 / 1e-5, abs=1e-3 * expected)
+    assert py[0, -1] - py[0, 0] == pytest.approx(-north * ARCSEC * 2.0 / 1e-5, abs=1e-3 * expected)
+
+
+def test_rate_without_motion_is_sidereal(scene: Make) -> None:
+    still = scene(
+        {"pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,
+                      "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 0.0}}
+    )  # fmt: skip
+    assert np.allclose(every(still).attitude, every(scene()).attitude, atol=1e-15)
+
+
+def test_same_bits_in_every_window_of_frames(scene: Make) -> None:
+    s = scene({"observer": LEO, "targets": [GEO_TARGET], "pointing.boresight_ra_deg": 1.0,
+               "pointing.boresight_dec_deg": 0.0})  # fmt: skip
+    whole = every(s)
+    for frames in ([0], [4], [0, 4], [2], [1, 2, 3], [3, 0]):
+        part = plan_geometry(s, np.array(frames), 0.0)
+        for f in fields(part):
+            axis = 1 if f.name.startswith("target_") else 0
+            expected = getattr(whole, f.name).take(frames, axis=axis)
+            assert np.array_equal(getattr(part, f.name), expected, equal_nan=True), f.name
+
+
+def test_nodes_follow_the_cadence(scene: Make) -> None:
+    g = every(scene())
+    assert np.allclose(g.offset_s[:, 0], 10.0 * np.arange(5))
+    assert np.allclose(g.offset_s[:, -1] - g.offset_s[:, 0], 2.0)
+    assert np.allclose(g.offset_s[:, g.middle] - g.offset_s[:, 0], 1.0)
+    elapsed = ((g.tt1 - g.tt1[0, 0]) + (g.tt2 - g.tt2[0, 0])) * 86400
+    assert np.abs(elapsed - g.offset_s).max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"observer": LEO, "pointing.boresight_ra_deg": 180.0, "pointing.boresight_dec_deg": 0.0},
+         "pointing"),
+        ({"observer": GROUND, "pointing.boresight_dec_deg": -85.0}, "pointing"),
+        ({"observer": {"kind": "orbit", "orbit": {
+            "kind": "state", "position_m": [6e6, 0, 0], "velocity_m_s": [0, 7700, 0]}}},
+         "observer.orbit.position_m"),
+        ({"observer": {"kind": "orbit", "orbit": {
+            "kind": "state", "position_m": [6.9e6, 0, 0], "velocity_m_s": [-7000, 0, 0]}},
+          "exposure.frames": 50}, "observer.orbit"),
+        ({"observer": {"kind": "fixed", "position_au": [1, 0, 0],
+                       "velocity_m_s": [3e8, 0, 0]}}, "observer.velocity_m_s"),
+        ({"observer": LEO, "targets": [{**GEO_TARGET, "orbit": {
+            "kind": "state", "position_m": [1e3, 0, 0], "velocity_m_s": [0, 0, 0]}}]},
+         "targets.0.orbit"),
+        ({"epoch": "2019-13-45"}, "epoch"),
+        ({"epoch": "yesterday"}, "epoch"),
+        ({"observer": {"kind": "orbit", "orbit": {
+            "kind": "tle",
+            "line1": "1 20253U 89077A   19100.15292632 -.00000145  00000-0  00000+0 0  9995",
+            "line2": "2 20253  13.0618   9.0432 0006304 343.1833 245.2641  1.00270126234281"}}},
+         "observer.orbit.line1"),
+    ],
+)  # fmt: skip
+def test_refused_views_and_orbits(scene: Make, changes: dict, field: str) -> None:
+    s = scene(changes)
+    with pytest.raises(BadInput) as caught:
+        every(s)
+    assert field in caught.value.field
+
+
+@pytest.mark.parametrize("rate", [2e5, 1e7, 1e9, 1e300])
+def test_absurd_rates_are_refused(scene: Make, rate: float) -> None:
+    changes = {"pointing": {"mode": "rate", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0,
+                            "rate_ra_arcsec_s": rate, "rate_dec_arcsec_s": 0.0}}  # fmt: skip
+    with pytest.raises(BadInput):
+        every(scene(changes))
+
+
+def test_limits_boresight_at_the_pole(scene: Make) -> None:
+    g = every(scene({"pointing.boresight_dec_deg": 90.0}))
+    assert np.isfinite(g.attitude).all()
+    assert np.allclose(g.attitude[0, 0] @ g.attitude[0, 0].T, np.eye(3), atol=1e-14)
+
+
+def test_target_as_fast_as_light_is_refused(scene: Make) -> None:
+    orbit = {**GEO_TARGET["orbit"], "velocity_m_s": [0.0, C, 0.0]}
+    with pytest.raises(BadInput, match="speed below that of light"):
+        every(scene({"targets": [{**GEO_TARGET, "orbit": orbit}]}))

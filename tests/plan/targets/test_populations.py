@@ -1,0 +1,319 @@
+"""Populations: none that crosses the field is missed, every kind of file, faults told."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from sgp4 import exporter
+from sgp4.api import Satrec
+
+from benchmarks.targets import EPOCH, population
+from pipeline.errors import BadInput
+from pipeline.inputs.targets import population_files
+from pipeline.inputs.targets.populations import gather_populations
+from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.positions.refraction import refract
+from pipeline.physics.positions.times import instants, parse_utc
+from pipeline.physics.vectors import separation, unit
+from pipeline.plan.bodies.paths import Moments, target_paths
+from pipeline.plan.pointing.air import air_of
+from pipeline.plan.pointing.geometry import _observer, _vantage, camera_of
+from pipeline.plan.pointing.pointing import attitudes
+from pipeline.plan.targets.populations import Sieve, look_of, with_members
+from pipeline.plan.timing import dwell_plans
+from pipeline.route.prepare import plan_scene, prepare
+from pipeline.route.run import Options, render
+from pipeline.spec.load import load_scene, parse_scene
+from pipeline.spec.scene import Scene, Target
+from pipeline.store.cube import open_cube
+
+COUNT = 1200
+BALL = {"kind": "sphere", "diameter_m": 2.0, "albedo": 0.2}
+SITE = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055}
+LOW = {"kind": "orbit", "orbit": {
+    "kind": "keplerian", "perigee_radius_m": 6.9e6, "eccentricity": 0.001, "inclination_deg": 60,
+    "true_anomaly_deg": 40.0}}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def lines() -> list[list[str]]:
+    """Two-line elements of many satellites, each after its name."""
+    out = []
+    for i, satellite in enumerate(population(COUNT, seed=5)):
+        satellite.classification, satellite.intldesg = "U", "00001A"
+        out.append([f"OBJECT {i} {'DEB' if i % 3 else 'R/B'}", *exporter.export_tle(satellite)])
+    return out
+
+
+@pytest.fixture(scope="module")
+def tle(lines: list[list[str]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("population") / "many.tle"
+    path.write_text("\n".join(line for three in lines for line in three) + "\n")
+    return path
+
+
+def scene(path: Path, **more: Any) -> Scene:
+    """A wide field over a site (or what is given), one population."""
+    extra = more.pop("population", {})
+    return parse_scene({
+        "schema": "nightglass/scene/1", "name": "crowd", "epoch": EPOCH, "observer": SITE,
+        "accept": ["sun", "daylight"],
+        "sensor": {
+            "shape": [256, 256], "pixel_pitch_um": 20.0, "focal_length_m": 0.008, "aperture_m": 0.1,
+            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+            "psf": {"kind": "gaussian", "sigma_px": 1.0}, "read_noise_e": 5.0,
+        },
+        "pointing": {"mode": "sidereal", "boresight_ra_deg": 95.0, "boresight_dec_deg": 20.0},
+        "exposure": {"integration_s": 5.0, "frames": 3, "cadence_s": 40.0},
+        "populations": [
+            {"name": "crowd", "path": str(path),
+             "body": BALL} | extra
+        ],
+    } | more)  # fmt: skip
+
+
+def kept(s: Scene) -> set[str]:
+    return {t.name for t in prepare(s).plan.scene.targets}
+
+
+POINTINGS: dict[str, dict[str, Any]] = {
+    "sidereal": {},
+    "rate": {"pointing": {
+        "mode": "rate", "boresight_ra_deg": 95.0, "boresight_dec_deg": 20.0,
+        "rate_ra_arcsec_s": 400.0, "rate_dec_arcsec_s": 200.0}},
+    "low orbit": {"observer": LOW, "pointing": {
+        "mode": "sidereal", "boresight_ra_deg": 60.0, "boresight_dec_deg": 70.0}},
+    "follows a low one": {
+        "pointing": {"mode": "target", "target": "t"},
+        "targets": [{
+            "name": "t", "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.5},
+            "orbit": {"kind": "state", "position_m": [1.5e5, 6.95e6, 2.6e6],
+                      "velocity_m_s": [-7.2e3, 0.2e3, 1.9e3]},
+        }],
+    },
+    "dwells": {"dwells": [
+        {"frames": 3},
+        {"frames": 2, "start_s": 5000.0, "pointing": {
+            "mode": "sidereal", "boresight_ra_deg": 130.0, "boresight_dec_deg": 5.0}},
+    ]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("pointing", POINTINGS)
+def test_none_is_missed(pointing: str, tle: Path) -> None:
+    """Against every satellite of the file followed in steps of a second."""
+    s = scene(tle, **POINTINGS[pointing])
+    found = kept(s)
+    every = []
+    for batch in population_files.element_sets(tle, "path"):
+        every += [
+            {"name": f"crowd-{one.number}", "orbit": one.orbit.model_dump(), "body": BALL}
+            for one in batch
+        ]
+    named = [t.model_dump() for t in s.targets]
+    whole = parse_scene(s.as_dict() | {"populations": [], "targets": [*named, *every]})
+    epoch, dwells = parse_utc(s.epoch), dwell_plans(s)
+    spans = [np.arange(d.start_s, d.end_s + 0.01, 1.0) for d in dwells]
+    offsets, which = np.concatenate(spans), np.repeat(np.arange(len(spans)), [*map(len, spans)])
+    times = instants(epoch, offsets)
+    earth = earth_and_sun(times.tt1, times.tt2)
+    place, speed = _observer(whole, epoch, offsets, times, earth)
+    at = Moments(epoch, offsets, times, earth, place, speed)
+    attitude = attitudes(whole, which, _vantage(whole, at))
+    paths = target_paths(whole, camera_of(whole), attitude, at)
+    with np.errstate(invalid="ignore"):
+        inside = (np.abs(paths.x_px - 127.5) <= 128.0) & (np.abs(paths.y_px - 127.5) <= 128.0)
+    crossing = {t.name for t, hit in zip(whole.targets, inside.any(axis=1), strict=True) if hit}
+    assert crossing <= found
+    of_each = [(inside & (which == k)).any(axis=1).sum() for k in range(len(spans))]
+    assert min(of_each) >= 2
+    assert len(found) < 3 * len(crossing) + 8 * len(spans)  # a circle about a square
+
+
+def test_truth_lists_them_and_the_product_needs_no_file(
+    lines: list[list[str]], tmp_path: Path
+) -> None:
+    file = tmp_path / "few.tle"
+    file.write_text("\n".join(line for three in lines[:400] for line in three))
+    s = scene(file)
+    render(s, tmp_path / "a", Options("synchronous"))
+    truth = pq.read_table(tmp_path / "a" / "truth" / "targets.parquet").to_pydict()
+    assert set(truth["name"]) == kept(s)
+    assert np.sum(truth["in_frame"]) > 0
+    file.unlink()
+    again = load_scene(tmp_path / "a" / "scene.yaml")
+    assert again.populations[0].screened is not None
+    render(again, tmp_path / "b", Options("threads", 2))
+    first, second = (open_cube(tmp_path / name)["dn"].values for name in "ab")
+    assert np.array_equal(first, second)
+
+
+def test_same_whatever_the_batches(tle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = prepare(scene(tle)).plan.scene
+    monkeypatch.setattr(population_files, "BATCH", 97)
+    assert prepare(scene(tle)).plan.scene == whole
+
+
+def test_against_other_kinds_of_file(lines: list[list[str]], tle: Path, tmp_path: Path) -> None:
+    """OMM as JSON, CSV and KVN, and lines without names, keep what the lines with names keep."""
+    sets = [exporter.export_omm(Satrec.twoline2rv(a, b), name) for name, a, b in lines]
+    (tmp_path / "a.json").write_text(json.dumps(sets, indent=1))
+    with (tmp_path / "b.csv").open("w", newline="") as stream:
+        table = csv.DictWriter(stream, list(sets[0]))
+        table.writeheader()
+        table.writerows(sets)
+    (tmp_path / "c.kvn").write_text(
+        "".join("CCSDS_OMM_VERS = 2.0\n" + "".join(f"{k} = {v}\n" for k, v in s.items())
+                for s in sets))  # fmt: skip
+    (tmp_path / "d.txt").write_text("\r\n".join(x for _, a, b in lines for x in (a, b)))
+    wanted = kept(scene(tle))
+    for name in ("a.json", "b.csv", "c.kvn", "d.txt"):
+        assert kept(scene(tmp_path / name)) == wanted, name
+
+
+def test_sizes_by_rule_and_table(tle: Path, tmp_path: Path) -> None:
+    names = sorted(kept(scene(tle)))
+    number = int(names[0].rpartition("-")[2])
+    table = tmp_path / "sizes.csv"
+    table.write_text(f"norad_id,diameter_m,albedo\n{number},7.5,\n999999,1,0.1\n")
+    rules = [{"name_contains": "r/b", "diameter_m": 5.0, "albedo": 0.6},
+             {"name_contains": "DEB", "diameter_m": 0.1}]  # fmt: skip
+    more = {"population": {"rules": rules, "sizes": str(table)}}
+    made = {t.name: t.body for t in prepare(scene(tle, **more)).plan.scene.targets}
+    for name, body in made.items():
+        one: Any = body
+        rocket = int(name.rpartition("-")[2]) % 3 == 0
+        assert one.albedo == (0.6 if rocket else 0.2)
+        assert one.diameter_m == (7.5 if name == names[0] else 5.0 if rocket else 0.1)
+
+
+def test_left_out_ones_are_told(lines: list[list[str]], tmp_path: Path) -> None:
+    """Decayed elements with SGP4's code, malformed lines with what is wrong, older sets counted."""
+    a = "1 99999U 98067A   19090.12345678  .00001000  00000-0  99999-1 0  999"
+    b = "2 99999  51.6400 100.0000 0002000  80.0000 280.0000 16.7000000016600"
+    a, b = (x + str(sum(int(c) if c.isdigit() else c == "-" for c in x) % 10) for x in (a, b))
+    text = [x for three in lines for x in three] + ["FALLEN", a, b, "TORN", lines[0][1][:50]]
+    text += [lines[1][0], lines[1][1][:-1] + "x", lines[1][2]]  # a wrong checksum
+    text += lines[2]  # once more: as old as the other, so that it counts once
+    file = tmp_path / "odd.tle"
+    file.write_text("\n".join(text))
+    s = prepare(scene(file)).plan.scene
+    told = s.populations[0].screened
+    assert told is not None
+    assert (told.read, told.unreadable, told.superseded) == (COUNT + 4, 2, 1)
+    assert sum(n for _, n in told.failed) == 1
+    assert any("FALLEN (99999): SGP4 code" in line for line in told.left_out)
+    assert any("without its other line" in line for line in told.left_out)
+    assert any("checksum" in line for line in told.left_out), told.left_out
+    reasons = [d["reason"] for d in plan_scene(scene(file))["decisions"]
+               if d["component"] == "populations.crowd"]  # fmt: skip
+    assert f"{told.kept} of {COUNT + 4} element sets come within" in reasons[0]
+    assert "1 left out: SGP4 code" in reasons[0]
+
+
+BAD_FILES: dict[str, tuple[bytes, str]] = {
+    "empty": (b"", "not empty"),
+    "zip": (b"PK\x03\x04rest", "not an archive"),
+    "gzip": (b"\x1f\x8brest", "not an archive"),
+    "text": (b"hello\nworld\n", "two-line elements, or OMM"),
+    "binary": (b"1 \xff\xfe\xfd" * 30, "UTF-8"),
+    "json without elements": (b'[{"OBJECT_NAME": "X"}]', "can be read"),
+    "broken json": (b'[{"OBJECT_NAME": "X"', "whole OMMs"),
+    "long line": (b"1 " + b"x" * 100_000, "under 4096"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_files(name: str, tmp_path: Path) -> None:
+    content, allowed = BAD_FILES[name]
+    (tmp_path / "x").write_bytes(content)
+    with pytest.raises(BadInput, match=allowed):
+        prepare(scene(tmp_path / "x"))
+
+
+@pytest.mark.parametrize(
+    ("text", "allowed"),
+    [("", "columns norad_id"), ("norad_id\n1\n", "columns norad_id"),
+     ("norad_id,diameter_m\n1,-2\n", "line 2"), ("norad_id,diameter_m\n1,nan\n", "line 2"),
+     ("norad_id,albedo\n1,0.1\n1,0.2\n", "once"), ("norad_id,albedo\n1.5,0.1\n", "whole number")],
+    ids=["empty", "columns", "negative", "nan", "twice", "number"],
+)  # fmt: skip
+def test_bad_sizes(text: str, allowed: str, tle: Path, tmp_path: Path) -> None:
+    (tmp_path / "sizes.csv").write_text(text)
+    with pytest.raises(BadInput, match=allowed):
+        prepare(scene(tle, population={"sizes": str(tmp_path / "sizes.csv")}))
+
+
+def test_names_must_not_clash(tle: Path) -> None:
+    twice = scene(tle).as_dict()["populations"] * 2
+    with pytest.raises(BadInput, match="do not clash"):
+        prepare(scene(tle, populations=twice))
+    some = scene(tle)
+    target, population = prepare(some).plan.scene.targets[0], some.populations[0]
+    with pytest.raises(BadInput, match=f"populations: '{target.name}'"):
+        with_members(some, [([target], population), ([target], population)])
+    with pytest.raises(BadInput, match="sphere"):
+        scene(tle, population={
+            "body": {"kind": "cube", "edge_m": 1, "albedo": 0.1},
+            "rules": [{"name_contains": "X", "diameter_m": 1}]})  # fmt: skip
+
+
+def test_a_screened_population_is_not_read_again(tle: Path) -> None:
+    s = prepare(scene(tle)).plan.scene
+    assert gather_populations(s, 10.0, 0.0) is s
+
+
+def test_a_younger_set_beside_the_field_outdates_one_inside(tle: Path) -> None:
+    """Three objects with two sets each: what the older one says of the field does not count."""
+    crowd = scene(tle).populations[0]
+    look: Any = SimpleNamespace(half_angle_rad=0.1, length_s=85.0)
+    sieve = Sieve(crowd, look, {}, "populations.0", read=6)
+    sieve.numbers, sieve.ages_s = [np.array([7, 8, 9]), np.array([7, 8, 9])], [
+        np.array([5000.0, 100.0, 50.0]), np.array([100.0, 5000.0, 900.0])]  # fmt: skip
+    made = {n: Target.model_construct(name=n) for n in ("old 7", "young 8", "old 9", "young 9")}
+    sieve.kept = [
+        (7, 0, 5000.0, made["old 7"]), (8, 1, 100.0, made["young 8"]),
+        (9, 2, 900.0, made["old 9"]), (9, 3, 50.0, made["young 9"]),
+    ]  # fmt: skip
+    targets, population = sieve.close("0" * 64)
+    assert [t.name for t in targets] == ["young 8", "young 9"]
+    assert population.screened is not None
+    assert (population.screened.kept, population.screened.superseded) == (2, 3)
+
+
+def test_the_cone_holds_what_the_air_lifts_into_the_field(tle: Path) -> None:
+    """Wider by more than refraction bends anywhere above the horizon, as ERFA has it."""
+    airy = {"observer": SITE | {"atmosphere": {"refraction": True}}}
+    plain, through = (look_of(scene(tle, **more), 10.0, 0.0) for more in ({}, airy))
+    air = air_of(through.scene, instants(parse_utc(EPOCH), [0.0]))
+    assert air is not None
+    zenith = air[0, :3]
+    across = unit(np.cross(zenith, [0.3, 0.5, 0.8]))
+    low = np.radians(np.linspace(0.0, 90.0, 200))[:, None]
+    true = np.cos(low) * across + np.sin(low) * zenith
+    bent = separation(refract(true, np.broadcast_to(air[0], (200, 5))), true).max()
+    assert bent > 1e-3
+    assert through.half_angle_rad >= plain.half_angle_rad + bent
+
+
+def test_a_single_bias_frame_has_a_look(tle: Path) -> None:
+    bias = scene(tle, exposure={"integration_s": 0.0, "frames": 1})
+    look = look_of(bias, 10.0, 0.0)
+    assert (look.length_s, look.turns_rad_s) == (0.0, (0.0,))
+    assert kept(bias) <= kept(scene(tle))
+
+
+def test_objects_keep_the_names_of_their_file(lines: list[list[str]], tle: Path) -> None:
+    """Truth and labels say what the file calls an object, beside its catalogue number."""
+    named = {int(line1[2:7]): name for name, line1, _ in lines}
+    targets = prepare(scene(tle)).plan.scene.targets
+    assert targets
+    for target in targets:
+        assert target.object_name == named[int(target.name.removeprefix("crowd-"))]

@@ -1,0 +1,229 @@
+"""The job record: what may follow what, keys, order, and that it outlives the process."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from starlette.requests import Request
+
+from pipeline.errors import BadInput
+from service.accounts.teams import pixel_frames_of
+from service.engine.attempts import Attempt
+from service.engine.cluster import SchedulerHealth
+from service.jobs.jobs import FINAL, NEXT, Job, Phase, Queue
+from service.jobs.views import job_dict
+from service.problems import KeyReused, NotReady, NotThere, QueueFull
+from service.settings import Settings
+from service.standards.ogc import _status
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Queue:
+    return Queue(tmp_path / "jobs.sqlite")
+
+
+def queue(store: Queue, key: str | None = None, body: str = "b", limit: int = 100) -> Job:
+    return store.submit("name", {"a": 1}, body, key, limit)[0]
+
+
+def test_a_job_outlives_its_store(tmp_path: Path) -> None:
+    store = Queue(tmp_path / "jobs.sqlite")
+    job = queue(store, key="k")
+    claimed = store.claim()
+    assert claimed is not None
+    store.progress(claimed, 3, 9)
+    store.close()
+    again = Queue(tmp_path / "jobs.sqlite")
+    found = again.get(job.id)
+    assert (found.phase, found.tiles_done, found.tiles_total) == (Phase.EXECUTING, 3, 9)
+    assert again.scene(job.id) == {"a": 1}
+    taken = again.claim()
+    assert taken is not None
+    assert (taken.id, taken.attempt) == (job.id, 2)
+
+
+def test_an_earlier_attempt_can_no_longer_write(store: Queue) -> None:
+    queue(store)
+    first = store.claim()
+    second = store.claim()
+    assert first is not None
+    assert second is not None
+    with pytest.raises(NotReady):
+        store.progress(first, 1, 2)
+    with pytest.raises(NotReady):
+        store.finish(first, Phase.COMPLETED)
+    store.finish(second, Phase.COMPLETED)
+
+
+def test_jobs_left_behind_go_on_in_their_order(store: Queue) -> None:
+    made = [queue(store) for _ in range(3)]
+    busy: list[str] = []
+    for _ in made:
+        taken = store.claim(busy)
+        assert taken is not None
+        busy.append(taken.id)
+    assert busy == [job.id for job in made]
+    again = store.claim()
+    assert again is not None
+    assert (again.id, again.attempt) == (made[0].id, 2)
+
+
+def test_key_replays_and_refuses_another_body(store: Queue) -> None:
+    job = queue(store, key="k", body="one")
+    assert store.submit("name", {}, "one", "k", 100) == (job, False)
+    with pytest.raises(KeyReused):
+        queue(store, key="k", body="two")
+    store.delete(job.id)
+    assert queue(store, key="k", body="two").id != job.id
+
+
+def test_one_job_per_key_whatever_comes_at_once(store: Queue) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda i: store.submit("n", {}, "b", f"k{i % 4}", 100), range(40)))
+    assert len({job.id for job, _ in answers}) == 4
+    assert sum(made for _, made in answers) == 4
+
+
+def test_a_job_that_kills_its_workers_ends(store: Queue, tmp_path: Path) -> None:
+    """Three deaths in a row without a tile end it; a tile in between starts the count again."""
+    made, here = queue(store), SchedulerHealth("threads")
+    for deaths, tiles in ((1, 0), (2, 0), (1, 5), (2, 5)):
+        job = store.claim()
+        assert job is not None
+        store.progress(job, tiles, 9)
+        Attempt(Settings(tmp_path), store, job, lambda: True, here).count_death()
+        assert (store.get(made.id).phase, store.get(made.id).deaths) == (Phase.EXECUTING, deaths)
+    job = store.claim()
+    assert job is not None
+    Attempt(Settings(tmp_path), store, job, lambda: True, here).count_death()
+    found = store.get(made.id)
+    assert found.phase == Phase.ERROR
+    assert found.error is not None
+    assert "died" in found.error["message"]
+
+
+def test_full_queue_refuses(store: Queue) -> None:
+    first = queue(store, key="k", limit=1)
+    with pytest.raises(QueueFull):
+        queue(store, limit=1)
+    assert queue(store, key="k", limit=1) == first
+
+
+def test_listing_by_cursor_and_phase(store: Queue) -> None:
+    made = [queue(store) for _ in range(5)]
+    store.cancel(made[1].id)
+    store.delete(made[2].id)
+    assert [j.id for j in store.listing((), made[0].number, 2)] == [made[1].id, made[3].id]
+    assert [j.id for j in store.listing((Phase.ABORTED,), 0, 10)] == [made[1].id]
+    assert store.counts()[Phase.QUEUED] == 3
+
+
+def test_a_database_of_another_format_is_refused(tmp_path: Path) -> None:
+    import sqlite3
+
+    with sqlite3.connect(tmp_path / "jobs.sqlite") as db:
+        db.execute("PRAGMA user_version = 99")
+    with pytest.raises(BadInput):
+        Queue(tmp_path / "jobs.sqlite")
+
+
+ACTIONS = st.sampled_from(
+    ["claim", "cancel", "delete", "progress", "COMPLETED", "ERROR", "ABORTED"]
+)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(ACTIONS, max_size=8))
+def test_limits_phases_follow_the_table(
+    tmp_path_factory: pytest.TempPathFactory, actions: list[str]
+) -> None:
+    """Whatever is asked in whatever order, a job only moves as NEXT allows, and ends once."""
+    store = Queue(tmp_path_factory.mktemp("store") / "jobs.sqlite")
+    made = queue(store)
+    before = made
+    for action in actions:
+        try:
+            if action == "claim":
+                store.claim()
+            elif action == "progress":
+                store.progress(before, 1, 2)
+            elif action in ("cancel", "delete"):
+                getattr(store, action)(made.id)
+            else:
+                store.finish(before, Phase(action))
+        except (NotReady, NotThere):
+            assert store.seen(made) == before
+        after = store.seen(made)
+        assert after.phase == before.phase or after.phase in NEXT[before.phase]
+        assert after == before or after.version > before.version
+        assert (after.ended_s is not None) == (after.phase in FINAL)
+        before = after
+    store.close()
+
+
+def shown(phase: Phase, kind: str | None = None) -> Job:
+    """A job of which every time and number is another."""
+    plain: dict[str, Any] = dict.fromkeys(Job.__dataclass_fields__)
+    times = {"submitted_s": 1.25, "started_s": 2.5, "ended_s": 3.75}
+    numbers = {"tiles_done": 3, "tiles_total": 8, "attempt": 4, "bytes_kept": 5}
+    error = {"kind": kind, "message": "why", "errors": []} if kind else None
+    return Job(**plain | times | numbers | {
+        "id": "a" * 32, "kind": "scene", "name": "n", "owner": "me", "phase": phase,
+        "error": error, "content_digest": "d",
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("phase", "links", "status"),
+    [
+        (Phase.PENDING, {"cancel"}, "accepted"),
+        (Phase.QUEUED, {"cancel"}, "accepted"),
+        (Phase.EXECUTING, {"cancel", "dashboard"}, "running"),
+        (Phase.COMPLETED, {"results", "preview", "plan", "report"}, "successful"),
+        (Phase.ERROR, set(), "failed"),
+        (Phase.ABORTED, set(), "dismissed"),
+    ],
+)
+def test_a_job_tells_its_own_times_and_what_may_be_done(
+    phase: Phase, links: set[str], status: str
+) -> None:
+    """Each number under its name; the words of OGC API Processes 1.0, table 14."""
+    told = job_dict(shown(phase), "http://dash")
+    assert set(told["links"]) - {"self", "events", "scene"} == links
+    whole = {"submitted": "01.250", "started": "02.500", "ended": "03.750"}
+    times = {name: f"1970-01-01T00:00:{text}+00:00" for name, text in whole.items()}
+    assert {k: told[k] for k in times} == times
+    numbers = [told[k] for k in ("tiles_done", "tiles_total", "attempt", "bytes_kept")]
+    assert numbers == [3, 8, 4, 5]
+    scope = {"type": "http", "scheme": "http", "server": ("h", 80), "path": "/", "headers": []}
+    info = _status(Request(scope | {"root_path": "", "query_string": b""}), shown(phase))
+    named = ("status", "progress", "created", "started", "finished")
+    assert [info[k] for k in named] == [status, 37, *times.values()]
+
+
+@pytest.mark.parametrize("kind", ["try later", "incomplete", "disk full", "fault"])
+def test_a_job_that_is_run_again_begins_anew(store: Queue, kind: str) -> None:
+    """What ended it, its times and its dead workers count no more; a bad scene stays bad."""
+    assert "retry" in job_dict(shown(Phase.ERROR, kind))["links"]
+    assert "retry" not in job_dict(shown(Phase.ERROR, "bad input"))["links"]
+    queue(store)
+    job = store.claim()
+    assert job is not None
+    store.died(job, 2)
+    store.finish(job, Phase.ERROR, error={"kind": kind, "message": "", "errors": []})
+    again = store.retry(job.id)
+    assert (again.phase, again.deaths, again.cancel_asked) == (Phase.QUEUED, 0, False)
+    assert (again.error, again.started_s, again.ended_s) == (None, None, None)
+
+
+def test_pixels_of_dwells_with_frames_of_their_own() -> None:
+    """Dwells of 3 and of the scene's own 5 frames, of 20 x 30 pixels."""
+    scene: dict[str, Any] = {"sensor": {"shape": [20, 30]}, "exposure": {"frames": 5}}
+    assert pixel_frames_of(scene) == 5 * 600
+    assert pixel_frames_of(scene | {"dwells": [{"frames": 3}, {}]}) == 8 * 600
+    assert pixel_frames_of({"sensor": {}}) == 0

@@ -1,0 +1,139 @@
+"""Sweeps over REST: taken, run and fetched like jobs; no axis names a file or grows a point."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.sweep.ledger import is_complete
+from service.client import Client
+
+pytest.importorskip("pipeline.sweep.run", reason="the runner of sweeps is not there")
+
+
+@pytest.fixture
+def sweep(scene: dict[str, Any]) -> dict[str, Any]:
+    """Four points of the small scene."""
+    return {
+        "schema": "nightglass/sweep/1",
+        "name": "four",
+        "scene": scene,
+        "axes": [{"field": "sensor.read_noise_e", "values": [1.0, 2.0, 4.0, 8.0]}],
+    }
+
+
+def test_a_dry_run_answers_size_and_plan_and_makes_no_job(
+    server: Any, sweep: dict[str, Any]
+) -> None:
+    def count() -> int:
+        return sum(server.client.get("/v1/usage").json()["jobs"].values())
+
+    before = count()
+    answer = server.client.post("/v1/sweeps?dry_run=1", json=sweep)
+    assert answer.status_code == 200, answer.text
+    told = answer.json()
+    assert (told["points"], told["pixel_frames"]) == (4, 4 * 2 * 64 * 64)
+    assert told["base"] == server.client.post("/v1/jobs?dry_run=1", json=sweep["scene"]).json()
+    assert count() == before
+
+
+def test_by_the_client(server: Any, sweep: dict[str, Any], tmp_path: Path) -> None:
+    """A file whose base scene is another one beside it; the table of its points; no frames."""
+    (tmp_path / "base.json").write_text(json.dumps(sweep["scene"]))
+    (tmp_path / "sweep.json").write_text(json.dumps(sweep | {"scene": "base.json"}))
+    with Client(server.url) as client:
+        job = client.sweep(tmp_path / "sweep.json", "by-client")
+        assert client.sweep(sweep, "by-client").id == job.id  # the same body
+        table = job.wait(progress=False).points()
+        assert table["sensor.read_noise_e"].to_pylist() == [1.0, 2.0, 4.0, 8.0]
+        for ask in (job.open, lambda: job.fetch(tmp_path / "out")):
+            with pytest.raises(BadInput, match=r"points\(\)"):
+                ask()
+        job.fetch_sweep(tmp_path / "out")
+        fetched = pq.read_table(tmp_path / "out" / "points.parquet")
+        assert fetched.equals(table)
+        assert is_complete(tmp_path / "out")
+        with pytest.raises(BadInput, match="does not exist yet"):
+            job.fetch_sweep(tmp_path / "out")
+        job.delete()
+        (tmp_path / "base.json").unlink()
+        with pytest.raises(BadInput, match=r"base\.json"):
+            client.sweep(tmp_path / "sweep.json")
+
+
+def test_by_the_command_line(
+    server: Any, sweep: dict[str, Any], tmp_path: Path, capsys: Any
+) -> None:
+    """`nightglass sweep FILE --server URL`: its results come into the folder."""
+    from pipeline.commands.sweep import sweep as command
+
+    file, out = tmp_path / "sweep.json", tmp_path / "run"
+    file.write_text(json.dumps(sweep))
+    command(file, out, server=server.url, as_json=True)
+    assert json.loads(capsys.readouterr().out)["points"] == 4
+    assert pq.read_table(out / "points.parquet").num_rows == 4
+    for options in ({"workers": 2}, {"point": 1}, {"resume": True}):
+        with pytest.raises(BadInput, match="--server"):
+            command(file, tmp_path / "other", server=server.url, **options)
+    with pytest.raises(BadInput, match="-o"):
+        command(file, out, server=server.url)
+    with pytest.raises(BadInput, match=r"no\.yaml"):
+        command(tmp_path / "no.yaml", tmp_path / "other", server=server.url)
+
+
+def test_a_sweep_is_a_job(server: Any, sweep: dict[str, Any]) -> None:
+    key = {"idempotency-key": "sweep"}
+    made = server.client.post("/v1/sweeps", json=sweep, headers=key)
+    assert made.status_code == 202, made.text
+    assert server.client.post("/v1/sweeps", json=sweep, headers=key).status_code == 200
+    job = made.headers["location"]
+    done = server.ended(job)
+    assert (done["phase"], done["kind"], done["tiles_done"]) == ("COMPLETED", "sweep", 4), done
+    files = {f["path"]: f["href"] for f in server.client.get(f"{job}/results").json()["files"]}
+    table = pq.read_table(io.BytesIO(server.client.get(files["points.parquet"]).content))
+    assert table.num_rows == 4
+    assert server.client.get(f"{job}/report").json()["points"] == 4
+    assert server.client.get(f"{job}/preview.png").status_code == 404
+    assert not list((server.home / "products").glob("*.sweep.json"))
+
+
+BAD: dict[str, list[dict[str, Any]]] = {
+    "a file": [{"field": "sensor.flat", "values": ["/etc/passwd", "x.npy"]}],
+    "a file inside": [{"field": "sensor.bandpass", "values": [{"kind": "table", "path": "/x"}]}],
+    "a URL": [{"field": "sensor.quantum_efficiency", "values": ["http://127.0.0.1/x"]}],
+    "in a table": [{"kind": "table", "fields": ["sensor.flat", "seed"], "rows": [["/etc/x", 1]]}],
+    "size": [{"field": "sensor.shape", "values": [[9999, 9999]]}],
+    "size inside": [{"field": "sensor", "values": [{}]}],
+    "frames": [{"field": "exposure.frames", "values": [10**6]}],
+    "dwells": [{"field": "dwells", "values": [[{"integration_s": 0.1, "frames": 10**6}]]}],
+    "populations": [{"field": "populations", "values": [[], []]}],
+    "catalogue": [{"field": "stars", "values": [{"catalogue": "/etc"}]}],
+    "targets": [{"field": "targets", "values": [[]]}],
+    "target": [{"field": "targets.0.body.path", "values": ["/etc/passwd"]}],
+    "a whole target": [{"field": "targets.0", "values": [{}]}],
+    "points": [{"kind": "range", "field": f"x{i}", "start": 0, "stop": 1, "count": 9999}
+               for i in range(3)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("axes", BAD.values(), ids=BAD.keys())
+def test_axes_that_are_refused(server: Any, sweep: dict[str, Any], axes: Any) -> None:
+    answer = server.client.post("/v1/sweeps", json=sweep | {"axes": axes})
+    assert answer.status_code == 422, answer.text
+    assert json.loads(answer.text)["errors"]
+
+
+def test_base_scenes_that_are_refused(server: Any, sweep: dict[str, Any]) -> None:
+    for base in ("scene.yaml", "/etc/passwd", {}, None):
+        assert server.client.post("/v1/sweeps", json=sweep | {"scene": base}).status_code == 422
+    wrong = copy.deepcopy(sweep)
+    wrong["scene"]["sensor"]["flat"] = "/etc/passwd"
+    assert server.client.post("/v1/sweeps", json=wrong).status_code == 422
+    assert server.client.post("/v1/sweeps", json=sweep["scene"]).status_code == 422

@@ -1,0 +1,76 @@
+"""The dispatcher's lease: one of a clock that ran ahead, and a service that nobody leads."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+
+from service.store.database import connect, writing
+from service.store.leases import take
+from service.store.tables import leases
+
+
+def test_a_lease_of_a_clock_that_ran_ahead_is_taken_over(
+    database: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    engine = connect(database)
+    assert take(engine, "first", 5.0)
+    assert not take(engine, "second", 5.0)
+    with writing(engine) as db:
+        db.execute(sa.update(leases).values(until_s=leases.c.until_s + 3600))
+    assert take(engine, "second", 5.0)
+    assert "a clock ran ahead" in caplog.text
+    assert not take(engine, "first", 5.0)
+    with engine.connect() as db:
+        assert db.execute(sa.select(leases.c.epoch)).scalar_one() == 2
+    engine.dispose()
+
+
+def test_work_goes_on_after_a_clock_ran_ahead(
+    make_server: Callable[..., Any], scene: dict[str, Any]
+) -> None:
+    server = make_server()
+    ahead = 0
+    while not ahead:  # until it has taken its first lease
+        time.sleep(0.1)
+        with sqlite3.connect(server.home / "jobs.sqlite") as db:
+            ahead = db.execute("SELECT count(*) FROM leases").fetchone()[0]
+        db.close()
+    server.kill()
+    with sqlite3.connect(server.home / "jobs.sqlite") as db:
+        db.execute("UPDATE leases SET until_s = ?", (time.time() + 3600,))
+    db.close()
+    server.start()
+    assert server.ended(server.submit(scene))["phase"] == "COMPLETED"
+    assert "a clock ran ahead" in server.logged()
+
+
+def test_not_ready_while_nobody_runs_jobs(make_server: Callable[..., Any]) -> None:
+    server = make_server(NIGHTGLASS_LEASE_S="0.5")
+    assert server.client.get("/readyz").status_code == 200
+    db = sqlite3.connect(server.home / "jobs.sqlite", isolation_level=None)
+    db.execute("BEGIN IMMEDIATE")  # no lease can be taken or renewed
+
+    def until(status: int) -> str:
+        deadline = time.monotonic() + 60
+        while (answer := server.client.get("/readyz")).status_code != status:
+            assert time.monotonic() < deadline, answer.text
+            time.sleep(0.1)
+        return answer.text
+
+    assert "nobody has run the jobs" in until(503)
+    db.execute("ROLLBACK")
+    db.close()
+    until(200)
+
+
+def test_a_nearly_full_disk_is_not_ready(make_server: Callable[..., Any]) -> None:
+    """Less room than NIGHTGLASS_FREE_BYTES: 503 that says so."""
+    answer = make_server(NIGHTGLASS_FREE_BYTES=str(10**17)).client.get("/readyz")
+    assert answer.status_code == 503
+    assert answer.json() == {"ready": False, "faults": ["the disk is nearly full"]}

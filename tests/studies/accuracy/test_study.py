@@ -1,0 +1,144 @@
+"""The study end to end on little work: what is written, and that errors fall along the ladders."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.errors import BadInput
+from pipeline.studies.accuracy.engines import EngineCase
+from pipeline.studies.accuracy.probes import make_probes
+from pipeline.studies.accuracy.reference import GaussianStar, Track, exact_pixels, straight
+from pipeline.studies.accuracy.report import report_accuracy
+from pipeline.studies.accuracy.study import Record, with_pareto
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], list[Any]]:
+    out = tmp_path_factory.mktemp("accuracy") / "new" / "folder"
+    seen: list[Any] = []
+    study = report_accuracy(
+        out, quick=True, peers=False, progress=lambda *state: seen.append(state)
+    )
+    return out, study, seen
+
+
+def ladder(study: dict[str, Any], psf: str, streak_px: float, engine: str) -> list[float]:
+    return [
+        r["error_of_peak"]
+        for r in study["records"]
+        if r["psf"] == psf and r["streak_px"] == streak_px and r["engine"] == engine
+    ]
+
+
+def test_files_hold_the_study(written: tuple[Path, dict[str, Any], list[Any]]) -> None:
+    out, study, seen = written
+    assert json.loads((out / "accuracy.json").read_text()) == study
+    assert study["schema"] == "nightglass/accuracy/1"
+    assert set(study) == {
+        "schema", "stars", "frame", "quick", "noise", "peers", "failed", "notes", "records",
+    }  # fmt: skip
+    for r in study["records"]:
+        assert set(r) == {f.name for f in fields(Record)}
+        assert r["cpu_s"] > 0
+        assert all(math.isfinite(v) for v in r.values() if isinstance(v, float))
+    text = (out / "accuracy.md").read_text()
+    assert all(r["setting"] in text for r in study["records"])
+    assert (out / "accuracy.png").read_bytes().startswith(b"\x89PNG")
+    assert seen[-1][1] == seen[-1][2] == len(seen)
+
+
+@pytest.mark.parametrize(
+    ("psf", "streak_px", "engine", "last"),
+    [
+        ("gaussian 0.8 px", 0.0, "stamps, linear", 1e-3),
+        ("gaussian 0.8 px", 0.0, "stamps, cubic", 1e-5),
+        ("gaussian 0.8 px", 0.0, "spectral", 1e-5),
+        ("gaussian 0.8 px", 60.0, "stamps, cubic", 1e-6),
+        ("gaussian 0.8 px", 60.0, "streak as points", 1e-2),
+        ("gaussian 0.8 px", 60.0, "path", 2e-2),
+        ("airy Q=1", 0.0, "stamps, cubic", 3e-5),
+        ("airy Q=1", 0.0, "spectral", 1e-4),
+        ("airy Q=1", 0.0, "core radius", 3e-5),
+    ],
+)
+def test_errors_fall_along_each_ladder(
+    written: tuple[Path, dict[str, Any], list[Any]],
+    psf: str,
+    streak_px: float,
+    engine: str,
+    last: float,
+) -> None:
+    errors = ladder(written[1], psf, streak_px, engine)
+    assert len(errors) >= 2
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < last
+
+
+def test_spectral_keeps_to_what_was_asked(
+    written: tuple[Path, dict[str, Any], list[Any]],
+) -> None:
+    for r in written[1]["records"]:
+        if "asked" in r["setting"]:
+            assert r["error_of_peak"] <= float(r["setting"].split()[-1])
+
+
+def test_same_error_whatever_the_tiles(
+    written: tuple[Path, dict[str, Any], list[Any]],
+) -> None:
+    assert len(set(ladder(written[1], "gaussian 0.8 px", 0.0, "tiles"))) == 1
+
+
+def record(cpu_s: float, error: float) -> Record:
+    return Record("e", "s", True, "p", 0.0, False, 1, 1, cpu_s, cpu_s, 0.0, None, error, error, 0.0)
+
+
+def test_pareto_front() -> None:
+    marked = with_pareto([record(1.0, 1.0), record(2.0, 0.5), record(3.0, 0.7), record(2.0, 0.5)])
+    assert [r.pareto for r in marked] == [True, True, False, True]
+
+
+@pytest.mark.parametrize("kwargs", [{"stars": 0}, {"frame": (64, 1024)}])
+def test_limits_of_the_work(kwargs: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises(BadInput):
+        report_accuracy(tmp_path, **kwargs)
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("frame", [(256, 384), (400, 256)])
+@pytest.mark.parametrize("curved", [False, True])
+def test_probes_of_an_exact_image_of_an_oblong_frame_find_no_error(
+    frame: tuple[int, int], curved: bool
+) -> None:
+    """Stars drawn by quadrature over the whole frame; half of the light or a shift is seen."""
+    track = straight(20.0, 0.7)
+    if curved:  # two parts of unequal light
+        track = Track(np.array([[-9.0, 3.0], [3.0, 5.0]]), np.array([[2.0, 2.0], [2.0, -8.0]]),
+                      np.array([0.7, 0.3]))  # fmt: skip
+    case = EngineCase(GaussianStar(0.9), track, 20.0, frame, curved)
+    probes = make_probes(case, 3)
+    rows, columns = (np.arange(float(n)) for n in frame)
+    assert np.isfinite(probes.boxed[:-2]).all()
+    assert np.isnan(probes.boxed[-2:]).all()
+    for k in range(probes.x_px.size):
+        x, y = float(probes.x_px[k]), float(probes.y_px[k])
+        assert -2.0 < x < frame[1] + 1.0
+        assert -2.0 < y < frame[0] + 1.0
+        image = exact_pixels(case.shape, track, x, y, columns, rows)
+        assert max(probes.errors(k, image)) < 1e-9
+        assert probes.errors(k, 0.5 * image)[0] > 0.1
+        assert probes.errors(k, np.roll(image, 1, axis=1))[0] > 0.1
+        if k < 3:
+            assert probes.errors(k, 0.5 * image)[1] == pytest.approx(0.5, rel=1e-6)
+    fine = np.arange(-3.0, 4.0)
+    (dx, dy) = (0.0, 0.0) if not curved else (-9.0 + 12.0 * 0.5 / 0.7, 2.0)
+    at_middle = exact_pixels(case.shape, track, -dx, -dy, fine, fine)
+    assert probes.peak == pytest.approx(at_middle.max(), rel=1e-9)

@@ -1,0 +1,110 @@
+"""The ledger's study: each rule has a probe, most are measured anew; mistakes are one message."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from pipeline.cli import app
+from pipeline.errors import BadInput
+from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M
+from pipeline.physics.targets.shadow import sunlit_past_earth
+from pipeline.physics.vectors import unit
+from pipeline.plan.ledger import LEDGER
+from pipeline.studies.ledger.probe import PROBES, ProbeResult
+from pipeline.studies.ledger.report import report_ledger
+from pipeline.studies.ledger.study import checked_rules, run_ledger
+from pipeline.studies.ledger.targets import _rastered
+
+ROOT = Path(__file__).resolve().parents[3]
+AGAIN = ("adc", "targets.perturbations")
+# Rules whose probes take a second of CPU time and more; `test_all_rules_hold` measures them too.
+DEAR = (
+    "pointing_motion", "monochromatic_psf", "stray_light.*", "phase_interpolation",
+    "wings_on_a_coarse_grid", "targets.point_sources", "targets.eclipse",
+    "targets.earthshine_on_meshes",
+)  # fmt: skip
+QUICK = tuple(n for n in (r.components[0] for r in LEDGER) if n not in DEAR)
+
+
+def test_every_rule_has_a_probe():
+    assert set(PROBES) == {rule.components[0] for rule in LEDGER}
+
+
+def test_two_rules_measured_anew(tmp_path):
+    pytest.importorskip("trimesh")
+    done = CliRunner().invoke(
+        app, ["report", "ledger", "-o", str(tmp_path / "out"), "--json",
+              *(word for name in AGAIN for word in ("--rule", name))],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    found = json.loads((tmp_path / "out" / "ledger.json").read_text())
+    assert [row["rule"] for row in found["rules"]] == ["adc", "targets.forces"]
+    for row in found["rules"]:
+        assert row["holds"]
+        assert 0.0 < row["error"] <= row["bound"]
+        assert len(row["all"]) > 1
+    assert "| targets.perturbations |" in (tmp_path / "out" / "ledger.md").read_text()
+
+
+def test_a_broken_bound_is_told():
+    assert ProbeResult("x", "", 1.0, 0.9, "px", 0.0, 0.0).holds
+    assert not ProbeResult("x", "", 1.0, 1.1, "px", 0.0, 0.0).holds
+    assert not ProbeResult("x", "", 1.0, float("nan"), "px", 0.0, 0.0).holds
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """The quick rules measured anew, by name."""
+    return {row["rule"]: row for row in run_ledger(QUICK)["rules"]}
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_rule_holds_and_is_what_is_published(name, measured):
+    """Each measurement is within its bound, and is the one that docs/measured.json shows."""
+    stored = json.loads((ROOT / "docs" / "measured.json").read_text())["rules"]
+    told = next(row for row in stored if row["rule"] == name)["all"]
+    assert len(told) == len(measured[name]["all"])
+    for new, old in zip(measured[name]["all"], told, strict=True):
+        assert new["holds"], new
+        assert (new["component"], new["unit"]) == (old["component"], old["unit"])
+        assert new["bound"] == pytest.approx(old["bound"], rel=0.02)
+        assert new["error"] == pytest.approx(old["error"], abs=0.05 * max(old["bound"], 1e-300))
+
+
+@pytest.mark.slow
+def test_all_rules_hold():
+    """Minutes: every rule of the ledger measured anew."""
+    rows = run_ledger()["rules"]
+    assert not [row for row in rows if not row["holds"]]
+
+
+def test_every_probe_is_run():
+    """Also where two of them serve one rule."""
+    checked_rules(())
+    folder = ROOT / "pipeline" / "studies" / "ledger"
+    written = sum(path.read_text().count("\n@probe(") for path in folder.glob("*.py"))
+    assert sum(len(probes) for probes in PROBES.values()) == written > 20
+
+
+def test_mistakes(tmp_path):
+    with pytest.raises(BadInput, match="no such rule"):
+        checked_rules(("no such rule",))
+    (tmp_path / "old.txt").write_text("kept")
+    with pytest.raises(BadInput, match="new or empty"):
+        report_ledger(tmp_path)
+
+
+@pytest.mark.parametrize("depth_m", [-6e4, 2e4, 9e4])
+def test_the_raster_of_the_sun_is_darker_at_its_limb(depth_m):
+    """A seventh of the raster's lines: as the share worked out by arcs, to what so few can tell."""
+    sun = 1.496e11 * unit(np.array([1.0, 0.1, 0.15]))
+    side = unit(np.cross(sun, [0.0, 0.3, 1.0]))
+    place = -4.2e7 * unit(sun) + (EARTH_EQUATORIAL_RADIUS_M * 0.997 + depth_m) * side
+    for u in (0.0, 0.9):
+        share = float(sunlit_past_earth(place[None], sun, u, True)[0])
+        assert _rastered(place, sun, u, 170) == pytest.approx(share, abs=0.004)

@@ -1,0 +1,155 @@
+"""The report on whole scenes: bounds hold, nothing lacks, the page stands alone; refusals."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from pipeline.cli import app
+from pipeline.errors import BadInput
+from pipeline.plan.response.responses import CoreClass
+from pipeline.route.prepare import prepare
+from pipeline.spec.load import parse_scene
+from pipeline.studies.scenes import scenes, study
+from pipeline.studies.scenes.figure import ladder_figure
+from pipeline.studies.scenes.report import report_scenes
+from pipeline.studies.scenes.switches import LARGEST_DOUBLED_PX, _finer_wings
+
+NAMES, RUNGS = ("earth-limb",), "0.05"
+ROW = {
+    "noise_fraction", "flux_fraction", "cpu_s", "wall_s", "again_cpu_s", "again_wall_s", "peak_mb",
+    "before_mb", "stars", "targets", "engine", "noise_floor_e", "light_left_out", "max_sigma",
+    "rms_sigma", "max_e", "bias", "bound_sigma", "of_bound", "windows",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def small(monkeypatch_module):
+    """The same scenes on a tenth of the pixels, from shallow catalogues."""
+    for name in NAMES:
+        make = scenes.MAKERS[name]
+
+        def smaller(quick, make=make):
+            wish = make(quick)
+            wish.data["sensor"]["shape"] = [160, 160]
+            return wish
+
+        monkeypatch_module.setitem(scenes.MAKERS, name, smaller)
+    monkeypatch_module.setattr(study, "QUICK_ALL_SKY_G_MAG", 6.0)
+    monkeypatch_module.setattr(study, "QUICK_WINDOWS", 3)
+
+
+@pytest.fixture(scope="module")
+def monkeypatch_module():
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def report(small, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("report") / "out"
+    report_scenes(out, NAMES, RUNGS, quick=True)
+    return out
+
+
+def test_bounds_hold_and_nothing_lacks(report):
+    found = json.loads((report / "report.json").read_text())
+    assert [s["scene"] for s in found["scenes"]] == list(NAMES)
+    for scene in found["scenes"]:
+        assert [r["noise_fraction"] for r in scene["rungs"]] == [0.05]
+        for row in scene["rungs"]:
+            assert set(row) >= ROW
+            assert row["of_bound"] <= 1.0
+            assert row["max_sigma"] <= row["bound_sigma"][1]
+            assert abs(row["bias"]) < row["flux_fraction"]
+            assert row["cpu_s"] > 0
+            assert 50 < row["peak_mb"] < 4000
+        for one in scene["switches"]:
+            assert one["holds"], one
+    names = {s["component"] for scene in found["scenes"] for s in scene["switches"]}
+    assert names >= {"background.grid", "wings_on_a_coarse_grid", "wings_cut_off", "common_streak"}
+    assert "phase_interpolation" not in names  # so few stars need no tables
+
+
+@pytest.mark.parametrize(("spacing_px", "finer_px"), [(16, 8), (3, 2), (2, 2), (0, 0)])
+def test_finer_wings_have_wider_cores_and_half_the_grid(spacing_px, finer_px):
+    data = scenes.with_accuracy(scenes.MAKERS["earth-limb"](True), 0.05, 1e-3, "none")
+    plan = prepare(parse_scene(data | {"stars": None})).plan
+    classes = tuple(CoreClass(r, math.inf, math.inf, 0.0, 0.0, 8) for r in (12.0, 40.0, 90.0))
+    coarse = replace(plan.responses, spacing_px=spacing_px, classes=classes)
+    fine = _finer_wings(replace(plan, responses=coarse)).responses
+    assert fine.spacing_px == finer_px
+    assert [c.radius_px for c in fine.classes] == [24.0, LARGEST_DOUBLED_PX, 90.0]
+
+
+def test_page_stands_alone(report):
+    text = (report / "report.html").read_text()
+    body = ElementTree.fromstring(text.replace("<!DOCTYPE html>", "", 1))
+    assert body.tag == "html"
+    assert len(body.findall(".//img")) == 2
+    assert all(i.get("src").startswith("data:image/png;base64,") for i in body.findall(".//img"))
+    links = re.findall(r'(?:src|href|url)\s*[=(]\s*"?([^"\s>)]*)', text)
+    assert not [link for link in links if not link.startswith("data:")]
+    rows = body.findall(".//tbody/tr")
+    found = json.loads((report / "report.json").read_text())
+    kinds = ("rungs", "switches")
+    assert len(rows) == sum(len(s[kind]) for s in found["scenes"] for kind in kinds)
+    assert (report / "report.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_figure_of_one_rung(report):
+    """A ladder of one rung, and errors of exactly zero, are drawn too."""
+    found = json.loads((report / "report.json").read_text())
+    for scene in found["scenes"]:
+        scene["rungs"] = [scene["rungs"][0] | {"max_sigma": 0.0, "rms_sigma": 0.0}]
+    assert ladder_figure(found).startswith(b"\x89PNG")
+    found["scenes"] = 3 * found["scenes"]  # side by side
+    width, height = Image.open(io.BytesIO(ladder_figure(found))).size
+    assert width > 2 * height
+
+
+@pytest.mark.parametrize("quick", [True, False])
+@pytest.mark.parametrize("name", scenes.MAKERS)
+def test_scenes_are_scenes(name, quick):
+    wish = scenes.MAKERS[name](quick)
+    made = parse_scene(scenes.with_accuracy(wish, 0.05, 1e-3, "none"))
+    assert made.name == name
+    assert 1 <= wish.share[0] <= wish.share[1]
+    assert np.prod(made.sensor.shape) <= 9e8
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--scene", "no-such"], "--scene"),
+        (["--rungs", "0.5,x"], "--rungs"),
+        (["--rungs", "0"], "--rungs"),
+        (["--rungs", "2"], "--rungs"),
+        (["--rungs", "nan"], "--rungs"),
+        (["--rungs", ","], "--rungs"),
+        (["--catalog", "/no/such/catalogue"], "/no/such/catalogue"),
+    ],
+)
+def test_bad_input_is_one_message(options, said, tmp_path):
+    done = CliRunner().invoke(app, ["report", "scenes", "-o", str(tmp_path / "new"), *options])
+    assert isinstance(done.exception, BadInput)
+    assert said in str(done.exception)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_is_not_empty_is_refused(tmp_path):
+    (tmp_path / "old.txt").write_text("kept")
+    with pytest.raises(BadInput, match="new or empty"):
+        report_scenes(tmp_path, quick=True)
+    with pytest.raises(BadInput, match="new or empty"):
+        report_scenes(tmp_path / "old.txt", quick=True)
