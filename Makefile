@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+PACKAGES := service pipeline catalog_tools nightglass.py
 # The tests start hundreds of processes: modules are compiled once, whatever the caller's setting.
 export PYTHONDONTWRITEBYTECODE :=
 
@@ -12,6 +13,7 @@ demo: $(VENV)/.runtime
 
 test: $(VENV)/.tests
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check $(PACKAGES)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
@@ -21,6 +23,7 @@ test-slow: $(VENV)/.tests
 
 lint: $(VENV)/.tests
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check $(PACKAGES)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 

@@ -19,9 +19,17 @@ if TYPE_CHECKING:  # functions import what they need, so that `import nightglass
     AnyScene = Scene | Mapping[str, Any] | AnyPath
 
 __all__ = [
-    "BadInput", "Damaged", "Incomplete", "NightglassError", "TryLater",
-    "load_scene", "open_catalogue", "open_product", "plan", "render",
-]  # fmt: skip
+    "BadInput",
+    "Damaged",
+    "Incomplete",
+    "NightglassError",
+    "TryLater",
+    "load_scene",
+    "open_catalogue",
+    "open_product",
+    "plan",
+    "render",
+]
 
 
 def load_scene(scene: AnyScene, overrides: Iterable[str] = ()) -> Scene:
@@ -83,9 +91,15 @@ def plan(scene: AnyScene) -> dict[str, Any]:
 
 
 def render(
-    scene: AnyScene, product: AnyPath, *, scheduler: str = "threads", workers: int | None = None,
-    resume: bool = False, replace: bool = False, listen: Callable[[Progress], None] | None = None,
-) -> Product:  # fmt: skip
+    scene: AnyScene,
+    product: AnyPath,
+    *,
+    scheduler: str = "threads",
+    workers: int | None = None,
+    resume: bool = False,
+    replace: bool = False,
+    listen: Callable[[Progress], None] | None = None,
+) -> Product:
     """Render a scene into a product and open it. Read the `warnings` of its `report`.
 
     Parameters

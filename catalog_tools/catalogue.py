@@ -49,14 +49,30 @@ _BOUNDS = [
     ("brightest_g_mag", "<f4"),
     ("faintest_g_mag", "<f4"),
 ]
-LEAVES_DTYPE = np.dtype([
-    ("order", "<i4"), ("pixel", "<i8"), ("rows", "<i8"), ("bytes", "<i8"), ("crc32c", "<u4"),
-    ("footer_bytes", "<i4"), ("footer_crc32c", "<u4"), ("row_groups", "<i4"), *_BOUNDS,
-])  # fmt: skip
-ROW_GROUPS_DTYPE = np.dtype([
-    ("offset", "<i8"), ("bytes", "<i8"), ("crc32c", "<u4"), ("rows", "<i4"), *_BOUNDS,
-    ("column_bytes", "<u4", (STORED_COLUMNS,)), ("column_crc32c", "<u4", (STORED_COLUMNS,)),
-])  # fmt: skip
+LEAVES_DTYPE = np.dtype(
+    [
+        ("order", "<i4"),
+        ("pixel", "<i8"),
+        ("rows", "<i8"),
+        ("bytes", "<i8"),
+        ("crc32c", "<u4"),
+        ("footer_bytes", "<i4"),
+        ("footer_crc32c", "<u4"),
+        ("row_groups", "<i4"),
+        *_BOUNDS,
+    ]
+)
+ROW_GROUPS_DTYPE = np.dtype(
+    [
+        ("offset", "<i8"),
+        ("bytes", "<i8"),
+        ("crc32c", "<u4"),
+        ("rows", "<i4"),
+        *_BOUNDS,
+        ("column_bytes", "<u4", (STORED_COLUMNS,)),
+        ("column_crc32c", "<u4", (STORED_COLUMNS,)),
+    ]
+)
 
 
 class RowGroup(NamedTuple):
@@ -220,8 +236,13 @@ def open_catalogue(path: str | os.PathLike[str], *, field: str = "catalogue") ->
         ]
     except Unreachable as error:
         raise BadInput(field, store.root, f"a place that can be read ({error})") from None
-    return Catalogue(store.root, **content, digest=document["sha256"],
-                     leaf_table=tables[0], row_group_table=tables[1])  # fmt: skip
+    return Catalogue(
+        store.root,
+        **content,
+        digest=document["sha256"],
+        leaf_table=tables[0],
+        row_group_table=tables[1],
+    )
 
 
 def _manifest(store: Store, field: str) -> dict[str, Any]:

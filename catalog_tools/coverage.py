@@ -137,8 +137,12 @@ def from_json(values: Any) -> Coverage:
     if ends.size and not (ends[0] >= 0 and ends[-1] <= 12 << (2 * found.order)):
         raise ValueError("ranges of pixels that do not exist")
     ra_deg, dec_deg, radius_deg, _ = found.cones.T
-    if not ((np.abs(ra_deg) <= 360.0) & (np.abs(dec_deg) <= 90.0)
-            & (radius_deg > 0.0) & (radius_deg <= 180.0)).all():  # fmt: skip
+    if not (
+        (np.abs(ra_deg) <= 360.0)
+        & (np.abs(dec_deg) <= 90.0)
+        & (radius_deg > 0.0)
+        & (radius_deg <= 180.0)
+    ).all():
         raise ValueError("cones that are not on the sky")
     return found
 

@@ -14,10 +14,18 @@ from catalog_tools.errors import (
 )
 
 __all__ = [
-    "NO_ROOM", "BadInput", "Damaged", "DiskFull", "Incomplete", "Interrupted", "NightglassError",
-    "NOT_NOW", "TryLater",
-    "exit_code", "shorten",
-]  # fmt: skip
+    "NO_ROOM",
+    "BadInput",
+    "Damaged",
+    "DiskFull",
+    "Incomplete",
+    "Interrupted",
+    "NightglassError",
+    "NOT_NOW",
+    "TryLater",
+    "exit_code",
+    "shorten",
+]
 
 
 class Interrupted(NightglassError):

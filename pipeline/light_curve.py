@@ -92,11 +92,16 @@ def light_curve(
     light, phase, sunlit = (
         value[0]
         for value in target_lights(
-            [scene.targets[index]], [f"targets.{index}.body"], epoch, view,
-            earth.sun_from_earth_m, (times.tt1, times.tt2), sight.range_m,
+            [scene.targets[index]],
+            [f"targets.{index}.body"],
+            epoch,
+            view,
+            earth.sun_from_earth_m,
+            (times.tt1, times.tt2),
+            sight.range_m,
             known=_worked_out(scene, index, at, view),
         )
-    )  # fmt: skip
+    )
     range_m = sight.range_m[0]
     rate = light * band_photon_irradiance_sun(wavelength, irradiance, response)
     with np.errstate(divide="ignore"):

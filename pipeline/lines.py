@@ -15,9 +15,13 @@ def width() -> int:
 def fold(text: str, indent: str = "", first: str | None = None) -> str:
     """Text in lines that fit; later lines begin with `indent`, the first with `first`."""
     return textwrap.fill(
-        text, width(), initial_indent=indent if first is None else first,
-        subsequent_indent=indent, break_long_words=False, break_on_hyphens=False,
-    )  # fmt: skip
+        text,
+        width(),
+        initial_indent=indent if first is None else first,
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def pair(name: str, text: str, size: int) -> str:

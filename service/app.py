@@ -86,9 +86,21 @@ HEADERS: dict[int, dict[str, str]] = {
     503: {"Retry-After": "10"},
 }
 ROOMS = (
-    jobs, queue, sweeps, results, frames, files, catalogues, schema, usage, tickets, health, uws,
-    ogc, pages,
-)  # fmt: skip
+    jobs,
+    queue,
+    sweeps,
+    results,
+    frames,
+    files,
+    catalogues,
+    schema,
+    usage,
+    tickets,
+    health,
+    uws,
+    ogc,
+    pages,
+)
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -105,11 +117,19 @@ def create_app(settings: Settings) -> FastAPI:
         intake = Intake(table, limits)
         uploads = Uploads(settings, table.engine)
         context = Context(
-            settings, table, dispatcher, Authenticator(settings, table.engine), intake,
-            Changes(table, settings.watchers), uploads,
-            Looks(settings, uploads, dispatcher.stopping), numbers, Acceptance(settings), limits,
+            settings,
+            table,
+            dispatcher,
+            Authenticator(settings, table.engine),
+            intake,
+            Changes(table, settings.watchers),
+            uploads,
+            Looks(settings, uploads, dispatcher.stopping),
+            numbers,
+            Acceptance(settings),
+            limits,
             Tickets(settings.home),
-        )  # fmt: skip
+        )
         app.state.context = context
         numbers.registry.register(Gauges(context))
         threading.Thread(target=_look_over, args=(context,), daemon=True).start()
@@ -123,9 +143,13 @@ def create_app(settings: Settings) -> FastAPI:
             table.close()
 
     app = FastAPI(
-        title="Nightglass", version=version("nightglass"), lifespan=lifespan,
-        docs_url=None, redoc_url=None, redirect_slashes=False,
-    )  # fmt: skip
+        title="Nightglass",
+        version=version("nightglass"),
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+    )
     for room in ROOMS:
         app.include_router(room.router)
     app.router.routes.insert(0, jobs.PlainSubmit())
@@ -159,9 +183,12 @@ async def answer_problem(_: Request, error: Exception) -> Response:
         status = next((code for kind, code in HTTP_STATUS if isinstance(error, kind)), 500)
     detail, errors = _explain(error, status)
     body = {
-        "type": getattr(error, "type_uri", "about:blank"), "title": HTTPStatus(status).phrase,
-        "status": status, "detail": detail, "errors": errors,
-    }  # fmt: skip
+        "type": getattr(error, "type_uri", "about:blank"),
+        "title": HTTPStatus(status).phrase,
+        "status": status,
+        "detail": detail,
+        "errors": errors,
+    }
     headers |= HEADERS.get(status, {})
     return JSONResponse(body, status, headers, media_type="application/problem+json")
 

@@ -174,9 +174,7 @@ class RemoteJob:
         self.facts = self.client.ask("GET", self.path).json()
         return self
 
-    def wait(
-        self, timeout_s: float | None = None, progress: bool | Listener = True
-    ) -> RemoteJob:
+    def wait(self, timeout_s: float | None = None, progress: bool | Listener = True) -> RemoteJob:
         """Wait until the job has ended; a server that restarts meanwhile is waited for.
 
         progress : a bar on stderr where that is a terminal; or a function called with the job's
@@ -255,8 +253,12 @@ class RemoteJob:
         try:
             import aiohttp  # noqa: F401
         except ImportError:
-            raise BadInput("open", "no folder", "a folder to fetch the product into; or install "
-                           "`nightglass[remote]` to read it over HTTP") from None  # fmt: skip
+            raise BadInput(
+                "open",
+                "no folder",
+                "a folder to fetch the product into; or install "
+                "`nightglass[remote]` to read it over HTTP",
+            ) from None
         address = f"{self.client.url}{self.path}/results/cube.zarr"
         options = {"headers": self.client.headers} if self.client.headers else {}
         return xr.open_zarr(address, storage_options=options, chunks=None)
@@ -269,9 +271,11 @@ class RemoteJob:
         from service.fetching import fetch_product
 
         self._complete()
-        shown = _bar(f"fetching {self.name}", "MB") if progress is True else nullcontext(
-            progress or None
-        )  # fmt: skip
+        shown = (
+            _bar(f"fetching {self.name}", "MB")
+            if progress is True
+            else nullcontext(progress or None)
+        )
         with shown as listen:
             return fetch_product(self, Path(folder), parallel, listen)
 

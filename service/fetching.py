@@ -26,9 +26,7 @@ PIECE_BYTES = 1 << 18
 Listener = Callable[[dict[str, Any]], None]
 
 
-def fetch_product(
-    job: RemoteJob, folder: Path, parallel: int, listen: Listener | None
-) -> Path:
+def fetch_product(job: RemoteJob, folder: Path, parallel: int, listen: Listener | None) -> Path:
     """Bring a complete product into `folder`; it opens as one only when all of it was proved.
 
     Files already there in full are kept, cut ones gone on with. Raises BadInput for a folder that

@@ -36,11 +36,18 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
         connect(settings.database_url).dispose()  # what is wrong with it is said before all else
         app = create_app(settings)
         config = uvicorn.Config(
-            app, log_config=None, access_log=False, server_header=False, backlog=LISTEN,
-            timeout_graceful_shutdown=STOP_S, timeout_keep_alive=KEEP_ALIVE_S, ws="none",
-            http=bounded(settings.head_s), ssl_certfile=settings.tls_cert,
+            app,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            backlog=LISTEN,
+            timeout_graceful_shutdown=STOP_S,
+            timeout_keep_alive=KEEP_ALIVE_S,
+            ws="none",
+            http=bounded(settings.head_s),
+            ssl_certfile=settings.tls_cert,
             ssl_keyfile=settings.tls_key,
-        )  # fmt: skip
+        )
         where, at = listener.getsockname()[:2]
         shown = f"[{where}]" if ":" in where else where
         scheme = "https" if settings.tls_cert else "http"

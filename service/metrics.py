@@ -23,13 +23,18 @@ class Numbers:
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
         self.answers = Counter(
-            "nightglass_answers", "Answers by method and status", ["method", "status"],
+            "nightglass_answers",
+            "Answers by method and status",
+            ["method", "status"],
             registry=self.registry,
-        )  # fmt: skip
+        )
         self.seconds = Histogram(
-            "nightglass_answer_seconds", "Seconds until an answer begins, by route",
-            ["route"], buckets=SECONDS, registry=self.registry,
-        )  # fmt: skip
+            "nightglass_answer_seconds",
+            "Seconds until an answer begins, by route",
+            ["route"],
+            buckets=SECONDS,
+            registry=self.registry,
+        )
 
 
 class Gauges:

@@ -48,19 +48,32 @@ JOB = {
         "cancel_asked": {"type": "boolean"},
         "error": {"type": ["object", "null"]},
         "content_digest": TEXT,
-        "least_cpu_s": {"type": "number", "description": "in the answer to a submission alone: "
-                        "CPU seconds forecast, the light of the stars not counted"},
+        "least_cpu_s": {
+            "type": "number",
+            "description": "in the answer to a submission alone: "
+            "CPU seconds forecast, the light of the stars not counted",
+        },
         "links": ANY_OBJECT,
     },
     "example": {
-        "id": "5f0c1e8a6c0b4f6e9d2f3a7b8c9d0e1f", "kind": "scene", "name": "geo-rate-track",
-        "owner": "key:4f2a91c07be3", "phase": "EXECUTING",
-        "submitted": "2026-01-05T10:00:00.120+00:00", "started": "2026-01-05T10:00:00.310+00:00",
-        "ended": None, "tiles_done": 3, "tiles_total": 8, "attempt": 1, "bytes_kept": 0,
-        "cancel_asked": False, "error": None, "content_digest": None,
+        "id": "5f0c1e8a6c0b4f6e9d2f3a7b8c9d0e1f",
+        "kind": "scene",
+        "name": "geo-rate-track",
+        "owner": "key:4f2a91c07be3",
+        "phase": "EXECUTING",
+        "submitted": "2026-01-05T10:00:00.120+00:00",
+        "started": "2026-01-05T10:00:00.310+00:00",
+        "ended": None,
+        "tiles_done": 3,
+        "tiles_total": 8,
+        "attempt": 1,
+        "bytes_kept": 0,
+        "cancel_asked": False,
+        "error": None,
+        "content_digest": None,
         "links": {"self": "/v1/jobs/5f0c1e8a6c0b4f6e9d2f3a7b8c9d0e1f"},
     },
-}  # fmt: skip
+}
 PROBLEM = {
     "type": "object",
     "required": ["type", "title", "status", "detail", "errors"],
@@ -78,12 +91,19 @@ PROBLEM = {
         },
     },
     "example": {
-        "type": "about:blank", "title": "Unprocessable Content", "status": 422,
+        "type": "about:blank",
+        "title": "Unprocessable Content",
+        "status": 422,
         "detail": "1 mistake, the first at /sensor/focal_length_m",
-        "errors": [{"pointer": "/sensor/focal_length_m", "value": "-1",
-                    "allowed": "allowed: greater than 0"}],
+        "errors": [
+            {
+                "pointer": "/sensor/focal_length_m",
+                "value": "-1",
+                "allowed": "allowed: greater than 0",
+            }
+        ],
     },
-}  # fmt: skip
+}
 A_JOB, A_PROBLEM = ({"$ref": f"#/components/schemas/{name}"} for name in ("Job", "Problem"))
 JOB_ANSWERS = {
     ("post", "/v1/jobs"): ("200", "202"),
@@ -93,27 +113,40 @@ JOB_ANSWERS = {
     ("post", "/v1/jobs/{job_id}/retry"): ("202",),
 }
 REFUSALS = {
-    "400": "malformed", "401": "no valid key or token", "403": "not allowed",
-    "404": "not there, or another team's", "408": "too slow", "409": "not in this state",
-    "413": "too large", "415": "not this media type", "421": "another host's name",
-    "422": "mistakes, each named", "429": "a quota is used up", "503": "not now",
-}  # fmt: skip
+    "400": "malformed",
+    "401": "no valid key or token",
+    "403": "not allowed",
+    "404": "not there, or another team's",
+    "408": "too slow",
+    "409": "not in this state",
+    "413": "too large",
+    "415": "not this media type",
+    "421": "another host's name",
+    "422": "mistakes, each named",
+    "429": "a quota is used up",
+    "503": "not now",
+}
 OTHERS = {
     ("get", "/v1/jobs/{job_id}"): {"304": "not changed"},
     ("get", "/v1/jobs/{job_id}/results/{path}"): {
-        "206": "a Range", "304": "not changed", "416": "no such Range",
+        "206": "a Range",
+        "304": "not changed",
+        "416": "no such Range",
     },
     ("get", "/v1/jobs/{job_id}/preview.png"): {"206": "a Range", "304": "not changed"},
     ("get", "/v1/jobs/{job_id}/plan"): {"206": "a Range", "304": "not changed"},
     ("get", "/v1/jobs/{job_id}/report"): {"206": "a Range", "304": "not changed"},
-}  # fmt: skip
+}
 JOB_PATH = "/v1/jobs/{job_id}"
 KINDS: dict[str, tuple[str, ...]] = {  # of what is answered to a GET, where it is not JSON alone
     f"{JOB_PATH}/events": ("text/event-stream",),
     f"{JOB_PATH}/preview.png": ("image/png",),
     f"{JOB_PATH}/product.tar": ("application/x-tar",),
     f"{JOB_PATH}/results/{{path}}": (
-        "application/octet-stream", "application/json", "image/png", "text/plain",
+        "application/octet-stream",
+        "application/json",
+        "image/png",
+        "text/plain",
     ),
     f"{JOB_PATH}/frames/{{frame}}/fits": ("application/fits",),
     f"{JOB_PATH}/frames/{{frame}}/tiles/{{row}}/{{column}}": ("application/octet-stream",),
@@ -124,7 +157,7 @@ KINDS: dict[str, tuple[str, ...]] = {  # of what is answered to a GET, where it 
     "/uws/async/{job_id}": ("text/xml",),
     "/uws/async/{job_id}/{part}": ("text/plain", "text/xml"),
     "/uws/async/{job_id}/results/{name}": ("application/x-votable+xml;content=datalink",),
-}  # fmt: skip
+}
 PLAIN = ("/healthz", "/readyz", "/metrics")
 
 
@@ -135,11 +168,13 @@ def describe(app: FastAPI) -> None:
         if app.openapi_schema is None:
             app.openapi_schema = _complete(
                 get_openapi(
-                    title=app.title, version=app.version, routes=app.routes,
+                    title=app.title,
+                    version=app.version,
+                    routes=app.routes,
                     description="Raw sensor frames with known truth, from scenes. Errors are "
                     "problem+json (RFC 9457).",
                 )
-            )  # fmt: skip
+            )
         return app.openapi_schema
 
     app.openapi = document  # type: ignore[method-assign]

@@ -60,9 +60,13 @@ def security_of(address: str) -> Any:
             raise BadInput(name, path, "a PEM file of the cluster's TLS (docs/cluster.md)")
     ca, cert, key = (files[name] for name in CERTIFICATES)
     return Security(
-        tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key, tls_worker_cert=cert,
-        tls_worker_key=key, require_encryption=True,
-    )  # fmt: skip
+        tls_ca_file=ca,
+        tls_client_cert=cert,
+        tls_client_key=key,
+        tls_worker_cert=cert,
+        tls_worker_key=key,
+        require_encryption=True,
+    )
 
 
 @contextmanager

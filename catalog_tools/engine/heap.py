@@ -11,9 +11,11 @@ from functools import cache
 # Thresholds are what glibc comes to by itself; Dask's 64 KiB cost a worker eight times the page
 # faults. One heap, with Arrow's arrays in it, takes a third less than one for each thread.
 ALLOCATION = {
-    "MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
-    "MALLOC_ARENA_MAX": "1", "ARROW_DEFAULT_MEMORY_POOL": "system",
-}  # fmt: skip
+    "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
+    "MALLOC_ARENA_MAX": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+}
 ARENA_MAX = -8  # of glibc's mallopt
 
 

@@ -252,12 +252,17 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
     if kind == "processes":
         with (
             LocalCluster(
-                n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
-                dashboard_address=None, silence_logs=50, scheduler_sync_interval=60,
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address=None,
+                silence_logs=50,
+                scheduler_sync_interval=60,
                 scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not 8787 of all networks
             ) as cluster,
             Client(cluster) as client,
-        ):  # fmt: skip
+        ):
             yield ClusterScheduler(client, count)
         return
     with slurm(workers) if kind == "slurm" else connected(kind) as client:
@@ -271,19 +276,22 @@ def set_up_dask() -> None:
     import dask
     import distributed  # noqa: F401 (with it the levels that are set below)
 
-    dask.config.set({
-        "distributed.worker.multiprocessing-method": "spawn",
-        "distributed.scheduler.allowed-failures": 3,
-        "distributed.worker.profile.enabled": False,
-        # Looked at 1 to 1000 times a second by default, in every process: a tenth of a short job.
-        "distributed.admin.tick.interval": "5s",
-        "distributed.admin.system-monitor.interval": "5s",
-        "distributed.admin.system-monitor.gil.enabled": False,
-        "distributed.worker.memory.monitor-interval": "1s",
-        "distributed.client.scheduler-info-interval": "10s",
-        "distributed.admin.large-graph-warning-threshold": "1TB",  # what tasks share goes in one
-        "distributed.logging": dict.fromkeys(CHATTY, "critical"),
-    })  # fmt: skip
+    dask.config.set(
+        {
+            "distributed.worker.multiprocessing-method": "spawn",
+            "distributed.scheduler.allowed-failures": 3,
+            "distributed.worker.profile.enabled": False,
+            # By default 1 to 1000 times a second, in every process: a tenth of a short job.
+            "distributed.admin.tick.interval": "5s",
+            "distributed.admin.system-monitor.interval": "5s",
+            "distributed.admin.system-monitor.gil.enabled": False,
+            "distributed.worker.memory.monitor-interval": "1s",
+            "distributed.client.scheduler-info-interval": "10s",
+            # what tasks share goes in one graph
+            "distributed.admin.large-graph-warning-threshold": "1TB",
+            "distributed.logging": dict.fromkeys(CHATTY, "critical"),
+        }
+    )
     for name in CHATTY:
         logging.getLogger(name).setLevel(logging.CRITICAL)
 

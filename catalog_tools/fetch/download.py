@@ -181,9 +181,12 @@ def _missing(
 
     total = sum(sizes.values())
     faults = in_threads(
-        unsure, check, threads, threading.Event(),
+        unsure,
+        check,
+        threads,
+        threading.Event(),
         lambda: progress("verify", sum(list(hashed.values())), total) if unsure else None,
-    )  # fmt: skip
+    )
     _raise_faults(faults, ledger)
     return [e for e in entries if e.name in wrong]
 

@@ -86,9 +86,14 @@ def fetch(
             allowed = f"a part of the sky of which {remote.address('')} lists files"
             raise BadInput("cone", [str(cone) for cone in wanted], allowed)
         tally = download(
-            remote, entries, ledger,
-            connections=connections, patience=patience, progress=tell, verify=verify,
-        )  # fmt: skip
+            remote,
+            entries,
+            ledger,
+            connections=connections,
+            patience=patience,
+            progress=tell,
+            verify=verify,
+        )
         names = [entry.name for entry in entries]
         note_coverage(ledger.folder, names, _coverage(found, listed, entries))
     notes = tuple(_notes(found, listed, wanted))
@@ -97,8 +102,10 @@ def fetch(
 
 
 def _cones(
-    cones: Sequence[FetchCone | str], everything: bool, faintest_g_mag: float | None,
-    tap_url: str | None
+    cones: Sequence[FetchCone | str],
+    everything: bool,
+    faintest_g_mag: float | None,
+    tap_url: str | None,
 ) -> list[FetchCone]:
     """The cones asked for, each once and with its limit."""
     if everything == bool(cones):
@@ -167,9 +174,15 @@ def _by_tap(
     for cone, name in zip(cones, names, strict=True):
         note_coverage(ledger.folder, [name], cone_coverage(release, cone))
     return FetchReport(
-        release.name, str(ledger.folder), tuple(names),
-        len(brought), sum(brought), len(there), sum(there), (),
-    )  # fmt: skip
+        release.name,
+        str(ledger.folder),
+        tuple(names),
+        len(brought),
+        sum(brought),
+        len(there),
+        sum(there),
+        (),
+    )
 
 
 def _notes(release: Release, listed: Sequence[Entry], cones: Sequence[FetchCone]) -> Iterator[str]:

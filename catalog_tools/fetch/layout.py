@@ -53,15 +53,31 @@ RELEASES = {
     release.name: release
     for release in (
         Release(
-            "gaia-dr2", "Gaia DR2", 2015.5, f"{CDN}/gdr2/gaia_source/csv/", "MD5SUM.txt",
-            61_234, DR2_NAME, 0, ARCHIVE_TAP, "gaiadr2.gaia_source",
+            "gaia-dr2",
+            "Gaia DR2",
+            2015.5,
+            f"{CDN}/gdr2/gaia_source/csv/",
+            "MD5SUM.txt",
+            61_234,
+            DR2_NAME,
+            0,
+            ARCHIVE_TAP,
+            "gaiadr2.gaia_source",
         ),
         Release(
-            "gaia-dr3", "Gaia DR3", 2016.0, f"{CDN}/gdr3/gaia_source/", "_MD5SUM.txt",
-            3_386, DR3_NAME, ID_SHIFT + 2 * (ID_ORDER - 8), ARCHIVE_TAP, "gaiadr3.gaia_source",
+            "gaia-dr3",
+            "Gaia DR3",
+            2016.0,
+            f"{CDN}/gdr3/gaia_source/",
+            "_MD5SUM.txt",
+            3_386,
+            DR3_NAME,
+            ID_SHIFT + 2 * (ID_ORDER - 8),
+            ARCHIVE_TAP,
+            "gaiadr3.gaia_source",
         ),
     )
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

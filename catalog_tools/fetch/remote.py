@@ -123,9 +123,13 @@ class HttpRemote:
     def _request(self, method: str, name: str, headers: dict[str, str]) -> requests.Response:
         try:
             return self._session().request(
-                method, self._base + quote(name), headers=headers, stream=True,
-                timeout=self._timeout, allow_redirects=True,
-            )  # fmt: skip
+                method,
+                self._base + quote(name),
+                headers=headers,
+                stream=True,
+                timeout=self._timeout,
+                allow_redirects=True,
+            )
         except (requests.exceptions.SSLError, requests.TooManyRedirects) as error:
             raise FinalFailure(plain(error)) from None
         except (requests.ConnectionError, requests.Timeout) as error:

@@ -65,7 +65,6 @@ class Repeated:
         stays[np.flatnonzero(wins)[first]] = True
         return np.sort(mine[~stays])
 
-
     def stand_elsewhere(self, rows: Columns, surplus: np.ndarray) -> np.ndarray:
         """Which of the surplus rows (n,) stand apart from the row that stays by more than
         SAME_PLACE_ARCSEC: no repetition of it, but another star, or a place gone wrong."""

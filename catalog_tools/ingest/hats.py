@@ -76,9 +76,14 @@ def _write_map(path: Path, rows: np.ndarray) -> None:
         [fits.Column("T", f"{width if width > 1 else ''}K", array=values)]
     )
     table.header.update(
-        PIXTYPE="HEALPIX", ORDERING="NESTED", INDXSCHM="IMPLICIT", OBJECT="FULLSKY",
-        NSIDE=int((rows.size // 12) ** 0.5), FIRSTPIX=0, LASTPIX=rows.size - 1,
-    )  # fmt: skip
+        PIXTYPE="HEALPIX",
+        ORDERING="NESTED",
+        INDXSCHM="IMPLICIT",
+        OBJECT="FULLSKY",
+        NSIDE=int((rows.size // 12) ** 0.5),
+        FIRSTPIX=0,
+        LASTPIX=rows.size - 1,
+    )
     held = io.BytesIO()  # on a real file astropy's error of a full disk has no number
     fits.HDUList([fits.PrimaryHDU(), table]).writeto(held)
     path.write_bytes(held.getbuffer())

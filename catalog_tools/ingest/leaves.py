@@ -100,11 +100,13 @@ def write_leaf(context: Written, cell: Cell) -> None:
         rows = {name: np.delete(values, surplus) for name, values in rows.items()}
     rows.pop(PLACE_COLUMN, None)
     marker: dict[str, Any] = {
-        "basis": context.basis, "leaf": None, "surplus": int(surplus.size),
+        "basis": context.basis,
+        "leaf": None,
+        "surplus": int(surplus.size),
         "surplus_crc32c": crc32c_of(_surplus_path(work, cell)) if surplus.size else None,
         "elsewhere": int(np.count_nonzero(elsewhere)),
         "without_colour": without_colour(rows[name] for name in COLOURS),
-    }  # fmt: skip
+    }
     if rows["source_id"].size:
         leaf, groups = _write_shard(work, cell, rows)
         marker |= {"leaf": leaf.tolist(), "row_groups": groups.tolist()}
@@ -147,9 +149,7 @@ def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone
     if verify and crc32c_of(shard) != leaf["crc32c"][0]:
         return None
     groups = np.array([_record(group) for group in marker["row_groups"]], ROW_GROUPS_DTYPE)
-    return LeafDone(
-        cell, leaf, groups, *surplus, marker["elsewhere"], marker["without_colour"]
-    )
+    return LeafDone(cell, leaf, groups, *surplus, marker["elsewhere"], marker["without_colour"])
 
 
 def surplus_of(context: Written, done: LeafDone) -> Iterator[pa.Table]:
@@ -162,9 +162,13 @@ def surplus_of(context: Written, done: LeafDone) -> Iterator[pa.Table]:
 
 
 def _write_surplus(
-    path: Path, context: Written, runs: Sequence[Run], rows: dict[str, np.ndarray],
-    surplus: np.ndarray, elsewhere: np.ndarray,
-) -> None:  # fmt: skip
+    path: Path,
+    context: Written,
+    runs: Sequence[Run],
+    rows: dict[str, np.ndarray],
+    surplus: np.ndarray,
+    elsewhere: np.ndarray,
+) -> None:
     with pa.ipc.new_file(str(path), REJECTS) as writer:
         for start in range(0, surplus.size, SURPLUS_ROWS):
             some = slice(start, start + SURPLUS_ROWS)
@@ -173,9 +177,12 @@ def _write_surplus(
 
 
 def _surplus_table(
-    context: Written, runs: Sequence[Run], rows: dict[str, np.ndarray],
-    surplus: np.ndarray, reasons: list[str],
-) -> pa.Table:  # fmt: skip
+    context: Written,
+    runs: Sequence[Run],
+    rows: dict[str, np.ndarray],
+    surplus: np.ndarray,
+    reasons: list[str],
+) -> pa.Table:
     """The surplus rows with the source and the row that each came from."""
     ends = np.cumsum([stop - start for _, start, stop in runs])
     batch_of_run = np.array([context.pieces.pieces[i].batch for i, _, _ in runs])

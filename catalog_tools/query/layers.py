@@ -131,8 +131,12 @@ def _in_both(seen: Rows, held: Rows, main: Catalogue, layer: Catalogue) -> np.nd
     rows has no motion, the other's holds for both, and they meet at the epoch of the one without.
     """
     old, new = layer.ref_epoch_jyear, main.ref_epoch_jyear
-    meet = {(True, True): (old + new) / 2, (True, False): new, (False, True): old,
-            (False, False): old}  # fmt: skip
+    meet = {
+        (True, True): (old + new) / 2,
+        (True, False): new,
+        (False, True): old,
+        (False, False): old,
+    }
     moves = [np.isfinite(rows["pmra"] + rows["pmdec"]) for rows in (seen, held)]
     tolerance = tolerance_arcsec(main, layer) * ARCSEC_RAD
     found = np.zeros(seen["source_id"].size, bool)

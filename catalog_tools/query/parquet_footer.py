@@ -28,16 +28,18 @@ def footer(fields: Sequence[pa.Field], rows: int, starts: Sequence[int]) -> byte
     chunks = []
     for field, start, end in zip(fields, starts, starts[1:], strict=False):
         size = _integer(end - start)
-        metadata = _column(field) + b"".join([
-            b"\x16", _integer(rows), b"\x16", size, b"\x16", size, b"\x26", _integer(start), b"\0"
-        ])  # fields 5, 6, 7 and 9: values, bytes unpacked (not used), bytes, place  # fmt: skip
+        metadata = _column(field) + b"".join(
+            [b"\x16", _integer(rows), b"\x16", size, b"\x16", size, b"\x26", _integer(start), b"\0"]
+        )  # fields 5, 6, 7 and 9: values, bytes unpacked (not used), bytes, place
         chunks.append(_struct((2, I64, _integer(0)), (3, STRUCT, metadata)))
     total = _integer(starts[-1] - starts[0])
     group = _struct((1, LIST, _list(STRUCT, chunks)), (2, I64, total), (3, I64, _integer(rows)))
     content = _struct(
-        (1, I32, _integer(FORMAT_VERSION)), (2, LIST, _schema(tuple(fields))),
-        (3, I64, _integer(rows)), (4, LIST, _list(STRUCT, [group])),
-    )  # fmt: skip
+        (1, I32, _integer(FORMAT_VERSION)),
+        (2, LIST, _schema(tuple(fields))),
+        (3, I64, _integer(rows)),
+        (4, LIST, _list(STRUCT, [group])),
+    )
     return content + len(content).to_bytes(4, "little") + MAGIC
 
 
@@ -58,16 +60,20 @@ def _column(field: pa.Field) -> bytes:
 
     encodings = [_integer(RLE), _integer(ENCODING_NUMBERS[ENCODINGS[field.name]])]
     return _struct(
-        (1, I32, _integer(TYPES[str(field.type)])), (2, LIST, _list(I32, encodings)),
-        (3, LIST, _list(BINARY, [_text(field.name)])), (4, I32, _integer(ZSTD)),
-    )[:-1]  # fmt: skip
+        (1, I32, _integer(TYPES[str(field.type)])),
+        (2, LIST, _list(I32, encodings)),
+        (3, LIST, _list(BINARY, [_text(field.name)])),
+        (4, I32, _integer(ZSTD)),
+    )[:-1]
 
 
 def _struct(*fields: tuple[int, int, bytes]) -> bytes:
     """Fields as (number, type, content), ascending, and the end."""
     numbers = [0, *(number for number, _, _ in fields)]
-    heads = [bytes([(n - before) << 4 | kind])
-             for before, (n, kind, _) in zip(numbers, fields, strict=False)]  # fmt: skip
+    heads = [
+        bytes([(n - before) << 4 | kind])
+        for before, (n, kind, _) in zip(numbers, fields, strict=False)
+    ]
     return b"".join(h + content for h, (_, _, content) in zip(heads, fields, strict=True)) + b"\0"
 
 

@@ -21,8 +21,14 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 __all__ = [
-    "QueryReport", "cone", "motion_pad_rad", "polygon", "read_leaf", "record_batches", "select",
-]  # fmt: skip
+    "QueryReport",
+    "cone",
+    "motion_pad_rad",
+    "polygon",
+    "read_leaf",
+    "record_batches",
+    "select",
+]
 
 THREADS = min(cores(), 8)
 PART_ROWS = 32_768  # decoded together, or a quarter of all, up to MOST_PART_ROWS
@@ -195,10 +201,16 @@ def _parts(query: _Query, found: NDArray[np.intp]) -> list[_Part]:
     for start, stop in zip(starts, [*starts[1:], found.size], strict=False):
         own = np.arange(start, stop)
         yes, no = own[sure[own]], own[~sure[own]]
-        parts.append(_Part(
-            found[yes], found[no], int(rows[yes].sum()), int(rows[own].sum()), bool(cut[no].any()),
-            float(pads[no].max(initial=0.0)),
-        ))  # fmt: skip
+        parts.append(
+            _Part(
+                found[yes],
+                found[no],
+                int(rows[yes].sum()),
+                int(rows[own].sum()),
+                bool(cut[no].any()),
+                float(pads[no].max(initial=0.0)),
+            )
+        )
     return parts
 
 
@@ -242,9 +254,11 @@ def _wanted_rows(query: _Query, part: _Part) -> pa.Table:
     catalogue = query.catalogue
     leaves = (*leaves_of(catalogue, part.sure), *leaves_of(catalogue, part.doubtful))
     table = read_row_groups(
-        catalogue.store, leaves, _columns_read(query, part),
+        catalogue.store,
+        leaves,
+        _columns_read(query, part),
         threads=ARROW_THREADS_ROWS < part.rows <= PART_ROWS,
-    )  # fmt: skip
+    )
     if not part.doubtful.size:
         return table.select(query.names)
     doubtful, rows = table.slice(part.sure_rows), None

@@ -84,9 +84,11 @@ def _may_touch(centres: Floats, caps: np.ndarray, region: Region, ref_epoch_jyea
 def pads_rad(caps: np.ndarray, region: Region, ref_epoch_jyear: float) -> Floats:
     """`motion_pad_rad` of leaves or row groups (records of the manifest's tables) for a region."""
     return motion_pad_rad(
-        caps["max_proper_motion_mas_yr"], caps["max_parallax_mas"],
-        years_to(region, ref_epoch_jyear), region.observer_distance_au,
-    )  # fmt: skip
+        caps["max_proper_motion_mas_yr"],
+        caps["max_parallax_mas"],
+        years_to(region, ref_epoch_jyear),
+        region.observer_distance_au,
+    )
 
 
 def years_to(region: Region, ref_epoch_jyear: float) -> float:

@@ -47,9 +47,12 @@ DEG2_SR = (np.pi / 180.0) ** 2
 # (G, mean and scatter of BP-RP, weighted by light) of 5300 real DR2 stars: all that have a colour
 # in the complete 2.5 deg2 at RA 0.7, Dec -1 (galactic latitude -61; dust reddens the plane more).
 COUNTED_COLOURS_MAG = (
-    (8.5, 0.91, 0.27), (11.5, 0.96, 0.29), (14.5, 1.06, 0.34), (17.0, 1.40, 0.56),
+    (8.5, 0.91, 0.27),
+    (11.5, 0.96, 0.29),
+    (14.5, 1.06, 0.34),
+    (17.0, 1.40, 0.56),
     (19.5, 1.70, 0.65),
-)  # fmt: skip
+)
 COUNTED_ERROR = 0.35  # of the counts' densities (star_counts)
 
 
@@ -112,11 +115,13 @@ class StarlightMap:
         own = _typical_light()[first:]
         error = 2.0 * np.sqrt(cut * white[here] * own[0] / sr)
         error += np.abs(white[0] - white[min(here + 1, len(white) - 1)]) * cut / 4.0
-        sums = np.vstack([
-            np.tensordot(share, bins[here:], axes=(0, 0)),
-            np.tensordot(share * own, white[here:], axes=(0, 0))[None],
-            error[None],
-        ])  # fmt: skip
+        sums = np.vstack(
+            [
+                np.tensordot(share, bins[here:], axes=(0, 0)),
+                np.tensordot(share * own, white[here:], axes=(0, 0))[None],
+                error[None],
+            ]
+        )
         place = place.reshape(pixels.shape)
         return SummedStarlight(*(np.sum(row[place] * weights, axis=0) for row in sums))
 
@@ -288,10 +293,14 @@ def read_starlight(catalogue: Catalogue) -> StarlightMap | None:
 def _write(path: Path, made: StarlightMap) -> None:
     """The file appears whole under its name, or not at all."""
     about = {
-        "format": FORMAT, "version": VERSION, "catalogue": made.catalogue_digest,
-        "order": made.order, "sha256": hashlib.sha256(made.light.tobytes()).hexdigest(),
-        "kinds": KINDS, "bin_edges_g_mag": BIN_EDGES_G_MAG.tolist(),
-    }  # fmt: skip
+        "format": FORMAT,
+        "version": VERSION,
+        "catalogue": made.catalogue_digest,
+        "order": made.order,
+        "sha256": hashlib.sha256(made.light.tobytes()).hexdigest(),
+        "kinds": KINDS,
+        "bin_edges_g_mag": BIN_EDGES_G_MAG.tolist(),
+    }
     text = np.frombuffer(json.dumps(about, sort_keys=True).encode(), np.uint8)
     part = path.with_suffix(".part")
     try:

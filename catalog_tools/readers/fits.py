@@ -22,9 +22,20 @@ CARD_BYTES = 80
 MOST_HEADER_BLOCKS = 1000
 # FITS standard 4.0, table 18: format and bytes of one element
 TYPES = {
-    "L": "i1", "X": "u1", "B": "u1", "I": ">i2", "J": ">i4", "K": ">i8", "A": "S1",
-    "E": ">f4", "D": ">f8", "C": ">c8", "M": ">c16", "P": ">i8", "Q": ">c16",
-}  # fmt: skip
+    "L": "i1",
+    "X": "u1",
+    "B": "u1",
+    "I": ">i2",
+    "J": ">i4",
+    "K": ">i8",
+    "A": "S1",
+    "E": ">f4",
+    "D": ">f8",
+    "C": ">c8",
+    "M": ">c16",
+    "P": ">i8",
+    "Q": ">c16",
+}
 # what is asked of a column: kinds of numpy that have it, and the word for it
 WANTED = {"integer": ("iuf", "integers"), "number": ("iuf", "numbers"), "text": ("S", "texts")}
 

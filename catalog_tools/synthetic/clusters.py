@@ -52,9 +52,14 @@ class Crowd:
 
 
 def _globular(
-    name: str, ra_deg: float, dec_deg: float, half_arcmin: float, edge_arcmin: float, stars: float,
+    name: str,
+    ra_deg: float,
+    dec_deg: float,
+    half_arcmin: float,
+    edge_arcmin: float,
+    stars: float,
     distance_kpc: float,
-) -> Crowd:  # fmt: skip
+) -> Crowd:
     tip_g_mag = 5.0 * float(np.log10(distance_kpc * 100.0)) - 2.5
     return Crowd(name, ra_deg, dec_deg, half_arcmin / 60, edge_arcmin / 60, stars, tip_g_mag)
 
@@ -84,7 +89,7 @@ CROWDS = (
     _open("Praesepe", 130.10, 19.67, 70.0, 938, 6.0),
     _open("NGC 2516", 119.52, -60.75, 30.0, 2518, 5.5),
     _open("NGC 3532", 166.41, -58.75, 50.0, 1879, 6.0),
-)  # fmt: skip
+)
 
 
 @lru_cache(maxsize=64)

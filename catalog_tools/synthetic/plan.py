@@ -112,9 +112,15 @@ def make_plan(seed: int, rows: int) -> SyntheticPlan:
     patch_starts = np.searchsorted(cell[some], np.arange(12 * 4**order + 1))
     before = np.concatenate([[0], np.cumsum(counts[some])])
     return SyntheticPlan(
-        seed, rows, before[patch_starts], patch_starts, first[some],
-        np.concatenate(widths)[some], np.concatenate(origins)[some], counts[some],
-    )  # fmt: skip
+        seed,
+        rows,
+        before[patch_starts],
+        patch_starts,
+        first[some],
+        np.concatenate(widths)[some],
+        np.concatenate(origins)[some],
+        counts[some],
+    )
 
 
 def _cell_order(rows: int) -> int:

@@ -46,16 +46,16 @@ def check_tables(catalogue: Catalogue) -> list[Finding]:
     rejected = sum(catalogue.rejected.values())
     checks = {
         "rows of the row groups do not add up to the leaves'": (in_groups != leaves["rows"]).any(),
-        "rows of the leaves do not add up to the catalogue's":
-            int(leaves["rows"].sum()) != catalogue.rows,
-        "rows kept and rejected do not add up to the rows read":
-            catalogue.rows + rejected != catalogue.rows_in,
+        "rows of the leaves do not add up to the catalogue's": int(leaves["rows"].sum())
+        != catalogue.rows,
+        "rows kept and rejected do not add up to the rows read": catalogue.rows + rejected
+        != catalogue.rows_in,
         "leaves overlap or are out of order": (first[1:] < end[:-1]).any(),
         "a row group moves faster than its leaf": any(
             (groups[key] > leaves[key][of_leaf]).any()
             for key in ("max_proper_motion_mas_yr", "max_parallax_mas", "faintest_g_mag")
         ),
-    }  # fmt: skip
+    }
     return wrong + [Finding(MANIFEST_NAME, what) for what, bad in checks.items() if bad]
 
 
@@ -139,8 +139,13 @@ def _check_accounts(catalogue: Catalogue, name: str, data: bytes) -> list[Findin
     if name == SOURCES_NAME:
         found = (table.num_rows, pc.sum(table["rows"]).as_py() or 0)
         if found != (catalogue.sources, catalogue.rows_in):
-            return [Finding(name, f"has {found[0]} sources of {found[1]} rows; the manifest has "
-                            f"{catalogue.sources} of {catalogue.rows_in}")]  # fmt: skip
+            return [
+                Finding(
+                    name,
+                    f"has {found[0]} sources of {found[1]} rows; the manifest has "
+                    f"{catalogue.sources} of {catalogue.rows_in}",
+                )
+            ]
         return []
     pairs = table["reason"].value_counts().to_pylist()
     if {pair["values"]: pair["counts"] for pair in pairs} != catalogue.rejected:

@@ -148,21 +148,21 @@ def _check_rows(
         speed = np.hypot(columns["pmra"].astype(float), columns["pmdec"].astype(float))
         checks = {
             "outside ra 0 to 360 or dec -90 to 90": ~placed,
-            f"outside the HEALPix pixel of the shard ({leaf.order}, {leaf.pixel})":
-                pixels >> (2 * (HEALPIX_ORDER - leaf.order)) != leaf.pixel,
+            f"outside the HEALPix pixel of the shard ({leaf.order}, {leaf.pixel})": pixels
+            >> (2 * (HEALPIX_ORDER - leaf.order))
+            != leaf.pixel,
             f"whose {HEALPIX_COLUMN} is not that of their ra and dec": placed & (own != pixels),
             "out of HEALPix order": np.concatenate([[False], pixels[1:] < pixels[:-1]]),
-            "outside the magnitude range that the manifest says":
-                ~((g_mag >= bounds["brightest_g_mag"]) & (g_mag <= bounds["faintest_g_mag"])),
-            "outside the cap that the manifest says":
-                placed & (_outside(v, bounds) | _outside(v, catalogue.leaf_table[index])),
-            "that move faster than the manifest says":
-                speed > min(float(bounds["max_proper_motion_mas_yr"]),
-                            leaf.max_proper_motion_mas_yr),
-            "with a parallax above what the manifest says":
-                columns["parallax"] > min(float(bounds["max_parallax_mas"]),
-                                          leaf.max_parallax_mas),
-        }  # fmt: skip
+            "outside the magnitude range that the manifest says": ~(
+                (g_mag >= bounds["brightest_g_mag"]) & (g_mag <= bounds["faintest_g_mag"])
+            ),
+            "outside the cap that the manifest says": placed
+            & (_outside(v, bounds) | _outside(v, catalogue.leaf_table[index])),
+            "that move faster than the manifest says": speed
+            > min(float(bounds["max_proper_motion_mas_yr"]), leaf.max_proper_motion_mas_yr),
+            "with a parallax above what the manifest says": columns["parallax"]
+            > min(float(bounds["max_parallax_mas"]), leaf.max_parallax_mas),
+        }
     return [
         f"row group {group.row_group}: {np.count_nonzero(bad)} rows {what}"
         for what, bad in checks.items()

@@ -107,10 +107,12 @@ def _repeated(catalogue: Catalogue, repeated: list[int]) -> list[Finding]:
         for number in held[np.isin(held, wanted)].tolist():
             places[number].append(leaf.path)
     found = [
-        Finding(where[0] if where else MANIFEST_NAME,
-                f"source_id {number} occurs more than once (in {', '.join(where)})")
+        Finding(
+            where[0] if where else MANIFEST_NAME,
+            f"source_id {number} occurs more than once (in {', '.join(where)})",
+        )
         for number, where in places.items()
-    ]  # fmt: skip
+    ]
     if len(repeated) > MOST_REPEATED:
         found.append(Finding(MANIFEST_NAME, "more source_ids occur more than once"))
     return found

@@ -44,7 +44,7 @@ NAVIGATION: dict[str, list[str]] = {
                     "detection.md", "validation.md"],
     "Reference": ["reference/scene.md", "reference/commands.md", "reference/omissions.md",
                   "reference/python.md", "glossary.md"],
-    "Development": ["contributing.md", "pins.md"],
+    "Development": ["architecture.md", "contributing.md", "pins.md"],
 }  # fmt: skip
 
 

@@ -41,10 +41,17 @@ def ingest(
     memory_bytes = _bytes(memory)
     with _stages(as_json) as progress, open_scheduler(scheduler, workers) as where:
         report = run(
-            list(sources), output, form=form, name=name, rows_per_leaf=rows_per_leaf,
-            memory_bytes=memory_bytes, scheduler=where, progress=progress,
-            overwrite=overwrite, restart=restart,
-        )  # fmt: skip
+            list(sources),
+            output,
+            form=form,
+            name=name,
+            rows_per_leaf=rows_per_leaf,
+            memory_bytes=memory_bytes,
+            scheduler=where,
+            progress=progress,
+            overwrite=overwrite,
+            restart=restart,
+        )
     for note in report.notes:
         print(f"note: {note}", file=sys.stderr)
     print_mapping({"continued_batches": report.continued, **info(report.catalogue)}, as_json)
@@ -170,8 +177,11 @@ def demo(
     fields = [_numbers("--field", text, 4, "56.75,24.1,1.0,20") for text in field or []]
     with _stages(as_json) as progress:
         shared: dict[str, Any] = {
-            "seed": seed, "workers": workers or 2, "progress": progress, "overwrite": overwrite,
-        }  # fmt: skip
+            "seed": seed,
+            "workers": workers or 2,
+            "progress": progress,
+            "overwrite": overwrite,
+        }
         if rows is not None:
             from catalog_tools.synthetic.sample import make_sample
 
@@ -219,10 +229,17 @@ def fetch(
 
     with _stages(as_json) as progress:
         report = run(
-            release, destination, cones=cone or [], everything=everything, base_url=base_url,
-            tap_url=tap, faintest_g_mag=faintest_g_mag, connections=connections,
-            progress=progress, verify=verify,
-        )  # fmt: skip
+            release,
+            destination,
+            cones=cone or [],
+            everything=everything,
+            base_url=base_url,
+            tap_url=tap,
+            faintest_g_mag=faintest_g_mag,
+            connections=connections,
+            progress=progress,
+            verify=verify,
+        )
     for note in report.notes:
         print(f"note: {note}", file=sys.stderr)
     print_mapping({**asdict(report), "files": len(report.files)}, as_json)

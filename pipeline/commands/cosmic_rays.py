@@ -29,8 +29,11 @@ def extract(
     """Collect the events of a stack of dark frames of equal exposure into a library."""
     from pipeline.inputs.sensor.cosmic_rays import extract_library, open_darks, write_library
 
-    for name, value in (("exposure-s", exposure_s), ("pixel-pitch-um", pixel_pitch_um),
-                        ("gain-e-per-dn", gain_e_per_dn)):  # fmt: skip
+    for name, value in (
+        ("exposure-s", exposure_s),
+        ("pixel-pitch-um", pixel_pitch_um),
+        ("gain-e-per-dn", gain_e_per_dn),
+    ):
         if not 0.0 < value < math.inf:
             raise BadInput(f"--{name}", value, "a number above 0")
     if not 3.0 <= threshold_sigma <= 1e6:

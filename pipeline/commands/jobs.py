@@ -95,10 +95,15 @@ def listing(
         print_json(found)
         return
     rows = [
-        (f["id"], f["name"], f["phase"], f["submitted"][:19],
-         f"{f['tiles_done'] or 0}/{f['tiles_total']}" if f["tiles_total"] else "")
+        (
+            f["id"],
+            f["name"],
+            f["phase"],
+            f["submitted"][:19],
+            f"{f['tiles_done'] or 0}/{f['tiles_total']}" if f["tiles_total"] else "",
+        )
         for f in found
-    ]  # fmt: skip
+    ]
     print(table(("job", "name", "phase", "submitted", "tiles"), rows, 2))
 
 

@@ -65,10 +65,16 @@ def progress_bar(unit: str = "") -> Any:
             return Text(rate if speed else "")
 
     return Progress(
-        TextColumn("{task.description}", markup=False), BarColumn(20), MofNCompleteColumn(),
-        TextColumn(unit), Rate(), TimeRemainingColumn(), TextColumn("left"),
-        console=Console(stderr=True), transient=True,
-    )  # fmt: skip
+        TextColumn("{task.description}", markup=False),
+        BarColumn(20),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        Rate(),
+        TimeRemainingColumn(),
+        TextColumn("left"),
+        console=Console(stderr=True),
+        transient=True,
+    )
 
 
 MOST_TARGETS, MOST_WARNINGS = 3, 2
@@ -82,13 +88,21 @@ def print_plan(plan: dict[str, Any], everything: bool = False, explain: bool = F
     for name, text in _answer(plan):
         print(pair(name, text, 8) if everything else _cut(f"{name:>8}  {text}"))
     if not everything:
-        print(f"{'more':>8}  --all: {len(plan['decisions'])} decisions with the bounds of their "
-              f"errors, {len(plan['remarks'])} notes")  # fmt: skip
+        print(
+            f"{'more':>8}  --all: {len(plan['decisions'])} decisions with the bounds of their "
+            f"errors, {len(plan['remarks'])} notes"
+        )
         return
-    print(fold(f"{plan['tiles']} tiles of {plan['tile_shape'][0]} x {plan['tile_shape'][1]} px; "
-               f"{plan['shards']} shards to read ({plan['row_groups']} row groups, "
-               f"{plan['star_rows_to_read']} rows, {plan['bytes_to_read'] / 1e6:.1f} MB); "
-               f"engine: {plan['engine']}", " " * 10, f"{'work':>8}  "))  # fmt: skip
+    print(
+        fold(
+            f"{plan['tiles']} tiles of {plan['tile_shape'][0]} x {plan['tile_shape'][1]} px; "
+            f"{plan['shards']} shards to read ({plan['row_groups']} row groups, "
+            f"{plan['star_rows_to_read']} rows, {plan['bytes_to_read'] / 1e6:.1f} MB); "
+            f"engine: {plan['engine']}",
+            " " * 10,
+            f"{'work':>8}  ",
+        )
+    )
     print(pair("coverage", _coverage(plan["coverage"]), 8))
     for d in plan["decisions"]:
         _print_decision(d, explain)

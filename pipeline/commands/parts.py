@@ -23,9 +23,13 @@ if TYPE_CHECKING:
 
 
 def render_part(
-    scene: Path, product: str, overrides: list[str], part: str,
-    options: Options, as_json: bool,
-) -> None:  # fmt: skip
+    scene: Path,
+    product: str,
+    overrides: list[str],
+    part: str,
+    options: Options,
+    as_json: bool,
+) -> None:
     """Render one part of a scene; the last one finishes the product."""
     from pipeline.commands.pages import tile_progress
     from pipeline.route.run import render as run

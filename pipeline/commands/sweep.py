@@ -89,13 +89,18 @@ def _print_forecast(file: Path, as_json: bool) -> None:
     for name, text in (
         ("points", f"{told['points']}, each {told['frames']} frame(s) of {rows} x {columns} px"),
         ("shared", f"{counts['plans']} plans; different light: {drawn}"),
-        ("time", f"{told['cpu_s']:.3g} s of one core; {told['alone_cpu_s']:.3g} s if nothing were "
-                 f"shared"),
-        ("each", f"plan {each['plan']:.2g} s, light {each['light']:.2g} s, "
-                 f"point {each['point']:.2g} s"),
+        (
+            "time",
+            f"{told['cpu_s']:.3g} s of one core; {told['alone_cpu_s']:.3g} s if nothing were "
+            f"shared",
+        ),
+        (
+            "each",
+            f"plan {each['plan']:.2g} s, light {each['light']:.2g} s, point {each['point']:.2g} s",
+        ),
         ("memory", f"{told['worker_memory_mb']:.0f} MB a worker, and what it keeps of the light"),
         ("metrics", ", ".join(told["metrics"])),
-    ):  # fmt: skip
+    ):
         print(pair(name, text, 8))
 
 

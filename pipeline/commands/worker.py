@@ -25,7 +25,14 @@ def worker(
 
     check_address(address, LOCAL_KINDS)
     set_up_dask()
-    asyncio.run(work(
-        address, patience, nthreads=threads, memory_limit=memory, port=nanny_port,
-        worker_port=port, local_directory=folder and str(folder),
-    ))  # fmt: skip
+    asyncio.run(
+        work(
+            address,
+            patience,
+            nthreads=threads,
+            memory_limit=memory,
+            port=nanny_port,
+            worker_port=port,
+            local_directory=folder and str(folder),
+        )
+    )

@@ -336,9 +336,11 @@ def _on_grid(
     far = 2.0 * grid.spacing_px
     low = grid.x0_px - far - t.x_px, grid.y0_px - far - t.y_px
     box = (
-        low[0], low[0] + 2.0 * far + grid.columns * grid.spacing_px,
-        low[1], low[1] + 2.0 * far + grid.rows * grid.spacing_px,
-    )  # fmt: skip
+        low[0],
+        low[0] + 2.0 * far + grid.columns * grid.spacing_px,
+        low[1],
+        low[1] + 2.0 * far + grid.rows * grid.spacing_px,
+    )
     x0, y0, dx, dy = np.array([ends[0], ends[2], ends[1] - ends[0], ends[3] - ends[2]])
     first, last = (float(v) for v in within(x0, y0, dx, dy, box))
     if first > last:

@@ -168,11 +168,13 @@ class _Outside:
         kinds = [isinstance(a, Geometry) for a in arguments]
         shared = kinds.index(True) if True in kinds else 0
         return tuple(
-            [v if v in self.inner else self._refer(v, v) for v in a] if type(a) is list
-            else self._refer(a, id(a)) if i < shared
+            [v if v in self.inner else self._refer(v, v) for v in a]
+            if type(a) is list
+            else self._refer(a, id(a))
+            if i < shared
             else a
             for i, a in enumerate(arguments)
-        )  # fmt: skip
+        )
 
     def _refer(self, value: Any, name: Any) -> Ref:
         if name not in self._places:

@@ -114,8 +114,10 @@ def _expected(
     x, y, light = (v[some].tolist() for v in (stars.x_px, stars.y_px, stars.light_e))
     found = list(zip(x, y, light, _core_class(plan, stars.light_e[some]).tolist(), strict=True))
     last = len(plan.responses.classes) - 1
-    found += [(t.x_px, t.y_px, t.light_e, min(target_class(plan, t), last))
-              for t in place_targets(plan, g)]  # fmt: skip
+    found += [
+        (t.x_px, t.y_px, t.light_e, min(target_class(plan, t), last))
+        for t in place_targets(plan, g)
+    ]
     out = np.zeros(noise_e.shape)
     for x, y, light, k in found:
         core = plan.responses.classes[int(k)]
@@ -142,9 +144,13 @@ def _check_window(
     stars = concatenate(parts, FrameStars)
     exact, sources = reference(plan, g, Tile(cell.row, cell.column, y0, x0, rows, columns), stars)
     record: dict[str, Any] = {
-        "frame": cell.frame, "y0": y0, "x0": x0, "rows": rows, "columns": columns,
+        "frame": cell.frame,
+        "y0": y0,
+        "x0": x0,
+        "rows": rows,
+        "columns": columns,
         "sources": sources,
-    }  # fmt: skip
+    }
     if exact is None:
         return record | {"skipped": "too many sources for the reference"}
     error = np.abs(drawn_e[part] - exact)
@@ -169,9 +175,13 @@ def _window(values: Array) -> Part:
 
 
 def reference(
-    plan: Plan, g: Geometry, at: Tile, stars: FrameStars, own_paths: int = OWN_PATHS,
+    plan: Plan,
+    g: Geometry,
+    at: Tile,
+    stars: FrameStars,
+    own_paths: int = OWN_PATHS,
     most_s: float = MOST_S,
-) -> tuple[Array | None, int]:  # fmt: skip
+) -> tuple[Array | None, int]:
     """Light of all sources in a small window by the reference path, and how many sources.
 
     Every source stands at its exact place and streaks as stars in the window's middle do (targets
@@ -393,8 +403,11 @@ def _points(path: Path, step_px: float) -> tuple[Array, Array, Array]:
     of = np.repeat(np.arange(path.segments), parts)
     first = np.cumsum(parts) - parts
     within = (np.arange(len(of)) - first[of] + 0.5) / parts[of]
-    return (path.x_px[of] + within * x[of], path.y_px[of] + within * y[of],
-            path.weight[of] / parts[of])  # fmt: skip
+    return (
+        path.x_px[of] + within * x[of],
+        path.y_px[of] + within * y[of],
+        path.weight[of] / parts[of],
+    )
 
 
 def _sweep(path: Path) -> float:

@@ -61,11 +61,15 @@ def stream_place(scene: Scene, tile: Tile, frame: int) -> StreamPlace:
     """Where a tile of a frame stands in the scene's random streams."""
     d, seed = scene.sensor.detector or NONE, scene.seed
     return StreamPlace(
-        tile.y0, tile.x0, frame, stream_key(seed, "photon_noise"), stream_key(seed, "read_noise"),
+        tile.y0,
+        tile.x0,
+        frame,
+        stream_key(seed, "photon_noise"),
+        stream_key(seed, "read_noise"),
         stream_key(seed, "photon_and_read_noise"),
         stream_key(seed, "row_noise") if d.row_noise_e > 0 else None,
         stream_key(seed, "column_noise") if d.column_noise_e > 0 else None,
-    )  # fmt: skip
+    )
 
 
 def with_smear(scene: Scene, light_e: Array, integration_s: float) -> Array:
@@ -76,9 +80,12 @@ def with_smear(scene: Scene, light_e: Array, integration_s: float) -> Array:
     from pipeline.physics.noise.transfer import smear_e
 
     return light_e + smear_e(
-        light_e, integration_s, readout.transfer_s,
-        readout.towards == "high_rows", readout.cleared,
-    )  # fmt: skip
+        light_e,
+        integration_s,
+        readout.transfer_s,
+        readout.towards == "high_rows",
+        readout.cleared,
+    )
 
 
 def with_lag(

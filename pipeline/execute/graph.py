@@ -123,9 +123,12 @@ def window_graph(
 
 
 def _views(
-    plan: Plan, work: WindowWork, shards: dict[Shard, Any], ref_epochs_jyear: tuple[float, ...],
+    plan: Plan,
+    work: WindowWork,
+    shards: dict[Shard, Any],
+    ref_epochs_jyear: tuple[float, ...],
     blocks: Iterable[Tile],
-) -> dict[int, _View]:  # fmt: skip
+) -> dict[int, _View]:
     """The frames, by number, whose stars the tasks of a window ask for."""
     g, lag = work.geometry, plan.lag_frames
     place = {int(frame): i for i, frame in enumerate(g.frame)}
@@ -140,9 +143,14 @@ def _views(
 
 
 def _light_of(
-    graph: dict[Key, Any], inputs: Any, plan: Plan, views: dict[int, _View], frame: int, tile: Tile,
+    graph: dict[Key, Any],
+    inputs: Any,
+    plan: Plan,
+    views: dict[int, _View],
+    frame: int,
+    tile: Tile,
     blocks: Iterable[Tile],
-) -> tuple[list[Key], list[Key], list[Key]]:  # fmt: skip
+) -> tuple[list[Key], list[Key], list[Key]]:
     """Keys of what a tile of a frame is drawn from: its stars' places, its blocks, and the
     light of its stars, where that is drawn for several frames."""
     view = views[frame]
@@ -160,9 +168,13 @@ def _light_of(
 
 
 def _seen_by(
-    graph: dict[Key, Any], inputs: Any, view: _View, tile: Tile, blocks: Iterable[Tile],
+    graph: dict[Key, Any],
+    inputs: Any,
+    view: _View,
+    tile: Tile,
+    blocks: Iterable[Tile],
     kind: str = "block",
-) -> tuple[list[Key], list[Key]]:  # fmt: skip
+) -> tuple[list[Key], list[Key]]:
     """Keys of what a tile of a frame is drawn from: its stars' places, and its blocks."""
     parts = _places(graph, inputs, view, tile)
     frame, around = int(view.g.frame[0]), []
@@ -188,9 +200,12 @@ class _View:
 
 
 def _view(
-    plan: Plan, g: Geometry, shards: dict[Shard, Any], ref_epochs_jyear: tuple[float, ...],
+    plan: Plan,
+    g: Geometry,
+    shards: dict[Shard, Any],
+    ref_epochs_jyear: tuple[float, ...],
     rectangles: tuple[Tile, ...],
-) -> _View:  # fmt: skip
+) -> _View:
     near: dict[Tile, list[Shard]] = {tile: [] for tile in rectangles}
     if not shards or not rectangles:
         return _View(g, shards, near)
@@ -236,9 +251,14 @@ def read_shard(inputs: Inputs, shard: Shard) -> StarTable:
     assert wish is not None
     assert plan.colour is not None
     return gather_leaf(
-        inputs.catalogues[shard.catalogue], shard.leaf, wish.faintest_g_mag, plan.colour,
-        plan.facts.area_m2, not wish.space_motion, inputs.left_out[shard.catalogue],
-    )  # fmt: skip
+        inputs.catalogues[shard.catalogue],
+        shard.leaf,
+        wish.faintest_g_mag,
+        plan.colour,
+        plan.facts.area_m2,
+        not wish.space_motion,
+        inputs.left_out[shard.catalogue],
+    )
 
 
 def place_task(inputs: Inputs, stars: StarTable, g: Geometry, catalogue: int) -> FrameStars:
@@ -260,14 +280,26 @@ def star_task(
 
 
 def tile_task(
-    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock],
-    shared: list[StarLight], before: list[Array],
-) -> tuple[int, int, int]:  # fmt: skip
+    inputs: Inputs,
+    g: Geometry,
+    tile: Tile,
+    parts: list[FrameStars],
+    blocks: list[LightBlock],
+    shared: list[StarLight],
+    before: list[Array],
+) -> tuple[int, int, int]:
     """Task: render one tile of one frame and store it; returns only its name."""
     layers, checks = render_tile(
-        inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays, before,
+        inputs.plan,
+        inputs.maps,
+        g,
+        tile,
+        parts,
+        blocks,
+        inputs.rays,
+        before,
         shared=next(iter(shared), None),
-    )  # fmt: skip
+    )
     first = (tile.row, tile.column) == (0, 0)
     coordinates = frame_coordinates(inputs.plan, g) if first else None
     inputs.writer.write(int(g.frame[0]), tile, layers, checks, coordinates)
@@ -275,14 +307,24 @@ def tile_task(
 
 
 def charge_task(
-    inputs: Inputs, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock],
+    inputs: Inputs,
+    g: Geometry,
+    tile: Tile,
+    parts: list[FrameStars],
+    blocks: list[LightBlock],
     shared: list[StarLight],
-) -> Array:  # fmt: skip
+) -> Array:
     """Task: what a tile of one frame collects, for the frames after in which a share is left."""
     return charge_of_tile(
-        inputs.plan, inputs.maps, g, tile, parts, blocks, inputs.rays,
+        inputs.plan,
+        inputs.maps,
+        g,
+        tile,
+        parts,
+        blocks,
+        inputs.rays,
         shared=next(iter(shared), None),
-    )  # fmt: skip
+    )
 
 
 def star_truth_task(inputs: Inputs, g: Geometry, parts: list[FrameStars]) -> int:
@@ -302,12 +344,14 @@ def ray_truth_task(inputs: Inputs, g: Geometry) -> int:
 
     frame = int(g.frame[0])
     columns = (
-        no_truth() if inputs.rays is None
+        no_truth()
+        if inputs.rays is None
         else truth_columns(
             exposed_for(inputs.rays, inputs.plan.integration_s(frame)),
-            inputs.plan.scene.seed, frame,
+            inputs.plan.scene.seed,
+            frame,
         )
-    )  # fmt: skip
+    )
     return _write_truth(inputs, "cosmic_rays", g, columns)
 
 

@@ -21,9 +21,13 @@ NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, be
 PLACE_PX = 1e-3  # that a source's pixel and its direction may be apart
 ROUNDING_RAD = 2e-15
 FIELDS = {  # of the scene, by the layer that comes from it
-    "stars_e": "stars", "targets_e": "targets", "background_e": "background",
-    "dark_e": "sensor.dark_e_per_s", "cosmic_rays_e": "cosmic_rays", "lag_e": "sensor.detector.lag",
-}  # fmt: skip
+    "stars_e": "stars",
+    "targets_e": "targets",
+    "background_e": "background",
+    "dark_e": "sensor.dark_e_per_s",
+    "cosmic_rays_e": "cosmic_rays",
+    "lag_e": "sensor.detector.lag",
+}
 LOOKED_AT = 64  # sources of a task whose places are checked
 
 
@@ -77,9 +81,15 @@ def guard_brightness(plan: Plan, x_px: float, y_px: float, light_e: float) -> No
 
 
 def guard_light(
-    plan: Plan, g: Geometry, tile: Tile, layer: str, image_e: Array, cores_e: float,
-    light_e: Array, inside: np.ndarray,
-) -> None:  # fmt: skip
+    plan: Plan,
+    g: Geometry,
+    tile: Tile,
+    layer: str,
+    image_e: Array,
+    cores_e: float,
+    light_e: Array,
+    inside: np.ndarray,
+) -> None:
     """Raise where a tile holds more light than its sources send, or less than those inside it do.
 
     image_e : light of the layer in the tile, cores_e : that without wings, which come from farther
@@ -121,9 +131,13 @@ def inside_tile(plan: Plan, tile: Tile, x_px: Array, y_px: Array, sweep_px: floa
 
 
 def guard_mean(
-    plan: Plan, g: Geometry, tile: Tile, mean_e: Array, layers: dict[str, Array],
+    plan: Plan,
+    g: Geometry,
+    tile: Tile,
+    mean_e: Array,
+    layers: dict[str, Array],
     wing_error_e: float,
-) -> Array:  # fmt: skip
+) -> Array:
     """The mean with the errors of the transforms clipped at zero; a larger fault is refused.
 
     wing_error_e : what wings may err by, which is more beside crowds and sources brighter than the

@@ -131,9 +131,13 @@ def _draw_stamps(
 
 
 def draw_along(
-    plan: Plan, g: Geometry, image: Array, tile: Tile, stars: FrameStars,
+    plan: Plan,
+    g: Geometry,
+    image: Array,
+    tile: Tile,
+    stars: FrameStars,
     paths: list[Streak] | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Stars one by one, each along its own path, without tables (adds to the image).
 
     paths : `streaks` of the frame, where they are known already
@@ -167,9 +171,16 @@ def draw_along(
 
 
 def add_beyond(
-    plan: Plan, image: Array, tile: Tile, path: Path, x: float, y: float, light_e: float,
-    reach_px: float = math.inf, finer: bool = False,
-) -> None:  # fmt: skip
+    plan: Plan,
+    image: Array,
+    tile: Tile,
+    path: Path,
+    x: float,
+    y: float,
+    light_e: float,
+    reach_px: float = math.inf,
+    finer: bool = False,
+) -> None:
     """A source brighter than all core classes serve, by quadrature (adds to the image).
 
     reach_px : where its light ends
@@ -181,9 +192,17 @@ def add_beyond(
 
 
 def _draw_piece(
-    plan: Plan, image: Array, tile: Tile, k: int, phases: int, piece: Path, x: Array, y: Array,
-    light: Array, cubic: bool = False,
-) -> None:  # fmt: skip
+    plan: Plan,
+    image: Array,
+    tile: Tile,
+    k: int,
+    phases: int,
+    piece: Path,
+    x: Array,
+    y: Array,
+    light: Array,
+    cubic: bool = False,
+) -> None:
     """One piece of the streaks of stars of one class, from a table of so many phases or (0)
     star by star. cubic : between phases in any case
 

@@ -60,11 +60,17 @@ def place_stars(
     assert wish is not None
     observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     astrometric = star_astrometric(
-        stars.ra_rad, stars.dec_rad, stars.pm_ra_cosdec_rad_yr, stars.pm_dec_rad_yr,
+        stars.ra_rad,
+        stars.dec_rad,
+        stars.pm_ra_cosdec_rad_yr,
+        stars.pm_dec_rad_yr,
         stars.parallax_rad if wish.parallax else np.full(len(stars), np.nan),
-        stars.radial_velocity_m_s, ref_epoch_jyear, float(g.tt1[0, middle]),
-        float(g.tt2[0, middle]), observer[0],
-    )  # fmt: skip
+        stars.radial_velocity_m_s,
+        ref_epoch_jyear,
+        float(g.tt1[0, middle]),
+        float(g.tt2[0, middle]),
+        observer[0],
+    )
     proper = star_proper(
         astrometric, *observer, deflection=wish.deflection, aberration=wish.aberration
     )
@@ -89,9 +95,17 @@ def place_stars(
     if plan.extinction is not None:
         light = light * star_transmission(plan.extinction, g, observed[near])
     placed = FrameStars(
-        kept.source_id, x[near], y[near], light * visible, ra, dec, kept.g_mag, kept.colour_flag,
-        np.full(len(kept), catalogue, np.uint8), visible,
-    )  # fmt: skip
+        kept.source_id,
+        x[near],
+        y[near],
+        light * visible,
+        ra,
+        dec,
+        kept.g_mag,
+        kept.colour_flag,
+        np.full(len(kept), catalogue, np.uint8),
+        visible,
+    )
     return drawing_order(placed)
 
 
@@ -114,9 +128,11 @@ def _setting_star(plan: Plan, g: Geometry, stars: FrameStars, index: int) -> Fra
     observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     star = select(stars, [index])
     proper = star_proper(
-        from_angles(star.ra_rad, star.dec_rad), *observer,
-        deflection=effects["deflection"], aberration=effects["aberration"],
-    )  # fmt: skip
+        from_angles(star.ra_rad, star.dec_rad),
+        *observer,
+        deflection=effects["deflection"],
+        aberration=effects["aberration"],
+    )
     clear = stars_clear(plan.scene, plan.camera, g, proper, star.y_px)[0]
     x, y = star_offsets(plan.camera, g, star.x_px, star.y_px, effects["aberration"])[:, 0, 0]
     front = np.ones(g.nodes - 1, bool)

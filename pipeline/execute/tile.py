@@ -138,9 +138,13 @@ def star_light(
 
 
 def light_with(
-    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock],
+    plan: Plan,
+    g: Geometry,
+    tile: Tile,
+    parts: list[FrameStars],
+    blocks: list[LightBlock],
     shared: StarLight | None,
-) -> dict[str, Array]:  # fmt: skip
+) -> dict[str, Array]:
     """`tile_light`, or the same with the light of stars that another frame's drawing gave."""
     if shared is None:
         return tile_light(plan, g, tile, parts, blocks)
@@ -153,9 +157,13 @@ def _wing_error_e(blocks: list[LightBlock], shared: StarLight | None) -> float:
 
 
 def tile_light(
-    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock],
+    plan: Plan,
+    g: Geometry,
+    tile: Tile,
+    parts: list[FrameStars],
+    blocks: list[LightBlock],
     which: tuple[str, ...] = LIGHTS,
-) -> dict[str, Array]:  # fmt: skip
+) -> dict[str, Array]:
     """Mean light of a tile before the detector, by layer [e-]: arrays, or one for all pixels.
 
     which : only the light of these, to be drawn apart from the rest

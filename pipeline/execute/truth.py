@@ -52,7 +52,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         light[:, mine] = sum(p.share * np.array(s.at(p.centre, x, y)) for p in s.pieces)
     snr = matched_snr(
         plan, paths[len(paths) // 2].path, stars.light_e, stars.x_px, stars.y_px, int(g.frame[0])
-    )  # fmt: skip
+    )
     light[:, stars.visible_fraction <= 0.0] = np.nan
     for star in setting_stars(plan, g, stars):
         i, path = star.index, star.path

@@ -27,14 +27,17 @@ def dataset(title: str, threshold_e: float) -> dict[str, Any]:
         "licenses": [],
         "categories": [
             {
-                "id": kind, "name": CLASS_NAMES[kind].lower(), "supercategory": "source",
-                "keypoints": KEYPOINTS, "skeleton": [[1, 2], [2, 3]],
+                "id": kind,
+                "name": CLASS_NAMES[kind].lower(),
+                "supercategory": "source",
+                "keypoints": KEYPOINTS,
+                "skeleton": [[1, 2], [2, 3]],
             }
             for kind in (TARGET, STAR)
         ],
         "images": [],
         "annotations": [],
-    }  # fmt: skip
+    }
 
 
 def image_entry(
@@ -43,10 +46,15 @@ def image_entry(
     """One image; `date_captured` is the middle of the exposure."""
     iso = times.iso()
     return {
-        "id": number, "file_name": name, "height": shape[0], "width": shape[1],
-        "date_captured": iso["middle"], "exposure_start": iso["start"],
-        "exposure_end": iso["end"], "exposure_s": times.seconds,
-    }  # fmt: skip
+        "id": number,
+        "file_name": name,
+        "height": shape[0],
+        "width": shape[1],
+        "date_captured": iso["middle"],
+        "exposure_start": iso["start"],
+        "exposure_end": iso["end"],
+        "exposure_s": times.seconds,
+    }
 
 
 def annotation(
@@ -59,9 +67,13 @@ def annotation(
     row, column, height, width = box
     at = {
         name: [float(getattr(labels, f"{axis}{which}_px")[i]) for axis in "xy"]
-        for name, which in (("start", "_start"), ("middle", ""), ("end", "_end"),
-                            ("light", "_light"))
-    }  # fmt: skip
+        for name, which in (
+            ("start", "_start"),
+            ("middle", ""),
+            ("end", "_end"),
+            ("light", "_light"),
+        )
+    }
     mags = {name: float(getattr(labels, name)[i]) for name in ("g_mag", "v_mag", "mag_ab")}
     return {
         "id": number,

@@ -42,9 +42,13 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> Cards:
         digest = str(cube.attrs["catalogue_digest"])
         cards.append(("CATDIG", digest[:16], "first digits of the catalogue's digest"))
     return [
-        *cards, *_times(cube, frame), *_site(scene), *_sensor(scene, layer),
-        *_astrometric_cards(one), *_apparent_cards(scene, one),
-    ]  # fmt: skip
+        *cards,
+        *_times(cube, frame),
+        *_site(scene),
+        *_sensor(scene, layer),
+        *_astrometric_cards(one),
+        *_apparent_cards(scene, one),
+    ]
 
 
 def scene_of(cube: xr.Dataset) -> Scene:
@@ -91,12 +95,14 @@ def _site(scene: Scene) -> Cards:
         ("SITELAT", o.latitude_deg, "[deg] geodetic latitude, WGS 84"),
         ("SITELONG", o.longitude_deg, "[deg] longitude, east positive"),
         ("SITEELEV", o.height_m, "[m] above the ellipsoid"),
-        *((f"OBSGEO-{axis}", round(float(v), 4), "[m] geocentric, ITRS")
-          for axis, v in zip("XYZ", place, strict=True)),
+        *(
+            (f"OBSGEO-{axis}", round(float(v), 4), "[m] geocentric, ITRS")
+            for axis, v in zip("XYZ", place, strict=True)
+        ),
         ("OBSGEO-L", float(np.degrees(longitude)), "[deg] on FITS' ellipsoid, IAU 1976"),
         ("OBSGEO-B", float(np.degrees(latitude)), "[deg] on FITS' ellipsoid, IAU 1976"),
         ("OBSGEO-H", float(height), "[m] on FITS' ellipsoid, IAU 1976"),
-    ]  # fmt: skip
+    ]
 
 
 def _sensor(scene: Scene, layer: str) -> Cards:
@@ -140,10 +146,14 @@ def _astrometric_cards(one: xr.Dataset) -> Cards:
     order = int(one["wcs_sip_order"])
     size = order + 1
     fit = WcsFit(
-        one["wcs_crval_deg"].values, one["wcs_crpix_px"].values, one["wcs_cd_deg"].values, order,
-        one["wcs_sip_a"].values[:size, :size], one["wcs_sip_b"].values[:size, :size],
+        one["wcs_crval_deg"].values,
+        one["wcs_crpix_px"].values,
+        one["wcs_cd_deg"].values,
+        order,
+        one["wcs_sip_a"].values[:size, :size],
+        one["wcs_sip_b"].values[:size, :size],
         float(one["wcs_residual_px"]),
-    )  # fmt: skip
+    )
     return [(key, value, "") for key, value in wcs_header(fit).items()]
 
 

@@ -17,9 +17,19 @@ Array = NDArray[np.float64]
 TARGET, STAR = 1, 2  # class numbers, as SatNet counts them
 CLASS_NAMES = {TARGET: "Satellite", STAR: "Star"}
 _COLUMNS = (
-    "x_px", "y_px", "x_start_px", "y_start_px", "x_end_px", "y_end_px", "x_light_px",
-    "y_light_px", "ra_deg", "dec_deg", "electrons", "snr",
-)  # fmt: skip
+    "x_px",
+    "y_px",
+    "x_start_px",
+    "y_start_px",
+    "x_end_px",
+    "y_end_px",
+    "x_light_px",
+    "y_light_px",
+    "ra_deg",
+    "dec_deg",
+    "electrons",
+    "snr",
+)
 
 
 @dataclass(frozen=True)
@@ -108,8 +118,14 @@ def _part(path: Path, kind: int, frame: int, least_snr: float) -> Labels:
     }[kind]
     if not path.is_file():
         empty = {f.name: np.empty(0) for f in fields(Labels)}
-        return Labels(**{**empty, "kind": np.empty(0, np.int64), "name": np.empty(0, "U64"),
-                         "object_name": np.empty(0, "U80")})  # fmt: skip
+        return Labels(
+            **{
+                **empty,
+                "kind": np.empty(0, np.int64),
+                "name": np.empty(0, "U64"),
+                "object_name": np.empty(0, "U80"),
+            }
+        )
     known = pq.read_schema(path).names
     wanted = [c for c in (*_COLUMNS, *names) if c in known]
     rows = pq.read_table(path, columns=wanted, filters=[("frame", "=", frame)])

@@ -95,8 +95,9 @@ def paint(labels: Labels, masks: Iterator[Mask], shape: tuple[int, int]) -> NDAr
     for number, mask in enumerate(masks, start=1):
         if not mask.pixels.size:
             continue
-        at = np.s_[mask.y0 : mask.y0 + mask.pixels.shape[0],
-                   mask.x0 : mask.x0 + mask.pixels.shape[1]]  # fmt: skip
+        at = np.s_[
+            mask.y0 : mask.y0 + mask.pixels.shape[0], mask.x0 : mask.x0 + mask.pixels.shape[1]
+        ]
         wins = mask.pixels & (mask.light_e > most[at])
         owner[at][wins], most[at][wins] = number, mask.light_e[wins]
     assert len(labels) >= owner.max(initial=0)

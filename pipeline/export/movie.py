@@ -35,9 +35,13 @@ def gif_bytes(pictures: Iterator[NDArray[np.uint8]], fps: float) -> bytes:
     images = [Image.fromarray(p) for p in pictures]
     out = BytesIO()
     images[0].save(
-        out, format="GIF", save_all=True, append_images=images[1:], loop=0,
+        out,
+        format="GIF",
+        save_all=True,
+        append_images=images[1:],
+        loop=0,
         duration=max(20, round(100.0 / fps) * 10),
-    )  # fmt: skip
+    )
     return out.getvalue()
 
 
@@ -51,9 +55,14 @@ def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path, fps: float) -> 
                 raise BadInput("--to", "mp4", "frames of at least 2 x 2 pixels; or --to gif")
             if writer is None:
                 writer = encoder()(
-                    str(path), even.shape[::-1], fps=fps, pix_fmt_in="gray", codec="libx264",
-                    macro_block_size=2, ffmpeg_log_level="error",
-                )  # fmt: skip
+                    str(path),
+                    even.shape[::-1],
+                    fps=fps,
+                    pix_fmt_in="gray",
+                    codec="libx264",
+                    macro_block_size=2,
+                    ffmpeg_log_level="error",
+                )
                 writer.send(None)
             writer.send(np.ascontiguousarray(even))
     finally:

@@ -33,8 +33,9 @@ class ExposureTimes:
         """Modified Julian dates (UTC) of the three moments, to 1 us."""
         since = np.datetime64("1858-11-17T00:00:00", "us")
         moments = {"start": self.start, "middle": self.middle, "end": self.end}
-        return {k: float((t - since) / np.timedelta64(1, "us")) / 86_400e6
-                for k, t in moments.items()}  # fmt: skip
+        return {
+            k: float((t - since) / np.timedelta64(1, "us")) / 86_400e6 for k, t in moments.items()
+        }
 
 
 def exposure_of(cube: xr.Dataset, frame: int) -> ExposureTimes:

@@ -54,10 +54,12 @@ class Imported:
     def as_dict(self) -> dict[str, Any]:
         """The notes as plain values."""
         return {
-            "source": self.source, "converted": self.notes.converted,
-            "assumed": self.notes.assumed, "not_carried_over": self.notes.left_out,
+            "source": self.source,
+            "converted": self.notes.converted,
+            "assumed": self.notes.assumed,
+            "not_carried_over": self.notes.left_out,
             "images": sorted(self.images),
-        }  # fmt: skip
+        }
 
     def write(self, output: Path) -> Scene:
         """Write the scene with its notes as comments, and its images beside it; returns it."""

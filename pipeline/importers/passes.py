@@ -59,9 +59,11 @@ def zenith_pass(data: dict[str, Any], wish: Pass) -> tuple[dict[str, Any], str |
     place = site[0] + wish.height_m * up
     speed = math.sqrt(EARTH_MU_M3_S2 / float(np.linalg.norm(place)))
     state = {
-        "kind": "state", "position_m": [float(v) for v in place],
-        "velocity_m_s": [float(v) for v in speed * along], "epoch": format_utc(*epoch),
-    }  # fmt: skip
+        "kind": "state",
+        "position_m": [float(v) for v in place],
+        "velocity_m_s": [float(v) for v in speed * along],
+        "epoch": format_utc(*epoch),
+    }
     body: dict[str, Any] = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.0}
     data["targets"] = [{"name": "sat", "orbit": state, "body": body, "eclipse": False}]
     data["pointing"] = {"mode": "target", "target": "sat"}
@@ -103,6 +105,7 @@ def _held(data: dict[str, Any], dut1_s: float) -> dict[str, Any]:
     seen = (v[0, g.middle] for v in (g.observer_m, g.observer_m_s, g.sun_m))
     ra, dec = to_angles(proper_to_astrometric(g.target_direction[:, 0], *seen))
     return {
-        "mode": "sidereal", "boresight_ra_deg": float(np.degrees(ra[0]) % 360.0),
+        "mode": "sidereal",
+        "boresight_ra_deg": float(np.degrees(ra[0]) % 360.0),
         "boresight_dec_deg": float(np.degrees(dec[0])),
-    }  # fmt: skip
+    }

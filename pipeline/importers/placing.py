@@ -46,8 +46,10 @@ def far_observer(ra_deg: float, dec_deg: float) -> dict[str, Any]:
     out = np.array([math.cos(dec) * math.cos(ra), math.cos(dec) * math.sin(ra), math.sin(dec)])
     side = np.array([-math.sin(ra), math.cos(ra), 0.0])
     speed = math.sqrt(EARTH_MU_M3_S2 / FAR_M)
-    state = {"position_m": [float(v) for v in FAR_M * out],
-             "velocity_m_s": [float(v) for v in speed * side]}  # fmt: skip
+    state = {
+        "position_m": [float(v) for v in FAR_M * out],
+        "velocity_m_s": [float(v) for v in speed * side],
+    }
     return {"kind": "orbit", "orbit": {"kind": "state", **state}}
 
 
@@ -61,8 +63,12 @@ def place(data: dict[str, Any], wanted: list[Wanted]) -> dict[str, Any]:
         return data
     camera = camera_of(parse_scene(data))
     ends, seconds = _views(data)
-    at = np.array([[(w.x_px, w.y_px), (w.x_px + seconds * w.x_px_s, w.y_px + seconds * w.y_px_s)]
-                   for w in wanted])  # fmt: skip
+    at = np.array(
+        [
+            [(w.x_px, w.y_px), (w.x_px + seconds * w.x_px_s, w.y_px + seconds * w.y_px_s)]
+            for w in wanted
+        ]
+    )
     intensities = np.ones(len(wanted))
     aimed = at.copy()
     for _ in range(TURNS):
@@ -74,10 +80,12 @@ def place(data: dict[str, Any], wanted: list[Wanted]) -> dict[str, Any]:
         if not np.isfinite(seen).all():
             raise BadInput("geometry.obs", "a target", "targets in front of the camera")
         aimed += at - seen
-        intensities = np.array([
-            light * w.rate_e_s / rate if rate > 0 else light
-            for light, w, rate in zip(intensities, wanted, rates, strict=True)
-        ])  # fmt: skip
+        intensities = np.array(
+            [
+                light * w.rate_e_s / rate if rate > 0 else light
+                for light, w, rate in zip(intensities, wanted, rates, strict=True)
+            ]
+        )
     return data
 
 
@@ -90,9 +98,14 @@ def _views(data: dict[str, Any]) -> tuple[tuple[Array, Array], float]:
 
 
 def _target(
-    data: dict[str, Any], w: Wanted, camera: Camera, ends: tuple[Array, Array], seconds: float,
-    aim: Array, intensity_m2_sr: float,
-) -> dict[str, Any]:  # fmt: skip
+    data: dict[str, Any],
+    w: Wanted,
+    camera: Camera,
+    ends: tuple[Array, Array],
+    seconds: float,
+    aim: Array,
+    intensity_m2_sr: float,
+) -> dict[str, Any]:
     """A target that moves evenly between the directions of two aimed pixels."""
     observer = data["observer"]["orbit"]
     first, last = (
@@ -104,16 +117,15 @@ def _target(
         "orbit": {
             "kind": "state",
             "position_m": [float(v) for v in observer["position_m"] + first],
-            "velocity_m_s": [
-                float(v) for v in observer["velocity_m_s"] + (last - first) / seconds
-            ],
+            "velocity_m_s": [float(v) for v in observer["velocity_m_s"] + (last - first) / seconds],
         },
         "body": {
-            "kind": "light_curve", "times_s": [-LONG_S, LONG_S],
+            "kind": "light_curve",
+            "times_s": [-LONG_S, LONG_S],
             "intensities_m2_sr": [float(intensity_m2_sr)] * 2,
         },
         "eclipse": False,
-    }  # fmt: skip
+    }
 
 
 def _seen(data: dict[str, Any]) -> tuple[Array, Array]:

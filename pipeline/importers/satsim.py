@@ -44,11 +44,16 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
     sensor = _sensor(fields, notes, images, scene_name(path))
     exposure = _exposure(fields)
     data: dict[str, Any] = {
-        "schema": "nightglass/scene/1", "name": scene_name(path), "epoch": epoch, "seed": seed,
-        "observer": far_observer(RA_DEG, DEC_DEG), "sensor": sensor,
-        "pointing": _pointing(fields, sensor, notes), "exposure": exposure,
+        "schema": "nightglass/scene/1",
+        "name": scene_name(path),
+        "epoch": epoch,
+        "seed": seed,
+        "observer": far_observer(RA_DEG, DEC_DEG),
+        "sensor": sensor,
+        "pointing": _pointing(fields, sensor, notes),
+        "exposure": exposure,
         "output": {"layers": ["dn", "mean_e", "targets_e"]},
-    }  # fmt: skip
+    }
     zero = fields.number("fpa.zeropoint", -10, 60)
     sky = _background(fields, zero, sensor, notes)
     if sky is not None:
@@ -79,10 +84,14 @@ def _sensor(f: Fields, notes: Notes, images: dict[str, Any], name: str) -> dict[
         )
     zero = f.number("fpa.zeropoint", -10, 60)
     sensor: dict[str, Any] = {
-        "shape": [rows, columns], "pixel_pitch_um": PITCH_UM,
-        "focal_length_m": PITCH_UM * 1e-6 / ifov, "aperture_m": 1.0, "bandpass": BAND,
-        "adc_rounding": "floor", "pupil_projection": False,  # its light is the same off axis
-    }  # fmt: skip
+        "shape": [rows, columns],
+        "pixel_pitch_um": PITCH_UM,
+        "focal_length_m": PITCH_UM * 1e-6 / ifov,
+        "aperture_m": 1.0,
+        "bandpass": BAND,
+        "adc_rounding": "floor",
+        "pupil_projection": False,  # its light is the same off axis
+    }
     # A star like the Sun has V = -26.76 at 1 au: what the aperture must collect from it.
     wanted = 10.0 ** (0.4 * (zero + 26.76))
     sensor["aperture_m"] = math.sqrt(wanted / electrons_of_sunlight(sensor))
@@ -175,8 +184,12 @@ def _pointing(f: Fields, sensor: dict[str, Any], notes: Notes) -> dict[str, Any]
         f"stars move by ({row:.4g}, {column:.4g}) px/s (row, column): the boresight by "
         f"({column * step:.5g}, {-row * step:.5g}) arcsec/s in RA and Dec"
     )
-    return {"mode": "rate", **at, "rate_ra_arcsec_s": column * step,
-            "rate_dec_arcsec_s": -row * step}  # fmt: skip
+    return {
+        "mode": "rate",
+        **at,
+        "rate_ra_arcsec_s": column * step,
+        "rate_dec_arcsec_s": -row * step,
+    }
 
 
 def _background(
@@ -246,9 +259,11 @@ def _rate(o: Fields, zero: float, i: int, notes: Notes) -> float:
     if mode != "lambertian_sphere":
         raise BadInput(f"geometry.obs.list.{i}.model.mode", mode, "mv, pe or lambertian_sphere")
     mag = sphere_mag(
-        o.number("model.diameter", 1e-6, 1e9), o.number("model.albedo", 0, 1),
-        math.radians(o.number("model.phase_angle", 0, 180)), o.number("model.distance", 1e-3, 1e12),
-    )  # fmt: skip
+        o.number("model.diameter", 1e-6, 1e9),
+        o.number("model.albedo", 0, 1),
+        math.radians(o.number("model.phase_angle", 0, 180)),
+        o.number("model.distance", 1e-3, 1e12),
+    )
     notes.converted.append(f"obs-{i}: a sphere of V = {mag:.4f} (the Sun {SUN_MAG})")
     return 10.0 ** (-0.4 * (mag - zero))
 

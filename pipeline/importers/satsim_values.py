@@ -78,8 +78,9 @@ def _choice(_: str, value: Node, rng: np.random.Generator, told: list[str], wher
 def _numbers(kind: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
     given = [settled(value.get(k), rng, told, f"{where}.{k}") for k in KNOWN[kind]]
     size = value.get("size")
-    if isinstance(size, list) and (not all(isinstance(n, int) for n in size)
-                                   or not 0 < np.prod(size) <= MOST):  # fmt: skip
+    if isinstance(size, list) and (
+        not all(isinstance(n, int) for n in size) or not 0 < np.prod(size) <= MOST
+    ):
         raise BadInput(f"{where}.size", size, f"whole numbers, up to {MOST} in all")
     if "seed" in value:
         rng = np.random.default_rng(value["seed"])

@@ -60,11 +60,16 @@ def read_simsit(
     height_m = 1e3 * rng.uniform(400.0, 800.0)
     heading = float(rng.uniform(0.0, 2.0 * math.pi))
     data: dict[str, Any] = {
-        "schema": "nightglass/scene/1", "name": scene_name(path), "epoch": epoch, "seed": chosen,
-        "observer": site, "sensor": sensor, "exposure": {"integration_s": seconds},
+        "schema": "nightglass/scene/1",
+        "name": scene_name(path),
+        "epoch": epoch,
+        "seed": chosen,
+        "observer": site,
+        "sensor": sensor,
+        "exposure": {"integration_s": seconds},
         "background": {"uniform_mag_arcsec2": sky},
         "output": {"layers": ["dn", "mean_e", "targets_e"]},
-    }  # fmt: skip
+    }
     notes.assumed += [
         f"drawn with seed {chosen}: exposure {seconds:g} s, sky {sky:.2f} mag/arcsec2 (AB), a "
         f"satellite {height_m / 1e3:.0f} km high, heading {math.degrees(heading):.0f} deg",
@@ -101,9 +106,12 @@ def _within(f: Fields, key: str, rng: np.random.Generator, low: float, high: flo
 
 
 def _sensor(
-    f: Fields, rng: np.random.Generator, images: dict[str, NDArray[np.float32]], name: str,
+    f: Fields,
+    rng: np.random.Generator,
+    images: dict[str, NDArray[np.float32]],
+    name: str,
     notes: Notes,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     shape = f.pair("instrument.image_shape", 2, 60_000)
     columns, rows = map(int, shape)
     if (columns, rows) != tuple(shape) or min(columns, rows) < 1:
@@ -114,12 +122,16 @@ def _sensor(
         raise BadInput("instrument.distortion.dthdr", float(scale.min()), "numbers above 0")
     focal_m = 1e-6 / (scale[0] * ARCSEC_RAD)
     sensor: dict[str, Any] = {
-        "shape": [rows, columns], "pixel_pitch_um": pitch, "focal_length_m": float(focal_m),
+        "shape": [rows, columns],
+        "pixel_pitch_um": pitch,
+        "focal_length_m": float(focal_m),
         "aperture_m": f.number("instrument.aperture", 1e-4, 100),
         "obscuration": f.number("instrument.obscuration", 0, 0.999, 0.0),
-        "bandpass": BAND, "gain_e_per_dn": f.number("instrument.gain", 1e-9, 1e9),
-        "read_noise_e": f.number("instrument.read_noise", 0, 1e9), "adc_bits": 32,
-    }  # fmt: skip
+        "bandpass": BAND,
+        "gain_e_per_dn": f.number("instrument.gain", 1e-9, 1e9),
+        "read_noise_e": f.number("instrument.read_noise", 0, 1e9),
+        "adc_bits": 32,
+    }
     notes.converted.append(
         f"plate scale {scale[0]:.6g} arcsec/um on the axis: focal length {focal_m:.5g} m"
     )
@@ -135,9 +147,12 @@ def _sensor(
     sensor["transmission"] = _throughput(sensor, offset, notes)
     fwhm = _within(f, "conditions.psf_fwhm_range", rng, 0.01, 100)
     sensor["psf"] = {
-        "kind": "kolmogorov", "fwhm_arcsec": fwhm, "reference_nm": 754.5, "diffraction": False,
+        "kind": "kolmogorov",
+        "fwhm_arcsec": fwhm,
+        "reference_nm": 754.5,
+        "diffraction": False,
         "wavelength_nm": 754.5,
-    }  # fmt: skip
+    }
     notes.assumed.append(f"drawn: seeing of {fwhm:.3g} arcsec, a zero point {offset:.3g} mag up")
     _vignetting(f, sensor, images, name, float(scale[0]), notes)
     return sensor
@@ -196,9 +211,13 @@ def radial_terms(
 
 
 def _vignetting(
-    f: Fields, sensor: dict[str, Any], images: dict[str, NDArray[np.float32]], name: str,
-    arcsec_um: float, notes: Notes,
-) -> None:  # fmt: skip
+    f: Fields,
+    sensor: dict[str, Any],
+    images: dict[str, NDArray[np.float32]],
+    name: str,
+    arcsec_um: float,
+    notes: Notes,
+) -> None:
     if not f.has("instrument.vignetting"):
         return
     th, share = _table(f, "instrument.vignetting", "unvig")
@@ -224,8 +243,12 @@ def _site(f: Fields, rng: np.random.Generator) -> dict[str, Any]:
     if name.lower() not in SITES:
         raise BadInput("sites", name, ", ".join(SITES))
     latitude, longitude, height = SITES[name.lower()]
-    return {"kind": "ground", "latitude_deg": latitude, "longitude_deg": longitude,
-            "height_m": height}  # fmt: skip
+    return {
+        "kind": "ground",
+        "latitude_deg": latitude,
+        "longitude_deg": longitude,
+        "height_m": height,
+    }
 
 
 def _magnitude(f: Fields, rng: np.random.Generator, notes: Notes) -> float | None:

@@ -83,9 +83,12 @@ def _table(
 
 
 def _kept(
-    scene: Scene, plan: DwellPlan, p: TablePointing, span_s: tuple[float, float],
+    scene: Scene,
+    plan: DwellPlan,
+    p: TablePointing,
+    span_s: tuple[float, float],
     read: dict[Any, Any],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """The rows of a pointing's file that are kept, as the scene holds them."""
     field, path = pointing_field(plan, "path"), Path(str(p.path))
     if path not in read:
@@ -103,8 +106,13 @@ def _kept(
     if len(kept) > MOST_ROWS:
         allowed = f"at most {MOST_ROWS} rows around the exposures"
         raise BadInput(field, f"{len(kept)} rows of {path.name}", allowed)
-    return {"path": None, "rows": kept.tolist(), "scalar": scalar, "epoch": None,
-            "source": path.name[:200]}  # fmt: skip
+    return {
+        "path": None,
+        "rows": kept.tolist(),
+        "scalar": scalar,
+        "epoch": None,
+        "source": path.name[:200],
+    }
 
 
 def _rows(
@@ -163,8 +171,14 @@ def _read(path: Path, field: str) -> dict[str, Any]:
         raise BadInput(field, str(path), "an existing file: .csv, .fits, .npy or .parquet")
     if path.stat().st_size > LARGEST_BYTES:
         raise BadInput(field, path.name, f"a file of at most {LARGEST_BYTES} bytes")
-    kinds = {".csv": _csv, ".txt": _csv, ".npy": _npy, ".parquet": _parquet, ".fits": _fits,
-             ".fit": _fits}  # fmt: skip
+    kinds = {
+        ".csv": _csv,
+        ".txt": _csv,
+        ".npy": _npy,
+        ".parquet": _parquet,
+        ".fits": _fits,
+        ".fit": _fits,
+    }
     kind = kinds.get(path.suffix.lower())
     if kind is None:
         raise BadInput(field, path.name, "a file that ends in .csv, .fits, .npy or .parquet")

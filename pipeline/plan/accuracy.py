@@ -58,11 +58,13 @@ def may_share_frames(scene: Scene) -> bool:
     detector, site = scene.sensor.detector, scene.observer
     return (
         scene.stars is not None
-        and scene.dwells is None and scene.exposure.frames > 1
-        and scene.pointing.mode == "sidereal" and scene.pointing.attitude is None
+        and scene.dwells is None
+        and scene.exposure.frames > 1
+        and scene.pointing.mode == "sidereal"
+        and scene.pointing.attitude is None
         and getattr(site, "atmosphere", None) is None
         and (detector is None or detector.readout is None)
-    )  # fmt: skip
+    )
 
 
 def by_wavelength(scene: Scene) -> bool:
@@ -117,11 +119,14 @@ def judge(scene: Scene, decisions: tuple[Decision, ...]) -> list[str]:
     allowed = f"at least {least:g}" if least <= 1.0 else f"none: at most 1, and {least:g} is needed"
     return [
         accept_or_refuse(
-            scene, "error", "accuracy.noise_fraction", asked,
+            scene,
+            "error",
+            "accuracy.noise_fraction",
+            asked,
             f"{allowed}, the sum of this scene's bounds in units of a pixel's noise ({named})",
             f"pixels may err by {total:.3g} of their noise where {asked:g} was asked ({named})",
         )
-    ]  # fmt: skip
+    ]
 
 
 def crowd_error_e(

@@ -62,19 +62,21 @@ def _cosmic_rays(scene: Scene) -> Decision:
             "frames": "whole recorded frames, cut out or tiled: no Poisson number",
         }[rays.arrival]
         return Decision(
-            "cosmic_rays", True,
+            "cosmic_rays",
+            True,
             f"{how}, {rays.rate_scale:g} times the recorded rate; charge pixel by pixel as "
             f"recorded, whatever the size of its pixels, and without its faint edges below the "
             f"threshold of the extraction; {flat}",
-        )  # fmt: skip
+        )
     if rays.rate_per_cm2_s == 0.0:
         return Decision("cosmic_rays", False, "rate_per_cm2_s is 0", 0.0, 0.0)
     return Decision(
-        "cosmic_rays", True,
+        "cosmic_rays",
+        True,
         f"straight tracks of fast nuclei ({rays.source}) through {rays.thickness_um:g} um of "
         "silicon, Poisson arrival, Landau straggling; no slow or stopping particles, no curved "
         f"electron tracks, no showers; {flat}",
-    )  # fmt: skip
+    )
 
 
 def _noise_terms(scene: Scene) -> list[Decision]:
@@ -99,31 +101,37 @@ def _noise_terms(scene: Scene) -> list[Decision]:
         out.append(Decision(name, kept, why.get(name, given) if kept else why_not, bound, bound))
     out.append(
         Decision(
-            "adc", True,
+            "adc",
+            True,
             f"{s.adc_bits} bits, rounding {s.adc_rounding}, clipped at both ends"
             + (" (floor lowers the mean by 0.5 DN)" if s.adc_rounding == "floor" else ""),
-            bound=1.0 if s.adc_rounding == "floor" else 0.5, unit="DN",
+            bound=1.0 if s.adc_rounding == "floor" else 0.5,
+            unit="DN",
         )
-    )  # fmt: skip
+    )
     if s.photon_noise:
         out.append(
             Decision(
-                "gaussian_for_poisson", True,
+                "gaussian_for_poisson",
+                True,
                 "means above 1e8 e- are drawn as a rounded Gaussian; its distribution function "
                 "differs by less than 7e-6",
-                bound=7e-6, unit="of the distribution function",
+                bound=7e-6,
+                unit="of the distribution function",
             )
-        )  # fmt: skip
+        )
     if _one_draw(scene):
         out.append(
             Decision(
-                "one_noise_draw", True,
+                "one_noise_draw",
+                True,
                 f"pixels of {ANY_READ_E:g} e- of read noise or more ({READ_E:g} at means above "
                 f"{ABOVE_E:g} e-), the full well {REACH:g} deviations away, take photon and read "
                 "noise in one draw, by its quantile to third order; the mean is exact",
-                bound=DISTANCE, unit="of the distribution function",
+                bound=DISTANCE,
+                unit="of the distribution function",
             )
-        )  # fmt: skip
+        )
     return out
 
 
@@ -142,12 +150,14 @@ def _optics(scene: Scene) -> list[Decision]:
     camera = camera_of(scene)
     return [
         Decision(
-            "distortion", True,
+            "distortion",
+            True,
             f"{scene.sensor.distortion.kind} terms, exact to rounding; lengths change by at most "
             f"{100.0 * (stretch(camera) - 1.0):.3g}%",
-            bound=ROUNDING_PX, unit="px",
+            bound=ROUNDING_PX,
+            unit="px",
         )
-    ]  # fmt: skip
+    ]
 
 
 def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decision]:
@@ -177,16 +187,19 @@ def _approximations(scene: Scene, facts: Facts, r: ResponsePlan) -> list[Decisio
 def _phases(r: ResponsePlan, budget_e: float, sigma_e: float) -> Decision:
     """Tables of responses between whose phases stars lie."""
     how = (
-        f"column times row, interpolated cubically between {PHASES} phases a pixel" if r.products
+        f"column times row, interpolated cubically between {PHASES} phases a pixel"
+        if r.products
         else f"interpolated between {r.classes[0].phases} phases a pixel, linearly where that errs "
         f"by at most {budget_e:.3g} e-, else cubically"
-    )  # fmt: skip
+    )
     return Decision(
-        "phase_interpolation", True,
+        "phase_interpolation",
+        True,
         f"stars are {how}; the bound holds for a pixel at the noise floor and grows with the "
         "noise of a pixel that holds more light",
-        error_bound_e=budget_e, error_bound_sigma=budget_e / sigma_e,
-    )  # fmt: skip
+        error_bound_e=budget_e,
+        error_bound_sigma=budget_e / sigma_e,
+    )
 
 
 def _over_the_field(r: ResponsePlan) -> Decision:
@@ -241,13 +254,15 @@ def _streaks(r: ResponsePlan, facts: Facts) -> list[Decision]:
     if r.spectral_from:
         out.append(
             Decision(
-                "crowds_by_transforms", True,
+                "crowds_by_transforms",
+                True,
                 f"where {r.spectral_from} stars or more light a block of {BLOCK_PX} px, those of "
                 "the first class are drawn together by a non-uniform FFT; a pixel errs by at most "
                 "the bound for each star near it, and brighter stars are stamps",
-                r.budget_e, r.budget_e / sigma_e,
+                r.budget_e,
+                r.budget_e / sigma_e,
             )
-        )  # fmt: skip
+        )
     return out
 
 
@@ -280,7 +295,8 @@ def _wings(r: ResponsePlan, facts: Facts, targets_there: bool) -> list[Decision]
         )
     return [
         Decision(
-            "wings_on_a_coarse_grid", True,
+            "wings_on_a_coarse_grid",
+            True,
             f"light beyond {r.classes[0].radius_px:.0f} px of a source is drawn on a grid of "
             f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px, which the "
             f"limits of cores take into account; sources "
@@ -288,13 +304,16 @@ def _wings(r: ResponsePlan, facts: Facts, targets_there: bool) -> list[Decision]
             f"{budget / last.wing_error:.3g} e-; above, sources are integrated over each pixel "
             "where their profile is known and their path is short; else a pixel errs by up to "
             f"{last.wing_error:.2g} of its source's light, and the product says so{targets}",
-            budget, budget / sigma_e,
+            budget,
+            budget / sigma_e,
         ),
         Decision(
-            "wings_cut_off", True,
+            "wings_cut_off",
+            True,
             f"light beyond {r.reach_px:.0f} px of a source is omitted: {r.lost_light:.2g} of its "
             f"light, and at most {share:.2g} of it in a pixel (the spikes of vanes apart); the "
             f"bound is beside a source of {brightest:.3g} e-",
-            cut, cut / sigma_e,
+            cut,
+            cut / sigma_e,
         ),
-    ]  # fmt: skip
+    ]

@@ -100,9 +100,7 @@ def predict(
     }
 
 
-def check_memory(
-    plan: Plan, forecast: StarForecast | None, spent: Spent, most_mb: float
-) -> None:
+def check_memory(plan: Plan, forecast: StarForecast | None, spent: Spent, most_mb: float) -> None:
     """BadInput, naming what takes most, where a plan's memory is more than there is."""
     parts = _memory_mb(plan, forecast, spent)
     needed = sum(parts.values())
@@ -112,19 +110,29 @@ def check_memory(
     what = max(parts, key=parts.__getitem__)
     field, value, remedy = {
         "tile": ("output.tile_shape", list(tile_shape(scene)), "smaller tiles, or fewer layers"),
-        "stars": ("stars.faintest_g_mag", scene.stars and scene.stars.faintest_g_mag,
-                  "a brighter limit"),
+        "stars": (
+            "stars.faintest_g_mag",
+            scene.stars and scene.stars.faintest_g_mag,
+            "a brighter limit",
+        ),
         "tables": ("sensor.psf", scene.sensor.psf.kind, "fewer places, or less oversampling"),
-        "wings": ("accuracy.flux_fraction", scene.accuracy.flux_fraction,
-                  f"a larger fraction (light is drawn up to {r.reach_px:.0f} px from its source)"),
-        "sweeps": ("exposure.integration_s", scene.exposure.integration_s,
-                   f"a shorter exposure (stars move by {spent.excursion_px:.0f} px in it)"),
-    }.get(what, ("sensor.shape", list(scene.sensor.shape), "a smaller frame"))  # fmt: skip
+        "wings": (
+            "accuracy.flux_fraction",
+            scene.accuracy.flux_fraction,
+            f"a larger fraction (light is drawn up to {r.reach_px:.0f} px from its source)",
+        ),
+        "sweeps": (
+            "exposure.integration_s",
+            scene.exposure.integration_s,
+            f"a shorter exposure (stars move by {spent.excursion_px:.0f} px in it)",
+        ),
+    }.get(what, ("sensor.shape", list(scene.sensor.shape), "a smaller frame"))
     raise BadInput(
-        field, value,
+        field,
+        value,
         f"what needs at most the {most_mb:.0f} MB of memory that there are, not {needed:.0f} MB: "
         f"{remedy}, or more memory",
-    )  # fmt: skip
+    )
 
 
 def _memory_mb(plan: Plan, forecast: StarForecast | None, spent: Spent) -> dict[str, float]:
@@ -135,8 +143,9 @@ def _memory_mb(plan: Plan, forecast: StarForecast | None, spent: Spent) -> dict[
     out = {
         "base": BASE_MB + (LIBRARY_MB if r.classes else 0.0),
         "tile": rows * columns * 8.0 * (8 + len(plan.scene.output.layers)) / 1e6,
-        "stars": stars * STAR_BYTES / 1e6, "tables": r.table_mb,
-    }  # fmt: skip
+        "stars": stars * STAR_BYTES / 1e6,
+        "tables": r.table_mb,
+    }
     if _in_crowds(plan, stars):
         pixels = min(math.prod(plan.scene.sensor.shape), BLOCK_PX**2)
         out["crowds"] = CROWD_BYTES_PER_PIXEL * pixels / 1e6

@@ -144,16 +144,30 @@ def make_plan(
         *decide(scene, facts, responses),
         *decide_occultation(scene, camera, responses.reach_px, ends),
         *decide_targets(scene, facts, ends, responses.blur),
-        *decide_umbra(scene, facts, ends, sun_rate_e_s_m2, dut1_s), *decide_pupil(scene, ends),
-        *decide_air(scene, facts, ends, extinction), *(sky.decisions if sky else ()),
+        *decide_umbra(scene, facts, ends, sun_rate_e_s_m2, dut1_s),
+        *decide_pupil(scene, ends),
+        *decide_air(scene, facts, ends, extinction),
+        *(sky.decisions if sky else ()),
         *decide_detector(scene, facts, ends, dut1_s),
-        *decide_pointing(scene), *decide_motion(scene, facts.sigma_floor_e),
-    )  # fmt: skip
+        *decide_pointing(scene),
+        *decide_motion(scene, facts.sigma_floor_e),
+    )
     return Plan(
-        scene, camera, facts, responses, colour, sun_rate_e_s_m2, plan_tiles(scene),
-        choose_checks(scene, ends), decisions, remarks, dut1_s, sky, extinction,
+        scene,
+        camera,
+        facts,
+        responses,
+        colour,
+        sun_rate_e_s_m2,
+        plan_tiles(scene),
+        choose_checks(scene, ends),
+        decisions,
+        remarks,
+        dut1_s,
+        sky,
+        extinction,
         warnings,
-    )  # fmt: skip
+    )
 
 
 def field_cones(plan: Plan, g: Geometry) -> tuple[np.ndarray, np.ndarray]:
@@ -188,7 +202,9 @@ def catalogue_cones(
 
 
 def plan_dict(
-    plan: Plan, forecast: StarForecast | None, catalogues: Sequence[dict[str, Any]] = (),
+    plan: Plan,
+    forecast: StarForecast | None,
+    catalogues: Sequence[dict[str, Any]] = (),
     spent: Spent = NOTHING_SPENT,
 ) -> dict[str, Any]:
     """The plan as plain data, for plan.json and `nightglass plan`.
@@ -236,7 +252,7 @@ def plan_dict(
         "colour_fit": colour_facts(plan),
         "decisions": [_finite(asdict(d)) | _rule(d) for d in plan.decisions],
         "remarks": list(plan.remarks),
-    }  # fmt: skip
+    }
 
 
 def colour_facts(plan: Plan) -> dict[str, Any] | None:

@@ -39,22 +39,25 @@ def decide_star_effects(scene: Scene, facts: Facts) -> list[Decision]:
         share = doppler_share(speed, facts.mean_wavelength_m)
         out.append(
             Decision(
-                "stars.doppler", False,
+                "stars.doppler",
+                False,
                 "the observer's motion changes directions but neither brightness nor colour: about "
                 f"{3.0 * speed / SPEED_OF_LIGHT_M_S:.1g} of a star's light at {speed:.3g} m/s, up "
                 f"to {share:.2g} of that of a black body of {COOLEST_K:g} K",
-                bound=share, unit="of a star's light",
+                bound=share,
+                unit="of a star's light",
             )
-        )  # fmt: skip
+        )
     if isinstance(scene.observer, GroundObserver):
         out += [
             Decision(
-                "precession_nutation", True,
+                "precession_nutation",
+                True,
                 "IAU 2006/2000A turns the site into the stars' frame; the stars of an image whose "
                 "boresight is given in ICRS do not move by it",
             ),
             _polar_motion(scene.observer.polar_motion_arcsec),
-        ]  # fmt: skip
+        ]
     return out
 
 
@@ -65,19 +68,24 @@ def _polar_motion(pole_arcsec: tuple[float, float] | None) -> Decision:
     near = f"a satellite at 1000 km by {moved_m / 1e6 / ARCSEC_RAD:.1g} arcsec"
     if pole_arcsec is None:
         return Decision(
-            "polar_motion", False,
+            "polar_motion",
+            False,
             "no table of the Earth's rotation covers the epoch: the pole is taken at the origin, "
             f"up to {off:g} arcsec off ({moved_m:.0f} m of the site's place): it moves no star, "
-            f"and {near}", bound=moved_m, unit="m",
-        )  # fmt: skip
+            f"and {near}",
+            bound=moved_m,
+            unit="m",
+        )
     x, y = pole_arcsec
     return Decision(
-        "polar_motion", True,
+        "polar_motion",
+        True,
         f"the pole at x = {x:.4f}, y = {y:.4f} arcsec, that of the epoch, in all frames: it moves "
         f"by up to 6 mas a day, so that in two weeks, or where it is a prediction of a year, it is "
         f"up to {off:g} arcsec off: {moved_m:.2g} m of the site's place, {near}",
-        bound=moved_m, unit="m",
-    )  # fmt: skip
+        bound=moved_m,
+        unit="m",
+    )
 
 
 def doppler_share(speed_m_s: float, mean_m: float) -> float:
@@ -111,12 +119,24 @@ def _sizes(scene: Scene) -> dict[str, tuple[str, float, str]]:
     grows = 1.1 * (math.sqrt((1.0 + beta) / (1.0 - beta)) - 1.0)
     field = corner_radius(camera_of(scene)) / ARCSEC_RAD
     return {
-        "space_motion": ("up to 10.4 arcsec a year (Barnard's star)", FASTEST_ARCSEC_YR,
-                         "arcsec a year"),
-        "parallax": ("up to 0.77 arcsec (Proxima) for an observer near 1 au",
-                     NEAREST_ARCSEC * far, "arcsec"),
-        "aberration": ("common 20.5 arcsec stay with the boresight; differences in the field go",
-                       grows * field, "arcsec"),
-        "deflection": ("4 mas at 90 deg from the Sun, 1.75 arcsec at its limb",
-                       LIMB_ARCSEC / max(min(far, 1.0), 1e-3), "arcsec"),
-    }  # fmt: skip
+        "space_motion": (
+            "up to 10.4 arcsec a year (Barnard's star)",
+            FASTEST_ARCSEC_YR,
+            "arcsec a year",
+        ),
+        "parallax": (
+            "up to 0.77 arcsec (Proxima) for an observer near 1 au",
+            NEAREST_ARCSEC * far,
+            "arcsec",
+        ),
+        "aberration": (
+            "common 20.5 arcsec stay with the boresight; differences in the field go",
+            grows * field,
+            "arcsec",
+        ),
+        "deflection": (
+            "4 mas at 90 deg from the Sun, 1.75 arcsec at its limb",
+            LIMB_ARCSEC / max(min(far, 1.0), 1e-3),
+            "arcsec",
+        ),
+    }

@@ -65,9 +65,17 @@ def dwell_plans(scene: Scene) -> tuple[DwellPlan, ...]:
     exposure = scene.exposure
     if scene.dwells is None:
         return (
-            DwellPlan(0, None, scene.pointing, 0, exposure.frames, 0.0, exposure.step_s,
-                      (exposure.integration_s,)),
-        )  # fmt: skip
+            DwellPlan(
+                0,
+                None,
+                scene.pointing,
+                0,
+                exposure.frames,
+                0.0,
+                exposure.step_s,
+                (exposure.integration_s,),
+            ),
+        )
     out: list[DwellPlan] = []
     first, end = 0, 0.0
     for i, dwell in enumerate(scene.dwells):
@@ -81,9 +89,7 @@ def dwell_plans(scene: Scene) -> tuple[DwellPlan, ...]:
     return tuple(out)
 
 
-def _times_s(
-    exposure: Exposure, i: int, dwell: Dwell
-) -> tuple[tuple[float, ...], float | None]:
+def _times_s(exposure: Exposure, i: int, dwell: Dwell) -> tuple[tuple[float, ...], float | None]:
     """Integration times of dwell `i`, and the time between its frames' starts as in DwellPlan."""
     own = dwell.integration_s
     times = exposure.integration_s if own is None else own
@@ -93,15 +99,14 @@ def _times_s(
         step = times[0]
     if step is not None and step < max(times):
         raise BadInput(
-            f"dwells.{i}.integration_s", max(times),
+            f"dwells.{i}.integration_s",
+            max(times),
             f"at most the cadence, {step:g} s, or a longer cadence_s",
-        )  # fmt: skip
+        )
     return times, step
 
 
-def _begin_s(
-    i: int, dwell: Dwell, end: float
-) -> tuple[float, tuple[float, float] | None]:
+def _begin_s(i: int, dwell: Dwell, end: float) -> tuple[float, tuple[float, float] | None]:
     """When the first frame of dwell `i` starts, and its slew; `end` : of the dwell before it."""
     if dwell.slew is not None and i == 0:
         raise BadInput("dwells.0.slew", "a slew", "a slew only after another dwell")
@@ -110,9 +115,10 @@ def _begin_s(
         return (end if slew is None else slew[1]) + dwell.wait_s, slew
     if dwell.start_s < end:
         raise BadInput(
-            f"dwells.{i}.start_s", dwell.start_s,
+            f"dwells.{i}.start_s",
+            dwell.start_s,
             f"at least {end:g} s, when the dwell before it ends",
-        )  # fmt: skip
+        )
     return dwell.start_s, slew
 
 

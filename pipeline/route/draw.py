@@ -33,9 +33,12 @@ class Progress:
 
 
 def draw(
-    prepared: Prepared, begun: Begun, scheduler: Scheduler, listen: Listener | None,
+    prepared: Prepared,
+    begun: Begun,
+    scheduler: Scheduler,
+    listen: Listener | None,
     share: Share = WHOLE,
-) -> None:  # fmt: skip
+) -> None:
     """Run every missing task of a share, window by window of frames."""
     plan, catalogues = prepared.plan, prepared.catalogues
     inputs = scheduler.share(prepared.inputs(begun.writer))
@@ -106,11 +109,12 @@ def missing(
     ]
     truth = {
         kind: tuple(
-            i + shift for i, f in enumerate(frames)
+            i + shift
+            for i, f in enumerate(frames)
             if share.holds(plan, int(f), 0) and (kind, int(f)) not in begun.truth_done
         )
         for kind in truth_kinds(plan)
-    }  # fmt: skip
+    }
     if not tiles and not any(truth.values()):
         return None
     seen = np.concatenate([earlier, frames])
@@ -118,6 +122,9 @@ def missing(
     seen = np.concatenate([seen, np.setdiff1d(drawn, seen)])
     geometry = plan_geometry(plan.scene, seen, plan.dut1_s)
     return WindowWork(
-        geometry, tuple(tiles), truth.get("stars", ()), truth.get("targets", ()),
+        geometry,
+        tuple(tiles),
+        truth.get("stars", ()),
+        truth.get("targets", ()),
         truth.get("cosmic_rays", ()),
-    )  # fmt: skip
+    )

@@ -140,25 +140,26 @@ FRAME_COLUMNS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
     "integration_s": (("frame",), {"long_name": "integration time", "units": "s"}),
     "dwell": (("frame",), {"long_name": "which dwell a frame belongs to, from 0"}),
     "wcs_crval_deg": (
-        ("frame", "world"), {"long_name": "ICRS place of the reference pixel", "units": "degree"}
+        ("frame", "world"),
+        {"long_name": "ICRS place of the reference pixel", "units": "degree"},
     ),
     "wcs_crpix_px": (
-        ("frame", "world"), {"long_name": "reference pixel, 1-based (FITS)", "units": "pixel"}
+        ("frame", "world"),
+        {"long_name": "reference pixel, 1-based (FITS)", "units": "pixel"},
     ),
-    "wcs_cd_deg": (
-        ("frame", "world", "axis"), {"long_name": "CD matrix", "units": "degree/pixel"}
-    ),
+    "wcs_cd_deg": (("frame", "world", "axis"), {"long_name": "CD matrix", "units": "degree/pixel"}),
     "wcs_sip_order": (("frame",), {"long_name": "SIP order, 0 for plain TAN"}),
     "wcs_sip_a": (("frame", "power_u", "power_v"), {"long_name": "SIP A coefficients"}),
     "wcs_sip_b": (("frame", "power_u", "power_v"), {"long_name": "SIP B coefficients"}),
     "wcs_residual_px": (
-        ("frame",), {"long_name": "largest error of the WCS over the frame", "units": "pixel"}
+        ("frame",),
+        {"long_name": "largest error of the WCS over the frame", "units": "pixel"},
     ),
     "attitude": (
         ("frame", "camera_axis", "icrs_axis"),
         {"long_name": "camera axes +x, +y, boresight at mid-exposure, apparent ICRS directions"},
     ),
-}  # fmt: skip
+}
 
 
 def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
@@ -216,7 +217,7 @@ def _report(
         "remarks": list(plan.remarks),
         "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
         "versions": {"nightglass": version("nightglass")} | {n: version(n) for n in LIBRARIES},
-    }  # fmt: skip
+    }
 
 
 def _errors(plan: Plan, begun: Begun, checks: list[dict[str, Any]]) -> dict[str, Any]:
@@ -250,9 +251,11 @@ def _streak_error_e(plan: Plan, brightest_e: float) -> float:
 
 def _doubts(plan: Plan, errors: dict[str, Any]) -> list[str]:
     return doubts_of(
-        errors["asked_sigma"], errors["bound_of_all_approximations_sigma"],
-        errors["achieved_error_sigma"], "error" in plan.scene.accept,
-    )  # fmt: skip
+        errors["asked_sigma"],
+        errors["bound_of_all_approximations_sigma"],
+        errors["achieved_error_sigma"],
+        "error" in plan.scene.accept,
+    )
 
 
 def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
@@ -297,9 +300,10 @@ def _crowd_error_e(
     limits, errors = np.array(each).T
     least_e = UNSEEN * r.budget_e / float(errors.max() + table) * fill
     stars = pq.read_table(
-        begun.path / layout.TRUTH / "stars.parquet", columns=["frame", "x_px", "y_px", "electrons"],
+        begun.path / layout.TRUTH / "stars.parquet",
+        columns=["frame", "x_px", "y_px", "electrons"],
         filters=[("electrons", ">", least_e)],
-    )  # fmt: skip
+    )
     light = stars["electrons"].to_numpy() / fill
     errs = np.append(errors, 0.0)[np.searchsorted(limits, light)] + table
     frame, x_px, y_px = (stars[name].to_numpy() for name in ("frame", "x_px", "y_px"))

@@ -162,10 +162,14 @@ def prepare(scene: Scene) -> Prepared:
     geometry = plan_geometry(scene, sampled_frames(scene), dut1_s)
     geometry_s = _geometry_s(scene, geometry, dut1_s, time.thread_time() - before)
     facts = gather_facts(
-        scene, response, maps.typical("dark_e_per_s"), typical_read_noise_e(scene, maps),
-        maps.typical("gain_e_per_dn"), gather_psf_table(scene),
+        scene,
+        response,
+        maps.typical("dark_e_per_s"),
+        typical_read_noise_e(scene, maps),
+        maps.typical("gain_e_per_dn"),
+        gather_psf_table(scene),
         _brightest_e(scene, catalogues, geometry, colour, sun),
-    )  # fmt: skip
+    )
     facts = replace(facts, flat=maps.typical("flat"))
     found = sky_doubts(scene, facts, response, dut1_s)
     warnings += found.warnings
@@ -181,9 +185,17 @@ def prepare(scene: Scene) -> Prepared:
     remarks += mesh_notices(scene)
     remarks += orbit_remarks(scene, geometry, facts.ifov_rad) + umbra_remarks(scene, geometry)
     plan = make_plan(
-        scene, facts, geometry, colour, sun, tuple(remarks), dut1_s, sky, extinction,
+        scene,
+        facts,
+        geometry,
+        colour,
+        sun,
+        tuple(remarks),
+        dut1_s,
+        sky,
+        extinction,
         tuple(warnings),
-    )  # fmt: skip
+    )
     left_out = _left_out(plan, catalogues)
     plan = _with_engines(plan, catalogues, left_out, geometry)
     decisions = (*plan.decisions, *layer_decisions(catalogues, left_out))
@@ -210,9 +222,12 @@ def _geometry_s(scene: Scene, g: Geometry, dut1_s: float, took_s: float) -> floa
 
 
 def _brightest_e(
-    scene: Scene, catalogues: tuple[Catalogue, ...], g: Geometry, colour: ColourFit | None,
+    scene: Scene,
+    catalogues: tuple[Catalogue, ...],
+    g: Geometry,
+    colour: ColourFit | None,
     sun_rate_e_s_m2: float,
-) -> float:  # fmt: skip
+) -> float:
     """Light of the brightest source in or beside the frames of a geometry [e-]."""
     stars_e = 0.0
     if scene.stars is not None and colour is not None:
@@ -247,9 +262,11 @@ def _judge_catalogues(
 
 
 def _with_engines(
-    plan: Plan, catalogues: tuple[Catalogue, ...], left_out: tuple[np.ndarray, ...],
+    plan: Plan,
+    catalogues: tuple[Catalogue, ...],
+    left_out: tuple[np.ndarray, ...],
     geometry: Geometry,
-) -> Plan:  # fmt: skip
+) -> Plan:
     """The plan with the stars' engines chosen by those of its fullest frame."""
     if plan.scene.stars is None:
         return plan

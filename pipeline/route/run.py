@@ -62,9 +62,12 @@ class Options:
 
 
 def render(
-    scene: Scene, product: Path | str, options: Options | None = None,
-    listen: Listener | None = None, share: Share | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    scene: Scene,
+    product: Path | str,
+    options: Options | None = None,
+    listen: Listener | None = None,
+    share: Share | None = None,
+) -> dict[str, Any]:
     """Render a scene, or a part of it, into a product and return its report.
 
     product : a folder, or an s3 URL
@@ -123,15 +126,23 @@ def _claim(prepared: Prepared, options: Options, share: Share | None) -> Claim:
     if share is None:
         return Claim(plan, digest, options.resume, options.replace, options.wait_s)
     return Claim(
-        plan, digest, wait_s=options.wait_s, replace=options.replace, part=share.name,
+        plan,
+        digest,
+        wait_s=options.wait_s,
+        replace=options.replace,
+        part=share.name,
         mine=share.mine(plan),
-    )  # fmt: skip
+    )
 
 
 def _drawn(
-    prepared: Prepared, writing: Writing, options: Options, listen: Listener | None,
-    share: Share | None, started: float,
-) -> dict[str, Any]:  # fmt: skip
+    prepared: Prepared,
+    writing: Writing,
+    options: Options,
+    listen: Listener | None,
+    share: Share | None,
+    started: float,
+) -> dict[str, Any]:
     """Draw what a share lacks; what the report says of the time. started : when planning began."""
     drawing = time.perf_counter()
 
@@ -150,9 +161,11 @@ def _drawn(
             writing.discard()  # nothing was finished, so nothing is left behind
         raise _how_to_go_on(error, kept, share is None) from None
     return {
-        "plan_s": drawing - started, "draw_s": time.perf_counter() - drawing,
-        "workers": workers, "scheduler": options.scheduler,
-    }  # fmt: skip
+        "plan_s": drawing - started,
+        "draw_s": time.perf_counter() - drawing,
+        "workers": workers,
+        "scheduler": options.scheduler,
+    }
 
 
 def _how_to_go_on(error: NightglassError, kept: bool, whole: bool) -> NightglassError:

@@ -49,9 +49,11 @@ class Share:
     def told(self, plan: Plan, times: dict[str, Any]) -> dict[str, Any]:
         """The report of a part that is done while others are not."""
         return {
-            "part": f"{self.part}/{self.parts}", "tiles": self.tiles(plan), "complete": False,
+            "part": f"{self.part}/{self.parts}",
+            "tiles": self.tiles(plan),
+            "complete": False,
             "seconds": times,
-        }  # fmt: skip
+        }
 
 
 WHOLE = Share(1, 1)

@@ -71,6 +71,11 @@ def _read(plan: Plan, catalogue: Catalogue, shard: Shard, left_out: Array) -> St
     assert wish is not None
     assert plan.colour is not None
     return gather_leaf(
-        catalogue, shard.leaf, wish.faintest_g_mag, plan.colour, plan.facts.area_m2,
-        not wish.space_motion, left_out,
-    )  # fmt: skip
+        catalogue,
+        shard.leaf,
+        wish.faintest_g_mag,
+        plan.colour,
+        plan.facts.area_m2,
+        not wish.space_motion,
+        left_out,
+    )

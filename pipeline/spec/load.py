@@ -368,10 +368,23 @@ def _of_type(kind: str, names: list[str]) -> str:
 
 # Values of a wrong type altogether: what the format takes there is told instead of how it failed.
 WRONG_TYPE = {
-    "boolean", "bool_parsing", "bool_type", "dict_type", "float_parsing", "float_type",
-    "int_from_float", "int_parsing", "int_parsing_size", "int_type", "list_type", "literal_error",
-    "model_attributes_type", "model_type", "string_type", "tuple_type",
-}  # fmt: skip
+    "boolean",
+    "bool_parsing",
+    "bool_type",
+    "dict_type",
+    "float_parsing",
+    "float_type",
+    "int_from_float",
+    "int_parsing",
+    "int_parsing_size",
+    "int_type",
+    "list_type",
+    "literal_error",
+    "model_attributes_type",
+    "model_type",
+    "string_type",
+    "tuple_type",
+}
 
 # Values beyond one end of a range: both ends are told.
 BEYOND = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}

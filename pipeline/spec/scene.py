@@ -22,9 +22,16 @@ from pipeline.spec.targets.population import MOST_POPULATIONS, Population
 
 SCHEMA = "nightglass/scene/1"
 LAYERS = (
-    "dn", "mean_e", "stars_e", "targets_e", "background_e", "dark_e", "cosmic_rays_e",
-    "lag_e", "calibrated_e",
-)  # fmt: skip
+    "dn",
+    "mean_e",
+    "stars_e",
+    "targets_e",
+    "background_e",
+    "dark_e",
+    "cosmic_rays_e",
+    "lag_e",
+    "calibrated_e",
+)
 CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
 MAX_CATALOGUES, MAX_PATH = 8, 1024
 MOST_TARGETS = 100_000
@@ -84,9 +91,12 @@ class Stars(Strict):
         "whose stars are drawn where no earlier one holds them"
     )
     faintest_g_mag: float | None = Field(
-        None, ge=-30, le=30, description="`auto`: as the noise allows; absent: all stars",
+        None,
+        ge=-30,
+        le=30,
+        description="`auto`: as the noise allows; absent: all stars",
         json_schema_extra={"anyOf": [{"type": "number"}, {"const": "auto"}, {"type": "null"}]},
-    )  # fmt: skip
+    )
     limit_from_noise: bool = Field(False, description="what faintest_g_mag: auto stands for")
     colour_fit: CataloguePath | None = Field(
         None, description="file of `nightglass color-fit -o`; default: the stellar library's fit"
@@ -107,9 +117,10 @@ class Stars(Strict):
     def _one_limit(self) -> Stars:
         if self.limit_from_noise and self.faintest_g_mag is not None:
             raise PydanticCustomError(
-                "limit", "allowed: auto, or a number without limit_from_noise",
+                "limit",
+                "allowed: auto, or a number without limit_from_noise",
                 {"field": "faintest_g_mag"},
-            )  # fmt: skip
+            )
         return self
 
     @field_validator("catalogue", mode="before")
@@ -119,17 +130,19 @@ class Stars(Strict):
         paths = [value] if isinstance(value, str) else value
         if not isinstance(paths, list | tuple) or not 1 <= len(paths) <= MAX_CATALOGUES:
             raise PydanticCustomError(
-                "catalogues", "allowed: a path or URL, or a list of 1 to {most} of them",
+                "catalogues",
+                "allowed: a path or URL, or a list of 1 to {most} of them",
                 {"most": MAX_CATALOGUES},
-            )  # fmt: skip
+            )
         seen: list[str] = []
         for i, path in enumerate(paths):
             where = {} if isinstance(value, str) else {"index": i}
             if not isinstance(path, str) or not 1 <= len(path.strip()) <= MAX_PATH:
                 raise PydanticCustomError(
-                    "catalogue", "allowed: text of 1 to {most} characters",
+                    "catalogue",
+                    "allowed: text of 1 to {most} characters",
                     {"most": MAX_PATH} | where,
-                )  # fmt: skip
+                )
             if path.strip() in seen:
                 raise PydanticCustomError("catalogue", "allowed: each catalogue once", where)
             seen.append(path.strip())
@@ -146,10 +159,12 @@ class Target(Strict):
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
     object_name: str | None = Field(
-        None, min_length=1, max_length=80,
+        None,
+        min_length=1,
+        max_length=80,
         description="what a catalogue calls it, for truth and labels; of populations as their file "
         "has it; default: the name",
-    )  # fmt: skip
+    )
     orbit: Orbit
     body: Annotated[Body | MeshBody, Field(discriminator="kind")]
     lighting: Lighting | None = Field(None, description="default: direct sunlight, round Earth")
@@ -181,10 +196,11 @@ class Scene(Strict):
     seed: int = Field(0, ge=0, lt=2**63)
     accuracy: Accuracy = Accuracy()
     accept: tuple[Accepted, ...] = Field(
-        (), max_length=len(ACCEPTABLE),
+        (),
+        max_length=len(ACCEPTABLE),
         description="what is drawn though the frame is wrong there, and said first in the product: "
         + "; ".join(f"{word}: {what}" for word, what in ACCEPTABLE.items()),
-    )  # fmt: skip
+    )
     observer: Observer
     sensor: Sensor
     pointing: Pointing
@@ -219,9 +235,10 @@ class Scene(Strict):
             if isinstance(pointing, TargetPointing) and pointing.target not in names:
                 shown = ", ".join(names[:10]) or "(there is none)"
                 raise PydanticCustomError(
-                    "target", "allowed: the name of a target: {names}",
+                    "target",
+                    "allowed: the name of a target: {names}",
                     {"names": shown, "field": f"{field}.target"},
-                )  # fmt: skip
+                )
         return self
 
     @model_validator(mode="after")
@@ -249,9 +266,10 @@ class Scene(Strict):
             rows = self.sensor.shape[0]
             if detector and detector.whole_columns and self.output.tile_shape[0] != rows:
                 raise PydanticCustomError(
-                    "tile", "allowed: all {rows} rows, as charge runs along whole columns",
+                    "tile",
+                    "allowed: all {rows} rows, as charge runs along whole columns",
                     {"rows": rows, "field": "output.tile_shape"},
-                )  # fmt: skip
+                )
             for tile, full in zip(self.output.tile_shape, self.sensor.shape, strict=True):
                 if tile != full and (tile % CELL_PX or tile > full):
                     raise PydanticCustomError(

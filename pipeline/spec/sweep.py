@@ -16,9 +16,7 @@ MOST_POINTS, MOST_AXES, MOST_VALUES = 10_000_000, 32, 100_000
 MOST_DRAWN = 40_000_000  # numbers of a Latin hypercube: it is drawn whole
 FIXED = ("schema", "name", "output")  # what every point has in common
 
-DottedField = Annotated[
-    str, Field(pattern=r"^[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*$", max_length=200)
-]  # fmt: skip
+DottedField = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*$", max_length=200)]
 
 
 class ListAxis(Strict):
@@ -50,9 +48,10 @@ class TableAxis(Strict):
         for i, row in enumerate(self.rows):
             if len(row) != len(self.fields):
                 raise PydanticCustomError(
-                    "row", "allowed: rows of {n} values, one for each of the fields; row {i} has "
-                    "{m}", {"n": len(self.fields), "m": len(row), "i": i, "field": "rows"},
-                )  # fmt: skip
+                    "row",
+                    "allowed: rows of {n} values, one for each of the fields; row {i} has {m}",
+                    {"n": len(self.fields), "m": len(row), "i": i, "field": "rows"},
+                )
         return self
 
 
@@ -166,8 +165,9 @@ class Sweep(Strict):
                 else:
                     seen.append(name)
                     continue
-                raise PydanticCustomError("axis", "{allowed}", {
-                    "allowed": allowed, "field": f"axes.{i}"})  # fmt: skip
+                raise PydanticCustomError(
+                    "axis", "{allowed}", {"allowed": allowed, "field": f"axes.{i}"}
+                )
         return self
 
     @model_validator(mode="after")
@@ -183,9 +183,10 @@ class Sweep(Strict):
         lengths = [axis_length(axis) for axis in self.axes]
         if isinstance(self.design, Zip) and len(set(lengths)) > 1:
             raise PydanticCustomError(
-                "zip", "allowed: axes of one length; these have {n}",
+                "zip",
+                "allowed: axes of one length; these have {n}",
                 {"n": ", ".join(map(str, lengths)), "field": "axes"},
-            )  # fmt: skip
+            )
         return self
 
     @model_validator(mode="after")
@@ -194,19 +195,22 @@ class Sweep(Strict):
         latin = design is not None and design.kind == "latin_hypercube"
         if latin and design is not None and design.points * len(self.axes) > MOST_DRAWN:
             raise PydanticCustomError(
-                "points", "allowed: points x axes up to {n}; or sobol",
+                "points",
+                "allowed: points x axes up to {n}; or sobol",
                 {"n": MOST_DRAWN, "field": "design.points"},
-            )  # fmt: skip
+            )
         if self.points > MOST_POINTS:
             raise PydanticCustomError(
-                "points", "allowed: up to {n} points in all; these are {m}",
+                "points",
+                "allowed: up to {n} points in all; these are {m}",
                 {"n": MOST_POINTS, "m": self.points, "field": "axes"},
-            )  # fmt: skip
+            )
         if isinstance(self.cubes, tuple) and any(p >= self.points for p in self.cubes):
             raise PydanticCustomError(
-                "cubes", "allowed: none, all, or numbers of points below {n}",
+                "cubes",
+                "allowed: none, all, or numbers of points below {n}",
                 {"n": self.points, "field": "cubes"},
-            )  # fmt: skip
+            )
         return self
 
     @property

@@ -10,10 +10,20 @@ from typing import Any
 Node = dict[str, Any]
 # The units that stand at the end of keys, as people write them.
 UNITS = {
-    "um": "um", "nm": "nm", "mm": "mm", "m": "m", "km": "km", "deg": "degrees", "s": "seconds",
-    "arcsec": "arcseconds", "px": "pixels", "e": "electrons", "dn": "DN", "mag": "magnitudes",
+    "um": "um",
+    "nm": "nm",
+    "mm": "mm",
+    "m": "m",
+    "km": "km",
+    "deg": "degrees",
+    "s": "seconds",
+    "arcsec": "arcseconds",
+    "px": "pixels",
+    "e": "electrons",
+    "dn": "DN",
+    "mag": "magnitudes",
     "mb": "MB",
-}  # fmt: skip
+}
 
 
 def words_of(field: Sequence[str]) -> str:
@@ -112,6 +122,10 @@ def _list_words(node: Node, unit: str | None) -> str:
 
 # What is told of a value by its type in the format.
 WORDS: dict[str, Callable[[Node, str | None], str]] = {
-    "object": _mapping_words, "number": _number_words, "integer": _number_words,
-    "array": _list_words, "string": lambda *_: "text", "boolean": lambda *_: "true or false",
-}  # fmt: skip
+    "object": _mapping_words,
+    "number": _number_words,
+    "integer": _number_words,
+    "array": _list_words,
+    "string": lambda *_: "text",
+    "boolean": lambda *_: "true or false",
+}

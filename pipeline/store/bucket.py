@@ -54,9 +54,13 @@ class Bucket(Place):
                 remote.remove_remote(objects)
             resume = claim.resume and not claim.replace if claim.part is None else None
             begun = remote.begin_remote(
-                objects, Path(folder) / "product", claim.plan, claim.catalogue_digest, resume,
+                objects,
+                Path(folder) / "product",
+                claim.plan,
+                claim.catalogue_digest,
+                resume,
                 claim.mine,
-            )  # fmt: skip
+            )
             yield BucketWriting(objects, begun, lease, claim.part is not None)
 
     def present(self, plan: Plan) -> tuple[set[tuple[int, int, int]], set[tuple[str, int]]]:

@@ -152,9 +152,10 @@ def chunk_content(values: NDArray[Any], chunk: tuple[int, int], compression: str
 
 
 def finish_cube(
-    product: Path, coordinates: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]],
+    product: Path,
+    coordinates: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]],
     attributes: dict[str, Any],
-) -> None:  # fmt: skip
+) -> None:
     """Write the coordinates, then the group's own metadata, which makes the cube readable."""
     import zarr
     from zarr.errors import ZarrUserWarning
@@ -181,13 +182,22 @@ def _write_coordinate(
     options: dict[str, Any] = {"chunks": values.shape, "compressors": _codecs("zstd")}
     sharded = dimensions[0] == "frame" and name != "frame" and len(values) > 1
     if sharded:
-        options = {"chunks": (1, *values.shape[1:]), "shards": values.shape,
-                   "compressors": _codecs("none")}  # fmt: skip
+        options = {
+            "chunks": (1, *values.shape[1:]),
+            "shards": values.shape,
+            "compressors": _codecs("none"),
+        }
     array = zarr.create_array(
-        store=path, shape=values.shape, dtype=values.dtype, fill_value=None,
-        dimension_names=dimensions, attributes=dict(attrs),
-        config={"write_empty_chunks": True}, overwrite=True, **options,
-    )  # fmt: skip
+        store=path,
+        shape=values.shape,
+        dtype=values.dtype,
+        fill_value=None,
+        dimension_names=dimensions,
+        attributes=dict(attrs),
+        config={"write_empty_chunks": True},
+        overwrite=True,
+        **options,
+    )
     if sharded:
         shard = path.joinpath("c", *("0" * values.ndim))
         shard.parent.mkdir(parents=True)

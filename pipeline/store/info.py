@@ -30,16 +30,24 @@ def describe(product: Path) -> dict[str, Any]:
     report = _read(product / layout.REPORT) if complete else {}
     scene = _scene(product)
     return {
-        "scene": scene.get("name"), "state": "complete" if complete else "not complete",
-        "tiles": done, "tiles_expected": total, "epoch": scene.get("epoch"),
-        "seed": scene.get("seed"), "frames": plan.get("frames"), "shape": plan.get("shape"),
-        "field_deg": plan.get("field_deg"), "layers": layout.layers_in(product),
-        "targets": plan.get("targets"), "catalogue": (plan.get("catalogue") or {}).get("name"),
-        "warnings": plan.get("warnings", []), "truth_rows": report.get("truth_rows"),
+        "scene": scene.get("name"),
+        "state": "complete" if complete else "not complete",
+        "tiles": done,
+        "tiles_expected": total,
+        "epoch": scene.get("epoch"),
+        "seed": scene.get("seed"),
+        "frames": plan.get("frames"),
+        "shape": plan.get("shape"),
+        "field_deg": plan.get("field_deg"),
+        "layers": layout.layers_in(product),
+        "targets": plan.get("targets"),
+        "catalogue": (plan.get("catalogue") or {}).get("name"),
+        "warnings": plan.get("warnings", []),
+        "truth_rows": report.get("truth_rows"),
         "bytes": sum(p.stat().st_size for p in product.rglob("*") if p.is_file()),
         "version": report.get("versions", {}).get("nightglass"),
         "content_digest": report.get("content_digest"),
-    }  # fmt: skip
+    }
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -14,9 +14,13 @@ from catalog_tools.storage.durable import sync as sync_folder
 from pipeline.errors import NO_ROOM, TryLater
 
 __all__ = [
-    "full_disk", "only_writer", "sync_folder", "to_json", "waited",
+    "full_disk",
+    "only_writer",
+    "sync_folder",
+    "to_json",
+    "waited",
     "write_atomically",
-]  # fmt: skip
+]
 
 CUBE = "cube.zarr"
 MARKERS = "markers"

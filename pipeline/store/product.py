@@ -47,9 +47,12 @@ class Begun:
 
 
 def begin(
-    path: Path, plan: Plan, catalogue_digest: str | None, resume: bool,
+    path: Path,
+    plan: Plan,
+    catalogue_digest: str | None,
+    resume: bool,
     mine: Callable[[int, int, int], bool] | None = None,
-) -> Begun:  # fmt: skip
+) -> Begun:
     """Make a new product directory, or take up an unfinished one (`resume`).
 
     mine : whether a tile (frame, row, column) is this writer's; others' markers are left alone
@@ -110,9 +113,11 @@ def identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
 
 
 def _take_up(
-    path: Path, plan: Plan, identity: dict[str, Any],
+    path: Path,
+    plan: Plan,
+    identity: dict[str, Any],
     mine: Callable[[int, int, int], bool] | None = None,
-) -> Begun:  # fmt: skip
+) -> Begun:
     if not is_begun(path):
         if not _is_bare_beginning(path):
             raise BadInput("--resume", str(path), "a product begun by `nightglass render`")
@@ -142,10 +147,11 @@ def _take_up(
 
 LATER = ("compression",)  # which records of earlier versions do not hold
 CHANGED = {  # what may have changed since a product was begun, in the user's words
-    "format": "it was made by another version", "scene_sha256": "the scene, its --set, or where "
-    "its files are has changed", "catalogue_digest": "the catalogue has changed",
+    "format": "it was made by another version",
+    "scene_sha256": "the scene, its --set, or where its files are has changed",
+    "catalogue_digest": "the catalogue has changed",
     "files_sha256": "a file that the scene names has changed",
-}  # fmt: skip
+}
 
 
 def check_same(place: str, found: dict[str, Any], identity: dict[str, Any]) -> None:

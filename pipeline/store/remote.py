@@ -62,9 +62,13 @@ class RemoteWriter(CubeWriter):
 
 
 def begin_remote(
-    objects: Objects, stage: Path, plan: Plan, catalogue_digest: str | None, resume: bool | None,
+    objects: Objects,
+    stage: Path,
+    plan: Plan,
+    catalogue_digest: str | None,
+    resume: bool | None,
     mine: Callable[[int, int, int], bool] | None = None,
-) -> Begun:  # fmt: skip
+) -> Begun:
     """Make a new product of objects, or take up an unfinished one.
 
     stage : a folder that is not there yet, for the product's small files

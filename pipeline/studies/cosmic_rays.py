@@ -22,8 +22,11 @@ FRAME_PX = 1000  # side of the frames that the generator fills
 THUMB_PX, THUMB_ROWS, THUMB_COLUMNS = 32, 3, 9  # sheets of single events
 THUMB_LEAST_PX = 5  # with so many pixels or more
 STRAIGHT_PX = 10  # extent from which charge over length is taken
-COLOURS = {"recorded": "#000000", "muons (cos² of the angle to the normal)": "#0072B2",
-           "isotropic": "#D55E00"}  # fmt: skip
+COLOURS = {
+    "recorded": "#000000",
+    "muons (cos² of the angle to the normal)": "#0072B2",
+    "isotropic": "#D55E00",
+}
 
 
 @dataclass(frozen=True)
@@ -51,10 +54,22 @@ def compare_library(
 ) -> dict[str, Any]:
     """A library and the generator's two fluxes, about `events` events each, with a summary."""
     area_cm2 = library.pixels * (pixel_pitch_um * 1e-4) ** 2
-    found = {"recorded": _measured(_library_images(library), threshold_e,
-                                   area_cm2 * library.exposure_s / 60.0)}  # fmt: skip
-    flux = Flux(FRAME_PX, FRAME_PX, pixel_pitch_um, thickness_um, GROUND_RATE_PER_CM2_S, 1.0,
-                MUON_ZENITH_POWER, 0.0, diffusion_um)  # fmt: skip
+    found = {
+        "recorded": _measured(
+            _library_images(library), threshold_e, area_cm2 * library.exposure_s / 60.0
+        )
+    }
+    flux = Flux(
+        FRAME_PX,
+        FRAME_PX,
+        pixel_pitch_um,
+        thickness_um,
+        GROUND_RATE_PER_CM2_S,
+        1.0,
+        MUON_ZENITH_POWER,
+        0.0,
+        diffusion_um,
+    )
     muons, isotropic = list(COLOURS)[1:]
     for name, power in ((muons, MUON_ZENITH_POWER), (isotropic, 0.0)):
         one = replace(flux, zenith_power=power)
@@ -73,8 +88,14 @@ def compare_library(
         }
         for name, e in found.items()
     }
-    return {"events": found, "e_per_um": path, "summary": summary, "thickness_um": thickness_um,
-            "pixel_pitch_um": pixel_pitch_um, "threshold_e": threshold_e}  # fmt: skip
+    return {
+        "events": found,
+        "e_per_um": path,
+        "summary": summary,
+        "thickness_um": thickness_um,
+        "pixel_pitch_um": pixel_pitch_um,
+        "threshold_e": threshold_e,
+    }
 
 
 def _percentiles(values: Array) -> list[float]:
@@ -96,10 +117,14 @@ def _track_images(flux: Flux) -> Any:
     tracks = draw_tracks(flux, 0, key)
     for n in range(len(tracks)):
         one = tracks.taken(np.array([n]))
-        low_x, low_y = (max(0, int(min(a[0], b[0]) - pad)) for a, b in
-                        ((one.x_back, one.x_front), (one.y_back, one.y_front)))  # fmt: skip
-        high_x, high_y = (min(FRAME_PX, int(max(a[0], b[0]) + pad) + 1) for a, b in
-                          ((one.x_back, one.x_front), (one.y_back, one.y_front)))  # fmt: skip
+        low_x, low_y = (
+            max(0, int(min(a[0], b[0]) - pad))
+            for a, b in ((one.x_back, one.x_front), (one.y_back, one.y_front))
+        )
+        high_x, high_y = (
+            min(FRAME_PX, int(max(a[0], b[0]) + pad) + 1)
+            for a, b in ((one.x_back, one.x_front), (one.y_back, one.y_front))
+        )
         if high_x > low_x and high_y > low_y:
             image = np.zeros((high_y - low_y, high_x - low_x))
             add_tracks(image, one, flux, 0, key, (low_y, low_x, *image.shape))
@@ -161,14 +186,25 @@ def draw_comparison(study: dict[str, Any], path: Path) -> None:
     axes = figure.subplots(2, 3)
     events = study["events"]
     _histogram(axes[0][0], events, "pixels", np.geomspace(1, 400, 22), "pixels above threshold")
-    _histogram(axes[0][1], {n: replace(e, extent_px=e.extent_px + 1) for n, e in events.items()},
-               "extent_px", np.geomspace(1, 400, 22), "extent + 1 [px]")  # fmt: skip
+    _histogram(
+        axes[0][1],
+        {n: replace(e, extent_px=e.extent_px + 1) for n, e in events.items()},
+        "extent_px",
+        np.geomspace(1, 400, 22),
+        "extent + 1 [px]",
+    )
     _histogram(axes[0][2], events, "electrons", np.geomspace(30, 2e6, 30), "charge [e-]")
     bins_e_per_um = np.linspace(0, 250, 40)
     for name, values in study["e_per_um"].items():
         if np.any(values <= bins_e_per_um[-1]):
-            axes[1][0].hist(values, bins=bins_e_per_um, density=True, histtype="step",
-                            color=COLOURS[name], linewidth=1.6)  # fmt: skip
+            axes[1][0].hist(
+                values,
+                bins=bins_e_per_um,
+                density=True,
+                histtype="step",
+                color=COLOURS[name],
+                linewidth=1.6,
+            )
     axes[1][0].set_xlabel(f"charge per length, extent of {STRAIGHT_PX} px or more [e-/um]")
     axes[1][0].set_ylabel("share per e-/um")
     for name, e in events.items():
@@ -185,8 +221,9 @@ def draw_comparison(study: dict[str, Any], path: Path) -> None:
     axes[0][0].legend(fontsize=8)
     figure.suptitle(
         f"Recorded events and the generator: {study['thickness_um']:g} um of silicon, pixels of "
-        f"{study['pixel_pitch_um']:g} um, pixels above {study['threshold_e']:g} e-", fontsize=12,
-    )  # fmt: skip
+        f"{study['pixel_pitch_um']:g} um, pixels above {study['threshold_e']:g} e-",
+        fontsize=12,
+    )
     figure.savefig(path)
 
 
@@ -195,8 +232,15 @@ def _histogram(ax: Any, events: dict[str, Events], field: str, bins: Array, labe
     for name, e in events.items():
         values = getattr(e, field)
         weight = np.full(len(values), e.rate_per_cm2_min / max(len(values), 1))
-        ax.hist(values, bins=bins, weights=weight, histtype="step", color=COLOURS[name],
-                linewidth=1.6, label=name)  # fmt: skip
+        ax.hist(
+            values,
+            bins=bins,
+            weights=weight,
+            histtype="step",
+            color=COLOURS[name],
+            linewidth=1.6,
+            label=name,
+        )
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlabel(label)

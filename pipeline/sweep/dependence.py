@@ -18,14 +18,25 @@ from pipeline.spec.scene import Scene
 # Fields of the sensor that act on light already drawn. A new field of the detector that is not
 # among them is taken to change the light: slower, and the same bits.
 DETECTOR = (
-    "flat", "dark_e_per_s", "dark_scale", "full_well_e", "read_noise_e", "gain_e_per_dn",
-    "bias_dn", "adc_bits", "adc_rounding", "photon_noise",
-)  # fmt: skip
+    "flat",
+    "dark_e_per_s",
+    "dark_scale",
+    "full_well_e",
+    "read_noise_e",
+    "gain_e_per_dn",
+    "bias_dn",
+    "adc_bits",
+    "adc_rounding",
+    "photon_noise",
+)
 AFTER_LIGHT = ("seed", *(f"sensor.{name}" for name in DETECTOR))
 # Fields that the noise floor falls with, and so the error that drawing may make.
 FLOOR = (
-    "sensor.read_noise_e", "sensor.gain_e_per_dn", "sensor.dark_e_per_s", "sensor.dark_scale",
-)  # fmt: skip
+    "sensor.read_noise_e",
+    "sensor.gain_e_per_dn",
+    "sensor.dark_e_per_s",
+    "sensor.dark_scale",
+)
 SKY_FLOOR = ("background.uniform_e_per_s", "background.uniform_mag_arcsec2")
 NOISE_FACTS = ("sigma_floor_e", "dark_e", "read_noise_e", "flat")
 SKY_FACTS = ("background_e", "background_e_s")
@@ -101,8 +112,9 @@ def _part(plan: Plan, kind: str) -> LightPlan:
     if kind != "targets":
         drop["targets"] = ()
     if kind != "stars" and scene.stars is not None:  # their effects still turn the directions
-        drop["stars"] = scene.stars.model_copy(update={
-            "catalogue": "none", "faintest_g_mag": None, "limit_from_noise": False})  # fmt: skip
+        drop["stars"] = scene.stars.model_copy(
+            update={"catalogue": "none", "faintest_g_mag": None, "limit_from_noise": False}
+        )
     if kind != "sky" and scene.background is not None:
         drop["background"] = None
     kept = scene.model_copy(update=drop)
@@ -111,9 +123,15 @@ def _part(plan: Plan, kind: str) -> LightPlan:
     kept = barred(kept, ("cosmic_rays", *(drop.keys() & {"background"})))
     without: dict[str, Any] = {name: Barred(name) for name in hidden}
     reduced = replace(
-        plan, scene=kept, facts=replace(facts, **without),
-        sky=plan.sky if kind == "sky" else None, decisions=(), remarks=(), warnings=(), checks=(),
-    )  # fmt: skip
+        plan,
+        scene=kept,
+        facts=replace(facts, **without),
+        sky=plan.sky if kind == "sky" else None,
+        decisions=(),
+        remarks=(),
+        warnings=(),
+        checks=(),
+    )
     return LightPlan(kind, reduced, tuple(content))
 
 

@@ -47,14 +47,20 @@ def forecast_course(course: Course) -> dict[str, Any]:
     point_s = frames * pixels * NOISE_S_PER_PIXEL
     lights = counts["stars"] or counts["targets"]  # what takes time; the sky is smooth
     return {
-        "points": design.size, "frames": frames, "shape": list(plan.scene.sensor.shape),
+        "points": design.size,
+        "frames": frames,
+        "shape": list(plan.scene.sensor.shape),
         "different": counts,
-        "cpu_s": START_S + counts["plans"] * plan_s + lights * light_s + design.size * point_s
+        "cpu_s": START_S
+        + counts["plans"] * plan_s
+        + lights * light_s
+        + design.size * point_s
         + counts["plans"] * tiles * TILE_S,
         "seconds_each": {"plan": plan_s, "light": light_s, "point": point_s},
         "worker_memory_mb": max(n["worker_memory_mb"] for n in needs),
-        "metrics": list(course.sweep.metrics), "alone_cpu_s": design.size * needs[0]["cpu_s"],
-    }  # fmt: skip
+        "metrics": list(course.sweep.metrics),
+        "alone_cpu_s": design.size * needs[0]["cpu_s"],
+    }
 
 
 def _counts(course: Course, base: Base, plain: bool) -> dict[str, int]:
@@ -95,11 +101,16 @@ def _distinct(course: Course, fields: set[str], plain: bool) -> int:
         return design.size
     places = design.size // course.sweep.seeds
     if places <= COUNTED:
-        return len({
-            tuple((k, repr(v)) for k, v in design.values(place * course.sweep.seeds).items()
-                  if k in fields)
-            for place in range(places)
-        })  # fmt: skip
+        return len(
+            {
+                tuple(
+                    (k, repr(v))
+                    for k, v in design.values(place * course.sweep.seeds).items()
+                    if k in fields
+                )
+                for place in range(places)
+            }
+        )
     if isinstance(course.sweep.design, Grid):
         return math.prod(axis_length(a) for a in design.axes if not fields.isdisjoint(a.fields))
     return places if fields else 1

@@ -25,8 +25,10 @@ SWEEP, REPORT, PAGE, FIGURE = "sweep.json", "report.json", "summary.html", "summ
 PART_ROWS, PART_S = 1024, 5.0
 JOIN_POINTS = 65_536
 OPTIONS: dict[str, Any] = {
-    "compression": "zstd", "compression_level": 3, "write_page_checksum": True,
-}  # fmt: skip
+    "compression": "zstd",
+    "compression_level": 3,
+    "write_page_checksum": True,
+}
 TEXT = ("status", "message", "content_digest")
 WHOLE = ("point", "seed")
 
@@ -49,8 +51,9 @@ def schema_of(sweep: Sweep, names: tuple[str, ...]) -> pa.Schema:
     }
     columns += [(c, pa.float64()) for m, cs in told.items() if m in sweep.metrics for c in cs]
     of_target = {
-        "snr": ("snr",), "detection": ("peak_sigma", "frames_in_view", "detected_fraction"),
-    }  # fmt: skip
+        "snr": ("snr",),
+        "detection": ("peak_sigma", "frames_in_view", "detected_fraction"),
+    }
     for name in names:
         for metric, stems in of_target.items():
             if metric in sweep.metrics:
@@ -136,9 +139,10 @@ class PointLedger:
             for first in range(0, self.size, JOIN_POINTS):
                 end = min(first + JOIN_POINTS, self.size)
                 near = [
-                    str(path) for path, (low, high) in zip(parts, spans, strict=True)
+                    str(path)
+                    for path, (low, high) in zip(parts, spans, strict=True)
                     if low < end and high >= first
-                ]  # fmt: skip
+                ]
                 inside = (ds.field("point") >= first) & (ds.field("point") < end)
                 table = ds.dataset(near, schema=self.schema).to_table(filter=inside)
                 points = table["point"].to_numpy()

@@ -44,9 +44,13 @@ class Measurement:
     """Metrics of one point, gathered tile by tile and frame by frame."""
 
     def __init__(
-        self, plan: Plan, maps: SensorMaps, metrics: tuple[str, ...], names: tuple[str, ...],
+        self,
+        plan: Plan,
+        maps: SensorMaps,
+        metrics: tuple[str, ...],
+        names: tuple[str, ...],
         wish: Detection,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.plan, self.maps, self.metrics, self.names = plan, maps, metrics, names
         self.wish = wish
         self._cells: list[list[Any]] = []

@@ -46,9 +46,12 @@ class SweepProgress:
 
 
 def sweep(
-    path: Path, out: Path, options: Options | None = None, retry_failed: bool = False,
+    path: Path,
+    out: Path,
+    options: Options | None = None,
+    retry_failed: bool = False,
     listen: Listener | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Run a sweep file into a folder and return its report.
 
     options.resume goes on with an unfinished one. Raises BadInput for a sweep that can't be run,
@@ -58,9 +61,12 @@ def sweep(
 
 
 def run_course(
-    course: Course, out: Path, options: Options | None = None, retry_failed: bool = False,
+    course: Course,
+    out: Path,
+    options: Options | None = None,
+    retry_failed: bool = False,
     listen: Listener | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Run a sweep that was read already, as `sweep` does."""
     with full_disk(out):
         return _run_course(course, out, options or Options(), retry_failed, listen)
@@ -86,10 +92,12 @@ def _run_course(
             workers = scheduler.workers
         book.join()
         told = {
-            "seconds": time.perf_counter() - started, "workers": workers,
-            "scheduler": options.scheduler, "parts_damaged": book.removed,
+            "seconds": time.perf_counter() - started,
+            "workers": workers,
+            "scheduler": options.scheduler,
+            "parts_damaged": book.removed,
             "noise_floors": course.floors,
-        }  # fmt: skip
+        }
         report = summarise(course.sweep, out, names, told)
         ledger.seal(out)
         book.drop_parts()
@@ -202,9 +210,12 @@ def _stream(
 
 
 def _run(
-    course: Course, book: PointLedger, scheduler: Scheduler, work: Iterator[tuple[int, ...]],
+    course: Course,
+    book: PointLedger,
+    scheduler: Scheduler,
+    work: Iterator[tuple[int, ...]],
     tell: Callable[[], None],
-) -> Iterator[tuple[int, ...]]:  # fmt: skip
+) -> Iterator[tuple[int, ...]]:
     """Run groups of points; yields those whose processes were killed again and again."""
     for numbers, rows in scheduler.each(run_points, course, work):
         if type(rows).__name__ == "KilledWorker":

@@ -65,9 +65,14 @@ class Stages:
         self.asked: Counter[str] = Counter()
 
     def get(
-        self, stage: str, key: tuple[Any, ...], make: Callable[[], Any],
-        size: Callable[[Any], int], *, small: bool = False,
-    ) -> Any:  # fmt: skip
+        self,
+        stage: str,
+        key: tuple[Any, ...],
+        make: Callable[[], Any],
+        size: Callable[[Any], int],
+        *,
+        small: bool = False,
+    ) -> Any:
         """The value of a stage, computed where nothing of this key is kept."""
 
         def counted() -> Any:
@@ -213,9 +218,12 @@ def without_noise(scene: Scene, numbers: dict[str, float], whole: bool) -> Scene
     if not is_plain(scene):
         return scene.model_copy(update=update)
     plain: dict[str, Any] = {
-        "flat": 1.0, "full_well_e": None, "bias_dn": 0.0, "adc_bits": 16,
+        "flat": 1.0,
+        "full_well_e": None,
+        "bias_dn": 0.0,
+        "adc_bits": 16,
         "adc_rounding": "half_even",
-    } | numbers  # fmt: skip
+    } | numbers
     update["sensor"] = scene.sensor.model_copy(update=plain)
     if not whole:
         update["seed"] = Barred("seed")
@@ -246,10 +254,16 @@ def _read_key(base: Base, plan: Plan) -> str:
     """What the rows of a shard depend on besides the shard."""
     stars = plan.scene.stars
     assert stars is not None
-    return _token((
-        [c.digest for c in base.prepared.catalogues], base.prepared.left_out, stars.faintest_g_mag,
-        plan.colour, plan.facts.area_m2, stars.space_motion,
-    ))  # fmt: skip
+    return _token(
+        (
+            [c.digest for c in base.prepared.catalogues],
+            base.prepared.left_out,
+            stars.faintest_g_mag,
+            plan.colour,
+            plan.facts.area_m2,
+            stars.space_motion,
+        )
+    )
 
 
 def _token(value: Any) -> str:

@@ -29,13 +29,21 @@ def summarise(
     axes = [name for axis in sweep.axes for name in axis.fields if name != "seed"]
     file = pq.ParquetFile(out / TABLE)
     metrics = [
-        f.name for f in file.schema_arrow
+        f.name
+        for f in file.schema_arrow
         if f.name not in axes and f.name.split(".")[0] not in NOT_METRICS
-    ]  # fmt: skip
-    report: dict[str, Any] = {
-        "sweep": sweep.name, "points": file.metadata.num_rows, "axes": axes,
-        "targets": list(names), "metrics": {name: _spread(file, name) for name in metrics},
-    } | _failures(file) | told  # fmt: skip
+    ]
+    report: dict[str, Any] = (
+        {
+            "sweep": sweep.name,
+            "points": file.metadata.num_rows,
+            "axes": axes,
+            "targets": list(names),
+            "metrics": {name: _spread(file, name) for name in metrics},
+        }
+        | _failures(file)
+        | told
+    )
     report["versions"] = {"nightglass": version("nightglass")}
     write_atomically(out / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
     drawn = _draw(file, axes, metrics)
@@ -80,9 +88,10 @@ def _draw(file: pq.ParquetFile, axes: list[str], metrics: list[str]) -> str | No
     }
     across = [n for n in axes if np.isfinite(columns[n]).any()][:MOST_AXES]
     down = [
-        n for n in metrics
+        n
+        for n in metrics
         if np.isfinite(columns[n]).any() and n.split(".")[0] not in ("seconds", "light_s")
-    ][:MOST_METRICS]  # fmt: skip
+    ][:MOST_METRICS]
     return figure(columns, across, down) if across and down else None
 
 
@@ -103,9 +112,10 @@ def _page(report: dict[str, Any], picture: str) -> str:
     """The page: what was swept, each metric's spread, failures, the figure; needs no network."""
     cells = "".join(
         f"<tr><td>{html.escape(n)}</td><td>{s['known']}</td>"
-        + "".join(f"<td>{_short(s[k])}</td>" for k in ("least", "mean", "largest")) + "</tr>"
+        + "".join(f"<td>{_short(s[k])}</td>" for k in ("least", "mean", "largest"))
+        + "</tr>"
         for n, s in report["metrics"].items()
-    )  # fmt: skip
+    )
     faults = "".join(
         f"<li>{n} x <code>{html.escape(text)}</code></li>" for text, n in report["messages"].items()
     )

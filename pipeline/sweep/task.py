@@ -155,10 +155,11 @@ def _look(course: Course, kept: Stages, point: _Point, frame: int, found: list[A
         found.append((g, []))
         return
     windows = kept.get(
-        "windows", (base.key, frame, names),
+        "windows",
+        (base.key, frame, names),
         lambda: target_windows(base.plan, g, names, wish.search_px),
         lambda v: sum(w.image_e.nbytes + w.response.nbytes for _, w in v),
-    )  # fmt: skip
+    )
     found.append((g, windows))
 
 
@@ -176,9 +177,7 @@ def _noise(kept: Stages, ready: _Ready, g: Geometry, tile: Tile, light: dict[str
     for earlier in range(max(0, frame - ready.plan.lag_frames), frame):
         then = kept.geometry(ready.base, earlier)
         theirs = kept.light(ready.base, then, tile)
-        before.append(
-            charge_of_tile(ready.plan, ready.maps, then, tile, [], [], rays, theirs)
-        )
+        before.append(charge_of_tile(ready.plan, ready.maps, then, tile, [], [], rays, theirs))
     out, _ = render_tile(ready.plan, ready.maps, g, tile, [], [], rays, before, light)
     ready.measured.take(tile, frame, out["dn"], out["mean_e"])
     if ready.writer is None:
@@ -199,8 +198,9 @@ def _end(course: Course, point: _Point) -> Row | None:
     if point.again:
         return None
     row = point.row | {
-        "status": "done" if point.fault is None else "failed", "message": point.fault
-    }  # fmt: skip
+        "status": "done" if point.fault is None else "failed",
+        "message": point.fault,
+    }
     if "timing" in course.sweep.metrics:
         row |= {"seconds": point.seconds + point.shared_s, "light_s": point.shared_s}
     return row

@@ -49,9 +49,11 @@ class Authenticator:
         self._verifier = None
         if settings.oidc_issuer and settings.oidc_audience and settings.oidc_jwks:
             self._verifier = Verifier(
-                settings.oidc_issuer, settings.oidc_audience, settings.oidc_jwks,
+                settings.oidc_issuer,
+                settings.oidc_audience,
+                settings.oidc_jwks,
                 settings.oidc_team_claim,
-            )  # fmt: skip
+            )
         self._known: OrderedDict[bytes, tuple[Caller | None, float, str]] = OrderedDict()
         self._guarded, self._looked_s = self._verifier is not None, float("-inf")
         self._hashing = asyncio.Semaphore(AT_ONCE)

@@ -17,9 +17,12 @@ from service.settings import read_settings
 from service.store.database import connect
 
 app = typer.Typer(
-    name="nightglass keys", help="API keys of the service.", no_args_is_help=True,
-    add_completion=False, pretty_exceptions_enable=False,
-)  # fmt: skip
+    name="nightglass keys",
+    help="API keys of the service.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
 Home = Annotated[Path | None, typer.Option(help="data folder of the service")]
 
 

@@ -47,9 +47,10 @@ def create_key(
         now = now_s(db)
         row = {"id": key_id, "team": team, "name": name, "hash": _hasher().hash(secret)}
         times = {
-            "created_s": now, "revoked_s": None,
+            "created_s": now,
+            "revoked_s": None,
             "expires_s": None if days is None else now + days * 86_400,
-        }  # fmt: skip
+        }
         db.execute(sa.insert(keys), [row | times])
         record(db, team, actor, "key.create", key_id, name)
     return f"ng_{key_id}_{secret}"

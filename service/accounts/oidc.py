@@ -44,9 +44,14 @@ class Verifier:
             kid = jwt.get_unverified_header(token).get("kid")
             key = self._key(kid)
             claims = jwt.decode(
-                token, key, algorithms=ALGORITHMS, audience=self._audience, issuer=self._issuer,
-                leeway=LEEWAY_S, options={"require": ["exp", "iss", "aud", "sub"]},
-            )  # fmt: skip
+                token,
+                key,
+                algorithms=ALGORITHMS,
+                audience=self._audience,
+                issuer=self._issuer,
+                leeway=LEEWAY_S,
+                options={"require": ["exp", "iss", "aud", "sub"]},
+            )
         except jwt.ExpiredSignatureError:
             raise Unauthenticated("the bearer token has expired") from None
         except (jwt.PyJWTError, ValueError, TypeError):
@@ -105,6 +110,7 @@ def _read_keys(place: str) -> dict[str, Any] | None:
         log.error("the identity provider's keys cannot be read: %s", type(error).__name__)
         return None
     return {
-        key.key_id: key for key in found
+        key.key_id: key
+        for key in found
         if key.algorithm_name in ALGORITHMS and key.key_id and key.public_key_use in (None, "sig")
-    }  # fmt: skip
+    }

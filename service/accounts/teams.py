@@ -77,9 +77,13 @@ class TeamStore:
         return run_pending(self._store, job_id, self._limits, self.team, self._caller.actor)
 
     def ask(
-        self, name: str, scene: dict[str, Any] | str, body_sha256: str, key: str | None,
+        self,
+        name: str,
+        scene: dict[str, Any] | str,
+        body_sha256: str,
+        key: str | None,
         **more: Any,
-    ) -> Ask:  # fmt: skip
+    ) -> Ask:
         """A submission of this caller (`more`: kind, phase, run_id, destruction_s, ...; a scene
         as text comes with its pixel_frames)."""
         whose: dict[str, Any] = {"team": self.team, "owner": self._caller.actor}
@@ -88,9 +92,14 @@ class TeamStore:
         return Ask(name=name, scene=scene, body_sha256=body_sha256, key=key, **whose, **more)
 
     def submit(
-        self, name: str, scene: dict[str, Any], body_sha256: str, key: str | None = None,
-        limit: int | None = None, **more: Any,
-    ) -> tuple[Job, bool]:  # fmt: skip
+        self,
+        name: str,
+        scene: dict[str, Any],
+        body_sha256: str,
+        key: str | None = None,
+        limit: int | None = None,
+        **more: Any,
+    ) -> tuple[Job, bool]:
         """Queue a job (or, with phase=Phase.PENDING, only note it), in a commit of its own."""
         limits = self._limits if limit is None else TeamLimits(queued_jobs=limit)
         ask = self.ask(name, scene, body_sha256, key, **more)

@@ -32,9 +32,13 @@ class Attempt:
     """Runs a claimed job until it ends, is cancelled, or `go_on` says no."""
 
     def __init__(
-        self, settings: Settings, store: Queue, job: Job, go_on: Callable[[], bool],
+        self,
+        settings: Settings,
+        store: Queue,
+        job: Job,
+        go_on: Callable[[], bool],
         scheduler: SchedulerHealth,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._settings, self._store, self._job, self._go_on = settings, store, job, go_on
         self._product, self._scheduler = settings.product(job.id), scheduler
 

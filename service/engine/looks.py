@@ -74,9 +74,12 @@ class Looks:
             order = asked | {"scene": engine_scene(copy.deepcopy(scene), self._settings)}
             try:
                 return await run_in_threadpool(
-                    look_at, self._settings, order | {"files": files}, limit_s,
+                    look_at,
+                    self._settings,
+                    order | {"files": files},
+                    limit_s,
                     lambda: gone.is_set() or self._stopping.is_set(),
-                )  # fmt: skip
+                )
             finally:
                 gone.set()
 

@@ -28,10 +28,13 @@ def worker(settings: Settings, order: dict[str, Any]) -> Iterator[Answers]:
     """
     environment = {k: v for k, v in os.environ.items() if not _secret(k)}
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "service.engine.worker"], cwd=settings.catalogues,
+        [sys.executable, "-P", "-m", "service.engine.worker"],
+        cwd=settings.catalogues,
         env=environment,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
-    )  # fmt: skip
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
     assert process.stdin is not None
     assert process.stdout is not None
     answers: Answers = queue.Queue()

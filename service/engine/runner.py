@@ -45,9 +45,11 @@ class Dispatcher:
         self._threads = [
             threading.Thread(target=run, name=name, daemon=True)
             for name, run in (
-                ("dispatcher", self._run), ("lease", self._renew), ("housekeeping", self._keep),
+                ("dispatcher", self._run),
+                ("lease", self._renew),
+                ("housekeeping", self._keep),
             )
-        ]  # fmt: skip
+        ]
 
     def start(self) -> None:
         for thread in self._threads:

@@ -116,16 +116,20 @@ def _render(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
     from pipeline.route.run import Options, render
 
     options = Options(
-        scheduler=order["scheduler"], workers=order["workers"], resume=order["resume"],
+        scheduler=order["scheduler"],
+        workers=order["workers"],
+        resume=order["resume"],
         most_cpu_s=order["most_cpu_s"],
-    )  # fmt: skip
+    )
     with _tiles_told(order):
         report = render(
             parse_scene(order["scene"]), Path(order["product"]), options, _listener(answers)
         )
     return {
-        "outcome": "done", "tiles": report["tiles"], "content_digest": report["content_digest"],
-    }  # fmt: skip
+        "outcome": "done",
+        "tiles": report["tiles"],
+        "content_digest": report["content_digest"],
+    }
 
 
 def _sweep(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:

@@ -110,9 +110,11 @@ def parse_json(body: bytes) -> Any:
     """
     try:
         data = json.loads(
-            body.decode("utf-8"), parse_constant=_no_constant, parse_float=_finite,
+            body.decode("utf-8"),
+            parse_constant=_no_constant,
+            parse_float=_finite,
             object_pairs_hook=_once,
-        )  # fmt: skip
+        )
     except UnicodeDecodeError as error:
         raise Malformed(f"the body is not UTF-8 (byte {error.start})") from None
     except RecursionError:

@@ -86,14 +86,17 @@ class Gate:
         level = logging.INFO if status >= 400 else logging.DEBUG
         if log.isEnabledFor(level):
             log.log(
-                level, "answered",
+                level,
+                "answered",
                 extra={
-                    "method": method, "path": route, "status": status,
+                    "method": method,
+                    "path": route,
+                    "status": status,
                     "ms": round(seconds * 1000, 1),
                     "team": scope.get("state", {}).get("team"),
                     "job": (scope.get("path_params") or {}).get("job_id", "")[:64] or None,
                 },
-            )  # fmt: skip
+            )
 
 
 KNOWN = ("GET", "HEAD", "OPTIONS", "POST", "PUT", "PATCH", "DELETE")

@@ -127,9 +127,14 @@ class JobStore:
         self.engine.dispose()
 
     def submit(
-        self, name: str, scene: dict[str, Any], body_sha256: str, key: str | None, limit: int,
+        self,
+        name: str,
+        scene: dict[str, Any],
+        body_sha256: str,
+        key: str | None,
+        limit: int,
         **more: Any,
-    ) -> tuple[Job, bool]:  # fmt: skip
+    ) -> tuple[Job, bool]:
         """Queue one job; see service/jobs/submissions.py."""
         from service.jobs.submissions import Ask, TeamLimits, submit_many
 
@@ -312,9 +317,12 @@ class Queue(JobStore):
     """The job table as the dispatcher uses it: claim, report, finish, remove."""
 
     def claim(
-        self, busy: Collection[str] = (), team_limit: int = 1 << 30,
-        turns: Mapping[str, float] | None = None, holder: str | None = None,
-    ) -> Job | None:  # fmt: skip
+        self,
+        busy: Collection[str] = (),
+        team_limit: int = 1 << 30,
+        turns: Mapping[str, float] | None = None,
+        holder: str | None = None,
+    ) -> Job | None:
         """The next job to run, now EXECUTING: one that an earlier process left, else a queued one.
 
         busy : ids that the caller runs itself; team_limit : jobs of one team at once

@@ -193,15 +193,35 @@ def _row(ask: Ask, now: float) -> dict[str, Any]:
     if not isinstance(text, str):
         text = to_json(text, inf_nan_mode="constants").decode()
     row = {
-        "number": 0, "id": _new_id(), "team": ask.team, "owner": ask.owner,
-        "kind": ask.kind, "name": ask.name, "run_id": ask.run_id, "phase": ask.phase.value,
-        "scene": text, "scene_crc": scene_crc(text), "idempotency_key": ask.key,
-        "body_sha256": ask.body_sha256, "pixel_frames": ask.pixel_frames, "bytes_kept": 0,
-        "submitted_s": now, "started_s": None, "ended_s": None,
-        "destruction_s": ask.destruction_s, "duration_s": ask.duration_s, "tiles_done": None,
-        "tiles_total": None, "attempt": 0, "deaths": 0, "cancel_asked": False, "deleted": False,
-        "error": None, "content_digest": None, "version": 1,
-    }  # fmt: skip
+        "number": 0,
+        "id": _new_id(),
+        "team": ask.team,
+        "owner": ask.owner,
+        "kind": ask.kind,
+        "name": ask.name,
+        "run_id": ask.run_id,
+        "phase": ask.phase.value,
+        "scene": text,
+        "scene_crc": scene_crc(text),
+        "idempotency_key": ask.key,
+        "body_sha256": ask.body_sha256,
+        "pixel_frames": ask.pixel_frames,
+        "bytes_kept": 0,
+        "submitted_s": now,
+        "started_s": None,
+        "ended_s": None,
+        "destruction_s": ask.destruction_s,
+        "duration_s": ask.duration_s,
+        "tiles_done": None,
+        "tiles_total": None,
+        "attempt": 0,
+        "deaths": 0,
+        "cancel_asked": False,
+        "deleted": False,
+        "error": None,
+        "content_digest": None,
+        "version": 1,
+    }
     return row | {"seal": seal_of(row)}
 
 
@@ -237,10 +257,11 @@ def _count(db: sa.Connection, team: str, day: int, used: Used) -> None:
 
 # Statements are made once: SQLAlchemy takes longer to make one than the database to run it.
 NUMBER = (
-    sa.update(counters).where(counters.c.name == "jobs")
+    sa.update(counters)
+    .where(counters.c.name == "jobs")
     .values(value=counters.c.value + sa.bindparam("more", type_=sa.BigInteger))
     .returning(counters.c.value)
-)  # fmt: skip
+)
 COUNT = (
     sa.update(usage)
     .where(usage.c.team == sa.bindparam("of"), usage.c.day == sa.bindparam("on"))
@@ -248,7 +269,7 @@ COUNT = (
         jobs=usage.c.jobs + sa.bindparam("more_jobs", type_=sa.BigInteger),
         pixel_frames=usage.c.pixel_frames + sa.bindparam("more_pixels", type_=sa.BigInteger),
     )
-)  # fmt: skip
+)
 
 
 class Intake:

@@ -18,8 +18,9 @@ def archive(folder: Path, name: str) -> tuple[int, Iterator[bytes]]:
     heads = [_head(f"{name}/{path}", size) for path, size in files]
     record = (folder / BEGUN).read_bytes()  # hidden, and needed by `nightglass check`
     first = _head(f"{name}/{BEGUN}", len(record)) + record + bytes(-len(record) % BLOCK)
-    length = len(first) + sum(len(h) + -(-size // BLOCK) * BLOCK
-                              for h, (_, size) in zip(heads, files, strict=True))  # fmt: skip
+    length = len(first) + sum(
+        len(h) + -(-size // BLOCK) * BLOCK for h, (_, size) in zip(heads, files, strict=True)
+    )
     return length + 2 * BLOCK, _pieces(folder, first, files, heads)
 
 

@@ -21,13 +21,38 @@ MAX_PIXELS = 1 << 24  # of one answer
 MAX_READ = 1 << 27  # of one tile, whatever is left of it after binning
 MARKER = re.compile(r"f\d{6}_r\d+_c\d+\.json")
 STAR_COLUMNS = (
-    "source_id", "x_px", "y_px", "x_start_px", "y_start_px", "x_end_px", "y_end_px", "ra_deg",
-    "dec_deg", "g_mag", "electrons", "snr",
-)  # fmt: skip
+    "source_id",
+    "x_px",
+    "y_px",
+    "x_start_px",
+    "y_start_px",
+    "x_end_px",
+    "y_end_px",
+    "ra_deg",
+    "dec_deg",
+    "g_mag",
+    "electrons",
+    "snr",
+)
 TARGET_COLUMNS = (
-    "name", "x_px", "y_px", "x_start_px", "y_start_px", "x_end_px", "y_end_px", "ra_deg", "dec_deg",
-    "range_m", "phase_deg", "sunlit_fraction", "electrons", "snr", "v_mag", "mag_ab", "object_name",
-)  # fmt: skip
+    "name",
+    "x_px",
+    "y_px",
+    "x_start_px",
+    "y_start_px",
+    "x_end_px",
+    "y_end_px",
+    "ra_deg",
+    "dec_deg",
+    "range_m",
+    "phase_deg",
+    "sunlit_fraction",
+    "electrons",
+    "snr",
+    "v_mag",
+    "mag_ab",
+    "object_name",
+)
 
 
 def describe(product: Path) -> dict[str, Any]:
@@ -88,8 +113,10 @@ def _world(product: Path, frame: int) -> dict[str, Any]:
         residual = float(cube["wcs_residual_px"][frame])
     names = ("CTYPE", "CRVAL", "CRPIX", "CD", "A_", "B_", "RADESYS")
     wcs = {k: v for k, v in cards.items() if k.startswith(names) and not _alternate(k)}
-    times = {name: cards[key] for name, key in
-             (("start", "DATE-OBS"), ("mid", "DATE-AVG"), ("end", "DATE-END"))}  # fmt: skip
+    times = {
+        name: cards[key]
+        for name, key in (("start", "DATE-OBS"), ("mid", "DATE-AVG"), ("end", "DATE-END"))
+    }
     return {"wcs": wcs, "wcs_residual_px": residual, "times": times}
 
 
@@ -120,8 +147,12 @@ def tile_values(
     y, x = slice(row * ny, min((row + 1) * ny, rows)), slice(column * nx, (column + 1) * nx)
     size = (y.stop - y.start) * (min(x.stop, columns) - x.start)
     if size > MAX_READ or size > MAX_PIXELS * bin_px**2:
-        raise BadInput("?bin", bin_px, f"a factor that leaves at most {MAX_PIXELS} pixels of a "
-                       f"tile ({size} here; over {MAX_READ} none is shown)")  # fmt: skip
+        raise BadInput(
+            "?bin",
+            bin_px,
+            f"a factor that leaves at most {MAX_PIXELS} pixels of a "
+            f"tile ({size} here; over {MAX_READ} none is shown)",
+        )
     try:
         values = np.asarray(_array(product, layer)[frame, y, x])
     except (OSError, ValueError, RuntimeError) as error:
@@ -232,7 +263,5 @@ def _check_frame(frame: int, frames: int) -> None:
 
 
 def _grid(about: dict[str, Any]) -> tuple[int, int]:
-    rows, columns = (
-        -(-n // t) for n, t in zip(about["shape"], about["tile_shape"], strict=True)
-    )
+    rows, columns = (-(-n // t) for n, t in zip(about["shape"], about["tile_shape"], strict=True))
     return rows, columns

@@ -60,8 +60,9 @@ def values(
         found = frames.tile_values(product, frame, row, column, layer, bin)
         found = found.astype(found.dtype.newbyteorder("<"), copy=False)
         told = {"X-Shape": "{},{}".format(*found.shape), "X-Type": np.dtype(found.dtype).str}
-        return Response(found.tobytes(), media_type="application/octet-stream",
-                        headers=FOR_GOOD | told)  # fmt: skip
+        return Response(
+            found.tobytes(), media_type="application/octet-stream", headers=FOR_GOOD | told
+        )
 
 
 @router.get("/frames/{frame}/tiles/{row}/{column}/picture.png")

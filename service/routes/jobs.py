@@ -61,9 +61,12 @@ async def submit(
     if found.named:
         await service.looks.judge(request, service.caller.team, found.scene())
     ask = service.store.ask(
-        found.name, found.text, found.body_sha256, idempotency_key,
+        found.name,
+        found.text,
+        found.body_sha256,
+        idempotency_key,
         pixel_frames=found.pixel_frames,
-    )  # fmt: skip
+    )
     return taken(service, *await service.intake.put(ask), found.least_cpu_s)
 
 
@@ -76,9 +79,11 @@ class PlainSubmit(Route):
 
     def matches(self, scope: Scope) -> tuple[Match, Scope]:
         if (
-            scope["type"] == "http" and scope["method"] == "POST"
-            and not scope["query_string"] and scope["path"] == self.path
-        ):  # fmt: skip
+            scope["type"] == "http"
+            and scope["method"] == "POST"
+            and not scope["query_string"]
+            and scope["path"] == self.path
+        ):
             return Match.FULL, {"endpoint": submit, "path_params": {}, "route": self}
         return Match.NONE, {}
 
@@ -95,9 +100,7 @@ def check_key(key: str | None) -> None:
         raise Malformed("an Idempotency-Key is 1 to 255 visible ASCII characters")
 
 
-def taken(
-    service: Context, job: Job, made: bool, least_cpu_s: float | None = None
-) -> Response:
+def taken(service: Context, job: Job, made: bool, least_cpu_s: float | None = None) -> Response:
     """The answer to a submission that is on disk, with what a scene is forecast to take."""
     headers = {"Location": f"/v1/jobs/{job.id}", "ETag": etag(job)}
     if made:

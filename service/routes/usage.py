@@ -27,14 +27,20 @@ def show(service: Service) -> Response:
         "running_jobs": (counts[Phase.EXECUTING], settings.running_jobs),
         "pixel_frames_today": (used.pixel_frames, settings.pixel_frames_day),
         "bytes_kept": (bytes_kept(service.table.engine, team), settings.bytes_kept),
-    }  # fmt: skip
-    return JSONResponse({
-        "team": team,
-        "jobs": {phase.value: count for phase, count in counts.items()},
-        "quotas": {name: {"used": used, "limit": most} for name, (used, most) in amounts.items()},
-        "limits": {
-            "body_bytes": settings.body_bytes, "upload_bytes": settings.upload_bytes,
-            "pixel_frames": settings.pixel_frames, "targets": settings.targets,
-            "sweep_points": settings.sweep_points,
-        },
-    })  # fmt: skip
+    }
+    return JSONResponse(
+        {
+            "team": team,
+            "jobs": {phase.value: count for phase, count in counts.items()},
+            "quotas": {
+                name: {"used": used, "limit": most} for name, (used, most) in amounts.items()
+            },
+            "limits": {
+                "body_bytes": settings.body_bytes,
+                "upload_bytes": settings.upload_bytes,
+                "pixel_frames": settings.pixel_frames,
+                "targets": settings.targets,
+                "sweep_points": settings.sweep_points,
+            },
+        }
+    )

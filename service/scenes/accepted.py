@@ -64,9 +64,7 @@ class Acceptance:
         self._kept: OrderedDict[Key, Accepted] = OrderedDict()
         self.reused = 0
 
-    async def read(
-        self, team: str, body: bytes, has_file: HasFile, kind: str = JSON
-    ) -> Accepted:
+    async def read(self, team: str, body: bytes, has_file: HasFile, kind: str = JSON) -> Accepted:
         """The scene in a body. Malformed, BadInput, InvalidScene, NotAllowed."""
         key = (team, body, kind)
         found = self._kept.get(key)

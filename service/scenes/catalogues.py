@@ -13,9 +13,18 @@ from service.problems import Mistake
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 SHOWN = (
-    "description", "synthetic", "ref_epoch_jyear", "rows", "leaves", "bytes", "brightest_g_mag",
-    "faintest_g_mag", "coverage", "without_colour", "digest",
-)  # fmt: skip
+    "description",
+    "synthetic",
+    "ref_epoch_jyear",
+    "rows",
+    "leaves",
+    "bytes",
+    "brightest_g_mag",
+    "faintest_g_mag",
+    "coverage",
+    "without_colour",
+    "digest",
+)
 
 
 def catalogue_names(registry: Path) -> list[str]:
@@ -33,9 +42,11 @@ def catalogue_mistakes(field: str, value: str | list[str], registry: Path) -> li
     allowed = (
         f"the name of a registered catalogue: {', '.join(names[:10]) or '(none is registered)'}"
     )
-    named = [(field, value)] if isinstance(value, str) else [
-        (f"{field}[{i}]", name) for i, name in enumerate(value)
-    ]  # fmt: skip
+    named = (
+        [(field, value)]
+        if isinstance(value, str)
+        else [(f"{field}[{i}]", name) for i, name in enumerate(value)]
+    )
     return [(where, name, allowed) for where, name in named if name not in names]
 
 

@@ -20,9 +20,14 @@ from service.settings import Settings
 RUNNER, MODELS = "pipeline.sweep.run", "pipeline.spec.sweep_load"
 # What would change how large the points are, or what they read: every point is as the base scene.
 FIXED = (
-    "sensor.shape", "exposure.frames", "dwells", "targets", "populations", "stars.catalogue",
+    "sensor.shape",
+    "exposure.frames",
+    "dwells",
+    "targets",
+    "populations",
+    "stars.catalogue",
     "output",
-)  # fmt: skip
+)
 
 
 def can_run() -> bool:

@@ -37,9 +37,26 @@ from service.store.tables import uploads
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 KINDS = (
-    "npy", "fits", "fit", "csv", "txt", "dat", "int", "ecsv", "obj", "stl", "ply", "glb", "json",
-    "xml", "kvn", "oem", "omm", "tle", "parquet",
-)  # fmt: skip
+    "npy",
+    "fits",
+    "fit",
+    "csv",
+    "txt",
+    "dat",
+    "int",
+    "ecsv",
+    "obj",
+    "stl",
+    "ply",
+    "glb",
+    "json",
+    "xml",
+    "kvn",
+    "oem",
+    "omm",
+    "tle",
+    "parquet",
+)
 PACKED = (b"\x1f\x8b", b"PK\x03\x04", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")
 HEADER_BYTES = 4096
 

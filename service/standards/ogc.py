@@ -27,9 +27,13 @@ CONFORMS = [
     *(f"http://www.opengis.net/spec/ogcapi-processes-1/1.0/conf/{name}" for name in CLASSES),
 ]
 STATUS = {
-    Phase.PENDING: "accepted", Phase.QUEUED: "accepted", Phase.EXECUTING: "running",
-    Phase.COMPLETED: "successful", Phase.ERROR: "failed", Phase.ABORTED: "dismissed",
-}  # fmt: skip
+    Phase.PENDING: "accepted",
+    Phase.QUEUED: "accepted",
+    Phase.EXECUTING: "running",
+    Phase.COMPLETED: "successful",
+    Phase.ERROR: "failed",
+    Phase.ABORTED: "dismissed",
+}
 OUTPUTS = {
     "product": ("the whole product", "product.tar", "application/x-tar"),
     "cube": ("the frames, Zarr v3", "results/cube.zarr", "application/vnd.zarr"),
@@ -100,8 +104,13 @@ async def process(request: Request, process: str) -> Response:
     about = _summary(request, process)
     schema = Scene.model_json_schema(by_alias=True)
     schema["$id"] = f"{_root(request)}/v1/schema/scene"  # references are taken from here
-    scene = {"title": "scene", "description": "what is to be rendered; units stand in the keys",
-             "minOccurs": 1, "maxOccurs": 1, "schema": schema}  # fmt: skip
+    scene = {
+        "title": "scene",
+        "description": "what is to be rendered; units stand in the keys",
+        "minOccurs": 1,
+        "maxOccurs": 1,
+        "schema": schema,
+    }
     return JSONResponse(about | {"inputs": {"scene": scene}, "outputs": PROCESSES[process][2]})
 
 
@@ -121,8 +130,10 @@ async def execute(request: Request, service: Service, process: str) -> Response:
     ask = service.store.ask(scene.name, scene.as_dict(), digest, None)
     job, _ = await service.intake.put(ask)
     service.dispatcher.wake()
-    headers = {"Location": f"{_root(request)}/ogc/jobs/{job.id}",
-               "Preference-Applied": "respond-async"}  # fmt: skip
+    headers = {
+        "Location": f"{_root(request)}/ogc/jobs/{job.id}",
+        "Preference-Applied": "respond-async",
+    }
     return JSONResponse(_status(request, job), 201, headers)
 
 
@@ -163,10 +174,12 @@ def results(request: Request, service: Service, job_id: str) -> Response:
     if found.phase != Phase.COMPLETED:
         raise ResultNotReady(f"the job is {STATUS[found.phase]}: it has no results")
     here = f"{_root(request)}/v1/jobs/{job_id}"
-    return JSONResponse({
-        name: {"href": f"{here}/{path}", "type": kind, "title": title}
-        for name, (title, path, kind) in OUTPUTS.items()
-    })  # fmt: skip
+    return JSONResponse(
+        {
+            name: {"href": f"{here}/{path}", "type": kind, "title": title}
+            for name, (title, path, kind) in OUTPUTS.items()
+        }
+    )
 
 
 def _accept(service: Context, body: bytes) -> tuple[Any, Scene]:
@@ -202,10 +215,13 @@ def _summary(request: Request, name: str) -> dict[str, Any]:
     here = f"{_root(request)}/ogc/processes/{name}"
     execution = "http://www.opengis.net/def/rel/ogc/1.0/execute"
     return {
-        "id": name, "version": request.app.version, "title": title, "jobControlOptions": control,
+        "id": name,
+        "version": request.app.version,
+        "title": title,
+        "jobControlOptions": control,
         "outputTransmission": ["reference" if name == "render" else "value"],
         "links": [_to(here, "self"), _to(f"{here}/execution", execution)],
-    }  # fmt: skip
+    }
 
 
 def _status(request: Request, job: Job) -> dict[str, Any]:
@@ -216,11 +232,16 @@ def _status(request: Request, job: Job) -> dict[str, Any]:
         results = "http://www.opengis.net/def/rel/ogc/1.0/results"
         links.append(_to(f"{here}/results", results))
     told = {
-        "processID": "render", "type": "process", "jobID": job.id, "status": STATUS[job.phase],
+        "processID": "render",
+        "type": "process",
+        "jobID": job.id,
+        "status": STATUS[job.phase],
         "message": job.error["message"] if job.error else job.name,
-        "created": utc(job.submitted_s), "started": utc(job.started_s),
-        "finished": utc(job.ended_s), "links": links,
-    }  # fmt: skip
+        "created": utc(job.submitted_s),
+        "started": utc(job.started_s),
+        "finished": utc(job.ended_s),
+        "links": links,
+    }
     if job.tiles_total:
         told["progress"] = 100 * (job.tiles_done or 0) // job.tiles_total
     return {key: value for key, value in told.items() if value is not None}
@@ -251,8 +272,10 @@ PROCESSES: dict[str, tuple[str, list[str], dict[str, Any]]] = {
     "render": (
         "Render a scene into raw frames with known truth",
         ["async-execute", "dismiss"],
-        {name: {"title": title, "schema": _REFERENCE | {"contentMediaType": kind}}
-         for name, (title, _, kind) in OUTPUTS.items()},
+        {
+            name: {"title": title, "schema": _REFERENCE | {"contentMediaType": kind}}
+            for name, (title, _, kind) in OUTPUTS.items()
+        },
     ),
     "plan": ("Plan a scene: what it needs, and why", ["sync-execute"], {"plan": _PLAN}),
-}  # fmt: skip
+}

@@ -51,12 +51,14 @@ def listing(request: Request, service: Service) -> Response:
     asked = [(key.upper(), value) for key, value in request.query_params.multi_items()]
     phases = {_phase(value) for key, value in asked if key == "PHASE"}
     after = max((_time(value, "AFTER") for key, value in asked if key == "AFTER"), default=0.0)
-    last = min((_count(value, "LAST") for key, value in asked if key == "LAST"),
-               default=MOST_LISTED)  # fmt: skip
+    last = min(
+        (_count(value, "LAST") for key, value in asked if key == "LAST"), default=MOST_LISTED
+    )
     found = [
-        job for job in service.store.newest(MOST_LISTED)
+        job
+        for job in service.store.newest(MOST_LISTED)
         if (not phases or job.phase in phases) and job.submitted_s > after
-    ]  # fmt: skip
+    ]
     return _xml(uws_xml.jobs_xml(reversed(found[:last]), _base(request)))
 
 
@@ -155,10 +157,15 @@ def result(request: Request, service: Service, job_id: str, name: str) -> Respon
     here = f"{base}/v1/jobs/{job_id}"
     links: list[dict[str, Any]] = [
         _link(job_id, f"{here}/product.tar", "#this", "the whole product", "application/x-tar"),
-        _link(job_id, f"{here}/results/cube.zarr", "#this", "the cube, Zarr v3",
-              "application/vnd.zarr"),
+        _link(
+            job_id,
+            f"{here}/results/cube.zarr",
+            "#this",
+            "the cube, Zarr v3",
+            "application/vnd.zarr",
+        ),
         _link(job_id, f"{here}/preview.png", "#preview", "the first frame", "image/png"),
-    ]  # fmt: skip
+    ]
     for path, size in list_files(product):
         if not path.startswith((f"{layout.CUBE}/", f"{layout.MARKERS}/", "preview.png")):
             kind = "application/json" if path.endswith(".json") else "application/octet-stream"
@@ -172,11 +179,14 @@ def result(request: Request, service: Service, job_id: str, name: str) -> Respon
     return Response(uws_xml.links_votable(links), media_type=kind)
 
 
-def _link(
-    job_id: str, address: str, semantics: str, description: str, kind: str
-) -> dict[str, Any]:
-    return {"ID": job_id, "access_url": address, "semantics": semantics,
-            "description": description, "content_type": kind}  # fmt: skip
+def _link(job_id: str, address: str, semantics: str, description: str, kind: str) -> dict[str, Any]:
+    return {
+        "ID": job_id,
+        "access_url": address,
+        "semantics": semantics,
+        "description": description,
+        "content_type": kind,
+    }
 
 
 async def _fields(request: Request, service: Context) -> Fields:
@@ -187,8 +197,13 @@ async def _fields(request: Request, service: Context) -> Fields:
     body = await read_body(request, settings.body_bytes, settings.body_s, (FORM,))
     try:
         text = body.decode("utf-8")
-        pairs = parse_qsl(text, keep_blank_values=True, strict_parsing=bool(text),
-                          errors="strict", max_num_fields=100)  # fmt: skip
+        pairs = parse_qsl(
+            text,
+            keep_blank_values=True,
+            strict_parsing=bool(text),
+            errors="strict",
+            max_num_fields=100,
+        )
     except ValueError:
         raise Malformed("the body is not a form in UTF-8") from None
     found = {key.upper(): value for key, value in pairs}

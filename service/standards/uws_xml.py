@@ -16,11 +16,15 @@ XSI, VOTABLE = "http://www.w3.org/2001/XMLSchema-instance", "http://www.ivoa.net
 for _prefix, _space in (("uws", UWS), ("xlink", XLINK), ("xsi", XSI)):
     ET.register_namespace(_prefix, _space)
 LINK_FIELDS = (
-    ("ID", "char", "meta.id;meta.main"), ("access_url", "char", "meta.ref.url"),
-    ("service_def", "char", "meta.ref"), ("error_message", "char", "meta.code.error"),
-    ("semantics", "char", "meta.code"), ("description", "char", "meta.note"),
-    ("content_type", "char", "meta.code.mime"), ("content_length", "long", "phys.size;meta.file"),
-)  # fmt: skip
+    ("ID", "char", "meta.id;meta.main"),
+    ("access_url", "char", "meta.ref.url"),
+    ("service_def", "char", "meta.ref"),
+    ("error_message", "char", "meta.code.error"),
+    ("semantics", "char", "meta.code"),
+    ("description", "char", "meta.note"),
+    ("content_type", "char", "meta.code.mime"),
+    ("content_length", "long", "phys.size;meta.file"),
+)
 # What XML 1.0 has no way to write: a document with one of them is none.
 NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 Result = tuple[str, str, str]  # id, address, media type
@@ -59,8 +63,11 @@ def jobs_xml(jobs: Iterable[Job], base: str) -> bytes:
     root = _element("jobs", version="1.1")
     for job in jobs:
         ref = _child(root, "jobref", "")
-        ref.attrib |= {"id": job.id, f"{{{XLINK}}}type": "simple",
-                       f"{{{XLINK}}}href": f"{base}/{job.id}"}  # fmt: skip
+        ref.attrib |= {
+            "id": job.id,
+            f"{{{XLINK}}}type": "simple",
+            f"{{{XLINK}}}href": f"{base}/{job.id}",
+        }
         _child(ref, "phase", job.phase.value)
         if job.run_id is not None:
             _child(ref, "runId", job.run_id)
@@ -117,8 +124,12 @@ def _results(results: Iterable[Result]) -> ET.Element:
     root = _element("results")
     for name, address, kind in results:
         result = _child(root, "result", "")
-        result.attrib |= {"id": name, "mime-type": kind, f"{{{XLINK}}}type": "simple",
-                          f"{{{XLINK}}}href": address}  # fmt: skip
+        result.attrib |= {
+            "id": name,
+            "mime-type": kind,
+            f"{{{XLINK}}}type": "simple",
+            f"{{{XLINK}}}href": address,
+        }
     return root
 
 

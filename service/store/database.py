@@ -60,9 +60,7 @@ def connect(url: str) -> sa.Engine:
     return engine
 
 
-def _not_opened(
-    error: sa.exc.DBAPIError, parts: sa.URL, kind: str, shown: str
-) -> NightglassError:
+def _not_opened(error: sa.exc.DBAPIError, parts: sa.URL, kind: str, shown: str) -> NightglassError:
     """Why a database could not be opened, without its password."""
     reason = " ".join(str(error.orig).split())[:200]
     if kind == "sqlite" and _no_room(parts.database or "", reason):
@@ -154,9 +152,12 @@ def _configure(connection: Any, _: Any) -> None:
     """Write-ahead log, synced at every commit; transactions are begun by `_begin`."""
     connection.isolation_level = None
     for pragma in (
-        "journal_mode = WAL", "synchronous = FULL", "busy_timeout = 30000",
-        "cell_size_check = ON", "trusted_schema = OFF",
-    ):  # fmt: skip
+        "journal_mode = WAL",
+        "synchronous = FULL",
+        "busy_timeout = 30000",
+        "cell_size_check = ON",
+        "trusted_schema = OFF",
+    ):
         connection.execute(f"PRAGMA {pragma}").close()
 
 

@@ -13,7 +13,8 @@ HEAD = "0002"  # the newest migration (service/migrations/versions)
 
 metadata = sa.MetaData()
 jobs = sa.Table(
-    "jobs", metadata,
+    "jobs",
+    metadata,
     sa.Column("number", sa.BigInteger, primary_key=True, autoincrement=False),
     sa.Column("id", sa.String(32), nullable=False, unique=True),
     sa.Column("team", sa.String(64), nullable=False),
@@ -47,17 +48,21 @@ jobs = sa.Table(
     sa.Index("jobs_by_team", "team", "phase", "bytes_kept"),
     sa.Index("jobs_by_phase", "phase", "number"),
     sa.Index("jobs_to_remove", "deleted", "number"),
-)  # fmt: skip
+)
 counters = sa.Table(
-    "counters", metadata,
+    "counters",
+    metadata,
     sa.Column("name", sa.String(16), primary_key=True),
     sa.Column("value", sa.BigInteger, nullable=False),
-)  # fmt: skip
+)
 audit = sa.Table(
-    "audit", metadata,
+    "audit",
+    metadata,
     sa.Column(
-        "number", sa.BigInteger().with_variant(sa.Integer, "sqlite"),
-        primary_key=True, autoincrement=True,
+        "number",
+        sa.BigInteger().with_variant(sa.Integer, "sqlite"),
+        primary_key=True,
+        autoincrement=True,
     ),
     sa.Column("at_s", sa.Double, nullable=False),
     sa.Column("team", sa.String(64), nullable=False),
@@ -66,9 +71,10 @@ audit = sa.Table(
     sa.Column("thing", sa.String(64)),
     sa.Column("detail", sa.String(400)),
     sa.Index("audit_by_thing", "thing", "action"),
-)  # fmt: skip
+)
 keys = sa.Table(
-    "keys", metadata,
+    "keys",
+    metadata,
     sa.Column("id", sa.String(16), primary_key=True),
     sa.Column("team", sa.String(64), nullable=False),
     sa.Column("name", sa.String(128), nullable=False),
@@ -76,29 +82,32 @@ keys = sa.Table(
     sa.Column("created_s", sa.Double, nullable=False),
     sa.Column("expires_s", sa.Double),
     sa.Column("revoked_s", sa.Double),
-)  # fmt: skip
+)
 uploads = sa.Table(
-    "uploads", metadata,
+    "uploads",
+    metadata,
     sa.Column("team", sa.String(64), primary_key=True),
     sa.Column("id", sa.String(80), primary_key=True),
     sa.Column("name", sa.String(128), nullable=False),
     sa.Column("bytes", sa.BigInteger, nullable=False),
     sa.Column("created_s", sa.Double, nullable=False),
-)  # fmt: skip
+)
 usage = sa.Table(
-    "usage", metadata,
+    "usage",
+    metadata,
     sa.Column("team", sa.String(64), primary_key=True),
     sa.Column("day", sa.Integer, primary_key=True),  # days since 1970-01-01, UTC
     sa.Column("jobs", sa.BigInteger, nullable=False),
     sa.Column("pixel_frames", sa.BigInteger, nullable=False),
-)  # fmt: skip
+)
 leases = sa.Table(
-    "leases", metadata,
+    "leases",
+    metadata,
     sa.Column("name", sa.String(16), primary_key=True),
     sa.Column("holder", sa.String(64), nullable=False),
     sa.Column("epoch", sa.BigInteger, nullable=False),
     sa.Column("until_s", sa.Double, nullable=False),
-)  # fmt: skip
+)
 
 UNSEALED = frozenset({"number", "scene", "seal"})
 SEALED = tuple(c.name for c in jobs.c if c.name not in UNSEALED)

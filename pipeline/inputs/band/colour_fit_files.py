@@ -66,10 +66,11 @@ def read_colour_fit(path: Path, band: str, digest: str) -> ColourFit:
     of = stored.get("response")
     if of is not None and of != digest:
         raise BadInput(
-            FIELD, f"{path}: response {str(of)[:12]}",
+            FIELD,
+            f"{path}: response {str(of)[:12]}",
             f"a fit of this sensor's response {digest[:12]} (bandpass, transmission, "
             "quantum_efficiency)",
-        )  # fmt: skip
+        )
     own = hashlib.sha256(content).hexdigest()
     return replace(fit, source=f"{path.name}: {fit.source}", digest=own)
 
@@ -98,11 +99,14 @@ def _checked(path: Path, content: dict[str, Any]) -> ColourFit:
         return BadInput(FIELD, f"{path}: fit.{name} = {content.get(name)!r}", allowed)
 
     numbers = {
-        "residual_rms_mag": (0.0, LARGEST_MAG), "residual_max_mag": (0.0, LARGEST_MAG),
-        "default_colour": WIDEST_MAG, "default_colour_scatter": (0.0, LARGEST_MAG),
-        "default_error_mag": (0.0, LARGEST_MAG), "zero_electrons_s_m2": (1e-30, 1e30),
+        "residual_rms_mag": (0.0, LARGEST_MAG),
+        "residual_max_mag": (0.0, LARGEST_MAG),
+        "default_colour": WIDEST_MAG,
+        "default_colour_scatter": (0.0, LARGEST_MAG),
+        "default_error_mag": (0.0, LARGEST_MAG),
+        "zero_electrons_s_m2": (1e-30, 1e30),
         "spectra_count": (0, 10**9),
-    }  # fmt: skip
+    }
     for name, (low, high) in numbers.items():
         if not _is_number(content.get(name), low, high):
             raise refuse(name, f"a number from {low:g} to {high:g}")

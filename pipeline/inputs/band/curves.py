@@ -89,8 +89,9 @@ def resolve_response(
 def _bandpass(bandpass: Mapping[str, Any], base: Path | None) -> tuple[ResponseCurve, str]:
     kind = bandpass.get("kind")
     if kind == "box":
-        short, long = (_number(f"sensor.bandpass.{k}", bandpass.get(k)) for k in
-                       ("short_nm", "long_nm"))  # fmt: skip
+        short, long = (
+            _number(f"sensor.bandpass.{k}", bandpass.get(k)) for k in ("short_nm", "long_nm")
+        )
         if not short < long:
             raise BadInput("sensor.bandpass.long_nm", long, f"more than short_nm ({short:g})")
         field, curve, name = (

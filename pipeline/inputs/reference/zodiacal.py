@@ -8,8 +8,26 @@ _ = float("nan")
 
 # Rows: ecliptic longitude from the Sun, degrees.
 LONGITUDE_DEG: tuple[float, ...] = (
-    0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 60, 75, 90, 105, 120, 135, 150, 165, 180,
-)  # fmt: skip
+    0,
+    5,
+    10,
+    15,
+    20,
+    25,
+    30,
+    35,
+    40,
+    45,
+    60,
+    75,
+    90,
+    105,
+    120,
+    135,
+    150,
+    165,
+    180,
+)
 
 # Columns: ecliptic latitude, degrees.
 LATITUDE_DEG: tuple[float, ...] = (0, 5, 10, 15, 20, 25, 30, 45, 60, 75, 90)

@@ -60,9 +60,7 @@ def gather_cosmic_rays(
     return _few_enough("rate_scale", wish.rate_scale, recorded)
 
 
-def _flux(
-    wish: spec.GeneratedCosmicRays, sensor: Sensor, integration_s: float
-) -> Flux | None:
+def _flux(wish: spec.GeneratedCosmicRays, sensor: Sensor, integration_s: float) -> Flux | None:
     """The particles that are generated, defaults filled in; None of rate 0."""
     defaults = (spec.GROUND_RATE_PER_CM2_S, 0.0, spec.MUON_ZENITH_POWER)
     if wish.source == "space":
@@ -72,9 +70,16 @@ def _flux(
     if rate == 0.0:
         return None
     return Flux(
-        *sensor.shape, sensor.pixel_pitch_um, wish.thickness_um, rate, integration_s,
-        defaults[2], helium, wish.diffusion_um, wish.delta_electrons,
-    )  # fmt: skip
+        *sensor.shape,
+        sensor.pixel_pitch_um,
+        wish.thickness_um,
+        rate,
+        integration_s,
+        defaults[2],
+        helium,
+        wish.diffusion_um,
+        wish.delta_electrons,
+    )
 
 
 def _few_enough(key: str, value: float, rays: CosmicRays) -> CosmicRays:
@@ -112,9 +117,15 @@ def read_library(path: Path, field: str = FIELD) -> Library:
 
 
 def _library(
-    path: Path, field: str, header: dict[str, Any], event: Any, frame: Any, x0: Any, y0: Any,
+    path: Path,
+    field: str,
+    header: dict[str, Any],
+    event: Any,
+    frame: Any,
+    x0: Any,
+    y0: Any,
     spans: list[Any],
-) -> Library:  # fmt: skip
+) -> Library:
     """Rows of the table, checked, as events of pixels."""
     exposure_s, pixels = (_positive(path, field, header, n) for n in ("EXPTIME", "NUM_PIX"))
     lengths = np.array(list(map(len, spans)), dtype=np.int64)
@@ -129,15 +140,25 @@ def _library(
     x, y = x0[row] + along[order], y0[row]
     shape = _shape(header)
     if shape and len(x) and (y.max() >= shape[0] or x.max() >= shape[1]):
-        raise BadInput(field, f"{path.name} with a pixel at {x.max()}, {y.max()}",
-                       f"places in its {shape[0]} rows and {shape[1]} columns")  # fmt: skip
+        raise BadInput(
+            field,
+            f"{path.name} with a pixel at {x.max()}, {y.max()}",
+            f"places in its {shape[0]} rows and {shape[1]} columns",
+        )
     pitch = header.get("PITCH_UM")
     frames, of_event = _frames_of(path, field, header.get("FRAMES"), frame, row[start[:-1]])
     return Library(
-        start, x, y, electrons[order], exposure_s, pixels,
+        start,
+        x,
+        y,
+        electrons[order],
+        exposure_s,
+        pixels,
         float(pitch) if isinstance(pitch, int | float) and pitch > 0 else None,
-        shape, frames, of_event,
-    )  # fmt: skip
+        shape,
+        frames,
+        of_event,
+    )
 
 
 def _check_rows(path: Path, field: str, electrons: Any, x0: Any, y0: Any) -> None:
@@ -145,8 +166,11 @@ def _check_rows(path: Path, field: str, electrons: Any, x0: Any, y0: Any) -> Non
     if not np.isfinite(electrons).all() or (electrons < 0).any():
         raise BadInput(field, f"{path.name} with a negative or NaN charge", "electrons, 0 or more")
     if len(x0) and (min(x0.min(), y0.min()) < 0 or max(x0.max(), y0.max()) > LARGEST_PLACE):
-        raise BadInput(field, f"{path.name} with a pixel at {x0.min()}, {y0.min()} to {x0.max()}, "
-                       f"{y0.max()}", f"places from 0 to {LARGEST_PLACE}")  # fmt: skip
+        raise BadInput(
+            field,
+            f"{path.name} with a pixel at {x0.min()}, {y0.min()} to {x0.max()}, {y0.max()}",
+            f"places from 0 to {LARGEST_PLACE}",
+        )
 
 
 def _frames_of(
@@ -157,8 +181,11 @@ def _frames_of(
         return None, np.zeros(len(rows), np.int64)
     of_event = frame[rows]
     if len(of_event) and not 0 <= of_event.min() <= of_event.max() < frames:
-        raise BadInput(field, f"{path.name} with an event of frame {of_event.max()}",
-                       f"frames 0 to {frames - 1}")  # fmt: skip
+        raise BadInput(
+            field,
+            f"{path.name} with an event of frame {of_event.max()}",
+            f"frames 0 to {frames - 1}",
+        )
     return frames, of_event
 
 
@@ -193,8 +220,12 @@ def write_library(path: Path, library: Library) -> None:
         fits.Column("frame", "J", array=library.frame[event[first]]),
     ]
     table = fits.BinTableHDU.from_columns(columns, name=TABLE)
-    keys = {"EXPTIME": library.exposure_s, "NUM_PIX": library.pixels,
-            "FRAMES": library.frames, "PITCH_UM": library.pixel_pitch_um}  # fmt: skip
+    keys = {
+        "EXPTIME": library.exposure_s,
+        "NUM_PIX": library.pixels,
+        "FRAMES": library.frames,
+        "PITCH_UM": library.pixel_pitch_um,
+    }
     if library.shape is not None:
         keys |= {"ROWS": library.shape[0], "COLUMNS": library.shape[1]}
     table.header.update({name: value for name, value in keys.items() if value is not None})
@@ -231,8 +262,11 @@ def open_darks(paths: Sequence[Path]) -> DarkStack:
         counts.append(1 if len(shape) == 2 else shape[0])
         shapes.append((shape[-2], shape[-1]))
         if shapes[-1] != shapes[0]:
-            raise BadInput("DARK_FRAMES", f"{path} of shape {shapes[-1]}",
-                           f"frames of one shape: {paths[0]} has {shapes[0]}")  # fmt: skip
+            raise BadInput(
+                "DARK_FRAMES",
+                f"{path} of shape {shapes[-1]}",
+                f"frames of one shape: {paths[0]} has {shapes[0]}",
+            )
     if sum(counts) < FEWEST_FRAMES:
         raise BadInput("DARK_FRAMES", f"{sum(counts)} frame(s)", f"at least {FEWEST_FRAMES}")
     return DarkStack(tuple(paths), tuple(counts), shapes[0])
@@ -331,8 +365,9 @@ def _levels(darks: DarkStack) -> tuple[NDArray[np.float32], NDArray[np.float32]]
     rows, columns = darks.shape
     step = max(1, BAND_BYTES // (4 * darks.frames * columns))
     offset = _offsets(darks)[:, None, None]
-    parts = [stack_levels(darks.band(s, min(s + step, rows)) - offset)
-             for s in range(0, rows, step)]  # fmt: skip
+    parts = [
+        stack_levels(darks.band(s, min(s + step, rows)) - offset) for s in range(0, rows, step)
+    ]
     level, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
     return level, steady_sigma(sigma, DIGITAL_SIGMA)
 
@@ -340,8 +375,14 @@ def _levels(darks: DarkStack) -> tuple[NDArray[np.float32], NDArray[np.float32]]
 def _offsets(darks: DarkStack) -> NDArray[np.float32]:
     """How much each frame as a whole lies above the first one, (frames,): a bias that drifts."""
     first = _rows(darks.files[0], 0, darks.shape[0])[0]
-    return np.array([np.median(image - first) for path in darks.files
-                     for image in _rows(path, 0, darks.shape[0])], dtype=np.float32)  # fmt: skip
+    return np.array(
+        [
+            np.median(image - first)
+            for path in darks.files
+            for image in _rows(path, 0, darks.shape[0])
+        ],
+        dtype=np.float32,
+    )
 
 
 def _residuals(darks: DarkStack, level: NDArray[np.float32]) -> Any:
@@ -366,6 +407,14 @@ def _joined(
     y, x, electrons = (np.concatenate([f[i] for f in found]) for i in (1, 2, 3))
     rows, columns = darks.shape
     return Library(
-        np.array(start, np.int64), x, y, electrons.astype(np.float64), exposure_s * darks.frames,
-        rows * columns, pixel_pitch_um, darks.shape, darks.frames, np.array(frame, np.int64),
-    )  # fmt: skip
+        np.array(start, np.int64),
+        x,
+        y,
+        electrons.astype(np.float64),
+        exposure_s * darks.frames,
+        rows * columns,
+        pixel_pitch_um,
+        darks.shape,
+        darks.frames,
+        np.array(frame, np.int64),
+    )

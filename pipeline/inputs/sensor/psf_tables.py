@@ -28,8 +28,19 @@ from pipeline.spec.sensor.sensor import FieldPsf, TablePsf
 FIELD = "sensor.psf.path"
 LARGEST_BYTES = 200_000_000
 IMAGES = (".npy", ".fits", ".fit", ".fits.gz")
-UM = {"nm": 1e-3, "um": 1.0, "µm": 1.0, "μm": 1.0, "micron": 1.0, "microns": 1.0,
-      "micrometers": 1.0, "mm": 1e3, "millimeters": 1e3, "cm": 1e4, "m": 1e6}  # fmt: skip
+UM = {
+    "nm": 1e-3,
+    "um": 1.0,
+    "µm": 1.0,
+    "μm": 1.0,
+    "micron": 1.0,
+    "microns": 1.0,
+    "micrometers": 1.0,
+    "mm": 1e3,
+    "millimeters": 1e3,
+    "cm": 1e4,
+    "m": 1e6,
+}
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[Ee][-+]?\d+)?"
 
 

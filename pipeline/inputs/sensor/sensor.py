@@ -24,9 +24,12 @@ def gather_sensor_maps(scene: Scene) -> SensorMaps:
     """Read the images that the sensor names and check shape, finiteness and range."""
     values = {name: _gather(scene, name) for name in LIMITS}
     maps = SensorMaps(
-        values["flat"], values["dark_e_per_s"], values["read_noise_e"], values["gain_e_per_dn"],
+        values["flat"],
+        values["dark_e_per_s"],
+        values["read_noise_e"],
+        values["gain_e_per_dn"],
         values["bias_dn"],
-    )  # fmt: skip
+    )
     if scene.sensor.detector is None:
         return maps
     from pipeline.inputs.sensor.detector import with_detector

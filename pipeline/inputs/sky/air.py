@@ -39,8 +39,9 @@ def gather_extinction(scene: Scene, response: ResponseCurve) -> BandExtinction |
         return None
     mag: float | tuple[float, float, float, float] = (
         (o.height_m, wish.aerosol_mag, wish.aerosol_slope, wish.ozone_dobson)
-        if wish.mag_per_airmass is None else wish.mag_per_airmass
-    )  # fmt: skip
+        if wish.mag_per_airmass is None
+        else wish.mag_per_airmass
+    )
     wavelength, irradiance, _, _ = solar_spectrum()
     library, _ = stellar_library()
     spectra = {name: (w, f) for name, w, f in library}

@@ -24,9 +24,10 @@ def gather_night(wish: Background, response: ResponseCurve) -> NightBand:
         ends = response.wavelength_m[[0, -1]] * 1e9
         if ends[0] < edges[0] - 1e-6 or ends[1] > edges[-1] + 1e-6:
             raise BadInput(
-                "background.airglow", f"a band from {ends[0]:g} to {ends[1]:g} nm",
+                "background.airglow",
+                f"a band from {ends[0]:g} to {ends[1]:g} nm",
                 f"a band within {edges[0]:g} to {edges[-1]:g} nm, where airglow is known",
-            )  # fmt: skip
+            )
         activity = solar_activity(wish.airglow.solar_flux_sfu, published.SOLAR_FLUX_SFU)
         glow = airglow_pieces(edges * 1e-9, np.array(published.ZENITH), response, activity)
     return NightBand(glow, sun, moon)

@@ -43,9 +43,10 @@ def gather_sky(
         from pipeline.physics.sky.zodiacal import band_rates, zodiacal_table
 
         table = zodiacal_table(
-            np.array(published.LONGITUDE_DEG, float), np.array(published.LATITUDE_DEG, float),
+            np.array(published.LONGITUDE_DEG, float),
+            np.array(published.LATITUDE_DEG, float),
             np.array(published.RADIANCE, float),
-        )  # fmt: skip
+        )
         wavelength, irradiance, _, _ = solar_spectrum()
         rates = band_rates(wavelength, irradiance, response)
     if b.galactic:

@@ -38,28 +38,37 @@ def gather_stray_light(scene: Scene, wish: StrayLight) -> StrayInputs:
     if isinstance(wish.pst, TablePst):
         angle, value = read_pst(Path(wish.pst.path))
         reaches = angle[-1] >= REACHES_SIDE_DEG
-        beyond: Literal["refuse", "zero", "clip"] = (
-            wish.pst.beyond or ("zero" if reaches else "refuse")
-        )  # fmt: skip
+        beyond: Literal["refuse", "zero", "clip"] = wish.pst.beyond or (
+            "zero" if reaches else "refuse"
+        )
         nearest = angle[0] if wish.exclusion_deg is None else wish.exclusion_deg
         pst = PstTable(angle * DEG_RAD, value, nearest * DEG_RAD, wish.inside, beyond)
         through = not wish.pst.holds_transmission
     else:
         h = wish.pst
         pst = PstHarvey(
-            h.b0_per_sr, h.shoulder, h.slope, h.mirrors, s.focal_length_m / s.aperture_m,
-            (wish.exclusion_deg or 0.0) * DEG_RAD, wish.inside,
-        )  # fmt: skip
+            h.b0_per_sr,
+            h.shoulder,
+            h.slope,
+            h.mirrors,
+            s.focal_length_m / s.aperture_m,
+            (wish.exclusion_deg or 0.0) * DEG_RAD,
+            wish.inside,
+        )
     transmission = s.transmission if through else 1.0
     response, _, _ = resolve_response(s.bandpass.model_dump(), transmission, s.quantum_efficiency)
     wavelength, irradiance, _, _ = solar_spectrum()
-    albedo = np.array([[wish.earth_albedo]]) if isinstance(wish.earth_albedo, float) else (
-        read_albedo(Path(wish.earth_albedo))
-    )  # fmt: skip
+    albedo = (
+        np.array([[wish.earth_albedo]])
+        if isinstance(wish.earth_albedo, float)
+        else (read_albedo(Path(wish.earth_albedo)))
+    )
     return StrayInputs(
-        pst, band_photon_irradiance_sun(wavelength, irradiance, response),
-        band_rate(wavelength, irradiance, response), albedo,
-    )  # fmt: skip
+        pst,
+        band_photon_irradiance_sun(wavelength, irradiance, response),
+        band_rate(wavelength, irradiance, response),
+        albedo,
+    )
 
 
 def read_pst(path: Path) -> tuple[Array, Array]:
@@ -82,9 +91,10 @@ def read_pst(path: Path) -> tuple[Array, Array]:
     if len(wrong):
         k = int(wrong[0])
         raise BadInput(
-            PST, _told(k, angle, value),
+            PST,
+            _told(k, angle, value),
             "values above 0: irradiance on the focal plane over that on the pupil",
-        )  # fmt: skip
+        )
     return angle, value
 
 
@@ -97,9 +107,10 @@ def read_albedo(path: Path) -> Array:
     if len(wrong):
         row, column = wrong[0]
         raise BadInput(
-            ALBEDO, f"{table[row, column]:g} in row {row + 1}, column {column + 1}",
+            ALBEDO,
+            f"{table[row, column]:g} in row {row + 1}, column {column + 1}",
             "a fraction from 0 to 1 in every cell",
-        )  # fmt: skip
+        )
     return table
 
 

@@ -60,9 +60,7 @@ def gather_shards(
     )
 
 
-def brightest_g_mags(
-    catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float | None
-) -> np.ndarray:
+def brightest_g_mags(catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float | None) -> np.ndarray:
     """Brightest G of each of a whole leaf's row groups that are bright enough (n,)."""
     table = catalogue.leaf_table
     (index,) = np.flatnonzero((table["order"] == leaf.order) & (table["pixel"] == leaf.pixel))

@@ -113,10 +113,13 @@ class _Reader:
         nodes, error = best_nodes(seconds, place, speed, wanted)
         columns = [seconds[:, None], place] + ([] if speed is None else [speed])
         return {
-            "kind": "table", "epoch": self._text, "rows": np.hstack(columns).tolist(),
-            "nodes": nodes, "error_m": error if np.isfinite(error) else None,
+            "kind": "table",
+            "epoch": self._text,
+            "rows": np.hstack(columns).tolist(),
+            "nodes": nodes,
+            "error_m": error if np.isfinite(error) else None,
             "source": f"{path.name}: {table.name}, {table.frame}"[:200],
-        }  # fmt: skip
+        }
 
     def _seconds(self, table: Ephemeris) -> Array:
         return elapsed_s(self._epoch, table.utc1, table.utc2)

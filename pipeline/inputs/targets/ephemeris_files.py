@@ -20,17 +20,35 @@ from pipeline.physics.positions.times import parse_utc
 
 LARGEST_BYTES = 200_000_000
 _TAI_MINUS_S = {  # seconds from a satellite system's time to TAI
-    "GPS": 19.0, "GAL": 19.0, "QZS": 19.0, "IRN": 19.0, "BDT": 33.0, "BDS": 33.0, "TAI": 0.0,
-    "TT": -32.184, "TDT": -32.184, "TDB": -32.184,
-}  # fmt: skip
+    "GPS": 19.0,
+    "GAL": 19.0,
+    "QZS": 19.0,
+    "IRN": 19.0,
+    "BDT": 33.0,
+    "BDS": 33.0,
+    "TAI": 0.0,
+    "TT": -32.184,
+    "TDT": -32.184,
+    "TDB": -32.184,
+}
 _FRAMES = {
-    "EME2000": "gcrs", "J2000": "gcrs", "GCRF": "gcrs", "GCRS": "gcrs", "ICRF": "gcrs",
-    "ICRS": "gcrs", "TEME": "teme", "TEMEOFDATE": "teme", "WGS84": "itrf", "WGS-84": "itrf",
-}  # fmt: skip
+    "EME2000": "gcrs",
+    "J2000": "gcrs",
+    "GCRF": "gcrs",
+    "GCRS": "gcrs",
+    "ICRF": "gcrs",
+    "ICRS": "gcrs",
+    "TEME": "teme",
+    "TEMEOFDATE": "teme",
+    "WGS84": "itrf",
+    "WGS-84": "itrf",
+}
 _PARTS = {  # of an OEM, by the line before them
-    "META_START": "META_START", "COVARIANCE_START": "COVARIANCE_START", "META_STOP": "data",
+    "META_START": "META_START",
+    "COVARIANCE_START": "COVARIANCE_START",
+    "META_STOP": "data",
     "COVARIANCE_STOP": "data",
-}  # fmt: skip
+}
 _TIME = re.compile(r"(\d{4})-(?:(\d{3})|(\d{2})-(\d{2}))T(\d{2}):(\d{2})(?::(\d{2}(?:\.\d*)?))?Z?")
 
 
@@ -130,8 +148,9 @@ def _calendar(texts: list[str], path: Path, field: str) -> Array:
         year, doy, month, day = (int(g) if g else 0 for g in m.groups()[:4])
         # a day of the year is a day of January to ERFA only up to 31: count it out
         if doy:
-            _, month, day, _, _ = (int(x) for x in era.jd2cal(*era.cal2jd(year, 1, 1)[:2] +
-                                   np.array([0.0, doy - 1.0])))  # fmt: skip
+            _, month, day, _, _ = (
+                int(x) for x in era.jd2cal(*era.cal2jd(year, 1, 1)[:2] + np.array([0.0, doy - 1.0]))
+            )
         out[i] = year, month, day, int(m[5]), int(m[6]), float(m[7] or 0.0)
     return out
 
@@ -161,9 +180,7 @@ def _sp3(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:
     return out
 
 
-def _sp3_line(
-    line: str, dates: list[list[float]], rows: dict[str, dict[int, list[float]]]
-) -> None:
+def _sp3_line(line: str, dates: list[list[float]], rows: dict[str, dict[int, list[float]]]) -> None:
     """Put what a line says to the dates, or to an object's rows by the number of their date."""
     if line.startswith("* "):
         dates.append([float(x) for x in line[1:].split()[:6]])
@@ -227,8 +244,9 @@ def _oem_segment(
     useable = np.ones(len(rows), bool)
     for name, sign in (("USEABLE_START_TIME", 1.0), ("USEABLE_STOP_TIME", -1.0)):
         if name in meta:
-            edge = _to_utc(_calendar([meta[name]], path, field), meta["TIME_SYSTEM"].upper(),
-                           path, field)  # fmt: skip
+            edge = _to_utc(
+                _calendar([meta[name]], path, field), meta["TIME_SYSTEM"].upper(), path, field
+            )
             useable &= sign * ((utc[0] - edge[0][0]) + (utc[1] - edge[1][0])) > -1e-9
     return _table(key, ours, (utc[0][useable], utc[1][useable]), values[useable], (path, field))
 

@@ -89,27 +89,36 @@ def _phong(wish: PhongSurface) -> tuple[Any, bool]:
 def _cook_torrance(wish: CookTorranceSurface) -> tuple[Any, bool]:
     index = None if wish.refractive_index is None else complex(*wish.refractive_index)
     given = partial(
-        brdf.cook_torrance, diffuse=wish.diffuse, roughness=wish.roughness, index=index,
+        brdf.cook_torrance,
+        diffuse=wish.diffuse,
+        roughness=wish.roughness,
+        index=index,
         normal_reflectance=wish.normal_reflectance or 0.0,
-    )  # fmt: skip
+    )
     return given, wish.roughness < SHARP_ROUGHNESS
 
 
 def _ashikhmin_shirley(wish: AshikhminShirleySurface) -> tuple[Any, bool]:
     across = wish.exponent_u if wish.exponent_v is None else wish.exponent_v
     given = partial(
-        brdf.ashikhmin_shirley, diffuse=wish.diffuse, specular=wish.specular,
-        exponent_u=wish.exponent_u, exponent_v=across, grain=np.array(wish.grain),
-    )  # fmt: skip
+        brdf.ashikhmin_shirley,
+        diffuse=wish.diffuse,
+        specular=wish.specular,
+        exponent_u=wish.exponent_u,
+        exponent_v=across,
+        grain=np.array(wish.grain),
+    )
     sharp = max(wish.exponent_u, across) > 0.25 * SHARP_EXPONENT
     return given, sharp and bool(wish.specular)
 
 
 # By kind of surface: its reflectance, and whether its highlight is as sharp as the Sun's disc.
 FORMULAS: dict[type, Callable[[Any], tuple[Any, bool]]] = {
-    LambertSurface: _lambert, PhongSurface: _phong, CookTorranceSurface: _cook_torrance,
+    LambertSurface: _lambert,
+    PhongSurface: _phong,
+    CookTorranceSurface: _cook_torrance,
     AshikhminShirleySurface: _ashikhmin_shirley,
-}  # fmt: skip
+}
 
 
 def read_brdf_table(

@@ -159,9 +159,10 @@ def _facets(
             place[k] = number
     if missing:
         raise BadInput(
-            f"{field}.materials", _names(missing),
+            f"{field}.materials",
+            _names(missing),
             "a surface for each of these materials of the file, or `surface` for all others",
-        )  # fmt: skip
+        )
     for owner in owners:
         for name in owner.materials:
             if name not in file.materials and len(owners) == 1:
@@ -212,9 +213,15 @@ def read_mesh(path: Path, unit: str, field: str = "body.path") -> MeshFile:
             "from behind they are black (two_sided: true makes sheets reflect on both sides)"
         )
     return MeshFile(
-        corners, shut[shell], material, thing, materials, things,
-        hashlib.sha256(raw).hexdigest(), tuple(notices),
-    )  # fmt: skip
+        corners,
+        shut[shell],
+        material,
+        thing,
+        materials,
+        things,
+        hashlib.sha256(raw).hexdigest(),
+        tuple(notices),
+    )
 
 
 def _bytes(path: Path, field: str) -> tuple[bytes, str]:
@@ -332,9 +339,10 @@ def _check_size(corners: Array, name: str, unit: str, field: str) -> None:
     far = float(np.abs(corners).max())
     if not 0.0 < size <= LARGEST_M or far > LARGEST_M:
         raise BadInput(
-            field, f"{name}: {size:g} m across, {far:g} m from its origin in unit: {unit}",
+            field,
+            f"{name}: {size:g} m across, {far:g} m from its origin in unit: {unit}",
             f"a body of more than 0 and at most {LARGEST_M:g} m; is the unit right?",
-        )  # fmt: skip
+        )
 
 
 def _whole(

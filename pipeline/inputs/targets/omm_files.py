@@ -12,16 +12,22 @@ from pipeline.errors import BadInput
 
 LARGEST_BYTES = 64_000_000
 _KEYS = {
-    "epoch": "EPOCH", "mean_motion_rev_day": "MEAN_MOTION", "eccentricity": "ECCENTRICITY",
-    "inclination_deg": "INCLINATION", "raan_deg": "RA_OF_ASC_NODE",
-    "argument_of_perigee_deg": "ARG_OF_PERICENTER", "mean_anomaly_deg": "MEAN_ANOMALY",
+    "epoch": "EPOCH",
+    "mean_motion_rev_day": "MEAN_MOTION",
+    "eccentricity": "ECCENTRICITY",
+    "inclination_deg": "INCLINATION",
+    "raan_deg": "RA_OF_ASC_NODE",
+    "argument_of_perigee_deg": "ARG_OF_PERICENTER",
+    "mean_anomaly_deg": "MEAN_ANOMALY",
     "bstar": "BSTAR",
-}  # fmt: skip
+}
 _EXPECTED = {
-    "CENTER_NAME": ("EARTH",), "REF_FRAME": ("TEME", "TEME OF DATE", "TEMEOFDATE"),
-    "TIME_SYSTEM": ("UTC",), "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4", "SGP"),
+    "CENTER_NAME": ("EARTH",),
+    "REF_FRAME": ("TEME", "TEME OF DATE", "TEMEOFDATE"),
+    "TIME_SYSTEM": ("UTC",),
+    "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4", "SGP"),
     "EPHEMERIS_TYPE": ("0", "2", "3", "0.0"),
-}  # fmt: skip
+}
 
 
 def read_omm(path: Path, field: str) -> dict[str, dict[str, Any]]:

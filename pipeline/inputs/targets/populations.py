@@ -25,9 +25,9 @@ def gather_populations(scene: Scene, halo_px: float, dut1_s: float) -> Scene:
             found.append(([], population))
             continue
         field = f"populations.{i}"
-        sizes = {} if population.sizes is None else read_sizes(
-            Path(population.sizes), f"{field}.sizes"
-        )  # fmt: skip
+        sizes = (
+            {} if population.sizes is None else read_sizes(Path(population.sizes), f"{field}.sizes")
+        )
         sieve = Sieve(population, look, sizes, field)
         for batch in element_sets(Path(population.path), f"{field}.path"):
             sieve.take(batch)

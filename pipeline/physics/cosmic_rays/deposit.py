@@ -68,10 +68,19 @@ def add_tracks(
     sums = np.zeros(len(t))
     shape = np.array([flux.pixel_pitch_um, flux.thickness_um, flux.diffusion_um, reach_px(flux)])
     _add(
-        np.empty((0, 0)) if image_e is None else image_e, np.array(place), sums, frame, *key,
-        t.event, np.stack([t.x_back, t.y_back, t.x_front, t.y_front], axis=1), t.path_um,
-        t.charge_number, t.spread, shape, flux.delta_electrons,
-    )  # fmt: skip
+        np.empty((0, 0)) if image_e is None else image_e,
+        np.array(place),
+        sums,
+        frame,
+        *key,
+        t.event,
+        np.stack([t.x_back, t.y_back, t.x_front, t.y_front], axis=1),
+        t.path_um,
+        t.charge_number,
+        t.spread,
+        shape,
+        flux.delta_electrons,
+    )
     found = np.zeros(len(tracks))
     found[around] = sums
     return found

@@ -55,8 +55,12 @@ class Library:
         if not len(s):
             none = np.empty(0, np.int64)
             return none, none, none, none
-        return (np.minimum.reduceat(self.x, s), np.maximum.reduceat(self.x, s),
-                np.minimum.reduceat(self.y, s), np.maximum.reduceat(self.y, s))  # fmt: skip
+        return (
+            np.minimum.reduceat(self.x, s),
+            np.maximum.reduceat(self.x, s),
+            np.minimum.reduceat(self.y, s),
+            np.maximum.reduceat(self.y, s),
+        )
 
 
 @dataclass(frozen=True)
@@ -180,9 +184,18 @@ def add_events(
     which = np.flatnonzero(touch)
     lib = r.library
     _add(
-        np.empty((0, 0)) if image_e is None else image_e, np.array(place), sums, which,
-        placed.number, placed.dx, placed.dy, lib.start, lib.x, lib.y, lib.electrons,
-    )  # fmt: skip
+        np.empty((0, 0)) if image_e is None else image_e,
+        np.array(place),
+        sums,
+        which,
+        placed.number,
+        placed.dx,
+        placed.dy,
+        lib.start,
+        lib.x,
+        lib.y,
+        lib.electrons,
+    )
     return sums
 
 

@@ -134,9 +134,16 @@ def draw_tracks(flux: Flux, frame: int, key: tuple[int, int]) -> Tracks:
     helium = u[3] < flux.helium_share
     both_sides = flux.zenith_power == 0.0
     return Tracks(
-        np.arange(count), x, y, x + dx, y + dy, path, np.where(helium, 2.0, 1.0),
-        (u[7] < 0.5) | (not both_sides), _normals(u[6]),
-    )  # fmt: skip
+        np.arange(count),
+        x,
+        y,
+        x + dx,
+        y + dy,
+        path,
+        np.where(helium, 2.0, 1.0),
+        (u[7] < 0.5) | (not both_sides),
+        _normals(u[6]),
+    )
 
 
 def _azimuths(
@@ -147,8 +154,14 @@ def _azimuths(
     The area is a sum of four terms in |cos| and |sin|; one is chosen by its weight, and each has an
     inverse in closed form. `choice` first chooses the term, then what is left of it the quadrant.
     """
-    weights = np.array([np.full_like(t, rows * columns), rows * t * 2 / np.pi,
-                        columns * t * 2 / np.pi, t * t / np.pi])  # fmt: skip
+    weights = np.array(
+        [
+            np.full_like(t, rows * columns),
+            rows * t * 2 / np.pi,
+            columns * t * 2 / np.pi,
+            t * t / np.pi,
+        ]
+    )
     sums = np.cumsum(weights, axis=0) / weights.sum(axis=0)
     term = (choice > sums[:3]).sum(axis=0)
     low = np.where(term > 0, np.take_along_axis(sums, np.maximum(term - 1, 0)[None], 0)[0], 0.0)

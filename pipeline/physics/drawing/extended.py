@@ -108,8 +108,11 @@ def core_band(spectrum: Spectrum, core: Core, period: tuple[int, int]) -> float:
 
 
 def block_spectrum(
-    body: Appearance, block: BodyBlock, oversampling: int, period: tuple[int, int],
-    band_per_px: float
+    body: Appearance,
+    block: BodyBlock,
+    oversampling: int,
+    period: tuple[int, int],
+    band_per_px: float,
 ) -> Spectrum | None:
     """Fourier transform of a block of a body about the block's middle; None where it is dark.
 
@@ -129,9 +132,13 @@ def block_spectrum(
             continue
         grid = np.zeros((ny, nx)) if grid is None else grid
         spread_onto(
-            grid, nx, KERNEL, (y - middle[0]) * per_px + ny // 2,
-            (x - middle[1]) * per_px + nx // 2, share,
-        )  # fmt: skip
+            grid,
+            nx,
+            KERNEL,
+            (y - middle[0]) * per_px + ny // 2,
+            (x - middle[1]) * per_px + nx // 2,
+            share,
+        )
     return None if grid is None else _cut(grid, oversampling, period)
 
 
@@ -181,9 +188,10 @@ def draw_body(
         period = (fast[0], fast[1])
         y, x = place_px[0] + block.middle[0], place_px[1] + block.middle[1]
         near = [
-            piece for piece in cut
+            piece
+            for piece in cut
             if _touches(image_e, origin, y + piece[1], x + piece[0], half_y, half_x)
-        ]  # fmt: skip
+        ]
         if not near:
             continue
         if fixed is None:

@@ -102,9 +102,15 @@ def profile_s(blur: Blur, radius_px: float) -> float:
 
 
 def draw_quadrature(
-    blur: Blur, path: Path, shape: tuple[int, int], origin: tuple[int, int], y_px: float,
-    x_px: float, reach_px: float = math.inf, finer: bool = False,
-) -> Array:  # fmt: skip
+    blur: Blur,
+    path: Path,
+    shape: tuple[int, int],
+    origin: tuple[int, int],
+    y_px: float,
+    x_px: float,
+    reach_px: float = math.inf,
+    finer: bool = False,
+) -> Array:
     """Light of a source at (y, x) in each pixel, per unit light: (rows, columns) float64.
 
     origin : frame pixel (y, x) of the first; every pixel is its own, whatever the window is
@@ -211,8 +217,11 @@ def profile_of(blur: Blur, radius_px: float) -> Profile:
     optics, rounded, spread = _round(blur)
     width = _scale(optics) / PANELS
     if isinstance(optics, Gaussian):
-        radius_px = min(radius_px, FAR_SIGMA * float(np.abs(np.linalg.inv(rounded)).max())
-                        * 1.5 * optics.sigma_px + SPARE_PX)  # fmt: skip
+        radius_px = min(
+            radius_px,
+            FAR_SIGMA * float(np.abs(np.linalg.inv(rounded)).max()) * 1.5 * optics.sigma_px
+            + SPARE_PX,
+        )
     count = math.ceil(radius_px * float(np.linalg.norm(rounded, 2)) / width) + 1
     at, to_powers = _panel()
     r = (np.arange(count)[:, None] + 0.5 * (at + 1.0)) * width
@@ -345,8 +354,22 @@ def _around(out, radii, angles, first, at, down, along, coefficients, width, rou
 
 @njit(cache=True, nogil=True)
 def _integrate(
-    out, y0, x0, points, at, down, along, coefficients, width, rounded, reach, far, far_width,
-    near_px, fades, ends,
+    out,
+    y0,
+    x0,
+    points,
+    at,
+    down,
+    along,
+    coefficients,
+    width,
+    rounded,
+    reach,
+    far,
+    far_width,
+    near_px,
+    fades,
+    ends,
 ):
     """Adds the light of each pixel: (y0, x0) is the first one's centre from the source."""
     terms, last = np.empty(far.shape[2]), min(reach, ends) ** 2

@@ -130,9 +130,11 @@ def _mean_envelope(fy: Array, fx: Array, step: float, dy: float, dx: float) -> A
     middle = fy[:, None] * dy + fx[None, :] * dx
     a, b = (max(0.5 * step * abs(d), 1e-2) for d in (dy, dx))
     corners = (
-        _twice_integrated(middle + a + b) - _twice_integrated(middle + a - b)
-        - _twice_integrated(middle - a + b) + _twice_integrated(middle - a - b)
-    )  # fmt: skip
+        _twice_integrated(middle + a + b)
+        - _twice_integrated(middle + a - b)
+        - _twice_integrated(middle - a + b)
+        + _twice_integrated(middle - a - b)
+    )
     return np.clip(corners / (4.0 * a * b), 0.0, 1.0)
 
 

@@ -162,10 +162,11 @@ def plan_spectral(
         best = sorted([*timed, *best], key=lambda plan: plan[0])[:1]
     if not best:
         raise BadInput(
-            "error", error,
+            "error",
+            error,
             f"an error that a grid of at most {most_bytes / 1e6:.0f} MB reaches with this "
             "response: a larger one, a smaller block, or the stamps engine",
-        )  # fmt: skip
+        )
     return best[0][1]
 
 
@@ -242,10 +243,20 @@ def _plan(need: _Need, density: float, limit: float, width: int) -> SpectralPlan
         rounding = ROUNDING * need.eps * float(need.band.weight.sum())
         found.append(
             SpectralPlan(
-                need.shape, (pad_y, pad_x), (py, px), (ny, nx), keep, kernel, need.single,
-                need.longest_px, spread, cut, light, rounding,
+                need.shape,
+                (pad_y, pad_x),
+                (py, px),
+                (ny, nx),
+                keep,
+                kernel,
+                need.single,
+                need.longest_px,
+                spread,
+                cut,
+                light,
+                rounding,
             )
-        )  # fmt: skip
+        )
     return min(found, key=lambda p: (p.light_error > LIGHT_ERROR, p.error))
 
 

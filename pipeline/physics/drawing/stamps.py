@@ -38,9 +38,20 @@ def draw_stamps(
         draw_products(image_e, origin, response, x_px, y_px, light_e)
         return
     _draw(
-        image_e, origin[0], origin[1], response.phases, response.row0, response.starts,
-        response.stops, response.offsets, response.values, x_px, y_px, light_e, cubic,
-    )  # fmt: skip
+        image_e,
+        origin[0],
+        origin[1],
+        response.phases,
+        response.row0,
+        response.starts,
+        response.stops,
+        response.offsets,
+        response.values,
+        x_px,
+        y_px,
+        light_e,
+        cubic,
+    )
 
 
 @njit(cache=True, nogil=True)

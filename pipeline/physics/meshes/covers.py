@@ -42,10 +42,18 @@ def room_for(facets):
     """Work for a mesh of so many facets: each may cover another one twice."""
     n = 2 * facets + 2
     return CoverBuffers(
-        np.empty((n, CORNERS)), np.empty((n, CORNERS)), np.empty(n, np.int64), np.empty(n),
-        np.empty(n), np.full(facets, -1, np.int64), np.empty(n, np.int64), np.empty(n + 1),
-        np.empty(n + 1), np.empty((STACK, 5)), np.empty(STACK, np.int64),
-    )  # fmt: skip
+        np.empty((n, CORNERS)),
+        np.empty((n, CORNERS)),
+        np.empty(n, np.int64),
+        np.empty(n),
+        np.empty(n),
+        np.full(facets, -1, np.int64),
+        np.empty(n, np.int64),
+        np.empty(n + 1),
+        np.empty(n + 1),
+        np.empty((STACK, 5)),
+        np.empty(STACK, np.int64),
+    )
 
 
 @njit(cache=True, nogil=True)

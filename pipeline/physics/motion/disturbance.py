@@ -77,10 +77,15 @@ def quaternion_of(turn: Array) -> Array:
     largest = np.argmax(square, axis=-1)
     xy, xz, yz = (m[:, i, j] + m[:, j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
     wx, wy, wz = (m[:, i, j] - m[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
-    rows = np.stack([
-        np.stack([square[:, 0], xy, xz, wx], -1), np.stack([xy, square[:, 1], yz, wy], -1),
-        np.stack([xz, yz, square[:, 2], wz], -1), np.stack([wx, wy, wz, square[:, 3]], -1),
-    ], axis=1)  # fmt: skip
+    rows = np.stack(
+        [
+            np.stack([square[:, 0], xy, xz, wx], -1),
+            np.stack([xy, square[:, 1], yz, wy], -1),
+            np.stack([xz, yz, square[:, 2], wz], -1),
+            np.stack([wx, wy, wz, square[:, 3]], -1),
+        ],
+        axis=1,
+    )
     return unit(rows[np.arange(len(m)), largest])
 
 

@@ -60,9 +60,11 @@ def markov(axis: int, time_constant_s: float, rms_rad: float | None, noise: floa
         rms_rad = noise * np.sqrt(0.5 * time_constant_s)
     b = rms_rad * np.sqrt(2.0 / time_constant_s)
     return Mode(
-        np.array([[-1.0 / time_constant_s]]), np.array([[b]]), _output(axis, 1),
+        np.array([[-1.0 / time_constant_s]]),
+        np.array([[b]]),
+        _output(axis, 1),
         np.array([[rms_rad**2]]),
-    )  # fmt: skip
+    )
 
 
 def random_walk(axis: int, rad_rts: float) -> Mode:

@@ -57,9 +57,10 @@ def rolled(
             y = later(y_px, time_s, delay)
         x = later(x_px, time_s, delay)
     return (
-        np.where(known, x, x_px), np.where(known, y, y_px),
+        np.where(known, x, x_px),
+        np.where(known, y, y_px),
         np.where(known, delay, 0.0),
-    )  # fmt: skip
+    )
 
 
 def exposed_longer(delay_s: Array, time_s: Array) -> Array:

@@ -101,8 +101,13 @@ def to_dn(
     offsets = _offsets_e(chain, place, rows, columns)
     for start in range(0, rows, step):
         part = slice(start, min(start + step, rows))
-        signal = _measured_e(mean_e[part], None if drawn_e is None else drawn_e[part], chain,
-                             replace(place, y0=place.y0 + start), part)  # fmt: skip
+        signal = _measured_e(
+            mean_e[part],
+            None if drawn_e is None else drawn_e[part],
+            chain,
+            replace(place, y0=place.y0 + start),
+            part,
+        )
         for offset in offsets:
             signal += offset if offset.shape[0] == 1 else offset[part]
         signal /= _cut_value(chain.gain_e_per_dn, part)

@@ -36,18 +36,24 @@ def hot_dark_e_s(
 
 
 def bias_pattern_dn(
-    shape: tuple[int, int], seed: int, row_rms_dn: float, column_rms_dn: float, pixel_rms_dn: float,
-    row_slope_dn: float, column_slope_dn: float,
-) -> Array:  # fmt: skip
+    shape: tuple[int, int],
+    seed: int,
+    row_rms_dn: float,
+    column_rms_dn: float,
+    pixel_rms_dn: float,
+    row_slope_dn: float,
+    column_slope_dn: float,
+) -> Array:
     """Fixed pattern (ny, nx) [DN] about the bias: offsets of rows, columns, pixels, and a plane.
 
     The slopes are from the first row or column to the last, 0 in the middle.
     """
     (rows, columns), out = shape, np.zeros(shape)
     for name, rms, sides in (
-        ("bias_rows", row_rms_dn, (rows, 1)), ("bias_columns", column_rms_dn, (1, columns)),
+        ("bias_rows", row_rms_dn, (rows, 1)),
+        ("bias_columns", column_rms_dn, (1, columns)),
         ("bias_pixels", pixel_rms_dn, (rows, columns)),
-    ):  # fmt: skip
+    ):
         if rms > 0:
             out += rms * standard_normals(*sides, 0, 0, 0, *stream_key(seed, name))
     out += row_slope_dn * _ramp(rows)[:, None] + column_slope_dn * _ramp(columns)

@@ -202,8 +202,14 @@ def _arguments(n, k, mean, us, v, w, bend):
         w[i] = v[i] * scale / (aa / (us[i] * us[i]) + bb)
         s = (mean[i] - safe) / (mean[i] + safe)
         q = s * s
-        odd = 1 / 3.0 + q * (1 / 5.0 + q * (1 / 7.0 + q * (1 / 9.0 + q * (
-            1 / 11.0 + q * (1 / 13.0 + q * (1 / 15.0 + q / 17.0))))))  # fmt: skip
+        odd = 1 / 3.0 + q * (
+            1 / 5.0
+            + q
+            * (
+                1 / 7.0
+                + q * (1 / 9.0 + q * (1 / 11.0 + q * (1 / 13.0 + q * (1 / 15.0 + q / 17.0))))
+            )
+        )
         value = 2.0 * safe * q * (s * odd - 1.0 / (1.0 - s)) - log_factorial_rest(safe)
         bend[i] = value if (q < 0.09) & (k[i] >= 4.0) else np.nan
 

@@ -35,9 +35,15 @@ from pipeline.physics.noise.runs import (
 )
 
 __all__ = [
-    "normal_quantile", "philox", "poisson", "poisson_image", "standard_normals", "stream_key",
-    "uniform", "uniforms",
-]  # fmt: skip
+    "normal_quantile",
+    "philox",
+    "poisson",
+    "poisson_image",
+    "standard_normals",
+    "stream_key",
+    "uniform",
+    "uniforms",
+]
 
 
 def stream_key(seed: int, component: str) -> tuple[int, int]:

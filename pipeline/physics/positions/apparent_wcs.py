@@ -84,8 +84,9 @@ def _fit_tpv(
         if value
     }
     check, there = at(24, 0.02)
-    back = [_design(w) @ f for w, f in
-            zip((check / scale, check[:, ::-1] / scale), fits, strict=True)]  # fmt: skip
+    back = [
+        _design(w) @ f for w, f in zip((check / scale, check[:, ::-1] / scale), fits, strict=True)
+    ]
     error_px = (np.stack(back, -1) - there) @ np.linalg.inv(cd_deg).T
     return terms, float(np.hypot(error_px[:, 0], error_px[:, 1]).max())
 

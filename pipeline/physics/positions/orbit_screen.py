@@ -77,8 +77,15 @@ def screen_cone(
     half = 0.5 * duration_s / count
     middles = (2.0 * np.arange(count, dtype=np.float64) + 1.0) * half
     turn = teme_to_gcrs(instants(epoch_utc, [0.5 * duration_s]))[0]
-    sky = _Sky(turn, observer, boresight, half_angle_rad, boresight_turn_rad_s,
-               observer_pull_m_s2, _TEME_TURN_RAD_S * 0.5 * duration_s)  # fmt: skip
+    sky = _Sky(
+        turn,
+        observer,
+        boresight,
+        half_angle_rad,
+        boresight_turn_rad_s,
+        observer_pull_m_s2,
+        _TEME_TURN_RAD_S * 0.5 * duration_s,
+    )
     since_s = since_epochs_s(satellites, epoch_utc)
     inside = np.zeros(len(satellites), bool)
     codes = np.full(len(satellites), _WHOLE)
@@ -95,8 +102,9 @@ def screen_cone(
         i, k = np.nonzero(near & ~bad & ~inside[part, None])
         who.append(i + start)
         when.append(middles[k])
-    _refine(satellites, since_s, sky, (np.concatenate(who), np.concatenate(when), half),
-            inside, codes)  # fmt: skip
+    _refine(
+        satellites, since_s, sky, (np.concatenate(who), np.concatenate(when), half), inside, codes
+    )
     failed = np.flatnonzero(codes != _WHOLE)
     return ScreenResult(np.flatnonzero(inside & (codes == _WHOLE)), failed, codes[failed])
 
@@ -154,8 +162,9 @@ def _together(
     errors, place, speed = SatrecArray(list(satellites)).sgp4(
         np.full_like(days, reference[0]), reference[1] + days
     )
-    dates = np.array([(s.jdsatepoch - reference[0]) + (s.jdsatepochF - reference[1])
-                      for s in satellites])  # fmt: skip
+    dates = np.array(
+        [(s.jdsatepoch - reference[0]) + (s.jdsatepochF - reference[1]) for s in satellites]
+    )
     late = since_s - (since_s[0] - dates * DAY_S)
     place = place + late[:, None, None] * speed
     codes = _codes(errors, place, speed)

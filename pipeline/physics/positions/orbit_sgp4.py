@@ -173,14 +173,23 @@ def mean_satellite(elements: Mapping[str, Any], field: str = "orbit") -> Satrec:
     epoch = format_utc(*parse_utc(elements["epoch"], f"{field}.epoch"))
     satellite = Satrec()
     keywords = {
-        "CLASSIFICATION_TYPE": "U", "OBJECT_ID": "2000-000A", "EPHEMERIS_TYPE": 0,
-        "ELEMENT_SET_NO": 0, "REV_AT_EPOCH": 0, "NORAD_CAT_ID": 0, "EPOCH": epoch.rstrip("Z"),
-        "ARG_OF_PERICENTER": elements["argument_of_perigee_deg"], "BSTAR": elements["bstar"],
-        "ECCENTRICITY": elements["eccentricity"], "INCLINATION": elements["inclination_deg"],
-        "MEAN_ANOMALY": elements["mean_anomaly_deg"], "MEAN_MOTION_DOT": 0.0,
-        "MEAN_MOTION_DDOT": 0.0, "MEAN_MOTION": elements["mean_motion_rev_day"],
+        "CLASSIFICATION_TYPE": "U",
+        "OBJECT_ID": "2000-000A",
+        "EPHEMERIS_TYPE": 0,
+        "ELEMENT_SET_NO": 0,
+        "REV_AT_EPOCH": 0,
+        "NORAD_CAT_ID": 0,
+        "EPOCH": epoch.rstrip("Z"),
+        "ARG_OF_PERICENTER": elements["argument_of_perigee_deg"],
+        "BSTAR": elements["bstar"],
+        "ECCENTRICITY": elements["eccentricity"],
+        "INCLINATION": elements["inclination_deg"],
+        "MEAN_ANOMALY": elements["mean_anomaly_deg"],
+        "MEAN_MOTION_DOT": 0.0,
+        "MEAN_MOTION_DDOT": 0.0,
+        "MEAN_MOTION": elements["mean_motion_rev_day"],
         "RA_OF_ASC_NODE": elements["raan_deg"],
-    }  # fmt: skip
+    }
     try:
         omm.initialize(satellite, keywords)
     except (ValueError, OverflowError) as error:

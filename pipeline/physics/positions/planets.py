@@ -14,9 +14,14 @@ Array = NDArray[np.float64]
 # open as they come (Mallama & Hilton 2018, Astron. Comput. 25, 10;
 # doi:10.1016/j.ascom.2018.08.002).
 PLANETS = {
-    "Mercury": (1, -0.613), "Venus": (2, -4.384), "Mars": (4, -1.601), "Jupiter": (5, -9.395),
-    "Saturn": (6, -9.90), "Uranus": (7, -7.110), "Neptune": (8, -7.00),
-}  # fmt: skip
+    "Mercury": (1, -0.613),
+    "Venus": (2, -4.384),
+    "Mars": (4, -1.601),
+    "Jupiter": (5, -9.395),
+    "Saturn": (6, -9.90),
+    "Uranus": (7, -7.110),
+    "Neptune": (8, -7.00),
+}
 OFF_RAD = DEG_RAD / 30.0  # plan94 to 0.024 deg, and what a planet moves by while its light comes
 
 

@@ -170,9 +170,10 @@ def lattice(
     steepest = float(max(s.max(initial=0.0) for s in steps))
     if steepest > STEEPEST:
         raise BadInput(
-            "sensor.psf.aberrations", f"a wavefront of {steepest * cells:.0f} waves a diameter",
+            "sensor.psf.aberrations",
+            f"a wavefront of {steepest * cells:.0f} waves a diameter",
             f"at most {STEEPEST * cells:.0f}: weaker terms, or a table from a design program",
-        )  # fmt: skip
+        )
     values = _correlate(field * np.exp(2j * np.pi * w) if waves else field, area)
     values -= _correlate(plain, float(plain.sum()) / cells**2)
     values[cells, 0] = 0.0

@@ -231,9 +231,13 @@ def choose_wavelengths(
     optics, nodes, weights = mixed(count, False)
     error, error_sigma = errors(count)
     return BandOptics(
-        optics, tuple(map(float, nodes)), tuple(map(float, weights)), error, errors(1)[0],
+        optics,
+        tuple(map(float, nodes)),
+        tuple(map(float, weights)),
+        error,
+        errors(1)[0],
         error_sigma,
-    )  # fmt: skip
+    )
 
 
 def _mixed(

@@ -68,10 +68,18 @@ def earth_stray(
     angles, weights = _angles(low, high, edges)
     weights = weights * pst.value(angles) * np.sin(angles)
     return _rings(
-        p, place, sun, angles, weights, *near_dusk,
-        from_nadir, radius, np.ascontiguousarray(albedo, float), np.asarray(to_fixed, float),
+        p,
+        place,
+        sun,
+        angles,
+        weights,
+        *near_dusk,
+        from_nadir,
+        radius,
+        np.ascontiguousarray(albedo, float),
+        np.asarray(to_fixed, float),
         *np.polynomial.legendre.leggauss(around),
-    )  # fmt: skip
+    )
 
 
 def _terminator(p: Array, place: Array, sun: Array) -> Array:
@@ -136,10 +144,13 @@ def _rings(
             across = axis - (axis @ line) * line
             size = np.sqrt(across @ across)
         e1 = across / size
-        e2 = np.array([
-            line[1] * e1[2] - line[2] * e1[1], line[2] * e1[0] - line[0] * e1[2],
-            line[0] * e1[1] - line[1] * e1[0],
-        ])  # fmt: skip
+        e2 = np.array(
+            [
+                line[1] * e1[2] - line[2] * e1[1],
+                line[2] * e1[0] - line[0] * e1[2],
+                line[0] * e1[1] - line[1] * e1[0],
+            ]
+        )
         for j in range(angles.shape[1]):
             if weights[i, j] == 0.0:
                 continue
@@ -153,9 +164,19 @@ def _rings(
             half = 2.0 * np.arcsin(np.sqrt(square))
             scan = SCAN if first_dusk[i] <= t <= last_dusk[i] else 2
             out[i] += weights[i, j] * _arc(
-                line * np.cos(t), e1 * np.sin(t), e2 * np.sin(t), half, o, rise, s, albedo,
-                to_fixed, scan, x, w,
-            )  # fmt: skip
+                line * np.cos(t),
+                e1 * np.sin(t),
+                e2 * np.sin(t),
+                half,
+                o,
+                rise,
+                s,
+                albedo,
+                to_fixed,
+                scan,
+                x,
+                w,
+            )
     return out / np.pi
 
 
@@ -174,8 +195,9 @@ def _arc(along, e1, e2, half, o, rise, s, albedo, to_fixed, scan, x, w):
         if (here > 0.0) != (last > 0.0):
             root = _root(before, now, last, here, along, e1, e2, half, o, rise, s)
             if last > 0.0:
-                total += _piece(start, root, along, e1, e2, half, o, rise, s, albedo, to_fixed,
-                                x, w)  # fmt: skip
+                total += _piece(
+                    start, root, along, e1, e2, half, o, rise, s, albedo, to_fixed, x, w
+                )
             start = root
         before, last = now, here
     if last > 0.0:
@@ -240,8 +262,9 @@ def _piece(a, b, along, e1, e2, half, o, rise, s, albedo, to_fixed, x, w):
             share = _albedo(
                 to_fixed[0, 0] * n0 + to_fixed[0, 1] * n1 + to_fixed[0, 2] * n2,
                 to_fixed[1, 0] * n0 + to_fixed[1, 1] * n1 + to_fixed[1, 2] * n2,
-                to_fixed[2, 0] * n0 + to_fixed[2, 1] * n1 + to_fixed[2, 2] * n2, albedo,
-            )  # fmt: skip
+                to_fixed[2, 0] * n0 + to_fixed[2, 1] * n1 + to_fixed[2, 2] * n2,
+                albedo,
+            )
         total += w[k] * np.cos(turn) * share * max(lit, 0.0)
     return 0.5 * (b - a) * half * total
 

@@ -68,8 +68,9 @@ def _finest(intervals: int, stalled: bool, values: int) -> bool:
     return intervals > MOST_INTERVALS and (stalled or 4 * values > MOST_VALUES)
 
 
-def tile_light(values: Array, shape: tuple[int, int], corner: tuple[int, int],
-               size: tuple[int, int]) -> Array:  # fmt: skip
+def tile_light(
+    values: Array, shape: tuple[int, int], corner: tuple[int, int], size: tuple[int, int]
+) -> Array:
     """Light (rows, columns) of a part of a frame: the same for each pixel whatever the part.
 
     values : (ny, nx) of a FrameGrid; shape : of the frame; corner : first row and column

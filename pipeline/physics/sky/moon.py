@@ -15,8 +15,21 @@ FULL_V_MAG, SUN_V_MAG = -12.73, -26.76
 DARKEST_RAD = 150.0 * DEG_RAD  # beyond, the law grows too fast: it is held
 # Disc reflectance at 45 degrees of phase over that at 550 nm: Kieffer & Stone 2005, AJ 129, 2887,
 # table 4 (terms a0 to a3), joined to neighbouring bands; beyond its ends the last value is held.
-COLOUR_NM = (352.6, 410.6, 441.6, 470.4, 486.9, 549.0, 665.1, 698.4, 745.3, 769.2, 873.3, 936.6,
-             1059.5)  # fmt: skip
+COLOUR_NM = (
+    352.6,
+    410.6,
+    441.6,
+    470.4,
+    486.9,
+    549.0,
+    665.1,
+    698.4,
+    745.3,
+    769.2,
+    873.3,
+    936.6,
+    1059.5,
+)
 COLOUR = (0.538, 0.746, 0.782, 0.827, 0.875, 1.0, 1.296, 1.272, 1.345, 1.400, 1.510, 1.481, 1.715)
 
 

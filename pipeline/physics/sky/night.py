@@ -103,7 +103,7 @@ def moonlight(
 
     sine (n,), apart_rad (n,) : of lines of sight: sine of the elevation, angle from the Moon
     irradiance_share : of the Moon above the air, over the solar irradiance at 1 au, in V
-    """  # fmt: skip
+    """
     if moon_sine <= 0.0:
         return np.zeros(np.shape(sine))
     scatter = _scatter(np.asarray(apart_rad))

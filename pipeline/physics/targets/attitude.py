@@ -27,10 +27,16 @@ def quaternion_matrices(quaternions: ArrayLike) -> Array:
     q = np.asarray(quaternions, float)
     w, x, y, z = np.moveaxis(q / np.sqrt(np.sum(q * q, -1, keepdims=True)), -1, 0)
     rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
     return np.stack(rows, axis=-1).reshape(*w.shape, 3, 3)
 
 
@@ -103,9 +109,10 @@ def table_attitude(
     times, at = np.asarray(times_s, float), np.asarray(at_s, float)
     if at.size and not (times[0] <= at.min() and at.max() <= times[-1]):
         raise BadInput(
-            f"{field}.times_s", f"{times[0]:g} to {times[-1]:g}",
+            f"{field}.times_s",
+            f"{times[0]:g} to {times[-1]:g}",
             f"a table that covers the exposures, {at.min():.6g} to {at.max():.6g} s",
-        )  # fmt: skip
+        )
     turns = Rotation.from_quat(np.roll(np.asarray(quaternions, float), -1, axis=-1))
     return np.asarray(Slerp(times, turns)(at.ravel()).as_matrix()).reshape(*at.shape, 3, 3)
 

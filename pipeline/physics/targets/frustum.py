@@ -50,17 +50,23 @@ def frustum_area_function(
 
 
 def cylinder_area_function(
-    sun: ArrayLike, observer: ArrayLike, radius_m: ArrayLike, length_m: ArrayLike,
+    sun: ArrayLike,
+    observer: ArrayLike,
+    radius_m: ArrayLike,
+    length_m: ArrayLike,
     closed: ArrayLike = True,
-) -> Array:  # fmt: skip
+) -> Array:
     """G [m2] of a cylinder about +z; `closed`: with both lids. See `frustum_area_function`."""
     return frustum_area_function(sun, observer, radius_m, radius_m, length_m, closed, closed)
 
 
 def cone_area_function(
-    sun: ArrayLike, observer: ArrayLike, radius_m: ArrayLike, height_m: ArrayLike,
+    sun: ArrayLike,
+    observer: ArrayLike,
+    radius_m: ArrayLike,
+    height_m: ArrayLike,
     closed: ArrayLike = True,
-) -> Array:  # fmt: skip
+) -> Array:
     """G [m2] of a cone, apex towards +z; `closed`: with its base. See `frustum_area_function`."""
     return frustum_area_function(sun, observer, radius_m, 0.0, height_m, closed, False)
 
@@ -100,17 +106,35 @@ def _side(sx, sy, sz, ox, oy, oz, r0, r1, height, nodes, weights):
     e = math.atan2(cross, -dot) if cross > 0.0 or dot != 0.0 else math.pi - delta
     left, right = delta + us - uo, delta + uo - us  # the observer's ends beyond the Sun's
     if left < 0.0:  # all the lit arc is seen
-        near = _piece(2.0 * ws, 0.0, 0.0, -left, right, a, b, c, d, ws, us, uo, delta,
-                      nodes, weights)  # fmt: skip
+        near = _piece(
+            2.0 * ws, 0.0, 0.0, -left, right, a, b, c, d, ws, us, uo, delta, nodes, weights
+        )
     elif right < 0.0:  # all the seen arc is lit
-        near = _piece(2.0 * wo, left, -right, 0.0, 0.0, a, b, c, d, ws, us, uo, delta,
-                      nodes, weights)  # fmt: skip
+        near = _piece(
+            2.0 * wo, left, -right, 0.0, 0.0, a, b, c, d, ws, us, uo, delta, nodes, weights
+        )
     else:
-        near = _piece(us + uo + e, left, 0.0, 0.0, right, a, b, c, d, ws, us, uo, delta,
-                      nodes, weights)  # fmt: skip
+        near = _piece(
+            us + uo + e, left, 0.0, 0.0, right, a, b, c, d, ws, us, uo, delta, nodes, weights
+        )
     turn = 2.0 * math.pi
-    far = _piece(us + uo - e, 0.0, turn - right, turn - left, 0.0, a, b, c, d, ws, us, uo, delta,
-                 nodes, weights)  # fmt: skip
+    far = _piece(
+        us + uo - e,
+        0.0,
+        turn - right,
+        turn - left,
+        0.0,
+        a,
+        b,
+        c,
+        d,
+        ws,
+        us,
+        uo,
+        delta,
+        nodes,
+        weights,
+    )
     return 0.5 * (r0 + r1) * slant * (near + far)
 
 
@@ -125,9 +149,22 @@ def _arc(a, b):
 
 @njit(cache=True, nogil=True)
 def _piece(
-    length, sun_left, sun_right, seen_left, seen_right, a, b, c, d, ws, us, uo, delta,
-    nodes, weights,
-):  # fmt: skip
+    length,
+    sun_left,
+    sun_right,
+    seen_left,
+    seen_right,
+    a,
+    b,
+    c,
+    d,
+    ws,
+    us,
+    uo,
+    delta,
+    nodes,
+    weights,
+):
     """Integral over one piece of the overlap.
 
     sun_left, ...: how far the ends of the lit and of the seen arc lie beyond the piece's own.

@@ -30,9 +30,10 @@ def band_reflectance(
     last = response.wavelength_m[min(used[-1] + 1, response.wavelength_m.size - 1)] * 1e9
     if nm[0] > first * (1 + 1e-12) or nm[-1] < last * (1 - 1e-12):
         raise BadInput(
-            field, f"a table from {nm[0]:g} to {nm[-1]:g} nm",
+            field,
+            f"a table from {nm[0]:g} to {nm[-1]:g} nm",
             f"reflectance over the sensor's whole band, {first:g} to {last:g} nm",
-        )  # fmt: skip
+        )
     if np.all(value == value[0]):
         return float(value[0])
     metres = nm * 1e-9

@@ -164,9 +164,12 @@ def earthshine_m2_sr(
         return np.repeat(values[0], k, axis=0)[None]
 
     lamps = View(
-        each(view.time_s), each(view.place_m), each(view.velocity_m_s), each(view.sun_m),
+        each(view.time_s),
+        each(view.place_m),
+        each(view.velocity_m_s),
+        each(view.sun_m),
         each(view.observer_m),
-    )  # fmt: skip
+    )
     return np.sum(shapes_m2_sr([body], epoch, lamps, [field], towards).reshape(n, k) * light, -1)
 
 

@@ -36,8 +36,9 @@ def mesh_poses(
     seen = np.stack([view.sun[0], observer, x, y], axis=1)
     pose = np.stack([in_body_axes(attitude, seen[:, k]) for k in range(4)], axis=1)
     steps = np.sqrt(np.sum(np.square(np.diff(pose, axis=0)), -1)).max(axis=1)
-    spin = max((abs(p.joint.rate_rad_s) for p in body.model.parts if p.joint is not None),
-               default=0.0)  # fmt: skip
+    spin = max(
+        (abs(p.joint.rate_rad_s) for p in body.model.parts if p.joint is not None), default=0.0
+    )
     turn = np.concatenate([[0.0], np.cumsum(steps + spin * np.abs(np.diff(view.time_s[0])))])
     return pose, turn
 
@@ -90,7 +91,6 @@ def mesh_earthshine_m2_sr(
     sun, observer = in_body_axes(turn, view.sun[0]), in_body_axes(turn, view.observer[0])
     down = in_body_axes(turn, -place / np.sqrt(np.sum(place * place, -1, keepdims=True)))
     sharp = any(surface.sun_rings for surface in model.surfaces)
-
 
     def one(i: int) -> float:
         def lamp(n: int) -> Lamps:

@@ -94,9 +94,13 @@ class Movers:
         if self._mean:
             labels = [_label(self._orbits[i]) for i in self._mean]  # type: ignore[arg-type]
             place[self._mean], speed[self._mean] = many_states(
-                self._satellites, labels, [self._fields[i] for i in self._mean], self._since_s,
-                at_s[self._mean], self._matrices,
-            )  # fmt: skip
+                self._satellites,
+                labels,
+                [self._fields[i] for i in self._mean],
+                self._since_s,
+                at_s[self._mean],
+                self._matrices,
+            )
         if self._plain:
             place[self._plain], speed[self._plain] = self._two_body(at_s[self._plain])
         for i in self._other:
@@ -198,13 +202,20 @@ def _numerical(
     begins = epoch if o.epoch is None else parse_utc(o.epoch, f"{field}.epoch")
     at = instants(begins, [0.0])
     forces = Forces(
-        o.zonals, o.drag_m2_kg, o.radiation_m2_kg, o.shadow == "conical",
-        "sun" in o.third_bodies, "moon" in o.third_bodies,
-    )  # fmt: skip
+        o.zonals,
+        o.drag_m2_kg,
+        o.radiation_m2_kg,
+        o.shadow == "conical",
+        "sun" in o.third_bodies,
+        "moon" in o.third_bodies,
+    )
     way = trajectory(
-        o.position_m, o.velocity_m_s, (float(at.tt1[0]), float(at.tt2[0])), forces,
+        o.position_m,
+        o.velocity_m_s,
+        (float(at.tt1[0]), float(at.tt2[0])),
+        forces,
         o.relative_tolerance,
-    )  # fmt: skip
+    )
     return way.states(offsets + _since_s(o.epoch, field, epoch), field)
 
 

@@ -95,9 +95,10 @@ def _check_ranges(scene: Scene, which: Sequence[int], range_m: Array) -> None:
         where, name = "at one place with", scene.targets[i].name
         where = where if nearest < LEAST_RANGE_M else "inside of"
         raise BadInput(
-            f"targets.{i}", f"the observer {where} {name}, {nearest:.3g} m from it",
+            f"targets.{i}",
+            f"the observer {where} {name}, {nearest:.3g} m from it",
             f"a target farther from it than its own radius ({least:.3g} m) at all times",
-        )  # fmt: skip
+        )
 
 
 def target_paths(
@@ -125,9 +126,16 @@ def target_paths(
         some = slice(which[0], which[-1] + 1)
         names = [f"targets.{i}.body" for i in which]
         light = target_lights(
-            [scene.targets[i] for i in which], names, at.epoch, view, at.earth.sun_from_earth_m,
-            (at.times.tt1, at.times.tt2), seen.range_m, frames, _tabled(scene, which, at, view),
-        )  # fmt: skip
+            [scene.targets[i] for i in which],
+            names,
+            at.epoch,
+            view,
+            at.earth.sun_from_earth_m,
+            (at.times.tt1, at.times.tt2),
+            seen.range_m,
+            frames,
+            _tabled(scene, which, at, view),
+        )
         observed = refract(seen.direction_proper, air)
         clear = clear_of_earth(scene, at, seen, observed)
         seven[:, some] = *project(camera, by_row, observed), *light, seen.range_m, clear

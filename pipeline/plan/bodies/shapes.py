@@ -182,9 +182,10 @@ def light_curve_m2_sr(
         at = times[0] + np.mod(at - times[0], body.period_s)
     elif at.size and not (times[0] <= at.min() and at.max() <= times[-1]):
         raise BadInput(
-            f"{field}.times_s", f"{times[0]:g} to {times[-1]:g}",
+            f"{field}.times_s",
+            f"{times[0]:g} to {times[-1]:g}",
             f"a table that covers the exposures, {at.min():.6g} to {at.max():.6g} s, or a period_s",
-        )  # fmt: skip
+        )
     values = np.array(body.magnitudes if body.magnitudes is not None else body.intensities_m2_sr)
     value = np.interp(at, times, values, period=body.period_s)
     if body.magnitudes is not None:

@@ -44,7 +44,11 @@ MOST_BLUR_PX = 50.0  # rms per axis, of fast motion of the pointing and of charg
 
 
 def blur_of(
-    scene: Scene, psf: OnePsf, response: ResponseCurve, mean_m: float, table: Sampled | None,
+    scene: Scene,
+    psf: OnePsf,
+    response: ResponseCurve,
+    mean_m: float,
+    table: Sampled | None,
     limit: NoiseLimit | None = None,
 ) -> tuple[Blur, BandOptics | None]:
     """All that blurs a star, and how its band was resolved (None where nothing depends on it).
@@ -59,9 +63,13 @@ def blur_of(
             "sensor.psf.charge_diffusion_um", f"{diffusion:.4g} px rms", f"{MOST_BLUR_PX:g} px"
         )
     rest = Blur(
-        Gaussian(1.0), _jitter_px(scene, psf), diffusion, s.fill_factor,
-        isinstance(psf, TablePsf) and psf.includes_pixel, clock_step_px(scene),
-    )  # fmt: skip
+        Gaussian(1.0),
+        _jitter_px(scene, psf),
+        diffusion,
+        s.fill_factor,
+        isinstance(psf, TablePsf) and psf.includes_pixel,
+        clock_step_px(scene),
+    )
     if isinstance(psf, AiryPsf | KolmogorovPsf):
         band = _band(scene, psf, rest, response, mean_m, limit)
         return _with(rest, band.optics), band
@@ -79,9 +87,10 @@ def check_motion(scene: Scene) -> float:
     fast = fast_blur_px(scene)
     if fast > MOST_BLUR_PX:
         raise BadInput(
-            "pointing.attitude", f"motion that blurs by {fast:.4g} px rms",
+            "pointing.attitude",
+            f"motion that blurs by {fast:.4g} px rms",
             f"at most {MOST_BLUR_PX:g} px: weaker or slower motion, or larger pixels",
-        )  # fmt: skip
+        )
     return fast
 
 
@@ -209,9 +218,7 @@ def open_fraction(optics: Optics, band: BandOptics | None) -> float:
 def open_past_vanes(s: Sensor) -> float:
     """Fraction of the annular aperture that the vanes leave open, whatever the wavefront."""
     vanes = {p.vanes for p in s.every_psf if isinstance(p, AiryPsf) and p.vanes is not None}
-    return min(
-        (Pupil(1.0, s.obscuration, _vanes(s, v)).open_fraction for v in vanes), default=1.0
-    )
+    return min((Pupil(1.0, s.obscuration, _vanes(s, v)).open_fraction for v in vanes), default=1.0)
 
 
 def _vanes(s: Sensor, given: Vanes) -> SpiderVanes:
@@ -229,9 +236,14 @@ def describe(optics: Optics) -> dict[str, Any]:
     if isinstance(optics, Sampled):
         band = optics.band
         return {
-            "kind": "table", "shape": list(optics.samples.shape), "light": optics.light,
-            "spacing_px": optics.spacing_px, "centre": list(optics.centre),
-            "digest": optics.digest, "band_cycles_px": band.limit, "left_out": band.left_out,
+            "kind": "table",
+            "shape": list(optics.samples.shape),
+            "light": optics.light,
+            "spacing_px": optics.spacing_px,
+            "centre": list(optics.centre),
+            "digest": optics.digest,
+            "band_cycles_px": band.limit,
+            "left_out": band.left_out,
             "at_highest_frequency": band.nyquist,
-        }  # fmt: skip
+        }
     return asdict(optics) | {"kind": type(optics).__name__.lower()}

@@ -101,10 +101,13 @@ class PsfField:
     def describe(self) -> dict[str, Any]:
         """The field as plain values, for the plan."""
         return {
-            "rows_px": list(self.rows_px), "columns_px": list(self.columns_px),
-            "optics": [describe(b.optics) for b in self.blurs], "which": list(self.which),
-            "error_along_rows": self.error[0], "error_along_columns": self.error[1],
-        }  # fmt: skip
+            "rows_px": list(self.rows_px),
+            "columns_px": list(self.columns_px),
+            "optics": [describe(b.optics) for b in self.blurs],
+            "which": list(self.which),
+            "error_along_rows": self.error[0],
+            "error_along_columns": self.error[1],
+        }
 
     def _numbers(self, v: tuple[float, float], u: tuple[float, float]) -> list[int]:
         """Numbers of the responses with a share somewhere in a range of grid units."""

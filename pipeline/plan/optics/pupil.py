@@ -30,9 +30,7 @@ def pupil_fraction(scene: Scene, camera: Camera, x_px: Array, y_px: Array) -> Ar
     return off_axis_cosine(camera, x_px, y_px)
 
 
-def pupil_along(
-    scene: Scene, camera: Camera, offset_s: Array, x_px: Array, y_px: Array
-) -> Array:
+def pupil_along(scene: Scene, camera: Camera, offset_s: Array, x_px: Array, y_px: Array) -> Array:
     """The same of places x, y (..., K) at the K nodes of exposures at offset_s (K,) or (F, K).
 
     Under TDI a place moves with the charge: the light falls where the charge stands then.

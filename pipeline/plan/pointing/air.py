@@ -75,7 +75,7 @@ def weather_of(scene: Scene) -> tuple[float, float, float]:
         pressure if wish.pressure_hpa is None else wish.pressure_hpa,
         temperature if wish.temperature_c is None else wish.temperature_c,
         wish.humidity,
-    )  # fmt: skip
+    )
 
 
 def _refraction(scene: Scene) -> Refraction | None:
@@ -100,9 +100,10 @@ def lifted(camera: Camera, attitude: Array, air: Array) -> Array:
     if height_deg < least:
         why = "where refraction is known" if least else "above the horizon"
         raise BadInput(
-            "pointing", f"a frame that goes down to {height_deg:.2f} deg of elevation",
+            "pointing",
+            f"a frame that goes down to {height_deg:.2f} deg of elevation",
             f"{least:g} degrees or more in all of the frame and all exposures, {why}",
-        )  # fmt: skip
+        )
     return turned
 
 
@@ -140,7 +141,7 @@ def path_transmission(
     extinction: BandExtinction, camera: Camera, g: Geometry, x_px: Array, y_px: Array
 ) -> Array:
     """Share (K,) of a target's light that comes down at each node of the one frame of `g`."""
-    u = np.concatenate([
-        deproject(camera, a, x_px[[k]], y_px[[k]]) for k, a in enumerate(g.attitude[0])
-    ])  # fmt: skip
+    u = np.concatenate(
+        [deproject(camera, a, x_px[[k]], y_px[[k]]) for k, a in enumerate(g.attitude[0])]
+    )
     return extinction.transmission(np.sum(u * g.air[0, :, :3], axis=-1))

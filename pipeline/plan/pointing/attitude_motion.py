@@ -99,9 +99,13 @@ def fast_blur_px(scene: Scene) -> float:
 
 @lru_cache(maxsize=16)
 def _plan(
-    model: AttitudeModel, shortest_s: float, longest_s: float, ifov_rad: float, corner_px: float,
+    model: AttitudeModel,
+    shortest_s: float,
+    longest_s: float,
+    ifov_rad: float,
+    corner_px: float,
     part: float,
-) -> MotionPlan:  # fmt: skip
+) -> MotionPlan:
     """Fewest nodes whose blur leaves out little: `part` is the error allowed, over the noise."""
     nodes = FEWEST
     while True:
@@ -139,11 +143,15 @@ def _plan_with(
         path += np.einsum("ij,jk,ik->i", parts.c_slow, one.start, parts.c_slow)
     round_ = 0.5 * (blur[0] + blur[1])
     return MotionPlan(
-        nodes, longest_s, math.sqrt(round_) / ifov_rad,
-        math.sqrt(max(path[0], path[1])) / ifov_rad, math.sqrt(max(left[0], left[1])) / ifov_rad,
-        scatter / round_ if round_ else 0.0, math.sqrt(abs(blur[0] - blur[1]) / 2.0) / ifov_rad,
+        nodes,
+        longest_s,
+        math.sqrt(round_) / ifov_rad,
+        math.sqrt(max(path[0], path[1])) / ifov_rad,
+        math.sqrt(max(left[0], left[1])) / ifov_rad,
+        scatter / round_ if round_ else 0.0,
+        math.sqrt(abs(blur[0] - blur[1]) / 2.0) / ifov_rad,
         math.sqrt(blur[2]) * corner_px,
-    )  # fmt: skip
+    )
 
 
 @lru_cache(maxsize=64)
@@ -165,9 +173,7 @@ def _spectrum(part: Jitter) -> Spectrum:
         return jitter.resonance(part.rms_arcsec * ARCSEC_RAD, part.frequency_hz, part.damping)
     if part.frequency_hz is None or part.arcsec2_per_hz is None:
         raise BadInput("pointing.attitude.jitter", part.path, "a spectrum that was read")
-    return jitter.table(
-        np.array(part.frequency_hz), np.array(part.arcsec2_per_hz) * ARCSEC_RAD**2
-    )
+    return jitter.table(np.array(part.frequency_hz), np.array(part.arcsec2_per_hz) * ARCSEC_RAD**2)
 
 
 @lru_cache(maxsize=64)
@@ -182,9 +188,10 @@ def _mode(mode: Mode, index: int) -> ModeOf:
         growing = float(np.linalg.eigvals(a).real.max())
         if growing > 1e-9 * max(1e-30, float(np.abs(a).max())):
             raise BadInput(
-                f"pointing.attitude.modes.{index}.a", f"a mode that grows by {growing:.3g} per s",
+                f"pointing.attitude.modes.{index}.a",
+                f"a mode that grows by {growing:.3g} per s",
                 "eigenvalues without positive real part",
-            )  # fmt: skip
+            )
         return flexible.system(a, b, c * ARCSEC_RAD)
     axis = AXES.index(mode.axis)
     if isinstance(mode, OscillatorMode):
@@ -261,9 +268,7 @@ def _mode_run(
     out = np.empty((len(frames), nodes, n))
     for time in np.unique(time_s):
         mine = np.flatnonzero(time_s == time)
-        draw = np.stack([
-            standard_normals(nodes - 2, n, 0, 0, int(frames[k]), *key) for k in mine
-        ])  # fmt: skip
+        draw = np.stack([standard_normals(nodes - 2, n, 0, 0, int(frames[k]), *key) for k in mine])
         out[mine] = between(one, ends[mine, 0], ends[mine, 1], float(time), levels, draw)
     return out
 
@@ -307,7 +312,8 @@ def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
         more += f"; fast roll of {plan.roll_px:.2g} px rms in the corners is left out"
     return (
         Decision(
-            "pointing_motion", True,
+            "pointing_motion",
+            True,
             f"{parts}: below {plan.split_hz:.3g} Hz (in the longest exposure) a path of "
             f"{plan.nodes} nodes, {plan.path_px:.3g} px rms; the rest, and what straight lines "
             f"between nodes lose, is a blur of {plan.blur_px:.3g} px rms per axis. Left out: how "
@@ -315,6 +321,7 @@ def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
             f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
             "is four times these, in a pixel whose light equals the noise floor, for images of "
             f"{SHARPEST_PX:g} px rms or more",
-            plan.error_sigma * sigma_floor_e, plan.error_sigma,
+            plan.error_sigma * sigma_floor_e,
+            plan.error_sigma,
         ),
-    )  # fmt: skip
+    )

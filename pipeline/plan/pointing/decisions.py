@@ -15,6 +15,7 @@ from pipeline.spec.scene import Scene
 
 OVER_ROWS = 1.25  # more than left-out rows tell: motions with eight rows or more in a period
 
+
 def _lift_arcsec(scene: Scene, p: LocalPointing) -> float | None:
     """By how much the air lifts a boresight, at most [arcsec]; 0 without refraction."""
     if not isinstance(scene.observer, GroundObserver) or not needs_air(scene):
@@ -33,12 +34,14 @@ def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
         slews = sum(p.slew is not None for p in plans)
         out.append(
             Decision(
-                "dwells", True,
+                "dwells",
+                True,
                 f"{len(plans)} dwells with {frame_count(scene)} frames of {shortest:g} to "
                 f"{longest:g} s, {slews} slews; bounds are those of the shortest exposure's noise",
-                bound=0.0, unit="e-",
+                bound=0.0,
+                unit="e-",
             )
-        )  # fmt: skip
+        )
     for plan in plans:
         p = plan.pointing
         where = "" if scene.dwells is None else f" in dwell {plan.index}"
@@ -47,12 +50,14 @@ def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
         elif isinstance(p, LocalPointing):
             out.append(
                 Decision(
-                    "pointing_refraction", False,
+                    "pointing_refraction",
+                    False,
                     f"azimuth and elevation{where} are those of the sky without air: with the "
                     "site's refraction the camera is held as much higher (60 arcsec at 45 degrees)",
-                    bound=_lift_arcsec(scene, p), unit="arcsec",
+                    bound=_lift_arcsec(scene, p),
+                    unit="arcsec",
                 )
-            )  # fmt: skip
+            )
     return tuple(out)
 
 
@@ -64,11 +69,12 @@ def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
         px = p.error_arcsec * ARCSEC_RAD / ifov
         told = f"{p.error_arcsec:.2g} arcsec ({px:.2g} px), from every other row left out"
     return Decision(
-        "pointing_table", True,
+        "pointing_table",
+        True,
         f"{len(p.rows or ())} rows{where}, {p.interpolation} between them; error "
         f"between rows {told}; where rows are noisy, straight lines between an "
         f"exposure's nodes may be off by up to {ROUGH_PX:g} px"
         f"{'' if p.source is None else f'; {p.source}'}",
         bound=None if p.error_arcsec is None else OVER_ROWS * p.error_arcsec,
         unit="arcsec",
-    )  # fmt: skip
+    )

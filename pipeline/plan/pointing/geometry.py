@@ -244,14 +244,29 @@ def _geometry(
         seen = x, y, light, clear
         x, y, light, clear = rolled_sources(*seen, since, camera.line_s, camera.rows)
     return Geometry(
-        frames, offset, times.tt1.reshape(grid), times.tt2.reshape(grid),
-        times.utc1.reshape(grid), times.utc2.reshape(grid), position.reshape(grid3),
-        velocity.reshape(grid3), sun.reshape(grid3), attitude.reshape(*grid, 3, 3),
-        x, y - camera.charge_px_s * (since - since[:, [nodes // 2]]), light,
-        t.range_m.reshape(each), t.phase_rad.reshape(each),
-        t.sunlit.reshape(each), clear, t.direction, t.pose, t.pose_s, t.turn_rad,
+        frames,
+        offset,
+        times.tt1.reshape(grid),
+        times.tt2.reshape(grid),
+        times.utc1.reshape(grid),
+        times.utc2.reshape(grid),
+        position.reshape(grid3),
+        velocity.reshape(grid3),
+        sun.reshape(grid3),
+        attitude.reshape(*grid, 3, 3),
+        x,
+        y - camera.charge_px_s * (since - since[:, [nodes // 2]]),
+        light,
+        t.range_m.reshape(each),
+        t.phase_rad.reshape(each),
+        t.sunlit.reshape(each),
+        clear,
+        t.direction,
+        t.pose,
+        t.pose_s,
+        t.turn_rad,
         np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
-    )  # fmt: skip
+    )
 
 
 def late_geometry(scene: Scene, g: Geometry, dut1_s: float, late_s: float) -> Geometry:
@@ -298,16 +313,22 @@ def _vantage(scene: Scene, at: Moments) -> Vantage:
     """What attitudes follow from at some moments."""
     e = at.earth
     return Vantage(
-        at.offset_s, at.times, e.position_m + at.observer_m, at.observer_m_s,
-        e.position_m + e.sun_from_earth_m, at.observer_m, at.observer_m_s - e.velocity_m_s,
+        at.offset_s,
+        at.times,
+        e.position_m + at.observer_m,
+        at.observer_m_s,
+        e.position_m + e.sun_from_earth_m,
+        at.observer_m,
+        at.observer_m_s - e.velocity_m_s,
         _followed(scene, at),
-    )  # fmt: skip
+    )
 
 
 def _followed(scene: Scene, at: Moments) -> Mapping[int, TargetSight]:
     """How the observer sees the targets that pointings follow; nothing where they follow none."""
-    followed = [p.pointing.target for p in dwell_plans(scene)
-                if isinstance(p.pointing, TargetPointing)]  # fmt: skip
+    followed = [
+        p.pointing.target for p in dwell_plans(scene) if isinstance(p.pointing, TargetPointing)
+    ]
     if not followed:
         return {}
     names = [t.name for t in scene.targets]
@@ -345,13 +366,15 @@ def check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
         elevation = separation(boresight, -observer_m) - np.pi / 2
         if elevation.min() < 0:
             raise BadInput(
-                "pointing", f"elevation {np.degrees(elevation.min()):.2f} deg",
+                "pointing",
+                f"elevation {np.degrees(elevation.min()):.2f} deg",
                 "a boresight above the horizon of the site during all exposures",
-            )  # fmt: skip
+            )
         return
     limb = limb_angle(observer_m, boresight)
     if limb.min() < 0:
         raise BadInput(
-            "pointing", f"{-np.degrees(limb.min()):.2f} deg inside the Earth's limb",
+            "pointing",
+            f"{-np.degrees(limb.min()):.2f} deg inside the Earth's limb",
             "a boresight beside the Earth's disc during all exposures",
-        )  # fmt: skip
+        )

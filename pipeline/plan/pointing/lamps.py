@@ -181,9 +181,14 @@ def _upright(place_m: Array) -> Array:
 
 
 def _lamp(
-    scene: Scene, camera: Camera, attitude: Array, at: Moments, body_m: Array, radius_m: float,
+    scene: Scene,
+    camera: Camera,
+    attitude: Array,
+    at: Moments,
+    body_m: Array,
+    radius_m: float,
     beta: Array,
-) -> Lamp:  # fmt: skip
+) -> Lamp:
     """A body at vectors (n, 3) from the observer."""
     distance = np.sqrt(np.sum(body_m**2, axis=-1))
     towards = aberrate(unit(body_m), beta)
@@ -191,9 +196,12 @@ def _lamp(
     elevation = 0.5 * np.pi - separation(body_m, _upright(at.observer_m))
     off_axis = separation(attitude[:, 2], towards)
     return Lamp(
-        off_axis, _off_frame(camera, attitude, towards, off_axis), radius,
-        _hidden(scene, at.observer_m, body_m, elevation) - radius, elevation,
-    )  # fmt: skip
+        off_axis,
+        _off_frame(camera, attitude, towards, off_axis),
+        radius,
+        _hidden(scene, at.observer_m, body_m, elevation) - radius,
+        elevation,
+    )
 
 
 def _planet(

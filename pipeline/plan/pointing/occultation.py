@@ -144,14 +144,16 @@ def decide_occultation(
     )
     return [
         Decision(
-            "earth_occultation", True,
+            "earth_occultation",
+            True,
             f"stars and targets are hidden each by itself {where}. One that rises or sets in an "
             "exposure has the light and the path of the part in which it is seen, to the bound "
             "where it only grazes the limb, far better where it crosses it",
-            bound=step, unit="of a source's light",
+            bound=step,
+            unit="of a source's light",
         ),
         _limb_air(scene),
-    ]  # fmt: skip
+    ]
 
 
 def _limb_air(scene: Scene) -> Decision:
@@ -159,23 +161,29 @@ def _limb_air(scene: Scene) -> Decision:
     o = scene.observer
     if not isinstance(o, GroundObserver):
         return Decision(
-            "earth_occultation.air", False,
+            "earth_occultation.air",
+            False,
             "the limb is that of the ground: air neither bends, dims nor scatters the light that "
             "passes it. Seen from space it bends a line by 70 arcmin at the ground, 4 at 20 km, "
             "0.3 at 40 km, spreads and reddens its light, and clouds end it below some 10 km",
-            bound=70.0, unit="arcmin",
-        )  # fmt: skip
+            bound=70.0,
+            unit="arcmin",
+        )
     refracted = o.atmosphere is not None and bool(o.atmosphere.refraction)
     if refracted:
         return Decision(
-            "earth_occultation.air", True, "refraction lifts sources as observer.atmosphere says",
-        )  # fmt: skip
+            "earth_occultation.air",
+            True,
+            "refraction lifts sources as observer.atmosphere says",
+        )
     return Decision(
-        "earth_occultation.air", False,
+        "earth_occultation.air",
+        False,
         "no refraction is asked for: with it (observer.atmosphere.refraction) sources down to 35 "
         "arcmin below the horizon would be seen",
-        bound=35.0, unit="arcmin",
-    )  # fmt: skip
+        bound=35.0,
+        unit="arcmin",
+    )
 
 
 def _clear_at(

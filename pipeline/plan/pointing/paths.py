@@ -42,10 +42,11 @@ def bends_px(scene: Scene, g: Geometry, stars: Array) -> Array:
             bend = np.where(whole[..., None] | (counts & np.isfinite(bend)), bend, 0.0)
     if longest > LONGEST_STREAK_PX:
         raise BadInput(
-            "exposure.integration_s", integration_range_s(scene)[1],
+            "exposure.integration_s",
+            integration_range_s(scene)[1],
             f"streaks of at most {LONGEST_STREAK_PX:.0f} px; here {longest:.3g} px in one "
             "exposure (see pointing rates and orbits)",
-        )  # fmt: skip
+        )
     return bend.max(axis=(0, 2)) / 4.0
 
 

@@ -71,9 +71,15 @@ class Vantage:
             i: replace(s, direction_proper=s.direction_proper[k]) for i, s in self.sights.items()
         }
         return Vantage(
-            self.offset_s[k], times, self.position_m[k], self.velocity_m_s[k], self.sun_m[k],
-            self.place_m[k], self.speed_m_s[k], sights,
-        )  # fmt: skip
+            self.offset_s[k],
+            times,
+            self.position_m[k],
+            self.velocity_m_s[k],
+            self.sun_m[k],
+            self.place_m[k],
+            self.speed_m_s[k],
+            sights,
+        )
 
 
 def attitudes(scene: Scene, which: NDArray[np.int64], m: Vantage) -> Array:
@@ -95,9 +101,7 @@ def attitudes(scene: Scene, which: NDArray[np.int64], m: Vantage) -> Array:
     return out
 
 
-def _slewed(
-    scene: Scene, before: DwellPlan, plan: DwellPlan, m: Vantage, arrived: Array
-) -> Array:
+def _slewed(scene: Scene, before: DwellPlan, plan: DwellPlan, m: Vantage, arrived: Array) -> Array:
     """Attitudes of which some are still on the way from the dwell before."""
     assert plan.slew is not None
     assert plan.slew_s is not None
@@ -141,17 +145,21 @@ def _attitudes_of(scene: Scene, plan: DwellPlan, m: Vantage) -> Array:
     elif isinstance(p, TargetPointing):
         names = [t.name for t in scene.targets]
         proper = m.sights[names.index(p.target)].direction_proper
-        astrometric = np.concatenate([
-            proper_to_astrometric(u[None], r, v, s, **effects)
-            for u, r, v, s in zip(proper, m.position_m, m.velocity_m_s, m.sun_m, strict=True)
-        ])  # fmt: skip
+        astrometric = np.concatenate(
+            [
+                proper_to_astrometric(u[None], r, v, s, **effects)
+                for u, r, v, s in zip(proper, m.position_m, m.velocity_m_s, m.sun_m, strict=True)
+            ]
+        )
         return proper_attitude(boresight_frame(astrometric, p.roll_deg * DEG_RAD), proper)
     else:
         frames = _on_the_sky(p, m.offset_s - plan.start_s if plan.start_s else m.offset_s)
-    proper = np.concatenate([
-        star_proper(a[2][None], r, v, s, **effects)
-        for a, r, v, s in zip(frames, m.position_m, m.velocity_m_s, m.sun_m, strict=True)
-    ])  # fmt: skip
+    proper = np.concatenate(
+        [
+            star_proper(a[2][None], r, v, s, **effects)
+            for a, r, v, s in zip(frames, m.position_m, m.velocity_m_s, m.sun_m, strict=True)
+        ]
+    )
     return proper_attitude(frames, proper)
 
 

@@ -22,9 +22,10 @@ def star_offsets(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bo
     paths = star_paths(camera, g, x, y, aberration)
     if not np.isfinite(paths).all():
         raise BadInput(
-            "exposure.integration_s", "a boresight that turns away from its field in one exposure",
+            "exposure.integration_s",
+            "a boresight that turns away from its field in one exposure",
             "a shorter exposure or a slower pointing",
-        )  # fmt: skip
+        )
     return paths - paths[..., [g.middle]]
 
 

@@ -197,17 +197,26 @@ def plan_responses(
         for (radius, bright, error), (_, target, still), phases in limited
     )
     planned = replace(
-        none, classes=classes, spacing_px=spacing, reach_px=reach,
-        lost_light=max(_lost(b, cut) for b in blurs), streaks=streaks,
-    )  # fmt: skip
+        none,
+        classes=classes,
+        spacing_px=spacing,
+        reach_px=reach,
+        lost_light=max(_lost(b, cut) for b in blurs),
+        streaks=streaks,
+    )
     mb = _tables_mb(planned, path)
     return replace(planned, spectral_from=_spectral_from(scene, planned), table_mb=mb)
 
 
 def _with_wings(
-    scene: Scene, facts: Facts, camera: Camera, ends: Geometry, blurs: tuple[Blur, ...],
-    path: Path, streaks: StreakPlan,
-) -> tuple[Cores, Cores, int, float, float]:  # fmt: skip
+    scene: Scene,
+    facts: Facts,
+    camera: Camera,
+    ends: Geometry,
+    blurs: tuple[Blur, ...],
+    path: Path,
+    streaks: StreakPlan,
+) -> tuple[Cores, Cores, int, float, float]:
     """Cores for stars and for targets, the wings' grid, their reach, and where they are cut."""
     for b in blurs:
         check_scale(scene.sensor.psf.kind, b)
@@ -230,14 +239,10 @@ def _with_wings(
     return cores, for_targets, spacing, reach, CUT_FROM * reach
 
 
-def _without_wings(
-    facts: Facts, blurs: tuple[Blur, ...]
-) -> tuple[Cores, Cores, int, float, float]:
+def _without_wings(facts: Facts, blurs: tuple[Blur, ...]) -> tuple[Cores, Cores, int, float, float]:
     """As `_with_wings`, of responses whose light ends by itself."""
     usual, whole = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
-    cores = (
-        (usual, facts.budget_e / NOTHING_BEYOND[0], 0.0), (whole, math.inf, NOTHING_BEYOND[1])
-    )  # fmt: skip
+    cores = ((usual, facts.budget_e / NOTHING_BEYOND[0], 0.0), (whole, math.inf, NOTHING_BEYOND[1]))
     steep = [b for b in blurs if isinstance(b.optics, Gaussian | EllipticalGaussian)]
     reach = max([whole, *(_radius_holding(b, FAINTEST) / CUT_FROM for b in steep)])
     return cores, cores, 0, reach, usual
@@ -334,9 +339,14 @@ def _most_near(r: ResponsePlan, shape: tuple[int, int], margin_px: float) -> int
 
 
 def _cores(
-    blurs: tuple[Blur, ...], first: float, spacing: int, path: Path, budget_e: float,
-    brightest_e: float, sweeps: WingSweeps | None = None,
-) -> Cores:  # fmt: skip
+    blurs: tuple[Blur, ...],
+    first: float,
+    spacing: int,
+    path: Path,
+    budget_e: float,
+    brightest_e: float,
+    sweeps: WingSweeps | None = None,
+) -> Cores:
     """(radius [px], brightest [e-], wing's error) of cores of doubling radius.
 
     The wing's error is measured for the first of all responses, for the next (MEASURED in all, and
@@ -433,9 +443,13 @@ def _phases(asked: int, blur: Blur) -> int:
 
 
 def _table_phases(
-    scene: Scene, facts: Facts, blurs: tuple[Blur, ...], cores: Cores, path: Path,
+    scene: Scene,
+    facts: Facts,
+    blurs: tuple[Blur, ...],
+    cores: Cores,
+    path: Path,
     streaks: StreakPlan,
-) -> list[int]:  # fmt: skip
+) -> list[int]:
     """Phases that tables of these cores may have within their bytes; 0 if fewer than needed.
 
     A response that is broad against a pixel needs few phases, so halving them costs nothing until

@@ -23,8 +23,16 @@ from pipeline.plan.response.own_paths import EXACT_MERGE_PX, exact_path, star_of
 from pipeline.plan.response.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
 from pipeline.spec.scene import CELL_PX
 
-__all__ = ["StreakSegment", "Streak", "StreakPlan", "centroid", "exact_path", "plan_streaks", "resting",
-           "zone_streak"]  # fmt: skip
+__all__ = [
+    "StreakSegment",
+    "Streak",
+    "StreakPlan",
+    "centroid",
+    "exact_path",
+    "plan_streaks",
+    "resting",
+    "zone_streak",
+]
 
 PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables
 MERGE_TOLERANCE_PX = 2e-4
@@ -199,8 +207,22 @@ def plan_streaks(
             step, merge = PATH_STEP_PX * finer, MERGE_TOLERANCE_PX * finer
             mixed = _spread_px(offsets, pieces, mixed=True)
             own = _interpolated_px(offsets)
-            made = StreakPlan(zones, pieces, spread, longest, shapes, step, merge, mixed,
-                              math.inf, floor_e, budget_e, edge, own, photons)  # fmt: skip
+            made = StreakPlan(
+                zones,
+                pieces,
+                spread,
+                longest,
+                shapes,
+                step,
+                merge,
+                mixed,
+                math.inf,
+                floor_e,
+                budget_e,
+                edge,
+                own,
+                photons,
+            )
             begin = _light_from(made.off_px, made)
             return replace(made, mixed_from_e_px=begin) if made.off_px else made
         zones = min(2 * zones, most)
@@ -339,9 +361,7 @@ def zone_streak(
         parts, means = _in_pieces(offsets, count)
     made = []
     paths = [_rounded(parts[:, middle, k] - means[:, middle, k, None], plan) for k in range(count)]
-    fine = replace(
-        plan, step_px=plan.step_px / FINER_SHAPE, merge_px=plan.merge_px / FINER_SHAPE
-    )
+    fine = replace(plan, step_px=plan.step_px / FINER_SHAPE, merge_px=plan.merge_px / FINER_SHAPE)
     common, worst = _common(parts[:, middle] - means[:, middle, :, None], fine), 0.0
     for k, path in enumerate(paths):
         own = _rounded(parts[:, middle, k] - means[:, middle, k, None], fine)

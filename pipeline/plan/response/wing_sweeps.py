@@ -77,9 +77,10 @@ def _middle(camera: Camera, block: Tile, zones: int) -> tuple[float, float]:
     row, column = (
         min(zones - 1, int((first + 0.5 * count + 0.5) * zones / whole))
         for first, count, whole in (
-            (block.y0, block.rows, camera.rows), (block.x0, block.columns, camera.columns)
+            (block.y0, block.rows, camera.rows),
+            (block.x0, block.columns, camera.columns),
         )
-    )  # fmt: skip
+    )
     zone = zone_of_frame(camera, row, column, zones)
     x, y = zone.places(np.zeros(1), np.zeros(1))
     return float(y[0]), float(x[0])

@@ -103,11 +103,14 @@ def _charge(scene: Scene, d: Detector, facts: Facts) -> list[tuple]:
     out: list[tuple] = []
     full_well_e = float(scene.sensor.full_well_e or 0.0)
     if d.blooming:
-        out.append((
-            "blooming", "half of the charge above the full well runs each way along its column and "
-            "fills what room it meets; what reaches an end leaves the array. It holds after photon "
-            "noise; none crosses to other columns",
-        ))  # fmt: skip
+        out.append(
+            (
+                "blooming",
+                "half of the charge above the full well runs each way along its column and "
+                "fills what room it meets; what reaches an end leaves the array. It holds after "
+                "photon noise; none crosses to other columns",
+            )
+        )
     if d.nonlinearity is not None:
         bound: tuple[float, ...] = ()
         how = f"a table of {len(getattr(d.nonlinearity, 'true_e', ()))} points"
@@ -118,12 +121,16 @@ def _charge(scene: Scene, d: Detector, facts: Facts) -> list[tuple]:
     if d.lag is not None:
         n = lag_depth(scene, facts.sigma_floor_e)
         rest_e = d.lag.fraction ** (n + 1) * full_well_e
-        out.append((
-            "lag", f"{d.lag.fraction:g} of a pixel's charge stays for the next frame: the means of "
-            f"{n} frames before are drawn again for each (no frame waits for another); before the "
-            "first there was none. Photon noise of what was left is drawn anew",
-            rest_e, rest_e / facts.sigma_floor_e,
-        ))  # fmt: skip
+        out.append(
+            (
+                "lag",
+                f"{d.lag.fraction:g} of a pixel's charge stays for the next frame: the means of "
+                f"{n} frames before are drawn again for each (no frame waits for another); before "
+                "the first there was none. Photon noise of what was left is drawn anew",
+                rest_e,
+                rest_e / facts.sigma_floor_e,
+            )
+        )
     return out
 
 
@@ -140,12 +147,15 @@ def _moving(scene: Scene, d: Detector, ends: Geometry, dut1_s: float) -> list[tu
     if isinstance(d.readout, FrameTransfer):
         r, t = d.readout, integration_range_s(scene)[0]
         passes = "the rows ahead of it" if r.cleared else "all other rows of its column"
-        return [(
-            "frame_transfer", f"charge passes {passes}, {r.transfer_s / scene.sensor.shape[0]:.3g} "
-            f"s in each: {r.transfer_s / t:.3g} of a column's mean light. Sources send what they "
-            "send on average over the exposure, from where they are drawn: of one that moves, its "
-            "streak's smear stands for that of its last place",
-        )]  # fmt: skip
+        return [
+            (
+                "frame_transfer",
+                f"charge passes {passes}, {r.transfer_s / scene.sensor.shape[0]:.3g} "
+                f"s in each: {r.transfer_s / t:.3g} of a column's mean light. Sources send what "
+                "they send on average over the exposure, from where they are drawn: of one that "
+                "moves, its streak's smear stands for that of its last place",
+            )
+        ]
     if isinstance(d.readout, TimeDelay):
         return [("tdi", _time_delay(scene, d.readout, ends))]
     if isinstance(d.readout, RollingShutter):

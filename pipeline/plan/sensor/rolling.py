@@ -35,33 +35,37 @@ def rolling_shutter(
     """
     if motion_plan(scene) is not None:
         raise BadInput(
-            "sensor.detector.readout", "rolling",
+            "sensor.detector.readout",
+            "rolling",
             "a readout without rows in turn, or a pointing without random motion (its course after "
             "an exposure is not known)",
-        )  # fmt: skip
+        )
     if scene.populations:
         raise BadInput(
-            "sensor.detector.readout", "rolling",
+            "sensor.detector.readout",
+            "rolling",
             "a readout without rows in turn, or targets of their own: populations are screened for "
             "the time of the first row",
-        )  # fmt: skip
+        )
     readout_s = r.line_s * (scene.sensor.shape[0] - 1)
     lit = _exposed(ends)
     speed = max((_fastest_px_s(scene, g) for g in lit), default=0.0)
     shear = speed * r.line_s
     if shear > MOST_SHEAR:
         raise BadInput(
-            FIELD, r.line_s,
+            FIELD,
+            r.line_s,
             f"at most {MOST_SHEAR / speed:.3g} s here, where a source moves {speed:.3g} px/s: "
             f"{MOST_SHEAR:g} px from row to row",
-        )  # fmt: skip
+        )
     off = max((_off_px(scene, g, dut1_s, readout_s) for g in lit), default=0.0)
     if off > MOST_OFF_PX:
         raise BadInput(
-            FIELD, r.line_s,
+            FIELD,
+            r.line_s,
             f"a shorter readout: in {readout_s:.3g} s a source comes {off:.3g} px off the parabola "
             f"through its exposure ({MOST_OFF_PX:g} px are allowed)",
-        )  # fmt: skip
+        )
     told = (
         f"row by row in {readout_s:.4g} s, {r.line_s:.3g} s each; a frame's times are those of its "
         f"first row. The fastest source moves {speed:.3g} px/s, {speed * readout_s:.3g} px in the "
@@ -127,8 +131,9 @@ def _stars_late(camera: Camera, now: Geometry, late: Geometry, aberration: bool)
     out = np.empty((2, len(x), *late.offset_s.shape))
     whole = 1.0 / SPEED_OF_LIGHT_M_S if aberration else 0.0
     for f in range(len(now.frame)):
-        seen = unrefract(deproject(camera, now.attitude[f, now.middle], x, y),
-                         now.air_at(f, now.middle))  # fmt: skip
+        seen = unrefract(
+            deproject(camera, now.attitude[f, now.middle], x, y), now.air_at(f, now.middle)
+        )
         stars = unaberrate(seen, now.observer_m_s[f, now.middle] * whole)
         for k in range(late.nodes):
             u = refract(aberrate(stars, late.observer_m_s[f, k] * whole), late.air_at(f, k))

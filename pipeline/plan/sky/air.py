@@ -33,11 +33,12 @@ def decide_air(
     if not ends.has_air or not needs_air(scene) or o.atmosphere is None:
         return [
             Decision(
-                "atmosphere", False,
+                "atmosphere",
+                False,
                 "not asked for (observer.atmosphere): about 0.15 mag per airmass in V, and "
                 "refraction's differences over the field, are missing; seeing is in sensor.psf",
             )
-        ]  # fmt: skip
+        ]
     middle = ends.middle
     camera, air = camera_of(scene), ends.air[:, middle]
     lowest = float(frame_sines(camera, ends.attitude[:, middle], air[:, :3]).min())
@@ -50,52 +51,66 @@ def _refraction(scene: Scene, facts: Facts, sine: float) -> list[Decision]:
     if a == 0.0:
         return [
             Decision(
-                "atmosphere.refraction", False,
+                "atmosphere.refraction",
+                False,
                 f"not asked for: up to {60.0 * tangent:.3g} arcsec at the frame's lowest place, "
                 "the same for all but its differences over the field",
             )
-        ]  # fmt: skip
+        ]
     bent = (a * tangent + b * tangent**3) / ARCSEC_RAD
     known = f"{KNOWN_ARCSEC:g} arcsec" if sine > LOW_SINE else "a few arcsec and more this low"
     near = FINITE_M * tangent / sine
     blue, red = (refraction_terms(*weather_of(scene), nm * 1e-9)[0] for nm in (400.0, 700.0))
     return [
         Decision(
-            "atmosphere.refraction", True,
+            "atmosphere.refraction",
+            True,
             f"ERFA refco at {facts.mean_wavelength_m * 1e9:.0f} nm: {bent:.4g} arcsec at the "
             f"frame's lowest place ({np.degrees(np.arcsin(sine)):.1f} deg up), good to {known} "
             "in the weather given; stars, targets, sky and WCS go through the same; a pointing "
             "names the true place, which the camera holds where the air lifts it to",
-            bound=KNOWN_ARCSEC if sine > LOW_SINE else None, unit="arcsec",
+            bound=KNOWN_ARCSEC if sine > LOW_SINE else None,
+            unit="arcsec",
         ),
         Decision(
-            "atmosphere.dispersion", False,
+            "atmosphere.dispersion",
+            False,
             "one refraction for the whole band: from its blue to its red end a star is "
             f"drawn out: by {(blue - red) * tangent / ARCSEC_RAD:.2g} arcsec from 400 to 700 nm",
-            bound=float(1.02 * (blue - red) * tangent / ARCSEC_RAD), unit="arcsec",
+            bound=float(1.02 * (blue - red) * tangent / ARCSEC_RAD),
+            unit="arcsec",
         ),
         Decision(
-            "atmosphere.finite_distance", False,
+            "atmosphere.finite_distance",
+            False,
             f"targets are lifted as stars are: {near:.2g} m of their path, "
             f"{near / 500e3 / ARCSEC_RAD:.2g} arcsec at 500 km",
-            bound=float(near), unit="m",
+            bound=float(near),
+            unit="m",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _extinction(extinction: BandExtinction | None, sine: float) -> list[Decision]:
     if extinction is None:
-        return [Decision("atmosphere.extinction", False, "not asked for: about 0.15 mag in V "
-                         f"times {float(1.0 / max(sine, 0.03)):.3g} air masses")]  # fmt: skip
+        return [
+            Decision(
+                "atmosphere.extinction",
+                False,
+                "not asked for: about 0.15 mag in V "
+                f"times {float(1.0 / max(sine, 0.03)):.3g} air masses",
+            )
+        ]
     passed = float(extinction.transmission(np.array(sine)))
     mag = -2.5 * np.log10(passed)
     top = -2.5 * np.log10(float(extinction.transmission(np.array(1.0))))
     return [
         Decision(
-            "atmosphere.extinction", True,
+            "atmosphere.extinction",
+            True,
             f"{top:.3g} mag at the zenith, {mag:.3g} mag at the frame's lowest place (air mass of "
             "Kasten & Young 1989); of a sunlike colour, also for stars: from the bluest to the "
             f"reddest they differ by up to {extinction.colour_error_mag(sine):.2g} mag; magnitudes "
             "in the truth are above the air, electrons below it",
         )
-    ]  # fmt: skip
+    ]

@@ -107,9 +107,7 @@ def _margins(scene: Scene, at: LampGeometry) -> dict[str, Array]:
         "moon": np.maximum(_off_field(at.moon), at.moon.hidden),
         "near the moon": np.maximum(at.moon.off_frame - near_moon, at.moon.hidden),
         "earth": _off_field(at.earth),
-    } | {
-        name: np.maximum(_off_field(lamp), lamp.hidden) for name, (lamp, _) in at.planets.items()
-    }
+    } | {name: np.maximum(_off_field(lamp), lamp.hidden) for name, (lamp, _) in at.planets.items()}
 
 
 def _off_field(lamp: Lamp) -> Array:
@@ -163,12 +161,18 @@ def _daylight(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     field = f"background.{names[0]}" if names else "epoch"
     more = "" if "twilight" in names else " (to 0 degrees with background.twilight)"
     size = "some 4 magnitudes per square arcsecond in V by day" if up > 0.0 else _size(up)
-    return [accept_or_refuse(
-        scene, "daylight", field, where,
-        f"a Sun at or below {highest / DEG_RAD:g} degrees of elevation during all exposures{more}, "
-        "or a sky of your own, uniform_mag_arcsec2",
-        f"{where}: the sky drawn is that of a night; the Sun's light in the air, {size}, is not",
-    )]  # fmt: skip
+    return [
+        accept_or_refuse(
+            scene,
+            "daylight",
+            field,
+            where,
+            f"a Sun at or below {highest / DEG_RAD:g} degrees of elevation during all exposures"
+            f"{more}, or a sky of your own, uniform_mag_arcsec2",
+            f"{where}: the sky drawn is that of a night; the Sun's light in the air, {size}, "
+            "is not",
+        )
+    ]
 
 
 def _sunlight(
@@ -207,8 +211,10 @@ def _little_twilight(
     light_e = _light_e(scene, facts, response, mag)
     if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
         return []
-    return [f"{where}: twilight, about V = {mag:.1f} per square arcsecond at the zenith or "
-            f"{light_e:.3g} e- per pixel, is not drawn (background.twilight draws it)"]  # fmt: skip
+    return [
+        f"{where}: twilight, about V = {mag:.1f} per square arcsecond at the zenith or "
+        f"{light_e:.3g} e- per pixel, is not drawn (background.twilight draws it)"
+    ]
 
 
 def _no_moonlight(
@@ -267,8 +273,9 @@ def _planets_in_field(seen: LampGeometry, nearest: dict[str, int]) -> list[str]:
     return [
         f"{name} is in the field, or within {OFF_RAD / DEG_RAD:.2f} deg of it, in frame "
         f"{seen.frame(nearest[name])}: it is not drawn, V = {v_mag[nearest[name]]:.1f} if fully lit"
-        for name, (lamp, v_mag) in seen.planets.items() if _touches(lamp, nearest[name])
-    ]  # fmt: skip
+        for name, (lamp, v_mag) in seen.planets.items()
+        if _touches(lamp, nearest[name])
+    ]
 
 
 def _no_stray_light(scene: Scene, seen: LampGeometry) -> list[str]:
@@ -294,12 +301,17 @@ def _sun_in_field(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     if not _touches(seen.sun, k):
         return []
     where = f"{_off_axis_deg(seen.sun, k):.2f} deg from the boresight"
-    return [accept_or_refuse(
-        scene, "sun", "pointing", f"the Sun in the field, {where} (frame {seen.frame(k)})",
-        "a field beside the Sun",
-        f"the Sun is in the field, {where} in frame {seen.frame(k)}: neither its disc nor its "
-        "light is drawn",
-    )]  # fmt: skip
+    return [
+        accept_or_refuse(
+            scene,
+            "sun",
+            "pointing",
+            f"the Sun in the field, {where} (frame {seen.frame(k)})",
+            "a field beside the Sun",
+            f"the Sun is in the field, {where} in frame {seen.frame(k)}: neither its disc nor its "
+            "light is drawn",
+        )
+    ]
 
 
 def _sun_near(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
@@ -308,25 +320,35 @@ def _sun_near(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
         return []
     least = scene.sensor.sun_exclusion_deg
     where = f"{_off_axis_deg(seen.sun, k):.2f} deg from the boresight"
-    return [accept_or_refuse(
-        scene, "sun", "pointing", f"the Sun {where} (frame {seen.frame(k)})",
-        f"more than {least:g} degrees (sensor.sun_exclusion_deg), or its light drawn by "
-        "background.stray_light",
-        f"the Sun is {where} in frame {seen.frame(k)}, within {least:g} degrees "
-        "(sensor.sun_exclusion_deg): its stray light is not drawn",
-    )]  # fmt: skip
+    return [
+        accept_or_refuse(
+            scene,
+            "sun",
+            "pointing",
+            f"the Sun {where} (frame {seen.frame(k)})",
+            f"more than {least:g} degrees (sensor.sun_exclusion_deg), or its light drawn by "
+            "background.stray_light",
+            f"the Sun is {where} in frame {seen.frame(k)}, within {least:g} degrees "
+            "(sensor.sun_exclusion_deg): its stray light is not drawn",
+        )
+    ]
 
 
 def _moon_in_field(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     if not _touches(seen.moon, k):
         return []
     where = f"{_off_axis_deg(seen.moon, k):.2f} deg from the boresight"
-    return [accept_or_refuse(
-        scene, "moon", "pointing", f"the Moon in the field, {where} (frame {seen.frame(k)})",
-        "a field beside the Moon",
-        f"the Moon is in the field, {where} in frame {seen.frame(k)}: its disc and the glare "
-        "around it are not drawn",
-    )]  # fmt: skip
+    return [
+        accept_or_refuse(
+            scene,
+            "moon",
+            "pointing",
+            f"the Moon in the field, {where} (frame {seen.frame(k)})",
+            "a field beside the Moon",
+            f"the Moon is in the field, {where} in frame {seen.frame(k)}: its disc and the glare "
+            "around it are not drawn",
+        )
+    ]
 
 
 def _moon_near(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
@@ -335,12 +357,17 @@ def _moon_near(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
         return []
     least = _moonlight_rad(scene) / DEG_RAD
     where = f"{float(seen.moon.off_frame[k]) / DEG_RAD:.2f} deg from the frame"
-    return [accept_or_refuse(
-        scene, "moon", "background.moonlight", f"the Moon {where} (frame {seen.frame(k)})",
-        f"more than {least:g} degrees, where scattered moonlight is known",
-        f"the Moon is {where} in frame {seen.frame(k)}: within {least:g} degrees moonlight in the "
-        "air is held at what it is there, below the real aureole",
-    )]  # fmt: skip
+    return [
+        accept_or_refuse(
+            scene,
+            "moon",
+            "background.moonlight",
+            f"the Moon {where} (frame {seen.frame(k)})",
+            f"more than {least:g} degrees, where scattered moonlight is known",
+            f"the Moon is {where} in frame {seen.frame(k)}: within {least:g} degrees moonlight "
+            "in the air is held at what it is there, below the real aureole",
+        )
+    ]
 
 
 def _touches(lamp: Lamp, k: int) -> bool:

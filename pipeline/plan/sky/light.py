@@ -198,10 +198,11 @@ class LightOfSky:
         distance = float(np.sqrt(sun_m @ sun_m)) / ASTRONOMICAL_UNIT_M
         if not z.LEAST_AU <= distance <= z.MOST_AU:
             raise BadInput(
-                "observer", f"{distance:.3g} au from the Sun",
+                "observer",
+                f"{distance:.3g} au from the Sun",
                 f"{z.LEAST_AU:g} to {z.MOST_AU:g} au for zodiacal light, whose fall with distance "
                 "is known there (or leave background.zodiacal out)",
-            )  # fmt: skip
+            )
         lon, lat, elongation = z.sun_coordinates(u, sun_m)
         _check_elongation(float(elongation.min()), background_of(self.scene).zodiacal)
         radiance = z.radiance_500(self.inputs.zodiacal, lon, lat) * z.distance_factor(distance)
@@ -230,6 +231,7 @@ def _check_elongation(least_rad: float, wish: Zodiacal | bool | None) -> None:
     if least_rad < end:
         hint = "" if extrapolate else "; near_sun: extrapolate goes to 2"
         raise BadInput(
-            "background.zodiacal", f"{least_rad / DEG_RAD:.3g} deg from the Sun in the field",
+            "background.zodiacal",
+            f"{least_rad / DEG_RAD:.3g} deg from the Sun in the field",
             f"{end / DEG_RAD:.0f} degrees or more{hint}",
-        )  # fmt: skip
+        )

@@ -40,7 +40,7 @@ def dimmed(
     Undrawn stars are dimmed as drawn ones are, so that a limiting magnitude changes no sum.
 
     air : (5,) of the Geometry; observed : (n, 3)
-    """  # fmt: skip
+    """
     o = scene.observer
     if extinction is None or not isinstance(o, GroundObserver) or o.atmosphere is None:
         return parts
@@ -76,9 +76,13 @@ def night_parts(
         moon = moon_m(*tt)[0]
         seen = refract(unit(moon - place), air)
         out["moonlight"] = moonlight(
-            band, inputs.extinction, sine, float(seen @ air[:3]), separation(observed, seen[None]),
+            band,
+            inputs.extinction,
+            sine,
+            float(seen @ air[:3]),
+            separation(observed, seen[None]),
             _moon_share(place, sun, moon),
-        )  # fmt: skip
+        )
     if b.twilight:
         up = unit(sun - place)
         apart = separation(observed, up[None])

@@ -99,9 +99,14 @@ def plan_sky(
         _grid_told(grid, between, error, sigma, tolerance, corners * t),
     )
     return SkyPlan(
-        (camera.rows, camera.columns), knots, grids, float(grids.min()), error,
-        limit.g_mag if limit else None, told,
-    )  # fmt: skip
+        (camera.rows, camera.columns),
+        knots,
+        grids,
+        float(grids.min()),
+        error,
+        limit.g_mag if limit else None,
+        told,
+    )
 
 
 def facts_with_sky(facts: Facts, scene: Scene, sky: SkyPlan) -> Facts:
@@ -161,9 +166,9 @@ def _limit(light: LightOfSky, g: Geometry, budget_e: float) -> FaintLimit:
     """The limit that a budget allows, at the field's most crowded place."""
     scene, fit = light.scene, light.inputs.fit
     assert fit is not None
-    u = np.concatenate([
-        light.directions(g, f, g.middle, *_field(light.camera)) for f in range(len(g.frame))
-    ])  # fmt: skip
+    u = np.concatenate(
+        [light.directions(g, f, g.middle, *_field(light.camera)) for f in range(len(g.frame))]
+    )
     squared = np.zeros(limits_g_mag().size)
     if light.inputs.undrawn is not None:
         found = [light.inputs.undrawn.fainter(m, u).g_squared.max() for m in limits_g_mag()]
@@ -269,14 +274,16 @@ def _limit_told(limit: FaintLimit | None, in_sky: bool, sigma_e: float) -> list[
         ]
     return [
         Decision(
-            "stars.faint", False,
+            "stars.faint",
+            False,
             f"stars beyond G = {limit.g_mag:g} are not drawn one by one: each sends at most "
             f"{limit.star_e:.3g} e- into a pixel; all together they stray from their mean, which "
             f"{'the sky holds' if in_sky else 'is LEFT OUT'}, by {limit.grain_e:.3g} e- rms at the "
             "most crowded place",
-            bound, bound / sigma_e,
+            bound,
+            bound / sigma_e,
         )
-    ]  # fmt: skip
+    ]
 
 
 def _grid_told(
@@ -298,7 +305,9 @@ def _grid_told(
     how = "uniform" if ny * nx == 1 else f"bilinear between {ny} x {nx} nodes"
     missed = "" if grid.met and between <= tolerance else "; the finest that is tried, above target"
     return Decision(
-        "background.grid", True,
+        "background.grid",
+        True,
         f"{how}, linear between frames: measured half way between the nodes{missed}; {corners}",
-        error_e, error_e / sigma_e,
-    )  # fmt: skip
+        error_e,
+        error_e / sigma_e,
+    )

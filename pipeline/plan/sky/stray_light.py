@@ -77,7 +77,7 @@ def stray_parts(
 
     A body behind the Earth gives none, and one half behind it half. Raises BadInput for a body
     within the exclusion angle, or in a line of sight, or where the curve does not reach.
-    """  # fmt: skip
+    """
     tt = g.tt1[f, node], g.tt2[f, node]
     earth = earth_and_sun(*tt)
     place = g.observer_m[f, node] - earth.position_m[0]
@@ -154,7 +154,7 @@ def _earth(
     u: Array,
     dut1_s: float,
 ) -> Array:
-    """Electrons/s/m2 of focal plane (n,) of the Earth's disc."""  # fmt: skip
+    """Electrons/s/m2 of focal plane (n,) of the Earth's disc."""
     height, distance = float(np.sqrt(place @ place)), float(np.sqrt(sun @ sun))
     radius = float(np.arcsin(min(1.0, EARTH_EQUATORIAL_RADIUS_M / height)))
     from_limb = separation(u, -place[None]) - radius
@@ -185,9 +185,10 @@ def _check_frame(scene: Scene, attitude: Array, name: str, body: _Body) -> None:
 
 def _in_field(name: str) -> BadInput:
     return BadInput(
-        FIELD, f"the {name} in the field",
+        FIELD,
+        f"the {name} in the field",
         f"a field beside the {name}: light that comes straight in is no stray light",
-    )  # fmt: skip
+    )
 
 
 def _check(wish: StrayLight, pst: Pst, name: str, nearest: float, farthest: float) -> None:
@@ -196,17 +197,19 @@ def _check(wish: StrayLight, pst: Pst, name: str, nearest: float, farthest: floa
         raise _in_field(name)
     if wish.inside == "refuse" and nearest < pst.exclusion_rad:
         raise BadInput(
-            FIELD, f"{nearest / DEG_RAD:.4g} deg from the field to the {name}",
+            FIELD,
+            f"{nearest / DEG_RAD:.4g} deg from the field to the {name}",
             f"{pst.exclusion_rad / DEG_RAD:g} degrees or more (exclusion_deg), or inside: "
             "extrapolate or clip",
-        )  # fmt: skip
+        )
     beyond = getattr(pst, "beyond", None)
     if beyond == "refuse" and farthest > pst.end_rad:
         raise BadInput(
-            FIELD + ".pst.path", f"a curve that ends at {pst.end_rad / DEG_RAD:g} deg",
+            FIELD + ".pst.path",
+            f"a curve that ends at {pst.end_rad / DEG_RAD:g} deg",
             f"angles up to {farthest / DEG_RAD:.4g} degrees, where the {name} stands; or "
             "pst.beyond: zero or clip",
-        )  # fmt: skip
+        )
 
 
 def stray_told(wish: StrayLight, ends: list[dict[str, Array]]) -> list[Decision]:
@@ -233,9 +236,9 @@ def stray_told(wish: StrayLight, ends: list[dict[str, Array]]) -> list[Decision]
     curve = wish.pst.kind if wish.inside == "refuse" else f"{wish.pst.kind}, {wish.inside} inside"
     out.append(
         Decision(
-            "stray_light.pst", True,
-            f"{curve}; the angle of each pixel's own line of sight; its "
-            "azimuth plays no part",
+            "stray_light.pst",
+            True,
+            f"{curve}; the angle of each pixel's own line of sight; its azimuth plays no part",
         )
-    )  # fmt: skip
+    )
     return out

@@ -68,8 +68,9 @@ def points_beyond(plan: Plan, g: Geometry) -> bool:
         return False
     light_e = g.target_light * (MARGIN * plan.sun_rate_e_s_m2 * _area_m2(scene))
     light_e = np.nan_to_num(light_e.max(axis=-1) * integration_range_s(scene)[1])
-    size = [0.5 * t.body.diameter_m if isinstance(t.body, SphereBody) else 0.0
-            for t in scene.targets]  # fmt: skip
+    size = [
+        0.5 * t.body.diameter_m if isinstance(t.body, SphereBody) else 0.0 for t in scene.targets
+    ]
     radius = limb_px(np.array(size)[:, None], g.target_range_m[..., g.middle], plan.facts.ifov_rad)
     disc = light_e * point_curvature(r.blur) * np.square(radius) > r.budget_e
     return bool((near_frame(scene, g) & ~disc & (light_e > r.classes[-1].target_e)).any())

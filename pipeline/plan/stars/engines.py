@@ -249,9 +249,7 @@ def cubic_bound(blur: Blur, path: Path) -> float:
     return 3.0 / 128.0 * float(np.trapezoid(np.trapezoid(integrand, f), f))
 
 
-def _said(
-    core: CoreClass, usual: float, bright: float, phases: int, mixed: int
-) -> list[str]:
+def _said(core: CoreClass, usual: float, bright: float, phases: int, mixed: int) -> list[str]:
     """What the decision says of a class."""
     name = f"cores of {core.radius_px:.0f} px"
     said = []

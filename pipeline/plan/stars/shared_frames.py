@@ -37,9 +37,7 @@ class OwnMotion(NamedTuple):
     parallax_mas: float
 
 
-def share_frames(
-    plan: Plan, sampled: NDArray[np.int64], own: OwnMotion, seconds: float
-) -> Plan:
+def share_frames(plan: Plan, sampled: NDArray[np.int64], own: OwnMotion, seconds: float) -> Plan:
     """The plan with as many frames to a drawing of stars as the accuracy leaves room for.
 
     sampled : the frames that are looked at; own : of the stars around them; seconds : that a
@@ -60,12 +58,14 @@ def share_frames(
     if together == 1:
         return plan
     decision = Decision(
-        "shared_frames", True,
+        "shared_frames",
+        True,
         f"the stars of {together} frames in a row are drawn once, where they stand in the first: "
         f"in the others they are at most {moved_px:.2g} px beside it",
-        error_bound_e=_bound_e(plan, moved_px), error_bound_sigma=bound_sigma(plan, moved_px),
+        error_bound_e=_bound_e(plan, moved_px),
+        error_bound_sigma=bound_sigma(plan, moved_px),
         seconds_saved=seconds * (1.0 - 1.0 / together),
-    )  # fmt: skip
+    )
     return replace(plan, shared_frames=together, decisions=(*plan.decisions, decision))
 
 
@@ -88,9 +88,12 @@ def _apart_px(plan: Plan, g: Geometry, own: OwnMotion, a: int, b: int) -> float:
     x, y = field_points(plan.camera)
     middle, effects = g.middle, plan.scene.star_effects
     sky = proper_to_astrometric(
-        deproject(plan.camera, g.attitude[a, middle], x, y), g.observer_m[a, middle],
-        g.observer_m_s[a, middle], g.sun_m[a, middle], **effects,
-    )  # fmt: skip
+        deproject(plan.camera, g.attitude[a, middle], x, y),
+        g.observer_m[a, middle],
+        g.observer_m_s[a, middle],
+        g.sun_m[a, middle],
+        **effects,
+    )
     seen = star_proper(
         sky, g.observer_m[b, middle], g.observer_m_s[b, middle], g.sun_m[b, middle], **effects
     )

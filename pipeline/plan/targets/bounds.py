@@ -49,8 +49,7 @@ def two_body_m(targets: Sequence[Target], scene: Scene, g: Geometry) -> float:
     for i, target in enumerate(scene.targets):
         if target not in targets:
             continue
-        r = max(_lowest_m(target.orbit, float(geocentric_m(g)[i].min())),
-                EARTH_EQUATORIAL_RADIUS_M)  # fmt: skip
+        r = max(_lowest_m(target.orbit, float(geocentric_m(g)[i].min())), EARTH_EQUATORIAL_RADIUS_M)
         time_s = longest_from_elements_s(scene, target.orbit)
         flat = 3.0 * J2 * EARTH_GM_M3_S2 * EARTH_EQUATORIAL_RADIUS_M**2 / r**4
         force = SMALLER * flat + (MOON_PER_S2 + SUN_PER_S2) * 1.2 * r
@@ -95,10 +94,13 @@ def table_told(target: Target) -> Decision:
     known = bool(np.isfinite(error))
     told = f"at most {error:.2g} m off on rows left out" if known else "too few to leave one out"
     return Decision(
-        "targets.ephemeris", True,
+        "targets.ephemeris",
+        True,
         f"{target.name}: {o.source or 'rows in the scene'}, polynomials through {nodes} rows, "
-        f"{told}", bound=float(error) if known else None, unit="m",
-    )  # fmt: skip
+        f"{told}",
+        bound=float(error) if known else None,
+        unit="m",
+    )
 
 
 def between_facets(meshes: Sequence[Target]) -> Decision:
@@ -113,16 +115,19 @@ def between_facets(meshes: Sequence[Target]) -> Decision:
     told = "in concave corners of bright diffuse surfaces a part of the light is missing"
     if len(known) < len(found):
         return Decision(
-            "targets.light_between_facets", False,
+            "targets.light_between_facets",
+            False,
             f"one reflection only: {told}; no bound is known of glossy surfaces",
-        )  # fmt: skip
+        )
     a = max(known, default=0.0)
     return Decision(
-        "targets.light_between_facets", False,
+        "targets.light_between_facets",
+        False,
         f"one reflection only: {told}, at most albedo / (1 - albedo) of the light of a matt plate "
         "of the body's outline; none of a convex body's",
-        bound=a / (1.0 - a) if a < 1.0 else None, unit="of a plate of its outline",
-    )  # fmt: skip
+        bound=a / (1.0 - a) if a < 1.0 else None,
+        unit="of a plate of its outline",
+    )
 
 
 def _albedo(body: MeshBody) -> float | None:

@@ -29,9 +29,7 @@ FINER_SHADOW = 1.5e-4  # of sunlight: shadows with an ellipsoid, limb darkening,
 LAMPS_ERROR = 5e-4  # of earthshine, in 256 lamps
 
 
-def decide_targets(
-    scene: Scene, facts: Facts, ends: Geometry, blur: Blur
-) -> list[Decision]:
+def decide_targets(scene: Scene, facts: Facts, ends: Geometry, blur: Blur) -> list[Decision]:
     """Every decision about the targets of a scene; none without targets.
 
     ends : some of the scene's frames; blur : the response
@@ -49,13 +47,15 @@ def decide_targets(
         *_orbits(scene, ends),
         *_sizes(scene, facts, ends, blur),
         Decision(
-            "targets.light_between_nodes", True,
+            "targets.light_between_nodes",
+            True,
             f"linear between {ends.nodes} nodes of an exposure: off by at most "
             f"{flicker_share(ends, near_frame(scene, ends)):.2g} of the light of a target in or "
             "beside the frame, of the frames looked at",
-            bound=flicker_share(ends, near_frame(scene, ends)), unit="of a target's light",
+            bound=flicker_share(ends, near_frame(scene, ends)),
+            unit="of a target's light",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def mesh_notices(scene: Scene) -> list[str]:
@@ -92,12 +92,14 @@ def _lighting(scene: Scene, ends: Geometry) -> list[Decision]:
     if composite:
         out.append(
             Decision(
-                "targets.mutual_shadowing", False,
+                "targets.mutual_shadowing",
+                False,
                 f"parts of {_names(composite)} neither shade nor hide each other: their light is "
                 "an upper bound; as much as all of it may be in excess",
-                bound=1.0, unit="of the light drawn",
+                bound=1.0,
+                unit="of the light drawn",
             )
-        )  # fmt: skip
+        )
     return out
 
 
@@ -105,26 +107,34 @@ def _eclipse(targets: list[Target], finer: list[Target]) -> Decision:
     """Of the Earth's shadow; finer : targets that ask for more than its usual form."""
     dark = [t for t in targets if not t.eclipse]
     return Decision(
-        "targets.eclipse", len(dark) < len(targets),
+        "targets.eclipse",
+        len(dark) < len(targets),
         "umbra and penumbra of a spherical Earth without air, uniform solar disc"
         + (f"; switched off for {_names(dark)}" if dark else "")
-        + (f"; ellipsoid, limb darkening or Moon as asked for {_names(finer)}, to 1.5e-4 of "
-           "sunlight" if finer else ""),
-        bound=1.0 if dark else FINER_SHADOW if finer else None, unit="of sunlight",
-    )  # fmt: skip
+        + (
+            f"; ellipsoid, limb darkening or Moon as asked for {_names(finer)}, to 1.5e-4 of "
+            "sunlight"
+            if finer
+            else ""
+        ),
+        bound=1.0 if dark else FINER_SHADOW if finer else None,
+        unit="of sunlight",
+    )
 
 
 def _earthshine(lamps: list[Target], ends: Geometry) -> Decision:
     """Of the Earth's light on the targets that ask for it."""
     return Decision(
-        "targets.earthshine", bool(lamps),
+        "targets.earthshine",
+        bool(lamps),
         f"Lambertian Earth without clouds or seasons for {_names(lamps)}, in 256 lamps: to "
-        "5e-4 of albedo (R/r)^2 of direct sunlight" if lamps else
-        "not asked for: at most albedo (R/r)^2 of direct sunlight on a surface that faces the "
+        "5e-4 of albedo (R/r)^2 of direct sunlight"
+        if lamps
+        else "not asked for: at most albedo (R/r)^2 of direct sunlight on a surface that faces the "
         "Earth, 0.7% at GEO, 26% at 500 km (albedo 0.3), all of it in the shadow of the body",
         bound=(LAMPS_ERROR if lamps else 1.0) * earthshine_share(lamps, ends),
         unit="of direct sunlight",
-    )  # fmt: skip
+    )
 
 
 def _mesh_shadows(meshes: list[Target]) -> Decision:
@@ -132,26 +142,30 @@ def _mesh_shadows(meshes: list[Target]) -> Decision:
     errors = (t.body.error or 0.0 for t in meshes if isinstance(t.body, MeshBody))
     error = max(errors, default=0.0)
     return Decision(
-        "targets.mesh_shadows", True,
+        "targets.mesh_shadows",
+        True,
         f"{_names(meshes)}: self-shadowing and mutual occlusion, areas to within "
         f"{error:.2g} of the light; a convex body needs none",
-        bound=error, unit="of the light",
-    )  # fmt: skip
+        bound=error,
+        unit="of the light",
+    )
 
 
 def _earthshine_on_meshes(glowing: list[Target]) -> Decision:
     """How the Earth's light falls on meshes, and what is left out of it."""
     share = max(t.body.error or 0.0 for t in glowing if isinstance(t.body, MeshBody))
     return Decision(
-        "targets.earthshine_on_meshes", True,
+        "targets.earthshine_on_meshes",
+        True,
         f"{_names(glowing)}: the Earth in ever smaller parts until the light of the body changes "
         f"by less than {0.5 * share:.2g}, at most 1024 parts; its self-shadowing likewise, each of "
         "at most 1024 parts traced (highlights and shadows finer than 1/32 of the Earth's disc "
         "may be told less well). Straight lines in time, off by at most "
         "3e-4 of earthshine. A body larger than a point is drawn with the picture that it has in "
         "sunlight, its brightness with earthshine",
-        bound=share, unit="of the light",
-    )  # fmt: skip
+        bound=share,
+        unit="of the light",
+    )
 
 
 def _sizes(scene: Scene, facts: Facts, ends: Geometry, blur: Blur) -> list[Decision]:
@@ -164,22 +178,26 @@ def _sizes(scene: Scene, facts: Facts, ends: Geometry, blur: Blur) -> list[Decis
     if len(others) + len(meshes) < len(scene.targets):
         out.append(
             Decision(
-                "targets.point_sources", True,
+                "targets.point_sources",
+                True,
                 "a sphere is a point, at the centre of its light, where that errs by at most the "
                 "bound in a pixel; else its disc and lit side at mid-exposure are drawn",
-                facts.budget_e, facts.budget_e / facts.sigma_floor_e,
+                facts.budget_e,
+                facts.budget_e / facts.sigma_floor_e,
             )
-        )  # fmt: skip
+        )
     if others:
         largest = _largest_px(scene, facts, ends)
         out.append(
             Decision(
-                "targets.shapes_as_points", True,
+                "targets.shapes_as_points",
+                True,
                 f"{_names(others)}: points at any size, up to {largest:.3g} px in radius here: "
                 "only spheres and meshes have pictures, as parts of composites have no places",
-                bound=min(1.0, point_slope(blur) * largest), unit="of the target's light",
+                bound=min(1.0, point_slope(blur) * largest),
+                unit="of the target's light",
             )
-        )  # fmt: skip
+        )
     return out
 
 
@@ -206,15 +224,17 @@ def _resolved_meshes(scene: Scene, facts: Facts, ends: Geometry) -> Decision:
     turned = float((radius_px * ends.target_turn_rad).max(initial=0.0))
     grown = float((np.ptp(distance, axis=-1) / distance.min(axis=-1) * radius_px).max(initial=0.0))
     return Decision(
-        "targets.resolved_meshes", True,
+        "targets.resolved_meshes",
+        True,
         f"{_names([scene.targets[i] for i in which])}: a point at the centre of its light where "
         "that errs by at most the bound in a pixel; else its picture at mid-exposure, up to "
         f"{radius_px.max(initial=0.0):.3g} px in radius. In an exposure the body turns so that its "
         f"edge moves by up to {turned:.2g} px, and its radius changes by up to {grown:.2g} px: "
         "neither is drawn. The picture keeps scale and axes of the middle of the field, and has "
         "at most 512 cells across: of a body too bright for that the bound does not hold",
-        facts.budget_e, facts.budget_e / facts.sigma_floor_e,
-    )  # fmt: skip
+        facts.budget_e,
+        facts.budget_e / facts.sigma_floor_e,
+    )
 
 
 def _orbits(scene: Scene, ends: Geometry) -> list[Decision]:
@@ -224,21 +244,24 @@ def _orbits(scene: Scene, ends: Geometry) -> list[Decision]:
     if plain:
         found.append(
             Decision(
-                "targets.perturbations", False,
+                "targets.perturbations",
+                False,
                 f"two-body motion for {_names(plain)}: the Earth's oblateness is left out, up to "
                 "80 km an hour after the state at 500 km, 60 m at GEO, and all smaller forces (the "
                 "bound is without drag)",
-                bound=two_body_m(plain, scene, ends), unit="m",
+                bound=two_body_m(plain, scene, ends),
+                unit="m",
             )
-        )  # fmt: skip
+        )
     forced = [t for t in scene.targets if isinstance(t.orbit, NumericalOrbit)]
     if forced:
         found.append(
             Decision(
-                "targets.forces", True,
+                "targets.forces",
+                True,
                 f"as asked for {_names(forced)}: zonal harmonics, a static atmosphere, sunlight, "
                 "Sun and Moon; tesseral harmonics are left out: degree 2 and 3 of EGM96 are worth "
                 "0.4 to 2.2 km in a day at 500 km, 0.1 to 0.4 km at GEO",
             )
-        )  # fmt: skip
+        )
     return found + [table_told(t) for t in scene.targets if isinstance(t.orbit, TableOrbit)]

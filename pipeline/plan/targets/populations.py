@@ -72,10 +72,14 @@ class SearchView:
             return watch(self.scene, plan.start_s + at_s, self.dut1_s, dwell)
 
         return orbit_screen.screen_cone(
-            satellites, (float(start.utc1[0]), float(start.utc2[0])), plan.end_s - plan.start_s,
-            lambda at_s: seen(at_s)[:2], lambda at_s: seen(at_s)[2], self.half_angle_rad,
+            satellites,
+            (float(start.utc1[0]), float(start.utc2[0])),
+            plan.end_s - plan.start_s,
+            lambda at_s: seen(at_s)[:2],
+            lambda at_s: seen(at_s)[2],
+            self.half_angle_rad,
             self.turns_rad_s[dwell],
-        )  # fmt: skip
+        )
 
 
 def look_of(scene: Scene, halo_px: float, dut1_s: float) -> SearchView:
@@ -142,9 +146,10 @@ class Sieve:
             self.kept.append((int(number[i]), len(self.kept), float(age[i]), self._target(good[i])))
         if len(self.kept) > MOST_TARGETS:
             raise BadInput(
-                f"{self.place}.path", f"{len(self.kept)} objects that cross the field",
+                f"{self.place}.path",
+                f"{len(self.kept)} objects that cross the field",
                 f"at most {MOST_TARGETS}: a smaller field, a shorter dwell, or a smaller file",
-            )  # fmt: skip
+            )
 
     def _is_readable(self, one: Any) -> bool:
         self.read += 1
@@ -160,9 +165,12 @@ class Sieve:
     def _target(self, one: Any) -> Target:
         return Target.model_construct(
             name=f"{self.population.name}-{one.number}",
-            object_name=(one.name or "").strip()[:80] or None, orbit=one.orbit,
-            body=self._body(one.name, one.number), lighting=None, eclipse=self.population.eclipse,
-        )  # fmt: skip
+            object_name=(one.name or "").strip()[:80] or None,
+            orbit=one.orbit,
+            body=self._body(one.name, one.number),
+            lighting=None,
+            eclipse=self.population.eclipse,
+        )
 
     def _body(self, name: str, number: int) -> Body:
         """The default body, with the size that the table or else the first rule gives."""
@@ -199,11 +207,16 @@ class Sieve:
                 chosen[number] = target
         look = self.look
         told = Screened(
-            digest=digest, read=self.read, kept=len(chosen), unreadable=self.unreadable,
-            superseded=len(numbers) - int(first.sum()), failed=tuple(sorted(self.failed.items())),
-            left_out=tuple(self.told), half_angle_deg=float(np.degrees(look.half_angle_rad)),
+            digest=digest,
+            read=self.read,
+            kept=len(chosen),
+            unreadable=self.unreadable,
+            superseded=len(numbers) - int(first.sum()),
+            failed=tuple(sorted(self.failed.items())),
+            left_out=tuple(self.told),
+            half_angle_deg=float(np.degrees(look.half_angle_rad)),
             dwell_s=look.length_s,
-        )  # fmt: skip
+        )
         return list(chosen.values()), self.population.model_copy(update={"screened": told})
 
 

@@ -32,14 +32,16 @@ def decide_umbra(
     more = "" if len(which) <= MOST_NAMED else f" (worked out for the first {MOST_NAMED})"
     return [
         Decision(
-            "targets.umbra_light", False,
+            "targets.umbra_light",
+            False,
             f"{names} in the Earth's shadow: sunlight that its air bends (by up to 70 arcmin) and "
             f"scatters into the umbra is not drawn: at most {share:.2g} of full sunlight, "
             f"{electrons:.3g} e- in an exposure{more}. Satellites were seen there at magnitudes of "
             "8.5 to 10",
-            bound=electrons, unit="e- of a target in an exposure",
+            bound=electrons,
+            unit="e- of a target in an exposure",
         )
-    ]  # fmt: skip
+    ]
 
 
 def umbra_remarks(scene: Scene, ends: Geometry) -> list[str]:
@@ -58,16 +60,22 @@ def _most_light(
     scene: Scene, facts: Facts, ends: Geometry, which: Indices, sun_rate: float, dut1_s: float
 ) -> tuple[float, float]:
     """Most electrons in an exposure, and of full sunlight, at mid-exposure of the frames."""
-    bare = scene.model_copy(update={"targets": [
-        t.model_copy(update={"eclipse": False}) for t in scene.targets
-    ]})  # fmt: skip
+    bare = scene.model_copy(
+        update={"targets": [t.model_copy(update={"eclipse": False}) for t in scene.targets]}
+    )
     some = [int(i) for i in which]
     at = moments_at(bare, dut1_s, ends.offset_s[:, ends.middle])
     seen, view = sights(bare, some, at)
     light, _, _ = target_lights(
-        [bare.targets[i] for i in some], [f"targets.{i}.body" for i in some], at.epoch, view,
-        at.earth.sun_from_earth_m, (at.times.tt1, at.times.tt2), seen.range_m, len(ends.frame),
-    )  # fmt: skip
+        [bare.targets[i] for i in some],
+        [f"targets.{i}.body" for i in some],
+        at.epoch,
+        view,
+        at.earth.sun_from_earth_m,
+        (at.times.tt1, at.times.tt2),
+        seen.range_m,
+        len(ends.frame),
+    )
     share = umbra_fraction(view.place_m, view.sun_m)
     exposed_s = np.array([integration_s(scene, int(f)) for f in ends.frame])
     electrons = light * share * exposed_s * sun_rate * facts.area_m2

@@ -86,9 +86,10 @@ class TableJitter(Strict):
         if f is not None and s is not None:
             if len(f) != len(s):
                 raise PydanticCustomError(
-                    "lengths", "allowed: as many values as frequency_hz has, {n}",
+                    "lengths",
+                    "allowed: as many values as frequency_hz has, {n}",
                     {"n": len(f), "field": "arcsec2_per_hz"},
-                )  # fmt: skip
+                )
             if any(b <= a for a, b in pairwise(f)):
                 raise PydanticCustomError(
                     "order", "allowed: increasing frequencies", {"field": "frequency_hz"}
@@ -113,9 +114,10 @@ def _one_strength(model: Any, *names: str) -> Any:
     given = [name for name in names if getattr(model, name) is not None]
     if len(given) != 1:
         raise PydanticCustomError(
-            "one_of", "allowed: exactly one of {names}",
+            "one_of",
+            "allowed: exactly one of {names}",
             {"names": ", ".join(names), "field": names[0]},
-        )  # fmt: skip
+        )
     return model
 
 
@@ -184,9 +186,10 @@ class SystemMode(Strict):
             table = getattr(self, name)
             if len(table) != rows or any(len(row) != columns for row in table):
                 raise PydanticCustomError(
-                    "shape", "allowed: {rows} rows of {columns} numbers",
+                    "shape",
+                    "allowed: {rows} rows of {columns} numbers",
                     {"rows": rows, "columns": columns, "field": name},
-                )  # fmt: skip
+                )
         return self
 
 

@@ -65,9 +65,10 @@ class Dwell(Strict):
         longest = max(times) if isinstance(times, tuple) else times
         if self.cadence_s is not None and longest is not None and self.cadence_s < longest:
             raise PydanticCustomError(
-                "cadence", "allowed: at least integration_s = {t}",
+                "cadence",
+                "allowed: at least integration_s = {t}",
                 {"t": longest, "field": "cadence_s"},
-            )  # fmt: skip
+            )
         if self.start_s is not None and self.wait_s:
             raise PydanticCustomError(
                 "wait", "allowed: 0 where start_s is given", {"field": "wait_s"}

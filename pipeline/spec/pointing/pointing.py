@@ -109,9 +109,10 @@ class TablePointing(Held):
             raise PydanticCustomError("one_of", "allowed: exactly one of path, rows", {})
         if self.rows is not None and self.scalar is None:
             raise PydanticCustomError(
-                "scalar", "allowed: first or last, where the scalar part stands in the rows",
+                "scalar",
+                "allowed: first or last, where the scalar part stands in the rows",
                 {"field": "scalar"},
-            )  # fmt: skip
+            )
         return self
 
 

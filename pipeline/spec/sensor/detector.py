@@ -232,9 +232,10 @@ def _check_pixels(sensor: Sensor, d: Detector) -> None:
 def _check_charge(sensor: Sensor, d: Detector) -> None:
     """What goes by the full well, and what time delay and integration cannot have."""
     used = {
-        "blooming": d.blooming, "nonlinearity": d.nonlinearity is not None,
+        "blooming": d.blooming,
+        "nonlinearity": d.nonlinearity is not None,
         "lag": d.lag is not None,
-    }  # fmt: skip
+    }
     for name, is_used in used.items():
         if is_used and sensor.full_well_e is None:
             raise _error(f"detector.{name}", "allowed: with sensor.full_well_e")

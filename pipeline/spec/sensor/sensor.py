@@ -109,10 +109,12 @@ class Chromatic(PsfShape):
         None, description="of the light; default: the sensor's whole response"
     )
     wavelengths: int | None = Field(
-        None, ge=1, le=640,
+        None,
+        ge=1,
+        le=640,
         description="wavelengths that stand for the response; default: as many as the accuracy "
         "asks for; 1: the mean alone",
-    )  # fmt: skip
+    )
 
     @model_validator(mode="after")
     def _one_wavelength(self) -> Chromatic:
@@ -320,13 +322,17 @@ class Sensor(Strict):
     read_noise_e: Annotated[float, Field(ge=0, le=1e9)] | ImagePath = 0.0
     photon_noise: bool = True
     pupil_projection: bool = Field(
-        True, description="dim light by the cosine of its angle off axis, as the pupil is seen "
+        True,
+        description="dim light by the cosine of its angle off axis, as the pupil is seen "
         "from there; default: not where flat is an image, as a measured flat holds it",
-    )  # fmt: skip
+    )
     sun_exclusion_deg: float = Field(
-        30.0, ge=0, le=180, description="angle from the boresight within which the Sun would show "
+        30.0,
+        ge=0,
+        le=180,
+        description="angle from the boresight within which the Sun would show "
         "in a frame: refused where no stray light of it is drawn",
-    )  # fmt: skip
+    )
     detector: Detector | None = Field(None, description="bad pixels, patterns, ways of reading out")
 
     @property

@@ -11,9 +11,16 @@ from pipeline.spec.sky.stray_light import StrayLight
 from pipeline.spec.strict import Strict
 
 COMPONENTS = (
-    "zodiacal", "galactic", "starlight", "stray_light", "airglow", "moonlight", "twilight",
-    "uniform_mag_arcsec2", "uniform_e_per_s",
-)  # fmt: skip
+    "zodiacal",
+    "galactic",
+    "starlight",
+    "stray_light",
+    "airglow",
+    "moonlight",
+    "twilight",
+    "uniform_mag_arcsec2",
+    "uniform_e_per_s",
+)
 
 
 class Zodiacal(Strict):
@@ -72,11 +79,16 @@ class Background(Strict):
         if not isinstance(data, dict):
             return data
         meant = {
-            "zodiacal": (None, {}), "galactic": (None, {}), "starlight": ("none", "all"),
-            "airglow": (None, {}), "moonlight": (None, "yes"), "twilight": (None, "yes"),
-        }  # fmt: skip
-        return {k: meant[k][v] if k in meant and isinstance(v, bool) else v
-                for k, v in data.items()}  # fmt: skip
+            "zodiacal": (None, {}),
+            "galactic": (None, {}),
+            "starlight": ("none", "all"),
+            "airglow": (None, {}),
+            "moonlight": (None, "yes"),
+            "twilight": (None, "yes"),
+        }
+        return {
+            k: meant[k][v] if k in meant and isinstance(v, bool) else v for k, v in data.items()
+        }
 
     @model_validator(mode="after")
     def _some_part(self) -> Background:

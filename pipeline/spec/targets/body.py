@@ -134,9 +134,10 @@ class TableAttitude(Oriented):
         _ascending(self.times_s, "times_s")
         if len(self.times_s) != len(self.quaternions):
             raise PydanticCustomError(
-                "length", "allowed: as many as times_s ({n})",
+                "length",
+                "allowed: as many as times_s ({n})",
                 {"n": len(self.times_s), "field": "quaternions"},
-            )  # fmt: skip
+            )
         if any(not math.hypot(*q) > 1e-9 for q in self.quaternions):
             raise PydanticCustomError(
                 "length", "allowed: quaternions that are not zero", {"field": "quaternions"}
@@ -280,9 +281,10 @@ class LightCurveBody(Strict):
             )
         if len(given[present[0]] or ()) != len(self.times_s):
             raise PydanticCustomError(
-                "length", "allowed: as many as times_s ({n})",
+                "length",
+                "allowed: as many as times_s ({n})",
                 {"n": len(self.times_s), "field": present[0]},
-            )  # fmt: skip
+            )
         if self.mag_per_deg and self.phase_law != "linear":
             raise PydanticCustomError(
                 "law", "allowed: only with phase_law: linear", {"field": "mag_per_deg"}
@@ -290,9 +292,10 @@ class LightCurveBody(Strict):
         span = self.times_s[-1] - self.times_s[0]
         if self.period_s is not None and self.period_s < span * (1 - 1e-12):
             raise PydanticCustomError(
-                "period", "allowed: at least the table's span, {span} s",
+                "period",
+                "allowed: at least the table's span, {span} s",
                 {"span": span, "field": "period_s"},
-            )  # fmt: skip
+            )
         return self
 
 

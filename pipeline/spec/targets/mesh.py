@@ -147,9 +147,7 @@ class SunTrackingJoint(Hinge):
     @model_validator(mode="after")
     def _face_turns(self) -> SunTrackingJoint:
         a, f = self.axis, self.face
-        across = (
-            a[1] * f[2] - a[2] * f[1], a[2] * f[0] - a[0] * f[2], a[0] * f[1] - a[1] * f[0]
-        )  # fmt: skip
+        across = (a[1] * f[2] - a[2] * f[1], a[2] * f[0] - a[0] * f[2], a[0] * f[1] - a[1] * f[0])
         _has_length(across, "a face that does not lie along the axis")
         return self
 
@@ -244,9 +242,10 @@ class MeshBody(Meshed):
                 )
             if part.on is not None and part.on not in names:
                 raise PydanticCustomError(
-                    "on", "part {name} on {on}: allowed: an earlier part ({names}), or none: the "
-                    "body", {"name": part.name, "on": part.on, "names": ", ".join(names)},
-                )  # fmt: skip
+                    "on",
+                    "part {name} on {on}: allowed: an earlier part ({names}), or none: the body",
+                    {"name": part.name, "on": part.on, "names": ", ".join(names)},
+                )
             if part.path is None:
                 for one in part.objects or ():
                     if one in taken:

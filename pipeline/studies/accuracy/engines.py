@@ -134,11 +134,12 @@ def _phases(case: EngineCase) -> list[Setting]:
         ladder = [rung for rung in ladder if rung[0] <= 64 and case.streak_px <= 60]
     return [
         Setting(
-            f"stamps, {'cubic' if cubic else 'linear'}", f"{phases} phases",
+            f"stamps, {'cubic' if cubic else 'linear'}",
+            f"{phases} phases",
             partial(_stamps, phases=phases, cubic=cubic, radius_px=_radius(case), spacing_px=2),
         )
         for phases, cubic in ladder
-    ]  # fmt: skip
+    ]
 
 
 def _wings(case: EngineCase) -> list[Setting]:
@@ -150,11 +151,12 @@ def _wings(case: EngineCase) -> list[Setting]:
     rungs += [("wing grid", FIRST_CORE_Q * q, h) for h in (16, 8, 4, 2)]
     return [
         Setting(
-            engine, f"core {radius:g} px, grid {spacing} px",
+            engine,
+            f"core {radius:g} px, grid {spacing} px",
             partial(_stamps, phases=phases, cubic=True, radius_px=radius, spacing_px=spacing),
         )
         for engine, radius, spacing in rungs
-    ]  # fmt: skip
+    ]
 
 
 def _spectral(case: EngineCase) -> list[Setting]:

@@ -35,9 +35,13 @@ class PeerFailed(Exception):
 
 
 def run_satsim(
-    case: EngineCase, probes: tuple[Array, Array], stars: tuple[Array, Array],
-    python: str, oversampling: int, table: bool,
-) -> External:  # fmt: skip
+    case: EngineCase,
+    probes: tuple[Array, Array],
+    stars: tuple[Array, Array],
+    python: str,
+    oversampling: int,
+    table: bool,
+) -> External:
     """SatSim's FFT or table mode; streaks by its shared-streak mode, a step per sub-pixel."""
     shape, track = case.shape, case.track
     if isinstance(shape, GaussianStar):
@@ -46,13 +50,20 @@ def run_satsim(
         form = {"sigma": 0.0, "q": shape.q_px, "obscuration": shape.obscuration}
     (x0, x1), (y0, y1) = track.x_px[0], track.y_px[0]
     job: dict[str, Any] = {
-        "rows": case.frame[0], "columns": case.frame[1], "osf": oversampling, "table": table,
+        "rows": case.frame[0],
+        "columns": case.frame[1],
+        "osf": oversampling,
+        "table": table,
         "pad": int(np.ceil(0.5 * case.streak_px)) + 32,
-        "sweep_x": x1 - x0, "sweep_y": y1 - y0,
+        "sweep_x": x1 - x0,
+        "sweep_y": y1 - y0,
         "steps": max(1, int(np.ceil(case.streak_px * oversampling))),
         **form,
-        "probe_x": probes[0], "probe_y": probes[1], "x": stars[0], "y": stars[1],
-    }  # fmt: skip
+        "probe_x": probes[0],
+        "probe_y": probes[1],
+        "x": stars[0],
+        "y": stars[1],
+    }
     worker = Path(__file__).with_name("satsim_worker.py")
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
@@ -88,13 +99,26 @@ def _sky(
     rows = (f"100 {x + 1.0:.9f} {y + 1.0:.9f} {mag:.6f}" for x, y in zip(*stars, strict=True))
     (Path(folder) / "stars.list").write_text("\n".join(rows) + "\n")
     settings = {
-        "IMAGE_NAME": "sky.fits", "IMAGE_SIZE": f"{case.frame[1]},{case.frame[0]}",
-        "IMAGE_TYPE": "SKY_NONOISE", "GAIN": 1, "WELL_CAPACITY": 0, "SATUR_LEVEL": 1e12,
-        "READOUT_NOISE": 0, "EXPOSURE_TIME": 1, "MAG_ZEROPOINT": ZERO_POINT_MAG, "PIXEL_SIZE": 1,
-        "PSF_TYPE": "FILE", "PSF_NAME": "psf.fits", "PSF_OVERSAMP": oversampling,
-        "SEEING_TYPE": "NONE", "AUREOLE_RADIUS": 0, "BACK_MAG": 99, "STARCOUNT_ZP": 0,
-        "VERBOSE_TYPE": "QUIET", "NTHREADS": 1,
-    }  # fmt: skip
+        "IMAGE_NAME": "sky.fits",
+        "IMAGE_SIZE": f"{case.frame[1]},{case.frame[0]}",
+        "IMAGE_TYPE": "SKY_NONOISE",
+        "GAIN": 1,
+        "WELL_CAPACITY": 0,
+        "SATUR_LEVEL": 1e12,
+        "READOUT_NOISE": 0,
+        "EXPOSURE_TIME": 1,
+        "MAG_ZEROPOINT": ZERO_POINT_MAG,
+        "PIXEL_SIZE": 1,
+        "PSF_TYPE": "FILE",
+        "PSF_NAME": "psf.fits",
+        "PSF_OVERSAMP": oversampling,
+        "SEEING_TYPE": "NONE",
+        "AUREOLE_RADIUS": 0,
+        "BACK_MAG": 99,
+        "STARCOUNT_ZP": 0,
+        "VERBOSE_TYPE": "QUIET",
+        "NTHREADS": 1,
+    }
     options = [word for key, value in settings.items() for word in (f"-{key}", str(value))]
     (Path(folder) / "sky.conf").write_text("")
     seconds = _run(["sky", "stars.list", "-c", "sky.conf", *options], folder)

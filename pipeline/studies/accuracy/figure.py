@@ -53,9 +53,13 @@ def draw_figure(study: dict[str, Any], path: Path) -> None:
         mine = [r for r in rows if (r["psf"], r["streak_px"]) == (psf, streak)]
         _panel(panel, mine, psf, streak)
     figure.subplots_adjust(
-        left=0.8 / width, right=1.0 - 0.15 / width, top=1.0 - 0.4 / height,
-        bottom=BELOW_IN / height, wspace=0.09, hspace=0.2,
-    )  # fmt: skip
+        left=0.8 / width,
+        right=1.0 - 0.15 / width,
+        top=1.0 - 0.4 / height,
+        bottom=BELOW_IN / height,
+        wspace=0.09,
+        hspace=0.2,
+    )
     _legend(figure, axes, study, 5 if len(streaks) > 2 else 3)
     figure.savefig(path)
 
@@ -78,9 +82,16 @@ def _panel(ax: Any, rows: list[Row], psf: str, streak_px: float) -> None:
         x, y = [r["cpu_s"] for r in mine], [_shown(r) for r in mine]
         hollow = {"markerfacecolor": "none"} if engine == "core radius" else {}
         ax.plot(
-            x, y, color=colour, marker=marker, markersize=7, linewidth=0.8, alpha=0.95,
-            label=engine, **hollow,
-        )  # fmt: skip
+            x,
+            y,
+            color=colour,
+            marker=marker,
+            markersize=7,
+            linewidth=0.8,
+            alpha=0.95,
+            label=engine,
+            **hollow,
+        )
     one_sigma = rows[0]["error_of_peak"] / rows[0]["error_sigma"]
     ax.axhline(one_sigma, color="#444444", linestyle=":", linewidth=1.2)
 
@@ -95,10 +106,27 @@ def _front(ax: Any, rows: list[Row]) -> None:
     if not front:
         return
     x, y = zip(*front, strict=True)
-    ax.plot(x, y, color="#F0E442", linewidth=7, alpha=0.8, zorder=1, solid_capstyle="round",
-            drawstyle="steps-post")  # fmt: skip
-    ax.plot(x, y, linestyle="none", marker="o", markersize=13, markerfacecolor="none",
-            markeredgecolor="#B8A500", markeredgewidth=1.5, zorder=1.5)  # fmt: skip
+    ax.plot(
+        x,
+        y,
+        color="#F0E442",
+        linewidth=7,
+        alpha=0.8,
+        zorder=1,
+        solid_capstyle="round",
+        drawstyle="steps-post",
+    )
+    ax.plot(
+        x,
+        y,
+        linestyle="none",
+        marker="o",
+        markersize=13,
+        markerfacecolor="none",
+        markeredgecolor="#B8A500",
+        markeredgewidth=1.5,
+        zorder=1.5,
+    )
 
 
 def _legend(figure: Any, axes: Any, study: dict[str, Any], columns_of_names: int) -> None:
@@ -109,9 +137,15 @@ def _legend(figure: Any, axes: Any, study: dict[str, Any], columns_of_names: int
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             names.setdefault(label, handle)
     names["Pareto front"] = Line2D(
-        [], [], color="#F0E442", linewidth=7, marker="o", markersize=12, markerfacecolor="none",
+        [],
+        [],
+        color="#F0E442",
+        linewidth=7,
+        marker="o",
+        markersize=12,
+        markerfacecolor="none",
         markeredgecolor="#B8A500",
-    )  # fmt: skip
+    )
     noise = study["noise"]
     names[f"noise under a star of {noise['star_e']:,.0f} e-"] = Line2D(
         [], [], color="#444444", linestyle=":"
@@ -122,6 +156,10 @@ def _legend(figure: Any, axes: Any, study: dict[str, Any], columns_of_names: int
     for ax in axes[-1]:
         ax.set_xlabel(f"CPU seconds, {study['stars']:,} stars, {columns} x {rows}")
     figure.legend(
-        list(names.values()), list(names), loc="lower center", ncol=columns_of_names, fontsize=10,
+        list(names.values()),
+        list(names),
+        loc="lower center",
+        ncol=columns_of_names,
+        fontsize=10,
         frameon=False,
-    )  # fmt: skip
+    )

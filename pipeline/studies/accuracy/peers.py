@@ -41,13 +41,17 @@ def installed_peers(satsim_python: str | None = None) -> list[Peer]:
         Peer("GalSim", _version("galsim"), "curved streaks"),
         Peer("photutils", _version("photutils"), "streaks; diffraction only from a table"),
         Peer(
-            "SatSim", satsim and shutil.which(satsim) and f"by {SATSIM_PYTHON}",
+            "SatSim",
+            satsim and shutil.which(satsim) and f"by {SATSIM_PYTHON}",
             "an obscured aperture by Q (it takes one from POPPY; it was given ours, sampled); "
             "curved streaks of stars",
         ),
-        Peer("SkyMaker", shutil.which("sky") and "the program sky",
-             "a Gaussian and long streaks by itself (it was given tables)"),
-    ]  # fmt: skip
+        Peer(
+            "SkyMaker",
+            shutil.which("sky") and "the program sky",
+            "a Gaussian and long streaks by itself (it was given tables)",
+        ),
+    ]
 
 
 def _version(module: str) -> str | None:
@@ -76,10 +80,15 @@ def peer_settings(case: EngineCase, quick: bool) -> list[Setting]:
 GALSIM: tuple[tuple[str, dict[str, float]], ...] = (
     ("default", {}),
     ("maxk 1e-4, kvalue 1e-6", {"maxk_threshold": 1e-4, "kvalue_accuracy": 1e-6}),
-    ("… folding 5e-4", {
-        "maxk_threshold": 1e-4, "kvalue_accuracy": 1e-6, "folding_threshold": 5e-4,
-    }),
-)  # fmt: skip
+    (
+        "… folding 5e-4",
+        {
+            "maxk_threshold": 1e-4,
+            "kvalue_accuracy": 1e-6,
+            "folding_threshold": 5e-4,
+        },
+    ),
+)
 
 
 def _galsim(case: EngineCase, accuracy: dict[str, float]) -> Drawn:
@@ -118,11 +127,9 @@ def _photutils_settings(case: EngineCase) -> list[Setting]:
         ]
     side = 2 * TABLE_HALF_PX - 3
     return [
-        Setting(
-            "photutils", f"table {n} x", partial(_photutils, side=side, table=n), ours=False
-        )
+        Setting("photutils", f"table {n} x", partial(_photutils, side=side, table=n), ours=False)
         for n in (2, 4, 8)
-    ]  # fmt: skip
+    ]
 
 
 def _photutils(case: EngineCase, side: int, table: int = 0) -> Drawn:

@@ -61,9 +61,14 @@ def prepare(job: dict[str, Any]) -> Callable[..., np.ndarray]:
         size = (rows * osf, columns * osf, *whole, pad * osf, pad * osf, osf)
         if lut is not None:  # its stamps are too small for a table of the streak: step by step
             image = render_epsf(
-                *size, lut, *common, *motion, psf_os=psf, render_separate=False,
+                *size,
+                lut,
+                *common,
+                *motion,
+                psf_os=psf,
+                render_separate=False,
                 star_render_mode="transform",
-            )[0]  # fmt: skip
+            )[0]
         else:
             mode = "streak" if steps > 1 else "transform"
             image = render_full(

@@ -174,9 +174,18 @@ def _one(
     while len(times) < effort.repeats and times[0] < effort.long_s:
         times.append(spent(n))
     return _record(
-        case, setting.engine, setting.setting, setting.ours, probes, errors, x.size, n,
-        min(times), table_s, drawn.table_bytes,
-    )  # fmt: skip
+        case,
+        setting.engine,
+        setting.setting,
+        setting.ours,
+        probes,
+        errors,
+        x.size,
+        n,
+        min(times),
+        table_s,
+        drawn.table_bytes,
+    )
 
 
 def _external(
@@ -189,16 +198,36 @@ def _external(
 
 
 def _record(
-    case: EngineCase, engine: str, setting: str, ours: bool, probes: Probes,
-    errors: list[tuple[float, float]], stars: int, timed: int, cpu_s: float, table_s: float,
+    case: EngineCase,
+    engine: str,
+    setting: str,
+    ours: bool,
+    probes: Probes,
+    errors: list[tuple[float, float]],
+    stars: int,
+    timed: int,
+    cpu_s: float,
+    table_s: float,
     table_bytes: int | None,
-) -> Record:  # fmt: skip
+) -> Record:
     pixel, light = (max(column) for column in zip(*errors, strict=True))
     return Record(
-        engine, setting, ours, case.shape.name, case.streak_px, case.curved, stars, timed,
-        cpu_s * stars / timed, cpu_s / timed, table_s, table_bytes,
-        pixel, pixel * probes.peak * STAR_E / FLOOR_E, light,
-    )  # fmt: skip
+        engine,
+        setting,
+        ours,
+        case.shape.name,
+        case.streak_px,
+        case.curved,
+        stars,
+        timed,
+        cpu_s * stars / timed,
+        cpu_s / timed,
+        table_s,
+        table_bytes,
+        pixel,
+        pixel * probes.peak * STAR_E / FLOOR_E,
+        light,
+    )
 
 
 def with_pareto(records: list[Record]) -> list[Record]:

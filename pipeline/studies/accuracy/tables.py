@@ -10,8 +10,15 @@ from pipeline.lines import fold, table
 Row = dict[str, Any]
 
 HEADS = (
-    "engine", "setting", "CPU s", "us/star", "table s", "error/peak", "sigma", "light error",
-)  # fmt: skip
+    "engine",
+    "setting",
+    "CPU s",
+    "us/star",
+    "table s",
+    "error/peak",
+    "sigma",
+    "light error",
+)
 
 
 def by_case(study: dict[str, Any]) -> Iterator[tuple[str, list[Row]]]:

@@ -37,8 +37,16 @@ def _completeness(axes: Any, study: dict[str, Any]) -> None:
         share = np.array([b["completeness"] for b in bins])
         count = np.array([b["sought"] for b in bins])
         error = np.sqrt(np.maximum(share * (1 - share), 0.25 / count) / count)  # binomial
-        axes.errorbar(at, share, error, color=COLOURS[kind], marker="o", ms=4, capsize=2,
-                      label=f"stars: {TITLES[kind]}")  # fmt: skip
+        axes.errorbar(
+            at,
+            share,
+            error,
+            color=COLOURS[kind],
+            marker="o",
+            ms=4,
+            capsize=2,
+            label=f"stars: {TITLES[kind]}",
+        )
     found = [t for t in study["targets"] if t["found"]]
     told = "\n".join(
         f"{TITLES[k]} {v['false_alarms'] / study['frames']:.1f}"
@@ -47,8 +55,9 @@ def _completeness(axes: Any, study: dict[str, Any]) -> None:
     axes.set_title(
         f"found, each target by each finder: {len(found)} of {len(study['targets'])}\n"
         f"false alarms a frame: {told}",
-        fontsize=9, loc="left",
-    )  # fmt: skip
+        fontsize=9,
+        loc="left",
+    )
     axes.set(xlabel="Gaia G [mag]", ylabel="share found", ylim=(-0.03, 1.05))
     axes.grid(alpha=0.3)
     if axes.get_legend_handles_labels()[0]:
@@ -79,13 +88,27 @@ def _piece(axes: Any, shown: dict[str, Any]) -> None:
             )
         ends = (found.length_px > 0) & right
         steps = np.array([[-1.0], [1.0]])
-        axes.plot(found.x_px[ends] + half_x[ends] * steps, found.y_px[ends] + half_y[ends] * steps,
-                  color=COLOURS[kind], lw=0.8)  # fmt: skip
-    axes.scatter(labels.x_light_px[targets], labels.y_light_px[targets], s=160,
-                 facecolors="none", edgecolors="#50FF78", linewidths=1.0)  # fmt: skip
+        axes.plot(
+            found.x_px[ends] + half_x[ends] * steps,
+            found.y_px[ends] + half_y[ends] * steps,
+            color=COLOURS[kind],
+            lw=0.8,
+        )
+    axes.scatter(
+        labels.x_light_px[targets],
+        labels.y_light_px[targets],
+        s=160,
+        facecolors="none",
+        edgecolors="#50FF78",
+        linewidths=1.0,
+    )
     for i in targets:
         if extent[0] < labels.x_px[i] < extent[1] and extent[2] < labels.y_px[i] < extent[3]:
-            axes.annotate(str(labels.name[i]), (labels.x_px[i] + 9, labels.y_px[i] + 9),
-                          color="#50FF78", fontsize=8)  # fmt: skip
+            axes.annotate(
+                str(labels.name[i]),
+                (labels.x_px[i] + 9, labels.y_px[i] + 9),
+                color="#50FF78",
+                fontsize=8,
+            )
     axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="x [px]", ylabel="y [px]")
     axes.set_title("+ right, x nothing there; green: targets", fontsize=9, loc="left")

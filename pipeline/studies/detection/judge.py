@@ -93,9 +93,13 @@ def _explained(labels: Labels, found: Detections) -> NDArray[np.bool_]:
     source = np.repeat(seen, count)
     # The wings of a source 100 times brighter are as bright some times farther out.
     far = NEAR_PX * np.maximum(1.0, (labels.snr[source] / 100.0) ** 0.5)
-    x, y = (start[source] + part * (end - start)[source]
-            for start, end in ((labels.x_start_px, labels.x_end_px),
-                               (labels.y_start_px, labels.y_end_px)))  # fmt: skip
+    x, y = (
+        start[source] + part * (end - start)[source]
+        for start, end in (
+            (labels.x_start_px, labels.x_end_px),
+            (labels.y_start_px, labels.y_end_px),
+        )
+    )
     tree = cKDTree(np.stack([x, y], axis=-1))
     places = np.stack([found.x_px, found.y_px], axis=-1)
     near = tree.query_ball_point(places, float(far.max()))
@@ -115,8 +119,12 @@ def by_magnitude(
     out = []
     for low, high in itertools.pairwise(edges):
         bin_ = stars & (labels.g_mag >= low) & (labels.g_mag < high)
-        out.append({
-            "bright_mag": float(low), "faint_mag": float(high), "sought": int(bin_.sum()),
-            "found": int((bin_ & found).sum()),
-        })  # fmt: skip
+        out.append(
+            {
+                "bright_mag": float(low),
+                "faint_mag": float(high),
+                "sought": int(bin_.sum()),
+                "found": int((bin_ & found).sum()),
+            }
+        )
     return out

@@ -32,9 +32,12 @@ class Detections:
     def take(self, index: NDArray[np.bool_]) -> Detections:
         """Some of them."""
         return Detections(
-            self.x_px[index], self.y_px[index], self.snr[index], self.length_px[index],
+            self.x_px[index],
+            self.y_px[index],
+            self.snr[index],
+            self.length_px[index],
             self.angle_rad[index],
-        )  # fmt: skip
+        )
 
 
 def flattened(frame: NDArray[np.generic]) -> tuple[Array, float]:

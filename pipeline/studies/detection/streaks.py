@@ -125,9 +125,12 @@ def _keep_best(filtered, middle, scatter, number, best, which):
 
 
 def _even(
-    points: NDArray[np.float32], x: NDArray[np.int64], y: NDArray[np.int64], length: Array,
+    points: NDArray[np.float32],
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    length: Array,
     angle: Array,
-) -> NDArray[np.bool_]:  # fmt: skip
+) -> NDArray[np.bool_]:
     """Lines that are lit all along: no single point, nor two of them, makes one.
 
     points : the image filtered by a point. Of PLACES along the line the median must reach

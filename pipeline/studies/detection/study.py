@@ -55,9 +55,13 @@ def report_detection(
             if progress is not None:
                 progress("frames searched", k + 1, count)
     study = {
-        "product": product.name, "frames": count, "threshold_sigma": threshold_sigma,
-        "point_px": POINT_PX, "finders": _summed(told), "targets": _targets(told),
-    }  # fmt: skip
+        "product": product.name,
+        "frames": count,
+        "threshold_sigma": threshold_sigma,
+        "point_px": POINT_PX,
+        "finders": _summed(told),
+        "targets": _targets(told),
+    }
     _write(study, shown, out)
     return study
 
@@ -79,24 +83,36 @@ def _frame(
 
 
 def _one(
-    frame: int, kind: str, labels: Labels, sought: np.ndarray, found: Detections,
-    verdict: DetectionVerdict
+    frame: int,
+    kind: str,
+    labels: Labels,
+    sought: np.ndarray,
+    found: Detections,
+    verdict: DetectionVerdict,
 ) -> dict[str, Any]:
     """One finder on one frame."""
     mags = labels.g_mag[np.isfinite(labels.g_mag)]
     low, high = (np.floor(mags.min()), np.ceil(mags.max())) if mags.size else (0.0, 1.0)
     targets = np.flatnonzero(labels.kind == TARGET)
     return {
-        "frame": frame, "finder": kind, "detections": len(found),
-        "right": int(verdict.right.sum()), "fragments": verdict.fragments,
+        "frame": frame,
+        "finder": kind,
+        "detections": len(found),
+        "right": int(verdict.right.sum()),
+        "fragments": verdict.fragments,
         "false_alarms": verdict.false,
         "stars": by_magnitude(labels, sought, verdict.found, np.arange(low, high + 0.5, 0.5)),
         "targets": [
-            {"name": str(labels.name[i]), "snr": float(labels.snr[i]),
-             "length_px": float(labels.length_px[i]), "found": bool(verdict.found[i])}
-            for i in targets if sought[i]
+            {
+                "name": str(labels.name[i]),
+                "snr": float(labels.snr[i]),
+                "length_px": float(labels.length_px[i]),
+                "found": bool(verdict.found[i]),
+            }
+            for i in targets
+            if sought[i]
         ],
-    }  # fmt: skip
+    }
 
 
 def _summed(told: list[dict[str, Any]]) -> dict[str, Any]:
@@ -115,11 +131,16 @@ def _summed(told: list[dict[str, Any]]) -> dict[str, Any]:
             for name in ("detections", "right", "fragments", "false_alarms")
         } | {
             "stars": [
-                {"bright_mag": low, "faint_mag": high, "sought": n, "found": m,
-                 "completeness": m / n if n else None}
+                {
+                    "bright_mag": low,
+                    "faint_mag": high,
+                    "sought": n,
+                    "found": m,
+                    "completeness": m / n if n else None,
+                }
                 for (low, high), (n, m) in sorted(bins.items())
             ]
-        }  # fmt: skip
+        }
     return out
 
 

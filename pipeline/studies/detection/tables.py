@@ -17,34 +17,65 @@ def parts(study: dict[str, Any]) -> Iterator[Part]:
     yield (
         f"{study['product']}: {frames} frame(s), threshold {sigma:g} sigma",
         ("finder", "detections", "right", "on other sources", "false alarms a frame"),
-        [(TITLES[kind], str(told["detections"]), str(told["right"]), str(told["fragments"]),
-          f"{told['false_alarms'] / frames:.1f}") for kind, told in study["finders"].items()],
+        [
+            (
+                TITLES[kind],
+                str(told["detections"]),
+                str(told["right"]),
+                str(told["fragments"]),
+                f"{told['false_alarms'] / frames:.1f}",
+            )
+            for kind, told in study["finders"].items()
+        ],
         1,
-    )  # fmt: skip
+    )
     for kind, told in study["finders"].items():
         bins = [b for b in told["stars"] if b["sought"]]
         if bins:
             yield (
-                f"Stars by {TITLES[kind]}:", ("G", "sought", "found", "completeness"),
-                [(f"{b['bright_mag']:g} to {b['faint_mag']:g}", str(b["sought"]), str(b["found"]),
-                  f"{b['completeness']:.3f}") for b in bins],
+                f"Stars by {TITLES[kind]}:",
+                ("G", "sought", "found", "completeness"),
+                [
+                    (
+                        f"{b['bright_mag']:g} to {b['faint_mag']:g}",
+                        str(b["sought"]),
+                        str(b["found"]),
+                        f"{b['completeness']:.3f}",
+                    )
+                    for b in bins
+                ],
                 1,
-            )  # fmt: skip
+            )
     if study["targets"]:
         yield (
-            "Targets:", ("target", "finder", "frame", "SNR", "streak [px]", "found"),
-            [(t["name"], TITLES[t["finder"]], str(t["frame"]), f"{t['snr']:.0f}",
-              f"{t['length_px']:.1f}", "yes" if t["found"] else "no") for t in study["targets"]],
+            "Targets:",
+            ("target", "finder", "frame", "SNR", "streak [px]", "found"),
+            [
+                (
+                    t["name"],
+                    TITLES[t["finder"]],
+                    str(t["frame"]),
+                    f"{t['snr']:.0f}",
+                    f"{t['length_px']:.1f}",
+                    "yes" if t["found"] else "no",
+                )
+                for t in study["targets"]
+            ],
             2,
-        )  # fmt: skip
+        )
 
 
 def markdown(study: dict[str, Any]) -> str:
     """The study's tables in Markdown."""
     lines = []
     for title, heads, rows, _ in parts(study):
-        lines += [title, "", *(f"| {' | '.join(row)} |" for row in (heads, ["---"] * len(heads))),
-                  *(f"| {' | '.join(row)} |" for row in rows), ""]  # fmt: skip
+        lines += [
+            title,
+            "",
+            *(f"| {' | '.join(row)} |" for row in (heads, ["---"] * len(heads))),
+            *(f"| {' | '.join(row)} |" for row in rows),
+            "",
+        ]
     return "\n".join(lines)
 
 

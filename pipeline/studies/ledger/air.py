@@ -22,13 +22,24 @@ SATELLITE_M = 5e5
 
 
 def _scene(elevation_deg: float) -> dict:
-    return scene({
-        "observer": SITE | {"atmosphere": {"refraction": True}}, "sensor.focal_length_m": 1.0,
-        "pointing": {"mode": "local", "azimuth_deg": 90.0, "elevation_deg": elevation_deg},
-        "targets": [{"name": "t", "orbit": {"kind": "state", "position_m": [7e6, 0, 0],
-                                            "velocity_m_s": [0, 7.5e3, 0]},
-                     "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}}],
-    })  # fmt: skip
+    return scene(
+        {
+            "observer": SITE | {"atmosphere": {"refraction": True}},
+            "sensor.focal_length_m": 1.0,
+            "pointing": {"mode": "local", "azimuth_deg": 90.0, "elevation_deg": elevation_deg},
+            "targets": [
+                {
+                    "name": "t",
+                    "orbit": {
+                        "kind": "state",
+                        "position_m": [7e6, 0, 0],
+                        "velocity_m_s": [0, 7.5e3, 0],
+                    },
+                    "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3},
+                }
+            ],
+        }
+    )
 
 
 def refractivity(wavelength_m: float, pressure_hpa: float, kelvin: float) -> float:
@@ -45,8 +56,9 @@ def trace(n0: float, height_m: float, kelvin: float, sine: float) -> tuple[float
     the air, carried back, passes from the observer [m], and the seconds of arc that it has at
     SATELLITE_M of height from there.
     """
-    h = np.concatenate([np.linspace(height_m, TROPOPAUSE_M, 3001),
-                        np.linspace(TROPOPAUSE_M, TOP_M, 3001)[1:]])  # fmt: skip
+    h = np.concatenate(
+        [np.linspace(height_m, TROPOPAUSE_M, 3001), np.linspace(TROPOPAUSE_M, TOP_M, 3001)[1:]]
+    )
     low = np.minimum(h, TROPOPAUSE_M)
     t = kelvin - LAPSE_K_M * (low - height_m)
     power = GRAVITY_M_S2 / (GAS_J_KG_K * LAPSE_K_M) - 1.0
@@ -121,5 +133,12 @@ def lifted(_: Bench) -> Iterator[ProbeResult]:
         out_s, (named, _p) = timed(lambda d=bare, b=boresight: b(d))  # type: ignore[misc]
         off = most(np.arctan2(np.linalg.norm(np.cross(held, named)), held @ named)) / ARCSEC_RAD
         bound, unit = stated(plan, "pointing_refraction")
-        yield ProbeResult("pointing_refraction", f"{elevation:g} deg up, the camera with and without air",
-                    bound, off, unit, out_s, in_s)  # fmt: skip
+        yield ProbeResult(
+            "pointing_refraction",
+            f"{elevation:g} deg up, the camera with and without air",
+            bound,
+            off,
+            unit,
+            out_s,
+            in_s,
+        )

@@ -49,11 +49,20 @@ def _measured(stage, s: Switch, windows, how: str) -> ProbeResult:
 def engines(bench: Bench) -> Iterator[ProbeResult]:
     """Stars that streak, by the product's engines and one by one; a crowd by transforms."""
     stars = {"catalogue": bench.catalogue}
-    turn = {"mode": "rate", "boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG,
-            "rate_ra_arcsec_s": 9.0, "rate_dec_arcsec_s": 12.0, "roll_rate_deg_s": 0.05}
+    turn = {
+        "mode": "rate",
+        "boresight_ra_deg": RA_DEG,
+        "boresight_dec_deg": DEC_DEG,
+        "rate_ra_arcsec_s": 9.0,
+        "rate_dec_arcsec_s": 12.0,
+        "roll_rate_deg_s": 0.05,
+    }
     streaks = scene({"stars": stars, "pointing": turn, "sensor.psf": AIRY})
-    yield from _switched(streaks, ("phase_interpolation", "common_streak"),
-                         f"{SIDE} x {SIDE} px, stars streak by 8 px")  # fmt: skip
+    yield from _switched(
+        streaks,
+        ("phase_interpolation", "common_streak"),
+        f"{SIDE} x {SIDE} px, stars streak by 8 px",
+    )
     yield _crowd(bench)
 
 
@@ -61,8 +70,9 @@ def _crowd(bench: Bench) -> ProbeResult:
     """All stars of a frame by the transforms of crowds, and by stamps: the same plan otherwise."""
     from pipeline.studies.scenes.stage import light_by, mean_of, noise_of
 
-    stage = open_stage(scene({"stars": {"catalogue": bench.catalogue}, "background": {
-        "uniform_e_per_s": 100.0}}))  # fmt: skip
+    stage = open_stage(
+        scene({"stars": {"catalogue": bench.catalogue}, "background": {"uniform_e_per_s": 100.0}})
+    )
     plan, tile = stage.plan, whole(stage)
     crowd, stamps = (
         replace(plan, responses=replace(plan.responses, spectral_from=n)) for n in (1, 0)
@@ -71,19 +81,30 @@ def _crowd(bench: Bench) -> ProbeResult:
     in_s, true = timed(lambda: mean_of(stage, light_by(stage, stamps)(tile), tile), 2)
     noise = noise_of(stage, true, tile)
     bound = plan.responses.budget_e / plan.facts.sigma_floor_e
-    return ProbeResult("crowds_by_transforms", f"{len(stage.stars)} stars by transforms, beside stamps",
-                 bound, most((ours - true) / noise), "sigma", out_s, in_s)  # fmt: skip
+    return ProbeResult(
+        "crowds_by_transforms",
+        f"{len(stage.stars)} stars by transforms, beside stamps",
+        bound,
+        most((ours - true) / noise),
+        "sigma",
+        out_s,
+        in_s,
+    )
 
 
 @probe("wings_on_a_coarse_grid")
 def wings(bench: Bench) -> Iterator[ProbeResult]:
     """The diffraction wings of bright stars, on a grid of half the spacing, and farther out."""
     data = scene({"stars": {"catalogue": bench.catalogue}, "sensor.psf": AIRY})
-    yield from _switched(data, ("wings_on_a_coarse_grid",),
-                         f"{SIDE} x {SIDE} px, diffraction, stars from G = 8")  # fmt: skip
-    coarse, fine = (scene({"accuracy": {
-        "noise_fraction": n, "flux_fraction": 0.02 * n, "check_cells": 0}}, data)
-        for n in (0.5, 0.01))  # fmt: skip
+    yield from _switched(
+        data, ("wings_on_a_coarse_grid",), f"{SIDE} x {SIDE} px, diffraction, stars from G = 8"
+    )
+    coarse, fine = (
+        scene(
+            {"accuracy": {"noise_fraction": n, "flux_fraction": 0.02 * n, "check_cells": 0}}, data
+        )
+        for n in (0.5, 0.01)
+    )
     near = open_stage(coarse, open_stage(fine).plan)
     windows = choose_windows(near, (whole(near),), WINDOWS)
     for s in switches(near, (whole(near),)):
@@ -95,10 +116,19 @@ def wings(bench: Bench) -> Iterator[ProbeResult]:
 def colours(bench: Bench) -> Iterator[ProbeResult]:
     """Diffraction at one wavelength and at a few, beside twelve."""
     stars = {"catalogue": bench.catalogue}
-    data = scene({"stars": stars, "sensor.aperture_m": 0.02, "sensor.psf.kind": "airy",
-                  "sensor.psf.sigma_px": None})  # fmt: skip
-    yield from _switched(data, ("monochromatic_psf", "few_wavelengths"),
-                         "diffraction over 400 to 900 nm, beside 12 wavelengths")  # fmt: skip
+    data = scene(
+        {
+            "stars": stars,
+            "sensor.aperture_m": 0.02,
+            "sensor.psf.kind": "airy",
+            "sensor.psf.sigma_px": None,
+        }
+    )
+    yield from _switched(
+        data,
+        ("monochromatic_psf", "few_wavelengths"),
+        "diffraction over 400 to 900 nm, beside 12 wavelengths",
+    )
 
 
 @probe("one_psf")
@@ -110,8 +140,12 @@ def over_the_field(bench: Bench) -> Iterator[ProbeResult]:
         return 0.9 + 0.5 * ((y - 60.0) / SIDE) ** 2
 
     def psf(places) -> dict:
-        return {"kind": "field", "rows_px": [float(r) for r in places], "columns_px": [63.5],
-                "psfs": [[{"kind": "gaussian", "sigma_px": sigma(float(r))}] for r in places]}
+        return {
+            "kind": "field",
+            "rows_px": [float(r) for r in places],
+            "columns_px": [63.5],
+            "psfs": [[{"kind": "gaussian", "sigma_px": sigma(float(r))}] for r in places],
+        }
 
     data = scene({"stars": {"catalogue": bench.catalogue}, "sensor.psf": psf(rows)})
     finer = scene({"sensor.psf": psf(np.linspace(0.0, SIDE - 1.0, 9))}, data)
@@ -122,8 +156,15 @@ def over_the_field(bench: Bench) -> Iterator[ProbeResult]:
     field = few.plan.responses.field
     assert field is not None
     bound = sum(e for e in field.error if e is not None) * max(lights_e(few))
-    yield ProbeResult("psf_over_the_field", "a Gaussian that widens along the rows, at 5 places and at 9",
-                bound, most(a - b), "e-", out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "psf_over_the_field",
+        "a Gaussian that widens along the rows, at 5 places and at 9",
+        bound,
+        most(a - b),
+        "e-",
+        out_s,
+        in_s,
+    )
 
 
 @probe("background.*")
@@ -148,27 +189,47 @@ def pupil(_: Bench) -> Iterator[ProbeResult]:
     out_s, without = timed(lambda: mean_e(data))
     in_s, full = timed(lambda: mean_e(scene(wide)))
     bound, unit = stated(stage.plan, "pupil_projection")
-    yield ProbeResult("pupil_projection", f"a field of 16 degrees, {SIDE} x {SIDE}",
-                bound, most(1.0 - full / without), unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "pupil_projection",
+        f"a field of 16 degrees, {SIDE} x {SIDE}",
+        bound,
+        most(1.0 - full / without),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("stray_light.*")
 def stray(_: Bench) -> Iterator[ProbeResult]:
     """The light of each body in a frame with it and without."""
-    high = {"kind": "orbit", "orbit": {"kind": "state", "position_m": [4.2164e7, 0, 0],
-                                       "velocity_m_s": [0, 3075, 0]}}  # fmt: skip
+    high = {
+        "kind": "orbit",
+        "orbit": {"kind": "state", "position_m": [4.2164e7, 0, 0], "velocity_m_s": [0, 3075, 0]},
+    }
     pst = {"kind": "harvey", "b0_per_sr": 0.06, "shoulder": 0.02, "slope": -3.5}
-    data = scene({
-        "observer": high, "epoch": "2019-04-20T03:00:00Z",
-        "pointing": {"mode": "sidereal", "boresight_ra_deg": 192, "boresight_dec_deg": 4},
-        "background": {"stray_light": {"pst": pst}}, "sensor.focal_length_m": 0.1,
-        "exposure.integration_s": 1.0,
-    })  # fmt: skip
+    data = scene(
+        {
+            "observer": high,
+            "epoch": "2019-04-20T03:00:00Z",
+            "pointing": {"mode": "sidereal", "boresight_ra_deg": 192, "boresight_dec_deg": 4},
+            "background": {"stray_light": {"pst": pst}},
+            "sensor.focal_length_m": 0.1,
+            "exposure.integration_s": 1.0,
+        }
+    )
     stage = open_stage(data)
     in_s, every = timed(lambda: mean_e(data))
     for body in ("sun", "moon", "earth"):
         less = scene({f"background.stray_light.{body}": False}, data)
         out_s, without = timed(lambda d=less: mean_e(d))  # type: ignore[misc]
         bound, unit = stated(stage.plan, f"stray_light.{body}")
-        yield ProbeResult(f"stray_light.{body}", "a frame near the Earth's limb, with it and without",
-                    bound, most(every - without), unit, out_s, in_s)  # fmt: skip
+        yield ProbeResult(
+            f"stray_light.{body}",
+            "a frame near the Earth's limb, with it and without",
+            bound,
+            most(every - without),
+            unit,
+            out_s,
+            in_s,
+        )

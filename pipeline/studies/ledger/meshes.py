@@ -36,10 +36,12 @@ def quad(*corners: Any) -> Array:
 
 def groove() -> Array:
     """Two squares of 1 m at a right angle: a corner that lights itself."""
-    return np.concatenate([
-        quad([0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]),
-        quad([0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]),
-    ])  # fmt: skip
+    return np.concatenate(
+        [
+            quad([0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]),
+            quad([0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]),
+        ]
+    )
 
 
 def write_obj(path: Path, triangles: Array) -> str:
@@ -77,17 +79,31 @@ def between(bench: Bench) -> Iterator[ProbeResult]:
     outline = float(np.sum(np.abs(mesh.cross_m2 @ observer)) * 0.5)
     plate = ALBEDO * outline / np.pi
     bound, unit = stated(plan, "targets.light_between_facets")
-    yield ProbeResult("targets.light_between_facets", f"a right corner of albedo {ALBEDO:g}, {CELLS} x "
-                f"{CELLS} cells a side that light each other", bound, float(lit / plate), unit,
-                out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "targets.light_between_facets",
+        f"a right corner of albedo {ALBEDO:g}, {CELLS} x "
+        f"{CELLS} cells a side that light each other",
+        bound,
+        float(lit / plate),
+        unit,
+        out_s,
+        in_s,
+    )
     slanted = normal(np.array([-0.4, 0.3, 1.0]))
     out_s, rough = timed(lambda: mesh_intensity(mesh, surfaces, slanted, observer, ERROR), 3)
     in_s, fine = timed(lambda: mesh_intensity(mesh, surfaces, slanted, observer, 1e-5))
     bound, unit = stated(plan, "targets.mesh_shadows")
     off = abs(rough.intensity_m2_sr / fine.intensity_m2_sr - 1.0)
     assert ours.intensity_m2_sr > 0.0
-    yield ProbeResult("targets.mesh_shadows", "the same corner, one side in the other's shadow, beside "
-                "an error of 1e-5", bound, float(off), unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "targets.mesh_shadows",
+        "the same corner, one side in the other's shadow, beside an error of 1e-5",
+        bound,
+        float(off),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 def _between(sun: Array, observer: Array) -> float:
@@ -129,17 +145,23 @@ def earthshine(bench: Bench) -> Iterator[ProbeResult]:
         directions, light = earth_lamps(place, sun, 0.3, n)
         return directions[0], light[0]
 
-    in_s, every = timed(lambda: sum(
-        e * mesh_intensity(mesh, surfaces, d, observer, 1e-4).intensity_m2_sr
-        for d, e in zip(*lamp(16), strict=True)
-    ))  # fmt: skip
-    out_s, (ours, _off) = timed(
-        lambda: wide_lamp_intensity(mesh, surfaces, lamp, observer, 4e-3)
+    in_s, every = timed(
+        lambda: sum(
+            e * mesh_intensity(mesh, surfaces, d, observer, 1e-4).intensity_m2_sr
+            for d, e in zip(*lamp(16), strict=True)
+        )
     )
+    out_s, (ours, _off) = timed(lambda: wide_lamp_intensity(mesh, surfaces, lamp, observer, 4e-3))
     bound, unit = stated(plan, "targets.earthshine_on_meshes")
-    yield ProbeResult("targets.earthshine_on_meshes", "a right corner at 400 km, beside 256 parts of the "
-                "Earth traced one by one", bound, float(abs(ours / every - 1.0)), unit,
-                out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "targets.earthshine_on_meshes",
+        "a right corner at 400 km, beside 256 parts of the Earth traced one by one",
+        bound,
+        float(abs(ours / every - 1.0)),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("targets.light_table")
@@ -162,20 +184,36 @@ def table(bench: Bench) -> Iterator[ProbeResult]:
     finally:
         mesh_tables.WORTH = worth
     bound, unit = stated(plan, "targets.light_table")
-    yield ProbeResult("targets.light_table", "a corner that turns in orbit, 4 of 900 frames", bound,
-                most(ours - true) / most(true), unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "targets.light_table",
+        "a corner that turns in orbit, 4 of 900 frames",
+        bound,
+        most(ours - true) / most(true),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("targets.point_sources")
 def shapes(bench: Bench) -> Iterator[ProbeResult]:
     """A square plate as a point, and as a mesh with its picture: the same light, spread out."""
     side = 2.0
-    square = quad(*(side * (np.array(c) - [0.5, 0.5, 0.0]) for c in
-                    ([0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0])))  # fmt: skip
+    square = quad(
+        *(
+            side * (np.array(c) - [0.5, 0.5, 0.0])
+            for c in ([0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0])
+        )
+    )
     path = write_obj(bench.folder / "square.obj", square)
     law = {"kind": "inertial", "quaternion": [0.7, 0.7, 0.0, 0.0]}
-    plate = {"kind": "plate", "area_m2": side**2, "albedo": ALBEDO, "two_sided": True,
-             "attitude": law}  # fmt: skip
+    plate = {
+        "kind": "plate",
+        "area_m2": side**2,
+        "albedo": ALBEDO,
+        "two_sided": True,
+        "attitude": law,
+    }
     scenes = [
         followed(before(TOWARDS, 1e5, "a", body=b), **{"exposure.integration_s": 0.01})
         for b in (plate, body(path, attitude=law))
@@ -185,7 +223,12 @@ def shapes(bench: Bench) -> Iterator[ProbeResult]:
     in_s, b = timed(lambda: mean_e(mesh))
     light = float((a - np.median(a)).sum())
     bound, unit = stated(point.plan, "targets.shapes_as_points")
-    yield ProbeResult("targets.shapes_as_points", "a plate of 2 m at 100 km, beside its picture", bound,
-                most(a - b) / light, unit, out_s, in_s)  # fmt: skip
-
-
+    yield ProbeResult(
+        "targets.shapes_as_points",
+        "a plate of 2 m at 100 km, beside its picture",
+        bound,
+        most(a - b) / light,
+        unit,
+        out_s,
+        in_s,
+    )

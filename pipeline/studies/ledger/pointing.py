@@ -39,22 +39,40 @@ def distortion(_: Bench) -> Iterator[ProbeResult]:
     out_s, found = timed(lambda: to_detector(d, u + moved, v - 0.7 * moved), 3)
     off = max(most(found[0] - u), most(found[1] - v))
     bound, unit = stated(plan, "distortion")
-    yield ProbeResult("distortion", "20,000 places through SIP terms of up to 0.3 px, and back", bound,
-                off, unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "distortion",
+        "20,000 places through SIP terms of up to 0.3 px, and back",
+        bound,
+        off,
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("dwells")
 def dwells(bench: Bench) -> Iterator[ProbeResult]:
     """The first frame of a dwell, beside the same frame of a scene of its own."""
     plain = scene({"stars": {"catalogue": bench.catalogue}})
-    parts = {"dwells": [{}, {"pointing": plain["pointing"] | {"roll_deg": 30.0},
-                             "slew": {"duration_s": 20.0}}]}  # fmt: skip
+    parts = {
+        "dwells": [
+            {},
+            {"pointing": plain["pointing"] | {"roll_deg": 30.0}, "slew": {"duration_s": 20.0}},
+        ]
+    }
     many = scene(parts, plain)
     out_s, a = timed(lambda: mean_e(plain), 2)
     in_s, b = timed(lambda: mean_e(many), 2)
     bound, unit = stated(open_stage(many).plan, "dwells")
-    yield ProbeResult("dwells", "the first of two dwells, beside a scene of its own", bound, most(a - b),
-                unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "dwells",
+        "the first of two dwells, beside a scene of its own",
+        bound,
+        most(a - b),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 def _true_attitude(t: Array) -> Array:
@@ -76,10 +94,21 @@ def table(_: Bench) -> Iterator[ProbeResult]:
     quaternion = Rotation.from_matrix(_right_handed(_true_attitude(at)).transpose(0, 2, 1))
     rows = np.column_stack([at, quaternion.as_quat()]).tolist()
     for how in ("slerp", "spline"):
-        pointing = {"mode": "table", "rows": rows, "scalar": "last", "frame": "gcrs",
-                    "interpolation": how}  # fmt: skip
-        parsed = parse_scene(scene({"pointing": pointing, "exposure": {
-            "integration_s": 0.04, "frames": 100, "cadence_s": 0.0777}}))  # fmt: skip
+        pointing = {
+            "mode": "table",
+            "rows": rows,
+            "scalar": "last",
+            "frame": "gcrs",
+            "interpolation": how,
+        }
+        parsed = parse_scene(
+            scene(
+                {
+                    "pointing": pointing,
+                    "exposure": {"integration_s": 0.04, "frames": 100, "cadence_s": 0.0777},
+                }
+            )
+        )
         prepared = prepare(parsed)
         plan = prepared.plan
         frames = np.arange(100, dtype=np.int64)
@@ -89,8 +118,15 @@ def table(_: Bench) -> Iterator[ProbeResult]:
         told = g.attitude[:, g.middle, 2]
         off = most(np.linalg.norm(np.cross(true, told), axis=-1)) / ARCSEC_RAD
         bound, unit = stated(plan, "pointing_table")
-        yield ProbeResult("pointing_table", f"{how} of {len(rows)} rows of a known motion, 100 frames",
-                    bound, off, unit, out_s, in_s)  # fmt: skip
+        yield ProbeResult(
+            "pointing_table",
+            f"{how} of {len(rows)} rows of a known motion, 100 frames",
+            bound,
+            off,
+            unit,
+            out_s,
+            in_s,
+        )
 
 
 def _right_handed(axes: Array) -> Array:
@@ -104,8 +140,9 @@ def _right_handed(axes: Array) -> Array:
 def jitter(_: Bench) -> Iterator[ProbeResult]:
     """Jitter followed wave by wave, beside a path of few nodes and blur: a star of the floor."""
     rms_arcsec, low, high = 3.0, 0.5, 400.0
-    attitude = {"jitter": [{"kind": "white", "rms_arcsec": rms_arcsec, "low_hz": low,
-                            "high_hz": high}]}  # fmt: skip
+    attitude = {
+        "jitter": [{"kind": "white", "rms_arcsec": rms_arcsec, "low_hz": low, "high_hz": high}]
+    }
     data = scene({"pointing.attitude": attitude, "exposure.integration_s": 1.0})
     plan = prepare(parse_scene(data)).plan
     motion = motion_plan(plan.scene)
@@ -139,25 +176,47 @@ def jitter(_: Bench) -> Iterator[ProbeResult]:
         spent = [spent[0] + out_s, spent[1] + in_s]
     bound = stated(plan, "pointing_motion")[0] / plan.facts.sigma_floor_e
     count = len(worst)
-    yield ProbeResult("pointing_motion", f"{count} exposures of white jitter followed wave by wave, a "
-                "star as bright as the noise floor", bound, max(worst), "sigma",
-                spent[0] / count, spent[1] / count)  # fmt: skip
+    yield ProbeResult(
+        "pointing_motion",
+        f"{count} exposures of white jitter followed wave by wave, a "
+        "star as bright as the noise floor",
+        bound,
+        max(worst),
+        "sigma",
+        spent[0] / count,
+        spent[1] / count,
+    )
 
 
 @probe("rolling_shutter")
 def rolling(bench: Bench) -> Iterator[ProbeResult]:
     """Where the product has stars, and where they are in the exposure of their own row."""
-    data = scene({"observer": ORBIT, "stars": {"catalogue": bench.catalogue}, "pointing": {
-        "mode": "rate", "boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG,
-        "rate_ra_arcsec_s": 20.0, "rate_dec_arcsec_s": 30.0,
-        "acceleration_ra_arcsec_s2": 2.0}, "exposure.integration_s": 0.01})  # fmt: skip
+    data = scene(
+        {
+            "observer": ORBIT,
+            "stars": {"catalogue": bench.catalogue},
+            "pointing": {
+                "mode": "rate",
+                "boresight_ra_deg": RA_DEG,
+                "boresight_dec_deg": DEC_DEG,
+                "rate_ra_arcsec_s": 20.0,
+                "rate_dec_arcsec_s": 30.0,
+                "acceleration_ra_arcsec_s2": 2.0,
+            },
+            "exposure.integration_s": 0.01,
+        }
+    )
     out_s, stage = timed(
-        lambda: open_stage(scene({"sensor.detector.readout": {"kind": "rolling",
-                                                              "line_s": LINE_S}}, data))
-    )  # fmt: skip
+        lambda: open_stage(
+            scene({"sensor.detector.readout": {"kind": "rolling", "line_s": LINE_S}}, data)
+        )
+    )
     stars, camera = stage.stars, stage.plan.camera
-    inside = np.flatnonzero((stars.y_px > 5) & (stars.y_px < camera.rows - 5)
-                            & (np.abs(stars.x_px - camera.columns / 2) < camera.columns / 2))
+    inside = np.flatnonzero(
+        (stars.y_px > 5)
+        & (stars.y_px < camera.rows - 5)
+        & (np.abs(stars.x_px - camera.columns / 2) < camera.columns / 2)
+    )
     worst, spent = 0.0, 0.0
     chosen = inside[np.argsort(stars.y_px[inside])][:: max(1, len(inside) // ROWS)]
     for i in chosen:
@@ -167,9 +226,16 @@ def rolling(bench: Bench) -> Iterator[ProbeResult]:
         off = own.x_px[k] - stars.x_px[i], own.y_px[k] - stars.y_px[i]
         worst, spent = max(worst, float(np.hypot(*off))), spent + in_s
     bound, unit = stated(stage.plan, "rolling_shutter")
-    yield ProbeResult("rolling_shutter", f"{len(chosen)} stars before a camera that turns faster and "
-                "faster, each beside a frame of its own row's time", bound, worst, unit, out_s,
-                spent / max(1, len(chosen)))  # fmt: skip
+    yield ProbeResult(
+        "rolling_shutter",
+        f"{len(chosen)} stars before a camera that turns faster and "
+        "faster, each beside a frame of its own row's time",
+        bound,
+        worst,
+        unit,
+        out_s,
+        spent / max(1, len(chosen)),
+    )
 
 
 def _second_frame(data: dict[str, Any]) -> FrameStars:

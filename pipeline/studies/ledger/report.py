@@ -36,10 +36,17 @@ def report_ledger(out: Path, rules: tuple[str, ...] = (), progress: Progress | N
 def rows(study: Row) -> list[tuple[str, ...]]:
     """Every measurement as cells of a table, in the order of HEADS."""
     return [
-        (one["component"], f"{one['bound']:.2g} {one['unit']}", f"{one['error']:.2g} {one['unit']}",
-         f"{one['seconds_saved']:.1g}", "yes" if one["holds"] else "NO", one["how"])
-        for rule in study["rules"] for one in rule["all"]
-    ]  # fmt: skip
+        (
+            one["component"],
+            f"{one['bound']:.2g} {one['unit']}",
+            f"{one['error']:.2g} {one['unit']}",
+            f"{one['seconds_saved']:.1g}",
+            "yes" if one["holds"] else "NO",
+            one["how"],
+        )
+        for rule in study["rules"]
+        for one in rule["all"]
+    ]
 
 
 def text(study: Row) -> str:

@@ -16,26 +16,38 @@ RA_DEG, DEC_DEG = 80.0, 20.0
 SIDE, STARS = 128, 260
 BARNARD = (10.0, 550.0, 0.7)  # proper motion [arcsec a year], parallax [mas], off the middle [deg]
 SCENE: dict[str, Any] = {
-    "schema": "nightglass/scene/1", "name": "ledger", "epoch": "2019-12-01T08:00:00Z", "seed": 7,
+    "schema": "nightglass/scene/1",
+    "name": "ledger",
+    "epoch": "2019-12-01T08:00:00Z",
+    "seed": 7,
     "observer": {"kind": "fixed", "position_au": [0.6, 0.8, 0.0], "velocity_m_s": [0, 0, 3e4]},
     "sensor": {
-        "shape": [SIDE, SIDE], "pixel_pitch_um": 9.0, "focal_length_m": 0.2, "aperture_m": 0.1,
+        "shape": [SIDE, SIDE],
+        "pixel_pitch_um": 9.0,
+        "focal_length_m": 0.2,
+        "aperture_m": 0.1,
         "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
-        "psf": {"kind": "gaussian", "sigma_px": 0.9}, "read_noise_e": 5.0, "gain_e_per_dn": 1.0,
+        "psf": {"kind": "gaussian", "sigma_px": 0.9},
+        "read_noise_e": 5.0,
+        "gain_e_per_dn": 1.0,
         "adc_bits": 20,
     },
     "pointing": {"mode": "sidereal", "boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG},
     "exposure": {"integration_s": 5.0},
     "accuracy": {"check_cells": 0},
     "output": {"layers": ["dn", "mean_e"]},
-}  # fmt: skip
+}
 SITE: dict[str, Any] = {
-    "kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055.0,
-}  # fmt: skip
+    "kind": "ground",
+    "latitude_deg": 20.7,
+    "longitude_deg": -156.3,
+    "height_m": 3055.0,
+}
 PLACE_M, SPEED_M_S = [7131858.8, -812572.7, 0.0], [-117.404, -1030.438, 7379.381]
 ORBIT = {
-    "kind": "orbit", "orbit": {"kind": "state", "position_m": PLACE_M, "velocity_m_s": SPEED_M_S},
-}  # fmt: skip
+    "kind": "orbit",
+    "orbit": {"kind": "state", "position_m": PLACE_M, "velocity_m_s": SPEED_M_S},
+}
 SPHERE = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}
 
 
@@ -67,8 +79,10 @@ def make_stars(folder: Path) -> str:
     g = np.sort(rng.uniform(8.0, 16.0, STARS))
     motion, parallax = np.zeros(STARS), np.zeros(STARS)
     motion[0], parallax[0] = 1e3 * quick, near
-    rows = ["source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
-            "phot_bp_mean_mag,phot_rp_mean_mag"]  # fmt: skip
+    rows = [
+        "source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
+        "phot_bp_mean_mag,phot_rp_mean_mag"
+    ]
     rows += [
         f"{i + 1},2015.5,{ra[i]:.12f},{dec[i]:.12f},{parallax[i]},{motion[i]},0,,"
         f"{g[i]:.4f},{g[i] + 0.4:.4f},{g[i] - 0.6:.4f}"

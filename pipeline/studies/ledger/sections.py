@@ -28,8 +28,15 @@ def sections(bench: Bench) -> Iterator[ProbeResult]:
     """The stars' light of a scene that has only stars, beside the same among everything else."""
     stars = {"catalogue": bench.catalogue}
     alone = open_stage(scene({"stars": stars}))
-    among = open_stage(scene({"stars": stars, "background": {"zodiacal": True}, "targets": [
-        before([0.0, 0.9, 0.3], 1e6)]}))  # fmt: skip
+    among = open_stage(
+        scene(
+            {
+                "stars": stars,
+                "background": {"zodiacal": True},
+                "targets": [before([0.0, 0.9, 0.3], 1e6)],
+            }
+        )
+    )
     tile = whole(alone)
 
     def light(stage, which: tuple[str, ...]) -> Array:
@@ -40,8 +47,9 @@ def sections(bench: Bench) -> Iterator[ProbeResult]:
     in_s, b = timed(lambda: light(among, ("stars", "targets", "sky")), 3)
     for name in ("targets", "background", "cosmic_rays"):
         bound, unit = stated(alone.plan, name)
-        yield ProbeResult(name, "stars alone, and beside targets and a sky", bound, most(a - b), unit,
-                    out_s, in_s)  # fmt: skip
+        yield ProbeResult(
+            name, "stars alone, and beside targets and a sky", bound, most(a - b), unit, out_s, in_s
+        )
 
 
 @probe("flat")
@@ -58,8 +66,15 @@ def neutral(_: Bench) -> Iterator[ProbeResult]:
     plan = prepare(parse_scene(scene())).plan
     for name in ("flat", "dark", "full_well", "bias"):
         bound = stated(plan, name)[0]
-        yield ProbeResult(name, "512 x 512 pixels, numbers beside images of neutral values", bound,
-                    most(a.astype(float) - b.astype(float)), "DN", out_s, in_s)  # fmt: skip
+        yield ProbeResult(
+            name,
+            "512 x 512 pixels, numbers beside images of neutral values",
+            bound,
+            most(a.astype(float) - b.astype(float)),
+            "DN",
+            out_s,
+            in_s,
+        )
 
 
 @probe("adc")
@@ -76,8 +91,9 @@ def rounding(_: Bench) -> Iterator[ProbeResult]:
         exact = [Fraction(float(m)) / Fraction(gain) for m in mean.ravel()]
         off = max(abs(Fraction(int(n)) - e) for n, e in zip(dn.ravel(), exact, strict=True))
         bound, unit = stated(plan, "adc")
-        yield ProbeResult("adc", f"{way}, 63 bits, against exact fractions", bound, float(off), unit,
-                    out_s, in_s)  # fmt: skip
+        yield ProbeResult(
+            "adc", f"{way}, 63 bits, against exact fractions", bound, float(off), unit, out_s, in_s
+        )
 
 
 @probe("gaussian_for_poisson")
@@ -93,8 +109,15 @@ def large_means(_: Bench) -> Iterator[ProbeResult]:
     rng = np.random.default_rng(3)
     in_s, _x = timed(lambda: rng.poisson(mean), 3)
     bound, unit = stated(prepare(parse_scene(scene())).plan, "gaussian_for_poisson")
-    yield ProbeResult("gaussian_for_poisson", "a mean of 1e8, against scipy's Poisson", bound, off, unit,
-                out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "gaussian_for_poisson",
+        "a mean of 1e8, against scipy's Poisson",
+        bound,
+        off,
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("one_noise_draw")
@@ -112,8 +135,15 @@ def one_draw(_: Bench) -> Iterator[ProbeResult]:
     out_s, _x = timed(lambda: to_dn(mean, two, place), 3)
     in_s, _x = timed(lambda: to_dn(mean, one, place), 3)
     bound, unit = stated(prepare(parse_scene(scene())).plan, "one_noise_draw")
-    yield ProbeResult("one_noise_draw", "10 e- and 1.5 e- of read noise, against sums of normal "
-                "integrals", bound, most(exact - norm.cdf(z)), unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "one_noise_draw",
+        "10 e- and 1.5 e- of read noise, against sums of normal integrals",
+        bound,
+        most(exact - norm.cdf(z)),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("detector_extras")
@@ -121,13 +151,32 @@ def extras(bench: Bench) -> Iterator[ProbeResult]:
     """Frames without extras and with neutral ones; a bent response; charge left behind."""
     stars = {"catalogue": bench.catalogue}
     plain = open_stage(scene({"stars": stars}))
-    neutral = open_stage(scene({"stars": stars, "sensor.full_well_e": 1e12, "sensor.detector": {
-        "prnu": 0.0, "row_noise_e": 0.0, "column_noise_e": 0.0, "blooming": False}}))  # fmt: skip
+    neutral = open_stage(
+        scene(
+            {
+                "stars": stars,
+                "sensor.full_well_e": 1e12,
+                "sensor.detector": {
+                    "prnu": 0.0,
+                    "row_noise_e": 0.0,
+                    "column_noise_e": 0.0,
+                    "blooming": False,
+                },
+            }
+        )
+    )
     out_s, a = timed(lambda: mean_e(plain), 2)
     in_s, b = timed(lambda: mean_e(neutral), 2)
     bound, unit = stated(plain.plan, "detector_extras")
-    yield ProbeResult("detector_extras", "no detector section, and one of neutral values", bound,
-                most(a - b), unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "detector_extras",
+        "no detector section, and one of neutral values",
+        bound,
+        most(a - b),
+        unit,
+        out_s,
+        in_s,
+    )
     yield _bent()
     yield _left_behind()
 
@@ -135,9 +184,19 @@ def extras(bench: Bench) -> Iterator[ProbeResult]:
 def _bent() -> ProbeResult:
     """A polynomial response by the table that the product makes of it, and by itself."""
     coefficients, full_e = [-0.03, 0.02], 1e5
-    prepared = prepare(parse_scene(scene({
-        "sensor.full_well_e": full_e, "sensor.detector.nonlinearity": {
-            "kind": "polynomial", "coefficients": coefficients}})))  # fmt: skip
+    prepared = prepare(
+        parse_scene(
+            scene(
+                {
+                    "sensor.full_well_e": full_e,
+                    "sensor.detector.nonlinearity": {
+                        "kind": "polynomial",
+                        "coefficients": coefficients,
+                    },
+                }
+            )
+        )
+    )
     table = prepared.maps.linearity
     assert table is not None
     true_e = np.random.default_rng(5).uniform(0.0, full_e, (512, 512))
@@ -145,20 +204,43 @@ def _bent() -> ProbeResult:
     out_s, told = timed(lambda: np.interp(true_e, *table), 3)
     in_s, exact = timed(lambda: true_e * bend(true_e / full_e), 3)
     bound, unit = stated(prepared.plan, "nonlinearity")
-    return ProbeResult("nonlinearity", "a polynomial on 4097 points, against itself", bound,
-                 most(told - exact), unit, out_s, in_s)  # fmt: skip
+    return ProbeResult(
+        "nonlinearity",
+        "a polynomial on 4097 points, against itself",
+        bound,
+        most(told - exact),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 def _left_behind() -> ProbeResult:
     """Charge left by all frames before, beside that of as many as are drawn: a full frame each."""
     share, full_e = 0.05, 1e5
-    plan = prepare(parse_scene(scene({
-        "sensor.full_well_e": full_e, "exposure.frames": 40, "exposure.cadence_s": 6.0,
-        "sensor.detector.lag": {"fraction": share}})))  # fmt: skip
+    plan = prepare(
+        parse_scene(
+            scene(
+                {
+                    "sensor.full_well_e": full_e,
+                    "exposure.frames": 40,
+                    "exposure.cadence_s": 6.0,
+                    "sensor.detector.lag": {"fraction": share},
+                }
+            )
+        )
+    )
     n = plan.plan.lag_frames
     frame = np.full((SIDE, SIDE), full_e)
     out_s, few = timed(lambda: lagged_e([frame] * (n + 1), share), 3)
     in_s, every = timed(lambda: lagged_e([frame] * 61, share), 3)
     bound, unit = stated(plan.plan, "lag")
-    return ProbeResult("lag", f"full wells, {n} frames before beside 60", bound, most(few - every), unit,
-                 out_s, in_s)  # fmt: skip
+    return ProbeResult(
+        "lag",
+        f"full wells, {n} frames before beside 60",
+        bound,
+        most(few - every),
+        unit,
+        out_s,
+        in_s,
+    )

@@ -53,8 +53,15 @@ def effects(bench: Bench) -> Iterator[ProbeResult]:
         arcsec = most(off) * stage.plan.facts.ifov_rad / ARCSEC_RAD
         per = years if name == "space_motion" else 1.0
         bound, unit = stated(stage.plan, f"stars.{name}")
-        yield ProbeResult(f"stars.{name}", f"{len(off)} stars, one like Barnard's, with and without",
-                    bound, arcsec / per, unit, out_s, in_s)  # fmt: skip
+        yield ProbeResult(
+            f"stars.{name}",
+            f"{len(off)} stars, one like Barnard's, with and without",
+            bound,
+            arcsec / per,
+            unit,
+            out_s,
+            in_s,
+        )
 
 
 def _places(stage: Stage, without: str | None) -> dict[int, Array]:
@@ -82,8 +89,9 @@ def _places(stage: Stage, without: str | None) -> dict[int, Array]:
 def doppler(bench: Bench) -> Iterator[ProbeResult]:
     """Electrons of black bodies that come towards a fast observer, by the band's own response."""
     speed = 3e5
-    data = scene({"stars": {"catalogue": bench.catalogue},
-                  "observer.velocity_m_s": [0.0, 0.0, speed]})  # fmt: skip
+    data = scene(
+        {"stars": {"catalogue": bench.catalogue}, "observer.velocity_m_s": [0.0, 0.0, speed]}
+    )
     parsed = parse_scene(data)
     plan, curve = prepare(parsed).plan, gather_response(parsed)[0]
     beta = speed / SPEED_OF_LIGHT_M_S
@@ -100,15 +108,27 @@ def doppler(bench: Bench) -> Iterator[ProbeResult]:
     in_s, moved = timed(lambda: [electrons(k, factor) for k in kelvins], 3)
     bound, unit = stated(plan, "stars.doppler")
     off = most(np.array(moved) / np.array(rest) - 1.0)
-    yield ProbeResult("stars.doppler", f"an observer at {speed:g} m/s, black bodies of {COLD_K:g} to "
-                f"{HOT_K:g} K", bound, off, unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "stars.doppler",
+        f"an observer at {speed:g} m/s, black bodies of {COLD_K:g} to {HOT_K:g} K",
+        bound,
+        off,
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("shared_frames")
 def standing(bench: Bench) -> Iterator[ProbeResult]:
     """Stars where they stand in the first of the frames that share them, and in the last."""
-    data = scene({"stars": {"catalogue": bench.catalogue}, "observer": SITE,
-                  "exposure": {"integration_s": 0.2, "frames": 500, "cadence_s": 0.3}})  # fmt: skip
+    data = scene(
+        {
+            "stars": {"catalogue": bench.catalogue},
+            "observer": SITE,
+            "exposure": {"integration_s": 0.2, "frames": 500, "cadence_s": 0.3},
+        }
+    )
     plan = open_stage(data).plan
     first, last = (open_stage(data, frame=k) for k in (0, plan.shared_frames - 1))
     in_s, a = timed(lambda: mean_e(first))
@@ -127,29 +147,54 @@ def polar_motion(_: Bench) -> Iterator[ProbeResult]:
     table = iers.IERS_B.open()
     mjd = np.arange(41_700.0, 58_800.0, 14.0)
     x, y = (v.to_value("rad") for v in table.pm_xy(Time(mjd, format="mjd")))
-    plan = prepare(parse_scene(scene({"observer": SITE, "pointing": {
-        "mode": "local", "azimuth_deg": 90.0, "elevation_deg": 60.0},
-        "stars": None}))).plan  # fmt: skip
+    plan = prepare(
+        parse_scene(
+            scene(
+                {
+                    "observer": SITE,
+                    "pointing": {"mode": "local", "azimuth_deg": 90.0, "elevation_deg": 60.0},
+                    "stars": None,
+                }
+            )
+        )
+    ).plan
     at = instants(parse_utc("2019-12-01T08:00:00Z"), [0.0])
     args = SITE["longitude_deg"] * DEG_RAD, SITE["height_m"]
     lats = np.radians([-60.0, 20.7, 80.0])
-    in_s, places = timed(lambda: np.array([
-        [site_state(lat, *args, at, a, b)[0][0] for a, b in zip(x, y, strict=True)] for lat in lats
-    ]))  # fmt: skip
+    in_s, places = timed(
+        lambda: np.array(
+            [
+                [site_state(lat, *args, at, a, b)[0][0] for a, b in zip(x, y, strict=True)]
+                for lat in lats
+            ]
+        )
+    )
     off = np.linalg.norm(np.diff(places, axis=1), axis=-1).max()
     bound, unit = stated(plan, "polar_motion")
-    yield ProbeResult("polar_motion", f"three sites, the pole of IERS B in {len(x)} fortnights since "
-                "1973, and that of the one before", bound, float(off), unit, 0.0,
-                in_s / len(x))  # fmt: skip
+    yield ProbeResult(
+        "polar_motion",
+        f"three sites, the pole of IERS B in {len(x)} fortnights since "
+        "1973, and that of the one before",
+        bound,
+        float(off),
+        unit,
+        0.0,
+        in_s / len(x),
+    )
 
 
 @probe("stars.faint")
 def faint(bench: Bench) -> Iterator[ProbeResult]:
     """A frame without the stars beyond the limit that the noise sets, beside one of all stars."""
     sky = {"uniform_e_per_s": 4e5, "starlight": "all"}
-    auto = scene({"stars": {"catalogue": bench.catalogue, "faintest_g_mag": "auto"},
-                  "background": sky, "sensor.read_noise_e": 100.0,
-                  "sensor.aperture_m": 0.02})  # fmt: skip
+    auto = scene(
+        {
+            "stars": {"catalogue": bench.catalogue, "faintest_g_mag": "auto"},
+            "background": sky,
+            "sensor.read_noise_e": 100.0,
+            "sensor.aperture_m": 0.02,
+        }
+    )
     every = scene({"stars.faintest_g_mag": 21.0}, auto)
     few, many = open_stage(auto), open_stage(every)
     out_s, less = timed(lambda: mean_e(few), 2)
@@ -157,27 +202,47 @@ def faint(bench: Bench) -> Iterator[ProbeResult]:
     bound, unit = stated(few.plan, "stars.faint")
     assert few.plan.scene.stars is not None
     limit = few.plan.scene.stars.faintest_g_mag
-    yield ProbeResult("stars.faint", f"{len(many.stars) - len(few.stars)} stars beyond G = {limit:g} as "
-                "smooth light, beside all stars drawn", bound, most(all_of_them - less), unit,
-                out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "stars.faint",
+        f"{len(many.stars) - len(few.stars)} stars beyond G = {limit:g} as "
+        "smooth light, beside all stars drawn",
+        bound,
+        most(all_of_them - less),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("earth_occultation")
 def hidden(bench: Bench) -> Iterator[ProbeResult]:
     """Parts of the exposure in which stars at the limb are seen, beside many more moments."""
-    middle = np.array([np.cos(DEC_DEG * DEG_RAD) * np.cos(RA_DEG * DEG_RAD),
-                       np.cos(DEC_DEG * DEG_RAD) * np.sin(RA_DEG * DEG_RAD),
-                       np.sin(DEC_DEG * DEG_RAD)])  # fmt: skip
+    middle = np.array(
+        [
+            np.cos(DEC_DEG * DEG_RAD) * np.cos(RA_DEG * DEG_RAD),
+            np.cos(DEC_DEG * DEG_RAD) * np.sin(RA_DEG * DEG_RAD),
+            np.sin(DEC_DEG * DEG_RAD),
+        ]
+    )
     across = np.cross(middle, [0.0, 0.0, 1.0])
     across /= np.sqrt(across @ across)
     radius = 4.2164e7
     limb = np.arcsin(6_378_137.0 / radius) + 0.0008
     place = -radius * (np.cos(limb) * middle + np.sin(limb) * across)
     speed = 3075.0 * np.cross(across, middle)  # along the limb: lines there graze it
-    observer = {"kind": "orbit", "orbit": {"kind": "state", "position_m": place.tolist(),
-                                           "velocity_m_s": speed.tolist()}}  # fmt: skip
-    stage = open_stage(scene({"observer": observer, "stars": {"catalogue": bench.catalogue},
-                              "exposure.integration_s": 400.0}))  # fmt: skip
+    observer = {
+        "kind": "orbit",
+        "orbit": {"kind": "state", "position_m": place.tolist(), "velocity_m_s": speed.tolist()},
+    }
+    stage = open_stage(
+        scene(
+            {
+                "observer": observer,
+                "stars": {"catalogue": bench.catalogue},
+                "exposure.integration_s": 400.0,
+            }
+        )
+    )
     args = stage.plan.scene, stage.plan.camera, stage.g
     rng = np.random.default_rng(1)
     x, y = rng.uniform(0.0, SIDE, (2, GRAZING))
@@ -187,9 +252,16 @@ def hidden(bench: Bench) -> Iterator[ProbeResult]:
     seen = visible_fraction(finer(clear))
     partly = int(((exact > 0.0) & (exact < 1.0)).sum())
     bound, unit = stated(stage.plan, "earth_occultation")
-    yield ProbeResult("earth_occultation", f"{partly} of {GRAZING} lines that a limb crosses in an "
-                f"exposure of 400 s, beside {FINE_NODES} moments", bound,
-                float(np.abs(seen - exact).max()), unit, 0.0, in_s)  # fmt: skip
+    yield ProbeResult(
+        "earth_occultation",
+        f"{partly} of {GRAZING} lines that a limb crosses in an "
+        f"exposure of 400 s, beside {FINE_NODES} moments",
+        bound,
+        float(np.abs(seen - exact).max()),
+        unit,
+        0.0,
+        in_s,
+    )
 
 
 def _seen_by_rays(stage: Stage, u: Array) -> Array:

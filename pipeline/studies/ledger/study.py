@@ -58,12 +58,19 @@ def run_ledger(names: tuple[str, ...] = (), progress: Progress | None = None) ->
     if progress is not None:
         progress("rules", len(chosen), len(chosen))
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    machine = {"processor": platform.machine(), "cores": os.cpu_count(), "load": load,
-               "python": platform.python_version()}  # fmt: skip
+    machine = {
+        "processor": platform.machine(),
+        "cores": os.cpu_count(),
+        "load": load,
+        "python": platform.python_version(),
+    }
     return {
-        "schema": "nightglass/ledger-report/1", "nightglass": version("nightglass"),
-        "machine": machine, "cpu_s": time.process_time() - began, "rules": rows,
-    }  # fmt: skip
+        "schema": "nightglass/ledger-report/1",
+        "nightglass": version("nightglass"),
+        "machine": machine,
+        "cpu_s": time.process_time() - began,
+        "rules": rows,
+    }
 
 
 def _row(rule: Rule, found: list[ProbeResult]) -> Row:
@@ -76,6 +83,11 @@ def _row(rule: Rule, found: list[ProbeResult]) -> Row:
 def told(f: ProbeResult) -> Row:
     """One measurement as plain data."""
     return {
-        "component": f.component, "how": f.how, "bound": float(f.bound), "error": float(f.error),
-        "unit": f.unit, "seconds_saved": f.seconds_in - f.seconds_out, "holds": f.holds,
-    }  # fmt: skip
+        "component": f.component,
+        "how": f.how,
+        "bound": float(f.bound),
+        "error": float(f.error),
+        "unit": f.unit,
+        "seconds_saved": f.seconds_in - f.seconds_out,
+        "holds": f.holds,
+    }

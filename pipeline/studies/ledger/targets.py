@@ -34,9 +34,15 @@ FRAME = np.zeros(1, np.int64)
 
 def followed(*targets: dict, **changes: Any) -> dict:
     """A scene that follows the first of some targets from ORBIT."""
-    return scene({"observer": ORBIT, "epoch": "2019-05-12T09:00:00Z",
-                  "pointing": {"mode": "target", "target": targets[0]["name"]},
-                  "targets": list(targets)} | changes)  # fmt: skip
+    return scene(
+        {
+            "observer": ORBIT,
+            "epoch": "2019-05-12T09:00:00Z",
+            "pointing": {"mode": "target", "target": targets[0]["name"]},
+            "targets": list(targets),
+        }
+        | changes
+    )
 
 
 @probe("targets.point_sources")
@@ -46,10 +52,14 @@ def sizes(_: Bench) -> Iterator[ProbeResult]:
     side = normal(np.cross(TOWARDS, [0.0, 0.0, 1.0])) * np.sqrt(np.sum(np.square(TOWARDS)))
     step = 5.0 * 4.5e-5  # five pixels
     balls = [
-        before(TOWARDS + (k % 5 - 2) * step * side + (k // 5 - 2) * step * np.array([0, 0, 4.1e7]),
-               5e3, f"b{k}", body=SPHERE | {"diameter_m": float(d), "albedo": 0.02})
+        before(
+            TOWARDS + (k % 5 - 2) * step * side + (k // 5 - 2) * step * np.array([0, 0, 4.1e7]),
+            5e3,
+            f"b{k}",
+            body=SPHERE | {"diameter_m": float(d), "albedo": 0.02},
+        )
         for k, d in enumerate(sizes_m)
-    ]  # fmt: skip
+    ]
     balls.insert(0, before(TOWARDS, 3e4, "a", body=SPHERE | {"diameter_m": 1e-3}))
     stage = open_stage(followed(*balls, **{"exposure.integration_s": 1e-4}))
     discs = replace(stage.plan, responses=replace(stage.plan.responses, budget_e=0.0))
@@ -57,8 +67,15 @@ def sizes(_: Bench) -> Iterator[ProbeResult]:
     in_s, seen = timed(lambda: mean_e(stage, discs), 2)
     bound, unit = stated(stage.plan, "targets.point_sources")
     noise = np.sqrt(seen + 25.0) / stage.plan.facts.sigma_floor_e
-    yield ProbeResult("targets.point_sources", "spheres of 2 cm to 2 m at 5 km, and all with discs",
-                bound, most((points - seen) / noise), unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "targets.point_sources",
+        "spheres of 2 cm to 2 m at 5 km, and all with discs",
+        bound,
+        most((points - seen) / noise),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("targets.eclipse")
@@ -73,8 +90,15 @@ def shadow(_: Bench) -> Iterator[ProbeResult]:
     out_s, ours = timed(lambda: sunlit_past_earth(place, sun, 0.6, True), 3)
     in_s, true = timed(lambda: np.array([_rastered(p, sun) for p in place]))
     bound, unit = stated(prepare(parse_scene(followed(target))).plan, "targets.eclipse")
-    yield ProbeResult("targets.eclipse", "nine places at the edge of the shadow at GEO, against a raster "
-                "of the Sun's disc", bound, most(ours - true), unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "targets.eclipse",
+        "nine places at the edge of the shadow at GEO, against a raster of the Sun's disc",
+        bound,
+        most(ours - true),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 def _rastered(place: Array, sun: Array, u: float = 0.6, lines: int = 1200) -> float:
@@ -110,8 +134,15 @@ def earthshine(_: Bench) -> Iterator[ProbeResult]:
     distance = light[0].target_range_m[0, 0, light[0].middle]
     full = 0.3 * 2.0 / 3.0 * 0.25 / distance**2  # a full sphere of 1 m: 2/3 a r^2 (per irradiance)
     bound, unit = stated(plan, "targets.earthshine")
-    yield ProbeResult("targets.earthshine", "a sphere at 800 km, over what it sends when fully sunlit",
-                bound, float(extra / full), unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "targets.earthshine",
+        "a sphere at 800 km, over what it sends when fully sunlit",
+        bound,
+        float(extra / full),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("targets.light_between_nodes")
@@ -128,9 +159,15 @@ def moments(_: Bench) -> Iterator[ProbeResult]:
     in_s, fine = timed(lambda: _geometry(plan.scene, FRAME, 8 * (g.nodes - 1) + 1, plan.dut1_s))
     ours, true = (np.trapezoid(v.target_light[0, 0]) / (v.nodes - 1) for v in (g, fine))
     bound, unit = stated(plan, "targets.light_between_nodes")
-    yield ProbeResult("targets.light_between_nodes", f"a plate that turns by 200 degrees, {g.nodes} "
-                "nodes beside eight times as many", bound, float(abs(ours / true - 1.0)), unit,
-                out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "targets.light_between_nodes",
+        f"a plate that turns by 200 degrees, {g.nodes} nodes beside eight times as many",
+        bound,
+        float(abs(ours / true - 1.0)),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 def _pulled(_: float, state: Array) -> Array:
@@ -154,12 +191,24 @@ def forces(_: Bench) -> Iterator[ProbeResult]:
     """Two-body motion for 600 s and for an hour, beside the same with the flattening."""
     low = [6.878e6, 0.0, 0.0], [0.0, 4.0e3, 6.47e3]
     for (place, speed), since in ((low, 600.0), (low, 3600.0), ((GEO_M, GEO_M_S), 3600.0)):
-        body = {"name": "a", "body": SPHERE, "orbit": {
-            "kind": "state", "position_m": place, "velocity_m_s": speed,
-            "epoch": "2019-05-12T09:00:00Z"}}  # fmt: skip
+        body = {
+            "name": "a",
+            "body": SPHERE,
+            "orbit": {
+                "kind": "state",
+                "position_m": place,
+                "velocity_m_s": speed,
+                "epoch": "2019-05-12T09:00:00Z",
+            },
+        }
         hour, minute = divmod(int(since), 3600)
-        data = scene({"epoch": f"2019-05-12T{9 + hour:02d}:{minute // 60:02d}:00Z",
-                      "targets": [body], "exposure.integration_s": 1.0})  # fmt: skip
+        data = scene(
+            {
+                "epoch": f"2019-05-12T{9 + hour:02d}:{minute // 60:02d}:00Z",
+                "targets": [body],
+                "exposure.integration_s": 1.0,
+            }
+        )
         plan = prepare(parse_scene(data)).plan
         from pipeline.physics.positions.times import instants, parse_utc
         from pipeline.plan.bodies.orbits import orbit_states
@@ -171,10 +220,16 @@ def forces(_: Bench) -> Iterator[ProbeResult]:
         in_s, true = timed(partial(_flown, *start, at))
         bound, unit = stated(plan, "targets.perturbations")
         height = np.sqrt(np.sum(np.square(place))) - EARTH_EQUATORIAL_RADIUS_M
-        yield ProbeResult("targets.perturbations", f"{since:g} s after a state at {height / 1e3:.0f} km, "
-                    "against scipy with the flattening", bound,
-                    float(np.linalg.norm(told[0][0] - true[-1, :3])), unit,
-                    out_s, in_s)  # fmt: skip
+        yield ProbeResult(
+            "targets.perturbations",
+            f"{since:g} s after a state at {height / 1e3:.0f} km, "
+            "against scipy with the flattening",
+            bound,
+            float(np.linalg.norm(told[0][0] - true[-1, :3])),
+            unit,
+            out_s,
+            in_s,
+        )
 
 
 @probe("targets.ephemeris")
@@ -191,8 +246,12 @@ def ephemeris(_: Bench) -> Iterator[ProbeResult]:
     flown = _flown(place, speed, at)
     rows = [[float(t), *map(float, s[:3])] for t, s in zip(at, flown, strict=True)]
     orbit = {"kind": "table", "epoch": "2019-05-12T09:00:00Z", "rows": rows}
-    data = scene({"epoch": "2019-05-12T09:40:00Z", "targets": [
-        {"name": "a", "orbit": orbit, "body": SPHERE}]})  # fmt: skip
+    data = scene(
+        {
+            "epoch": "2019-05-12T09:40:00Z",
+            "targets": [{"name": "a", "orbit": orbit, "body": SPHERE}],
+        }
+    )
     plan = prepare(parse_scene(data)).plan
     between = np.linspace(600.0, 4800.0, 500)
     made = plan.scene.targets[0].orbit
@@ -204,8 +263,15 @@ def ephemeris(_: Bench) -> Iterator[ProbeResult]:
     in_s, true = timed(lambda: _flown(place, speed, np.append(0.0, between))[1:, :3])
     bound, unit = stated(plan, "targets.ephemeris")
     off = np.sqrt(np.sum((told - true) ** 2, axis=-1))
-    yield ProbeResult("targets.ephemeris", f"{len(rows)} rows four minutes apart, at 500 moments between",
-                bound, most(off), unit, out_s, in_s)  # fmt: skip
+    yield ProbeResult(
+        "targets.ephemeris",
+        f"{len(rows)} rows four minutes apart, at 500 moments between",
+        bound,
+        most(off),
+        unit,
+        out_s,
+        in_s,
+    )
 
 
 @probe("populations.*")
@@ -214,5 +280,12 @@ def populations(_: Bench) -> Iterator[ProbeResult]:
     from pipeline.studies.selftest.many import screened
 
     seconds, (kept, inside, missed) = timed(lambda: screened(3000))
-    yield ProbeResult("populations.screen", f"{inside} of 3,000 come into the field, {kept} are kept",
-                0.0, float(missed if inside else np.inf), "missed", 0.0, seconds)  # fmt: skip
+    yield ProbeResult(
+        "populations.screen",
+        f"{inside} of 3,000 come into the field, {kept} are kept",
+        0.0,
+        float(missed if inside else np.inf),
+        "missed",
+        0.0,
+        seconds,
+    )

@@ -39,9 +39,10 @@ def _reference(order: dict[str, Any]) -> dict[str, Any]:
     exact.save(Path(order["exact"]))
     usual = open_stage(order["scene"], finest.plan)
     return {
-        "sources": exact.sources, "windows": len(exact.windows),
+        "sources": exact.sources,
+        "windows": len(exact.windows),
         "switches": measure_switches(usual, tiles, exact),
-    }  # fmt: skip
+    }
 
 
 def _rung(order: dict[str, Any]) -> dict[str, Any]:

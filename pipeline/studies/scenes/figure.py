@@ -46,8 +46,17 @@ def _panel(ax: Any, scene: Row) -> None:
     ax.plot(first, asked, color=ASKED, marker="_", ms=14, mew=2, ls=":", lw=1, label="asked for")
     ax.plot(first, most, color=MOST, marker="o", ms=6, label="largest error")
     ax.plot(first, rms, color=RMS, marker="s", ms=5, label="rms error")
-    ax.plot(again, most, color=AGAIN, marker="o", ms=6, mfc="none", ls="--", lw=0.9,
-            label="largest, second render of the process")  # fmt: skip
+    ax.plot(
+        again,
+        most,
+        color=AGAIN,
+        marker="o",
+        ms=6,
+        mfc="none",
+        ls="--",
+        lw=0.9,
+        label="largest, second render of the process",
+    )
     low, high = min(first + again), max(first + again)
     if high < 3.0 * low:
         ax.set_xlim(low / 1.8, high * 1.8)
@@ -68,25 +77,34 @@ def _few(value: float, _: int) -> str:
 def omission_figure(study: dict[str, Any]) -> bytes:
     """Each approximation's bound beside the error that it caused, as PNG."""
     rows = [
-        (scene["title"], s) for scene in study["scenes"] for s in scene["switches"]
+        (scene["title"], s)
+        for scene in study["scenes"]
+        for s in scene["switches"]
         if not s["of_light"] and s["bound_sigma"] > 0
-    ]  # fmt: skip
+    ]
     figure, axes = _figure(1, 1, (9.5, max(2.2, 0.27 * len(rows) + 1.3)))
     ax = axes[0][0]
     for i, (_, s) in enumerate(rows):
         error = max(s["error_sigma"], LEAST)
         ax.plot([error, s["bound_sigma"]], [i, i], color="#BBBBBB", lw=1.2, zorder=1)
         ax.plot(error, i, color=MOST, marker="o", ms=6, label="" if i else "error caused")
-        ax.plot(s["bound_sigma"], i, color=ASKED, marker="|", ms=12, mew=2.5, ls="none",
-                label="" if i else "bound stated")  # fmt: skip
+        ax.plot(
+            s["bound_sigma"],
+            i,
+            color=ASKED,
+            marker="|",
+            ms=12,
+            mew=2.5,
+            ls="none",
+            label="" if i else "bound stated",
+        )
     ax.set_yticks(range(len(rows)), [f"{t}: {s['component']}" for t, s in rows], fontsize=8)
     ax.invert_yaxis()
     ax.set(xscale="log", xlabel="sigma of a pixel's noise")
     ax.grid(True, axis="x", which="major", color="#DDDDDD", linewidth=0.6)
     ax.set_axisbelow(True)
     if rows:
-        ax.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2,
-                  frameon=False)  # fmt: skip
+        ax.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     return _png(figure)
 
 

@@ -40,13 +40,19 @@ def measure_rung(order: dict[str, Any]) -> dict[str, Any]:
     exact = load_exact(Path(order["exact"]))
     errors = errors_against(stage, light_by(stage, stage.plan), exact)
     return {
-        "cpu_s": first[0], "wall_s": first[1], "again_cpu_s": again[0], "again_wall_s": again[1],
-        "peak_mb": peak, "before_mb": before, "stars": len(stage.stars),
-        "targets": len(stage.plan.scene.targets), "engine": plan_dict(stage.plan, None)["engine"],
+        "cpu_s": first[0],
+        "wall_s": first[1],
+        "again_cpu_s": again[0],
+        "again_wall_s": again[1],
+        "peak_mb": peak,
+        "before_mb": before,
+        "stars": len(stage.stars),
+        "targets": len(stage.plan.scene.targets),
+        "engine": plan_dict(stage.plan, None)["engine"],
         "noise_floor_e": stage.plan.facts.sigma_floor_e,
         "light_left_out": stage.plan.responses.lost_light,
         **errors,
-    }  # fmt: skip
+    }
 
 
 def render_once(scene: dict[str, Any], part: Sequence[int], product: Path) -> tuple[float, float]:
@@ -97,12 +103,14 @@ def errors_against(stage: Stage, light: Light, exact: Exact) -> dict[str, Any]:
     bounds = _joined(a / n for a, n in zip(allowed, exact.noise_e, strict=True))
     used = _joined(np.abs(o) / a for o, a in zip(off, allowed, strict=True))
     return {
-        "max_sigma": float(np.abs(share).max()), "rms_sigma": float(np.sqrt(np.mean(share**2))),
+        "max_sigma": float(np.abs(share).max()),
+        "rms_sigma": float(np.sqrt(np.mean(share**2))),
         "max_e": max(float(np.abs(o).max()) for o in off),
         "bias": sum(float(o.sum()) for o in off) / total if total else 0.0,
         "bound_sigma": [total_sigma(stage.plan.decisions), float(bounds.max())],
-        "of_bound": float(used.max()), "windows": len(off),
-    }  # fmt: skip
+        "of_bound": float(used.max()),
+        "windows": len(off),
+    }
 
 
 def _joined(parts: Iterable[Array]) -> Array:
@@ -139,10 +147,11 @@ def lights_near(stage: Stage, window: Tile) -> tuple[list[float], list[float]]:
     stars = around(stage.stars, window, reach).light_e
     place = window.y0, window.x0, window.rows, window.columns
     targets = [
-        t.light_e for t in place_targets(stage.plan, stage.g)
+        t.light_e
+        for t in place_targets(stage.plan, stage.g)
         if distance_px(np.array([t.x_px]), np.array([t.y_px]), *place)[0]
         < stage.plan.halo_px + t.radius_px + t.path.length_px
-    ]  # fmt: skip
+    ]
     return stars.tolist(), targets
 
 

@@ -49,9 +49,13 @@ def checked_rungs(text: str | None, quick: bool) -> tuple[float, ...]:
 
 
 def run_study(
-    names: tuple[str, ...], rungs: tuple[float, ...], quick: bool, catalogue: Path | None,
-    folder: Path, progress: Progress | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    names: tuple[str, ...],
+    rungs: tuple[float, ...],
+    quick: bool,
+    catalogue: Path | None,
+    folder: Path,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
     """Measure scenes at a ladder of accuracies; everything found, as plain data.
 
     names : of scenes; where there is none all, or QUICK_SCENES
@@ -79,10 +83,14 @@ def run_study(
         say(wish.name, len(rungs) + 1, len(rungs) + 1)
         told.append(_told(wish, found, rows))
     return {
-        "schema": "nightglass/scene-report/1", "quick": quick, "rungs": list(rungs),
-        "catalogue": "given" if catalogue else "synthetic", "machine": _machine(),
-        "nightglass": version("nightglass"), "scenes": told,
-    }  # fmt: skip
+        "schema": "nightglass/scene-report/1",
+        "quick": quick,
+        "rungs": list(rungs),
+        "catalogue": "given" if catalogue else "synthetic",
+        "machine": _machine(),
+        "nightglass": version("nightglass"),
+        "scenes": told,
+    }
 
 
 def _reference_order(
@@ -90,31 +98,42 @@ def _reference_order(
 ) -> dict[str, Any]:
     finest = FINER * min(*rungs, USUAL)
     return {
-        "work": "reference", "windows": QUICK_WINDOWS if quick else WINDOWS,
+        "work": "reference",
+        "windows": QUICK_WINDOWS if quick else WINDOWS,
         "finest": with_accuracy(wish, finest, FLUX_OF_NOISE * finest, stars),
         "scene": with_accuracy(wish, USUAL, FLUX_OF_NOISE * USUAL, stars),
-        "share": wish.share, "exact": str(folder / f"{wish.name}.npz"),
+        "share": wish.share,
+        "exact": str(folder / f"{wish.name}.npz"),
         "folder": str(folder / f"{wish.name}-first"),
-    }  # fmt: skip
+    }
 
 
 def _rung_order(wish: ReportScene, rung: float, stars: str, folder: Path) -> dict[str, Any]:
     work = folder / f"{wish.name}-{rung:g}"
     work.mkdir()
     return {
-        "work": "rung", "scene": with_accuracy(wish, rung, FLUX_OF_NOISE * rung, stars),
-        "share": wish.share, "exact": str(folder / f"{wish.name}.npz"), "folder": str(work),
-    }  # fmt: skip
+        "work": "rung",
+        "scene": with_accuracy(wish, rung, FLUX_OF_NOISE * rung, stars),
+        "share": wish.share,
+        "exact": str(folder / f"{wish.name}.npz"),
+        "folder": str(work),
+    }
 
 
 def _told(wish: ReportScene, found: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
     size = wish.data["sensor"]["shape"]
     return {
-        "scene": wish.name, "title": wish.title, "shape": size, "tiles_drawn": list(wish.share),
-        "stars": rows[0]["stars"], "targets": rows[0]["targets"],
-        "windows": found["windows"], "sources_drawn_again": found["sources"],
-        "rungs": rows, "switches": found["switches"],
-    }  # fmt: skip
+        "scene": wish.name,
+        "title": wish.title,
+        "shape": size,
+        "tiles_drawn": list(wish.share),
+        "stars": rows[0]["stars"],
+        "targets": rows[0]["targets"],
+        "windows": found["windows"],
+        "sources_drawn_again": found["sources"],
+        "rungs": rows,
+        "switches": found["switches"],
+    }
 
 
 def make_catalogue(names: tuple[str, ...], quick: bool, folder: Path) -> Path:
@@ -131,9 +150,13 @@ def run_child(order: dict[str, Any]) -> dict[str, Any]:
     """One measurement in a process of its own; raises what it says went wrong."""
     command = [sys.executable, "-m", "pipeline.studies.scenes.child"]
     done = subprocess.run(
-        command, input=json.dumps(order), capture_output=True, text=True, check=False,
+        command,
+        input=json.dumps(order),
+        capture_output=True,
+        text=True,
+        check=False,
         timeout=CHILD_S,
-    )  # fmt: skip
+    )
     lines = done.stdout.strip().splitlines()
     if done.returncode or not lines:
         last = (done.stderr.strip().splitlines() or ["no word"])[-1]
@@ -150,5 +173,9 @@ def run_child(order: dict[str, Any]) -> dict[str, Any]:
 def _machine() -> dict[str, Any]:
     """What it was measured on, and how much else it had to do."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {"processor": platform.machine(), "cores": os.cpu_count(), "load_before": load,
-            "python": platform.python_version()}  # fmt: skip
+    return {
+        "processor": platform.machine(),
+        "cores": os.cpu_count(),
+        "load_before": load,
+        "python": platform.python_version(),
+    }

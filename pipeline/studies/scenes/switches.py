@@ -66,13 +66,19 @@ def _measured(
     seconds_off = _seconds(switch.off, region) * scaled
     sigma = stage.plan.facts.sigma_floor_e
     return {
-        "component": switch.component, "error_e": error_e, "error_sigma": error_sigma,
-        "bound_e": switch.bound_e, "bound_sigma": switch.bound_e / sigma,
-        "of_light": switch.of_light, "seconds_on": seconds_on, "seconds_off": seconds_off,
+        "component": switch.component,
+        "error_e": error_e,
+        "error_sigma": error_sigma,
+        "bound_e": switch.bound_e,
+        "bound_sigma": switch.bound_e / sigma,
+        "of_light": switch.of_light,
+        "seconds_on": seconds_on,
+        "seconds_off": seconds_off,
         "scaled_from": scaled if scaled != 1.0 else None,
-        "holds": (error_e <= switch.bound_e if switch.of_light
-                  else error_sigma <= switch.bound_e / sigma),
-    }  # fmt: skip
+        "holds": (
+            error_e <= switch.bound_e if switch.of_light else error_sigma <= switch.bound_e / sigma
+        ),
+    }
 
 
 def _seconds(light: Light, tiles: tuple[Tile, ...]) -> float:
@@ -122,9 +128,11 @@ def switches(stage: Stage, tiles: tuple[Tile, ...]) -> Iterator[Switch]:
         yield from told("crowds_by_transforms", light_by(stage, stamps))
     finer = light_by(stage, _without_tables(_finer_wings(plan)))
     yield from told(
-        "wings_on_a_coarse_grid", finer, on=light_by(stage, plain),
+        "wings_on_a_coarse_grid",
+        finer,
+        on=light_by(stage, plain),
         one_by_one=plan.scene.stars is not None,
-    )  # fmt: skip
+    )
     if "wings_cut_off" in bounds:
         bound = cut_e(plan, sum(lights_e(stage)))
         yield Switch("wings_cut_off", on, light_by(stage, _farther(stage)), bound, of_light=True)
@@ -202,8 +210,9 @@ def _wavelengths(stage: Stage, on: Light) -> Iterator[Switch]:
     psf["wavelengths"] = min(max(MANY, 2 * len(band.wavelengths_m)), MOST)
     finer = open_stage(data)
     plan = replace(
-        stage.plan, facts=finer.plan.facts,
+        stage.plan,
+        facts=finer.plan.facts,
         responses=replace(stage.plan.responses, blur=finer.plan.responses.blur),
-    )  # fmt: skip
+    )
     bound = band.error * max(lights_e(stage))
     yield Switch(name, on, light_by(stage, plan), bound, of_light=True)

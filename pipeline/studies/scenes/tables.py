@@ -10,8 +10,19 @@ from pipeline.lines import fold, table
 Row = dict[str, Any]
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
-RUNG_HEADS = ("scene", "asked, sigma", "CPU s", "again", "wall s", "peak MB", "largest error, "
-              "sigma", "rms", "bias of light", "allowed, sigma", "of allowed")  # fmt: skip
+RUNG_HEADS = (
+    "scene",
+    "asked, sigma",
+    "CPU s",
+    "again",
+    "wall s",
+    "peak MB",
+    "largest error, sigma",
+    "rms",
+    "bias of light",
+    "allowed, sigma",
+    "of allowed",
+)
 SWITCH_HEADS = ("scene", "approximation", "bound", "error caused", "CPU s with", "without", "holds")
 NOTES = (
     "CPU s: of a whole render by a process of its own: planning, tables, drawing, product on disk; "
@@ -34,13 +45,21 @@ def rung_table(study: Row) -> Table:
     """A row for each scene and rung."""
     return RUNG_HEADS, [
         (
-            scene["title"], f"{r['noise_fraction']:g}", f"{r['cpu_s']:.2f}",
-            f"{r['again_cpu_s']:.2f}", f"{r['wall_s']:.2f}", f"{r['peak_mb']:.0f}",
-            f"{r['max_sigma']:.1e}", f"{r['rms_sigma']:.1e}", f"{r['bias']:+.0e}",
-            f"{r['bound_sigma'][0]:.2g} to {r['bound_sigma'][1]:.2g}", f"{r['of_bound']:.2g}",
+            scene["title"],
+            f"{r['noise_fraction']:g}",
+            f"{r['cpu_s']:.2f}",
+            f"{r['again_cpu_s']:.2f}",
+            f"{r['wall_s']:.2f}",
+            f"{r['peak_mb']:.0f}",
+            f"{r['max_sigma']:.1e}",
+            f"{r['rms_sigma']:.1e}",
+            f"{r['bias']:+.0e}",
+            f"{r['bound_sigma'][0]:.2g} to {r['bound_sigma'][1]:.2g}",
+            f"{r['of_bound']:.2g}",
         )
-        for scene in study["scenes"] for r in scene["rungs"]
-    ]  # fmt: skip
+        for scene in study["scenes"]
+        for r in scene["rungs"]
+    ]
 
 
 def switch_table(study: Row) -> Table:
@@ -60,8 +79,14 @@ def _switch(s: Row) -> tuple[str, ...]:
     else:
         bound, error = f"{s['bound_sigma']:.2g} sigma", f"{s['error_sigma']:.2g} sigma"
     scaled = "~" if s["scaled_from"] else ""
-    return (s["component"], bound, error, f"{s['seconds_on']:.2g}",
-            f"{scaled}{s['seconds_off']:.2g}", "yes" if s["holds"] else "NO")  # fmt: skip
+    return (
+        s["component"],
+        bound,
+        error,
+        f"{s['seconds_on']:.2g}",
+        f"{scaled}{s['seconds_off']:.2g}",
+        "yes" if s["holds"] else "NO",
+    )
 
 
 def explained(study: Row) -> list[str]:
@@ -79,8 +104,10 @@ def markdown(table: Table) -> str:
     """A table as Markdown; the first two columns are text."""
     heads, rows = table
     lines = ["| " + " | ".join(heads) + " |", "| --- | --- " + "| ---: " * (len(heads) - 2) + "|"]
-    lines += ["| " + " | ".join(c.replace("|", "\\|").replace("*", "\\*") for c in row) + " |"
-              for row in rows]  # fmt: skip
+    lines += [
+        "| " + " | ".join(c.replace("|", "\\|").replace("*", "\\*") for c in row) + " |"
+        for row in rows
+    ]
     return "\n".join(lines) + "\n"
 
 

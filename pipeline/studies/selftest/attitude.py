@@ -24,9 +24,11 @@ def _cascade() -> tuple[Array, Array]:
 
 
 @case(
-    "attitude/stiff", "lags of 1e-6 to 1e4 s in a row, in steps of 1e-7 s to three hours",
-    "a stiff solver (Radau, scipy)", 1e-8,
-)  # fmt: skip
+    "attitude/stiff",
+    "lags of 1e-6 to 1e4 s in a row, in steps of 1e-7 s to three hours",
+    "a stiff solver (Radau, scipy)",
+    1e-8,
+)
 def stiff(_: Path) -> CaseResult:
     from scipy.integrate import solve_ivp
 
@@ -80,9 +82,11 @@ def _eliminated(rows: list[list[Fraction]]) -> list[Fraction]:
 
 
 @case(
-    "attitude/stiff-noise", "the covariance that those lags settle to under noise",
-    "Lyapunov's equation solved in whole fractions", 1e-8,
-)  # fmt: skip
+    "attitude/stiff-noise",
+    "the covariance that those lags settle to under noise",
+    "Lyapunov's equation solved in whole fractions",
+    1e-8,
+)
 def stiff_noise(_: Path) -> CaseResult:
     a, b = _cascade()
     right = _exact_covariance(a, b)

@@ -55,11 +55,18 @@ class Outcome:
         case, found = self.case, self.found
         error = float(found.error) if found and math.isfinite(found.error) else None
         return {
-            "name": case.name, "what": case.what, "source": case.source, "unit": case.unit,
-            "allowed": case.allowed, "right": found.right if found else None,
-            "ours": found.ours if found else None, "error": error,
-            "fault": self.fault, "passed": self.passed, "seconds": round(self.seconds, 3),
-        }  # fmt: skip
+            "name": case.name,
+            "what": case.what,
+            "source": case.source,
+            "unit": case.unit,
+            "allowed": case.allowed,
+            "right": found.right if found else None,
+            "ours": found.ours if found else None,
+            "error": error,
+            "fault": self.fault,
+            "passed": self.passed,
+            "seconds": round(self.seconds, 3),
+        }
 
 
 def case(

@@ -25,9 +25,11 @@ def _behind(distance_m: float, apart_rad: float) -> tuple[np.ndarray, np.ndarray
 
 
 @case(
-    "light/grazing-penumbra", "a GEO satellite as the Earth begins to touch the Sun, 1e-9 rad deep",
-    "area of a thin lens: (4 sqrt 2/3) sqrt(a b/(a + b)) d^1.5", 1e-3,
-)  # fmt: skip
+    "light/grazing-penumbra",
+    "a GEO satellite as the Earth begins to touch the Sun, 1e-9 rad deep",
+    "area of a thin lens: (4 sqrt 2/3) sqrt(a b/(a + b)) d^1.5",
+    1e-3,
+)
 def grazing_penumbra(_: Path) -> CaseResult:
     distance, depth = 4.2164e7, 1e-9
     b = np.arcsin(EARTH_EQUATORIAL_RADIUS_M / distance)
@@ -40,9 +42,12 @@ def grazing_penumbra(_: Path) -> CaseResult:
 
 
 @case(
-    "light/penumbra", "half covered, nearly covered and annular eclipses by a round body",
-    "a grid of 4 million points on the Sun's disc", 2e-4, "of the sunlight",
-)  # fmt: skip
+    "light/penumbra",
+    "half covered, nearly covered and annular eclipses by a round body",
+    "a grid of 4 million points on the Sun's disc",
+    2e-4,
+    "of the sunlight",
+)
 def penumbra(_: Path) -> CaseResult:
     a = 4.65e-3
     grid = (np.arange(2000) + 0.5) / 1000.0 - 1.0
@@ -58,22 +63,30 @@ def penumbra(_: Path) -> CaseResult:
 
 
 @case(
-    "light/phase-0-and-180", "a sphere at phase 0, 180 degrees and 1e-5 rad before",
-    "2 pi r^2/3; 0; (2/9) r^2 e^3 (the first term of Lambert's law in e = pi - a)", 1e-9,
-)  # fmt: skip
+    "light/phase-0-and-180",
+    "a sphere at phase 0, 180 degrees and 1e-5 rad before",
+    "2 pi r^2/3; 0; (2/9) r^2 e^3 (the first term of Lambert's law in e = pi - a)",
+    1e-9,
+)
 def sphere_phases(_: Path) -> CaseResult:
     e = 1e-5
     full, dark, thin = sphere_area_function(np.array([0.0, np.pi, np.pi - e]), 2.0)
     right = (2.0 * np.pi / 3.0, 2.0 / 9.0 * e**3)
     error = max(abs(full / right[0] - 1.0), abs(thin / right[1] - 1.0), abs(dark))
-    return CaseResult(f"{right[0]:.6g}, 0, {right[1]:.6g} m2", f"{full:.6g}, {dark:.3g}, {thin:.6g} m2",
-                 float(error))  # fmt: skip
+    return CaseResult(
+        f"{right[0]:.6g}, 0, {right[1]:.6g} m2",
+        f"{full:.6g}, {dark:.3g}, {thin:.6g} m2",
+        float(error),
+    )
 
 
 @case(
-    "light/edge-on", "a plate and a box edge-on to the Sun, to the observer, and to both",
-    "no light: n.s = 0 or n.o = 0", 0.0, "m2",
-)  # fmt: skip
+    "light/edge-on",
+    "a plate and a box edge-on to the Sun, to the observer, and to both",
+    "no light: n.s = 0 or n.o = 0",
+    0.0,
+    "m2",
+)
 def edge_on(_: Path) -> CaseResult:
     x, z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
     plates = [plate_area_function(*pair, 1.0, True) for pair in ((x, z), (z, x), (x, x), (z, -z))]
@@ -83,9 +96,11 @@ def edge_on(_: Path) -> CaseResult:
 
 
 @case(
-    "light/needle-and-disc", "a cylinder of 1e-6 m by 1 m, and one of 1 m by 1e-6 m",
-    "its side seen along the sunlight: pi r h/2; its end: pi r^2", 1e-5,
-)  # fmt: skip
+    "light/needle-and-disc",
+    "a cylinder of 1e-6 m by 1 m, and one of 1 m by 1e-6 m",
+    "its side seen along the sunlight: pi r h/2; its end: pi r^2",
+    1e-5,
+)
 def needle_and_disc(_: Path) -> CaseResult:
     x, z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
     needle = float(frustum_area_function(x, x, 1e-6, 1e-6, 1.0))

@@ -37,9 +37,20 @@ def satellites(count: int, seed: int) -> list[Any]:
     for i in range(count):
         one = Satrec()
         one.sgp4init(
-            WGS72, "i", i % 99_999, day, 1e-5, 0.0, 0.0, oval[i], angles[i, 0], tilt[i],
-            angles[i, 1], motion[i], angles[i, 2],
-        )  # fmt: skip
+            WGS72,
+            "i",
+            i % 99_999,
+            day,
+            1e-5,
+            0.0,
+            0.0,
+            oval[i],
+            angles[i, 0],
+            tilt[i],
+            angles[i, 1],
+            motion[i],
+            angles[i, 2],
+        )
         out.append(one)
     return out
 
@@ -75,9 +86,12 @@ def screened(count: int, seed: int = 3) -> tuple[int, int, int]:
 
 
 @case(
-    "many/population", f"a field over a site among {SELFTEST_COUNT:,} satellites",
-    "every satellite's place by SGP4, moment by moment", 0.0, "missed",
-)  # fmt: skip
+    "many/population",
+    f"a field over a site among {SELFTEST_COUNT:,} satellites",
+    "every satellite's place by SGP4, moment by moment",
+    0.0,
+    "missed",
+)
 def population(_: Path) -> CaseResult:
     kept, inside, missed = screened(SELFTEST_COUNT)
     empty = 0.0 if inside else np.inf
@@ -85,17 +99,32 @@ def population(_: Path) -> CaseResult:
 
 
 @case(
-    "many/fly-by-drawn", "a body that passes at 1 km with 10 km/s, drawn: an exposure of 1 ms",
-    "10 m at 1 km, swept evenly: erf along a line of 10 px", 0.05, "sigma of the pixel's noise",
-)  # fmt: skip
+    "many/fly-by-drawn",
+    "a body that passes at 1 km with 10 km/s, drawn: an exposure of 1 ms",
+    "10 m at 1 km, swept evenly: erf along a line of 10 px",
+    0.05,
+    "sigma of the pixel's noise",
+)
 def fly_by_drawn(folder: Path) -> CaseResult:
-    body = BODY | {"orbit": {
-        "kind": "state", "position_m": [-7.001e6, -5.0, 0.0], "velocity_m_s": [0.0, 1e4, 0.0],
-    }, "body": {"kind": "sphere", "diameter_m": 0.01, "albedo": 0.5}}  # fmt: skip
+    body = BODY | {
+        "orbit": {
+            "kind": "state",
+            "position_m": [-7.001e6, -5.0, 0.0],
+            "velocity_m_s": [0.0, 1e4, 0.0],
+        },
+        "body": {"kind": "sphere", "diameter_m": 0.01, "albedo": 0.5},
+    }
     still = {"mode": "sidereal", "boresight_ra_deg": 180.0, "boresight_dec_deg": 0.0}
-    found = frames(scene({
-        "targets": [body], "pointing": still, "exposure.integration_s": 1e-3,
-    }), folder)  # fmt: skip
+    found = frames(
+        scene(
+            {
+                "targets": [body],
+                "pointing": still,
+                "exposure.integration_s": 1e-3,
+            }
+        ),
+        folder,
+    )
     t = {k: v[0] for k, v in found.truth.items() if v.dtype.kind == "f"}
     mean = found.layers["mean_e"][0].astype(float)
     length = float(np.hypot(t["x_end_px"] - t["x_start_px"], t["y_end_px"] - t["y_start_px"]))
@@ -107,8 +136,9 @@ def fly_by_drawn(folder: Path) -> CaseResult:
         return np.diff(0.5 * erf(edges / (np.sqrt(2.0) * 0.8)), axis=0)
 
     row = np.full(1, 0.5 * (t["y_start_px"] + t["y_end_px"]))
-    right = t["electrons"] * along(mean.shape[0], row) * (along(mean.shape[1], across)
-                                                          @ (0.5 * weight))  # fmt: skip
+    right = (
+        t["electrons"] * along(mean.shape[0], row) * (along(mean.shape[1], across) @ (0.5 * weight))
+    )
     off = float((np.abs(mean - right) / np.sqrt(right + 1.0)).max())
     apart = max(abs(length - 10.0) / 0.01, abs(t["range_m"] - 1000.0) / 0.1)
     said = f"{length:.4f} px, {t['range_m']:.2f} m, {t['electrons']:.4g} e-, {off:.2g} sigma"

@@ -61,26 +61,35 @@ def print_table(outcomes: list[Outcome]) -> None:
         told = f"right {o.found.right}; ours {o.found.ours}" if o.found else str(o.fault)
         print(fold(told, "          "))
     failed = sum(not o.passed for o in outcomes)
-    print(f"{len(outcomes) - failed} of {len(outcomes)} cases hold"
-          + (f"; {failed} FAILED" if failed else ""))  # fmt: skip
+    print(
+        f"{len(outcomes) - failed} of {len(outcomes)} cases hold"
+        + (f"; {failed} FAILED" if failed else "")
+    )
 
 
 def markdown(outcomes: list[Outcome]) -> str:
     """The page docs/extremes.md."""
     lines = [
-        "# Hard ends", "",
+        "# Hard ends",
+        "",
         "What the product gives where arithmetic, geometry or a format is at its end, beside the "
         "right answer and where that comes from. Made by `nightglass selftest --markdown "
-        "docs/extremes.md`; `nightglass selftest` runs the same cases on your machine.", "",
+        "docs/extremes.md`; `nightglass selftest` runs the same cases on your machine.",
+        "",
         "| case | what | right answer by | right | ours | error | allowed | s |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]  # fmt: skip
+    ]
     for o in outcomes:
         found = o.found
         cells = [
-            o.case.name, o.case.what, o.case.source, found.right if found else "",
-            found.ours if found else o.fault, f"{found.error:.2g}" if found else "-",
-            f"{o.case.allowed:.2g} {o.case.unit}", f"{o.seconds:.2f}",
-        ]  # fmt: skip
+            o.case.name,
+            o.case.what,
+            o.case.source,
+            found.right if found else "",
+            found.ours if found else o.fault,
+            f"{found.error:.2g}" if found else "-",
+            f"{o.case.allowed:.2g} {o.case.unit}",
+            f"{o.seconds:.2f}",
+        ]
         lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
     return "\n".join(lines) + "\n"

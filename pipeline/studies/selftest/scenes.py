@@ -34,16 +34,21 @@ SCENE: dict[str, Any] = {
         "orbit": {"kind": "state", "position_m": OBSERVER_M, "velocity_m_s": [0.0, 0.0, 0.0]},
     },
     "sensor": {
-        "shape": [64, 64], "pixel_pitch_um": 10.0, "focal_length_m": 0.01, "aperture_m": 0.1,
+        "shape": [64, 64],
+        "pixel_pitch_um": 10.0,
+        "focal_length_m": 0.01,
+        "aperture_m": 0.1,
         "bandpass": {"kind": "box", "short_nm": 500, "long_nm": 600},
-        "psf": {"kind": "gaussian", "sigma_px": 0.8}, "photon_noise": False, "adc_bits": 32,
+        "psf": {"kind": "gaussian", "sigma_px": 0.8},
+        "photon_noise": False,
+        "adc_bits": 32,
         "read_noise_e": 1.0,
     },
     "pointing": {"mode": "target", "target": "body"},
     "exposure": {"integration_s": 0.01},
     "targets": [BODY],
     "output": {"layers": ["dn", "mean_e"]},
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

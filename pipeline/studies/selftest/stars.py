@@ -49,10 +49,16 @@ def _stars(folder: Path, x: Array, y: Array, g: Array, changes: dict[str, Any]) 
 def _rate(length_px: float) -> dict[str, Any]:
     """Pointing that leaves streaks of a length along rows, and starts so that they are centred."""
     shift_deg = 0.5 * length_px * PIXEL_ARCSEC / 3600.0
-    return {"pointing": {
-        "mode": "rate", "boresight_ra_deg": 180.0 - shift_deg, "boresight_dec_deg": 0.0,
-        "rate_ra_arcsec_s": length_px * PIXEL_ARCSEC, "rate_dec_arcsec_s": 0.0,
-    }, "exposure.integration_s": 1.0}  # fmt: skip
+    return {
+        "pointing": {
+            "mode": "rate",
+            "boresight_ra_deg": 180.0 - shift_deg,
+            "boresight_dec_deg": 0.0,
+            "rate_ra_arcsec_s": length_px * PIXEL_ARCSEC,
+            "rate_dec_arcsec_s": 0.0,
+        },
+        "exposure.integration_s": 1.0,
+    }
 
 
 def _swept(shape: tuple[int, int], t: dict[str, Array], sigma: float) -> Array:
@@ -79,9 +85,12 @@ def _all_stars(shape: tuple[int, int], truth: dict[str, Array]) -> Array:
 
 
 @case(
-    "stars/streaks", "streaks of 0, 1e-9, 0.1 and 40 px: every pixel of a star of 10,000 e-",
-    "erf swept by quadrature along the truth's line", 0.05, "sigma of the pixel's noise",
-)  # fmt: skip
+    "stars/streaks",
+    "streaks of 0, 1e-9, 0.1 and 40 px: every pixel of a star of 10,000 e-",
+    "erf swept by quadrature along the truth's line",
+    0.05,
+    "sigma of the pixel's noise",
+)
 def streaks(folder: Path) -> CaseResult:
     worst, said = 0.0, []
     at = np.array([31.3])
@@ -97,14 +106,24 @@ def streaks(folder: Path) -> CaseResult:
 
 
 @case(
-    "stars/long-streak", "a streak of 3000 px: light per pixel in the middle of the frame",
-    "the star's light over rate and time", 1e-4,
-)  # fmt: skip
+    "stars/long-streak",
+    "a streak of 3000 px: light per pixel in the middle of the frame",
+    "the star's light over rate and time",
+    1e-4,
+)
 def long_streak(folder: Path) -> CaseResult:
-    found = _stars(folder, np.array([31.3]), np.array([31.3]), np.array([4.0]), {
-        **_rate(3000.0), "sensor.focal_length_m": 0.2, "pointing.boresight_ra_deg": 180.0 - 4.2967,
-        "pointing.rate_ra_arcsec_s": 3000.0 * PIXEL_ARCSEC / 20.0,
-    })  # fmt: skip
+    found = _stars(
+        folder,
+        np.array([31.3]),
+        np.array([31.3]),
+        np.array([4.0]),
+        {
+            **_rate(3000.0),
+            "sensor.focal_length_m": 0.2,
+            "pointing.boresight_ra_deg": 180.0 - 4.2967,
+            "pointing.rate_ra_arcsec_s": 3000.0 * PIXEL_ARCSEC / 20.0,
+        },
+    )
     t = {k: v[0] for k, v in found.truth.items() if v.dtype.kind == "f"}
     length = 3000.0  # px of 5e-5 rad: the rate is exact on the axis, and the frame's 64 px near it
     per_px = found.layers["mean_e"][0].astype(float).sum(axis=0)[20:44]
@@ -113,9 +132,12 @@ def long_streak(folder: Path) -> CaseResult:
 
 
 @case(
-    "stars/neighbour", "one star of 1e9 e- and one of about 1 e- 12 px away",
-    "the sum of both by erf", 0.05, "e-",
-)  # fmt: skip
+    "stars/neighbour",
+    "one star of 1e9 e- and one of about 1 e- 12 px away",
+    "the sum of both by erf",
+    0.05,
+    "e-",
+)
 def neighbour(folder: Path) -> CaseResult:
     x, y, g = np.array([20.3, 32.3]), np.array([31.7, 31.7]), np.array([-4.5, 18.0])
     found = _stars(folder, x, y, g, {"exposure.integration_s": 1.0})
@@ -128,15 +150,29 @@ def neighbour(folder: Path) -> CaseResult:
 
 
 @case(
-    "stars/edges", "stars on corners, edges and tile borders, and three stamps outside",
-    "erf", 0.05, "sigma of the pixel's noise",
-)  # fmt: skip
+    "stars/edges",
+    "stars on corners, edges and tile borders, and three stamps outside",
+    "erf",
+    0.05,
+    "sigma of the pixel's noise",
+)
 def edges(folder: Path) -> CaseResult:
-    x, y = (v.ravel() for v in np.meshgrid([-40.0, -0.5, 0.0, 255.5, 256.0, 511.49, 551.0],
-                                           [-40.0, -0.5, 255.5, 511.5, 551.0]))  # fmt: skip
-    found = _stars(folder, x, y, np.full(x.size, 7.0), {
-        "sensor.shape": [512, 512], "output.tile_shape": [256, 256],
-    })  # fmt: skip
+    x, y = (
+        v.ravel()
+        for v in np.meshgrid(
+            [-40.0, -0.5, 0.0, 255.5, 256.0, 511.49, 551.0], [-40.0, -0.5, 255.5, 511.5, 551.0]
+        )
+    )
+    found = _stars(
+        folder,
+        x,
+        y,
+        np.full(x.size, 7.0),
+        {
+            "sensor.shape": [512, 512],
+            "output.tile_shape": [256, 256],
+        },
+    )
     mean, t = found.layers["mean_e"][0].astype(float), found.truth
     right = _all_stars(mean.shape, t)
     off = float((np.abs(mean - right) / np.sqrt(right + 1.0)).max())
@@ -144,9 +180,12 @@ def edges(folder: Path) -> CaseResult:
 
 
 @case(
-    "stars/magnitudes", "stars of magnitude 30 and of magnitude -20 in one frame",
-    "finite and not negative", 0.0, "pixels",
-)  # fmt: skip
+    "stars/magnitudes",
+    "stars of magnitude 30 and of magnitude -20 in one frame",
+    "finite and not negative",
+    0.0,
+    "pixels",
+)
 def ends_of_magnitude(folder: Path) -> CaseResult:
     at = np.array([20.0, 40.0])
     mean = _stars(folder, at, at, np.array([30.0, -20.0]), {}).layers["mean_e"]

@@ -15,16 +15,51 @@ from alembic import op
 
 revision, down_revision = "0002", "0001"
 SAME = (
-    "number", "id", "name", "phase", "scene", "idempotency_key", "body_sha256", "submitted_s",
-    "started_s", "ended_s", "tiles_done", "tiles_total", "attempt", "deaths", "content_digest",
+    "number",
+    "id",
+    "name",
+    "phase",
+    "scene",
+    "idempotency_key",
+    "body_sha256",
+    "submitted_s",
+    "started_s",
+    "ended_s",
+    "tiles_done",
+    "tiles_total",
+    "attempt",
+    "deaths",
+    "content_digest",
     "version",
-)  # fmt: skip
+)
 SEALED = (
-    "id", "team", "owner", "kind", "name", "run_id", "phase", "scene_crc", "idempotency_key",
-    "body_sha256", "pixel_frames", "bytes_kept", "submitted_s", "started_s", "ended_s",
-    "destruction_s", "duration_s", "tiles_done", "tiles_total", "attempt", "deaths",
-    "cancel_asked", "deleted", "error", "content_digest", "version",
-)  # fmt: skip
+    "id",
+    "team",
+    "owner",
+    "kind",
+    "name",
+    "run_id",
+    "phase",
+    "scene_crc",
+    "idempotency_key",
+    "body_sha256",
+    "pixel_frames",
+    "bytes_kept",
+    "submitted_s",
+    "started_s",
+    "ended_s",
+    "destruction_s",
+    "duration_s",
+    "tiles_done",
+    "tiles_total",
+    "attempt",
+    "deaths",
+    "cancel_asked",
+    "deleted",
+    "error",
+    "content_digest",
+    "version",
+)
 # The audit table only grows: the database itself refuses every other change.
 APPEND_ONLY = {
     "sqlite": [
@@ -159,12 +194,19 @@ def _taken_over(row: dict[str, Any]) -> dict[str, Any]:
     frames = scene.get("exposure", {}).get("frames", 1)
     error = row["error"]
     new = {name: row[name] for name in SAME} | {
-        "team": "local", "owner": "local", "kind": "scene", "run_id": None,
-        "scene_crc": _crc32c(row["scene"]), "pixel_frames": rows * columns * frames,
-        "bytes_kept": 0, "destruction_s": None, "duration_s": None,
+        "team": "local",
+        "owner": "local",
+        "kind": "scene",
+        "run_id": None,
+        "scene_crc": _crc32c(row["scene"]),
+        "pixel_frames": rows * columns * frames,
+        "bytes_kept": 0,
+        "destruction_s": None,
+        "duration_s": None,
         "error": error if error is None or isinstance(error, str) else json.dumps(error),
-        "cancel_asked": bool(row["cancel_asked"]), "deleted": bool(row["deleted"]),
-    }  # fmt: skip
+        "cancel_asked": bool(row["cancel_asked"]),
+        "deleted": bool(row["deleted"]),
+    }
     return new | {"seal": _crc32c(json.dumps([new[name] for name in SEALED]))}
 
 
