@@ -22,7 +22,8 @@ from pipeline.physics.radiometry import (
 from pipeline.plan.bodies.albedos import with_band_albedos
 from pipeline.plan.bodies.attitudes import View
 from pipeline.plan.bodies.bodies import target_lights
-from pipeline.plan.bodies.paths import Moments, clear_of_earth, sights
+from pipeline.plan.bodies.paths import clear_of_earth
+from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.plan.pointing.geometry import moments_at
 from pipeline.plan.timing import end_s
 from pipeline.spec.scene import Scene

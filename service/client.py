@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 
 from pipeline.errors import NOT_NOW, BadInput, NightglassError
+from service.answers import ServiceError, problem_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -27,29 +28,6 @@ LONG_POLL_S = 20.0
 FIRST_S = 5.0  # a server that is asked for the first time may just be starting
 Scene = Mapping[str, Any] | str | Path
 Listener = Callable[[dict[str, Any]], None]
-
-
-class ServiceError(NightglassError):
-    """The server refused or failed; `status` is its HTTP status, 0 where it did not answer."""
-
-    def __init__(self, message: str, status: int = 0) -> None:
-        self.status = status
-        super().__init__(message)
-
-
-class NotAccepted(BadInput):
-    """The server does not accept what was sent; `mistakes` are its (field, value, allowed)."""
-
-    def __init__(self, mistakes: list[tuple[str, str, str]], status: int) -> None:
-        self.mistakes, self.status = mistakes, status
-        super().__init__(*mistakes[0])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.mistakes, self.status)
-
-    def __str__(self) -> str:
-        """Each mistake on a line; the values are as the server shows them."""
-        return "\n".join(f"{f}: {v} is not accepted; {_allowed(a)}" for f, v, a in self.mistakes)
 
 
 class JobFailed(NightglassError):
@@ -297,34 +275,6 @@ class RemoteJob:
             raise self._failure()
         if self.phase != "COMPLETED":
             raise BadInput("job", self.id, f"a job that is COMPLETED; this one is {self.phase}")
-
-
-def problem_of(answer: httpx.Response) -> NightglassError | None:
-    """The error that an answer means, or None."""
-    if answer.status_code < 400:
-        return None
-    status = f"status {answer.status_code} {answer.reason_phrase}"
-    try:
-        answer.read()
-        body = answer.json()
-        detail = str(body.get("detail") or body.get("title") or status)
-        listed = body.get("errors") or []
-        found = [(_field(e["pointer"]), str(e["value"]), str(e["allowed"])) for e in listed]
-    except (ValueError, KeyError, TypeError, AttributeError):
-        detail, found = status, []
-    if found and answer.status_code < 500:
-        return NotAccepted(found, answer.status_code)
-    return ServiceError(f"{answer.url.netloc.decode()}: {detail}", answer.status_code)
-
-
-def _field(pointer: str) -> str:
-    """`/sensor/shape` as `sensor.shape`."""
-    parts = pointer.removeprefix("/").split("/")
-    return ".".join(p.replace("~1", "/").replace("~0", "~") for p in parts) or "scene"
-
-
-def _allowed(text: str) -> str:
-    return text if text.startswith("allowed: ") else f"allowed: {text}"
 
 
 def _data(scene: Scene) -> Any:

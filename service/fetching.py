@@ -15,7 +15,7 @@ import httpx
 from pipeline.errors import NOT_NOW, BadInput, Damaged, Incomplete
 from pipeline.store import layout
 from pipeline.store.product import file_digest
-from service.client import problem_of
+from service.answers import problem_of
 
 if TYPE_CHECKING:
     from service.client import RemoteJob

@@ -28,7 +28,8 @@ from pipeline.route.shares import WHOLE, Share, lacking
 from pipeline.spec.load import load_scene
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
-from pipeline.store.place import Claim, Place, Writing, place_for
+from pipeline.store.place import Claim, Place, Writing
+from pipeline.store.places import place_for
 from pipeline.store.product import Verdict
 
 JOIN_AGAIN_S = 1.0

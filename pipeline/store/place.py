@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from pipeline.plan.scene_plan import Plan
@@ -109,14 +107,3 @@ class Place(ABC):
     @abstractmethod
     def verdict(self) -> Verdict:
         """What verifying every tile and table finds."""
-
-
-def place_for(product: Path | str) -> Place:
-    """The place of a product: a folder, or an s3 URL, which alone imports an object store."""
-    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(product)):
-        from pipeline.store.bucket import Bucket
-
-        return Bucket(str(product))
-    from pipeline.store.folder import Folder
-
-    return Folder(Path(product))

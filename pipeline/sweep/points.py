@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import BadInput
-from pipeline.inputs.sensor.sensor import read_image
+from pipeline.inputs.sensor.images import read_image
 from pipeline.spec.dotted import NoFieldError, set_dotted
 from pipeline.spec.load import InvalidScene, parse_scene
 from pipeline.spec.scene import Scene

@@ -26,7 +26,7 @@ from pipeline.errors import BadInput, Damaged, DiskFull, Incomplete, TryLater
 from pipeline.spec.load import InvalidScene
 from service import logs, problems
 from service.accounts.teams import pixel_frames_of
-from service.client import problem_of
+from service.answers import problem_of
 from service.engine import worker
 from service.http import bodies
 from service.integrity import find_faults

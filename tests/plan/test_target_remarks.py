@@ -11,7 +11,7 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.execute.truth import target_truth
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
-from pipeline.plan.bodies.paths import sights
+from pipeline.plan.bodies.sights import sights
 from pipeline.plan.bodies.sizes import limb_px
 from pipeline.plan.pointing.geometry import moments_at, plan_geometry
 from pipeline.plan.targets.bounds import _lowest_m, between_facets, two_body_m

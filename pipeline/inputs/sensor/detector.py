@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, SensorMaps, Value
-from pipeline.inputs.sensor.sensor import gather_image
+from pipeline.inputs.sensor.images import gather_image
 from pipeline.physics.noise.patterns import bias_pattern_dn, chosen, hot_dark_e_s, prnu
 from pipeline.physics.noise.transfer import column_means
 from pipeline.spec.scene import Scene

@@ -20,7 +20,7 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
-from pipeline.inputs.sensor.sensor import read_image
+from pipeline.inputs.sensor.images import read_image
 from pipeline.physics.psf.sampled import LARGEST_SIDE, Sampled, find_centre, sampled
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.sensor import FieldPsf, TablePsf

@@ -13,7 +13,7 @@ from pipeline.physics.meshes.model import MeshModel
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.bodies.attitudes import View, since_s
 from pipeline.plan.bodies.meshes import STEP_RAD, mesh_earthshine_m2_sr, mesh_m2_sr
-from pipeline.plan.bodies.paths import Moments, sights
+from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.plan.decision import Decision
 from pipeline.plan.timing import end_s, frame_count, frame_times, integration_range_s
 from pipeline.spec.scene import Scene

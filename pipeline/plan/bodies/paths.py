@@ -2,50 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import BadInput
 from pipeline.physics.constants import DEG_RAD
-from pipeline.physics.positions.apparent import TargetSight, apparent_sun_m, target_apparent
-from pipeline.physics.positions.earth import EarthState
+from pipeline.physics.positions.apparent import TargetSight
 from pipeline.physics.positions.focal_plane import Camera, project
 from pipeline.physics.positions.limb import height_of_line_m, pole_at, zenith_of
 from pipeline.physics.positions.refraction import refract
-from pipeline.physics.positions.times import Instants
-from pipeline.plan.bodies.attitudes import View, needs_velocity
+from pipeline.plan.bodies.attitudes import View
 from pipeline.plan.bodies.bodies import target_lights
-from pipeline.plan.bodies.orbits import Movers
-from pipeline.plan.bodies.sizes import radius_m
+from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.targets.mesh import MeshBody
 
 Array = NDArray[np.float64]
 
-LEAST_RANGE_M = 0.01  # nearer than that a target is where the observer is
 TOGETHER, SAMPLES = 1000, 200_000  # targets, and their moments, that are worked out in one go
-
-
-@dataclass(frozen=True)
-class Moments:
-    """The n moments at which targets are looked at, and who looks.
-
-    offset_s : (n,) after the scene's epoch (two-part UTC); times : the same instants
-    observer_m : (n, 3) geocentric GCRS; observer_m_s : (n, 3) barycentric
-    elsewhere : from other offsets (m,) to the same of them
-    """
-
-    epoch: tuple[float, float]
-    offset_s: Array
-    times: Instants
-    earth: EarthState
-    observer_m: Array
-    observer_m_s: Array
-    elsewhere: Callable[[Array], Moments] | None = None
 
 
 @dataclass(frozen=True)
@@ -66,39 +43,6 @@ class TargetPaths:
     pose: Array
     pose_s: Array
     turn_rad: Array
-
-
-def sights(scene: Scene, which: Sequence[int], at: Moments) -> tuple[TargetSight, View]:
-    """How the observer sees m of the targets at each moment, and what lights them: (m, n, ...)."""
-    targets = [scene.targets[i] for i in which]
-    movers = Movers(
-        [t.orbit for t in targets], [f"targets.{i}.orbit" for i in which], at.epoch, at.times
-    )
-    offsets = np.broadcast_to(at.offset_s, (len(targets), len(at.offset_s)))
-    seen = target_apparent(
-        lambda at_s: movers.states(at_s)[0], at.observer_m, at.observer_m_s, at.earth, offsets
-    )
-    _check_ranges(scene, which, seen.range_m)
-    at_s, place = offsets - seen.light_time_s, seen.target_geocentric_m
-    moves = [needs_velocity(t.body) for t in targets]
-    speed = movers.states(at_s)[1] if any(moves) else np.zeros_like(place)
-    sun = np.broadcast_to(apparent_sun_m(at.earth), place.shape)
-    return seen, View(at_s, place, speed, sun, np.broadcast_to(at.observer_m, place.shape))
-
-
-def _check_ranges(scene: Scene, which: Sequence[int], range_m: Array) -> None:
-    """Refuse an observer inside of a target, or at its place. range_m : (m, n)"""
-    for i, nearest in zip(which, range_m.min(axis=-1), strict=True):
-        least = max(radius_m(scene.targets[i].body), LEAST_RANGE_M)
-        if nearest > least:
-            continue
-        where, name = "at one place with", scene.targets[i].name
-        where = where if nearest < LEAST_RANGE_M else "inside of"
-        raise BadInput(
-            f"targets.{i}",
-            f"the observer {where} {name}, {nearest:.3g} m from it",
-            f"a target farther from it than its own radius ({least:.3g} m) at all times",
-        )
 
 
 def target_paths(

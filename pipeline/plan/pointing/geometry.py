@@ -28,7 +28,8 @@ from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import separation
 from pipeline.plan.bodies.bodies import flicker_shares
 from pipeline.plan.bodies.orbits import orbit_states
-from pipeline.plan.bodies.paths import Moments, sights, target_paths
+from pipeline.plan.bodies.paths import target_paths
+from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.plan.pointing.air import air_of, lifted
 from pipeline.plan.pointing.attitude_motion import motion_plan, random_motion_rad
 from pipeline.plan.pointing.paths import LONGEST_STREAK_PX, bends_px, check_paths, near_frame

@@ -26,7 +26,7 @@ from pipeline.physics.positions.focal_plane import (
 from pipeline.physics.positions.planets import OFF_RAD, PLANETS, brightest_v_mag, planet_m
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
 from pipeline.physics.vectors import separation, unit
-from pipeline.plan.bodies.paths import Moments
+from pipeline.plan.bodies.sights import Moments
 from pipeline.plan.pointing.air import air_of
 from pipeline.plan.pointing.geometry import aimed, camera_of, check_view
 from pipeline.plan.pointing.pointing import swept_rad

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Geometry
 from pipeline.physics.targets.umbra import umbra_fraction
 from pipeline.plan.bodies.bodies import target_lights
-from pipeline.plan.bodies.paths import sights
+from pipeline.plan.bodies.sights import sights
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.geometry import moments_at

@@ -22,7 +22,8 @@ from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.vectors import separation, unit
-from pipeline.plan.bodies.paths import Moments, target_paths
+from pipeline.plan.bodies.paths import target_paths
+from pipeline.plan.bodies.sights import Moments
 from pipeline.plan.pointing.air import air_of
 from pipeline.plan.pointing.geometry import _observer, _vantage, camera_of
 from pipeline.plan.pointing.pointing import attitudes
