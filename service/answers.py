@@ -17,7 +17,7 @@ class ServiceError(NightglassError):
         super().__init__(message)
 
 
-class NotAccepted(BadInput):
+class Refused(BadInput):
     """The server does not accept what was sent; `mistakes` are its (field, value, allowed)."""
 
     def __init__(self, mistakes: list[tuple[str, str, str]], status: int) -> None:
@@ -46,7 +46,7 @@ def problem_of(answer: httpx.Response) -> NightglassError | None:
     except (ValueError, KeyError, TypeError, AttributeError):
         detail, found = status, []
     if found and answer.status_code < 500:
-        return NotAccepted(found, answer.status_code)
+        return Refused(found, answer.status_code)
     return ServiceError(f"{answer.url.netloc.decode()}: {detail}", answer.status_code)
 
 

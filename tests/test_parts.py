@@ -7,15 +7,17 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
 import xarray as xr
 
-from pipeline.errors import BadInput, Incomplete
+from pipeline.errors import BadInput, Incomplete, TryLater
 from pipeline.route.run import Options, join, render
 from pipeline.route.shares import Share, parse_part
 from pipeline.spec.load import parse_scene
+from pipeline.store import layout
 from pipeline.store.product import check, content_digest
 
 SCENE = {
@@ -124,6 +126,30 @@ def test_join_names_what_is_damaged(tmp_path, whole):
         render(scene, product, share=Share(2, 2))
     assert not render(scene, product, share=Share(2, 2))["complete"]
     assert render(scene, product, share=Share(1, 2))["content_digest"] == whole
+
+
+def test_a_part_waits_for_who_writes_it(tmp_path, whole):
+    """The same part is being written elsewhere: refused at once, or waited for."""
+    product, scene, part = tmp_path / "run", parse_scene(SCENE), Share(1, 2)
+    render(scene, product, share=part)
+    (product / "markers").rename(tmp_path / "none")
+    (product / "markers").mkdir()
+    held, free = threading.Event(), threading.Event()
+
+    def write() -> None:
+        with layout.only_writer(product, part.name):
+            held.set()
+            free.wait(timeout=60)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    assert held.wait(timeout=60)
+    with pytest.raises(TryLater, match="another render"):
+        render(scene, product, share=part)
+    threading.Timer(0.5, free.set).start()
+    assert not render(scene, product, Options(wait_s=60.0), share=part)["complete"]
+    writer.join()
+    assert render(scene, product, share=Share(2, 2))["content_digest"] == whole
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "x", "1", "1/0", "1/2/3", "-1/3", "1/9999999", ""])

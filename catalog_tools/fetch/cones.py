@@ -41,6 +41,11 @@ class FetchCone:
             if value is not None:
                 object.__setattr__(self, field, float(value))  # not NumPy's: it is written out
 
+    def __str__(self) -> str:
+        """As `parse_cone` reads it."""
+        given = (self.ra_deg, self.dec_deg, self.radius_deg, self.faintest_g_mag)
+        return ",".join(f"{number:g}" for number in given if number is not None)
+
 
 def parse_cone(text: str) -> FetchCone:
     """The cone that `RA,DEC,RADIUS[,G]` means; BadInput for anything else."""

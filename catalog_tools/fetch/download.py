@@ -122,7 +122,7 @@ def in_threads(
 
     `tick` is called from here, again and again. The threads are daemons: an interrupt is answered
     at once, and what a thread leaves is resumed by the next run. Faults of single files (Damaged,
-    Refused) end the run only when they are many, any other at once.
+    FinalFailure) end the run only when they are many, any other at once.
     """
     waiting, faults = deque(items), list[Exception]()
     serve = partial(_serve, waiting, work, stop, faults)

@@ -61,8 +61,9 @@ def fetch(
 ) -> FetchReport:
     """Bring files of a release to `destination`; what is verified there is not brought again.
 
-    release : `gaia-dr2` or `gaia-dr3`. cones : Cone, or RA,DEC,RADIUS[,G]; without `tap_url` the
-    archive's files that may hold their sources, see `layout.choose` for what that may miss.
+    release : `gaia-dr2` or `gaia-dr3`. cones : FetchCone, or RA,DEC,RADIUS[,G]; without
+    `tap_url` the archive's files that may hold their sources, see `layout.choose` for what that may
+    miss.
     everything : all files. base_url : a mirror of the archive's folder (http, https, file).
     tap_url : ask this TAP service (`archive`: the release's own) for just the rows of the cones,
     to `faintest_g_mag` where a cone has no limit itself. progress : called with ("verify" |

@@ -58,7 +58,7 @@ class Remote(Protocol):
     def open(self, name: str, start: int, tag: str | None) -> Iterator[Reply]:
         """The file from byte `start` on if it still has `tag`, else from its beginning.
 
-        Raises Unavailable (also while reading), Refused, PastEnd.
+        Raises Unavailable (also while reading), FinalFailure, PastEnd.
         """
 
     def size(self, name: str) -> int | None:
@@ -183,7 +183,7 @@ class FolderRemote:
 
 
 def read_whole(remote: Remote, name: str, most_bytes: int) -> bytes:
-    """A small file's content. Raises Unavailable, Refused (also where it is longer)."""
+    """A small file's content. Raises Unavailable, FinalFailure (also where it is longer)."""
     with remote.open(name, 0, None) as reply:
         content = bytearray()
         for block in reply.blocks:

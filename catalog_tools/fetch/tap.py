@@ -135,7 +135,7 @@ def fetch_cone(
     total = question.count(DeclinationBand())
     if total > MOST_ROWS:
         allowed = f"at most {MOST_ROWS} rows by TAP (here are {total}): fetch the archive's files"
-        raise BadInput("cone", cone, allowed)
+        raise BadInput("cone", str(cone), allowed)
     part, done = ledger.part(name), 0
     tell(done, total)
     with part.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as file:

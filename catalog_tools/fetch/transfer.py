@@ -44,7 +44,7 @@ class Transfer:
         """Download what is missing of a file, verify it, give it its name.
 
         A wrong digest is met with one download from scratch, then Damaged. Raises Incomplete where
-        the server stays away, Refused where it has no such file, Stopped, OSError of the disk.
+        the server stays away, FinalFailure where it has no such file, Stopped, OSError of the disk.
         """
         part, where = self.ledger.part(entry.name), self.remote.address(entry.name)
         for _ in range(2):

@@ -36,14 +36,14 @@ class Looks:
         self._judged: OrderedDict[tuple[str, bytes], None] = OrderedDict()
 
     async def plan(self, request: Request, team: str, scene: dict[str, Any]) -> dict[str, Any]:
-        """The plan of an accepted scene. Refused, PlanTooSlow, EngineFault, TooMany."""
+        """The plan of an accepted scene. PlanRefused, PlanTooSlow, EngineFault, TooMany."""
         asked = {"do": "plan", "most_cpu_s": self._settings.job_cpu_s}
         look = self._look(team, scene, asked, self._settings.plan_s)
         plan: dict[str, Any] = (await unless_gone(request, look))["plan"]
         return plan
 
     async def judge(self, request: Request, team: str, scene: dict[str, Any]) -> None:
-        """Refused where an uploaded file is not what the scene says; TooMany.
+        """PlanRefused where an uploaded file is not what the scene says; TooMany.
 
         A scene that cannot be judged in time is taken: the engine that draws it judges it again.
         Scenes that differ in name and seed alone are judged once.

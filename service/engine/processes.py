@@ -72,7 +72,7 @@ def look_at(
     """What a worker says of a scene (`do`: plan or judge), so that the service stays quick and can
     stop it.
 
-    Raises Refused, PlanTooSlow, EngineFault.
+    Raises PlanRefused, PlanTooSlow, EngineFault.
     """
     deadline = time.monotonic() + limit_s
     outcome = None

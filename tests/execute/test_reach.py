@@ -7,6 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from catalog_tools.ingest.ingest import ingest
+from pipeline.execute.light import _reaches
+from pipeline.physics.motion.streak import Path
+from pipeline.plan.tiles import Tile
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
@@ -27,7 +30,7 @@ def catalogue(tmp_path_factory):
 
 
 def star_at(position, velocity, epoch) -> tuple[float, float]:
-    """Where a sidereal camera has to look: the star's place as PHYSICS section d gives it."""
+    """Where a sidereal camera has to look: the star's place by its space motion and parallax."""
     import erfa
 
     year = float(epoch[:4]) - 2015.5
@@ -97,3 +100,17 @@ def test_limits_blinding_star_fails_no_tile(catalogue, tmp_path):
     mean = open_cube(tmp_path / "run")["mean_e"].values
     assert mean.sum(dtype=float) > 1e12
     assert mean.min() >= 0
+
+
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("far_px", [90.0, -90.0])
+def test_a_tile_that_only_the_far_end_of_a_streak_lights(upright, far_px):
+    """A star 70 px from a tile of 64 pixels whose straight streak ends in it; and one across."""
+    still, along = np.zeros(2), np.array([0.0, far_px])
+    x_px, y_px = (still, along) if upright else (along, still)
+    streak = Path(x_px, y_px, np.ones(1))
+    tile = Tile(0, 0, 0, 0, 64, 64)
+    there, beside = (-70.0 if far_px > 0.0 else 134.0), 30.0
+    x, y = (beside, there) if upright else (there, beside)
+    assert _reaches(tile, 5.0, streak, x, y)
+    assert not _reaches(tile, 5.0, streak, y, x)

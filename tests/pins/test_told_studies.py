@@ -135,9 +135,10 @@ def tools(**more: Any) -> dict[str, Any]:
 
 
 SELFTEST = """
-bad = [case.Case("a/b|c", "what", "whose", "px", .5, f) for f in (lambda _: {}["gone"], lambda _:
-    Found("1", "2|3", np.nan), lambda _: Found("1", "2", .5), lambda _: report.chosen("no such"),
-    lambda _: Found("1", "2", np.float64(.51)))]
+bad = [case.LimitingCase("a/b|c", "what", "whose", "px", .5, f) for f in (
+    lambda _: {}["gone"], lambda _: CaseResult("1", "2|3", np.nan),
+    lambda _: CaseResult("1", "2", .5), lambda _: report.chosen("no such"),
+    lambda _: CaseResult("1", "2", np.float64(.51)))]
 heard = []
 made = [but(o, seconds=1.2345) for o in report.run_cases(tuple(bad), lambda *at: heard.append(at))]
 heard, [c.name for c in report.chosen("stars")], report.as_data(made), report.markdown(made)
@@ -146,7 +147,7 @@ report.chosen("no such")
 """
 LEDGER = """
 pairs = ((1., .9), (.1, .5), (9., 2.), (0., .1), (0., 0.), (1., 1.), (1., np.nan), (np.inf, np.inf))
-found = [probe.Found("a", "in b", b, e, "px", 1., 3.) for b, e in pairs]
+found = [probe.ProbeResult("a", "in b", b, e, "px", 1., 3.) for b, e in pairs]
 [study.told(f) for f in found], [study._row(study.LEDGER[0], f) for f in (found[:4], found[:3],
     found[4:6])]
 told = {"rules": [study._row(r, found[k : k + 2]) for k, r in enumerate(study.LEDGER[:3])], "cpu_s":
@@ -278,6 +279,6 @@ def test_pages_and_refusals(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
         for path in sorted(Path(home.__path__[0]).glob("*.py")):
             if path.stem not in ("__init__", "satsim_worker"):
                 space[path.stem] = importlib.import_module(f"{home.__name__}.{path.stem}")
-        space["Found"] = getattr(space.get("case"), "Found", None)
+        space["CaseResult"] = getattr(space.get("case"), "CaseResult", None)
         told.append(told_lines(script, space))
     check_told("studies/pages", "\n".join(told), folder=tmp_path)

@@ -274,7 +274,8 @@ box.cross_m2, box.area_m2, box.normal, box.radius_m, both, [facets.is_convex(c) 
 [shells.shell_volumes(c, np.zeros(12, int), 1) for c in (corner[faces], corner[faces[:, ::-1]] + 9)]
 [bins.plane_axes(v) for v in (n, s[2], -n)], bins.binned(both.corners_m, bins.plane_axes(s[2]),
     both.area_m2 > 1)
-grey = [intensity.Surface(partial(brdf.lambert, albedo=.4)), intensity.Surface(partial(brdf.phong,
+grey = [intensity.FacetSurface(partial(brdf.lambert, albedo=.4)),
+    intensity.FacetSurface(partial(brdf.phong,
     diffuse=.1, specular=.5, exponent=9.), True, 2)]
 suns, looks = [s[0], s[1], s[2], s[4], unit(a(1, 2, -3)), unit(a(-1, 0, 2e-8))], [n, o, s[2],
     unit(a(3, -1, .5))]
@@ -295,8 +296,8 @@ lamp = lambda k: (unit(np.stack([.3 * np.cos(np.arange(k * k)), .3 * np.sin(np.a
     (0., 9.)], lamps.wide_lamp_intensity(box, grey, lambda k: (-n[None], np.ones(1)), n)
 joints = [None, model.Joint("fixed", n, a(1, 0, 0), s[3], .5), model.Joint("spin", s[2], a(0, 1, 0),
     s[3], .1, 2.), model.Joint("sun", s[3], a(0, 0, 1), n, .2)]
-bodies = [model.MeshModel((model.Part(but(box, convex=False)), model.Part(wing, 0, turn, a(0, 0, 2),
-    j), model.Part(wing, 1, None, None, joints[3])), tuple(grey)) for j in joints]
+bodies = [model.MeshModel((model.RigidPart(but(box, convex=False)), model.RigidPart(wing, 0, turn,
+    a(0, 0, 2), j), model.RigidPart(wing, 1, None, None, joints[3])), tuple(grey)) for j in joints]
 [b.radius_m for b in bodies], model.MeshModel((), ()).radius_m, [model.posed(b, s[2], 3.3).corners_m
     for b in bodies]
 model.tracking_angle(n, s[3], s), model.tracking_angle(n, n, o), model.tracking_angle(s[3], n, s[3])

@@ -18,7 +18,7 @@ import pytest
 from pipeline.errors import BadInput, Damaged, exit_code
 from pipeline.store.cube import open_cube
 from pipeline.store.product import check
-from service.client import Client, JobFailed, NotAccepted, ServiceError
+from service.client import Client, JobFailed, Refused, ServiceError
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_mistakes_come_by_field(client: Client, scene: dict[str, Any], tmp_path:
     scene["sensor"]["shape"] = [0, 64]
     scene["sensr"] = {}
     for ask in (client.submit, client.plan):
-        with pytest.raises(NotAccepted) as error:
+        with pytest.raises(Refused) as error:
             ask(scene)
         assert "sensr: " in str(error.value)
         assert "allowed: " in str(error.value)

@@ -39,7 +39,7 @@ class CoverBuffers(NamedTuple):
 
 
 def room_for(facets):
-    """Work for a mesh of so many facets: each may cover another one twice."""
+    """Buffers for a mesh of so many facets: each may cover another one twice."""
     n = 2 * facets + 2
     return CoverBuffers(
         np.empty((n, CORNERS)),
@@ -130,7 +130,7 @@ def lay_down(flat_m, j, height, shift, floor, work, row):
 def covers(f, view, bins, tilt, shift, room, stamp, work, found):
     """Polygons that cover facet f from one direction, put behind `found` others.
 
-    view : Bins of the observer; bins : those of the direction (the observer's or the Sun's)
+    view : FacetBins of the observer; bins : those of the direction (the observer's or the Sun's)
     tilt : (3,) normal, in the axes of view, of the side of f that is looked at
     shift : as in `lay_down`; stamp : a number of its own for each look
     Returns how many polygons there are now, or -1 where one of them covers all of the facet.

@@ -163,7 +163,11 @@ def lattice(
     field = plain if vanes is None else plain * (1.0 - _blocked(y, x, vanes, cells))
     area = float(field.sum()) / cells**2
     if area < LEAST_OPEN * float(plain.sum()) / cells**2:
-        raise BadInput("sensor.psf.vanes", f"{vanes}", "vanes that leave 5% of the aperture open")
+        raise BadInput(
+            "sensor.psf.vanes",
+            f"{vanes.count} of {vanes.width:g} apertures wide" if vanes else "none",
+            "vanes that leave 5% of the aperture open",
+        )
     w = wavefront(waves, 2.0 * y, 2.0 * x)
     lit = field > 0.0
     steps = [np.abs(np.diff(w, axis=k))[lit.take(range(cells - 1), k)] for k in (0, 1)]
