@@ -56,7 +56,7 @@ def test_same_sum_of_spectra_and_of_neighbouring_bands(first, second, factor, sp
 
 
 def test_against_ab_closed_form_for_a_box():
-    # PHYSICS b: 3631 Jy / h = 5.4798e10 photons/s/m2 per unit of ln(wavelength).
+    # 3631 Jy / h = 5.4798e10 photons/s/m2 per unit of ln(wavelength).
     for short, long in ((400, 900), (550, 551), (300, 2500)):
         rate = rm.ab_photon_rate(0.0, rm.box(short * 1e-9, long * 1e-9))
         assert rate == pytest.approx(5.4798e10 * math.log(long / short), rel=2e-5)

@@ -284,7 +284,7 @@ def test_cones_hold_stars_that_the_sun_has_moved_into_them(scene: Make, side: fl
 
 
 def airy_pixel(dx: float, dy: float, q: float, eps: float) -> float:
-    """Light of an obscured Airy pattern in a pixel (PHYSICS section e), by Gauss-Legendre."""
+    """Light of an obscured Airy pattern in a pixel, by Gauss-Legendre."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     at = ((np.arange(8)[:, None] + 0.5 + nodes / 2) / 8).ravel() - 0.5
     w = np.tile(weights / 16, 8)

@@ -77,7 +77,7 @@ def test_limits_a0v_is_zero_and_scaled_to_g(real):
         i = points.names.index("A0V")
         assert points.bp_rp[i] == points.band_minus_g[i] == 0.0
         assert colour_fit.fit_band(points, "b").coefficients[0] == 0.0
-    # PHYSICS f: an A0V star of G = 15 has F(5556 A) = 3.587e-15 erg/s/cm2/A, with the revised
+    # an A0V star of G = 15 has F(5556 A) = 3.587e-15 erg/s/cm2/A, with the revised
     # zero point; with the one of the published magnitudes it is 0.28% fainter.
     library, _ = curves.stellar_library()
     _, wavelength, flux = next(star for star in library if star[0] == "A0V")

@@ -134,7 +134,7 @@ def test_against_published_gaia_passbands(shared_data):
         got = np.interp(table_nm[:, 0] * 1e-9, curve.wavelength_m, curve.value, left=0, right=0)
         # speclite ends G at 1090 nm; the published 0.002 beyond that is left out there.
         assert np.max(np.abs(got - expected)[table_nm[:, 0] < 1090.0]) < 1e-6
-    # PHYSICS f: AB zero points worked out from these bands, pupil 0.7278 m2.
+    # AB zero points worked out from these bands, pupil 0.7278 m2.
     for band, zero in (("G", 25.7889), ("BP", 25.3830), ("RP", 25.1134)):
         rate = ab_photon_rate(0.0, curves.named_filter(f"gaiadr2-{band}"))
         assert 2.5 * np.log10(rate * 0.7278) == pytest.approx(zero, abs=2e-4)
@@ -171,11 +171,11 @@ def test_against_the_sun(real):
     ):
         ratio = photon_integral(wavelength, irradiance, v) / photon_integral(vega_m, vega_flux, v)
         sun_v[name] = 0.03 - 2.5 * np.log10(ratio)
-    # The -26.755 of PHYSICS b counts photons with Bessell's energy responses; by 0.011 too bright.
+    # The usual -26.755 counts photons with Bessell's energy responses; by 0.011 too bright.
     assert sun_v["as tabulated"] == pytest.approx(-26.755, abs=0.001)
     assert sun_v["photon"] == pytest.approx(sun_v["stsci"], abs=0.001)
     assert sun_v["photon"] == pytest.approx(-26.76, abs=0.03)
-    # Vega's own zero points in the DR2 bands (PHYSICS f).
+    # Vega's own zero points in the DR2 bands.
     for name, zero in (("G", 25.6594), ("BP", 25.3122), ("RP", 24.7384)):
         rate = photon_integral(vega_m, vega_flux, curves.named_filter(f"gaiadr2-{name}"))
         assert 2.5 * np.log10(rate * 0.7278) == pytest.approx(zero, abs=2e-4)

@@ -28,7 +28,7 @@ REACH_PX = 700.0
 
 
 def airy_intensity(r_px: np.ndarray, q_px: float, eps: float) -> np.ndarray:
-    """Obscured Airy pattern per unit total flux (PHYSICS section e), per px^2."""
+    """Obscured Airy pattern per unit total flux, per px^2."""
     x = np.pi * np.maximum(r_px, 1e-9) / q_px
     inner = eps * 2.0 * j1(eps * x) / x if eps else 0.0
     return np.pi / (4.0 * q_px**2 * (1.0 - eps**2)) * (2.0 * j1(x) / x - inner) ** 2

@@ -69,7 +69,7 @@ def test_limits_day_side_umbra_and_annular() -> None:
 
 
 def test_limits_grazing_follows_the_power_law() -> None:
-    """Lost fraction (4 sqrt2/3 pi) x^1.5 sqrt(b/(a+b)), x the depth in solar radii (PHYSICS c)."""
+    """Lost fraction (4 sqrt2/3 pi) x^1.5 sqrt(b/(a+b)), x the depth in solar radii."""
     target = place(GEO, 0.0)[0]
     a = np.arcsin(SUN_RADIUS_M / np.linalg.norm(SUN - target))
     b = np.arcsin(EARTH_EQUATORIAL_RADIUS_M / GEO)
@@ -101,7 +101,7 @@ def test_limits_never_outside_zero_to_one(radius: float, angle: float, around: f
 
 
 def test_known_durations_of_the_penumbra() -> None:
-    """GEO about 2 minutes, LEO 8 to 10 s (PHYSICS c)."""
+    """GEO about 2 minutes, LEO 8 to 10 s."""
     for radius, rate, low, high in ((GEO, 7.292e-5, 120, 135), (LEO, 1.107e-3, 7.5, 10)):
         lo, hi = contact_angles(radius)
         angles = np.linspace(lo - 0.002, hi + 0.002, 20_001)
