@@ -30,52 +30,15 @@ _J = np.array(
 )
 # Nominal densities (Vallado 2013, table 8-4: US Standard Atmosphere 1976 and CIRA-72 with an
 # exospheric temperature of 1000 K), joined by exponentials; the scale height above is 268 km.
-_HEIGHT_KM = np.array(
-    [
-        100.0,
-        110.0,
-        120.0,
-        130.0,
-        140.0,
-        150.0,
-        180.0,
-        200.0,
-        250.0,
-        300.0,
-        350.0,
-        400.0,
-        450.0,
-        500.0,
-        600.0,
-        700.0,
-        800.0,
-        900.0,
-        1000.0,
-    ]
-)
-_LOG_DENSITY = np.log(
-    [
-        5.297e-7,
-        9.661e-8,
-        2.438e-8,
-        8.484e-9,
-        3.845e-9,
-        2.070e-9,
-        5.464e-10,
-        2.789e-10,
-        7.248e-11,
-        2.418e-11,
-        9.518e-12,
-        3.725e-12,
-        1.585e-12,
-        6.967e-13,
-        1.454e-13,
-        3.614e-14,
-        1.170e-14,
-        5.245e-15,
-        3.019e-15,
-    ]
-)
+_HEIGHT_KM = np.array([
+    100.0, 110.0, 120.0, 130.0, 140.0, 150.0, 180.0, 200.0, 250.0, 300.0,
+    350.0, 400.0, 450.0, 500.0, 600.0, 700.0, 800.0, 900.0, 1000.0,
+])  # fmt: skip
+_LOG_DENSITY = np.log([
+    5.297e-7, 9.661e-8, 2.438e-8, 8.484e-9, 3.845e-9, 2.070e-9, 5.464e-10, 2.789e-10, 7.248e-11,
+    2.418e-11, 9.518e-12, 3.725e-12, 1.585e-12, 6.967e-13, 1.454e-13, 3.614e-14, 1.170e-14,
+    5.245e-15, 3.019e-15,
+])  # fmt: skip
 _SCALE_ABOVE_KM = 268.0
 _SUNLIGHT_N_M2 = SOLAR_CONSTANT_W_M2 / SPEED_OF_LIGHT_M_S
 
@@ -129,18 +92,9 @@ def acceleration(
     lit : the part of the Sun that is seen, where it is known
     """
     return _acceleration(
-        state,
-        pole,
-        sun_m,
-        moon_m,
-        forces.zonals,
-        forces.drag_m2_kg,
-        forces.radiation_m2_kg,
-        forces.conical,
-        forces.sun,
-        forces.moon,
-        -1.0 if lit is None else lit,
-    )
+        state, pole, sun_m, moon_m, forces.zonals, forces.drag_m2_kg, forces.radiation_m2_kg,
+        forces.conical, forces.sun, forces.moon, -1.0 if lit is None else lit,
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
