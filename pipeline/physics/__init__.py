@@ -1,1 +1,7 @@
 """Physics as pure functions on arrays; rooms do not know each other."""
+
+from pathlib import Path
+
+from pipeline.compiled import forget_stale
+
+forget_stale(Path(__file__).parent)

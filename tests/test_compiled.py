@@ -1,0 +1,70 @@
+"""Kept kernels: one whose callee in another file has changed is compiled again."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from pipeline.compiled import forget_stale
+
+CALLEE = """from numba import njit
+@njit(cache=True)
+def callee(x):
+    return x + {}
+"""
+CALLER = """from numba import njit
+from kernels.inner.callee import callee
+@njit(cache=True)
+def caller(x):
+    return 10.0 * callee(x)
+"""
+CODE = """import sys
+from pathlib import Path
+from pipeline.compiled import forget_stale
+forget_stale(Path("kernels"))
+from kernels.caller import caller
+print(caller(1.0), len(caller.stats.cache_hits))
+"""
+
+
+def told(folder: Path) -> str:
+    """What the kernel gives in a process of its own, and how many it took from the disk."""
+    path = os.pathsep.join([str(folder), str(Path(__file__).parents[1])])
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", CODE], cwd=folder, env=environment | {"PYTHONPATH": path},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return done.stdout.strip()
+
+
+def test_a_changed_callee_is_compiled_into_its_callers(tmp_path: Path) -> None:
+    inner = tmp_path / "kernels" / "inner"
+    inner.mkdir(parents=True)
+    (inner / "callee.py").write_text(CALLEE.format("1.0"))
+    (inner.parent / "caller.py").write_text(CALLER)
+    assert told(tmp_path) == "20.0 0"
+    assert told(tmp_path) == "20.0 1"  # kept
+    time.sleep(0.05)
+    (inner / "callee.py").write_text(CALLEE.format("2.0"))
+    assert told(tmp_path) == "30.0 0"
+    assert told(tmp_path) == "30.0 1"
+
+
+def test_sources_of_the_future_do_not_count(tmp_path: Path) -> None:
+    """Else every process would compile everything."""
+    (tmp_path / "__pycache__").mkdir()
+    kept, source = tmp_path / "__pycache__" / "a.nbi", tmp_path / "a.py"
+    source.touch()
+    time.sleep(0.05)
+    kept.touch()
+    os.utime(source, (time.time() + 3600.0,) * 2)
+    forget_stale(tmp_path)
+    assert kept.exists()
+    os.utime(kept, (1.0, 1.0))
+    (tmp_path / "b.py").touch()
+    forget_stale(tmp_path)
+    assert not kept.exists()
