@@ -109,8 +109,8 @@ def join(product: Path | str, scene: Path | None = None, wait_s: float = 0.0) ->
     place = place_for(product)
     place.reached("PRODUCT")
     with place.explained():
-        stored = place.scene()
-        prepared = prepare(load_scene(scene) if scene else stored)
+        place.check_begun()
+        prepared = prepare(load_scene(scene) if scene else place.scene())
         return _joined(place, prepared, NOT_DRAWN, wait_s)
 
 

@@ -66,10 +66,12 @@ class Bucket(Place):
     def present(self, plan: Plan) -> tuple[set[tuple[int, int, int]], set[tuple[str, int]]]:
         return remote.present(self._objects, plan)
 
-    def scene(self) -> Scene:
-        content = self._objects.get(layout.SCENE)
-        if content is None:
+    def check_begun(self) -> None:
+        if layout.SCENE not in self._objects.names(layout.SCENE):
             raise BadInput("PRODUCT", self.name, "a product begun by `nightglass render`")
+
+    def scene(self) -> Scene:
+        content = self._objects.get(layout.SCENE) or b""
         return parse_scene(parse_text(content, f"{self.name}/{layout.SCENE}"))
 
     def verdict(self) -> Verdict:

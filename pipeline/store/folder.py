@@ -62,9 +62,11 @@ class Folder(Place):
         there = {part for part in parts if part_path(self.path, *part).is_file()}
         return {place_of(marker) for marker in markers_present(self.path)}, there
 
-    def scene(self) -> Scene:
+    def check_begun(self) -> None:
         if not is_begun(self.path):
             raise BadInput("PRODUCT", self.name, "a product that parts were rendered into")
+
+    def scene(self) -> Scene:
         return load_scene(self.path / layout.SCENE)
 
     def verdict(self) -> Verdict:

@@ -101,8 +101,12 @@ class Place(ABC):
         """Places of the tiles and of the parts of truth that are there."""
 
     @abstractmethod
+    def check_begun(self) -> None:
+        """Raise BadInput where no product was begun."""
+
+    @abstractmethod
     def scene(self) -> Scene:
-        """The scene of the product. Raises BadInput where none was begun."""
+        """The scene of the product, which was begun."""
 
     @abstractmethod
     def verdict(self) -> Verdict:
