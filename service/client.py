@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any
 import httpx
 
 from pipeline.errors import NOT_NOW, BadInput, NightglassError
-from service.answers import ServiceError, problem_of
+from service.answers import Refused, ServiceError, problem_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
     import xarray as xr
+
+__all__ = ["Client", "JobFailed", "Refused", "RemoteJob", "ServiceError"]
 
 KEY_VARIABLE = "NIGHTGLASS_KEY"
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
