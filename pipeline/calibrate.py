@@ -13,6 +13,7 @@ from catalog_tools.storage.durable import full_disk_told
 from pipeline.arrays import SensorMaps
 from pipeline.errors import BadInput, Damaged
 from pipeline.execute.detector import tile_chain
+from pipeline.export.files import layers_of
 from pipeline.export.picture import frame_picture, png_bytes
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.physics.noise.calibration import calibrated_e
@@ -65,7 +66,7 @@ def _write(
     masked = [
         _write_frame(product, writer, scene, maps, frame) for frame in range(frame_count(scene))
     ]
-    layers = {str(n) for n in cube.data_vars if cube[n].dims == ("frame", "y", "x")}
+    layers = set(layers_of(cube))
     coordinates = {
         name: _stored(product, name) for name in sorted(set(map(str, cube.variables)) - layers)
     }

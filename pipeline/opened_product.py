@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from astropy.wcs import WCS
 
 TABLES = ("stars", "targets", "cosmic_rays")
-DIMENSIONS = ("frame", "y", "x")
 
 
 class TruthTables(Mapping[str, Any]):
@@ -137,12 +136,13 @@ class Product:
         from astropy.io.fits import Header
         from astropy.wcs import WCS
 
+        from pipeline.export.files import layers_of
         from pipeline.export.header import fits_header
 
         cube = self.cube
         if frame not in range(cube.sizes["frame"]):
             raise BadInput("frame", frame, f"0 to {cube.sizes['frame'] - 1}")
-        layer = next(str(n) for n in cube.data_vars if cube[n].dims == DIMENSIONS)
+        layer = layers_of(cube)[0]
         cards = fits_header(cube, int(frame), layer)
         wcs = WCS(Header((key, value) for key, value, _ in cards))
         wcs.array_shape = cube[layer].shape[1:]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -122,11 +120,6 @@ def _files() -> Any:
     import s3fs
 
     return s3fs.S3FileSystem(use_listings_cache=False)
-
-
-def is_url(place: str | os.PathLike[str]) -> bool:
-    """Whether a result is to go to a URL, and not to a file system."""
-    return re.match("[A-Za-z][A-Za-z0-9+.-]+:/", os.fspath(place)) is not None
 
 
 def open_objects(url: str, field: str = "-o") -> Objects:

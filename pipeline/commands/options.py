@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator
@@ -13,13 +12,14 @@ from typing import Annotated, Any
 
 import typer
 
+from catalog_tools.storage.urls import is_url
 from pipeline.errors import BadInput, Interrupted
 from pipeline.lines import pair
 
 
 def _no_url(path: Path) -> Path:
     """BadInput for a URL: only products of a scene are written to an object store."""
-    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path)):
+    if is_url(path):
         allowed = "a path of a file system (only `nightglass render` writes to s3://BUCKET/NAME; "
         raise BadInput("-o", str(path).replace(":/", "://", 1), f"{allowed}docs/cluster.md)")
     return path

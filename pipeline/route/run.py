@@ -81,8 +81,7 @@ def render(
     is writing the product.
     """
     options, started = options or Options(), time.perf_counter()
-    place = place_for(product)
-    place.reached("-o")
+    place = place_for(product, "-o")
     with place.explained():
         prepared = prepare(scene)
         summary = summary_of(prepared)
@@ -94,7 +93,7 @@ def render(
                 return writing.report()
             writing.unseal()
             writing.put_plan(layout.to_json(summary))
-            times = _drawn(prepared, writing, options, listen, share, started)
+            times = _drawn(prepared, place, writing, options, listen, share, started)
             if share is None:
                 return _finished(prepared, writing, times)
         return _joined_by_the_last(place, prepared, share, times)
@@ -106,8 +105,7 @@ def join(product: Path | str, scene: Path | None = None, wait_s: float = 0.0) ->
     scene : default the one in the product; wait_s : for whoever writes it now
     Raises Incomplete where tiles are missing, TryLater where a part is still at work.
     """
-    place = place_for(product)
-    place.reached("PRODUCT")
+    place = place_for(product, "PRODUCT")
     with place.explained():
         place.check_begun()
         prepared = prepare(load_scene(scene) if scene else place.scene())
@@ -116,8 +114,7 @@ def join(product: Path | str, scene: Path | None = None, wait_s: float = 0.0) ->
 
 def check(product: Path | str) -> Verdict:
     """Verify a product, in a folder or below an s3 URL: every tile by its marker, every table."""
-    place = place_for(product)
-    place.reached("PRODUCT")
+    place = place_for(product, "PRODUCT")
     with place.explained():
         return place.verdict()
 
@@ -138,6 +135,7 @@ def _claim(prepared: Prepared, options: Options, share: Share | None) -> Claim:
 
 def _drawn(
     prepared: Prepared,
+    place: Place,
     writing: Writing,
     options: Options,
     listen: Listener | None,
@@ -157,7 +155,7 @@ def _drawn(
             draw(prepared, writing.begun, scheduler, heard, share or WHOLE)
             workers = scheduler.workers
     except NightglassError as error:
-        kept = share is not None or writing.has_tiles()
+        kept = share is not None or place.tiles() > 0
         if not kept:
             writing.discard()  # nothing was finished, so nothing is left behind
         raise _how_to_go_on(error, kept, share is None) from None
@@ -189,7 +187,7 @@ def _joined_by_the_last(
     """The product's report where this part was the last, else what is told of the part."""
     plan = prepared.plan
     for left in reversed(range(place.join_tries)):
-        if lacking(plan, *place.present(plan)).tiles:
+        if place.tiles() < WHOLE.tiles(plan):
             break
         try:
             return _joined(place, prepared, times)

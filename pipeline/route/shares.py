@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.errors import BadInput
 from pipeline.plan.scene_plan import Plan
-from pipeline.store.product import truth_kinds
+from pipeline.store.product import truth_parts
 
 MOST_PARTS = 1_000_000
 
@@ -108,10 +108,8 @@ def _first(names: list[Any]) -> str:
 
 def lacking(plan: Plan, tiles: Container[Any], truth: Container[Any]) -> Lacking:
     """What a product lacks that has these tiles and parts of truth."""
-    frames = range(plan.frames)
-    places = ((frame, t.row, t.column) for frame in frames for t in plan.tiles)
-    parts = ((kind, frame) for kind in truth_kinds(plan) for frame in frames)
+    places = ((frame, t.row, t.column) for frame in range(plan.frames) for t in plan.tiles)
     return Lacking(
         frozenset(p for p in places if p not in tiles),
-        frozenset(p for p in parts if p not in truth),
+        frozenset(p for p in truth_parts(plan) if p not in truth),
     )

@@ -12,7 +12,6 @@ from typing import Any
 from catalog_tools.storage.objects import Objects, open_objects
 from catalog_tools.storage.stores import Unreachable
 from pipeline.errors import BadInput, Incomplete
-from pipeline.plan.scene_plan import Plan
 from pipeline.spec.load import parse_scene, parse_text
 from pipeline.spec.scene import Scene
 from pipeline.store import layout, remote
@@ -26,11 +25,10 @@ class Bucket(Place):
 
     join_tries = 10  # of two leases that end together each may have seen the other
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, field_name: str) -> None:
+        """Raises BadInput naming the field where the store can't be asked."""
         self.name = url
-
-    def reached(self, field_name: str) -> None:
-        self._objects = open_objects(self.name, field_name)
+        self._objects = open_objects(url, field_name)
         remote.reached(self._objects, field_name)
 
     @contextmanager
@@ -63,8 +61,8 @@ class Bucket(Place):
             )
             yield BucketWriting(objects, begun, lease, claim.part is not None)
 
-    def present(self, plan: Plan) -> tuple[set[tuple[int, int, int]], set[tuple[str, int]]]:
-        return remote.present(self._objects, plan)
+    def tiles(self) -> int:
+        return len(self._objects.names(f"{layout.MARKERS}/"))
 
     def check_begun(self) -> None:
         if layout.SCENE not in self._objects.names(layout.SCENE):
@@ -102,9 +100,6 @@ class BucketWriting(Writing):
 
     def check(self) -> None:
         self._lease.check()
-
-    def has_tiles(self) -> bool:
-        return bool(self._objects.names(f"{layout.MARKERS}/"))
 
     def discard(self) -> None:
         if not self._lease.lost:

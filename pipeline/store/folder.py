@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import BadInput
-from pipeline.plan.scene_plan import Plan
 from pipeline.spec.load import load_scene
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
-from pipeline.store.markers import markers_present, place_of
+from pipeline.store.markers import markers_present
 from pipeline.store.place import Claim, Place, Writing
 from pipeline.store.product import (
     Begun,
@@ -24,9 +23,7 @@ from pipeline.store.product import (
     is_begun,
     is_sealed,
     make_together,
-    truth_kinds,
 )
-from pipeline.store.truth import part_path
 
 
 class Folder(Place):
@@ -36,9 +33,6 @@ class Folder(Place):
 
     def __init__(self, path: Path) -> None:
         self.path, self.name = path, str(path)
-
-    def reached(self, field_name: str) -> None:
-        """Nothing to do: making the folder tells."""
 
     def explained(self) -> AbstractContextManager[None]:
         return layout.full_disk(self.path)
@@ -57,10 +51,8 @@ class Folder(Place):
             begun = begin(self.path, plan, digest, True, claim.mine)
             yield FolderWriting(begun, claim.part is not None)
 
-    def present(self, plan: Plan) -> tuple[set[tuple[int, int, int]], set[tuple[str, int]]]:
-        parts = ((kind, frame) for kind in truth_kinds(plan) for frame in range(plan.frames))
-        there = {part for part in parts if part_path(self.path, *part).is_file()}
-        return {place_of(marker) for marker in markers_present(self.path)}, there
+    def tiles(self) -> int:
+        return sum(1 for _ in markers_present(self.path))
 
     def check_begun(self) -> None:
         if not is_begun(self.path):
@@ -104,9 +96,6 @@ class FolderWriting(Writing):
 
     def check(self) -> None:
         """A lock of the machine is not lost."""
-
-    def has_tiles(self) -> bool:
-        return any(markers_present(self.begun.path))
 
     def discard(self) -> None:
         shutil.rmtree(self.begun.path)

@@ -58,10 +58,6 @@ class Writing(ABC):
         """Raise Incomplete where it is held no longer."""
 
     @abstractmethod
-    def has_tiles(self) -> bool:
-        """Whether any tile is finished."""
-
-    @abstractmethod
     def discard(self) -> None:
         """Remove the product, of which nothing was finished."""
 
@@ -81,10 +77,6 @@ class Place(ABC):
     join_tries: int  # by the last part, while others are closing
 
     @abstractmethod
-    def reached(self, field_name: str) -> None:
-        """Raise BadInput naming the field where the place can't be asked."""
-
-    @abstractmethod
     def explained(self) -> AbstractContextManager[None]:
         """Faults of the place itself become DiskFull or Incomplete, and name the product."""
 
@@ -97,8 +89,8 @@ class Place(ABC):
         """
 
     @abstractmethod
-    def present(self, plan: Plan) -> tuple[set[tuple[int, int, int]], set[tuple[str, int]]]:
-        """Places of the tiles and of the parts of truth that are there."""
+    def tiles(self) -> int:
+        """How many tiles are finished, whoever drew them; not verified."""
 
     @abstractmethod
     def check_begun(self) -> None:

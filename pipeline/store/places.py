@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
+from catalog_tools.storage.urls import is_url
 from pipeline.store.folder import Folder
 from pipeline.store.place import Place
 
 
-def place_for(product: Path | str) -> Place:
-    """The place of a product: a folder, or an s3 URL, which alone imports an object store."""
-    if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(product)):
+def place_for(product: Path | str, field_name: str) -> Place:
+    """The place of a product: a folder, or an s3 URL, which alone imports an object store.
+
+    Raises BadInput naming the field for a URL that can't be used or asked.
+    """
+    if is_url(product):
         from pipeline.store.bucket import Bucket
 
-        return Bucket(str(product))
+        return Bucket(str(product), field_name)
     return Folder(Path(product))

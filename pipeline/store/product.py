@@ -136,12 +136,7 @@ def _take_up(
         else:
             faults.append(fault)
             marker.unlink()
-    truth = {
-        (kind, frame)
-        for kind in truth_kinds(plan)
-        for frame in range(plan.frames)
-        if part_is_whole(path, kind, frame)
-    }
+    truth = {part for part in truth_parts(plan) if part_is_whole(path, *part)}
     return Begun(path, _writer(path, plan), frozenset(done), frozenset(truth), tuple(faults))
 
 
@@ -246,6 +241,11 @@ def truth_kinds(plan: Plan) -> tuple[str, ...]:
         ("cosmic_rays", plan.scene.cosmic_rays is not None),
     )
     return tuple(name for name, present in kinds if present)
+
+
+def truth_parts(plan: Plan) -> Iterator[tuple[str, int]]:
+    """Kind and frame of every part that its truth tables are joined from."""
+    return ((kind, frame) for kind in truth_kinds(plan) for frame in range(plan.frames))
 
 
 def scene_digest(plan: Plan) -> str:

@@ -35,7 +35,7 @@ from pipeline.store.product import (
     has_marker,
     identity_in,
     identity_of,
-    truth_kinds,
+    truth_parts,
 )
 from pipeline.store.truth import is_whole, part_content, part_path
 
@@ -137,11 +137,7 @@ def _judged(objects: Objects, markers: dict[str, bytes]) -> Iterator[tuple[str, 
 
 
 def _truth_done(objects: Objects, plan: Plan, there: dict[str, Listed]) -> set[tuple[str, int]]:
-    names = {
-        _part_name(kind, frame): (kind, frame)
-        for kind in truth_kinds(plan)
-        for frame in range(plan.frames)
-    }
+    names = {_part_name(*part): part for part in truth_parts(plan)}
     parts = objects.get_many(name for name in names if name in there)
     return {names[name] for name, content in parts if is_whole(content)}
 
@@ -201,14 +197,6 @@ def check_remote(objects: Objects, stage: Path) -> Verdict:
     verdict = check(stage, lambda _, path: found[f"{layout.MARKERS}/{path.name}"])
     verdict.path = objects.url
     return verdict
-
-
-def present(objects: Objects, plan: Plan) -> tuple[set[tuple[int, int, int]], set[tuple[str, int]]]:
-    """Places of the tiles and of the truth parts that are there."""
-    names = objects.names()
-    tiles = {place_of(HERE / n) for n in names if n.startswith(f"{layout.MARKERS}/")}
-    parts = ((kind, frame) for kind in truth_kinds(plan) for frame in range(plan.frames))
-    return tiles, {part for part in parts if _part_name(*part) in names}
 
 
 def reached(objects: Objects, field_name: str) -> None:

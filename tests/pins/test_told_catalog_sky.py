@@ -406,7 +406,7 @@ for x in [TimeoutError(), PermissionError("no"), ConnectionError("c"), KeyError(
   stores.reason_of(x), stores._is_transient(x)
 for x in ["s3://b/a/", "s3://b", "s3://u@b/a", "s3://b/a?x", "http://b/a", "s3://b/../a",
   "s3://b/a*", "s3://["]: objects.open_objects(x)
-[objects.is_url(x) for x in ("s3://b/a", "a/b", "c:/x", "s3:/x")]
+[urls.is_url(x) for x in ("s3://b/a", "a/b", "c:/x", "s3:/x")]
 for x in [["ra"], ["source_id", "pmra", "phot_g_mean_mag"]]:
   parquet_footer.footer([columns.STORED.field(n) for n in x], 300, [4, *range(200, 9999, 4000)][:
   len(x) + 1]).hex()
