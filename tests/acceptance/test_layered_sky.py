@@ -241,7 +241,7 @@ def test_same_bits_for_every_cut_of_the_catalogue(folders, reference, tmp_path):
 @pytest.mark.slow
 def test_same_bits_window_by_window(layered, reference, tmp_path, monkeypatch):
     """A window reads the row groups of its own frames."""
-    for module in ("prepare", "run"):
+    for module in ("prepare", "draw"):
         monkeypatch.setattr(f"pipeline.route.{module}.TASKS_PER_WINDOW", 1)
     assert_same(tmp_path / "run", render(layered(), tmp_path / "run"), reference)
 
