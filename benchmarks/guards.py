@@ -84,6 +84,7 @@ def _plan(side: int) -> Any:
     from pipeline.physics.radiometry import box
     from pipeline.plan.facts import gather_facts
     from pipeline.plan.pointing.geometry import plan_geometry
+    from pipeline.plan.resolved import resolved_scene
     from pipeline.plan.scene_plan import make_plan
     from pipeline.spec.load import parse_scene
 
@@ -100,7 +101,8 @@ def _plan(side: int) -> Any:
         "background": {"uniform_e_per_s": 50.0}, "accuracy": {"check_cells": 0},
     })  # fmt: skip
     facts = gather_facts(scene, box(600e-9, 700e-9), 0.1, 5.0, 1.5)
-    return make_plan(scene, facts, plan_geometry(scene, np.zeros(1, int), 0.0), None, 0.0, (), 0.0)
+    g = plan_geometry(scene, np.zeros(1, int), 0.0)
+    return make_plan(resolved_scene(scene, facts, g), g)
 
 
 def main() -> None:

@@ -270,7 +270,7 @@ def color_fit(
     """Show the colour correction from Gaia G to the sensor's band, with its residuals."""
     from pipeline.inputs.band.colour_fit import describe, gather_colour_points
     from pipeline.inputs.band.colour_fit_files import colour_fit_of, write_colour_fit
-    from pipeline.route.prepare import gather_response
+    from pipeline.inputs.band.response import gather_response
     from pipeline.spec.load import load_scene
 
     loaded = load_scene(scene, set_ or [])
@@ -300,12 +300,13 @@ def light_curve(
     plot: Annotated[Path | None, typer.Option(help="also a plot, PNG")] = None,
 ) -> None:
     """Magnitude, phase angle, range and eclipse of a target against time, as Parquet."""
+    from pipeline.inputs.band.response import gather_response
     from pipeline.light_curve import light_curve as follow
     from pipeline.light_curve import write_light_curve
-    from pipeline.route.prepare import gather_response, resolve
+    from pipeline.resolve.files import read_files
     from pipeline.spec.load import load_scene
 
-    loaded = resolve(load_scene(scene, set_ or []))
+    loaded = read_files(load_scene(scene, set_ or []))
     curve = follow(loaded, target, gather_response(loaded)[0], start, stop, points)
     write_light_curve(curve, target, output, plot)
     print(output if plot is None else f"{output} and {plot}")

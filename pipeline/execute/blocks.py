@@ -34,8 +34,8 @@ from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
 from pipeline.physics.motion.streak import Path, within
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.accuracy import UNSEEN, crowd_error_e
+from pipeline.plan.plan import Plan
 from pipeline.plan.response.streaks import Streak
-from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up
 
 Spectrum = NDArray[np.complex128]

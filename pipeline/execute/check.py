@@ -40,8 +40,8 @@ from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import Core
 from pipeline.plan.checks import FINE_KERNELS, CheckCell, fine_ends
 from pipeline.plan.optics.optics import LARGEST_CORE_SAMPLES
+from pipeline.plan.plan import Plan
 from pipeline.plan.response.own_paths import EXACT_MERGE_PX, paths_through, star_offsets
-from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import CELL_PX
 

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.arrays import Geometry
 from pipeline.execute.truth import world_of
 from pipeline.physics.positions.focal_plane import fit_wcs
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.plan.timing import dwell_of, dwell_plans, frame_times
 from pipeline.store.clock import utc_microseconds
 

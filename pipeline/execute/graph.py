@@ -17,8 +17,9 @@ from pipeline.execute.truth import star_truth, target_truth
 from pipeline.inputs.stars.stars import Catalogue, Shard, gather_leaf, leaf_pad_rad
 from pipeline.physics.positions.focal_plane import deproject, stretch
 from pipeline.physics.vectors import separation
+from pipeline.plan.cones import catalogue_cones
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import epochs_jyear, observer_distances_au
-from pipeline.plan.scene_plan import Plan, catalogue_cones
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.store.cube import CubeWriter
 

@@ -13,8 +13,8 @@ from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.vectors import separation
 from pipeline.plan.accuracy import part_sigma
+from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.responses import table_error
-from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 
 NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, beyond it is a fault
@@ -48,7 +48,12 @@ def guard_stars(g: Geometry, tile: Tile, stars: FrameStars) -> None:
 
 
 def guard_places(
-    plan: Plan, attitude: Array, x_px: Array, y_px: Array, direction: Array, names: list[str]
+    plan: ResolvedScene,
+    attitude: Array,
+    x_px: Array,
+    y_px: Array,
+    direction: Array,
+    names: list[str],
 ) -> None:
     """Raise where a source's pixel (n,) is not where its observed direction (n, 3) is seen.
 
@@ -67,7 +72,7 @@ def guard_places(
         )
 
 
-def guard_brightness(plan: Plan, x_px: float, y_px: float, light_e: float) -> None:
+def guard_brightness(plan: ResolvedScene, x_px: float, y_px: float, light_e: float) -> None:
     """Refuse a source of which the very rounding of a pixel would show in its noise."""
     most_e = (part_sigma(plan.scene) / RELATIVE) ** 2
     if light_e > most_e:
@@ -81,7 +86,7 @@ def guard_brightness(plan: Plan, x_px: float, y_px: float, light_e: float) -> No
 
 
 def guard_light(
-    plan: Plan,
+    plan: ResolvedScene,
     g: Geometry,
     tile: Tile,
     layer: str,
@@ -122,7 +127,9 @@ def _collected_range(blurs: tuple[Blur, ...]) -> tuple[float, float]:
     return min(low for low, _ in ranges), max(high for _, high in ranges)
 
 
-def inside_tile(plan: Plan, tile: Tile, x_px: Array, y_px: Array, sweep_px: float) -> np.ndarray:
+def inside_tile(
+    plan: ResolvedScene, tile: Tile, x_px: Array, y_px: Array, sweep_px: float
+) -> np.ndarray:
     """Which places (n,) are so far inside a tile that their light stays in it."""
     margin = plan.responses.reach_px + sweep_px + 2.0
     x0, y0 = tile.x0 + margin, tile.y0 + margin
@@ -131,7 +138,7 @@ def inside_tile(plan: Plan, tile: Tile, x_px: Array, y_px: Array, sweep_px: floa
 
 
 def guard_mean(
-    plan: Plan,
+    plan: ResolvedScene,
     g: Geometry,
     tile: Tile,
     mean_e: Array,

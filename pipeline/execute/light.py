@@ -29,9 +29,9 @@ from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Box, Path, pieces
 from pipeline.physics.psf.response import stamp_at
+from pipeline.plan.plan import Plan
 from pipeline.plan.response.own_paths import own_paths
 from pipeline.plan.response.streaks import Streak
-from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, overlap
 
 

@@ -11,8 +11,8 @@ from pipeline.arrays import Geometry
 from pipeline.execute.sources import place_targets, streaks
 from pipeline.execute.truth import matched_snr, target_magnitudes
 from pipeline.physics.motion.streak import POINT
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.scene_plan import Plan
 
 SNR_AT_LIMIT = 5.0
 LOOKED_AT = 8  # frames, evenly through the scene

@@ -22,10 +22,10 @@ from pipeline.plan.optics.pupil import pupil_along, pupil_fraction
 from pipeline.plan.pointing.air import path_transmission, star_transmission
 from pipeline.plan.pointing.occultation import seen_fraction, stars_clear, visible_path
 from pipeline.plan.pointing.star_paths import excursions_px, rolled_stars
+from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.own_paths import star_offsets
 from pipeline.plan.response.responses import point_curvature, point_slope
 from pipeline.plan.response.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
-from pipeline.plan.scene_plan import Plan
 from pipeline.spec.targets.body import SphereBody
 from pipeline.spec.targets.mesh import MeshBody
 
@@ -50,7 +50,7 @@ class FrameTarget:
 
 
 def place_stars(
-    plan: Plan, stars: StarTable, g: Geometry, ref_epoch_jyear: float, catalogue: int = 0
+    plan: ResolvedScene, stars: StarTable, g: Geometry, ref_epoch_jyear: float, catalogue: int = 0
 ) -> FrameStars:
     """Stars of a table that send light onto the focal plane in the frame of `g` (one frame).
 
@@ -115,14 +115,14 @@ def whole_stars(stars: FrameStars) -> FrameStars:
     return stars if seen.all() else select(stars, seen)
 
 
-def setting_stars(plan: Plan, g: Geometry, stars: FrameStars) -> list[FrameTarget]:
+def setting_stars(plan: ResolvedScene, g: Geometry, stars: FrameStars) -> list[FrameTarget]:
     """The stars that the Earth hides for a part of the one exposure of `g`: points like targets,
     each with its own path, where it is seen. Their index is that among `stars`."""
     which = np.flatnonzero((stars.visible_fraction > 0.0) & (stars.visible_fraction < 1.0))
     return [_setting_star(plan, g, stars, int(i)) for i in which]
 
 
-def _setting_star(plan: Plan, g: Geometry, stars: FrameStars, index: int) -> FrameTarget:
+def _setting_star(plan: ResolvedScene, g: Geometry, stars: FrameStars, index: int) -> FrameTarget:
     """One of them, worked out alone, so that it is the same whatever others a tile sees."""
     effects, middle = plan.scene.star_effects, g.middle
     observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
@@ -142,7 +142,7 @@ def _setting_star(plan: Plan, g: Geometry, stars: FrameStars, index: int) -> Fra
 
 
 def guard_some(
-    plan: Plan, g: Geometry, x_px: Array, y_px: Array, observed: Array, source_id: Array
+    plan: ResolvedScene, g: Geometry, x_px: Array, y_px: Array, observed: Array, source_id: Array
 ) -> None:
     """Look at the places of a few of the stars that stand on the frame.
 
@@ -183,7 +183,7 @@ def truth_order(stars: FrameStars) -> FrameStars:
     return select(stars, np.lexsort((stars.catalogue, stars.source_id)))
 
 
-def excursion_px(plan: Plan, g: Geometry) -> float:
+def excursion_px(plan: ResolvedScene, g: Geometry) -> float:
     """Farthest that a star of one frame moves from its place at mid-exposure, in whole 16 px."""
     return float(excursions_px(plan.camera, g, plan.scene.star_effects["aberration"])[0])
 
@@ -199,7 +199,7 @@ def distance_px(x_px: Array, y_px: Array, y0: int, x0: int, rows: int, columns: 
     return np.hypot(dx, dy)
 
 
-def streaks(plan: Plan, g: Geometry) -> list[Streak]:
+def streaks(plan: ResolvedScene, g: Geometry) -> list[Streak]:
     """The common streak of each zone, row by row."""
     streaks = plan.responses.streaks
     aberration = plan.scene.star_effects["aberration"]
@@ -210,7 +210,7 @@ def streaks(plan: Plan, g: Geometry) -> list[Streak]:
     ]
 
 
-def zone_of(plan: Plan, x_px: Array, y_px: Array) -> np.ndarray:
+def zone_of(plan: ResolvedScene, x_px: Array, y_px: Array) -> np.ndarray:
     """Zone number (n,) of places; those off the frame belong to the nearest zone."""
     zones = plan.responses.streaks.zones
     row = np.clip(np.floor((y_px + 0.5) * zones / plan.camera.rows), 0, zones - 1)
@@ -218,7 +218,7 @@ def zone_of(plan: Plan, x_px: Array, y_px: Array) -> np.ndarray:
     return (row * zones + column).astype(np.int64)
 
 
-def place_targets(plan: Plan, g: Geometry, everywhere: bool = False) -> list[FrameTarget]:
+def place_targets(plan: ResolvedScene, g: Geometry, everywhere: bool = False) -> list[FrameTarget]:
     """Targets that are in front of the camera and lit, with their light [e-] along their path.
 
     One that is behind the camera for a part of the exposure sends light in the rest of it alone.
@@ -272,7 +272,7 @@ def _nearest(seen: np.ndarray) -> np.ndarray:
     return np.where(nearer, index[before], index[after])
 
 
-def reaching(plan: Plan, g: Geometry) -> list[int]:
+def reaching(plan: ResolvedScene, g: Geometry) -> list[int]:
     """Targets whose path, with all that may be drawn around it, touches the frame."""
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
     size = np.array([_radius_m(t.body) for t in plan.scene.targets])
@@ -286,7 +286,7 @@ def reaching(plan: Plan, g: Geometry) -> list[int]:
     return [int(i) for i in np.flatnonzero(inside) if _comes_by(plan, x[i], y[i], float(margin[i]))]
 
 
-def _comes_by(plan: Plan, x: Array, y: Array, margin_px: float) -> bool:
+def _comes_by(plan: ResolvedScene, x: Array, y: Array, margin_px: float) -> bool:
     """Whether a path through places (K,), NaN where it is behind the camera, touches the frame
     and a margin around it."""
     box = (-margin_px, plan.camera.columns + margin_px, -margin_px, plan.camera.rows + margin_px)
@@ -303,7 +303,7 @@ def _radius_m(body: Any) -> float:
     return float(body.model.radius_m) if isinstance(body, MeshBody) else 0.0
 
 
-def _mesh_seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
+def _mesh_seen(plan: ResolvedScene, g: Geometry, target: FrameTarget) -> FrameTarget:
     """A mesh as a point at the centre of its light, or with its picture where that errs too much.
 
     The picture is that of mid-exposure.
@@ -330,7 +330,7 @@ def _mesh_seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
     return replace(target, x_px=x, y_px=y, radius_px=radius)
 
 
-def _seen(plan: Plan, g: Geometry, target: FrameTarget) -> FrameTarget:
+def _seen(plan: ResolvedScene, g: Geometry, target: FrameTarget) -> FrameTarget:
     """The target as a point where its light is, or with its disc where that shows.
 
     The disc and its lit side are those of mid-exposure.

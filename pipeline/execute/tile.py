@@ -22,7 +22,7 @@ from pipeline.execute.detector import (
 from pipeline.execute.guards import guard_mean
 from pipeline.execute.light import draw_stars, draw_targets
 from pipeline.physics.noise.chain import Chain, to_dn
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 
 if TYPE_CHECKING:

@@ -26,8 +26,8 @@ from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import stamp_at
 from pipeline.physics.vectors import to_angles
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.occultation import hidden_by, targets_seen
-from pipeline.plan.scene_plan import Plan
 
 Columns = dict[str, Any]
 

@@ -14,7 +14,7 @@ from pipeline.store.layout import PREVIEW, TRUTH, write_atomically
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from pipeline.plan.scene_plan import Plan
+    from pipeline.plan.plan import Plan
 
 LARGEST_SIDE_PX = 1024
 GREEN, CYAN = (80, 255, 120), (80, 220, 255)

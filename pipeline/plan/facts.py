@@ -74,6 +74,7 @@ def gather_facts(
     gain_e_per_dn: float,
     table: Sampled | tuple[Sampled | None, ...] | None = None,
     brightest_e: float = 0.0,
+    flat: float = 1.0,
 ) -> Facts:
     """Facts from the scene, its response curve and the typical values of its sensor maps.
 
@@ -82,6 +83,7 @@ def gather_facts(
     table : the point-spread function that the scene names as a table, read; of a field, one for
         each of its places, row by row (None for those that are no table)
     brightest_e : light of the brightest source in the longest exposure, as far as it is known
+    flat : typical response to light (median)
     """
     s, t = scene.sensor, integration_range_s(scene)[0]
     pitch = s.pixel_pitch_um * 1e-6
@@ -124,6 +126,7 @@ def gather_facts(
         budget_e=error_budget_e(scene, sigma),
         field=field,
         brightest_e=brightest_e,
+        flat=flat,
         ab_rate_e_s_m2=ab_photon_rate(0.0, response),
     )
 

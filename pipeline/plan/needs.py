@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.quadrature import has_profile, profile_s
@@ -16,11 +15,10 @@ from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.checks import FINE_KERNELS, fine_ends
 from pipeline.plan.cost import NOISE_S_PER_PIXEL, START_S, check_count, least_cpu_s
 from pipeline.plan.optics.optics import LARGEST_CORE_SAMPLES
+from pipeline.plan.plan import Plan
+from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.responses import SPECTRAL_S, SPECTRAL_S_PER_PIXEL, stamp_s
 from pipeline.plan.tiles import BLOCK_PX, tile_shape
-
-if TYPE_CHECKING:
-    from pipeline.plan.scene_plan import Plan, StarForecast
 
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
 PLACE_S_PER_STAR = 0.6e-6
@@ -59,6 +57,20 @@ class Spent:
 
 
 NOTHING_SPENT = Spent()
+
+
+@dataclass(frozen=True)
+class StarForecast:
+    """What is read of the catalogues, and how many of their stars light a frame."""
+
+    shards: int
+    row_groups: int
+    rows_to_read: int
+    bytes_to_read: int
+    stars_per_frame: int
+
+
+NOTHING_READ = StarForecast(0, 0, 0, 0, 0)
 
 
 def frame_seconds(plan: Plan, forecast: StarForecast | None) -> float:
@@ -251,13 +263,13 @@ def _profiles_s(plan: Plan, spent: Spent) -> float:
     return 2.0 * likely * sum(profile_s(b, r.reach_px) for b in r.blurs if has_profile(b))
 
 
-def _in_crowds(plan: Plan, stars: int) -> bool:
+def _in_crowds(plan: ResolvedScene, stars: int) -> bool:
     """Whether the frame's stars, spread evenly, are enough for transforms."""
     blocks = math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
     return 0 < plan.responses.spectral_from <= stars / blocks
 
 
-def drawing_s(plan: Plan, stars: int) -> float:
+def drawing_s(plan: ResolvedScene, stars: int) -> float:
     """CPU seconds of drawing the stars of a frame, with stamps or in crowds."""
     r = plan.responses
     if not r.classes or not stars:

@@ -14,9 +14,10 @@ from pipeline.execute.graph import WindowWork, shard_graph, shard_key, window_gr
 from pipeline.inputs.stars.stars import Shard
 from pipeline.plan.cost import CHUNK_S, TILE_S
 from pipeline.plan.needs import frame_seconds
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.scene_plan import Plan
-from pipeline.route.prepare import Prepared, forecast, shards_of
+from pipeline.resolve.stars import shards_of
+from pipeline.route.prepare import Prepared, forecast
 from pipeline.route.shares import WHOLE, Share
 from pipeline.store.product import Begun, truth_kinds
 

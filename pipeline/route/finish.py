@@ -19,9 +19,10 @@ from pipeline.execute.coordinates import frame_coordinates
 from pipeline.execute.truth import star_truth, target_truth
 from pipeline.export.picture import write_preview
 from pipeline.plan.accuracy import UNSEEN, crowd_error_e, doubts_of, total_e, total_sigma
+from pipeline.plan.described import colour_facts
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.response.responses import table_error
-from pipeline.plan.scene_plan import Plan, colour_facts
 from pipeline.plan.timing import longest_s
 from pipeline.spec.load import scene_yaml
 from pipeline.store import layout

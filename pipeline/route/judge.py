@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from pipeline.inputs.band.response import gather_response
 from pipeline.inputs.earth_orientation import gather_dut1_s
 from pipeline.inputs.sensor.psf_tables import gather_psf_table
 from pipeline.inputs.sensor.sensor import LIMITS, gather_sensor_maps
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.optics.optics import check_motion
 from pipeline.plan.sky.doubts import accepted_skies
-from pipeline.route.prepare import gather_response, resolve
+from pipeline.resolve.files import read_files
 from pipeline.spec.load import path_holders
 from pipeline.spec.scene import Scene
 
@@ -24,7 +25,7 @@ def judge(scene: Scene) -> None:
         gather_sensor_maps(scene)
     gather_response(scene)
     gather_psf_table(scene)
-    scene = resolve(scene)
+    scene = read_files(scene)
     check_motion(scene)
     accepted_skies(scene, dut1_s)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import BadInput, Damaged, Incomplete
 from pipeline.physics.noise.chain import dn_type
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile, tile_shape
 from pipeline.plan.timing import frame_count
 from pipeline.spec.scene import Scene

@@ -15,7 +15,7 @@ from uuid import uuid4
 
 from catalog_tools.storage.durable import sync, sync_all
 from pipeline.errors import NO_ROOM, BadInput, Damaged
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import tile_shape
 from pipeline.spec.load import path_holders, scene_yaml
 from pipeline.spec.scene import Scene

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from catalog_tools.storage.objects import Listed, Objects
 from catalog_tools.storage.stores import Unreachable
 from pipeline.errors import BadInput, Damaged
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.store import layout
 from pipeline.store.cube import CubeWriter
 from pipeline.store.markers import (

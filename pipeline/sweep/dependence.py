@@ -12,7 +12,7 @@ from typing import Any
 from pipeline.arrays import Geometry
 from pipeline.execute.tile import LIGHTS
 from pipeline.plan.facts import Facts
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.spec.scene import Scene
 
 # Fields of the sensor that act on light already drawn. A new field of the detector that is not

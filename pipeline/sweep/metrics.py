@@ -16,7 +16,7 @@ from pipeline.execute.light import draw_targets
 from pipeline.execute.outlook import limiting_light_e, limiting_mag, target_snr
 from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.physics.detection import filtered, peak_near
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.spec.sweep import Detection
 from pipeline.store.markers import cell_checksums

@@ -19,11 +19,12 @@ from pipeline.execute.tables import ContentCache
 from pipeline.execute.tile import LIGHTS, tile_light
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.plan.facts import noise_floor_e
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.plan.timing import integration_range_s
-from pipeline.route.prepare import Prepared, prepare, shards_of
+from pipeline.resolve.stars import shards_of
+from pipeline.route.prepare import Prepared, prepare
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import CubeWriter
 from pipeline.sweep.dependence import DETECTOR, Barred, LightPlan, barred, parts_of

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.errors import NO_ROOM, DiskFull, NightglassError, shorten
 from pipeline.execute.tile import charge_of_tile, render_tile
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.route.prepare import prepare
 from pipeline.route.run import Options, render

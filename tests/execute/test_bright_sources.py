@@ -17,9 +17,10 @@ from pipeline.execute.light import draw_stars
 from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.physics.psf.sampled import sampled
 from pipeline.physics.psf.seeing import Moffat
-from pipeline.plan.scene_plan import Plan, make_plan
+from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from tests.execute.test_engines import field, geometry_of, plan_of
+from tests.plans import plan_from
 
 SIDE, SIGMA, READ_E = 64, 1.1, 5.0
 X, Y = np.array([30.3]), np.array([33.8])
@@ -52,7 +53,7 @@ def table_plan() -> Plan:
     at = (np.arange(81) - 40) / 4.0
     image = np.exp(-0.5 * (at[:, None] ** 2 + at**2) / SIGMA**2)
     facts = replace(plan.facts, blur=Blur(sampled(image, 0.25, "middle")))
-    return make_plan(plan.scene, facts, geometry_of(plan), None, 0.0, (), 0.0)
+    return plan_from(plan.scene, facts, geometry_of(plan))
 
 
 def case(name: str) -> tuple[Plan, np.ndarray]:

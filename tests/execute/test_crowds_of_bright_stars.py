@@ -15,7 +15,7 @@ from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.motion.streak import POINT
 from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.plan.accuracy import crowd_error_e
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.route.finish import _crowd_error_e
 from pipeline.route.prepare import prepare
 from pipeline.route.run import render

@@ -23,11 +23,12 @@ from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.scene_plan import Plan, make_plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
 from pipeline.studies.accuracy.reference import GaussianStar, exact_pixels, straight
+from tests.plans import plan_from
 
 SIDE = 160
 WHOLE = Tile(0, 0, 0, 0, SIDE, SIDE)
@@ -54,7 +55,7 @@ def plan_of(
         "exposure": {"integration_s": 1.0}, "stars": {"catalogue": "none"},
     })  # fmt: skip
     facts = gather_facts(scene, box(600e-9, 700e-9), 0.0, 5.0, 1.0)
-    return make_plan(scene, facts, plan_geometry(scene, np.zeros(1, int), 0.0), None, 0.0, (), 0.0)
+    return plan_from(scene, facts, plan_geometry(scene, np.zeros(1, int), 0.0))
 
 
 def field(x: np.ndarray, y: np.ndarray, light: np.ndarray) -> FrameStars:
@@ -194,7 +195,7 @@ def test_bright_streaks_of_changing_speed(light):
         c, s = np.cos(angle), np.sin(angle)
         turned[0, k] = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) @ g.attitude[0, k]
     g = replace(g, attitude=turned)
-    plan = make_plan(plan.scene, plan.facts, g, None, 0.0, (), 0.0)
+    plan = plan_from(plan.scene, plan.facts, g)
     assert plan.responses.streaks.pieces > 1
     whole = Tile(0, 0, 0, 0, 400, 400)
     stars = field(

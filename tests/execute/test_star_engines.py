@@ -19,11 +19,12 @@ from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import phase_table
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.scene_plan import Plan, make_plan
 from pipeline.plan.stars.engines import StarCounts, choose_engines, cubic_bound
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
+from tests.plans import plan_from
 
 SIDE = 512
 NOTHING = StarCounts(np.zeros(0))
@@ -47,7 +48,7 @@ def plan_of(streak_px: float, tile: int = SIDE) -> Plan:
         "output": {"tile_shape": [tile, tile]},
     })  # fmt: skip
     facts = gather_facts(scene, box(600e-9, 700e-9), 0.0, 5.0, 1.0)
-    return make_plan(scene, facts, plan_geometry(scene, np.zeros(1, int), 0.0), None, 0.0, (), 0.0)
+    return plan_from(scene, facts, plan_geometry(scene, np.zeros(1, int), 0.0))
 
 
 def chosen(plan: Plan, stars: float, g_mag: tuple[float, float]) -> Plan:
@@ -55,7 +56,13 @@ def chosen(plan: Plan, stars: float, g_mag: tuple[float, float]) -> Plan:
     share = np.linspace(0.0, 1.0, int(stars))
     g = g_mag[0] + np.log10(1.0 + share * (10.0 ** (0.3 * np.ptp(g_mag)) - 1.0)) / 0.3
     counts = StarCounts(np.sort(1e10 * 10.0 ** (-0.4 * g)))
-    return choose_engines(plan, plan_geometry(plan.scene, np.zeros(1, int), 0.0), counts)
+    return with_engines(plan, counts)
+
+
+def with_engines(plan: Plan, counts: StarCounts) -> Plan:
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    responses, decisions = choose_engines(plan, g, counts, plan.decisions)
+    return replace(plan, responses=responses, decisions=decisions)
 
 
 def engines(plan: Plan) -> list[tuple[int, int]]:
@@ -65,7 +72,7 @@ def engines(plan: Plan) -> list[tuple[int, int]]:
 def test_few_stars_need_no_table_and_many_do():
     plan = plan_of(20.0)
     assert plan.responses.streaks.mixed_from_e_px < np.inf
-    none = choose_engines(plan, plan_geometry(plan.scene, np.zeros(1, int), 0.0), NOTHING)
+    none = with_engines(plan, NOTHING)
     few, many = chosen(plan, 3.0, (8.0, 12.0)), chosen(plan, 3e5, (8.0, 21.0))
     assert all(phases == (0, 0) for phases in engines(none))
     assert all(phases == (0, 0) for phases in engines(few))

@@ -14,11 +14,12 @@ from pipeline.execute.light import draw_targets
 from pipeline.execute.sources import place_targets
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.response.responses import FAINT_PART
-from pipeline.plan.scene_plan import Plan, make_plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
+from tests.plans import plan_from
 
 SIDE = 256
 WHOLE = Tile(0, 0, 0, 0, SIDE, SIDE)
@@ -47,7 +48,7 @@ def tracked(sun_e_s_m2: float) -> Plan:
     })  # fmt: skip
     facts = gather_facts(scene, box(640e-9, 660e-9), 0.0, 6.0, 1.0)
     g = plan_geometry(scene, np.zeros(1, int), 0.0)
-    return make_plan(scene, facts, g, None, sun_e_s_m2, (), 0.0)
+    return plan_from(scene, facts, g, sun_e_s_m2)
 
 
 def errors_e(plan: Plan) -> np.ndarray:

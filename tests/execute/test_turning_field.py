@@ -10,11 +10,11 @@ import pytest
 from pipeline.execute.check import reference
 from pipeline.physics.drawing.wings import swept_apart
 from pipeline.physics.psf.response import compact_core
+from pipeline.plan.plan import Plan
 from pipeline.plan.response import wing_sweeps as of_sweeps
 from pipeline.plan.response.responses import FAINT_PART, MARGIN, NOTHING_BEYOND
 from pipeline.plan.response.streaks import exact_path
 from pipeline.plan.response.wing_sweeps import wing_sweeps
-from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile
 from tests.execute.test_engines import SIDE, drawn, field, geometry_of, plan_of
 

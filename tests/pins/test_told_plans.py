@@ -27,7 +27,9 @@ def test_plan_as_told(
     name: str, files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The forecast is that of a machine on which planning takes no time."""
-    monkeypatch.setattr("pipeline.route.prepare.time", SimpleNamespace(thread_time=lambda: 0.0))
+    still = SimpleNamespace(thread_time=lambda: 0.0)
+    monkeypatch.setattr("pipeline.route.prepare.time", still)
+    monkeypatch.setattr("pipeline.resolve.resolve.time", still)
     monkeypatch.setenv("COLUMNS", "80")
     with embedded_spectra():
         plan = plan_scene(scene_of(name, files))

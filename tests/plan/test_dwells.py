@@ -13,7 +13,6 @@ from pipeline.errors import BadInput
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.vectors import separation
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames, star_paths
-from pipeline.plan.scene_plan import make_plan
 from pipeline.plan.stars.brightest import brightest_star_e, brightest_target_e
 from pipeline.plan.timing import (
     end_s,
@@ -26,6 +25,7 @@ from pipeline.plan.timing import (
 from pipeline.spec.load import InvalidScene
 from pipeline.spec.scene import Scene
 from tests.plan.test_plan import facts_of
+from tests.plans import plan_from
 
 Make = Callable[..., Scene]
 ARCSEC = np.pi / 648_000
@@ -178,7 +178,7 @@ def test_the_floor_of_each_frame_is_that_of_its_own_exposure(scene: Make, photon
     s = scene(LIT | {"dwells": [{"integration_s": [4.0, 2.0, 2.5], "frames": 3}],
                      "exposure.cadence_s": None, "sensor.photon_noise": photons})  # fmt: skip
     facts = replace(facts_of(s), flat=0.8)
-    plan = make_plan(s, facts, plan_geometry(s, sampled_frames(s), 0.0), None, 0.0, (), 0.0)
+    plan = plan_from(s, facts, plan_geometry(s, sampled_frames(s), 0.0))
     fixed = 5.0**2 + 6.0**2 / 12.0
     for frame, time_s in enumerate((4.0, 2.0, 2.5)):
         floor, told = (photons * (sky + 3.0) * time_s + fixed for sky in (7.0, 0.8 * 7.0))

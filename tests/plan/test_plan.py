@@ -41,23 +41,19 @@ from pipeline.physics.psf.response import (
 from pipeline.physics.radiometry import box
 from pipeline.physics.vectors import separation, unit
 from pipeline.plan.checks import choose_checks
+from pipeline.plan.cones import catalogue_cones, field_cones
 from pipeline.plan.cost import CHECK_S, check_count, least_cpu_s
 from pipeline.plan.decisions import core_ends
+from pipeline.plan.described import plan_dict
 from pipeline.plan.facts import Facts, gather_facts
-from pipeline.plan.needs import drawing_s, frame_seconds, predict
+from pipeline.plan.needs import StarForecast, drawing_s, frame_seconds, predict
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.response.responses import ResponsePlan, cut_share, plan_responses
-from pipeline.plan.scene_plan import (
-    Plan,
-    StarForecast,
-    catalogue_cones,
-    field_cones,
-    make_plan,
-    plan_dict,
-)
 from pipeline.plan.stars.faint import peak_share
 from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
+from tests.plans import plan_from
 
 Make = Callable[..., Scene]
 GAUSS = {"kind": "gaussian", "sigma_px": 0.8}
@@ -71,7 +67,7 @@ def facts_of(s: Scene) -> Facts:
 
 def plan_of(s: Scene) -> Plan:
     ends = plan_geometry(s, np.unique([0, s.exposure.frames - 1]), 0.0)
-    return make_plan(s, facts_of(s), ends, None, 1e21, ("a remark",), 0.0)
+    return plan_from(s, facts_of(s), ends, 1e21, ("a remark",))
 
 
 def responses_of(s: Scene, blur: Blur | None = None) -> ResponsePlan:

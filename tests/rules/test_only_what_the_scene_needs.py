@@ -27,7 +27,8 @@ import pytest
 from pipeline.errors import Damaged
 from pipeline.execute.graph import Inputs, WindowWork, window_graph
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.route.prepare import plan_scene, prepare, shards_of
+from pipeline.resolve.stars import shards_of
+from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import CubeWriter

@@ -21,7 +21,7 @@ from pipeline.spec.scene import Scene
 from pipeline.spec.targets.body import SphereBody
 
 if TYPE_CHECKING:
-    from pipeline.plan.scene_plan import Plan
+    from pipeline.plan.resolved import ResolvedScene
 
 MARGIN = 1.5  # over a target's light in the frames looked at, for those between them
 
@@ -60,7 +60,7 @@ def brightest_target_e(scene: Scene, g: Geometry, sun_rate_e_s_m2: float) -> flo
     return float(MARGIN * light * sun_rate_e_s_m2 * area_s)
 
 
-def points_beyond(plan: Plan, g: Geometry) -> bool:
+def points_beyond(plan: ResolvedScene, g: Geometry) -> bool:
     """Whether a target in or beside the frames of a geometry is brighter than all core classes
     serve though it is drawn as a point: a sphere whose disc shows is not."""
     scene, r = plan.scene, plan.responses

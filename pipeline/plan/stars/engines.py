@@ -35,7 +35,7 @@ from pipeline.plan.response.streaks import Streak, zone_streak
 from pipeline.plan.tiles import BLOCK_PX
 
 if TYPE_CHECKING:
-    from pipeline.plan.scene_plan import Plan
+    from pipeline.plan.resolved import ResolvedScene
 
 # Seconds a star and a sample of its transform for each segment of its path, a value of a table:
 # one core of the 2-core reference machine. A cubic stamp costs as much more as it has points.
@@ -56,6 +56,10 @@ class StarCounts:
     light_e: Array
     each: float = 1.0
 
+    @property
+    def total(self) -> int:
+        return round(self.each * len(self.light_e))
+
     def brighter(self, light_e: float) -> float:
         """Stars of more light than so many electrons."""
         fainter = np.searchsorted(self.light_e, light_e, "right")
@@ -66,14 +70,17 @@ class StarCounts:
         return self.brighter(low_e) - self.brighter(high_e) if low_e < high_e else 0.0
 
 
-def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
-    """The plan with tables only where they are cheaper than drawing star by star.
+def choose_engines(
+    plan: ResolvedScene, g: Geometry, counts: StarCounts, decisions: tuple[Decision, ...] = ()
+) -> tuple[ResponsePlan, tuple[Decision, ...]]:
+    """The responses with tables only where they are cheaper than drawing star by star, and the
+    decisions with that one.
 
     g : some of the scene's frames
     """
     r = plan.responses
     if not r.classes:
-        return plan
+        return r, decisions
     streaks = _streaks(plan, g)
     limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
     classes, said, stars_s = [], [], 0.0
@@ -87,13 +94,11 @@ def choose_engines(plan: Plan, g: Geometry, counts: StarCounts) -> Plan:
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
     if r.spectral_from:
         made = replace(made, crowd_e=_crowd_e(plan, counts, streaks))
-    total = round(counts.each * len(counts.light_e))
-    decided = (*_of_tables(plan, classes), _decision(said))
-    return replace(plan, responses=made, decisions=decided, stars_per_frame=total)
+    return made, (*_of_tables(plan, classes, decisions), _decision(said))
 
 
 def _choose(
-    plan: Plan, core: CoreClass, low_e: float, streaks: list[Streak], counts: StarCounts
+    plan: ResolvedScene, core: CoreClass, low_e: float, streaks: list[Streak], counts: StarCounts
 ) -> tuple[CoreClass, list[str], float, float]:
     """A class of stars above `low_e` with its phases, what is said of it, and the CPU seconds of
     its bright and of its usual stars, 0 of those in crowds."""
@@ -119,7 +124,7 @@ def _choose(
     )
 
 
-def _in_crowds(plan: Plan, core: CoreClass, stars: float) -> bool:
+def _in_crowds(plan: ResolvedScene, core: CoreClass, stars: float) -> bool:
     """Whether transforms draw so many stars of a class together."""
     r = plan.responses
     many = core is r.classes[0] and stars >= r.spectral_from * _blocks(plan)
@@ -133,7 +138,7 @@ def _mean_s(
     return sum(cost_s(way, n) for way, n in zip(ways, stars, strict=True)) / len(ways)
 
 
-def _streaks(plan: Plan, g: Geometry) -> list[Streak]:
+def _streaks(plan: ResolvedScene, g: Geometry) -> list[Streak]:
     """The common streak at the field's middle in each of some frames."""
     streaks, aberration = plan.responses.streaks, plan.scene.star_effects["aberration"]
     middle = streaks.zones // 2
@@ -143,7 +148,7 @@ def _streaks(plan: Plan, g: Geometry) -> list[Streak]:
     ]
 
 
-def _crowd_e(plan: Plan, counts: StarCounts, streaks: list[Streak]) -> float:
+def _crowd_e(plan: ResolvedScene, counts: StarCounts, streaks: list[Streak]) -> float:
     """Light [e-] up to which transforms are to serve stars: the finer they are the dearer.
 
     So many brighter ones are left to stamps as cost FEW_BRIGHT of the transforms. Not below what
@@ -163,14 +168,14 @@ def _crowd_e(plan: Plan, counts: StarCounts, streaks: list[Streak]) -> float:
     return max(limit_e, crowd_e)
 
 
-def _blocks(plan: Plan) -> int:
+def _blocks(plan: ResolvedScene) -> int:
     return math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
 
 
 class _Costs:
     """Seconds of drawing stars of a class in one frame, by each way."""
 
-    def __init__(self, plan: Plan, core: CoreClass, streak: Streak) -> None:
+    def __init__(self, plan: ResolvedScene, core: CoreClass, streak: Streak) -> None:
         r = plan.responses
         self._core, self._count = core, len(streak.pieces)
         self._frames = 1.0 if r.streaks.longest_px else plan.frames  # that share their tables
@@ -261,13 +266,15 @@ def _said(core: CoreClass, usual: float, bright: float, phases: int, mixed: int)
     return said
 
 
-def _of_tables(plan: Plan, classes: list[CoreClass]) -> Sequence[Decision]:
+def _of_tables(
+    plan: ResolvedScene, classes: list[CoreClass], decisions: tuple[Decision, ...]
+) -> Sequence[Decision]:
     """The decisions so far; of classes that need no tables, without those of tables."""
     name, r = "phase_interpolation", plan.responses
     if r.spectral_from or r.products or any(c.phases or c.mixed_phases for c in classes):
-        return plan.decisions
+        return decisions
     why = "each star at its exact place: no tables are made"
-    out = [Decision(name, False, why) if d.component == name else d for d in plan.decisions]
+    out = [Decision(name, False, why) if d.component == name else d for d in decisions]
     return out if r.spacing_px else [*out, core_ends(r, plan.facts)]
 
 

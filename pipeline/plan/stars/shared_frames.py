@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from pipeline.plan.pointing.star_paths import field_points, still_paths
 from pipeline.plan.response.responses import point_curvature, point_slope
 
 if TYPE_CHECKING:
-    from pipeline.plan.scene_plan import Plan
+    from pipeline.plan.resolved import ResolvedScene
 
 PART = 0.9  # of what other approximations leave of the accuracy
 BETWEEN = 1.2  # times what centre and corners of the field move, for stars between them
@@ -37,15 +36,22 @@ class OwnMotion(NamedTuple):
     parallax_mas: float
 
 
-def share_frames(plan: Plan, sampled: NDArray[np.int64], own: OwnMotion, seconds: float) -> Plan:
-    """The plan with as many frames to a drawing of stars as the accuracy leaves room for.
+def share_frames(
+    plan: ResolvedScene,
+    decisions: tuple[Decision, ...],
+    sampled: NDArray[np.int64],
+    own: OwnMotion,
+    seconds: float,
+) -> tuple[int, tuple[Decision, ...]]:
+    """As many frames to a drawing of stars as the accuracy leaves room for, and the decision on
+    that where it is more than one.
 
-    sampled : the frames that are looked at; own : of the stars around them; seconds : that a
-    drawing of stars takes
+    decisions : the others; sampled : the frames that are looked at; own : of the stars around
+    them; seconds : that a drawing of stars takes
     """
     if not may_share_frames(plan.scene):
-        return plan
-    left = PART * (plan.scene.accuracy.noise_fraction - total_sigma(plan.decisions))
+        return 1, ()
+    left = PART * (plan.scene.accuracy.noise_fraction - total_sigma(decisions))
     together, moved_px = 1, _moved_px(plan, sampled, own, 2)
     if bound_sigma(plan, moved_px) <= left:
         most = min(plan.frames, MOST_FRAMES)
@@ -56,7 +62,7 @@ def share_frames(plan: Plan, sampled: NDArray[np.int64], own: OwnMotion, seconds
             together //= 2
             moved_px = _moved_px(plan, sampled, own, together)
     if together == 1:
-        return plan
+        return 1, ()
     decision = Decision(
         "shared_frames",
         True,
@@ -66,10 +72,12 @@ def share_frames(plan: Plan, sampled: NDArray[np.int64], own: OwnMotion, seconds
         error_bound_sigma=bound_sigma(plan, moved_px),
         seconds_saved=seconds * (1.0 - 1.0 / together),
     )
-    return replace(plan, shared_frames=together, decisions=(*plan.decisions, decision))
+    return together, (decision,)
 
 
-def _moved_px(plan: Plan, sampled: NDArray[np.int64], own: OwnMotion, together: int) -> float:
+def _moved_px(
+    plan: ResolvedScene, sampled: NDArray[np.int64], own: OwnMotion, together: int
+) -> float:
     """How far a star is at most from where it stands in the first of its frames; infinite where
     the Earth's limb is in the way."""
     first = sampled - sampled % together
@@ -83,7 +91,7 @@ def _moved_px(plan: Plan, sampled: NDArray[np.int64], own: OwnMotion, together: 
     return max(_apart_px(plan, g, own, i, i + len(first)) for i in range(len(first)))
 
 
-def _apart_px(plan: Plan, g: Geometry, own: OwnMotion, a: int, b: int) -> float:
+def _apart_px(plan: ResolvedScene, g: Geometry, own: OwnMotion, a: int, b: int) -> float:
     """Farthest that a star of frame b of a geometry is from its place in frame a, at any node."""
     x, y = field_points(plan.camera)
     middle, effects = g.middle, plan.scene.star_effects
@@ -112,7 +120,7 @@ def _apart_px(plan: Plan, g: Geometry, own: OwnMotion, a: int, b: int) -> float:
     return BETWEEN * float(np.hypot(*(after - before)).max()) + own_px * stretch(plan.camera)
 
 
-def bound_sigma(plan: Plan, moved_px: float) -> float:
+def bound_sigma(plan: ResolvedScene, moved_px: float) -> float:
     """What a pixel errs by at most beside the brightest source, in units of its noise, where all
     sources stand so far beside their places.
 
@@ -130,7 +138,7 @@ def bound_sigma(plan: Plan, moved_px: float) -> float:
     return min(steep_sigma, hidden + 0.5 * bent * light_e * moved_px**2 / floor_e)
 
 
-def _bound_e(plan: Plan, moved_px: float) -> float:
+def _bound_e(plan: ResolvedScene, moved_px: float) -> float:
     return max(point_slope(b) for b in plan.responses.blurs) * moved_px * plan.facts.brightest_e
 
 

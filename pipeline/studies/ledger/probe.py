@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.arrays import Array
 from pipeline.errors import NightglassError
 from pipeline.plan.decision import Decision
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 
 
 @dataclass(frozen=True)

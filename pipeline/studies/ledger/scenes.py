@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.dotted import changed
 from pipeline.studies.scenes.stage import Stage, light_by, mean_of, open_stage

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.arrays import Array
 from pipeline.execute.graph import read_shard
 from pipeline.execute.sources import place_stars
+from pipeline.inputs.band.response import gather_response
 from pipeline.physics.constants import (
     ARCSEC_RAD,
     BOLTZMANN_J_K,
@@ -29,7 +30,8 @@ from pipeline.physics.positions.limb import (
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.plan.pointing.geometry import epochs_jyear, moments_at, plan_geometry
 from pipeline.plan.pointing.occultation import stars_clear
-from pipeline.route.prepare import gather_response, prepare, shards_of
+from pipeline.resolve.stars import shards_of
+from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import CubeWriter
 from pipeline.studies.ledger.probe import Bench, ProbeResult, most, probe, stated, timed

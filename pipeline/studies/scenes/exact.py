@@ -12,10 +12,10 @@ from pipeline.arrays import Array, FrameStars
 from pipeline.errors import NightglassError
 from pipeline.execute.check import WINDOW_PX, reference
 from pipeline.execute.sources import place_targets
-from pipeline.plan.scene_plan import Plan
+from pipeline.inputs.band.response import gather_response
+from pipeline.plan.plan import Plan
 from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky
 from pipeline.plan.tiles import Tile
-from pipeline.route.prepare import gather_response
 from pipeline.studies.scenes.stage import Stage, mean_of, noise_of
 
 OWN_PATHS = 400  # of the brightest stars that pass a window: all, but in the densest fields

@@ -13,10 +13,11 @@ from pipeline.execute.detector import tile_chain
 from pipeline.execute.graph import read_shard, rows_wanted
 from pipeline.execute.sources import place_stars
 from pipeline.execute.tile import noise_e, tile_light
+from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.scene_plan import Plan
 from pipeline.plan.tiles import Tile, overlap
-from pipeline.route.prepare import Prepared, prepare, shards_of
+from pipeline.resolve.stars import shards_of
+from pipeline.route.prepare import Prepared, prepare
 from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import CubeWriter

@@ -14,7 +14,7 @@ from pipeline.arrays import Array
 from pipeline.execute.blocks import around
 from pipeline.execute.light import add_wings_of, draw_along
 from pipeline.execute.sources import drawing_order, excursion_px
-from pipeline.plan.scene_plan import Plan
+from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.studies.scenes.exact import Exact, exact_sky
 from pipeline.studies.scenes.rung import cut_e, lights_e

@@ -13,7 +13,8 @@ from catalog_tools.ingest.ingest import ingest
 from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.inputs.band.colour_fit_files import read_colour_fit
-from pipeline.route.prepare import gather_response, prepare
+from pipeline.inputs.band.response import gather_response
+from pipeline.route.prepare import prepare
 from pipeline.route.run import render
 from pipeline.spec.load import load_scene, parse_scene
 

@@ -15,6 +15,7 @@ from catalog_tools.query.starlight import make_starlight
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.errors import BadInput
 from pipeline.inputs.band.colour_fit import gather_colour_fit
+from pipeline.inputs.band.response import gather_response
 from pipeline.inputs.sky.air import gather_extinction
 from pipeline.inputs.sky.sky import gather_sky
 from pipeline.physics.colour import star_electron_rate
@@ -30,7 +31,6 @@ from pipeline.plan.sky.night import _moon_share, dimmed
 from pipeline.plan.sky.sky import facts_with_sky, plan_sky, sky_grid, sky_tile
 from pipeline.plan.stars.faint import faint_limit, limits_g_mag
 from pipeline.plan.tiles import Tile, plan_tiles
-from pipeline.route.prepare import gather_response
 
 FIELD_DEG = (200.0, 60.0)
 WIDE = {

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.inputs.band.response import gather_response
 from pipeline.physics.positions.planets import PLANETS, brightest_v_mag
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing import lamps
 from pipeline.plan.sky.doubts import Doubts, sky_doubts
-from pipeline.route.prepare import gather_response, prepare
+from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.inputs.band.response import gather_response
 from pipeline.inputs.sky.air import gather_extinction
 from pipeline.inputs.sky.sky import gather_sky
 from pipeline.inputs.sky.stray_light import read_albedo, read_pst
@@ -21,7 +22,6 @@ from pipeline.plan.sky.light import LightOfSky
 from pipeline.plan.sky.sky import plan_sky, sky_tile
 from pipeline.plan.sky.stray_light import _check, stray_parts
 from pipeline.plan.tiles import Tile
-from pipeline.route.prepare import gather_response
 from pipeline.spec.sky.stray_light import StrayLight
 
 PST = "angle_deg,pst\n1,1e-4\n3,1e-5\n10,1e-6\n30,1e-8\n60,1e-10\n90,1e-12\n"

@@ -1,0 +1,45 @@
+"""The response of a scene's sensor, and what of it the scene's sources need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipeline.inputs.band.colour_fit_files import colour_fit_of
+from pipeline.inputs.band.curves import resolve_response, solar_spectrum
+from pipeline.physics.colour import ColourFit
+from pipeline.physics.radiometry import ResponseCurve, band_photon_irradiance_sun
+from pipeline.spec.scene import Scene
+
+
+@dataclass(frozen=True)
+class BandLight:
+    """What a band makes of starlight and sunlight.
+
+    colour : the stars' colour fit, None without stars; sun_rate_e_s_m2 : electrons of sunlight, 0
+    without targets; remarks : where both are from
+    """
+
+    colour: ColourFit | None
+    sun_rate_e_s_m2: float
+    remarks: tuple[str, ...]
+
+
+def gather_response(scene: Scene) -> tuple[ResponseCurve, str, str]:
+    """Bandpass x optics x quantum efficiency of a scene's sensor, its name and digest."""
+    s = scene.sensor
+    return resolve_response(s.bandpass.model_dump(), s.transmission, s.quantum_efficiency)
+
+
+def gather_band_light(scene: Scene, response: ResponseCurve, band: str, digest: str) -> BandLight:
+    """The colour fit if there are stars and the Sun's electron rate if there are targets."""
+    colour, sun, remarks = None, 0.0, []
+    if scene.stars is not None:
+        colour = colour_fit_of(scene, response, band, digest)
+        remarks.append(
+            f"star colours: {colour.source}; fit residual {colour.residual_rms_mag:.3f} mag rms"
+        )
+    if scene.targets or scene.populations:
+        wavelength, irradiance, source, error = solar_spectrum()
+        sun = band_photon_irradiance_sun(wavelength, irradiance, response)
+        remarks.append(f"solar spectrum: {source}; {error}")
+    return BandLight(colour, sun, tuple(remarks))

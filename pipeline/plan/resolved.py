@@ -1,0 +1,97 @@
+"""A resolved scene: every file read, every default filled, and what follows before any choice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pipeline.arrays import Geometry
+from pipeline.physics.colour import ColourFit
+from pipeline.physics.positions.focal_plane import Camera
+from pipeline.plan.facts import Facts
+from pipeline.plan.pointing.geometry import camera_of
+from pipeline.plan.response.responses import ResponsePlan, plan_responses
+from pipeline.plan.sensor.detector import lag_depth
+from pipeline.plan.timing import frame_count, integration_range_s, integration_s
+from pipeline.spec.scene import Scene
+
+if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
+    from pipeline.plan.sky.sky import SkyPlan
+
+
+@dataclass(frozen=True)
+class ResolvedScene:
+    """What is drawn, and by which camera: all that placing and drawing sources needs.
+
+    scene : with the content of its files in place of their names, the members of its populations
+        among its targets, and the limit of its stars as a number
+    responses : how sources may be drawn; colour : of the stars, None without any
+    sun_rate_e_s_m2 : electrons of sunlight [e-/s/m^2], 0 without targets
+    dut1_s : UT1 - UTC; sky : None where there is none; extinction : by the air above a site
+    """
+
+    scene: Scene
+    camera: Camera
+    facts: Facts
+    responses: ResponsePlan
+    colour: ColourFit | None
+    sun_rate_e_s_m2: float
+    dut1_s: float
+    sky: SkyPlan | None
+    extinction: BandExtinction | None
+
+    @property
+    def frames(self) -> int:
+        return frame_count(self.scene)
+
+    def integration_s(self, frame: int) -> float:
+        """Integration time of a frame."""
+        return integration_s(self.scene, frame)
+
+    def floor_e(self, frame: int) -> float:
+        """Noise of a pixel of a frame that holds no source [e-]; the facts' is that of the shortest
+        exposure."""
+        f, time_s = self.facts, self.integration_s(frame)
+        least_s = integration_range_s(self.scene)[0]
+        if time_s == least_s or not self.scene.sensor.photon_noise:
+            return f.sigma_floor_e
+        more = (time_s - least_s) * (f.background_e_s + f.dark_e / least_s)
+        return math.sqrt(f.sigma_floor_e**2 + more)
+
+    def snr_floor_e2(self, frame: int) -> float:
+        """Square of `floor_e` with the sky after the typical flat [e-^2]."""
+        f = self.facts
+        if not self.scene.sensor.photon_noise:
+            return self.floor_e(frame) ** 2
+        sky_e = f.background_e_s * self.integration_s(frame)
+        return self.floor_e(frame) ** 2 - (1.0 - f.flat) * sky_e
+
+    @property
+    def lag_frames(self) -> int:
+        """How many frames before leave charge in a frame."""
+        return lag_depth(self.scene, self.facts.sigma_floor_e)
+
+    @property
+    def halo_px(self) -> float:
+        """How far off the frame a source may be and still send light onto it."""
+        return self.responses.reach_px + 2.0
+
+
+def resolved_scene(
+    scene: Scene,
+    facts: Facts,
+    g: Geometry,
+    colour: ColourFit | None = None,
+    sun_rate_e_s_m2: float = 0.0,
+    dut1_s: float = 0.0,
+    sky: SkyPlan | None = None,
+    extinction: BandExtinction | None = None,
+) -> ResolvedScene:
+    """A scene with its camera and responses; g : geometry of some of its frames."""
+    camera = camera_of(scene)
+    responses = plan_responses(scene, facts, camera, g)
+    return ResolvedScene(
+        scene, camera, facts, responses, colour, sun_rate_e_s_m2, dut1_s, sky, extinction
+    )

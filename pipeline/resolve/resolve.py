@@ -1,0 +1,217 @@
+"""A scene resolved once: its files, its sky, its populations and its stars, before the plan."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.arrays import Geometry, SensorMaps
+from pipeline.inputs.band.response import gather_band_light, gather_response
+from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.sensor.psf_tables import gather_psf_table
+from pipeline.inputs.sensor.sensor import gather_sensor_maps
+from pipeline.inputs.stars.catalogues import catalogue_remarks, colour_sentences, open_catalogues
+from pipeline.inputs.stars.coverage import coverage_sentences, gather_coverage
+from pipeline.inputs.stars.stars import Catalogue
+from pipeline.physics.colour import ColourFit
+from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.radiometry import ResponseCurve
+from pipeline.plan.coverage import FieldCoverage
+from pipeline.plan.facts import Facts, gather_facts
+from pipeline.plan.optics.optics import check_motion
+from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
+from pipeline.plan.resolved import ResolvedScene, resolved_scene
+from pipeline.plan.scene_plan import FieldStars
+from pipeline.plan.sensor.detector import typical_read_noise_e
+from pipeline.plan.sky.doubts import sky_doubts
+from pipeline.plan.stars.brightest import brightest_target_e
+from pipeline.plan.targets.decisions import mesh_notices
+from pipeline.plan.targets.orbit_age import orbit_remarks
+from pipeline.plan.targets.umbra import umbra_remarks
+from pipeline.plan.timing import integration_range_s
+from pipeline.resolve.files import has_air, read_files, with_numbers
+from pipeline.resolve.stars import brightest_in_field_e, gather_field_stars, held_by_earlier
+from pipeline.spec.scene import Scene
+
+if TYPE_CHECKING:
+    from pipeline.physics.cosmic_rays.frame import CosmicRays
+    from pipeline.physics.sky.extinction import BandExtinction
+    from pipeline.plan.sky.sky import SkyPlan
+
+SLOW_S = 0.2  # of CPU: less says nothing of how long a scene takes
+Band = tuple[ResponseCurve, str, str]
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """A resolved scene with what was read on the way.
+
+    geometry : of some of its frames, which took geometry_s of CPU
+    catalogues : the main one and the layers over it; held_by_earlier : of each, the sorted
+        source_ids of stars that an earlier one holds
+    stars : those around the field, counted; None for a scene without
+    warnings : what the scene accepts though the product is wrong there; remarks : what else is
+        reported
+    """
+
+    scene: ResolvedScene
+    geometry: Geometry
+    geometry_s: float
+    maps: SensorMaps
+    catalogues: tuple[Catalogue, ...]
+    held_by_earlier: tuple[np.ndarray, ...]
+    stars: FieldStars | None
+    rays: CosmicRays | None
+    warnings: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def resolve(asked: Scene) -> Resolved:
+    """Read everything that a scene names, and find what its plan rests on.
+
+    Stars are read of a few frames, to count them; where there are layers, theirs of all the field,
+    and the main catalogue's bright ones around them.
+    Raises BadInput for what the scene asks and cannot have, Damaged for a damaged catalogue.
+    """
+    scene = read_files(asked)
+    catalogues = open_catalogues(scene.stars.catalogues) if scene.stars is not None else ()
+    maps = gather_sensor_maps(scene)
+    band = gather_response(scene)
+    dut1_s, of_time = gather_dut1_s(*parse_utc(scene.epoch))
+    light = gather_band_light(scene, *band)
+    check_motion(scene)  # before paths are followed that it would bend beyond all measure
+    g, geometry_s = _timed_geometry(scene, dut1_s)
+    facts = gather_facts(
+        scene,
+        band[0],
+        maps.typical("dark_e_per_s"),
+        typical_read_noise_e(scene, maps),
+        maps.typical("gain_e_per_dn"),
+        gather_psf_table(scene),
+        max(
+            brightest_in_field_e(scene, catalogues, g, light.colour),
+            brightest_target_e(scene, g, light.sun_rate_e_s_m2) if scene.targets else 0.0,
+        ),
+        maps.typical("flat"),
+    )
+    doubts = sky_doubts(scene, facts, band[0], dut1_s)
+    extinction = _extinction(scene, band[0])
+    scene, facts, sky = _sky(scene, band, catalogues, light.colour, facts, g, dut1_s, extinction)
+    scene, g = _populated(scene, facts, g, dut1_s)
+    coverage, warnings, remarks = _judge_catalogues(scene, catalogues, g, light.colour)
+    resolved = resolved_scene(
+        scene, facts, g, light.colour, light.sun_rate_e_s_m2, dut1_s, sky, extinction
+    )
+    held = held_by_earlier(resolved, catalogues)
+    return Resolved(
+        resolved,
+        g,
+        geometry_s,
+        maps,
+        catalogues,
+        held,
+        gather_field_stars(resolved, catalogues, held, g, coverage),
+        _cosmic_rays(scene),
+        (*doubts.warnings, *warnings),
+        (
+            *([of_time] if of_time else ()),
+            *light.remarks,
+            *doubts.remarks,
+            *remarks,
+            *mesh_notices(scene),
+            *orbit_remarks(scene, g, facts.ifov_rad),
+            *umbra_remarks(scene, g),
+        ),
+    )
+
+
+def _timed_geometry(scene: Scene, dut1_s: float) -> tuple[Geometry, float]:
+    """Geometry of some frames, and the CPU seconds that it takes once all is loaded and compiled.
+
+    Where it took SLOW_S or more one frame is gone through again: the first time is no measure.
+    """
+    started = time.thread_time()
+    g = plan_geometry(scene, sampled_frames(scene), dut1_s)
+    took_s = time.thread_time() - started
+    if took_s < SLOW_S:
+        return g, took_s
+    before = time.thread_time()
+    plan_geometry(scene, g.frame[:1], dut1_s)
+    return g, min(took_s, len(g.frame) * (time.thread_time() - before))
+
+
+def _extinction(scene: Scene, response: ResponseCurve) -> BandExtinction | None:
+    """Extinction by the air above a site; nothing is imported or read for a scene without."""
+    if not has_air(scene):
+        return None
+    from pipeline.inputs.sky.air import gather_extinction
+
+    return gather_extinction(scene, response)
+
+
+def _sky(
+    scene: Scene,
+    band: Band,
+    catalogues: tuple[Catalogue, ...],
+    colour: ColourFit | None,
+    facts: Facts,
+    g: Geometry,
+    dut1_s: float,
+    extinction: BandExtinction | None,
+) -> tuple[Scene, Facts, SkyPlan | None]:
+    """The sky, the facts with it, and the scene with the limit that the noise set."""
+    b, stars = scene.background, scene.stars
+    from_noise = stars is not None and stars.limit_from_noise
+    if not from_noise and b is None:
+        return scene, facts, None
+    from pipeline.inputs.sky.sky import gather_sky
+    from pipeline.plan.sky.sky import facts_with_sky, plan_sky
+
+    inputs = gather_sky(scene, *band, catalogues, colour, from_noise, extinction)
+    sky = plan_sky(scene, camera_of(scene), g, facts, inputs, dut1_s, from_noise)
+    if stars is not None and from_noise:
+        limit = {"faintest_g_mag": sky.faintest_g_mag, "limit_from_noise": False}
+        scene = scene.model_copy(update={"stars": stars.model_copy(update=limit)})
+    return scene, facts_with_sky(facts, scene, sky), sky
+
+
+def _populated(scene: Scene, facts: Facts, g: Geometry, dut1_s: float) -> tuple[Scene, Geometry]:
+    """The scene with the objects of its populations that come into the field, and its geometry."""
+    if all(p.screened is not None for p in scene.populations):
+        return scene, g
+    from pipeline.inputs.targets.populations import gather_populations
+    from pipeline.plan.response.responses import plan_responses
+
+    r = plan_responses(scene, facts, camera_of(scene), g, sources=True)
+    full = with_numbers(gather_populations(scene, r.reach_px + r.reach_core_px + 2.0, dut1_s))
+    return full, plan_geometry(full, sampled_frames(full), dut1_s)
+
+
+def _judge_catalogues(
+    scene: Scene, catalogues: tuple[Catalogue, ...], g: Geometry, colour: ColourFit | None
+) -> tuple[FieldCoverage | None, tuple[str, ...], tuple[str, ...]]:
+    """How much of the frames the main catalogue covers; warnings and remarks on that, and on stars
+    without a colour."""
+    if scene.stars is None or colour is None:
+        return None, (), ()
+    coverage = gather_coverage(scene, catalogues[0], g)
+    of_coverage = coverage_sentences(scene, catalogues[0], coverage)
+    of_colours = colour_sentences(catalogues, colour)
+    of_limits = catalogue_remarks(catalogues, scene.stars.faintest_g_mag)
+    return (
+        coverage,
+        (*of_coverage[0], *of_colours[0]),
+        (*of_limits, *of_coverage[1], *of_colours[1]),
+    )
+
+
+def _cosmic_rays(scene: Scene) -> CosmicRays | None:
+    """What draws the scene's cosmic rays; nothing is imported or read for a scene without."""
+    if scene.cosmic_rays is None:
+        return None
+    from pipeline.inputs.sensor.cosmic_rays import gather_cosmic_rays
+
+    return gather_cosmic_rays(scene.cosmic_rays, scene.sensor, integration_range_s(scene)[1])

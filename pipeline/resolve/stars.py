@@ -1,0 +1,179 @@
+"""The stars around a scene's field: where they are read, how bright and how many they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from catalog_tools.engine.schedulers import TASKS_PER_WINDOW
+from pipeline.arrays import Array, Geometry, StarTable, select
+from pipeline.inputs.stars.catalogues import gather_left_out, layer_decisions
+from pipeline.inputs.stars.stars import (
+    Catalogue,
+    Shard,
+    brightest_g_mags,
+    cones_of,
+    gather_leaf,
+    gather_shards,
+)
+from pipeline.physics.colour import ColourFit
+from pipeline.plan.cones import catalogue_cones, field_cones
+from pipeline.plan.coverage import FieldCoverage
+from pipeline.plan.pointing.geometry import epochs_jyear, observer_distances_au, plan_geometry
+from pipeline.plan.resolved import ResolvedScene
+from pipeline.plan.scene_plan import FieldStars
+from pipeline.plan.stars.brightest import brightest_star_e, star_radius_rad
+from pipeline.spec.scene import Scene
+
+if TYPE_CHECKING:
+    from catalog_tools.geometry.regions import Cone
+
+LOOKED_AT = 5  # frames, spread over the scene
+PLACED = 400_000  # stars placed in all of them together: of more, some stand for all
+
+
+def shards_of(
+    resolved: ResolvedScene, catalogues: tuple[Catalogue, ...], g: Geometry
+) -> tuple[Shard, ...]:
+    """Shards that the frames of a geometry need."""
+    stars = resolved.scene.stars
+    if stars is None:
+        return ()
+    return gather_shards(catalogues, _cones(resolved, g), stars.faintest_g_mag)
+
+
+def brightest_in_field_e(
+    scene: Scene, catalogues: tuple[Catalogue, ...], g: Geometry, colour: ColourFit | None
+) -> float:
+    """Light of the brightest star in or beside the frames of a geometry [e-]; 0 without stars."""
+    if scene.stars is None or colour is None:
+        return 0.0
+    radius_rad = star_radius_rad(scene, g)
+    centres, radii = catalogue_cones(scene, g, g.attitude[:, g.middle, 2], radius_rad)
+    cones = cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
+    limit = scene.stars.faintest_g_mag
+    groups = [
+        brightest_g_mags(catalogues[s.catalogue], s.leaf, limit)
+        for s in gather_shards(catalogues, cones, limit)
+    ]
+    return brightest_star_e(scene, colour, (float(m) for g_mag in groups for m in g_mag))
+
+
+def held_by_earlier(
+    resolved: ResolvedScene, catalogues: tuple[Catalogue, ...]
+) -> tuple[np.ndarray, ...]:
+    """Of each catalogue, the stars in the field of any frame that an earlier one holds."""
+    if len(catalogues) < 2:
+        return gather_left_out(catalogues, (), None)
+    assert resolved.scene.stars is not None
+    frames = np.arange(resolved.frames, dtype=np.int64)
+    cones = [
+        cone
+        for start in range(0, resolved.frames, TASKS_PER_WINDOW)
+        for cone in _cones(
+            resolved,
+            plan_geometry(resolved.scene, frames[start:][:TASKS_PER_WINDOW], resolved.dut1_s),
+        )
+    ]
+    return gather_left_out(catalogues, cones, resolved.scene.stars.faintest_g_mag)
+
+
+def gather_field_stars(
+    resolved: ResolvedScene,
+    catalogues: tuple[Catalogue, ...],
+    left_out: Sequence[Array],
+    g: Geometry,
+    coverage: FieldCoverage | None,
+) -> FieldStars | None:
+    """The stars of the fullest of some frames counted; nothing is imported or read without stars.
+
+    g : of frames of the scene; left_out : as of `held_by_earlier`
+    """
+    if resolved.scene.stars is None:
+        return None
+    from pipeline.plan.stars.engines import StarCounts
+    from pipeline.plan.stars.shared_frames import OwnMotion
+
+    counts = StarCounts(*_lights(resolved, catalogues, left_out, g))
+    leaves = [shard.leaf for shard in shards_of(resolved, catalogues, g)]
+    own = OwnMotion(
+        max((leaf.max_proper_motion_mas_yr for leaf in leaves), default=0.0),
+        max((leaf.max_parallax_mas for leaf in leaves), default=0.0),
+    )
+    return FieldStars(counts, own, tuple(layer_decisions(catalogues, left_out)), coverage)
+
+
+def _cones(resolved: ResolvedScene, g: Geometry) -> tuple[Cone, ...]:
+    """Cones of the catalogues' sky that hold all stars of the frames of a geometry."""
+    centres, radii = field_cones(resolved, g)
+    return cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
+
+
+def _lights(
+    resolved: ResolvedScene,
+    catalogues: tuple[Catalogue, ...],
+    left_out: Sequence[Array],
+    g: Geometry,
+) -> tuple[Array, float]:
+    """Light of the stars of the fullest of some frames [e-], sorted, and how many each stands for:
+    read and placed as the drawing does it."""
+    from pipeline.execute.sources import place_stars
+
+    frames = _looked_at(resolved, catalogues, g)
+    if not frames:
+        return np.empty(0), 1.0
+    needed = [_by_leaf(shards_of(resolved, catalogues, one)) for one in frames]
+    step = max(1, max(_rows(shards.values()) for shards in needed) // PLACED)
+    found: list[list[Array]] = [[] for _ in frames]
+    for key, shard in reduce(or_, needed).items():
+        catalogue = catalogues[shard.catalogue]
+        stars = _read(resolved, catalogue, shard, left_out[shard.catalogue])
+        stars = select(stars, np.arange(0, len(stars), step))
+        epoch = catalogue.ref_epoch_jyear
+        for one, shards, lights in zip(frames, needed, found, strict=True):
+            if key in shards:
+                lights.append(place_stars(resolved, stars, one, epoch, shard.catalogue).light_e)
+    each = [np.sort(np.concatenate(lights or [np.empty(0)])) for lights in found]
+    return max(each, key=len), float(step)
+
+
+def _looked_at(
+    resolved: ResolvedScene, catalogues: tuple[Catalogue, ...], g: Geometry
+) -> list[Geometry]:
+    """Some of the frames that are exposed to light: the fewer, the more stars they hold."""
+    lit = [i for i, k in enumerate(g.frame) if resolved.integration_s(int(k)) > 0.0]
+    if not lit:
+        return []
+    first = _rows(shards_of(resolved, catalogues, g.frame_slice(lit[0])))
+    most = int(np.clip(PLACED // max(1, first), 1, LOOKED_AT))
+    looked = np.unique(np.linspace(0, len(lit) - 1, most).astype(int))
+    return [g.frame_slice(lit[i]) for i in looked]
+
+
+def _by_leaf(shards: Iterable[Shard]) -> dict[tuple[int, int, int], Shard]:
+    return {(s.catalogue, s.leaf.order, s.leaf.pixel): s for s in shards}
+
+
+def _rows(shards: Iterable[Shard]) -> int:
+    return sum(group.rows for shard in shards for group in shard.leaf.row_groups)
+
+
+def _read(
+    resolved: ResolvedScene, catalogue: Catalogue, shard: Shard, left_out: Array
+) -> StarTable:
+    wish = resolved.scene.stars
+    assert wish is not None
+    assert resolved.colour is not None
+    return gather_leaf(
+        catalogue,
+        shard.leaf,
+        wish.faintest_g_mag,
+        resolved.colour,
+        resolved.facts.area_m2,
+        not wish.space_motion,
+        left_out,
+    )
