@@ -33,7 +33,7 @@ from pipeline.plan.targets.orbit_age import orbit_remarks
 from pipeline.plan.targets.umbra import umbra_remarks
 from pipeline.plan.timing import integration_range_s
 from pipeline.resolve.files import has_air, read_files, with_numbers
-from pipeline.resolve.stars import brightest_in_field_e, gather_field_stars, held_by_earlier
+from pipeline.resolve.stars import brightest_in_field_e, gather_field_stars, stars_left_out
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -50,8 +50,8 @@ class Resolved:
     """A resolved scene with what was read on the way.
 
     geometry : of some of its frames, which took geometry_s of CPU
-    catalogues : the main one and the layers over it; held_by_earlier : of each, the sorted
-        source_ids of stars that an earlier one holds
+    catalogues : the main one and the layers over it; left_out : of each, the sorted source_ids of
+        stars that an earlier one holds
     stars : those around the field, counted; None for a scene without
     warnings : what the scene accepts though the product is wrong there; remarks : what else is
         reported
@@ -62,7 +62,7 @@ class Resolved:
     geometry_s: float
     maps: SensorMaps
     catalogues: tuple[Catalogue, ...]
-    held_by_earlier: tuple[np.ndarray, ...]
+    left_out: tuple[np.ndarray, ...]
     stars: FieldStars | None
     rays: CosmicRays | None
     warnings: tuple[str, ...]
@@ -105,15 +105,15 @@ def resolve(asked: Scene) -> Resolved:
     resolved = resolved_scene(
         scene, facts, g, light.colour, light.sun_rate_e_s_m2, dut1_s, sky, extinction
     )
-    held = held_by_earlier(resolved, catalogues)
+    left_out = stars_left_out(resolved, catalogues)
     return Resolved(
         resolved,
         g,
         geometry_s,
         maps,
         catalogues,
-        held,
-        gather_field_stars(resolved, catalogues, held, g, coverage),
+        left_out,
+        gather_field_stars(resolved, catalogues, left_out, g, coverage),
         _cosmic_rays(scene),
         (*doubts.warnings, *warnings),
         (

@@ -43,7 +43,7 @@ def shards_of(
     stars = resolved.scene.stars
     if stars is None:
         return ()
-    return gather_shards(catalogues, _cones(resolved, g), stars.faintest_g_mag)
+    return gather_shards(catalogues, _cones(g, field_cones(resolved, g)), stars.faintest_g_mag)
 
 
 def brightest_in_field_e(
@@ -52,10 +52,8 @@ def brightest_in_field_e(
     """Light of the brightest star in or beside the frames of a geometry [e-]; 0 without stars."""
     if scene.stars is None or colour is None:
         return 0.0
-    radius_rad = star_radius_rad(scene, g)
-    centres, radii = catalogue_cones(scene, g, g.attitude[:, g.middle, 2], radius_rad)
-    cones = cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
-    limit = scene.stars.faintest_g_mag
+    around = catalogue_cones(scene, g, g.attitude[:, g.middle, 2], star_radius_rad(scene, g))
+    cones, limit = _cones(g, around), scene.stars.faintest_g_mag
     groups = [
         brightest_g_mags(catalogues[s.catalogue], s.leaf, limit)
         for s in gather_shards(catalogues, cones, limit)
@@ -63,7 +61,7 @@ def brightest_in_field_e(
     return brightest_star_e(scene, colour, (float(m) for g_mag in groups for m in g_mag))
 
 
-def held_by_earlier(
+def stars_left_out(
     resolved: ResolvedScene, catalogues: tuple[Catalogue, ...]
 ) -> tuple[np.ndarray, ...]:
     """Of each catalogue, the stars in the field of any frame that an earlier one holds."""
@@ -71,14 +69,10 @@ def held_by_earlier(
         return gather_left_out(catalogues, (), None)
     assert resolved.scene.stars is not None
     frames = np.arange(resolved.frames, dtype=np.int64)
-    cones = [
-        cone
-        for start in range(0, resolved.frames, TASKS_PER_WINDOW)
-        for cone in _cones(
-            resolved,
-            plan_geometry(resolved.scene, frames[start:][:TASKS_PER_WINDOW], resolved.dut1_s),
-        )
-    ]
+    cones: list[Cone] = []
+    for start in range(0, resolved.frames, TASKS_PER_WINDOW):
+        g = plan_geometry(resolved.scene, frames[start:][:TASKS_PER_WINDOW], resolved.dut1_s)
+        cones += _cones(g, field_cones(resolved, g))
     return gather_left_out(catalogues, cones, resolved.scene.stars.faintest_g_mag)
 
 
@@ -91,7 +85,7 @@ def gather_field_stars(
 ) -> FieldStars | None:
     """The stars of the fullest of some frames counted; nothing is imported or read without stars.
 
-    g : of frames of the scene; left_out : as of `held_by_earlier`
+    g : of frames of the scene; left_out : as of `stars_left_out`
     """
     if resolved.scene.stars is None:
         return None
@@ -107,10 +101,9 @@ def gather_field_stars(
     return FieldStars(counts, own, tuple(layer_decisions(catalogues, left_out)), coverage)
 
 
-def _cones(resolved: ResolvedScene, g: Geometry) -> tuple[Cone, ...]:
-    """Cones of the catalogues' sky that hold all stars of the frames of a geometry."""
-    centres, radii = field_cones(resolved, g)
-    return cones_of(centres, radii, epochs_jyear(g), observer_distances_au(g))
+def _cones(g: Geometry, caps: tuple[Array, Array]) -> tuple[Cone, ...]:
+    """Cones (centres (F, 3), radii (F,) [rad]) at the times and places of the frames."""
+    return cones_of(*caps, epochs_jyear(g), observer_distances_au(g))
 
 
 def _lights(

@@ -64,7 +64,7 @@ def prepare(scene: Scene) -> Prepared:
     r = resolve(scene)
     plan = make_plan(r.scene, r.geometry, r.stars, r.remarks, r.warnings)
     spent = _spent(plan, r, started)
-    return Prepared(plan, r.maps, r.catalogues, r.held_by_earlier, spent, r.rays)
+    return Prepared(plan, r.maps, r.catalogues, r.left_out, spent, r.rays)
 
 
 def _spent(plan: Plan, r: Resolved, started: float) -> Spent:

@@ -71,7 +71,7 @@ class StarCounts:
 
 
 def choose_engines(
-    plan: ResolvedScene, g: Geometry, counts: StarCounts, decisions: tuple[Decision, ...] = ()
+    plan: ResolvedScene, g: Geometry, counts: StarCounts, decisions: tuple[Decision, ...]
 ) -> tuple[ResponsePlan, tuple[Decision, ...]]:
     """The responses with tables only where they are cheaper than drawing star by star, and the
     decisions with that one.
