@@ -120,7 +120,7 @@ def every(function: Callable[..., Any], *inputs: Any) -> Told:
     return Told("".join(f"\n      {k}: {found}" for k, found in enumerate(each, 1)))
 
 
-def answered(name: str, asked: int, names: dict[str, Any]) -> None:
+def answered(name: str, asked: int, names: dict[str, Any], noise: float = 0.0) -> None:
     """Hold each line of Python of a stored text against what stands under it, what it gives.
 
     A line that only gives values to names, in brackets, has no answer. A new case is a new line of
@@ -137,7 +137,7 @@ def answered(name: str, asked: int, names: dict[str, Any]) -> None:
             continue
         found = told_of(partial(eval, line, names), " " * 4)
         out.append(line + ("" if found.startswith("\n") else "\n    ") + found)
-    check_told(name, "\n".join(out))
+    check_told(name, "\n".join(out), noise=noise)
 
 
 def put(name: str, content: Any) -> Path:

@@ -38,5 +38,6 @@ def test_as_pinned(group: str, names: dict[str, Any]) -> None:
         if len(parts) == 3 or parts[2] in ROOMS:
             names[parts[-1]] = import_module(room.name)
     names["published"] = published
+    noise = 1e-9 if group == "camera" else 0.0  # what fits leave of coefficients that are zero
     with np.errstate(all="ignore"):
-        answered(f"inputs/of-{group}", ASKED[group], names)
+        answered(f"inputs/of-{group}", ASKED[group], names, noise)

@@ -76,7 +76,7 @@ def test_selftests(tmp_path: Path) -> None:
         if c.name.startswith(tuple(SELFTESTS.split()))
     ]
     rows = [coarse(o.as_dict(), 0.01 * o.case.allowed) for o in ran]
-    pin("selftests", re.sub(r"within \S+|\S+ px (?=wide|narrow)", "", tell(rows, 5)))
+    pin("selftests", re.sub(r"within \S+|\S+ px (?=wide|narrow)", "", tell(rows, 5)), noise=1e-10)
 
 
 def test_ledger(stars: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,7 +106,8 @@ def test_ledger(stars: str, monkeypatch: pytest.MonkeyPatch) -> None:
     found["rules"] = [[r["rule"], r["how"], *r["all"]] for r in found["rules"]]
     plan = prepare(parse_scene(scenes.scene())).plan
     said = told_lines(STATED, {"plan": plan, "probe": probe})
-    pin("ledger", tell(coarse(found), 6), heard[:2], heard[-1], said)
+    # An orbit's rows and what lies between them: 3e-4 of the error found is the processor's.
+    pin("ledger", tell(coarse(found), 6), heard[:2], heard[-1], said, relative=1e-3)
 
 
 def _tiny(name: str, quick: bool) -> Any:

@@ -8,22 +8,23 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from functools import cache
 from pathlib import Path
-
-from tests.pins.compare import KEPT, KINDS, _kinds, kind_here
 
 TOLD = Path(__file__).parent / "told"
 ANEW = "NIGHTGLASS_PINS"
 MOST_LINES = 40  # of a difference that is shown
-RELATIVE = 1e-6  # on another kind of processor: of a number, beside one unit of its last place
+RELATIVE = 1e-6  # of a number, beside one unit of its last place: processors round differently
 
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]\d)")
 
 
-def check_told(name: str, text: str, **places: str | Path) -> None:
+def check_told(
+    name: str, text: str, *, relative: float = RELATIVE, noise: float = 0.0, **places: str | Path
+) -> None:
     """Hold a text against tests/pins/told/NAME.txt; AssertionError with what differs.
 
+    relative : what a number may differ by, as a fraction of itself
+    noise : numbers that are both smaller than this are rounding errors and count as the same
     places : what to put a word in place of wherever it stands in the text, as `folder=tmp_path`:
         the folder's path becomes `<folder>`; the longest first
     """
@@ -37,7 +38,7 @@ def check_told(name: str, text: str, **places: str | Path) -> None:
         return
     assert path.is_file(), f"{path.name}: no such pin; `make pins` makes it"
     pinned = path.read_text()
-    if found == pinned or (not is_pinned_kind() and alike(pinned, found)):
+    if found == pinned or alike(pinned, found, relative, noise):
         return
     lines = [*difflib.unified_diff(pinned.splitlines(), found.splitlines(), "pinned", "told",
                                    lineterm="", n=1)]  # fmt: skip
@@ -45,26 +46,21 @@ def check_told(name: str, text: str, **places: str | Path) -> None:
     raise AssertionError(f"{name} tells otherwise:\n" + "\n".join(lines[:MOST_LINES]) + more)
 
 
-@cache
-def is_pinned_kind() -> bool:
-    """Whether pins were made on this kind of processor: then each digit counts."""
-    return (KEPT / KINDS).is_file() and kind_here() in _kinds(KEPT).values()
-
-
-def alike(pinned: str, found: str) -> bool:
+def alike(pinned: str, found: str, relative: float = RELATIVE, noise: float = 0.0) -> bool:
     """Whether two texts have the same words, and numbers that are the same but for rounding."""
     if _NUMBER.sub("#", pinned) != _NUMBER.sub("#", found):
         return False
     pairs = zip(_NUMBER.findall(pinned), _NUMBER.findall(found), strict=True)
-    return all(a == b or _near(a, b) for a, b in pairs)
+    return all(a == b or _near(a, b, relative, noise) for a, b in pairs)
 
 
-def _near(a: str, b: str) -> bool:
+def _near(a: str, b: str, relative: float, noise: float) -> bool:
     """Whether two numbers as written differ by rounding alone; whole numbers must be the same."""
     if not {*"."} & {*a, *b} and not {*"e"} & {*a, *b}:
         return False
     last = max(_last_place(a), _last_place(b))
-    return abs(float(a) - float(b)) <= RELATIVE * abs(float(a)) + 1.001 * last
+    x, y = float(a), float(b)
+    return abs(x - y) <= relative * abs(x) + 1.001 * last or max(abs(x), abs(y)) < noise
 
 
 def _last_place(number: str) -> float:
