@@ -87,7 +87,8 @@ def _explain(error: BaseException) -> int:
     if isinstance(error, typer.Exit):
         return error.exit_code
     if hasattr(error, "format_message"):  # a usage error of the command line itself
-        _say(f"{error.format_message()} (see --help)")
+        if said := error.format_message():  # none where a group of commands shows its help
+            _say(f"{said} (see --help)")
         return 2
     if isinstance(error, KeyboardInterrupt | typer.Abort):
         _say("interrupted; a catalogue or a download is gone on with by the same command")
@@ -296,7 +297,7 @@ def light_curve(
     set_: Overrides = None,
     start: Annotated[float, typer.Option(help="seconds after the epoch")] = 0.0,
     stop: Annotated[float | None, typer.Option(help="default: end of the last exposure")] = None,
-    points: Annotated[int, typer.Option(min=2, max=1_000_000)] = 1000,
+    points: Annotated[int, typer.Option(min=2, max=1_000_000, help="times, evenly spaced")] = 1000,
     plot: Annotated[Path | None, typer.Option(help="also a plot, PNG")] = None,
 ) -> None:
     """Magnitude, phase angle, range and eclipse of a target against time, as Parquet."""
@@ -360,7 +361,7 @@ def report_detection(
 @app.command()
 def serve(
     host: Annotated[str, typer.Option(help="address to listen on")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535)] = 8765,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any free one")] = 8765,
     home: Annotated[
         Path | None,
         typer.Option(help="folder of jobs, products, catalogues; default: NIGHTGLASS_HOME"),

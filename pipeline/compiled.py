@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+
+FOLDER = "NUMBA_CACHE_DIR"  # of kept kernels, where they do not lie beside their sources
 
 
 def forget_stale(package: Path) -> None:
@@ -23,3 +28,21 @@ def forget_stale(package: Path) -> None:
             with suppress(OSError):  # another process was first, or it may not be removed
                 if kept.stat().st_mtime < newest:
                     kept.unlink()
+
+
+def keep_apart(package: Path) -> None:
+    """Let kernels kept in a folder of their own lie there by what they are compiled from.
+
+    Such a folder outlives an installation (a container's volume); files of two installations may
+    have the same dates and sizes: one version of the sources must not find another's kernels.
+    """
+    asked = os.environ.get(FOLDER)
+    if not asked:
+        return
+    sources = sorted(package.rglob("*.py"))
+    content = b"".join(f"{s.relative_to(package)}\0".encode() + s.read_bytes() for s in sources)
+    version = hashlib.sha256(content).hexdigest()[:16]
+    if Path(asked).name != version:  # a process that this one starts has it already
+        os.environ[FOLDER] = str(Path(asked, version))
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.CACHE_DIR = os.environ[FOLDER]

@@ -17,6 +17,7 @@ from fastapi.responses import JSONResponse, Response
 from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 
 from pipeline.errors import BadInput, Damaged, NightglassError
 from service import problems
@@ -172,7 +173,7 @@ def _look_over(context: Context) -> None:
         log.error("damaged: %s", fault.reason, extra={"job": fault.job})
 
 
-async def answer_problem(_: Request, error: Exception) -> Response:
+async def answer_problem(request: Request, error: Exception) -> Response:
     """Any exception as problem+json (RFC 9457)."""
     headers: dict[str, str] = {}
     if isinstance(error, DBAPIError | PoolTimeout):
@@ -181,6 +182,8 @@ async def answer_problem(_: Request, error: Exception) -> Response:
         status, headers = error.status_code, dict(error.headers or {})
     else:
         status = next((code for kind, code in HTTP_STATUS if isinstance(error, kind)), 500)
+    if status == HTTPStatus.METHOD_NOT_ALLOWED:
+        headers["Allow"] = ", ".join(_methods_at(request))
     detail, errors = _explain(error, status)
     body = {
         "type": getattr(error, "type_uri", "about:blank"),
@@ -191,6 +194,13 @@ async def answer_problem(_: Request, error: Exception) -> Response:
     }
     headers |= HEADERS.get(status, {})
     return JSONResponse(body, status, headers, media_type="application/problem+json")
+
+
+def _methods_at(request: Request) -> list[str]:
+    """Methods of all routes of a request's path: the router names those of the first alone."""
+    routes = (route for room in ROOMS for route in room.router.routes)
+    found = [r for r in routes if r.matches(request.scope)[0] is not Match.NONE]
+    return sorted({method for r in found for method in getattr(r, "methods", None) or ()})
 
 
 def _of_table(error: DBAPIError | PoolTimeout) -> Exception:

@@ -8,7 +8,9 @@ import sys
 import time
 from pathlib import Path
 
-from pipeline.compiled import forget_stale
+import pytest
+
+from pipeline.compiled import FOLDER, forget_stale, keep_apart
 
 CALLEE = """from numba import njit
 @njit(cache=True)
@@ -68,3 +70,24 @@ def test_sources_of_the_future_do_not_count(tmp_path: Path) -> None:
     (tmp_path / "b.py").touch()
     forget_stale(tmp_path)
     assert not kept.exists()
+
+
+def test_a_folder_of_kept_kernels_is_parted_by_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dates and sizes of two installations may be the same: their kernels lie apart."""
+    source = tmp_path / "a.py"
+    found = []
+    for content in ("x = 1", "x = 2", "x = 1"):
+        source.write_text(content)
+        os.utime(source, (1.0, 1.0))
+        monkeypatch.setenv(FOLDER, str(tmp_path / "kept"))
+        keep_apart(tmp_path)
+        found.append(os.environ[FOLDER])
+        keep_apart(tmp_path)  # in a process that the first one starts
+        assert os.environ[FOLDER] == found[-1]
+    assert found[0] == found[2] != found[1]
+    assert {Path(f).parent for f in found} == {tmp_path / "kept"}
+    monkeypatch.delenv(FOLDER)
+    keep_apart(tmp_path)
+    assert FOLDER not in os.environ

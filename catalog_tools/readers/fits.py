@@ -136,23 +136,25 @@ def _read_header(stream: _Stream, where: str) -> dict[str, Any] | None:
         blocks.append(block)
         cards = (block[i : i + CARD_BYTES] for i in range(0, BLOCK_BYTES, CARD_BYTES))
         if any(card.rstrip() == b"END" for card in cards):
-            values = _keywords(b"".join(blocks), where)
-            if values is not None:
-                return values
+            return _keywords(b"".join(blocks), where)
     raise BadInput(where, f"{len(blocks)} blocks", "a FITS header that has an END")
 
 
-def _keywords(header: bytes, where: str) -> dict[str, Any] | None:
-    """Values by keyword; None where an axis has a negative length."""
+def _keywords(header: bytes, where: str) -> dict[str, Any]:
+    """Values by keyword. BadInput for what is no header, and for an axis of negative length."""
     from astropy.io.fits import Header
 
     try:
         cards = Header.fromstring(header.decode("ascii")).cards
         values = {card.keyword: card.value for card in cards if card.keyword}
-        naxis = int(values.get("NAXIS", 0))
-        return values if all(int(values[f"NAXIS{i + 1}"]) >= 0 for i in range(naxis)) else None
+        axes = [f"NAXIS{i + 1}" for i in range(int(values.get("NAXIS", 0)))]
+        lengths = {name: int(values[name]) for name in axes}
     except Exception as error:  # astropy's parser has many ways to fail
         raise BadInput(where, str(error)[:80], "FITS headers to the standard") from None
+    for name, length in lengths.items():
+        if length < 0:
+            raise BadInput(where, f"{name} = {length}", "axes of no negative length")
+    return values
 
 
 def _data_bytes(header: dict[str, Any]) -> int:

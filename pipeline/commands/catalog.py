@@ -120,13 +120,21 @@ def starlight(
 @catalog.command()
 def cone(
     catalogue: Place,
-    ra_deg: Annotated[float | None, typer.Option("--ra", min=-360, max=360)] = None,
-    dec_deg: Annotated[float | None, typer.Option("--dec", min=-90, max=90)] = None,
-    radius_deg: Annotated[float | None, typer.Option("--radius", min=0, max=180)] = None,
+    ra_deg: Annotated[
+        float | None, typer.Option("--ra", min=-360, max=360, help="centre of a cone, degrees")
+    ] = None,
+    dec_deg: Annotated[
+        float | None, typer.Option("--dec", min=-90, max=90, help="centre of a cone, degrees")
+    ] = None,
+    radius_deg: Annotated[
+        float | None, typer.Option("--radius", min=0, max=180, help="of the cone, degrees")
+    ] = None,
     corner: Annotated[
         list[str] | None, typer.Option(help="RA,DEC of a polygon; three or more, instead of a cone")
     ] = None,
-    faintest_g_mag: Annotated[float | None, typer.Option("--faintest")] = None,
+    faintest_g_mag: Annotated[
+        float | None, typer.Option("--faintest", help="G magnitude; default: all stars")
+    ] = None,
     epoch_jyear: Annotated[float | None, typer.Option("--epoch", help="Julian year")] = None,
     output: Annotated[Path | None, typer.Option("-o", help=".csv or .parquet")] = None,
 ) -> None:
@@ -161,7 +169,7 @@ def demo(
         int | None, typer.Option(min=1, help="a sample of so many stars to G = 21")
     ] = None,
     as_csv: Annotated[bool, typer.Option("--as-csv", help="files like Gaia DR2's instead")] = False,
-    seed: Annotated[int, typer.Option(min=0)] = 2,
+    seed: Annotated[int, typer.Option(min=0, help="of all draws")] = 2,
     workers: Workers = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -218,7 +226,7 @@ def fetch(
     base_url: Annotated[str | None, typer.Option(help="a mirror: http, https, file")] = None,
     tap: Annotated[str | None, typer.Option(help="'archive' or a TAP URL: the rows only")] = None,
     faintest_g_mag: Annotated[float | None, typer.Option("--faintest", help="with --tap")] = None,
-    connections: Annotated[int, typer.Option(min=1, max=32)] = 4,
+    connections: Annotated[int, typer.Option(min=1, max=32, help="at once")] = 4,
     verify: Annotated[bool, typer.Option("--verify", help="hash present files again")] = False,
     as_json: Json = False,
 ) -> None:

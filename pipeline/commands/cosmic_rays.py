@@ -59,9 +59,13 @@ def extract(
 def compare(
     library: Annotated[Path, typer.Argument(help="a library of recorded events")],
     output: Output,
-    thickness_um: Annotated[float, typer.Option(min=0.5, max=2000)] = 100.0,
+    thickness_um: Annotated[
+        float, typer.Option(min=0.5, max=2000, help="of the generator's sensitive layer")
+    ] = 100.0,
     pixel_pitch_um: Annotated[float | None, typer.Option(help="where the library has none")] = None,
-    diffusion_um: Annotated[float, typer.Option(min=0, max=100)] = 4.0,
+    diffusion_um: Annotated[
+        float, typer.Option(min=0, max=100, help="sigma of the generator's charge clouds")
+    ] = 4.0,
     threshold_e: Annotated[float, typer.Option(help="least charge of a pixel counted")] = 50.0,
     as_json: Json = False,
 ) -> None:

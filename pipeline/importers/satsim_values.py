@@ -50,9 +50,14 @@ def _drawn(value: Node, rng: np.random.Generator, told: list[str], where: str) -
         raise BadInput(f"{where}.$sample", value["$sample"], allowed)
     drawn = SAMPLERS[kind](kind, value, rng, told, where)
     if not isinstance(drawn, dict | list):
-        shown = f"image, median {np.median(drawn):.4g}" if np.ndim(drawn) else f"{drawn:.6g}"
-        told.append(f"{where} drawn at random by {value['$sample']}: {shown}")
+        told.append(f"{where} drawn at random by {value['$sample']}: {_shown(drawn)}")
     return drawn
+
+
+def _shown(drawn: Any) -> str:
+    if np.ndim(drawn):
+        return f"image, median {np.median(drawn):.4g}"
+    return f"{drawn:.6g}" if isinstance(drawn, int | float) else str(drawn)
 
 
 def _list(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
-from pipeline.compiled import forget_stale
+from pipeline.compiled import forget_stale, keep_apart
 
 forget_stale(Path(__file__).parent)
+keep_apart(Path(__file__).parent)

@@ -43,8 +43,8 @@ LONG_NAMES = {  # layers of the cube: what they are, and their unit
     "targets_e": ("light of the targets after the flat", "electron"),
     "background_e": ("light of the sky after the flat", "electron"),
     "dark_e": ("dark signal", "electron"),
-    "calibrated_e": ("dn less bias and dark, divided by the flat; NaN: bad pixel", "electron"),
-    "lag_e": ("what frames before left, less what stays for the next", "electron"),
+    "calibrated_e": ("(dn - bias - dark) / flat; NaN: bad pixel", "electron"),
+    "lag_e": ("left by frames before, less what stays behind", "electron"),
     "cosmic_rays_e": ("charge of cosmic rays, drawn; not in mean_e", "electron"),
 }
 

@@ -336,10 +336,13 @@ def is_sealed(begun: Begun, tiles: int) -> bool:
 def _finished_faults(path: Path) -> list[str]:
     """Damage to what `finish` wrote: files named in _COMPLETE with length and digest."""
     try:
-        listed = json.loads((path / layout.COMPLETE).read_text())["files"]
+        sealed = json.loads((path / layout.COMPLETE).read_text())
+        listed, content = dict(sealed["files"]), sealed["content_digest"]
     except (ValueError, KeyError, TypeError):
         return [f"{layout.COMPLETE}: not what was written"]
     faults = []
+    if content != _reported_digest(path):
+        faults.append(f"{layout.COMPLETE}: its content_digest is not that of {layout.REPORT}")
     for name, digest in listed.items():
         file = path / name
         if not file.is_file():
@@ -347,6 +350,14 @@ def _finished_faults(path: Path) -> list[str]:
         elif file_digest(file) != digest:
             faults.append(f"{name}: the digest differs")
     return faults
+
+
+def _reported_digest(path: Path) -> str | None:
+    """The content digest in a product's report; None where none can be read."""
+    try:
+        return str(json.loads((path / layout.REPORT).read_text())["content_digest"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def seal(path: Path, content: str) -> None:

@@ -172,6 +172,9 @@ def test_fits_without_a_table_and_with_other_extensions(tmp_path, few):
     fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(np.ones(4)), table]).writeto(tmp_path / "b.fits")
     check(tmp_path / "b.fits", "extension 1: IMAGE", replace(DR2, layout=Layout(hdu=1)))
     check(tmp_path / "b.fits", "in extension 7", replace(DR2, layout=Layout(hdu=7)))
+    content, axis = (tmp_path / "b.fits").read_bytes(), b"NAXIS1  =                   "
+    (tmp_path / "b.fits").write_bytes(content.replace(axis + b" 4", axis + b"-4"))
+    check(tmp_path / "b.fits", "NAXIS1 = -4")
 
 
 def test_wrong_types_of_columns(tmp_path, few):

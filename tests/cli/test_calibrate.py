@@ -13,6 +13,7 @@ import pytest
 from astropy.io import fits
 
 from pipeline.store.cube import open_cube
+from pipeline.store.layout import LONG_NAMES
 from tests.command import nightglass
 
 SCENE = {
@@ -78,6 +79,7 @@ def test_a_product_of_its_own(product, tmp_path):
         assert made.returncode == 0, made.stderr
     with fits.open(tmp_path / "fits" / "frame-00001.fits") as hdus:
         assert hdus[0].header["BUNIT"] == "electron"
+        assert hdus[0].header.comments["BUNIT"] == LONG_NAMES["calibrated_e"][0]
         assert np.array_equal(hdus[0].data, light[1], equal_nan=True)
 
 

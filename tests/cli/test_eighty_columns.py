@@ -120,6 +120,23 @@ def test_help_fits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not too_wide(told.stdout)
 
 
+def test_every_option_says_what_it_is() -> None:
+    command = typer.main.get_command(app)
+    for name in ALL:
+        found: Any = command
+        for word in name.split():
+            found = found.commands[word]
+        mute = [p.name for p in found.params if not getattr(p, "help", None)]
+        assert not mute, f"{name}: {mute}"
+
+
+def test_a_group_alone_shows_its_commands() -> None:
+    told = nightglass("catalog")
+    assert told.returncode == 2
+    assert "ingest" in told.stdout
+    assert not told.stderr
+
+
 @pytest.mark.parametrize("line", COMMANDS)
 def test_output_fits(
     line: str, folder: Path, words: dict[str, Any], monkeypatch: pytest.MonkeyPatch

@@ -206,13 +206,14 @@ def test_a_satsim_sensor_is_what_the_file_says(published):
         ({"$pipeline": [{"function": "constant", "kwargs": {"value": 10}},
                         {"function": "poly", "kwargs": {"coef": [2, 3, 5]}}]}, 235.0),
         ({"$sample": "random.choice", "choices": [1, 2, 3], "probabilities": [0, 0, 1]}, 3),
+        ({"$sample": "random.choice", "choices": ["a", "b"], "probabilities": [0, 1]}, "b"),
         ({"$sample": "random.normal", "loc": 50.0, "scale": 0.0}, 50.0),
         ({"$sample": "random.uniform", "low": 7.0, "high": 7.0}, 7.0),
         ({"$sample": "random.randint", "low": 3, "high": 4}, 3),
         ({"$sample": "random.lognormal", "mean": 0.0, "sigma": 0.0}, 1.0),
         ({"$sample": "random.list", "length": 2, "value": {"a": [5]}}, [{"a": [5]}] * 2),
     ],
-    ids=("poly", "choice", "normal", "uniform", "randint", "lognormal", "list"),
+    ids=("poly", "choice", "choice of words", "normal", "uniform", "randint", "lognormal", "list"),
 )  # fmt: skip
 def test_chance_without_a_choice_gives_the_value(given, wanted):
     """numpy's own names and order of the terms; a polynomial's highest power first."""

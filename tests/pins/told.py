@@ -32,13 +32,14 @@ def check_told(
         text = text.replace(str(value), f"<{word}>")
     found = "".join(f"{line.rstrip()}\n" for line in text.splitlines())
     path = TOLD / f"{name}.txt"
-    if os.environ.get(ANEW) == "anew":
+    anew = os.environ.get(ANEW) == "anew"
+    assert anew or path.is_file(), f"{path.name}: no such pin; `make pins` makes it"
+    pinned = path.read_text() if path.is_file() else ""
+    if found == pinned or alike(pinned, found, relative, noise):
+        return
+    if anew:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(found)
-        return
-    assert path.is_file(), f"{path.name}: no such pin; `make pins` makes it"
-    pinned = path.read_text()
-    if found == pinned or alike(pinned, found, relative, noise):
         return
     lines = [*difflib.unified_diff(pinned.splitlines(), found.splitlines(), "pinned", "told",
                                    lineterm="", n=1)]  # fmt: skip

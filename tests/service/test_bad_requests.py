@@ -255,6 +255,11 @@ def test_wrong_requests(client: httpx.Client, method: str, path: str, status: in
     refused(client.request(method, path), status)
 
 
+def test_405_names_what_all_routes_of_a_path_take(client: httpx.Client) -> None:
+    """RFC 9110, section 15.5.6: submitting and listing are routes of their own."""
+    assert client.put("/v1/jobs").headers["allow"] == "GET, POST"
+
+
 def test_a_body_that_does_not_come_is_408(tmp_path: Path) -> None:
     app = create_app(Settings(tmp_path, body_s=0.1))
 

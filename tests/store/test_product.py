@@ -144,6 +144,14 @@ def test_other_files_are_watched(product, name):
     assert any(name in fault for fault in check(product).faults)
 
 
+def test_a_seal_with_another_digest_is_named(product):
+    seal = json.loads((product / "_COMPLETE").read_text())
+    digest = seal["content_digest"]
+    other = ("1" if digest[0] == "0" else "0") + digest[1:]
+    (product / "_COMPLETE").write_text(json.dumps(seal | {"content_digest": other}))
+    assert any("content_digest" in fault for fault in check(product).faults)
+
+
 def test_lost_and_tampered_markers(product):
     marker = sorted((product / "markers").glob("*.json"))[3]
     text = marker.read_text()
