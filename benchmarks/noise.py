@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
+from pipeline.physics.noise.chain import to_dn
 from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
+from pipeline.physics.noise.terms import Chain, StreamPlace
 
 SIDE = 1024
 LEVELS = (1e-12, 1e-3, 0.1, 1.0, 5.0, 12.0, 20.0, 100.0, 1e3, 1e5, 1e7, 1e9)

@@ -16,7 +16,7 @@ from pipeline.execute.detector import tile_chain
 from pipeline.export.files import layers_of
 from pipeline.export.picture import frame_picture, png_bytes
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
-from pipeline.physics.noise.calibration import calibrated_e
+from pipeline.physics.noise.chain import calibrated_e
 from pipeline.plan.tiles import cut_up
 from pipeline.plan.timing import frame_count, integration_s
 from pipeline.spec.load import parse_scene, parse_yaml

@@ -1,12 +1,13 @@
-"""The detector in one tile: its noise chain, charge that moves and charge that stays behind."""
+"""The detector in one tile: its terms, and its place in the random streams."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from pipeline.arrays import Array, SensorMaps
-from pipeline.physics.noise.chain import Chain, StreamPlace
 from pipeline.physics.noise.streams import stream_key
+from pipeline.physics.noise.terms import Chain, StreamPlace
+from pipeline.physics.noise.transfer import Smear, exposed_share
 from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import Detector, FrameTransfer, TimeDelay
@@ -15,7 +16,7 @@ NONE = Detector()
 
 
 def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float) -> Chain:
-    """The noise chain of an exposure with the tile's part of each image."""
+    """The detector's terms for an exposure, with the tile's part of each image."""
     part = np.s_[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
     s = scene.sensor
     d = s.detector or NONE
@@ -25,8 +26,6 @@ def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float)
 
     flat, dark_e = cut(maps.flat), cut(maps.dark_e_per_s) * integration_s
     if isinstance(d.readout, TimeDelay) and d.readout.edges == "partial":
-        from pipeline.physics.noise.transfer import exposed_share
-
         share = exposed_share(s.shape[0], d.readout.rows_per_s, integration_s)[part[0], None]
         whole = np.ones((tile.rows, tile.columns))
         flat, dark_e = flat * share * whole, dark_e * share * whole
@@ -45,7 +44,17 @@ def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float)
         row_noise_e=d.row_noise_e,
         column_noise_e=d.column_noise_e,
         bad=_bad_in(maps, tile),
+        smear=_smear(d, integration_s),
+        lag=0.0 if d.lag is None else d.lag.fraction,
     )
+
+
+def _smear(d: Detector, integration_s: float) -> Smear | None:
+    readout = d.readout
+    if not isinstance(readout, FrameTransfer):
+        return None
+    to_high = readout.towards == "high_rows"
+    return Smear(integration_s, readout.transfer_s, to_high, readout.cleared)
 
 
 def _bad_in(maps: SensorMaps, tile: Tile) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -70,42 +79,3 @@ def stream_place(scene: Scene, tile: Tile, frame: int) -> StreamPlace:
         stream_key(seed, "row_noise") if d.row_noise_e > 0 else None,
         stream_key(seed, "column_noise") if d.column_noise_e > 0 else None,
     )
-
-
-def with_smear(scene: Scene, light_e: Array, integration_s: float) -> Array:
-    """Light of a tile's whole columns with what frame transfer adds; as it is without."""
-    readout = (scene.sensor.detector or NONE).readout
-    if not isinstance(readout, FrameTransfer):
-        return light_e
-    from pipeline.physics.noise.transfer import smear_e
-
-    return light_e + smear_e(
-        light_e,
-        integration_s,
-        readout.transfer_s,
-        readout.towards == "high_rows",
-        readout.cleared,
-    )
-
-
-def with_lag(
-    scene: Scene, mean_e: Array, drawn_e: Array | None, before_e: list[Array]
-) -> tuple[Array, Array | None]:
-    """Mean and drawn charge that are read of a frame's own, with what frames before left behind.
-
-    before_e : what the frames before collected (`collected_e`), the earliest first
-    """
-    lag = (scene.sensor.detector or NONE).lag
-    if lag is None:
-        return mean_e, drawn_e
-    from pipeline.physics.noise.transfer import lagged_e
-
-    read = lagged_e([*before_e, mean_e], lag.fraction)
-    return read, None if drawn_e is None else (1.0 - lag.fraction) * drawn_e
-
-
-def collected_e(scene: Scene, mean_e: Array, drawn_e: Array | None) -> Array:
-    """What the pixels of a frame hold when it is read, as the frames after see it."""
-    charge = mean_e if drawn_e is None else mean_e + drawn_e
-    full_well_e = scene.sensor.full_well_e
-    return charge if full_well_e is None else np.minimum(charge, full_well_e)

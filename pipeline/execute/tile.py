@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.execute.blocks import LightBlock
 from pipeline.execute.check import check_tile
-from pipeline.execute.detector import (
-    collected_e,
-    stream_place,
-    tile_chain,
-    with_lag,
-    with_smear,
-)
+from pipeline.execute.detector import stream_place, tile_chain
 from pipeline.execute.guards import guard_mean
 from pipeline.execute.light import draw_stars, draw_targets
-from pipeline.physics.noise.chain import Chain, to_dn
+from pipeline.physics.noise.chain import (
+    calibrated_e,
+    held_e,
+    layers_e,
+    noise_e,
+    read_mean_e,
+    to_dn,
+)
+from pipeline.physics.noise.terms import Chain
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 
@@ -57,15 +59,13 @@ def render_tile(
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
     if drawn is not None:
         layers["cosmic_rays_e"] = drawn
-    mean, drawn = with_lag(plan.scene, own, drawn, list(before))
+    mean = read_mean_e(own, before, chain)
     if mean is not own:
         layers["lag_e"] = mean - own
     place = stream_place(plan.scene, tile, int(g.frame[0]))
     out: dict[str, NDArray] = {"dn": to_dn(mean, chain, place, drawn)}
     for name in plan.scene.output.layers:
         if name == "calibrated_e":
-            from pipeline.physics.noise.calibration import calibrated_e
-
             out[name] = calibrated_e(out["dn"], chain).astype(np.float32)
         elif name != "dn":
             value = mean if name == "mean_e" else layers.get(name, np.zeros(mean.shape))
@@ -91,7 +91,7 @@ def charge_of_tile(
     light = light_with(plan, g, tile, parts, blocks, shared) if light_e is None else light_e
     _, mean = _mean(plan, g, tile, chain, light, _wing_error_e(blocks, shared))
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
-    return collected_e(plan.scene, mean, drawn)
+    return held_e(mean, drawn, chain)
 
 
 def _mean(
@@ -106,14 +106,8 @@ def _mean(
 
     error_e : what the wings may err by, also below zero
     """
-    shape, exposed_s = (tile.rows, tile.columns), plan.integration_s(int(g.frame[0]))
-    layers: dict[str, Array] = {
-        name: np.broadcast_to(image * chain.flat, shape) for name, image in light.items()
-    }
-    layers = {name: with_smear(plan.scene, layer, exposed_s) for name, layer in layers.items()}
-    if np.any(chain.dark_e):
-        layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
-    mean = np.zeros(shape)
+    layers = layers_e(light, chain, (tile.rows, tile.columns))
+    mean = np.zeros((tile.rows, tile.columns))
     for layer in layers.values():
         mean += layer
     return layers, guard_mean(plan, g, tile, mean, layers, error_e)
@@ -194,15 +188,3 @@ def _cosmic_rays_e(plan: Plan, rays: CosmicRays, chain: Chain, g: Geometry, tile
     rays = exposed_for(rays, plan.integration_s(frame))
     charge = charge_e(rays, plan.scene.seed, frame, *place)
     return charge if plan.scene.cosmic_rays.after_flat else charge * chain.flat
-
-
-def noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
-    """Noise of some pixels of a tile: of photons, of reading, of rounding [e-]."""
-
-    def squared(value: float | Array) -> float | Array:
-        return np.square(value[part] if isinstance(value, np.ndarray) else value)
-
-    photons = mean_e[part] if chain.photon_noise else np.zeros_like(mean_e[part])
-    floor = squared(chain.read_noise_e) + squared(chain.gain_e_per_dn) / 12.0
-    floor += chain.row_noise_e**2 + chain.column_noise_e**2
-    return np.sqrt(photons + floor)

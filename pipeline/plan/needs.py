@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.quadrature import has_profile, profile_s
-from pipeline.physics.noise.chain import dn_type
+from pipeline.physics.noise.converter import dn_type
 from pipeline.physics.psf.aperture import Pupil
 from pipeline.physics.psf.band import Mixture
 from pipeline.physics.psf.pupil import Blur

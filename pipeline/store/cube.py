@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput, Damaged, Incomplete
-from pipeline.physics.noise.chain import dn_type
+from pipeline.physics.noise.converter import dn_type
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile, tile_shape
 from pipeline.plan.timing import frame_count

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.arrays import FrameStars, select
-from pipeline.execute.detector import collected_e, stream_place, tile_chain
+from pipeline.execute.detector import stream_place, tile_chain
 from pipeline.execute.sources import drawing_order
-from pipeline.execute.tile import noise_e
-from pipeline.physics.noise.chain import to_dn
+from pipeline.physics.noise.chain import held_e, noise_e, to_dn
 from pipeline.physics.noise.streams import stream_key
 from pipeline.plan.tiles import Tile
 from pipeline.route.draw import missing
@@ -368,10 +368,12 @@ def test_charge_that_lags_is_what_the_well_holds():
     """Frames after one see its charge, cosmic rays included, up to the full well."""
     made = scene({"lag": {"fraction": 0.05}}, sensor__full_well_e=5e3)
     mean, rays = np.array([[10.0, 4e3, 9e3]]), np.array([[0.0, 2e3, 1.0]])
-    assert collected_e(made, mean, rays).tolist() == [[10.0, 5e3, 5e3]]
-    assert collected_e(made, mean, None).tolist() == [[10.0, 4e3, 5e3]]
-    endless = scene(sensor__full_well_e=None)
-    assert collected_e(endless, mean, rays).tolist() == [[10.0, 6e3, 9001.0]]
+    chain = tile_chain(made, prepare(made).maps, Tile(0, 0, 0, 0, SIDE, SIDE), 2.0)
+    assert chain.lag == 0.05
+    assert held_e(mean, rays, chain).tolist() == [[10.0, 5e3, 5e3]]
+    assert held_e(mean, None, chain).tolist() == [[10.0, 4e3, 5e3]]
+    endless = replace(chain, full_well_e=None)
+    assert held_e(mean, rays, endless).tolist() == [[10.0, 6e3, 9001.0]]
 
 
 def test_frames_of_several_lengths_have_rays_of_their_own_time(tmp_path):

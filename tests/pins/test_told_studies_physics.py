@@ -15,7 +15,7 @@ from tests.pins.test_told_studies import told_lines
 from tests.pins.told import check_told
 
 MODULES = {
-    "noise": "streams chain calibration patterns pixel_draws joint wells transfer",
+    "noise": "streams terms chain converter patterns pixel_draws joint wells transfer",
     "detection": "",
     "cosmic_rays": "tracks frame library deposit detect straggling",
     "motion": "streak linear_system attitude_table pointing rolling disturbance jitter flexible",
@@ -44,9 +44,10 @@ joint.measured_image(np.repeat(row, 3, 0), few, few + 30, few / 3, 0, 3, 1, key,
 few[0, :9] = 1.
 joint.measured_image(np.repeat(row, 2, 0), np.repeat(row, 2, 0), few + 1e9, np.repeat(few, 2, 0), 0,
     4, 1, key, (1, 2), (3, 4))
-place = chain.StreamPlace(2, 1, 3, (1, 2), (3, 4), (5, 6), (7, 8), (9, 10))
-plain, e = chain.Chain(1., 0., None, 5., 1.5, 100., 16), np.linspace(0., 3e4, 600).reshape(3, 200)
-chain.mean_electrons(a(0, 1, 5), but(plain, flat=.5, dark_e=7.)), chain.to_dn(e, plain, place)
+place = terms.StreamPlace(2, 1, 3, (1, 2), (3, 4), (5, 6), (7, 8), (9, 10))
+plain, e = terms.Chain(1., 0., None, 5., 1.5, 100., 16), np.linspace(0., 3e4, 600).reshape(3, 200)
+chain.layers_e({"s": a(0, 1, 5)}, but(plain, flat=.5, dark_e=7.), (1, 3)), chain.to_dn(e, plain,
+    place)
 chain.to_dn(np.full((300, 300), 50.), but(plain, row_noise_e=4., column_noise_e=2.,
     gain_e_per_dn=np.full((300, 300), 2.)), place, np.full((300, 300), 9.))
 chain.to_dn(e, but(plain, full_well_e=2e4, linearity=(a(0, 1e4, 2e4), a(0, 9e3, 1.5e4)),
@@ -59,17 +60,17 @@ chain.to_dn(e, but(plain, bias_dn=e, adc_bits=12, full_well_e=e, read_noise_e=e 
 chain.to_dn(a(-1e-9)[None], plain, place)
 chain.to_dn(a(np.inf)[None], plain, place)
 signal = a(-3, -.5, 0, .4, .5, 1.5, 2.5, 254.5, 255.4, 1e9, 2**40, 9.3e18)
-[chain.digitise(signal.copy(), 0., bits, way) for bits in (1, 8, 40, 41, 63) for way in
+[converter.digitise(signal.copy(), 0., bits, way) for bits in (1, 8, 40, 41, 63) for way in
     ("half_even", "floor")]
-[chain.digitise(a(.5, 1.5, 2.75), b, 50, "half_even") for b in (-.25, .5, 2.**62)],
-    chain.digitise(a(1), a(2**63), 63)
-[str(chain.dn_type(b)) for b in (1, 8, 9, 16, 17, 32, 33, 63)], chain._whole_and_rest(a(-1.25,
-    2**63, -2.**64))
-chain._saturated_sum(np.array([2**63 - 1, -2**63, 5]), np.array([3, -3, 4]))
+[converter.digitise(a(.5, 1.5, 2.75), b, 50, "half_even") for b in (-.25, .5, 2.**62)],
+    converter.digitise(a(1), a(2**63), 63)
+[str(converter.dn_type(b)) for b in (1, 8, 9, 16, 17, 32, 33, 63)]
+converter._whole_and_rest(a(-1.25, 2**63, -2.**64))
+converter._saturated_sum(np.array([2**63 - 1, -2**63, 5]), np.array([3, -3, 4]))
 dn, table = np.array([[0, 100, 101], [500, 65535, 7]]), (a(0, 100, 300), a(10, 90, 200))
-calibration.calibrated_e(dn, plain), calibration.calibrated_e(dn, but(plain, rounding="floor",
+chain.calibrated_e(dn, plain), chain.calibrated_e(dn, but(plain, rounding="floor",
     dark_e=3., flat=.8))
-calibration.calibrated_e(dn, but(plain, flat=np.eye(2, 3), linearity=table, bad=(np.array([1]),
+chain.calibrated_e(dn, but(plain, flat=np.eye(2, 3), linearity=table, bad=(np.array([1]),
     np.array([1]), np.array([7]))))
 patterns.prnu((3, 4), 7, 3.), [int(patterns.chosen((9, 9), 7, "hot", f).sum()) for f in (0., .3,
     1.)]

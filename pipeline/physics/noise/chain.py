@@ -1,85 +1,43 @@
-"""The noise chain, in the order of the hardware: from mean electrons to digital numbers.
-
-flat (light only) -> dark -> Poisson -> + cosmic rays -> blooming -> full well -> non-linearity ->
-read noise -> row and column noise -> gain -> bias -> ADC -> bad pixels. The full
-well clips before the read noise; cosmic rays are drawn charge, so no photon noise is drawn from
-them. What a chain does not have costs nothing.
-"""
+"""The detector's steps as a frame takes them: its layers, what it holds, its digital numbers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.physics.noise.converter import dn_type
 from pipeline.physics.noise.joint import measured_image
-from pipeline.physics.noise.streams import poisson_image, standard_normals
-from pipeline.physics.noise.wells import bloom, measured_e
+from pipeline.physics.noise.steps import AFTER_NOISE, DETECTOR, FLAT, LAG, READ_OUT, SMEAR
+from pipeline.physics.noise.streams import standard_normals
+from pipeline.physics.noise.terms import Array, Chain, Readout, StreamPlace, Value
 
-Array = NDArray[np.float64]
-Value = float | Array
-
-_INT64 = np.iinfo(np.int64)
 BAND_PX = 1 << 15  # pixels that go through the whole chain while they are in the cache
-EXACT_BITS = 40  # above, a float64 holds too few binary places beside the whole number
 
 
-@dataclass(frozen=True)
-class Chain:
-    """The detector's terms for one tile: each a number or a (ny, nx) image of that tile.
-
-    flat : response to light, dimensionless; dark_e : electrons in the integration time;
-    full_well_e : None for no limit; read_noise_e : standard deviation, electrons;
-    gain_e_per_dn : electrons per digital number; bias_dn : added before digitising;
-    adc_bits : 1 to 63; rounding : "half_even" or "floor"; photon_noise : draw Poisson or not
-    linearity : charge collected and charge measured [e-], increasing tables, straight between;
-    blooming : charge above the full well runs along its column; the tile must hold whole columns
-    row_noise_e, column_noise_e : one draw for a row or column of a frame, electrons
-    bad : rows, columns (in the tile) and the DN of pixels that read the same in every frame
-    """
-
-    flat: Value
-    dark_e: Value
-    full_well_e: Value | None
-    read_noise_e: Value
-    gain_e_per_dn: Value
-    bias_dn: Value
-    adc_bits: int
-    rounding: str = "half_even"
-    photon_noise: bool = True
-    linearity: tuple[Array, Array] | None = None
-    blooming: bool = False
-    row_noise_e: float = 0.0
-    column_noise_e: float = 0.0
-    bad: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None = None
-
-    @property
-    def is_joint(self) -> bool:
-        """Whether nothing but the full well is between photon and read noise."""
-        return self.photon_noise and self.linearity is None and not self.blooming
+def layers_e(light_e: dict[str, Array], chain: Chain, shape: tuple[int, int]) -> dict[str, Array]:
+    """Mean charge by layer [e-], each of a tile's `shape`: of the light (an image, or one for all
+    pixels) after flat and smear, and of the dark current where there is any."""
+    of, layers = Readout(chain), {}
+    for name, light in light_e.items():
+        layers[name] = SMEAR.apply(np.broadcast_to(FLAT.apply(light, of), shape), of)
+    if np.any(chain.dark_e):
+        layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
+    return layers
 
 
-@dataclass(frozen=True)
-class StreamPlace:
-    """Where in the random streams a tile stands: its first pixel, its frame, and the keys.
-
-    row_key, column_key : of the row and the column noise; None where there is none
-    """
-
-    y0: int
-    x0: int
-    frame: int
-    photon_key: tuple[int, int]
-    read_key: tuple[int, int]
-    joint_key: tuple[int, int]
-    row_key: tuple[int, int] | None = None
-    column_key: tuple[int, int] | None = None
+def read_mean_e(mean_e: Array, before_e: Sequence[Array], chain: Chain) -> Array:
+    """Mean of what is read of a frame (ny, nx) [e-]: less than it holds, and some of the frames
+    before (`held_e`, the earliest first)."""
+    return LAG.apply(mean_e, Readout(chain, before_e=before_e))
 
 
-def mean_electrons(light_e: Array, chain: Chain) -> Array:
-    """flat x light + dark: the mean that photon noise is drawn from [e-]."""
-    return light_e * chain.flat + chain.dark_e
+def held_e(mean_e: Array, drawn_e: Array | None, chain: Chain) -> Array:
+    """What the pixels of a frame hold when it is read [e-], as the frames after see it."""
+    charge = mean_e if drawn_e is None else mean_e + drawn_e
+    return charge if chain.full_well_e is None else np.minimum(charge, chain.full_well_e)
 
 
 def to_dn(
@@ -98,56 +56,33 @@ def to_dn(
     rows, columns = mean_e.shape
     step = rows if chain.blooming else max(1, BAND_PX // max(1, columns))
     out = np.empty(mean_e.shape, dn_type(chain.adc_bits))
-    offsets = _offsets_e(chain, place, rows, columns)
+    column_e = _column_noise_e(chain, place, columns)
     for start in range(0, rows, step):
         part = slice(start, min(start + step, rows))
-        signal = _measured_e(
-            mean_e[part],
-            None if drawn_e is None else drawn_e[part],
-            chain,
-            replace(place, y0=place.y0 + start),
-            part,
-        )
-        for offset in offsets:
-            signal += offset if offset.shape[0] == 1 else offset[part]
-        signal /= _cut_value(chain.gain_e_per_dn, part)
-        bias = _cut_value(chain.bias_dn, part)
-        out[part] = digitise(signal, bias, chain.adc_bits, chain.rounding)
-    if chain.bad is not None:
-        out[chain.bad[0], chain.bad[1]] = chain.bad[2].astype(out.dtype)
+        drawn = None if drawn_e is None else drawn_e[part]
+        of = Readout(chain.of_rows(part), replace(place, y0=place.y0 + start), drawn, column_e)
+        out[part] = _read_out(mean_e[part], of)
     return out
 
 
-def _cut_value(value: Value, rows: slice) -> Value:
-    return value[rows] if isinstance(value, np.ndarray) else value
+def _read_out(mean_e: Array, of: Readout) -> NDArray:
+    """The steps of the read-out; photon and read noise in one draw where nothing is between."""
+    signal, steps = mean_e, READ_OUT
+    if of.chain.is_joint:
+        signal, steps = _measured_e(mean_e, of), AFTER_NOISE
+    for step in steps:
+        signal = step.apply(signal, of)
+    return signal
 
 
-def _measured_e(
-    mean_e: Array, drawn_e: Array | None, chain: Chain, place: StreamPlace, part: slice
-) -> Array:
-    """What the read-out makes of rows `part` of a tile: photon noise, full well, non-linearity and
-    read noise; `place` of their first pixel."""
-    mean_e = np.ascontiguousarray(mean_e)  # one compiled form is enough
-    (rows, columns), at = mean_e.shape, (place.y0, place.x0, place.frame)
-    read_e = _cut_value(chain.read_noise_e, part)
-    well_e = _cut_value(np.inf if chain.full_well_e is None else chain.full_well_e, part)
-    noisy = bool(np.any(np.asarray(read_e) > 0))
-    if noisy and chain.is_joint:
-        drawn = _row_wise(0.0 if drawn_e is None else drawn_e, columns)
-        well, read = _row_wise(well_e, columns), _row_wise(read_e, columns)
-        keys = place.joint_key, place.photon_key, place.read_key
-        return np.asarray(measured_image(mean_e, drawn, well, read, *at, *keys))
-    charge = poisson_image(mean_e, *at, *place.photon_key) if chain.photon_noise else mean_e.copy()
-    if drawn_e is not None:
-        charge += drawn_e
-    if chain.blooming:
-        bloom(charge, np.broadcast_to(np.asarray(well_e, float), charge.shape))
-    np.minimum(charge, well_e, out=charge)
-    if chain.linearity is not None:
-        charge = measured_e(charge, *chain.linearity)
-    if noisy:
-        charge += standard_normals(rows, columns, *at, *place.read_key) * read_e
-    return charge
+def _measured_e(mean_e: Array, of: Readout) -> Array:
+    """The steps from photon to read noise as one compiled pass [e-]."""
+    columns, at = mean_e.shape[1], of.at
+    terms = (0.0 if of.read_e is None else of.read_e, of.chain.well_e, of.chain.read_noise_e)
+    drawn, well, read = (_row_wise(term, columns) for term in terms)
+    keys = at.joint_key, at.photon_key, at.read_key
+    mean = np.ascontiguousarray(mean_e)
+    return np.asarray(measured_image(mean, drawn, well, read, *at.first, *keys))
 
 
 def _row_wise(value: Value, columns: int) -> Array:
@@ -156,58 +91,34 @@ def _row_wise(value: Value, columns: int) -> Array:
     return np.ascontiguousarray(cut) if cut.ndim else np.full((1, columns), cut)
 
 
-def _offsets_e(chain: Chain, place: StreamPlace, rows: int, columns: int) -> list[Array]:
-    """Row noise (rows, 1) and column noise (1, columns) of a tile [e-], where there is any."""
-    out = []
-    if place.row_key is not None and chain.row_noise_e > 0:
-        draws = standard_normals(rows, 1, place.y0, 0, place.frame, *place.row_key)
-        out.append(draws * chain.row_noise_e)
-    if place.column_key is not None and chain.column_noise_e > 0:
-        draws = standard_normals(1, columns, 0, place.x0, place.frame, *place.column_key)
-        out.append(draws * chain.column_noise_e)
-    return out
+def _column_noise_e(chain: Chain, place: StreamPlace, columns: int) -> Array | None:
+    """Column noise (1, columns) of a tile [e-], the same in all its rows."""
+    if place.column_key is None or not chain.column_noise_e > 0:
+        return None
+    draws = standard_normals(1, columns, 0, place.x0, place.frame, *place.column_key)
+    return np.asarray(draws * chain.column_noise_e)
 
 
-def digitise(
-    signal_dn: Array, bias_dn: Value, adc_bits: int, rounding: str = "half_even"
-) -> NDArray[np.integer]:
-    """Add the bias, round and clip to 0 ... 2^N - 1; the smallest unsigned type that holds it.
+def calibrated_e(dn: NDArray[np.integer], chain: Chain) -> Array:
+    """Electrons (ny, nx) that light left in each pixel, as the chain's own terms give them back.
 
-    Above 40 bits whole parts are added as integers and fractions apart: a float64 holds too few
-    binary places beside such numbers, and 2^63 - 1 would round up to 2^63 and come back negative.
+    The steps undone, from the last to the first: (dn - bias) x gain, the non-linearity, less the
+    dark, over the flat. The terms are the true ones, without noise of their own. NaN where nothing
+    comes back: bad pixels and a flat of 0. Saturation, lag and smear stay.
     """
-    top = (1 << adc_bits) - 1
-    if adc_bits <= EXACT_BITS:
-        levels = np.asarray(signal_dn + bias_dn)
-        (np.rint if rounding == "half_even" else np.floor)(levels, out=levels)
-        np.clip(levels, 0.0, float(top), out=levels)
-        return levels.astype(dn_type(adc_bits))
-    signal, signal_rest = _whole_and_rest(signal_dn)
-    bias, bias_rest = _whole_and_rest(np.broadcast_to(bias_dn, np.shape(signal_dn)))
-    total, rest = _saturated_sum(signal, bias), signal_rest + bias_rest
-    odd = (total & 1).astype(float)
-    more = np.rint(odd + rest) - odd if rounding == "half_even" else np.floor(rest)
-    total = np.where(total > _INT64.max - 2, total, total + more.astype(np.int64))
-    full = signal_dn + bias_dn >= 2.0**63
-    return np.where(full, top, np.clip(total, 0, top)).astype(dn_type(adc_bits))
+    signal: NDArray = dn
+    for step in reversed(DETECTOR):
+        signal = signal if step.undo is None else step.undo(signal, chain)
+    return signal
 
 
-def dn_type(adc_bits: int) -> np.dtype[np.unsignedinteger]:
-    """The smallest unsigned integer type that holds `adc_bits` bits."""
-    size = next(s for s in (8, 16, 32, 64) if s >= adc_bits)
-    return np.dtype(f"uint{size}")
+def noise_e(mean_e: Array, chain: Chain, part: tuple[slice, slice]) -> Array:
+    """Noise of some pixels of a tile: of photons, of reading, of rounding [e-]."""
 
+    def squared(value: float | Array) -> float | Array:
+        return np.square(value[part] if isinstance(value, np.ndarray) else value)
 
-def _whole_and_rest(value: Array) -> tuple[NDArray[np.int64], Array]:
-    """Largest whole number below, saturating at both ends of int64, and what is above it."""
-    limit = 2.0**63
-    inside = np.clip(np.asarray(value, float), -limit, limit)
-    whole = np.floor(inside)
-    safe = np.minimum(whole, np.nextafter(limit, 0.0)).astype(np.int64)
-    return np.where(whole >= limit, _INT64.max, safe), inside - whole
-
-
-def _saturated_sum(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    """a + b, held at the ends of int64 instead of wrapping."""
-    low, high = _INT64.min - np.minimum(b, 0), _INT64.max - np.maximum(b, 0)
-    return np.clip(a, low, high) + b
+    photons = mean_e[part] if chain.photon_noise else np.zeros_like(mean_e[part])
+    floor = squared(chain.read_noise_e) + squared(chain.gain_e_per_dn) / 12.0
+    floor += chain.row_noise_e**2 + chain.column_noise_e**2
+    return np.sqrt(photons + floor)

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+class Smear(NamedTuple):
+    """How charge is moved out under the light: `smear_e`'s terms."""
+
+    integration_s: float
+    transfer_s: float
+    to_high: bool
+    cleared: bool
 
 
 def smear_e(

@@ -10,9 +10,10 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.execute.tile import tile_light
-from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
+from pipeline.physics.noise.chain import to_dn
 from pipeline.physics.noise.joint import ABOVE_E, READ_E, joint_quantile
 from pipeline.physics.noise.streams import poisson_image
+from pipeline.physics.noise.terms import Chain, StreamPlace
 from pipeline.physics.noise.transfer import lagged_e
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene

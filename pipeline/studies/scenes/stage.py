@@ -12,7 +12,8 @@ from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.detector import tile_chain
 from pipeline.execute.graph import read_shard, rows_wanted
 from pipeline.execute.sources import place_stars
-from pipeline.execute.tile import noise_e, tile_light
+from pipeline.execute.tile import tile_light
+from pipeline.physics.noise.chain import noise_e
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.tiles import Tile, overlap

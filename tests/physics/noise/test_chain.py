@@ -11,20 +11,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.physics.noise.calibration import calibrated_e
-from pipeline.physics.noise.chain import (
-    Chain,
-    StreamPlace,
-    digitise,
-    dn_type,
-    mean_electrons,
-    to_dn,
-)
+from pipeline.physics.noise.chain import calibrated_e, layers_e, to_dn
+from pipeline.physics.noise.converter import digitise, dn_type
 from pipeline.physics.noise.joint import REACH, serves
 from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
+from pipeline.physics.noise.terms import Chain, StreamPlace
 
 KEYS = [stream_key(1, name) for name in ("photon_noise", "read_noise", "both")]
 PLACE = StreamPlace(0, 0, 0, *KEYS)
+
+
+def mean_electrons(light_e: np.ndarray, of: Chain) -> np.ndarray:
+    """The sum of the layers: of the light, and of the dark current."""
+    return sum(layers_e({"stars_e": light_e}, of, light_e.shape).values(), np.zeros(light_e.shape))
 
 
 def chain(**changes: object) -> Chain:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
+from pipeline.physics.noise.chain import to_dn
 from pipeline.physics.noise.streams import stream_key
+from pipeline.physics.noise.terms import Chain, StreamPlace
 
 KEYS = [stream_key(1, name) for name in ("photon_noise", "read_noise", "both")]
 PLACE = StreamPlace(0, 0, 0, *KEYS)

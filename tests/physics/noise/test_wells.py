@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from pipeline.physics.noise.calibration import calibrated_e
-from pipeline.physics.noise.chain import Chain, StreamPlace, to_dn
+from pipeline.physics.noise.chain import calibrated_e, to_dn
 from pipeline.physics.noise.patterns import bias_pattern_dn, chosen, hot_dark_e_s, prnu
 from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
+from pipeline.physics.noise.terms import Chain, StreamPlace
 from pipeline.physics.noise.transfer import column_means, lag_frames, lagged_e, smear_e
 from pipeline.physics.noise.wells import bloom, collected_e, measured_e
 
