@@ -21,7 +21,7 @@ from catalog_tools.geometry.sphere import angles_deg, moved
 from catalog_tools.ingest import shards
 from catalog_tools.ingest.build import About, build
 from pipeline.errors import BadInput
-from pipeline.route.prepare import plan_scene
+from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import load_scene, parse_scene, scene_yaml
 from pipeline.store.cube import open_cube
@@ -238,11 +238,22 @@ def test_same_bits_for_every_cut_of_the_catalogue(folders, reference, tmp_path):
     assert_same(tmp_path / "run", render(scene, tmp_path / "run"), reference)
 
 
+def test_fields_of_later_windows_are_searched_too(layered, monkeypatch):
+    """Two fields three degrees apart: what both catalogues hold is found in each."""
+    far = layered(pointing={"rate_ra_arcsec_s": 270.0, "rate_dec_arcsec_s": 0.0})
+    at_once = prepare(far).left_out
+    monkeypatch.setattr("pipeline.resolve.stars.TASKS_PER_WINDOW", 1)
+    for found, wanted in zip(prepare(far).left_out, at_once, strict=True):
+        assert found.tolist() == wanted.tolist()
+    first = layered(exposure={"frames": 1}, pointing={"rate_ra_arcsec_s": 270.0})
+    assert sum(map(len, prepare(first).left_out)) < sum(map(len, at_once))
+
+
 @pytest.mark.slow
 def test_same_bits_window_by_window(layered, reference, tmp_path, monkeypatch):
     """A window reads the row groups of its own frames."""
-    for module in ("prepare", "draw"):
-        monkeypatch.setattr(f"pipeline.route.{module}.TASKS_PER_WINDOW", 1)
+    for module in ("resolve.stars", "route.draw"):
+        monkeypatch.setattr(f"pipeline.{module}.TASKS_PER_WINDOW", 1)
     assert_same(tmp_path / "run", render(layered(), tmp_path / "run"), reference)
 
 

@@ -299,6 +299,8 @@ def test_tdi_says_how_late_its_last_line_is():
     wide = scene({"readout": {"kind": "tdi", "rows_per_s": 5.0}}, **BRIGHT, sensor__shape=[80, 320])
     (told,) = [d for d in plan_scene(wide)["decisions"] if d["component"] == "tdi"]
     assert "targets up to 8 s earlier or later" in told["reason"]
+    exposed_s = wide.exposure.integration_s
+    assert f"the outer {5.0 * exposed_s / 80:.3g} of the rows" in told["reason"]
 
 
 def test_tdi_streaks_by_the_difference_and_by_its_clock(tmp_path):

@@ -106,6 +106,19 @@ def test_a_target_in_the_umbra_is_named_with_the_light_that_is_left_out():
     assert "targets.umbra_light" not in {d.component for d in lit.decisions}
 
 
+def test_a_target_that_leaves_the_umbra_is_named_too():
+    """At GEO the umbra ends 8.7 degrees from the middle: 35 minutes of an orbit."""
+    shown = target(state([GEO_M, 0.0, 0.0], [0.0, 3074.7, 0.0]), name="lit")
+    long = {"integration_s": 1.0, "frames": 2, "cadence_s": 5400.0}
+    plan = planned(
+        [target(behind(0.0)), shown], exposure=long, pointing={"mode": "target", "target": "lit"}
+    )
+    g = plan_geometry(plan.scene, np.arange(2), 0.0)
+    assert (g.target_sunlit[0] == 0.0).all(axis=1).tolist() == [True, False]
+    assert "targets.umbra_light" in {d.component for d in plan.decisions}
+    assert not [r for r in plan.remarks if "during all frames" in r]
+
+
 OBSERVER = [7.0e6, 0.0, 0.0], [0.0, 7546.0, 0.0]
 
 

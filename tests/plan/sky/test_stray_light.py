@@ -99,9 +99,11 @@ def test_grid_follows_a_steep_gradient(scene, curve):
     assert told(sky)["background.grid"].error_bound_e == sky.error_e
 
 
-def test_sun_and_moon_behind_the_earth_give_none(scene, curve):
+def test_sun_and_moon_behind_the_earth_give_none(scene, tmp_path):
     """In the Earth's shadow the Sun is off; the whole light of the night side's Earth is nil."""
-    wish = {"pst": {"kind": "table", "path": curve}, "moon": False, "inside": "clip"}
+    curve = tmp_path / "all-round.csv"  # some of the Sun's light comes from behind
+    curve.write_text(PST + "180,1e-12\n")
+    wish = {"pst": {"kind": "table", "path": str(curve)}, "moon": False, "inside": "clip"}
     g = planned(scene, wish, at(200.0, 0.0))[3]
     sun = g.sun_m[0, 0] - g.observer_m[0, 0]
     away = -sun / np.sqrt(sun @ sun) * (EARTH_EQUATORIAL_RADIUS_M + 400e3)
