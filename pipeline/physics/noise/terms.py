@@ -73,7 +73,7 @@ class Chain:
         images: dict[str, Any] = {
             name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)
         }
-        return replace(self, bad=bad, **images)
+        return replace(self, bad=bad, **images) if images or bad else self
 
 
 @dataclass(frozen=True)
