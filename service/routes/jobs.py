@@ -12,10 +12,9 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
-from starlette.routing import Match, Route
 from starlette.types import Receive, Scope, Send
 
-from service.context import Context, Service, context_of
+from service.context import Context, Service
 from service.http.bodies import JSON, TEXTS, media_type, read_body
 from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
@@ -68,30 +67,6 @@ async def submit(
         pixel_frames=found.pixel_frames,
     )
     return taken(service, *await service.intake.put(ask), found.least_cpu_s)
-
-
-class PlainSubmit(Route):
-    """Submissions without a query, taken before FastAPI's own routes: finding one of those and
-    solving its parameters would cost as much as all that `submit` does."""
-
-    def __init__(self) -> None:
-        super().__init__("/v1/jobs", submit, methods=["POST"], include_in_schema=False)
-
-    def matches(self, scope: Scope) -> tuple[Match, Scope]:
-        if (
-            scope["type"] == "http"
-            and scope["method"] == "POST"
-            and not scope["query_string"]
-            and scope["path"] == self.path
-        ):
-            return Match.FULL, {"endpoint": submit, "path_params": {}, "route": self}
-        return Match.NONE, {}
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        request = Request(scope, receive, send)
-        key = request.headers.get("idempotency-key")
-        answer = await submit(request, await context_of(request), idempotency_key=key)
-        await answer(scope, receive, send)
 
 
 def check_key(key: str | None) -> None:
