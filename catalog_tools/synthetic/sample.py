@@ -32,6 +32,7 @@ from .plan import (
     places_in_file,
 )
 from .stars import draw_stars
+from .text import DOUBLE, SINGLE, as_printed
 
 MOST_ROWS = 2_000_000_000
 YEARS_SINCE_DETECTION = 15.5  # ids were given by ground-based places of about 2000
@@ -131,8 +132,6 @@ def stars_of_file(plan: SyntheticPlan, number: int) -> tuple[Columns, np.random.
 
 def table_of_file(plan: SyntheticPlan, number: int) -> pa.Table:
     """What a reader of one file gets (schema INCOMING), to the bit, without the text."""
-    from .text import DOUBLE, SINGLE, as_printed
-
     stars, _, _ = stars_of_file(plan, number)
     arrays = []
     for field in INCOMING:
