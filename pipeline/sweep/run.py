@@ -177,7 +177,7 @@ def point_scene(path: Path, point: int) -> Scene:
     if not 0 <= point < course.sweep.points:
         raise BadInput("--point", point, f"0 to {course.sweep.points - 1}")
     scene = scene_of(course, course.design, point)
-    return with_floor(course, stages(course.run), scene, whole=False)[0]
+    return with_floor(course, stages(course.run), scene)[0]
 
 
 def _reopen(out: Path) -> None:
