@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import zarr
 
 from catalog_tools.storage.durable import full_disk_told
 from pipeline.arrays import SensorMaps
@@ -99,8 +100,6 @@ def _write_frame(
 
 def _stored(product: Path, name: str) -> tuple[tuple[str, ...], np.ndarray, dict[str, Any]]:
     """A coordinate as it is stored: dimensions, numbers (times not decoded), attributes."""
-    import zarr
-
     array = zarr.open_array(product / layout.CUBE / name, mode="r")
     dimensions = tuple(str(d) for d in getattr(array.metadata, "dimension_names", None) or ())
     return dimensions, np.asarray(array[...]), dict(array.attrs)

@@ -9,7 +9,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from pipeline.errors import BadInput, Damaged
+from pipeline.export.files import layers_of
+from pipeline.export.header import fits_header
 from pipeline.store import layout
 from pipeline.store.cube import check_complete, open_cube
 
@@ -34,9 +39,6 @@ class TruthTables(Mapping[str, Any]):
         self._names = tuple(name for name in TABLES if (folder / f"{name}.parquet").is_file())
 
     def __getitem__(self, name: str) -> pa.Table:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         if name not in self:
             raise BadInput("truth", name, ", ".join(self) or "nothing: the scene has no sources")
         path = self._folder / f"{name}.parquet"
@@ -135,9 +137,6 @@ class Product:
         """
         from astropy.io.fits import Header
         from astropy.wcs import WCS
-
-        from pipeline.export.files import layers_of
-        from pipeline.export.header import fits_header
 
         cube = self.cube
         if frame not in range(cube.sizes["frame"]):

@@ -14,7 +14,7 @@ import httpx
 
 from pipeline.errors import NOT_NOW, BadInput, Damaged, Incomplete
 from pipeline.store import layout
-from pipeline.store.product import file_digest
+from pipeline.store.product import check, content_digest, file_digest
 from service.answers import problem_of
 
 if TYPE_CHECKING:
@@ -154,8 +154,6 @@ def _go_on(
 
 def _prove(job: RemoteJob, folder: Path, seal: bytes) -> None:
     """Every chunk, marker and table against its checksum, the whole against the job's digest."""
-    from pipeline.store.product import check, content_digest
-
     complete = folder / layout.COMPLETE
     layout.write_atomically(complete, seal)
     verdict = check(folder)

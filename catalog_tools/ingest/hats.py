@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
+from astropy.io import fits
 
 from ..columns import HEALPIX_COLUMN, HEALPIX_ORDER, STORED
 
@@ -68,8 +69,6 @@ def write_properties(
 
 def _write_map(path: Path, rows: np.ndarray) -> None:
     """A full-sky nested HEALPix map as FITS (what healpy writes, without importing it)."""
-    from astropy.io import fits
-
     width = min(rows.size, 1024)
     values = rows.astype(">i8").reshape(-1, width)
     table = fits.BinTableHDU.from_columns(

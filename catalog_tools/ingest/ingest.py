@@ -16,6 +16,7 @@ from ..engine.ahead import cores
 from ..engine.schedulers import LocalScheduler, Scheduler
 from ..errors import BadInput, Damaged
 from ..fetch.fetched import stated_coverage
+from ..fetch.layout import RELEASES
 from ..forms import Form, load_form
 from ..partition import ROWS_PER_LEAF
 from ..readers import detect_form, kind_of, read_tables
@@ -164,8 +165,6 @@ def _inside(folder: Path) -> tuple[list[Path], list[Path]]:
 
 def _coverage(paths: Sequence[Path], form: Form) -> tuple[Coverage | None, tuple[str, ...]]:
     """What the sources say that they cover: as a whole release, or as they were fetched."""
-    from ..fetch.layout import RELEASES
-
     release = RELEASES.get(form.name.replace("_", "-"))
     names = {path.name for path in paths}
     if release is not None and len(paths) == len(names) >= release.files:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..catalogue import Catalogue, open_catalogue
 from ..errors import BadInput
+from ..info import info
+from .query import cone
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -25,8 +27,6 @@ class StarCatalogue:
     @property
     def facts(self) -> dict[str, Any]:
         """What the catalogue holds, as `nightglass catalog info` says it; units in the keys."""
-        from ..info import info
-
         return info(self._catalogue)
 
     def cone(
@@ -68,8 +68,6 @@ class StarCatalogue:
         Damaged
             Where what is read does not match its checksum.
         """
-        from .query import cone
-
         rows, _ = cone(
             self._catalogue, ra_deg, dec_deg, radius_deg, faintest_g_mag, epoch_jyear, columns
         )

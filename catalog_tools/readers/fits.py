@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from astropy.io.fits import Header
 from numpy.typing import NDArray
 
 from ..errors import BadInput, Damaged
@@ -144,8 +145,6 @@ def _read_header(stream: _Stream, where: str) -> dict[str, Any] | None:
 
 def _keywords(header: bytes, where: str) -> dict[str, Any] | None:
     """Values by keyword; None where an axis has a negative length."""
-    from astropy.io.fits import Header
-
     try:
         cards = Header.fromstring(header.decode("ascii")).cards
         values = {card.keyword: card.value for card in cards if card.keyword}

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
-from pipeline.spec.load import MAX_BYTES, parse_scene
+from pipeline.spec.load import MAX_BYTES, parse_scene, scene_yaml
 from pipeline.spec.scene import Scene
+from pipeline.store.layout import write_atomically
 
 
 @dataclass
@@ -63,9 +64,6 @@ class Imported:
 
     def write(self, output: Path) -> Scene:
         """Write the scene with its notes as comments, and its images beside it; returns it."""
-        from pipeline.spec.load import scene_yaml
-        from pipeline.store.layout import write_atomically
-
         for path in (output, *(output.parent / name for name in self.images)):
             if path.exists():
                 raise BadInput("-o", str(path), "a path that does not exist yet")

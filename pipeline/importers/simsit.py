@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
@@ -87,9 +89,6 @@ def read_simsit(
 
 def _yaml(path: Path) -> Any:
     """Plain data; anchors are followed, as these files use them, and nothing else is run."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     try:
         return YAML(typ="safe", pure=True).load(BytesIO(read_bytes(path)))
     except (YAMLError, RecursionError, ValueError, UnicodeDecodeError) as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -299,8 +300,6 @@ def apply_override(data: Any, override: str) -> None:
 
 def scene_yaml(scene: Scene) -> str:
     """A scene as YAML text, defaults filled in."""
-    from io import StringIO
-
     from ruamel.yaml import YAML
 
     out = StringIO()

@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import google_crc32c
 import numpy as np
+import zarr
+from numcodecs import blosc
+from numcodecs.zstd import Zstd
 from numpy.typing import NDArray
+from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
+from zarr.errors import ZarrUserWarning
 
 from pipeline.errors import BadInput, Damaged, Incomplete
 from pipeline.physics.noise.chain import dn_type
@@ -103,8 +108,6 @@ def create_arrays(product: Path, plan: Plan) -> None:
 
 def create_layer(product: Path, name: str, scene: Scene, chunk: tuple[int, int]) -> None:
     """Make the metadata of one layer of a scene's product."""
-    import zarr
-
     long_name, unit = LONG_NAMES[name]
     zarr.create_array(
         store=product / CUBE / name,
@@ -121,8 +124,6 @@ def create_layer(product: Path, name: str, scene: Scene, chunk: tuple[int, int])
 
 def _codecs(compression: str) -> list[Any]:
     """Compression, then a checksum: without it a flipped bit may read as a wrong number."""
-    from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
-
     codec: dict[str, list[Any]] = {
         "blosc-zstd": [BloscCodec(**BLOSC)],
         "zstd": [ZstdCodec(level=ZSTD_LEVEL)],
@@ -138,13 +139,9 @@ def chunk_content(values: NDArray[Any], chunk: tuple[int, int], compression: str
     whole = np.zeros(chunk, values.dtype.newbyteorder("<"))
     whole[: values.shape[0], : values.shape[1]] = values
     if compression == "blosc-zstd":
-        from numcodecs import blosc
-
         codec = blosc.Blosc(BLOSC["cname"], BLOSC["clevel"], blosc.BITSHUFFLE)
         content = codec.encode(whole)
     elif compression == "zstd":
-        from numcodecs.zstd import Zstd
-
         content = Zstd(ZSTD_LEVEL).encode(whole)
     else:
         content = whole.tobytes()
@@ -157,9 +154,6 @@ def finish_cube(
     attributes: dict[str, Any],
 ) -> None:
     """Write the coordinates, then the group's own metadata, which makes the cube readable."""
-    import zarr
-    from zarr.errors import ZarrUserWarning
-
     for name, (dimensions, values, attrs) in coordinates.items():
         _write_coordinate(product / CUBE / name, name, dimensions, values, attrs)
     zarr.create_group(store=product / CUBE, attributes=attributes, overwrite=False)
@@ -177,8 +171,6 @@ def _write_coordinate(
     Whatever has a value a frame is chunked a frame at a time, as the layers are, so that xarray and
     Dask find one chunking along `frame`; its chunks lie in one shard. An axis itself is read whole.
     """
-    import zarr
-
     options: dict[str, Any] = {"chunks": values.shape, "compressors": _codecs("zstd")}
     sharded = dimensions[0] == "frame" and name != "frame" and len(values) > 1
     if sharded:
@@ -251,6 +243,4 @@ def read_layer(product: Path, name: str, frame: int) -> NDArray[Any]:
 
 
 def _open_array(path: Path) -> zarr.Array:
-    import zarr
-
     return zarr.open_array(store=path, mode="r")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import BadInput
+from pipeline.spec.load import load_scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
 from pipeline.store.product import begun_tiles
@@ -55,7 +56,5 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _scene(product: Path) -> dict[str, Any]:
-    from pipeline.spec.load import load_scene
-
     path = product / layout.SCENE
     return load_scene(path).as_dict() if path.is_file() else {}

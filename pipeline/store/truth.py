@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -98,8 +99,6 @@ def join_parts(product: Path, kind: str, frames: int, empty: Any) -> int:
 
 def drop_parts(product: Path) -> None:
     """Remove the parts once the joined tables stand."""
-    import shutil
-
     shutil.rmtree(product / TRUTH / PARTS, ignore_errors=True)
 
 

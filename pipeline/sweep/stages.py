@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import psutil
+from dask.tokenize import tokenize
 
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
@@ -254,8 +255,6 @@ def _read_key(base: Base, plan: Plan) -> str:
 
 
 def _token(value: Any) -> str:
-    from dask.tokenize import tokenize
-
     return str(tokenize(value))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
@@ -96,8 +97,6 @@ def _draw(file: pq.ParquetFile, axes: list[str], metrics: list[str]) -> str | No
 
 
 def _every(count: int, step: int) -> Any:
-    import pyarrow as pa
-
     return pa.array(np.arange(0, count, step))
 
 

@@ -13,6 +13,7 @@ import sqlalchemy as sa
 
 from service.problems import NotReady, NotThere, cut
 from service.store.database import connect, now_s, sqlite_url, writing
+from service.store.leases import holds
 from service.store.named_files import check_files
 from service.store.tables import audit, jobs
 
@@ -307,8 +308,6 @@ class Queue(JobStore):
         turns : when each team last had its turn, so that a long queue of one delays no other
         holder : who must hold the dispatcher's lease for this (None: not asked)
         """
-        from service.store.leases import holds
-
         with writing(self.engine) as db:
             if holder is not None and not holds(db, holder):
                 return None

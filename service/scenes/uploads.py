@@ -12,7 +12,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import sqlalchemy as sa
+from numpy.lib import format as npy
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
@@ -195,9 +197,6 @@ def check_content(path: Path, kind: str) -> None:
 
 def _check_npy(path: Path) -> None:
     """The header is read as text, never run; nothing of the values is."""
-    import numpy as np
-    from numpy.lib import format as npy
-
     try:
         with path.open("rb") as file:
             version = npy.read_magic(file)

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.physics.noise.streams import standard_normals, stream_key
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.decision import Decision
 from pipeline.plan.timing import frame_count, frame_times, integration_range_s
@@ -242,10 +244,7 @@ def random_motion_rad(scene: Scene, frames: NDArray[np.int64], nodes: int) -> Ar
 
 @lru_cache(maxsize=64)
 def _waves(part: Jitter, index: int, seed: int, split: float) -> Waves:
-    from scipy.special import ndtr
-
     from pipeline.physics.motion.jitter import waves
-    from pipeline.physics.noise.streams import standard_normals, stream_key
 
     bins = _bins(part, split)
     key = stream_key(seed, f"pointing_jitter/{index}")
@@ -258,7 +257,6 @@ def _mode_run(
 ) -> Array:
     """States (F, nodes, n) of a mode in some frames."""
     from pipeline.physics.motion.flexible import between
-    from pipeline.physics.noise.streams import standard_normals, stream_key
 
     every = np.arange(frame_count(scene), dtype=np.int64)
     starts, times = frame_times(scene, every)
@@ -277,7 +275,6 @@ def _mode_run(
 def _ends(mode: Mode, index: int, seed: int, starts: bytes, times: bytes) -> Array:
     """States (F, 2, n) at the start and end of all frames of a scene, one after the other."""
     from pipeline.physics.motion.flexible import run
-    from pipeline.physics.noise.streams import standard_normals, stream_key
 
     start, time = np.frombuffer(starts), np.frombuffer(times)
     before = np.concatenate([[0.0], start[:-1] + time[:-1]])

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from astropy.io import fits
 from numpy.typing import NDArray
 
 from pipeline.studies.accuracy.engines import EngineCase
@@ -93,8 +94,6 @@ def _sky(
     case: EngineCase, oversampling: int, folder: str, stars: tuple[Array, Array]
 ) -> tuple[Array, float]:
     """One run of `sky`: the image, and its CPU seconds."""
-    from astropy.io import fits
-
     mag = ZERO_POINT_MAG - 2.5 * np.log10(PROBE_LIGHT)
     rows = (f"100 {x + 1.0:.9f} {y + 1.0:.9f} {mag:.6f}" for x, y in zip(*stars, strict=True))
     (Path(folder) / "stars.list").write_text("\n".join(rows) + "\n")
@@ -127,8 +126,6 @@ def _sky(
 
 
 def _write_table(case: EngineCase, oversampling: int, path: Path) -> None:
-    from astropy.io import fits
-
     half = SKY_HALF_PX + int(np.ceil(0.5 * case.streak_px))
     at = np.arange(-half * oversampling, half * oversampling + 1) / oversampling
     samples = exact_pixels(case.shape, case.track, 0.0, 0.0, at, at)

@@ -18,6 +18,7 @@ from pipeline.store.cube import open_cube, read_layer
 from pipeline.studies.detection.finders import tasks
 from pipeline.studies.detection.judge import POINT_PX, DetectionVerdict, by_magnitude, judge
 from pipeline.studies.detection.points import Detections, flattened
+from pipeline.studies.detection.tables import markdown
 
 Progress = Callable[[str, int, int], None]
 
@@ -152,7 +153,6 @@ def _targets(told: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _write(study: dict[str, Any], shown: dict[str, Any], out: Path) -> None:
     from pipeline.studies.detection.figure import draw_figure
-    from pipeline.studies.detection.tables import markdown
 
     out.mkdir(parents=True, exist_ok=True)
     (out / "detection.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")

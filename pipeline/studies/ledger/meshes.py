@@ -17,6 +17,7 @@ from pipeline.physics.meshes.intensity import FacetSurface, mesh_intensity
 from pipeline.physics.meshes.lamps import wide_lamp_intensity
 from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.vectors import unit as normal
+from pipeline.plan.bodies import mesh_tables
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
@@ -167,8 +168,6 @@ def earthshine(bench: Bench) -> Iterator[ProbeResult]:
 @probe("targets.light_table")
 def table(bench: Bench) -> Iterator[ProbeResult]:
     """Four of 900 frames from a table of light, beside the same worked out one by one."""
-    from pipeline.plan.bodies import mesh_tables
-
     path = write_obj(bench.folder / "groove.obj", groove())
     law = {"kind": "nadir", "quaternion": [-0.5, 0.5, 0.3, 0.8]}
     exposure = {"integration_s": 0.5, "frames": 900, "cadence_s": 1.0}

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
 from pipeline.arrays import Array, FrameStars
@@ -88,8 +89,6 @@ def _true_attitude(t: Array) -> Array:
 @probe("pointing_table")
 def table(_: Bench) -> Iterator[ProbeResult]:
     """Quaternions of a known motion every half second; the camera between them, at 200 moments."""
-    from scipy.spatial.transform import Rotation
-
     at = np.arange(-5.0, 15.0, 0.5)
     quaternion = Rotation.from_matrix(_right_handed(_true_attitude(at)).transpose(0, 2, 1))
     rows = np.column_stack([at, quaternion.as_quat()]).tolist()

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.catalogue import open_catalogue
+from catalog_tools.ingest.ingest import ingest
+from catalog_tools.query.starlight import make_starlight
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.dotted import changed
@@ -66,10 +69,6 @@ def before(towards: Any, range_m: float, name: str = "t", **more: Any) -> dict[s
 
 def make_stars(folder: Path) -> str:
     """A catalogue of a few hundred stars around the field, one of them as quick and near as any."""
-    from catalog_tools.catalogue import open_catalogue
-    from catalog_tools.ingest.ingest import ingest
-    from catalog_tools.query.starlight import make_starlight
-
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-0.35, 0.35, (2, STARS))
     quick, near, off = BARNARD

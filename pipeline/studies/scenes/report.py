@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import BadInput
+from pipeline.inputs.stars.catalogues import open_catalogues
 from pipeline.studies.scenes.figure import ladder_figure, omission_figure
 from pipeline.studies.scenes.page import page
 from pipeline.studies.scenes.scenes import wishes
@@ -43,8 +44,6 @@ def report_scenes(
     if find_spec("matplotlib") is None:
         raise BadInput("figure", "matplotlib is not installed", "pip install 'nightglass[report]'")
     if catalogue is not None:
-        from pipeline.inputs.stars.catalogues import open_catalogues
-
         open_catalogues((str(catalogue),))
     with tempfile.TemporaryDirectory(prefix="nightglass-report-") as folder:
         study = run_study(scenes, chosen, quick, catalogue, Path(folder), progress)

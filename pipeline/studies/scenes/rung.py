@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import shutil
 import time
 from collections.abc import Iterable, Sequence
@@ -79,8 +80,6 @@ def peak_mb() -> float:
     """
     status = Path("/proc/self/status")
     if not status.is_file():
-        import resource
-
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
 

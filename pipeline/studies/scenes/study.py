@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.errors import BadInput, NightglassError
 from pipeline.studies.scenes.scenes import (
     ALL_SKY_G_MAG,
@@ -138,8 +139,6 @@ def _told(wish: ReportScene, found: dict[str, Any], rows: list[dict[str, Any]]) 
 
 def make_catalogue(names: tuple[str, ...], quick: bool, folder: Path) -> Path:
     """A synthetic catalogue that is deep where these scenes look."""
-    from catalog_tools.synthetic.synthetic import make_demo
-
     path = folder / "catalogue"
     limit = QUICK_ALL_SKY_G_MAG if quick else ALL_SKY_G_MAG
     make_demo(path, faintest_g_mag=limit, deep_fields=deep_fields(names, quick))

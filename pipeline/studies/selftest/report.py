@@ -9,13 +9,12 @@ from typing import Any
 
 from pipeline.errors import BadInput
 from pipeline.lines import fold
+from pipeline.studies.selftest import attitude, frames, light, many, places, stars
 from pipeline.studies.selftest.case import LimitingCase, Outcome, every, run_case
 
 
 def all_cases() -> tuple[LimitingCase, ...]:
     """Every case, in the order of the page."""
-    from pipeline.studies.selftest import attitude, frames, light, many, places, stars
-
     return every((places, attitude, light, frames, stars, many))
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
+import zarr
 
 from pipeline.route.run import Options, render
 from pipeline.spec.dotted import changed
@@ -75,8 +77,6 @@ def sky_only(changes: dict[str, Any]) -> dict[str, Any]:
 
 def frames(data: dict[str, Any], folder: Path, kind: str = "targets") -> Frames:
     """Render a scene; `kind` names the truth table to read."""
-    import zarr
-
     product = folder / "product"
     report = render(parse_scene(data), product, Options("synchronous", replace=True))
     group = zarr.open_group(product / "cube.zarr", mode="r")
@@ -84,8 +84,6 @@ def frames(data: dict[str, Any], folder: Path, kind: str = "targets") -> Frames:
     truth = {}
     table = product / "truth" / f"{kind}.parquet"
     if table.is_file():
-        import pyarrow.parquet as pq
-
         read = pq.read_table(table)
         truth = {name: read[name].to_numpy() for name in read.column_names}
     return Frames(layers, truth, report)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.special import erf
 
+from catalog_tools.ingest.ingest import ingest
 from pipeline.studies.selftest.case import CaseResult, case
 from pipeline.studies.selftest.scenes import Frames, frames, sky_only
 
@@ -18,8 +19,6 @@ STILL = {"space_motion": False, "parallax": False, "aberration": False, "deflect
 
 def _catalogue(folder: Path, ra_deg: Array, dec_deg: Array, g_mag: Array) -> str:
     """A catalogue of a few stars, made by the product's own ingest."""
-    from catalog_tools.ingest.ingest import ingest
-
     folder.mkdir(parents=True, exist_ok=True)
     columns = (ra_deg.tolist(), dec_deg.tolist(), g_mag.tolist())
     rows = [f"{i + 1},{r!r},{d!r},{g!r}" for i, (r, d, g) in enumerate(zip(*columns, strict=True))]
