@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, Damaged
 from pipeline.export.files import layers_of
 from pipeline.export.header import fits_header
@@ -96,19 +97,19 @@ class Product:
         return TruthTables(self.path / layout.TRUTH)
 
     @cached_property
-    def plan(self) -> dict[str, Any]:
+    def plan(self) -> JsonObject:
         """What was decided before drawing, and why: `plan.json`; units stand in the keys."""
         return self._json(layout.PLAN)
 
     @cached_property
-    def report(self) -> dict[str, Any]:
+    def report(self) -> JsonObject:
         """What came out: time, memory, errors measured, warnings: `report.json`."""
         return self._json(layout.REPORT)
 
-    def _json(self, name: str) -> dict[str, Any]:
+    def _json(self, name: str) -> JsonObject:
         path = self.path / name
         try:
-            content: dict[str, Any] = json.loads(path.read_bytes())
+            content: JsonObject = json.loads(path.read_bytes())
         except (OSError, ValueError) as error:
             raise Damaged(str(path), f"cannot be read ({error})") from None
         return content

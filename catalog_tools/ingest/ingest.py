@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from ..coverage import Coverage, all_sky
+from ..documents import JsonObject
 from ..engine.ahead import cores
 from ..engine.schedulers import LocalScheduler, Scheduler
 from ..errors import BadInput, Damaged
@@ -47,7 +48,7 @@ class FileSource:
     def identity(self) -> list[Any]:
         return [self.path, self.size, self.mtime_ns, self.expected_md5]
 
-    def tables(self, record: dict[str, Any]) -> Iterator[pa.Table]:
+    def tables(self, record: JsonObject) -> Iterator[pa.Table]:
         """Its rows; at the end its length and MD5 are compared with what was expected."""
         md5 = hashlib.md5(usedforsecurity=False)
         yield from read_tables(Path(self.path), self.form, md5=md5, most_bytes=self.most_bytes)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..catalogue import Catalogue, open_catalogue
+from ..documents import JsonObject
 from ..errors import BadInput
 from ..info import info
 from .query import cone
@@ -25,7 +26,7 @@ class StarCatalogue:
         return f"<StarCatalogue {self._catalogue.path!r}, {self._catalogue.rows} stars>"
 
     @property
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> JsonObject:
         """What the catalogue holds, as `nightglass catalog info` says it; units in the keys."""
         return info(self._catalogue)
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import Arguments
 from pipeline.errors import BadInput
 from pipeline.kept import kept, kept_array
 from pipeline.physics.drawing.spectral import transfer_table
@@ -134,7 +135,7 @@ def table_of(
         if piece.length_px:  # moving stars have other shapes in each frame
             return phase_table(*swept_core(blur, radius_px, piece), phases)
         found = kept(key, lambda: vars(phase_table(*swept_core(blur, radius_px, piece), phases)))
-        values: dict[str, Any] = {name: v if v.ndim else v.item() for name, v in found.items()}
+        values: Arguments = {name: v if v.ndim else v.item() for name, v in found.items()}
         return PixelResponse(**values)
 
     key = ("table", blur, radius_px, piece, phases)

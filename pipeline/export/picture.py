@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ class GreyLimits(NamedTuple):
 
 
 def limits_of(
-    image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7
+    image: np.ndarray, low_percent: float = 1.0, high_percent: float = 99.7
 ) -> GreyLimits:
     """Limits between the sky and a bright percentile of an image."""
     values = _seen(image)
@@ -41,7 +41,7 @@ def limits_of(
     return GreyLimits(low, scatter, top)
 
 
-def stretch(image: NDArray[Any], limits: GreyLimits | None = None) -> NDArray[np.uint8]:
+def stretch(image: np.ndarray, limits: GreyLimits | None = None) -> NDArray[np.uint8]:
     """Grey levels 0 to 255 of an image: asinh between limits, by default its own.
 
     The softening is the robust scatter of the sky, so that noise stays visible beside bright
@@ -55,7 +55,7 @@ def stretch(image: NDArray[Any], limits: GreyLimits | None = None) -> NDArray[np
     return (255.0 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8)
 
 
-def shrink(image: NDArray[Any], side_px: int = LARGEST_SIDE_PX) -> tuple[NDArray[Any], int]:
+def shrink(image: np.ndarray, side_px: int = LARGEST_SIDE_PX) -> tuple[np.ndarray, int]:
     """An image binned by whole factors until it fits; faint stars survive as block maxima do not
     raise the sky (mean of the block and its maximum). Returns it and the factor."""
     image = _seen(image)
@@ -71,7 +71,7 @@ def shrink(image: NDArray[Any], side_px: int = LARGEST_SIDE_PX) -> tuple[NDArray
     return 0.5 * (blocks.mean(axis=(1, 3)) + blocks.max(axis=(1, 3))), factor
 
 
-def _seen(image: NDArray[Any]) -> NDArray[np.float64]:
+def _seen(image: np.ndarray) -> NDArray[np.float64]:
     """An image as float64; pixels that are no number (masked ones) are as dark as the darkest."""
     values = np.asarray(image, np.float64)
     masked = np.isnan(values)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.spec.load import MAX_BYTES, parse_scene, scene_yaml
 from pipeline.spec.scene import Scene
@@ -37,7 +38,7 @@ class Imported:
     """
 
     source: str
-    data: dict[str, Any]
+    data: JsonObject
     images: dict[str, NDArray[np.float32]]
     notes: Notes
 
@@ -52,7 +53,7 @@ class Imported:
             out += [f"{name}: {one}" for one in told]
         return out
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> JsonObject:
         """The notes as plain values."""
         return {
             "source": self.source,

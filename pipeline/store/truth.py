@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import google_crc32c
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import whole_file
 from pipeline.errors import Damaged
 from pipeline.store.layout import PARTS, TRUTH
@@ -102,7 +103,7 @@ def drop_parts(product: Path) -> None:
     shutil.rmtree(product / TRUTH / PARTS, ignore_errors=True)
 
 
-def _options(schema: pa.Schema) -> dict[str, Any]:
+def _options(schema: pa.Schema) -> JsonObject:
     """Dictionaries for names alone: hardly two stars agree in a number, and looking for it would
     cost four times more."""
     names = [field.name for field in schema if str(field.type).startswith("dictionary")]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from catalog_tools.documents import Arguments
 from pipeline.arrays import Geometry
 from pipeline.execute.tile import LIGHTS
 from pipeline.plan.facts import Facts
@@ -97,7 +98,7 @@ def parts_of(plan: Plan) -> dict[str, LightPlan]:
 
 def _part(plan: Plan, kind: str) -> LightPlan:
     scene, facts = plan.scene, plan.facts
-    drop: dict[str, Any] = {"cosmic_rays": None}
+    drop: dict[str, object] = {"cosmic_rays": None}
     if kind != "targets":
         drop["targets"] = ()
     if kind != "stars" and scene.stars is not None:  # their effects still turn the directions
@@ -109,7 +110,7 @@ def _part(plan: Plan, kind: str) -> LightPlan:
     kept = scene.model_copy(update=drop)
     hidden = NOISE_FACTS + SKY_FACTS  # the sky is drawn from its plan
     content = [kind, light_content(kept), *_values(facts, hidden), *_values(plan, NOT_OF[kind])]
-    without: dict[str, Any] = dict.fromkeys(hidden, 0.0)
+    without: Arguments = dict.fromkeys(hidden, 0.0)
     reduced = replace(
         plan,
         scene=kept,

@@ -7,8 +7,8 @@ import math
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.execute.tile import LIGHTS
 from pipeline.plan.cost import CHUNK_S, NOISE_S_PER_PIXEL, START_S, TILE_S
 from pipeline.plan.needs import predict
@@ -24,7 +24,7 @@ LOOKED_AT = 3  # points whose plan tells the cost of light
 COUNTED = 100_000  # places of a design that are looked at one by one, at most
 
 
-def forecast_course(course: Course) -> dict[str, Any]:
+def forecast_course(course: Course) -> JsonObject:
     """Points, how often each stage is run for all of them, CPU seconds and memory.
 
     plans, stars, targets, sky : how many different ones there are, drawn once each in a process

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.images import read_image
 from pipeline.spec.dotted import NoFieldError, set_dotted
@@ -29,7 +30,7 @@ class Course:
     """
 
     sweep: Sweep
-    data: dict[str, Any]
+    data: JsonObject
     base_folder: str
     floors: dict[str, float]
     run: str
@@ -72,7 +73,7 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
     return parse_scene(data, base=Path(course.base_folder))
 
 
-def set_field(data: dict[str, Any], name: str, value: Any) -> None:
+def set_field(data: JsonObject, name: str, value: Any) -> None:
     """Set a dotted field of plain data: `sensor.read_noise_e`, `targets.0.body.albedo`."""
     try:
         set_dotted(data, name, value)

@@ -13,6 +13,7 @@ import numpy as np
 import psutil
 from dask.tokenize import tokenize
 
+from catalog_tools.documents import Arguments
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.graph import Inputs, place_task, read_shard, shard_key
@@ -213,10 +214,10 @@ def without_noise(scene: Scene, numbers: dict[str, float]) -> Scene:
     """A point's scene for its base: a plain detector with these numbers, no seed, no check."""
     output = scene.output.model_copy(update={"layers": ("dn", "mean_e")})
     accuracy = scene.accuracy.model_copy(update={"check_cells": 0})
-    update: dict[str, Any] = {"output": output, "accuracy": accuracy, "name": "base"}
+    update: dict[str, object] = {"output": output, "accuracy": accuracy, "name": "base"}
     if not is_plain(scene):
         return scene.model_copy(update=update)
-    plain: dict[str, Any] = {
+    plain: Arguments = {
         "flat": 1.0,
         "full_well_e": None,
         "bias_dn": 0.0,

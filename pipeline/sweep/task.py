@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.errors import NO_ROOM, DiskFull, NightglassError, shorten
 from pipeline.execute.tile import charge_of_tile, render_tile
@@ -28,7 +29,7 @@ from pipeline.sweep.points import Course, scene_of, with_floor
 from pipeline.sweep.stages import Base, Stages, maps_of, point_plan, stages
 
 CUBES = "cubes"
-Row = dict[str, Any]
+Row = JsonObject
 
 
 @dataclass(frozen=True)

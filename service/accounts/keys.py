@@ -12,6 +12,7 @@ import sqlalchemy as sa
 from argon2 import PasswordHasher
 from argon2.exceptions import Argon2Error, InvalidHashError
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from service.jobs.jobs import record
 from service.store.database import now_s, writing
@@ -70,7 +71,7 @@ def revoke_key(engine: sa.Engine, key_id: str, actor: str = "command") -> None:
             record(db, row.team, actor, "key.revoke", key_id)
 
 
-def list_keys(engine: sa.Engine) -> list[dict[str, Any]]:
+def list_keys(engine: sa.Engine) -> list[JsonObject]:
     """Every key ever made, without its hash."""
     shown = [c for c in keys.c if c.name != "hash"]
     with engine.connect() as db:

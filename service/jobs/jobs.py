@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
+from catalog_tools.documents import JsonObject
 from service.problems import NotReady, NotThere, cut
 from service.store.database import connect, now_s, sqlite_url, writing
 from service.store.leases import holds
@@ -83,7 +84,7 @@ class Job:
     deaths: int
     cancel_asked: bool
     deleted: bool
-    error: dict[str, Any] | None
+    error: JsonObject | None
     content_digest: str | None
     version: int
 
@@ -100,7 +101,7 @@ def record(
 
 def audit_line(
     at_s: float, team: str, actor: str, action: str, thing: str | None, detail: str = ""
-) -> dict[str, Any]:
+) -> JsonObject:
     """A row of the audit table."""
     line = {"at_s": at_s, "team": team, "actor": actor, "action": action}
     return line | {"thing": thing, "detail": cut(detail) if detail else None}
@@ -122,7 +123,7 @@ class JobStore:
     def submit(
         self,
         name: str,
-        scene: dict[str, Any],
+        scene: JsonObject,
         body_sha256: str,
         key: str | None,
         limit: int,
@@ -142,7 +143,7 @@ class JobStore:
         with self.engine.connect() as db:
             return self._one(db, job_id, team)
 
-    def scene(self, job_id: str, hidden: bool = False, team: str | None = None) -> dict[str, Any]:
+    def scene(self, job_id: str, hidden: bool = False, team: str | None = None) -> JsonObject:
         """The scene of a job, defaults filled in; `hidden`: of a deleted one, too."""
         with self.engine.connect() as db:
             self._one(db, job_id, team, hidden)
@@ -208,7 +209,7 @@ class JobStore:
         """Hide a job and free its key; the dispatcher stops it and removes what it made."""
         with writing(self.engine) as db:
             job = self._one(db, job_id, team)
-            changes: dict[str, Any] = {"deleted": True, "idempotency_key": None}
+            changes: dict[str, object] = {"deleted": True, "idempotency_key": None}
             if job.phase in WAITING:
                 self._move(db, job, P.ABORTED, cancel_asked=True, **changes)
             else:

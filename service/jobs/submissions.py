@@ -14,6 +14,7 @@ from uuid import uuid4
 import sqlalchemy as sa
 from pydantic_core import to_json
 
+from catalog_tools.documents import JsonObject
 from service.jobs.jobs import LOCAL, SHOWN, WAITING, Job, JobStore, Phase, audit_line, job_of
 from service.problems import KeyReused, NotAllowed, NotReady, QueueFull
 from service.store.database import now_s, writing
@@ -40,7 +41,7 @@ class Ask:
     """A submission that has passed every check which needs no table; its scene as data or text."""
 
     name: str
-    scene: dict[str, Any] | str
+    scene: JsonObject | str
     body_sha256: str
     key: str | None = None
     team: str = LOCAL
@@ -187,7 +188,7 @@ def _replay(ask: Ask, row: Any) -> tuple[Any, bool] | Exception:
     return row, False
 
 
-def _row(ask: Ask, now: float) -> dict[str, Any]:
+def _row(ask: Ask, now: float) -> JsonObject:
     text = ask.scene
     if not isinstance(text, str):
         text = to_json(text, inf_nan_mode="constants").decode()
@@ -222,7 +223,7 @@ def _row(ask: Ask, now: float) -> dict[str, Any]:
     }
 
 
-def _number(db: sa.Connection, rows: list[dict[str, Any]]) -> None:
+def _number(db: sa.Connection, rows: list[JsonObject]) -> None:
     """Number new rows; never a number twice, in the order of commits."""
     last = db.execute(NUMBER, {"more": len(rows)}).scalar_one()
     for number, row in enumerate(rows, last - len(rows) + 1):

@@ -14,6 +14,7 @@ from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
+from catalog_tools.documents import JsonObject
 from service.context import Context, Service
 from service.http.bodies import JSON, TEXTS, media_type, read_body
 from service.http.gate import allow_time
@@ -25,7 +26,7 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
 
 
-def json_body(description: str, kinds: tuple[str, ...] = (JSON,)) -> dict[str, Any]:
+def json_body(description: str, kinds: tuple[str, ...] = (JSON,)) -> JsonObject:
     """What OpenAPI says of a body that the route reads by itself, JSON or (`kinds`) YAML, too."""
     content = {kind: {"schema": {"type": "object"}} for kind in kinds}
     return {"requestBody": {"required": True, "description": description, "content": content}}
@@ -34,7 +35,7 @@ def json_body(description: str, kinds: tuple[str, ...] = (JSON,)) -> dict[str, A
 SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.", TEXTS)
 
 
-def with_time(plan: dict[str, Any]) -> dict[str, Any]:
+def with_time(plan: JsonObject) -> JsonObject:
     """A plan with its predicted CPU seconds first, where a client looks."""
     return {"estimated_cpu_s": plan["predicted"]["cpu_s"]} | plan
 

@@ -178,7 +178,7 @@ class Sieve:
         body = self.population.body
         if not isinstance(body, SphereBody):
             return body
-        given: dict[str, Any] = {}
+        given: dict[str, object] = {}
         for rule in self.population.rules:
             if rule.name_contains.lower() in name.lower():
                 given = {"diameter_m": rule.diameter_m, "albedo": rule.albedo}

@@ -6,12 +6,13 @@ import resource
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.studies.accuracy.engines import EngineCase
 from pipeline.studies.accuracy.reference import GaussianStar, exact_pixels
 
@@ -50,7 +51,7 @@ def run_satsim(
     else:
         form = {"sigma": 0.0, "q": shape.q_px, "obscuration": shape.obscuration}
     (x0, x1), (y0, y1) = track.x_px[0], track.y_px[0]
-    job: dict[str, Any] = {
+    job: JsonObject = {
         "rows": case.frame[0],
         "columns": case.frame[1],
         "osf": oversampling,

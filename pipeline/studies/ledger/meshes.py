@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M
 from pipeline.physics.meshes import brdf
@@ -53,7 +54,7 @@ def write_obj(path: Path, triangles: Array) -> str:
     return str(path)
 
 
-def body(path: str, albedo: float = ALBEDO, **more: Any) -> dict[str, Any]:
+def body(path: str, albedo: float = ALBEDO, **more: Any) -> JsonObject:
     """A matt body of a file, both sides of its sheets alike."""
     surface = {"kind": "lambert", "albedo": albedo, "two_sided": True}
     return {"kind": "mesh", "path": path, "unit": "m", "surface": surface} | more

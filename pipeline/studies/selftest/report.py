@@ -5,8 +5,8 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.lines import fold
 from pipeline.studies.selftest import attitude, frames, light, many, places, stars
@@ -40,7 +40,7 @@ def run_cases(
     return outcomes
 
 
-def as_data(outcomes: list[Outcome]) -> dict[str, Any]:
+def as_data(outcomes: list[Outcome]) -> JsonObject:
     """All outcomes as plain data."""
     return {
         "passed": all(o.passed for o in outcomes),
