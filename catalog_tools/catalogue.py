@@ -16,10 +16,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from .documents import JsonObject
 from .errors import BadInput, Damaged
 from .storage.durable import save_array
 from .storage.stores import LocalStore, Store, Unreachable, open_store
@@ -139,12 +140,12 @@ class Catalogue:
     sources: int
     rows_in: int
     rejected: dict[str, int]
-    facts: dict[str, Any]
+    facts: JsonObject
     files: dict[str, str]
     digest: str
     leaf_table: np.ndarray
     row_group_table: np.ndarray
-    coverage: dict[str, Any] | None = None
+    coverage: JsonObject | None = None
     without_colour: int | None = None
 
     @cached_property
@@ -196,7 +197,7 @@ def shard_name(order: int, pixel: int) -> str:
 
 
 def write_manifest(
-    folder: Path, content: dict[str, Any], leaves: np.ndarray, row_groups: np.ndarray
+    folder: Path, content: JsonObject, leaves: np.ndarray, row_groups: np.ndarray
 ) -> str:
     """Write both tables and the manifest below `folder`; returns the digest.
 
@@ -245,7 +246,7 @@ def open_catalogue(path: str | os.PathLike[str], *, field: str = "catalogue") ->
     )
 
 
-def _manifest(store: Store, field: str) -> dict[str, Any]:
+def _manifest(store: Store, field: str) -> JsonObject:
     """The document of a manifest of a readable version, its content proved by its digest."""
     where = f"{store.root}/{MANIFEST_NAME}"
     try:
@@ -291,7 +292,7 @@ def _table(store: Store, name: str, sha256: str | None, dtype: np.dtype) -> np.n
     return table
 
 
-def _digest(content: dict[str, Any]) -> str:
+def _digest(content: JsonObject) -> str:
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 

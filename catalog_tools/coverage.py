@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .catalogue import MANIFEST_NAME, Catalogue
+from .documents import JsonObject
 from .errors import Damaged
 from .geometry.healpix import FINEST_ORDER, neighbours_of, pixels_of
 from .geometry.sphere import angles_deg, directions, separation_rad
@@ -97,7 +98,7 @@ class Coverage:
         limits = self.limits_g_mag(*_spiral(np.array([ra_deg, dec_deg, radius_deg])))
         return float(np.mean(~np.isneginf(limits)))
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> JsonObject:
         """What `catalog info` and reports say."""
         fraction = self.sky_fraction
         return {
@@ -105,7 +106,7 @@ class Coverage:
             "sky_fraction": None if fraction is None else float(f"{fraction:.6g}"),
         }
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """Plain values for a manifest; `from_json` gives the same coverage."""
         return {
             "source": self.source,

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from .catalogue import Catalogue
 from .coverage import coverage_of
+from .documents import JsonObject
 
 
-def info(catalogue: Catalogue) -> dict[str, Any]:
+def info(catalogue: Catalogue) -> JsonObject:
     """Facts of a catalogue from its manifest alone, ready for JSON."""
     leaves, groups = catalogue.leaf_table, catalogue.row_group_table
     size = int(leaves["bytes"].sum())

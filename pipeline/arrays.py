@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import Arguments
+
 Array = NDArray[np.float64]
 Value = float | Array
 
@@ -126,7 +128,7 @@ class Geometry:
 
     def frame_slice(self, index: int) -> Geometry:
         """The geometry of one of its frames alone (what a task of that frame needs)."""
-        values: dict[str, Any] = {}
+        values: Arguments = {}
         for f in fields(self):
             value = getattr(self, f.name)
             axis = 1 if f.name.startswith("target_") else 0

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import zarr
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import full_disk_told
 from pipeline.arrays import SensorMaps
 from pipeline.errors import BadInput, Damaged
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 LAYER = "calibrated_e"
 
 
-def calibrate(product: Path, output: Path) -> dict[str, Any]:
+def calibrate(product: Path, output: Path) -> JsonObject:
     """Write a calibrated copy of a complete product; returns its report.
 
     The copy is a product of its own, with the one layer `calibrated_e` [e-, float32], the
@@ -61,7 +63,7 @@ def calibrate(product: Path, output: Path) -> dict[str, Any]:
 
 def _write(
     product: Path, output: Path, cube: xr.Dataset, scene: Scene, maps: SensorMaps
-) -> dict[str, Any]:
+) -> JsonObject:
     writer = begin_copy(output, product, (LAYER,), scene)
     masked = [
         _write_frame(product, writer, scene, maps, frame) for frame in range(frame_count(scene))
@@ -97,16 +99,14 @@ def _write_frame(
     return masked
 
 
-def _stored(product: Path, name: str) -> tuple[tuple[str, ...], np.ndarray, dict[str, Any]]:
+def _stored(product: Path, name: str) -> tuple[tuple[str, ...], np.ndarray, JsonObject]:
     """A coordinate as it is stored: dimensions, numbers (times not decoded), attributes."""
-    import zarr
-
     array = zarr.open_array(product / layout.CUBE / name, mode="r")
     dimensions = tuple(str(d) for d in getattr(array.metadata, "dimension_names", None) or ())
     return dimensions, np.asarray(array[...]), dict(array.attrs)
 
 
-def _stored_report(product: Path) -> dict[str, Any]:
+def _stored_report(product: Path) -> JsonObject:
     try:
         return json.loads((product / layout.REPORT).read_text())
     except (OSError, ValueError) as error:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.route.draw import Listener
 from pipeline.route.run import Options, render
@@ -19,7 +19,7 @@ DEEP_FIELD = (266.2, 0.0, 2.0, 15.0)
 
 def run_demo(
     folder: Path, replace: bool, listen: Listener | None, say: Callable[[str], None]
-) -> tuple[Path, dict[str, Any]]:
+) -> tuple[Path, JsonObject]:
     """Make FOLDER/catalogue (kept if it is there) and FOLDER/product; returns product, report.
 
     A product of an earlier demo is gone on with, or taken as it is where it is complete.

@@ -17,17 +17,17 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 import numpy as np
-from numpy.typing import NDArray
+
+from catalog_tools.documents import JsonObject
 
 MOST_BYTES, MOST_FILES = 512e6, 4096
 WORTH_S = 0.01  # that making them takes: less is as quick made as read
 LOOKED_AFTER = 32  # files written by a process, of which the folder is looked at
 
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, np.ndarray]
 
 _written = 0
 
@@ -40,7 +40,7 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "nightglass"
 
 
-def kept(content: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> Arrays:
+def kept(content: tuple[object, ...], make: Callable[[], JsonObject]) -> Arrays:
     """The named arrays and numbers that `make` gives, from disk where they are known.
 
     content : all that they follow from beside the physics' own code: numbers, text, arrays,
@@ -60,7 +60,7 @@ def kept(content: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> Arr
     return made
 
 
-def kept_array(content: tuple[object, ...], make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+def kept_array(content: tuple[object, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
     """The same of one array."""
     return kept(content, lambda: {"values": make()})["values"]
 
@@ -70,7 +70,7 @@ def kept_number(content: tuple[object, ...], make: Callable[[], float]) -> float
     return float(kept(content, lambda: {"values": make()})["values"])
 
 
-def _write(path: Path, made: dict[str, Any]) -> None:
+def _write(path: Path, made: JsonObject) -> None:
     global _written
     path.parent.mkdir(parents=True, exist_ok=True)
     own = path.with_name(f".{path.stem}.{uuid4().hex}.tmp")

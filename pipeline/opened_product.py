@@ -9,7 +9,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, Damaged
+from pipeline.export.files import layers_of
+from pipeline.export.header import fits_header
 from pipeline.store import layout
 from pipeline.store.cube import check_complete, open_cube
 
@@ -34,9 +40,6 @@ class TruthTables(Mapping[str, Any]):
         self._names = tuple(name for name in TABLES if (folder / f"{name}.parquet").is_file())
 
     def __getitem__(self, name: str) -> pa.Table:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         if name not in self:
             raise BadInput("truth", name, ", ".join(self) or "nothing: the scene has no sources")
         path = self._folder / f"{name}.parquet"
@@ -94,19 +97,19 @@ class Product:
         return TruthTables(self.path / layout.TRUTH)
 
     @cached_property
-    def plan(self) -> dict[str, Any]:
+    def plan(self) -> JsonObject:
         """What was decided before drawing, and why: `plan.json`; units stand in the keys."""
         return self._json(layout.PLAN)
 
     @cached_property
-    def report(self) -> dict[str, Any]:
+    def report(self) -> JsonObject:
         """What came out: time, memory, errors measured, warnings: `report.json`."""
         return self._json(layout.REPORT)
 
-    def _json(self, name: str) -> dict[str, Any]:
+    def _json(self, name: str) -> JsonObject:
         path = self.path / name
         try:
-            content: dict[str, Any] = json.loads(path.read_bytes())
+            content: JsonObject = json.loads(path.read_bytes())
         except (OSError, ValueError) as error:
             raise Damaged(str(path), f"cannot be read ({error})") from None
         return content
@@ -135,9 +138,6 @@ class Product:
         """
         from astropy.io.fits import Header
         from astropy.wcs import WCS
-
-        from pipeline.export.files import layers_of
-        from pipeline.export.header import fits_header
 
         cube = self.cube
         if frame not in range(cube.sizes["frame"]):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from http import HTTPStatus
@@ -28,7 +27,6 @@ from service.context import Context
 from service.engine.looks import Looks
 from service.engine.runner import Dispatcher
 from service.http.gate import Gate
-from service.integrity import find_faults
 from service.jobs.changes import Changes
 from service.jobs.jobs import Queue
 from service.jobs.submissions import Intake
@@ -133,7 +131,6 @@ def create_app(settings: Settings) -> FastAPI:
         )
         app.state.context = context
         numbers.registry.register(Gauges(context))
-        threading.Thread(target=_look_over, args=(context,), daemon=True).start()
         intake.start()
         dispatcher.start()
         try:
@@ -153,24 +150,11 @@ def create_app(settings: Settings) -> FastAPI:
     )
     for room in ROOMS:
         app.include_router(room.router)
-    app.router.routes.insert(0, jobs.PlainSubmit())
     for kind in (NightglassError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, answer_problem)
     app.add_middleware(Gate, settings=settings, numbers=numbers, problem=answer_problem)
     describe(app)
     return app
-
-
-def _look_over(context: Context) -> None:
-    """Name every damaged row of the job table, once, behind the start."""
-    try:
-        faults = find_faults(context.table.engine)
-    except Exception:
-        log.exception("the job table could not be looked over")
-        return
-    context.damaged = len(faults)
-    for fault in faults:
-        log.error("damaged: %s", fault.reason, extra={"job": fault.job})
 
 
 async def answer_problem(request: Request, error: Exception) -> Response:

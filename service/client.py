@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import httpx
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import NOT_NOW, BadInput, NightglassError
 from service.answers import Refused, ServiceError, problem_of
 
@@ -29,13 +30,13 @@ FINAL = ("COMPLETED", "ERROR", "ABORTED")
 LONG_POLL_S = 20.0
 FIRST_S = 5.0  # a server that is asked for the first time may just be starting
 Scene = Mapping[str, Any] | str | Path
-Listener = Callable[[dict[str, Any]], None]
+Listener = Callable[[JsonObject], None]
 
 
 class JobFailed(NightglassError):
     """A job ended as ERROR or ABORTED; `error` is what the server says of it."""
 
-    def __init__(self, message: str, error: dict[str, Any] | None) -> None:
+    def __init__(self, message: str, error: JsonObject | None) -> None:
         self.error = error
         super().__init__(message)
 
@@ -87,7 +88,7 @@ class Client:
         headers = {"Idempotency-Key": idempotency_key or str(uuid.uuid4())}
         return RemoteJob(self, self.ask("POST", "/v1/sweeps", json=data, headers=headers).json())
 
-    def plan(self, scene: Scene) -> dict[str, Any]:
+    def plan(self, scene: Scene) -> JsonObject:
         """What a scene needs and why, planned by the server; nothing is rendered."""
         return self.ask("POST", "/v1/jobs", json=_data(scene), params={"dry_run": "1"}).json()
 
@@ -104,7 +105,7 @@ class Client:
             yield from (RemoteJob(self, facts) for facts in answer.json()["jobs"])
             path, params = answer.links.get("next", {}).get("url", ""), None
 
-    def catalogues(self) -> list[dict[str, Any]]:
+    def catalogues(self) -> list[JsonObject]:
         """The catalogues that a scene may name."""
         return self.ask("GET", "/v1/catalogues").json()["catalogues"]
 
@@ -132,7 +133,7 @@ class Client:
 class RemoteJob:
     """A job on a server; `facts` are what was last heard of it."""
 
-    def __init__(self, client: Client, facts: dict[str, Any]) -> None:
+    def __init__(self, client: Client, facts: JsonObject) -> None:
         self.client, self.facts = client, facts
         self.id: str = facts["id"]
         self.path = f"/v1/jobs/{self.id}"
@@ -201,11 +202,11 @@ class RemoteJob:
         """Stop it and remove it with all that it made."""
         self.client.ask("DELETE", self.path)
 
-    def scene(self) -> dict[str, Any]:
+    def scene(self) -> JsonObject:
         """Its scene, defaults filled in."""
         return self.client.ask("GET", f"{self.path}/scene").json()
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> JsonObject:
         """The report of its product."""
         return self.client.ask("GET", f"{self.path}/report").json()
 

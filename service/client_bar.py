@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+
+from catalog_tools.documents import JsonObject
 
 
 @contextmanager
-def bar(name: str, unit: str = "") -> Iterator[Callable[[dict[str, Any]], None] | None]:
+def bar(name: str, unit: str = "") -> Iterator[Callable[[JsonObject], None] | None]:
     """A listener for a job's facts (or bytes done and total, as MB) that shows them."""
     if not sys.stderr.isatty():
         yield None
@@ -19,7 +20,7 @@ def bar(name: str, unit: str = "") -> Iterator[Callable[[dict[str, Any]], None] 
     with progress_bar(unit) as shown:
         task = shown.add_task(name, total=None)
 
-        def listen(facts: dict[str, Any]) -> None:
+        def listen(facts: JsonObject) -> None:
             done, total = facts.get("tiles_done"), facts.get("tiles_total")
             told = f"{name}: {facts['phase'].lower()}" if "phase" in facts else name
             shown.update(task, description=told, completed=done or 0, total=total)

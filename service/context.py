@@ -49,7 +49,6 @@ class Context:
     tickets: Tickets
     caller: Caller = OPEN
     store: TeamStore = None  # type: ignore[assignment]
-    damaged: int = 0
     started_s: float = field(default_factory=time.time)
 
     def bound(self, caller: Caller) -> Context:
@@ -71,10 +70,6 @@ def _everyone(request: Request) -> Context:
 
 
 async def _context(request: Request, _: Annotated[Any, Depends(_bearer)]) -> Context:
-    return await context_of(request)
-
-
-async def context_of(request: Request) -> Context:
     """The context bound to who sent a request. Unauthenticated, Forbidden, TooMany."""
     context: Context = request.app.state.context
     caller = context.tickets.caller(request)

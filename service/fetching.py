@@ -8,13 +8,14 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import httpx
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import NOT_NOW, BadInput, Damaged, Incomplete
 from pipeline.store import layout
-from pipeline.store.product import file_digest
+from pipeline.store.product import check, content_digest, file_digest
 from service.answers import problem_of
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 PART = ".part"
 TRIES = 8
 PIECE_BYTES = 1 << 18
-Listener = Callable[[dict[str, Any]], None]
+Listener = Callable[[JsonObject], None]
 
 
 def fetch_product(job: RemoteJob, folder: Path, parallel: int, listen: Listener | None) -> Path:
@@ -154,8 +155,6 @@ def _go_on(
 
 def _prove(job: RemoteJob, folder: Path, seal: bytes) -> None:
     """Every chunk, marker and table against its checksum, the whole against the job's digest."""
-    from pipeline.store.product import check, content_digest
-
     complete = folder / layout.COMPLETE
     layout.write_atomically(complete, seal)
     verdict = check(folder)

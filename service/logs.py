@@ -8,7 +8,8 @@ import os
 import re
 import sys
 from datetime import UTC, datetime
-from typing import Any
+
+from catalog_tools.documents import JsonObject
 
 NAMES = ("job", "attempt", "tile", "team", "request", "method", "path", "status", "ms")
 SECRETS = re.compile(
@@ -28,7 +29,7 @@ class JsonLines(logging.Formatter):
     """One JSON object a line; what a record carries as `extra` stands beside the message."""
 
     def format(self, record: logging.LogRecord) -> str:
-        line: dict[str, Any] = {
+        line: JsonObject = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
             "message": redact(record.getMessage()),

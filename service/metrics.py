@@ -66,7 +66,6 @@ class Gauges:
             ("scheduler", "whether the scheduler of the jobs answers", answers),
             ("watchers", "requests that wait for a change", context.changes.places.held),
             ("disk_free_bytes", "free space of the data folder", free),
-            ("damaged_rows", "rows of the job table that are damaged", context.damaged),
             ("uptime_seconds", "since start", round(time.time() - context.started_s, 3)),
         ):
             yield GaugeMetricFamily(f"nightglass_{name}", told, value)

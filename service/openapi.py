@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+
+from catalog_tools.documents import JsonObject
 
 TEXT = {"type": ["string", "null"]}
 NUMBER = {"type": ["integer", "null"]}
@@ -164,7 +164,7 @@ PLAIN = ("/healthz", "/readyz", "/metrics")
 def describe(app: FastAPI) -> None:
     """Have the application publish this document; it is made when it is first asked for."""
 
-    def document() -> dict[str, Any]:
+    def document() -> JsonObject:
         if app.openapi_schema is None:
             app.openapi_schema = _complete(
                 get_openapi(
@@ -180,7 +180,7 @@ def describe(app: FastAPI) -> None:
     app.openapi = document  # type: ignore[method-assign]
 
 
-def _complete(document: dict[str, Any]) -> dict[str, Any]:
+def _complete(document: JsonObject) -> JsonObject:
     schemas = document.setdefault("components", {}).setdefault("schemas", {})
     schemas |= {"Job": JOB, "Problem": PROBLEM}
     for unused in ("HTTPValidationError", "ValidationError"):
@@ -202,7 +202,7 @@ def _complete(document: dict[str, Any]) -> dict[str, Any]:
     return document
 
 
-def _complete_answers(method: str, path: str, answers: dict[str, Any]) -> None:
+def _complete_answers(method: str, path: str, answers: JsonObject) -> None:
     problem = {"application/problem+json": {"schema": A_PROBLEM}}
     refusals = {"503": "not now"} if path in PLAIN else REFUSALS
     for status, told in refusals.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, NightglassError, shorten
 
 MAX_TEXT = 400
@@ -67,7 +68,7 @@ class NotAllowed(Refusal):
 class PlanRefused(Refusal):
     """The engine refused a scene when it planned it; `error` is the worker's description."""
 
-    def __init__(self, error: dict[str, Any]) -> None:
+    def __init__(self, error: JsonObject) -> None:
         super().__init__(error["message"])
         self.errors = error["errors"]
 
@@ -107,7 +108,7 @@ def mistakes_of(error: Exception) -> list[Mistake]:
     return getattr(error, "mistakes", [(error.field, error.value, error.allowed)])
 
 
-def mistake_dict(mistake: Mistake) -> dict[str, Any]:
+def mistake_dict(mistake: Mistake) -> JsonObject:
     """One mistake as problem+json: pointer (RFC 6901), value and remedy, all cut in length."""
     field, value, allowed = mistake
     told = str(allowed).removeprefix("allowed: ")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.documents import Arguments
 from pipeline.errors import NO_ROOM, BadInput, DiskFull
 
 PREFIX = "NIGHTGLASS_"
@@ -150,7 +151,7 @@ def read_settings(home: Path | None = None, environ: Mapping[str, str] = os.envi
     Default home: $XDG_DATA_HOME/nightglass or ~/.local/share/nightglass. BadInput names the
     variable that cannot be read.
     """
-    given: dict[str, Any] = {}
+    given: Arguments = {}
     for field in fields(Settings):
         text = environ.get(PREFIX + field.name.upper())
         if field.name != "home" and text:

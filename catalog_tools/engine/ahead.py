@@ -7,10 +7,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Progress = Callable[[str], None]  # called with the kind of each task that is done
+Graph = tuple[dict[Any, Any], list[Any]]  # tasks by key, and the keys that are wanted
+AHEAD = 3  # items in work or waiting for each thread
 
 
 def cores() -> int:
@@ -49,3 +52,11 @@ def ahead(
     finally:
         for future in waiting:
             future.cancel()
+
+
+def outcome(function: Callable[[Any, Any], Any], shared: Any, item: Any) -> Any:
+    """What a function gives, or the error that it raises."""
+    try:
+        return function(shared, item)
+    except Exception as error:
+        return error

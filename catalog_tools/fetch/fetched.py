@@ -9,9 +9,9 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 from ..coverage import Coverage, from_json, united
+from ..documents import JsonObject
 from ..storage.durable import write_atomically
 
 COVERAGE_NAME = ".fetch/coverage.json"  # beside the ledger, where ingest takes no file for a source
@@ -49,7 +49,7 @@ def stated_coverage(paths: Sequence[Path]) -> tuple[Coverage | None, tuple[str, 
     return None, (f"{lacking}: what the catalogue covers is derived from its rows",)
 
 
-def _records(folder: Path) -> list[dict[str, Any]]:
+def _records(folder: Path) -> list[JsonObject]:
     """The records of a folder; none where the file is absent or can't be understood."""
     try:
         document = json.loads((folder / COVERAGE_NAME).read_text(encoding="utf-8"))

@@ -14,8 +14,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
+from ..documents import JsonObject
 from ..errors import BadInput
 from ..storage.durable import sync
 from .layout import Release
@@ -132,7 +132,7 @@ def _read(path: Path) -> Iterator[tuple[str, tuple[int, int, str]]]:
         return
     for line in text.splitlines():
         try:
-            record: dict[str, Any] = json.loads(line)
+            record: JsonObject = json.loads(line)
             yield record["name"], (int(record["size"]), int(record["mtime_ns"]), record["md5"])
         except (ValueError, KeyError, TypeError):
             continue

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..columns import REQUIRED
+from ..documents import JsonObject
 from ..errors import BadInput
 from .form import (
     EPOCH_UNITS,
@@ -58,7 +59,7 @@ def load_form(name_or_path: str | Path) -> Form:
 class _Table:
     """A TOML table whose keys are taken one by one; those left over at the end are refused."""
 
-    def __init__(self, data: dict[str, Any], path: str, place: str) -> None:
+    def __init__(self, data: JsonObject, path: str, place: str) -> None:
         self._data, self._path, self._place = dict(data), path, place
         self._asked: list[str] = []
 
@@ -180,7 +181,7 @@ def _source(table: _Table, column: str) -> ColumnSource:
     return source
 
 
-def _colour_term(table: _Table) -> dict[str, Any]:
+def _colour_term(table: _Table) -> JsonObject:
     """The fields of a `ColumnSource` that tell how a magnitude depends on a colour."""
     colour, coefficients = table.texts("colour", ()), table.numbers("coefficients")
     limits, clip = table.numbers("colour_range"), table.flag("clip")

@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..columns import HEALPIX_COLUMN
+from ..documents import JsonObject
 from ..errors import Damaged
 from ..geometry.gaia_ids import LEAST_CHECKED, MOST_LOOKED_AT, refuse_most
 from ..partition import Pixels, coarser_counts
@@ -47,7 +48,7 @@ class RowSource(Protocol):
     def identity(self) -> list[Any]:
         """What tells whether it is still the same source (JSON values)."""
 
-    def tables(self, record: dict[str, Any]) -> Iterator[pa.Table]:
+    def tables(self, record: JsonObject) -> Iterator[pa.Table]:
         """Its rows in order, in tables of schema INCOMING; fills in `bytes` and `md5`, if any."""
 
 
@@ -73,7 +74,7 @@ class BatchResult:
     number: int
     folder: str
     crcs: dict[str, int]
-    records: tuple[dict[str, Any], ...]
+    records: tuple[JsonObject, ...]
     pieces: tuple[SortedRun, ...]
     reasons: dict[str, int]
 
@@ -101,15 +102,15 @@ def split(batch: Batch, folder: Path, piece_rows: int) -> None:
         raise
 
 
-def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> dict[str, Any]:
+def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> JsonObject:
     """Read the sources of a batch into the folder `name` below `root`: what its marker says."""
     folder = root / name
     held = _Held(root, name, batch.number, piece_rows)
-    records: list[dict[str, Any]] = []
+    records: list[JsonObject] = []
     reasons: Counter[str] = Counter()
     rejects = pa.ipc.new_file(str(folder / REJECTS_NAME), REJECTS)
     for source in batch.sources:
-        record: dict[str, Any] = {"name": source.label, "bytes": None, "md5": None, "rows": 0}
+        record: JsonObject = {"name": source.label, "bytes": None, "md5": None, "rows": 0}
         places = _Places(source)
         for table in source.tables(record):
             kept, columns, bad = judge(table, source.label, record["rows"], places.compared)

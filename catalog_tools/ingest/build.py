@@ -31,6 +31,7 @@ from ..catalogue import (
     write_manifest,
 )
 from ..coverage import of_rows
+from ..documents import JsonObject
 from ..engine.schedulers import LocalScheduler, Scheduler
 from ..errors import BadInput, Damaged, Incomplete
 from ..partition import COUNT_ORDER, Cell, Pixels, choose_leaves, coarser, healpix_29
@@ -61,7 +62,7 @@ REJECTS_ROWS = 100_000
 MOST_NAMED = 20  # files without a row
 Progress = Callable[[str, int, int], None]  # stage, done, total
 Reasons = dict[str, int]
-Record = dict[str, Any]  # of a source, as its batch keeps it
+Record = JsonObject  # of a source, as its batch keeps it
 
 
 def silent(stage: str, done: int, total: int) -> None:
@@ -79,8 +80,8 @@ class About:
     description: str
     synthetic: bool
     ref_epoch_jyear: float
-    facts: dict[str, Any]
-    coverage: dict[str, Any] | None = None
+    facts: JsonObject
+    coverage: JsonObject | None = None
 
 
 @dataclass(frozen=True)
@@ -311,7 +312,7 @@ def _content(
     records: Sequence[Record],
     done: Sequence[LeafDone],
     rejected: Reasons,
-) -> dict[str, Any]:
+) -> JsonObject:
     """The manifest's content but for the digests; the coverage is as `about` says."""
     some = leaves.size > 0
     return {

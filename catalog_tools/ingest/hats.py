@@ -9,17 +9,18 @@ from __future__ import annotations
 import io
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
+from astropy.io import fits
 
 from ..columns import HEALPIX_COLUMN, HEALPIX_ORDER, STORED
+from ..documents import JsonObject
 
 MAX_SKYMAP_ORDER = 8
 
 
-def write_hats_files(root: Path, leaves: np.ndarray, counts: np.ndarray) -> dict[str, Any]:
+def write_hats_files(root: Path, leaves: np.ndarray, counts: np.ndarray) -> JsonObject:
     """Write partition_info.csv, _common_metadata and the two maps below `root`, before the manifest
     that proves them; returns what the properties say of them.
 
@@ -45,7 +46,7 @@ def write_hats_files(root: Path, leaves: np.ndarray, counts: np.ndarray) -> dict
 
 
 def write_properties(
-    root: Path, content: dict[str, Any], digest: str, rows_per_leaf: int, shape: dict[str, Any]
+    root: Path, content: JsonObject, digest: str, rows_per_leaf: int, shape: JsonObject
 ) -> None:
     """Write both properties files, the last of all: they name the manifest's digest.
 
@@ -68,8 +69,6 @@ def write_properties(
 
 def _write_map(path: Path, rows: np.ndarray) -> None:
     """A full-sky nested HEALPix map as FITS (what healpy writes, without importing it)."""
-    from astropy.io import fits
-
     width = min(rows.size, 1024)
     values = rows.astype(">i8").reshape(-1, width)
     table = fits.BinTableHDU.from_columns(
@@ -89,7 +88,7 @@ def _write_map(path: Path, rows: np.ndarray) -> None:
     path.write_bytes(held.getbuffer())
 
 
-def _properties(about: dict[str, Any]) -> str:
+def _properties(about: JsonObject) -> str:
     items = {
         **about,
         "dataproduct_type": "object",

@@ -12,10 +12,12 @@ from typing import Any
 import pyarrow as pa
 
 from ..coverage import Coverage, all_sky
+from ..documents import JsonObject
 from ..engine.ahead import cores
 from ..engine.schedulers import LocalScheduler, Scheduler
 from ..errors import BadInput, Damaged
 from ..fetch.fetched import stated_coverage
+from ..fetch.layout import RELEASES
 from ..forms import Form, load_form
 from ..partition import ROWS_PER_LEAF
 from ..readers import detect_form, kind_of, read_tables
@@ -46,7 +48,7 @@ class FileSource:
     def identity(self) -> list[Any]:
         return [self.path, self.size, self.mtime_ns, self.expected_md5]
 
-    def tables(self, record: dict[str, Any]) -> Iterator[pa.Table]:
+    def tables(self, record: JsonObject) -> Iterator[pa.Table]:
         """Its rows; at the end its length and MD5 are compared with what was expected."""
         md5 = hashlib.md5(usedforsecurity=False)
         yield from read_tables(Path(self.path), self.form, md5=md5, most_bytes=self.most_bytes)
@@ -164,8 +166,6 @@ def _inside(folder: Path) -> tuple[list[Path], list[Path]]:
 
 def _coverage(paths: Sequence[Path], form: Form) -> tuple[Coverage | None, tuple[str, ...]]:
     """What the sources say that they cover: as a whole release, or as they were fetched."""
-    from ..fetch.layout import RELEASES
-
     release = RELEASES.get(form.name.replace("_", "-"))
     names = {path.name for path in paths}
     if release is not None and len(paths) == len(names) >= release.files:

@@ -17,6 +17,7 @@ import pyarrow as pa
 
 from ..catalogue import LEAVES_DTYPE, ROW_GROUPS_DTYPE, shard_name
 from ..columns import STORED
+from ..documents import JsonObject
 from ..errors import Damaged
 from ..partition import Cell
 from ..storage.durable import sync, whole_file, write_atomically
@@ -99,7 +100,7 @@ def write_leaf(context: Written, cell: Cell) -> None:
             _write_surplus(path, context, runs, rows, surplus, elsewhere)
         rows = {name: np.delete(values, surplus) for name, values in rows.items()}
     rows.pop(PLACE_COLUMN, None)
-    marker: dict[str, Any] = {
+    marker: JsonObject = {
         "basis": context.basis,
         "leaf": None,
         "surplus": int(surplus.size),

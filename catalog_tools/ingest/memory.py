@@ -6,6 +6,8 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import pyarrow as pa
+
 from ..errors import BadInput
 from ..partition import Cell
 
@@ -68,8 +70,6 @@ class Budget:
 
 def give_back() -> None:
     """Hand memory that the last task freed back to the system, before the next one takes more."""
-    import pyarrow as pa
-
     pa.default_memory_pool().release_unused()
     libc = ctypes.CDLL(None)
     if hasattr(libc, "malloc_trim"):  # glibc

@@ -280,9 +280,9 @@ def _taken(table: pa.Table, rows: NDArray[np.intp]) -> pa.Table:
     return table.take(pa.Array.from_buffers(pa.int64(), len(rows), [None, places]))
 
 
-def _values(table: pa.Table, name: str) -> NDArray[Any]:
+def _values(table: pa.Table, name: str) -> np.ndarray:
     """A column of one chunk; NaN where it is null."""
-    values: NDArray[Any] = table[name].chunk(0).to_numpy(zero_copy_only=False)
+    values: np.ndarray = table[name].chunk(0).to_numpy(zero_copy_only=False)
     return values
 
 

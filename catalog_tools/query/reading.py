@@ -13,9 +13,13 @@ from collections.abc import Sequence
 from itertools import chain, product
 from typing import TYPE_CHECKING
 
+import google_crc32c
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from ..catalogue import Leaf
+from ..columns import STORED
 from ..errors import Damaged, Incomplete
 from ..storage.stores import Bytes, Part, Store, Unreachable
 from .parquet_footer import MAGIC, footer
@@ -35,11 +39,6 @@ def read_row_groups(
     threads : decoded on all cores. Raises Damaged naming the shard that is missing, of another
     length, or changed in a byte that was read; Incomplete where a remote store gives no answer.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from ..columns import STORED
-
     columns = list(map(STORED.names.index, names))
     groups = [group for leaf in leaves for group in leaf.row_groups]
     rows = sum(group.rows for group in groups)
@@ -74,8 +73,6 @@ def _fetch(
     places : for each of its row groups and each column, where the chunk begins in the file, and
     its start and end in `data`.
     """
-    import google_crc32c
-
     where = f"{store.root}/{leaf.path}"
     # One byte more than there should be proves the length without another request.
     tail = np.empty(END_BYTES + 1, np.uint8)
@@ -103,9 +100,6 @@ def _fetch(
 
 def parse_footer(where: str, leaf: Leaf, footer: Bytes) -> pq.FileMetaData:
     """The metadata in a shard's last bytes; Damaged where it isn't what the manifest says."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     try:  # a footer alone is a file without row groups' bytes
         metadata = pq.read_metadata(pa.BufferReader(pa.py_buffer(MAGIC + footer.tobytes())))
     except pa.ArrowException as error:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..catalogue import Catalogue, open_catalogue
+from ..documents import JsonObject
 from ..errors import BadInput
+from ..info import info
+from .query import cone
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -23,10 +26,8 @@ class StarCatalogue:
         return f"<StarCatalogue {self._catalogue.path!r}, {self._catalogue.rows} stars>"
 
     @property
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> JsonObject:
         """What the catalogue holds, as `nightglass catalog info` says it; units in the keys."""
-        from ..info import info
-
         return info(self._catalogue)
 
     def cone(
@@ -68,8 +69,6 @@ class StarCatalogue:
         Damaged
             Where what is read does not match its checksum.
         """
-        from .query import cone
-
         rows, _ = cone(
             self._catalogue, ra_deg, dec_deg, radius_deg, faintest_g_mag, epoch_jyear, columns
         )

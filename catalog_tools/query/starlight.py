@@ -25,10 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..catalogue import Catalogue
+from ..columns import HEALPIX_ORDER
+from ..engine.schedulers import TASKS_PER_WINDOW, LocalScheduler
 from ..errors import NO_ROOM, BadInput, Damaged, DiskFull
 from ..geometry.healpix_interpolation import neighbours
 from ..star_counts import EDGES_G_MAG, all_sky_count, interval_density
 from ..storage.stores import LocalStore, Unreachable
+from .query import read_leaf
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -198,8 +201,6 @@ def make_starlight(
     (default: two threads). Memory: the map, and some 20 MB a worker. Raises BadInput for a
     catalogue that is not in a local folder or cannot be written to, Damaged for a damaged one.
     """
-    from ..engine.schedulers import TASKS_PER_WINDOW, LocalScheduler
-
     if not isinstance(catalogue.store, LocalStore):
         allowed = "a catalogue in a local folder (a map that lies beside it is copied with it)"
         raise BadInput("catalogue", catalogue.path, allowed)
@@ -229,9 +230,6 @@ def make_starlight(
 
 def leaf_light(catalogue: Catalogue, index: int, order: int) -> tuple[int, NDArray[np.float32]]:
     """The light of one leaf's stars: its first pixel of an order, and (BINS, 4, pixels)."""
-    from ..columns import HEALPIX_ORDER
-    from .query import read_leaf
-
     leaf = catalogue.leaf(index)
     below = 2 * (order - leaf.order)
     first = leaf.pixel << below if below >= 0 else leaf.pixel >> -below

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from isal import isal_zlib
+
 from ..errors import Damaged
 
 PLAIN_BYTES = 1 << 18
@@ -41,8 +43,6 @@ def _raw(path: Path, md5: Any, size: int) -> Iterator[bytes]:
 
 def _unpacked(path: Path, pieces: Iterator[bytes]) -> Iterator[bytes]:
     """Gzip members one after the other; zeros between and after them are padding (RFC 1952)."""
-    from isal import isal_zlib
-
     broken: Any = isal_zlib.error  # no class to a type checker
     engine: Any = None
     first = True

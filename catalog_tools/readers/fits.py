@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
+from astropy.io.fits import Header
 
+from ..documents import JsonObject
 from ..errors import BadInput, Damaged
 from ..forms import Layout
 from .bytes_in import bytes_of
@@ -111,7 +112,7 @@ class _Stream:
             pass
 
 
-def _find_table(stream: _Stream, where: str, hdu: int | None) -> dict[str, Any]:
+def _find_table(stream: _Stream, where: str, hdu: int | None) -> JsonObject:
     number = 0
     while (header := _read_header(stream, where)) is not None:
         is_table = header.get("XTENSION") == "BINTABLE"
@@ -126,7 +127,7 @@ def _find_table(stream: _Stream, where: str, hdu: int | None) -> dict[str, Any]:
     raise BadInput(where, f"{number} parts", f"{allowed} (this one holds no binary table)")
 
 
-def _read_header(stream: _Stream, where: str) -> dict[str, Any] | None:
+def _read_header(stream: _Stream, where: str) -> JsonObject | None:
     """Keywords of the next header; None at the end of the file, or where only padding follows."""
     blocks: list[bytes] = []
     while len(blocks) < MOST_HEADER_BLOCKS:
@@ -140,10 +141,8 @@ def _read_header(stream: _Stream, where: str) -> dict[str, Any] | None:
     raise BadInput(where, f"{len(blocks)} blocks", "a FITS header that has an END")
 
 
-def _keywords(header: bytes, where: str) -> dict[str, Any]:
+def _keywords(header: bytes, where: str) -> JsonObject:
     """Values by keyword. BadInput for what is no header, and for an axis of negative length."""
-    from astropy.io.fits import Header
-
     try:
         cards = Header.fromstring(header.decode("ascii")).cards
         values = {card.keyword: card.value for card in cards if card.keyword}
@@ -157,7 +156,7 @@ def _keywords(header: bytes, where: str) -> dict[str, Any]:
     return values
 
 
-def _data_bytes(header: dict[str, Any]) -> int:
+def _data_bytes(header: JsonObject) -> int:
     """Bytes of the data part with its padding (FITS standard 4.0, equations 1 and 2)."""
     naxis = int(header.get("NAXIS", 0))
     if not naxis:
@@ -170,7 +169,7 @@ def _data_bytes(header: dict[str, Any]) -> int:
     return -(-size // BLOCK_BYTES) * BLOCK_BYTES
 
 
-def _columns(header: dict[str, Any], where: str) -> list[Column]:
+def _columns(header: JsonObject, where: str) -> list[Column]:
     columns = []
     for i in range(1, int(header["TFIELDS"]) + 1):
         name = str(header.get(f"TTYPE{i}", f"col{i}")).strip()
@@ -191,7 +190,7 @@ def _columns(header: dict[str, Any], where: str) -> list[Column]:
     return columns
 
 
-def _values(stored: NDArray[Any], column: Column, want: str, where: str) -> pa.Array:
+def _values(stored: np.ndarray, column: Column, want: str, where: str) -> pa.Array:
     """A column as Arrow: int64, double or string, null where TNULL stands."""
     kinds, allowed = WANTED[want]
     if column.repeat != 1 or np.dtype(column.dtype).kind not in kinds:
@@ -204,7 +203,7 @@ def _values(stored: NDArray[Any], column: Column, want: str, where: str) -> pa.A
     return pa.array(values, mask=is_null)
 
 
-def _scaled(values: NDArray[Any], column: Column) -> NDArray[Any]:
+def _scaled(values: np.ndarray, column: Column) -> np.ndarray:
     """TSCAL x stored + TZERO, in integers where that is exact (FITS standard 4.0, table 19)."""
     if values.dtype.kind in "iu" and float(column.zero).is_integer() and column.scale == 1:
         if column.zero == 1 << 63:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from ..errors import BadInput, Damaged
 from .kinds import Choose
@@ -29,8 +30,6 @@ def read_parquet(
     Raises Damaged where the file is broken, and BadInput where its pages would take more than
     `most_bytes` of memory.
     """
-    import pyarrow.parquet as pq
-
     try:
         with pq.ParquetFile(path, **READING) as file:
             chosen = list(choose(file.schema_arrow.names))

@@ -11,6 +11,9 @@ import pyarrow as pa
 from ..forms import Layout
 from .bytes_in import digest
 from .kinds import Choose
+from .parquet import read_parquet
+from .sqlite import read_sqlite
+from .text import read_text
 
 
 def raw_tables(
@@ -29,8 +32,6 @@ def raw_tables(
     zipped = kind.endswith(".gz")
     plain_kind = kind.removesuffix(".gz")
     if plain_kind == "csv":
-        from .text import read_text
-
         yield from read_text(path, where, layout, choose, zipped=zipped, md5=md5)
     elif plain_kind == "fits":
         from .fits import read_fits
@@ -42,12 +43,8 @@ def raw_tables(
         yield from read_votable(path, where, choose, zipped=zipped, md5=md5, most_bytes=most_bytes)
     else:
         if plain_kind == "parquet":
-            from .parquet import read_parquet
-
             yield from read_parquet(path, where, choose, most_bytes)
         else:
-            from .sqlite import read_sqlite
-
             yield from read_sqlite(path, where, layout, choose)
         if md5 is not None:
             digest(path, md5)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from astropy.io.votable import parse_single_table
 
 from ..errors import BadInput, Damaged
 from .bytes_in import bytes_of
@@ -34,8 +35,6 @@ def read_votable(
     Raises BadInput where the file is larger than MOST_BYTES or would take more than `most_bytes` of
     memory, and Damaged where it can't be parsed.
     """
-    from astropy.io.votable import parse_single_table
-
     text = _whole(path, where, most_bytes, zipped=zipped, md5=md5)
     try:
         with warnings.catch_warnings():

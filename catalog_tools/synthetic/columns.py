@@ -8,8 +8,6 @@ flags, astrophysical parameters.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +21,7 @@ from .stars import (
 )
 from .text import DOUBLE, NAME, NO_WHOLE, SINGLE, TEXT, WHOLE
 
-Values = NDArray[Any]
+Values = np.ndarray
 Floats = NDArray[np.float64]
 Columns = dict[str, Values]
 

@@ -19,13 +19,16 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from isal import igzip
 from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..geometry.sphere import directions
 from ..ingest.build import Progress, silent
+from .columns import HEADER, KINDS, TEXTS, all_columns
 from .plan import SyntheticPlan, make_plan
 from .sample import check_sample, stars_of_file
+from .text import rows_of_text
 
 GZIP_LEVEL = 2  # of ISA-L: as large as zlib's 3, at 16 times the speed of its 6
 MADE_NAME = "_made.jsonl"
@@ -93,11 +96,6 @@ def write_csv_files(
 
 def _write_file(folder: Path, plan: SyntheticPlan, number: int) -> MadeFile:
     """Make one file: columns, text, gzip, and a rename."""
-    from isal import igzip
-
-    from .columns import HEADER, KINDS, TEXTS, all_columns
-    from .text import rows_of_text
-
     stars, rng, first_row = stars_of_file(plan, number)
     ids = stars["source_id"]
     if not ids.size:

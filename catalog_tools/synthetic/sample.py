@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..columns import HEALPIX_ORDER, INCOMING
 from ..coverage import all_sky
+from ..documents import JsonObject
 from ..engine.schedulers import LocalScheduler
 from ..errors import BadInput
 from ..geometry.sphere import MAS_RAD, angles_deg, directions
@@ -32,13 +33,14 @@ from .plan import (
     places_in_file,
 )
 from .stars import draw_stars
+from .text import DOUBLE, SINGLE, as_printed
 
 MOST_ROWS = 2_000_000_000
 YEARS_SINCE_DETECTION = 15.5  # ids were given by ground-based places of about 2000
 DETECTION_ERROR_MAS = 250.0
 ID_STEP_BITS = 7
 SOURCE_BYTES = 10 << 20  # what a part counts for when parts are put into batches
-Columns = dict[str, NDArray[Any]]
+Columns = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class SyntheticFile:
     def identity(self) -> list[Any]:
         return [self.label, self.plan.seed, self.plan.rows]
 
-    def tables(self, record: dict[str, Any]) -> Iterator[pa.Table]:  # noqa: ARG002
+    def tables(self, record: JsonObject) -> Iterator[pa.Table]:  # noqa: ARG002
         yield table_of_file(self.plan, self.number)
 
 
@@ -131,8 +133,6 @@ def stars_of_file(plan: SyntheticPlan, number: int) -> tuple[Columns, np.random.
 
 def table_of_file(plan: SyntheticPlan, number: int) -> pa.Table:
     """What a reader of one file gets (schema INCOMING), to the bit, without the text."""
-    from .text import DOUBLE, SINGLE, as_printed
-
     stars, _, _ = stars_of_file(plan, number)
     arrays = []
     for field in INCOMING:

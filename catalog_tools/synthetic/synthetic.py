@@ -20,6 +20,7 @@ import pyarrow as pa
 
 from ..columns import HEALPIX_ORDER, INCOMING
 from ..coverage import all_sky
+from ..documents import JsonObject
 from ..engine.schedulers import LocalScheduler
 from ..errors import BadInput
 from ..geometry.sphere import directions, separation_rad
@@ -106,7 +107,7 @@ class SyntheticPart:
     def identity(self) -> list[Any]:
         return [self.label]
 
-    def tables(self, record: dict[str, Any]) -> Iterator[pa.Table]:  # noqa: ARG002
+    def tables(self, record: JsonObject) -> Iterator[pa.Table]:  # noqa: ARG002
         held: list[pa.Table] = []
         for table in self._draws():
             held.append(table)

@@ -11,9 +11,13 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from astropy.io import fits
 
 from ..catalogue import MANIFEST_NAME, REJECTS_NAME, SOURCES_NAME, Catalogue, open_catalogue
-from ..columns import HEALPIX_COLUMN, HEALPIX_ORDER
+from ..columns import HEALPIX_COLUMN, HEALPIX_ORDER, STORED
 from ..coverage import ROWS, from_json, of_rows
 from ..errors import BadInput, Damaged, Incomplete
 from ..partition import COUNT_ORDER, Pixels
@@ -131,10 +135,6 @@ def check_coverage(catalogue: Catalogue, counts: Pixels, *, all_rows: bool) -> l
 
 def _check_accounts(catalogue: Catalogue, name: str, data: bytes) -> list[Finding]:
     """The tables of sources and of rejected rows against the manifest's counts."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-    import pyarrow.parquet as pq
-
     table = pq.read_table(pa.BufferReader(data), page_checksum_verification=True)
     if name == SOURCES_NAME:
         found = (table.num_rows, pc.sum(table["rows"]).as_py() or 0)
@@ -169,19 +169,12 @@ def _check_partitions(catalogue: Catalogue, data: bytes) -> list[str]:
 
 
 def _check_schema(data: bytes) -> list[str]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from ..columns import STORED
-
     same = pq.read_schema(pa.BufferReader(data)).equals(STORED)
     return [] if same else ["its columns are not those of the catalogue"]
 
 
 def _check_map(data: bytes, counts: Pixels) -> list[str]:
     """A FITS map of rows by pixel against the rows counted."""
-    from astropy.io import fits
-
     with warnings.catch_warnings(), fits.open(io.BytesIO(data)) as hdus:
         warnings.simplefilter("error")  # a file cut short is no more than a warning
         header, table = hdus[1].header, hdus[1].data

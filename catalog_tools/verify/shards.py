@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import google_crc32c
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ..catalogue import Catalogue, Leaf, RowGroup
-from ..columns import HEALPIX_COLUMN, HEALPIX_ORDER, NAMES, REQUIRED
+from ..columns import HEALPIX_COLUMN, HEALPIX_ORDER, NAMES, REQUIRED, STORED
 from ..errors import Damaged, Incomplete
 from ..geometry.sphere import directions
 from ..ingest.judging import COLOURS, without_colour
@@ -108,11 +110,6 @@ def _metadata(data: Bytes, leaf: Leaf) -> pq.FileMetaData:
 
 def _decode(data: Bytes, metadata: pq.FileMetaData, leaf: Leaf, group: RowGroup) -> pa.Table:
     """A row group's rows, with Parquet's page checksums."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from ..columns import STORED
-
     what = f"row group {group.row_group}"
     try:
         file = pq.ParquetFile(

@@ -12,6 +12,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate
 from pipeline.execute.blocks import around, class_of, parts_of, target_class
 from pipeline.execute.light import add_beyond
@@ -70,7 +71,7 @@ def check_tile(
     parts: list[FrameStars],
     light_e: list[Array],
     noise_e: Callable[[Part], Array],
-) -> list[dict[str, Any]]:
+) -> list[JsonObject]:
     """How far the light of a tile is from the reference in the cells that the plan checks.
 
     light_e : (rows, columns) images whose sum is the light of all sources; noise_e : noise of the
@@ -136,14 +137,14 @@ def _check_window(
     parts: list[FrameStars],
     drawn_e: Array,
     noise_e: Array,
-) -> dict[str, Any]:
+) -> JsonObject:
     """One record: the window in frame pixels, and how far the drawn light is from the reference."""
     part = slice(*window[:2]), slice(*window[2:])
     rows, columns = drawn_e[part].shape
     y0, x0 = cell.row * CELL_PX + part[0].start, cell.column * CELL_PX + part[1].start
     stars = concatenate(parts, FrameStars)
     exact, sources = reference(plan, g, Tile(cell.row, cell.column, y0, x0, rows, columns), stars)
-    record: dict[str, Any] = {
+    record: JsonObject = {
         "frame": cell.frame,
         "y0": y0,
         "x0": x0,
@@ -456,7 +457,7 @@ def _wing_kept(
     return kernel - kernel_of(blur, radius_px, grid, ends[0]) if ends[0] else kernel
 
 
-def summary(records: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(records: list[JsonObject]) -> JsonObject:
     """What the report says of the windows checked."""
     done = [r for r in records if "skipped" not in r]
     return {

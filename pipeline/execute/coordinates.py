@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Geometry
 from pipeline.execute.truth import world_of
 from pipeline.physics.positions.focal_plane import fit_wcs
@@ -17,7 +16,7 @@ SIP_SIZE = 5  # SIP polynomials up to order 4
 SIP_SIZE_DISTORTED = 10  # and up to order 9
 
 
-def frame_coordinates(plan: Plan, g: Geometry) -> dict[str, Any]:
+def frame_coordinates(plan: Plan, g: Geometry) -> JsonObject:
     """The values along `frame` of the one frame of a geometry, by name; nested lists of numbers."""
     fit = fit_wcs(plan.camera, world_of(plan, g))
     size = SIP_SIZE if plan.camera.distortion is None else SIP_SIZE_DISTORTED

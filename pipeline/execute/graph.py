@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps, StarTable, concatenate
 from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.coordinates import frame_coordinates
@@ -356,7 +357,7 @@ def ray_truth_task(inputs: Inputs, g: Geometry) -> int:
     return _write_truth(inputs, "cosmic_rays", g, columns)
 
 
-def _write_truth(inputs: Inputs, kind: str, g: Geometry, columns: dict[str, Any]) -> int:
+def _write_truth(inputs: Inputs, kind: str, g: Geometry, columns: JsonObject) -> int:
     import pyarrow as pa
 
     table = pa.table(columns)

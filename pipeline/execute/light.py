@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import LightBlock, around, class_of, parts_of, target_class
@@ -271,7 +269,7 @@ def _sweep(paths: list[Streak]) -> float:
     return max(float(np.hypot(s.path.x_px, s.path.y_px).max()) for s in paths)
 
 
-def _cut(image: NDArray[Any], place: Tile, part: Tile) -> NDArray[Any]:
+def _cut(image: np.ndarray, place: Tile, part: Tile) -> np.ndarray:
     """View of a part of an image that stands at `place`."""
     top, left = part.y0 - place.y0, part.x0 - place.x0
     return image[top : top + part.rows, left : left + part.columns]

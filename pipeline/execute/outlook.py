@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Geometry
 from pipeline.execute.sources import place_targets, streaks
 from pipeline.execute.truth import matched_snr, target_magnitudes
@@ -20,7 +20,7 @@ PLACED = 2000  # targets placed in all of them together, at most; one frame is a
 TOLD = 100  # targets that are told one by one
 
 
-def outlook(plan: Plan) -> dict[str, Any]:
+def outlook(plan: Plan) -> JsonObject:
     """Targets in view, the best seen first, and the faintest star that reaches SNR_AT_LIMIT.
 
     looked_at : the frames that this is of; in_view : how many targets any of them shows;
@@ -30,7 +30,7 @@ def outlook(plan: Plan) -> dict[str, Any]:
     most = min(LOOKED_AT, max(1, PLACED // max(1, len(plan.scene.targets))))
     frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, most)).astype(np.int64))
     names = tuple(t.name for t in plan.scene.targets)
-    best: dict[str, dict[str, Any]] = {}
+    best: dict[str, JsonObject] = {}
     limits = []
     for frame in frames:
         g = plan_geometry(plan.scene, np.array([frame]), plan.dut1_s)

@@ -6,11 +6,13 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import Arguments
 from pipeline.errors import BadInput
 from pipeline.kept import kept, kept_array
 from pipeline.physics.drawing.spectral import transfer_table
@@ -44,26 +46,38 @@ class ContentCache:
     def __init__(self, limit_bytes: float) -> None:
         self._limit = limit_bytes
         self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
-        self._making: dict[Hashable, threading.Lock] = {}
+        self._making: dict[Hashable, Future[Any]] = {}
         self._lock = threading.Lock()
         self._bytes = 0
 
     def get(self, key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
+        """The value of a key; `make` gives one that is not kept, `size` its bytes."""
         with self._lock:
-            making = self._making.setdefault(key, threading.Lock())
-        with making:
+            if key in self._values:
+                self._values.move_to_end(key)
+                return self._values[key][0]
+            others = self._making.get(key)
+            if others is None:
+                own = self._making[key] = Future[Any]()
+        if others is not None:
+            return others.result()
+        try:
+            own.set_result(self._keep(key, make(), size))
+        except BaseException as error:
+            own.set_exception(error)
+            raise
+        finally:
             with self._lock:
-                if key in self._values:
-                    self._values.move_to_end(key)
-                    return self._values[key][0]
-            value = make()
-            with self._lock:
-                self._values[key] = (value, size(value))
-                self._bytes += self._values[key][1]
-                while len(self._values) > 1 and self._bytes > self._limit:
-                    self._bytes -= self._values.popitem(last=False)[1][1]
-                self._making.pop(key, None)
-            return value
+                del self._making[key]
+        return own.result()
+
+    def _keep(self, key: Hashable, value: Any, size: Callable[[Any], int]) -> Any:
+        with self._lock:
+            self._values[key] = (value, size(value))
+            self._bytes += self._values[key][1]
+            while len(self._values) > 1 and self._bytes > self._limit:
+                self._bytes -= self._values.popitem(last=False)[1][1]
+        return value
 
 
 _CACHE = ContentCache(TABLE_BYTES)
@@ -121,7 +135,7 @@ def table_of(
         if piece.length_px:  # moving stars have other shapes in each frame
             return phase_table(*swept_core(blur, radius_px, piece), phases)
         found = kept(key, lambda: vars(phase_table(*swept_core(blur, radius_px, piece), phases)))
-        values: dict[str, Any] = {name: v if v.ndim else v.item() for name, v in found.items()}
+        values: Arguments = {name: v if v.ndim else v.item() for name, v in found.items()}
         return PixelResponse(**values)
 
     key = ("table", blur, radius_px, piece, phases)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.export.labels import CLASS_NAMES, STAR, TARGET, Labels
 from pipeline.export.masks import RULE, Mask
 from pipeline.export.times import ExposureTimes
@@ -14,7 +13,7 @@ from pipeline.export.times import ExposureTimes
 KEYPOINTS = ["start", "middle", "end"]
 
 
-def dataset(title: str, threshold_e: float) -> dict[str, Any]:
+def dataset(title: str, threshold_e: float) -> JsonObject:
     """A data set without images yet, with its categories and what its numbers mean."""
     return {
         "info": {
@@ -40,9 +39,7 @@ def dataset(title: str, threshold_e: float) -> dict[str, Any]:
     }
 
 
-def image_entry(
-    number: int, name: str, shape: tuple[int, int], times: ExposureTimes
-) -> dict[str, Any]:
+def image_entry(number: int, name: str, shape: tuple[int, int], times: ExposureTimes) -> JsonObject:
     """One image; `date_captured` is the middle of the exposure."""
     iso = times.iso()
     return {
@@ -59,7 +56,7 @@ def image_entry(
 
 def annotation(
     number: int, image: int, labels: Labels, i: int, mask: Mask, shape: tuple[int, int]
-) -> dict[str, Any] | None:
+) -> JsonObject | None:
     """One source of one image; None where none of its pixels lies in the frame."""
     box = mask.box
     if box is None:

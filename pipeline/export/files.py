@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from PIL import Image
 
 from pipeline.errors import BadInput
 from pipeline.export.header import fits_header
@@ -59,16 +62,12 @@ def frames_of(cube: xr.Dataset, layers: list[str], layer: str, frame: int | None
 
 
 def _png(product: Path, frame: int, layer: str) -> bytes:
-    from PIL import Image
-
     small, _ = shrink(read_layer(product, layer, frame), 1 << 30)
     return png_bytes(Image.fromarray(stretch(small)[::-1]))
 
 
 def fits_bytes(product: Path, cube: xr.Dataset, frame: int, layer: str) -> bytes:
     """One frame of a layer as a FITS file with times, WCS and checksums."""
-    from io import BytesIO
-
     from astropy.io import fits
 
     header = fits.Header(fits_header(cube, frame, layer))

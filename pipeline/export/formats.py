@@ -10,13 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from PIL import Image
 
 from pipeline.errors import BadInput
 from pipeline.export import coco, satnet
 from pipeline.export.files import KINDS as FRAME_KINDS
 from pipeline.export.files import export_frames, fits_bytes, frames_of, layers_of
-from pipeline.export.header import scene_of
+from pipeline.export.header import fits_header, scene_of
 from pipeline.export.labels import Labels, frame_labels
+from pipeline.export.masks import RULE, classes_from_light, mask_fits, paint, source_masks
+from pipeline.export.movie import encoder, gif_bytes, movie_frames, write_mp4
+from pipeline.export.picture import png_bytes
+from pipeline.export.response import source_light
 from pipeline.export.times import exposure_of
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.layout import REPORT, write_atomically
@@ -98,8 +103,6 @@ class _Job:
 
     @cached_property
     def light(self) -> SourceLight:
-        from pipeline.export.response import source_light
-
         return source_light(scene_of(self.cube))
 
     @cached_property
@@ -113,8 +116,6 @@ class _Job:
 
 
 def _movie(job: _Job, output: Path) -> Iterator[Path]:
-    from pipeline.export.movie import encoder, gif_bytes, movie_frames, write_mp4
-
     pictures = movie_frames(job.product, job.frames, job.wish.layer, MOVIE_PX)
     if output.suffix == ".gif":
         write_atomically(output, gif_bytes(pictures, job.wish.fps))
@@ -151,8 +152,6 @@ def _satnet(job: _Job, output: Path) -> Iterator[Path]:
 
 def _coco(job: _Job, output: Path) -> Iterator[Path]:
     """images/frame-00000.png (16 bits; FITS where these do not hold the numbers), annotations."""
-    from pipeline.export.masks import source_masks
-
     (output / "images").mkdir(parents=True)
     data = coco.dataset(job.name, job.threshold_e)
     for number, k in enumerate(job.frames, start=1):
@@ -177,13 +176,9 @@ def _compact(value: Any) -> bytes:
 
 def _write_image(job: _Job, frame: int, stem: Path) -> Path:
     """A frame in the order of the array: row 0 is the picture's first row."""
-    from PIL import Image
-
     image = read_layer(job.product, job.wish.layer, frame)
     if image.dtype.kind == "u" and int(image.max(initial=0)) < 1 << 16:
         path = stem.with_suffix(".png")
-        from pipeline.export.picture import png_bytes
-
         write_atomically(path, png_bytes(Image.fromarray(image.astype(np.uint16))))
         return path
     path = stem.with_suffix(".fits")
@@ -193,15 +188,6 @@ def _write_image(job: _Job, frame: int, stem: Path) -> Path:
 
 def _masks(job: _Job, output: Path) -> Iterator[Path]:
     """frame-00000.fits: classes, source numbers, and the table of the sources."""
-    from pipeline.export.header import fits_header
-    from pipeline.export.masks import (
-        RULE,
-        classes_from_light,
-        mask_fits,
-        paint,
-        source_masks,
-    )
-
     output.mkdir(parents=True)
     for k in job.frames:
         labels = job.labels(k)

@@ -5,9 +5,13 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+import erfa
 import numpy as np
 
 from pipeline.export.times import exposure_of
+from pipeline.physics.positions.apparent_wcs import LARGEST_RESIDUAL_PX, apparent_wcs_header
+from pipeline.physics.positions.focal_plane import WcsFit, wcs_header
+from pipeline.plan.pointing.geometry import camera_of
 from pipeline.spec.load import parse_scene, parse_yaml
 from pipeline.spec.scene import Scene
 
@@ -86,8 +90,6 @@ def _site(scene: Scene) -> Cards:
     o = scene.observer
     if o.kind != "ground":
         return [("OBSKIND", o.kind, "observer: its orbit or place is in the scene")]
-    import erfa
-
     place = erfa.gd2gc(1, np.radians(o.longitude_deg), np.radians(o.latitude_deg), o.height_m)
     longitude, latitude, height = erfa.gc2gde(*IAU_1976, place)
     return [
@@ -141,8 +143,6 @@ def _sensor(scene: Scene, layer: str) -> Cards:
 
 def _astrometric_cards(one: xr.Dataset) -> Cards:
     """Cards of the primary WCS of one frame: TAN, or TAN-SIP."""
-    from pipeline.physics.positions.focal_plane import WcsFit, wcs_header
-
     order = int(one["wcs_sip_order"])
     size = order + 1
     fit = WcsFit(
@@ -159,9 +159,6 @@ def _astrometric_cards(one: xr.Dataset) -> Cards:
 
 def _apparent_cards(scene: Scene, one: xr.Dataset) -> Cards:
     """Cards of the alternate WCS `A`, or a comment that says why there is none."""
-    from pipeline.physics.positions.apparent_wcs import LARGEST_RESIDUAL_PX, apparent_wcs_header
-    from pipeline.plan.pointing.geometry import camera_of
-
     has_sip = int(one["wcs_sip_order"]) > 0
     header = apparent_wcs_header(camera_of(scene), one["attitude"].values, has_sip)
     if header is None:

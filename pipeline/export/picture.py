@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
 from pipeline.store.cube import read_layer
 from pipeline.store.layout import PREVIEW, TRUTH, write_atomically
 
 if TYPE_CHECKING:
-    from PIL.Image import Image
-
     from pipeline.plan.plan import Plan
 
 LARGEST_SIDE_PX = 1024
@@ -30,7 +30,7 @@ class GreyLimits(NamedTuple):
 
 
 def limits_of(
-    image: NDArray[Any], low_percent: float = 1.0, high_percent: float = 99.7
+    image: np.ndarray, low_percent: float = 1.0, high_percent: float = 99.7
 ) -> GreyLimits:
     """Limits between the sky and a bright percentile of an image."""
     values = _seen(image)
@@ -41,7 +41,7 @@ def limits_of(
     return GreyLimits(low, scatter, top)
 
 
-def stretch(image: NDArray[Any], limits: GreyLimits | None = None) -> NDArray[np.uint8]:
+def stretch(image: np.ndarray, limits: GreyLimits | None = None) -> NDArray[np.uint8]:
     """Grey levels 0 to 255 of an image: asinh between limits, by default its own.
 
     The softening is the robust scatter of the sky, so that noise stays visible beside bright
@@ -55,7 +55,7 @@ def stretch(image: NDArray[Any], limits: GreyLimits | None = None) -> NDArray[np
     return (255.0 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8)
 
 
-def shrink(image: NDArray[Any], side_px: int = LARGEST_SIDE_PX) -> tuple[NDArray[Any], int]:
+def shrink(image: np.ndarray, side_px: int = LARGEST_SIDE_PX) -> tuple[np.ndarray, int]:
     """An image binned by whole factors until it fits; faint stars survive as block maxima do not
     raise the sky (mean of the block and its maximum). Returns it and the factor."""
     image = _seen(image)
@@ -71,7 +71,7 @@ def shrink(image: NDArray[Any], side_px: int = LARGEST_SIDE_PX) -> tuple[NDArray
     return 0.5 * (blocks.mean(axis=(1, 3)) + blocks.max(axis=(1, 3))), factor
 
 
-def _seen(image: NDArray[Any]) -> NDArray[np.float64]:
+def _seen(image: np.ndarray) -> NDArray[np.float64]:
     """An image as float64; pixels that are no number (masked ones) are as dark as the darkest."""
     values = np.asarray(image, np.float64)
     masked = np.isnan(values)
@@ -80,10 +80,10 @@ def _seen(image: NDArray[Any]) -> NDArray[np.float64]:
     return np.where(masked, 0.0 if masked.all() else np.nanmin(values), values)
 
 
-def frame_picture(product: Path, frame: int = 0, mark: bool = True, layer: str = "dn") -> Image:
+def frame_picture(
+    product: Path, frame: int = 0, mark: bool = True, layer: str = "dn"
+) -> Image.Image:
     """A picture of one frame of a layer, north as the pointing has it (row 0 at the bottom)."""
-    from PIL import Image
-
     small, factor = shrink(read_layer(product, layer, frame))
     grey = stretch(small)[::-1]
     picture = Image.fromarray(np.stack([grey] * 3, axis=-1))
@@ -100,19 +100,15 @@ def write_preview(product: Path, plan: Plan) -> None:
     write_atomically(product / PREVIEW, png_bytes(picture))
 
 
-def png_bytes(picture: Image) -> bytes:
+def png_bytes(picture: Image.Image) -> bytes:
     """A picture as PNG."""
-    from io import BytesIO
-
     out = BytesIO()
     picture.save(out, format="PNG", compress_level=2)
     return out.getvalue()
 
 
-def _mark_targets(picture: Image, product: Path, frame: int, factor: int) -> None:
+def _mark_targets(picture: Image.Image, product: Path, frame: int, factor: int) -> None:
     """Green circles round the targets in view that the Earth does not hide."""
-    from PIL import ImageDraw
-
     table = product / TRUTH / "targets.parquet"
     if not table.is_file():
         return
@@ -129,13 +125,12 @@ def _mark_targets(picture: Image, product: Path, frame: int, factor: int) -> Non
         draw.text((cx + 14, cy - 6), str(name), fill=GREEN)
 
 
-def _mark_cosmic_rays(picture: Image, product: Path, frame: int, factor: int) -> None:
+def _mark_cosmic_rays(picture: Image.Image, product: Path, frame: int, factor: int) -> None:
     """Cyan ellipses round the cosmic rays with the most charge, as long as their tracks."""
     table = product / TRUTH / "cosmic_rays.parquet"
     if not table.is_file():
         return
     import pyarrow.parquet as pq
-    from PIL import ImageDraw
 
     rows = pq.read_table(table, filters=[("frame", "=", frame)])
     rows = rows.sort_by([("electrons", "descending")]).slice(0, MOST_MARKED)

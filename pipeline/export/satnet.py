@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.export.labels import CLASS_NAMES, STAR, Labels
 from pipeline.export.times import ExposureTimes
 
@@ -15,9 +14,9 @@ def annotation(
     times: ExposureTimes,
     shape: tuple[int, int],
     ifov_deg: float,
-    file: dict[str, Any],
+    file: JsonObject,
     pad_px: float,
-) -> dict[str, Any]:
+) -> JsonObject:
     """The annotation of one frame.
 
     Places are shares of the frame's sides counted from its outer edge, (pixel + 0.5) / side; y
@@ -41,7 +40,7 @@ def annotation(
 
 def _object(
     labels: Labels, i: int, shape: tuple[int, int], seconds: float, pad_px: float
-) -> dict[str, Any]:
+) -> JsonObject:
     rows, columns = shape
     at = {
         f"{axis}_{name}": (float(getattr(labels, f"{axis}{column}_px")[i]) + 0.5) / side

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
-from pipeline.spec.load import MAX_BYTES, parse_scene
+from pipeline.spec.load import MAX_BYTES, parse_scene, scene_yaml
 from pipeline.spec.scene import Scene
+from pipeline.store.layout import write_atomically
 
 
 @dataclass
@@ -36,7 +38,7 @@ class Imported:
     """
 
     source: str
-    data: dict[str, Any]
+    data: JsonObject
     images: dict[str, NDArray[np.float32]]
     notes: Notes
 
@@ -51,7 +53,7 @@ class Imported:
             out += [f"{name}: {one}" for one in told]
         return out
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> JsonObject:
         """The notes as plain values."""
         return {
             "source": self.source,
@@ -63,9 +65,6 @@ class Imported:
 
     def write(self, output: Path) -> Scene:
         """Write the scene with its notes as comments, and its images beside it; returns it."""
-        from pipeline.spec.load import scene_yaml
-        from pipeline.store.layout import write_atomically
-
         for path in (output, *(output.parent / name for name in self.images)):
             if path.exists():
                 raise BadInput("-o", str(path), "a path that does not exist yet")

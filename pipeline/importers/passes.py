@@ -5,10 +5,10 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.importers.placing import EARTH_MU_M3_S2, electrons_of_sunlight
 from pipeline.inputs.band.curves import resolve_response
@@ -38,7 +38,7 @@ class Pass:
     tracked: bool
 
 
-def zenith_pass(data: dict[str, Any], wish: Pass) -> tuple[dict[str, Any], str | None]:
+def zenith_pass(data: JsonObject, wish: Pass) -> tuple[JsonObject, str | None]:
     """The scene with the satellite `sat` at the zenith, on a circular orbit, and its pointing.
 
     data : a scene with a ground observer, without pointing and targets; not changed. Where the
@@ -64,7 +64,7 @@ def zenith_pass(data: dict[str, Any], wish: Pass) -> tuple[dict[str, Any], str |
         "velocity_m_s": [float(v) for v in speed * along],
         "epoch": format_utc(*epoch),
     }
-    body: dict[str, Any] = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.0}
+    body: JsonObject = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.0}
     data["targets"] = [{"name": "sat", "orbit": state, "body": body, "eclipse": False}]
     data["pointing"] = {"mode": "target", "target": "sat"}
     just_before = format_utc(epoch[0], epoch[1] - 0.5 * MOMENT_S / 86_400.0)
@@ -81,9 +81,9 @@ def zenith_pass(data: dict[str, Any], wish: Pass) -> tuple[dict[str, Any], str |
     return data, None
 
 
-def _light(data: dict[str, Any], magnitude: float, dut1_s: float) -> dict[str, Any]:
+def _light(data: JsonObject, magnitude: float, dut1_s: float) -> JsonObject:
     """A steady light curve of the electrons that the magnitude gives."""
-    curve: dict[str, Any] = {
+    curve: JsonObject = {
         "kind": "light_curve",
         "times_s": [-LONG_S, LONG_S],
         "intensities_m2_sr": [1.0, 1.0],
@@ -99,7 +99,7 @@ def _light(data: dict[str, Any], magnitude: float, dut1_s: float) -> dict[str, A
     return curve | {"intensities_m2_sr": [value, value]}
 
 
-def _held(data: dict[str, Any], dut1_s: float) -> dict[str, Any]:
+def _held(data: JsonObject, dut1_s: float) -> JsonObject:
     """The sidereal pointing that has the target at its centre at mid-exposure."""
     g = plan_geometry(with_pole(parse_scene(data)), np.zeros(1, np.int64), dut1_s)
     seen = (v[0, g.middle] for v in (g.observer_m, g.observer_m_s, g.sun_m))

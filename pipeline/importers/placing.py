@@ -5,11 +5,11 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import resolve_response, solar_spectrum
 from pipeline.physics.positions.focal_plane import Camera, deproject
@@ -40,7 +40,7 @@ class Wanted:
     rate_e_s: float
 
 
-def far_observer(ra_deg: float, dec_deg: float) -> dict[str, Any]:
+def far_observer(ra_deg: float, dec_deg: float) -> JsonObject:
     """An observer far from the Earth that has it at its back: targets near it move straight."""
     ra, dec = math.radians(ra_deg), math.radians(dec_deg)
     out = np.array([math.cos(dec) * math.cos(ra), math.cos(dec) * math.sin(ra), math.sin(dec)])
@@ -53,7 +53,7 @@ def far_observer(ra_deg: float, dec_deg: float) -> dict[str, Any]:
     return {"kind": "orbit", "orbit": {"kind": "state", **state}}
 
 
-def place(data: dict[str, Any], wanted: list[Wanted]) -> dict[str, Any]:
+def place(data: JsonObject, wanted: list[Wanted]) -> JsonObject:
     """The scene with targets that cross the pixels as wanted, to about 1e-4 px at both ends.
 
     data : a scene with a `far_observer` and without targets; not changed
@@ -89,7 +89,7 @@ def place(data: dict[str, Any], wanted: list[Wanted]) -> dict[str, Any]:
     return data
 
 
-def _views(data: dict[str, Any]) -> tuple[tuple[Array, Array], float]:
+def _views(data: JsonObject) -> tuple[tuple[Array, Array], float]:
     """Attitudes at the first exposure's start and the last one's end, and the time between."""
     scene = parse_scene(data)
     frames = np.unique([0, scene.exposure.frames - 1]).astype(np.int64)
@@ -98,14 +98,14 @@ def _views(data: dict[str, Any]) -> tuple[tuple[Array, Array], float]:
 
 
 def _target(
-    data: dict[str, Any],
+    data: JsonObject,
     w: Wanted,
     camera: Camera,
     ends: tuple[Array, Array],
     seconds: float,
     aim: Array,
     intensity_m2_sr: float,
-) -> dict[str, Any]:
+) -> JsonObject:
     """A target that moves evenly between the directions of two aimed pixels."""
     observer = data["observer"]["orbit"]
     first, last = (
@@ -128,7 +128,7 @@ def _target(
     }
 
 
-def _seen(data: dict[str, Any]) -> tuple[Array, Array]:
+def _seen(data: JsonObject) -> tuple[Array, Array]:
     """Where the targets are at both ends [px] (n, 2, 2), and their electrons a second (n,)."""
     scene = parse_scene(data)
     frames = np.unique([0, scene.exposure.frames - 1]).astype(np.int64)
@@ -139,7 +139,7 @@ def _seen(data: dict[str, Any]) -> tuple[Array, Array]:
     return np.stack([first, last], axis=1), rate
 
 
-def electrons_of_sunlight(sensor: dict[str, Any]) -> float:
+def electrons_of_sunlight(sensor: JsonObject) -> float:
     """Electrons a second that a sensor (as plain data) collects from direct sunlight at 1 au."""
     response, *_ = resolve_response(
         sensor["bandpass"], sensor.get("transmission", 1.0), sensor.get("quantum_efficiency", 1.0)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import erfinv
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
 from pipeline.importers.placing import Wanted, electrons_of_sunlight, far_observer, place
 from pipeline.importers.satsim_values import settled
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
+
+Images = dict[str, NDArray[np.float32]]  # by the names of their files
 
 PITCH_UM = 10.0
 RA_DEG, DEC_DEG = 180.0, 0.0
@@ -40,10 +43,10 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
     fields = Fields(settled(raw, np.random.default_rng(seed), drawn))
     for name in IGNORED:
         fields.get(name)
-    images: dict[str, Any] = {}
+    images: Images = {}
     sensor = _sensor(fields, notes, images, scene_name(path))
     exposure = _exposure(fields)
-    data: dict[str, Any] = {
+    data: JsonObject = {
         "schema": "nightglass/scene/1",
         "name": scene_name(path),
         "epoch": epoch,
@@ -71,7 +74,7 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
     return Imported(f"SatSim {path.name}", place(data, wanted), images, notes)
 
 
-def _sensor(f: Fields, notes: Notes, images: dict[str, Any], name: str) -> dict[str, Any]:
+def _sensor(f: Fields, notes: Notes, images: Images, name: str) -> JsonObject:
     rows, columns = f.whole("fpa.height", 1, 60_000), f.whole("fpa.width", 1, 60_000)
     y_deg, x_deg = (f.number(f"fpa.{a}_fov", 1e-6, 60) for a in "yx")
     ifov = math.radians(math.sqrt(y_deg / rows * x_deg / columns))
@@ -83,7 +86,7 @@ def _sensor(f: Fields, notes: Notes, images: dict[str, Any], name: str) -> dict[
             "square, of the same area; places and motions in pixels are kept"
         )
     zero = f.number("fpa.zeropoint", -10, 60)
-    sensor: dict[str, Any] = {
+    sensor: JsonObject = {
         "shape": [rows, columns],
         "pixel_pitch_um": PITCH_UM,
         "focal_length_m": PITCH_UM * 1e-6 / ifov,
@@ -113,7 +116,7 @@ def _sensor(f: Fields, notes: Notes, images: dict[str, Any], name: str) -> dict[
     return sensor | _digital(f) | _maps(f, (rows, columns), images, name, notes)
 
 
-def _digital(f: Fields) -> dict[str, Any]:
+def _digital(f: Fields) -> JsonObject:
     if f.get("fpa.a2d.response", "linear") != "linear":
         raise BadInput("fpa.a2d.response", f.get("fpa.a2d.response"), "linear")
     kind = str(f.get("fpa.a2d.dtype", "uint16"))
@@ -127,8 +130,12 @@ def _digital(f: Fields) -> dict[str, Any]:
 
 
 def _maps(
-    f: Fields, shape: tuple[int, int], images: dict[str, Any], name: str, notes: Notes
-) -> dict[str, Any]:
+    f: Fields,
+    shape: tuple[int, int],
+    images: Images,
+    name: str,
+    notes: Notes,
+) -> JsonObject:
     """Dark current, flat and bias: numbers, or images written beside the scene."""
     gain = f.number("fpa.a2d.gain", 1e-9, 1e9)
     offset = f.number("fpa.a2d.bias", -1e9, 1e9, 0.0)
@@ -142,7 +149,7 @@ def _maps(
         f"bias of {float(np.median(bias)):.4g} e- and a2d.bias of {offset:g} DN: "
         f"{float(np.median(values['bias_dn'])):.5g} DN"
     )
-    out: dict[str, Any] = {}
+    out: JsonObject = {}
     for key, value in values.items():
         if isinstance(value, np.ndarray):
             if value.shape != shape:
@@ -156,14 +163,14 @@ def _maps(
     return out
 
 
-def _exposure(f: Fields) -> dict[str, Any]:
+def _exposure(f: Fields) -> JsonObject:
     seconds = f.number("fpa.time.exposure", 1e-9, 1e5)
     gap = f.number("fpa.time.gap", 0, 1e6, 0.0)
     frames = f.whole("fpa.num_frames", 1, 100_000)
     return {"integration_s": seconds, "frames": frames, "cadence_s": seconds + gap}
 
 
-def _pointing(f: Fields, sensor: dict[str, Any], notes: Notes) -> dict[str, Any]:
+def _pointing(f: Fields, sensor: JsonObject, notes: Notes) -> JsonObject:
     """Stars that move by so many pixels a second are a boresight that moves the other way."""
     step = math.degrees(sensor["pixel_pitch_um"] * 1e-6 / sensor["focal_length_m"]) * 3600
     at = {"boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG}
@@ -192,9 +199,7 @@ def _pointing(f: Fields, sensor: dict[str, Any], notes: Notes) -> dict[str, Any]
     }
 
 
-def _background(
-    f: Fields, zero: float, sensor: dict[str, Any], notes: Notes
-) -> dict[str, Any] | None:
+def _background(f: Fields, zero: float, sensor: JsonObject, notes: Notes) -> JsonObject | None:
     stray = f.get("background.stray", {})
     if isinstance(stray, dict) and stray.get("mode", "none") != "none":
         notes.left_out.append(f"background.stray {stray.get('mode')}")
@@ -207,7 +212,7 @@ def _background(
     return {"uniform_e_per_s": rate}
 
 
-def _stars(f: Fields, catalogue: str | None, data: dict[str, Any], notes: Notes) -> None:
+def _stars(f: Fields, catalogue: str | None, data: JsonObject, notes: Notes) -> None:
     stars = f.get("geometry.stars", {})
     if catalogue is not None:
         data["stars"] = {"catalogue": catalogue}

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 
 KNOWN = {
@@ -16,7 +17,7 @@ KNOWN = {
     "poisson": ("lam",),
     "exponential": ("scale",),
 }
-Node = dict[str, Any]  # of a SatSim file
+Node = JsonObject  # of a SatSim file
 MOST = 100_000_000
 DEPTH = 32
 

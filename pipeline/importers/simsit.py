@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
 from pipeline.importers.passes import Pass, zenith_pass
@@ -59,7 +62,7 @@ def read_simsit(
     sky = _within(f, "conditions.sky_range", rng, -30, 40)
     height_m = 1e3 * rng.uniform(400.0, 800.0)
     heading = float(rng.uniform(0.0, 2.0 * math.pi))
-    data: dict[str, Any] = {
+    data: JsonObject = {
         "schema": "nightglass/scene/1",
         "name": scene_name(path),
         "epoch": epoch,
@@ -87,9 +90,6 @@ def read_simsit(
 
 def _yaml(path: Path) -> Any:
     """Plain data; anchors are followed, as these files use them, and nothing else is run."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     try:
         return YAML(typ="safe", pure=True).load(BytesIO(read_bytes(path)))
     except (YAMLError, RecursionError, ValueError, UnicodeDecodeError) as error:
@@ -111,7 +111,7 @@ def _sensor(
     images: dict[str, NDArray[np.float32]],
     name: str,
     notes: Notes,
-) -> dict[str, Any]:
+) -> JsonObject:
     shape = f.pair("instrument.image_shape", 2, 60_000)
     columns, rows = map(int, shape)
     if (columns, rows) != tuple(shape) or min(columns, rows) < 1:
@@ -121,7 +121,7 @@ def _sensor(
     if not (scale > 0).all():
         raise BadInput("instrument.distortion.dthdr", float(scale.min()), "numbers above 0")
     focal_m = 1e-6 / (scale[0] * ARCSEC_RAD)
-    sensor: dict[str, Any] = {
+    sensor: JsonObject = {
         "shape": [rows, columns],
         "pixel_pitch_um": pitch,
         "focal_length_m": float(focal_m),
@@ -158,7 +158,7 @@ def _sensor(
     return sensor
 
 
-def _throughput(sensor: dict[str, Any], offset_mag: float, notes: Notes) -> float:
+def _throughput(sensor: JsonObject, offset_mag: float, notes: Notes) -> float:
     """Transmission that gives SImSiT's zero point, scaled from LSST's i band by area alone."""
     area = collecting_area_m2(sensor["aperture_m"], sensor["obscuration"])
     zero = LSST_MAG + 2.5 * math.log10(LSST_E_S * area / LSST_M2) + offset_mag
@@ -212,7 +212,7 @@ def radial_terms(
 
 def _vignetting(
     f: Fields,
-    sensor: dict[str, Any],
+    sensor: JsonObject,
     images: dict[str, NDArray[np.float32]],
     name: str,
     arcsec_um: float,
@@ -235,7 +235,7 @@ def _vignetting(
     notes.converted.append("instrument.vignetting: the image of the flat, linear in the table")
 
 
-def _site(f: Fields, rng: np.random.Generator) -> dict[str, Any]:
+def _site(f: Fields, rng: np.random.Generator) -> JsonObject:
     names = f.get("sites")
     if not isinstance(names, list) or not names:
         raise BadInput("sites", names, "a list of names")

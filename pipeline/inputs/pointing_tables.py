@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.physics.constants import ARCSEC_RAD
@@ -63,11 +64,11 @@ def _table(
     p: TablePointing,
     span_s: tuple[float, float] | None,
     read: dict[Any, Any],
-) -> dict[str, Any]:
+) -> JsonObject:
     """What a pointing's table becomes: rows in the scene, and the error between them."""
     begin, end = span_s or (plan.slew_s[0] if plan.slew_s else plan.start_s, plan.end_s)
     field = pointing_field(plan, "rows" if p.path is None else "path")
-    made: dict[str, Any] = {}
+    made: dict[str, object] = {}
     if p.path is not None:
         made = _kept(scene, plan, p, (begin, end), read)
         p = TablePointing.model_validate(p.model_dump() | made)
@@ -88,7 +89,7 @@ def _kept(
     p: TablePointing,
     span_s: tuple[float, float],
     read: dict[Any, Any],
-) -> dict[str, Any]:
+) -> JsonObject:
     """The rows of a pointing's file that are kept, as the scene holds them."""
     field, path = pointing_field(plan, "path"), Path(str(p.path))
     if path not in read:
@@ -116,7 +117,7 @@ def _kept(
 
 
 def _rows(
-    columns: dict[str, Any], p: TablePointing, epoch: str, path: Path, field: str
+    columns: JsonObject, p: TablePointing, epoch: str, path: Path, field: str
 ) -> tuple[Array, str]:
     """Rows (n, 5) of seconds after the scene's epoch and quaternion, and where the scalar is."""
     times = [name for name in columns if name in ("time_s", "time_utc")]
@@ -135,9 +136,7 @@ def _rows(
     return np.column_stack([seconds, q]), scalar
 
 
-def _seconds(
-    columns: dict[str, Any], p: TablePointing, epoch: str, path: Path, field: str
-) -> Array:
+def _seconds(columns: JsonObject, p: TablePointing, epoch: str, path: Path, field: str) -> Array:
     """Times (n,) of rows, in seconds after the scene's epoch."""
     zero = parse_utc(epoch)
     if "time_s" not in columns:
@@ -165,7 +164,7 @@ def _floats(values: Any, path: Path, field: str) -> Array:
         raise BadInput(field, path.name, f"numbers in every column; {error}"[:200]) from None
 
 
-def _read(path: Path, field: str) -> dict[str, Any]:
+def _read(path: Path, field: str) -> JsonObject:
     """The columns of a file by their names in lower case."""
     if not path.is_file():
         raise BadInput(field, str(path), "an existing file: .csv, .fits, .npy or .parquet")
@@ -192,7 +191,7 @@ def _read(path: Path, field: str) -> dict[str, Any]:
     return {str(name).strip().lower(): values for name, values in found.items()}
 
 
-def _csv(path: Path) -> dict[str, Any]:
+def _csv(path: Path) -> JsonObject:
     with path.open(newline="", encoding="utf-8-sig") as lines:
         rows = [r for r in csv.reader(lines) if r and not r[0].lstrip().startswith("#")]
     if not rows:
@@ -204,7 +203,7 @@ def _csv(path: Path) -> dict[str, Any]:
     return {name: [r[i] for r in body] for i, name in enumerate(head)}
 
 
-def _npy(path: Path) -> dict[str, Any]:
+def _npy(path: Path) -> JsonObject:
     """A structured array by its field names, or (n, 5): time_s and four numbers."""
     array = np.load(path, allow_pickle=False)
     if array.dtype.names:
@@ -214,14 +213,14 @@ def _npy(path: Path) -> dict[str, Any]:
     return dict(zip(("time_s", "q1", "q2", "q3", "q4"), array.T, strict=True))
 
 
-def _parquet(path: Path) -> dict[str, Any]:
+def _parquet(path: Path) -> JsonObject:
     import pyarrow.parquet as pq
 
     table = pq.read_table(path)
     return {name: table[name].to_pylist() for name in table.column_names}
 
 
-def _fits(path: Path) -> dict[str, Any]:
+def _fits(path: Path) -> JsonObject:
     from astropy.io import fits
 
     with fits.open(path) as units:
@@ -231,7 +230,7 @@ def _fits(path: Path) -> dict[str, Any]:
         return {name: np.array(table.data[name]) for name in table.columns.names}
 
 
-def _spectrum(path: Path, field: str) -> dict[str, Any]:
+def _spectrum(path: Path, field: str) -> JsonObject:
     """A spectrum's columns: frequency_hz and arcsec2_per_hz."""
     columns = _read(path, field)
     names = ("frequency_hz", "arcsec2_per_hz")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+
+from catalog_tools.documents import JsonObject
 
 COVERED = 0.99  # less of a frame is a warning
 GAP_G_MAG = 0.5  # a shallower part of the field is worth a remark
@@ -25,7 +26,7 @@ class FieldCoverage:
     worst_frame: int
     complete_to_g_mag: float | None = None
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> JsonObject:
         """Plain values for plan.json, report.json and the truth's metadata."""
         known = self.source is not None
         return {

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.plan.decision import Decision
 from pipeline.plan.ledger import rule_of
@@ -20,9 +20,9 @@ from pipeline.plan.tiles import tile_shape
 def plan_dict(
     plan: Plan,
     forecast: StarForecast | None,
-    catalogues: Sequence[dict[str, Any]] = (),
+    catalogues: Sequence[JsonObject] = (),
     spent: Spent = NOTHING_SPENT,
-) -> dict[str, Any]:
+) -> JsonObject:
     """The plan as plain data, for plan.json and `nightglass plan`.
 
     catalogues : name, digest and what else is told of each, the main one first
@@ -71,7 +71,7 @@ def plan_dict(
     }
 
 
-def colour_facts(plan: Plan) -> dict[str, Any] | None:
+def colour_facts(plan: Plan) -> JsonObject | None:
     """Which colour fit the stars are drawn with; None for a scene without stars."""
     fit = plan.colour
     if fit is None:
@@ -94,13 +94,13 @@ def _engine(r: ResponsePlan) -> str:
     return engine
 
 
-def _rule(decision: Decision) -> dict[str, Any]:
+def _rule(decision: Decision) -> JsonObject:
     """What the ledger of omissions says of a decision."""
     rule = rule_of(decision.component)
     return {"rule": rule.rule, "measured_by": rule.test} if rule else {}
 
 
-def _finite(values: dict[str, Any]) -> dict[str, Any]:
+def _finite(values: JsonObject) -> JsonObject:
     """Infinite numbers as None: plain JSON has none."""
     return {
         k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()

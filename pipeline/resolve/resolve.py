@@ -24,6 +24,7 @@ from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.optics.optics import check_motion
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.resolved import ResolvedScene, resolved_scene
+from pipeline.plan.response.responses import plan_responses
 from pipeline.plan.scene_plan import FieldStars
 from pipeline.plan.sensor.detector import typical_read_noise_e
 from pipeline.plan.sky.doubts import sky_doubts
@@ -183,7 +184,6 @@ def _populated(scene: Scene, facts: Facts, g: Geometry, dut1_s: float) -> tuple[
     if all(p.screened is not None for p in scene.populations):
         return scene, g
     from pipeline.inputs.targets.populations import gather_populations
-    from pipeline.plan.response.responses import plan_responses
 
     r = plan_responses(scene, facts, camera_of(scene), g, sources=True)
     full = with_numbers(gather_populations(scene, r.reach_px + r.reach_core_px + 2.0, dut1_s))

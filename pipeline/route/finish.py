@@ -9,10 +9,11 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import FrameStars, concatenate
 from pipeline.execute.check import summary
 from pipeline.execute.coordinates import frame_coordinates
@@ -44,9 +45,7 @@ COVERAGE_KEY = "nightglass:coverage"  # in the schema's metadata of truth/stars.
 Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
 
 
-def finish(
-    plan: Plan, catalogues: list[dict[str, Any]], begun: Begun, times: dict[str, Any]
-) -> dict[str, Any]:
+def finish(plan: Plan, catalogues: list[JsonObject], begun: Begun, times: JsonObject) -> JsonObject:
     """Turn finished tiles into a complete product; returns the report.
 
     catalogues : name, digest and what else the report tells of each, the main one first
@@ -91,7 +90,7 @@ class Gathered:
     """What the markers of a product hold: its coordinates, what was checked, its digest."""
 
     coordinates: Coordinates
-    checks: list[dict[str, Any]]
+    checks: list[JsonObject]
     digest: str
 
 
@@ -102,9 +101,9 @@ def gather_markers(plan: Plan, product: Path) -> Gathered:
     found: dict[str, np.ndarray] = {}
     lacking = np.ones(plan.frames, bool)
     cells: list[Cell] = []
-    checks: list[dict[str, Any]] = []
+    checks: list[JsonObject] = []
 
-    def keep(frame: int, values: dict[str, Any]) -> None:
+    def keep(frame: int, values: JsonObject) -> None:
         lacking[frame] = False
         for name, value in values.items():
             if name not in found:
@@ -163,7 +162,7 @@ FRAME_COLUMNS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
 }
 
 
-def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
+def _attributes(plan: Plan, catalogues: list[JsonObject]) -> JsonObject:
     """Provenance, on the cube itself."""
     main, layers = catalogues[0] if catalogues else {}, catalogues[1:]
     over = {
@@ -193,12 +192,12 @@ def _attributes(plan: Plan, catalogues: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _report(
     plan: Plan,
-    catalogues: list[dict[str, Any]],
+    catalogues: list[JsonObject],
     begun: Begun,
     rows: dict[str, int],
-    errors: dict[str, Any],
+    errors: JsonObject,
     digest: str,
-) -> dict[str, Any]:
+) -> JsonObject:
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return {
         "scene": plan.scene.name,
@@ -221,7 +220,7 @@ def _report(
     }
 
 
-def _errors(plan: Plan, begun: Begun, checks: list[dict[str, Any]]) -> dict[str, Any]:
+def _errors(plan: Plan, begun: Begun, checks: list[JsonObject]) -> JsonObject:
     """What the product may err by, for the sources that were drawn, and what was found."""
     found, floor_e = _brightest(plan, begun), plan.facts.sigma_floor_e
     brighter = found["brightest_source_e"] / (plan.facts.brightest_e or math.inf)
@@ -250,7 +249,7 @@ def _streak_error_e(plan: Plan, brightest_e: float) -> float:
     return max(0.0, streaks.error_e(brightest_e) - streaks.error_e(plan.facts.brightest_e))
 
 
-def _doubts(plan: Plan, errors: dict[str, Any]) -> list[str]:
+def _doubts(plan: Plan, errors: JsonObject) -> list[str]:
     return doubts_of(
         errors["asked_sigma"],
         errors["bound_of_all_approximations_sigma"],
@@ -316,7 +315,7 @@ def _error_of(light_e: float, classes: Iterable[tuple[float, float]]) -> float:
     return next((error for limit, error in classes if light_e <= limit), 0.0)
 
 
-def _achieved(checks: list[dict[str, Any]]) -> dict[str, Any]:
+def _achieved(checks: list[JsonObject]) -> JsonObject:
     """What the reference path found in the cells that were drawn again."""
     records = sorted(checks, key=lambda c: (c["frame"], c["y0"], c["x0"]))
     return summary(records) | {"checked": records}

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import SensorMaps
 from pipeline.errors import BadInput
 from pipeline.inputs.memory import free_mb
@@ -76,7 +77,7 @@ def _spent(plan: Plan, r: Resolved, started: float) -> Spent:
     return Spent(took_s, r.geometry_s, len(r.geometry.frame), far, bright)
 
 
-def plan_scene(scene: Scene) -> dict[str, Any]:
+def plan_scene(scene: Scene) -> JsonObject:
     """The plan of a scene as plain data (`nightglass plan`), with what its frames will show; what
     it reads, `prepare` says."""
     from pipeline.execute.outlook import outlook
@@ -85,7 +86,7 @@ def plan_scene(scene: Scene) -> dict[str, Any]:
     return summary_of(prepared) | {"outlook": outlook(prepared.plan)}
 
 
-def check_cost(scene: Scene, summary: dict[str, Any], most_cpu_s: float | None) -> None:
+def check_cost(scene: Scene, summary: JsonObject, most_cpu_s: float | None) -> None:
     """BadInput where a plan predicts more CPU seconds than are allowed; None allows any."""
     asked = summary["predicted"]["cpu_s"]
     if most_cpu_s is not None and asked > most_cpu_s:
@@ -94,7 +95,7 @@ def check_cost(scene: Scene, summary: dict[str, Any], most_cpu_s: float | None) 
         raise BadInput(field, summary["frames"], allowed)
 
 
-def summary_of(prepared: Prepared) -> dict[str, Any]:
+def summary_of(prepared: Prepared) -> JsonObject:
     facts = catalogue_facts_of(prepared)
     return plan_dict(prepared.plan, forecast(prepared), facts, prepared.spent)
 
@@ -107,7 +108,7 @@ def check_room(prepared: Prepared, most_mb: float | None = None, processes: int 
     check_memory(prepared.plan, forecast(prepared), prepared.spent, most_mb)
 
 
-def catalogue_facts_of(prepared: Prepared) -> list[dict[str, Any]]:
+def catalogue_facts_of(prepared: Prepared) -> list[JsonObject]:
     return catalogue_facts(prepared.catalogues, prepared.left_out)
 
 

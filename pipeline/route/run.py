@@ -10,8 +10,8 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.engine.schedulers import open_scheduler
 from pipeline.errors import Incomplete, NightglassError, TryLater
 from pipeline.route.draw import Listener, Progress, draw
@@ -68,7 +68,7 @@ def render(
     options: Options | None = None,
     listen: Listener | None = None,
     share: Share | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Render a scene, or a part of it, into a product and return its report.
 
     product : a folder, or an s3 URL
@@ -99,7 +99,7 @@ def render(
         return _joined_by_the_last(place, prepared, share, times)
 
 
-def join(product: Path | str, scene: Path | None = None, wait_s: float = 0.0) -> dict[str, Any]:
+def join(product: Path | str, scene: Path | None = None, wait_s: float = 0.0) -> JsonObject:
     """Finish a product whose parts are all done, and return its report.
 
     scene : default the one in the product; wait_s : for whoever writes it now
@@ -141,7 +141,7 @@ def _drawn(
     listen: Listener | None,
     share: Share | None,
     started: float,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Draw what a share lacks; what the report says of the time. started : when planning began."""
     drawing = time.perf_counter()
 
@@ -176,14 +176,14 @@ def _how_to_go_on(error: NightglassError, kept: bool, whole: bool) -> Nightglass
     return TryLater(f"{error}; {told}")
 
 
-def _finished(prepared: Prepared, writing: Writing, times: dict[str, Any]) -> dict[str, Any]:
+def _finished(prepared: Prepared, writing: Writing, times: JsonObject) -> JsonObject:
     with writing.finishing():
         return finish(prepared.plan, catalogue_facts_of(prepared), writing.begun, times)
 
 
 def _joined_by_the_last(
-    place: Place, prepared: Prepared, share: Share, times: dict[str, Any]
-) -> dict[str, Any]:
+    place: Place, prepared: Prepared, share: Share, times: JsonObject
+) -> JsonObject:
     """The product's report where this part was the last, else what is told of the part."""
     plan = prepared.plan
     for left in reversed(range(place.join_tries)):
@@ -196,9 +196,7 @@ def _joined_by_the_last(
     return share.told(plan, times)
 
 
-def _joined(
-    place: Place, prepared: Prepared, times: dict[str, Any], wait_s: float = 0.0
-) -> dict[str, Any]:
+def _joined(place: Place, prepared: Prepared, times: JsonObject, wait_s: float = 0.0) -> JsonObject:
     plan = prepared.plan
     claim = Claim(plan, prepared.catalogue_digest, resume=True, wait_s=wait_s)
     with place.written(claim) as writing:  # every chunk against its marker

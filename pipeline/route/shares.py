@@ -7,6 +7,7 @@ from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.plan.plan import Plan
 from pipeline.store.product import truth_parts
@@ -46,7 +47,7 @@ class Share:
         numbers = {(t.row, t.column): i for i, t in enumerate(plan.tiles)}
         return lambda frame, row, column: self.holds(plan, frame, numbers.get((row, column), -1))
 
-    def told(self, plan: Plan, times: dict[str, Any]) -> dict[str, Any]:
+    def told(self, plan: Plan, times: JsonObject) -> JsonObject:
         """The report of a part that is done while others are not."""
         return {
             "part": f"{self.part}/{self.parts}",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+from catalog_tools.documents import JsonObject
+
 
 class NoFieldError(LookupError):
     """There is no place for a field; `args[0]` is the dotted name up to which there is none."""
@@ -32,7 +34,7 @@ def add_dotted(data: Any, name: str, value: Any) -> None:
     holder[key] = held if value in held else [*held, value]
 
 
-def changed(data: Any, changes: dict[str, Any]) -> Any:
+def changed(data: Any, changes: JsonObject) -> Any:
     """A copy of plain data with dotted changes; None removes one. Raises as `set_dotted`."""
     out = copy.deepcopy(data)
     for name, value in changes.items():

@@ -6,7 +6,8 @@ A key of its own model (`Slew.duration_s`) comes before one of any model (`durat
 from __future__ import annotations
 
 import re
-from typing import Any
+
+from catalog_tools.documents import JsonObject
 
 TOLD = {
     "schema": "which format this file has", "name": "letters, digits and . _ -",
@@ -136,7 +137,7 @@ TOLD = {
 }  # fmt: skip
 
 
-def describe(schema: dict[str, Any], model: type) -> None:
+def describe(schema: JsonObject, model: type) -> None:
     """Add a description to each property of a model's JSON Schema that has none."""
     said = _in_docstring(model.__doc__ or "")
     for key, field in schema.get("properties", {}).items():

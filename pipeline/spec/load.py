@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, shorten
 from pipeline.spec.dotted import NoFieldError, add_dotted, set_dotted
 from pipeline.spec.scene import Scene
@@ -92,7 +94,7 @@ def _parse_json(text: str) -> Any:
     if text.count("{") + text.count("[") > 100_000:
         return None
 
-    def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    def pairs(items: list[tuple[str, Any]]) -> JsonObject:
         if len({key for key, _ in items}) != len(items):
             raise ValueError("duplicate key")
         return dict(items)
@@ -158,7 +160,7 @@ def parse_scene(data: Any, base: Path | None = None) -> Scene:
     return scene if base is None else resolve_paths(scene, base)
 
 
-def _checked(data: dict[str, Any]) -> Scene:
+def _checked(data: JsonObject) -> Scene:
     try:
         return Scene.model_validate(data)
     except ValidationError as error:
@@ -167,7 +169,7 @@ def _checked(data: dict[str, Any]) -> Scene:
         raise BadInput("scene", "nested too deeply", f"at most {MAX_DEPTH} levels") from None
 
 
-def mistakes_of(error: ValidationError, data: dict[str, Any]) -> list[tuple[str, Any, str]]:
+def mistakes_of(error: ValidationError, data: JsonObject) -> list[tuple[str, Any, str]]:
     """(field, value, allowed) of every mistake, one for each field."""
     found = error.errors()
     places = [e["loc"] for e in found]
@@ -226,9 +228,9 @@ PATH_FIELDS = (
 )
 
 
-def _tree() -> dict[str, Any]:
+def _tree() -> JsonObject:
     """PATH_FIELDS as nested mappings; an empty one is a field that may name a file."""
-    tree: dict[str, Any] = {}
+    tree: JsonObject = {}
     for names in PATH_FIELDS:
         inner = tree
         for name in names:
@@ -239,14 +241,12 @@ def _tree() -> dict[str, Any]:
 TREE = _tree()
 
 
-def path_holders(data: Any) -> Iterator[tuple[str, dict[str, Any], str]]:
+def path_holders(data: Any) -> Iterator[tuple[str, JsonObject, str]]:
     """(dotted field, the mapping that holds it, its key) of every field that may name a file."""
     return _holders(TREE, data, "")
 
 
-def _holders(
-    tree: dict[str, Any], holder: Any, at: str
-) -> Iterator[tuple[str, dict[str, Any], str]]:
+def _holders(tree: JsonObject, holder: Any, at: str) -> Iterator[tuple[str, JsonObject, str]]:
     """Those below a place in the data; * is everything that a list or mapping holds."""
     if "*" in tree and isinstance(holder, dict | list):
         items = holder.items() if isinstance(holder, dict) else enumerate(holder)
@@ -299,8 +299,6 @@ def apply_override(data: Any, override: str) -> None:
 
 def scene_yaml(scene: Scene) -> str:
     """A scene as YAML text, defaults filled in."""
-    from io import StringIO
-
     from ruamel.yaml import YAML
 
     out = StringIO()
@@ -339,7 +337,7 @@ def _under(key: str, value: Any) -> Any:
     return value.get(key) if isinstance(value, dict) else value
 
 
-def _pointed_at(names: list[str], value: Any, context: dict[str, Any]) -> Any:
+def _pointed_at(names: list[str], value: Any, context: JsonObject) -> Any:
     """The value that a mistake's context points at in another; its names are put to `names`."""
     if "index" in context:
         names[-1] += f"[{context['index']}]"

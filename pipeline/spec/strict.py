@@ -9,6 +9,7 @@ from typing import Annotated, Any, get_args
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from catalog_tools.documents import JsonObject
 from pipeline.spec.keys import describe
 
 # Keys that belong elsewhere in the scene, and where.
@@ -49,7 +50,7 @@ class Strict(BaseModel):
         return data
 
 
-def _check_schema(model: type[Strict], data: dict[str, Any]) -> None:
+def _check_schema(model: type[Strict], data: JsonObject) -> None:
     """A file of another kind is told by its `schema`, not by the first key that it has more."""
     field = model.model_fields.get("schema_")
     given = data.get("schema")

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from catalog_tools.documents import JsonObject
 from pipeline.spec.strict import Strict
 
 SCHEMA = "nightglass/sweep/1"
@@ -127,7 +128,7 @@ class Sweep(Strict):
 
     schema_: Literal["nightglass/sweep/1"] = Field(alias="schema")
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$")
-    scene: str | dict[str, Any] = Field(description="the base: path of a scene file, or a scene")
+    scene: str | JsonObject = Field(description="the base: path of a scene file, or a scene")
     axes: tuple[Axis, ...] = Field(min_length=1, max_length=MOST_AXES)
     design: DesignWish = Grid(kind="grid")
     seeds: int = Field(1, ge=1, le=100_000, description="of each point: seed, seed + 1, ...")
@@ -222,7 +223,7 @@ class Sweep(Strict):
         lengths = [axis_length(axis) for axis in self.axes]
         return (lengths[0] if isinstance(design, Zip) else math.prod(lengths)) * self.seeds
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> JsonObject:
         """The sweep with all defaults filled in, as plain data."""
         return self.model_dump(mode="json", by_alias=True)
 

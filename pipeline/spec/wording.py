@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
-from typing import Any
 
-Node = dict[str, Any]
+from catalog_tools.documents import JsonObject
+
+Node = JsonObject
 # The units that stand at the end of keys, as people write them.
 UNITS = {
     "um": "um",

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.objects import Objects, open_objects
 from catalog_tools.storage.stores import Unreachable
 from pipeline.errors import BadInput, Incomplete
@@ -87,8 +87,8 @@ class BucketWriting(Writing):
     def is_sealed(self, tiles: int) -> bool:
         return self._objects.get(layout.COMPLETE) is not None and len(self.begun.done) == tiles
 
-    def report(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(self._objects.get(layout.REPORT) or b"{}")
+    def report(self) -> JsonObject:
+        found: JsonObject = json.loads(self._objects.get(layout.REPORT) or b"{}")
         return found | {"drawn_before": True}
 
     def unseal(self) -> None:

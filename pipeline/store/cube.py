@@ -9,8 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import google_crc32c
 import numpy as np
-from numpy.typing import NDArray
+import zarr
+from numcodecs import blosc
+from numcodecs.zstd import Zstd
+from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
+from zarr.errors import ZarrUserWarning
 
+from catalog_tools.documents import Arguments, JsonObject
 from pipeline.errors import BadInput, Damaged, Incomplete
 from pipeline.physics.noise.converter import dn_type
 from pipeline.plan.plan import Plan
@@ -32,7 +37,7 @@ if TYPE_CHECKING:
     import xarray as xr
     import zarr
 
-BLOSC: dict[str, Any] = {"cname": "zstd", "clevel": 1, "shuffle": "bitshuffle"}
+BLOSC: JsonObject = {"cname": "zstd", "clevel": 1, "shuffle": "bitshuffle"}
 ZSTD_LEVEL = 1
 
 
@@ -52,9 +57,9 @@ class CubeWriter:
         self,
         frame: int,
         tile: Tile,
-        values: dict[str, NDArray[Any]],
-        checks: list[dict[str, Any]] | None = None,
-        coordinates: dict[str, Any] | None = None,
+        values: dict[str, np.ndarray],
+        checks: list[JsonObject] | None = None,
+        coordinates: JsonObject | None = None,
     ) -> Marker:
         """Store one tile of one frame as whole chunks, then its marker. Idempotent.
 
@@ -103,8 +108,6 @@ def create_arrays(product: Path, plan: Plan) -> None:
 
 def create_layer(product: Path, name: str, scene: Scene, chunk: tuple[int, int]) -> None:
     """Make the metadata of one layer of a scene's product."""
-    import zarr
-
     long_name, unit = LONG_NAMES[name]
     zarr.create_array(
         store=product / CUBE / name,
@@ -121,8 +124,6 @@ def create_layer(product: Path, name: str, scene: Scene, chunk: tuple[int, int])
 
 def _codecs(compression: str) -> list[Any]:
     """Compression, then a checksum: without it a flipped bit may read as a wrong number."""
-    from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
-
     codec: dict[str, list[Any]] = {
         "blosc-zstd": [BloscCodec(**BLOSC)],
         "zstd": [ZstdCodec(level=ZSTD_LEVEL)],
@@ -131,20 +132,16 @@ def _codecs(compression: str) -> list[Any]:
     return [*codec[compression], Crc32cCodec()]
 
 
-def chunk_content(values: NDArray[Any], chunk: tuple[int, int], compression: str) -> bytes:
+def chunk_content(values: np.ndarray, chunk: tuple[int, int], compression: str) -> bytes:
     """The chunk (1, *chunk) that Zarr would write of a tile, which may be smaller: filled up with
     zeros, compressed, with its checksum. Zarr's own way there takes 2 ms of CPU time, by way of
     an event loop and three threads; this is its stored form, which is a standard."""
     whole = np.zeros(chunk, values.dtype.newbyteorder("<"))
     whole[: values.shape[0], : values.shape[1]] = values
     if compression == "blosc-zstd":
-        from numcodecs import blosc
-
         codec = blosc.Blosc(BLOSC["cname"], BLOSC["clevel"], blosc.BITSHUFFLE)
         content = codec.encode(whole)
     elif compression == "zstd":
-        from numcodecs.zstd import Zstd
-
         content = Zstd(ZSTD_LEVEL).encode(whole)
     else:
         content = whole.tobytes()
@@ -153,13 +150,10 @@ def chunk_content(values: NDArray[Any], chunk: tuple[int, int], compression: str
 
 def finish_cube(
     product: Path,
-    coordinates: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]],
-    attributes: dict[str, Any],
+    coordinates: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]],
+    attributes: JsonObject,
 ) -> None:
     """Write the coordinates, then the group's own metadata, which makes the cube readable."""
-    import zarr
-    from zarr.errors import ZarrUserWarning
-
     for name, (dimensions, values, attrs) in coordinates.items():
         _write_coordinate(product / CUBE / name, name, dimensions, values, attrs)
     zarr.create_group(store=product / CUBE, attributes=attributes, overwrite=False)
@@ -170,16 +164,14 @@ def finish_cube(
 
 
 def _write_coordinate(
-    path: Path, name: str, dimensions: tuple[str, ...], values: NDArray[Any], attrs: dict[str, str]
+    path: Path, name: str, dimensions: tuple[str, ...], values: np.ndarray, attrs: dict[str, str]
 ) -> None:
     """Write one coordinate as one file.
 
     Whatever has a value a frame is chunked a frame at a time, as the layers are, so that xarray and
     Dask find one chunking along `frame`; its chunks lie in one shard. An axis itself is read whole.
     """
-    import zarr
-
-    options: dict[str, Any] = {"chunks": values.shape, "compressors": _codecs("zstd")}
+    options: Arguments = {"chunks": values.shape, "compressors": _codecs("zstd")}
     sharded = dimensions[0] == "frame" and name != "frame" and len(values) > 1
     if sharded:
         options = {
@@ -206,7 +198,7 @@ def _write_coordinate(
         array[...] = values
 
 
-def _shard(values: NDArray[Any]) -> bytes:
+def _shard(values: np.ndarray) -> bytes:
     """The shard that Zarr would write, whose chunks are one value of the first axis each, stored
     plain with a checksum; Zarr's own codec takes 90 us for each chunk."""
     rows = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<")))
@@ -240,7 +232,7 @@ def check_complete(product: Path) -> None:
         )
 
 
-def read_layer(product: Path, name: str, frame: int) -> NDArray[Any]:
+def read_layer(product: Path, name: str, frame: int) -> np.ndarray:
     """One frame of one layer; Damaged where a chunk does not match its checksum."""
     try:
         return np.asarray(_open_array(product / CUBE / name)[frame])
@@ -251,6 +243,4 @@ def read_layer(product: Path, name: str, frame: int) -> NDArray[Any]:
 
 
 def _open_array(path: Path) -> zarr.Array:
-    import zarr
-
     return zarr.open_array(store=path, mode="r")

@@ -7,8 +7,8 @@ import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.spec.load import load_scene
 from pipeline.spec.scene import Scene
@@ -81,8 +81,8 @@ class FolderWriting(Writing):
     def is_sealed(self, tiles: int) -> bool:
         return is_sealed(self.begun, tiles)
 
-    def report(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads((self.begun.path / layout.REPORT).read_text())
+    def report(self) -> JsonObject:
+        found: JsonObject = json.loads((self.begun.path / layout.REPORT).read_text())
         return found | {"drawn_before": True}
 
     def unseal(self) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
+from pipeline.spec.load import load_scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
 from pipeline.store.product import begun_tiles
@@ -22,7 +23,7 @@ def tiles_done(product: Path) -> tuple[int, int]:
     return len(list(markers_present(product))), begun_tiles(product)
 
 
-def describe(product: Path) -> dict[str, Any]:
+def describe(product: Path) -> JsonObject:
     """State, size, content, origin of a product; what only a finished one has is None before."""
     done, total = tiles_done(product)
     complete = (product / layout.COMPLETE).is_file()
@@ -50,12 +51,10 @@ def describe(product: Path) -> dict[str, Any]:
     }
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> JsonObject:
     return json.loads(path.read_text()) if path.is_file() else {}
 
 
-def _scene(product: Path) -> dict[str, Any]:
-    from pipeline.spec.load import load_scene
-
+def _scene(product: Path) -> JsonObject:
     path = product / layout.SCENE
     return load_scene(path).as_dict() if path.is_file() else {}

@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.objects import Listed, Objects
 from catalog_tools.storage.stores import Unreachable
 from pipeline.errors import BadInput, Incomplete, TryLater
@@ -132,9 +132,9 @@ def _living(objects: Objects, found: dict[str, Listed]) -> bool:
     return (_now(objects) - found[newest].changed).total_seconds() < RUNS_OUT_S
 
 
-def _this_process() -> dict[str, Any]:
+def _this_process() -> JsonObject:
     """What tells others of this machine, and later starts of the same Slurm task, that it ended."""
-    about: dict[str, Any] = {"pid": os.getpid(), "started": _started(os.getpid())}
+    about: JsonObject = {"pid": os.getpid(), "started": _started(os.getpid())}
     with suppress(OSError):  # no Linux
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         about["host"] = f"{boot}:{Path('/proc/self/ns/pid').stat().st_ino}"

@@ -7,12 +7,11 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import google_crc32c
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import Damaged
 from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import CELL_PX
@@ -34,8 +33,8 @@ class Marker:
     column: int
     chunks: dict[str, tuple[str, int, int]]
     cells: dict[str, list[list[int]]]
-    checks: list[dict[str, Any]] = field(default_factory=list)
-    coordinates: dict[str, Any] | None = None
+    checks: list[JsonObject] = field(default_factory=list)
+    coordinates: JsonObject | None = None
 
 
 def marker_path(product: Path, frame: int, row: int, column: int) -> Path:
@@ -99,7 +98,7 @@ def fault_of(read: Callable[[str], bytes | None], marker: Marker) -> str | None:
     return None
 
 
-def cell_checksums(tile: Tile, values: NDArray[Any]) -> list[list[int]]:
+def cell_checksums(tile: Tile, values: np.ndarray) -> list[list[int]]:
     """[cell row, cell column, crc32c] of each cell of a tile: the same for every tile shape."""
     out = []
     for y in range(0, tile.rows, CELL_PX):

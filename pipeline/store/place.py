@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.plan.plan import Plan
 from pipeline.spec.scene import Scene
 from pipeline.store.product import Begun, Verdict
@@ -42,7 +42,7 @@ class Writing(ABC):
         """Whether it is complete already: sealed, and so many tiles whole."""
 
     @abstractmethod
-    def report(self) -> dict[str, Any]:
+    def report(self) -> JsonObject:
         """The report of a complete product; `drawn_before` says so, in no file."""
 
     @abstractmethod

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import google_crc32c
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import whole_file
 from pipeline.errors import Damaged
 from pipeline.store.layout import PARTS, TRUTH
@@ -98,12 +100,10 @@ def join_parts(product: Path, kind: str, frames: int, empty: Any) -> int:
 
 def drop_parts(product: Path) -> None:
     """Remove the parts once the joined tables stand."""
-    import shutil
-
     shutil.rmtree(product / TRUTH / PARTS, ignore_errors=True)
 
 
-def _options(schema: pa.Schema) -> dict[str, Any]:
+def _options(schema: pa.Schema) -> JsonObject:
     """Dictionaries for names alone: hardly two stars agree in a number, and looking for it would
     cost four times more."""
     names = [field.name for field in schema if str(field.type).startswith("dictionary")]

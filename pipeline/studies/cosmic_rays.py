@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.physics.cosmic_rays.deposit import add_tracks, reach_px
 from pipeline.physics.cosmic_rays.library import Library
@@ -51,7 +52,7 @@ def compare_library(
     diffusion_um: float,
     threshold_e: float,
     events: int = 3000,
-) -> dict[str, Any]:
+) -> JsonObject:
     """A library and the generator's two fluxes, about `events` events each, with a summary."""
     area_cm2 = library.pixels * (pixel_pitch_um * 1e-4) ** 2
     found = {
@@ -172,7 +173,7 @@ def _peak(e_per_um: Array) -> float:
     return float(v.mean()) if len(v) else float("nan")
 
 
-def draw_comparison(study: dict[str, Any], path: Path) -> None:
+def draw_comparison(study: JsonObject, path: Path) -> None:
     """Write the figure of a comparison (PNG or SVG); BadInput where matplotlib is missing."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -1,7 +1,7 @@
-"""Which fields of a scene reach which stage of its light: what is left out of a stage is barred.
+"""Which fields of a scene reach which stage of its light; all others are neutral in its plan.
 
-A stage is run on a plan whose other fields raise when they are read, and is known by the content
-of what is left. So what it gives cannot depend on a field that is not in its key.
+A stage is known by the content of the plan that it is run on. What it gives cannot differ between
+points by a field that is not in its key: that field has the same value for all of them.
 """
 
 from __future__ import annotations
@@ -9,26 +9,28 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from catalog_tools.documents import Arguments
 from pipeline.arrays import Geometry
 from pipeline.execute.tile import LIGHTS
 from pipeline.plan.facts import Facts
 from pipeline.plan.plan import Plan
 from pipeline.spec.scene import Scene
 
-# Fields of the sensor that act on light already drawn. A new field of the detector that is not
-# among them is taken to change the light: slower, and the same bits.
-DETECTOR = (
-    "flat",
-    "dark_e_per_s",
-    "dark_scale",
-    "full_well_e",
-    "read_noise_e",
-    "gain_e_per_dn",
-    "bias_dn",
-    "adc_bits",
-    "adc_rounding",
-    "photon_noise",
-)
+# Fields of the sensor that act on light already drawn, as light is drawn. A new field of the
+# detector that is not among them is taken to change the light: slower, and the same bits.
+NEUTRAL = {
+    "flat": 1.0,
+    "dark_e_per_s": 0.0,
+    "dark_scale": 1.0,
+    "full_well_e": None,
+    "read_noise_e": 0.0,
+    "gain_e_per_dn": 1.0,
+    "bias_dn": 0.0,
+    "adc_bits": 16,
+    "adc_rounding": "half_even",
+    "photon_noise": True,
+}
+DETECTOR = tuple(NEUTRAL)
 AFTER_LIGHT = ("seed", *(f"sensor.{name}" for name in DETECTOR))
 # Fields that the noise floor falls with, and so the error that drawing may make.
 FLOOR = (
@@ -49,31 +51,19 @@ NOT_OF: dict[str, tuple[str, ...]] = {
 }
 
 
-class ReadsBarredError(Exception):
-    """A stage asked for a field that it was said not to depend on."""
+def is_plain(scene: Scene) -> bool:
+    """Whether the detector is made of numbers and images alone, with no extras drawn from a seed.
+
+    Extras are taken to change everything: points that have them share nothing.
+    """
+    return scene.sensor.detector is None
 
 
-class Barred:
-    """Stands for a value that may not be read."""
-
-    def __init__(self, name: str) -> None:
-        object.__setattr__(self, "_name", name)
-
-    def _refuse(self, *_: Any, **__: Any) -> Any:
-        raise ReadsBarredError(object.__getattribute__(self, "_name"))
-
-    __bool__ = __int__ = __index__ = __float__ = __len__ = __iter__ = __getattr__ = _refuse
-    __eq__ = __hash__ = __str__ = __repr__ = __format__ = __array__ = _refuse
-    __add__ = __radd__ = __mul__ = __rmul__ = __sub__ = __rsub__ = __truediv__ = _refuse
-    __lt__ = __le__ = __gt__ = __ge__ = __neg__ = __pow__ = __rtruediv__ = __getitem__ = _refuse
-
-    def __reduce__(self) -> Any:
-        return Barred, (object.__getattribute__(self, "_name"),)
-
-
-def barred(model: Any, names: tuple[str, ...]) -> Any:
-    """A model whose named fields may not be read."""
-    return model.model_copy(update={name: Barred(name) for name in names})
+def light_is_shared(scene: Scene) -> bool:
+    """Whether points that differ in their seed and detector have one light: nothing that is
+    planned or drawn before the noise comes from the seed."""
+    attitude = scene.pointing.attitude
+    return is_plain(scene) and not (attitude is not None and attitude.random)
 
 
 @dataclass(frozen=True)
@@ -96,32 +86,31 @@ class LightPlan:
         return replace(g, **none)
 
 
-def parts_of(plan: Plan, whole: bool) -> dict[str, LightPlan]:
-    """The parts of a plan's light; `whole` takes them from the whole plan, with nothing barred.
-
-    The plan's own scene has barred detector fields and a barred seed where it is not `whole`.
-    """
-    if whole:
+def parts_of(plan: Plan) -> dict[str, LightPlan]:
+    """The parts of a plan's light, each without what it does not depend on; of a plan whose light
+    is not shared, from all of it."""
+    if not light_is_shared(plan.scene):
         return {kind: LightPlan(kind, plan, ()) for kind in LIGHTS}
+    sensor = plan.scene.sensor.model_copy(update=NEUTRAL)
+    plan = replace(plan, scene=plan.scene.model_copy(update={"sensor": sensor}))
     return {kind: _part(plan, kind) for kind in LIGHTS}
 
 
 def _part(plan: Plan, kind: str) -> LightPlan:
     scene, facts = plan.scene, plan.facts
-    drop: dict[str, Any] = {}
+    drop: dict[str, object] = {"cosmic_rays": None}
     if kind != "targets":
         drop["targets"] = ()
     if kind != "stars" and scene.stars is not None:  # their effects still turn the directions
         drop["stars"] = scene.stars.model_copy(
             update={"catalogue": "none", "faintest_g_mag": None, "limit_from_noise": False}
         )
-    if kind != "sky" and scene.background is not None:
+    if kind != "sky":
         drop["background"] = None
     kept = scene.model_copy(update=drop)
     hidden = NOISE_FACTS + SKY_FACTS  # the sky is drawn from its plan
     content = [kind, light_content(kept), *_values(facts, hidden), *_values(plan, NOT_OF[kind])]
-    kept = barred(kept, ("cosmic_rays", *(drop.keys() & {"background"})))
-    without: dict[str, Any] = {name: Barred(name) for name in hidden}
+    without: Arguments = dict.fromkeys(hidden, 0.0)
     reduced = replace(
         plan,
         scene=kept,
@@ -141,8 +130,5 @@ def _values(of: Facts | Plan, but: tuple[str, ...]) -> list[Any]:
 
 def light_content(scene: Scene) -> str:
     """A scene's own values, without those that act after the light, as text."""
-    sensor = scene.sensor.model_copy(update=dict.fromkeys(DETECTOR))
-    plain = scene.model_copy(update={"seed": 0, "name": "", "cosmic_rays": None, "sensor": sensor})
-    return plain.model_dump_json(
-        by_alias=True, warnings=False, exclude={"output": True, "sensor": set(DETECTOR)}
-    )
+    after = {"seed": True, "name": True, "cosmic_rays": True, "output": True}
+    return scene.model_dump_json(by_alias=True, exclude={**after, "sensor": set(DETECTOR)})

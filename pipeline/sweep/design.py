@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.spec.sweep import (
     Grid,
@@ -34,10 +35,10 @@ class Design:
         self._lengths = [axis_length(axis) for axis in sweep.axes]
         self._block = lru_cache(maxsize=4)(self._shares)
 
-    def values(self, point: int) -> dict[str, Any]:
+    def values(self, point: int) -> JsonObject:
         """Dotted field -> value at a point (without the seed)."""
         place = point // self.sweep.seeds
-        out: dict[str, Any] = {}
+        out: JsonObject = {}
         for axis, value in zip(self.axes, self._axis_values(place), strict=True):
             out.update(zip(axis.fields, value, strict=True))
         return out

@@ -7,24 +7,24 @@ import math
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.execute.tile import LIGHTS
 from pipeline.plan.cost import CHUNK_S, NOISE_S_PER_PIXEL, START_S, TILE_S
 from pipeline.plan.needs import predict
 from pipeline.route.prepare import forecast as star_forecast
 from pipeline.spec.load import parse_scene
 from pipeline.spec.sweep import Grid, axis_length
-from pipeline.sweep.dependence import AFTER_LIGHT
+from pipeline.sweep.dependence import AFTER_LIGHT, light_is_shared
 from pipeline.sweep.points import Course, scene_of, set_field, with_floor
 from pipeline.sweep.run import check
-from pipeline.sweep.stages import Base, is_plain, stages
+from pipeline.sweep.stages import Base, stages
 
 LOOKED_AT = 3  # points whose plan tells the cost of light
 COUNTED = 100_000  # places of a design that are looked at one by one, at most
 
 
-def forecast_course(course: Course) -> dict[str, Any]:
+def forecast_course(course: Course) -> JsonObject:
     """Points, how often each stage is run for all of them, CPU seconds and memory.
 
     plans, stars, targets, sky : how many different ones there are, drawn once each in a process
@@ -33,12 +33,12 @@ def forecast_course(course: Course) -> dict[str, Any]:
     """
     check(course)
     design, run = course.design, stages(course.run)
-    plain = is_plain(scene_of(course, design, 0))
+    shared = light_is_shared(scene_of(course, design, 0))
     spots = dict.fromkeys(k * (design.size - 1) // max(1, LOOKED_AT - 1) for k in range(LOOKED_AT))
     began = time.process_time()
-    bases = [with_floor(course, run, scene_of(course, design, p), not plain)[1] for p in spots]
+    bases = [with_floor(course, run, scene_of(course, design, p))[1] for p in spots]
     plan_s = (time.process_time() - began) / len({base.key for base in bases})
-    plan, counts = bases[0].plan, _counts(course, bases[0], plain)
+    plan, counts = bases[0].plan, _counts(course, bases[0], shared)
     frames, pixels = plan.frames, math.prod(plan.scene.sensor.shape)
     tiles = frames * len(plan.tiles)
     needs = [predict(b.plan, star_forecast(b.prepared), b.prepared.spent) for b in bases]
@@ -63,16 +63,16 @@ def forecast_course(course: Course) -> dict[str, Any]:
     }
 
 
-def _counts(course: Course, base: Base, plain: bool) -> dict[str, int]:
+def _counts(course: Course, base: Base, shared: bool) -> dict[str, int]:
     """How many different plans and lights of each kind the points have."""
     fields = {name for axis in course.design.axes for name in axis.fields}
-    if plain:
+    if shared:
         fields -= set(AFTER_LIGHT)
-    counts = {"plans": _distinct(course, fields, plain)}
+    counts = {"plans": _distinct(course, fields, shared)}
     for kind in LIGHTS:
-        names = _touching(course, base, kind, fields) if plain else fields
+        names = _touching(course, base, kind, fields) if shared else fields
         drawn = kind == "sky" or getattr(base.plan.scene, kind)
-        counts[kind] = _distinct(course, names, plain) if drawn else 0
+        counts[kind] = _distinct(course, names, shared) if drawn else 0
     return counts
 
 
@@ -86,18 +86,15 @@ def _touching(course: Course, base: Base, kind: str, fields: Iterable[str]) -> s
         for field, value in {**first, name: others[-1] if others else first[name]}.items():
             set_field(data, field, value)
         scene = parse_scene(data, base=Path(course.base_folder))
-        if (
-            others
-            and with_floor(course, run, scene, False)[1].parts[kind][1] != base.parts[kind][1]
-        ):
+        if others and with_floor(course, run, scene)[1].parts[kind][1] != base.parts[kind][1]:
             found.add(name)
     return found
 
 
-def _distinct(course: Course, fields: set[str], plain: bool) -> int:
+def _distinct(course: Course, fields: set[str], shared: bool) -> int:
     """How many different values some fields take together; of large designs at most so many."""
     design = course.design
-    if not plain:
+    if not shared:
         return design.size
     places = design.size // course.sweep.seeds
     if places <= COUNTED:

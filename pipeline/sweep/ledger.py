@@ -14,6 +14,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import whole_file, write_atomically
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.spec.sweep import Sweep
@@ -24,7 +25,7 @@ BEGUN, PARTS, TABLE, COMPLETE = ".begun.json", "parts", "points.parquet", "_COMP
 SWEEP, REPORT, PAGE, FIGURE = "sweep.json", "report.json", "summary.html", "summary.svg"
 PART_ROWS, PART_S = 1024, 5.0
 JOIN_POINTS = 65_536
-OPTIONS: dict[str, Any] = {
+OPTIONS: JsonObject = {
     "compression": "zstd",
     "compression_level": 3,
     "write_page_checksum": True,
@@ -79,7 +80,7 @@ class PointLedger:
         self.done = np.zeros(size, bool)
         self.failed = np.zeros(size, bool)
         self.removed: list[str] = []
-        self._rows: list[dict[str, Any]] = []
+        self._rows: list[JsonObject] = []
         self._since = time.monotonic()
         self._next = 0
 
@@ -104,7 +105,7 @@ class PointLedger:
             self.done &= ~self.failed
             self.failed[:] = False
 
-    def add(self, rows: list[dict[str, Any]]) -> None:
+    def add(self, rows: list[JsonObject]) -> None:
         """Rows of finished points; they are durable within PART_S, or with `flush`."""
         self._rows += rows
         for row in rows:
@@ -173,7 +174,7 @@ def _fit(value: Any, kind: pa.DataType) -> Any:
     return float(value) if pa.types.is_floating(kind) else value
 
 
-def begin(out: Path, identity: dict[str, Any], resume: bool) -> None:
+def begin(out: Path, identity: JsonObject, resume: bool) -> None:
     """Make a sweep's folder, or take up one that was begun with the same sweep and scene."""
     if not out.exists():
         if resume:
@@ -201,7 +202,7 @@ def begin(out: Path, identity: dict[str, Any], resume: bool) -> None:
     (out / PARTS).mkdir(exist_ok=True)
 
 
-def identity_of(sweep: Sweep, data: dict[str, Any], digests: list[str]) -> dict[str, Any]:
+def identity_of(sweep: Sweep, data: JsonObject, digests: list[str]) -> JsonObject:
     """What makes two sweeps the same: their points, base scene, catalogues and metrics."""
     plain = sweep.as_dict()
     return {

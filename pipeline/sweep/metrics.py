@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.execute.light import draw_targets
 from pipeline.execute.outlook import limiting_light_e, limiting_mag, target_snr
@@ -72,7 +72,7 @@ class Measurement:
             if time_s > 0.0:  # a bias frame sees nothing
                 self._limits.append((limiting_light_e(self.plan, g), time_s))
 
-    def take(self, tile: Tile, frame: int, dn: NDArray[Any], mean_e: Array) -> None:
+    def take(self, tile: Tile, frame: int, dn: np.ndarray, mean_e: Array) -> None:
         """One tile: digital numbers, and the mean before photon noise."""
         cells = cell_checksums(tile, dn)
         self._cells += [["dn", frame, *cell] for cell in cells]
@@ -96,9 +96,9 @@ class Measurement:
             self._peaks[name].append(window.peak(self.wish, self.maps.typical("gain_e_per_dn")))
         self._windows = []
 
-    def row(self) -> dict[str, Any]:
+    def row(self) -> JsonObject:
         """The metrics by the names of their columns; None where there is nothing to tell."""
-        out: dict[str, Any] = {"content_digest": self.content_digest()}
+        out: JsonObject = {"content_digest": self.content_digest()}
         if "background" in self.metrics:
             out |= self._background()
         if "limiting_magnitude" in self.metrics:
@@ -143,7 +143,7 @@ class Measurement:
         return full if s.full_well_e is None else np.minimum(full, s.full_well_e)
 
     def _calibrated(
-        self, frame: int, tile: Tile, part: Tile, dn: NDArray[Any], which: tuple[slice, slice]
+        self, frame: int, tile: Tile, part: Tile, dn: np.ndarray, which: tuple[slice, slice]
     ) -> Array:
         """Light that some pixels of a part of a tile tell of, by the detector's true maps [e-]."""
         m, t = self.maps, self.plan.integration_s(frame)

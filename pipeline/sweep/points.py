@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.images import read_image
 from pipeline.spec.dotted import NoFieldError, set_dotted
@@ -29,7 +30,7 @@ class Course:
     """
 
     sweep: Sweep
-    data: dict[str, Any]
+    data: JsonObject
     base_folder: str
     floors: dict[str, float]
     run: str
@@ -72,7 +73,7 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
     return parse_scene(data, base=Path(course.base_folder))
 
 
-def set_field(data: dict[str, Any], name: str, value: Any) -> None:
+def set_field(data: JsonObject, name: str, value: Any) -> None:
     """Set a dotted field of plain data: `sensor.read_noise_e`, `targets.0.body.albedo`."""
     try:
         set_dotted(data, name, value)
@@ -81,13 +82,12 @@ def set_field(data: dict[str, Any], name: str, value: Any) -> None:
         raise BadInput(name, value, allowed) from None
 
 
-def with_floor(course: Course, kept: Stages, scene: Scene, whole: bool) -> tuple[Scene, Base]:
+def with_floor(course: Course, kept: Stages, scene: Scene) -> tuple[Scene, Base]:
     """A point's scene as it is rendered, and the base that it shares with others.
 
     Where axes vary what the noise floor comes from, all points are planned for the quietest values
     of those axes: then the same light is drawn with the same accuracy for all of them.
     """
-    whole = whole or not is_plain(scene)
     numbers = {
         name: course.floors.get(f"sensor.{name}", _typical(kept, scene, name))
         for name in ("read_noise_e", "gain_e_per_dn", "dark_e_per_s")
@@ -108,10 +108,10 @@ def with_floor(course: Course, kept: Stages, scene: Scene, whole: bool) -> tuple
             least = {k.partition(".")[2]: v for k, v in course.floors.items() if k in FLOOR}
             sensor = quiet.sensor.model_copy(update=least)
             quiet = quiet.model_copy(update={"sensor": sensor})
-        floor = kept.base(without_noise(quiet, numbers, whole), whole).plan.facts.sigma_floor_e
+        floor = kept.base(without_noise(quiet, numbers)).plan.facts.sigma_floor_e
         accuracy = scene.accuracy.model_copy(update={"noise_floor_e": floor})
         scene = scene.model_copy(update={"accuracy": accuracy})
-    return scene, kept.base(without_noise(scene, numbers, whole), whole)
+    return scene, kept.base(without_noise(scene, numbers))
 
 
 def _typical(kept: Stages, scene: Scene, name: str) -> float:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.engine.schedulers import Scheduler, open_scheduler
 from catalog_tools.storage.durable import write_atomically
 from pipeline.errors import BadInput, DiskFull, Incomplete, NightglassError
@@ -51,7 +52,7 @@ def sweep(
     options: Options | None = None,
     retry_failed: bool = False,
     listen: Listener | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Run a sweep file into a folder and return its report.
 
     options.resume goes on with an unfinished one. Raises BadInput for a sweep that can't be run,
@@ -66,7 +67,7 @@ def run_course(
     options: Options | None = None,
     retry_failed: bool = False,
     listen: Listener | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Run a sweep that was read already, as `sweep` does."""
     with full_disk(out):
         return _run_course(course, out, options or Options(), retry_failed, listen)
@@ -74,7 +75,7 @@ def run_course(
 
 def _run_course(
     course: Course, out: Path, options: Options, retry_failed: bool, listen: Listener | None
-) -> dict[str, Any]:
+) -> JsonObject:
     started = time.perf_counter()
     names, digests = check(course)
     ledger.begin(out, ledger.identity_of(course.sweep, course.data, digests), options.resume)
@@ -82,7 +83,7 @@ def _run_course(
         schema = ledger.schema_of(course.sweep, names)
         book = PointLedger(out, schema, course.sweep.points)
         if ledger.is_complete(out) and not retry_failed:
-            report: dict[str, Any] = json.loads((out / ledger.REPORT).read_text())
+            report: JsonObject = json.loads((out / ledger.REPORT).read_text())
             return report
         _reopen(out)
         book.take_up(retry_failed)
@@ -177,7 +178,7 @@ def point_scene(path: Path, point: int) -> Scene:
     if not 0 <= point < course.sweep.points:
         raise BadInput("--point", point, f"0 to {course.sweep.points - 1}")
     scene = scene_of(course, course.design, point)
-    return with_floor(course, stages(course.run), scene, whole=False)[0]
+    return with_floor(course, stages(course.run), scene)[0]
 
 
 def _reopen(out: Path) -> None:

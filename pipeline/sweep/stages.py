@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import psutil
+from dask.tokenize import tokenize
 
+from catalog_tools.documents import Arguments
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.graph import Inputs, place_task, read_shard, shard_key
@@ -27,7 +29,13 @@ from pipeline.resolve.stars import shards_of
 from pipeline.route.prepare import Prepared, prepare
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import CubeWriter
-from pipeline.sweep.dependence import DETECTOR, Barred, LightPlan, barred, parts_of
+from pipeline.sweep.dependence import (
+    DETECTOR,
+    LightPlan,
+    is_plain,
+    light_is_shared,
+    parts_of,
+)
 
 MOST_BYTES, MEMORY_SHARE = 1.5e9, 0.2
 PLANS_BYTES = 200e6
@@ -85,14 +93,13 @@ class Stages:
             self.asked[stage] += 1
         return (self._plans if small else self._light).get((stage, *key), counted, size)
 
-    def base(self, scene: Scene, whole: bool) -> Base:
-        """The plan of a scene's light. `whole`: nothing is barred, nothing shared.
+    def base(self, scene: Scene) -> Base:
+        """The plan of a scene's light.
 
         scene : of a point, with numbers in place of its detector's images
         """
-        content = scene.model_dump_json(by_alias=True) if whole else _base_content(scene)
-        key = _token(("base", whole, content))
-        return self.get("plan", (key,), lambda: _make_base(key, scene, whole), _few, small=True)
+        key = _token(("base", scene.model_dump_json(by_alias=True)))
+        return self.get("plan", (key,), lambda: _make_base(key, scene), _few, small=True)
 
     def geometry(self, base: Base, frame: int) -> Geometry:
         """Geometry of one frame."""
@@ -194,14 +201,6 @@ def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
     return replace(base.plan, scene=mine, facts=facts)
 
 
-def is_plain(scene: Scene) -> bool:
-    """Whether the detector is made of numbers and images alone, with no extras drawn from a seed.
-
-    Extras are taken to change everything: points that have them share nothing.
-    """
-    return scene.sensor.detector is None
-
-
 def maps_of(kept: Stages, base: Base, scene: Scene) -> SensorMaps:
     """The detector's maps of a point; images are read once for points that share them."""
     if not is_plain(scene):
@@ -211,14 +210,14 @@ def maps_of(kept: Stages, base: Base, scene: Scene) -> SensorMaps:
     return kept.get("sensor maps", key, lambda: gather_sensor_maps(scene), _bytes_of)
 
 
-def without_noise(scene: Scene, numbers: dict[str, float], whole: bool) -> Scene:
+def without_noise(scene: Scene, numbers: dict[str, float]) -> Scene:
     """A point's scene for its base: a plain detector with these numbers, no seed, no check."""
     output = scene.output.model_copy(update={"layers": ("dn", "mean_e")})
     accuracy = scene.accuracy.model_copy(update={"check_cells": 0})
-    update: dict[str, Any] = {"output": output, "accuracy": accuracy, "name": "base"}
+    update: dict[str, object] = {"output": output, "accuracy": accuracy, "name": "base"}
     if not is_plain(scene):
         return scene.model_copy(update=update)
-    plain: dict[str, Any] = {
+    plain: Arguments = {
         "flat": 1.0,
         "full_well_e": None,
         "bias_dn": 0.0,
@@ -226,27 +225,16 @@ def without_noise(scene: Scene, numbers: dict[str, float], whole: bool) -> Scene
         "adc_rounding": "half_even",
     } | numbers
     update["sensor"] = scene.sensor.model_copy(update=plain)
-    if not whole:
-        update["seed"] = Barred("seed")
+    if light_is_shared(scene):
+        update["seed"] = 0
     return scene.model_copy(update=update)
 
 
-def _base_content(scene: Scene) -> str:
-    """A base's scene as text: its detector's numbers too, which the noise floor comes from."""
-    return scene.model_copy(update={"seed": 0}).model_dump_json(by_alias=True)
-
-
-def _make_base(key: str, scene: Scene, whole: bool) -> Base:
+def _make_base(key: str, scene: Scene) -> Base:
     prepared = prepare(scene)
     plan = prepared.plan
-    if not whole:
-        sensor = barred(plan.scene.sensor, DETECTOR)
-        inner = replace(plan, scene=plan.scene.model_copy(update={"sensor": sensor}))
-    else:
-        inner = plan
     parts = {
-        kind: (part, _token((key, kind) if whole else part.content))
-        for kind, part in parts_of(inner, whole).items()
+        kind: (part, _token(part.content or (key, kind))) for kind, part in parts_of(plan).items()
     }
     return Base(key, prepared, prepared.inputs(CubeWriter("", ()), plan), parts)
 
@@ -268,8 +256,6 @@ def _read_key(base: Base, plan: Plan) -> str:
 
 
 def _token(value: Any) -> str:
-    from dask.tokenize import tokenize
-
     return str(tokenize(value))
 
 

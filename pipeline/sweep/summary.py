@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import write_atomically
 from pipeline.spec.sweep import Sweep
 from pipeline.sweep.figure import figure
@@ -22,9 +24,7 @@ MOST_MESSAGES = 20
 NOT_METRICS = ("point", "seed", "status", "message", "content_digest", "frames_in_view")
 
 
-def summarise(
-    sweep: Sweep, out: Path, names: tuple[str, ...], told: dict[str, Any]
-) -> dict[str, Any]:
+def summarise(sweep: Sweep, out: Path, names: tuple[str, ...], told: JsonObject) -> JsonObject:
     """Write report.json, summary.html and summary.svg; returns the report."""
     axes = [name for axis in sweep.axes for name in axis.fields if name != "seed"]
     file = pq.ParquetFile(out / TABLE)
@@ -33,7 +33,7 @@ def summarise(
         for f in file.schema_arrow
         if f.name not in axes and f.name.split(".")[0] not in NOT_METRICS
     ]
-    report: dict[str, Any] = (
+    report: JsonObject = (
         {
             "sweep": sweep.name,
             "points": file.metadata.num_rows,
@@ -53,7 +53,7 @@ def summarise(
     return report
 
 
-def _failures(file: pq.ParquetFile) -> dict[str, Any]:
+def _failures(file: pq.ParquetFile) -> JsonObject:
     """How many points failed, and the commonest messages."""
     counts: dict[str, int] = {}
     for batch in file.iter_batches(columns=["message"]):
@@ -96,8 +96,6 @@ def _draw(file: pq.ParquetFile, axes: list[str], metrics: list[str]) -> str | No
 
 
 def _every(count: int, step: int) -> Any:
-    import pyarrow as pa
-
     return pa.array(np.arange(0, count, step))
 
 
@@ -108,7 +106,7 @@ def _numbers(column: Any) -> np.ndarray:
     return np.array([np.nan if v is None else float(v) for v in column.to_pylist()])
 
 
-def _page(report: dict[str, Any], picture: str) -> str:
+def _page(report: JsonObject, picture: str) -> str:
     """The page: what was swept, each metric's spread, failures, the figure; needs no network."""
     cells = "".join(
         f"<tr><td>{html.escape(n)}</td><td>{s['known']}</td>"

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.errors import NO_ROOM, DiskFull, NightglassError, shorten
 from pipeline.execute.tile import charge_of_tile, render_tile
@@ -22,14 +23,13 @@ from pipeline.route.run import Options, render
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import CubeWriter
 from pipeline.store.product import begin
-from pipeline.sweep.dependence import ReadsBarredError
 from pipeline.sweep.design import Design
 from pipeline.sweep.metrics import Measurement, TargetWindow, target_windows
 from pipeline.sweep.points import Course, scene_of, with_floor
 from pipeline.sweep.stages import Base, Stages, maps_of, point_plan, stages
 
 CUBES = "cubes"
-Row = dict[str, Any]
+Row = JsonObject
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class _Ready:
 
 @dataclass
 class _Point:
-    """One point at work, or how it failed; `again`: it has to be taken whole."""
+    """One point at work, or how it failed."""
 
     number: int
     row: Row
@@ -54,11 +54,10 @@ class _Point:
     seconds: float = 0.0
     shared_s: float = 0.0
     fault: str | None = None
-    again: bool = False
 
     @property
     def alive(self) -> bool:
-        return self.fault is None and not self.again
+        return self.fault is None
 
     @property
     def ready(self) -> _Ready:
@@ -72,28 +71,17 @@ def run_points(course: Course, numbers: tuple[int, ...]) -> list[Row]:
     Raises DiskFull or OSError where the disk is full: that is no fault of a point.
     """
     kept, design = stages(course.run), course.design
-    rows = _rows(course, kept, design, numbers, whole=False)
-    again = tuple(n for n, row in rows.items() if row is None)
-    if again:  # a stage asked for a field that it was said not to need: slower, nothing shared
-        rows |= _rows(course, kept, design, again, whole=True)
-    return [row for row in rows.values() if row is not None]
-
-
-def _rows(
-    course: Course, kept: Stages, design: Design, numbers: tuple[int, ...], whole: bool
-) -> dict[int, Row | None]:
-    """Rows by point; None for those that have to be taken whole."""
-    points = [_begin(course, kept, design, number, whole) for number in numbers]
+    points = [_begin(course, kept, design, number) for number in numbers]
     groups: dict[str, list[_Point]] = {}
     for point in points:
         if point.alive:
             groups.setdefault(point.ready.base.key, []).append(point)
     for group in groups.values():
         _draw(course, kept, group)
-    return {point.number: _end(course, point) for point in points}
+    return [_end(course, point) for point in points]
 
 
-def _begin(course: Course, kept: Stages, design: Design, number: int, whole: bool) -> _Point:
+def _begin(course: Course, kept: Stages, design: Design, number: int) -> _Point:
     """A point's scene, plan, and what will measure it."""
     values = {k: _plain(v) for k, v in design.values(number).items()}
     point, sweep = _Point(number, {"point": number} | values), course.sweep
@@ -101,7 +89,7 @@ def _begin(course: Course, kept: Stages, design: Design, number: int, whole: boo
     def start() -> None:
         scene = scene_of(course, design, number)
         point.row["seed"] = scene.seed
-        scene, base = with_floor(course, kept, scene, whole)
+        scene, base = with_floor(course, kept, scene)
         maps = maps_of(kept, base, scene)
         plan = point_plan(base, scene, maps)
         names = sweep.targets
@@ -189,14 +177,12 @@ def _noise(kept: Stages, ready: _Ready, g: Geometry, tile: Tile, light: dict[str
     ready.writer.write(frame, tile, out)
 
 
-def _end(course: Course, point: _Point) -> Row | None:
-    """A point's row, or None where it has to be taken whole."""
+def _end(course: Course, point: _Point) -> Row:
+    """A point's row."""
     if point.alive and point.ready.writer is not None:
         path = cube_path(Path(course.out), point.number)
         _tried(point, lambda: render(point.ready.scene, path, Options("synchronous", resume=True)))
     _tried(point, lambda: point.row.update(point.ready.measured.row()))
-    if point.again:
-        return None
     row = point.row | {
         "status": "done" if point.fault is None else "failed",
         "message": point.fault,
@@ -215,7 +201,7 @@ def _shared(points: list[_Point], work: Callable[[], Any]) -> bool:
     first.seconds -= taken
     for point in points:
         point.shared_s += taken / len(points)
-        point.fault, point.again = first.fault, first.again
+        point.fault = first.fault
     return first.alive
 
 
@@ -226,8 +212,6 @@ def _tried(point: _Point, work: Callable[[], Any]) -> None:
     started = time.perf_counter()
     try:
         work()
-    except ReadsBarredError:
-        point.again = True
     except DiskFull:
         raise
     except NightglassError as error:

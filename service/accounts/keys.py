@@ -9,7 +9,10 @@ from functools import lru_cache
 from typing import Any
 
 import sqlalchemy as sa
+from argon2 import PasswordHasher
+from argon2.exceptions import Argon2Error, InvalidHashError
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from service.jobs.jobs import record
 from service.store.database import now_s, writing
@@ -27,8 +30,6 @@ TEAM = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 @lru_cache(maxsize=1)
 def _hasher() -> Any:
     """argon2id with 19 MiB and two passes: the secret has 256 bits, guessing is hopeless anyway."""
-    from argon2 import PasswordHasher
-
     return PasswordHasher(time_cost=2, memory_cost=19_456, parallelism=1)
 
 
@@ -70,7 +71,7 @@ def revoke_key(engine: sa.Engine, key_id: str, actor: str = "command") -> None:
             record(db, row.team, actor, "key.revoke", key_id)
 
 
-def list_keys(engine: sa.Engine) -> list[dict[str, Any]]:
+def list_keys(engine: sa.Engine) -> list[JsonObject]:
     """Every key ever made, without its hash."""
     shown = [c for c in keys.c if c.name != "hash"]
     with engine.connect() as db:
@@ -98,8 +99,6 @@ def find_key(engine: sa.Engine, key_id: str) -> Any:
 def matches(row: Any, secret: str) -> bool:
     """Whether a secret is the one of a key that may be used: tens of milliseconds, by design, and
     the same where there is no such key (None), so that the time tells of no id."""
-    from argon2.exceptions import Argon2Error, InvalidHashError
-
     try:
         same = _hasher().verify(NOBODYS if row is None else row.hash, secret)
         return bool(same) and row is not None and usable(row)

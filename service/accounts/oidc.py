@@ -14,6 +14,7 @@ from urllib.request import HTTPRedirectHandler, build_opener
 
 import jwt
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from service.accounts.keys import TEAM
 from service.problems import Forbidden, Unauthenticated
@@ -32,7 +33,7 @@ class Verifier:
     def __init__(self, issuer: str, audience: str, jwks: str, team_claim: str) -> None:
         self._issuer, self._audience, self._claim = issuer, audience, team_claim
         self._jwks = jwks
-        self._keys: dict[str, Any] = {}
+        self._keys: JsonObject = {}
         self._read_s = float("-inf")
         self._lock = threading.Lock()
         _check_place(jwks)
@@ -97,7 +98,7 @@ class _NoRedirect(HTTPRedirectHandler):
         return None
 
 
-def _read_keys(place: str) -> dict[str, Any] | None:
+def _read_keys(place: str) -> JsonObject | None:
     """Public signing keys by their ids; None where they cannot be read now."""
     try:
         if urlsplit(place).scheme in ("http", "https"):

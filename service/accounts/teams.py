@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from catalog_tools.documents import Arguments, JsonObject
 from service.accounts.auth import Caller
 from service.jobs.jobs import Job, JobStore, Phase
 from service.jobs.submissions import Ask, TeamLimits, run_pending, submit_many
@@ -16,7 +17,7 @@ def limits_of(settings: Settings) -> TeamLimits:
     return TeamLimits(settings.queued_jobs, settings.pixel_frames_day, settings.bytes_kept)
 
 
-def pixel_frames_of(scene: dict[str, Any]) -> int:
+def pixel_frames_of(scene: JsonObject) -> int:
     """Frames x pixels that a scene asks for (0 where it is not a whole scene yet)."""
     try:
         rows, columns = scene["sensor"]["shape"]
@@ -38,7 +39,7 @@ class TeamStore:
         """A job. NotThere where there is none of this team."""
         return self._store.get(job_id, self.team)
 
-    def scene(self, job_id: str) -> dict[str, Any]:
+    def scene(self, job_id: str) -> JsonObject:
         """The scene of a job, defaults filled in."""
         return self._store.scene(job_id, team=self.team)
 
@@ -79,14 +80,14 @@ class TeamStore:
     def ask(
         self,
         name: str,
-        scene: dict[str, Any] | str,
+        scene: JsonObject | str,
         body_sha256: str,
         key: str | None,
         **more: Any,
     ) -> Ask:
         """A submission of this caller (`more`: kind, phase, run_id, destruction_s, ...; a scene
         as text comes with its pixel_frames)."""
-        whose: dict[str, Any] = {"team": self.team, "owner": self._caller.actor}
+        whose: Arguments = {"team": self.team, "owner": self._caller.actor}
         if isinstance(scene, dict):
             more.setdefault("pixel_frames", pixel_frames_of(scene))
         return Ask(name=name, scene=scene, body_sha256=body_sha256, key=key, **whose, **more)
@@ -94,7 +95,7 @@ class TeamStore:
     def submit(
         self,
         name: str,
-        scene: dict[str, Any],
+        scene: JsonObject,
         body_sha256: str,
         key: str | None = None,
         limit: int | None = None,

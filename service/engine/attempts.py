@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.store.layout import BEGUN, COMPLETE, LOCK
 from service.engine.cluster import SchedulerHealth
 from service.engine.processes import POLL_S, Answers, worker
@@ -43,7 +44,7 @@ class Attempt:
         self._product, self._scheduler = settings.product(job.id), scheduler
 
     @property
-    def _said(self) -> dict[str, Any]:
+    def _said(self) -> JsonObject:
         return {"job": self._job.id, "attempt": self._job.attempt}
 
     def run(self) -> None:
@@ -74,7 +75,7 @@ class Attempt:
             time.sleep(POLL_S)
         return True
 
-    def _attempt(self) -> dict[str, Any] | None:
+    def _attempt(self) -> JsonObject | None:
         """One attempt; its error where it is to be tried again later."""
         job, outcome = self._job, None
         log.info("begins", extra=self._said)
@@ -91,7 +92,7 @@ class Attempt:
             self.count_death()
         return None
 
-    def _take(self, outcome: dict[str, Any]) -> dict[str, Any] | None:
+    def _take(self, outcome: JsonObject) -> JsonObject | None:
         """End the job as its worker tells; the error where it is to be tried again later."""
         if "error" in outcome:
             if outcome["error"]["kind"] == LATER:
@@ -130,7 +131,7 @@ class Attempt:
                 time.sleep(POLL_S)
         return False
 
-    def _order(self) -> dict[str, Any]:
+    def _order(self) -> JsonObject:
         """What the worker is to do: go on with an unfinished product, or begin one."""
         resume = (self._product / BEGUN).is_file()
         if self._product.exists() and not resume:
@@ -151,7 +152,7 @@ class Attempt:
             "files": files,
         } | self._said
 
-    def _watch(self, answers: Answers) -> dict[str, Any] | None:
+    def _watch(self, answers: Answers) -> JsonObject | None:
         """The worker's outcome; None where it died or has to be ended."""
         while self._go_on():
             try:
@@ -174,7 +175,7 @@ class Attempt:
         limit, started = self._job.duration_s, self._job.started_s
         return bool(limit and started and time.time() > started + limit)
 
-    def _why_stopped(self) -> dict[str, Any] | None:
+    def _why_stopped(self) -> JsonObject | None:
         if self._store.seen(self._job).cancel_asked or not self._too_long():
             return None
         return fault(f"it ran longer than the {self._job.duration_s:g} s that it was given")
@@ -192,7 +193,7 @@ class Attempt:
             self._store.died(job, deaths)
 
 
-def fault(message: str) -> dict[str, Any]:
+def fault(message: str) -> JsonObject:
     """An error of a job that is not its author's."""
     return {"kind": "fault", "message": message, "errors": []}
 

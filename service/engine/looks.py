@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
+from catalog_tools.documents import JsonObject
 from service.engine.processes import look_at
 from service.jobs.shares import Shares
 from service.problems import EngineFault, Malformed, PlanTooSlow
@@ -35,14 +36,14 @@ class Looks:
         self._places = Shares(settings.plans, "dry runs")
         self._judged: OrderedDict[tuple[str, bytes], None] = OrderedDict()
 
-    async def plan(self, request: Request, team: str, scene: dict[str, Any]) -> dict[str, Any]:
+    async def plan(self, request: Request, team: str, scene: JsonObject) -> JsonObject:
         """The plan of an accepted scene. PlanRefused, PlanTooSlow, EngineFault, TooMany."""
         asked = {"do": "plan", "most_cpu_s": self._settings.job_cpu_s}
         look = self._look(team, scene, asked, self._settings.plan_s)
-        plan: dict[str, Any] = (await unless_gone(request, look))["plan"]
+        plan: JsonObject = (await unless_gone(request, look))["plan"]
         return plan
 
-    async def judge(self, request: Request, team: str, scene: dict[str, Any]) -> None:
+    async def judge(self, request: Request, team: str, scene: JsonObject) -> None:
         """PlanRefused where an uploaded file is not what the scene says; TooMany.
 
         A scene that cannot be judged in time is taken: the engine that draws it judges it again.
@@ -66,8 +67,8 @@ class Looks:
                 self._judged.popitem(last=False)
 
     async def _look(
-        self, team: str, scene: dict[str, Any], asked: dict[str, Any], limit_s: float
-    ) -> dict[str, Any]:
+        self, team: str, scene: JsonObject, asked: JsonObject, limit_s: float
+    ) -> JsonObject:
         gone = threading.Event()
         async with self._places.place(team):
             files = await run_in_threadpool(self._files.names, team, files_in(json.dumps(scene)))

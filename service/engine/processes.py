@@ -11,17 +11,18 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
+from catalog_tools.documents import JsonObject
 from service.problems import EngineFault, PlanRefused, PlanTooSlow
 from service.settings import Settings
 
 POLL_S = 0.2
-Answers = queue.Queue[dict[str, Any] | None]
+Answers = queue.Queue[JsonObject | None]
 
 
 @contextlib.contextmanager
-def worker(settings: Settings, order: dict[str, Any]) -> Iterator[Answers]:
+def worker(settings: Settings, order: JsonObject) -> Iterator[Answers]:
     """A worker process with its order given, and a queue of its answers (None: it has ended).
 
     Leaving the block ends the process, whatever it does: a product survives that at any moment.
@@ -67,8 +68,8 @@ def _read(stream: BinaryIO, answers: Answers) -> None:
 
 
 def look_at(
-    settings: Settings, order: dict[str, Any], limit_s: float, stopped: Callable[[], bool]
-) -> dict[str, Any]:
+    settings: Settings, order: JsonObject, limit_s: float, stopped: Callable[[], bool]
+) -> JsonObject:
     """What a worker says of a scene (`do`: plan or judge), so that the service stays quick and can
     stop it.
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from starlette.requests import ClientDisconnect, Request
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.spec import load
 from service.problems import Malformed, TooLarge, TooSlow, WrongMediaType, cut
@@ -139,7 +140,7 @@ def _finite(text: str) -> float:
     return value
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _once(pairs: list[tuple[str, Any]]) -> JsonObject:
     found = dict(pairs)
     if len(found) != len(pairs):
         seen: set[str] = set()

@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
+from catalog_tools.documents import JsonObject
 from service.problems import NotReady, NotThere, cut
 from service.store.database import connect, now_s, sqlite_url, writing
+from service.store.leases import holds
 from service.store.named_files import check_files
-from service.store.tables import audit, jobs, scene_crc, seal_of
+from service.store.tables import audit, jobs
 
 if TYPE_CHECKING:
     from service.jobs.submissions import TeamLimits
@@ -44,12 +46,6 @@ FINAL = frozenset({P.COMPLETED, P.ERROR, P.ABORTED})
 MENDABLE = ("try later", "incomplete", "disk full", "fault")  # errors that are not the scene's
 WAITING = (P.PENDING, P.QUEUED)
 LOCAL = "local"  # the team of a service without keys
-DAMAGED = {
-    "kind": "damaged",
-    "message": "the row of this job in the job table is not what was written",
-    "errors": [],
-}
-NOT_SHOWN = frozenset({"scene", "idempotency_key"})
 SHOWN = tuple(c for c in jobs.c if c.name != "scene")
 AMENDABLE = frozenset({"run_id", "destruction_s", "duration_s"})
 
@@ -65,7 +61,6 @@ class Job:
     attempt : how often a worker took it up; the fence against writes of an earlier worker
     deaths : workers in a row that died without finishing a tile
     version : grows with every change; the ETag
-    damaged : the row's seal does not fit: it is not what was written
     """
 
     number: int
@@ -89,13 +84,12 @@ class Job:
     deaths: int
     cancel_asked: bool
     deleted: bool
-    error: dict[str, Any] | None
+    error: JsonObject | None
     content_digest: str | None
     version: int
-    damaged: bool = False
 
 
-FIELDS = tuple(f.name for f in fields(Job) if f.name not in ("phase", "error", "damaged"))
+FIELDS = tuple(f.name for f in fields(Job) if f.name not in ("phase", "error"))
 
 
 def record(
@@ -107,7 +101,7 @@ def record(
 
 def audit_line(
     at_s: float, team: str, actor: str, action: str, thing: str | None, detail: str = ""
-) -> dict[str, Any]:
+) -> JsonObject:
     """A row of the audit table."""
     line = {"at_s": at_s, "team": team, "actor": actor, "action": action}
     return line | {"thing": thing, "detail": cut(detail) if detail else None}
@@ -129,7 +123,7 @@ class JobStore:
     def submit(
         self,
         name: str,
-        scene: dict[str, Any],
+        scene: JsonObject,
         body_sha256: str,
         key: str | None,
         limit: int,
@@ -149,15 +143,12 @@ class JobStore:
         with self.engine.connect() as db:
             return self._one(db, job_id, team)
 
-    def scene(self, job_id: str, hidden: bool = False, team: str | None = None) -> dict[str, Any]:
+    def scene(self, job_id: str, hidden: bool = False, team: str | None = None) -> JsonObject:
         """The scene of a job, defaults filled in; `hidden`: of a deleted one, too."""
         with self.engine.connect() as db:
             self._one(db, job_id, team, hidden)
-            query = sa.select(jobs.c.scene, jobs.c.scene_crc).where(jobs.c.id == job_id)
-            text, crc = db.execute(query).one()
-        if scene_crc(text) != crc:
-            raise NotReady(f"job {job_id}: its scene in the job table is not what was written")
-        return json.loads(text)
+            query = sa.select(jobs.c.scene).where(jobs.c.id == job_id)
+            return json.loads(db.execute(query).scalar_one())
 
     def listing(
         self, phases: Sequence[Phase], after: int, limit: int, team: str | None = None
@@ -218,7 +209,7 @@ class JobStore:
         """Hide a job and free its key; the dispatcher stops it and removes what it made."""
         with writing(self.engine) as db:
             job = self._one(db, job_id, team)
-            changes: dict[str, Any] = {"deleted": True, "idempotency_key": None}
+            changes: dict[str, object] = {"deleted": True, "idempotency_key": None}
             if job.phase in WAITING:
                 self._move(db, job, P.ABORTED, cancel_asked=True, **changes)
             else:
@@ -243,7 +234,7 @@ class JobStore:
             if "scene" in values:
                 text = json.dumps(values["scene"])
                 check_files(db, job.team, text)
-                values |= {"scene": text, "scene_crc": scene_crc(text)}
+                values["scene"] = text
             self._change(db, job, **values)
             return self._one(db, job_id)
 
@@ -274,18 +265,15 @@ class JobStore:
 
     def _change(self, db: sa.Connection, job: Job, **values: Any) -> None:
         """Update the row if it still is in the phase and attempt that the caller knows."""
-        query = sa.select(*SHOWN).where(jobs.c.id == job.id)
-        row = db.execute(query).mappings().first()
-        if row is None or (row["phase"], row["attempt"]) != (job.phase.value, job.attempt):
-            raise NotReady("the job was changed by someone else meanwhile")
-        if job_of(row).damaged and values.get("phase") != P.ERROR and not values.get("deleted"):
-            raise NotReady(f"job {job.id}: {DAMAGED['message']}")
         if isinstance(values.get("error"), dict):
             values["error"] = json.dumps(values["error"])
-        changed = dict(row) | values | {"version": row["version"] + 1}
-        values |= {"version": changed["version"], "seal": seal_of(changed)}
-        same = (jobs.c.id == job.id, jobs.c.version == row["version"])
-        if db.execute(sa.update(jobs).where(*same).values(**values)).rowcount != 1:
+        same = (
+            jobs.c.id == job.id,
+            jobs.c.phase == job.phase.value,
+            jobs.c.attempt == job.attempt,
+        )
+        change = sa.update(jobs).where(*same).values(values | {"version": jobs.c.version + 1})
+        if db.execute(change).rowcount != 1:
             raise NotReady("the job was changed by someone else meanwhile")
 
 
@@ -296,21 +284,13 @@ def _of(query: sa.Select[Any], team: str | None) -> sa.Select[Any]:
 def can_be_retried(job: Job) -> bool:
     """Whether a job ended by what has nothing to do with its scene."""
     kind = (job.error or {}).get("kind")
-    return job.phase == P.ERROR and not job.damaged and kind in MENDABLE
+    return job.phase == P.ERROR and kind in MENDABLE
 
 
-def job_of(row: Any, fresh: bool = False) -> Job:
-    """A row as a Job; one that is not what was written is marked, never believed (`fresh`: it was
-    made just now, and so needs no look)."""
-    try:
-        error = json.loads(row["error"]) if row["error"] else None
-        if fresh or row["seal"] == seal_of(row):
-            return Job(**{n: row[n] for n in FIELDS}, phase=Phase(row["phase"]), error=error)
-    except (ValueError, TypeError):
-        pass
-    told = {n: row[n] for n in FIELDS}
-    phase = row["phase"] if row["phase"] in NEXT else P.ERROR
-    return Job(**told, phase=Phase(phase), error=dict(DAMAGED), damaged=True)
+def job_of(row: Mapping[Any, Any]) -> Job:
+    """A row of the table as a Job."""
+    error = json.loads(row["error"]) if row["error"] else None
+    return Job(**{name: row[name] for name in FIELDS}, phase=Phase(row["phase"]), error=error)
 
 
 class Queue(JobStore):
@@ -329,8 +309,6 @@ class Queue(JobStore):
         turns : when each team last had its turn, so that a long queue of one delays no other
         holder : who must hold the dispatcher's lease for this (None: not asked)
         """
-        from service.store.leases import holds
-
         with writing(self.engine) as db:
             if holder is not None and not holds(db, holder):
                 return None
@@ -341,9 +319,6 @@ class Queue(JobStore):
             if row is None:
                 return None
             job = job_of(row)
-            if job.damaged:
-                self._condemn(db, job)
-                return None
             changes = {"attempt": job.attempt + 1, "started_s": job.started_s or now_s(db)}
             if job.phase == P.QUEUED:
                 self._move(db, job, P.EXECUTING, **changes)
@@ -369,12 +344,6 @@ class Queue(JobStore):
             return None
         query = sa.select(*SHOWN).where(jobs.c.number == min(ready)[1])
         return db.execute(query).mappings().first()
-
-    def _condemn(self, db: sa.Connection, job: Job) -> None:
-        """End a job whose row is damaged: what it asks for can no longer be trusted."""
-        values = {"phase": P.ERROR.value, "error": dict(DAMAGED), "ended_s": now_s(db)}
-        self._change(db, job, **values)
-        record(db, job.team, "service", "damaged", job.id)
 
     def again(self, job: Job, why: str) -> Job:
         """Begin the next attempt at a running job, and note why the last one ended."""

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import queue
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
+from uuid import uuid4
 
 import sqlalchemy as sa
 from pydantic_core import to_json
 
+from catalog_tools.documents import JsonObject
 from service.jobs.jobs import LOCAL, SHOWN, WAITING, Job, JobStore, Phase, audit_line, job_of
 from service.problems import KeyReused, NotAllowed, NotReady, QueueFull
-from service.store.database import insert, now_s, writing
+from service.store.database import now_s, writing
 from service.store.named_files import check_files
-from service.store.tables import audit, counters, jobs, scene_crc, seal_of, uploads, usage
+from service.store.tables import audit, counters, jobs, uploads, usage
 
 DAY_S = 86_400.0
 MOST_AT_ONCE = 512
-_id_lock = threading.Lock()
 Answer = tuple[Job, bool] | Exception
 Known = dict[tuple[str, str | None], Any]  # rows of jobs by team and key
 
@@ -41,7 +41,7 @@ class Ask:
     """A submission that has passed every check which needs no table; its scene as data or text."""
 
     name: str
-    scene: dict[str, Any] | str
+    scene: JsonObject | str
     body_sha256: str
     key: str | None = None
     team: str = LOCAL
@@ -79,12 +79,12 @@ def submit_many(store: JobStore, asks: Sequence[Ask], limits: TeamLimits) -> lis
         rows = [t[0] for t in taken if isinstance(t, tuple) and t[1]]
         if rows:
             _number(db, rows)
-            insert(db, jobs, rows)
-            lines = (audit_line(now, r["team"], r["owner"], "submit", r["id"]) for r in rows)
-            insert(db, audit, list(lines))
+            db.execute(sa.insert(jobs), rows)
+            lines = [audit_line(now, r["team"], r["owner"], "submit", r["id"]) for r in rows]
+            db.execute(sa.insert(audit), lines)
             for team, count in used.items():
                 _count(db, team, day, count)
-    return [t if isinstance(t, Exception) else (job_of(t[0], fresh=t[1]), t[1]) for t in taken]
+    return [t if isinstance(t, Exception) else (job_of(t[0]), t[1]) for t in taken]
 
 
 def _take_in(
@@ -188,13 +188,13 @@ def _replay(ask: Ask, row: Any) -> tuple[Any, bool] | Exception:
     return row, False
 
 
-def _row(ask: Ask, now: float) -> dict[str, Any]:
+def _row(ask: Ask, now: float) -> JsonObject:
     text = ask.scene
     if not isinstance(text, str):
         text = to_json(text, inf_nan_mode="constants").decode()
-    row = {
+    return {
         "number": 0,
-        "id": _new_id(),
+        "id": uuid4().hex,
         "team": ask.team,
         "owner": ask.owner,
         "kind": ask.kind,
@@ -202,7 +202,6 @@ def _row(ask: Ask, now: float) -> dict[str, Any]:
         "run_id": ask.run_id,
         "phase": ask.phase.value,
         "scene": text,
-        "scene_crc": scene_crc(text),
         "idempotency_key": ask.key,
         "body_sha256": ask.body_sha256,
         "pixel_frames": ask.pixel_frames,
@@ -222,23 +221,9 @@ def _row(ask: Ask, now: float) -> dict[str, Any]:
         "content_digest": None,
         "version": 1,
     }
-    return row | {"seal": seal_of(row)}
 
 
-_random = bytearray()
-
-
-def _new_id() -> str:
-    """128 random bits; many are asked of the system at once."""
-    with _id_lock:
-        if not _random:
-            _random.extend(os.urandom(4096))
-        bits = bytes(_random[-16:])
-        del _random[-16:]
-    return bits.hex()
-
-
-def _number(db: sa.Connection, rows: list[dict[str, Any]]) -> None:
+def _number(db: sa.Connection, rows: list[JsonObject]) -> None:
     """Number new rows; never a number twice, in the order of commits."""
     last = db.execute(NUMBER, {"more": len(rows)}).scalar_one()
     for number, row in enumerate(rows, last - len(rows) + 1):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from service.jobs.jobs import FINAL, Job, Phase, can_be_retried
 
 MADE = {"scene": ("results", "preview.png", "plan", "report"), "sweep": ("results", "report")}
 
 
-def job_dict(job: Job, dashboard: str | None = None) -> dict[str, Any]:
+def job_dict(job: Job, dashboard: str | None = None) -> JsonObject:
     """A job as plain data; absent is null. `dashboard`: of the Dask scheduler that draws it."""
     here = f"/v1/jobs/{job.id}"
     links = {"self": here, "events": f"{here}/events", "scene": f"{here}/scene"}

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, Damaged
 from pipeline.store import layout
 from pipeline.store.markers import marker_path
@@ -55,7 +55,7 @@ TARGET_COLUMNS = (
 )
 
 
-def describe(product: Path) -> dict[str, Any]:
+def describe(product: Path) -> JsonObject:
     """Frames, shape, tiles and layers of a product, finished or being drawn.
 
     Raises NotReady for one without any array yet.
@@ -76,7 +76,7 @@ def describe(product: Path) -> dict[str, Any]:
     }
 
 
-def frame_to_watch(product: Path, about: dict[str, Any]) -> int:
+def frame_to_watch(product: Path, about: JsonObject) -> int:
     """The frame of an unfinished product that most can be seen of: the fullest that is not whole,
     else the last that is. Tiles are drawn in the scheduler's order, not frame by frame."""
     if about["complete"]:
@@ -89,7 +89,7 @@ def frame_to_watch(product: Path, about: dict[str, Any]) -> int:
     return -max(begun)[1] if begun else max(counts, default=0)
 
 
-def frame_facts(product: Path, frame: int) -> dict[str, Any]:
+def frame_facts(product: Path, frame: int) -> JsonObject:
     """One frame: which tiles are drawn; for a complete product its times and FITS WCS, too."""
     about = describe(product)
     _check_frame(frame, about["frames"])
@@ -104,7 +104,7 @@ def frame_facts(product: Path, frame: int) -> dict[str, Any]:
     return facts | (_world(product, frame) if about["complete"] else {"wcs": None, "times": None})
 
 
-def _world(product: Path, frame: int) -> dict[str, Any]:
+def _world(product: Path, frame: int) -> JsonObject:
     from pipeline.export.files import fits_header
     from pipeline.store.cube import open_cube
 
@@ -127,7 +127,7 @@ def _alternate(key: str) -> bool:
 
 def tile_values(
     product: Path, frame: int, row: int, column: int, layer: str = "dn", bin_px: int = 1
-) -> NDArray[Any]:
+) -> np.ndarray:
     """Values of one drawn tile, (rows, columns) in its own type; binned: float32.
 
     A binned pixel is the mean of its block's mean and maximum, so that faint stars stay visible;
@@ -160,7 +160,7 @@ def tile_values(
     return binned(values, bin_px)
 
 
-def binned(values: NDArray[Any], factor: int) -> NDArray[Any]:
+def binned(values: np.ndarray, factor: int) -> np.ndarray:
     """Blocks of factor x factor as the mean of their mean and maximum, float32; 1: as it is."""
     if factor == 1:
         return values
@@ -172,9 +172,7 @@ def binned(values: NDArray[Any], factor: int) -> NDArray[Any]:
     return (0.5 * (total / count + highest)).astype(np.float32)
 
 
-def tile_picture(
-    values: NDArray[Any], stretch: str, low: float | None, high: float | None
-) -> bytes:
+def tile_picture(values: np.ndarray, stretch: str, low: float | None, high: float | None) -> bytes:
     """A tile as PNG, its first row at the bottom; black at `low`, white at `high` (by percentiles
     of the tile where absent). BadInput where they are no interval."""
     from PIL import Image
@@ -194,13 +192,13 @@ def tile_picture(
     return png_bytes(Image.fromarray((255.0 * share + 0.5).astype(np.uint8)[::-1]))
 
 
-def truth_of(product: Path, frame: int, limit: int) -> dict[str, Any]:
+def truth_of(product: Path, frame: int, limit: int) -> JsonObject:
     """Targets and the brightest `limit` stars inside a frame, as plain values."""
     import pyarrow.compute as pc
 
     about = describe(product)
     _check_frame(frame, about["frames"])
-    out: dict[str, Any] = {"targets": [], "stars": [], "stars_in_frame": 0}
+    out: JsonObject = {"targets": [], "stars": [], "stars_in_frame": 0}
     targets = _truth_rows(product, "targets", frame, TARGET_COLUMNS)
     if targets is not None:
         out["targets"] = _plain(targets)
@@ -226,7 +224,7 @@ def _truth_rows(product: Path, kind: str, frame: int, columns: tuple[str, ...]) 
     return pq.read_table(path, columns=[c for c in columns if c in known], filters=seen)
 
 
-def _plain(table: Any) -> list[dict[str, Any]]:
+def _plain(table: Any) -> list[JsonObject]:
     return [
         {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
         for row in table.to_pylist()
@@ -262,6 +260,6 @@ def _check_frame(frame: int, frames: int) -> None:
         raise NotThere(f"the product has the frames 0 to {frames - 1}")
 
 
-def _grid(about: dict[str, Any]) -> tuple[int, int]:
+def _grid(about: JsonObject) -> tuple[int, int]:
     rows, columns = (-(-n // t) for n, t in zip(about["shape"], about["tile_shape"], strict=True))
     return rows, columns

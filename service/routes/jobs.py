@@ -12,10 +12,10 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
-from starlette.routing import Match, Route
 from starlette.types import Receive, Scope, Send
 
-from service.context import Context, Service, context_of
+from catalog_tools.documents import JsonObject
+from service.context import Context, Service
 from service.http.bodies import JSON, TEXTS, media_type, read_body
 from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
@@ -26,7 +26,7 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
 
 
-def json_body(description: str, kinds: tuple[str, ...] = (JSON,)) -> dict[str, Any]:
+def json_body(description: str, kinds: tuple[str, ...] = (JSON,)) -> JsonObject:
     """What OpenAPI says of a body that the route reads by itself, JSON or (`kinds`) YAML, too."""
     content = {kind: {"schema": {"type": "object"}} for kind in kinds}
     return {"requestBody": {"required": True, "description": description, "content": content}}
@@ -35,7 +35,7 @@ def json_body(description: str, kinds: tuple[str, ...] = (JSON,)) -> dict[str, A
 SCENE_BODY = json_body("A scene. Its JSON Schema is at /v1/schema/scene.", TEXTS)
 
 
-def with_time(plan: dict[str, Any]) -> dict[str, Any]:
+def with_time(plan: JsonObject) -> JsonObject:
     """A plan with its predicted CPU seconds first, where a client looks."""
     return {"estimated_cpu_s": plan["predicted"]["cpu_s"]} | plan
 
@@ -68,30 +68,6 @@ async def submit(
         pixel_frames=found.pixel_frames,
     )
     return taken(service, *await service.intake.put(ask), found.least_cpu_s)
-
-
-class PlainSubmit(Route):
-    """Submissions without a query, taken before FastAPI's own routes: finding one of those and
-    solving its parameters would cost as much as all that `submit` does."""
-
-    def __init__(self) -> None:
-        super().__init__("/v1/jobs", submit, methods=["POST"], include_in_schema=False)
-
-    def matches(self, scope: Scope) -> tuple[Match, Scope]:
-        if (
-            scope["type"] == "http"
-            and scope["method"] == "POST"
-            and not scope["query_string"]
-            and scope["path"] == self.path
-        ):
-            return Match.FULL, {"endpoint": submit, "path_params": {}, "route": self}
-        return Match.NONE, {}
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        request = Request(scope, receive, send)
-        key = request.headers.get("idempotency-key")
-        answer = await submit(request, await context_of(request), idempotency_key=key)
-        await answer(scope, receive, send)
 
 
 def check_key(key: str | None) -> None:

@@ -6,11 +6,11 @@ import hashlib
 import json
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import Any
 
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
+from catalog_tools.documents import JsonObject
 from pipeline.plan.cost import least_cpu_s
 from service.http.bodies import JSON, parse_text
 from service.scenes.scenes import (
@@ -45,9 +45,9 @@ class Accepted:
     named: Named
     least_cpu_s: float = 0.0
 
-    def scene(self) -> dict[str, Any]:
+    def scene(self) -> JsonObject:
         """The scene as plain data, the caller's own."""
-        found: dict[str, Any] = json.loads(self.text)
+        found: JsonObject = json.loads(self.text)
         return found
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 from catalog_tools.catalogue import MANIFEST_NAME, open_catalogue
+from catalog_tools.documents import JsonObject
 from catalog_tools.info import info
 from pipeline.errors import BadInput, Damaged
 from service.problems import Mistake
@@ -50,7 +50,7 @@ def catalogue_mistakes(field: str, value: str | list[str], registry: Path) -> li
     return [(where, name, allowed) for where, name in named if name not in names]
 
 
-def catalogue_facts(registry: Path, name: str) -> dict[str, Any]:
+def catalogue_facts(registry: Path, name: str) -> JsonObject:
     """What a catalogue holds, from its manifest, without any path of the server."""
     try:
         found = info(open_catalogue(registry / name))

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import NightglassError
 from pipeline.plan.cost import least_cpu_s
 from pipeline.plan.timing import frame_count
@@ -59,7 +60,7 @@ def _judge_sky(scene: Scene) -> None:
         log.exception("a scene could not be judged; it is taken")
 
 
-def named_in(scene: dict[str, Any]) -> Named:
+def named_in(scene: JsonObject) -> Named:
     """Every field that names something outside of the scene, looked for after parsing, so that no
     spelling escapes."""
     found = []

@@ -9,6 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.plan.timing import frame_count
 from pipeline.spec.load import path_holders
@@ -40,7 +41,7 @@ def can_run() -> bool:
 
 def accept_sweep(
     data: Any, settings: Settings, has_file: HasFile | None = None
-) -> tuple[dict[str, Any], int]:
+) -> tuple[JsonObject, int]:
     """A sweep as it is stored, and its pixels x frames. Its base scene is looked at like any other,
     and its axes may neither name files nor change how large a point is.
 
@@ -63,7 +64,7 @@ def accept_sweep(
     return data | {"scene": base.as_dict()}, parsed.points * each
 
 
-def _check_axis(number: int, axis: dict[str, Any]) -> None:
+def _check_axis(number: int, axis: JsonObject) -> None:
     fields = axis.get("fields") or [axis["field"]]
     for field, fixed in product(fields, FIXED):
         if _changes(field, fixed):
@@ -93,7 +94,7 @@ def _check_value(number: int, field: str, value: Any) -> None:
             raise NotAllowed(f"axes[{number}]: {allowed}", ((f"axes[{number}]", value, allowed),))
 
 
-def run_sweep(order: dict[str, Any], listen: Any) -> dict[str, Any]:
+def run_sweep(order: JsonObject, listen: Any) -> JsonObject:
     """Run a stored sweep, in the worker's process. Its file lies beside the product meanwhile."""
     from pipeline.route.run import Options
 
@@ -118,7 +119,7 @@ def run_sweep(order: dict[str, Any], listen: Any) -> dict[str, Any]:
     return {"tiles": report["points"], "content_digest": None}
 
 
-def engine_sweep(sweep: dict[str, Any], settings: Settings) -> dict[str, Any]:
+def engine_sweep(sweep: JsonObject, settings: Settings) -> JsonObject:
     """A stored sweep as the worker gets it: its base scene as any scene."""
     if not isinstance(sweep.get("scene"), dict):
         raise BadInput("scene", None, "a base scene")

@@ -10,12 +10,14 @@ import time
 import uuid
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import sqlalchemy as sa
+from numpy.lib import format as npy
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import NO_ROOM
 from pipeline.spec.load import path_holders
 from service.accounts.auth import Caller
@@ -67,7 +69,7 @@ class Uploads:
     def __init__(self, settings: Settings, engine: sa.Engine) -> None:
         self._settings, self._engine = settings, engine
 
-    async def receive(self, request: Request, name: str, caller: Caller) -> dict[str, Any]:
+    async def receive(self, request: Request, name: str, caller: Caller) -> JsonObject:
         """Store a request's body under the digest of its content. Memory stays a piece's size.
 
         NotAllowed for a name, kind or content that is not taken; TooLarge, TooSlow, QueueFull,
@@ -122,7 +124,7 @@ class Uploads:
         if bytes_kept(self._engine, team) >= most:
             raise QueueFull(f"a team may keep {most} bytes; delete some jobs or files first")
 
-    def _keep(self, part: Path, row: dict[str, Any], caller: Caller) -> None:
+    def _keep(self, part: Path, row: JsonObject, caller: Caller) -> None:
         with writing(self._engine) as db:
             part.replace(self._settings.uploads / row["id"])
             mine = (uploads.c.team == row["team"], uploads.c.id == row["id"])
@@ -130,7 +132,7 @@ class Uploads:
                 db.execute(sa.insert(uploads), [row | {"created_s": time.time()}])
                 record(db, caller.team, caller.actor, "upload", row["id"], row["name"])
 
-    def listing(self, team: str) -> list[dict[str, Any]]:
+    def listing(self, team: str) -> list[JsonObject]:
         """A team's files, oldest first."""
         query = sa.select(uploads).where(uploads.c.team == team).order_by(uploads.c.created_s)
         with self._engine.connect() as db:
@@ -195,9 +197,6 @@ def check_content(path: Path, kind: str) -> None:
 
 def _check_npy(path: Path) -> None:
     """The header is read as text, never run; nothing of the values is."""
-    import numpy as np
-    from numpy.lib import format as npy
-
     try:
         with path.open("rb") as file:
             version = npy.read_magic(file)
@@ -230,7 +229,7 @@ def _refuse(value: str, allowed: str) -> None:
     raise NotAllowed(f"the file: allowed: {allowed}", (("", value, allowed),))
 
 
-def engine_scene(scene: dict[str, Any], settings: Settings) -> dict[str, Any]:
+def engine_scene(scene: JsonObject, settings: Settings) -> JsonObject:
     """A scene as the engine gets it: `upload:ID` becomes the file's place beside the catalogues,
     where the engine runs; no absolute path of the server enters a product."""
     folder = os.path.relpath(settings.uploads, settings.catalogues.resolve())

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
+from catalog_tools.documents import JsonObject
 from pipeline.spec.scene import Scene
 from service.context import Context, Service
 from service.http.bodies import parse_json, read_body
@@ -209,7 +210,7 @@ def _known(name: str) -> None:
         raise NoSuchProcess(f"the processes are {' and '.join(PROCESSES)}")
 
 
-def _summary(request: Request, name: str) -> dict[str, Any]:
+def _summary(request: Request, name: str) -> JsonObject:
     _known(name)
     title, control, _ = PROCESSES[name]
     here = f"{_root(request)}/ogc/processes/{name}"
@@ -224,7 +225,7 @@ def _summary(request: Request, name: str) -> dict[str, Any]:
     }
 
 
-def _status(request: Request, job: Job) -> dict[str, Any]:
+def _status(request: Request, job: Job) -> JsonObject:
     """A job as an OGC statusInfo."""
     here = f"{_root(request)}/ogc/jobs/{job.id}"
     links = [_to(here, "self")]
@@ -268,7 +269,7 @@ def _to(href: str, rel: str, kind: str = "application/json") -> dict[str, str]:
 
 _REFERENCE = {"type": "string", "format": "uri"}
 _PLAN = {"title": "size, cost, and each decision with its bound", "schema": {"type": "object"}}
-PROCESSES: dict[str, tuple[str, list[str], dict[str, Any]]] = {
+PROCESSES: dict[str, tuple[str, list[str], JsonObject]] = {
     "render": (
         "Render a scene into raw frames with known truth",
         ["async-execute", "dismiss"],

@@ -8,13 +8,13 @@ import json
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
 from urllib.parse import parse_qsl
 
 from fastapi import APIRouter, Request
 from fastapi.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.concurrency import run_in_threadpool
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.store import layout
 from service.context import Context, Service
@@ -155,7 +155,7 @@ def result(request: Request, service: Service, job_id: str, name: str) -> Respon
     if name != "result":
         return RedirectResponse(places[name], 303)
     here = f"{base}/v1/jobs/{job_id}"
-    links: list[dict[str, Any]] = [
+    links: list[JsonObject] = [
         _link(job_id, f"{here}/product.tar", "#this", "the whole product", "application/x-tar"),
         _link(
             job_id,
@@ -179,7 +179,7 @@ def result(request: Request, service: Service, job_id: str, name: str) -> Respon
     return Response(uws_xml.links_votable(links), media_type=kind)
 
 
-def _link(job_id: str, address: str, semantics: str, description: str, kind: str) -> dict[str, Any]:
+def _link(job_id: str, address: str, semantics: str, description: str, kind: str) -> JsonObject:
     return {
         "ID": job_id,
         "access_url": address,
@@ -212,7 +212,7 @@ async def _fields(request: Request, service: Context) -> Fields:
     return found
 
 
-def _scene(service: Context, given: Mapping[str, str]) -> dict[str, Any] | None:
+def _scene(service: Context, given: Mapping[str, str]) -> JsonObject | None:
     """The scene of a form, judged; None where it has none."""
     text = next((given[name] for name in SCENE_NAMES if given.get(name, "").strip()), None)
     if text is None:
@@ -222,9 +222,9 @@ def _scene(service: Context, given: Mapping[str, str]) -> dict[str, Any] | None:
     return accept_scene(data, service.settings, service.has_file).as_dict()
 
 
-def _amends(given: Mapping[str, str]) -> dict[str, Any]:
+def _amends(given: Mapping[str, str]) -> JsonObject:
     """RUNID, EXECUTIONDURATION (0: no limit), DESTRUCTION, as the job table has them."""
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     if "RUNID" in given:
         if len(given["RUNID"]) > 128 or not given["RUNID"].isprintable():
             raise BadInput("?RUNID", given["RUNID"], "up to 128 printable characters")

@@ -6,9 +6,9 @@ import json
 import re
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from typing import Any
 from xml.etree import ElementTree as ET
 
+from catalog_tools.documents import JsonObject
 from service.jobs.jobs import Job, Phase
 
 UWS, XLINK = "http://www.ivoa.net/xml/UWS/v1.0", "http://www.w3.org/1999/xlink"
@@ -30,7 +30,7 @@ NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 Result = tuple[str, str, str]  # id, address, media type
 
 
-def job_xml(job: Job, scene: dict[str, Any], results: Iterable[Result]) -> bytes:
+def job_xml(job: Job, scene: JsonObject, results: Iterable[Result]) -> bytes:
     """A job with everything that UWS tells of one."""
     root = _element("job", version="1.1")
     _child(root, "jobId", job.id)
@@ -76,7 +76,7 @@ def jobs_xml(jobs: Iterable[Job], base: str) -> bytes:
     return _bytes(root)
 
 
-def parameters_xml(scene: dict[str, Any]) -> bytes:
+def parameters_xml(scene: JsonObject) -> bytes:
     """The parameters of a job alone."""
     return _bytes(_parameters(scene))
 
@@ -94,7 +94,7 @@ def stamp(seconds: float | None) -> str | None:
     return text.replace("+00:00", "Z")
 
 
-def links_votable(links: Iterable[dict[str, Any]]) -> bytes:
+def links_votable(links: Iterable[JsonObject]) -> bytes:
     """A DataLink 1.1 table: one row a file, with address, meaning, type and length in bytes."""
     root = ET.Element("VOTABLE", {"version": "1.4", "xmlns": VOTABLE})
     resource = ET.SubElement(root, "RESOURCE", {"type": "results"})
@@ -114,7 +114,7 @@ def links_votable(links: Iterable[dict[str, Any]]) -> bytes:
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
-def _parameters(scene: dict[str, Any]) -> ET.Element:
+def _parameters(scene: JsonObject) -> ET.Element:
     root = _element("parameters")
     _child(root, "parameter", json.dumps(scene)).set("id", "SCENE")
     return root

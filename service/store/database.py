@@ -7,14 +7,11 @@ import errno
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from functools import cache
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy.dialects import sqlite
-from sqlalchemy.dialects.postgresql import psycopg
 
 from pipeline.errors import NO_ROOM, BadInput, DiskFull, NightglassError, TryLater
 from service.store.tables import HEAD
@@ -120,25 +117,6 @@ def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
     with engine.begin() as db:
         db.execute(sa.select(sa.func.pg_advisory_xact_lock(LOCK_NUMBER)))
         yield db
-
-
-def insert(db: sa.Connection, table: sa.Table, rows: Sequence[dict[str, Any]]) -> None:
-    """Insert rows that all have the same columns, with values as the driver takes them: what
-    SQLAlchemy does for each row and value costs more than the database does."""
-    text, names = _insertion(table, tuple(rows[0]), db.dialect.name)
-    if names is None:
-        db.exec_driver_sql(text, list(rows))
-    else:
-        db.exec_driver_sql(text, [tuple([row[name] for name in names]) for row in rows])
-
-
-@cache
-def _insertion(table: sa.Table, columns: tuple[str, ...], kind: str) -> tuple[str, Any]:
-    """The statement, and the order of its values (None: they go by name)."""
-    dialect = sqlite.dialect() if kind == "sqlite" else psycopg.dialect()
-    made = sa.insert(table).inline().values({name: sa.bindparam(name) for name in columns})
-    compiled = made.compile(dialect=dialect)
-    return str(compiled), compiled.positiontup
 
 
 def now_s(db: sa.Connection) -> float:

@@ -22,10 +22,7 @@ def files_in(text: str) -> dict[str, str]:
     """Ids of the uploads that a stored scene or sweep names, each with a field that names it."""
     if PREFIX not in text:
         return {}
-    try:
-        data = json.loads(text)
-    except ValueError:  # a damaged row: it is never run
-        return {}
+    data = json.loads(text)
     found = {}
     for holders in (path_holders(data), path_holders(data.get("scene"))):  # of a sweep: its base
         for name, holder, key in holders:

@@ -1,15 +1,10 @@
-"""The tables: jobs, audit, keys, uploads, usage, leases; and the seal that each job row carries."""
+"""The tables: jobs, audit, keys, uploads, usage, leases."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from typing import Any
-
-import google_crc32c
 import sqlalchemy as sa
 
-HEAD = "0002"  # the newest migration (service/migrations/versions)
+HEAD = "0003"  # the newest migration (service/migrations/versions)
 
 metadata = sa.MetaData()
 jobs = sa.Table(
@@ -24,7 +19,6 @@ jobs = sa.Table(
     sa.Column("run_id", sa.String(128)),
     sa.Column("phase", sa.String(9), nullable=False),
     sa.Column("scene", sa.Text, nullable=False),
-    sa.Column("scene_crc", sa.BigInteger, nullable=False),
     sa.Column("idempotency_key", sa.String(255)),
     sa.Column("body_sha256", sa.String(64), nullable=False),
     sa.Column("pixel_frames", sa.BigInteger, nullable=False),
@@ -43,7 +37,6 @@ jobs = sa.Table(
     sa.Column("error", sa.Text),
     sa.Column("content_digest", sa.String(64)),
     sa.Column("version", sa.Integer, nullable=False),
-    sa.Column("seal", sa.BigInteger, nullable=False),
     sa.UniqueConstraint("team", "idempotency_key", name="one_job_per_key"),
     sa.Index("jobs_by_team", "team", "phase", "bytes_kept"),
     sa.Index("jobs_by_phase", "phase", "number"),
@@ -108,19 +101,3 @@ leases = sa.Table(
     sa.Column("epoch", sa.BigInteger, nullable=False),
     sa.Column("until_s", sa.Double, nullable=False),
 )
-
-UNSEALED = frozenset({"number", "scene", "seal"})
-SEALED = tuple(c.name for c in jobs.c if c.name not in UNSEALED)
-
-
-def scene_crc(text: str) -> int:
-    """crc32c of a stored scene."""
-    return int(google_crc32c.value(text.encode()))
-
-
-def seal_of(row: Mapping[str, Any]) -> int:
-    """crc32c over every column of a job row; the scene is covered through its own checksum.
-
-    A row whose seal differs was not written by the service: a bad disk, a careless hand.
-    """
-    return int(google_crc32c.value(json.dumps([row[name] for name in SEALED]).encode()))

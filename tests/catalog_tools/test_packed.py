@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from catalog_tools.engine.schedulers import Once, Packed, _tried, _try
+from catalog_tools.engine.cluster_scheduler import Once, Packed, _tried, _try
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from contextlib import suppress
 import pytest
 
 from catalog_tools.engine.ahead import cores
-from catalog_tools.engine.schedulers import MOST_TRIES, ClusterScheduler
+from catalog_tools.engine.cluster_scheduler import MOST_TRIES, ClusterScheduler
 from catalog_tools.errors import BadInput, Incomplete
 from catalog_tools.storage.durable import whole_file, write_atomically
 from catalog_tools.verify.verify import verify

@@ -58,7 +58,7 @@ def test_streams_of_graphs_on_a_cluster():
     """Graphs are taken as there is room; an error ends the stream."""
     from distributed import Client, LocalCluster
 
-    from catalog_tools.engine.schedulers import FEWEST_WAITING, ClusterScheduler
+    from catalog_tools.engine.cluster_scheduler import FEWEST_WAITING, ClusterScheduler
     from catalog_tools.errors import BadInput
 
     taken, done = [], []

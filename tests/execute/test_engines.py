@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import pickle
 import shutil
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -271,6 +274,36 @@ def test_the_least_recently_used_is_dropped():
     cache.get("large", lambda: made.append("large"), lambda _: 99)
     cache.get("large", lambda: made.append("again"), lambda _: 99)
     assert made[-1] == "large"
+
+
+def test_a_value_that_many_ask_for_is_made_once():
+    """One thread makes it, whatever the others do meanwhile; a fault reaches all of them, and
+    nothing is left behind of what was asked for."""
+    cache, made, asked = ContentCache(1e9), [], threading.Barrier(4)
+
+    def make() -> str:
+        made.append(1)
+        time.sleep(0.05)
+        return "value"
+
+    def fail() -> str:
+        time.sleep(0.05)
+        raise ValueError("no")
+
+    def ask(how) -> object:
+        asked.wait()
+        try:
+            return cache.get(how.__name__, how, len)
+        except ValueError as error:
+            return str(error)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(ask, [make] * 4)) == ["value"] * 4
+        assert list(pool.map(ask, [fail] * 4)) == ["no"] * 4
+    assert made == [1]
+    for _ in range(9):
+        cache.get("make", make, len)
+    assert (len(cache._values), len(cache._making)) == (1, 0)
 
 
 def test_points_and_distances_along_a_path():

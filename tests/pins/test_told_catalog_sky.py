@@ -389,9 +389,9 @@ clusters.security_of("tcp://127.0.0.1:5"), schedulers.LOCAL_KINDS
 for x in ["tcp://9.9.9.9:1", "thread"]: schedulers.open_scheduler(x, 2).__enter__()
 for x in ["threads", "synchronous"]: graphs(schedulers.open_scheduler(x, 2))
 for x in [1, 2, 3]: tried(x)
-schedulers._renamed((max, ("a", 1), ["b", {}], ("c",)), {("a", 1): "A", "b": "B"})
-schedulers._try(schedulers._version(), max, 1, 2), schedulers._unique(("a", 1), "t"),
-  schedulers._unique("a", "t")
+cluster_scheduler._renamed((max, ("a", 1), ["b", {}], ("c",)), {("a", 1): "A", "b": "B"})
+cluster_scheduler._try(cluster_scheduler._version(), max, 1, 2)
+cluster_scheduler._unique(("a", 1), "t"), cluster_scheduler._unique("a", "t")
 heap.ALLOCATION, errors.shorten("x" * 99), errors.shorten(10**5000), errors.shorten("y" * 80)
 str(errors.BadInput("f", 1, "2")), str(errors.Damaged("p", "r")), str(errors.DiskFull("s", 28,
   "make room"))
@@ -483,7 +483,7 @@ def web(kind: Any) -> Any:
 def test_what_is_made_and_fetched(here: Path) -> None:
     from threading import Event
 
-    from catalog_tools.engine import schedulers
+    from catalog_tools.engine import cluster_scheduler
     from catalog_tools.fetch import cones, fetch, layout, tap
     from catalog_tools.storage import durable
     from catalog_tools.synthetic import csv as synthetic_csv
@@ -543,7 +543,7 @@ def test_what_is_made_and_fetched(here: Path) -> None:
                 raise ValueError(f"failure {number}")
             return failures
 
-        return schedulers._try(schedulers._version(), work)
+        return cluster_scheduler._try(cluster_scheduler._version(), work)
 
     def full(code: int, name: str) -> None:
         with durable.full_disk_told("/a", "make room"):

@@ -35,7 +35,6 @@ from service.accounts.keys import create_key, revoke_key
 from service.app import create_app
 from service.client import Client, RemoteJob
 from service.engine import worker
-from service.jobs import submissions
 from service.jobs.jobs import Phase
 from service.settings import Settings
 from service.store.database import connect
@@ -88,7 +87,7 @@ class Clock:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clock]:
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """All of the service on one such clock; the ids and secrets that it makes are numbers."""
     clock = Clock()
     for _, name, _ in pkgutil.walk_packages(service.__path__, "service."):
@@ -100,10 +99,9 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clock]:
             monkeypatch.setattr(f"{name}.time", clock)
     ids, secrets = count(1), count(1)
 
-    def urandom(size: int) -> bytes:
-        return b"".join([next(ids).to_bytes(16, "big") for _ in range(size // 16)][::-1])
-
-    monkeypatch.setattr("service.jobs.submissions.os", SimpleNamespace(urandom=urandom))
+    monkeypatch.setattr(
+        "service.jobs.submissions.uuid4", lambda: SimpleNamespace(hex=f"{next(ids):032x}")
+    )
     monkeypatch.setattr(
         "service.accounts.keys.secrets",
         SimpleNamespace(
@@ -116,9 +114,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clock]:
     monkeypatch.setattr("service.engine.attempts.worker", engine)
     monkeypatch.setattr(worker, "one_heap", lambda: None)
     monkeypatch.setattr(worker.logs, "set_up", lambda: None)
-    submissions._random.clear()
-    yield clock
-    submissions._random.clear()
+    return clock
 
 
 @contextlib.contextmanager

@@ -33,7 +33,7 @@ from catalog_tools.catalogue import MANIFEST_NAME
 from pipeline.errors import BadInput, Damaged
 from pipeline.store.product import file_digest
 from service import app as app_module
-from service import fetching, integrity, main, problems
+from service import fetching, main, problems
 from service.accounts import oidc
 from service.accounts.auth import Authenticator, Caller
 from service.accounts.commands import app as keys_app
@@ -727,10 +727,7 @@ def _older(folder: Path) -> list[str]:
     table = Queue(path)
     kept = [brief(table.seen(SimpleNamespace(id=f"{i:032x}"))) for i in (3, 7)]
     new = submit_many(table, [Ask("n", {}, "0")], TeamLimits())[0]
-    return [
-        short(line)
-        for line in (*kept, brief(new), *map(str, integrity.find_faults(table.engine, True)))
-    ]
+    return [short(line) for line in (*kept, brief(new))]
 
 
 async def _heads() -> list[str]:
@@ -821,7 +818,7 @@ def _gone() -> None:
 
 
 def _started(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What a server is started with; the look over a job table by its command."""
+    """What a server is started with."""
     import uvicorn
 
     said: list[str] = []
@@ -839,18 +836,6 @@ def _started(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         f"{main._guarded(Settings(folder / 'served'))}",
         f"{main._guarded(Settings(folder, oidc_issuer='i'))}",
     ]
-    printed: list[str] = []
-    monkeypatch.setattr("builtins.print", lambda text, **_: printed.append(str(text)))
-    (folder / "first").mkdir()
-    for home in ("served", "first"):
-        monkeypatch.setattr(sys, "argv", ["x", "--home", str(folder / home)])
-        lines.append(f"{integrity.main()} {printed}")
-        with connect(sqlite_url(folder / "first" / "jobs.sqlite")).connect() as db:
-            db.exec_driver_sql(
-                "insert into audit (at_s,team,actor,action,thing) "
-                "values (1,'a','b','submit','gone')"
-            )
-            db.commit()
     monkeypatch.undo()
     return lines
 
@@ -1084,14 +1069,11 @@ def _answers_that_fail(house: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]
     lines.append(
         answer_told(house.client.post("/v1/files?name=a.csv", content=iter([b"12345", b"67890"])))
     )
-    context = SimpleNamespace(table=house.table, damaged=0)
     submit_many(house.table, [Ask("n", {}, "0")], TeamLimits())
     with house.table.engine.connect().execution_options(writes=True) as db, db.begin():
         db.execute(sa.text("update jobs set name='z', bytes_kept=5000"))
     lines.append(answer_told(house.client.post("/v1/files?name=a.csv", content=b"x")))
-    app_module._look_over(context)
-    app_module._look_over(SimpleNamespace(table=None))
-    return [*lines, f"{context.damaged}"]
+    return lines
 
 
 async def _looked_at(house: Any) -> list[str]:

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +10,6 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-import sqlalchemy as sa
 
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.route.run import render
@@ -21,8 +17,7 @@ from pipeline.spec.load import parse_scene
 from service.engine.attempts import Attempt
 from service.jobs.jobs import Queue
 from service.jobs.submissions import Ask, TeamLimits, submit_many
-from service.store.database import connect, sqlite_url
-from service.store.tables import jobs
+from service.store.database import sqlite_url
 
 
 @pytest.fixture
@@ -144,40 +139,6 @@ def test_pauses_before_another_attempt_double_up_to_a_minute() -> None:
     attempts._go_on = lambda: len(paused) < 12
     attempts.run()
     assert paused == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0, 60.0, 1.0, 2.0, 4.0]
-
-
-@pytest.mark.slow
-def test_a_damaged_row_is_told_by_the_service_and_the_check(
-    make_server: Callable[..., Any], scene: dict[str, Any]
-) -> None:
-    server = make_server()
-    job = server.ended(server.submit(scene))
-    server.stop()
-    command = [sys.executable, "-m", "service.integrity", "--home", str(server.home)]
-
-    def check() -> tuple[int, str]:
-        ran = subprocess.run(command, capture_output=True, text=True, env=os.environ)
-        return ran.returncode, ran.stdout
-
-    assert check() == (0, "the job table is whole\n")
-    engine = connect(sqlite_url(server.home / "jobs.sqlite"))
-    with engine.begin() as db:
-        db.execute(sa.update(jobs).values(content_digest="0" * 64))
-    code, told = check()
-    assert code == 2
-    assert job["id"] in told
-    server.start()
-    shown = server.client.get(f"/v1/jobs/{job['id']}").json()
-    assert shown["error"]["kind"] == "damaged"
-    deadline = time.monotonic() + 30
-    while "nightglass_damaged_rows 1.0" not in server.client.get("/metrics").text:
-        assert time.monotonic() < deadline
-        time.sleep(0.2)
-    assert any(
-        json.loads(line).get("job") == job["id"] and "not what was written" in line
-        for line in server.logged().splitlines() if line.startswith("{") and "damaged" in line
-    )  # fmt: skip
-    assert server.client.delete(f"/v1/jobs/{job['id']}").status_code == 204
 
 
 def test_debug_logs_name_tiles(make_server: Callable[..., Any], scene: dict[str, Any]) -> None:

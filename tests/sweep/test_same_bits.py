@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from pipeline.route.run import Options, render
 from pipeline.store.product import content_digest
-from pipeline.sweep.dependence import Barred, ReadsBarredError
+from pipeline.sweep.dependence import NEUTRAL
 from pipeline.sweep.run import gather_course, point_scene, sweep
-from pipeline.sweep.stages import Stages, stages
+from pipeline.sweep.stages import stages
 from pipeline.sweep.task import run_points
 
 SPHERE = "targets.0.body.albedo"
@@ -53,12 +52,14 @@ def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
 @pytest.mark.parametrize(
     "more",
     [{"cosmic_rays": {"kind": "generated", "rate_per_cm2_s": 2000.0}},
-     {"sensor.detector": {"lag": {"fraction": 2e-4}}, "exposure.frames": 3}],
-    ids=["cosmic rays", "lag"],
+     {"sensor.detector": {"lag": {"fraction": 2e-4}}, "exposure.frames": 3},
+     {"pointing.attitude": {"jitter": [
+         {"kind": "white", "rms_arcsec": 2.0, "low_hz": 0.01, "high_hz": 1.0}]}}],
+    ids=["cosmic rays", "lag", "jitter"],
 )  # fmt: skip
 def test_same_rows_with_seeds(more, sweep_file, tmp_path):
     """Random parts follow the seed of each point, and charge the frames before it; the light of
-    all seeds is one."""
+    all seeds is one, but where the seed moves the pointing."""
     path = sweep_file([{"field": "sensor.read_noise_e", "values": [3.0]}], more, seeds=3)
     rows = rows_of(path, tmp_path / "swept")
     assert [r["seed"] for r in rows] == [3, 4, 5]
@@ -66,6 +67,19 @@ def test_same_rows_with_seeds(more, sweep_file, tmp_path):
         alone = tmp_path / f"alone-{row['point']}"
         render(point_scene(path, row["point"]), alone, Options("synchronous"))
         assert content_digest(alone) == row["content_digest"]
+
+
+def test_same_bits_whatever_the_detector_is(sweep_file, tmp_path):
+    """Light is drawn with neutral values of all that acts on it later; here none is neutral."""
+    odd = {"flat": 0.9, "dark_e_per_s": 7.0, "full_well_e": 900.0,
+           "read_noise_e": 4.0, "gain_e_per_dn": 1.7, "bias_dn": 55.0, "adc_bits": 12,
+           "adc_rounding": "floor", "photon_noise": False}  # fmt: skip
+    assert all(odd[name] != NEUTRAL[name] for name in odd)
+    more = {f"sensor.{name}": value for name, value in odd.items()} | {"exposure.frames": 1}
+    path = sweep_file([{"field": SPHERE, "values": [0.3]}], more)
+    [row] = rows_of(path, tmp_path / "swept")
+    render(point_scene(path, 0), tmp_path / "alone", Options("synchronous"))
+    assert content_digest(tmp_path / "alone") == row["content_digest"]
 
 
 def drawn(path, tmp_path, numbers) -> dict[str, int]:
@@ -92,28 +106,3 @@ def test_only_what_differs_is_drawn(sweep_file, tmp_path):
     assert found["star rows"] == 1
     found = drawn(sweep_file(CASES["optics"]), tmp_path, (0, 1, 2))
     assert (found["stars light"], found["star rows"]) == (3, 3)
-
-
-def test_a_stage_that_reads_what_it_must_not_is_run_whole(sweep_file, tmp_path, monkeypatch):
-    """A plan that were to look at the seed is not shared, and the bits stay right."""
-    path = sweep_file([{"field": "seed", "values": [1, 2]}])
-    expected = rows_of(path, tmp_path / "a")
-    real = Stages.geometry
-
-    def curious(self, base, frame):
-        int(base.plan.scene.seed)
-        return real(self, base, frame)
-
-    monkeypatch.setattr(Stages, "geometry", curious)
-    rows = rows_of(path, tmp_path / "b")
-    assert [r["content_digest"] for r in rows] == [r["content_digest"] for r in expected]
-
-
-def test_barred_values_refuse_every_use():
-    value = Barred("seed")
-    uses = [lambda: value + 1, lambda: value == 1, lambda: f"{value}", lambda: bool(value),
-            lambda: value.real, lambda: np.asarray(value, float), lambda: {value},
-            lambda: np.random.default_rng(value), lambda: 2 * value, lambda: value < 3]  # fmt: skip
-    for use in uses:
-        with pytest.raises((ReadsBarredError, TypeError)):
-            use()

@@ -10,10 +10,11 @@ import os
 import tempfile
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.inputs.band.curves import named_filter, stellar_library, stellar_library_digest
 from pipeline.physics.colour import ColourFit, choose_degree, colour_correction_mag, fit_colour
 from pipeline.physics.radiometry import Array, ResponseCurve, photon_integral
@@ -144,7 +145,7 @@ def _read_fit(path: Path) -> ColourFit | None:
         return None
 
 
-def fit_of(content: dict[str, Any]) -> ColourFit:
+def fit_of(content: JsonObject) -> ColourFit:
     """A fit from its plain data. KeyError, TypeError or ValueError for what is none."""
     low, high = content["colour_range"]
     arrays = {
@@ -169,7 +170,7 @@ def _write_fit(path: Path, fit: ColourFit) -> None:
         raise
 
 
-def plain_fit(fit: ColourFit) -> dict[str, Any]:
+def plain_fit(fit: ColourFit) -> JsonObject:
     """A fit as plain data."""
     return asdict(fit) | {
         "coefficients": [float(c) for c in fit.coefficients],
@@ -177,12 +178,12 @@ def plain_fit(fit: ColourFit) -> dict[str, Any]:
     }
 
 
-def checksum(content: dict[str, Any]) -> str:
+def checksum(content: JsonObject) -> str:
     """SHA-256 of a fit's plain data."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def describe(fit: ColourFit, points: ColourPoints | None = None) -> dict[str, Any]:
+def describe(fit: ColourFit, points: ColourPoints | None = None) -> JsonObject:
     """What `nightglass color-fit` shows: the fit and, with points, each spectrum's residual."""
     described = plain_fit(fit)
     described["formula"] = "band - G = sum of coefficients[k] (BP-RP)^k, zero at A0V"

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import write_atomically
 from pipeline.errors import BadInput
 from pipeline.inputs.band.colour_fit import checksum, fit_of, gather_colour_fit, plain_fit
@@ -75,7 +76,7 @@ def read_colour_fit(path: Path, band: str, digest: str) -> ColourFit:
     return replace(fit, source=f"{path.name}: {fit.source}", digest=own)
 
 
-def _stored(path: Path, content: bytes) -> dict[str, Any]:
+def _stored(path: Path, content: bytes) -> JsonObject:
     """What a file holds, if it is one of ours and has not been changed unawares."""
     try:
         stored = json.loads(content) if len(content) <= LARGEST_BYTES else None
@@ -92,7 +93,7 @@ def _stored(path: Path, content: bytes) -> dict[str, Any]:
     return stored
 
 
-def _checked(path: Path, content: dict[str, Any]) -> ColourFit:
+def _checked(path: Path, content: JsonObject) -> ColourFit:
     """The fit of a file's mapping. BadInput names what is missing or out of range in it."""
 
     def refuse(name: str, allowed: str) -> BadInput:

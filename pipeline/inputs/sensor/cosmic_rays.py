@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import write_atomically
 from pipeline.errors import BadInput
 from pipeline.physics.cosmic_rays.frame import CosmicRays, events_a_frame
@@ -119,7 +120,7 @@ def read_library(path: Path, field: str = FIELD) -> Library:
 def _library(
     path: Path,
     field: str,
-    header: dict[str, Any],
+    header: JsonObject,
     event: Any,
     frame: Any,
     x0: Any,
@@ -189,14 +190,14 @@ def _frames_of(
     return frames, of_event
 
 
-def _positive(path: Path, field: str, header: dict[str, Any], name: str) -> Any:
+def _positive(path: Path, field: str, header: JsonObject, name: str) -> Any:
     value = header.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
         raise BadInput(field, f"{path.name} with {name} = {value}", f"{name} above 0")
     return value
 
 
-def _shape(header: dict[str, Any]) -> tuple[int, int] | None:
+def _shape(header: JsonObject) -> tuple[int, int] | None:
     rows, columns = header.get("ROWS"), header.get("COLUMNS")
     return (int(rows), int(columns)) if rows and columns else None
 
@@ -323,7 +324,7 @@ def extract_library(
     seed_sigma: float = 6.0,
     grow_sigma: float = 2.5,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Library, dict[str, Any]]:
+) -> tuple[Library, JsonObject]:
     """The events of a stack of dark frames of equal exposure, and what was found on the way.
 
     The median over the frames takes out bias, dark and hot pixels; pixels that stand out in more

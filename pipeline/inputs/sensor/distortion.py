@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
@@ -28,7 +29,7 @@ def gather_distortion(scene: Scene) -> Scene:
     return parse_scene(data)
 
 
-def read_distortion(path: Path) -> dict[str, Any]:
+def read_distortion(path: Path) -> JsonObject:
     """Plain data of `sensor.distortion` (kind sip or tpv) from the first distorted WCS of a file.
 
     Kept are the terms, the reference pixel and, for TPV, the CD matrix; TAN with PV2 terms is taken
@@ -78,7 +79,7 @@ def _headers(path: Path) -> list[Any]:
         raise BadInput(FIELD, str(path), f"a readable FITS file or header; {error}") from None
 
 
-def _sip(header: Any, path: Path, reference: list[float]) -> dict[str, Any]:
+def _sip(header: Any, path: Path, reference: list[float]) -> JsonObject:
     orders = [int(header.get(f"{name}_ORDER", 0)) for name in "AB"]
     if max(orders) > HIGHEST_ORDER:
         raise BadInput(FIELD, str(path), f"SIP terms up to order {HIGHEST_ORDER}")
@@ -94,7 +95,7 @@ def _sip(header: Any, path: Path, reference: list[float]) -> dict[str, Any]:
     return {"kind": "sip", "a": a, "b": b, "reference_px": reference}
 
 
-def _tpv(header: Any, reference: list[float]) -> dict[str, Any]:
+def _tpv(header: Any, reference: list[float]) -> JsonObject:
     pv1, pv2 = (
         {k: float(header[f"PV{i}_{k}"]) for k in range(40) if f"PV{i}_{k}" in header}
         for i in (1, 2)

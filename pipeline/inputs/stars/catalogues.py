@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from catalog_tools.catalogue import Catalogue, open_catalogue
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.band.colour_fit import default_colour_error_mag
 from pipeline.plan.decisions import Decision
@@ -80,7 +81,7 @@ def _rule(earlier: Sequence[Catalogue], layer: Catalogue) -> str:
 
 def catalogue_facts(
     catalogues: Sequence[Catalogue], left_out: Sequence[np.ndarray]
-) -> list[dict[str, Any]]:
+) -> list[JsonObject]:
     """The catalogues as the plan and the report name them, the main one first."""
     return [
         {

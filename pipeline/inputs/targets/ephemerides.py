@@ -13,6 +13,7 @@ from typing import Any
 import erfa.ufunc as era
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.inputs.earth_orientation import gather_dut1_s, gather_pole_arcsec
@@ -63,7 +64,7 @@ class _Reader:
         self._dwell_s = end_s(scene)
         self._files: dict[Any, Any] = {}
 
-    def orbit(self, orbit: Orbit, field: str) -> dict[str, Any]:
+    def orbit(self, orbit: Orbit, field: str) -> JsonObject:
         if isinstance(orbit, OmmOrbit):
             assert orbit.path is not None
             path = Path(orbit.path)
@@ -83,7 +84,7 @@ class _Reader:
             self._files[key] = read()
         return self._files[key]
 
-    def _rows(self, segments: list[Ephemeris], field: str, path: Path) -> dict[str, Any]:
+    def _rows(self, segments: list[Ephemeris], field: str, path: Path) -> JsonObject:
         """Rows of the segment that covers the exposures, in GCRS, after the scene's epoch."""
         spans = [self._seconds(s)[[0, -1]] for s in segments]
         fits = [k for k, (a, b) in enumerate(spans) if a <= 0.0 and b >= self._dwell_s]
@@ -125,7 +126,7 @@ class _Reader:
         return elapsed_s(self._epoch, table.utc1, table.utc2)
 
 
-def choose(found: dict[str, Any], wanted: str | None, field: str, path: Path) -> Any:
+def choose(found: JsonObject, wanted: str | None, field: str, path: Path) -> Any:
     """The one object of a file that is meant, by name or number; BadInput where none or several."""
     names = ", ".join(list(found)[:20]) or "(none)"
     if wanted is None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import Arguments, JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.targets.mesh_surfaces import Palette
 from pipeline.physics.meshes.facets import Facets, is_convex
@@ -250,7 +251,7 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
         import trimesh
     except ImportError:
         raise BadInput(field, name, "meshes need trimesh: pip install nightglass[mesh]") from None
-    options: dict[str, Any] = {}
+    options: Arguments = {}
     if kind == "obj":
         raw, options = _with_materials(raw)
     try:
@@ -307,7 +308,7 @@ def _told_facets(raw: bytes, kind: str) -> int:
         return 0  # no GLB as it should be: its reader says what is wrong
 
 
-def _with_materials(raw: bytes) -> tuple[bytes, dict[str, Any]]:
+def _with_materials(raw: bytes) -> tuple[bytes, JsonObject]:
     """An OBJ with a material library of its own, in memory: names alone, all that are used."""
     names = {n.strip() for n in re.findall(rb"(?m)^[ \t]*usemtl[ \t]+([^\r\n]+)", raw)}
     library = b"".join(b"newmtl %s\nKd 1 1 1\n" % n for n in sorted(names | {b"(a)", b"(b)"}))

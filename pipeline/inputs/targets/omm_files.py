@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 
 LARGEST_BYTES = 64_000_000
@@ -30,7 +31,7 @@ _EXPECTED = {
 }
 
 
-def read_omm(path: Path, field: str) -> dict[str, dict[str, Any]]:
+def read_omm(path: Path, field: str) -> dict[str, JsonObject]:
     """Mean elements by `name | international id | catalogue number`, as `omm.elements` takes them.
 
     BadInput for files that are none, of another theory (SGP4-XP), frame or time scale.
@@ -44,7 +45,7 @@ def read_omm(path: Path, field: str) -> dict[str, dict[str, Any]]:
             raise TypeError("a list holds something else than messages")
     except (ValueError, TypeError, AttributeError, SyntaxError, RecursionError) as error:
         raise BadInput(field, path.name, f"an OMM as JSON, KVN or XML; {error}") from None
-    out: dict[str, dict[str, Any]] = {}
+    out: dict[str, JsonObject] = {}
     for fields in sets:
         names = ("OBJECT_NAME", "OBJECT_ID", "NORAD_CAT_ID")
         key = " | ".join(str(fields.get(n) or "").strip() for n in names)
@@ -68,13 +69,13 @@ def read_text(path: Path, field: str, largest: int) -> str:
         raise BadInput(field, str(path), "a text file (UTF-8)") from None
 
 
-def mean_elements(fields: Mapping[str, Any], key: str, field: str) -> dict[str, Any]:
+def mean_elements(fields: Mapping[str, Any], key: str, field: str) -> JsonObject:
     """The elements of one message, as `omm.elements` takes them; `key` names it in messages."""
     for name, allowed in _EXPECTED.items():
         value = fields.get(name)
         if value not in (None, "") and str(value).strip().upper() not in allowed:
             raise BadInput(field, f"{name} = {value} of {key}", f"{name} {allowed[0]}")
-    out: dict[str, Any] = {}
+    out: JsonObject = {}
     for ours, theirs in _KEYS.items():
         value = fields.get(theirs)
         if value in (None, "") and ours == "bstar":
@@ -104,7 +105,7 @@ def _from_xml(text: str, path: Path, field: str) -> Iterable[Mapping[str, Any]]:
 
 def _from_kvn(text: str) -> Iterable[Mapping[str, Any]]:
     """KEY = value lines; a new message starts at CCSDS_OMM_VERS or at a repeated OBJECT_NAME."""
-    sets: list[dict[str, Any]] = []
+    sets: list[JsonObject] = []
     for line in text.splitlines():
         key, sign, value = line.partition("=")
         key, value = key.strip(), value.partition("[")[0].strip()

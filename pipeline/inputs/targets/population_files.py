@@ -10,10 +10,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
 from pydantic import ValidationError
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, shorten
 from pipeline.inputs.targets.omm_files import mean_elements, read_omm
 from pipeline.physics.positions.orbit_sgp4 import mean_satellite, tle_satellite
@@ -141,7 +142,7 @@ def _from_pair(name: str, line1: str, line2: str, at: int) -> ElementSet:
     return ElementSet(name, int(satellite.satnum), orbit, satellite)
 
 
-def _from_omm(fields: dict[str, Any]) -> ElementSet:
+def _from_omm(fields: JsonObject) -> ElementSet:
     name, number = str(fields.get("OBJECT_NAME") or ""), str(fields.get("NORAD_CAT_ID") or "0")
     try:
         given = fields.get("elements") or mean_elements(fields, name or number, "elements")
@@ -158,7 +159,7 @@ def _from_omm(fields: dict[str, Any]) -> ElementSet:
     return ElementSet(name, number_, orbit, satellite)
 
 
-def _messages(path: Path, kind: str, field: str) -> Iterator[dict[str, Any]]:
+def _messages(path: Path, kind: str, field: str) -> Iterator[JsonObject]:
     """The keys and values of each OMM of a file."""
     if kind == "other":
         for key, elements in read_omm(path, field).items():
@@ -172,11 +173,11 @@ def _messages(path: Path, kind: str, field: str) -> Iterator[dict[str, Any]]:
             raise BadInput(field, path.name, f"OMM as CSV or JSON (UTF-8); {error}") from None
 
 
-def _csv(stream: IO[str]) -> Iterable[dict[str, Any]]:
+def _csv(stream: IO[str]) -> Iterable[JsonObject]:
     return csv.DictReader(stream)
 
 
-def _json(stream: IO[str], path: Path, field: str) -> Iterator[dict[str, Any]]:
+def _json(stream: IO[str], path: Path, field: str) -> Iterator[JsonObject]:
     """Objects of a list (or one alone), decoded one after the other as the text comes in."""
     decoder, text, at = json.JSONDecoder(), stream.read(LONGEST_OBJECT), 0
     while True:
@@ -231,9 +232,7 @@ def _check_names(names: set[str], field: str) -> None:
         raise BadInput(field, shown, "columns norad_id and diameter_m, albedo or both")
 
 
-def _size(
-    row: dict[str, Any], where: str, field: str
-) -> tuple[int, tuple[float | None, float | None]]:
+def _size(row: JsonObject, where: str, field: str) -> tuple[int, tuple[float | None, float | None]]:
     def number(key: str, low: float, high: float) -> float | None:
         text = (row.get(key) or "").strip()
         if not text:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.physics.cosmic_rays.deposit import add_tracks
 from pipeline.physics.cosmic_rays.library import (
     PlacedEvents,
@@ -53,7 +53,7 @@ def charge_e(
     return image
 
 
-def truth_columns(rays: CosmicRays, seed: int, frame: int) -> dict[str, Any]:
+def truth_columns(rays: CosmicRays, seed: int, frame: int) -> JsonObject:
     """Columns of truth/cosmic_rays.parquet of one frame: the events that left charge in it.
 
     event : index in the frame's stream; x_in_px ... y_out_px : where it went into and came out of
@@ -85,13 +85,13 @@ def truth_columns(rays: CosmicRays, seed: int, frame: int) -> dict[str, Any]:
     }
 
 
-def no_truth() -> dict[str, Any]:
+def no_truth() -> JsonObject:
     """The same columns without rows."""
     none = Flux(1, 1, 10.0, 10.0, 0.0, 1.0)
     return truth_columns(none, 0, 0)
 
 
-def _recorded(rays: Recorded, placed: PlacedEvents, frame: int, electrons: Array) -> dict[str, Any]:
+def _recorded(rays: Recorded, placed: PlacedEvents, frame: int, electrons: Array) -> JsonObject:
     seen = np.flatnonzero(electrons > 0.0)
     number = placed.number[seen]
     left, right, top, bottom = (b[number] for b in rays.library.boxes())

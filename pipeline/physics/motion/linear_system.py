@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm, matrix_balance
 
 Array = NDArray[np.float64]
 
@@ -43,8 +44,6 @@ def discretise(a: Array, b: Array, step_s: float) -> LinearStep:
     small, and the step is doubled s times: sums of covariances and squares of transitions, which
     stay bounded for every stable system. The states are scaled to one size first (Osborne).
     """
-    from scipy.linalg import expm, matrix_balance
-
     n = len(a)
     if step_s == 0.0 or n == 0:
         return LinearStep(np.zeros((n, n)), np.zeros((n, n)))

@@ -10,6 +10,7 @@ from typing import Any
 import erfa.ufunc as era
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import DOP853
 
 from pipeline.errors import BadInput
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M
@@ -66,8 +67,6 @@ class Trajectory:
         return out[:, :3], out[:, 3:]
 
     def _begin(self, sign: int) -> _Way:
-        from scipy.integrate import DOP853  # only scenes with numerical orbits need it
-
         scale = self._tolerance * np.repeat([1e6, 1e3], 3)
 
         def solver(t: float, y: Array, end: float, first: float | None, law: int) -> Any:

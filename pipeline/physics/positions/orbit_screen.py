@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from sgp4.api import SatrecArray
 
 from pipeline.physics.constants import DAY_S, EARTH_GM_M3_S2, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.earth import teme_to_gcrs
@@ -153,8 +154,6 @@ def _together(
     satellites: Sequence[Satrec], since_s: Array, middles: Array
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """TEME places [m], velocities [m/s] (m, k, 3) and error codes (m, k) at common times."""
-    from sgp4.api import SatrecArray
-
     # SGP4 counts from each epoch: one common scale of dates serves all where no leap second lies
     # between; elsewhere that second is put right by the satellite's own speed
     reference = (satellites[0].jdsatepoch, satellites[0].jdsatepochF)

@@ -17,6 +17,7 @@ from pipeline.physics.targets.lighting import (
     photon_rate_at_aperture,
     sun_distance,
 )
+from pipeline.physics.targets.shadow import moon_m, sunlit_past_earth, sunlit_past_moon
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.plan.bodies.albedos import albedo_of
 from pipeline.plan.bodies.attitudes import View
@@ -121,8 +122,6 @@ def _finer(wish: Lighting | None) -> bool:
 def _sunlit(lighting: Lighting | None, place: Array, sun: Array, tt: tuple[Array, Array]) -> Array:
     """Share (n,) of sunlight that reaches a target past Earth and Moon."""
     wish = lighting or Lighting()
-    from pipeline.physics.targets.shadow import moon_m, sunlit_past_earth, sunlit_past_moon
-
     if wish.oblate_earth or wish.limb_darkening:
         lit = sunlit_past_earth(place, sun, wish.limb_darkening, wish.oblate_earth)
     else:

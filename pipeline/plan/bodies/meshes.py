@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
+from pipeline.physics.meshes.lamps import Lamps, wide_lamp_intensity
 from pipeline.physics.meshes.model import MeshModel, knots_of, model_light, posed, way_rad
 from pipeline.physics.targets.attitude import in_body_axes
+from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.plan.bodies.attitudes import UPRIGHT, View, attitudes
 from pipeline.spec.targets.mesh import MeshBody
 
@@ -81,9 +83,6 @@ def mesh_earthshine_m2_sr(
     err is of both together. Worked out EARTH_STEP_RAD apart (of Sun, observer, Earth and joints
     together), straight lines between: off by about step^2 / 8 of this light, 3e-4.
     """
-    from pipeline.physics.meshes.lamps import Lamps, wide_lamp_intensity
-    from pipeline.physics.targets.earthshine import earth_lamps
-
     model, error = _read(body, field)
     attitude = attitudes([body.attitude or UPRIGHT], epoch, view, [field])[0]
     place, sun_m, times = view.place_m[0], view.sun_m[0], view.time_s[0]

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M, SPEED_OF_LIGHT_M_S
+from pipeline.physics.positions import orbit_elements as el
+from pipeline.physics.positions import orbit_table as table
 from pipeline.physics.positions.earth import teme_to_gcrs
 from pipeline.physics.positions.orbit import check_above_earth, tle_states, two_body
 from pipeline.physics.positions.orbit_sgp4 import (
@@ -168,8 +170,6 @@ def _keplerian(
     o: KeplerianOrbit, field: str, epoch: tuple[float, float]
 ) -> tuple[Array, Array, float, float]:
     """The same from elements: the state is that at perigee."""
-    from pipeline.physics.positions import orbit_elements as el
-
     e = o.eccentricity
     radius = o.perigee_radius_m
     if radius is None:
@@ -222,8 +222,6 @@ def _numerical(
 def _table(
     o: TableOrbit, field: str, epoch: tuple[float, float], offsets: Array
 ) -> tuple[Array, Array]:
-    from pipeline.physics.positions import orbit_table as table
-
     rows = np.array(o.rows, float)
     at = offsets + _since_s(o.epoch, field, epoch)
     table.check_covered(rows[0, 0], rows[-1, 0], at, field, o.epoch)

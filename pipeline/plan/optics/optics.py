@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, fields, replace
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.kept import kept
 from pipeline.physics.psf.aperture import Pupil, SpiderVanes
@@ -145,7 +145,7 @@ def _band(
     curve = (response.wavelength_m, response.value)
     most = scene.accuracy.flux_fraction
 
-    def choose() -> dict[str, Any]:
+    def choose() -> JsonObject:
         chosen = choose_wavelengths(make, rest, *curve, most, psf.wavelengths, limit)
         return {f.name: getattr(chosen, f.name) for f in fields(chosen)[1:]}
 
@@ -231,7 +231,7 @@ def missing_light(optics: Optics) -> float:
     return 1.0 - optics.light if isinstance(optics, Sampled) else 0.0
 
 
-def describe(optics: Optics) -> dict[str, Any]:
+def describe(optics: Optics) -> JsonObject:
     """The optics as plain values, for the plan."""
     if isinstance(optics, Sampled):
         band = optics.band

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.extended import point_error
@@ -98,7 +98,7 @@ class PsfField:
             f"of up to {table_mb:.3g} MB; {'; '.join(told)}"
         )
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> JsonObject:
         """The field as plain values, for the plan."""
         return {
             "rows_px": list(self.rows_px),

@@ -5,42 +5,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array
-from pipeline.errors import BadInput
-from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.decision import Decision
-from pipeline.plan.timing import frame_count, frame_times, integration_range_s
+from pipeline.plan.timing import frame_times, integration_range_s
 from pipeline.spec.pointing.attitude import (
     AttitudeModel,
-    Jitter,
-    MarkovMode,
-    Mode,
-    OscillatorMode,
-    PowerLawJitter,
-    RandomWalkMode,
-    RateMarkovMode,
-    ResonanceJitter,
-    SystemMode,
-    WhiteJitter,
 )
 from pipeline.spec.scene import Scene
-
-if TYPE_CHECKING:
-    from pipeline.physics.motion.flexible import Mode as ModeOf
-    from pipeline.physics.motion.flexible import ModeSplit
-    from pipeline.physics.motion.jitter import Spectrum, SpectrumBins, Waves
 
 FEWEST, MOST = 9, 1025  # nodes of a random path
 PER_PERIOD = 8  # nodes in a period of the fastest wave that is path
 LEFT_PX = 5e-3  # rms of an exposure's mean that blur may leave out
 SHARPEST_PX = 0.5  # rms of the images for which a wrong variance of blur is bounded
-AXES = ("x", "y", "roll")
 
 
 @dataclass(frozen=True)
@@ -124,20 +105,21 @@ def _plan_with(
     corner_px: float,
 ) -> MotionPlan:
     """What a number of nodes leads to."""
+    from pipeline.physics.motion.jitter import fast_part, slow_loss
+    from pipeline.plan.pointing.motion_runs import jitter_bins, mode_of, mode_split
+
     step = longest_s / (nodes - 1)
     blur, left, path = np.zeros(3), np.zeros(3), np.zeros(3)
     scatter = 0.0
     for part in model.jitter:
-        from pipeline.physics.motion.jitter import fast_part, slow_loss
-
-        bins = _bins(part, split_hz(nodes, longest_s))
+        bins = jitter_bins(part, split_hz(nodes, longest_s))
         fast = fast_part(bins, split_hz(nodes, longest_s), shortest_s)
         blur[:2] += fast.variance + slow_loss(bins, split_hz(nodes, longest_s), step)
         left[:2] += fast.mean_variance
         path[:2] += float(bins.variance.sum()) - fast.variance
         scatter = math.hypot(scatter, fast.scatter * fast.variance)
     for i, mode in enumerate(model.modes):
-        one, parts = _mode(mode, i), _split(mode, i, step, shortest_s)
+        one, parts = mode_of(mode, i), mode_split(mode, i, step, shortest_s)
         blur += parts.variance
         left += parts.mean_variance
         path += np.einsum("ij,jk,ik->i", parts.c_slow, one.start, parts.c_slow)
@@ -154,65 +136,6 @@ def _plan_with(
     )
 
 
-@lru_cache(maxsize=64)
-def _bins(part: Jitter, split: float) -> SpectrumBins:
-    from pipeline.physics.motion.jitter import bins_of
-
-    return bins_of(_spectrum(part), split)
-
-
-def _spectrum(part: Jitter) -> Spectrum:
-    from pipeline.physics.motion import jitter
-
-    if isinstance(part, WhiteJitter):
-        return jitter.white(part.rms_arcsec * ARCSEC_RAD, part.low_hz, part.high_hz)
-    if isinstance(part, PowerLawJitter):
-        rms = part.rms_arcsec * ARCSEC_RAD
-        return jitter.power_law(rms, part.exponent, part.low_hz, part.high_hz)
-    if isinstance(part, ResonanceJitter):
-        return jitter.resonance(part.rms_arcsec * ARCSEC_RAD, part.frequency_hz, part.damping)
-    if part.frequency_hz is None or part.arcsec2_per_hz is None:
-        raise BadInput("pointing.attitude.jitter", part.path, "a spectrum that was read")
-    return jitter.table(np.array(part.frequency_hz), np.array(part.arcsec2_per_hz) * ARCSEC_RAD**2)
-
-
-@lru_cache(maxsize=64)
-def _mode(mode: Mode, index: int) -> ModeOf:
-    from pipeline.physics.motion import flexible
-
-    def rad(value: float | None) -> float | None:
-        return None if value is None else value * ARCSEC_RAD
-
-    if isinstance(mode, SystemMode):
-        a, b, c = (np.array(m, float) for m in (mode.a, mode.b, mode.c))
-        growing = float(np.linalg.eigvals(a).real.max())
-        if growing > 1e-9 * max(1e-30, float(np.abs(a).max())):
-            raise BadInput(
-                f"pointing.attitude.modes.{index}.a",
-                f"a mode that grows by {growing:.3g} per s",
-                "eigenvalues without positive real part",
-            )
-        return flexible.system(a, b, c * ARCSEC_RAD)
-    axis = AXES.index(mode.axis)
-    if isinstance(mode, OscillatorMode):
-        strength = rad(mode.rms_arcsec), rad(mode.noise_arcsec_s2_rthz)
-        return flexible.oscillator(axis, mode.frequency_hz, mode.damping, *strength)
-    if isinstance(mode, MarkovMode):
-        strength = rad(mode.rms_arcsec), rad(mode.noise_arcsec_s_rthz)
-        return flexible.markov(axis, mode.time_constant_s, *strength)
-    if isinstance(mode, RandomWalkMode):
-        return flexible.random_walk(axis, mode.arcsec_rts * ARCSEC_RAD)
-    assert isinstance(mode, RateMarkovMode)
-    return flexible.rate_markov(axis, mode.time_constant_s, mode.rms_arcsec_s * ARCSEC_RAD)
-
-
-@lru_cache(maxsize=256)
-def _split(mode: Mode, index: int, step_s: float, exposure_s: float) -> ModeSplit:
-    from pipeline.physics.motion.flexible import split
-
-    return split(_mode(mode, index), step_s, exposure_s)
-
-
 def random_motion_rad(scene: Scene, frames: NDArray[np.int64], nodes: int) -> Array:
     """Displacements (F, nodes, 3) in x, y and roll [rad] of some frames: the slow part.
 
@@ -222,70 +145,24 @@ def random_motion_rad(scene: Scene, frames: NDArray[np.int64], nodes: int) -> Ar
     plan, model = motion_plan(scene), scene.pointing.attitude
     if plan is None or model is None:
         return np.zeros((len(frames), nodes, 3))
+    from pipeline.plan.pointing.motion_runs import jitter_waves, mode_split, mode_states
+
     start, time = frame_times(scene, frames)
     at = np.linspace(0.0, 1.0, plan.nodes)
     out = np.zeros((len(frames), plan.nodes, 3))
     t = start[:, None] + at * time[:, None]
     for i, part in enumerate(model.jitter):
-        run = _waves(part, i, scene.seed, plan.split_hz)
+        run = jitter_waves(part, i, scene.seed, plan.split_hz)
         out[..., :2] += run.at(t.ravel()).reshape(*t.shape, 2)
     step = plan.longest_s / (plan.nodes - 1)
     shortest = integration_range_s(scene)[0]
     for i, mode in enumerate(model.modes):
-        c = _split(mode, i, step, shortest).c_slow
+        c = mode_split(mode, i, step, shortest).c_slow
         if c.any():
-            states = _mode_run(scene, mode, i, frames, time, plan.nodes)
+            states = mode_states(scene, mode, i, frames, time, plan.nodes)
             for j in range(states.shape[-1]):
                 out += states[..., j, None] * c[:, j]
     return _straight_between(out, nodes)
-
-
-@lru_cache(maxsize=64)
-def _waves(part: Jitter, index: int, seed: int, split: float) -> Waves:
-    from scipy.special import ndtr
-
-    from pipeline.physics.motion.jitter import waves
-    from pipeline.physics.noise.streams import standard_normals, stream_key
-
-    bins = _bins(part, split)
-    key = stream_key(seed, f"pointing_jitter/{index}")
-    draws = standard_normals(len(bins.variance), 5, 0, 0, 0, *key)
-    return waves(bins, split, draws[:, :4], ndtr(draws[:, 4]))
-
-
-def _mode_run(
-    scene: Scene, mode: Mode, index: int, frames: NDArray[np.int64], time_s: Array, nodes: int
-) -> Array:
-    """States (F, nodes, n) of a mode in some frames."""
-    from pipeline.physics.motion.flexible import between
-    from pipeline.physics.noise.streams import standard_normals, stream_key
-
-    every = np.arange(frame_count(scene), dtype=np.int64)
-    starts, times = frame_times(scene, every)
-    ends = _ends(mode, index, scene.seed, starts.tobytes(), times.tobytes())[frames]
-    key, levels = stream_key(scene.seed, f"pointing_mode/{index}"), int(math.log2(nodes - 1))
-    one, n = _mode(mode, index), ends.shape[-1]
-    out = np.empty((len(frames), nodes, n))
-    for time in np.unique(time_s):
-        mine = np.flatnonzero(time_s == time)
-        draw = np.stack([standard_normals(nodes - 2, n, 0, 0, int(frames[k]), *key) for k in mine])
-        out[mine] = between(one, ends[mine, 0], ends[mine, 1], float(time), levels, draw)
-    return out
-
-
-@lru_cache(maxsize=64)
-def _ends(mode: Mode, index: int, seed: int, starts: bytes, times: bytes) -> Array:
-    """States (F, 2, n) at the start and end of all frames of a scene, one after the other."""
-    from pipeline.physics.motion.flexible import run
-    from pipeline.physics.noise.streams import standard_normals, stream_key
-
-    start, time = np.frombuffer(starts), np.frombuffer(times)
-    before = np.concatenate([[0.0], start[:-1] + time[:-1]])
-    gaps = np.stack([np.maximum(np.round(start - before, 9), 0.0), time], axis=-1).ravel()
-    one = _mode(mode, index)
-    key = stream_key(seed, f"pointing_mode_frames/{index}")
-    draws = standard_normals(len(gaps) + 1, len(one.a), 0, 0, 0, *key)
-    return run(one, gaps, draws).reshape(len(start), 2, -1)
 
 
 def _straight_between(values: Array, nodes: int) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.arrays import Geometry
 from pipeline.physics.constants import DAY_S, EARTH_EQUATORIAL_RADIUS_M, EARTH_GM_M3_S2
 from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.positions.orbit_table import best_nodes, left_out_error
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.decision import Decision
 from pipeline.plan.timing import end_s
@@ -83,8 +84,6 @@ def table_told(target: Target) -> Decision:
     o: Any = target.orbit
     nodes, error = o.nodes, o.error_m
     if nodes is None or error is None:  # rows in the scene itself: nobody measured them yet
-        from pipeline.physics.positions.orbit_table import best_nodes, left_out_error
-
         rows = np.array(o.rows, float)
         table = rows[:, 0], rows[:, 1:4], rows[:, 4:] if rows.shape[1] == 7 else None
         if nodes is None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sgp4.api import SGP4_ERRORS
 
 from pipeline.errors import BadInput
 from pipeline.physics.positions import orbit_screen
@@ -177,7 +178,7 @@ class Sieve:
         body = self.population.body
         if not isinstance(body, SphereBody):
             return body
-        given: dict[str, Any] = {}
+        given: dict[str, object] = {}
         for rule in self.population.rules:
             if rule.name_contains.lower() in name.lower():
                 given = {"diameter_m": rule.diameter_m, "albedo": rule.albedo}
@@ -225,8 +226,6 @@ def _label(one: Any) -> str:
 
 
 def _meaning(code: int) -> str:
-    from sgp4.api import SGP4_ERRORS  # only scenes with mean elements need it
-
     told = SGP4_ERRORS.get(code, "the result is not finite")
     return f"SGP4 code {code}: {told}"
 

@@ -6,11 +6,13 @@ import resource
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from astropy.io import fits
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.studies.accuracy.engines import EngineCase
 from pipeline.studies.accuracy.reference import GaussianStar, exact_pixels
 
@@ -49,7 +51,7 @@ def run_satsim(
     else:
         form = {"sigma": 0.0, "q": shape.q_px, "obscuration": shape.obscuration}
     (x0, x1), (y0, y1) = track.x_px[0], track.y_px[0]
-    job: dict[str, Any] = {
+    job: JsonObject = {
         "rows": case.frame[0],
         "columns": case.frame[1],
         "osf": oversampling,
@@ -93,8 +95,6 @@ def _sky(
     case: EngineCase, oversampling: int, folder: str, stars: tuple[Array, Array]
 ) -> tuple[Array, float]:
     """One run of `sky`: the image, and its CPU seconds."""
-    from astropy.io import fits
-
     mag = ZERO_POINT_MAG - 2.5 * np.log10(PROBE_LIGHT)
     rows = (f"100 {x + 1.0:.9f} {y + 1.0:.9f} {mag:.6f}" for x, y in zip(*stars, strict=True))
     (Path(folder) / "stars.list").write_text("\n".join(rows) + "\n")
@@ -127,8 +127,6 @@ def _sky(
 
 
 def _write_table(case: EngineCase, oversampling: int, path: Path) -> None:
-    from astropy.io import fits
-
     half = SKY_HALF_PX + int(np.ceil(0.5 * case.streak_px))
     at = np.arange(-half * oversampling, half * oversampling + 1) / oversampling
     samples = exact_pixels(case.shape, case.track, 0.0, 0.0, at, at)

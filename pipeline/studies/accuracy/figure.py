@@ -6,9 +6,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 
-Row = dict[str, Any]
+Row = JsonObject
 
 # Okabe & Ito's colours, told apart with every common colour blindness; shapes tell them apart too.
 STYLES: dict[str, tuple[str, str]] = {
@@ -30,7 +31,7 @@ BELOW_IN = 1.75  # inches below the panels, for their axis and the legend
 LEAST_ERROR = 1e-10  # points below stand on the lower edge, pointed at by their value
 
 
-def draw_figure(study: dict[str, Any], path: Path) -> None:
+def draw_figure(study: JsonObject, path: Path) -> None:
     """Write the figure of a study (PNG or SVG, by the name's ending).
 
     Raises BadInput where matplotlib is not installed.
@@ -129,10 +130,10 @@ def _front(ax: Any, rows: list[Row]) -> None:
     )
 
 
-def _legend(figure: Any, axes: Any, study: dict[str, Any], columns_of_names: int) -> None:
+def _legend(figure: Any, axes: Any, study: JsonObject, columns_of_names: int) -> None:
     from matplotlib.lines import Line2D
 
-    names: dict[str, Any] = {}
+    names: dict[str, object] = {}
     for ax in axes.ravel():
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             names.setdefault(label, handle)

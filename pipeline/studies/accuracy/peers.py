@@ -11,12 +11,14 @@ import os
 import shutil
 from collections.abc import Callable
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.studies.accuracy.engines import Drawn, EngineCase, Setting
+from pipeline.studies.accuracy.external import run_satsim, run_skymaker
 from pipeline.studies.accuracy.reference import AiryStar, GaussianStar, exact_pixels
 
 Array = NDArray[np.float64]
@@ -57,8 +59,6 @@ def installed_peers(satsim_python: str | None = None) -> list[Peer]:
 def _version(module: str) -> str | None:
     if importlib.util.find_spec(module) is None:
         return None
-    from importlib.metadata import PackageNotFoundError, version
-
     try:
         return version(module)
     except PackageNotFoundError:
@@ -161,8 +161,6 @@ def external_settings(
     case: EngineCase, quick: bool, satsim_python: str | None = None
 ) -> list[tuple[str, str, Callable[..., Any]]]:
     """(engine, setting, run) of peers that draw all probes in one go, in a process of their own."""
-    from pipeline.studies.accuracy.external import run_satsim, run_skymaker
-
     python = satsim_python or os.environ.get(SATSIM_PYTHON, "")
     if case.curved or case.streak_px > 100:
         return []

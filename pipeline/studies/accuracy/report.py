@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.studies.accuracy.figure import draw_figure
 from pipeline.studies.accuracy.study import Progress, run_study
@@ -25,7 +25,7 @@ def report_accuracy(
     peers: bool = True,
     satsim_python: str | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Measure, and write accuracy.json, accuracy.md and accuracy.png into a folder.
 
     stars, frame : the work (rows, columns); `quick` takes less of both and fewer rungs

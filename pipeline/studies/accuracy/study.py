@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.studies.accuracy.engines import EngineCase, Setting, arc, our_settings
 from pipeline.studies.accuracy.external import External, PeerFailed
 from pipeline.studies.accuracy.peers import external_settings, installed_peers, peer_settings
@@ -88,7 +88,7 @@ def run_study(
     peers: bool = True,
     satsim_python: str | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Everything that was measured, as plain values (see `Record` for those of one row)."""
     records: list[Record] = []
     failed: list[dict[str, str]] = []

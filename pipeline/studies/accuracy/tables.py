@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.lines import fold, table
 
-Row = dict[str, Any]
+Row = JsonObject
 
 HEADS = (
     "engine",
@@ -21,7 +21,7 @@ HEADS = (
 )
 
 
-def by_case(study: dict[str, Any]) -> Iterator[tuple[str, list[Row]]]:
+def by_case(study: JsonObject) -> Iterator[tuple[str, list[Row]]]:
     """(title, rows) of each case, in the order that they were measured."""
     found: dict[str, list[Row]] = {}
     for r in study["records"]:
@@ -46,7 +46,7 @@ def cells(row: Row) -> tuple[str, ...]:
     )
 
 
-def explained(study: dict[str, Any]) -> list[str]:
+def explained(study: JsonObject) -> list[str]:
     """What the columns mean, what was not measured, and which peers were there."""
     noise, (rows, columns) = study["noise"], study["frame"]
     lines = [
@@ -62,7 +62,7 @@ def explained(study: dict[str, Any]) -> list[str]:
     return lines
 
 
-def markdown(study: dict[str, Any]) -> str:
+def markdown(study: JsonObject) -> str:
     """The whole study as Markdown."""
     out = ["# Error against CPU time", "", *(f"- {line}" for line in explained(study))]
     for title, rows in by_case(study):
@@ -72,7 +72,7 @@ def markdown(study: dict[str, Any]) -> str:
     return "\n".join(out) + "\n"
 
 
-def print_study(study: dict[str, Any]) -> None:
+def print_study(study: JsonObject) -> None:
     """The study on the terminal."""
     for title, rows in by_case(study):
         print(title)

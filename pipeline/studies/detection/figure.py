@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.export.labels import TARGET
 from pipeline.export.picture import stretch
 from pipeline.studies.detection.finders import TITLES
@@ -15,7 +16,7 @@ COLOURS = {"sep": "#0072B2", "sep_cleaned": "#56B4E9", "drift": "#D55E00", "line
 SIDE_PX = 360
 
 
-def draw_figure(study: dict[str, Any], shown: dict[str, Any], path: Path) -> None:
+def draw_figure(study: JsonObject, shown: JsonObject, path: Path) -> None:
     """Write the figure as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -28,7 +29,7 @@ def draw_figure(study: dict[str, Any], shown: dict[str, Any], path: Path) -> Non
     figure.savefig(path, dpi=110)
 
 
-def _completeness(axes: Any, study: dict[str, Any]) -> None:
+def _completeness(axes: Any, study: JsonObject) -> None:
     for kind, told in study["finders"].items():
         bins = [b for b in told["stars"] if b["sought"]]
         if not bins:
@@ -64,7 +65,7 @@ def _completeness(axes: Any, study: dict[str, Any]) -> None:
         axes.legend(fontsize=8, loc="lower left")
 
 
-def _piece(axes: Any, shown: dict[str, Any]) -> None:
+def _piece(axes: Any, shown: JsonObject) -> None:
     """Part of the first frame around a target: truth circled, detections marked."""
     labels, image = shown["labels"], shown["image"]
     rows, columns = image.shape

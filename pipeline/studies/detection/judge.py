@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from catalog_tools.documents import JsonObject
 from pipeline.export.labels import TARGET, Labels
 from pipeline.studies.detection.points import Detections
 
@@ -113,7 +113,7 @@ def _explained(labels: Labels, found: Detections) -> NDArray[np.bool_]:
 
 def by_magnitude(
     labels: Labels, sought: NDArray[np.bool_], found: NDArray[np.bool_], edges: Array
-) -> list[dict[str, Any]]:
+) -> list[JsonObject]:
     """Stars sought and found in bins of G: [{faint, bright, sought, found}]."""
     stars = sought & (labels.kind != TARGET)
     out = []

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.engine.ahead import ahead, cores, threads
 from pipeline.errors import BadInput
 from pipeline.export.labels import TARGET, Labels, frame_labels
@@ -18,6 +18,7 @@ from pipeline.store.cube import open_cube, read_layer
 from pipeline.studies.detection.finders import tasks
 from pipeline.studies.detection.judge import POINT_PX, DetectionVerdict, by_magnitude, judge
 from pipeline.studies.detection.points import Detections, flattened
+from pipeline.studies.detection.tables import markdown
 
 Progress = Callable[[str, int, int], None]
 
@@ -28,7 +29,7 @@ def report_detection(
     threshold_sigma: float = 5.0,
     frames: int | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Run the finders on a product's frames and write detection.json, .md and .png into `out`.
 
     frames : the first so many; default: all. progress : called with (stage, done, total)
@@ -45,8 +46,8 @@ def report_detection(
     if count < 1:
         raise BadInput("--frames", frames, "1 or more")
     shape = int(cube.sizes["y"]), int(cube.sizes["x"])
-    told: list[dict[str, Any]] = []
-    shown: dict[str, Any] = {}
+    told: list[JsonObject] = []
+    shown: dict[str, object] = {}
     search = partial(_frame, product, shape, threshold_sigma)
     with threads(cores()) as pool:
         for k, (mine, seen) in enumerate(ahead(pool, search, range(count), cores())):
@@ -68,12 +69,12 @@ def report_detection(
 
 def _frame(
     product: Path, shape: tuple[int, int], threshold_sigma: float, frame: int
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+) -> tuple[list[JsonObject], JsonObject]:
     """Each finder on one frame; of the first frame also what the figure shows."""
     labels = frame_labels(product, frame, shape, 0.0)
     image, noise = flattened(read_layer(product, "dn", frame))
-    told: list[dict[str, Any]] = []
-    shown: dict[str, Any] = {"image": image, "labels": labels}
+    told: list[JsonObject] = []
+    shown: dict[str, object] = {"image": image, "labels": labels}
     for task in tasks(labels, image):
         found = task.find(task.image, noise, threshold_sigma)
         verdict = judge(labels, task.sought, found)
@@ -89,7 +90,7 @@ def _one(
     sought: np.ndarray,
     found: Detections,
     verdict: DetectionVerdict,
-) -> dict[str, Any]:
+) -> JsonObject:
     """One finder on one frame."""
     mags = labels.g_mag[np.isfinite(labels.g_mag)]
     low, high = (np.floor(mags.min()), np.ceil(mags.max())) if mags.size else (0.0, 1.0)
@@ -115,9 +116,9 @@ def _one(
     }
 
 
-def _summed(told: list[dict[str, Any]]) -> dict[str, Any]:
+def _summed(told: list[JsonObject]) -> JsonObject:
     """All frames of each finder together."""
-    out: dict[str, Any] = {}
+    out: JsonObject = {}
     for kind in dict.fromkeys(t["finder"] for t in told):
         mine = [t for t in told if t["finder"] == kind]
         bins: dict[tuple[float, float], list[int]] = {}
@@ -144,15 +145,14 @@ def _summed(told: list[dict[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def _targets(told: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _targets(told: list[JsonObject]) -> list[JsonObject]:
     return [
         {"frame": t["frame"], "finder": t["finder"]} | one for t in told for one in t["targets"]
     ]
 
 
-def _write(study: dict[str, Any], shown: dict[str, Any], out: Path) -> None:
+def _write(study: JsonObject, shown: JsonObject, out: Path) -> None:
     from pipeline.studies.detection.figure import draw_figure
-    from pipeline.studies.detection.tables import markdown
 
     out.mkdir(parents=True, exist_ok=True)
     (out / "detection.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.lines import fold, table
 from pipeline.studies.detection.finders import TITLES
 
 Part = tuple[str, tuple[str, ...], list[tuple[str, ...]], int]
 
 
-def parts(study: dict[str, Any]) -> Iterator[Part]:
+def parts(study: JsonObject) -> Iterator[Part]:
     """The tables: title, heads, rows, and how many columns are text."""
     frames, sigma = study["frames"], study["threshold_sigma"]
     yield (
@@ -65,7 +65,7 @@ def parts(study: dict[str, Any]) -> Iterator[Part]:
         )
 
 
-def markdown(study: dict[str, Any]) -> str:
+def markdown(study: JsonObject) -> str:
     """The study's tables in Markdown."""
     lines = []
     for title, heads, rows, _ in parts(study):
@@ -79,7 +79,7 @@ def markdown(study: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def print_study(study: dict[str, Any]) -> None:
+def print_study(study: JsonObject) -> None:
     """The same on the terminal."""
     for title, heads, rows, texts in parts(study):
         print(fold(title))

@@ -11,7 +11,7 @@ from pipeline.studies.ledger.probe import Bench, ProbeResult, most, probe, state
 from pipeline.studies.ledger.scenes import DEC_DEG, RA_DEG, SIDE, mean_e, scene, whole
 from pipeline.studies.scenes.exact import choose_windows
 from pipeline.studies.scenes.rung import lights_e
-from pipeline.studies.scenes.stage import open_stage
+from pipeline.studies.scenes.stage import light_by, mean_of, noise_of, open_stage
 from pipeline.studies.scenes.switches import Switch, switches
 
 WINDOWS = 4
@@ -30,8 +30,6 @@ def _switched(data: dict, wanted: tuple[str, ...], how: str) -> Iterator[ProbeRe
 
 def _measured(stage, s: Switch, windows, how: str) -> ProbeResult:
     """One approximation: the worst of some windows, in units of the pixel's noise or in e-."""
-    from pipeline.studies.scenes.stage import mean_of, noise_of
-
     error, seconds = 0.0, [0.0, 0.0]
     for window in windows:
         s.on(window), s.off(window)  # tables of what is timed
@@ -68,8 +66,6 @@ def engines(bench: Bench) -> Iterator[ProbeResult]:
 
 def _crowd(bench: Bench) -> ProbeResult:
     """All stars of a frame by the transforms of crowds, and by stamps: the same plan otherwise."""
-    from pipeline.studies.scenes.stage import light_by, mean_of, noise_of
-
     stage = open_stage(
         scene({"stars": {"catalogue": bench.catalogue}, "background": {"uniform_e_per_s": 100.0}})
     )

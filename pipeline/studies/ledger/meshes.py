@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M
 from pipeline.physics.meshes import brdf
@@ -17,6 +18,7 @@ from pipeline.physics.meshes.intensity import FacetSurface, mesh_intensity
 from pipeline.physics.meshes.lamps import wide_lamp_intensity
 from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.vectors import unit as normal
+from pipeline.plan.bodies import mesh_tables
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
@@ -52,7 +54,7 @@ def write_obj(path: Path, triangles: Array) -> str:
     return str(path)
 
 
-def body(path: str, albedo: float = ALBEDO, **more: Any) -> dict[str, Any]:
+def body(path: str, albedo: float = ALBEDO, **more: Any) -> JsonObject:
     """A matt body of a file, both sides of its sheets alike."""
     surface = {"kind": "lambert", "albedo": albedo, "two_sided": True}
     return {"kind": "mesh", "path": path, "unit": "m", "surface": surface} | more
@@ -167,8 +169,6 @@ def earthshine(bench: Bench) -> Iterator[ProbeResult]:
 @probe("targets.light_table")
 def table(bench: Bench) -> Iterator[ProbeResult]:
     """Four of 900 frames from a table of light, beside the same worked out one by one."""
-    from pipeline.plan.bodies import mesh_tables
-
     path = write_obj(bench.folder / "groove.obj", groove())
     law = {"kind": "nadir", "quaternion": [-0.5, 0.5, 0.3, 0.8]}
     exposure = {"integration_s": 0.5, "frames": 900, "cadence_s": 1.0}

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, FrameStars
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.positions.distortion import to_detector
@@ -88,8 +89,6 @@ def _true_attitude(t: Array) -> Array:
 @probe("pointing_table")
 def table(_: Bench) -> Iterator[ProbeResult]:
     """Quaternions of a known motion every half second; the camera between them, at 200 moments."""
-    from scipy.spatial.transform import Rotation
-
     at = np.arange(-5.0, 15.0, 0.5)
     quaternion = Rotation.from_matrix(_right_handed(_true_attitude(at)).transpose(0, 2, 1))
     rows = np.column_stack([at, quaternion.as_quat()]).tolist()
@@ -238,7 +237,7 @@ def rolling(bench: Bench) -> Iterator[ProbeResult]:
     )
 
 
-def _second_frame(data: dict[str, Any]) -> FrameStars:
+def _second_frame(data: JsonObject) -> FrameStars:
     """The stars of a scene's second frame."""
     prepared = prepare(parse_scene(data))
     g = plan_geometry(prepared.plan.scene, np.ones(1, np.int64), prepared.plan.dut1_s)

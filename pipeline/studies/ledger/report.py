@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.lines import table
 from pipeline.studies.ledger.study import Progress, checked_rules, run_ledger
 
-Row = dict[str, Any]
+Row = JsonObject
 HEADS = ("component", "bound", "error caused", "CPU s saved", "holds", "measured")
 
 

@@ -7,6 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.catalogue import open_catalogue
+from catalog_tools.documents import JsonObject
+from catalog_tools.ingest.ingest import ingest
+from catalog_tools.query.starlight import make_starlight
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.spec.dotted import changed
@@ -15,7 +19,7 @@ from pipeline.studies.scenes.stage import Stage, light_by, mean_of, open_stage
 RA_DEG, DEC_DEG = 80.0, 20.0
 SIDE, STARS = 128, 260
 BARNARD = (10.0, 550.0, 0.7)  # proper motion [arcsec a year], parallax [mas], off the middle [deg]
-SCENE: dict[str, Any] = {
+SCENE: JsonObject = {
     "schema": "nightglass/scene/1",
     "name": "ledger",
     "epoch": "2019-12-01T08:00:00Z",
@@ -37,7 +41,7 @@ SCENE: dict[str, Any] = {
     "accuracy": {"check_cells": 0},
     "output": {"layers": ["dn", "mean_e"]},
 }
-SITE: dict[str, Any] = {
+SITE: JsonObject = {
     "kind": "ground",
     "latitude_deg": 20.7,
     "longitude_deg": -156.3,
@@ -51,12 +55,12 @@ ORBIT = {
 SPHERE = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}
 
 
-def scene(changes: dict[str, Any] | None = None, base: dict[str, Any] | None = None) -> Any:
+def scene(changes: JsonObject | None = None, base: JsonObject | None = None) -> Any:
     """A small scene with dotted changes, such as {"sensor.shape": [8, 8]}; None removes a key."""
     return changed(base or SCENE, changes or {})
 
 
-def before(towards: Any, range_m: float, name: str = "t", **more: Any) -> dict[str, Any]:
+def before(towards: Any, range_m: float, name: str = "t", **more: Any) -> JsonObject:
     """A target that flies along with the observer in ORBIT, in a direction, so far away."""
     u = np.asarray(towards, float)
     place = np.add(PLACE_M, range_m * u / np.sqrt(u @ u))
@@ -66,10 +70,6 @@ def before(towards: Any, range_m: float, name: str = "t", **more: Any) -> dict[s
 
 def make_stars(folder: Path) -> str:
     """A catalogue of a few hundred stars around the field, one of them as quick and near as any."""
-    from catalog_tools.catalogue import open_catalogue
-    from catalog_tools.ingest.ingest import ingest
-    from catalog_tools.query.starlight import make_starlight
-
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-0.35, 0.35, (2, STARS))
     quick, near, off = BARNARD
@@ -100,7 +100,7 @@ def whole(stage: Stage) -> Tile:
     return Tile(0, 0, 0, 0, stage.plan.camera.rows, stage.plan.camera.columns)
 
 
-def mean_e(data: dict[str, Any] | Stage, plan: Plan | None = None) -> np.ndarray:
+def mean_e(data: JsonObject | Stage, plan: Plan | None = None) -> np.ndarray:
     """Mean electrons (rows, columns) of the first frame of a scene, drawn by a plan or its own."""
     stage = data if isinstance(data, Stage) else open_stage(data)
     tile = whole(stage)

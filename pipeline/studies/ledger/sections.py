@@ -7,6 +7,7 @@ from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
+from scipy.stats import norm, poisson
 
 from pipeline.arrays import Array
 from pipeline.execute.tile import tile_light
@@ -100,8 +101,6 @@ def rounding(_: Bench) -> Iterator[ProbeResult]:
 @probe("gaussian_for_poisson")
 def large_means(_: Bench) -> Iterator[ProbeResult]:
     """The rounded Gaussian for a Poisson number of a mean of 1e8: their distribution functions."""
-    from scipy.stats import norm, poisson
-
     sigma = np.sqrt(LARGE_MEAN_E)
     k = np.round(LARGE_MEAN_E + sigma * np.linspace(-6.0, 6.0, 4001))
     off = most(poisson.cdf(k, LARGE_MEAN_E) - norm.cdf((k + 0.5 - LARGE_MEAN_E) / sigma))
@@ -124,8 +123,6 @@ def large_means(_: Bench) -> Iterator[ProbeResult]:
 @probe("one_noise_draw")
 def one_draw(_: Bench) -> Iterator[ProbeResult]:
     """The quantile that photon and read noise share, at the limits of its use."""
-    from scipy.stats import norm, poisson
-
     z, n = np.linspace(-6.0, 6.0, 4001), np.arange(0.0, 400.0)
     quantiles = [joint_quantile(float(v), ABOVE_E, READ_E) for v in z]
     exact = poisson.pmf(n, ABOVE_E) @ norm.cdf((np.array(quantiles) - n[:, None]) / READ_E)

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from astropy.time import Time
+from astropy.utils import iers
 
 from pipeline.arrays import Array
 from pipeline.execute.graph import read_shard
@@ -143,9 +145,6 @@ def standing(bench: Bench) -> Iterator[ProbeResult]:
 @probe("precession_nutation")
 def polar_motion(_: Bench) -> Iterator[ProbeResult]:
     """A site with the pole where the Earth-orientation tables have it, two weeks later."""
-    from astropy.time import Time
-    from astropy.utils import iers
-
     table = iers.IERS_B.open()
     mjd = np.arange(41_700.0, 58_800.0, 14.0)
     x, y = (v.to_value("rad") for v in table.pm_xy(Time(mjd, format="mjd")))

@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.plan.ledger import LEDGER, Rule, rule_of
 from pipeline.studies.ledger import (  # noqa: F401  (each module registers its probes)
@@ -26,7 +26,7 @@ from pipeline.studies.ledger.probe import PROBES, Bench, ProbeResult
 from pipeline.studies.ledger.scenes import make_stars
 
 Progress = Callable[[str, int, int], None]
-Row = dict[str, Any]
+Row = JsonObject
 
 
 def checked_rules(names: tuple[str, ...]) -> tuple[Rule, ...]:

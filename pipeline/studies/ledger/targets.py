@@ -17,14 +17,17 @@ from pipeline.physics.constants import (
     EARTH_GM_M3_S2,
     SUN_RADIUS_M,
 )
+from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.targets.shadow import sunlit_past_earth
 from pipeline.physics.vectors import unit as normal
-from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.bodies.orbits import orbit_states
+from pipeline.plan.pointing.geometry import _geometry, plan_geometry
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.studies.ledger.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.studies.ledger.scenes import ORBIT, SPHERE, before, mean_e, scene
 from pipeline.studies.scenes.stage import open_stage
+from pipeline.studies.selftest.many import screened
 
 J2 = 1.0826267e-3
 GEO_M, GEO_M_S = [4407338.1, -41933021.2, 0.0], [3057.8229, 321.3901, 0.0]
@@ -154,8 +157,6 @@ def moments(_: Bench) -> Iterator[ProbeResult]:
     prepared = prepare(parse_scene(data))
     plan = prepared.plan
     out_s, g = timed(lambda: plan_geometry(plan.scene, FRAME, plan.dut1_s))
-    from pipeline.plan.pointing.geometry import _geometry
-
     in_s, fine = timed(lambda: _geometry(plan.scene, FRAME, 8 * (g.nodes - 1) + 1, plan.dut1_s))
     ours, true = (np.trapezoid(v.target_light[0, 0]) / (v.nodes - 1) for v in (g, fine))
     bound, unit = stated(plan, "targets.light_between_nodes")
@@ -210,9 +211,6 @@ def forces(_: Bench) -> Iterator[ProbeResult]:
             }
         )
         plan = prepare(parse_scene(data)).plan
-        from pipeline.physics.positions.times import instants, parse_utc
-        from pipeline.plan.bodies.orbits import orbit_states
-
         epoch, zero = parse_utc(plan.scene.epoch), np.zeros(1)
         orbit = plan.scene.targets[0].orbit
         start, at = (place, speed), np.array([0.0, since])
@@ -238,9 +236,6 @@ def ephemeris(_: Bench) -> Iterator[ProbeResult]:
 
     So far apart that the flight's own error, which no two processors share, is no part of it.
     """
-    from pipeline.physics.positions.times import instants, parse_utc
-    from pipeline.plan.bodies.orbits import orbit_states
-
     place, speed = [6.878e6, 0.0, 0.0], [0.0, 4.0e3, 6.47e3]
     at = np.arange(0.0, 5401.0, 240.0)
     flown = _flown(place, speed, at)
@@ -277,8 +272,6 @@ def ephemeris(_: Bench) -> Iterator[ProbeResult]:
 @probe("populations.*")
 def populations(_: Bench) -> Iterator[ProbeResult]:
     """A screen of 3,000 satellites, beside every one of them moment by moment."""
-    from pipeline.studies.selftest.many import screened
-
     seconds, (kept, inside, missed) = timed(lambda: screened(3000))
     yield ProbeResult(
         "populations.screen",

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+
+from catalog_tools.documents import JsonObject
 
 
 def main() -> None:
@@ -22,7 +23,7 @@ def main() -> None:
     print(json.dumps(found, allow_nan=False))
 
 
-def _reference(order: dict[str, Any]) -> dict[str, Any]:
+def _reference(order: JsonObject) -> JsonObject:
     """Windows and what belongs in them, written for the others; then each approximation alone.
 
     The scene is rendered once before, so that no other process has to compile what it draws with.
@@ -45,7 +46,7 @@ def _reference(order: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _rung(order: dict[str, Any]) -> dict[str, Any]:
+def _rung(order: JsonObject) -> JsonObject:
     from pipeline.studies.scenes.rung import measure_rung
 
     return measure_rung(order)

@@ -13,7 +13,9 @@ from pipeline.errors import NightglassError
 from pipeline.execute.check import WINDOW_PX, reference
 from pipeline.execute.sources import place_targets
 from pipeline.inputs.band.response import gather_response
+from pipeline.inputs.sky.sky import gather_sky
 from pipeline.plan.plan import Plan
+from pipeline.plan.response.streaks import exact_path
 from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky
 from pipeline.plan.tiles import Tile
 from pipeline.studies.scenes.stage import Stage, mean_of, noise_of
@@ -89,8 +91,6 @@ def choose_windows(stage: Stage, tiles: tuple[Tile, ...], count: int) -> tuple[T
 
 def _bright_places(stage: Stage) -> list[tuple[float, float]]:
     """Places of the brightest sources (x, y): middles, and where the first star's streak ends."""
-    from pipeline.plan.response.streaks import exact_path
-
     s, plan = stage.stars, stage.plan
     order = [int(i) for i in np.argsort(-s.light_e, kind="stable") if _on(plan, s, int(i))][:4]
     stars = [(float(s.x_px[i]), float(s.y_px[i])) for i in order]
@@ -142,8 +142,6 @@ def exact_sky(stage: Stage) -> Callable[[Tile], Array]:
 
 def sky_light(stage: Stage) -> LightOfSky:
     """The light that the plan's grids are made from, as a function of place."""
-    from pipeline.inputs.sky.sky import gather_sky
-
     scene, plan = stage.plan.scene, stage.plan
     response, band, digest = gather_response(scene)
     catalogues, colour = stage.prepared.catalogues, plan.colour

@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 from typing import Any
 
-Row = dict[str, Any]
+from catalog_tools.documents import JsonObject
+
+Row = JsonObject
 
 # Okabe & Ito's colours; shapes tell them apart too.
 MOST, RMS, AGAIN, ASKED = "#0072B2", "#009E73", "#56B4E9", "#D55E00"
@@ -13,7 +15,7 @@ COLUMNS, PANEL_IN = 4, (3.1, 2.9)
 LEAST = 1e-7  # sigma: what is smaller stands on the lower edge
 
 
-def ladder_figure(study: dict[str, Any]) -> bytes:
+def ladder_figure(study: JsonObject) -> bytes:
     """Error against CPU time, a panel a scene, as PNG."""
     scenes = study["scenes"]
     columns = min(COLUMNS, len(scenes))
@@ -74,7 +76,7 @@ def _few(value: float, _: int) -> str:
     return f"{value:g}" if digit in "25" else ""
 
 
-def omission_figure(study: dict[str, Any]) -> bytes:
+def omission_figure(study: JsonObject) -> bytes:
     """Each approximation's bound beside the error that it caused, as PNG."""
     rows = [
         (scene["title"], s)

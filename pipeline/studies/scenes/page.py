@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import html
 import re
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.studies.scenes.tables import (
     Table,
     explained,
@@ -24,7 +24,7 @@ STYLE = (
 )
 
 
-def page(study: dict[str, Any], ladder_png: bytes, omissions_png: bytes) -> str:
+def page(study: JsonObject, ladder_png: bytes, omissions_png: bytes) -> str:
     """HTML of a study with its figures."""
     notes = "".join(f"<li>{_coded(line)}</li>" for line in explained(study))
     return (

@@ -6,9 +6,10 @@ import json
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
+from pipeline.inputs.stars.catalogues import open_catalogues
 from pipeline.studies.scenes.figure import ladder_figure, omission_figure
 from pipeline.studies.scenes.page import page
 from pipeline.studies.scenes.scenes import wishes
@@ -28,7 +29,7 @@ def report_scenes(
     quick: bool = False,
     catalogue: Path | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Measure, and write report.json, report.html, report.md and two figures into a new folder.
 
     scenes : names, all where there is none; rungs : accuracy targets, "0.5,0.05"
@@ -43,8 +44,6 @@ def report_scenes(
     if find_spec("matplotlib") is None:
         raise BadInput("figure", "matplotlib is not installed", "pip install 'nightglass[report]'")
     if catalogue is not None:
-        from pipeline.inputs.stars.catalogues import open_catalogues
-
         open_catalogues((str(catalogue),))
     with tempfile.TemporaryDirectory(prefix="nightglass-report-") as folder:
         study = run_study(scenes, chosen, quick, catalogue, Path(folder), progress)
@@ -53,7 +52,7 @@ def report_scenes(
     return study
 
 
-def write(study: dict[str, Any], out: Path) -> None:
+def write(study: JsonObject, out: Path) -> None:
     """Write a study into a folder."""
     ladder, omissions = ladder_figure(study), omission_figure(study)
     (out / "report.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
@@ -63,7 +62,7 @@ def write(study: dict[str, Any], out: Path) -> None:
     (out / "omissions.png").write_bytes(omissions)
 
 
-def text(study: dict[str, Any]) -> str:
+def text(study: JsonObject) -> str:
     """The study as Markdown, without its figures."""
     notes = "\n".join(f"- {line}" for line in explained(study))
     return (

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import resource
 import shutil
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.execute.blocks import around
 from pipeline.execute.sources import distance_px, excursion_px, place_targets
@@ -25,7 +26,7 @@ from pipeline.studies.scenes.exact import Exact, load_exact
 from pipeline.studies.scenes.stage import Light, Stage, light_by, mean_of, open_stage
 
 
-def measure_rung(order: dict[str, Any]) -> dict[str, Any]:
+def measure_rung(order: JsonObject) -> JsonObject:
     """Time, memory and error of a scene at one accuracy.
 
     order : scene (plain data), share [part, parts], folder (empty, its own), exact (path of what
@@ -56,7 +57,7 @@ def measure_rung(order: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def render_once(scene: dict[str, Any], part: Sequence[int], product: Path) -> tuple[float, float]:
+def render_once(scene: JsonObject, part: Sequence[int], product: Path) -> tuple[float, float]:
     """CPU and wall seconds of a render; its product is removed again.
 
     part : (part, of how many) of the tiles
@@ -79,13 +80,11 @@ def peak_mb() -> float:
     """
     status = Path("/proc/self/status")
     if not status.is_file():
-        import resource
-
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
 
 
-def errors_against(stage: Stage, light: Light, exact: Exact) -> dict[str, Any]:
+def errors_against(stage: Stage, light: Light, exact: Exact) -> JsonObject:
     """How far drawn light is from what belongs in the windows.
 
     max_sigma, rms_sigma : in units of each pixel's noise; max_e; bias : of all their light

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 
 # Fields of the catalogue that the report makes: right ascension, declination, radius [deg], limit.
@@ -19,7 +20,7 @@ TRACKED = (266.2, 0.0, 0.45, 16.5)
 ALL_SKY_G_MAG, QUICK_ALL_SKY_G_MAG = 9.0, 8.5
 QUICK_CROWDED_G_MAG, QUICK_CROWDED_DEG = 18.0, 0.2
 
-SENSOR: dict[str, Any] = {
+SENSOR: JsonObject = {
     "pixel_pitch_um": 9.0,
     "focal_length_m": 0.4,
     "aperture_m": 0.2,
@@ -55,11 +56,11 @@ class ReportScene:
 
     name: str
     title: str
-    data: dict[str, Any]
+    data: JsonObject
     share: tuple[int, int] = (1, 1)
 
 
-def _scene(name: str, side: int, **sections: Any) -> dict[str, Any]:
+def _scene(name: str, side: int, **sections: Any) -> JsonObject:
     sensor = SENSOR | {"shape": [side, side]} | sections.pop("sensor", {})
     return {
         "schema": "nightglass/scene/1",
@@ -72,11 +73,11 @@ def _scene(name: str, side: int, **sections: Any) -> dict[str, Any]:
     }
 
 
-def _still(field: tuple[float, float, float, float]) -> dict[str, Any]:
+def _still(field: tuple[float, float, float, float]) -> JsonObject:
     return {"mode": "sidereal", "boresight_ra_deg": field[0], "boresight_dec_deg": field[1]}
 
 
-def _pixel_arcsec(sensor: dict[str, Any]) -> float:
+def _pixel_arcsec(sensor: JsonObject) -> float:
     return math.degrees(1e-6 * sensor["pixel_pitch_um"] / sensor["focal_length_m"]) * 3600.0
 
 
@@ -189,7 +190,7 @@ def _limb(quick: bool) -> ReportScene:
     )
 
 
-def _target(name: str, place: Any, speed: Any, diameter_m: float) -> dict[str, Any]:
+def _target(name: str, place: Any, speed: Any, diameter_m: float) -> JsonObject:
     return {
         "name": name,
         "orbit": {

@@ -10,8 +10,9 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
+from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.errors import BadInput, NightglassError
 from pipeline.studies.scenes.scenes import (
     ALL_SKY_G_MAG,
@@ -55,7 +56,7 @@ def run_study(
     catalogue: Path | None,
     folder: Path,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Measure scenes at a ladder of accuracies; everything found, as plain data.
 
     names : of scenes; where there is none all, or QUICK_SCENES
@@ -95,7 +96,7 @@ def run_study(
 
 def _reference_order(
     wish: ReportScene, rungs: tuple[float, ...], quick: bool, stars: str, folder: Path
-) -> dict[str, Any]:
+) -> JsonObject:
     finest = FINER * min(*rungs, USUAL)
     return {
         "work": "reference",
@@ -108,7 +109,7 @@ def _reference_order(
     }
 
 
-def _rung_order(wish: ReportScene, rung: float, stars: str, folder: Path) -> dict[str, Any]:
+def _rung_order(wish: ReportScene, rung: float, stars: str, folder: Path) -> JsonObject:
     work = folder / f"{wish.name}-{rung:g}"
     work.mkdir()
     return {
@@ -120,7 +121,7 @@ def _rung_order(wish: ReportScene, rung: float, stars: str, folder: Path) -> dic
     }
 
 
-def _told(wish: ReportScene, found: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _told(wish: ReportScene, found: JsonObject, rows: list[JsonObject]) -> JsonObject:
     size = wish.data["sensor"]["shape"]
     return {
         "scene": wish.name,
@@ -138,15 +139,13 @@ def _told(wish: ReportScene, found: dict[str, Any], rows: list[dict[str, Any]]) 
 
 def make_catalogue(names: tuple[str, ...], quick: bool, folder: Path) -> Path:
     """A synthetic catalogue that is deep where these scenes look."""
-    from catalog_tools.synthetic.synthetic import make_demo
-
     path = folder / "catalogue"
     limit = QUICK_ALL_SKY_G_MAG if quick else ALL_SKY_G_MAG
     make_demo(path, faintest_g_mag=limit, deep_fields=deep_fields(names, quick))
     return path
 
 
-def run_child(order: dict[str, Any]) -> dict[str, Any]:
+def run_child(order: JsonObject) -> JsonObject:
     """One measurement in a process of its own; raises what it says went wrong."""
     command = [sys.executable, "-m", "pipeline.studies.scenes.child"]
     done = subprocess.run(
@@ -162,7 +161,7 @@ def run_child(order: dict[str, Any]) -> dict[str, Any]:
         last = (done.stderr.strip().splitlines() or ["no word"])[-1]
         name = order["scene"]["name"]
         raise NightglassError(f"{name}: its process ended with {done.returncode}: {last}")
-    found: dict[str, Any] = json.loads(lines[-1])
+    found: JsonObject = json.loads(lines[-1])
     if "refused" in found:
         raise BadInput(*found["refused"])
     if "failed" in found:
@@ -170,7 +169,7 @@ def run_child(order: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _machine() -> dict[str, Any]:
+def _machine() -> JsonObject:
     """What it was measured on, and how much else it had to do."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {

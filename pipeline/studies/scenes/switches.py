@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.execute.blocks import around
 from pipeline.execute.light import add_wings_of, draw_along
@@ -45,14 +46,12 @@ class Switch:
     of_light: bool = False
 
 
-def measure_switches(stage: Stage, tiles: tuple[Tile, ...], exact: Exact) -> list[dict[str, Any]]:
+def measure_switches(stage: Stage, tiles: tuple[Tile, ...], exact: Exact) -> list[JsonObject]:
     """A record for each approximation of the stage's plan: error, bound, seconds of a frame."""
     return [_measured(stage, tiles, exact, s) for s in switches(stage, tiles)]
 
 
-def _measured(
-    stage: Stage, tiles: tuple[Tile, ...], exact: Exact, switch: Switch
-) -> dict[str, Any]:
+def _measured(stage: Stage, tiles: tuple[Tile, ...], exact: Exact, switch: Switch) -> JsonObject:
     error_e = error_sigma = 0.0
     for window, noise in zip(exact.windows, exact.noise_e, strict=True):
         on, off = (mean_of(stage, f(window), window) for f in (switch.on, switch.off))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.lines import fold, table
 
-Row = dict[str, Any]
+Row = JsonObject
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 RUNG_HEADS = (

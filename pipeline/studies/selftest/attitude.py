@@ -6,6 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from pipeline.physics.motion.linear_system import discretise, stationary_covariance
 from pipeline.studies.selftest.case import CaseResult, case
@@ -30,8 +31,6 @@ def _cascade() -> tuple[Array, Array]:
     1e-8,
 )
 def stiff(_: Path) -> CaseResult:
-    from scipy.integrate import solve_ivp
-
     a, b = _cascade()
     start = np.array([1.0, -2.0, 3.0, -4.0, 5.0])
     times = np.array([1e-7, 1e-5, 1e-2, 10.0, 1000.0, HOURS_S])

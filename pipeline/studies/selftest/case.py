@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import NightglassError
 
 
@@ -50,7 +50,7 @@ class Outcome:
     def passed(self) -> bool:
         return self.found is not None and bool(self.found.error <= self.case.allowed)  # NaN fails
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> JsonObject:
         """Plain data for JSON and tables."""
         case, found = self.case, self.found
         error = float(found.error) if found and math.isfinite(found.error) else None

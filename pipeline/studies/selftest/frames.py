@@ -8,6 +8,10 @@ import numpy as np
 from scipy.special import erf
 
 from pipeline.errors import BadInput
+from pipeline.execute.tile import render_tile
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.route.prepare import prepare
+from pipeline.spec.load import parse_scene
 from pipeline.studies.selftest.case import CaseResult, case
 from pipeline.studies.selftest.scenes import BODY, frames, scene, sky_only
 
@@ -180,11 +184,6 @@ def no_light(folder: Path) -> CaseResult:
     1e-6,
 )
 def huge(_: Path) -> CaseResult:
-    from pipeline.execute.tile import render_tile
-    from pipeline.plan.pointing.geometry import plan_geometry
-    from pipeline.route.prepare import prepare
-    from pipeline.spec.load import parse_scene
-
     sky = {
         "background": {"uniform_e_per_s": 3.0},
         "sensor.shape": [30_000, 30_000],

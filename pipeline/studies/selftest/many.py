@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from scipy.special import erf
+from sgp4.api import WGS72, Satrec, SatrecArray
 
 from pipeline.physics.positions.earth import site_state, teme_to_gcrs
 from pipeline.physics.positions.orbit_screen import screen_cone
@@ -25,8 +26,6 @@ SITE = (np.radians(20.7), np.radians(-156.3), 3055.0)
 
 def satellites(count: int, seed: int) -> list[Any]:
     """Low, medium and geostationary orbits at random, as SGP4 takes them."""
-    from sgp4.api import WGS72, Satrec
-
     rng = np.random.default_rng(seed)
     day = sum(parse_utc(EPOCH)) - 2_433_281.5
     motion = rng.choice([15.0, 13.0, 2.0, 1.0], count, p=[0.5, 0.3, 0.1, 0.1])
@@ -61,8 +60,6 @@ def screened(count: int, seed: int = 3) -> tuple[int, int, int]:
     The field stands over a site. Judged by every satellite's place at moments STEP_S apart, without
     light time and aberration: those are in a rim of a hundredth of the field, which is not judged.
     """
-    from sgp4.api import SatrecArray
-
     epoch = parse_utc(EPOCH)
     many = satellites(count, seed)
     place0, _ = site_state(*SITE, instants(epoch, [0.0]))

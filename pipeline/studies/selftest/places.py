@@ -6,6 +6,7 @@ from pathlib import Path
 
 import erfa.ufunc as era
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from pipeline.physics.constants import EARTH_GM_M3_S2, SPEED_OF_LIGHT_M_S
 from pipeline.physics.motion.pointing import boresight_frame
@@ -130,8 +131,6 @@ def fly_by(_: Path) -> CaseResult:
 
 def _by_integration(q: float, e: float, seconds: float) -> tuple[Array, Array]:
     """The state after a time since perigee by an adaptive Runge-Kutta method of order 8."""
-    from scipy.integrate import solve_ivp
-
     speed = np.sqrt(EARTH_GM_M3_S2 * (1.0 + e) / q)
 
     def pull(_: float, s: Array) -> Array:

@@ -5,17 +5,16 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.lines import fold
+from pipeline.studies.selftest import attitude, frames, light, many, places, stars
 from pipeline.studies.selftest.case import LimitingCase, Outcome, every, run_case
 
 
 def all_cases() -> tuple[LimitingCase, ...]:
     """Every case, in the order of the page."""
-    from pipeline.studies.selftest import attitude, frames, light, many, places, stars
-
     return every((places, attitude, light, frames, stars, many))
 
 
@@ -41,7 +40,7 @@ def run_cases(
     return outcomes
 
 
-def as_data(outcomes: list[Outcome]) -> dict[str, Any]:
+def as_data(outcomes: list[Outcome]) -> JsonObject:
     """All outcomes as plain data."""
     return {
         "passed": all(o.passed for o in outcomes),

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
+import zarr
 
+from catalog_tools.documents import JsonObject
 from pipeline.route.run import Options, render
 from pipeline.spec.dotted import changed
 from pipeline.spec.load import parse_scene
@@ -18,13 +20,13 @@ Array = np.ndarray
 # stands near +x, so that the side towards the observer is lit.
 OBSERVER_M = (-7.0e6, 0.0, 0.0)
 BODY_M = (-7.1e6, 0.0, 0.0)
-BODY: dict[str, Any] = {
+BODY: JsonObject = {
     "name": "body",
     "orbit": {"kind": "state", "position_m": BODY_M, "velocity_m_s": [0.0, 0.0, 0.0]},
     "body": {"kind": "sphere", "diameter_m": 0.1, "albedo": 0.5},
     "eclipse": False,
 }
-SCENE: dict[str, Any] = {
+SCENE: JsonObject = {
     "schema": "nightglass/scene/1",
     "accept": ["sun", "moon", "daylight"],  # limiting cases look where no telescope would
     "name": "selftest",
@@ -57,26 +59,24 @@ class Frames:
 
     layers: dict[str, Array]
     truth: dict[str, Array]
-    report: dict[str, Any]
+    report: JsonObject
 
 
-def scene(changes: dict[str, Any]) -> dict[str, Any]:
+def scene(changes: JsonObject) -> JsonObject:
     """The small scene with dotted changes, such as {"sensor.shape": [8, 8]}; None removes a key."""
-    data: dict[str, Any] = changed(SCENE, changes)
+    data: JsonObject = changed(SCENE, changes)
     return data
 
 
-def sky_only(changes: dict[str, Any]) -> dict[str, Any]:
+def sky_only(changes: JsonObject) -> JsonObject:
     """A scene without stars and targets: a uniform sky."""
     still = {"mode": "sidereal", "boresight_ra_deg": 180.0, "boresight_dec_deg": 0.0}
     observer = {"kind": "fixed", "position_au": [1.0, 0.0, 0.0]}
     return scene({"targets": None, "pointing": still, "observer": observer, **changes})
 
 
-def frames(data: dict[str, Any], folder: Path, kind: str = "targets") -> Frames:
+def frames(data: JsonObject, folder: Path, kind: str = "targets") -> Frames:
     """Render a scene; `kind` names the truth table to read."""
-    import zarr
-
     product = folder / "product"
     report = render(parse_scene(data), product, Options("synchronous", replace=True))
     group = zarr.open_group(product / "cube.zarr", mode="r")
@@ -84,8 +84,6 @@ def frames(data: dict[str, Any], folder: Path, kind: str = "targets") -> Frames:
     truth = {}
     table = product / "truth" / f"{kind}.parquet"
     if table.is_file():
-        import pyarrow.parquet as pq
-
         read = pq.read_table(table)
         truth = {name: read[name].to_numpy() for name in read.column_names}
     return Frames(layers, truth, report)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.special import erf
 
+from catalog_tools.documents import JsonObject
+from catalog_tools.ingest.ingest import ingest
 from pipeline.studies.selftest.case import CaseResult, case
 from pipeline.studies.selftest.scenes import Frames, frames, sky_only
 
@@ -18,8 +19,6 @@ STILL = {"space_motion": False, "parallax": False, "aberration": False, "deflect
 
 def _catalogue(folder: Path, ra_deg: Array, dec_deg: Array, g_mag: Array) -> str:
     """A catalogue of a few stars, made by the product's own ingest."""
-    from catalog_tools.ingest.ingest import ingest
-
     folder.mkdir(parents=True, exist_ok=True)
     columns = (ra_deg.tolist(), dec_deg.tolist(), g_mag.tolist())
     rows = [f"{i + 1},{r!r},{d!r},{g!r}" for i, (r, d, g) in enumerate(zip(*columns, strict=True))]
@@ -39,14 +38,14 @@ def _sky(x_px: Array, y_px: Array, side: int) -> tuple[Array, Array]:
     return ra, dec
 
 
-def _stars(folder: Path, x: Array, y: Array, g: Array, changes: dict[str, Any]) -> Frames:
+def _stars(folder: Path, x: Array, y: Array, g: Array, changes: JsonObject) -> Frames:
     side = changes.get("sensor.shape", [64, 64])[0]
     catalogue = _catalogue(folder / "made", *_sky(x, y, side), g)
     data = sky_only({"stars": {"catalogue": catalogue, **STILL}, "sensor.adc_bits": 63, **changes})
     return frames(data, folder, "stars")
 
 
-def _rate(length_px: float) -> dict[str, Any]:
+def _rate(length_px: float) -> JsonObject:
     """Pointing that leaves streaks of a length along rows, and starts so that they are centred."""
     shift_deg = 0.5 * length_px * PIXEL_ARCSEC / 3600.0
     return {

@@ -508,7 +508,7 @@ def test_two_runs_on_one_cluster_keep_their_tasks_apart(tmp_path, parts):
 
     from distributed import Client, LocalCluster
 
-    from catalog_tools.engine.schedulers import ClusterScheduler
+    from catalog_tools.engine.cluster_scheduler import ClusterScheduler
 
     stars, files = parts
     found = {}
