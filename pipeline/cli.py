@@ -14,6 +14,7 @@ from pipeline.commands.catalog import catalog
 from pipeline.commands.cosmic_rays import cosmic_rays
 from pipeline.commands.export import export, import_app
 from pipeline.commands.jobs import Server, jobs
+from pipeline.commands.observe import observe
 from pipeline.commands.options import (
     Accepts,
     AcceptsError,
@@ -423,6 +424,7 @@ def selftest(
         raise typer.Exit(1)
 
 
+app.command()(observe)
 app.command()(sweep)
 app.command()(export)
 app.command()(join)

@@ -1,0 +1,79 @@
+"""Light and signal-to-noise of targets as they would be in the middle of the frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Array, Geometry
+from pipeline.execute.truth import matched_snr
+from pipeline.physics.motion.streak import POINT, Path
+from pipeline.physics.vectors import rotate_minimal, unit
+from pipeline.plan.resolved import ResolvedScene
+
+LENGTH_STEP, ANGLES = 0.02, 24  # lengths (their logarithm) and directions that are told apart
+SHORTEST_PX = 0.02
+
+
+def on_axis_light_e(plan: ResolvedScene, g: Geometry, visible: Array) -> Array:
+    """Light (F, T) [e-] of targets in the exposures of `g`, seen in the middle of the frame.
+
+    visible : (F, T) fraction of the exposure in which the Earth does not hide them
+    """
+    light = np.swapaxes(g.target_light, 0, 1)
+    mean = 0.5 * (light[..., :-1] + light[..., 1:]).mean(axis=-1) * visible
+    if plan.extinction is not None:
+        mean = mean * plan.extinction.transmission(g.target_clear[:, :, g.middle].T)
+    exposed_s = np.array([plan.integration_s(int(f)) for f in g.frame])
+    return mean * (plan.sun_rate_e_s_m2 * plan.facts.area_m2 * exposed_s)[:, None]
+
+
+def on_axis_streaks_px(plan: ResolvedScene, g: Geometry, direction: Array, way: Array) -> Array:
+    """Streaks (F, T, 2) [px] of targets past a camera that is turned onto them as it moves.
+
+    The pointing as a whole is turned on the shortest way from its boresight at mid-exposure to the
+    target. direction, way : (F, T, 3) of targets, and their motion in the exposure [rad]
+    """
+    axes, ends = g.attitude[:, g.middle], g.attitude[:, [0, -1], 2]
+    boresight = axes[:, None, 2]
+    opposite = 1.0 + np.sum(boresight * direction, axis=-1) < 1e-9
+    towards = unit(np.where(opposite[..., None], direction + 1e-4 * axes[:, None, 0], direction))
+    turn = rotate_minimal(np.broadcast_to(boresight, towards.shape), towards)
+    own = np.einsum("ftij,fkj,fti->ftk", turn, axes[:, :2], way)
+    camera = np.einsum("fkj,fj->fk", axes[:, :2], ends[:, 1] - ends[:, 0])
+    exposed_s = g.offset_s[:, -1] - g.offset_s[:, 0]
+    charge = plan.camera.charge_px_s * exposed_s[:, None, None] * np.array([0.0, 1.0])
+    return np.asarray((own - camera[:, None]) / plan.facts.ifov_rad - charge)
+
+
+def on_axis_snr(plan: ResolvedScene, light_e: Array, streak_px: Array, frame: int) -> Array:
+    """Signal-to-noise (n,) of light (n,) swept along straight streaks (n, 2) in the middle.
+
+    Streaks that differ by less than LENGTH_STEP in length and half a turn over ANGLES in direction
+    are swept alike: SNR goes with the root of the length at most, and is good to 1 %.
+    """
+    snr = np.zeros(len(light_e))
+    kind = _kinds(streak_px)
+    x, y = plan.camera.centre_px
+    for one in np.unique(kind, axis=0):
+        mine = np.flatnonzero((kind == one).all(axis=1))
+        at = np.full(len(mine), x), np.full(len(mine), y)
+        snr[mine] = matched_snr(plan, _path(one), light_e[mine], *at, frame)
+    return snr
+
+
+def _kinds(streak_px: Array) -> NDArray[np.int64]:
+    """Length and direction (n, 2) of streaks (n, 2), in steps; zeros for those at rest."""
+    length = np.hypot(streak_px[:, 0], streak_px[:, 1])
+    steps = np.round(np.log(np.maximum(length, SHORTEST_PX) / SHORTEST_PX) / LENGTH_STEP)
+    angle = np.arctan2(streak_px[:, 1], streak_px[:, 0]) % np.pi
+    turned = np.round(angle / np.pi * ANGLES) % ANGLES
+    return np.stack([steps, np.where(steps > 0.0, turned, 0.0)], axis=1).astype(np.int64)
+
+
+def _path(kind: NDArray[np.int64]) -> Path:
+    if kind[0] == 0:
+        return POINT
+    half, angle = 0.5 * SHORTEST_PX * np.exp(LENGTH_STEP * kind[0]), np.pi * kind[1] / ANGLES
+    ends = half * np.array([-1.0, 1.0])
+    return Path(ends * np.cos(angle), ends * np.sin(angle), np.ones(1))
