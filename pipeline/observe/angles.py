@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Array, Geometry
+from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
+from pipeline.physics.positions.apparent import aberrate, unaberrate
 from pipeline.physics.positions.sky_angles import horizontal, motion
-from pipeline.physics.vectors import separation
+from pipeline.physics.vectors import separation, unit
 from pipeline.plan.bodies.paths import batches
 from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.plan.pointing.geometry import aimed, moments_at
-from pipeline.plan.pointing.lamps import Lamp, bodies_m, seen_towards, sun_and_moon
+from pipeline.plan.pointing.lamps import Lamp, bodies_m, sun_and_moon
 from pipeline.plan.pointing.site import axes_of
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.timing import dwell_of, dwell_plans
@@ -61,13 +63,14 @@ def angles_of(plan: ResolvedScene, g: Geometry) -> Angles:
     at, attitude = aimed(scene, middle_s, plan.dut1_s, dwell_of(dwell_plans(scene), g.frame))
     direction, rate, angle, range_rate = _moving(scene, plan.dut1_s, middle_s)
     azimuth, elevation = _horizontal(scene, at, np.swapaxes(g.target_direction, 0, 1))
-    to_sun, to_moon = (separation(direction, _towards(scene, at, m)) for m in bodies_m(at))
+    sun, moon = (unit(body_m) for body_m in bodies_m(at))
+    moon = unaberrate(moon, at.earth.velocity_m_s / SPEED_OF_LIGHT_M_S)  # which moves along
+    to_sun, to_moon = (
+        separation(direction, aberrate(u, at.observer_m_s / SPEED_OF_LIGHT_M_S)[:, None])
+        for u in (sun, moon)
+    )
     lamps = sun_and_moon(scene, at, attitude)
     return Angles(direction, rate, angle, range_rate, azimuth, elevation, to_sun, to_moon, *lamps)
-
-
-def _towards(scene: Scene, at: Moments, body_m: Array) -> Array:
-    return seen_towards(scene, at, body_m)[:, None]
 
 
 def _moving(scene: Scene, dut1_s: float, middle_s: Array) -> tuple[Array, Array, Array, Array]:

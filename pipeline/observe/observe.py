@@ -33,7 +33,7 @@ from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.timing import frame_times
 from pipeline.spec.scene import Scene
 
-MOST_ROWS = 5_000_000
+MOST_ROWS = 2_000_000
 SAMPLES = 400_000  # nodes of targets that are worked out in one go
 LEAST_SNR = 5.0
 OF_TRUTH = (

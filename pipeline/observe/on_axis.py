@@ -11,7 +11,7 @@ from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.vectors import rotate_minimal, unit
 from pipeline.plan.resolved import ResolvedScene
 
-LENGTH_STEP, ANGLES = 0.02, 24  # lengths (their logarithm) and directions that are told apart
+LENGTH_STEP, ANGLES = 0.02, 12  # lengths (their logarithm) and directions that are told apart
 SHORTEST_PX = 0.02
 
 
@@ -53,10 +53,10 @@ def on_axis_snr(plan: ResolvedScene, light_e: Array, streak_px: Array, frame: in
     are swept alike: SNR goes with the root of the length at most, and is good to 1 %.
     """
     snr = np.zeros(len(light_e))
-    kind = _kinds(streak_px)
+    lit, kind = light_e > 0.0, _kinds(streak_px)
     x, y = plan.camera.centre_px
-    for one in np.unique(kind, axis=0):
-        mine = np.flatnonzero((kind == one).all(axis=1))
+    for one in np.unique(kind[lit], axis=0):
+        mine = np.flatnonzero(lit & (kind == one).all(axis=1))
         at = np.full(len(mine), x), np.full(len(mine), y)
         snr[mine] = matched_snr(plan, _path(one), light_e[mine], *at, frame)
     return snr

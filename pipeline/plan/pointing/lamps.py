@@ -154,12 +154,6 @@ def bodies_m(at: Moments) -> tuple[Array, Array]:
     return sun, moon_m(at.times.tt1, at.times.tt2) - at.observer_m
 
 
-def seen_towards(scene: Scene, at: Moments, body_m: Array) -> Array:
-    """Directions (n, 3) in which a body at vectors (n, 3) is seen, with the observer's motion."""
-    seen_moving = float(scene.star_effects["aberration"])
-    return aberrate(unit(body_m), seen_moving * at.observer_m_s / SPEED_OF_LIGHT_M_S)
-
-
 def sun_and_moon(scene: Scene, at: Moments, attitude: Array) -> tuple[Lamp, Lamp]:
     """Both at moments (n,), as a camera of attitudes (n, 3, 3) sees them."""
     camera, (sun, moon) = camera_of(scene), bodies_m(at)
@@ -203,7 +197,8 @@ def _lamp(
 ) -> Lamp:
     """A body at vectors (n, 3) from the observer."""
     distance = np.sqrt(np.sum(body_m**2, axis=-1))
-    towards = seen_towards(scene, at, body_m)
+    moving = float(scene.star_effects["aberration"])
+    towards = aberrate(unit(body_m), moving * at.observer_m_s / SPEED_OF_LIGHT_M_S)
     radius = np.arcsin(np.minimum(1.0, radius_m / distance))
     elevation = 0.5 * np.pi - separation(body_m, _upright(at.observer_m))
     off_axis = separation(attitude[:, 2], towards)
