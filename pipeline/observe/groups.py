@@ -50,7 +50,7 @@ def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
     own = sensor.scene.targets[: len(asked.targets)]
     notes = [*found.warnings, *found.remarks]
     if refused is not None:
-        notes.insert(0, f"{refused}; noise and response are those of a field away from the Earth")
+        notes.insert(0, f"a render is refused ({refused}); noise: of a field at the zenith")
         read = read_files(accepting)
         there = {k: getattr(read, k) for k in ("pointing", "dwells", "exposure")}
         sensor = _of(sensor, sensor.scene.model_copy(update=there), own)

@@ -137,7 +137,9 @@ def test_rates(cases: Any, ours: Any) -> None:
     ("name", "column", "limit"),
     [("sun", "solar_elongation_deg", 2.0), ("moon", "moon_separation_deg", 11.0)],
 )
-def test_angles_to_sun_and_moon(cases: Any, ours: Any, name: str, column: str, limit: float) -> None:
+def test_angles_to_sun_and_moon(
+    cases: Any, ours: Any, name: str, column: str, limit: float
+) -> None:
     """The Moon's place is good to 10 arcsec, and its own light time is left out (0.7)."""
     site = coord.EarthLocation.from_geodetic(-156.3, 20.7, 3055.0)
     when = Time("2019-04-20T10:00:00") + cases[1] * u.s
