@@ -80,6 +80,7 @@ def observe(
     least_snr: float = LEAST_SNR,
     listen: Listener | None = None,
     centroid_seed: int | None = None,
+    most_rows: int = MOST_ROWS,
 ) -> Observed:
     """Every target and member of a population as the scene's sensor sees it, without drawing.
 
@@ -95,16 +96,16 @@ def observe(
     listen : told what is done, how many rows of how many
     centroid_seed : of noise; with it what is seen has places as measured (`observe.centroid`)
 
-    Raises BadInput for scenes that cannot be resolved, times that are none, more than MOST_ROWS.
+    Raises BadInput for scenes that cannot be resolved, times that are none, more than `most_rows`.
     """
     if not 0.0 < least_snr < np.inf:
-        raise BadInput("--snr", least_snr, "a signal-to-noise ratio above 0")
+        raise BadInput("snr", least_snr, "a signal-to-noise ratio above 0")
     at = times_of(scene, times)
     groups, notes = groups_of(scene, at)
     rows = sum(len(g.resolved.scene.targets) - g.first for g in groups) * len(at.frame)
-    if rows > MOST_ROWS:
-        field = "exposure.frames" if at.as_exposed else "--times"
-        allowed = f"at most {MOST_ROWS} rows (times x targets); here {rows}"
+    if rows > most_rows:
+        field = "exposure.frames" if at.as_exposed else "times"
+        allowed = f"at most {most_rows} rows (times x targets); here {rows}"
         raise BadInput(field, len(at.frame), allowed)
     if not at.as_exposed:
         notes.append(_of_times(scene))

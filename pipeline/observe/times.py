@@ -55,11 +55,11 @@ def _wanted_s(scene: Scene, asked: str | Iterable[str | float]) -> Array:
         return _range_s(scene, asked)
     words = _lines(Path(asked)) if isinstance(asked, str) else list(asked)
     if not 1 <= len(words) <= MOST_TIMES:
-        raise BadInput("--times", f"{len(words)} times", f"1 to {MOST_TIMES} times")
+        raise BadInput("times", f"{len(words)} times", f"1 to {MOST_TIMES} times")
     found = np.array([_offset_s(scene, word) for word in words])
     late = np.flatnonzero(np.diff(found) <= 0.0)
     if len(late):
-        raise BadInput("--times", str(words[late[0] + 1]), "times that rise from one to the next")
+        raise BadInput("times", str(words[late[0] + 1]), "times that rise from one to the next")
     return found
 
 
@@ -71,11 +71,11 @@ def _range_s(scene: Scene, text: str) -> Array:
     except ValueError:
         step = 0.0
     if not 0.0 < step < np.inf:
-        raise BadInput("--times", step_text, "a step above 0 s")
+        raise BadInput("times", step_text, "a step above 0 s")
     if stop < start:
-        raise BadInput("--times", last, f"a stop at or after the start, {first}")
+        raise BadInput("times", last, f"a stop at or after the start, {first}")
     if (stop - start) / step >= MOST_TIMES:
-        raise BadInput("--times", text, f"at most {MOST_TIMES} times")
+        raise BadInput("times", text, f"at most {MOST_TIMES} times")
     return np.asarray(start + step * np.arange(int((stop - start) / step + 1e-9) + 1))
 
 
@@ -83,7 +83,7 @@ def _lines(path: Path) -> list[str]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise BadInput("--times", str(path), f"{FORMS} ({type(error).__name__})") from None
+        raise BadInput("times", str(path), f"{FORMS} ({type(error).__name__})") from None
     lines = (line.split("#")[0].strip() for line in text.splitlines())
     return [line for line in lines if line]
 
@@ -93,8 +93,8 @@ def _offset_s(scene: Scene, word: str | float) -> float:
     try:
         seconds = float(word)
     except ValueError:
-        utc1, utc2 = parse_utc(str(word).strip(), "--times")
+        utc1, utc2 = parse_utc(str(word).strip(), "times")
         return float(elapsed_s(parse_utc(scene.epoch), utc1, utc2))
     if not np.isfinite(seconds):
-        raise BadInput("--times", word, "a finite time")
+        raise BadInput("times", word, "a finite time")
     return seconds

@@ -42,6 +42,15 @@ class Looks:
         plan: dict[str, Any] = (await unless_gone(request, look))["plan"]
         return plan
 
+    async def observe(
+        self, request: Request, team: str, scene: dict[str, Any], asked: dict[str, Any]
+    ) -> dict[str, Any]:
+        """What an accepted scene's sensor sees; asked : times and snr. Raises as `plan` does."""
+        order = asked | {"do": "observe", "most_rows": self._settings.observed_rows}
+        look = self._look(team, scene, order, self._settings.plan_s)
+        seen: dict[str, Any] = (await unless_gone(request, look))["observed"]
+        return seen
+
     async def judge(self, request: Request, team: str, scene: dict[str, Any]) -> None:
         """PlanRefused where an uploaded file is not what the scene says; TooMany.
 
