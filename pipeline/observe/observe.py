@@ -20,21 +20,14 @@ from pipeline.observe.groups import Group, groups_of
 from pipeline.observe.on_axis import on_axis_light_e, on_axis_snr, on_axis_streaks_px
 from pipeline.observe.reasons import REASONS, seen_of
 from pipeline.observe.times import Times, times_of
-from pipeline.physics.constants import ARCSEC_RAD, DEG_RAD
 from pipeline.physics.positions.times import format_utc
-from pipeline.plan.pointing.geometry import (
-    aimed,
-    geometry_anywhere,
-    plan_geometry,
-    sampled_frames,
-)
-from pipeline.plan.pointing.lamps import sun_and_moon
+from pipeline.plan.pointing.geometry import geometry_anywhere, plan_geometry
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.timing import frame_times
 from pipeline.spec.scene import Scene
 
 MOST_ROWS = 2_000_000
-SAMPLES = 400_000  # nodes of targets that are worked out in one go
+SAMPLES = 25_000  # rows that are worked out in one go
 LEAST_SNR = 5.0
 OF_TRUTH = (
     "x_px", "y_px", "ra_deg", "dec_deg", "apparent_ra_deg", "apparent_dec_deg", "range_m",
@@ -49,8 +42,11 @@ ORDER = (
     "electrons_per_s", "streak_px", "snr", "snr_at", "x_px", "y_px", "in_frame",
     "visible_fraction",
 )  # fmt: skip
-
 MEASURED = ("ra_measured_deg", "dec_measured_deg", "centroid_sigma_arcsec")
+OTHER_TIMES = (
+    "the noise of the sky and the response are those of the scene's own exposures, {epoch}: "
+    "moonlight, twilight and other pointings change them at other times"
+)
 
 Mask = NDArray[np.bool_]
 Listener = Callable[[str, int, int | None], None]
@@ -108,31 +104,24 @@ def observe(
         allowed = f"at most {most_rows} rows (times x targets); here {rows}"
         raise BadInput(field, len(at.frame), allowed)
     if not at.as_exposed:
-        notes.append(_of_times(scene))
+        notes.append(OTHER_TIMES.format(epoch=scene.epoch))
     made, done = [], 0
-    for group in groups:
-        for part in _windows(group, at):
-            made.append(_rows(group, at, part, least_snr, centroid_seed))
-            done += made[-1].num_rows
-            if listen is not None:
-                listen("observing", done, rows)
+    for group, part in _windows(groups, at):
+        made.append(_rows(group, at, part, least_snr, centroid_seed))
+        done += made[-1].num_rows
+        if listen is not None:
+            listen("observing", done, rows)
     table = pa.concat_tables(made).sort_by([("moment", "ascending"), ("index", "ascending")])
     columns = ORDER if centroid_seed is None else (*ORDER, *MEASURED)
     return Observed(table.select(columns), tuple(notes), scene.name)
 
 
-def _of_times(scene: Scene) -> str:
-    return (
-        "the noise of the sky and the response are those of the scene's own exposures, "
-        f"{scene.epoch}: moonlight, twilight and other pointings change them at other times"
-    )
-
-
-def _windows(group: Group, at: Times) -> Iterator[slice]:
+def _windows(groups: list[Group], at: Times) -> Iterator[tuple[Group, slice]]:
     """Times that are worked out together: so many that their arrays stay small."""
-    each = max(1, SAMPLES // (16 * max(1, len(group.resolved.scene.targets))))
-    for first in range(0, len(at.frame), each):
-        yield slice(first, min(first + each, len(at.frame)))
+    for group in groups:
+        each = max(1, SAMPLES // max(1, len(group.resolved.scene.targets)))
+        for first in range(0, len(at.frame), each):
+            yield group, slice(first, min(first + each, len(at.frame)))
 
 
 def _rows(
@@ -148,13 +137,10 @@ def _rows(
     angles = angles_of(plan, g)
     columns, near, in_field = _truth(plan, g)
     _fill_others(plan, g, angles, columns, ~near)
-    columns |= _angle_columns(angles)
     exposed_s = frame_times(plan.scene, frames)[1][:, None]
-    with np.errstate(invalid="ignore"):
-        columns["electrons_per_s"] = columns["electrons"] / np.where(
-            exposed_s > 0, exposed_s, np.nan
-        )
-    seen = seen_of(plan, angles, columns, in_field, least_snr, _highest_sun_rad(plan))
+    exposed_s = np.where(exposed_s > 0.0, exposed_s, np.nan)  # bias frames have no rate
+    columns |= angles.columns | {"electrons_per_s": columns["electrons"] / exposed_s}
+    seen = seen_of(plan, angles, columns, in_field, least_snr)
     if centroid_seed is not None:
         columns |= _measured(plan, g, seen == "yes", centroid_seed, part.start)
     words = {"seen": seen, "snr_at": np.where(near, "frame", "boresight")}
@@ -187,9 +173,8 @@ def _measured(
     columns = {name: np.full(seen.shape, np.nan) for name in MEASURED}
     for k in np.flatnonzero(seen.any(axis=1)):
         which = np.flatnonzero(seen[k])
-        for name, value in measured(
-            plan, g.frame_slice(int(k)), which, seed, start + int(k)
-        ).items():
+        found = measured(plan, g.frame_slice(int(k)), which, seed, start + int(k))
+        for name, value in found.items():
             columns[name][k, which] = value
     return columns
 
@@ -199,48 +184,13 @@ def _fill_others(
 ) -> None:
     """Electrons, streak and SNR of targets whose light does not reach the frame (F, T)."""
     light = on_axis_light_e(plan, g, columns["visible_fraction"].astype(float))
-    exposed_s = g.offset_s[:, -1] - g.offset_s[:, 0]
-    way = _ways(angles, exposed_s)
-    streak = on_axis_streaks_px(plan, g, angles.direction, way)
-    columns["electrons"] = np.where(others, collected_e(plan, light), columns["electrons"])
-    columns["streak_px"] = np.where(
-        others, np.hypot(*np.moveaxis(streak, -1, 0)), columns["streak_px"]
-    )
+    streak = on_axis_streaks_px(plan, g, angles.direction, angles.velocity)
+    lengths = np.hypot(streak[..., 0], streak[..., 1])
+    for name, there in (("electrons", collected_e(plan, light)), ("streak_px", lengths)):
+        columns[name] = np.where(others, there, columns[name])
     for k, frame in enumerate(g.frame):
         mine = np.flatnonzero(others[k])
         columns["snr"][k, mine] = on_axis_snr(plan, light[k, mine], streak[k, mine], int(frame))
-
-
-def _ways(angles: Angles, exposed_s: Array) -> Array:
-    """Motion (F, T, 3) of targets on the sky in exposures (F,)."""
-    u = angles.direction
-    level = np.hypot(u[..., 0], u[..., 1])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        east = np.stack([-u[..., 1], u[..., 0], 0.0 * level], axis=-1) / level[..., None]
-    east = np.where(level[..., None] > 0.0, east, [0.0, 1.0, 0.0])
-    north = np.cross(u, east)
-    s, c = np.sin(angles.position_angle)[..., None], np.cos(angles.position_angle)[..., None]
-    return np.asarray((s * east + c * north) * (angles.rate * exposed_s[:, None])[..., None])
-
-
-def _angle_columns(a: Angles) -> dict[str, Array]:
-    return {
-        "azimuth_deg": a.azimuth / DEG_RAD,
-        "elevation_deg": a.elevation / DEG_RAD,
-        "range_rate_m_s": a.range_rate,
-        "rate_arcsec_s": a.rate / ARCSEC_RAD,
-        "position_angle_deg": a.position_angle / DEG_RAD,
-        "solar_elongation_deg": a.elongation / DEG_RAD,
-        "moon_separation_deg": a.from_moon / DEG_RAD,
-    }
-
-
-def _highest_sun_rad(plan: ResolvedScene) -> float:
-    """Highest elevation of the Sun at the starts of the scene's exposures looked at [rad]."""
-    start, _ = frame_times(plan.scene, sampled_frames(plan.scene))
-    return float(
-        sun_and_moon(plan.scene, *aimed(plan.scene, start, plan.dut1_s))[0].elevation.max()
-    )
 
 
 def _table(

@@ -28,21 +28,23 @@ def on_axis_light_e(plan: ResolvedScene, g: Geometry, visible: Array) -> Array:
     return mean * (plan.sun_rate_e_s_m2 * plan.facts.area_m2 * exposed_s)[:, None]
 
 
-def on_axis_streaks_px(plan: ResolvedScene, g: Geometry, direction: Array, way: Array) -> Array:
+def on_axis_streaks_px(
+    plan: ResolvedScene, g: Geometry, direction: Array, velocity: Array
+) -> Array:
     """Streaks (F, T, 2) [px] of targets past a camera that is turned onto them as it moves.
 
     The pointing as a whole is turned on the shortest way from its boresight at mid-exposure to the
-    target. direction, way : (F, T, 3) of targets, and their motion in the exposure [rad]
+    target. direction, velocity : (F, T, 3) of targets, and its change [1/s]
     """
     axes, ends = g.attitude[:, g.middle], g.attitude[:, [0, -1], 2]
     boresight = axes[:, None, 2]
     opposite = 1.0 + np.sum(boresight * direction, axis=-1) < 1e-9
     towards = unit(np.where(opposite[..., None], direction + 1e-4 * axes[:, None, 0], direction))
     turn = rotate_minimal(np.broadcast_to(boresight, towards.shape), towards)
-    own = np.einsum("ftij,fkj,fti->ftk", turn, axes[:, :2], way)
+    exposed_s = (g.offset_s[:, -1] - g.offset_s[:, 0])[:, None, None]
+    own = np.einsum("ftij,fkj,fti->ftk", turn, axes[:, :2], velocity) * exposed_s
     camera = np.einsum("fkj,fj->fk", axes[:, :2], ends[:, 1] - ends[:, 0])
-    exposed_s = g.offset_s[:, -1] - g.offset_s[:, 0]
-    charge = plan.camera.charge_px_s * exposed_s[:, None, None] * np.array([0.0, 1.0])
+    charge = exposed_s * [0.0, plan.camera.charge_px_s]
     return np.asarray((own - camera[:, None]) / plan.facts.ifov_rad - charge)
 
 

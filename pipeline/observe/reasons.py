@@ -7,23 +7,17 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array
 from pipeline.observe.angles import Angles
-from pipeline.physics.positions.focal_plane import corner_radius
-from pipeline.plan.pointing.lamps import Lamp
+from pipeline.plan.pointing.geometry import aimed, sampled_frames
+from pipeline.plan.pointing.lamps import Lamp, sun_and_moon
 from pipeline.plan.pointing.occultation import hidden_by
 from pipeline.plan.resolved import ResolvedScene
-from pipeline.plan.sky.doubts import (
-    HIGHEST_OF_NIGHT_RAD,
-    day_margin,
-    highest_sun_rad,
-    lamp_margins,
-)
+from pipeline.plan.sky.doubts import HIGHEST_OF_NIGHT_RAD, highest_sun_rad, lamp_margins
+from pipeline.plan.timing import frame_times
 from pipeline.spec.pointing.observer import GroundObserver
 
 HIDDEN = {"horizon": "below horizon", "earth": "behind the Earth"}
-SHADOW, SUN, MOON, DAYLIGHT, FIELD, FAINT = (
-    "in shadow", "Sun", "Moon", "daylight", "out of field", "too faint",
-)  # fmt: skip
-REASONS = ("yes", *HIDDEN.values(), SHADOW, SUN, MOON, DAYLIGHT, FIELD, FAINT)
+REASONS = ("yes", *HIDDEN.values(), "in shadow", "Sun", "Moon", "daylight", "out of field",
+           "too faint")  # fmt: skip
 
 
 def seen_of(
@@ -32,36 +26,38 @@ def seen_of(
     columns: dict[str, Array],
     in_field: NDArray[np.bool_],
     least_snr: float,
-    measured_sun_rad: float,
 ) -> NDArray[np.str_]:
     """`yes`, or the first reason (F, T) in the order of REASONS.
 
     Sun, Moon and daylight are what a render of the frame would refuse (`plan.sky.doubts`); of a
     target out of the field, what one would that is pointed at it.
-    in_field : whose path touches the frame; measured_sun_rad : highest Sun of the exposures, to
-        which a site's own uniform sky is taken for measured
+    in_field : whose path touches the frame
     """
-    frame = {k: v[:, None] for k, v in lamp_margins(plan.scene, angles.sun, angles.moon).items()}
-    there = lamp_margins(plan.scene, *angles.seen_from(corner_radius(plan.camera)))
-    near = {k: np.where(in_field, frame[k], there[k]) <= 0.0 for k in there}
-    day = _by_day(plan, angles.sun, measured_sun_rad)[:, None] & np.ones_like(in_field)
-    tests = (
-        (columns["visible_fraction"] <= 0.0, HIDDEN[hidden_by(plan.scene)]),
-        ((columns["sunlit_fraction"] <= 0.0) & ~(columns["electrons"] > 0.0), SHADOW),
-        (near["sun"] | near["near the sun"], SUN),
-        (near["moon"] | near["near the moon"], MOON),
-        (day, DAYLIGHT),
-        (~in_field, FIELD),
-        (~(columns["snr"] >= least_snr), FAINT),
-    )
-    return np.select([test for test, _ in tests], [why for _, why in tests], "yes")
+    frame, there = (lamp_margins(plan.scene, *lamps) for lamps in (angles.lamps, angles.turned))
+    near = {k: np.where(in_field, frame[k][:, None], there[k]) <= 0.0 for k in there}
+    tests = {
+        HIDDEN[hidden_by(plan.scene)]: columns["visible_fraction"] <= 0.0,
+        "in shadow": (columns["sunlit_fraction"] <= 0.0) & ~(columns["electrons"] > 0.0),
+        "Sun": near["sun"] | near["near the sun"],
+        "Moon": near["moon"] | near["near the moon"],
+        "daylight": _by_day(plan, angles.lamps[0])[:, None] & np.ones_like(in_field),
+        "out of field": ~in_field,
+        "too faint": ~(columns["snr"] >= least_snr),
+    }
+    return np.select(list(tests.values()), list(tests), "yes")
 
 
-def _by_day(plan: ResolvedScene, sun: Lamp, measured_sun_rad: float) -> NDArray[np.bool_]:
-    """Exposures (F,) with a Sun too high for the sky of a site."""
-    if not isinstance(plan.scene.observer, GroundObserver):
+def _by_day(plan: ResolvedScene, sun: Lamp) -> NDArray[np.bool_]:
+    """Exposures (F,) with a Sun too high for the sky of a site.
+
+    A uniform sky of the scene's own is taken for measured: under the Sun of its own exposures.
+    """
+    scene = plan.scene
+    if not isinstance(scene.observer, GroundObserver):
         return np.zeros(sun.elevation.shape, bool)
-    highest = highest_sun_rad(plan.scene)
+    highest = highest_sun_rad(scene)
     if highest is None:
-        highest = max(HIGHEST_OF_NIGHT_RAD, measured_sun_rad)
-    return np.asarray(day_margin(sun, highest) < 0.0)
+        start, exposed_s = frame_times(scene, sampled_frames(scene))
+        own, _ = sun_and_moon(scene, *aimed(scene, start + 0.5 * exposed_s, plan.dut1_s))
+        highest = max(HIGHEST_OF_NIGHT_RAD, float(own.elevation.max()) + 1e-9)
+    return np.asarray(sun.elevation > highest)

@@ -97,19 +97,11 @@ def sky_doubts(scene: Scene, facts: Facts, response: ResponseCurve, dut1_s: floa
 def _margins(scene: Scene, at: LampGeometry) -> dict[str, Array]:
     """How far [rad] moments (n,) are from each doubt: daylight, Sun and Moon in the field or near
     it, the Earth in it; at or below 0 where there is one."""
-    return (
-        {"day": day_margin(at.sun, highest_sun_rad(scene))}
-        | lamp_margins(scene, at.sun, at.moon)
-        | {"earth": _off_field(at.earth)}
-        | {n: np.maximum(_off_field(lamp), lamp.hidden) for n, (lamp, _) in at.planets.items()}
-    )
-
-
-def day_margin(sun: Lamp, highest_rad: float | None) -> Array:
-    """How far [rad] below a highest elevation (None: any) the Sun is."""
-    return (
-        np.full(sun.elevation.shape, np.pi) if highest_rad is None else highest_rad - sun.elevation
-    )
+    highest = highest_sun_rad(scene)
+    day = np.full(len(at.tick), np.pi) if highest is None else highest - at.sun.elevation
+    margins = {"day": day} | lamp_margins(scene, at.sun, at.moon) | {"earth": _off_field(at.earth)}
+    planets = at.planets.items()
+    return margins | {n: np.maximum(_off_field(lamp), lamp.hidden) for n, (lamp, _) in planets}
 
 
 def lamp_margins(scene: Scene, sun: Lamp, moon: Lamp) -> dict[str, Array]:
