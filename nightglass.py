@@ -115,13 +115,8 @@ def observe(
     Returns
     -------
     Observed
-        Its `table` (pyarrow) has a row for each time and target; `counts()` and `notes` say why
-        some are not seen, and what else to know.
-
-    Raises
-    ------
-    BadInput
-        For a scene that cannot be resolved, or without targets; for times that are none.
+        Its `table` (pyarrow) has a row for each time and target; `counts()` says why not all are
+        seen, `notes` what else to know. Raises BadInput as `plan` does, and for times.
     """
     from pipeline.observe.observe import observe as look
 

@@ -38,7 +38,6 @@ from pipeline.spec.targets.mesh import MeshBody
 Array = NDArray[np.float64]
 
 MOST_POINTS = 1_000_000
-BEFORE_S = 10.0  # light that arrives first left the farthest satellites before
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,9 @@ def light_curves(
         raise BadInput("--stop", stop_s, f"a time after the start, {start_s:g} s")
     if not 2 <= points <= MOST_POINTS:
         raise BadInput("--points", points, f"2 to {MOST_POINTS}")
-    scene = _with_members(scene, names, (start_s - BEFORE_S, stop_s))
+    own = {t.name for t in scene.targets}
+    if scene.populations and not (names and own.issuperset(names)):
+        scene = screened(scene, whole_sky(scene, start_s, stop_s))
     which = _which(scene, names)
     wavelength, irradiance, _, _ = solar_spectrum()
     scene = with_band_albedos(with_pole(scene), wavelength, irradiance, response)
@@ -133,13 +134,6 @@ def _curves(
     rows = zip(magnitude, rate, phase, sight.range_m, sunlit, seen, strict=True)
     for i, row in zip(which, rows, strict=True):
         yield scene.targets[i].name, LightCurve(at.offset_s, times.utc1, times.utc2, *row)
-
-
-def _with_members(scene: Scene, names: Sequence[str], span_s: tuple[float, float]) -> Scene:
-    """The scene with all members of its populations, where names ask for more than its targets."""
-    if not scene.populations or (names and set(names) <= {t.name for t in scene.targets}):
-        return scene
-    return screened(scene, whole_sky(scene, span_s))
 
 
 def _which(scene: Scene, names: Sequence[str]) -> list[int]:

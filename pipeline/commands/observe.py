@@ -60,18 +60,17 @@ def observe(
         return
     _print(observed)
     if output is not None:
-        print(f"{output}: {observed.table.num_rows} rows")
+        print(f"{output}: {'what is seen' if output.suffix == '.tdm' else 'all rows'}")
 
 
 def _print(observed: Observed) -> None:
     """How many rows are seen and why others are not; rows, or the best one of each target."""
     from pipeline.lines import fold, table
 
-    counts = observed.counts()
-    total = observed.table.num_rows
+    counts, total = observed.counts(), observed.table.num_rows
     said = ", ".join(f"{n} {'seen' if why == 'yes' else why}" for why, n in counts.items())
     print(fold(f"{total} rows (times x targets): {said}", "  ", ""))
-    lines = _best(observed) if total > MOST_LINES else observed.table.to_pylist()
+    lines = observed.table.to_pylist() if total <= MOST_LINES else _best(observed)
     if total > MOST_LINES:
         print(fold("of each target its best time, the best seen first; -o FILE has all rows"))
     days = len({row["utc"][:10] for row in lines}) > 1
@@ -86,13 +85,12 @@ def _best(observed: Observed) -> list[dict[str, Any]]:
     """The row of each target in which it is seen best, by SNR; of one never seen, its highest."""
     import pyarrow.compute as pc
 
-    t = observed.table
-    t = t.append_column("unseen", pc.not_equal(t["seen"], "yes"))
-    order = [("unseen", "ascending"), ("snr", "descending"), ("elevation_deg", "descending")]
-    first = t.sort_by(order).group_by("name", use_threads=False).aggregate(
-        [(name, "first") for name in t.column_names if name != "name"]
-    )  # fmt: skip
-    return [{k.removesuffix("_first"): v for k, v in row.items()} for row in first.to_pylist()]
+    seen = observed.table.append_column("no", pc.not_equal(observed.table["seen"], "yes"))
+    order = [("no", "ascending"), ("snr", "descending"), ("elevation_deg", "descending")]
+    seen = seen.sort_by(order)
+    names = seen["name"].to_pylist()
+    first = dict(zip(reversed(names), reversed(range(len(names))), strict=True))
+    return list(seen.take(sorted(first.values())).to_pylist())
 
 
 def _cells(row: dict[str, Any], days: bool) -> list[str]:

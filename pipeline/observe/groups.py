@@ -58,9 +58,9 @@ def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
     if all(p.screened is not None for p in asked.populations):
         return [Group(sensor, 0, as_drawn)], notes
     bare = sensor.scene.model_copy(update={"targets": own, "populations": asked.populations})
-    span = float(times.middle_s.min()), float(times.middle_s.max())
+    first, last = (float(v) for v in times.middle_s[[0, -1]])
     spare = longest_s(asked)
-    whole = with_numbers(screened(bare, whole_sky(bare, (span[0] - spare, span[1] + spare))))
+    whole = with_numbers(screened(bare, whole_sky(bare, first - spare, last + spare)))
     notes += _omitted(whole)
     if not as_drawn:
         return [Group(_of(sensor, whole, whole.targets), 0, False)], notes
@@ -108,13 +108,9 @@ def _of(sensor: ResolvedScene, scene: Scene, targets: tuple[Target, ...]) -> Res
 
 def _omitted(scene: Scene) -> list[str]:
     """What of populations cannot be observed."""
-    out = []
-    for p in scene.populations:
-        s = p.screened
-        failed = sum(count for _, count in s.failed) if s is not None else 0
-        if s is not None and (failed or s.unreadable):
-            out.append(
-                f"populations.{p.name}: {failed + s.unreadable} of {s.read} element sets omitted: "
-                f"{s.left_out[0]}"
-            )
-    return out
+    found = [(p.name, p.screened) for p in scene.populations if p.screened is not None]
+    return [
+        f"populations.{name}: {failed} of {s.read} element sets omitted: {s.left_out[0]}"
+        for name, s in found
+        if (failed := s.unreadable + sum(count for _, count in s.failed))
+    ]

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.physics.positions.times import elapsed_s, parse_utc
 from pipeline.plan.timing import frame_count, frame_times
 from pipeline.spec.scene import Scene
-
-Array = NDArray[np.float64]
 
 MOST_TIMES = 1_000_000
 FORMS = "START,STOP,STEP, or a file with a time in each line: UTC, or seconds after the epoch"
@@ -23,7 +22,7 @@ FORMS = "START,STOP,STEP, or a file with a time in each line: UTC, or seconds af
 @dataclass(frozen=True)
 class Times:
     """n exposures: the frame of the scene (n,) that each is like, its middle [s after the epoch],
-    and by how much it is later than that frame [s]; none is where `as_exposed`."""
+    and by how much it is later than that frame [s]; 0 where `as_exposed`."""
 
     frame: NDArray[np.int64]
     middle_s: Array
@@ -43,40 +42,30 @@ def times_of(scene: Scene, asked: str | Iterable[str | float] | None) -> Times:
     middle = start + 0.5 * integration_s
     if asked is None:
         return Times(frames, middle, np.zeros(len(frames)), True)
-    wanted = _wanted_s(scene, asked)
-    between = 0.5 * (middle[1:] + middle[:-1])
-    like = np.searchsorted(between, wanted).astype(np.int64)
+    if isinstance(asked, str) and asked.count(",") == 2:
+        wanted = _range_s(scene, *asked.split(","))
+    else:
+        words = _lines(Path(asked)) if isinstance(asked, str) else list(asked)
+        wanted = np.array([_offset_s(scene, word) for word in words])
+    if not 1 <= len(wanted) <= MOST_TIMES:
+        raise BadInput("times", f"{len(wanted)} times", f"1 to {MOST_TIMES} times")
+    if (np.diff(wanted) <= 0.0).any():
+        late = wanted[int(np.argmax(np.diff(wanted) <= 0.0)) + 1]
+        raise BadInput("times", f"{late:g} s", "times that rise from one to the next")
+    like = np.searchsorted(0.5 * (middle[1:] + middle[:-1]), wanted).astype(np.int64)
     return Times(like, wanted, wanted - middle[like], False)
 
 
-def _wanted_s(scene: Scene, asked: str | Iterable[str | float]) -> Array:
-    """Times asked for (n,) [s after the epoch]."""
-    if isinstance(asked, str) and asked.count(",") == 2:
-        return _range_s(scene, asked)
-    words = _lines(Path(asked)) if isinstance(asked, str) else list(asked)
-    if not 1 <= len(words) <= MOST_TIMES:
-        raise BadInput("times", f"{len(words)} times", f"1 to {MOST_TIMES} times")
-    found = np.array([_offset_s(scene, word) for word in words])
-    late = np.flatnonzero(np.diff(found) <= 0.0)
-    if len(late):
-        raise BadInput("times", str(words[late[0] + 1]), "times that rise from one to the next")
-    return found
-
-
-def _range_s(scene: Scene, text: str) -> Array:
-    first, last, step_text = text.split(",")
+def _range_s(scene: Scene, first: str, last: str, step: str) -> Array:
     start, stop = _offset_s(scene, first), _offset_s(scene, last)
     try:
-        step = float(step_text)
-    except ValueError:
-        step = 0.0
-    if not 0.0 < step < np.inf:
-        raise BadInput("times", step_text, "a step above 0 s")
-    if stop < start:
-        raise BadInput("times", last, f"a stop at or after the start, {first}")
-    if (stop - start) / step >= MOST_TIMES:
-        raise BadInput("times", text, f"at most {MOST_TIMES} times")
-    return np.asarray(start + step * np.arange(int((stop - start) / step + 1e-9) + 1))
+        count = (stop - start) / float(step)
+    except (ValueError, ZeroDivisionError):
+        count = np.nan
+    if not 0.0 <= count < MOST_TIMES:
+        allowed = f"a step above 0 s and a stop after the start, in at most {MOST_TIMES} times"
+        raise BadInput("times", f"{first},{last},{step}", allowed)
+    return np.asarray(start + float(step) * np.arange(int(count + 1e-9) + 1))
 
 
 def _lines(path: Path) -> list[str]:
@@ -84,8 +73,7 @@ def _lines(path: Path) -> list[str]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput("times", str(path), f"{FORMS} ({type(error).__name__})") from None
-    lines = (line.split("#")[0].strip() for line in text.splitlines())
-    return [line for line in lines if line]
+    return [words for line in text.splitlines() if (words := line.split("#")[0].strip())]
 
 
 def _offset_s(scene: Scene, word: str | float) -> float:

@@ -121,10 +121,11 @@ def test_noise_of_centroids_has_the_bounds_sigma() -> None:
 
 BAD = {
     "--times=0,10": "times: 0,10 is not accepted; allowed: START,STOP,STEP",
-    "--times=0,10,0": "times: 0 is not accepted; allowed: a step above 0 s",
-    "--times=10,0,1": "times: 0 is not accepted; allowed: a stop at or after the start, 10",
+    "--times=0,10,0": "times: 0,10,0 is not accepted; allowed: a step above 0 s",
+    "--times=0,10,-1": "times: 0,10,-1 is not accepted; allowed: a step above 0 s",
+    "--times=10,0,1": "times: 10,0,1 is not accepted; allowed: a step above 0 s and a stop after",
     "--times=0,inf,1": "times: inf is not accepted; allowed: a finite time",
-    "--times=0,1e9,1": "times: 0,1e9,1 is not accepted; allowed: at most 1000000 times",
+    "--times=0,1e9,1": "times: 0,1e9,1 is not accepted; allowed: a step above 0 s",
     "--times=now,10,1": "times: now is not accepted; allowed: ",
     "--times=0,86400,0.01": "times: ",
     "--snr=0": "snr: 0.0 is not accepted; allowed: a signal-to-noise ratio above 0",

@@ -31,6 +31,7 @@ Sizes = Mapping[int, tuple[float | None, float | None]]
 
 STEP_S, MOST_STEPS = 1.0, 100_000  # between looks at the pointing, to tell how fast it turns
 TURN_ROOM = 2.0  # times the change between looks
+BEFORE_S = 10.0  # light that is seen left the farthest satellites before
 LOOKED_AT = 257  # moments at which SGP4 is tried, where no cone is looked into
 MOST_REFRACTION_RAD = 0.0125  # at the horizon, with room (0.6 degrees; Bennett 1982)
 
@@ -109,9 +110,10 @@ class WholeSky(SearchView):
         return sorted(set(range(len(satellites))) - set(codes)), codes
 
 
-def whole_sky(scene: Scene, span_s: tuple[float, float]) -> WholeSky:
-    """The look of a scene at all of the sky."""
-    return WholeSky(scene, 0.0, parse_utc(scene.epoch), dwell_plans(scene), np.pi, (), span_s)
+def whole_sky(scene: Scene, start_s: float, stop_s: float) -> WholeSky:
+    """The look of a scene at all of the sky between two times [s after the epoch]."""
+    span = start_s - BEFORE_S, stop_s + BEFORE_S
+    return WholeSky(scene, 0.0, parse_utc(scene.epoch), dwell_plans(scene), np.pi, (), span)
 
 
 def _turn_rad_s(scene: Scene, dwell: DwellPlan, dut1_s: float) -> float:
