@@ -13,7 +13,7 @@ from pipeline.commands.options import Json, Overrides, print_json
 if TYPE_CHECKING:
     from pipeline.observe.observe import Observed
 
-MOST_LINES = 20
+MOST_LINES, MOST_NOTES = 20, 6
 HEADS = ("target", "seen", "UTC", "az/RA", "el/dec", "km", "V", "SNR")
 
 
@@ -77,8 +77,10 @@ def _print(observed: Observed) -> None:
     print(table(HEADS, [_cells(row, days) for row in lines[:MOST_LINES]], 3))
     if len(lines) > MOST_LINES:
         print(f"and {len(lines) - MOST_LINES} more targets")
-    for note in observed.notes:
+    for note in observed.notes[-MOST_NOTES:]:
         print(fold(note, " " * 8, "  note: "))
+    if len(observed.notes) > MOST_NOTES:
+        print(f"  and {len(observed.notes) - MOST_NOTES} more notes (--json)")
 
 
 def _best(observed: Observed) -> list[dict[str, Any]]:

@@ -11,7 +11,6 @@ from pipeline.arrays import Array, Geometry
 from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.execute.truth import lit_pixels, world_of
 from pipeline.physics.constants import ARCSEC_RAD
-from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.resolved import ResolvedScene
 
@@ -49,9 +48,10 @@ def centroid_covariance_px2(plan: ResolvedScene, target: FrameTarget, frame: int
     2^(1/2) s / SNR against the sky alone, s / SNR where the source's own photons are the noise. It
     is reached at high SNR; near the threshold centroids are worse.
     """
-    blur = _response(plan, target)
+    y, x = target.y_px, target.x_px
+    blur = plan.responses.near(y, y, x, x)[0]
     shifts = ((0.0, 0.0), (STEP_PX, 0.0), (-STEP_PX, 0.0), (0.0, STEP_PX), (0.0, -STEP_PX))
-    images = [lit_pixels(plan, blur, target.path, x, y) for x, y in shifts]
+    images = [lit_pixels(plan, blur, target.path, *shift) for shift in shifts]
     places = np.unique(np.concatenate([place for place, _ in images]))
     p, right, left, up, down = (_spread(places, *image) for image in images)
     slopes = np.stack([right - left, up - down]) / (2.0 * STEP_PX)
@@ -59,14 +59,6 @@ def centroid_covariance_px2(plan: ResolvedScene, target: FrameTarget, frame: int
     own = light * p if plan.scene.sensor.photon_noise else 0.0
     information = light**2 * (slopes / (plan.snr_floor_e2(frame) + own)) @ slopes.T
     return np.asarray(np.linalg.inv(information))
-
-
-def _response(plan: ResolvedScene, target: FrameTarget) -> Blur:
-    """The response that has the largest part in a target's image."""
-    one = np.ones(1)
-    at = np.array([target.x_px]), np.array([target.y_px])
-    parts = [(float(np.sum(share)), blur) for blur, _, share in plan.responses.parts(*at, one)]
-    return max(parts, key=lambda part: part[0])[1]
 
 
 def _spread(places: NDArray[np.int64], place: NDArray[np.int64], value: Array) -> Array:

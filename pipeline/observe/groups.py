@@ -14,14 +14,15 @@ from pipeline.plan.pointing.geometry import moments_at
 from pipeline.plan.pointing.site import axes_of
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.responses import plan_responses
+from pipeline.plan.targets.orbit_age import oldest_remarks
 from pipeline.plan.targets.populations import whole_sky
 from pipeline.plan.timing import longest_s
 from pipeline.resolve.files import read_files, with_numbers
-from pipeline.resolve.resolve import Resolved, resolve
+from pipeline.resolve.resolve import resolve
 from pipeline.spec.accept import ACCEPTABLE
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.pointing.pointing import SiderealPointing
-from pipeline.spec.scene import Scene, Target
+from pipeline.spec.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -44,46 +45,50 @@ def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
     """
     if not (asked.targets or asked.populations):
         raise BadInput("targets", "none", "a target or a population, to observe it")
-    accepting = asked.model_copy(update={"accept": tuple(ACCEPTABLE)})
-    found, refused = _resolved(accepting)
-    sensor = _with_responses(found)
-    own = sensor.scene.targets[: len(asked.targets)]
-    notes = [*found.warnings, *found.remarks]
-    if refused is not None:
-        notes.insert(0, f"a render is refused ({refused}); noise: of a field at the zenith")
-        read = read_files(accepting)
-        there = {k: getattr(read, k) for k in ("pointing", "dwells", "exposure")}
-        sensor = _of(sensor, sensor.scene.model_copy(update=there), own)
-    as_drawn = times.as_exposed and refused is None
-    if all(p.screened is not None for p in asked.populations):
-        return [Group(sensor, 0, as_drawn)], notes
-    bare = sensor.scene.model_copy(update={"targets": own, "populations": asked.populations})
+    sensor, notes, drawable = _sensor_of(asked)
+    own, as_drawn = len(asked.targets), drawable and times.as_exposed
     first, last = (float(v) for v in times.middle_s[[0, -1]])
-    spare = longest_s(asked)
-    whole = with_numbers(screened(bare, whole_sky(bare, first - spare, last + spare)))
-    notes += _omitted(whole)
-    if not as_drawn:
-        return [Group(_of(sensor, whole, whole.targets), 0, False)], notes
-    drawn = {t.name for t in sensor.scene.targets}
-    others = (*own, *(t for t in whole.targets if t.name not in drawn))
-    return [Group(sensor, 0, True), Group(_of(sensor, whole, others), len(own), False)], notes
+    whole = _whole(asked, sensor, first, last)
+    notes += _omitted(whole.scene)
+    if not times.as_exposed or whole is not sensor:
+        notes += oldest_remarks(whole.scene, first, last)
+    if not as_drawn or whole is sensor:
+        return [Group(whole, 0, as_drawn)], notes
+    drawn, everyone = {t.name for t in sensor.scene.targets}, whole.scene.targets
+    others = (*everyone[:own], *(t for t in everyone[own:] if t.name not in drawn))
+    rest = replace(whole, scene=whole.scene.model_copy(update={"targets": others}))
+    return [Group(sensor, 0, True), Group(rest, own, False)], notes
 
 
-def _resolved(scene: Scene) -> tuple[Resolved, BadInput | None]:
-    """A scene resolved; or, of a camera that looks at the ground, one that looks away from it, and
-    why it was refused."""
+def _sensor_of(asked: Scene) -> tuple[ResolvedScene, list[str], bool]:
+    """The scene resolved, with what it draws; what is to be reported; whether it can be drawn.
+
+    Of a camera that looks at the ground the noise and the response are those of one that looks
+    away from it, and no member of a population is drawn.
+    """
+    accepting = asked.model_copy(update={"accept": tuple(ACCEPTABLE)})
     try:
-        return resolve(scene), None
+        found, refused = resolve(accepting), None
     except BadInput as error:
         if error.field != "pointing":
             raise
-        return resolve(_looking_up(scene)), error
+        found, refused = resolve(_looking_up(accepting)), error
+    r, notes = found.scene, [*found.warnings, *found.remarks]
+    if not r.responses.classes:  # nothing is drawn: the responses of targets all the same
+        g = found.geometry
+        r = replace(r, responses=plan_responses(r.scene, r.facts, r.camera, g, sources=True))
+    if refused is None:
+        return r, notes, True
+    read = read_files(accepting)
+    there = {name: getattr(read, name) for name in ("pointing", "dwells", "exposure")}
+    scene = r.scene.model_copy(update=there | {"targets": r.scene.targets[: len(asked.targets)]})
+    note = f"a render is refused ({refused}); noise: of a field at the zenith"
+    return replace(r, scene=scene), [note, *notes], False
 
 
 def _looking_up(scene: Scene) -> Scene:
     """The scene with one exposure at the zenith of its site, or of its place in space."""
-    at = moments_at(scene, 0.0, np.zeros(1))
-    o = scene.observer
+    at, o = moments_at(scene, 0.0, np.zeros(1)), scene.observer
     up = axes_of(o, at.times)[:, 2] if isinstance(o, GroundObserver) else at.observer_m
     ra, dec = (float(np.degrees(v[0])) for v in to_angles(up))
     pointing = SiderealPointing(mode="sidereal", boresight_ra_deg=ra, boresight_dec_deg=dec)
@@ -92,18 +97,14 @@ def _looking_up(scene: Scene) -> Scene:
     return scene.model_copy(update=update)
 
 
-def _with_responses(found: Resolved) -> ResolvedScene:
-    """The resolved scene with the responses of targets, also where none is in the field."""
-    r = found.scene
-    if r.responses.classes:
-        return r
-    return replace(
-        r, responses=plan_responses(r.scene, r.facts, r.camera, found.geometry, sources=True)
-    )
-
-
-def _of(sensor: ResolvedScene, scene: Scene, targets: tuple[Target, ...]) -> ResolvedScene:
-    return replace(sensor, scene=scene.model_copy(update={"targets": targets}))
+def _whole(asked: Scene, sensor: ResolvedScene, first_s: float, last_s: float) -> ResolvedScene:
+    """The sensor with all members of populations among its targets, after the scene's own."""
+    if all(p.screened is not None for p in asked.populations):
+        return sensor
+    own, spare = sensor.scene.targets[: len(asked.targets)], longest_s(asked)
+    bare = sensor.scene.model_copy(update={"targets": own, "populations": asked.populations})
+    scene = with_numbers(screened(bare, whole_sky(bare, first_s - spare, last_s + spare)))
+    return replace(sensor, scene=scene)
 
 
 def _omitted(scene: Scene) -> list[str]:

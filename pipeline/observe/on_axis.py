@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.execute.truth import matched_snr
-from pipeline.physics.motion.streak import POINT, Path
+from pipeline.physics.motion.streak import Path
 from pipeline.physics.vectors import rotate_minimal, unit
 from pipeline.plan.resolved import ResolvedScene
-
-LENGTH_STEP, ANGLES = 0.02, 12  # lengths (their logarithm) and directions that are told apart
-SHORTEST_PX = 0.02
 
 
 def on_axis_light_e(plan: ResolvedScene, g: Geometry, visible: Array) -> Array:
@@ -49,33 +45,9 @@ def on_axis_streaks_px(
 
 
 def on_axis_snr(plan: ResolvedScene, light_e: Array, streak_px: Array, frame: int) -> Array:
-    """Signal-to-noise (n,) of light (n,) swept along straight streaks (n, 2) in the middle.
-
-    Streaks that differ by less than LENGTH_STEP in length and half a turn over ANGLES in direction
-    are swept alike: SNR goes with the root of the length at most, and is good to 1 %.
-    """
-    snr = np.zeros(len(light_e))
-    lit, kind = light_e > 0.0, _kinds(streak_px)
-    x, y = plan.camera.centre_px
-    for one in np.unique(kind[lit], axis=0):
-        mine = np.flatnonzero(lit & (kind == one).all(axis=1))
-        at = np.full(len(mine), x), np.full(len(mine), y)
-        snr[mine] = matched_snr(plan, _path(one), light_e[mine], *at, frame)
+    """Signal-to-noise (n,) of light (n,) swept along straight streaks (n, 2) in the middle."""
+    snr, (x, y) = np.zeros(len(light_e)), np.array(plan.camera.centre_px)[:, None]
+    for i in np.flatnonzero(light_e > 0.0):
+        ends = np.multiply.outer(streak_px[i], [-0.5, 0.5])
+        snr[i] = matched_snr(plan, Path(ends[0], ends[1], np.ones(1)), light_e[[i]], x, y, frame)[0]
     return snr
-
-
-def _kinds(streak_px: Array) -> NDArray[np.int64]:
-    """Length and direction (n, 2) of streaks (n, 2), in steps; zeros for those at rest."""
-    length = np.hypot(streak_px[:, 0], streak_px[:, 1])
-    steps = np.round(np.log(np.maximum(length, SHORTEST_PX) / SHORTEST_PX) / LENGTH_STEP)
-    angle = np.arctan2(streak_px[:, 1], streak_px[:, 0]) % np.pi
-    turned = np.round(angle / np.pi * ANGLES) % ANGLES
-    return np.stack([steps, np.where(steps > 0.0, turned, 0.0)], axis=1).astype(np.int64)
-
-
-def _path(kind: NDArray[np.int64]) -> Path:
-    if kind[0] == 0:
-        return POINT
-    half, angle = 0.5 * SHORTEST_PX * np.exp(LENGTH_STEP * kind[0]), np.pi * kind[1] / ANGLES
-    ends = half * np.array([-1.0, 1.0])
-    return Path(ends * np.cos(angle), ends * np.sin(angle), np.ones(1))

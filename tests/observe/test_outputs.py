@@ -166,6 +166,7 @@ def test_decayed_and_faulty_elements_are_reported(tmp_path: Path, scene: Path) -
     result = nightglass("observe", scene, "--json", "--times", "9e8,9e8,1")
     found = json.loads(result.stdout)
     assert any("element sets omitted" in note for note in found["notes"])
+    assert any("old elements, the worst" in note for note in found["notes"])
     assert 3 < len(found["rows"]) < 603
 
 
