@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -184,7 +185,8 @@ def write_light_curves(
                 writer.write_table(pa.concat_tables([_table(n, c, utc) for n, c in some]))
                 count += len(some)
     except OSError as error:
-        raise BadInput("-o", str(table), f"a file that can be written; {error}") from None
+        why = os.strerror(error.errno or 0)
+        raise BadInput("-o", str(table), f"a file that can be written; {why}") from None
     return count
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Iterator
 from itertools import groupby
@@ -67,7 +68,8 @@ def write(observed: Observed, path: Path) -> None:
             else:
                 own.write_text(tdm_text(observed), encoding="utf-8")
     except OSError as error:
-        raise BadInput("-o", str(path), f"a file that can be written; {error.strerror}") from None
+        why = os.strerror(error.errno or 0)
+        raise BadInput("-o", str(path), f"a file that can be written; {why}") from None
 
 
 def as_data(observed: Observed) -> dict[str, Any]:
