@@ -11,6 +11,7 @@ from pipeline.errors import BadInput, Damaged, Incomplete, NightglassError, TryL
 
 if TYPE_CHECKING:  # functions import what they need, so that `import nightglass` is quick
     from catalog_tools.query.star_catalogue import StarCatalogue
+    from pipeline.observe.observe import Observed
     from pipeline.opened_product import Product
     from pipeline.route.draw import Progress
     from pipeline.spec.scene import Scene
@@ -25,6 +26,7 @@ __all__ = [
     "NightglassError",
     "TryLater",
     "load_scene",
+    "observe",
     "open_catalogue",
     "open_product",
     "plan",
@@ -88,6 +90,37 @@ def plan(scene: AnyScene) -> dict[str, Any]:
     from pipeline.route.prepare import plan_scene
 
     return plan_scene(load_scene(scene))
+
+
+def observe(
+    scene: AnyScene,
+    times: str | Iterable[str | float] | None = None,
+    snr: float = 5.0,
+    centroid_seed: int | None = None,
+) -> Observed:
+    """Where every target is, how bright, at what SNR, and whether it is seen, without drawing.
+
+    Parameters
+    ----------
+    scene : Scene, path or mapping
+        As `load_scene` gives or takes it.
+    times : iterable of str or float, or str, optional
+        Middles of exposures, UTC or seconds after the epoch; `"START,STOP,STEP"`, or a file of
+        them. By default the scene's exposures.
+    snr : float, optional
+        Signal-to-noise ratio below which a target is too faint.
+    centroid_seed : int, optional
+        Adds measured places, with the noise of a centroid drawn from this seed.
+
+    Returns
+    -------
+    Observed
+        Its `table` (pyarrow) has a row for each time and target; `counts()` says why not all are
+        seen, `notes` what else to know. Raises BadInput as `plan` does, and for times.
+    """
+    from pipeline.observe.observe import observe as look
+
+    return look(load_scene(scene), times, snr, centroid_seed=centroid_seed)
 
 
 def render(

@@ -14,6 +14,7 @@ from pipeline.commands.catalog import catalog
 from pipeline.commands.cosmic_rays import cosmic_rays
 from pipeline.commands.export import export, import_app
 from pipeline.commands.jobs import Server, jobs
+from pipeline.commands.observe import observe
 from pipeline.commands.options import (
     Accepts,
     AcceptsError,
@@ -292,25 +293,30 @@ def color_fit(
 @app.command(name="light-curve")
 def light_curve(
     scene: SceneFile,
-    target: Annotated[str, typer.Option("--target", help="name of a target of the scene")],
     output: Output,
+    target: Annotated[
+        list[str] | None,
+        typer.Option("--target", help="name of a target (may be repeated); default: all"),
+    ] = None,
     set_: Overrides = None,
     start: Annotated[float, typer.Option(help="seconds after the epoch")] = 0.0,
     stop: Annotated[float | None, typer.Option(help="default: end of the last exposure")] = None,
     points: Annotated[int, typer.Option(min=2, max=1_000_000, help="times, evenly spaced")] = 1000,
     plot: Annotated[Path | None, typer.Option(help="also a plot, PNG")] = None,
 ) -> None:
-    """Magnitude, phase angle, range and eclipse of a target against time, as Parquet."""
+    """Magnitude, phase angle, range and eclipse of targets against time, as Parquet."""
     from pipeline.inputs.band.response import gather_response
-    from pipeline.light_curve import light_curve as follow
-    from pipeline.light_curve import write_light_curve
+    from pipeline.light_curve import light_curves, write_light_curves
     from pipeline.resolve.files import read_files
     from pipeline.spec.load import load_scene
 
     loaded = read_files(load_scene(scene, set_ or []))
-    curve = follow(loaded, target, gather_response(loaded)[0], start, stop, points)
-    write_light_curve(curve, target, output, plot)
-    print(output if plot is None else f"{output} and {plot}")
+    response = gather_response(loaded)[0]
+    count = write_light_curves(
+        light_curves(loaded, target or [], response, start, stop, points), output, plot
+    )
+    of = f" of {count} targets" if count > 1 else ""
+    print(f"{output}{of}" if plot is None else f"{output} and {plot}")
 
 
 @report_app.command("accuracy")
@@ -424,6 +430,7 @@ def selftest(
         raise typer.Exit(1)
 
 
+app.command()(observe)
 app.command()(sweep)
 app.command()(export)
 app.command()(join)

@@ -1,17 +1,23 @@
-"""Light curve of one target: magnitude, phase, range and eclipse against time, table and plot."""
+"""Light curves of targets: magnitude, phase, range and eclipse against time, table and plot."""
 
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
+from catalog_tools.storage.durable import whole_file
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
+from pipeline.inputs.targets.populations import screened
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.times import format_utc, parse_utc
 from pipeline.physics.radiometry import (
@@ -22,9 +28,10 @@ from pipeline.physics.radiometry import (
 from pipeline.plan.bodies.albedos import with_band_albedos
 from pipeline.plan.bodies.attitudes import View
 from pipeline.plan.bodies.bodies import target_lights
-from pipeline.plan.bodies.paths import clear_of_earth
+from pipeline.plan.bodies.paths import TOGETHER, batches, clear_of_earth
 from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.plan.pointing.geometry import moments_at
+from pipeline.plan.targets.populations import whole_sky
 from pipeline.plan.timing import end_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.targets.mesh import MeshBody
@@ -64,74 +71,134 @@ def light_curve(
     stop_s: float | None = None,
     points: int = 1000,
 ) -> LightCurve:
-    """The light curve of a scene's target by its name, at evenly spaced times of arrival.
+    """The light curve of one target of a scene by its name; see `light_curves`."""
+    return next(light_curves(scene, [name], response, start_s, stop_s, points))[1]
 
-    The pointing plays no part, and neither does the atmosphere. response : the sensor's, whose
-    band the AB magnitude is in. stop_s : default the end of the scene's last exposure.
+
+def light_curves(
+    scene: Scene,
+    names: Sequence[str],
+    response: ResponseCurve,
+    start_s: float = 0.0,
+    stop_s: float | None = None,
+    points: int = 1000,
+) -> Iterator[tuple[str, LightCurve]]:
+    """Light curves by the targets' names, at evenly spaced times of arrival; many worked out
+    together, so that memory does not grow with their number.
+
+    The pointing plays no part, and neither does the atmosphere. names : of targets and members of
+    populations; none for all. response : the sensor's, whose band the AB magnitude is in. stop_s :
+    default the end of the scene's last exposure.
     BadInput for a name that is not there, times that do not rise, and what the scene itself gets
     wrong (orbits inside the Earth, tables that do not cover the times).
     """
-    names = [t.name for t in scene.targets]
-    if name not in names:
-        known = ", ".join(names[:10]) or "(the scene has no target)"
-        raise BadInput("--target", name, f"the name of a target: {known}")
     if stop_s is None:
         stop_s = end_s(scene)
     if not (math.isfinite(start_s) and math.isfinite(stop_s) and stop_s > start_s):
         raise BadInput("--stop", stop_s, f"a time after the start, {start_s:g} s")
     if not 2 <= points <= MOST_POINTS:
         raise BadInput("--points", points, f"2 to {MOST_POINTS}")
+    own = {t.name for t in scene.targets}
+    if scene.populations and not (names and own.issuperset(names)):
+        scene = screened(scene, whole_sky(scene, start_s, stop_s))
+    which = _which(scene, names)
     wavelength, irradiance, _, _ = solar_spectrum()
-    index = names.index(name)
     scene = with_band_albedos(with_pole(scene), wavelength, irradiance, response)
-    epoch = parse_utc(scene.epoch)
-    dut1_s, _ = gather_dut1_s(*epoch)
-    time_s = np.linspace(start_s, stop_s, points)
-    at = moments_at(scene, dut1_s, time_s)
-    times, earth = at.times, at.earth
-    sight, view = sights(scene, [index], at)
-    light, phase, sunlit = (
-        value[0]
-        for value in target_lights(
-            [scene.targets[index]],
-            [f"targets.{index}.body"],
-            epoch,
-            view,
-            earth.sun_from_earth_m,
-            (times.tt1, times.tt2),
-            sight.range_m,
-            known=_worked_out(scene, index, at, view),
-        )
+    dut1_s, _ = gather_dut1_s(*parse_utc(scene.epoch))
+    at = moments_at(scene, dut1_s, np.linspace(start_s, stop_s, points))
+    full_rate = band_photon_irradiance_sun(wavelength, irradiance, response)
+    zero_rate = ab_photon_rate(0.0, response)
+    for part in batches(len(which), points):
+        yield from _curves(scene, which[part.start : part.stop], at, full_rate, zero_rate)
+
+
+def _curves(
+    scene: Scene, which: list[int], at: Moments, full_rate: float, zero_rate: float
+) -> Iterator[tuple[str, LightCurve]]:
+    """Curves of some targets, worked out together; the rates of full sunlight and of AB 0."""
+    times = at.times
+    sight, view = sights(scene, which, at)
+    light, phase, sunlit = target_lights(
+        [scene.targets[i] for i in which],
+        [f"targets.{i}.body" for i in which],
+        at.epoch,
+        view,
+        at.earth.sun_from_earth_m,
+        (times.tt1, times.tt2),
+        sight.range_m,
+        known=_worked_out(scene, which, at, view),
     )
-    range_m = sight.range_m[0]
-    rate = light * band_photon_irradiance_sun(wavelength, irradiance, response)
+    rate = light * full_rate
     with np.errstate(divide="ignore"):
-        magnitude = -2.5 * np.log10(rate / ab_photon_rate(0.0, response))
-    seen = clear_of_earth(scene, at, sight, sight.direction_proper)[0] > 0.0
-    return LightCurve(time_s, times.utc1, times.utc2, magnitude, rate, phase, range_m, sunlit, seen)
+        magnitude = -2.5 * np.log10(rate / zero_rate)
+    seen = clear_of_earth(scene, at, sight, sight.direction_proper) > 0.0
+    rows = zip(magnitude, rate, phase, sight.range_m, sunlit, seen, strict=True)
+    for i, row in zip(which, rows, strict=True):
+        yield scene.targets[i].name, LightCurve(at.offset_s, times.utc1, times.utc2, *row)
 
 
-def _worked_out(scene: Scene, index: int, at: Moments, view: View) -> dict[int, Array]:
-    """A mesh's light from a table, where that takes fewer moments than the curve has points."""
-    if not isinstance(scene.targets[index].body, MeshBody):
-        return {}
-    from pipeline.plan.bodies.mesh_tables import table_between, table_phase
-
-    start, stop = (float(t) for t in at.offset_s[[0, -1]])
-    table = table_between(scene, index, at, start, stop, len(at.offset_s))
-    return {} if table is None else {0: table.at(at.offset_s, table_phase(scene, index, view))}
+def _which(scene: Scene, names: Sequence[str]) -> list[int]:
+    """Indices of targets by their names; of all for none. BadInput for one that is not there."""
+    index = {t.name: i for i, t in enumerate(scene.targets)}
+    for name in [n for n in names if n not in index] or ([] if index else ["any"]):
+        known = ", ".join(list(index)[:10]) or "(the scene has no target)"
+        raise BadInput("--target", name, f"the name of a target: {known}")
+    return [index[name] for name in names] or list(index.values())
 
 
-def write_light_curve(curve: LightCurve, name: str, table: Path, plot: Path | None) -> None:
-    """Write a light curve as Parquet, and as a PNG where `plot` is given (needs matplotlib)."""
-    import pyarrow as pa
+def _worked_out(scene: Scene, which: list[int], at: Moments, view: View) -> dict[int, Array]:
+    """Meshes' light from tables, where that takes fewer moments than the curve has points."""
+    found = {}
+    for k, i in enumerate(which):
+        if isinstance(scene.targets[i].body, MeshBody):
+            from pipeline.plan.bodies.mesh_tables import table_between, table_phase
+
+            start, stop = (float(t) for t in at.offset_s[[0, -1]])
+            table = table_between(scene, i, at, start, stop, len(at.offset_s))
+            if table is not None:
+                phase = table_phase(scene, i, view.of(np.array([k])))
+                found[k] = table.at(at.offset_s, phase)
+    return found
+
+
+def write_light_curves(
+    curves: Iterator[tuple[str, LightCurve]], table: Path, plot: Path | None = None
+) -> int:
+    """Write light curves as Parquet, a few hundred at a time, and the only one as a PNG where
+    `plot` is given (needs matplotlib); how many there were."""
     import pyarrow.parquet as pq
 
+    notes = {"mag_ab": "AB, in the sensor's band, above the air; NaN: no light"}
+    name, curve = next(curves)
+    count, first = 1, _table(name, curve, utc := _utc(curve))
     if plot is not None:
+        if next(curves, None) is not None:
+            raise BadInput("--plot", str(plot), "one --target with it")
         _draw(curve, name, plot)
+    try:
+        with (
+            whole_file(table) as own,
+            pq.ParquetWriter(own, first.schema.with_metadata(notes)) as writer,
+        ):
+            writer.write_table(first)
+            while some := list(islice(curves, TOGETHER)):
+                writer.write_table(pa.concat_tables([_table(n, c, utc) for n, c in some]))
+                count += len(some)
+    except OSError as error:
+        why = os.strerror(error.errno or 0)
+        raise BadInput("-o", str(table), f"a file that can be written; {why}") from None
+    return count
+
+
+def _utc(curve: LightCurve) -> pa.Array:
+    return pa.array([format_utc(a, b) for a, b in zip(curve.utc1, curve.utc2, strict=True)])
+
+
+def _table(name: str, curve: LightCurve, utc: pa.Array) -> pa.Table:
     columns = {
+        "target": pa.repeat(name, len(utc)),
         "time_s": curve.time_s,
-        "utc": [format_utc(a, b) for a, b in zip(curve.utc1, curve.utc2, strict=True)],
+        "utc": utc,
         "mag_ab": np.where(np.isfinite(curve.mag_ab), curve.mag_ab, np.nan),
         "irradiance_e_s_m2": curve.irradiance_e_s_m2,
         "phase_deg": curve.phase_rad / DEG_RAD,
@@ -139,12 +206,7 @@ def write_light_curve(curve: LightCurve, name: str, table: Path, plot: Path | No
         "sunlit_fraction": curve.sunlit,
         "above_horizon": curve.above_horizon,
     }
-    made = pa.table(columns)
-    notes = {"target": name, "mag_ab": "AB, in the sensor's band, above the air; NaN: no light"}
-    try:
-        pq.write_table(made.replace_schema_metadata(notes), table)
-    except OSError as error:
-        raise BadInput("-o", str(table), f"a file that can be written; {error}") from None
+    return pa.table(columns)
 
 
 def _draw(curve: LightCurve, name: str, path: Path) -> None:

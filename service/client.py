@@ -92,6 +92,10 @@ class Client:
         """What a scene needs and why, planned by the server; nothing is rendered."""
         return self.ask("POST", "/v1/jobs", json=_data(scene), params={"dry_run": "1"}).json()
 
+    def observe(self, scene: Scene, **asked: Any) -> dict[str, Any]:
+        """What a scene's sensor sees, by the server; asked : `times` ("START,STOP,STEP"), `snr`."""
+        return self.ask("POST", "/v1/observe", json=_data(scene), params=asked).json()
+
     def job(self, job_id: str) -> RemoteJob:
         """A job by its id."""
         return RemoteJob(self, self.ask("GET", f"/v1/jobs/{_word(job_id)}").json())

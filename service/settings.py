@@ -35,7 +35,7 @@ class Settings:
     product_bytes : most bytes of one scene's product before compression, all its layers
     job_cpu_s : most CPU seconds that a scene may be forecast to take: by its frames and pixels
         when it is submitted, with its stars and responses when it is planned
-    targets : most targets of a scene
+    targets, observed_rows : most targets of a scene; most rows (times x targets) of an observation
     sweep_points : most points of a sweep
     queued_jobs, running_jobs, pixel_frames_day, bytes_kept : what one team may have waiting, may
         have running, may ask for a day, and may keep on disk (uploads count)
@@ -75,6 +75,7 @@ class Settings:
     product_bytes: int = 1 << 36
     job_cpu_s: float = 200_000.0
     targets: int = 10_000
+    observed_rows: int = 20_000
     sweep_points: int = 1_000_000
     queued_jobs: int = 1000
     running_jobs: int = 1000

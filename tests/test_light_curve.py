@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,12 @@ import pytest
 
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
-from pipeline.light_curve import light_curve, write_light_curve
+from pipeline.light_curve import light_curve, light_curves, write_light_curves
 from pipeline.physics.radiometry import ab_photon_rate, band_photon_irradiance_sun, box
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.spec.load import parse_scene
 
+ROOT = Path(__file__).parents[1]
 BAND = box(400e-9, 900e-9)
 LEO = {"kind": "state", "position_m": [6.9e6, 0, 0], "velocity_m_s": [0, 5374.0, 5374.0]}
 SCENE: dict[str, Any] = {
@@ -73,7 +75,7 @@ def test_an_orbit_passes_through_the_shadow(tmp_path) -> None:
     assert np.all(np.isinf(curve.mag_ab[dark]))
     assert curve.above_horizon.all()
     table, plot = tmp_path / "ball.parquet", tmp_path / "ball.png"
-    write_light_curve(curve, "ball", table, plot)
+    assert write_light_curves(iter([("ball", curve)]), table, plot) == 1
     read = pq.read_table(table)
     assert read.num_rows == 1201
     assert np.isnan(read["mag_ab"].to_numpy()[dark]).all()
@@ -86,6 +88,31 @@ def test_an_orbit_passes_through_the_shadow(tmp_path) -> None:
     for name, wanted in columns.items():
         np.testing.assert_allclose(read[name].to_numpy(), wanted, rtol=1e-12, err_msg=name)
     assert plot.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_many_together_are_each_as_alone(tmp_path: Path) -> None:
+    """Targets and members of a population, in one table; the same as one by one."""
+    population = {"name": "crowd", "path": str(ROOT / "examples" / "population.tle"),
+                  "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}}  # fmt: skip
+    scene = parse_scene(SCENE | {"populations": [population]})
+    count = write_light_curves(light_curves(scene, [], BAND, points=20), tmp_path / "all.parquet")
+    read = pq.read_table(tmp_path / "all.parquet")
+    names = read["target"].to_pylist()[::20]
+    assert names[:2] == ["tube", "ball"]
+    assert count == len(set(names)) == 602
+    for name in ("tube", "ball", names[300]):
+        alone = light_curve(scene, name, BAND, points=20)
+        own = slice(20 * names.index(name), 20 * names.index(name) + 20)
+        for column in ("irradiance_e_s_m2", "range_m"):
+            found = read[column].to_numpy()[own]
+            np.testing.assert_allclose(found, getattr(alone, column), rtol=1e-13)
+
+
+def test_no_plot_of_many(tmp_path: Path) -> None:
+    curves = light_curves(parse_scene(SCENE), [], BAND, points=5)
+    with pytest.raises(BadInput, match=r"^--plot: .* one --target"):
+        write_light_curves(curves, tmp_path / "a.parquet", tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_earth_in_between() -> None:

@@ -32,7 +32,8 @@ NAVIGATION: dict[str, list[str]] = {
     "How to": [
         "howto/python.md", "howto/own-sensor.md", "howto/space-sensor.md",
         "howto/stray-light.md", "howto/own-catalogue.md", "howto/targets.md", "howto/orbits.md",
-        "howto/attitude.md", "howto/materials.md", "howto/exports.md", "howto/imports.md",
+        "howto/attitude.md", "howto/materials.md", "howto/what-is-seen.md", "howto/exports.md",
+        "howto/imports.md",
         "howto/sweep-on-a-cluster.md", "howto/submit-jobs.md",
     ],
     "Guides": [

@@ -283,10 +283,10 @@ def reaching(plan: ResolvedScene, g: Geometry) -> list[int]:
         low_y, high_y = np.fmin.reduce(y, axis=-1), np.fmax.reduce(y, axis=-1)
         inside = (high_x > -margin) & (low_x < plan.camera.columns + margin)
         inside &= (high_y > -margin) & (low_y < plan.camera.rows + margin)
-    return [int(i) for i in np.flatnonzero(inside) if _comes_by(plan, x[i], y[i], float(margin[i]))]
+    return [int(i) for i in np.flatnonzero(inside) if comes_by(plan, x[i], y[i], float(margin[i]))]
 
 
-def _comes_by(plan: ResolvedScene, x: Array, y: Array, margin_px: float) -> bool:
+def comes_by(plan: ResolvedScene, x: Array, y: Array, margin_px: float) -> bool:
     """Whether a path through places (K,), NaN where it is behind the camera, touches the frame
     and a margin around it."""
     box = (-margin_px, plan.camera.columns + margin_px, -margin_px, plan.camera.rows + margin_px)

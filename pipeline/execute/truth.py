@@ -28,6 +28,7 @@ from pipeline.physics.psf.response import stamp_at
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.occultation import hidden_by, targets_seen
+from pipeline.plan.resolved import ResolvedScene
 
 Columns = dict[str, Any]
 
@@ -86,7 +87,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
     }
 
 
-def _hidden(plan: Plan, seen: Array) -> Columns:
+def _hidden(plan: ResolvedScene, seen: Array) -> Columns:
     """Columns of what the Earth hides: what stands before sources (n,), and how much is seen."""
     import pyarrow as pa
 
@@ -98,7 +99,7 @@ def _hidden(plan: Plan, seen: Array) -> Columns:
     }
 
 
-def collected_e(plan: Plan, light_e: Array) -> Array:
+def collected_e(plan: ResolvedScene, light_e: Array) -> Array:
     """Truth's electrons (n,) of the light (n,) that falls on an unbounded focal plane [e-].
 
     What its pixels collect: the fill factor of the light, the mean over places within a pixel (of a
@@ -108,8 +109,10 @@ def collected_e(plan: Plan, light_e: Array) -> Array:
     return light_e * plan.responses.blur.fill_factor
 
 
-def target_truth(plan: Plan, g: Geometry) -> Columns:
+def target_truth(plan: ResolvedScene, g: Geometry, everywhere: bool = True) -> Columns:
     """Columns of truth/targets.parquet for one frame: every target, also those not in view.
+
+    everywhere : with the light of those that send none onto the frame
 
     x_px, y_px is the body's centre at mid-exposure, x_light_px, y_light_px the centroid of its
     light over the exposure (NaN where none is drawn): they differ where a body of visible size is
@@ -120,7 +123,7 @@ def target_truth(plan: Plan, g: Geometry) -> Columns:
     object_name : what a catalogue calls it, or its name.
     """
     middle, count = g.middle, len(plan.scene.targets)
-    drawn = {t.index: t for t in place_targets(plan, g, everywhere=True)}
+    drawn = {t.index: t for t in place_targets(plan, g, everywhere)}
     shown = [drawn.get(i) for i in range(count)]
     seen = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     effects = plan.scene.star_effects
@@ -179,7 +182,7 @@ def _each(
     return np.array([absent if t is None else value(t) for t in targets])
 
 
-def target_magnitudes(plan: Plan, g: Geometry) -> tuple[Array, Array]:
+def target_magnitudes(plan: ResolvedScene, g: Geometry) -> tuple[Array, Array]:
     """V (Vega) and AB in the sensor's band (n,) of targets, above the air, mean of the exposure.
 
     The light that arrives is a fraction of the Sun's at 1 au, all through the band: V is that of
@@ -212,14 +215,14 @@ def _centroid(t: FrameTarget | None) -> tuple[float, float]:
     return t.x_px + at[0] + off_x, t.y_px + at[1] + off_y
 
 
-def _snr_of(plan: Plan, t: FrameTarget, frame: int) -> float:
+def _snr_of(plan: ResolvedScene, t: FrameTarget, frame: int) -> float:
     """Signal-to-noise of one target."""
     at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
     return float(matched_snr(plan, t.path, *at, frame)[0])
 
 
 def matched_snr(
-    plan: Plan, path: Path, light_e: Array, x_px: Array, y_px: Array, frame: int = 0
+    plan: ResolvedScene, path: Path, light_e: Array, x_px: Array, y_px: Array, frame: int = 0
 ) -> Array:
     """Signal-to-noise of isolated sources under a matched filter, (n,); places in frame pixels.
 
@@ -235,7 +238,7 @@ def matched_snr(
     return snr
 
 
-def _matched_snr(plan: Plan, blur: Blur, path: Path, light_e: Array, frame: int) -> Array:
+def _matched_snr(plan: ResolvedScene, blur: Blur, path: Path, light_e: Array, frame: int) -> Array:
     """Signal-to-noise of sources that one response draws, (n,)."""
     response, times = _response_at_centre(plan, blur, path)
     floor, flat = plan.snr_floor_e2(frame), plan.facts.flat
@@ -252,7 +255,7 @@ def _matched_snr(plan: Plan, blur: Blur, path: Path, light_e: Array, frame: int)
     return np.where(light_e > 0, np.exp(np.interp(at, grid, np.log(snr))), 0.0)
 
 
-def _response_at_centre(plan: Plan, blur: Blur, path: Path) -> tuple[Array, Array | float]:
+def _response_at_centre(plan: ResolvedScene, blur: Blur, path: Path) -> tuple[Array, Array | float]:
     """Pixel values (m,) of the core response for a source swept along a path, at one phase, and
     how often each of them occurs.
 
@@ -265,13 +268,23 @@ def _response_at_centre(plan: Plan, blur: Blur, path: Path) -> tuple[Array, Arra
         values = [share * _kept(blur, radius, piece)[2] for piece, share, _ in counts]
         times = [np.full(len(v), float(n)) for v, (*_, n) in zip(values, counts, strict=True)]
         return np.concatenate(values), np.concatenate(times)
+    return lit_pixels(plan, blur, path)[1], 1.0
+
+
+def lit_pixels(
+    plan: ResolvedScene, blur: Blur, path: Path, x_px: float = 0.0, y_px: float = 0.0
+) -> tuple[NDArray[np.int64], Array]:
+    """Numbers (m,) of the pixels that a source lights along a path, and their values (m,).
+
+    x_px, y_px : of the path's reference point
+    """
     places, values = [], []
     for x0, y0, piece, share in pieces(path):
-        row, column, value = _kept(blur, radius, piece, y0, x0)
+        row, column, value = _kept(blur, plan.responses.usual_px, piece, y_px + y0, x_px + x0)
         places.append(row.astype(np.int64) * (1 << 32) + column)
         values.append(share * value)
-    _, index = np.unique(np.concatenate(places), return_inverse=True)
-    return np.bincount(index, weights=np.concatenate(values)).astype(np.float64), 1.0
+    number, index = np.unique(np.concatenate(places), return_inverse=True)
+    return number, np.bincount(index, weights=np.concatenate(values)).astype(np.float64)
 
 
 def _kept(
@@ -283,7 +296,7 @@ def _kept(
     return row + r, column + c, stamp[r, c]
 
 
-def world_of(plan: Plan, g: Geometry, index: int = 0) -> Any:
+def world_of(plan: ResolvedScene, g: Geometry, index: int = 0) -> Any:
     """Function from pixels (x, y) to astrometric directions (n, 3) of frame `index` of `g`."""
     middle, effects = g.middle, plan.scene.star_effects
     seen = (g.observer_m[index, middle], g.observer_m_s[index, middle], g.sun_m[index, middle])

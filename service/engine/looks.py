@@ -43,6 +43,15 @@ class Looks:
         plan: JsonObject = (await unless_gone(request, look))["plan"]
         return plan
 
+    async def observe(
+        self, request: Request, team: str, scene: JsonObject, asked: JsonObject
+    ) -> JsonObject:
+        """What an accepted scene's sensor sees; asked : times and snr. Raises as `plan` does."""
+        order = asked | {"do": "observe", "most_rows": self._settings.observed_rows}
+        look = self._look(team, scene, order, self._settings.plan_s)
+        seen: JsonObject = (await unless_gone(request, look))["observed"]
+        return seen
+
     async def judge(self, request: Request, team: str, scene: JsonObject) -> None:
         """PlanRefused where an uploaded file is not what the scene says; TooMany.
 

@@ -42,7 +42,7 @@ def main() -> None:
     order = json.loads(line)
     logs.set_up()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    todo = {"plan": _plan, "judge": _judge, "render": _render, "sweep": _sweep}
+    todo = {"plan": _plan, "judge": _judge, "observe": _observe, "render": _render, "sweep": _sweep}
     try:
         _say(answers, todo[order["do"]](order, answers))
     except Exception as error:
@@ -103,6 +103,15 @@ def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
     plan = plan_scene(scene)
     check_cost(scene, plan, order["most_cpu_s"])
     return {"outcome": "done", "plan": plan}
+
+
+def _observe(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
+    from pipeline.observe.files import as_data
+    from pipeline.observe.observe import observe
+
+    scene, most = parse_scene(order["scene"]), order["most_rows"]
+    found = observe(scene, order["times"], order["snr"], most_rows=most)
+    return {"outcome": "done", "observed": as_data(found)}
 
 
 def _judge(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:

@@ -74,6 +74,11 @@ export async function submitView(main, begin) {
     const plan = await send("/v1/jobs?dry_run=1", text.value, kindOf(text.value));
     fill(answer, planCard(plan));
   }));
+  const observer = el("button", { type: "button", id: "observe" }, "Observe");
+  observer.addEventListener("click", busy(observer, async () => {
+    fill(answer, el("p", { class: "quiet" }, "observing…"));
+    fill(answer, observedCard(await send("/v1/observe", text.value, kindOf(text.value))));
+  }));
   const sender = el("button", { type: "button", id: "submit", class: "strong" }, "Submit");
   let again = crypto.randomUUID(); // a second press after a lost answer makes no second job
   sender.addEventListener("click", busy(sender, async () => {
@@ -99,7 +104,7 @@ export async function submitView(main, begin) {
   fill(main,
     el("div", { class: "bar" }, el("h1", {}, "New scene"), starts,
       el("label", { class: "button", for: "file" }, "Open file"), file,
-      el("span", { class: "spring" }), planner, sender),
+      el("span", { class: "spring" }), planner, observer, sender),
     el("div", { class: "split" },
       el("section", { "aria-label": "form" }, form.node),
       el("section", { class: "side", "aria-label": "text and answers" }, answer,
@@ -125,6 +130,24 @@ function draft() {
   } catch {
     return null;
   }
+}
+
+// What is seen of each target at each exposure, or why it is not; the best seen first.
+const SHOWN = 200;
+function observedCard({ counts, notes, rows }) {
+  const best = [...rows].sort((a, b) => (b.seen === "yes") - (a.seen === "yes") || b.snr - a.snr);
+  const angle = (v) => (v === null ? "–" : v.toFixed(2));
+  const cells = (r) => [r.object_name, r.utc.slice(11, 19), r.seen, angle(r.ra_deg), angle(r.dec_deg),
+    angle(r.azimuth_deg), angle(r.elevation_deg), number(r.range_m / 1e3, 4), number(r.rate_arcsec_s, 3),
+    angle(r.v_mag), number(r.snr, 3)];
+  const heads = ["target", "UTC", "seen", "RA °", "Dec °", "az °", "el °", "km", "″/s", "V", "SNR"];
+  return el("div", { class: "card", id: "observed" }, el("h2", {}, "Observed"),
+    el("p", {}, Object.entries(counts).map(([why, n]) => `${n} ${why === "yes" ? "seen" : why}`).join(", ")),
+    el("div", { class: "scroll" }, el("table", {},
+      el("thead", {}, el("tr", {}, heads.map((h) => el("th", {}, h)))),
+      el("tbody", {}, best.slice(0, SHOWN).map((r) => el("tr", {}, cells(r).map((c) => el("td", {}, String(c)))))))),
+    rows.length > SHOWN ? el("p", { class: "quiet" }, `the best ${SHOWN} of ${rows.length} rows`) : null,
+    remarks(notes));
 }
 
 // What a scene needs, and each decision with its bound.

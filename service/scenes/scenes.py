@@ -23,19 +23,23 @@ HasFile = Callable[[str], bool]
 Named = tuple[tuple[str, str | list[str]], ...]  # (dotted field, what it names)
 
 
-def accept_scene(data: Any, settings: Settings, has_file: HasFile | None = None) -> Scene:
+def accept_scene(
+    data: Any, settings: Settings, has_file: HasFile | None = None, drawn: bool = True
+) -> Scene:
     """The scene of a request body, fit to be run here; `has_file` knows the caller's uploads.
+
+    drawn : whether its sky must be one that can be drawn
 
     Raises BadInput or InvalidScene (pipeline.spec) for a scene that is wrong anywhere, NotAllowed
     for one that only this service refuses. `stars.catalogue` stays the registered name: the
     engine runs inside the folder of catalogues, so that no path of the server enters a product.
     """
-    scene = judge_scene(data, settings)
+    scene = judge_scene(data, settings, drawn)
     check_named(named_in(scene.as_dict()), settings, has_file)
     return scene
 
 
-def judge_scene(data: Any, settings: Settings) -> Scene:
+def judge_scene(data: Any, settings: Settings, drawn: bool = True) -> Scene:
     """The scene of a body, judged by itself alone: its form, its size, and where it names no
     file its times and its sky. Nothing that it names is read."""
     targets = data.get("targets") if isinstance(data, dict) else None
@@ -43,7 +47,7 @@ def judge_scene(data: Any, settings: Settings) -> Scene:
         _refuse([("targets", len(targets), f"at most {settings.targets} targets")])
     scene = parse_scene(data)
     _refuse(_size_mistakes(scene, settings))
-    if all(name == CATALOGUE_FIELD for name, _ in named_in(scene.as_dict())):
+    if drawn and all(name == CATALOGUE_FIELD for name, _ in named_in(scene.as_dict())):
         _judge_sky(scene)
     return scene
 

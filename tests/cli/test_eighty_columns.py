@@ -29,7 +29,7 @@ COMMANDS = [
     "--version", "plan scene.json", "plan scene.json --all", "plan scene.json --explain",
     "render scene.json -o run", "render scene.json -o parted --part 1/1", "join parted",
     "check run", "info run", "calibrate run -o calibrated", "color-fit scene.json",
-    "light-curve scene.json --target chaser -o curve.parquet",
+    "light-curve scene.json --target chaser -o curve.parquet", "observe scene.json -o seen.csv",
     "export run --to png -o pictures", "sweep sweep.json --dry-run", "sweep sweep.json -o swept",
     "catalog demo -o small --faintest 5", "catalog info small", "catalog verify small",
     "catalog cone small --ra 10 --dec 10 --radius 5 -o cone.csv",

@@ -102,6 +102,10 @@ def test_submit_by_the_form_and_see_it_drawn(page: Page, server: Any) -> None:
     tab.wait_for_selector("#planned")
     assert "3 of 256 × 256 px" in tab.inner_text("#planned")
     page.picture("page-new")
+    tab.click("#observe")
+    tab.wait_for_selector("#observed")
+    assert "geo-1" in tab.inner_text("#observed")
+    assert tab.locator("#observed tbody tr").count() == 9  # three targets in three frames
     tab.click("#submit")
     tab.wait_for_selector(".phase.COMPLETED >> nth=0")
     tab.wait_for_selector("[data-target='geo-1']")

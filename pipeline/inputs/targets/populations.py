@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.inputs.targets.population_files import element_sets, file_digest, read_sizes
-from pipeline.plan.targets.populations import Sieve, look_of, with_members
+from pipeline.plan.targets.populations import SearchView, Sieve, look_of, with_members
 from pipeline.spec.scene import Scene, Target
 from pipeline.spec.targets.population import Population
 
@@ -18,7 +18,11 @@ def gather_populations(scene: Scene, halo_px: float, dut1_s: float) -> Scene:
     """
     if all(p.screened is not None for p in scene.populations):
         return scene
-    look = look_of(scene, halo_px, dut1_s)
+    return screened(scene, look_of(scene, halo_px, dut1_s))
+
+
+def screened(scene: Scene, look: SearchView) -> Scene:
+    """The same of the objects that a look finds."""
     found: list[tuple[list[Target], Population]] = []
     for i, population in enumerate(scene.populations):
         if population.screened is not None:

@@ -26,20 +26,24 @@ WORTH = 300  # moments to work out: below it a table is not tried
 FINER = 0.1  # of the error asked for: that of single moments, or the table would follow it
 SHARE = 3  # a table takes at most a third of the moments that it saves
 MOST_NODES = 257  # of a frame
+ROUNDING_S = 1e-6
 KEPT: dict[str, LightTable | None] = {}  # of this process, by what they follow from
 MOST_KEPT = 256
 
 
 def table_of(scene: Scene, index: int, at: Moments) -> LightTable | None:
-    """The table of a mesh target of a scene, None where each frame works out its own light.
+    """The table of a mesh target of a scene, None where each frame works out its own light, and at
+    moments before or after the scene's exposures.
 
     It follows from the scene alone: from the first exposure's start to the last one's end, whatever
     frames are asked for. Lights: in sunlight (eclipses not counted), and in earthshine where that
     is asked for, as `mesh_m2_sr` and `mesh_earthshine_m2_sr` tell them.
     """
     body: Any = scene.targets[index].body
-    wanted = moments_wanted(scene, body)
-    return table_between(scene, index, at, *_span(scene), wanted)
+    start, stop = _span(scene)
+    if at.offset_s.min() < start - ROUNDING_S or at.offset_s.max() > stop + ROUNDING_S:
+        return None
+    return table_between(scene, index, at, start, stop, moments_wanted(scene, body))
 
 
 def table_between(

@@ -65,7 +65,7 @@ def target_paths(
     direction = np.zeros((count, frames, 3))
     poses: list[tuple[Array, Array, Array]] = []
     by_row = np.moveaxis(attitude, 0, -1)  # (3, 3, n): rows of numbers, one for each moment
-    for which in _batches(count, moments):
+    for which in batches(count, moments):
         seen, view = sights(scene, which, at)
         some = slice(which[0], which[-1] + 1)
         names = [f"targets.{i}.body" for i in which]
@@ -130,7 +130,7 @@ def _tabled(scene: Scene, which: range, at: Moments, view: View) -> dict[int, Ar
     return out
 
 
-def _batches(count: int, moments: int) -> Iterator[range]:
+def batches(count: int, moments: int) -> Iterator[range]:
     """Targets that are worked out together: so many that their arrays stay small."""
     step = max(1, min(TOGETHER, SAMPLES // max(1, moments)))
     for first in range(0, count, step):

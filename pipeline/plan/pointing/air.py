@@ -85,16 +85,17 @@ def _refraction(scene: Scene) -> Refraction | None:
     return wish if isinstance(wish, Refraction) else None
 
 
-def lifted(camera: Camera, attitude: Array, air: Array) -> Array:
-    """Attitudes (n, 3, 3) that look where refraction puts what a pointing names: (n, 3, 3) before.
+def lifted(attitude: Array, air: Array) -> Array:
+    """Attitudes (n, 3, 3) that look where refraction puts what a pointing names: before, alike."""
+    if not air[:, 3].any():
+        return attitude
+    return proper_attitude(attitude, refract(attitude[:, 2], air))
 
-    Raises BadInput where a part of the frame looks below the horizon, or so low that refraction is
-    not known.
-    """
-    turned = (
-        proper_attitude(attitude, refract(attitude[:, 2], air)) if air[:, 3].any() else attitude
-    )
-    lowest = float(np.min(frame_sines(camera, turned, air[:, :3])))
+
+def check_height(camera: Camera, attitude: Array, air: Array) -> None:
+    """BadInput where a part of the frame looks below the horizon, or so low that refraction is not
+    known; attitude : (n, 3, 3) observed."""
+    lowest = float(np.min(frame_sines(camera, attitude, air[:, :3])))
     height_deg = float(np.degrees(np.arcsin(lowest)))
     least = LOWEST_REFRACTED_DEG if air[:, 3].any() else 0.0
     if height_deg < least:
@@ -104,7 +105,6 @@ def lifted(camera: Camera, attitude: Array, air: Array) -> Array:
             f"a frame that goes down to {height_deg:.2f} deg of elevation",
             f"{least:g} degrees or more in all of the frame and all exposures, {why}",
         )
-    return turned
 
 
 def frame_sines(camera: Camera, attitude: Array, zenith: Array) -> Array:

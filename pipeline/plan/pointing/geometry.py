@@ -30,7 +30,7 @@ from pipeline.plan.bodies.bodies import flicker_shares
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.bodies.paths import target_paths
 from pipeline.plan.bodies.sights import Moments, sights
-from pipeline.plan.pointing.air import air_of, lifted
+from pipeline.plan.pointing.air import air_of, check_height, lifted
 from pipeline.plan.pointing.attitude_motion import motion_plan, random_motion_rad
 from pipeline.plan.pointing.paths import LONGEST_STREAK_PX, bends_px, check_paths, near_frame
 from pipeline.plan.pointing.pointing import Vantage, attitudes, pointing_field, swept_rad
@@ -210,15 +210,17 @@ def _geometry(
     nodes: int,
     dut1_s: float,
     random: bool = False,
-    late_s: float = 0.0,
+    late_s: float | Array = 0.0,
+    anywhere: bool = False,
 ) -> Geometry:
     """Geometry of frames at a number of nodes; `random`: with the random motion of the pointing.
 
-    late_s : by which all exposures are shifted
+    late_s : by which all exposures, or each (F,), are shifted; anywhere : also of a camera that
+        looks at the ground
     """
     within = np.linspace(0.0, 1.0, nodes)
     start, time = frame_times(scene, frames)
-    start = start + late_s if late_s else start
+    start = start + late_s if np.any(late_s) else start
     since = within[None, :] * time[:, None]
     offset = start[:, None] + since
     flat = offset.ravel()
@@ -232,8 +234,11 @@ def _geometry(
         attitude = turned(attitude, *random_motion_rad(scene, frames, nodes).reshape(-1, 3).T)
     camera, air = camera_of(scene), air_of(scene, times)
     if air is not None:
-        attitude = lifted(camera, attitude, air)
-    check_view(scene, geocentric, attitude[:, 2])
+        attitude = lifted(attitude, air)
+    if not anywhere:
+        if air is not None:
+            check_height(camera, attitude, air)
+        check_view(scene, geocentric, attitude[:, 2])
     t = target_paths(scene, camera, attitude, at, len(frames), air)
     grid, grid3 = offset.shape, (*offset.shape, 3)
     each = (len(scene.targets), *grid)
@@ -273,6 +278,14 @@ def _geometry(
 def late_geometry(scene: Scene, g: Geometry, dut1_s: float, late_s: float) -> Geometry:
     """The geometry of the frames of another one, all of them so much later."""
     return _geometry(scene, g.frame, g.nodes, dut1_s, late_s=late_s)
+
+
+def geometry_anywhere(
+    scene: Scene, frames: NDArray[np.int64], dut1_s: float, late_s: Array
+) -> Geometry:
+    """Geometry of exposures like those of frames (F,), each `late_s` (F,) later: of a camera that
+    looks at the ground too, at FEWEST_NODES, without random motion."""
+    return _geometry(scene, frames, FEWEST_NODES, dut1_s, late_s=late_s, anywhere=True)
 
 
 def watch(scene: Scene, offsets: Array, dut1_s: float, dwell: int) -> tuple[Array, Array, Array]:

@@ -140,20 +140,27 @@ def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> LampGeometry:
     at, attitude = aimed(scene, moments, dut1_s, dwell_of(dwell_plans(scene), frames))
     if air_of(scene, at.times) is None:  # the air lifts what is near a horizon
         check_view(scene, at.observer_m, attitude[:, 2])
-    camera, beta = camera_of(scene), at.observer_m_s / SPEED_OF_LIGHT_M_S
-    if not scene.star_effects["aberration"]:
-        beta = np.zeros_like(beta)
-    sun = at.earth.sun_from_earth_m - at.observer_m
-    moon = moon_m(at.times.tt1, at.times.tt2) - at.observer_m
-    lamps = (
-        _lamp(scene, camera, attitude, at, sun, SUN_RADIUS_M, beta),
-        _lamp(scene, camera, attitude, at, moon, MOON_RADIUS_M, beta),
-        _earth(scene, camera, attitude, at.observer_m),
-    )
+    camera, (sun, moon) = camera_of(scene), bodies_m(at)
+    lamps = (*sun_and_moon(scene, at, attitude), _earth(scene, camera, attitude, at.observer_m))
     turned = [separation(v[:-1], v[1:]) for v in (*np.moveaxis(attitude, 1, 0), at.observer_m)]
     bodies = np.maximum(*(separation(v[:-1], v[1:]) for v in (sun, moon)))
     planets = {n: _planet(scene, camera, attitude, at, n, sun) for n in PLANETS}
     return LampGeometry(ticks, *lamps, planets, moon, sun - moon, np.max(turned, axis=0) + bodies)
+
+
+def bodies_m(at: Moments) -> tuple[Array, Array]:
+    """Vectors (n, 3) from the observer to Sun and Moon."""
+    sun = at.earth.sun_from_earth_m - at.observer_m
+    return sun, moon_m(at.times.tt1, at.times.tt2) - at.observer_m
+
+
+def sun_and_moon(scene: Scene, at: Moments, attitude: Array) -> tuple[Lamp, Lamp]:
+    """Both at moments (n,), as a camera of attitudes (n, 3, 3) sees them."""
+    camera, (sun, moon) = camera_of(scene), bodies_m(at)
+    return (
+        _lamp(scene, camera, attitude, at, sun, SUN_RADIUS_M),
+        _lamp(scene, camera, attitude, at, moon, MOON_RADIUS_M),
+    )
 
 
 def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lamp:
@@ -187,11 +194,11 @@ def _lamp(
     at: Moments,
     body_m: Array,
     radius_m: float,
-    beta: Array,
 ) -> Lamp:
     """A body at vectors (n, 3) from the observer."""
     distance = np.sqrt(np.sum(body_m**2, axis=-1))
-    towards = aberrate(unit(body_m), beta)
+    moving = float(scene.star_effects["aberration"])
+    towards = aberrate(unit(body_m), moving * at.observer_m_s / SPEED_OF_LIGHT_M_S)
     radius = np.arcsin(np.minimum(1.0, radius_m / distance))
     elevation = 0.5 * np.pi - separation(body_m, _upright(at.observer_m))
     off_axis = separation(attitude[:, 2], towards)

@@ -97,17 +97,22 @@ def sky_doubts(scene: Scene, facts: Facts, response: ResponseCurve, dut1_s: floa
 def _margins(scene: Scene, at: LampGeometry) -> dict[str, Array]:
     """How far [rad] moments (n,) are from each doubt: daylight, Sun and Moon in the field or near
     it, the Earth in it; at or below 0 where there is one."""
-    highest = _highest(scene)
+    highest = highest_sun_rad(scene)
     day = np.full(len(at.tick), np.pi) if highest is None else highest - at.sun.elevation
+    margins = {"day": day} | lamp_margins(scene, at.sun, at.moon) | {"earth": _off_field(at.earth)}
+    planets = at.planets.items()
+    return margins | {n: np.maximum(_off_field(lamp), lamp.hidden) for n, (lamp, _) in planets}
+
+
+def lamp_margins(scene: Scene, sun: Lamp, moon: Lamp) -> dict[str, Array]:
+    """How far [rad] Sun and Moon are from being in the field, and near it; shapes as theirs."""
     near_sun, near_moon = _exclusion_rad(scene), _moonlight_rad(scene)
     return {
-        "day": day,
-        "sun": np.maximum(_off_field(at.sun), at.sun.hidden),
-        "near the sun": np.maximum(at.sun.off_axis - near_sun, at.sun.hidden),
-        "moon": np.maximum(_off_field(at.moon), at.moon.hidden),
-        "near the moon": np.maximum(at.moon.off_frame - near_moon, at.moon.hidden),
-        "earth": _off_field(at.earth),
-    } | {name: np.maximum(_off_field(lamp), lamp.hidden) for name, (lamp, _) in at.planets.items()}
+        "sun": np.maximum(_off_field(sun), sun.hidden),
+        "near the sun": np.maximum(sun.off_axis - near_sun, sun.hidden),
+        "moon": np.maximum(_off_field(moon), moon.hidden),
+        "near the moon": np.maximum(moon.off_frame - near_moon, moon.hidden),
+    }
 
 
 def _off_field(lamp: Lamp) -> Array:
@@ -134,7 +139,7 @@ def _moonlight_rad(scene: Scene) -> float:
     return NEAREST_MOON_RAD
 
 
-def _highest(scene: Scene) -> float | None:
+def highest_sun_rad(scene: Scene) -> float | None:
     """Highest elevation of the Sun [rad] at which the sky of a site is drawn; None: at any.
 
     A sky that is the scene's own number, with nothing of the air, is taken for measured.
@@ -152,7 +157,7 @@ def _own_sky(b: Background | None) -> bool:
 
 def _daylight(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     """The Sun too high above a site for the sky that is drawn."""
-    highest = _highest(scene)
+    highest = highest_sun_rad(scene)
     up, where = _elevation(seen, k)
     if highest is None or up <= highest:
         return []
@@ -179,7 +184,7 @@ def _sunlight(
     scene: Scene, facts: Facts, response: ResponseCurve, seen: LampGeometry, day: int
 ) -> tuple[list[str], list[str]]:
     """Warnings and remarks of the Sun's elevation at a site, where it is not too high."""
-    highest, b = _highest(scene), scene.background
+    highest, b = highest_sun_rad(scene), scene.background
     up, where = _elevation(seen, int(np.argmax(seen.sun.elevation)) if highest is None else day)
     if highest is None:
         note = f"{where}: the sky is the scene's own uniform value, whatever the Sun's light"

@@ -72,20 +72,34 @@ def elements_error_m(age_days: float, rev_day: float) -> float:
     return float(min(1e3 * (AT_EPOCH_KM + per_day * abs(age_days)), 2.0 * axis_m))
 
 
-def _aged(scene: Scene, orbit: Orbit) -> tuple[float, str] | None:
-    """Error and words of mean elements of another time; None of fresh ones, and of other orbits."""
+def oldest_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
+    """How many targets have old elements between two times after the epoch, and the worst."""
+    found = [(t.name, _aged(scene, t.orbit, first_s, last_s)) for t in scene.targets]
+    old = [(told[0], f"{name}: {told[1]}") for name, told in found if told is not None]
+    return [f"{len(old)} of the targets have old elements, the worst {max(old)[1]}"] if old else []
+
+
+def _aged(
+    scene: Scene, orbit: Orbit, first_s: float = 0.0, last_s: float | None = None
+) -> tuple[float, str] | None:
+    """Error and words of mean elements of another time; None of fresh ones, and of other orbits.
+
+    first_s, last_s : the times that count, after the epoch; default: of the scene's frames
+    """
     if not isinstance(orbit, TleOrbit | OmmOrbit):
         return None
     (utc1, utc2), rev_day = elements_epoch(orbit)
     start = parse_utc(scene.epoch)
     since = (start[0] - utc1) + (start[1] - utc2)
-    age = max(since, since + end_s(scene) / DAY_S, key=abs)
+    last = end_s(scene) if last_s is None else last_s
+    age = max(since + first_s / DAY_S, since + last / DAY_S, key=abs)
     if abs(age) <= FRESH_DAYS:
         return None
     error = elements_error_m(age, rev_day)
     when = "before" if age > 0 else "after"
+    end = "the scene's end" if last_s is None else "the times asked for"
     return error, (
-        f"elements of {abs(age):.4g} days {when} the scene's end: SGP4 is expected to be "
+        f"elements of {abs(age):.4g} days {when} {end}: SGP4 is expected to be "
         f"{error / 1e3:.3g} km off"
     )
 

@@ -32,6 +32,8 @@ Sizes = Mapping[int, tuple[float | None, float | None]]
 
 STEP_S, MOST_STEPS = 1.0, 100_000  # between looks at the pointing, to tell how fast it turns
 TURN_ROOM = 2.0  # times the change between looks
+BEFORE_S = 10.0  # light that is seen left the farthest satellites before
+LOOKED_AT = 257  # moments at which SGP4 is tried, where no cone is looked into
 MOST_REFRACTION_RAD = 0.0125  # at the horizon, with room (0.6 degrees; Bennett 1982)
 
 
@@ -91,6 +93,28 @@ def look_of(scene: Scene, halo_px: float, dut1_s: float) -> SearchView:
         half += MOST_REFRACTION_RAD  # the screen knows no air
     turns = tuple(_turn_rad_s(scene, d, dut1_s) for d in dwells)
     return SearchView(scene, dut1_s, epoch, dwells, min(half, np.pi), turns)
+
+
+@dataclass(frozen=True)
+class WholeSky(SearchView):
+    """The look that finds every object, wherever it is, that SGP4 carries through `span_s`.
+
+    span_s : first and last time [s after the epoch]; looked at are LOOKED_AT moments at most
+    """
+
+    span_s: tuple[float, float] = (0.0, 0.0)
+
+    def screen(self, satellites: list[Satrec]) -> tuple[list[int], dict[int, int]]:
+        count = int(np.clip(np.ptp(self.span_s) / orbit_screen.FIRST_STEP_S, 1, LOOKED_AT - 1)) + 1
+        moments = np.linspace(*self.span_s, count)
+        codes = orbit_screen.sgp4_codes(satellites, self.epoch, moments)
+        return sorted(set(range(len(satellites))) - set(codes)), codes
+
+
+def whole_sky(scene: Scene, start_s: float, stop_s: float) -> WholeSky:
+    """The look of a scene at all of the sky between two times [s after the epoch]."""
+    span = start_s - BEFORE_S, stop_s + BEFORE_S
+    return WholeSky(scene, 0.0, parse_utc(scene.epoch), dwell_plans(scene), np.pi, (), span)
 
 
 def _turn_rad_s(scene: Scene, dwell: DwellPlan, dut1_s: float) -> float:

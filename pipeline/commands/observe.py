@@ -1,0 +1,110 @@
+"""The command line's `nightglass observe`: what is seen, how bright, and why not, in a table."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pipeline.commands.options import Json, Overrides, print_json
+
+if TYPE_CHECKING:
+    from pipeline.observe.observe import Observed
+
+MOST_LINES, MOST_NOTES = 20, 6
+HEADS = ("target", "seen", "UTC", "az/RA", "el/dec", "km", "V", "SNR")
+
+
+def observe(
+    scene: Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="all rows: a .parquet, .csv, .json or .tdm file"),
+    ] = None,
+    times: Annotated[
+        str | None,
+        typer.Option(
+            help="middles of exposures: START,STOP,STEP or a file of times (UTC, or seconds after "
+            "the epoch); default: the scene's exposures"
+        ),
+    ] = None,
+    snr: Annotated[
+        float, typer.Option(help="signal-to-noise ratio below which a target is too faint")
+    ] = 5.0,
+    centroid_noise: Annotated[
+        int | None,
+        typer.Option(
+            "--centroid-noise", min=0, help="also measured places, with noise of this seed"
+        ),
+    ] = None,
+    set_: Overrides = None,
+    as_json: Json = False,
+) -> None:
+    """Where every target is, how bright, at what SNR, and whether it is seen, without drawing."""
+    from pipeline.commands.pages import stage_progress
+    from pipeline.observe.files import as_data, check_ending, write
+    from pipeline.observe.observe import observe as look
+    from pipeline.spec.load import load_scene
+
+    if output is not None:
+        check_ending(output)
+    loaded = load_scene(scene, set_ or [])
+    with stage_progress(as_json or not sys.stderr.isatty(), "rows") as listen:
+        observed = look(loaded, times, snr, listen, centroid_noise)
+    if output is not None:
+        write(observed, output)
+    if as_json:
+        print_json(as_data(observed))
+        return
+    _print(observed)
+    if output is not None:
+        print(f"{output}: {'what is seen' if output.suffix == '.tdm' else 'all rows'}")
+
+
+def _print(observed: Observed) -> None:
+    """How many rows are seen and why others are not; rows, or the best one of each target."""
+    from pipeline.lines import fold, table
+
+    counts, total = observed.counts(), observed.table.num_rows
+    said = ", ".join(f"{n} {'seen' if why == 'yes' else why}" for why, n in counts.items())
+    print(fold(f"{total} rows (times x targets): {said}", "  ", ""))
+    lines = observed.table.to_pylist() if total <= MOST_LINES else _best(observed)
+    if total > MOST_LINES:
+        print(fold("of each target its best time, the best seen first; -o FILE has all rows"))
+    days = len({row["utc"][:10] for row in lines}) > 1
+    print(table(HEADS, [_cells(row, days) for row in lines[:MOST_LINES]], 3))
+    if len(lines) > MOST_LINES:
+        print(f"and {len(lines) - MOST_LINES} more targets")
+    for note in observed.notes[-MOST_NOTES:]:
+        print(fold(note, " " * 8, "  note: "))
+    if len(observed.notes) > MOST_NOTES:
+        print(f"  and {len(observed.notes) - MOST_NOTES} more notes (--json)")
+
+
+def _best(observed: Observed) -> list[dict[str, Any]]:
+    """The row of each target in which it is seen best, by SNR; of one never seen, its highest."""
+    import pyarrow.compute as pc
+
+    seen = observed.table.append_column("no", pc.not_equal(observed.table["seen"], "yes"))
+    order = [("no", "ascending"), ("snr", "descending"), ("elevation_deg", "descending")]
+    seen = seen.sort_by(order)
+    names = seen["name"].to_pylist()
+    first = dict(zip(reversed(names), reversed(range(len(names))), strict=True))
+    return list(seen.take(sorted(first.values())).to_pylist())
+
+
+def _cells(row: dict[str, Any], days: bool) -> list[str]:
+    """A row of the table: azimuth and elevation at a site, RA and Dec in space."""
+    up, mag, snr = row["elevation_deg"], row["v_mag"], row["snr"]
+    here = (row["azimuth_deg"], up) if up == up else (row["ra_deg"], row["dec_deg"])
+    return [
+        row["object_name"][:14],
+        row["seen"],
+        row["utc"][5:16].replace("T", " ") if days else row["utc"][11:19],
+        *(f"{v:.1f}" for v in here),
+        f"{row['range_m'] / 1e3:.0f}",
+        f"{mag:.1f}" if mag == mag else "-",
+        f"{snr:.3g}" if snr < 100.0 else f"{snr:.0f}",
+    ]

@@ -1,0 +1,117 @@
+"""Targets that are observed, with the sensor that observes them: those drawn, then all others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.errors import BadInput
+from pipeline.inputs.targets.populations import screened
+from pipeline.observe.times import Times
+from pipeline.physics.vectors import to_angles
+from pipeline.plan.pointing.geometry import moments_at
+from pipeline.plan.pointing.site import axes_of
+from pipeline.plan.resolved import ResolvedScene
+from pipeline.plan.response.responses import plan_responses
+from pipeline.plan.targets.orbit_age import oldest_remarks
+from pipeline.plan.targets.populations import whole_sky
+from pipeline.plan.timing import longest_s
+from pipeline.resolve.files import read_files, with_numbers
+from pipeline.resolve.resolve import resolve
+from pipeline.spec.accept import ACCEPTABLE
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.pointing.pointing import SiderealPointing
+from pipeline.spec.scene import Scene
+
+
+@dataclass(frozen=True)
+class Group:
+    """Targets of a scene that are observed together: those from `first` on.
+
+    as_drawn : at the scene's exposures, with the geometry that the renderer draws by
+    """
+
+    resolved: ResolvedScene
+    first: int
+    as_drawn: bool
+
+
+def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
+    """The targets and all members of populations, in groups, and what is to be reported.
+
+    What stops a render because it cannot be drawn (the Sun in the field, daylight, a camera that
+    looks at the ground) stops nothing here. BadInput for everything else that does.
+    """
+    if not (asked.targets or asked.populations):
+        raise BadInput("targets", "none", "a target or a population, to observe it")
+    sensor, notes, drawable = _sensor_of(asked)
+    own, as_drawn = len(asked.targets), drawable and times.as_exposed
+    first, last = (float(v) for v in times.middle_s[[0, -1]])
+    whole = _whole(asked, sensor, first, last)
+    notes += _omitted(whole.scene)
+    if not times.as_exposed or whole is not sensor:
+        notes += oldest_remarks(whole.scene, first, last)
+    if not as_drawn or whole is sensor:
+        return [Group(whole, 0, as_drawn)], notes
+    drawn, everyone = {t.name for t in sensor.scene.targets}, whole.scene.targets
+    others = (*everyone[:own], *(t for t in everyone[own:] if t.name not in drawn))
+    rest = replace(whole, scene=whole.scene.model_copy(update={"targets": others}))
+    return [Group(sensor, 0, True), Group(rest, own, False)], notes
+
+
+def _sensor_of(asked: Scene) -> tuple[ResolvedScene, list[str], bool]:
+    """The scene resolved, with what it draws; what is to be reported; whether it can be drawn.
+
+    Of a camera that looks at the ground the noise and the response are those of one that looks
+    away from it, and no member of a population is drawn.
+    """
+    accepting = asked.model_copy(update={"accept": tuple(ACCEPTABLE)})
+    try:
+        found, refused = resolve(accepting), None
+    except BadInput as error:
+        if error.field != "pointing":
+            raise
+        found, refused = resolve(_looking_up(accepting)), error
+    r, notes = found.scene, [*found.warnings, *found.remarks]
+    if not r.responses.classes:  # nothing is drawn: the responses of targets all the same
+        g = found.geometry
+        r = replace(r, responses=plan_responses(r.scene, r.facts, r.camera, g, sources=True))
+    if refused is None:
+        return r, notes, True
+    read = read_files(accepting)
+    there = {name: getattr(read, name) for name in ("pointing", "dwells", "exposure")}
+    scene = r.scene.model_copy(update=there | {"targets": r.scene.targets[: len(asked.targets)]})
+    note = f"a render is refused ({refused}); noise: of a field at the zenith"
+    return replace(r, scene=scene), [note, *notes], False
+
+
+def _looking_up(scene: Scene) -> Scene:
+    """The scene with one exposure at the zenith of its site, or of its place in space."""
+    at, o = moments_at(scene, 0.0, np.zeros(1)), scene.observer
+    up = axes_of(o, at.times)[:, 2] if isinstance(o, GroundObserver) else at.observer_m
+    ra, dec = (float(np.degrees(v[0])) for v in to_angles(up))
+    pointing = SiderealPointing(mode="sidereal", boresight_ra_deg=ra, boresight_dec_deg=dec)
+    exposure = scene.exposure.model_copy(update={"frames": 1})
+    update = {"pointing": pointing, "exposure": exposure, "dwells": None}
+    return scene.model_copy(update=update)
+
+
+def _whole(asked: Scene, sensor: ResolvedScene, first_s: float, last_s: float) -> ResolvedScene:
+    """The sensor with all members of populations among its targets, after the scene's own."""
+    if all(p.screened is not None for p in asked.populations):
+        return sensor
+    own, spare = sensor.scene.targets[: len(asked.targets)], longest_s(asked)
+    bare = sensor.scene.model_copy(update={"targets": own, "populations": asked.populations})
+    scene = with_numbers(screened(bare, whole_sky(bare, first_s - spare, last_s + spare)))
+    return replace(sensor, scene=scene)
+
+
+def _omitted(scene: Scene) -> list[str]:
+    """What of populations cannot be observed."""
+    found = [(p.name, p.screened) for p in scene.populations if p.screened is not None]
+    return [
+        f"populations.{name}: {failed} of {s.read} element sets omitted: {s.left_out[0]}"
+        for name, s in found
+        if (failed := s.unreadable + sum(count for _, count in s.failed))
+    ]

@@ -1,0 +1,214 @@
+"""What a scene's sensor sees of every target: places, rates, light, signal-to-noise, or why not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pipeline.arrays import Array, Geometry
+from pipeline.errors import BadInput
+from pipeline.execute.sources import comes_by, reaching
+from pipeline.execute.truth import collected_e, target_truth
+from pipeline.observe.angles import Angles, angles_of
+from pipeline.observe.centroid import measured
+from pipeline.observe.groups import Group, groups_of
+from pipeline.observe.on_axis import on_axis_light_e, on_axis_snr, on_axis_streaks_px
+from pipeline.observe.reasons import REASONS, seen_of
+from pipeline.observe.times import Times, times_of
+from pipeline.physics.positions.times import format_utc
+from pipeline.plan.pointing.geometry import geometry_anywhere, plan_geometry
+from pipeline.plan.resolved import ResolvedScene
+from pipeline.plan.timing import frame_times
+from pipeline.spec.scene import Scene
+
+MOST_ROWS = 2_000_000
+SAMPLES = 25_000  # rows that are worked out in one go
+LEAST_SNR = 5.0
+OF_TRUTH = (
+    "x_px", "y_px", "ra_deg", "dec_deg", "apparent_ra_deg", "apparent_dec_deg", "range_m",
+    "phase_deg", "sunlit_fraction", "electrons", "v_mag", "mag_ab", "snr", "in_frame",
+    "visible_fraction",
+)  # fmt: skip
+ORDER = (
+    "frame", "utc", "name", "object_name", "seen", "ra_deg", "dec_deg", "apparent_ra_deg",
+    "apparent_dec_deg", "azimuth_deg", "elevation_deg", "range_m", "range_rate_m_s",
+    "rate_arcsec_s", "position_angle_deg", "phase_deg", "sunlit_fraction",
+    "solar_elongation_deg", "moon_separation_deg", "v_mag", "mag_ab", "electrons",
+    "electrons_per_s", "streak_px", "snr", "snr_at", "x_px", "y_px", "in_frame",
+    "visible_fraction",
+)  # fmt: skip
+MEASURED = ("ra_measured_deg", "dec_measured_deg", "centroid_sigma_arcsec")
+OTHER_TIMES = (
+    "the noise of the sky and the response are those of the scene's own exposures, {epoch}: "
+    "moonlight, twilight and other pointings change them at other times"
+)
+
+Mask = NDArray[np.bool_]
+Listener = Callable[[str, int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What is seen: a row for each exposure and target, by time, then in the scene's order.
+
+    table : columns of ORDER; notes : what else is to be reported; scene : its name
+    """
+
+    table: pa.Table
+    notes: tuple[str, ...]
+    scene: str
+
+    def counts(self) -> dict[str, int]:
+        """How many rows are seen, and how many not for each reason."""
+        found = self.table["seen"].value_counts().to_pylist()
+        by_reason = {one["values"]: one["counts"] for one in found}
+        return {reason: by_reason[reason] for reason in REASONS if reason in by_reason}
+
+
+def observe(
+    scene: Scene,
+    times: str | Iterable[str | float] | None = None,
+    least_snr: float = LEAST_SNR,
+    listen: Listener | None = None,
+    centroid_seed: int | None = None,
+    most_rows: int = MOST_ROWS,
+) -> Observed:
+    """Every target and member of a population as the scene's sensor sees it, without drawing.
+
+    At the scene's exposures the rows of targets whose light reaches the frame (`snr_at`: frame)
+    are those of truth/targets.parquet, to the last digit. Of others electrons, streak and SNR are
+    those in the middle of the frame (`snr_at`: boresight), the pointing turned onto them.
+
+    Parameters
+    ----------
+    times : middles of exposures in place of the scene's own; see `times_of`. The sky's noise stays
+        that of the scene's exposures
+    least_snr : below which a target is too faint
+    listen : told what is done, how many rows of how many
+    centroid_seed : of noise; with it what is seen has places as measured (`observe.centroid`)
+
+    Raises BadInput for scenes that cannot be resolved, times that are none, more than `most_rows`.
+    """
+    if not 0.0 < least_snr < np.inf:
+        raise BadInput("snr", least_snr, "a signal-to-noise ratio above 0")
+    at = times_of(scene, times)
+    groups, notes = groups_of(scene, at)
+    rows = sum(len(g.resolved.scene.targets) - g.first for g in groups) * len(at.frame)
+    if rows > most_rows:
+        field = "exposure.frames" if at.as_exposed else "times"
+        allowed = f"at most {most_rows} rows (times x targets); here {rows}"
+        raise BadInput(field, len(at.frame), allowed)
+    if not at.as_exposed:
+        notes.append(OTHER_TIMES.format(epoch=scene.epoch))
+    made, done = [], 0
+    for group, part in _windows(groups, at):
+        made.append(_rows(group, at, part, least_snr, centroid_seed))
+        done += made[-1].num_rows
+        if listen is not None:
+            listen("observing", done, rows)
+    table = pa.concat_tables(made).sort_by([("moment", "ascending"), ("index", "ascending")])
+    columns = ORDER if centroid_seed is None else (*ORDER, *MEASURED)
+    return Observed(table.select(columns), tuple(notes), scene.name)
+
+
+def _windows(groups: list[Group], at: Times) -> Iterator[tuple[Group, slice]]:
+    """Times that are worked out together: so many that their arrays stay small."""
+    for group in groups:
+        each = max(1, SAMPLES // max(1, len(group.resolved.scene.targets)))
+        for first in range(0, len(at.frame), each):
+            yield group, slice(first, min(first + each, len(at.frame)))
+
+
+def _rows(
+    group: Group, at: Times, part: slice, least_snr: float, centroid_seed: int | None
+) -> pa.Table:
+    """The rows of some of the times."""
+    plan, frames = group.resolved, at.frame[part]
+    g = (
+        plan_geometry(plan.scene, frames, plan.dut1_s)
+        if group.as_drawn
+        else geometry_anywhere(plan.scene, frames, plan.dut1_s, at.late_s[part])
+    )
+    angles = angles_of(plan, g)
+    columns, near, in_field = _truth(plan, g)
+    _fill_others(plan, g, angles, columns, ~near)
+    exposed_s = frame_times(plan.scene, frames)[1][:, None]
+    exposed_s = np.where(exposed_s > 0.0, exposed_s, np.nan)  # bias frames have no rate
+    columns |= angles.columns | {"electrons_per_s": columns["electrons"] / exposed_s}
+    seen = seen_of(plan, angles, columns, in_field, least_snr)
+    if centroid_seed is not None:
+        columns |= _measured(plan, g, seen == "yes", centroid_seed, part.start)
+    words = {"seen": seen, "snr_at": np.where(near, "frame", "boresight")}
+    return _table(plan, g, {**columns, **words}, part.start, group.first)
+
+
+def _truth(plan: ResolvedScene, g: Geometry) -> tuple[dict[str, Array], Mask, Mask]:
+    """Columns (F, T) of truth and the streaks; whose light reaches the frame; who crosses it."""
+    found: list[dict[str, Any]] = []
+    near, crosses = np.zeros((2, len(g.frame), len(plan.scene.targets)), np.bool_)
+    for k in range(len(g.frame)):
+        one = g.frame_slice(k)
+        truth = target_truth(plan, one, everywhere=False)
+        ends = np.hypot(
+            truth["x_end_px"] - truth["x_start_px"], truth["y_end_px"] - truth["y_start_px"]
+        )
+        found.append({name: truth[name] for name in OF_TRUTH} | {"streak_px": ends})
+        near[k, reaching(plan, one)] = True
+        crosses[k] = truth["in_frame"]
+        for i in np.flatnonzero(near[k] & ~crosses[k]):
+            crosses[k, i] = comes_by(plan, one.target_x_px[i, 0], one.target_y_px[i, 0], 0.0)
+    stacked = {name: np.stack([one[name] for one in found]) for name in found[0]}
+    return stacked, near, crosses
+
+
+def _measured(
+    plan: ResolvedScene, g: Geometry, seen: Mask, seed: int, start: int
+) -> dict[str, Array]:
+    """Columns (F, T) of MEASURED; NaN where a target is not seen."""
+    columns = {name: np.full(seen.shape, np.nan) for name in MEASURED}
+    for k in np.flatnonzero(seen.any(axis=1)):
+        which = np.flatnonzero(seen[k])
+        found = measured(plan, g.frame_slice(int(k)), which, seed, start + int(k))
+        for name, value in found.items():
+            columns[name][k, which] = value
+    return columns
+
+
+def _fill_others(
+    plan: ResolvedScene, g: Geometry, angles: Angles, columns: dict[str, Array], others: Mask
+) -> None:
+    """Electrons, streak and SNR of targets whose light does not reach the frame (F, T)."""
+    light = on_axis_light_e(plan, g, columns["visible_fraction"].astype(float))
+    streak = on_axis_streaks_px(plan, g, angles.direction, angles.velocity)
+    lengths = np.hypot(streak[..., 0], streak[..., 1])
+    for name, there in (("electrons", collected_e(plan, light)), ("streak_px", lengths)):
+        columns[name] = np.where(others, there, columns[name])
+    for k, frame in enumerate(g.frame):
+        mine = np.flatnonzero(others[k])
+        columns["snr"][k, mine] = on_axis_snr(plan, light[k, mine], streak[k, mine], int(frame))
+
+
+def _table(
+    plan: ResolvedScene, g: Geometry, columns: dict[str, Array], start: int, first: int
+) -> pa.Table:
+    """Rows of the targets from `first` on, frame by frame."""
+    targets = plan.scene.targets
+    shape = (len(g.frame), len(targets) - first)
+    moment, index = (np.ravel(v) for v in np.indices(shape))
+    utc = [format_utc(a, b) for a, b in zip(g.utc1[:, g.middle], g.utc2[:, g.middle], strict=True)]
+    names = [t.name for t in targets[first:]]
+    objects = [t.object_name or t.name for t in targets[first:]]
+    words = {
+        "frame": pa.array(g.frame[moment].astype(np.int32)),
+        "utc": pa.array(utc).take(pa.array(moment)),
+        "name": pa.array(names, pa.string()).take(pa.array(index)),
+        "object_name": pa.array(objects, pa.string()).take(pa.array(index)),
+        "moment": pa.array(moment + start),
+        "index": pa.array(index + first),
+    }
+    return pa.table(words | {k: pa.array(v[:, first:].ravel()) for k, v in columns.items()})

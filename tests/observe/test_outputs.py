@@ -1,0 +1,177 @@
+"""What is observed as files and as a table; measured places; one line for each mistake."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.execute.sources import place_targets
+from pipeline.observe.centroid import centroid_covariance_px2
+from pipeline.observe.observe import observe
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.resolve.resolve import resolve
+from pipeline.spec.load import parse_scene
+from tests.command import nightglass
+from tests.observe.conftest import night
+
+
+@pytest.fixture
+def scene(tmp_path: Path, population: dict[str, Any]) -> Path:
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps(night(populations=[population])))
+    return path
+
+
+def test_files_hold_the_same_rows(scene: Path, tmp_path: Path) -> None:
+    for name in ("seen.parquet", "seen.csv", "seen.json"):
+        result = nightglass("observe", scene, "-o", tmp_path / name)
+        assert result.returncode == 0, result.stderr
+        lines = [line for line in result.stdout.splitlines() if str(tmp_path) not in line]
+        assert max(map(len, lines)) <= 80
+    table = pq.read_table(tmp_path / "seen.parquet")
+    rows = table.to_pylist()
+    assert json.loads(table.schema.metadata[b"notes"])
+    from_json = json.loads((tmp_path / "seen.json").read_text())
+    from_csv = list(csv.DictReader((tmp_path / "seen.csv").open()))
+    assert len(rows) == len(from_json["rows"]) == len(from_csv) == 3 * 603
+    for row, other, text in zip(rows, from_json["rows"], from_csv, strict=True):
+        for key, value in row.items():
+            if isinstance(value, float) and np.isnan(value):
+                assert other[key] is None
+                assert text[key] == ""
+            else:
+                assert other[key] == value
+        assert float(text["ra_deg"]) == row["ra_deg"]
+        assert text["seen"] == row["seen"]
+    printed = json.loads(nightglass("observe", scene, "--json").stdout)
+    assert printed == from_json
+
+
+def tdm(path: Path) -> list[tuple[dict[str, str], list[tuple[str, str, float]]]]:
+    """The segments of a message: metadata, and (keyword, time, value) of its data."""
+    segments: list[Any] = []
+    for line in path.read_text().splitlines():
+        if line == "META_START":
+            segments.append(({}, []))
+        elif " = " in line and segments:
+            key, value = line.split(" = ")
+            if key in ("ANGLE_1", "ANGLE_2", "MAG"):
+                time, number = value.split()
+                segments[-1][1].append((key, time, float(number)))
+            else:
+                segments[-1][0][key] = value
+    return segments
+
+
+def test_a_tracking_data_message_read_back(scene: Path, tmp_path: Path) -> None:
+    path = tmp_path / "seen.tdm"
+    assert nightglass("observe", scene, "--snr", "1", "-o", path).returncode == 0
+    rows = [r for r in observe(parse_scene(json.loads(scene.read_text())), None, 1.0)
+            .table.to_pylist() if r["seen"] == "yes"]  # fmt: skip
+    found = {
+        (meta["PARTICIPANT_2"], time, key): value
+        for meta, data in tdm(path)
+        for key, time, value in data
+    }
+    assert len(found) == 3 * len(rows) > 0
+    for row in rows:
+        at = row["name"], row["utc"].rstrip("Z")
+        assert found[*at, "ANGLE_1"] == pytest.approx(row["ra_deg"], abs=1e-9)
+        assert found[*at, "ANGLE_2"] == pytest.approx(row["dec_deg"], abs=1e-9)
+        assert found[*at, "MAG"] == pytest.approx(row["v_mag"], abs=1e-4)
+    meta, data = tdm(path)[0]
+    assert (meta["TIME_SYSTEM"], meta["ANGLE_TYPE"], meta["PATH"]) == ("UTC", "RADEC", "2,1")
+    assert (meta["START_TIME"], meta["STOP_TIME"]) == (data[0][1], data[-1][1])
+
+
+def test_a_centroid_is_as_good_as_the_bound() -> None:
+    """Of a Gaussian response under sky noise 2^(1/2) s / SNR an axis; s with its pixel."""
+    sensor = night()["sensor"] | {"photon_noise": False, "psf": {"kind": "gaussian", "sigma_px": 3}}
+    found = resolve(parse_scene(night(sensor=sensor)))
+    g = plan_geometry(found.scene.scene, np.array([0]), found.scene.dut1_s)
+    ball = place_targets(found.scene, g)[0]
+    covariance = centroid_covariance_px2(found.scene, ball, 0)
+    snr = observe(parse_scene(night(sensor=sensor))).table["snr"][0].as_py()
+    wide = np.sqrt(9.0 + 1.0 / 12.0)  # of the Gaussian and the pixel
+    wanted = np.eye(2) * 2.0 * (wide / snr) ** 2
+    np.testing.assert_allclose(covariance, wanted, rtol=5e-3, atol=1e-6)
+
+
+def test_noise_of_centroids_has_the_bounds_sigma() -> None:
+    """200 exposures: the scatter of measured places is the sigma, and a seed repeats it."""
+    scene = parse_scene(night(targets=night()["targets"][:1]))
+    times = np.arange(200) * 0.25
+    table = observe(scene, times, 0.1, None, 7).table
+    row = {name: table[name].to_numpy() for name in table.column_names}
+    off = np.stack([
+        (row["ra_measured_deg"] - row["ra_deg"]) * np.cos(np.radians(row["dec_deg"])),
+        row["dec_measured_deg"] - row["dec_deg"],
+    ]) * 3600.0 / row["centroid_sigma_arcsec"]  # fmt: skip
+    assert np.abs(off.mean(axis=1)).max() < 5 / np.sqrt(200)
+    assert off.std(axis=1) == pytest.approx([1.0, 1.0], abs=5 / np.sqrt(400))
+    fewer = [observe(scene, times[:3], 0.1, None, seed).table for seed in (7, 8)]
+    assert [t.equals(table.slice(0, 3)) for t in fewer] == [True, False]
+
+
+BAD = {
+    "--times=0,10": "times: 0,10 is not accepted; allowed: START,STOP,STEP",
+    "--times=0,10,0": "times: 0,10,0 is not accepted; allowed: a step above 0 s",
+    "--times=0,10,-1": "times: 0,10,-1 is not accepted; allowed: a step above 0 s",
+    "--times=10,0,1": "times: 10,0,1 is not accepted; allowed: a step above 0 s and a stop after",
+    "--times=0,inf,1": "times: inf is not accepted; allowed: a finite time",
+    "--times=0,1e9,1": "times: 0,1e9,1 is not accepted; allowed: a step above 0 s",
+    "--times=now,10,1": "times: now is not accepted; allowed: ",
+    "--times=0,86400,0.01": "times: ",
+    "--snr=0": "snr: 0.0 is not accepted; allowed: a signal-to-noise ratio above 0",
+    "--snr=nan": "snr: nan is not accepted",
+    "--set=targets=[]": "targets: none is not accepted; allowed: a target or a population",
+    "--output=seen.xls": "-o: seen.xls is not accepted; allowed: a name that ends in .parquet",
+    "--output=no/where.csv": "-o: no/where.csv is not accepted; allowed: a file in a folder",
+}
+
+
+@pytest.mark.parametrize("option", BAD)
+def test_one_line_for_a_mistake(option: str, scene: Path, tmp_path: Path) -> None:
+    more = ["--set", "populations=[]"]
+    if option.startswith("--set"):
+        more += ["--set", 'pointing={"mode": "sidereal", "boresight_ra_deg": 1, '
+                          '"boresight_dec_deg": 1}']  # fmt: skip
+    result = nightglass("observe", scene, *more, option)
+    assert result.returncode == 2
+    assert BAD[option] in result.stderr.replace("'", "")
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_files_of_times(scene: Path, tmp_path: Path) -> None:
+    times = tmp_path / "times.txt"
+    times.write_text("# middles\n2019-04-20T10:00:01Z\n\n21  # s\n")
+    few = nightglass("observe", scene, "--times", times, "--json", "--set", "populations=[]")
+    assert [row["utc"][11:19] for row in json.loads(few.stdout)["rows"]][::3] == [
+        "10:00:01", "10:00:21"
+    ]  # fmt: skip
+    for text, word in (("21\n1\n", "times that rise"), ("", "0 times"), ("x\n", "allowed")):
+        times.write_text(text)
+        result = nightglass("observe", scene, "--times", times)
+        assert (result.returncode, word in result.stderr) == (2, True)
+
+
+def test_decayed_and_faulty_elements_are_reported(tmp_path: Path, scene: Path) -> None:
+    """A day after their epoch all of a file can be carried; 30 years later some cannot."""
+    result = nightglass("observe", scene, "--json", "--times", "9e8,9e8,1")
+    found = json.loads(result.stdout)
+    assert any("element sets omitted" in note for note in found["notes"])
+    assert any("old elements, the worst" in note for note in found["notes"])
+    assert 3 < len(found["rows"]) < 603
+
+
+def test_no_message_of_nothing(scene: Path, tmp_path: Path) -> None:
+    result = nightglass("observe", scene, "--snr", "1e9", "-o", tmp_path / "no.tdm")
+    assert result.returncode == 2
+    assert "no target that is seen" in result.stderr
+    assert not (tmp_path / "no.tdm").exists()

@@ -1,0 +1,142 @@
+"""Each reason why a target is not seen, the first one of several, and cameras that see nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.observe.observe import observe
+from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.targets.shadow import moon_m
+from pipeline.physics.vectors import to_angles, unit
+from pipeline.spec.load import parse_scene
+from tests.observe.conftest import BALL, in_high_orbit, night
+
+EPOCH = "2019-04-20T10:00:00Z"
+DATE = parse_utc(EPOCH)
+SUN = unit(earth_and_sun(*DATE).sun_from_earth_m[0])
+ACROSS = unit(np.cross(SUN, [0.0, 0.0, 1.0]))
+
+
+def ball_at(place_m: Any, diameter_m: float = 3.0) -> dict[str, Any]:
+    orbit = {"kind": "state", "position_m": [float(v) for v in place_m],
+             "velocity_m_s": [0.0, 0.0, 0.0]}  # fmt: skip
+    return {"name": "ball", "orbit": orbit, "body": BALL | {"diameter_m": diameter_m}}
+
+
+def from_space(observer_m: Any, target_m: Any, diameter_m: float = 3.0, **more: Any) -> str:
+    """What is said of a target that the camera is pointed at, at the first exposure."""
+    towards = to_angles(np.asarray(target_m) - observer_m)
+    return seen_from(
+        {"kind": "orbit", "orbit": ball_at(observer_m)["orbit"]},
+        [ball_at(target_m, diameter_m)],
+        *(float(np.degrees(v)) for v in towards),
+        **more,
+    )
+
+
+def seen_from(observer: Any, targets: Any, ra_deg: float, dec_deg: float, **more: Any) -> str:
+    pointing = {"mode": "sidereal", "boresight_ra_deg": ra_deg, "boresight_dec_deg": dec_deg}
+    scene = {"observer": observer, "targets": targets, "pointing": pointing,
+             "exposure": {"integration_s": 1.0}, "background": {"uniform_e_per_s": 1.0},
+             }  # fmt: skip
+    return str(observe(parse_scene(night(**scene | more))).table["seen"][0])
+
+
+NIGHT_SIDE, BESIDE = -2e7 * SUN, 2e7 * ACROSS
+
+
+def test_seen_and_not_seen_from_space() -> None:
+    beside = BESIDE + 1e6 * ACROSS
+    assert from_space(BESIDE, beside) == "yes"
+    assert from_space(BESIDE, beside, 1e-6) == "too faint"
+    assert from_space(NIGHT_SIDE, 3e7 * SUN + 1e6 * ACROSS) == "behind the Earth"
+    shadow = -8e6 * SUN
+    assert from_space(shadow + 3e6 * ACROSS, shadow) == "in shadow"
+    assert from_space(BESIDE, BESIDE + 1e6 * SUN) == "Sun"
+    moon = unit(moon_m(*DATE)[0] - BESIDE)
+    assert from_space(BESIDE, BESIDE + 1e5 * moon) == "Moon"
+
+
+def test_first_of_several_reasons() -> None:
+    """A tiny ball behind the Earth, in its shadow, or beside the Sun is not called faint."""
+    assert from_space(NIGHT_SIDE, 3e7 * SUN, 1e-6) == "behind the Earth"
+    assert from_space(BESIDE, BESIDE + 1e6 * SUN, 1e-6) == "Sun"
+
+
+def test_out_of_field_and_its_edge() -> None:
+    """A camera turned half a field less or more than to the edge: its width is 1.47 deg."""
+    target = BESIDE + 1e6 * ACROSS
+    ra, dec = (float(np.degrees(v)) for v in to_angles(target - BESIDE))
+    space = {"kind": "orbit", "orbit": ball_at(BESIDE)["orbit"]}
+    for off, word in ((0.70, "yes"), (0.77, "out of field")):
+        assert seen_from(space, [ball_at(target)], ra, dec - off) == word
+
+
+GEO = [{"name": "ball", "orbit": in_high_orbit(150.0), "body": BALL}]
+TRACK = {"mode": "target", "target": "ball"}
+
+
+def by_hours(*hours: float, **more: Any) -> list[str]:
+    scene = night(targets=GEO, pointing=TRACK, **more)
+    return observe(parse_scene(scene), [3600.0 * h for h in hours], 1.0).table["seen"].to_pylist()
+
+
+def test_a_site_by_day_and_night() -> None:
+    """Midnight and ten in the morning, also where the scene gives its own sky."""
+    for background in ({"airglow": True}, {"uniform_e_per_s": 3.0}):
+        assert by_hours(0.0, 10.0, background=background) == ["yes", "daylight"]
+
+
+def test_a_measured_sky_holds_by_day_in_its_own_exposures() -> None:
+    """A render takes a uniform sky for measured: what it draws at noon is not called daylight."""
+    scene = night(targets=GEO, pointing=TRACK, epoch="2019-04-20T22:00:00Z",
+                  background={"uniform_e_per_s": 3.0})  # fmt: skip
+    assert "daylight" not in observe(parse_scene(scene)).counts()
+
+
+def test_a_camera_that_looks_at_the_ground() -> None:
+    """A tracked target that has set is below the horizon: no refusal, but a note."""
+    low = {"kind": "state", "position_m": [7e6, 0, 0], "velocity_m_s": [0, 7546.0, 0]}
+    scene = night(targets=[{"name": "ball", "orbit": low, "body": BALL}], pointing=TRACK)
+    seen = observe(parse_scene(scene))
+    assert seen.counts() == {"below horizon": 3}
+    assert "where refraction is known" in seen.notes[0]
+    later = observe(parse_scene(scene), "0,86400,300").counts()
+    assert later["below horizon"] > 200
+    assert later["in shadow"] > 3
+
+
+def test_the_sun_in_the_field_is_no_refusal() -> None:
+    ra, dec = (float(np.degrees(v)) for v in to_angles(SUN))
+    space = {"kind": "orbit", "orbit": ball_at(BESIDE)["orbit"]}
+    assert seen_from(space, [ball_at(BESIDE + 1e6 * SUN)], ra, dec) == "Sun"
+    pointing = {"mode": "sidereal", "boresight_ra_deg": 95.0, "boresight_dec_deg": 20.0}
+    day = night(epoch="2019-04-20T01:00:00Z", pointing=pointing)
+    assert {"daylight", "below horizon"} & set(observe(parse_scene(day)).counts())
+
+
+def test_threshold() -> None:
+    scene = parse_scene(night(exposure={"integration_s": 1.0}))
+    row = observe(scene).table.to_pylist()[0]
+    above, below = (observe(scene, None, row["snr"] * f).table["seen"][0].as_py()
+                    for f in (0.999, 1.001))  # fmt: skip
+    assert (above, below) == ("yes", "too faint")
+
+
+def test_a_target_behind_the_camera() -> None:
+    """Its numbers are those before the camera: the pointing is turned onto it."""
+    target = BESIDE + 1e6 * ACROSS
+    ra, dec = (float(np.degrees(v)) for v in to_angles(target - BESIDE))
+    rows = []
+    for place in ((ra, dec), ((ra + 180.0) % 360.0, -dec)):
+        pointing = {"mode": "sidereal", "boresight_ra_deg": place[0], "boresight_dec_deg": place[1]}
+        scene = night(observer={"kind": "orbit", "orbit": ball_at(BESIDE)["orbit"]},
+                      targets=[ball_at(target)], pointing=pointing, background=None)  # fmt: skip
+        rows.append(observe(parse_scene(scene)).table.to_pylist()[0])
+    assert [row["seen"] for row in rows] == ["yes", "out of field"]
+    assert [row["snr_at"] for row in rows] == ["frame", "boresight"]
+    assert rows[1]["snr"] == pytest.approx(rows[0]["snr"], rel=0.01)
