@@ -46,7 +46,7 @@ SIZE, SIGMA_PX, AIRY_RADIUS_PX, OBSCURED = 2048, 0.8, 12.0, 0.3
 COUNTS, LENGTHS_PX, ANGLE_RAD = (10_000, 100_000, 1_000_000), (0.0, 60.0, 300.0), 0.6435
 MOST_STREAKED = 10_000  # stars that the stamps engine draws with streaks
 PHASES, CELL_PX = {"gaussian": 16, "airy": 32}, (32, 64)
-WITHIN = 1e-3  # of the peak: engines with larger errors are left out of the table
+WITHIN = 1e-3  # of the peak: engines with larger errors are omitted from the table
 GOALS = {  # CPU seconds, by response and length, of each count
     ("gaussian", 0.0): (0.01, 0.03, 0.2), ("airy", 0.0): (0.02, 0.08, 0.4),
     ("gaussian", 60.0): (0.3, 0.33, 0.4), ("airy", 60.0): (0.3, 0.33, 0.4),
@@ -267,7 +267,7 @@ def _show(rows: list[dict[str, Any]], make: Callable[[], dict[str, Any]]) -> Non
     try:
         row = make()
     except (ImportError, PackageNotFoundError, BadInput) as reason:
-        print(f"left out: {reason}")
+        print(f"omitted: {reason}")
         return
     rows.append(row)
     goal = GOALS[row["response"], row["length"]]

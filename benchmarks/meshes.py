@@ -3,7 +3,7 @@
 Run: python -m benchmarks.meshes [FILE.obj ...]. Without files: a synthetic spacecraft of 10,000
 facets (a ball of tiles between two panels, a boom and a dish). Each row: medians and largest of 16
 random directions of Sun and observer (phase angle below 120 degrees), one core; errors against
-the same with 1e-5 asked for. The first call compiles and is left out.
+the same with 1e-5 asked for. The first call compiles and is omitted.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def coarser_counts(pixels_29: Pixels) -> tuple[Pixels, Pixels]:
 def choose_leaves(
     counts: Pixels, rows_per_leaf: int, rows_between: Callable[[int, int], int] | None = None
 ) -> list[Cell]:
-    """The largest pixels with at most `rows_per_leaf` rows; empty ones are left out.
+    """The largest pixels with at most `rows_per_leaf` rows; empty ones are omitted.
 
     counts : (12 * 4**order,) rows in each pixel of some order, nested. Sparse input thus stays in
     few leaves, and dense regions get small pixels. A pixel of that order that still holds too many

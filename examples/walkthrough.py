@@ -166,7 +166,7 @@ def main(folder: Path) -> None:
         jobs["pyvo"] = submit_by_pyvo(server.url, key)
         page = submit_by_page(server.url, key)
         if page is None:
-            say("no Chromium or playwright here: the page is left out")
+            say("no Chromium or playwright here: the page is omitted")
         else:
             jobs["page"] = page
         for way, job in jobs.items():

@@ -413,7 +413,7 @@ def selftest(
     page: Annotated[Path | None, typer.Option("--markdown", help="also write a page")] = None,
     as_json: Json = False,
 ) -> None:
-    """Hard ends of the product against answers known from elsewhere. Exit 1 where one fails."""
+    """Limiting cases against answers known from elsewhere. Exit 1 where one fails."""
     from pipeline.commands.pages import stage_progress
     from pipeline.studies.selftest.report import as_data, chosen, markdown, print_table, run_cases
 

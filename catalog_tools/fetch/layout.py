@@ -100,7 +100,7 @@ def release_named(name: str) -> Release:
 def parse_md5sum(text: str, release: Release, where: str) -> list[Entry]:
     """The files of rows that a list of MD5 digests names, by first source_id.
 
-    where : the list's address, for messages. Other names (`_citation.txt`) are left out. Raises
+    where : the list's address, for messages. Other names (`_citation.txt`) are omitted. Raises
     BadInput at the first line that is not `digest  name`, at a name of impossible ids, at a name
     with two digests, and for a list that names no file of the release.
     """

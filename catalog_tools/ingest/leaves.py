@@ -63,7 +63,7 @@ class Written:
 class LeafDone(NamedTuple):
     """A finished leaf: its records for the manifest's tables (none if all its rows are surplus).
 
-    surplus : rows left out as their source_id occurs before, `elsewhere` of them at another place;
+    surplus : rows omitted as their source_id occurs before, `elsewhere` of them at another place;
     surplus_crc32c : of the file that holds them, None where there is none; without_colour : rows in
     it without a BP or RP magnitude.
     """
@@ -154,7 +154,7 @@ def leaf_done(context: Written, cell: Cell, *, verify: bool = False) -> LeafDone
 
 
 def surplus_of(context: Written, done: LeafDone) -> Iterator[pa.Table]:
-    """The rows of a leaf that were left out, as the rejects table shows them."""
+    """The rows of a leaf that were omitted, as the rejects table shows them."""
     if done.surplus:
         path = _surplus_path(context.work, done.cell)
         if crc32c_of(path) != done.surplus_crc32c:

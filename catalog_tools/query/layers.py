@@ -2,7 +2,7 @@
 
 Two rows are one star if their places, carried by their own motions to a common epoch, differ by
 at most `TOLERANCE_ARCSEC` and `TOLERANCE_ARCSEC_YR` for each year between the catalogues, and
-their G by at most `TOLERANCE_G_MAG`. The rule looks at two rows alone, so what is left out depends
+their G by at most `TOLERANCE_G_MAG`. The rule looks at two rows alone, so what is omitted depends
 neither on the region asked for nor on how it is cut.
 
 Where the numbers come from (Hipparcos, J1991.25, against Gaia DR2, J2015.5; the tests count it):
@@ -10,7 +10,7 @@ half of the common stars agree to 0.02 arcsec at the epoch midway, all to 1.7: w
 gives a close pair as one star, it lies off by up to half their separation. Motions differ by 0.04
 arcsec a year in one star of a hundred (orbits). Two equal stars taken for one are 0.75 mag
 brighter; the rest is for variable stars and for G reckoned from other bands. What remains is a
-layer's star left out for a companion of nearly its light of which the main catalogue holds that
+layer's star omitted for a companion of nearly its light of which the main catalogue holds that
 one only: 3 in 100 stars brighter than 6.6 have one within 3 arcsec, nearly all closer than 2.
 """
 

@@ -196,7 +196,7 @@ def joined(ranges: Sequence[Range], gap: int) -> list[Range]:
 
 
 def without_secrets(text: str) -> str:
-    """Text in which what may be a password, a key or a signature in a URL is left out."""
+    """Text in which what may be a password, a key or a signature in a URL is omitted."""
     text = re.sub(r"://[^/@\s'\"]*@", "://…@", text)
     return re.sub(r"\?[^\s'\"]*", "?…", text)
 

@@ -18,7 +18,7 @@ beside it), `report.md` and two figures. `--quick` takes smaller frames and fewe
 and `--rungs` choose, `--catalog` takes another catalogue than the synthetic one it makes.
 
 This page is one run, made by `python docs/tools/scene_report.py`; all its figures are in
-`docs/report.json`. What components that are left out are worth, each rule of the plan has measured
+`docs/report.json`. What components that are omitted are worth, each rule of the plan has measured
 in the [ledger](reference/omissions.md). {remark}
 
 ![error of a pixel over its noise against CPU seconds of a render](pictures/report.png)

@@ -148,7 +148,7 @@ def _covered(said: dict[str, Any] | None) -> str:
 
 
 def _print_decision(d: dict[str, Any], explain: bool) -> None:
-    """A decision: what is kept or left out, the bound of its error, and why."""
+    """A decision: what is kept or omitted, the bound of its error, and why."""
     bounds = [
         f"{d[name]:.3g} {unit}"
         for name, unit in (("error_bound_e", "e-"), ("error_bound_sigma", "sigma"))
@@ -157,7 +157,7 @@ def _print_decision(d: dict[str, Any], explain: bool) -> None:
     if d.get("bound") is not None:
         bounds.append(f"{d['bound']:.2g} {d['unit']}")
     bound = f", bound {', '.join(bounds)}" if bounds else ""
-    print(fold(f"{d['component']}: {'kept' if d['kept'] else 'left out'}{bound}", "  ", ""))
+    print(fold(f"{d['component']}: {'kept' if d['kept'] else 'omitted'}{bound}", "  ", ""))
     print(fold(d["reason"], "    "))
     if explain and "rule" in d:
         print(fold(f"rule: {d['rule']}", "    "))
@@ -203,7 +203,7 @@ CONTENTS = {
     "truth/targets.parquet": "every target: place, path, range, phase, light, SNR",
     "truth/pixels.parquet": "every bad, dead and hot pixel",
     "scene.yaml": "the scene as understood, defaults filled in",
-    "plan.json": "what was used and left out, with error bounds",
+    "plan.json": "what was used and omitted, with error bounds",
     "report.json": "time, memory, errors, versions, digests",
     "preview.png": "the first frame as a picture",
 }

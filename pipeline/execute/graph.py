@@ -194,7 +194,7 @@ def _seen_by(
 @dataclass(frozen=True)
 class _View:
     """One frame: its geometry, each shard's stars, and which of the shards may send light to each
-    of its tiles and blocks (never wrongly left out)."""
+    of its tiles and blocks (never wrongly omitted)."""
 
     g: Geometry
     shards: dict[Shard, Any]

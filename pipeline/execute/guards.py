@@ -99,7 +99,7 @@ def guard_light(
 
     image_e : light of the layer in the tile, cores_e : that without wings, which come from farther
     sources too; light_e : (n,) of every source whose core may reach it; inside : (n,) which of them
-    send all but the light left out into the tile. Pixels with gaps collect what the response's
+    send all but the light omitted into the tile. Pixels with gaps collect what the response's
     `collected_range` allows for.
     """
     r = plan.responses

@@ -191,7 +191,7 @@ def excursion_px(plan: ResolvedScene, g: Geometry) -> float:
 def distance_px(x_px: Array, y_px: Array, y0: int, x0: int, rows: int, columns: int) -> Array:
     """Distances (n,) from places to a rectangle of pixels (to their centres), 0 inside it.
 
-    Stars are left out by this distance, and read from the catalogue in circles that hold it, so
+    Stars are omitted by this distance, and read from the catalogue in circles that hold it, so
     that what else is read changes nothing.
     """
     dx = np.maximum(np.maximum(x0 - x_px, x_px - (x0 + columns - 1)), 0.0)

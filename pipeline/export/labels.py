@@ -96,7 +96,7 @@ def frame_labels(
 ) -> Labels:
     """Labels of a frame of a complete product.
 
-    shape : (rows, columns) of the frame; sources no part of whose path lies in it are left out
+    shape : (rows, columns) of the frame; sources no part of whose path lies in it are omitted
     stars_snr : stars of this signal-to-noise and more are labelled; None: targets alone
     """
     parts = [_part(product / TRUTH / "targets.parquet", TARGET, frame, 0.0)]

@@ -55,7 +55,7 @@ class SourceLight:
 
         light_e : as in the truth, of what pixels collect. path : about (x_px, y_px). The window
         holds every pixel of `least_e` or more, up to LARGEST_PX from the path; light beyond is
-        left out.
+        omitted.
         """
         out: list[tuple[int, int, Array]] = []
         light_e = light_e / self.blur.fill_factor  # what falls on the focal plane

@@ -43,7 +43,7 @@ def zenith_pass(data: JsonObject, wish: Pass) -> tuple[JsonObject, str | None]:
 
     data : a scene with a ground observer, without pointing and targets; not changed. Where the
     satellite is not followed, the sensor holds the direction that it has at mid-exposure; one that
-    streaks farther than a scene takes is left out, and the second value says so.
+    streaks farther than a scene takes is omitted, and the second value says so.
     """
     data = copy.deepcopy(data)
     first, second = parse_utc(data["epoch"])

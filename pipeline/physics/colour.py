@@ -96,7 +96,7 @@ def star_electron_rate(
     1 default colour (BP or RP absent), 2 colour clamped to the range of the fit.
     BadInput where a G magnitude is not finite.
 
-    Limits: the fit is of unreddened stars; what dust does beyond the change of BP-RP is left out.
+    Limits: the fit is of unreddened stars; what dust does beyond the change of BP-RP is omitted.
     """
     g = np.ascontiguousarray(g_mag, dtype=np.float64)
     bp = np.ascontiguousarray(bp_mag, dtype=np.float64)

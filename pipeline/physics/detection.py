@@ -14,10 +14,10 @@ CLIPPED = 0.9865783925  # standard deviation of a unit Gaussian cut off at 3
 
 
 def robust_noise(image_e: Array, step_e: float = 0.0) -> tuple[float, float]:
-    """Median [e-] and standard deviation [e-] of an image's pixels, bright sources left out.
+    """Median [e-] and standard deviation [e-] of an image's pixels, bright sources omitted.
 
     The deviation is that of the pixels within CLIP sigma of the median, made whole again for the
-    Gaussian tails left out; sigma at first is the median deviation, or the digitiser's `step_e`
+    Gaussian tails omitted; sigma at first is the median deviation, or the digitiser's `step_e`
     where that hides it. Sources that cover a small share of the pixels do not matter.
     """
     middle = float(np.median(image_e))

@@ -1,4 +1,4 @@
-"""Unit vectors, angles and rotations in forms that stay exact at their hard ends."""
+"""Unit vectors, angles and rotations in forms that stay exact at their limiting cases."""
 
 from __future__ import annotations
 

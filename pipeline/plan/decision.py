@@ -1,4 +1,4 @@
-"""One line of the plan: something kept or left out, why, and what it may cost."""
+"""One line of the plan: something kept or omitted, why, and what it may cost."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Decision:
-    """One component or approximation, kept or left out.
+    """One component or approximation, kept or omitted.
 
     error_bound_e : upper bound of what it may change in a pixel [e-]; None where it is no
         approximation or no bound is known (the reason then says so)

@@ -147,7 +147,7 @@ def page(measured: Sequence[Mapping[str, Any]] = ()) -> str:
         "scene, with the bounds that hold there; `plan.json` in each product keeps them. The last "
         "columns are one measurement by `nightglass report ledger` (below: how): the bound that "
         "the plan of a small scene states, the error that the omission causes there against the "
-        "same with it undone, the CPU seconds that it saves. Seconds below 0: what is left out "
+        "same with it undone, the CPU seconds that it saves. Seconds below 0: what is omitted "
         "costs less than what is done to leave it out, in so small a scene.", "",
         "| components | rule | measured by | bound | error caused | seconds saved |",
         "| --- | --- | --- | --- | --- | --- |",

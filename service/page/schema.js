@@ -14,7 +14,7 @@ export class Schema {
     return node;
   }
 
-  // The forms that a value may take: [{ name, node }]; null (absence) is left out.
+  // The forms that a value may take: [{ name, node }]; null (absence) is omitted.
   forms(node) {
     node = this.resolve(node);
     const list = node.oneOf || node.anyOf;

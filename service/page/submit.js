@@ -174,7 +174,7 @@ export function decisions(list = []) {
       el("thead", {}, el("tr", {}, ["component", "", "error at most", "reason"].map((h) => el("th", {}, h)))),
       el("tbody", {}, list.map((d) => el("tr", {},
         el("td", {}, String(d.component).replaceAll("_", " ")),
-        el("td", {}, el("span", { class: d.kept ? "chip on" : "chip" }, d.kept ? "in" : "left out")),
+        el("td", {}, el("span", { class: d.kept ? "chip on" : "chip" }, d.kept ? "in" : "omitted")),
         el("td", { class: "num" }, d.error_bound_e ? `${number(d.error_bound_e, 2)} e⁻` : "–"),
         el("td", {}, d.reason)))))));
 }

@@ -314,7 +314,7 @@ def test_limiting_magnitude_holds_for_all(folders, tmp_path):
 
 @pytest.mark.slow
 def test_order_of_the_list_decides(folders, tmp_path):
-    """With the bright list as the main catalogue its rows are drawn, the deep one's left out."""
+    """With the bright list as the main catalogue its rows are drawn, the deep one's omitted."""
     render(scene_of([str(folders["bright"]), str(folders["main"])]), tmp_path / "run")
     truth = truth_of(tmp_path / "run")
     _, layer = sky()

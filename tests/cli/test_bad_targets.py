@@ -41,7 +41,7 @@ LINE = np.vstack([BOX.vertices, [[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]]])
 NOTED: dict[str, tuple[Any, Any, str]] = {
     "a hole": (BOX.vertices, BOX.faces[:-1], "not watertight"),
     "inside out": (BOX.vertices, BOX.faces[:, ::-1], "had their normals inwards"),
-    "no area": (LINE, np.vstack([BOX.faces, [[8, 9, 10]]]), "without area are left out"),
+    "no area": (LINE, np.vstack([BOX.faces, [[8, 9, 10]]]), "without area are omitted"),
 }
 
 

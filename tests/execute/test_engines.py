@@ -1,4 +1,4 @@
-"""Engines agree with each other, with the reference path, and with quadrature at hard ends."""
+"""Engines agree with each other, with the reference path, and with quadrature at limiting cases."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ def test_rates(cases: Any, ours: Any) -> None:
 def test_angles_to_sun_and_moon(
     cases: Any, ours: Any, name: str, column: str, limit: float
 ) -> None:
-    """The Moon's place is good to 10 arcsec, and its own light time is left out (0.7)."""
+    """The Moon's place is good to 10 arcsec, and its own light time is omitted (0.7)."""
     site = coord.EarthLocation.from_geodetic(-156.3, 20.7, 3055.0)
     when = Time("2019-04-20T10:00:00") + cases[1] * u.s
     body = coord.get_body(name, when, site, ephemeris="builtin")

@@ -1,4 +1,4 @@
-"""Vectors and rotations at their hard ends."""
+"""Vectors and rotations at their limiting cases."""
 
 from __future__ import annotations
 

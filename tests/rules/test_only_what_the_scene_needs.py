@@ -1,7 +1,7 @@
-"""Only what the scene needs: the plan decides it, and lists what is left out with its error.
+"""Only what the scene needs: the plan decides it, and lists what is omitted with its error.
 
 Which components, shards, stars, kernels and tiles a scene needs is decided before anything is
-drawn. What is left out, and every approximation, stands in the plan with the reason and an upper
+drawn. What is omitted, and every approximation, stands in the plan with the reason and an upper
 bound on its error, in electrons a pixel and relative to the noise (or in the unit of what it
 changes, where that is no pixel's charge). A component that is off costs no task, import or read.
 """

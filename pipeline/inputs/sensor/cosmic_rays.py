@@ -328,7 +328,7 @@ def extract_library(
     """The events of a stack of dark frames of equal exposure, and what was found on the way.
 
     The median over the frames takes out bias, dark and hot pixels; pixels that stand out in more
-    than a tenth of the frames (and more than twice) are left out. Reads the stack four times,
+    than a tenth of the frames (and more than twice) are omitted. Reads the stack four times,
     in frames and in bands.
     """
     from pipeline.physics.cosmic_rays.detect import bad_pixels, find_events

@@ -57,13 +57,13 @@ def gather_left_out(
 def layer_decisions(
     catalogues: Sequence[Catalogue], left_out: Sequence[np.ndarray]
 ) -> tuple[Decision, ...]:
-    """For each layer: how many of its stars are left out, and by which rule."""
+    """For each layer: how many of its stars are omitted, and by which rule."""
     return tuple(
         Decision(
             f"stars.layer_{i}",
             True,
             f"{layer.name}, epoch J{layer.ref_epoch_jyear:g}: {left_out[i].size} of its stars in "
-            f"the field are left out, {_rule(catalogues[:i], layer)}",
+            f"the field are omitted, {_rule(catalogues[:i], layer)}",
         )
         for i, layer in enumerate(catalogues[1:], start=1)
     )

@@ -62,7 +62,7 @@ def coverage_sentences(
 
 
 def _limits_g_mag(coverage: Coverage, v: Array) -> Array:
-    """G to which directions (n, 3) are covered; those that are none are left out."""
+    """G to which directions (n, 3) are covered; those that are none are omitted."""
     return coverage.limits_g_mag(*angles_deg(v[np.isfinite(v).all(axis=-1)]))
 
 

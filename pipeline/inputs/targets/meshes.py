@@ -180,7 +180,7 @@ def read_mesh(path: Path, unit: str, field: str = "body.path") -> MeshFile:
     """Read a file of triangles (or polygons, which are cut into triangles) in a given unit.
 
     What is certain is mended and told in the notices: facets without area and exact repeats are
-    left out, closed shells that are inside out are turned. BadInput for anything else that is
+    omitted, closed shells that are inside out are turned. BadInput for anything else that is
     wrong: see `_bytes`, `_parse` and `_checked`.
     """
     raw, kind = _bytes(path, field)
@@ -368,9 +368,9 @@ def _whole(
     again[first] = False
     notices = []
     if flat.any():
-        notices.append(f"{name}: {int(flat.sum())} facets without area are left out")
+        notices.append(f"{name}: {int(flat.sum())} facets without area are omitted")
     if np.any(again & ~flat):
-        notices.append(f"{name}: {int(np.sum(again & ~flat))} repeated facets are left out")
+        notices.append(f"{name}: {int(np.sum(again & ~flat))} repeated facets are omitted")
     if np.all(flat | again):
         raise BadInput(field, name, "facets with an area")
     whole = ~(line | again)

@@ -9,7 +9,7 @@ each pixel draws its own. The most probable loss is 72 e-/um in 100 um and 77 e-
 
 Binding of the inner electrons widens the law by a Gaussian of variance 6.29 keV xi (Shulek et al.
 1967, Sov. J. Nucl. Phys. 4, 400); it is drawn once a track, so single pixels vary too little.
-Left out: the dependence on speed (5% around minimum ionisation, large below 0.5 GeV a nucleon),
+Omitted: the dependence on speed (5% around minimum ionisation, large below 0.5 GeV a nucleon),
 and the Fano noise of the pairs (0.3 sqrt(n) electrons).
 """
 

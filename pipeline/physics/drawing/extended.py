@@ -65,7 +65,7 @@ def block_side(core: Core) -> int:
 def body_blocks(body: Appearance, side_px: int, near: Box = EVERYWHERE) -> tuple[BodyBlock, ...]:
     """The blocks that a body is drawn in: one of its own size if small, else squares of a side.
 
-    Those that do not touch `near` are left out; the others do not depend on it.
+    Those that do not touch `near` are omitted; the others do not depend on it.
     """
     whole = _around(body)
     if max(whole.rows, whole.columns) <= WHOLE_BLOCKS * side_px:
@@ -172,7 +172,7 @@ def draw_body(
 
     image_e : (ny, nx) float64, electrons; its first pixel is frame pixel `origin` (y, x)
     place_px : frame position (y, x) of the body's reference point at the path's zero
-    light_e : of the whole body; side_px : of the blocks (`block_side` when left out)
+    light_e : of the whole body; side_px : of the blocks (`block_side` when omitted)
     spectrum_of : `block_spectrum`, or one that remembers what it has made
     """
     cut = pieces(path)
@@ -243,7 +243,7 @@ def spread_body(
     """A body's light on the wings' grid, like `spread` for stars: (rows, columns), electrons.
 
     Points as fine as the grid sees. Its transform times the wing kernel (and the path's transfer
-    function on `grid_frequencies`) gives the wing; points off the grid are left out.
+    function on `grid_frequencies`) gives the wing; points off the grid are omitted.
     """
     out = np.zeros((grid.rows, grid.columns))
     h = grid.spacing_px

@@ -50,7 +50,7 @@ def draw_spectral(
 
     table : from `transfer_table`, of the same plan; origin : (y, x) frame pixel of the block
     threads : how many may work on it; the bits are the same for any number
-    Sources outside of the block add what falls inside; those farther than they reach are left out.
+    Sources outside of the block add what falls inside; those farther than they reach are omitted.
     Pixels may be negative by as much as the plan's errors. Raises BadInput for light or positions
     that are not finite.
     """

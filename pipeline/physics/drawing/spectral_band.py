@@ -16,7 +16,7 @@ from pipeline.physics.psf.response import Core, taper
 Array = NDArray[np.float64]
 
 ROLL_FROM = 0.85  # of the band: where the kept frequencies begin to fade
-DARK = 1e-12  # of the largest |transfer|: rows and columns of cells below it are left out
+DARK = 1e-12  # of the largest |transfer|: rows and columns of cells below it are omitted
 TOGETHER = 2.0  # neighbouring pieces of a streak whose errors meet in one pixel
 MOST_CELLS = 400  # per axis: far more than the errors need that are weighed with them
 FINE_SAMPLES = 1024  # cores up to this size get cells half as wide as their samples need

@@ -25,7 +25,7 @@ WIDTHS = range(4, 13)
 DENSITIES = 24  # grid densities that are tried
 EDGES = (1.0, 0.85, 0.7, 0.6, 0.5, 0.4)  # of the band: where the kernel's aliases may begin
 BETA_STEP = 0.05  # of the shape parameter over the width: few kernels serve all plans
-CUT_PART = 0.1  # of the error: what the frequencies left out make where the grid holds more
+CUT_PART = 0.1  # of the error: what the frequencies omitted make where the grid holds more
 LONGEST_PX = (math.inf, 1024.0, 512.0, 256.0)  # pieces of streak that are tried
 PAD_STEP_PX = 8  # pads are rounded up, so that alike streaks share their tables
 ROUNDING = 4.0  # units of precision of a source's peak that the transforms err by (measured: 3)
@@ -46,7 +46,7 @@ class SpectralPlan:
     kernel, single : spreading kernel, and whether the arithmetic is in float32
     longest_px : streaks are cut into pieces of at most this length
     spread_error, cut_error, rounding : largest error of a pixel per unit light of a source: of the
-        grid, of the frequencies left out, of the arithmetic. They fade with the distance from the
+        grid, of the frequencies omitted, of the arithmetic. They fade with the distance from the
         source, but for the rounding
     light_error : largest part of a source's light that the grid gains or loses
     """

@@ -141,7 +141,7 @@ def spread_onto(
 
     grid : (ny, at least `columns`) float32 or float64, C order
     y_cells, x_cells, light_e : (n,) places in cells; sources whose kernel does not fit in the first
-        `columns` columns are left out
+        `columns` columns are omitted
     Rows of bins are spread side by side: first every other one, then those between them, as a
     kernel reaches into the next row of bins.
     """

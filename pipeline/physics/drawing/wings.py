@@ -88,7 +88,7 @@ def grid_frequencies(grid: WingGrid) -> tuple[Array, Array]:
 
 
 def spread(grid: WingGrid, x_px: Array, y_px: Array, light_e: Array) -> Array:
-    """Sources onto the grid: (rows, columns) float64, electrons; those off it are left out."""
+    """Sources onto the grid: (rows, columns) float64, electrons; those off it are omitted."""
     out = np.zeros((grid.rows, grid.columns))
     _spread(out, grid.y0_px, grid.x0_px, float(grid.spacing_px), x_px, y_px, light_e)
     return out

@@ -74,7 +74,7 @@ def mesh_intensity(
     error : share of the intensity that the areas may err by (a bound, not a spread). Refined until
         met; `error_m2_sr` says what was reached. Bodies without shadows are exact to rounding.
     sun_radius_rad : of the Sun's disc, for surfaces with rings; shadows are those of its centre
-    Light that goes from facet to facet is left out. Facets are flat: a smooth glossy surface needs
+    Light that goes from facet to facet is omitted. Facets are flat: a smooth glossy surface needs
     facets that turn by less than its highlight is wide.
     """
     s, o = _directions(sun, observer)

@@ -25,7 +25,7 @@ class LightTable:
     """C lights at rising times (n,) and, of a spinning body, at P even phases from 0 on.
 
     values : (P, n, C), straight between; P = 1 where nothing spins
-    error : what moments that were left out differed by. Along time: the largest share of the light,
+    error : what moments that were omitted differed by. Along time: the largest share of the light,
         or of FAINT of the brightest, with room for a kink between. With spin: the mean difference
         over the mean light, which is what exposures see of it
     worst : with spin, the largest difference over the brightest light; worked : moments it took

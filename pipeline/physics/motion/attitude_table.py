@@ -40,7 +40,7 @@ def attitudes_at(table: AttitudeTable, at_s: Array) -> Array:
 
 
 def table_error_rad(table: AttitudeTable, wanted: NDArray[np.bool_]) -> float | None:
-    """Largest error between rows [rad], from every other row left out and interpolated.
+    """Largest error between rows [rad], from every other row omitted and interpolated.
 
     wanted : rows (n,) that count; None where there are too few rows to tell. The largest miss over
     what the order of the interpolation gains from rows twice as dense.

@@ -93,7 +93,7 @@ def star_astrometric(
     Straight-line motion u = r + dt (mu + r mu_r) - parallax * observer, with the light time across
     the observer's orbit, as ERFA pmpx (Kaplan & Bangert 2010, NOVAS, section 3); mu as a tangent
     vector, so that it holds at the poles. NaN (not known) acts as 0 for motion, parallax and radial
-    velocity; a negative parallax acts as 0. Left out: light time along the star's own path (below
+    velocity; a negative parallax acts as 0. Omitted: light time along the star's own path (below
     1 mas a century for Barnard's star).
 
     Parameters
@@ -267,7 +267,7 @@ def apparent_sun_m(earth: EarthState) -> Array:
     """Vector (n, 3) to the Sun as the moving Earth sees it, aberrated by 20.5 arcsec [m].
 
     The Sun's rays and the Earth's shadow lie along this line in the Earth's frame: use it for
-    eclipses and phases. Left out: the Sun's own way in 8 minutes (8 mas).
+    eclipses and phases. Omitted: the Sun's own way in 8 minutes (8 mas).
     """
     distance = np.sqrt(np.sum(earth.sun_from_earth_m**2, -1, keepdims=True))
     beta = earth.velocity_m_s / SPEED_OF_LIGHT_M_S

@@ -60,7 +60,7 @@ def site_state(
     """Geocentric position [m] and velocity [m/s] (n, 3) of a site in GCRS axes.
 
     The site is geodetic on WGS 84, longitude east. The velocity is that of the Earth's rotation
-    (ERFA pvtob), which gives diurnal aberration; the drift of the axis (5e-5 m/s) is left out.
+    (ERFA pvtob), which gives diurnal aberration; the drift of the axis (5e-5 m/s) is omitted.
     """
     n = instants.tt1.shape
     sp = era.sp00(instants.tt1, instants.tt2)

@@ -68,7 +68,7 @@ def limb_angle(observer_m: Array, direction: Array) -> Array:
 def zenith_of(observer_m: Array, pole: Array, latitude_rad: float) -> Array:
     """Normals (..., 3) of the ellipsoid at a site of known latitude, from its places (..., 3).
 
-    Polar motion (0.5 arcsec) is left out of the latitude. At a pole it is the axis.
+    Polar motion (0.5 arcsec) is omitted from the latitude. At a pole it is the axis.
     """
     across = observer_m - np.sum(observer_m * pole, -1, keepdims=True) * pole
     return np.cos(latitude_rad) * unit(across) + np.sin(latitude_rad) * pole

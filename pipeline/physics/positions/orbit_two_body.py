@@ -23,7 +23,7 @@ def two_body(
     Stumpff functions (Battin 1999, section 4.5; Goodyear 1965): one form for ellipse, parabola and
     hyperbola. Kepler's equation rises monotonically in the variable (its slope is the radius), so
     Newton's method inside a bracket cannot fail. Ellipses are reduced by whole periods first.
-    Perturbations are left out. `inverse_axis_m`, 1/a [1/m] (or (m,), NaN where not known), may be
+    Perturbations are omitted. `inverse_axis_m`, 1/a [1/m] (or (m,), NaN where not known), may be
     given where it is known better than speed and radius tell it: near the parabola. The result of a
     time does not depend on the others.
     """

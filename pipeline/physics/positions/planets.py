@@ -29,7 +29,7 @@ def planet_m(name: str, tt1: Array, tt2: Array) -> Array:
     """Heliocentric place (n, 3) [m], mean equator of J2000, of a planet at Julian dates TT.
 
     Simon et al. 1994 (A&A 282, 663) as ERFA's plan94 has it: to 0.024 degrees from 1800 to 2200,
-    aberration and light time, another 0.012, left out.
+    aberration and light time, another 0.012, omitted.
     """
     pv = era.plan94(tt1, tt2, PLANETS[name][0])[0]
     return np.asarray(pv["p"]) * ASTRONOMICAL_UNIT_M

@@ -119,7 +119,7 @@ class NoiseLimit:
 
 @dataclass(frozen=True)
 class BandOptics:
-    """Optics for a band, and what was left out.
+    """Optics for a band, and what was omitted.
 
     optics : of one wavelength, or a Mixture
     wavelengths_m, weights : used

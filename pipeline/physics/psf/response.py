@@ -20,7 +20,7 @@ from pipeline.physics.psf.pupil import Blur
 Array = NDArray[np.float64]
 
 BAND_FLOOR = 1e-9
-SPAN_FLOOR = 1e-8  # of the peak: pixels below it in every phase are left out of a stamp
+SPAN_FLOOR = 1e-8  # of the peak: pixels below it in every phase are omitted from a stamp
 MARGIN_PX = 3
 ROW_STEP = 4  # pixels that a processor adds at once: a stamp's rows are filled up to it
 TAPER_BAND = 0.3  # cycles/px that the taper adds to the band of the response

@@ -38,7 +38,7 @@ def earth_stray(
     A Lambertian sphere of the equatorial radius, lit by a point-like Sun: radiance
     albedo / pi max(0, n.s). Against a brute-force sum over the surface: below 1e-4 with a constant
     albedo, from 300 km to GEO; with a map of cells of 5 degrees 1e-4, 3e-3 where cells of 10
-    degrees hold random numbers (tests). Left out: the Earth's flattening (limb off by up to 21 km),
+    degrees hold random numbers (tests). Omitted: the Earth's flattening (limb off by up to 21 km),
     air beyond terminator and limb, clouds' own scattering law.
 
     lines_of_sight : (n, 3) unit vectors that end beside the Earth's disc

@@ -52,7 +52,7 @@ def coefficients(
 
     Hayes & Latham 1975, ApJ 197, 593: 0.0094977 n^2 / lambda^4 exp(-H / 7.996 km), with
     n = 0.23465 + 107.6 / (146 - 1/lambda^2) + 0.93161 / (41 - 1/lambda^2), lambda in um; aerosols
-    fall as lambda^-slope and with a scale height of 1.5 km; ozone as its cross-section. Left out:
+    fall as lambda^-slope and with a scale height of 1.5 km; ozone as its cross-section. Omitted:
     lines of water and oxygen (a few percent of red bands, most of 930 to 970 nm), clouds.
     """
     um = np.asarray(wavelength_m, float) * 1e6

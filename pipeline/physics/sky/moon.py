@@ -38,7 +38,7 @@ def irradiance_share(phase_rad: Array, moon_sun_m: Array, moon_observer_m: Array
 
     V = -12.73 + 0.026 |a| + 4e-9 a^4, a the phase angle in degrees, at the mean distances (Allen
     1976, as in Krisciunas & Schaefer 1991, PASP 103, 1033, equations 9 and 20), the Sun -26.76;
-    both distances by the inverse square. Left out: the opposition surge (35% at full Moon below 2
+    both distances by the inverse square. Omitted: the opposition surge (35% at full Moon below 2
     degrees), libration, and the difference of waxing and waning. Against the mean of Kieffer &
     Stone 2005 (AJ 129, 2887) at 550 nm: 4 to 8% brighter from 10 to 90 degrees (tests).
 

@@ -67,7 +67,7 @@ class PstHarvey:
     of N mirrors sends b0 [...] (Harvey 1976; Harvey, Choi, Krywonos & Marcen 2009, Proc. SPIE 7426)
     of the light on it per sr towards the focal plane, which sees the pupil under pi / (4 F^2) sr
     (Fest 2013, Stray Light Analysis and Control, chapters 5 and 6). All mirrors are taken to be as
-    large as the pupil and lit as it is; baffles, ghosts, edges and second bounces are left out.
+    large as the pupil and lit as it is; baffles, ghosts, edges and second bounces are omitted.
 
     b0_per_sr : BSDF at the specular direction; shoulder : l, in sines; slope : s, below 0
     f_number : focal length over aperture; mirrors : N

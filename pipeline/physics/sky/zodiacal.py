@@ -1,7 +1,7 @@
 """Zodiacal light with the gegenschein: a published table, its colour, its fall with distance.
 
 Leinert et al. 1998, A&AS 127, 1: table 17 (500 nm, seen from 1 au), equation 22 (colour). What the
-table's authors say of its error: about 10%. Left out: the tilt of the dust's plane of symmetry (up
+table's authors say of its error: about 10%. Omitted: the tilt of the dust's plane of symmetry (up
 to 3 degrees; it swings the brightness at the ecliptic poles by 10% over the year), dust bands, and
 the small seasonal change of the Earth's distance but for the factor below.
 """

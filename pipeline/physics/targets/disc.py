@@ -218,7 +218,7 @@ def _cells(low: float, high: float, side_px: float, centre: float, count: int) -
 def picture(light: ArrayLike, side_px: float, centre: tuple[float, float] | None = None) -> Picture:
     """A body from an image of it: light (ny, nx) in any unit, >= 0, cells of `side_px` pixels.
 
-    centre : (row, column) of the reference point, the middle of the image when left out.
+    centre : (row, column) of the reference point, the middle of the image when omitted.
     BadInput where the image holds NaN, negative values or nothing, or its cells have no size.
     """
     table = np.array(light, float)

@@ -21,7 +21,7 @@ def earth_lamps(
     Irradiance on a surface that faces the lamp, over the solar irradiance at the Earth:
     (albedo/pi) max(0, n.s) n.u dA/d^2 of a Lambertian sphere. Latitude is counted from the plane
     of Sun, Earth and target, so that limb and terminator bound the longitudes in closed form; then
-    Gauss's rule both ways. Left out: clouds, seas, seasons (the albedo is one number), and a lit
+    Gauss's rule both ways. Omitted: clouds, seas, seasons (the albedo is one number), and a lit
     atmosphere beyond the terminator.
 
     target_geocentric_m : (n, 3); sun_from_earth_m : (n, 3) or (3,)

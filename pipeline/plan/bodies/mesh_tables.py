@@ -109,11 +109,11 @@ def decide_tables(scene: Scene) -> list[Decision]:
                 f"{table.worked} moments instead of about {wanted}; straight lines between. "
             )
             why += (
-                f"Moments that were left out differ by {table.error:.2g} of the mean light on "
+                f"Moments that were omitted differ by {table.error:.2g} of the mean light on "
                 f"average, by up to {table.worst:.2g} of the brightest where a face or a shadow "
                 "sets in"
                 if phases > 1
-                else f"Moments that were left out differ by at most {table.error:.2g} of the "
+                else f"Moments that were omitted differ by at most {table.error:.2g} of the "
                 "light, or of a tenth of the brightest where it is fainter"
             )
         unit = "of the brightest light"

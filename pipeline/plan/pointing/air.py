@@ -45,7 +45,7 @@ def air_of(scene: Scene, times: Instants) -> Array | None:
     """Zenith and refraction's terms (n, 5) at instants; None where a scene needs neither.
 
     The zenith is the normal of the ellipsoid at the site: deflections of the vertical (up to an
-    arcminute in mountains) are left out.
+    arcminute in mountains) are omitted.
     """
     o = scene.observer
     if not needs_air(scene):

@@ -33,7 +33,7 @@ class MotionPlan:
     left_px : rms of an exposure's mean that the blur leaves out; scatter : relative rms change of
     the blur's variance from exposure to exposure
     uneven_px : rms that x or y has more than the blur, which is round
-    roll_px : rms motion in the frame's corners of the roll that is left out
+    roll_px : rms motion in the frame's corners of the roll that is omitted
     """
 
     nodes: int
@@ -186,14 +186,14 @@ def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
     if plan.uneven_px > 1e-4:
         more += f"; one axis has {plan.uneven_px:.2g} px rms more than the round blur"
     if plan.roll_px > 1e-4:
-        more += f"; fast roll of {plan.roll_px:.2g} px rms in the corners is left out"
+        more += f"; fast roll of {plan.roll_px:.2g} px rms in the corners is omitted"
     return (
         Decision(
             "pointing_motion",
             True,
             f"{parts}: below {plan.split_hz:.3g} Hz (in the longest exposure) a path of "
             f"{plan.nodes} nodes, {plan.path_px:.3g} px rms; the rest, and what straight lines "
-            f"between nodes lose, is a blur of {plan.blur_px:.3g} px rms per axis. Left out: how "
+            f"between nodes lose, is a blur of {plan.blur_px:.3g} px rms per axis. Omitted: how "
             f"that blur moves an exposure's mean ({plan.left_px:.2g} px rms) and changes its own "
             f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
             "is four times these, in a pixel whose light equals the noise floor, for images of "

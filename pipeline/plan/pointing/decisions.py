@@ -67,7 +67,7 @@ def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
     if p.error_arcsec is not None:
         ifov = scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
         px = p.error_arcsec * ARCSEC_RAD / ifov
-        told = f"{p.error_arcsec:.2g} arcsec ({px:.2g} px), from every other row left out"
+        told = f"{p.error_arcsec:.2g} arcsec ({px:.2g} px), from every other row omitted"
     return Decision(
         "pointing_table",
         True,

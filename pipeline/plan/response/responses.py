@@ -89,7 +89,7 @@ class ResponsePlan:
     """Everything that drawing needs besides sources and their paths.
 
     spacing_px : of the wings' grid, 0 where the response has no wings
-    reach_px : radius beyond which a source's light is left out; lost_light : that fraction
+    reach_px : radius beyond which a source's light is omitted; lost_light : that fraction
     spectral_from : stars around a block from which they are drawn together by transforms; 0 never
     crowd_e : light up to which transforms serve, where they need not serve more
     streaks : how the stars' common streaks are drawn

@@ -71,7 +71,7 @@ def rolling_shutter(
         f"first row. The fastest source moves {speed:.3g} px/s, {speed * readout_s:.3g} px in the "
         "readout: each is drawn with the path and light of its own row's exposure, told by a "
         f"parabola from its path in the first row's, {off:.2g} px off at most. Its image is drawn "
-        f"as of one row: a shear of {shear:.2g} px for each row from its middle is left out, less "
+        f"as of one row: a shear of {shear:.2g} px for each row from its middle is omitted, less "
         "than that share of its brightest pixel. Sky, ranges and the WCS are of the first row's "
         "time; light that changes beyond the first row's exposure stays as it is at its end"
     )

@@ -1,4 +1,4 @@
-"""Decisions about the air above a site: what is applied, what is left out, and its size."""
+"""Decisions about the air above a site: what is applied, what is omitted, and its size."""
 
 from __future__ import annotations
 

@@ -260,7 +260,7 @@ def _sources_of(light: LightOfSky) -> dict[str, str]:
     }
     if stars and len(stars.catalogues) > 1:
         known["starlight"] += "; of the main catalogue alone: stars that only the layers hold, and "
-        known["starlight"] += "that are beyond the limit, are in no map and left out"
+        known["starlight"] += "that are beyond the limit, are in no map and omitted"
     return known
 
 

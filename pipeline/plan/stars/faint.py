@@ -27,7 +27,7 @@ class FaintLimit:
     """The limit, and what leaving the fainter stars out of the drawing does to a pixel.
 
     star_e : most that one star beyond the limit puts into a pixel; grain_e : rms of all of them
-    around their mean; beyond FAINTEST_G_MAG nothing is left out
+    around their mean; beyond FAINTEST_G_MAG nothing is omitted
     """
 
     g_mag: float

@@ -1,4 +1,4 @@
-"""How large what is left out of targets may be: forces, earthshine, light between facets."""
+"""How large what is omitted of a target may be: forces, earthshine, light between facets."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def table_told(target: Target) -> Decision:
         else:
             error = left_out_error(*table, nodes)
     known = bool(np.isfinite(error))
-    told = f"at most {error:.2g} m off on rows left out" if known else "too few to leave one out"
+    told = f"at most {error:.2g} m off on rows omitted" if known else "too few to leave one out"
     return Decision(
         "targets.ephemeris",
         True,

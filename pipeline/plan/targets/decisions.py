@@ -152,7 +152,7 @@ def _mesh_shadows(meshes: list[Target]) -> Decision:
 
 
 def _earthshine_on_meshes(glowing: list[Target]) -> Decision:
-    """How the Earth's light falls on meshes, and what is left out of it."""
+    """How the Earth's light falls on meshes, and what is omitted of it."""
     share = max(t.body.error or 0.0 for t in glowing if isinstance(t.body, MeshBody))
     return Decision(
         "targets.earthshine_on_meshes",
@@ -246,7 +246,7 @@ def _orbits(scene: Scene, ends: Geometry) -> list[Decision]:
             Decision(
                 "targets.perturbations",
                 False,
-                f"two-body motion for {_names(plain)}: the Earth's oblateness is left out, up to "
+                f"two-body motion for {_names(plain)}: the Earth's oblateness is omitted, up to "
                 "80 km an hour after the state at 500 km, 60 m at GEO, and all smaller forces (the "
                 "bound is without drag)",
                 bound=two_body_m(plain, scene, ends),
@@ -260,7 +260,7 @@ def _orbits(scene: Scene, ends: Geometry) -> list[Decision]:
                 "targets.forces",
                 True,
                 f"as asked for {_names(forced)}: zonal harmonics, a static atmosphere, sunlight, "
-                "Sun and Moon; tesseral harmonics are left out: degree 2 and 3 of EGM96 are worth "
+                "Sun and Moon; tesseral harmonics are omitted: degree 2 and 3 of EGM96 are worth "
                 "0.4 to 2.2 km in a day at 500 km, 0.1 to 0.4 km at GEO",
             )
         )

@@ -283,8 +283,8 @@ def population_decisions(scene: Scene) -> list[Decision]:
         ]
         if s.superseded:
             parts.append(f"{s.superseded} sets have a younger one of the same object")
-        parts += [f"{n} left out: {_meaning(code)}" for code, n in s.failed]
+        parts += [f"{n} omitted: {_meaning(code)}" for code, n in s.failed]
         if s.unreadable:
-            parts.append(f"{s.unreadable} left out: not readable ({s.left_out[0]})")
+            parts.append(f"{s.unreadable} omitted: not readable ({s.left_out[0]})")
         out.append(Decision(f"populations.{p.name}", s.kept > 0, "; ".join(parts), 0.0, 0.0))
     return out

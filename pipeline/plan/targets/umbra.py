@@ -23,7 +23,7 @@ MOST_NAMED = 5
 def decide_umbra(
     scene: Scene, facts: Facts, ends: Geometry, sun_rate_e_s_m2: float, dut1_s: float
 ) -> list[Decision]:
-    """The light that is left out of targets in the umbra; nothing where none is in it."""
+    """The light omitted from targets in the umbra; nothing where none is in it."""
     which = np.flatnonzero((ends.target_sunlit <= 0.0).any(axis=(1, 2)))
     if not len(which):
         return []

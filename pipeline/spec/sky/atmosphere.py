@@ -41,7 +41,7 @@ class Refraction(Strict):
 
 
 class Atmosphere(Strict):
-    """Parts of the air that a site looks through; each left out unless asked for."""
+    """Parts of the air that a site looks through; each omitted unless asked for."""
 
     extinction: Extinction | bool | None = Field(None, description="true, or how")
     refraction: Refraction | bool | None = Field(None, description="true, or how")

@@ -55,7 +55,7 @@ class Background(Strict):
 
     starlight : light of the stars that are not drawn. `auto`: of the catalogue's stars beyond the
         limiting magnitude, where the program chose it; `all` or true: those, and beyond the
-        catalogue's end the published star counts; `none` or false: left out
+        catalogue's end the published star counts; `none` or false: omitted
     """
 
     zodiacal: Zodiacal | bool | None = Field(None, description="true, or how")

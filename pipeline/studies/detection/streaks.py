@@ -42,7 +42,7 @@ def find_lines(image: Array, noise: float, threshold_sigma: float, lines: list[L
     line with a width of WIDTH_PX; where the best filter peaks and is no point (length 0), a streak
     is reported with its length and angle. The unit of signal-to-noise is the scatter of the
     filtered image where that is more than the noise: crowds count as noise. Lines that single
-    points make are left out, and neighbours along the same line are left to the brighter one. The
+    points make are omitted, and neighbours along the same line are left to the brighter one. The
     frame is taken as periodic.
     """
     scaled = np.minimum(image / noise, BRIGHTEST_SIGMA).astype(np.float32)

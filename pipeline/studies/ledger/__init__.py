@@ -1,1 +1,1 @@
-"""The ledger's study: each rule of the plan left out or undone in a small scene, and measured."""
+"""The ledger's study: each rule of the plan omitted or undone in a small scene, and measured."""

@@ -47,7 +47,7 @@ GRAZING, FINE_NODES = 2000, 1 + 8 * 256
 
 @probe("stars.space_motion")
 def effects(bench: Bench) -> Iterator[ProbeResult]:
-    """How far stars of a small frame are displaced where an effect on directions is left out."""
+    """How far stars of a small frame are displaced where an effect on directions is omitted."""
     stage = open_stage(scene({"stars": {"catalogue": bench.catalogue}}))
     years = float(np.abs(epochs_jyear(stage.g)[0] - stage.prepared.catalogues[0].ref_epoch_jyear))
     in_s, full = timed(lambda: _places(stage, None), 2)
@@ -69,7 +69,7 @@ def effects(bench: Bench) -> Iterator[ProbeResult]:
 
 
 def _places(stage: Stage, without: str | None) -> dict[int, Array]:
-    """Places [px] of the frame's stars by their source_id; one effect left out.
+    """Places [px] of the frame's stars by their source_id; one effect omitted.
 
     What aberration does to all of the field alike goes with the boresight, which is guided.
     """

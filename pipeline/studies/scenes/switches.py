@@ -103,7 +103,7 @@ def _few(stage: Stage, tiles: tuple[Tile, ...]) -> tuple[tuple[Tile, ...], float
 
 
 def switches(stage: Stage, tiles: tuple[Tile, ...]) -> Iterator[Switch]:
-    """Every approximation of the stage's plan that can be left out by drawing otherwise."""
+    """Every approximation of the stage's plan that can be omitted by drawing otherwise."""
     plan = stage.plan
     bounds = {d.component: d.error_bound_e for d in plan.decisions if d.error_bound_e}
     on = light_by(stage, plan)

@@ -1,1 +1,1 @@
-"""Self-test: hard ends of the product, each against an answer known from elsewhere."""
+"""Self-test: limiting cases of the product, each against an answer known from elsewhere."""

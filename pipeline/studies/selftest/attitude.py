@@ -1,4 +1,4 @@
-"""Hard ends of attitude: time constants from a microsecond to hours in one stiff system."""
+"""Limiting cases of attitude: time constants from a microsecond to hours in one stiff system."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A case: a hard end, the right answer and its source, how far ours may be off; running it."""
+"""A case: a limiting case, the right answer and its source, how far ours may be off; running it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class LimitingCase:
-    """One hard end.
+    """One limiting case.
 
     source : of the right answer; allowed : largest error in `unit`
     run : from an empty folder to what was found; raises where nothing can be said

@@ -1,4 +1,4 @@
-"""Hard ends of whole frames: tiny and huge focal planes, exposures, fluxes, widths, and the ADC."""
+"""Limiting cases of frames: tiny and huge focal planes, exposures, fluxes, widths, and the ADC."""
 
 from __future__ import annotations
 

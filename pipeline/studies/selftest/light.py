@@ -1,4 +1,4 @@
-"""Hard ends of light: grazing penumbrae, phases of 0 and 180 degrees, plates edge-on."""
+"""Limiting cases of light: grazing penumbrae, phases of 0 and 180 degrees, plates edge-on."""
 
 from __future__ import annotations
 

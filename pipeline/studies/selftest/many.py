@@ -1,4 +1,4 @@
-"""Hard ends of number and nearness: very many satellites, and a body that flies by closely."""
+"""Limiting cases of number and nearness: very many satellites, and a body that flies by closely."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hard ends of places: poles, the antipode, near light speed, close passages, extreme orbits."""
+"""Limiting cases of places: poles, antipode, near light speed, close passages, extreme orbits."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def print_table(outcomes: list[Outcome]) -> None:
 def markdown(outcomes: list[Outcome]) -> str:
     """The page docs/extremes.md."""
     lines = [
-        "# Hard ends",
+        "# Limiting cases",
         "",
         "What the product gives where arithmetic, geometry or a format is at its end, beside the "
         "right answer and where that comes from. Made by `nightglass selftest --markdown "

@@ -1,4 +1,4 @@
-"""Hard ends of stars: streaks of any length, edges, a faint neighbour of a very bright star."""
+"""Limiting cases of stars: streaks of any length, edges, a faint neighbour of a bright star."""
 
 from __future__ import annotations
 

@@ -311,7 +311,7 @@ def test_a_shard_that_was_damaged_meanwhile_is_written_again(tmp_path, parts, mo
 
 @pytest.mark.parametrize("damage", ["bit", "gone"])
 def test_surplus_rows_that_were_damaged_meanwhile_are_gathered_again(tmp_path, monkeypatch, damage):
-    """Rows left out as repeated wait in a file of their own until the end: it is proved, too."""
+    """Rows omitted as repeated wait in a file of their own until the end: it is proved, too."""
     stars = random_stars(300, 4)
     files = [write_csv(tmp_path / f"{name}.csv", stars) for name in "ab"]
     write_csv(files[1], pa.concat_tables([stars.slice(0, 40), random_stars(9, 5)]))

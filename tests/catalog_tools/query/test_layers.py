@@ -97,7 +97,7 @@ def test_limits_of_the_rule(motions, speed_mas_yr, tmp_path):
 
 
 def crowd(n: int, seed: int):
-    """A main catalogue and a layer of it 24.25 years earlier, in a field with both hard ends.
+    """A main catalogue and a layer of it 24.25 years earlier, in a field with both limiting cases.
 
     Around a pole and across right ascension 0; some stars are in one only, some moved off, some
     of another brightness, some without motions.

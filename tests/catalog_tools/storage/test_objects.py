@@ -1,4 +1,4 @@
-"""Objects asked for together: none is left out, however many there are."""
+"""Objects asked for together: none is omitted, however many there are."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def test_against_published_gaia_passbands(shared_data):
         expected = np.where(table_nm[:, column] > 99, 0.0, table_nm[:, column])
         curve = curves.named_filter(f"gaiadr2-{band}")
         got = np.interp(table_nm[:, 0] * 1e-9, curve.wavelength_m, curve.value, left=0, right=0)
-        # speclite ends G at 1090 nm; the published 0.002 beyond that is left out there.
+        # speclite ends G at 1090 nm; the published 0.002 beyond that is omitted there.
         assert np.max(np.abs(got - expected)[table_nm[:, 0] < 1090.0]) < 1e-6
     # AB zero points worked out from these bands, pupil 0.7278 m2.
     for band, zero in (("G", 25.7889), ("BP", 25.3830), ("RP", 25.1134)):

@@ -109,7 +109,7 @@ def test_time_systems_of_sp3(scale: str, tai_minus_s: int, tmp_path: Path) -> No
 
 
 def test_sp3_between_its_rows(shared_data: Path) -> None:
-    """Every second row left out comes back within the error that the thinned table states."""
+    """Every second row omitted comes back within the error that the thinned table states."""
     path = sp3(shared_data)
     for name in ("G01", "G12", "G30"):
         orbit = table({"kind": "ephemeris", "path": str(path), "object": name.lower()})

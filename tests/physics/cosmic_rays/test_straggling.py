@@ -77,7 +77,7 @@ def test_mean_below_a_cut_against_the_restricted_formula(most_ev):
     low = -5.0
     grid = np.unique(np.concatenate([np.linspace(low, 50, 4001), np.geomspace(50, cut, 2001)]))
     mean = low + integrate.simpson(LANDAU.sf(grid), x=grid)  # of min(lambda, cut)
-    mean -= cut * LANDAU.sf(cut)  # collisions above the cut left out
+    mean -= cut * LANDAU.sf(cut)  # collisions above the cut omitted
     assert (mean + shift) * xi / chord == pytest.approx(restricted_loss_ev_um(most_ev), rel=0.01)
 
 

@@ -70,7 +70,7 @@ def test_spreading_is_the_kernel_at_every_source(width: int, kind: type) -> None
     for a, b, e in zip(x[inside], y[inside], light[inside], strict=True):
         exact += e * np.outer(kernel.value(np.arange(100) - b), kernel.value(np.arange(200) - a))
     assert not grid[:, 200:].any()
-    middle = slice(width, -width)  # sources on the border may be left out
+    middle = slice(width, -width)  # sources on the border may be omitted
     off = np.abs(grid[:, :200] - exact)[middle, middle].max()
     assert off < 12 * kernel.weight_error(kind is np.float32)
 

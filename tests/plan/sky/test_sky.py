@@ -113,7 +113,7 @@ def test_total_light_stays_when_the_limit_moves(scene, mapped, band):
 
 
 def test_limit_from_noise_keeps_its_bounds(scene, mapped):
-    """No star that is left out puts more than an approximation's share of the noise into a pixel;
+    """No star that is omitted puts more than an approximation's share of the noise into a pixel;
     the peak share is that of a star in the middle of a pixel."""
     changes = {"background": {"uniform_e_per_s": 4000.0}, "sensor.read_noise_e": 20.0,
                "sensor.aperture_m": 0.02}  # fmt: skip

@@ -216,7 +216,7 @@ def test_left_out_ones_are_told(lines: list[list[str]], tmp_path: Path) -> None:
     reasons = [d["reason"] for d in plan_scene(scene(file))["decisions"]
                if d["component"] == "populations.crowd"]  # fmt: skip
     assert f"{told.kept} of {COUNT + 4} element sets come within" in reasons[0]
-    assert "1 left out: SGP4 code" in reasons[0]
+    assert "1 omitted: SGP4 code" in reasons[0]
 
 
 BAD_FILES: dict[str, tuple[bytes, str]] = {
