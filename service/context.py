@@ -17,7 +17,8 @@ from service.engine.looks import Looks
 from service.engine.runner import Dispatcher
 from service.jobs.changes import Changes
 from service.jobs.jobs import Queue
-from service.jobs.submissions import Intake, TeamLimits
+from service.jobs.quotas import TeamLimits
+from service.jobs.submissions import Intake
 from service.metrics import Numbers
 from service.scenes.accepted import Acceptance
 from service.scenes.uploads import Uploads
