@@ -29,7 +29,7 @@ KEY_VARIABLE = "NIGHTGLASS_KEY"
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
 LONG_POLL_S = 20.0
 FIRST_S = 5.0  # a server that is asked for the first time may just be starting
-Scene = Mapping[str, Any] | str | Path
+Scene = Mapping[str, object] | str | Path
 Listener = Callable[[JsonObject], None]
 
 

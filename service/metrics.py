@@ -42,7 +42,7 @@ class Gauges:
 
     def __init__(self, context: Context) -> None:
         self._context, self._looked_s = context, float("-inf")
-        self._found: list[Any] = []
+        self._found: list[object] = []
 
     def collect(self) -> Iterator[Any]:
         if time.monotonic() - self._looked_s > FRESH_S:

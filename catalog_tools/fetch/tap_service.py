@@ -58,7 +58,7 @@ class TapService:
                 return self._trying(lambda: self._tap.run_sync(adql, maxrec=rows + 1), hasty)
         return self._trying(lambda: self._run_job(adql, rows + 1), self._patience)
 
-    def _trying(self, query: Callable[[], Any], patience: Patience) -> pa.Table:
+    def _trying(self, query: Callable[[], object], patience: Patience) -> pa.Table:
         failures = 0
         while True:
             try:

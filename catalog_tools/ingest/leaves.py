@@ -201,7 +201,7 @@ def _surplus_table(
     return pa.table([*texts, *columns], REJECTS)
 
 
-def _record(values: list[Any]) -> tuple[Any, ...]:
+def _record(values: list[object]) -> tuple[Any, ...]:
     return tuple(tuple(v) if isinstance(v, list) else v for v in values)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -353,7 +353,7 @@ def _barycentric(
     epoch_jyear: float | None,
 ) -> Cone | Polygon:
     """The region at the epoch asked for, seen from the barycentre."""
-    checks: tuple[tuple[str, Any, bool, str], ...] = (
+    checks: tuple[tuple[str, object, bool, str], ...] = (
         ("faintest_g_mag", faintest_g_mag, not math.isnan(faintest_g_mag or 0.0), "a magnitude"),
         ("epoch_jyear", epoch_jyear, 0.0 <= (epoch_jyear or 0.0) <= 4000.0, "a year, 0 to 4000"),
     )

@@ -27,7 +27,7 @@ def read_votable(
     choose: Choose,
     *,
     zipped: bool,
-    md5: Any = None,
+    md5: object = None,
     most_bytes: int | None = None,
 ) -> Iterator[pa.Table]:
     """Tables of the chosen columns of the file's first table, in pieces of ROWS rows.
@@ -52,7 +52,9 @@ def read_votable(
         )
 
 
-def _whole(path: Path, where: str, most_bytes: int | None, *, zipped: bool, md5: Any) -> io.BytesIO:
+def _whole(
+    path: Path, where: str, most_bytes: int | None, *, zipped: bool, md5: object
+) -> io.BytesIO:
     text, most = io.BytesIO(), MOST_BYTES
     for piece in bytes_of(path, zipped=zipped, md5=md5):
         if most_bytes is not None and (not text.tell() or b"<BINARY" in piece):

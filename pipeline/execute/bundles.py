@@ -33,7 +33,7 @@ class BundleStep:
 
     key: Key
     function: Any
-    arguments: tuple[Any, ...]
+    arguments: tuple[object, ...]
     over: tuple[Key, ...]
 
 
@@ -78,9 +78,9 @@ def bundled(graph: Graph, wanted: list[Key], size: int) -> tuple[Graph, list[Key
     return out, keys
 
 
-def run_bundle(bundle: Bundle, *values: Any) -> int:
+def run_bundle(bundle: Bundle, *values: object) -> int:
     """Task: run the steps one after the other; returns how many."""
-    known: dict[Key, Any] = {}
+    known: dict[Key, object] = {}
     for step in bundle.steps:
         known[step.key] = step.function(*(_filled(a, known, values) for a in step.arguments))
         for key in step.over:
@@ -131,7 +131,7 @@ def _closure(graph: Graph, keys: Iterable[Key]) -> dict[Key, None]:
     return found
 
 
-def _needed(task: tuple[Any, ...]) -> Iterator[Key]:
+def _needed(task: tuple[object, ...]) -> Iterator[Key]:
     """Keys that a task depends on: they stand in lists among its arguments."""
     for argument in task[1:]:
         if type(argument) is list:
@@ -159,10 +159,10 @@ class _Outside:
     """The values that come from outside of a bundle, each once however many steps need it."""
 
     def __init__(self, inner: set[Key]) -> None:
-        self.inner, self.values = inner, list[Any]()
-        self._places: dict[Any, Ref] = {}
+        self.inner, self.values = inner, list[object]()
+        self._places: dict[object, Ref] = {}
 
-    def told(self, arguments: list[Any]) -> tuple[Any, ...]:
+    def told(self, arguments: list[object]) -> tuple[Any, ...]:
         """Arguments as a step keeps them. What stands before the geometry goes to many tasks: the
         inputs and stars, or futures of them."""
         kinds = [isinstance(a, Geometry) for a in arguments]
@@ -176,14 +176,14 @@ class _Outside:
             for i, a in enumerate(arguments)
         )
 
-    def _refer(self, value: Any, name: Any) -> Ref:
+    def _refer(self, value: object, name: object) -> Ref:
         if name not in self._places:
             self._places[name] = Ref(len(self.values))
             self.values.append(value)
         return self._places[name]
 
 
-def _filled(argument: Any, known: dict[Key, Any], values: tuple[Any, ...]) -> Any:
+def _filled(argument: object, known: dict[Key, object], values: tuple[object, ...]) -> Any:
     if type(argument) is Ref:
         return values[argument.index]
     if type(argument) is list:

@@ -296,7 +296,7 @@ def _comes_by(plan: ResolvedScene, x: Array, y: Array, margin_px: float) -> bool
     return bool((first <= last).any())
 
 
-def _radius_m(body: Any) -> float:
+def _radius_m(body: object) -> float:
     """Radius about a body's reference point of what may be drawn of it, 0 where it is a point."""
     if isinstance(body, SphereBody):
         return 0.5 * body.diameter_m

@@ -169,7 +169,7 @@ def _coco(job: _Job, output: Path) -> Iterator[Path]:
     yield path
 
 
-def _compact(value: Any) -> bytes:
+def _compact(value: object) -> bytes:
     """JSON on one line; NaN is refused rather than written."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).encode()
 

@@ -169,6 +169,6 @@ def _joined(stamps: list[tuple[int, int, Array]]) -> tuple[int, int, Array]:
     return y0, x0, whole
 
 
-def _make_room(kept: dict[Any, Any]) -> None:
+def _make_room(kept: dict[object, object]) -> None:
     while len(kept) >= KEPT:
         kept.pop(next(iter(kept)))

@@ -22,7 +22,7 @@ MOST = 100_000_000
 DEPTH = 32
 
 
-def settled(value: Any, rng: np.random.Generator, told: list[str], where: str = "") -> Any:
+def settled(value: object, rng: np.random.Generator, told: list[str], where: str = "") -> Any:
     """The value with every `$sample` drawn and every `$pipeline` worked out.
 
     told : gets a line for each draw. BadInput for a sampler or step that is not known.
@@ -95,7 +95,7 @@ def _numbers(kind: str, value: Node, rng: np.random.Generator, told: list[str], 
 SAMPLERS = {**dict.fromkeys(KNOWN, _numbers), "choice": _choice, "list": _list}
 
 
-def _worked_out(steps: Any, where: str) -> float:
+def _worked_out(steps: object, where: str) -> float:
     """A number through the steps that a scene may hold: `constant` and `poly`."""
     value = 0.0
     for step in steps if isinstance(steps, list) else [steps]:

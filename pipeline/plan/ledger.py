@@ -165,7 +165,7 @@ def page(measured: Sequence[Mapping[str, Any]] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _measured(row: Mapping[str, Any]) -> str:
+def _measured(row: Mapping[str, object]) -> str:
     """Bound, error and seconds of a rule as three cells of a table."""
     if "bound" not in row:
         return " | | "
@@ -173,7 +173,7 @@ def _measured(row: Mapping[str, Any]) -> str:
     return f"{bound} (`{row['component']}`) | {rest}"
 
 
-def _cells(one: Mapping[str, Any]) -> str:
+def _cells(one: Mapping[str, object]) -> str:
     unit = one["unit"]
     saved = f"{one['seconds_saved']:.1g}"
     return f"{one['bound']:.2g} {unit} | {one['error']:.2g} {unit} | {saved}"

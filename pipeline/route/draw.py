@@ -46,7 +46,7 @@ def draw(
     total = share.tiles(plan)
     ref_epochs = tuple(c.ref_epoch_jyear for c in catalogues)
     state = {"done": len(begun.done)}
-    shards: dict[Shard, Any] = {}
+    shards: dict[Shard, object] = {}
 
     def done(kind: str) -> None:
         state["done"] += tiles_done(kind)

@@ -107,7 +107,7 @@ def _first(names: list[Any]) -> str:
     return shown if len(names) <= 20 else f"{shown} and {len(names) - 20} more"
 
 
-def lacking(plan: Plan, tiles: Container[Any], truth: Container[Any]) -> Lacking:
+def lacking(plan: Plan, tiles: Container[object], truth: Container[object]) -> Lacking:
     """What a product lacks that has these tiles and parts of truth."""
     places = ((frame, t.row, t.column) for frame in range(plan.frames) for t in plan.tiles)
     return Lacking(

@@ -24,7 +24,7 @@ MAX_DEPTH = 32
 class InvalidScene(BadInput):
     """A scene with mistakes: `mistakes` holds (field, value, allowed) of each, first ones first."""
 
-    def __init__(self, mistakes: list[tuple[str, Any, str]]) -> None:
+    def __init__(self, mistakes: list[tuple[str, object, str]]) -> None:
         self.mistakes = mistakes
         super().__init__(*mistakes[0])
 
@@ -94,7 +94,7 @@ def _parse_json(text: str) -> Any:
     if text.count("{") + text.count("[") > 100_000:
         return None
 
-    def pairs(items: list[tuple[str, Any]]) -> JsonObject:
+    def pairs(items: list[tuple[str, object]]) -> JsonObject:
         if len({key for key, _ in items}) != len(items):
             raise ValueError("duplicate key")
         return dict(items)
@@ -106,7 +106,7 @@ def _parse_json(text: str) -> Any:
     return value if _depth(value) <= MAX_DEPTH else None
 
 
-def _depth(value: Any) -> int:
+def _depth(value: object) -> int:
     """How deep lists and mappings are nested; stops one beyond MAX_DEPTH."""
     level, depth = [value], 0
     while depth <= MAX_DEPTH:
@@ -130,7 +130,7 @@ def _yaml_reader(name: str) -> Any:
 
         nested = 0
 
-        def compose_node(self, parent: Any, index: Any) -> Any:
+        def compose_node(self, parent: object, index: object) -> Any:
             if self.parser.check_event(AliasEvent):
                 raise BadInput(name, f"*{self.parser.peek_event().anchor}", "no aliases")
             holds = not self.parser.check_event(ScalarEvent)
@@ -152,7 +152,7 @@ def _yaml_reader(name: str) -> Any:
     return reader
 
 
-def parse_scene(data: Any, base: Path | None = None) -> Scene:
+def parse_scene(data: object, base: Path | None = None) -> Scene:
     """Check plain data against the scene format. Raises InvalidScene with every mistake."""
     if not isinstance(data, dict):
         raise BadInput("scene", data, "a mapping of sections (schema, name, epoch, observer, ...)")
@@ -241,12 +241,12 @@ def _tree() -> JsonObject:
 TREE = _tree()
 
 
-def path_holders(data: Any) -> Iterator[tuple[str, JsonObject, str]]:
+def path_holders(data: object) -> Iterator[tuple[str, JsonObject, str]]:
     """(dotted field, the mapping that holds it, its key) of every field that may name a file."""
     return _holders(TREE, data, "")
 
 
-def _holders(tree: JsonObject, holder: Any, at: str) -> Iterator[tuple[str, JsonObject, str]]:
+def _holders(tree: JsonObject, holder: object, at: str) -> Iterator[tuple[str, JsonObject, str]]:
     """Those below a place in the data; * is everything that a list or mapping holds."""
     if "*" in tree and isinstance(holder, dict | list):
         items = holder.items() if isinstance(holder, dict) else enumerate(holder)
@@ -280,7 +280,7 @@ def _absolute(path: str, base: Path) -> str:
     return path if "://" in path else str((base / Path(path).expanduser()).resolve())
 
 
-def apply_override(data: Any, override: str) -> None:
+def apply_override(data: object, override: str) -> None:
     """Set one dotted key: `sensor.read_noise_e=3`; `accept+=sun` adds to a list."""
     key, sep, text = override.partition("=")
     key, adds = key.removesuffix("+"), key.endswith("+")
@@ -332,7 +332,7 @@ def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
     return ".".join(names) or "scene", value, allowed
 
 
-def _under(key: str, value: Any) -> Any:
+def _under(key: str, value: object) -> Any:
     """What a mapping holds under a key; any other value as it is."""
     return value.get(key) if isinstance(value, dict) else value
 
@@ -409,7 +409,7 @@ def _allowed(message: str) -> str:
     return message
 
 
-def _merged(mistakes: list[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
+def _merged(mistakes: list[tuple[str, object, str]]) -> list[tuple[str, Any, str]]:
     """One mistake per field: the alternatives of a union are joined by "or"."""
     by_field: dict[str, tuple[str, Any, str]] = {}
     for field, value, allowed in mistakes:
@@ -421,7 +421,7 @@ def _merged(mistakes: list[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
     return list(by_field.values())
 
 
-def _names(loc: tuple[int | str, ...], data: Any, missing: bool, value: Any) -> list[str]:
+def _names(loc: tuple[int | str, ...], data: object, missing: bool, value: object) -> list[str]:
     """The path of an error without the tags that pydantic puts in for unions.
 
     A tag may be a key as well (`mode: target` and `target`).

@@ -124,7 +124,7 @@ def create_layer(product: Path, name: str, scene: Scene, chunk: tuple[int, int])
 
 def _codecs(compression: str) -> list[Any]:
     """Compression, then a checksum: without it a flipped bit may read as a wrong number."""
-    codec: dict[str, list[Any]] = {
+    codec: dict[str, list[object]] = {
         "blosc-zstd": [BloscCodec(**BLOSC)],
         "zstd": [ZstdCodec(level=ZSTD_LEVEL)],
         "none": [],

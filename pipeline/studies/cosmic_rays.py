@@ -133,7 +133,7 @@ def _track_images(flux: Flux) -> Any:
 
 
 def _measured(images: Any, threshold_e: float, area_min: float) -> Events:
-    rows: list[Any] = []
+    rows: list[object] = []
     thumbs: list[Array] = []
     for image in images:
         y, x = np.nonzero(image >= threshold_e)

@@ -72,7 +72,7 @@ class LightPlan:
 
     kind: str
     plan: Plan
-    content: tuple[Any, ...]
+    content: tuple[object, ...]
 
     def geometry(self, g: Geometry) -> Geometry:
         """What this light needs of a frame's geometry."""

@@ -62,7 +62,7 @@ def schema_of(sweep: Sweep, names: tuple[str, ...]) -> pa.Schema:
     return pa.schema(columns)
 
 
-def _type_of(values: list[Any]) -> pa.DataType:
+def _type_of(values: list[object]) -> pa.DataType:
     """A column's type: numbers, true and false, or text (JSON where the values are mixed)."""
     kinds = {type(v) for v in values if v is not None}
     if kinds == {bool}:
@@ -214,7 +214,7 @@ def identity_of(sweep: Sweep, data: JsonObject, digests: list[str]) -> JsonObjec
     }
 
 
-def _sha(value: Any) -> str:
+def _sha(value: object) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 

@@ -52,7 +52,7 @@ def floors_of(sweep: Sweep, folder: str) -> dict[str, float]:
     return out
 
 
-def _number(value: Any, name: str, folder: str) -> float | None:
+def _number(value: object, name: str, folder: str) -> float | None:
     """A value as a number, of an image its median; None where it is neither."""
     if isinstance(value, bool) or value is None:
         return None
@@ -73,7 +73,7 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
     return parse_scene(data, base=Path(course.base_folder))
 
 
-def set_field(data: JsonObject, name: str, value: Any) -> None:
+def set_field(data: JsonObject, name: str, value: object) -> None:
     """Set a dotted field of plain data: `sensor.read_noise_e`, `targets.0.body.albedo`."""
     try:
         set_dotted(data, name, value)

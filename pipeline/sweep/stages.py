@@ -76,8 +76,8 @@ class Stages:
     def get(
         self,
         stage: str,
-        key: tuple[Any, ...],
-        make: Callable[[], Any],
+        key: tuple[object, ...],
+        make: Callable[[], object],
         size: Callable[[Any], int],
         *,
         small: bool = False,
@@ -255,7 +255,7 @@ def _read_key(base: Base, plan: Plan) -> str:
     )
 
 
-def _token(value: Any) -> str:
+def _token(value: object) -> str:
     return str(tokenize(value))
 
 

@@ -140,7 +140,7 @@ def _finite(text: str) -> float:
     return value
 
 
-def _once(pairs: list[tuple[str, Any]]) -> JsonObject:
+def _once(pairs: list[tuple[str, object]]) -> JsonObject:
     found = dict(pairs)
     if len(found) != len(pairs):
         seen: set[str] = set()
@@ -149,7 +149,7 @@ def _once(pairs: list[tuple[str, Any]]) -> JsonObject:
     return found
 
 
-def _check_nodes(data: Any) -> None:
+def _check_nodes(data: object) -> None:
     """Depth, kind and text of every node, without recursion."""
     level = [data]
     for depth in range(MAX_DEPTH + 1):
@@ -161,7 +161,7 @@ def _check_nodes(data: Any) -> None:
     raise Malformed(f"the body is nested deeper than {MAX_DEPTH} levels")
 
 
-def _checked(node: Any) -> Sequence[Any]:
+def _checked(node: object) -> Sequence[Any]:
     """What a node holds: the keys and values of a mapping, the items of a list."""
     if isinstance(node, str):
         _check_text(node)

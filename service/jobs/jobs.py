@@ -197,7 +197,7 @@ class JobStore:
         with self.engine.connect() as db:
             return self._one(db, job.id, hidden=True)
 
-    def _jobs(self, query: sa.Select[Any]) -> list[Job]:
+    def _jobs(self, query: sa.Select[object]) -> list[Job]:
         with self.engine.connect() as db:
             return [job_of(row) for row in db.execute(query).mappings()]
 
@@ -209,7 +209,7 @@ class JobStore:
             raise NotThere("there is no such job")
         return job_of(row)
 
-    def _move(self, db: sa.Connection, job: Job, to: Phase, **values: Any) -> None:
+    def _move(self, db: sa.Connection, job: Job, to: Phase, **values: object) -> None:
         """Change the phase, as NEXT allows."""
         if to not in NEXT[job.phase]:
             raise NotReady(f"a job that is {job.phase} cannot become {to}")
@@ -217,7 +217,7 @@ class JobStore:
             values["ended_s"] = now_s(db)
         self._change(db, job, phase=to.value, **values)
 
-    def _change(self, db: sa.Connection, job: Job, **values: Any) -> None:
+    def _change(self, db: sa.Connection, job: Job, **values: object) -> None:
         """Update the row if it still is in the phase and attempt that the caller knows."""
         if isinstance(values.get("error"), dict):
             values["error"] = json.dumps(values["error"])
@@ -231,7 +231,7 @@ class JobStore:
             raise NotReady("the job was changed by someone else meanwhile")
 
 
-def _of(query: sa.Select[Any], team: str | None) -> sa.Select[Any]:
+def _of(query: sa.Select[object], team: str | None) -> sa.Select[Any]:
     return query if team is None else query.where(jobs.c.team == team)
 
 

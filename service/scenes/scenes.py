@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Any
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import NightglassError
@@ -23,7 +22,7 @@ HasFile = Callable[[str], bool]
 Named = tuple[tuple[str, str | list[str]], ...]  # (dotted field, what it names)
 
 
-def accept_scene(data: Any, settings: Settings, has_file: HasFile | None = None) -> Scene:
+def accept_scene(data: object, settings: Settings, has_file: HasFile | None = None) -> Scene:
     """The scene of a request body, fit to be run here; `has_file` knows the caller's uploads.
 
     Raises BadInput or InvalidScene (pipeline.spec) for a scene that is wrong anywhere, NotAllowed
@@ -35,7 +34,7 @@ def accept_scene(data: Any, settings: Settings, has_file: HasFile | None = None)
     return scene
 
 
-def judge_scene(data: Any, settings: Settings) -> Scene:
+def judge_scene(data: object, settings: Settings) -> Scene:
     """The scene of a body, judged by itself alone: its form, its size, and where it names no
     file its times and its sky. Nothing that it names is read."""
     targets = data.get("targets") if isinstance(data, dict) else None

@@ -83,9 +83,9 @@ def _changes(field: str, fixed: str) -> bool:
     return f"{fixed}.".startswith(f"{field}.") or field.startswith(f"{fixed}.")
 
 
-def _check_value(number: int, field: str, value: Any) -> None:
+def _check_value(number: int, field: str, value: object) -> None:
     """No value of an axis stands where a file could be named."""
-    placed: Any = value
+    placed: object = value
     for part in reversed(field.split(".")):
         placed = {part: placed}
     for name, holder, key in path_holders(placed):
@@ -94,7 +94,7 @@ def _check_value(number: int, field: str, value: Any) -> None:
             raise NotAllowed(f"axes[{number}]: {allowed}", ((f"axes[{number}]", value, allowed),))
 
 
-def run_sweep(order: JsonObject, listen: Any) -> JsonObject:
+def run_sweep(order: JsonObject, listen: object) -> JsonObject:
     """Run a stored sweep, in the worker's process. Its file lies beside the product meanwhile."""
     from pipeline.route.run import Options
 

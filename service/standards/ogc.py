@@ -201,7 +201,7 @@ def _accept(service: Context, body: bytes) -> tuple[Any, Scene]:
     return data, accept_scene(scene, service.settings, service.has_file)
 
 
-def _refusal(field: str, value: Any, allowed: str) -> NotAllowed:
+def _refusal(field: str, value: object, allowed: str) -> NotAllowed:
     return NotAllowed(f"{field}: allowed: {allowed}", ((field, value, allowed),))
 
 

@@ -122,7 +122,7 @@ def _library(
     field: str,
     header: JsonObject,
     event: Any,
-    frame: Any,
+    frame: object,
     x0: Any,
     y0: Any,
     spans: list[Any],
@@ -339,7 +339,7 @@ def extract_library(
     for rest in _residuals(darks, level):
         hits += rest > seed_sigma * sigma
     bad = bad_pixels(hits, frames)
-    found: list[Any] = []
+    found: list[object] = []
     for number, rest in enumerate(_residuals(darks, level)):
         event, y, x = find_events(rest, sigma, bad, seed_sigma, grow_sigma)
         found.append((event, y, x, rest[y, x] * gain_e_per_dn))

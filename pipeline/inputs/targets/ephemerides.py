@@ -62,7 +62,7 @@ class _Reader:
         self._epoch = parse_utc(scene.epoch)
         self._text = scene.epoch
         self._dwell_s = end_s(scene)
-        self._files: dict[Any, Any] = {}
+        self._files: dict[object, object] = {}
 
     def orbit(self, orbit: Orbit, field: str) -> JsonObject:
         if isinstance(orbit, OmmOrbit):
@@ -79,7 +79,7 @@ class _Reader:
         )
         return self._rows(choose(tables, orbit.object, field, path), field, path)
 
-    def _once(self, key: Any, read: Callable[[], Any]) -> Any:
+    def _once(self, key: object, read: Callable[[], object]) -> Any:
         if key not in self._files:
             self._files[key] = read()
         return self._files[key]

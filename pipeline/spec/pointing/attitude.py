@@ -110,7 +110,7 @@ def _rising(part: WhiteJitter | PowerLawJitter) -> Any:
     return part
 
 
-def _one_strength(model: Any, *names: str) -> Any:
+def _one_strength(model: object, *names: str) -> Any:
     given = [name for name in names if getattr(model, name) is not None]
     if len(given) != 1:
         raise PydanticCustomError(

@@ -74,7 +74,7 @@ class Background(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _switches(cls, data: Any) -> Any:
+    def _switches(cls, data: object) -> Any:
         """True stands for a part with its defaults, false for none: no field keeps a boolean."""
         if not isinstance(data, dict):
             return data

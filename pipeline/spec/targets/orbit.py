@@ -51,7 +51,7 @@ class MeanElements(Strict):
     bstar: float = Field(0.0, ge=-10, le=10, description="drag term [1 / Earth radii]")
 
 
-def _one_of(model: Any, *names: str) -> None:
+def _one_of(model: object, *names: str) -> None:
     """Exactly one of these fields must be given."""
     given = [name for name in names if getattr(model, name) is not None]
     if len(given) != 1:

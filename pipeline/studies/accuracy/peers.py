@@ -138,7 +138,7 @@ def _photutils(case: EngineCase, side: int, table: int = 0) -> Drawn:
     from photutils.datasets import make_model_image
     from photutils.psf import CircularGaussianSigmaPRF, ImagePSF
 
-    model: Any
+    model: object
     if isinstance(case.shape, GaussianStar):
         model = CircularGaussianSigmaPRF(sigma=case.shape.sigma_px)
     else:
@@ -165,7 +165,7 @@ def external_settings(
     if case.curved or case.streak_px > 100:
         return []
     most = 1 if quick else len(OVERSAMPLING)
-    peers: list[tuple[str, int, Callable[..., Any]]] = []
+    peers: list[tuple[str, int, Callable[..., object]]] = []
     if shutil.which(python):
         finest = 3 - (case.streak_px > 0 or isinstance(case.shape, AiryStar))
         satsim = partial(run_satsim, python=python)

@@ -60,7 +60,7 @@ def probe(rule: str) -> Callable[[Probe], Probe]:
     return keep
 
 
-def timed(work: Callable[[], Any], times: int = 1) -> tuple[float, Any]:
+def timed(work: Callable[[], object], times: int = 1) -> tuple[float, Any]:
     """CPU seconds of the quickest run, and its result."""
     best, out = np.inf, None
     for _ in range(times):

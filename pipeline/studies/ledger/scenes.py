@@ -60,7 +60,7 @@ def scene(changes: JsonObject | None = None, base: JsonObject | None = None) -> 
     return changed(base or SCENE, changes or {})
 
 
-def before(towards: Any, range_m: float, name: str = "t", **more: Any) -> JsonObject:
+def before(towards: object, range_m: float, name: str = "t", **more: object) -> JsonObject:
     """A target that flies along with the observer in ORBIT, in a direction, so far away."""
     u = np.asarray(towards, float)
     place = np.add(PLACE_M, range_m * u / np.sqrt(u @ u))
