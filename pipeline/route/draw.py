@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from catalog_tools.engine.ahead import Graph
 from catalog_tools.engine.schedulers import TASKS_PER_WINDOW, Scheduler
 from pipeline.execute.bundles import bundled, tiles_a_bundle, tiles_done
 from pipeline.execute.graph import WindowWork, shard_graph, shard_key, window_graph
@@ -57,7 +57,7 @@ def draw(
         listen(Progress(state["done"], total, "start"))
     size = _tiles_a_task(prepared, scheduler, total)
 
-    def graphs() -> Iterator[tuple[dict[Any, Any], list[Any]]]:
+    def graphs() -> Iterator[Graph]:
         nonlocal shards
         for window in _windows(plan, share):
             work = missing(plan, begun, window, share)
