@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import httpx
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import NOT_NOW, BadInput, NightglassError
 from service.answers import Refused, ServiceError, problem_of
 
@@ -280,7 +280,7 @@ class RemoteJob:
             raise BadInput("job", self.id, f"a job that is COMPLETED; this one is {self.phase}")
 
 
-def _data(scene: Scene) -> Any:
+def _data(scene: Scene) -> JsonValue:
     """The scene as plain data; files are read here, so that the server never sees their path."""
     if isinstance(scene, Mapping):
         return dict(scene)

@@ -197,7 +197,7 @@ class JobStore:
         with self.engine.connect() as db:
             return self._one(db, job.id, hidden=True)
 
-    def _jobs(self, query: sa.Select[object]) -> list[Job]:
+    def _jobs(self, query: sa.Select[Any]) -> list[Job]:
         with self.engine.connect() as db:
             return [job_of(row) for row in db.execute(query).mappings()]
 
@@ -231,7 +231,7 @@ class JobStore:
             raise NotReady("the job was changed by someone else meanwhile")
 
 
-def _of(query: sa.Select[object], team: str | None) -> sa.Select[Any]:
+def _of(query: sa.Select[Any], team: str | None) -> sa.Select[Any]:
     return query if team is None else query.where(jobs.c.team == team)
 
 
@@ -280,10 +280,12 @@ class Queue(JobStore):
                 self._change(db, job, **changes)
             return self._one(db, job.id, hidden=True)
 
-    def _next(self, db: sa.Connection, team_limit: int, turns: Mapping[str, float]) -> Any:
+    def _next(
+        self, db: sa.Connection, team_limit: int, turns: Mapping[str, float]
+    ) -> sa.RowMapping | None:
         """The oldest queued job of the team whose turn it is."""
 
-        def grouped(phase: Phase, what: Any) -> dict[str, int]:
+        def grouped(phase: Phase, what: sa.ColumnElement[int]) -> dict[str, int]:
             query = sa.select(jobs.c.team, what).where(jobs.c.phase == phase)
             return dict(db.execute(query.group_by(jobs.c.team)).all())
 

@@ -55,8 +55,8 @@ def used_by(db: sa.Connection, team: str, day: int) -> Used:
 
 def _used() -> sa.Select[Any]:
     """One statement, made once: jobs waiting, pixels x frames today, bytes of products, files."""
-    of: Any = sa.bindparam("of")
-    on: Any = sa.bindparam("on")
+    of: sa.BindParameter[str] = sa.bindparam("of")
+    on: sa.BindParameter[int] = sa.bindparam("on")
     waiting = sa.select(sa.func.count()).where(
         jobs.c.team == of, jobs.c.phase.in_([p.value for p in WAITING])
     )

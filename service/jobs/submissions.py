@@ -24,7 +24,8 @@ from service.store.tables import audit, counters, jobs
 
 MOST_AT_ONCE = 512
 Answer = tuple[Job, bool] | Exception
-Known = dict[tuple[str, str | None], Any]  # rows of jobs by team and key
+Row = Any  # of the job table
+Known = dict[tuple[str, str | None], Row]  # by team and key
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ def submit_many(store: JobStore, asks: Sequence[Ask], limits: TeamLimits) -> lis
 
 def _take_in(
     db: sa.Connection, ask: Ask, now: float, known: Known, used: Used, limits: TeamLimits
-) -> tuple[Any, bool] | Exception:
+) -> tuple[Row, bool] | Exception:
     """A new row, counted in `used` and `known`, and True; a known row and False; or a refusal."""
     place = (ask.team, ask.key)
     if ask.key is not None and place in known:
@@ -114,7 +115,7 @@ def _known(db: sa.Connection, asks: Sequence[Ask]) -> Known:
     return {(r["team"], r["idempotency_key"]): r for r in db.execute(query).mappings()}
 
 
-def _replay(ask: Ask, row: Any) -> tuple[Any, bool] | Exception:
+def _replay(ask: Ask, row: Row) -> tuple[Row, bool] | Exception:
     if row["body_sha256"] != ask.body_sha256:
         return KeyReused("this Idempotency-Key was used with another body")
     return row, False
@@ -179,7 +180,7 @@ class Intake:
 
     def __init__(self, store: JobStore, limits: TeamLimits) -> None:
         self._store, self._limits = store, limits
-        self._waiting: queue.SimpleQueue[tuple[Ask, asyncio.Future[Any]] | None]
+        self._waiting: queue.SimpleQueue[tuple[Ask, asyncio.Future[Answer]] | None]
         self._waiting = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
         self.commits, self.jobs = 0, 0
@@ -194,7 +195,7 @@ class Intake:
 
     async def put(self, ask: Ask) -> tuple[Job, bool]:
         """The job and whether it is new; raises what submit_many refuses with."""
-        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         self._waiting.put((ask, future))
         answer = await future
         if isinstance(answer, Exception):
@@ -217,7 +218,7 @@ class Intake:
             if pairs:
                 self._commit(pairs)
 
-    def _commit(self, pairs: list[tuple[Ask, asyncio.Future[Any]]]) -> None:
+    def _commit(self, pairs: list[tuple[Ask, asyncio.Future[Answer]]]) -> None:
         try:
             answers = submit_many(self._store, [ask for ask, _ in pairs], self._limits)
         except Exception as error:
@@ -230,7 +231,7 @@ class Intake:
             loop.call_soon_threadsafe(_settle, futures, answers)
 
 
-def _settle(futures: list[asyncio.Future[Any]], answers: list[Answer]) -> None:
+def _settle(futures: list[asyncio.Future[Answer]], answers: list[Answer]) -> None:
     for future, answer in zip(futures, answers, strict=True):
         if not future.done():  # the client may have gone
             future.set_result(answer)

@@ -7,9 +7,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
-from typing import Any
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput
 from pipeline.plan.timing import frame_count
 from pipeline.spec.load import path_holders
@@ -40,7 +39,7 @@ def can_run() -> bool:
 
 
 def accept_sweep(
-    data: Any, settings: Settings, has_file: HasFile | None = None
+    data: JsonValue, settings: Settings, has_file: HasFile | None = None
 ) -> tuple[JsonObject, int]:
     """A sweep as it is stored, and its pixels x frames. Its base scene is looked at like any other,
     and its axes may neither name files nor change how large a point is.
