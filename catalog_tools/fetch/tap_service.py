@@ -89,7 +89,7 @@ class TapService:
         headers = {} if response is None else response.headers
         return Unavailable(plain(error), retry_after_s(headers.get("Retry-After")))
 
-    def _run_job(self, adql: str, most_rows: int) -> Any:
+    def _run_job(self, adql: str, most_rows: int) -> object:
         """Run an asynchronous job to its end; it is removed from the service in any case."""
         job = self._tap.submit_job(adql, maxrec=most_rows)
         try:

@@ -144,7 +144,7 @@ class Fields:
         parts = key.split(".")
         return any(".".join(parts[: i + 1]) in self.used for i in range(len(parts)))
 
-    def _find(self, key: str, use: bool) -> Any:
+    def _find(self, key: str, use: bool) -> object:
         holder: object = self.data
         if use:
             self.used.add(key)

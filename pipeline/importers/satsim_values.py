@@ -22,7 +22,7 @@ MOST = 100_000_000
 DEPTH = 32
 
 
-def settled(value: object, rng: np.random.Generator, told: list[str], where: str = "") -> Any:
+def settled(value: object, rng: np.random.Generator, told: list[str], where: str = "") -> object:
     """The value with every `$sample` drawn and every `$pipeline` worked out.
 
     told : gets a line for each draw. BadInput for a sampler or step that is not known.
@@ -44,7 +44,7 @@ def settled(value: object, rng: np.random.Generator, told: list[str], where: str
     return {k: settled(v, rng, told, f"{before}{k}") for k, v in value.items()}
 
 
-def _drawn(value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
+def _drawn(value: Node, rng: np.random.Generator, told: list[str], where: str) -> object:
     kind = str(value["$sample"]).removeprefix("random.")
     if kind not in SAMPLERS:
         allowed = ", ".join(f"random.{k}" for k in SAMPLERS)
@@ -56,14 +56,14 @@ def _drawn(value: Node, rng: np.random.Generator, told: list[str], where: str) -
     return drawn
 
 
-def _list(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
+def _list(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> object:
     length = settled(value.get("length"), rng, told, f"{where}.length")
     if not isinstance(length, int | np.integer) or not 0 <= length <= 10_000:
         raise BadInput(f"{where}.length", length, "a whole number up to 10000")
     return [settled(value.get("value"), rng, told, f"{where}.{i}") for i in range(length)]
 
 
-def _choice(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
+def _choice(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> object:
     choices = value.get("choices")
     if not isinstance(choices, list) or not choices:
         raise BadInput(f"{where}.choices", choices, "a list of values")

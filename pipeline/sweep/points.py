@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -126,7 +125,7 @@ def _typical(kept: Stages, scene: Scene, name: str) -> float:
     return float(kept.get("typical", (name, value), read, lambda _: 100, small=True))
 
 
-def light_group(design: Design, point: int) -> tuple[tuple[str, Any], ...]:
+def light_group(design: Design, point: int) -> tuple[tuple[str, object], ...]:
     """The values of a point that its light may depend on: points of one group come together."""
     values = design.values(point)
     return tuple((k, repr(v)) for k, v in values.items() if k not in AFTER_LIGHT)

@@ -84,7 +84,7 @@ class Stages:
     ) -> Any:
         """The value of a stage, computed where nothing of this key is kept."""
 
-        def counted() -> Any:
+        def counted() -> object:
             with self._lock:
                 self.drawn[stage] += 1
             return make()

@@ -95,7 +95,7 @@ def _draw(file: pq.ParquetFile, axes: list[str], metrics: list[str]) -> str | No
     return figure(columns, across, down) if across and down else None
 
 
-def _every(count: int, step: int) -> Any:
+def _every(count: int, step: int) -> object:
     return pa.array(np.arange(0, count, step))
 
 

@@ -225,7 +225,7 @@ def _tried(point: _Point, work: Callable[[], object]) -> None:
     point.seconds += time.perf_counter() - started
 
 
-def _plain(value: object) -> Any:
+def _plain(value: object) -> object:
     """A value as a table takes it: numbers, text, true and false; anything else as JSON."""
     if isinstance(value, np.generic):
         value = value.item()

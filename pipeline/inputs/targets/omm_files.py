@@ -94,7 +94,7 @@ def _from_json(text: str) -> Iterable[Mapping[str, Any]]:
     return data if isinstance(data, list) else [data]
 
 
-def _from_xml(text: str, path: Path, field: str) -> Iterable[Mapping[str, Any]]:
+def _from_xml(text: str, path: Path, field: str) -> Iterable[Mapping[str, object]]:
     """By sgp4's reader; documents that declare types or entities of their own are refused."""
     from sgp4 import omm
 
@@ -103,7 +103,7 @@ def _from_xml(text: str, path: Path, field: str) -> Iterable[Mapping[str, Any]]:
     return list(omm.parse_xml(io.StringIO(text)))
 
 
-def _from_kvn(text: str) -> Iterable[Mapping[str, Any]]:
+def _from_kvn(text: str) -> Iterable[Mapping[str, object]]:
     """KEY = value lines; a new message starts at CCSDS_OMM_VERS or at a repeated OBJECT_NAME."""
     sets: list[JsonObject] = []
     for line in text.splitlines():

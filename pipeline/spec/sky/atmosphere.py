@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -48,7 +46,7 @@ class Atmosphere(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _switches(cls, data: object) -> Any:
+    def _switches(cls, data: object) -> object:
         """True stands for a part with its defaults, false for none: no field keeps a boolean."""
         if not isinstance(data, dict):
             return data
