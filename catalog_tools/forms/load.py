@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import tomllib
 from pathlib import Path
-from typing import Any
 
 from ..columns import REQUIRED
-from ..documents import JsonObject
+from ..documents import JsonObject, JsonValue
 from ..errors import BadInput
 from .form import (
     EPOCH_UNITS,
@@ -66,7 +65,7 @@ class _Table:
     def refuse(self, key: str, value: object, allowed: str) -> BadInput:
         return BadInput(f"{self._path}: {self._place}{key}", value, allowed)
 
-    def take(self, key: str, default: object = None) -> Any:
+    def take(self, key: str, default: object = None) -> JsonValue:
         self._asked.append(key)
         return self._data.pop(key, default)
 

@@ -6,11 +6,11 @@ import io
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from astropy.io.votable import parse_single_table
+from numpy.typing import ArrayLike
 
 from ..errors import BadInput, Damaged
 from .bytes_in import bytes_of
@@ -69,8 +69,8 @@ def _whole(
     return text
 
 
-def _values(stored: Any, name: str, want: str, where: str) -> pa.Array:
-    column = np.ma.asarray(stored)
+def _values(stored: ArrayLike, name: str, want: str, where: str) -> pa.Array:
+    column: np.ma.MaskedArray = np.ma.asarray(stored)
     kinds = {"integer": "iuf", "number": "iuf", "text": "OSU"}[want]
     if column.dtype.kind not in kinds or column.ndim != 1:
         allowed = {"integer": "integers", "number": "numbers", "text": "texts"}[want]

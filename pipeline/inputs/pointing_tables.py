@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -39,7 +38,7 @@ def gather_pointing(scene: Scene) -> Scene:
     plans = [(p, p.pointing) for p in dwell_plans(scene) if isinstance(p.pointing, TablePointing)]
     if not plans and not spectra:
         return scene
-    data, read = scene.as_dict(), dict[object, object]()
+    data, read = scene.as_dict(), dict[Path, JsonObject]()
     for plan, pointing in plans:
         own = plan.dwell is not None and plan.dwell.pointing is not None
         holder = data["dwells"][plan.index] if own else data
@@ -63,7 +62,7 @@ def _table(
     plan: DwellPlan,
     p: TablePointing,
     span_s: tuple[float, float] | None,
-    read: dict[object, object],
+    read: dict[Path, JsonObject],
 ) -> JsonObject:
     """What a pointing's table becomes: rows in the scene, and the error between them."""
     begin, end = span_s or (plan.slew_s[0] if plan.slew_s else plan.start_s, plan.end_s)
@@ -88,7 +87,7 @@ def _kept(
     plan: DwellPlan,
     p: TablePointing,
     span_s: tuple[float, float],
-    read: dict[Any, Any],
+    read: dict[Path, JsonObject],
 ) -> JsonObject:
     """The rows of a pointing's file that are kept, as the scene holds them."""
     field, path = pointing_field(plan, "path"), Path(str(p.path))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 
 
 class NoFieldError(LookupError):
@@ -34,7 +33,7 @@ def add_dotted(data: object, name: str, value: object) -> None:
     holder[key] = held if value in held else [*held, value]
 
 
-def changed(data: object, changes: JsonObject) -> Any:
+def changed(data: object, changes: JsonObject) -> JsonValue:
     """A copy of plain data with dotted changes; None removes one. Raises as `set_dotted`."""
     out = copy.deepcopy(data)
     for name, value in changes.items():
@@ -48,7 +47,7 @@ def changed(data: object, changes: JsonObject) -> Any:
     return out
 
 
-def _holder(data: Any, name: str) -> tuple[Any, Any]:
+def _holder(data: JsonValue, name: str) -> tuple[JsonValue, JsonValue]:
     """What holds a field, and its key there."""
     *parents, last = name.split(".")
     holder = data

@@ -7,16 +7,21 @@ import re
 from collections.abc import Iterable, Iterator
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput, shorten
 from pipeline.spec.dotted import NoFieldError, add_dotted, set_dotted
 from pipeline.spec.scene import Scene
 from pipeline.spec.wording import range_of, words_of
 
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+    from ruamel.yaml import YAML
+
+Mistake = tuple[str, object, str]  # field as the user wrote it (dotted), value, what is allowed
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
 
@@ -24,11 +29,11 @@ MAX_DEPTH = 32
 class InvalidScene(BadInput):
     """A scene with mistakes: `mistakes` holds (field, value, allowed) of each, first ones first."""
 
-    def __init__(self, mistakes: list[tuple[str, object, str]]) -> None:
+    def __init__(self, mistakes: list[Mistake]) -> None:
         self.mistakes = mistakes
         super().__init__(*mistakes[0])
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.mistakes,)
 
     def __str__(self) -> str:
@@ -57,7 +62,7 @@ def load_scene(path: Path, overrides: Iterable[str] = ()) -> Scene:
     return parse_scene(data, base=path.parent)
 
 
-def parse_text(raw: bytes, name: str = "scene") -> Any:
+def parse_text(raw: bytes, name: str = "scene") -> JsonValue:
     """Plain data from YAML 1.2 or JSON text; duplicates, aliases and deep nesting are refused."""
     try:
         text = raw.decode("utf-8")
@@ -66,7 +71,7 @@ def parse_text(raw: bytes, name: str = "scene") -> Any:
     return parse_yaml(text, name)
 
 
-def parse_yaml(text: str, name: str = "scene") -> Any:
+def parse_yaml(text: str, name: str = "scene") -> JsonValue:
     """YAML 1.2, or JSON as the subset of it: `1e5` is a number and `12:30:00` is text.
 
     Refused: duplicate keys, aliases, nesting beyond MAX_DEPTH, and a file that asks for YAML 1.1.
@@ -89,7 +94,7 @@ def parse_yaml(text: str, name: str = "scene") -> Any:
         raise BadInput(name, place, f"YAML or JSON; {problem}") from None
 
 
-def _parse_json(text: str) -> Any:
+def _parse_json(text: str) -> JsonValue:
     """A JSON text as data (the quick way), or None where YAML has to read it or refuse it."""
     if text.count("{") + text.count("[") > 100_000:
         return None
@@ -118,7 +123,7 @@ def _depth(value: object) -> int:
     return depth
 
 
-def _yaml_reader(name: str) -> Any:
+def _yaml_reader(name: str) -> YAML:
     """A YAML 1.2 loader of plain data that refuses aliases and deep nesting as it reads."""
     from ruamel.yaml import YAML
     from ruamel.yaml.composer import Composer
@@ -130,7 +135,7 @@ def _yaml_reader(name: str) -> Any:
 
         nested = 0
 
-        def compose_node(self, parent: object, index: object) -> Any:
+        def compose_node(self, parent: object, index: object) -> object:
             if self.parser.check_event(AliasEvent):
                 raise BadInput(name, f"*{self.parser.peek_event().anchor}", "no aliases")
             holds = not self.parser.check_event(ScalarEvent)
@@ -169,7 +174,7 @@ def _checked(data: JsonObject) -> Scene:
         raise BadInput("scene", "nested too deeply", f"at most {MAX_DEPTH} levels") from None
 
 
-def mistakes_of(error: ValidationError, data: JsonObject) -> list[tuple[str, Any, str]]:
+def mistakes_of(error: ValidationError, data: JsonObject) -> list[Mistake]:
     """(field, value, allowed) of every mistake, one for each field."""
     found = error.errors()
     places = [e["loc"] for e in found]
@@ -179,7 +184,7 @@ def mistakes_of(error: ValidationError, data: JsonObject) -> list[tuple[str, Any
     return _merged([mistake for e, mistake in told if not _is_of_inside(e, mistake, fields)])
 
 
-def _is_of_inside(error: Any, mistake: tuple[str, Any, str], fields: list[str]) -> bool:
+def _is_of_inside(error: ErrorDetails, mistake: Mistake, fields: list[str]) -> bool:
     """Whether a mapping or list is called of a wrong type for a mistake inside it alone: it is
     tried as each of the types that may stand there."""
     field, value, _ = mistake
@@ -187,7 +192,7 @@ def _is_of_inside(error: Any, mistake: tuple[str, Any, str], fields: list[str]) 
     return inside and error["type"] in WRONG_TYPE and isinstance(value, dict | list | tuple)
 
 
-def _follows(error: Any, places: list[tuple[int | str, ...]]) -> bool:
+def _follows(error: ErrorDetails, places: list[tuple[int | str, ...]]) -> bool:
     """Whether a list is called too short only because items in it are refused themselves."""
     at = error["loc"]
     return error["type"] == "too_short" and any(p[: len(at)] == at and p != at for p in places)
@@ -309,7 +314,7 @@ def scene_yaml(scene: Scene) -> str:
     return out.getvalue()
 
 
-def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
+def _mistake(error: ErrorDetails, data: JsonValue, of_scene: bool) -> Mistake:
     """One mistake as (dotted field, value given, what is allowed), in the user's own names."""
     kind, context, value = error["type"], error.get("ctx", {}), error.get("input")
     names = _names(error["loc"], data, kind == "missing", value)
@@ -332,12 +337,12 @@ def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
     return ".".join(names) or "scene", value, allowed
 
 
-def _under(key: str, value: object) -> Any:
+def _under(key: str, value: object) -> object:
     """What a mapping holds under a key; any other value as it is."""
     return value.get(key) if isinstance(value, dict) else value
 
 
-def _pointed_at(names: list[str], value: Any, context: JsonObject) -> Any:
+def _pointed_at(names: list[str], value: JsonValue, context: JsonObject) -> object:
     """The value that a mistake's context points at in another; its names are put to `names`."""
     if "index" in context:
         names[-1] += f"[{context['index']}]"
@@ -409,9 +414,9 @@ def _allowed(message: str) -> str:
     return message
 
 
-def _merged(mistakes: list[tuple[str, object, str]]) -> list[tuple[str, Any, str]]:
+def _merged(mistakes: list[Mistake]) -> list[Mistake]:
     """One mistake per field: the alternatives of a union are joined by "or"."""
-    by_field: dict[str, tuple[str, Any, str]] = {}
+    by_field: dict[str, Mistake] = {}
     for field, value, allowed in mistakes:
         if field in by_field and allowed not in by_field[field][2]:
             also = allowed.removeprefix("allowed: ").removeprefix("to ")
@@ -444,7 +449,11 @@ def _names(loc: tuple[int | str, ...], data: object, missing: bool, value: objec
 
 
 def _is_tag(
-    holder: dict[Any, Any], key: int | str, rest: tuple[int | str, ...], missing: bool, value: Any
+    holder: dict[JsonValue, JsonValue],
+    key: int | str,
+    rest: tuple[int | str, ...],
+    missing: bool,
+    value: object,
 ) -> bool:
     """Whether a part of an error's path that is a key is the tag of the mapping that holds it: the
     path goes on in that mapping, or ends at it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -171,7 +171,9 @@ class TableOrbit(Strict):
 
     @field_validator("rows")
     @classmethod
-    def _even_rows_in_order(cls, rows: Any) -> Any:
+    def _even_rows_in_order(
+        cls, rows: tuple[tuple[float, ...], ...]
+    ) -> tuple[tuple[float, ...], ...]:
         width = len(rows[0])
         for i, row in enumerate(rows):
             if len(row) != width or width not in (4, 7):

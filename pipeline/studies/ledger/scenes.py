@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -55,7 +54,7 @@ ORBIT = {
 SPHERE = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}
 
 
-def scene(changes: JsonObject | None = None, base: JsonObject | None = None) -> Any:
+def scene(changes: JsonObject | None = None, base: JsonObject | None = None) -> JsonObject:
     """A small scene with dotted changes, such as {"sensor.shape": [8, 8]}; None removes a key."""
     return changed(base or SCENE, changes or {})
 
