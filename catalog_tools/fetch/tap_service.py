@@ -101,7 +101,7 @@ class TapService:
             with suppress(pyvo.DALAccessError, requests.RequestException):
                 job.delete()
 
-    def _await(self, job: Any) -> None:
+    def _await(self, job: pyvo.dal.AsyncTAPJob) -> None:
         pause_s, end, failures = self._patience.first_delay_s, time.monotonic() + LONGEST_JOB_S, 0
         while True:
             try:
@@ -133,7 +133,7 @@ class _Session(requests.Session):
         return super().request(*args, **kwargs)
 
 
-def _arrow(result: Any) -> pa.Table:
+def _arrow(result: pyvo.dal.TAPResults) -> pa.Table:
     """A TAP result as an Arrow table, names in lower case."""
     table = result.to_table()
     if str(result.query_status).upper() == "OVERFLOW":

@@ -14,15 +14,15 @@ folded back into the frame. `fitted` checks that and refuses all else.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ class Distortion:
     fade_px: tuple[float, float] = (1.0, 1.0)
 
 
-def distortion_of(wish: Mapping[str, Any], rows: int, columns: int, ifov_rad: float) -> Distortion:
+def distortion_of(wish: JsonObject, rows: int, columns: int, ifov_rad: float) -> Distortion:
     """The distortion that a scene's plain data ask for, checked over the frame and a margin.
 
     wish : `kind` (sip, tpv or radial) and its coefficients, as `pipeline.spec.sensor.distortion`
@@ -95,7 +95,7 @@ def sip(
 def tpv(
     pv1: Mapping[int, float],
     pv2: Mapping[int, float],
-    cd_deg: Any,
+    cd_deg: Sequence[Sequence[float]],
     origin_px: tuple[float, float] = (0.0, 0.0),
 ) -> Distortion:
     """The TPV convention of the FITS registry: xi' = sum PV1_k t_k(xi, eta), in degrees.
