@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +18,6 @@ from pipeline.spec.wording import range_of, words_of
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
-    from ruamel.yaml import YAML
 
 Mistake = tuple[str, object, str]  # field as the user wrote it (dotted), value, what is allowed
 MAX_BYTES = 1 << 20
@@ -83,15 +81,9 @@ def parse_yaml(text: str, name: str = "scene") -> JsonValue:
         value = _parse_json(text)
         if value is not None:
             return value
-    from ruamel.yaml.error import YAMLError
+    from pipeline.spec.yaml_text import read_yaml  # JSON does without
 
-    try:
-        return _yaml_reader(name).load(text)
-    except (YAMLError, RecursionError, ValueError, LookupError, TypeError, AttributeError) as error:
-        where = getattr(error, "problem_mark", None)
-        place = f"line {where.line + 1}, column {where.column + 1}" if where else "the text"
-        problem = getattr(error, "problem", None) or next(iter(str(error).splitlines()), "")
-        raise BadInput(name, place, f"YAML or JSON; {problem}") from None
+    return read_yaml(text, name, MAX_DEPTH)
 
 
 def _parse_json(text: str) -> JsonValue:
@@ -121,40 +113,6 @@ def _depth(value: object) -> int:
         level = [w for v in inner for w in (v.values() if isinstance(v, dict) else v)]
         depth += 1
     return depth
-
-
-def _yaml_reader(name: str) -> YAML:
-    """A YAML 1.2 loader of plain data that refuses aliases and deep nesting as it reads."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.composer import Composer
-    from ruamel.yaml.constructor import SafeConstructor
-    from ruamel.yaml.events import AliasEvent, ScalarEvent
-
-    class BoundedComposer(Composer):
-        """Composes nodes down to MAX_DEPTH, and none twice."""
-
-        nested = 0
-
-        def compose_node(self, parent: object, index: object) -> object:
-            if self.parser.check_event(AliasEvent):
-                raise BadInput(name, f"*{self.parser.peek_event().anchor}", "no aliases")
-            holds = not self.parser.check_event(ScalarEvent)
-            self.nested += holds
-            if self.nested > MAX_DEPTH:
-                raise BadInput(name, "nested too deeply", f"at most {MAX_DEPTH} levels")
-            try:
-                return super().compose_node(parent, index)
-            finally:
-                self.nested -= holds
-
-    class Plain(SafeConstructor):
-        """Timestamps stay text: the epoch is parsed by the product's own clock."""
-
-    Plain.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
-    reader = YAML(typ="safe", pure=True)
-    reader.version = (1, 2)
-    reader.Composer, reader.Constructor = BoundedComposer, Plain
-    return reader
 
 
 def parse_scene(data: object, base: Path | None = None) -> Scene:
@@ -304,14 +262,9 @@ def apply_override(data: object, override: str) -> None:
 
 def scene_yaml(scene: Scene) -> str:
     """A scene as YAML text, defaults filled in."""
-    from ruamel.yaml import YAML
+    from pipeline.spec.yaml_text import write_yaml
 
-    out = StringIO()
-    writer = YAML(typ="safe", pure=True)
-    writer.default_flow_style = False
-    writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    writer.dump(json.loads(json.dumps(scene.as_dict())), out)
-    return out.getvalue()
+    return write_yaml(json.loads(json.dumps(scene.as_dict())))
 
 
 def _mistake(error: ErrorDetails, data: JsonValue, of_scene: bool) -> Mistake:
