@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .catalogue import MANIFEST_NAME, Catalogue
-from .documents import JsonObject
+from .documents import JsonObject, JsonValue
 from .errors import Damaged
 from .geometry.healpix import FINEST_ORDER, neighbours_of, pixels_of
 from .geometry.sphere import angles_deg, directions, separation_rad
@@ -118,7 +118,7 @@ class Coverage:
         }
 
 
-def from_json(values: Any) -> Coverage:
+def from_json(values: JsonValue) -> Coverage:
     """The coverage that a manifest or a fetch's record holds; ValueError for anything else."""
     try:
         cones = [[*map(float, cone[:3]), _or_inf(cone[3])] for cone in values["cones"]]

@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-JsonObject = dict[str, Any]  # values: text, numbers, true, false, None, lists, and objects
+JsonValue = Any  # text, a number, true, false, None, a list or an object
+JsonObject = dict[str, JsonValue]
 Arguments = dict[str, Any]  # by name, of a constructor or a function

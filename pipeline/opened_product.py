@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 TABLES = ("stars", "targets", "cosmic_rays")
 
 
-class TruthTables(Mapping[str, Any]):
+class TruthTables(Mapping[str, pa.Table]):
     """Truth tables by name, as pyarrow Tables; each is read when it is asked for.
 
     The names are those of `stars`, `targets`, `cosmic_rays` that the scene has. A row is a source
@@ -51,7 +51,7 @@ class TruthTables(Mapping[str, Any]):
     def __contains__(self, name: object) -> bool:
         return name in self._names
 
-    def get(self, name: str, default: Any = None, /) -> Any:
+    def get(self, name: str, default: object = None, /) -> pa.Table | object:
         """The table of this name, or `default` where the product has none."""
         if name in self:
             return self[name]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import httpx
 
 from pipeline.errors import BadInput, NightglassError
@@ -24,7 +22,7 @@ class Refused(BadInput):
         self.mistakes, self.status = mistakes, status
         super().__init__(*mistakes[0])
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.mistakes, self.status)
 
     def __str__(self) -> str:

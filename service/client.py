@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import httpx
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import NOT_NOW, BadInput, NightglassError
 from service.answers import Refused, ServiceError, problem_of
 
@@ -29,7 +29,7 @@ KEY_VARIABLE = "NIGHTGLASS_KEY"
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
 LONG_POLL_S = 20.0
 FIRST_S = 5.0  # a server that is asked for the first time may just be starting
-Scene = Mapping[str, Any] | str | Path
+Scene = Mapping[str, object] | str | Path
 Listener = Callable[[JsonObject], None]
 
 
@@ -284,7 +284,7 @@ class RemoteJob:
             raise BadInput("job", self.id, f"a job that is COMPLETED; this one is {self.phase}")
 
 
-def _data(scene: Scene) -> Any:
+def _data(scene: Scene) -> JsonValue:
     """The scene as plain data; files are read here, so that the server never sees their path."""
     if isinstance(scene, Mapping):
         return dict(scene)

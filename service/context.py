@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
@@ -17,7 +17,8 @@ from service.engine.looks import Looks
 from service.engine.runner import Dispatcher
 from service.jobs.changes import Changes
 from service.jobs.jobs import Queue
-from service.jobs.submissions import Intake, TeamLimits
+from service.jobs.quotas import TeamLimits
+from service.jobs.submissions import Intake
 from service.metrics import Numbers
 from service.scenes.accepted import Acceptance
 from service.scenes.uploads import Uploads
@@ -69,7 +70,7 @@ def _everyone(request: Request) -> Context:
     return request.app.state.context
 
 
-async def _context(request: Request, _: Annotated[Any, Depends(_bearer)]) -> Context:
+async def _context(request: Request, _: Annotated[object, Depends(_bearer)]) -> Context:
     """The context bound to who sent a request. Unauthenticated, Forbidden, TooMany."""
     context: Context = request.app.state.context
     caller = context.tickets.caller(request)

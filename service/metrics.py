@@ -5,9 +5,9 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from prometheus_client import CollectorRegistry, Counter, Histogram
+from prometheus_client import CollectorRegistry, Counter, Histogram, Metric
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
 if TYPE_CHECKING:
@@ -42,17 +42,17 @@ class Gauges:
 
     def __init__(self, context: Context) -> None:
         self._context, self._looked_s = context, float("-inf")
-        self._found: list[Any] = []
+        self._found: list[Metric] = []
 
-    def collect(self) -> Iterator[Any]:
+    def collect(self) -> Iterator[Metric]:
         if time.monotonic() - self._looked_s > FRESH_S:
             self._found, self._looked_s = list(self._look()), time.monotonic()
         yield from self._found
 
-    def describe(self) -> list[Any]:
+    def describe(self) -> list[Metric]:
         return []  # nothing is looked up while the registry is made
 
-    def _look(self) -> Iterator[Any]:
+    def _look(self) -> Iterator[Metric]:
         context = self._context
         by_phase = GaugeMetricFamily("nightglass_jobs", "Jobs by phase", labels=["phase"])
         for phase, count in context.table.counts().items():

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, NightglassError, shorten
 
 MAX_TEXT = 400
 MAX_LISTED = 50
-Mistake = tuple[str, Any, str]  # field as the user wrote it (dotted), value, what is allowed
+Mistake = tuple[str, object, str]  # field as the user wrote it (dotted), value, what is allowed
 
 
 class Refusal(NightglassError):

@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 from catalog_tools.documents import Arguments
 from pipeline.errors import NO_ROOM, BadInput, DiskFull
@@ -166,7 +165,7 @@ def read_settings(home: Path | None = None, environ: Mapping[str, str] = os.envi
     return settings
 
 
-def _parse(name: str, text: str, kind: str) -> Any:
+def _parse(name: str, text: str, kind: str) -> str | tuple[str, ...] | float:
     if kind.startswith("str"):
         return text
     if kind.startswith("tuple"):

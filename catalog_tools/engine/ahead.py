@@ -12,7 +12,11 @@ from typing import Any, TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Progress = Callable[[str], None]  # called with the kind of each task that is done
-Graph = tuple[dict[Any, Any], list[Any]]  # tasks by key, and the keys that are wanted
+Value = Any  # what tasks take and give: whatever can be pickled
+Key = Any  # of a task: text, or a tuple of text and numbers
+Tasks = dict[Key, Value]  # by key: tuples (function, arguments...)
+Work = Callable[[Value, Value], Value]  # of what all share, and an item
+Graph = tuple[Tasks, list[Key]]  # tasks, and the keys that are wanted
 AHEAD = 3  # items in work or waiting for each thread
 
 
@@ -54,7 +58,7 @@ def ahead(
             future.cancel()
 
 
-def outcome(function: Callable[[Any, Any], Any], shared: Any, item: Any) -> Any:
+def outcome(function: Work, shared: Value, item: Value) -> Value:
     """What a function gives, or the error that it raises."""
     try:
         return function(shared, item)

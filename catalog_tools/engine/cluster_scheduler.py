@@ -10,15 +10,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
 from functools import cache
 from importlib.metadata import version
-from typing import Any
 from uuid import uuid4
 
-from distributed import as_completed, get_worker
+from distributed import Client, Future, as_completed, get_worker
 from distributed.client import ClosedClientError
 from distributed.scheduler import KilledWorker
 
 from ..errors import Incomplete, NightglassError, TryLater
-from .ahead import AHEAD, Graph, Progress, outcome
+from .ahead import AHEAD, Graph, Key, Progress, Tasks, Value, Work, outcome
 
 MOST_TRIES = 3  # of a task, on a cluster
 FEWEST_WAITING = 64  # tasks of a stream, so that a cluster that scales itself sees work
@@ -29,20 +28,20 @@ class ClusterScheduler:
 
     least_task_s = 1.0
 
-    def __init__(self, client: Any, workers: int) -> None:
+    def __init__(self, client: Client, workers: int) -> None:
         self.client, self.workers = client, workers
         self.where = str(client.scheduler.addr) if client.scheduler else "(closed)"
 
-    def share(self, value: Any) -> Any:
+    def share(self, value: Value) -> Value:
         """As a task, which is run again where it is wanted and every worker that had it is gone."""
         return self.keep({("shared", 0): (_same, value)})["shared", 0]
 
-    def keep(self, graph: dict[Any, Any]) -> dict[Any, Any]:
+    def keep(self, graph: Tasks) -> Tasks:
         futures = self._submit(graph, list(graph))
         self._wait(futures, lambda _: None)
         return dict(zip(graph, futures, strict=True))
 
-    def run(self, graph: dict[Any, Any], keys: list[Any], done: Progress) -> list[Any]:
+    def run(self, graph: Tasks, keys: list[Key], done: Progress) -> list[Value]:
         futures = self._submit(graph, keys)
         self._wait(futures, done)
         with self._reached():
@@ -62,10 +61,10 @@ class ClusterScheduler:
                 running -= 1
 
     def each(
-        self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
-    ) -> Iterator[tuple[Any, Any]]:
+        self, function: Work, shared: Value, items: Iterable[Value]
+    ) -> Iterator[tuple[Value, Value]]:
         left = iter(items)
-        running: dict[Any, Any] = {}
+        running: dict[Key, Value] = {}
         sent = self.share(shared)
         done = as_completed([], loop=self.client.loop, raise_errors=False)
 
@@ -102,18 +101,18 @@ class ClusterScheduler:
             told = " ".join(str(error).split())[:120]
             raise TryLater(f"the scheduler at {self.where} was lost ({told})") from None
 
-    def _submit(self, graph: dict[Any, Any], keys: list[Any]) -> list[Any]:
+    def _submit(self, graph: Tasks, keys: list[Key]) -> list[Future]:
         """Submit under names that no other run on this scheduler uses: it shares by name."""
         names, once = {key: _unique(key, uuid4().hex) for key in graph}, Once()
         graph = {names[key]: _tried(_renamed(task, names), once) for key, task in graph.items()}
         with self._reached():
             return list(self.client.get(graph, [names[key] for key in keys], sync=False))
 
-    def _wait(self, futures: list[Any], done: Progress) -> None:
+    def _wait(self, futures: list[Future], done: Progress) -> None:
         for future in as_completed(futures, loop=self.client.loop, raise_errors=False):
             self._told(future, done)
 
-    def _told(self, future: Any, done: Progress) -> None:
+    def _told(self, future: Future, done: Progress) -> None:
         """Tell of a future that has ended. Raises its error, Incomplete where it will not end."""
         if future.status == "cancelled":
             raise TryLater(f"the scheduler at {self.where} was lost, with what it had to do")
@@ -122,10 +121,10 @@ class ClusterScheduler:
             if isinstance(error, KilledWorker):
                 raise Incomplete(f"a task keeps killing its workers: {error}") from None
             raise error
-        done(future.key[0] if isinstance(future.key, tuple) else str(future.key))
+        done(str(future.key[0] if isinstance(future.key, tuple) else future.key))
 
 
-def _same(value: Any) -> Any:
+def _same(value: Value) -> Value:
     return value
 
 
@@ -145,9 +144,9 @@ class Once:
     """Packs each dataclass among the arguments of tasks once, however many tasks it goes to."""
 
     def __init__(self) -> None:
-        self._kept: dict[int, tuple[Any, Packed]] = {}
+        self._kept: dict[int, tuple[Value, Packed]] = {}
 
-    def pack(self, value: Any) -> Any:
+    def pack(self, value: Value) -> Value:
         """The value itself where it is no dataclass."""
         if not is_dataclass(value) or isinstance(value, type):
             return value
@@ -157,7 +156,7 @@ class Once:
         return self._kept[id(value)][1]
 
 
-def _tried(task: Any, once: Once) -> Any:
+def _tried(task: Value, once: Once) -> Value:
     if type(task) is tuple and callable(task[0]):
         return (_try, _version(), task[0], *map(once.pack, task[1:]))
     return task
@@ -168,7 +167,7 @@ def _version() -> str:
     return version("nightglass")
 
 
-def _try(wanted: str, function: Callable[..., Any], *arguments: Any) -> Any:
+def _try(wanted: str, function: Callable[..., Value], *arguments: Value) -> Value:
     """Call it; what fails is tried again, but not what one of our messages explains.
 
     wanted : the version that sent it; a worker that has another one refuses
@@ -189,12 +188,12 @@ def _try(wanted: str, function: Callable[..., Any], *arguments: Any) -> Any:
     return function(*arguments)
 
 
-def _unique(key: Any, token: str) -> tuple[Any, ...]:
+def _unique(key: Key, token: str) -> tuple[Key, ...]:
     kind, *rest = key if isinstance(key, tuple) else (key,)
     return (kind, token, *rest)
 
 
-def _renamed(task: Any, names: dict[Any, Any]) -> Any:
+def _renamed(task: Value, names: dict[Key, tuple[Key, ...]]) -> Value:
     """A task with the keys in it exchanged; tuples and lists are looked into, as Dask does."""
     if type(task) in (tuple, list):
         try:

@@ -10,10 +10,14 @@ import ssl
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 from urllib.parse import SplitResult, urlsplit
 
 from ..errors import BadInput, TryLater
+from .ahead import Value
+
+if TYPE_CHECKING:
+    from distributed import Client, Security
 
 LOOPBACK = ("localhost", "::1")
 CERTIFICATES = ("NIGHTGLASS_CLUSTER_CA", "NIGHTGLASS_CLUSTER_CERT", "NIGHTGLASS_CLUSTER_KEY")
@@ -40,7 +44,7 @@ def check_address(address: str, others: tuple[str, ...]) -> None:
         raise BadInput("--scheduler", address, "tls:// with certificates beyond this machine")
 
 
-def security_of(address: str) -> Any:
+def security_of(address: str) -> Security | None:
     """TLS settings for an address: certificates from the environment, or from Dask's own settings.
 
     None for tcp://. Raises BadInput where a file is not given or not there.
@@ -70,7 +74,7 @@ def security_of(address: str) -> Any:
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Any]:
+def connected(address: str) -> Iterator[Client]:
     """A client of the scheduler at an address, with at least one worker there."""
     from distributed import Client
 
@@ -102,7 +106,7 @@ def ask(address: str, patience_s: float | None = None) -> None:
         raise TryLater(f"no scheduler answers at {address} ({reason}{hint})") from None
 
 
-def _await_greeting(parts: SplitResult, security: Any, patience_s: float) -> None:
+def _await_greeting(parts: SplitResult, security: Security | None, patience_s: float) -> None:
     """Connect and wait for the first byte. Raises OSError."""
     with ExitStack() as closing:
         wire = socket.create_connection((str(parts.hostname), int(parts.port or 0)), patience_s)
@@ -114,7 +118,7 @@ def _await_greeting(parts: SplitResult, security: Any, patience_s: float) -> Non
             raise ConnectionResetError("it closes the connection")
 
 
-def wait_for_workers(client: Any, where: str, seconds: float) -> None:
+def wait_for_workers(client: Client, where: str, seconds: float) -> None:
     """Wait for a first worker. Raises TryLater where none comes."""
     try:
         if seconds <= 0:
@@ -125,7 +129,7 @@ def wait_for_workers(client: Any, where: str, seconds: float) -> None:
         raise TryLater(f"the scheduler at {where} has no workers ({told})") from None
 
 
-async def work(address: str, patience_s: float, **options: Any) -> None:
+async def work(address: str, patience_s: float, **options: Value) -> None:
     """Work for the scheduler at an address until a signal comes.
 
     patience_s : how long a scheduler is waited for; options : of Dask's Nanny
@@ -157,7 +161,7 @@ async def work(address: str, patience_s: float, **options: Any) -> None:
 
 
 @contextmanager
-def slurm(jobs: int | None) -> Iterator[Any]:
+def slurm(jobs: int | None) -> Iterator[Client]:
     """A client of workers that Slurm starts: as many jobs as there is work for, up to `jobs`.
 
     Queue, cores, memory and the like come from Dask's own settings (jobqueue.slurm). Scheduler and

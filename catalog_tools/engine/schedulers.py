@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
     Future,
@@ -13,10 +13,10 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Protocol
 
 from ..errors import BadInput
-from .ahead import AHEAD, Graph, Progress, cores, outcome
+from .ahead import AHEAD, Graph, Key, Progress, Tasks, Value, Work, cores, outcome
 from .clusters import check_address, connected, slurm
 from .heap import ALLOCATION, one_heap
 
@@ -34,13 +34,13 @@ class Scheduler(Protocol):
     workers: int
     least_task_s: float
 
-    def share(self, value: Any) -> Any:
+    def share(self, value: Value) -> Value:
         """Make a value available to all tasks, sent at most once to each worker."""
 
-    def keep(self, graph: dict[Any, Any]) -> dict[Any, Any]:
+    def keep(self, graph: Tasks) -> Tasks:
         """Compute every task of a graph and keep the results for later graphs."""
 
-    def run(self, graph: dict[Any, Any], keys: list[Any], done: Progress) -> list[Any]:
+    def run(self, graph: Tasks, keys: list[Key], done: Progress) -> list[Value]:
         """Compute `keys`; `done` hears the kind (first part of the key) of each finished task."""
 
     def stream(self, graphs: Iterable[Graph], done: Progress) -> None:
@@ -50,8 +50,8 @@ class Scheduler(Protocol):
         """
 
     def each(
-        self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
-    ) -> Iterator[tuple[Any, Any]]:
+        self, function: Work, shared: Value, items: Iterable[Value]
+    ) -> Iterator[tuple[Value, Value]]:
         """(item, function(shared, item) or the error that it raised) as they are done.
 
         Items are taken a few ahead of the results, so that there may be any number of them.
@@ -67,19 +67,19 @@ class LocalScheduler:
         self.kind, self.workers = kind, workers
         one_heap()
 
-    def share(self, value: Any) -> Any:
+    def share(self, value: Value) -> Value:
         return value
 
-    def keep(self, graph: dict[Any, Any]) -> dict[Any, Any]:
+    def keep(self, graph: Tasks) -> Tasks:
         keys = list(graph)
         return dict(zip(keys, self.run(graph, keys, lambda _: None), strict=True))
 
-    def run(self, graph: dict[Any, Any], keys: list[Any], done: Progress) -> list[Any]:
+    def run(self, graph: Tasks, keys: list[Key], done: Progress) -> list[Value]:
         from dask.callbacks import Callback
         from dask.local import get_sync
         from dask.threaded import get
 
-        def finished(key: Any, *_: Any) -> None:
+        def finished(key: Key, *_: object) -> None:
             done(key[0] if isinstance(key, tuple) else str(key))
 
         with Callback(posttask=finished):
@@ -96,14 +96,14 @@ class LocalScheduler:
             self.run(graph, keys, done)
 
     def each(
-        self, function: Callable[[Any, Any], Any], shared: Any, items: Iterable[Any]
-    ) -> Iterator[tuple[Any, Any]]:
+        self, function: Work, shared: Value, items: Iterable[Value]
+    ) -> Iterator[tuple[Value, Value]]:
         if self.kind == "synchronous":
             for item in items:
                 yield item, outcome(function, shared, item)
             return
         pool, left = ThreadPoolExecutor(self.workers), iter(items)
-        running: dict[Future[Any], Any] = {}
+        running: dict[Future[Value], Value] = {}
         try:
             while True:
                 for item in itertools.islice(left, AHEAD * self.workers - len(running)):

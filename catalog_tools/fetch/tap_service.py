@@ -58,7 +58,7 @@ class TapService:
                 return self._trying(lambda: self._tap.run_sync(adql, maxrec=rows + 1), hasty)
         return self._trying(lambda: self._run_job(adql, rows + 1), self._patience)
 
-    def _trying(self, query: Callable[[], Any], patience: Patience) -> pa.Table:
+    def _trying(self, query: Callable[[], object], patience: Patience) -> pa.Table:
         failures = 0
         while True:
             try:
@@ -89,7 +89,7 @@ class TapService:
         headers = {} if response is None else response.headers
         return Unavailable(plain(error), retry_after_s(headers.get("Retry-After")))
 
-    def _run_job(self, adql: str, most_rows: int) -> Any:
+    def _run_job(self, adql: str, most_rows: int) -> object:
         """Run an asynchronous job to its end; it is removed from the service in any case."""
         job = self._tap.submit_job(adql, maxrec=most_rows)
         try:
@@ -101,7 +101,7 @@ class TapService:
             with suppress(pyvo.DALAccessError, requests.RequestException):
                 job.delete()
 
-    def _await(self, job: Any) -> None:
+    def _await(self, job: pyvo.dal.AsyncTAPJob) -> None:
         pause_s, end, failures = self._patience.first_delay_s, time.monotonic() + LONGEST_JOB_S, 0
         while True:
             try:
@@ -133,7 +133,7 @@ class _Session(requests.Session):
         return super().request(*args, **kwargs)
 
 
-def _arrow(result: Any) -> pa.Table:
+def _arrow(result: pyvo.dal.TAPResults) -> pa.Table:
     """A TAP result as an Arrow table, names in lower case."""
     table = result.to_table()
     if str(result.query_status).upper() == "OVERFLOW":

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import tomllib
 from pathlib import Path
-from typing import Any
 
 from ..columns import REQUIRED
-from ..documents import JsonObject
+from ..documents import JsonObject, JsonValue
 from ..errors import BadInput
 from .form import (
     EPOCH_UNITS,
@@ -63,10 +62,10 @@ class _Table:
         self._data, self._path, self._place = dict(data), path, place
         self._asked: list[str] = []
 
-    def refuse(self, key: str, value: Any, allowed: str) -> BadInput:
+    def refuse(self, key: str, value: object, allowed: str) -> BadInput:
         return BadInput(f"{self._path}: {self._place}{key}", value, allowed)
 
-    def take(self, key: str, default: Any = None) -> Any:
+    def take(self, key: str, default: object = None) -> JsonValue:
         self._asked.append(key)
         return self._data.pop(key, default)
 
@@ -133,7 +132,7 @@ class _Table:
             raise self.refuse(key, self._data[key], f"only the keys {', '.join(self._asked)}")
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 from uuid import uuid4
 
 import google_crc32c
@@ -45,7 +45,7 @@ class RowSource(Protocol):
     def label(self) -> str:
         """The name by which the manifest and the rejects table call it."""
 
-    def identity(self) -> list[Any]:
+    def identity(self) -> list[object]:
         """What tells whether it is still the same source (JSON values)."""
 
     def tables(self, record: JsonObject) -> Iterator[pa.Table]:
@@ -59,7 +59,7 @@ class Batch:
     number: int
     sources: tuple[RowSource, ...]
 
-    def identity(self) -> list[Any]:
+    def identity(self) -> list[object]:
         return [source.identity() for source in self.sources]
 
 

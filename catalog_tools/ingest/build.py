@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -200,7 +199,7 @@ def _notes_on(records: Sequence[Record], about: About, folder: Path) -> tuple[st
     return tuple(notes)
 
 
-def _run(scheduler: Scheduler, stage: str, tasks: Sequence[Any], tell: Progress) -> None:
+def _run(scheduler: Scheduler, stage: str, tasks: Sequence[object], tell: Progress) -> None:
     """Run tasks (function, arguments...), telling how many are done."""
     done = 0
     tell(stage, done, len(tasks))

@@ -7,7 +7,6 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
@@ -45,7 +44,7 @@ class FileSource:
         """Whether its source_ids are Gaia's, from which places follow."""
         return self.form.source_id.holds_place
 
-    def identity(self) -> list[Any]:
+    def identity(self) -> list[object]:
         return [self.path, self.size, self.mtime_ns, self.expected_md5]
 
     def tables(self, record: JsonObject) -> Iterator[pa.Table]:

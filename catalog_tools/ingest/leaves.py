@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from uuid import uuid4
 
 import numpy as np
@@ -201,7 +201,7 @@ def _surplus_table(
     return pa.table([*texts, *columns], REJECTS)
 
 
-def _record(values: list[Any]) -> tuple[Any, ...]:
+def _record(values: list[object]) -> tuple[object, ...]:
     return tuple(tuple(v) if isinstance(v, list) else v for v in values)
 
 

@@ -24,7 +24,8 @@ import numpy as np
 from ..catalogue import Catalogue, Leaf
 from ..geometry.regions import Cone, Region
 from ..geometry.sphere import Floats, cap_of, directions, moved, separation_rad
-from .query import motion_pad_rad, read_leaf, select
+from .query import read_leaf
+from .selection import motion_pad_rad, select
 
 TOLERANCE_ARCSEC = 2.0
 TOLERANCE_ARCSEC_YR = 0.04

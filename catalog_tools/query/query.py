@@ -5,30 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
 from ..catalogue import Catalogue, Leaf
+from ..columns import NAMES, STORED
 from ..engine.ahead import ahead, cores, threads
 from ..errors import BadInput
 from ..geometry.regions import Cone, Polygon, Region, cone_of, polygon_of
 from ..geometry.sphere import Floats, directions, moved
-from .selection import hits, leaves_of, motion_pad_rad, pads_rad, select, years_to
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-__all__ = [
-    "QueryReport",
-    "cone",
-    "motion_pad_rad",
-    "polygon",
-    "read_leaf",
-    "record_batches",
-    "select",
-]
+from .reading import END_BYTES, read_row_groups
+from .selection import hits, leaves_of, pads_rad, years_to
 
 THREADS = min(cores(), 8)
 PART_ROWS = 32_768  # decoded together, or a quarter of all, up to MOST_PART_ROWS
@@ -63,9 +53,6 @@ def read_leaf(
     nulls. Row groups that are too faint aren't read. Raises Damaged naming the shard where
     anything read is not as it was written, BadInput for an unknown column.
     """
-
-    from ..columns import STORED
-    from .reading import read_row_groups
 
     names = _names(columns)
     leaf = _bright_enough(leaf, faintest_g_mag)
@@ -141,8 +128,6 @@ def _gathered(
     epoch_jyear: float | None,
     columns: Sequence[str] | None,
 ) -> tuple[pa.Table, QueryReport]:
-    import pyarrow as pa
-
     region = _barycentric(region, faintest_g_mag, epoch_jyear)
     query = _Query(catalogue, region, faintest_g_mag, _names(columns))
     found = hits(catalogue, [region], faintest_g_mag)
@@ -221,9 +206,6 @@ def _columns_read(query: _Query, part: _Part) -> list[str]:
 
 
 def _bytes_read(query: _Query, part: _Part) -> int:
-    from ..columns import STORED
-    from .reading import END_BYTES
-
     columns = [STORED.names.index(name) for name in _columns_read(query, part)]
     table, size = query.catalogue.row_group_table, 0
     for groups in (part.sure, part.doubtful):
@@ -247,10 +229,6 @@ def _batches(query: _Query, parts: Sequence[_Part]) -> Iterator[pa.RecordBatch]:
 
 def _wanted_rows(query: _Query, part: _Part) -> pa.Table:
     """The rows of a part that are bright enough and within the region: the sure ones first."""
-    import pyarrow as pa
-
-    from .reading import read_row_groups
-
     catalogue = query.catalogue
     leaves = (*leaves_of(catalogue, part.sure), *leaves_of(catalogue, part.doubtful))
     table = read_row_groups(
@@ -274,8 +252,6 @@ def _wanted_rows(query: _Query, part: _Part) -> pa.Table:
 
 def _taken(table: pa.Table, rows: NDArray[np.intp]) -> pa.Table:
     """Some rows of a table. `pa.array` of numbers would load pandas first, a sixth of a second."""
-    import pyarrow as pa
-
     places = pa.py_buffer(np.ascontiguousarray(rows, np.int64))
     return table.take(pa.Array.from_buffers(pa.int64(), len(rows), [None, places]))
 
@@ -321,8 +297,6 @@ def _cosines(ra_deg: Floats, dec_deg: Floats, region: Region) -> NDArray[np.floa
 
 
 def _names(columns: Sequence[str] | None) -> list[str]:
-    from ..columns import NAMES, STORED
-
     names = list(NAMES if columns is None else dict.fromkeys(columns))
     if not names:
         raise BadInput("columns", columns, "at least one column")
@@ -332,10 +306,6 @@ def _names(columns: Sequence[str] | None) -> list[str]:
 
 
 def _schema(names: Sequence[str]) -> pa.Schema:
-    import pyarrow as pa
-
-    from ..columns import STORED
-
     return pa.schema([STORED.field(name) for name in names])
 
 
@@ -353,7 +323,7 @@ def _barycentric(
     epoch_jyear: float | None,
 ) -> Cone | Polygon:
     """The region at the epoch asked for, seen from the barycentre."""
-    checks: tuple[tuple[str, Any, bool, str], ...] = (
+    checks: tuple[tuple[str, object, bool, str], ...] = (
         ("faintest_g_mag", faintest_g_mag, not math.isnan(faintest_g_mag or 0.0), "a magnitude"),
         ("epoch_jyear", epoch_jyear, 0.0 <= (epoch_jyear or 0.0) <= 4000.0, "a year, 0 to 4000"),
     )

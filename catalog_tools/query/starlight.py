@@ -19,14 +19,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..catalogue import Catalogue
 from ..columns import HEALPIX_ORDER
-from ..engine.schedulers import TASKS_PER_WINDOW, LocalScheduler
+from ..engine.schedulers import TASKS_PER_WINDOW, LocalScheduler, Scheduler
 from ..errors import NO_ROOM, BadInput, Damaged, DiskFull
 from ..geometry.healpix_interpolation import neighbours
 from ..star_counts import EDGES_G_MAG, all_sky_count, interval_density
@@ -192,7 +192,7 @@ def make_starlight(
     catalogue: Catalogue,
     *,
     order: int | None = None,
-    scheduler: Any = None,
+    scheduler: Scheduler | None = None,
     progress: Progress | None = None,
 ) -> StarlightMap:
     """Sum the light of all stars of a catalogue, and put the map beside it.

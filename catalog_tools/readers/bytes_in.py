@@ -15,7 +15,7 @@ PACKED_BYTES = 1 << 17  # about 300 kB of unpacked CSV: what fits into the secon
 MOST_BYTES = 1 << 20  # of one unpacked piece, however well it was packed
 
 
-def bytes_of(path: Path, *, zipped: bool, md5: Any = None) -> Iterator[bytes]:
+def bytes_of(path: Path, *, zipped: bool, md5: object = None) -> Iterator[bytes]:
     """Pieces of the file, unpacked if `zipped`.
 
     md5 : a hashlib object; when the pieces are used up, it has been fed every byte of the file as
@@ -27,7 +27,7 @@ def bytes_of(path: Path, *, zipped: bool, md5: Any = None) -> Iterator[bytes]:
     return _raw(path, md5, PLAIN_BYTES)
 
 
-def digest(path: Path, md5: Any) -> None:
+def digest(path: Path, md5: object) -> None:
     """Feed all bytes of a file to `md5`."""
     for _ in _raw(path, md5, PLAIN_BYTES):
         pass
@@ -75,7 +75,7 @@ def _held_back(path: Path, engine: Any) -> Iterator[bytes]:
         yield data
 
 
-def _why(engine: Any, first: bool, error: Exception) -> str:
+def _why(engine: object, first: bool, error: Exception) -> str:
     if not first and engine is not None:
         return f"what follows its gzip stream is not another one ({error})"
     return f"its gzip stream cannot be unpacked ({error})"

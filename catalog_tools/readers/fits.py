@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -53,7 +53,7 @@ class Column(NamedTuple):
 
 
 def read_fits(
-    path: Path, where: str, layout: Layout, choose: Choose, *, zipped: bool, md5: Any = None
+    path: Path, where: str, layout: Layout, choose: Choose, *, zipped: bool, md5: object = None
 ) -> Iterator[pa.Table]:
     """Tables of the chosen columns of a binary table: the first, or that of `layout.hdu`.
 

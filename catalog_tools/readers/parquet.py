@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -42,7 +42,7 @@ def read_parquet(
 
 
 def _refuse_large_pages(
-    path: Path, where: str, metadata: Any, chosen: set[str], most_bytes: int
+    path: Path, where: str, metadata: pq.FileMetaData, chosen: set[str], most_bytes: int
 ) -> None:
     """The first page of each chosen column, and its dictionary, stand for all of a row group."""
     most = most_bytes // PAGE_SHARE

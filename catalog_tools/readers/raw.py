@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
@@ -22,7 +21,7 @@ def raw_tables(
     layout: Layout,
     choose: Choose,
     where: str,
-    md5: Any = None,
+    md5: object = None,
     most_bytes: int | None = None,
 ) -> Iterator[pa.Table]:
     """Tables of the columns that `choose` picks from the file's own, with the file's own values.

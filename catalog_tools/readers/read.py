@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
@@ -20,7 +19,7 @@ def read_tables(
     path: str | Path,
     form: Form | None = None,
     *,
-    md5: Any = None,
+    md5: object = None,
     field: str = "source",
     most_bytes: int | None = None,
 ) -> Iterator[pa.Table]:
@@ -39,7 +38,7 @@ def read_tables(
 
 
 def _tables(
-    path: Path, kind: str, form: Form, md5: Any, where: str, most_bytes: int | None
+    path: Path, kind: str, form: Form, md5: object, where: str, most_bytes: int | None
 ) -> Iterator[pa.Table]:
     rows = 0
     try:

@@ -6,7 +6,6 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import pyarrow as pa
@@ -61,7 +60,7 @@ def _rows(base: sqlite3.Connection, where: str, query: str, choose: Choose) -> I
         yield pa.table(arrays)
 
 
-def _values(values: list[Any], want: str, name: str, before: int, where: str) -> pa.Array:
+def _values(values: list[object], want: str, name: str, before: int, where: str) -> pa.Array:
     kinds: tuple[type, ...]
     kinds = {"integer": (int,), "number": (int, float), "text": (str,)}[want]
     for row, value in enumerate(values, before + 1):

@@ -13,7 +13,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -35,7 +34,7 @@ NULL_TEXTS = ("", "null", "NULL", "nan", "NaN", "NAN", *(" " * n for n in range(
 
 
 def read_text(
-    path: Path, where: str, layout: Layout, choose: Choose, *, zipped: bool, md5: Any = None
+    path: Path, where: str, layout: Layout, choose: Choose, *, zipped: bool, md5: object = None
 ) -> Iterator[pa.Table]:
     """Tables of the chosen columns: int64, float64 or string, in the file's order.
 

@@ -6,11 +6,11 @@ import io
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from astropy.io.votable import parse_single_table
+from numpy.typing import ArrayLike
 
 from ..errors import BadInput, Damaged
 from .bytes_in import bytes_of
@@ -27,7 +27,7 @@ def read_votable(
     choose: Choose,
     *,
     zipped: bool,
-    md5: Any = None,
+    md5: object = None,
     most_bytes: int | None = None,
 ) -> Iterator[pa.Table]:
     """Tables of the chosen columns of the file's first table, in pieces of ROWS rows.
@@ -52,7 +52,9 @@ def read_votable(
         )
 
 
-def _whole(path: Path, where: str, most_bytes: int | None, *, zipped: bool, md5: Any) -> io.BytesIO:
+def _whole(
+    path: Path, where: str, most_bytes: int | None, *, zipped: bool, md5: object
+) -> io.BytesIO:
     text, most = io.BytesIO(), MOST_BYTES
     for piece in bytes_of(path, zipped=zipped, md5=md5):
         if most_bytes is not None and (not text.tell() or b"<BINARY" in piece):
@@ -67,8 +69,8 @@ def _whole(path: Path, where: str, most_bytes: int | None, *, zipped: bool, md5:
     return text
 
 
-def _values(stored: Any, name: str, want: str, where: str) -> pa.Array:
-    column = np.ma.asarray(stored)
+def _values(stored: ArrayLike, name: str, want: str, where: str) -> pa.Array:
+    column: np.ma.MaskedArray = np.ma.asarray(stored)
     kinds = {"integer": "iuf", "number": "iuf", "text": "OSU"}[want]
     if column.dtype.kind not in kinds or column.ndim != 1:
         allowed = {"integer": "integers", "number": "numbers", "text": "texts"}[want]

@@ -7,7 +7,6 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 import numpy as np
@@ -37,7 +36,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
         own.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def save_array(path: Path, array: np.ndarray[Any, Any]) -> None:
+def save_array(path: Path, array: np.ndarray) -> None:
     """`numpy.save` whose error on a full disk says so: numpy's own, on a real file, has no number.
 
     The array is small: its bytes are held twice.

@@ -6,11 +6,14 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache, partial
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
 
 from ..errors import BadInput
 from .stores import EXTRA, Unreachable, reason_of, without_secrets
+
+if TYPE_CHECKING:
+    from s3fs import S3FileSystem
 
 SCHEME = "s3"
 TOGETHER = 256  # objects of one question
@@ -90,7 +93,7 @@ class Objects:
     def _path(self, name: str) -> str:
         return f"{self.url.removeprefix(f'{SCHEME}://')}/{name}"
 
-    def _asked(self, ask: Callable[[Any], Result]) -> Result:
+    def _asked(self, ask: Callable[[S3FileSystem], Result]) -> Result:
         try:
             return ask(_files())
         except (FileNotFoundError, FileExistsError):
@@ -101,12 +104,12 @@ class Objects:
             raise Unreachable(f"{self.url}: {reason_of(error)}") from None
 
 
-def _all_of(paths: list[str], files: Any) -> dict[str, bytes]:
+def _all_of(paths: list[str], files: S3FileSystem) -> dict[str, bytes]:
     none = [None] * len(paths)  # whole objects; `cat` would ask after each first
     return dict(zip(paths, files.cat_ranges(paths, none, none, on_error="raise"), strict=True))
 
 
-def _without(paths: list[str], files: Any) -> None:
+def _without(paths: list[str], files: S3FileSystem) -> None:
     for path in (p for p in paths if set("*?[]") & set(p)):
         files.rm_file(path)  # `rm` would delete all that the name matches
     plain = [p for p in paths if not set("*?[]") & set(p)]
@@ -115,7 +118,7 @@ def _without(paths: list[str], files: Any) -> None:
 
 
 @cache
-def _files() -> Any:
+def _files() -> S3FileSystem:
     """The store's client; its lists are always asked for anew."""
     import s3fs
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -54,7 +53,7 @@ class SyntheticFile:
     def label(self) -> str:
         return f"synthetic sample, part {self.number}"
 
-    def identity(self) -> list[Any]:
+    def identity(self) -> list[object]:
         return [self.label, self.plan.seed, self.plan.rows]
 
     def tables(self, record: JsonObject) -> Iterator[pa.Table]:  # noqa: ARG002

@@ -13,7 +13,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -104,7 +103,7 @@ class SyntheticPart:
         bright, faint = EDGES_G_MAG[self.interval : self.interval + 2]
         return f"synthetic G {bright:g} to {faint:g}, seed {self.sky.seed}"
 
-    def identity(self) -> list[Any]:
+    def identity(self) -> list[object]:
         return [self.label]
 
     def tables(self, record: JsonObject) -> Iterator[pa.Table]:  # noqa: ARG002

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
+from catalog_tools.engine.ahead import Key, Tasks, Value
 from pipeline.arrays import Geometry
-
-Key = tuple[Any, ...]
-Graph = dict[Key, Any]
 
 MOST_TILES = 128  # of one bundle
 TASKS_A_WORKER = 4  # at least, where there are as many tiles
@@ -32,8 +29,8 @@ class BundleStep:
     """
 
     key: Key
-    function: Any
-    arguments: tuple[Any, ...]
+    function: Callable[..., Value]
+    arguments: tuple[object, ...]
     over: tuple[Key, ...]
 
 
@@ -59,7 +56,7 @@ def tiles_done(kind: str) -> int:
     return int(kind[len(PREFIX) :]) if kind.startswith(PREFIX) else int(kind == "tile")
 
 
-def bundled(graph: Graph, wanted: list[Key], size: int) -> tuple[Graph, list[Key]]:
+def bundled(graph: Tasks, wanted: list[Key], size: int) -> tuple[Tasks, list[Key]]:
     """A graph whose tasks draw `size` tiles each, and the keys to compute.
 
     What only one bundle needs (places, blocks, charge, truth) is worked out in it and is nobody's
@@ -67,7 +64,7 @@ def bundled(graph: Graph, wanted: list[Key], size: int) -> tuple[Graph, list[Key
     """
     groups = list(_groups(wanted, size))
     users = _users(graph, groups)
-    out: Graph = {key: graph[key] for key, count in users.items() if count > 1}
+    out: Tasks = {key: graph[key] for key, count in users.items() if count > 1}
     keys = []
     for group in groups:
         inner = {key for key in _closure(graph, group) if users[key] == 1}
@@ -78,9 +75,9 @@ def bundled(graph: Graph, wanted: list[Key], size: int) -> tuple[Graph, list[Key
     return out, keys
 
 
-def run_bundle(bundle: Bundle, *values: Any) -> int:
+def run_bundle(bundle: Bundle, *values: object) -> int:
     """Task: run the steps one after the other; returns how many."""
-    known: dict[Key, Any] = {}
+    known: dict[Key, object] = {}
     for step in bundle.steps:
         known[step.key] = step.function(*(_filled(a, known, values) for a in step.arguments))
         for key in step.over:
@@ -115,12 +112,12 @@ def _groups(wanted: list[Key], size: int) -> Iterator[list[Key]]:
         yield group
 
 
-def _users(graph: Graph, groups: Iterable[list[Key]]) -> Counter[Key]:
+def _users(graph: Tasks, groups: Iterable[list[Key]]) -> Counter[Key]:
     """How many bundles need each key."""
     return Counter(key for group in groups for key in _closure(graph, group))
 
 
-def _closure(graph: Graph, keys: Iterable[Key]) -> dict[Key, None]:
+def _closure(graph: Tasks, keys: Iterable[Key]) -> dict[Key, None]:
     """Keys and all that they depend on, each after what it needs."""
     found: dict[Key, None] = {}
     for key in keys:
@@ -131,14 +128,14 @@ def _closure(graph: Graph, keys: Iterable[Key]) -> dict[Key, None]:
     return found
 
 
-def _needed(task: tuple[Any, ...]) -> Iterator[Key]:
+def _needed(task: tuple[object, ...]) -> Iterator[Key]:
     """Keys that a task depends on: they stand in lists among its arguments."""
     for argument in task[1:]:
         if type(argument) is list:
             yield from argument
 
 
-def _bundle(graph: Graph, group: list[Key], inner: set[Key]) -> tuple[Any, ...]:
+def _bundle(graph: Tasks, group: list[Key], inner: set[Key]) -> tuple[Value, ...]:
     """The task of a bundle; `inner` are the keys that are worked out in it."""
     order = [key for key in _closure(graph, group) if key in inner]
     last = {needed: key for key in order for needed in _needed(graph[key])}
@@ -159,10 +156,10 @@ class _Outside:
     """The values that come from outside of a bundle, each once however many steps need it."""
 
     def __init__(self, inner: set[Key]) -> None:
-        self.inner, self.values = inner, list[Any]()
-        self._places: dict[Any, Ref] = {}
+        self.inner, self.values = inner, list[object]()
+        self._places: dict[object, Ref] = {}
 
-    def told(self, arguments: list[Any]) -> tuple[Any, ...]:
+    def told(self, arguments: list[object]) -> tuple[Value, ...]:
         """Arguments as a step keeps them. What stands before the geometry goes to many tasks: the
         inputs and stars, or futures of them."""
         kinds = [isinstance(a, Geometry) for a in arguments]
@@ -176,14 +173,14 @@ class _Outside:
             for i, a in enumerate(arguments)
         )
 
-    def _refer(self, value: Any, name: Any) -> Ref:
+    def _refer(self, value: object, name: object) -> Ref:
         if name not in self._places:
             self._places[name] = Ref(len(self.values))
             self.values.append(value)
         return self._places[name]
 
 
-def _filled(argument: Any, known: dict[Key, Any], values: tuple[Any, ...]) -> Any:
+def _filled(argument: object, known: dict[Key, object], values: tuple[object, ...]) -> Value:
     if type(argument) is Ref:
         return values[argument.index]
     if type(argument) is list:

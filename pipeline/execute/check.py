@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -327,7 +326,7 @@ def _nearest(offsets: Array, to_place: Array) -> Array:
 
 def _pieces(
     plan: Plan, at: Tile, groups: list[Group]
-) -> Iterator[tuple[Any, Path, Array, Array, Array]]:
+) -> Iterator[tuple[Core, Path, Array, Array, Array]]:
     """(core, piece, x, y, light) of the sources that light a window, piece by piece of path."""
     for x, y, light, path in groups:
         classes = _core_class(plan, light)

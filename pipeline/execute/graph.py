@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.engine.ahead import Key, Tasks
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps, StarTable, concatenate
 from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.coordinates import frame_coordinates
@@ -26,8 +27,6 @@ from pipeline.store.cube import CubeWriter
 
 if TYPE_CHECKING:
     from pipeline.physics.cosmic_rays.frame import CosmicRays
-
-Key = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
@@ -73,18 +72,18 @@ def rows_wanted(shard: Shard) -> int:
     return sum(group.rows for group in shard.leaf.row_groups)
 
 
-def shard_graph(inputs: Any, shards: Iterable[Shard]) -> dict[Key, Any]:
+def shard_graph(inputs: object, shards: Iterable[Shard]) -> Tasks:
     """One task per shard: its bright enough rows, with their light."""
     return {shard_key(shard): (read_shard, inputs, shard) for shard in shards}
 
 
 def window_graph(
-    inputs: Any,
+    inputs: object,
     plan: Plan,
     work: WindowWork,
-    shards: dict[Shard, Any],
+    shards: dict[Shard, object],
     ref_epochs_jyear: tuple[float, ...] = (),
-) -> tuple[dict[Key, Any], list[Key]]:
+) -> tuple[Tasks, list[Key]]:
     """Graph of a window and the keys to compute.
 
     inputs : the Inputs, or a future of them; shards : each shard's stars, or a future of them;
@@ -92,7 +91,7 @@ def window_graph(
     A tile depends on the shards whose stars can reach it and on its blocks, a block
     on the shards around it; nothing that no tile asks for gets a task.
     """
-    graph: dict[Key, Any] = {}
+    graph: Tasks = {}
     wanted: list[Key] = []
     g, frames, lag = work.geometry, work.geometry.frame.tolist(), plan.lag_frames
     blocks = plan_blocks(plan, sum(rows_wanted(shard) for shard in shards))
@@ -127,7 +126,7 @@ def window_graph(
 def _views(
     plan: Plan,
     work: WindowWork,
-    shards: dict[Shard, Any],
+    shards: dict[Shard, object],
     ref_epochs_jyear: tuple[float, ...],
     blocks: Iterable[Tile],
 ) -> dict[int, _View]:
@@ -145,8 +144,8 @@ def _views(
 
 
 def _light_of(
-    graph: dict[Key, Any],
-    inputs: Any,
+    graph: Tasks,
+    inputs: object,
     plan: Plan,
     views: dict[int, _View],
     frame: int,
@@ -170,8 +169,8 @@ def _light_of(
 
 
 def _seen_by(
-    graph: dict[Key, Any],
-    inputs: Any,
+    graph: Tasks,
+    inputs: object,
     view: _View,
     tile: Tile,
     blocks: Iterable[Tile],
@@ -179,7 +178,7 @@ def _seen_by(
 ) -> tuple[list[Key], list[Key]]:
     """Keys of what a tile of a frame is drawn from: its stars' places, and its blocks."""
     parts = _places(graph, inputs, view, tile)
-    frame, around = int(view.g.frame[0]), []
+    frame, around = int(view.g.frame[0]), list[Key]()
     for block in blocks:
         shared = overlap(tile, block)
         if shared.rows and shared.columns:
@@ -197,14 +196,14 @@ class _View:
     of its tiles and blocks (never wrongly omitted)."""
 
     g: Geometry
-    shards: dict[Shard, Any]
+    shards: dict[Shard, object]
     near: dict[Tile, list[Shard]]
 
 
 def _view(
     plan: Plan,
     g: Geometry,
-    shards: dict[Shard, Any],
+    shards: dict[Shard, object],
     ref_epochs_jyear: tuple[float, ...],
     rectangles: tuple[Tile, ...],
 ) -> _View:
@@ -235,9 +234,9 @@ def _cones(
     return catalogue_cones(plan.scene, g, centres, radii_rad)
 
 
-def _places(graph: dict[Key, Any], inputs: Any, view: _View, tile: Tile | None) -> list[Key]:
+def _places(graph: Tasks, inputs: object, view: _View, tile: Tile | None) -> list[Key]:
     """Keys of the place tasks of the shards that can reach a tile (None: the whole frame)."""
-    keys = []
+    keys: list[Key] = []
     for shard in view.shards if tile is None else view.near[tile]:
         place = shard.catalogue, shard.leaf.order, shard.leaf.pixel
         key = ("place", int(view.g.frame[0]), *place)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.targets.disc import Picture, picture
 from pipeline.physics.vectors import unit
 from pipeline.plan.bodies.meshes import SUN_RADIUS_RAD
+from pipeline.spec.targets.mesh import MeshBody
 
 Array = NDArray[np.float64]
 
@@ -112,8 +112,9 @@ def picture_of(pose: Pose, px_per_m: float, blur: Blur, error: float) -> Picture
         side_px *= 0.5
 
 
-def pose_of(body: Any, directions: Array, time_s: float) -> Pose:
+def pose_of(body: MeshBody, directions: Array, time_s: float) -> Pose:
     """The pose of a mesh body that has been read."""
     model: MeshModel = body.model
+    assert body.error is not None
     packed = np.ascontiguousarray(directions, dtype=np.float64).tobytes()
-    return Pose(model.digest, packed, float(time_s), float(body.error), model)
+    return Pose(model.digest, packed, float(time_s), body.error, model)

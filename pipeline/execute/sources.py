@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -296,7 +295,7 @@ def comes_by(plan: ResolvedScene, x: Array, y: Array, margin_px: float) -> bool:
     return bool((first <= last).any())
 
 
-def _radius_m(body: Any) -> float:
+def _radius_m(body: object) -> float:
     """Radius about a body's reference point of what may be drawn of it, 0 where it is a point."""
     if isinstance(body, SphereBody):
         return 0.5 * body.diameter_m
@@ -311,7 +310,8 @@ def _mesh_seen(plan: ResolvedScene, g: Geometry, target: FrameTarget) -> FrameTa
     from pipeline.execute.mesh_bodies import picture_of, pose_of, spread_of
 
     targets, budget_e = plan.scene.targets, plan.responses.budget_e
-    body: Any = targets[target.index].body
+    body = targets[target.index].body
+    assert isinstance(body, MeshBody)
     number = sum(isinstance(t.body, MeshBody) for t in targets[: target.index])
     distance = float(g.target_range_m[target.index, 0, g.middle])
     radius = float(limb_px(body.model.radius_m, distance, plan.facts.ifov_rad))

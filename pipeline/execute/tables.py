@@ -45,8 +45,8 @@ class ContentCache:
 
     def __init__(self, limit_bytes: float) -> None:
         self._limit = limit_bytes
-        self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
-        self._making: dict[Hashable, Future[Any]] = {}
+        self._values: OrderedDict[Hashable, tuple[object, int]] = OrderedDict()
+        self._making: dict[Hashable, Future[object]] = {}
         self._lock = threading.Lock()
         self._bytes = 0
 
@@ -58,7 +58,7 @@ class ContentCache:
                 return self._values[key][0]
             others = self._making.get(key)
             if others is None:
-                own = self._making[key] = Future[Any]()
+                own = self._making[key] = Future[object]()
         if others is not None:
             return others.result()
         try:
@@ -71,7 +71,7 @@ class ContentCache:
                 del self._making[key]
         return own.result()
 
-    def _keep(self, key: Hashable, value: Any, size: Callable[[Any], int]) -> Any:
+    def _keep(self, key: Hashable, value: object, size: Callable[[object], int]) -> Any:
         with self._lock:
             self._values[key] = (value, size(value))
             self._bytes += self._values[key][1]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
@@ -169,7 +169,7 @@ def _coco(job: _Job, output: Path) -> Iterator[Path]:
     yield path
 
 
-def _compact(value: Any) -> bytes:
+def _compact(value: object) -> bytes:
     """JSON on one line; NaN is refused rather than written."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).encode()
 
@@ -196,7 +196,7 @@ def _masks(job: _Job, output: Path) -> Iterator[Path]:
         classes = np.concatenate([[0], labels.kind]).astype(np.uint8)[owner]
         if job.wish.light == "layers":
             classes = classes_from_light(job.product, k, job.layers, job.threshold_e)
-        cards: list[Any] = fits_header(job.cube, k, job.wish.layer)
+        cards = fits_header(job.cube, k, job.wish.layer)
         cards = [c for c in cards if c[0] not in ("BUNIT", "SATURATE")] + [
             ("THRESH", job.threshold_e, "[e-] least light of a mask's pixel"),
             ("CLASSBY", job.wish.light, "what CLASS is made from"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import erfa
 import numpy as np
@@ -18,7 +18,7 @@ from pipeline.spec.scene import Scene
 if TYPE_CHECKING:
     import xarray as xr
 
-Cards = list[tuple[str, Any, str]]
+Cards = list[tuple[str, object, str]]
 
 IAU_1976 = (6_378_140.0, 0.0033528131778969)  # radius [m], flattening: the ellipsoid of OBSGEO-B
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +85,7 @@ class Labels:
         """G of stars, V of targets."""
         return np.where(self.kind == STAR, self.g_mag, self.v_mag)
 
-    def take(self, index: Any) -> Labels:
+    def take(self, index: object) -> Labels:
         """Some of them."""
         return Labels(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 

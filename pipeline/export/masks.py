@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,7 +126,7 @@ def mask_fits(
     labels: Labels,
     owner: NDArray[np.int32],
     classes: NDArray[np.uint8],
-    cards: list[tuple[str, Any, str]],
+    cards: list[tuple[str, object, str]],
 ) -> bytes:
     """A FITS file: CLASS (also the primary's header), SOURCE numbers, and the table of SOURCES."""
     from astropy.io import fits

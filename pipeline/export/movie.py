@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +69,7 @@ def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path, fps: float) -> 
             writer.close()
 
 
-def encoder() -> Any:
+def encoder() -> Callable[..., Generator[None, object, None]]:
     """imageio-ffmpeg's writer; BadInput where there is none."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe, write_frames

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +44,8 @@ class SourceLight:
     blur: Blur
     psf_field: PsfField | None = None
     _cores: dict[tuple[Blur, int], Core] = field(default_factory=dict)
-    _swept: dict[Any, Any] = field(default_factory=dict)
-    _stamps: dict[Any, Any] = field(default_factory=dict)
+    _swept: dict[object, tuple] = field(default_factory=dict)
+    _stamps: dict[object, tuple] = field(default_factory=dict)
 
     def image(
         self, path: Path, x_px: float, y_px: float, light_e: float, least_e: float
@@ -121,7 +120,7 @@ class SourceLight:
         row, column, stamp = self._stamps[key]
         return row + whole_y, column + whole_x, stamp
 
-    def _swept_core(self, blur: Blur, number: int, piece: Path) -> tuple[Any, ...]:
+    def _swept_core(self, blur: Blur, number: int, piece: Path) -> tuple:
         key = (blur, number, piece)
         if key not in self._swept:
             _make_room(self._swept)
@@ -169,6 +168,6 @@ def _joined(stamps: list[tuple[int, int, Array]]) -> tuple[int, int, Array]:
     return y0, x0, whole
 
 
-def _make_room(kept: dict[Any, Any]) -> None:
+def _make_room(kept: dict[object, tuple]) -> None:
     while len(kept) >= KEPT:
         kept.pop(next(iter(kept)))

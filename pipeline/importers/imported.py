@@ -98,7 +98,7 @@ class Fields:
     What nobody asked for is what could not be carried over.
     """
 
-    def __init__(self, data: Any, where: str = "") -> None:
+    def __init__(self, data: object, where: str = "") -> None:
         if not isinstance(data, dict):
             raise BadInput(where or "FILE", data, "a mapping")
         self.data, self.where, self.used = data, where, set[str]()
@@ -106,7 +106,7 @@ class Fields:
     def has(self, key: str) -> bool:
         return self._find(key, False) is not None
 
-    def get(self, key: str, default: Any = None) -> Any:
+    def get(self, key: str, default: object = None) -> Any:
         """A value, or the default where it is not given."""
         found = self._find(key, True)
         return default if found is None else found
@@ -144,8 +144,8 @@ class Fields:
         parts = key.split(".")
         return any(".".join(parts[: i + 1]) in self.used for i in range(len(parts)))
 
-    def _find(self, key: str, use: bool) -> Any:
-        holder: Any = self.data
+    def _find(self, key: str, use: bool) -> object:
+        holder: object = self.data
         if use:
             self.used.add(key)
         for part in key.split("."):
@@ -158,7 +158,7 @@ class Fields:
         return f"{self.where}.{key}" if self.where else key
 
 
-def _leaves(data: Any, where: str) -> list[str]:
+def _leaves(data: object, where: str) -> list[str]:
     if not isinstance(data, dict) or not data:
         return [where]
     return [leaf for k, v in data.items() for leaf in _leaves(v, f"{where}.{k}" if where else k)]

@@ -22,7 +22,7 @@ MOST = 100_000_000
 DEPTH = 32
 
 
-def settled(value: Any, rng: np.random.Generator, told: list[str], where: str = "") -> Any:
+def settled(value: object, rng: np.random.Generator, told: list[str], where: str = "") -> object:
     """The value with every `$sample` drawn and every `$pipeline` worked out.
 
     told : gets a line for each draw. BadInput for a sampler or step that is not known.
@@ -44,7 +44,7 @@ def settled(value: Any, rng: np.random.Generator, told: list[str], where: str = 
     return {k: settled(v, rng, told, f"{before}{k}") for k, v in value.items()}
 
 
-def _drawn(value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
+def _drawn(value: Node, rng: np.random.Generator, told: list[str], where: str) -> object:
     kind = str(value["$sample"]).removeprefix("random.")
     if kind not in SAMPLERS:
         allowed = ", ".join(f"random.{k}" for k in SAMPLERS)
@@ -55,20 +55,20 @@ def _drawn(value: Node, rng: np.random.Generator, told: list[str], where: str) -
     return drawn
 
 
-def _shown(drawn: Any) -> str:
-    if np.ndim(drawn):
+def _shown(drawn: object) -> str:
+    if isinstance(drawn, np.ndarray):
         return f"image, median {np.median(drawn):.4g}"
     return f"{drawn:.6g}" if isinstance(drawn, int | float) else str(drawn)
 
 
-def _list(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
+def _list(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> object:
     length = settled(value.get("length"), rng, told, f"{where}.length")
     if not isinstance(length, int | np.integer) or not 0 <= length <= 10_000:
         raise BadInput(f"{where}.length", length, "a whole number up to 10000")
     return [settled(value.get("value"), rng, told, f"{where}.{i}") for i in range(length)]
 
 
-def _choice(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
+def _choice(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> object:
     choices = value.get("choices")
     if not isinstance(choices, list) or not choices:
         raise BadInput(f"{where}.choices", choices, "a list of values")
@@ -100,7 +100,7 @@ def _numbers(kind: str, value: Node, rng: np.random.Generator, told: list[str], 
 SAMPLERS = {**dict.fromkeys(KNOWN, _numbers), "choice": _choice, "list": _list}
 
 
-def _worked_out(steps: Any, where: str) -> float:
+def _worked_out(steps: object, where: str) -> float:
     """A number through the steps that a scene may hold: `constant` and `poly`."""
     value = 0.0
     for step in steps if isinstance(steps, list) else [steps]:

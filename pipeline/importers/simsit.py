@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +87,7 @@ def read_simsit(
     return Imported(f"SImSiT {path.name}", data, images, notes)
 
 
-def _yaml(path: Path) -> Any:
+def _yaml(path: Path) -> object:
     """Plain data; anchors are followed, as these files use them, and nothing else is run."""
     try:
         return YAML(typ="safe", pure=True).load(BytesIO(read_bytes(path)))

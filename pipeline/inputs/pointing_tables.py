@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -39,7 +38,7 @@ def gather_pointing(scene: Scene) -> Scene:
     plans = [(p, p.pointing) for p in dwell_plans(scene) if isinstance(p.pointing, TablePointing)]
     if not plans and not spectra:
         return scene
-    data, read = scene.as_dict(), dict[Any, Any]()
+    data, read = scene.as_dict(), dict[Path, JsonObject]()
     for plan, pointing in plans:
         own = plan.dwell is not None and plan.dwell.pointing is not None
         holder = data["dwells"][plan.index] if own else data
@@ -63,7 +62,7 @@ def _table(
     plan: DwellPlan,
     p: TablePointing,
     span_s: tuple[float, float] | None,
-    read: dict[Any, Any],
+    read: dict[Path, JsonObject],
 ) -> JsonObject:
     """What a pointing's table becomes: rows in the scene, and the error between them."""
     begin, end = span_s or (plan.slew_s[0] if plan.slew_s else plan.start_s, plan.end_s)
@@ -88,7 +87,7 @@ def _kept(
     plan: DwellPlan,
     p: TablePointing,
     span_s: tuple[float, float],
-    read: dict[Any, Any],
+    read: dict[Path, JsonObject],
 ) -> JsonObject:
     """The rows of a pointing's file that are kept, as the scene holds them."""
     field, path = pointing_field(plan, "path"), Path(str(p.path))
@@ -149,7 +148,7 @@ def _seconds(columns: JsonObject, p: TablePointing, epoch: str, path: Path, fiel
     return seconds - float(elapsed_s(parse_utc(p.epoch, name), *zero))
 
 
-def _utc(value: Any, path: Path, field: str) -> tuple[float, float]:
+def _utc(value: object, path: Path, field: str) -> tuple[float, float]:
     text = value.decode() if isinstance(value, bytes) else str(value)
     try:
         return parse_utc(text.strip().replace(" ", "T", 1), field)
@@ -157,7 +156,7 @@ def _utc(value: Any, path: Path, field: str) -> tuple[float, float]:
         raise BadInput(field, f"time {text[:40]!r} in {path.name}", error.allowed) from None
 
 
-def _floats(values: Any, path: Path, field: str) -> Array:
+def _floats(values: object, path: Path, field: str) -> Array:
     try:
         return np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError) as error:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pipeline.errors import BadInput
 from pipeline.spec.accept import Accepted
 from pipeline.spec.scene import Scene
 
 
 def accept_or_refuse(
-    scene: Scene, word: Accepted, field: str, found: Any, allowed: str, warning: str
+    scene: Scene, word: Accepted, field: str, found: object, allowed: str, warning: str
 ) -> str:
     """The warning that stands first in plan, report and product of a scene that accepts a doubt.
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
+
+from catalog_tools.documents import JsonObject
 
 _ENGINES = "tests/execute/test_engines.py::test_engines_agree_within_the_sum_of_their_bounds"
 _NEEDED = "tests/rules/test_only_what_the_scene_needs.py::test_imports"
@@ -133,7 +134,7 @@ LEDGER = (
 )  # fmt: skip
 
 
-def page(measured: Sequence[Mapping[str, Any]] = ()) -> str:
+def page(measured: Sequence[JsonObject] = ()) -> str:
     """The ledger as a page of the documentation (Markdown).
 
     measured : a row for each rule, as `nightglass report ledger` writes them; `rule` is the first
@@ -165,7 +166,7 @@ def page(measured: Sequence[Mapping[str, Any]] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _measured(row: Mapping[str, Any]) -> str:
+def _measured(row: Mapping[str, object]) -> str:
     """Bound, error and seconds of a rule as three cells of a table."""
     if "bound" not in row:
         return " | | "
@@ -173,7 +174,7 @@ def _measured(row: Mapping[str, Any]) -> str:
     return f"{bound} (`{row['component']}`) | {rest}"
 
 
-def _cells(one: Mapping[str, Any]) -> str:
+def _cells(one: Mapping[str, object]) -> str:
     unit = one["unit"]
     saved = f"{one['seconds_saved']:.1g}"
     return f"{one['bound']:.2g} {unit} | {one['error']:.2g} {unit} | {saved}"

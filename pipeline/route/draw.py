@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from catalog_tools.engine.ahead import Graph
 from catalog_tools.engine.schedulers import TASKS_PER_WINDOW, Scheduler
 from pipeline.execute.bundles import bundled, tiles_a_bundle, tiles_done
 from pipeline.execute.graph import WindowWork, shard_graph, shard_key, window_graph
@@ -46,7 +46,7 @@ def draw(
     total = share.tiles(plan)
     ref_epochs = tuple(c.ref_epoch_jyear for c in catalogues)
     state = {"done": len(begun.done)}
-    shards: dict[Shard, Any] = {}
+    shards: dict[Shard, object] = {}
 
     def done(kind: str) -> None:
         state["done"] += tiles_done(kind)
@@ -57,7 +57,7 @@ def draw(
         listen(Progress(state["done"], total, "start"))
     size = _tiles_a_task(prepared, scheduler, total)
 
-    def graphs() -> Iterator[tuple[dict[Any, Any], list[Any]]]:
+    def graphs() -> Iterator[Graph]:
         nonlocal shards
         for window in _windows(plan, share):
             work = missing(plan, begun, window, share)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
@@ -102,12 +101,12 @@ class Lacking:
         return f"part(s) {_first([f'{part}/{count}' for part in parts])}"
 
 
-def _first(names: list[Any]) -> str:
+def _first(names: Sequence[object]) -> str:
     shown = ", ".join(map(str, names[:20]))
     return shown if len(names) <= 20 else f"{shown} and {len(names) - 20} more"
 
 
-def lacking(plan: Plan, tiles: Container[Any], truth: Container[Any]) -> Lacking:
+def lacking(plan: Plan, tiles: Container[object], truth: Container[object]) -> Lacking:
     """What a product lacks that has these tiles and parts of truth."""
     places = ((frame, t.row, t.column) for frame in range(plan.frames) for t in plan.tiles)
     return Lacking(

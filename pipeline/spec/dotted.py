@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 
 
 class NoFieldError(LookupError):
     """There is no place for a field; `args[0]` is the dotted name up to which there is none."""
 
 
-def set_dotted(data: Any, name: str, value: Any) -> None:
+def set_dotted(data: object, name: str, value: object) -> None:
     """Set one field in place; mappings that are missing on the way are made.
 
     Raises NoFieldError where the way leads through a plain value or beyond a list's end.
@@ -21,7 +20,7 @@ def set_dotted(data: Any, name: str, value: Any) -> None:
     holder[key] = value
 
 
-def add_dotted(data: Any, name: str, value: Any) -> None:
+def add_dotted(data: object, name: str, value: object) -> None:
     """Add a value to a list in place, unless it is there; a missing list is made.
 
     Raises NoFieldError where there is no list of that name, and none can be made.
@@ -34,7 +33,7 @@ def add_dotted(data: Any, name: str, value: Any) -> None:
     holder[key] = held if value in held else [*held, value]
 
 
-def changed(data: Any, changes: JsonObject) -> Any:
+def changed(data: object, changes: JsonObject) -> JsonValue:
     """A copy of plain data with dotted changes; None removes one. Raises as `set_dotted`."""
     out = copy.deepcopy(data)
     for name, value in changes.items():
@@ -48,7 +47,7 @@ def changed(data: Any, changes: JsonObject) -> Any:
     return out
 
 
-def _holder(data: Any, name: str) -> tuple[Any, Any]:
+def _holder(data: JsonValue, name: str) -> tuple[JsonValue, JsonValue]:
     """What holds a field, and its key there."""
     *parents, last = name.split(".")
     holder = data
@@ -68,7 +67,7 @@ def _holder(data: Any, name: str) -> tuple[Any, Any]:
     raise NoFieldError(name)
 
 
-def _place(holder: Any, name: str) -> int | None:
+def _place(holder: object, name: str) -> int | None:
     """The place in a list that a number names; None where there is none."""
     there = isinstance(holder, list) and name.isdigit() and int(name) < len(holder)
     return int(name) if there else None

@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator
-from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput, shorten
 from pipeline.spec.dotted import NoFieldError, add_dotted, set_dotted
 from pipeline.spec.scene import Scene
 from pipeline.spec.wording import range_of, words_of
 
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
+Mistake = tuple[str, object, str]  # field as the user wrote it (dotted), value, what is allowed
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
 
@@ -24,11 +27,11 @@ MAX_DEPTH = 32
 class InvalidScene(BadInput):
     """A scene with mistakes: `mistakes` holds (field, value, allowed) of each, first ones first."""
 
-    def __init__(self, mistakes: list[tuple[str, Any, str]]) -> None:
+    def __init__(self, mistakes: list[Mistake]) -> None:
         self.mistakes = mistakes
         super().__init__(*mistakes[0])
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.mistakes,)
 
     def __str__(self) -> str:
@@ -57,7 +60,7 @@ def load_scene(path: Path, overrides: Iterable[str] = ()) -> Scene:
     return parse_scene(data, base=path.parent)
 
 
-def parse_text(raw: bytes, name: str = "scene") -> Any:
+def parse_text(raw: bytes, name: str = "scene") -> JsonValue:
     """Plain data from YAML 1.2 or JSON text; duplicates, aliases and deep nesting are refused."""
     try:
         text = raw.decode("utf-8")
@@ -66,7 +69,7 @@ def parse_text(raw: bytes, name: str = "scene") -> Any:
     return parse_yaml(text, name)
 
 
-def parse_yaml(text: str, name: str = "scene") -> Any:
+def parse_yaml(text: str, name: str = "scene") -> JsonValue:
     """YAML 1.2, or JSON as the subset of it: `1e5` is a number and `12:30:00` is text.
 
     Refused: duplicate keys, aliases, nesting beyond MAX_DEPTH, and a file that asks for YAML 1.1.
@@ -78,23 +81,17 @@ def parse_yaml(text: str, name: str = "scene") -> Any:
         value = _parse_json(text)
         if value is not None:
             return value
-    from ruamel.yaml.error import YAMLError
+    from pipeline.spec.yaml_text import read_yaml  # JSON does without
 
-    try:
-        return _yaml_reader(name).load(text)
-    except (YAMLError, RecursionError, ValueError, LookupError, TypeError, AttributeError) as error:
-        where = getattr(error, "problem_mark", None)
-        place = f"line {where.line + 1}, column {where.column + 1}" if where else "the text"
-        problem = getattr(error, "problem", None) or next(iter(str(error).splitlines()), "")
-        raise BadInput(name, place, f"YAML or JSON; {problem}") from None
+    return read_yaml(text, name, MAX_DEPTH)
 
 
-def _parse_json(text: str) -> Any:
+def _parse_json(text: str) -> JsonValue:
     """A JSON text as data (the quick way), or None where YAML has to read it or refuse it."""
     if text.count("{") + text.count("[") > 100_000:
         return None
 
-    def pairs(items: list[tuple[str, Any]]) -> JsonObject:
+    def pairs(items: list[tuple[str, object]]) -> JsonObject:
         if len({key for key, _ in items}) != len(items):
             raise ValueError("duplicate key")
         return dict(items)
@@ -106,7 +103,7 @@ def _parse_json(text: str) -> Any:
     return value if _depth(value) <= MAX_DEPTH else None
 
 
-def _depth(value: Any) -> int:
+def _depth(value: object) -> int:
     """How deep lists and mappings are nested; stops one beyond MAX_DEPTH."""
     level, depth = [value], 0
     while depth <= MAX_DEPTH:
@@ -118,41 +115,7 @@ def _depth(value: Any) -> int:
     return depth
 
 
-def _yaml_reader(name: str) -> Any:
-    """A YAML 1.2 loader of plain data that refuses aliases and deep nesting as it reads."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.composer import Composer
-    from ruamel.yaml.constructor import SafeConstructor
-    from ruamel.yaml.events import AliasEvent, ScalarEvent
-
-    class BoundedComposer(Composer):
-        """Composes nodes down to MAX_DEPTH, and none twice."""
-
-        nested = 0
-
-        def compose_node(self, parent: Any, index: Any) -> Any:
-            if self.parser.check_event(AliasEvent):
-                raise BadInput(name, f"*{self.parser.peek_event().anchor}", "no aliases")
-            holds = not self.parser.check_event(ScalarEvent)
-            self.nested += holds
-            if self.nested > MAX_DEPTH:
-                raise BadInput(name, "nested too deeply", f"at most {MAX_DEPTH} levels")
-            try:
-                return super().compose_node(parent, index)
-            finally:
-                self.nested -= holds
-
-    class Plain(SafeConstructor):
-        """Timestamps stay text: the epoch is parsed by the product's own clock."""
-
-    Plain.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
-    reader = YAML(typ="safe", pure=True)
-    reader.version = (1, 2)
-    reader.Composer, reader.Constructor = BoundedComposer, Plain
-    return reader
-
-
-def parse_scene(data: Any, base: Path | None = None) -> Scene:
+def parse_scene(data: object, base: Path | None = None) -> Scene:
     """Check plain data against the scene format. Raises InvalidScene with every mistake."""
     if not isinstance(data, dict):
         raise BadInput("scene", data, "a mapping of sections (schema, name, epoch, observer, ...)")
@@ -169,7 +132,7 @@ def _checked(data: JsonObject) -> Scene:
         raise BadInput("scene", "nested too deeply", f"at most {MAX_DEPTH} levels") from None
 
 
-def mistakes_of(error: ValidationError, data: JsonObject) -> list[tuple[str, Any, str]]:
+def mistakes_of(error: ValidationError, data: JsonObject) -> list[Mistake]:
     """(field, value, allowed) of every mistake, one for each field."""
     found = error.errors()
     places = [e["loc"] for e in found]
@@ -179,7 +142,7 @@ def mistakes_of(error: ValidationError, data: JsonObject) -> list[tuple[str, Any
     return _merged([mistake for e, mistake in told if not _is_of_inside(e, mistake, fields)])
 
 
-def _is_of_inside(error: Any, mistake: tuple[str, Any, str], fields: list[str]) -> bool:
+def _is_of_inside(error: ErrorDetails, mistake: Mistake, fields: list[str]) -> bool:
     """Whether a mapping or list is called of a wrong type for a mistake inside it alone: it is
     tried as each of the types that may stand there."""
     field, value, _ = mistake
@@ -187,7 +150,7 @@ def _is_of_inside(error: Any, mistake: tuple[str, Any, str], fields: list[str]) 
     return inside and error["type"] in WRONG_TYPE and isinstance(value, dict | list | tuple)
 
 
-def _follows(error: Any, places: list[tuple[int | str, ...]]) -> bool:
+def _follows(error: ErrorDetails, places: list[tuple[int | str, ...]]) -> bool:
     """Whether a list is called too short only because items in it are refused themselves."""
     at = error["loc"]
     return error["type"] == "too_short" and any(p[: len(at)] == at and p != at for p in places)
@@ -241,12 +204,12 @@ def _tree() -> JsonObject:
 TREE = _tree()
 
 
-def path_holders(data: Any) -> Iterator[tuple[str, JsonObject, str]]:
+def path_holders(data: object) -> Iterator[tuple[str, JsonObject, str]]:
     """(dotted field, the mapping that holds it, its key) of every field that may name a file."""
     return _holders(TREE, data, "")
 
 
-def _holders(tree: JsonObject, holder: Any, at: str) -> Iterator[tuple[str, JsonObject, str]]:
+def _holders(tree: JsonObject, holder: object, at: str) -> Iterator[tuple[str, JsonObject, str]]:
     """Those below a place in the data; * is everything that a list or mapping holds."""
     if "*" in tree and isinstance(holder, dict | list):
         items = holder.items() if isinstance(holder, dict) else enumerate(holder)
@@ -280,7 +243,7 @@ def _absolute(path: str, base: Path) -> str:
     return path if "://" in path else str((base / Path(path).expanduser()).resolve())
 
 
-def apply_override(data: Any, override: str) -> None:
+def apply_override(data: object, override: str) -> None:
     """Set one dotted key: `sensor.read_noise_e=3`; `accept+=sun` adds to a list."""
     key, sep, text = override.partition("=")
     key, adds = key.removesuffix("+"), key.endswith("+")
@@ -299,17 +262,12 @@ def apply_override(data: Any, override: str) -> None:
 
 def scene_yaml(scene: Scene) -> str:
     """A scene as YAML text, defaults filled in."""
-    from ruamel.yaml import YAML
+    from pipeline.spec.yaml_text import write_yaml
 
-    out = StringIO()
-    writer = YAML(typ="safe", pure=True)
-    writer.default_flow_style = False
-    writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    writer.dump(json.loads(json.dumps(scene.as_dict())), out)
-    return out.getvalue()
+    return write_yaml(json.loads(json.dumps(scene.as_dict())))
 
 
-def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
+def _mistake(error: ErrorDetails, data: JsonValue, of_scene: bool) -> Mistake:
     """One mistake as (dotted field, value given, what is allowed), in the user's own names."""
     kind, context, value = error["type"], error.get("ctx", {}), error.get("input")
     names = _names(error["loc"], data, kind == "missing", value)
@@ -332,12 +290,12 @@ def _mistake(error: Any, data: Any, of_scene: bool) -> tuple[str, Any, str]:
     return ".".join(names) or "scene", value, allowed
 
 
-def _under(key: str, value: Any) -> Any:
+def _under(key: str, value: object) -> object:
     """What a mapping holds under a key; any other value as it is."""
     return value.get(key) if isinstance(value, dict) else value
 
 
-def _pointed_at(names: list[str], value: Any, context: JsonObject) -> Any:
+def _pointed_at(names: list[str], value: JsonValue, context: JsonObject) -> object:
     """The value that a mistake's context points at in another; its names are put to `names`."""
     if "index" in context:
         names[-1] += f"[{context['index']}]"
@@ -409,9 +367,9 @@ def _allowed(message: str) -> str:
     return message
 
 
-def _merged(mistakes: list[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
+def _merged(mistakes: list[Mistake]) -> list[Mistake]:
     """One mistake per field: the alternatives of a union are joined by "or"."""
-    by_field: dict[str, tuple[str, Any, str]] = {}
+    by_field: dict[str, Mistake] = {}
     for field, value, allowed in mistakes:
         if field in by_field and allowed not in by_field[field][2]:
             also = allowed.removeprefix("allowed: ").removeprefix("to ")
@@ -421,7 +379,7 @@ def _merged(mistakes: list[tuple[str, Any, str]]) -> list[tuple[str, Any, str]]:
     return list(by_field.values())
 
 
-def _names(loc: tuple[int | str, ...], data: Any, missing: bool, value: Any) -> list[str]:
+def _names(loc: tuple[int | str, ...], data: object, missing: bool, value: object) -> list[str]:
     """The path of an error without the tags that pydantic puts in for unions.
 
     A tag may be a key as well (`mode: target` and `target`).
@@ -444,7 +402,11 @@ def _names(loc: tuple[int | str, ...], data: Any, missing: bool, value: Any) -> 
 
 
 def _is_tag(
-    holder: dict[Any, Any], key: int | str, rest: tuple[int | str, ...], missing: bool, value: Any
+    holder: dict[JsonValue, JsonValue],
+    key: int | str,
+    rest: tuple[int | str, ...],
+    missing: bool,
+    value: object,
 ) -> bool:
     """Whether a part of an error's path that is a key is the tag of the mapping that holds it: the
     path goes on in that mapping, or ends at it."""

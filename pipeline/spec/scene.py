@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -108,7 +108,7 @@ class Stars(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _limit_may_be_auto(cls, data: Any) -> Any:
+    def _limit_may_be_auto(cls, data: object) -> object:
         if isinstance(data, dict) and data.get("faintest_g_mag") == "auto":
             return {**data, "faintest_g_mag": None, "limit_from_noise": True}
         return data
@@ -125,7 +125,7 @@ class Stars(Strict):
 
     @field_validator("catalogue", mode="before")
     @classmethod
-    def _catalogues_differ(cls, value: Any) -> Any:
+    def _catalogues_differ(cls, value: object) -> object:
         """Names the place in the list of the first mistake; a list of one is that one."""
         paths = [value] if isinstance(value, str) else value
         if not isinstance(paths, list | tuple) or not 1 <= len(paths) <= MAX_CATALOGUES:

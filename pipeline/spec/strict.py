@@ -35,7 +35,7 @@ class Strict(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _refuse_unknown_keys(cls, data: Any) -> Any:
+    def _refuse_unknown_keys(cls, data: object) -> Any:
         if isinstance(data, dict):
             known, not_bool = _keys(cls)
             _check_schema(cls, data)
@@ -73,12 +73,12 @@ def _keys(model: type[Strict]) -> tuple[frozenset[str], tuple[str, ...]]:
     return frozenset(key for key, _ in named), not_bool
 
 
-def _takes_bool(annotation: Any) -> bool:
+def _takes_bool(annotation: object) -> bool:
     """True where a type is bool, anything, or a choice or list that has one of them."""
     return annotation in (bool, Any) or any(_takes_bool(a) for a in get_args(annotation))
 
 
-def _holds_bool(value: Any) -> bool:
+def _holds_bool(value: object) -> bool:
     """True for true and false, which Python would take for the numbers 1 and 0; also in lists."""
     if isinstance(value, list | tuple):
         return any(map(_holds_bool, value))

@@ -29,7 +29,7 @@ class ListAxis(Strict):
 
     @field_validator("values", mode="before")
     @classmethod
-    def _any_values(cls, value: Any) -> Any:
+    def _any_values(cls, value: object) -> object:
         return value
 
     @property
@@ -143,7 +143,7 @@ class Sweep(Strict):
 
     @field_validator("axes", mode="before")
     @classmethod
-    def _kind_may_be_left_out(cls, value: Any) -> Any:
+    def _kind_may_be_left_out(cls, value: object) -> object:
         """An axis with `values` is a list."""
         if not isinstance(value, list | tuple):
             return value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -21,7 +20,7 @@ def load_sweep(path: Path) -> Sweep:
     return parse_sweep(parse_text(path.read_bytes(), str(path)))
 
 
-def parse_sweep(data: Any) -> Sweep:
+def parse_sweep(data: object) -> Sweep:
     """Check plain data against the sweep format. Raises InvalidScene with every mistake."""
     if not isinstance(data, dict):
         raise BadInput("sweep", data, "a mapping (schema, name, scene, axes, ...)")

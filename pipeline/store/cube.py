@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import google_crc32c
 import numpy as np
 import zarr
 from numcodecs import blosc
 from numcodecs.zstd import Zstd
+from zarr.abc.codec import BytesBytesCodec
 from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
 
@@ -122,9 +123,9 @@ def create_layer(product: Path, name: str, scene: Scene, chunk: tuple[int, int])
     )
 
 
-def _codecs(compression: str) -> list[Any]:
+def _codecs(compression: str) -> list[BytesBytesCodec]:
     """Compression, then a checksum: without it a flipped bit may read as a wrong number."""
-    codec: dict[str, list[Any]] = {
+    codec: dict[str, list[BytesBytesCodec]] = {
         "blosc-zstd": [BloscCodec(**BLOSC)],
         "zstd": [ZstdCodec(level=ZSTD_LEVEL)],
         "none": [],

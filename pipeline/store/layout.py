@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from catalog_tools.storage.durable import full_disk_told, write_atomically
 from catalog_tools.storage.durable import sync as sync_folder
@@ -54,7 +54,7 @@ def layers_in(product: Path) -> list[str]:
     return [name for name in LONG_NAMES if (product / CUBE / name / "zarr.json").is_file()]
 
 
-def to_json(value: Any) -> bytes:
+def to_json(value: object) -> bytes:
     """Readable JSON; NaN and infinity are refused rather than written."""
     return (json.dumps(value, indent=2, allow_nan=False) + "\n").encode()
 

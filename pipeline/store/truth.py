@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import google_crc32c
 
@@ -69,7 +69,7 @@ def _checksum(content: bytes) -> bytes:
     return google_crc32c.value(content).to_bytes(CHECKSUM, "little")
 
 
-def join_parts(product: Path, kind: str, frames: int, empty: Any) -> int:
+def join_parts(product: Path, kind: str, frames: int, empty: pa.Table) -> int:
     """Join the frames' parts into truth/KIND.parquet; returns the rows.
 
     Frames share a row group as long as it has no more than ROWS.

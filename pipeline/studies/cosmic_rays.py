@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from pipeline.physics.cosmic_rays.library import Library
 from pipeline.physics.cosmic_rays.tracks import Flux, draw_tracks, mean_count
 from pipeline.physics.noise.streams import stream_key
 from pipeline.spec.sensor.cosmic_rays import GROUND_RATE_PER_CM2_S, MUON_ZENITH_POWER
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
@@ -103,7 +107,7 @@ def _percentiles(values: Array) -> list[float]:
     return [round(float(v), 1) for v in np.percentile(values, [5, 50, 95])] if len(values) else []
 
 
-def _library_images(library: Library) -> Any:
+def _library_images(library: Library) -> Iterator[Array]:
     left, right, top, bottom = library.boxes()
     for n in range(len(library)):
         part = slice(library.start[n], library.start[n + 1])
@@ -112,7 +116,7 @@ def _library_images(library: Library) -> Any:
         yield image
 
 
-def _track_images(flux: Flux) -> Any:
+def _track_images(flux: Flux) -> Iterator[Array]:
     """Each generated event in an image of its own, as far as it lies in the frame."""
     key, pad = stream_key(1, "comparison"), reach_px(flux)
     tracks = draw_tracks(flux, 0, key)
@@ -132,8 +136,8 @@ def _track_images(flux: Flux) -> Any:
             yield image
 
 
-def _measured(images: Any, threshold_e: float, area_min: float) -> Events:
-    rows: list[Any] = []
+def _measured(images: Iterable[Array], threshold_e: float, area_min: float) -> Events:
+    rows: list[object] = []
     thumbs: list[Array] = []
     for image in images:
         y, x = np.nonzero(image >= threshold_e)
@@ -228,14 +232,14 @@ def draw_comparison(study: JsonObject, path: Path) -> None:
     figure.savefig(path)
 
 
-def _histogram(ax: Any, events: dict[str, Events], field: str, bins: Array, label: str) -> None:
+def _histogram(ax: Axes, events: dict[str, Events], field: str, bins: Array, label: str) -> None:
     """Events per cm2, minute and bin."""
     for name, e in events.items():
         values = getattr(e, field)
         weight = np.full(len(values), e.rate_per_cm2_min / max(len(values), 1))
         ax.hist(
             values,
-            bins=bins,
+            bins=list(bins),
             weights=weight,
             histtype="step",
             color=COLOURS[name],
@@ -248,7 +252,7 @@ def _histogram(ax: Any, events: dict[str, Events], field: str, bins: Array, labe
     ax.set_ylabel("events per cm², minute and bin")
 
 
-def _sheet(ax: Any, recorded: list[Array], generated: list[Array]) -> None:
+def _sheet(ax: Axes, recorded: list[Array], generated: list[Array]) -> None:
     """Images of single events: recorded ones above, generated ones below."""
     height, width = THUMB_ROWS * THUMB_PX, THUMB_COLUMNS * THUMB_PX
     sheet = np.full((2 * height + 6, width), np.nan)

@@ -7,7 +7,6 @@ points by a field that is not in its key: that field has the same value for all 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 from catalog_tools.documents import Arguments
 from pipeline.arrays import Geometry
@@ -72,7 +71,7 @@ class LightPlan:
 
     kind: str
     plan: Plan
-    content: tuple[Any, ...]
+    content: tuple[object, ...]
 
     def geometry(self, g: Geometry) -> Geometry:
         """What this light needs of a frame's geometry."""
@@ -124,7 +123,7 @@ def _part(plan: Plan, kind: str) -> LightPlan:
     return LightPlan(kind, reduced, tuple(content))
 
 
-def _values(of: Facts | Plan, but: tuple[str, ...]) -> list[Any]:
+def _values(of: Facts | Plan, but: tuple[str, ...]) -> list[object]:
     return [getattr(of, f.name) for f in fields(of) if f.name not in but]
 
 

@@ -7,7 +7,6 @@ import math
 import warnings
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -47,7 +46,7 @@ class Design:
         """What a point adds to the scene's seed."""
         return point % self.sweep.seeds
 
-    def extremes(self, name: str) -> list[Any]:
+    def extremes(self, name: str) -> list[object]:
         """The values of a field among which its least and largest are; none where it is no axis."""
         for axis in self.axes:
             if isinstance(axis, ListAxis) and axis.field == name:
@@ -74,7 +73,7 @@ class Design:
             first = sum(digits) * self.sweep.seeds
             yield from range(first, first + self.sweep.seeds)
 
-    def _axis_values(self, place: int) -> list[tuple[Any, ...]]:
+    def _axis_values(self, place: int) -> list[tuple[object, ...]]:
         """Of each axis the values of its fields at a place."""
         if isinstance(self.sweep.design, QuasiRandom):
             shares = self._block(place // BLOCK)[place % BLOCK]
@@ -115,7 +114,7 @@ class Design:
         return self._whole
 
 
-def _at(axis: ListAxis | TableAxis | RangeAxis, index: int) -> tuple[Any, ...]:
+def _at(axis: ListAxis | TableAxis | RangeAxis, index: int) -> tuple[object, ...]:
     """The value or values number `index` of an axis."""
     if isinstance(axis, ListAxis):
         return (axis.values[index],)
@@ -125,7 +124,7 @@ def _at(axis: ListAxis | TableAxis | RangeAxis, index: int) -> tuple[Any, ...]:
     return (axis.at(index / (count - 1) if count > 1 else 0.0),)
 
 
-def _at_share(axis: ListAxis | TableAxis | RangeAxis, share: float) -> tuple[Any, ...]:
+def _at_share(axis: ListAxis | TableAxis | RangeAxis, share: float) -> tuple[object, ...]:
     """The value or values of an axis a share of the way along it."""
     if isinstance(axis, RangeAxis):
         return (axis.at(share),)

@@ -6,7 +6,6 @@ import hashlib
 import json
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +13,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from catalog_tools.storage.durable import whole_file, write_atomically
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.spec.sweep import Sweep
@@ -62,7 +61,7 @@ def schema_of(sweep: Sweep, names: tuple[str, ...]) -> pa.Schema:
     return pa.schema(columns)
 
 
-def _type_of(values: list[Any]) -> pa.DataType:
+def _type_of(values: list[object]) -> pa.DataType:
     """A column's type: numbers, true and false, or text (JSON where the values are mixed)."""
     kinds = {type(v) for v in values if v is not None}
     if kinds == {bool}:
@@ -165,7 +164,7 @@ def _span(path: Path) -> tuple[int, int]:
     return int(column.min()), int(column.max())
 
 
-def _fit(value: Any, kind: pa.DataType) -> Any:
+def _fit(value: JsonValue, kind: pa.DataType) -> JsonValue:
     """A value as its column takes it."""
     if value is None:
         return None
@@ -214,7 +213,7 @@ def identity_of(sweep: Sweep, data: JsonObject, digests: list[str]) -> JsonObjec
     }
 
 
-def _sha(value: Any) -> str:
+def _sha(value: object) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 

@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -53,7 +52,7 @@ class Measurement:
     ) -> None:
         self.plan, self.maps, self.metrics, self.names = plan, maps, metrics, names
         self.wish = wish
-        self._cells: list[list[Any]] = []
+        self._cells: list[list[object]] = []
         self._backgrounds: list[tuple[float, int]] = []
         self._saturated, self._pixels = 0, 0
         self._peaks: dict[str, list[float]] = {name: [] for name in names}

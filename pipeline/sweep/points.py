@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -52,7 +51,7 @@ def floors_of(sweep: Sweep, folder: str) -> dict[str, float]:
     return out
 
 
-def _number(value: Any, name: str, folder: str) -> float | None:
+def _number(value: object, name: str, folder: str) -> float | None:
     """A value as a number, of an image its median; None where it is neither."""
     if isinstance(value, bool) or value is None:
         return None
@@ -73,7 +72,7 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
     return parse_scene(data, base=Path(course.base_folder))
 
 
-def set_field(data: JsonObject, name: str, value: Any) -> None:
+def set_field(data: JsonObject, name: str, value: object) -> None:
     """Set a dotted field of plain data: `sensor.read_noise_e`, `targets.0.body.albedo`."""
     try:
         set_dotted(data, name, value)
@@ -126,7 +125,7 @@ def _typical(kept: Stages, scene: Scene, name: str) -> float:
     return float(kept.get("typical", (name, value), read, lambda _: 100, small=True))
 
 
-def light_group(design: Design, point: int) -> tuple[tuple[str, Any], ...]:
+def light_group(design: Design, point: int) -> tuple[tuple[str, object], ...]:
     """The values of a point that its light may depend on: points of one group come together."""
     values = design.values(point)
     return tuple((k, repr(v)) for k, v in values.items() if k not in AFTER_LIGHT)

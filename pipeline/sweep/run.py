@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 from catalog_tools.documents import JsonObject
@@ -130,7 +129,7 @@ def course_of(wish: Sweep, folder: Path, out: Path) -> Course:
     return Course(wish, data, str(folder), floors, uuid4().hex, str(out.resolve()))
 
 
-def _from(home: Path, value: Any) -> Any:
+def _from(home: Path, value: object) -> object:
     """A path as it is seen from everywhere."""
     if isinstance(value, list):
         return [_from(home, v) for v in value]
@@ -235,7 +234,7 @@ def groups(course: Course, book: PointLedger) -> Iterator[tuple[int, ...]]:
     design = course.design
     order = (p for p in design.order(frozenset(AFTER_LIGHT)) if not book.done[p])
     while window := list(itertools.islice(order, GROUPED)):
-        together: dict[Any, list[int]] = {}
+        together: dict[object, list[int]] = {}
         for point in window:
             together.setdefault(light_group(design, point), []).append(point)
         for points in together.values():

@@ -76,15 +76,15 @@ class Stages:
     def get(
         self,
         stage: str,
-        key: tuple[Any, ...],
-        make: Callable[[], Any],
+        key: tuple[object, ...],
+        make: Callable[[], object],
         size: Callable[[Any], int],
         *,
         small: bool = False,
     ) -> Any:
         """The value of a stage, computed where nothing of this key is kept."""
 
-        def counted() -> Any:
+        def counted() -> object:
             with self._lock:
                 self.drawn[stage] += 1
             return make()
@@ -255,7 +255,7 @@ def _read_key(base: Base, plan: Plan) -> str:
     )
 
 
-def _token(value: Any) -> str:
+def _token(value: object) -> str:
     return str(tokenize(value))
 
 

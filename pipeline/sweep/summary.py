@@ -6,7 +6,6 @@ import html
 import json
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -95,11 +94,11 @@ def _draw(file: pq.ParquetFile, axes: list[str], metrics: list[str]) -> str | No
     return figure(columns, across, down) if across and down else None
 
 
-def _every(count: int, step: int) -> Any:
+def _every(count: int, step: int) -> object:
     return pa.array(np.arange(0, count, step))
 
 
-def _numbers(column: Any) -> np.ndarray:
+def _numbers(column: pa.ChunkedArray) -> np.ndarray:
     """A column as float64; what is no number is NaN."""
     if column.type in ("string", "large_string"):
         return np.full(len(column), np.nan)

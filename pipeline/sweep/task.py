@@ -192,7 +192,7 @@ def _end(course: Course, point: _Point) -> Row:
     return row
 
 
-def _shared(points: list[_Point], work: Callable[[], Any]) -> bool:
+def _shared(points: list[_Point], work: Callable[[], object]) -> bool:
     """Do what points share; its time is shared out. False where it failed, for all of them."""
     started = time.perf_counter()
     first = points[0]
@@ -205,7 +205,7 @@ def _shared(points: list[_Point], work: Callable[[], Any]) -> bool:
     return first.alive
 
 
-def _tried(point: _Point, work: Callable[[], Any]) -> None:
+def _tried(point: _Point, work: Callable[[], object]) -> None:
     """Do something for a point; what fails is its fault, but a full disk is nobody's."""
     if not point.alive:
         return
@@ -225,7 +225,7 @@ def _tried(point: _Point, work: Callable[[], Any]) -> None:
     point.seconds += time.perf_counter() - started
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """A value as a table takes it: numbers, text, true and false; anything else as JSON."""
     if isinstance(value, np.generic):
         value = value.item()

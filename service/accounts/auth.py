@@ -7,7 +7,6 @@ import hashlib
 import time
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import Any
 
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
@@ -103,7 +102,7 @@ class Authenticator:
             raise Unauthenticated(REFUSED)
         return known[0]
 
-    async def _matches(self, row: Any, secret: str) -> bool:
+    async def _matches(self, row: object, secret: str) -> bool:
         if self._in_line >= IN_LINE:
             raise TooMany("too many keys are being verified; try again")
         self._in_line += 1

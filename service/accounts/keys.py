@@ -28,7 +28,7 @@ TEAM = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 
 
 @lru_cache(maxsize=1)
-def _hasher() -> Any:
+def _hasher() -> PasswordHasher:
     """argon2id with 19 MiB and two passes: the secret has 256 bits, guessing is hopeless anyway."""
     return PasswordHasher(time_cost=2, memory_cost=19_456, parallelism=1)
 

@@ -8,7 +8,6 @@ import logging
 import threading
 import time
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, build_opener
 
@@ -64,7 +63,7 @@ class Verifier:
             raise Forbidden(f"the token's claim {self._claim!r} must name one team")
         return team, f"oidc:{claims['sub']}"[:128]
 
-    def _key(self, kid: Any) -> Any:
+    def _key(self, kid: object) -> jwt.PyJWK:
         with self._lock:
             age = time.monotonic() - self._read_s
             if age > (READ_AGAIN_S if kid not in self._keys else RENEW_S):
@@ -94,7 +93,7 @@ def _loopback(host: str) -> bool:
 
 
 class _NoRedirect(HTTPRedirectHandler):
-    def redirect_request(self, *_: Any) -> None:
+    def redirect_request(self, *_: object) -> None:
         return None
 
 

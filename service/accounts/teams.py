@@ -8,7 +8,8 @@ from typing import Any
 from catalog_tools.documents import Arguments, JsonObject
 from service.accounts.auth import Caller
 from service.jobs.jobs import Job, JobStore, Phase
-from service.jobs.submissions import Ask, TeamLimits, run_pending, submit_many
+from service.jobs.quotas import TeamLimits
+from service.jobs.submissions import Ask, run_pending, submit_many
 from service.settings import Settings
 
 

@@ -11,7 +11,6 @@ import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from catalog_tools.documents import JsonObject
 from pipeline.store.layout import BEGUN, COMPLETE, LOCK
@@ -110,7 +109,7 @@ class Attempt:
         """End the job after a fault of the runner itself."""
         self._finish(Phase.ERROR, error=fault("an internal fault of the runner"))
 
-    def _finish(self, phase: Phase, **values: Any) -> None:
+    def _finish(self, phase: Phase, **values: object) -> None:
         values = {name: value for name, value in values.items() if value is not None}
         if phase != Phase.COMPLETED:
             values["bytes_kept"] = bytes_of(self._product)

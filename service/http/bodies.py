@@ -8,11 +8,11 @@ import json
 import math
 from collections.abc import Sequence
 from itertools import chain
-from typing import Any
+from typing import NoReturn
 
 from starlette.requests import ClientDisconnect, Request
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput
 from pipeline.spec import load
 from service.problems import Malformed, TooLarge, TooSlow, WrongMediaType, cut
@@ -82,12 +82,12 @@ def _check_media_type(request: Request, wanted: tuple[str, ...]) -> None:
         )
 
 
-def parse_text(body: bytes, kind: str) -> Any:
+def parse_text(body: bytes, kind: str) -> JsonValue:
     """Plain data from the text of a scene or sweep, JSON or YAML. Malformed, TooLarge."""
     return parse_yaml(body) if kind == YAML else parse_json(body)
 
 
-def parse_yaml(body: bytes) -> Any:
+def parse_yaml(body: bytes) -> JsonValue:
     """Plain data from YAML 1.2, as strict as JSON: one document of mappings with text as keys,
     lists, text, finite numbers, true, false and null; no key twice, no alias, no tag for more.
 
@@ -103,7 +103,7 @@ def parse_yaml(body: bytes) -> Any:
     return data
 
 
-def parse_json(body: bytes) -> Any:
+def parse_json(body: bytes) -> JsonValue:
     """Plain data from JSON text. Malformed for everything that RFC 8259 or sense refuses:
 
     NaN, Infinity and numbers beyond float64, lone surrogates, keys given twice, nesting deeper
@@ -129,7 +129,7 @@ def parse_json(body: bytes) -> Any:
     return data
 
 
-def _no_constant(name: str) -> Any:
+def _no_constant(name: str) -> NoReturn:
     raise Malformed(f"{name} is not JSON")
 
 
@@ -140,7 +140,7 @@ def _finite(text: str) -> float:
     return value
 
 
-def _once(pairs: list[tuple[str, Any]]) -> JsonObject:
+def _once(pairs: list[tuple[str, object]]) -> JsonObject:
     found = dict(pairs)
     if len(found) != len(pairs):
         seen: set[str] = set()
@@ -149,7 +149,7 @@ def _once(pairs: list[tuple[str, Any]]) -> JsonObject:
     return found
 
 
-def _check_nodes(data: Any) -> None:
+def _check_nodes(data: object) -> None:
     """Depth, kind and text of every node, without recursion."""
     level = [data]
     for depth in range(MAX_DEPTH + 1):
@@ -161,7 +161,7 @@ def _check_nodes(data: Any) -> None:
     raise Malformed(f"the body is nested deeper than {MAX_DEPTH} levels")
 
 
-def _checked(node: Any) -> Sequence[Any]:
+def _checked(node: object) -> Sequence[object]:
     """What a node holds: the keys and values of a mapping, the items of a list."""
     if isinstance(node, str):
         _check_text(node)

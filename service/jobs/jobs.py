@@ -1,50 +1,24 @@
-"""The durable job record: one row a job, and the table of what may follow what."""
+"""The durable job record: one row a job."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import sqlalchemy as sa
 
 from catalog_tools.documents import JsonObject
+from service.jobs.phases import FINAL, MENDABLE, NEXT, WAITING, P, Phase
+from service.jobs.quotas import TeamLimits, ask_more
 from service.problems import NotReady, NotThere, cut
 from service.store.database import connect, now_s, sqlite_url, writing
 from service.store.leases import holds
 from service.store.named_files import check_files
 from service.store.tables import audit, jobs
 
-if TYPE_CHECKING:
-    from service.jobs.submissions import TeamLimits
-
-
-class Phase(StrEnum):
-    """Phases of a job, as in IVOA UWS 1.1."""
-
-    PENDING = "PENDING"
-    QUEUED = "QUEUED"
-    EXECUTING = "EXECUTING"
-    COMPLETED = "COMPLETED"
-    ERROR = "ERROR"
-    ABORTED = "ABORTED"
-
-
-P = Phase
-NEXT: dict[Phase, frozenset[Phase]] = {
-    P.PENDING: frozenset({P.QUEUED, P.ABORTED}),
-    P.QUEUED: frozenset({P.EXECUTING, P.ABORTED}),
-    P.EXECUTING: frozenset({P.COMPLETED, P.ERROR, P.ABORTED}),
-    P.COMPLETED: frozenset(),
-    P.ERROR: frozenset({P.QUEUED}),  # by `retry`
-    P.ABORTED: frozenset(),
-}
-FINAL = frozenset({P.COMPLETED, P.ERROR, P.ABORTED})
-MENDABLE = ("try later", "incomplete", "disk full", "fault")  # errors that are not the scene's
-WAITING = (P.PENDING, P.QUEUED)
 LOCAL = "local"  # the team of a service without keys
 SHOWN = tuple(c for c in jobs.c if c.name != "scene")
 AMENDABLE = frozenset({"run_id", "destruction_s", "duration_s"})
@@ -119,24 +93,6 @@ class JobStore:
 
     def close(self) -> None:
         self.engine.dispose()
-
-    def submit(
-        self,
-        name: str,
-        scene: JsonObject,
-        body_sha256: str,
-        key: str | None,
-        limit: int,
-        **more: Any,
-    ) -> tuple[Job, bool]:
-        """Queue one job; see service/jobs/submissions.py."""
-        from service.jobs.submissions import Ask, TeamLimits, submit_many
-
-        ask = Ask(name=name, scene=scene, body_sha256=body_sha256, key=key, **more)
-        [answer] = submit_many(self, [ask], TeamLimits(queued_jobs=limit))
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
 
     def get(self, job_id: str, team: str | None = None) -> Job:
         """A job. NotThere where there is none (or it was deleted, or is another team's)."""
@@ -222,8 +178,6 @@ class JobStore:
         """Change what a client may change of a job: run_id, destruction_s, duration_s, and of one
         that is PENDING also its name, scene and pixel_frames, which count as asked for today where
         they are more than before. NotReady for anything else, QueueFull beyond a quota."""
-        from service.jobs.submissions import ask_more
-
         with writing(self.engine) as db:
             job = self._one(db, job_id, team)
             fixed = set(values) - AMENDABLE
@@ -255,7 +209,7 @@ class JobStore:
             raise NotThere("there is no such job")
         return job_of(row)
 
-    def _move(self, db: sa.Connection, job: Job, to: Phase, **values: Any) -> None:
+    def _move(self, db: sa.Connection, job: Job, to: Phase, **values: object) -> None:
         """Change the phase, as NEXT allows."""
         if to not in NEXT[job.phase]:
             raise NotReady(f"a job that is {job.phase} cannot become {to}")
@@ -263,7 +217,7 @@ class JobStore:
             values["ended_s"] = now_s(db)
         self._change(db, job, phase=to.value, **values)
 
-    def _change(self, db: sa.Connection, job: Job, **values: Any) -> None:
+    def _change(self, db: sa.Connection, job: Job, **values: object) -> None:
         """Update the row if it still is in the phase and attempt that the caller knows."""
         if isinstance(values.get("error"), dict):
             values["error"] = json.dumps(values["error"])
@@ -326,10 +280,12 @@ class Queue(JobStore):
                 self._change(db, job, **changes)
             return self._one(db, job.id, hidden=True)
 
-    def _next(self, db: sa.Connection, team_limit: int, turns: Mapping[str, float]) -> Any:
+    def _next(
+        self, db: sa.Connection, team_limit: int, turns: Mapping[str, float]
+    ) -> sa.RowMapping | None:
         """The oldest queued job of the team whose turn it is."""
 
-        def grouped(phase: Phase, what: Any) -> dict[str, int]:
+        def grouped(phase: Phase, what: sa.ColumnElement[int]) -> dict[str, int]:
             query = sa.select(jobs.c.team, what).where(jobs.c.phase == phase)
             return dict(db.execute(query.group_by(jobs.c.team)).all())
 

@@ -15,25 +15,17 @@ import sqlalchemy as sa
 from pydantic_core import to_json
 
 from catalog_tools.documents import JsonObject
-from service.jobs.jobs import LOCAL, SHOWN, WAITING, Job, JobStore, Phase, audit_line, job_of
-from service.problems import KeyReused, NotAllowed, NotReady, QueueFull
+from service.jobs.jobs import LOCAL, SHOWN, Job, JobStore, Phase, audit_line, job_of
+from service.jobs.quotas import DAY_S, TeamLimits, Used, count, refuse, used_by
+from service.problems import KeyReused, NotAllowed, NotReady
 from service.store.database import now_s, writing
 from service.store.named_files import check_files
-from service.store.tables import audit, counters, jobs, uploads, usage
+from service.store.tables import audit, counters, jobs
 
-DAY_S = 86_400.0
 MOST_AT_ONCE = 512
 Answer = tuple[Job, bool] | Exception
-Known = dict[tuple[str, str | None], Any]  # rows of jobs by team and key
-
-
-@dataclass(frozen=True)
-class TeamLimits:
-    """What one team may have: jobs that wait, pixels x frames a day, bytes of products."""
-
-    queued_jobs: int = 1 << 40
-    pixel_frames_day: int = 1 << 62
-    bytes_kept: int = 1 << 62
+Row = Any  # of the job table
+Known = dict[tuple[str, str | None], Row]  # by team and key
 
 
 @dataclass(frozen=True)
@@ -54,17 +46,6 @@ class Ask:
     duration_s: float | None = None
 
 
-@dataclass
-class Used:
-    """What a team has, while a batch is taken in."""
-
-    waiting: int
-    pixel_frames: int
-    bytes_kept: int
-    new_jobs: int = 0
-    new_pixel_frames: int = 0
-
-
 def submit_many(store: JobStore, asks: Sequence[Ask], limits: TeamLimits) -> list[Answer]:
     """Queue jobs, all in one transaction: for each (job, True), or where its key was used before
     (the job that it made, False), or the refusal: KeyReused, QueueFull, NotAllowed for a file that
@@ -82,14 +63,14 @@ def submit_many(store: JobStore, asks: Sequence[Ask], limits: TeamLimits) -> lis
             db.execute(sa.insert(jobs), rows)
             lines = [audit_line(now, r["team"], r["owner"], "submit", r["id"]) for r in rows]
             db.execute(sa.insert(audit), lines)
-            for team, count in used.items():
-                _count(db, team, day, count)
+            for team, of_team in used.items():
+                count(db, team, day, of_team)
     return [t if isinstance(t, Exception) else (job_of(t[0]), t[1]) for t in taken]
 
 
 def _take_in(
     db: sa.Connection, ask: Ask, now: float, known: Known, used: Used, limits: TeamLimits
-) -> tuple[Any, bool] | Exception:
+) -> tuple[Row, bool] | Exception:
     """A new row, counted in `used` and `known`, and True; a known row and False; or a refusal."""
     place = (ask.team, ask.key)
     if ask.key is not None and place in known:
@@ -125,54 +106,6 @@ def run_pending(store: JobStore, job_id: str, limits: TeamLimits, team: str, act
         return store._one(db, job_id)
 
 
-def ask_more(db: sa.Connection, team: str, pixel_frames: int, limits: TeamLimits | None) -> None:
-    """Count what a job that waits asks for beside what it was submitted with. QueueFull."""
-    day = int(now_s(db) // DAY_S)
-    used = used_by(db, team, day)
-    used.waiting -= 1  # itself
-    refusal = refuse(used, pixel_frames, limits or TeamLimits())
-    if refusal is not None:
-        raise refusal
-    used.new_pixel_frames = pixel_frames
-    _count(db, team, day, used)
-
-
-def used_by(db: sa.Connection, team: str, day: int) -> Used:
-    """What a team has waiting, has asked for today, and keeps on disk."""
-    row = db.execute(USED, {"of": team, "on": day}).one()
-    return Used(row[0], int(row[1] or 0), int(row[2] or 0) + int(row[3] or 0))
-
-
-def _used() -> sa.Select[Any]:
-    """One statement, made once: jobs waiting, pixels x frames today, bytes of products, files."""
-    of: Any = sa.bindparam("of")
-    on: Any = sa.bindparam("on")
-    waiting = sa.select(sa.func.count()).where(
-        jobs.c.team == of, jobs.c.phase.in_([p.value for p in WAITING])
-    )
-    today = sa.select(usage.c.pixel_frames).where(usage.c.team == of, usage.c.day == on)
-    kept = sa.select(sa.func.sum(jobs.c.bytes_kept)).where(jobs.c.team == of)
-    files = sa.select(sa.func.sum(uploads.c.bytes)).where(uploads.c.team == of)
-    return sa.select(*(query.scalar_subquery() for query in (waiting, today, kept, files)))
-
-
-USED = _used()
-
-
-def refuse(used: Used, pixel_frames: int, limits: TeamLimits) -> QueueFull | None:
-    """Which quota one more job would break, if any."""
-    if used.waiting + used.new_jobs >= limits.queued_jobs:
-        return QueueFull(f"{limits.queued_jobs} jobs are waiting already; try again later")
-    asked = used.pixel_frames + used.new_pixel_frames + pixel_frames
-    if asked > limits.pixel_frames_day:
-        most = limits.pixel_frames_day
-        return QueueFull(f"a team may ask for {most} pixels x frames a day (UTC); this is {asked}")
-    if used.bytes_kept >= limits.bytes_kept:
-        most = limits.bytes_kept
-        return QueueFull(f"a team may keep {most} bytes of products; delete some jobs first")
-    return None
-
-
 def _known(db: sa.Connection, asks: Sequence[Ask]) -> Known:
     given = {ask.key for ask in asks if ask.key is not None}
     if not given:
@@ -182,7 +115,7 @@ def _known(db: sa.Connection, asks: Sequence[Ask]) -> Known:
     return {(r["team"], r["idempotency_key"]): r for r in db.execute(query).mappings()}
 
 
-def _replay(ask: Ask, row: Any) -> tuple[Any, bool] | Exception:
+def _replay(ask: Ask, row: Row) -> tuple[Row, bool] | Exception:
     if row["body_sha256"] != ask.body_sha256:
         return KeyReused("this Idempotency-Key was used with another body")
     return row, False
@@ -230,30 +163,12 @@ def _number(db: sa.Connection, rows: list[JsonObject]) -> None:
         row["number"] = number
 
 
-def _count(db: sa.Connection, team: str, day: int, used: Used) -> None:
-    """Add to the day's account of a team."""
-    if not (used.new_jobs or used.new_pixel_frames):
-        return
-    new = {"jobs": used.new_jobs, "pixel_frames": used.new_pixel_frames}
-    more = {"of": team, "on": day, "more_jobs": new["jobs"], "more_pixels": new["pixel_frames"]}
-    if db.execute(COUNT, more).rowcount == 0:
-        db.execute(sa.insert(usage), [{"team": team, "day": day} | new])
-
-
 # Statements are made once: SQLAlchemy takes longer to make one than the database to run it.
 NUMBER = (
     sa.update(counters)
     .where(counters.c.name == "jobs")
     .values(value=counters.c.value + sa.bindparam("more", type_=sa.BigInteger))
     .returning(counters.c.value)
-)
-COUNT = (
-    sa.update(usage)
-    .where(usage.c.team == sa.bindparam("of"), usage.c.day == sa.bindparam("on"))
-    .values(
-        jobs=usage.c.jobs + sa.bindparam("more_jobs", type_=sa.BigInteger),
-        pixel_frames=usage.c.pixel_frames + sa.bindparam("more_pixels", type_=sa.BigInteger),
-    )
 )
 
 
@@ -265,7 +180,7 @@ class Intake:
 
     def __init__(self, store: JobStore, limits: TeamLimits) -> None:
         self._store, self._limits = store, limits
-        self._waiting: queue.SimpleQueue[tuple[Ask, asyncio.Future[Any]] | None]
+        self._waiting: queue.SimpleQueue[tuple[Ask, asyncio.Future[Answer]] | None]
         self._waiting = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
         self.commits, self.jobs = 0, 0
@@ -280,7 +195,7 @@ class Intake:
 
     async def put(self, ask: Ask) -> tuple[Job, bool]:
         """The job and whether it is new; raises what submit_many refuses with."""
-        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         self._waiting.put((ask, future))
         answer = await future
         if isinstance(answer, Exception):
@@ -303,7 +218,7 @@ class Intake:
             if pairs:
                 self._commit(pairs)
 
-    def _commit(self, pairs: list[tuple[Ask, asyncio.Future[Any]]]) -> None:
+    def _commit(self, pairs: list[tuple[Ask, asyncio.Future[Answer]]]) -> None:
         try:
             answers = submit_many(self._store, [ask for ask, _ in pairs], self._limits)
         except Exception as error:
@@ -316,7 +231,7 @@ class Intake:
             loop.call_soon_threadsafe(_settle, futures, answers)
 
 
-def _settle(futures: list[asyncio.Future[Any]], answers: list[Answer]) -> None:
+def _settle(futures: list[asyncio.Future[Answer]], answers: list[Answer]) -> None:
     for future, answer in zip(futures, answers, strict=True):
         if not future.done():  # the client may have gone
             future.set_result(answer)

@@ -7,7 +7,7 @@ import os
 import re
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from pipeline.errors import BadInput, Damaged
 from pipeline.store import layout
 from pipeline.store.markers import marker_path
 from service.problems import NotReady, NotThere
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import zarr
 
 MAX_PIXELS = 1 << 24  # of one answer
 MAX_READ = 1 << 27  # of one tile, whatever is left of it after binning
@@ -213,7 +217,7 @@ def truth_of(product: Path, frame: int, limit: int) -> JsonObject:
     return out
 
 
-def _truth_rows(product: Path, kind: str, frame: int, columns: tuple[str, ...]) -> Any:
+def _truth_rows(product: Path, kind: str, frame: int, columns: tuple[str, ...]) -> pa.Table | None:
     import pyarrow.parquet as pq
 
     path = product / layout.TRUTH / f"{kind}.parquet"
@@ -224,7 +228,7 @@ def _truth_rows(product: Path, kind: str, frame: int, columns: tuple[str, ...]) 
     return pq.read_table(path, columns=[c for c in columns if c in known], filters=seen)
 
 
-def _plain(table: Any) -> list[JsonObject]:
+def _plain(table: pa.Table) -> list[JsonObject]:
     return [
         {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
         for row in table.to_pylist()
@@ -246,7 +250,7 @@ def frame_fits(product: Path, frame: int, layer: str) -> bytes:
         return fits_bytes(product, cube, frame, layer)
 
 
-def _array(product: Path, layer: str) -> Any:
+def _array(product: Path, layer: str) -> zarr.Array:
     import zarr
 
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import AsyncIterator
-from typing import Annotated, Any
+from typing import Annotated
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Header, Query, Request
@@ -98,7 +98,7 @@ def listing(
     found = service.store.listing(phase or (), after, limit + 1)
     shown, headers = found[:limit], {}
     if len(found) > limit:
-        query: list[tuple[str, Any]] = [("phase", p.value) for p in phase or ()]
+        query: list[tuple[str, str | int]] = [("phase", p.value) for p in phase or ()]
         query += [("after", shown[-1].number), ("limit", limit)]
         headers["Link"] = f'</v1/jobs?{urlencode(query)}>; rel="next"'
     return JSONResponse({"jobs": [job_dict(job) for job in shown]}, headers=headers)

@@ -9,7 +9,7 @@ from fastapi.responses import JSONResponse, Response
 
 from service.context import Service
 from service.jobs.jobs import Phase
-from service.jobs.submissions import DAY_S, used_by
+from service.jobs.quotas import DAY_S, used_by
 from service.scenes.uploads import bytes_kept
 
 router = APIRouter(prefix="/v1/usage", tags=["usage"])

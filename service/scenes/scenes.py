@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Any
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import NightglassError
@@ -24,7 +23,7 @@ Named = tuple[tuple[str, str | list[str]], ...]  # (dotted field, what it names)
 
 
 def accept_scene(
-    data: Any, settings: Settings, has_file: HasFile | None = None, drawn: bool = True
+    data: object, settings: Settings, has_file: HasFile | None = None, drawn: bool = True
 ) -> Scene:
     """The scene of a request body, fit to be run here; `has_file` knows the caller's uploads.
 
@@ -39,7 +38,7 @@ def accept_scene(
     return scene
 
 
-def judge_scene(data: Any, settings: Settings, drawn: bool = True) -> Scene:
+def judge_scene(data: object, settings: Settings, drawn: bool = True) -> Scene:
     """The scene of a body, judged by itself alone: its form, its size, and where it names no
     file its times and its sky. Nothing that it names is read."""
     targets = data.get("targets") if isinstance(data, dict) else None

@@ -7,9 +7,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
-from typing import Any
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput
 from pipeline.plan.timing import frame_count
 from pipeline.spec.load import path_holders
@@ -40,7 +39,7 @@ def can_run() -> bool:
 
 
 def accept_sweep(
-    data: Any, settings: Settings, has_file: HasFile | None = None
+    data: JsonValue, settings: Settings, has_file: HasFile | None = None
 ) -> tuple[JsonObject, int]:
     """A sweep as it is stored, and its pixels x frames. Its base scene is looked at like any other,
     and its axes may neither name files nor change how large a point is.
@@ -83,9 +82,9 @@ def _changes(field: str, fixed: str) -> bool:
     return f"{fixed}.".startswith(f"{field}.") or field.startswith(f"{fixed}.")
 
 
-def _check_value(number: int, field: str, value: Any) -> None:
+def _check_value(number: int, field: str, value: object) -> None:
     """No value of an axis stands where a file could be named."""
-    placed: Any = value
+    placed: object = value
     for part in reversed(field.split(".")):
         placed = {part: placed}
     for name, holder, key in path_holders(placed):
@@ -94,7 +93,7 @@ def _check_value(number: int, field: str, value: Any) -> None:
             raise NotAllowed(f"axes[{number}]: {allowed}", ((f"axes[{number}]", value, allowed),))
 
 
-def run_sweep(order: JsonObject, listen: Any) -> JsonObject:
+def run_sweep(order: JsonObject, listen: object) -> JsonObject:
     """Run a stored sweep, in the worker's process. Its file lies beside the product meanwhile."""
     from pipeline.route.run import Options
 

@@ -23,6 +23,7 @@ from pipeline.spec.load import path_holders
 from service.accounts.auth import Caller
 from service.http.bodies import discard_rest
 from service.jobs.jobs import record
+from service.jobs.quotas import used_by
 from service.problems import (
     Malformed,
     NotAllowed,
@@ -177,8 +178,6 @@ def names_of(engine: sa.Engine, team: str, ids: Iterable[str]) -> dict[str, str]
 
 def bytes_kept(engine: sa.Engine, team: str) -> int:
     """Bytes on disk of a team's products and files."""
-    from service.jobs.submissions import used_by
-
     with engine.connect() as db:
         return used_by(db, team, 0).bytes_kept
 

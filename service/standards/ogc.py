@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
@@ -183,7 +183,7 @@ def results(request: Request, service: Service, job_id: str) -> Response:
     )
 
 
-def _accept(service: Context, body: bytes) -> tuple[Any, Scene]:
+def _accept(service: Context, body: bytes) -> tuple[JsonObject, Scene]:
     """The scene of an execute request; its mistakes are named as in the scene itself."""
     data = parse_json(body)
     inputs = data.get("inputs") if isinstance(data, dict) else None
@@ -201,7 +201,7 @@ def _accept(service: Context, body: bytes) -> tuple[Any, Scene]:
     return data, accept_scene(scene, service.settings, service.has_file)
 
 
-def _refusal(field: str, value: Any, allowed: str) -> NotAllowed:
+def _refusal(field: str, value: object, allowed: str) -> NotAllowed:
     return NotAllowed(f"{field}: allowed: {allowed}", ((field, value, allowed),))
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import sqlite3
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import sqlalchemy as sa
 
@@ -126,7 +126,7 @@ def now_s(db: sa.Connection) -> float:
     return float(db.exec_driver_sql("SELECT extract(epoch from clock_timestamp())").scalar_one())
 
 
-def _configure(connection: Any, _: Any) -> None:
+def _configure(connection: sqlite3.Connection, _: object) -> None:
     """Write-ahead log, synced at every commit; transactions are begun by `_begin`."""
     connection.isolation_level = None
     for pragma in (

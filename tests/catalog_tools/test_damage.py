@@ -146,7 +146,7 @@ def test_what_is_no_catalogue_is_told_apart(tmp_path, copy):
 
 def test_opening_imports_nothing_heavy():
     code = (
-        "import sys, catalog_tools.catalogue, catalog_tools.query.query, catalog_tools.info\n"
+        "import sys, catalog_tools.catalogue, catalog_tools.query.selection, catalog_tools.info\n"
         "heavy = {'healpy', 'astropy', 'pyarrow', 'dask', 'scipy', 'fsspec'} & set(sys.modules)\n"
         "sys.exit(f'imported: {heavy}' if heavy else 0)"
     )

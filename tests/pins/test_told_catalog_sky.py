@@ -154,7 +154,7 @@ for x in SHAPES: query.polygon(C, SHAPES[x], 19.0, columns=SOME)
 for x in SHAPES: query.polygon(C, SHAPES[x], epoch_jyear=1000.0, columns=["source_id"])
 for x in [None, 9.0, 15.0]: [query.read_leaf(C, l, x, ["phot_g_mean_mag"]) for l in C.leaves[:3]]
 [b.num_rows for b in query.record_batches(C, cone_of(0, 0, 90), 18.0)]
-for x in [None, 12.0]: [(l.path, l.row_groups[0].row_group) for l in query.select(C, AREAS, x)]
+for x in [None, 12.0]: [(l.path, l.row_groups[0].row_group) for l in selection.select(C, AREAS, x)]
 for x in [None, 15.0]: layers.already_in(C, LAYER, [cone_of(0, 0, 180)], x)
 for x in [1991.25, 2040.0]: layers.already_in(C, at(x), AREAS), layers.tolerance_arcsec(at(x), C)
 layers.already_in(C, LAYER, [cone_of(1, 89.99, 0.0001)])

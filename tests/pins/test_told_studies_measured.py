@@ -378,6 +378,7 @@ def test_cosmic_rays_and_the_demo(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 
     monkeypatch.setattr(demo, "render", render)
     monkeypatch.setattr(synthetic, "make_demo", make_demo)
+    monkeypatch.setattr(study, "make_demo", make_demo)
     for again in (False, True, False, True):
         said.append(demo.run_demo(tmp_path / "d", again, None, said.append))
         (tmp_path / "d" / "product").mkdir(exist_ok=True)

@@ -7,9 +7,8 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from catalog_tools.storage.durable import write_atomically
 from pipeline.errors import BadInput
 from pipeline.inputs.band.colour_fit import checksum, fit_of, gather_colour_fit, plain_fit
@@ -114,11 +113,11 @@ def _checked(path: Path, content: JsonObject) -> ColourFit:
     for name in ("band_name", "source"):
         if not isinstance(content.get(name), str):
             raise refuse(name, "text")
-    ends: Any = content.get("colour_range")
+    ends: JsonValue = content.get("colour_range")
     low, high = WIDEST_MAG
     if not _numbers(ends, 2, 2) or not low <= ends[0] < ends[1] <= high:
         raise refuse("colour_range", f"two increasing numbers from {low:g} to {high:g}")
-    terms: Any = content.get("coefficients")
+    terms: JsonValue = content.get("coefficients")
     if not _numbers(terms, 1, MOST_COEFFICIENTS):
         raise refuse("coefficients", f"1 to {MOST_COEFFICIENTS} numbers")
     largest = max(map(abs, ends))
@@ -127,11 +126,11 @@ def _checked(path: Path, content: JsonObject) -> ColourFit:
     return fit_of(content)
 
 
-def _numbers(values: Any, least: int, most: int) -> bool:
+def _numbers(values: JsonValue, least: int, most: int) -> bool:
     right = isinstance(values, list) and least <= len(values) <= most
     return right and all(_is_number(v) for v in values)
 
 
-def _is_number(value: Any, low: float = -math.inf, high: float = math.inf) -> bool:
+def _is_number(value: JsonValue, low: float = -math.inf, high: float = math.inf) -> bool:
     right = isinstance(value, int | float) and not isinstance(value, bool)
     return right and math.isfinite(value) and low <= value <= high

@@ -12,7 +12,6 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -49,7 +48,7 @@ def data_file(relative: str) -> Path | None:
 
 
 def resolve_response(
-    bandpass: Mapping[str, Any],
+    bandpass: Mapping[str, object],
     transmission: NumberOrTable,
     quantum_efficiency: NumberOrTable,
     base: Path | None = None,
@@ -86,7 +85,7 @@ def resolve_response(
     return response, name, hashlib.sha256(content).hexdigest()
 
 
-def _bandpass(bandpass: Mapping[str, Any], base: Path | None) -> tuple[ResponseCurve, str]:
+def _bandpass(bandpass: Mapping[str, object], base: Path | None) -> tuple[ResponseCurve, str]:
     kind = bandpass.get("kind")
     if kind == "box":
         short, long = (
@@ -116,13 +115,13 @@ def _bandpass(bandpass: Mapping[str, Any], base: Path | None) -> tuple[ResponseC
     return curve, name
 
 
-def _number(field: str, value: Any) -> float:
+def _number(field: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise BadInput(field, value, "a finite number")
     return float(value)
 
 
-def _fraction(field: str, value: Any) -> float:
+def _fraction(field: str, value: object) -> float:
     number = _number(field, value)
     if not 0.0 < number <= 1.0:
         raise BadInput(field, value, "above 0 and at most 1, or the path of a table")

@@ -9,7 +9,7 @@ LSST's harvested events (imSim) have the same columns, without `frame` and those
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,8 @@ from pipeline.physics.cosmic_rays.library import Library, Recorded
 from pipeline.physics.cosmic_rays.tracks import Flux
 from pipeline.spec.sensor import cosmic_rays as spec
 from pipeline.spec.sensor.sensor import Sensor
+
+Ints = NDArray[np.int64]
 
 FIELD = "cosmic_rays.path"
 TABLE = "COSMIC_RAYS"
@@ -121,11 +123,11 @@ def _library(
     path: Path,
     field: str,
     header: JsonObject,
-    event: Any,
-    frame: Any,
-    x0: Any,
-    y0: Any,
-    spans: list[Any],
+    event: Ints,
+    frame: Ints | None,
+    x0: Ints,
+    y0: Ints,
+    spans: list[NDArray[np.float64]],
 ) -> Library:
     """Rows of the table, checked, as events of pixels."""
     exposure_s, pixels = (_positive(path, field, header, n) for n in ("EXPTIME", "NUM_PIX"))
@@ -162,7 +164,7 @@ def _library(
     )
 
 
-def _check_rows(path: Path, field: str, electrons: Any, x0: Any, y0: Any) -> None:
+def _check_rows(path: Path, field: str, electrons: NDArray[np.float64], x0: Ints, y0: Ints) -> None:
     """BadInput for charges that are none, and for pixels at impossible places."""
     if not np.isfinite(electrons).all() or (electrons < 0).any():
         raise BadInput(field, f"{path.name} with a negative or NaN charge", "electrons, 0 or more")
@@ -175,8 +177,8 @@ def _check_rows(path: Path, field: str, electrons: Any, x0: Any, y0: Any) -> Non
 
 
 def _frames_of(
-    path: Path, field: str, frames: Any, frame: Any, rows: Any
-) -> tuple[int | None, Any]:
+    path: Path, field: str, frames: object, frame: Ints | None, rows: Ints
+) -> tuple[int | None, Ints]:
     """How many frames there are, and that of each event, by its row; None, 0 where not said."""
     if frame is None or not isinstance(frames, int) or frames < 1:
         return None, np.zeros(len(rows), np.int64)
@@ -339,7 +341,7 @@ def extract_library(
     for rest in _residuals(darks, level):
         hits += rest > seed_sigma * sigma
     bad = bad_pixels(hits, frames)
-    found: list[Any] = []
+    found: list[tuple[np.ndarray, ...]] = []
     for number, rest in enumerate(_residuals(darks, level)):
         event, y, x = find_events(rest, sigma, bad, seed_sigma, grow_sigma)
         found.append((event, y, x, rest[y, x] * gain_e_per_dn))
@@ -386,7 +388,7 @@ def _offsets(darks: DarkStack) -> NDArray[np.float32]:
     )
 
 
-def _residuals(darks: DarkStack, level: NDArray[np.float32]) -> Any:
+def _residuals(darks: DarkStack, level: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
     """The frames one by one, without the stack's level."""
     from pipeline.physics.cosmic_rays.detect import residual
 
@@ -396,7 +398,10 @@ def _residuals(darks: DarkStack, level: NDArray[np.float32]) -> Any:
 
 
 def _joined(
-    found: list[Any], darks: DarkStack, exposure_s: float, pixel_pitch_um: float
+    found: list[tuple[np.ndarray, ...]],
+    darks: DarkStack,
+    exposure_s: float,
+    pixel_pitch_um: float,
 ) -> Library:
     """Events of all frames as a library."""
     start, frame, before = [0], [], 0

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.distortion import HIGHEST_ORDER, FileDistortion
+
+if TYPE_CHECKING:
+    from astropy.io.fits import Header
 
 FIELD = "sensor.distortion.path"
 LARGEST_TEXT = 1 << 20
@@ -51,13 +54,13 @@ def read_distortion(path: Path) -> JsonObject:
     raise BadInput(FIELD, str(path), "a file with a SIP (A_ORDER, B_ORDER) or TPV distortion")
 
 
-def _is_tpv(header: Any) -> bool:
+def _is_tpv(header: Header) -> bool:
     ctype = str(header.get("CTYPE1", ""))
     scamp = ctype.endswith("-TAN") and any(f"PV2_{k}" in header for k in range(1, 40))
     return ctype.endswith("-TPV") or scamp
 
 
-def _headers(path: Path) -> list[Any]:
+def _headers(path: Path) -> list[Header]:
     """Headers of a FITS file, or the one that a text file spells out."""
     from astropy.io import fits
 
@@ -79,7 +82,7 @@ def _headers(path: Path) -> list[Any]:
         raise BadInput(FIELD, str(path), f"a readable FITS file or header; {error}") from None
 
 
-def _sip(header: Any, path: Path, reference: list[float]) -> JsonObject:
+def _sip(header: Header, path: Path, reference: list[float]) -> JsonObject:
     orders = [int(header.get(f"{name}_ORDER", 0)) for name in "AB"]
     if max(orders) > HIGHEST_ORDER:
         raise BadInput(FIELD, str(path), f"SIP terms up to order {HIGHEST_ORDER}")
@@ -95,7 +98,7 @@ def _sip(header: Any, path: Path, reference: list[float]) -> JsonObject:
     return {"kind": "sip", "a": a, "b": b, "reference_px": reference}
 
 
-def _tpv(header: Any, reference: list[float]) -> JsonObject:
+def _tpv(header: Header, reference: list[float]) -> JsonObject:
     pv1, pv2 = (
         {k: float(header[f"PV{i}_{k}"]) for k in range(40) if f"PV{i}_{k}" in header}
         for i in (1, 2)

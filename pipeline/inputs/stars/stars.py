@@ -51,7 +51,7 @@ def gather_shards(
     catalogues: Sequence[Catalogue], cones: Sequence[Cone], faintest_g_mag: float | None
 ) -> tuple[Shard, ...]:
     """Leaves of all catalogues that may hold a star of any of the cones, with those row groups."""
-    from catalog_tools.query.query import select
+    from catalog_tools.query.selection import select
 
     return tuple(
         Shard(i, leaf)
@@ -71,7 +71,7 @@ def brightest_g_mags(catalogue: Catalogue, leaf: Leaf, faintest_g_mag: float | N
 
 def leaf_pad_rad(leaf: Leaf, years: float, observer_distance_au: float) -> float:
     """How far the stars of a leaf may be seen from their catalogue places [rad]."""
-    from catalog_tools.query.query import motion_pad_rad
+    from catalog_tools.query.selection import motion_pad_rad
 
     return float(
         motion_pad_rad(

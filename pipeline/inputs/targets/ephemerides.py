@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import erfa.ufunc as era
 import numpy as np
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.inputs.earth_orientation import gather_dut1_s, gather_pole_arcsec
@@ -27,6 +27,8 @@ from pipeline.plan.timing import end_s
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.spec.targets.orbit import MOST_ROWS, EphemerisOrbit, OmmOrbit, Orbit
+
+Read = TypeVar("Read")
 
 LIGHT_MARGIN_S = 1000.0  # rows are kept for light that left this long before (2 au)
 SPARE_ROWS = 16  # on either side, for the polynomials
@@ -62,7 +64,7 @@ class _Reader:
         self._epoch = parse_utc(scene.epoch)
         self._text = scene.epoch
         self._dwell_s = end_s(scene)
-        self._files: dict[Any, Any] = {}
+        self._files: dict[object, Any] = {}
 
     def orbit(self, orbit: Orbit, field: str) -> JsonObject:
         if isinstance(orbit, OmmOrbit):
@@ -79,7 +81,7 @@ class _Reader:
         )
         return self._rows(choose(tables, orbit.object, field, path), field, path)
 
-    def _once(self, key: Any, read: Callable[[], Any]) -> Any:
+    def _once(self, key: object, read: Callable[[], Read]) -> Read:
         if key not in self._files:
             self._files[key] = read()
         return self._files[key]
@@ -126,7 +128,7 @@ class _Reader:
         return elapsed_s(self._epoch, table.utc1, table.utc2)
 
 
-def choose(found: JsonObject, wanted: str | None, field: str, path: Path) -> Any:
+def choose(found: JsonObject, wanted: str | None, field: str, path: Path) -> JsonValue:
     """The one object of a file that is meant, by name or number; BadInput where none or several."""
     names = ", ".join(list(found)[:20]) or "(none)"
     if wanted is None:

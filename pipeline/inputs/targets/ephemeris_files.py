@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 import erfa.ufunc as era
 import numpy as np
@@ -286,7 +286,7 @@ def _csv_times(
 
 
 def _triple(
-    column: dict[str, list[str]], plain: str, kilo: str, axes: Any, path: Path, field: str
+    column: dict[str, list[str]], plain: str, kilo: str, axes: Iterable[str], path: Path, field: str
 ) -> Array:
     """Three columns in metres (or per second) from the ones that are there."""
     for pattern, scale in ((plain, 1.0), (kilo, 1e3)):

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +13,14 @@ from numpy.typing import NDArray
 from pipeline.errors import BadInput
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.brdf_table import BrdfTable, brdf_table
-from pipeline.physics.meshes.intensity import FacetSurface
+from pipeline.physics.meshes.intensity import Brdf, FacetSurface
 from pipeline.spec.targets.mesh import (
     AshikhminShirleySurface,
     CookTorranceSurface,
     LambertSurface,
+    Meshed,
     PhongSurface,
+    Reflecting,
     TableSurface,
 )
 
@@ -48,7 +49,7 @@ class Palette:
     def digest(self) -> str:
         return self._digest.hexdigest()
 
-    def number(self, material: str, owners: tuple[Any, ...], field: str) -> int | None:
+    def number(self, material: str, owners: tuple[Meshed, ...], field: str) -> int | None:
         """The surface of a material: the first owner's that has one, by name, then for all."""
         for owner in owners:
             wish = owner.materials.get(material, owner.surface)
@@ -66,27 +67,27 @@ class Palette:
         return self._made[key]
 
 
-def make_surface(wish: Any, field: str = "surface") -> tuple[FacetSurface, bytes]:
+def make_surface(wish: Reflecting, field: str = "surface") -> tuple[FacetSurface, bytes]:
     """The surface that a scene describes, and the bytes of the file it was read from, if any."""
     if isinstance(wish, TableSurface):
-        given, raw = read_brdf_table(Path(wish.path), wish.scale, field)
-        return FacetSurface(given, wish.two_sided), raw
+        table, raw = read_brdf_table(Path(wish.path), wish.scale, field)
+        return FacetSurface(table, wish.two_sided), raw
     given, sharp = FORMULAS[type(wish)](wish)
     return FacetSurface(given, wish.two_sided, SUN_RINGS if sharp else 0), b""
 
 
-def _lambert(wish: LambertSurface) -> tuple[Any, bool]:
+def _lambert(wish: LambertSurface) -> tuple[Brdf, bool]:
     return partial(brdf.lambert, albedo=wish.albedo), False
 
 
-def _phong(wish: PhongSurface) -> tuple[Any, bool]:
+def _phong(wish: PhongSurface) -> tuple[Brdf, bool]:
     given = partial(
         brdf.phong, diffuse=wish.diffuse, specular=wish.specular, exponent=wish.exponent
     )
     return given, bool(wish.specular) and wish.exponent > SHARP_EXPONENT
 
 
-def _cook_torrance(wish: CookTorranceSurface) -> tuple[Any, bool]:
+def _cook_torrance(wish: CookTorranceSurface) -> tuple[Brdf, bool]:
     index = None if wish.refractive_index is None else complex(*wish.refractive_index)
     given = partial(
         brdf.cook_torrance,
@@ -98,7 +99,7 @@ def _cook_torrance(wish: CookTorranceSurface) -> tuple[Any, bool]:
     return given, wish.roughness < SHARP_ROUGHNESS
 
 
-def _ashikhmin_shirley(wish: AshikhminShirleySurface) -> tuple[Any, bool]:
+def _ashikhmin_shirley(wish: AshikhminShirleySurface) -> tuple[Brdf, bool]:
     across = wish.exponent_u if wish.exponent_v is None else wish.exponent_v
     given = partial(
         brdf.ashikhmin_shirley,
@@ -113,7 +114,7 @@ def _ashikhmin_shirley(wish: AshikhminShirleySurface) -> tuple[Any, bool]:
 
 
 # By kind of surface: its reflectance, and whether its highlight is as sharp as the Sun's disc.
-FORMULAS: dict[type, Callable[[Any], tuple[Any, bool]]] = {
+FORMULAS: dict[type, Callable[..., tuple[Brdf, bool]]] = {
     LambertSurface: _lambert,
     PhongSurface: _phong,
     CookTorranceSurface: _cook_torrance,

@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -22,7 +22,15 @@ from pipeline.physics.meshes.facets import Facets, is_convex
 from pipeline.physics.meshes.model import Joint, MeshModel, RigidPart
 from pipeline.physics.meshes.shells import closed_shells, shell_volumes
 from pipeline.spec.scene import Scene
-from pipeline.spec.targets.mesh import METRES, MeshBody, MeshPart, SpinJoint, SunTrackingJoint
+from pipeline.spec.targets.mesh import (
+    METRES,
+    MeshBody,
+    Meshed,
+    MeshPart,
+    SpinJoint,
+    SunTrackingJoint,
+    Unit,
+)
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -102,7 +110,7 @@ def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
     return MeshModel(tuple(parts), palette.surfaces, _digest(body, files, palette), notices)
 
 
-def _digest(body: MeshBody, files: Mapping[tuple[str, Any], MeshFile], palette: Palette) -> str:
+def _digest(body: MeshBody, files: Mapping[tuple[str, Unit], MeshFile], palette: Palette) -> str:
     """Of a body and its files: names, but not the folders that they lie in."""
     content = hashlib.sha256(
         body.model_dump_json(exclude={"path": True, "parts": {"__all__": {"path"}}}).encode()
@@ -146,7 +154,11 @@ def _take(
 
 
 def _facets(
-    file: MeshFile, some: NDArray[np.bool_], palette: Palette, owners: tuple[Any, ...], field: str
+    file: MeshFile,
+    some: NDArray[np.bool_],
+    palette: Palette,
+    owners: tuple[Meshed, ...],
+    field: str,
 ) -> Facets:
     """Facets of a part, each with the place of its surface."""
     used = np.unique(file.material[some])
@@ -378,6 +390,6 @@ def _whole(
     return ~(flat | again), shell[~flat[whole]], shut, notices
 
 
-def _names(names: Any) -> str:
+def _names(names: Collection[str]) -> str:
     some = [n or "(no name)" for n in list(names)[:NAMED]]
     return ", ".join(some) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")

@@ -6,7 +6,6 @@ import io
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
@@ -69,7 +68,7 @@ def read_text(path: Path, field: str, largest: int) -> str:
         raise BadInput(field, str(path), "a text file (UTF-8)") from None
 
 
-def mean_elements(fields: Mapping[str, Any], key: str, field: str) -> JsonObject:
+def mean_elements(fields: JsonObject, key: str, field: str) -> JsonObject:
     """The elements of one message, as `omm.elements` takes them; `key` names it in messages."""
     for name, allowed in _EXPECTED.items():
         value = fields.get(name)
@@ -89,12 +88,12 @@ def mean_elements(fields: Mapping[str, Any], key: str, field: str) -> JsonObject
     return out
 
 
-def _from_json(text: str) -> Iterable[Mapping[str, Any]]:
+def _from_json(text: str) -> Iterable[JsonObject]:
     data = json.loads(text)
     return data if isinstance(data, list) else [data]
 
 
-def _from_xml(text: str, path: Path, field: str) -> Iterable[Mapping[str, Any]]:
+def _from_xml(text: str, path: Path, field: str) -> Iterable[JsonObject]:
     """By sgp4's reader; documents that declare types or entities of their own are refused."""
     from sgp4 import omm
 
@@ -103,7 +102,7 @@ def _from_xml(text: str, path: Path, field: str) -> Iterable[Mapping[str, Any]]:
     return list(omm.parse_xml(io.StringIO(text)))
 
 
-def _from_kvn(text: str) -> Iterable[Mapping[str, Any]]:
+def _from_kvn(text: str) -> Iterable[JsonObject]:
     """KEY = value lines; a new message starts at CCSDS_OMM_VERS or at a repeated OBJECT_NAME."""
     sets: list[JsonObject] = []
     for line in text.splitlines():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,7 @@ def _slerp(table: AttitudeTable, at_s: Array) -> Array:
 def _spline(table: AttitudeTable, at_s: Array) -> Array:
     from scipy.spatial.transform import Rotation, RotationSpline
 
-    spline: Any = RotationSpline(table.time_s, Rotation.from_quat(table.q))
+    spline = RotationSpline(table.time_s, Rotation.from_quat(table.q))
     return np.asarray(spline(at_s).as_quat())
 
 

@@ -14,15 +14,15 @@ folded back into the frame. `fitted` checks that and refuses all else.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 
 Array = NDArray[np.float64]
@@ -59,8 +59,28 @@ class Distortion:
     half_px: tuple[float, float] = (math.inf, math.inf)
     fade_px: tuple[float, float] = (1.0, 1.0)
 
+    def to_plane(self, u_px: Array, v_px: Array) -> tuple[Array, Array]:
+        """Undistorted offsets (U, V) of detector offsets (u, v) of any shape [px]."""
+        return _inverse(self, u_px, v_px) if self.to_pixel else _moved(self, u_px, v_px)
 
-def distortion_of(wish: Mapping[str, Any], rows: int, columns: int, ifov_rad: float) -> Distortion:
+    def to_detector(self, u_px: Array, v_px: Array) -> tuple[Array, Array]:
+        """Detector offsets (u, v) of undistorted ones (U, V) of any shape [px]; NaN stays NaN."""
+        return _moved(self, u_px, v_px) if self.to_pixel else _inverse(self, u_px, v_px)
+
+    def scale_matrices(self, u_px: Array, v_px: Array) -> Array:
+        """Jacobians (n, 2, 2) d(U, V)/d(u, v) at detector offsets (n,) [px] in the rectangle."""
+        if not self.to_pixel:
+            return _slopes(self, u_px, v_px)
+        return np.asarray(np.linalg.inv(_slopes(self, *_inverse(self, u_px, v_px))), float)
+
+    def largest_stretch(self) -> float:
+        """Most by which a length may grow between detector and plane, either way, anywhere."""
+        singular = np.linalg.svd(_jacobians(self)[2], compute_uv=False)
+        worst = max(1.0 / singular.min(), singular.max(), 1.0)
+        return 1.01 * float(worst)  # the grid may miss the very largest
+
+
+def distortion_of(wish: JsonObject, rows: int, columns: int, ifov_rad: float) -> Distortion:
     """The distortion that a scene's plain data ask for, checked over the frame and a margin.
 
     wish : `kind` (sip, tpv or radial) and its coefficients, as `pipeline.spec.sensor.distortion`
@@ -95,7 +115,7 @@ def sip(
 def tpv(
     pv1: Mapping[int, float],
     pv2: Mapping[int, float],
-    cd_deg: Any,
+    cd_deg: Sequence[Sequence[float]],
     origin_px: tuple[float, float] = (0.0, 0.0),
 ) -> Distortion:
     """The TPV convention of the FITS registry: xi' = sum PV1_k t_k(xi, eta), in degrees.
@@ -232,30 +252,6 @@ def _jacobians(d: Distortion) -> tuple[Array, Array, Array]:
         own = np.eye(2)[axis]
         jacobian[:, :, axis] = own + (jacobian[:, :, axis] - own) * follow[:, None]
     return u, v, jacobian
-
-
-def to_plane(d: Distortion, u_px: Array, v_px: Array) -> tuple[Array, Array]:
-    """Undistorted offsets (U, V) of detector offsets (u, v) of any shape [px]."""
-    return _inverse(d, u_px, v_px) if d.to_pixel else _moved(d, u_px, v_px)
-
-
-def to_detector(d: Distortion, u_px: Array, v_px: Array) -> tuple[Array, Array]:
-    """Detector offsets (u, v) of undistorted offsets (U, V) of any shape [px]; NaN stays NaN."""
-    return _moved(d, u_px, v_px) if d.to_pixel else _inverse(d, u_px, v_px)
-
-
-def scale_matrices(d: Distortion, u_px: Array, v_px: Array) -> Array:
-    """Jacobians (n, 2, 2) d(U, V)/d(u, v) at detector offsets (n,) [px] in the rectangle."""
-    if not d.to_pixel:
-        return _slopes(d, u_px, v_px)
-    return np.asarray(np.linalg.inv(_slopes(d, *_inverse(d, u_px, v_px))), float)
-
-
-def largest_stretch(d: Distortion) -> float:
-    """Most by which a length may grow between detector and plane, either way, anywhere."""
-    singular = np.linalg.svd(_jacobians(d)[2], compute_uv=False)
-    worst = max(1.0 / singular.min(), singular.max(), 1.0)
-    return 1.01 * float(worst)  # the grid may miss the very largest
 
 
 def _powers(terms: Mapping[str, float]) -> dict[tuple[int, int], float]:

@@ -63,10 +63,8 @@ def corner_radius(camera: Camera) -> float:
     """
     half_diagonal_px = 0.5 * np.hypot(camera.rows, camera.columns)
     if camera.distortion is not None:
-        from pipeline.physics.positions.distortion import to_plane
-
         u, v = _edge(camera)
-        far_u, far_v = to_plane(camera.distortion, u, v)
+        far_u, far_v = camera.distortion.to_plane(u, v)
         step = np.hypot(np.diff(far_u), np.diff(far_v)).max()
         half_diagonal_px = np.hypot(far_u, far_v).max() + 0.5 * step
     return float(np.arctan(half_diagonal_px * ifov_rad(camera)))
@@ -80,9 +78,7 @@ def stretch(camera: Camera) -> float:
     """
     if camera.distortion is None:
         return 1.0
-    from pipeline.physics.positions.distortion import largest_stretch
-
-    return largest_stretch(camera.distortion)
+    return camera.distortion.largest_stretch()
 
 
 def off_axis_cosine(camera: Camera, x_px: Array, y_px: Array) -> Array:
@@ -94,9 +90,7 @@ def off_axis_cosine(camera: Camera, x_px: Array, y_px: Array) -> Array:
     x0, y0 = camera.centre_px
     u, v = np.asarray(x_px, float) - x0, np.asarray(y_px, float) - y0
     if camera.distortion is not None:
-        from pipeline.physics.positions.distortion import to_plane
-
-        u, v = to_plane(camera.distortion, u, v)
+        u, v = camera.distortion.to_plane(u, v)
     return np.asarray(1.0 / np.sqrt(1.0 + (u * u + v * v) * ifov_rad(camera) ** 2))
 
 
@@ -109,10 +103,8 @@ def solid_angle_sr(camera: Camera, x_px: Array, y_px: Array) -> Array:
     cosine = off_axis_cosine(camera, x_px, y_px)
     area = ifov_rad(camera) ** 2 * cosine * cosine * cosine
     if camera.distortion is not None:
-        from pipeline.physics.positions.distortion import scale_matrices
-
         x0, y0 = camera.centre_px
-        area = area * np.linalg.det(scale_matrices(camera.distortion, x_px - x0, y_px - y0))
+        area = area * np.linalg.det(camera.distortion.scale_matrices(x_px - x0, y_px - y0))
     return np.asarray(area)
 
 
@@ -129,9 +121,7 @@ def project(camera: Camera, attitude: Array, u: Array) -> tuple[Array, Array]:
         scale = np.where(cz > 0.0, 1.0 / (cz * ifov_rad(camera)), np.nan)
         x0, y0 = camera.centre_px
         if camera.distortion is not None:
-            from pipeline.physics.positions.distortion import to_detector
-
-            du, dv = to_detector(camera.distortion, cx * scale, cy * scale)
+            du, dv = camera.distortion.to_detector(cx * scale, cy * scale)
             return x0 + du, y0 + dv
         return x0 + cx * scale, y0 + cy * scale
 
@@ -142,9 +132,7 @@ def deproject(camera: Camera, attitude: Array, x_px: Array, y_px: Array) -> Arra
     x0, y0 = camera.centre_px
     du, dv = np.asarray(x_px, float) - x0, np.asarray(y_px, float) - y0
     if camera.distortion is not None:
-        from pipeline.physics.positions.distortion import to_plane
-
-        du, dv = to_plane(camera.distortion, du, dv)
+        du, dv = camera.distortion.to_plane(du, dv)
     tx, ty = du[..., None] * step, dv[..., None] * step
     return unit(a[2] + tx * a[0] + ty * a[1])
 

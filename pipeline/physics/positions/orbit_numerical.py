@@ -5,12 +5,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import Any
 
 import erfa.ufunc as era
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import DOP853
+from scipy.integrate import DOP853, DenseOutput
 
 from pipeline.errors import BadInput
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M
@@ -69,7 +68,7 @@ class Trajectory:
     def _begin(self, sign: int) -> _Way:
         scale = self._tolerance * np.repeat([1e6, 1e3], 3)
 
-        def solver(t: float, y: Array, end: float, first: float | None, law: int) -> Any:
+        def solver(t: float, y: Array, end: float, first: float | None, law: int) -> DOP853:
             rate = partial(self._rate, lit=(0.0, None, 1.0)[law])
             return DOP853(rate, t, y, end, first_step=first, rtol=self._tolerance, atol=scale)
 
@@ -108,7 +107,7 @@ class _Way:
 
     def __init__(
         self,
-        solver: Callable[[float, Array, float, float | None, int], Any],
+        solver: Callable[[float, Array, float, float | None, int], DOP853],
         start: Array,
         sign: int,
         ends: Callable[[Array], bool],
@@ -119,7 +118,7 @@ class _Way:
         self._now = light(0.0, start)
         self._solver = solver(0.0, start, sign * np.inf, None, self._now)
         self._edges: list[float] = [0.0]
-        self._dense: list[Any] = []
+        self._dense: list[DenseOutput] = []
         self._end_s = 0.0 if ends(start) else np.inf
 
     def states(self, after_s: Array, field: str) -> Array:
@@ -158,7 +157,7 @@ class _Way:
             self._now = law
             self._solver = self._new(time, to_edge.y, self._sign * np.inf, 1.0, law)
 
-    def _step(self, solver: Any, field: str) -> Any:
+    def _step(self, solver: DOP853, field: str) -> DenseOutput:
         """The dense output of one more step; BadInput where there is none."""
         message = solver.step() if len(self._dense) < MOST_STEPS else "too many steps"
         if message or not np.all(np.isfinite(solver.y)):
@@ -170,7 +169,7 @@ class _Way:
             )
         return solver.dense_output()
 
-    def _change(self, step: Any) -> tuple[float, int] | None:
+    def _change(self, step: DenseOutput) -> tuple[float, int] | None:
         """When the light's law changes within a step, and to which; None where it does not.
 
         A change at the very beginning of a step is the one that the last step ended at.
@@ -193,7 +192,7 @@ class _Way:
             return float(after), law
         return None
 
-    def _keep(self, step: Any) -> None:
+    def _keep(self, step: DenseOutput) -> None:
         times = step.t_old + _LOOKED_AT * (step.t - step.t_old)
         below = [t for t in times if self._ends(step(t))]
         if below:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S
 from pipeline.physics.positions.earth import teme_to_gcrs
@@ -161,7 +162,7 @@ def tle_satellite(line1: str, line2: str, field: str = "orbit") -> Satrec:
         raise BadInput(field, line1, f"two-line elements that can be read ({error})") from error
 
 
-def mean_satellite(elements: Mapping[str, Any], field: str = "orbit") -> Satrec:
+def mean_satellite(elements: JsonObject, field: str = "orbit") -> Satrec:
     """The SGP4 satellite (WGS 72) of mean elements, as sgp4's OMM reader makes it.
 
     elements : epoch (UTC text), mean_motion_rev_day, eccentricity, inclination_deg, raan_deg,

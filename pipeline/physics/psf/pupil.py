@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import Field, dataclass
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numba import njit
@@ -23,7 +23,7 @@ class Optics(Protocol):
     Frequencies in cycles per pixel, lengths in pixels, y along rows and x along columns.
     """
 
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
 
     def transfer(self, fy: Array, fx: Array) -> Transfer:
         """Fourier transform of the light, 1 at zero; real where the light is point-symmetric."""

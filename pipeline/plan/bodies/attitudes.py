@@ -128,7 +128,7 @@ def needs_velocity(body: Body | MeshBody) -> bool:
     """True where a law of the body follows the orbit's motion."""
     if isinstance(body, LightCurveBody | SphereBody):
         return False
-    parts: Sequence[Any] = (body,)
+    parts: Sequence[object] = (body,)
     laws = [body.attitude]
     if isinstance(body, CompositeBody):
         parts = body.parts

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,8 @@ def table_of(scene: Scene, index: int, at: Moments) -> LightTable | None:
     frames are asked for. Lights: in sunlight (eclipses not counted), and in earthshine where that
     is asked for, as `mesh_m2_sr` and `mesh_earthshine_m2_sr` tell them.
     """
-    body: Any = scene.targets[index].body
+    body = scene.targets[index].body
+    assert isinstance(body, MeshBody)
     start, stop = _span(scene)
     if at.offset_s.min() < start - ROUNDING_S or at.offset_s.max() > stop + ROUNDING_S:
         return None
@@ -50,13 +50,15 @@ def table_between(
     scene: Scene, index: int, at: Moments, start_s: float, stop_s: float, wanted: int
 ) -> LightTable | None:
     """The same between two times after the epoch, for about so many moments."""
-    body: Any = scene.targets[index].body
+    body = scene.targets[index].body
+    assert isinstance(body, MeshBody)
     if wanted < WORTH or at.elsewhere is None:
         return None
     key = _key(scene, index, start_s, stop_s, wanted)
     if key not in KEPT:
         made, spin = None, spin_rad_s(body)
         if spin is not None:
+            assert body.error is not None
             light, share = _Light(scene, index, at, spin), 2.0 * body.error
             made = tabulated(light, start_s, stop_s, share, wanted // SHARE, spin != 0.0)
         while len(KEPT) >= MOST_KEPT:
@@ -75,7 +77,8 @@ def moments_wanted(scene: Scene, body: MeshBody) -> int:
 
 def table_phase(scene: Scene, index: int, view: View) -> Array:
     """Spin phases (n,) [rad] of a mesh target at the moments of a view (T = 1)."""
-    body: Any = scene.targets[index].body
+    body = scene.targets[index].body
+    assert isinstance(body, MeshBody)
     return _phase(body, parse_utc(scene.epoch), view.time_s[0], f"targets.{index}.body")
 
 
@@ -131,7 +134,9 @@ class _Light:
         assert self.at.elsewhere is not None
         target = self.scene.targets[self.index]
         epoch, field = parse_utc(self.scene.epoch), f"targets.{self.index}.body"
-        body: Any = target.body
+        body = target.body
+        assert isinstance(body, MeshBody)
+        assert body.error is not None
         body = body.model_copy(update={"error": FINER * body.error})
         each, back = np.unique(time_s, return_inverse=True)
         _, seen = sights(self.scene, [self.index], self.at.elsewhere(each))

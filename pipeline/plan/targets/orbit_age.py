@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from pipeline.arrays import Geometry
@@ -44,7 +42,7 @@ def orbit_remarks(scene: Scene, g: Geometry, ifov_rad: float) -> list[str]:
     movers: list[tuple[str, Orbit, float, float]] = [
         (t.name, t.orbit, float(places[i]), float(nearest[i])) for i, t in enumerate(scene.targets)
     ]
-    observer: Any = getattr(scene.observer, "orbit", None)
+    observer: Orbit | None = getattr(scene.observer, "orbit", None)
     if observer is not None:
         movers.append(("the observer", observer, here, float(nearest.min(initial=np.inf))))
     found = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -41,7 +41,7 @@ class WhiteJitter(Strict):
     high_hz: Hertz
 
     @model_validator(mode="after")
-    def _rising(self) -> Any:
+    def _rising(self) -> WhiteJitter:
         return _rising(self)
 
 
@@ -55,7 +55,7 @@ class PowerLawJitter(Strict):
     high_hz: Hertz
 
     @model_validator(mode="after")
-    def _rising(self) -> Any:
+    def _rising(self) -> PowerLawJitter:
         return _rising(self)
 
 
@@ -102,7 +102,11 @@ Jitter = Annotated[
 ]
 
 
-def _rising(part: WhiteJitter | PowerLawJitter) -> Any:
+Banded = TypeVar("Banded", WhiteJitter, PowerLawJitter)
+Model = TypeVar("Model", bound=Strict)
+
+
+def _rising(part: Banded) -> Banded:
     if not part.high_hz > part.low_hz:
         raise PydanticCustomError(
             "band", "allowed: above low_hz = {low}", {"low": part.low_hz, "field": "high_hz"}
@@ -110,7 +114,7 @@ def _rising(part: WhiteJitter | PowerLawJitter) -> Any:
     return part
 
 
-def _one_strength(model: Any, *names: str) -> Any:
+def _one_strength(model: Model, *names: str) -> Model:
     given = [name for name in names if getattr(model, name) is not None]
     if len(given) != 1:
         raise PydanticCustomError(
@@ -134,7 +138,7 @@ class OscillatorMode(Strict):
     )
 
     @model_validator(mode="after")
-    def _strength(self) -> Any:
+    def _strength(self) -> Self:
         return _one_strength(self, "rms_arcsec", "noise_arcsec_s2_rthz")
 
 
@@ -150,7 +154,7 @@ class MarkovMode(Strict):
     )
 
     @model_validator(mode="after")
-    def _strength(self) -> Any:
+    def _strength(self) -> Self:
         return _one_strength(self, "rms_arcsec", "noise_arcsec_s_rthz")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
@@ -19,7 +19,7 @@ CdElement = Annotated[float, Field(ge=-10, le=10)]
 Row = tuple[CdElement, CdElement]
 
 
-def _sip_terms(data: Any) -> Any:
+def _sip_terms(data: object) -> object:
     """Keys as 2_0, also from A_2_0 and B_2_0; a bare 2_0 is the number 20 in YAML."""
     if not isinstance(data, dict):
         return data
@@ -37,7 +37,7 @@ def _sip_terms(data: Any) -> Any:
     return out
 
 
-def _tpv_terms(data: Any) -> Any:
+def _tpv_terms(data: object) -> object:
     """Keys as whole numbers, also from text and from PV1_4."""
     if not isinstance(data, dict):
         return data
@@ -51,13 +51,13 @@ def _tpv_terms(data: Any) -> Any:
     return out
 
 
-def _number(key: Any, value: Any) -> Any:
+def _number(key: object, value: object) -> object:
     if isinstance(value, bool):
         raise _not_a_term(key, "allowed: a number, not true or false")
     return value
 
 
-def _not_a_term(key: Any, allowed: str) -> PydanticCustomError:
+def _not_a_term(key: object, allowed: str) -> PydanticCustomError:
     return PydanticCustomError("term", "{key}: {allowed}", {"key": str(key), "allowed": allowed})
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -344,7 +344,7 @@ class Sensor(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _pupil_unless_in_the_flat(cls, data: Any) -> Any:
+    def _pupil_unless_in_the_flat(cls, data: object) -> object:
         """A measured flat holds the projected pupil: an image switches it off unless asked for."""
         if not isinstance(data, dict) or data.get("pupil_projection") is not None:
             return data

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -48,11 +46,11 @@ class Atmosphere(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _switches(cls, data: Any) -> Any:
+    def _switches(cls, data: object) -> object:
         """True stands for a part with its defaults, false for none: no field keeps a boolean."""
         if not isinstance(data, dict):
             return data
-        meant: dict[bool, Any] = {False: None, True: {}}
+        meant: dict[bool, object] = {False: None, True: {}}
         return {k: meant[v] if isinstance(v, bool) else v for k, v in data.items()}
 
     @model_validator(mode="after")

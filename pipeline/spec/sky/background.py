@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -74,7 +74,7 @@ class Background(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _switches(cls, data: Any) -> Any:
+    def _switches(cls, data: object) -> object:
         """True stands for a part with its defaults, false for none: no field keeps a boolean."""
         if not isinstance(data, dict):
             return data

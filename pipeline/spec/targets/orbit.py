@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -51,7 +51,7 @@ class MeanElements(Strict):
     bstar: float = Field(0.0, ge=-10, le=10, description="drag term [1 / Earth radii]")
 
 
-def _one_of(model: Any, *names: str) -> None:
+def _one_of(model: object, *names: str) -> None:
     """Exactly one of these fields must be given."""
     given = [name for name in names if getattr(model, name) is not None]
     if len(given) != 1:
@@ -171,7 +171,9 @@ class TableOrbit(Strict):
 
     @field_validator("rows")
     @classmethod
-    def _even_rows_in_order(cls, rows: Any) -> Any:
+    def _even_rows_in_order(
+        cls, rows: tuple[tuple[float, ...], ...]
+    ) -> tuple[tuple[float, ...], ...]:
         width = len(rows[0])
         for i, row in enumerate(rows):
             if len(row) != width or width not in (4, 7):

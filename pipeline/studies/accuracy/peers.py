@@ -12,13 +12,13 @@ import shutil
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.studies.accuracy.engines import Drawn, EngineCase, Setting
-from pipeline.studies.accuracy.external import run_satsim, run_skymaker
+from pipeline.studies.accuracy.external import External, run_satsim, run_skymaker
 from pipeline.studies.accuracy.reference import AiryStar, GaussianStar, exact_pixels
 
 Array = NDArray[np.float64]
@@ -138,7 +138,7 @@ def _photutils(case: EngineCase, side: int, table: int = 0) -> Drawn:
     from photutils.datasets import make_model_image
     from photutils.psf import CircularGaussianSigmaPRF, ImagePSF
 
-    model: Any
+    model: object
     if isinstance(case.shape, GaussianStar):
         model = CircularGaussianSigmaPRF(sigma=case.shape.sigma_px)
     else:
@@ -159,13 +159,13 @@ def oversampled(case: EngineCase, per_px: int, half_px: int) -> Array:
 
 def external_settings(
     case: EngineCase, quick: bool, satsim_python: str | None = None
-) -> list[tuple[str, str, Callable[..., Any]]]:
+) -> list[tuple[str, str, Callable[..., External]]]:
     """(engine, setting, run) of peers that draw all probes in one go, in a process of their own."""
     python = satsim_python or os.environ.get(SATSIM_PYTHON, "")
     if case.curved or case.streak_px > 100:
         return []
     most = 1 if quick else len(OVERSAMPLING)
-    peers: list[tuple[str, int, Callable[..., Any]]] = []
+    peers: list[tuple[str, int, Callable[..., External]]] = []
     if shutil.which(python):
         finest = 3 - (case.streak_px > 0 or isinstance(case.shape, AiryStar))
         satsim = partial(run_satsim, python=python)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from catalog_tools.documents import JsonObject
 from pipeline.export.labels import TARGET
 from pipeline.export.picture import stretch
 from pipeline.studies.detection.finders import TITLES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLOURS = {"sep": "#0072B2", "sep_cleaned": "#56B4E9", "drift": "#D55E00", "lines": "#F0E442"}
 SIDE_PX = 360
@@ -29,7 +32,7 @@ def draw_figure(study: JsonObject, shown: JsonObject, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _completeness(axes: Any, study: JsonObject) -> None:
+def _completeness(axes: Axes, study: JsonObject) -> None:
     for kind, told in study["finders"].items():
         bins = [b for b in told["stars"] if b["sought"]]
         if not bins:
@@ -65,7 +68,7 @@ def _completeness(axes: Any, study: JsonObject) -> None:
         axes.legend(fontsize=8, loc="lower left")
 
 
-def _piece(axes: Any, shown: JsonObject) -> None:
+def _piece(axes: Axes, shown: JsonObject) -> None:
     """Part of the first frame around a target: truth circled, detections marked."""
     labels, image = shown["labels"], shown["image"]
     rows, columns = image.shape

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from pipeline.studies.scenes.stage import open_stage
 ALBEDO, CELLS, ERROR = 0.5, 24, 1e-3
 
 
-def quad(*corners: Any) -> Array:
+def quad(*corners: object) -> Array:
     """Two triangles (2, 3, 3) of four corners in turn."""
     a = np.array(corners, float)
     return a[[[0, 1, 2], [0, 2, 3]]]
@@ -54,7 +53,7 @@ def write_obj(path: Path, triangles: Array) -> str:
     return str(path)
 
 
-def body(path: str, albedo: float = ALBEDO, **more: Any) -> JsonObject:
+def body(path: str, albedo: float = ALBEDO, **more: object) -> JsonObject:
     """A matt body of a file, both sides of its sheets alike."""
     surface = {"kind": "lambert", "albedo": albedo, "two_sided": True}
     return {"kind": "mesh", "path": path, "unit": "m", "surface": surface} | more

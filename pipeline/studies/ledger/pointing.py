@@ -12,7 +12,6 @@ from scipy.special import erf
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, FrameStars
 from pipeline.physics.constants import ARCSEC_RAD
-from pipeline.physics.positions.distortion import to_detector
 from pipeline.plan.pointing.attitude_motion import SHARPEST_PX, motion_plan
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.route.prepare import prepare
@@ -37,7 +36,7 @@ def distortion(_: Bench) -> Iterator[ProbeResult]:
     u, v = np.random.default_rng(8).uniform(-half, half, (2, 20_000))
     powers = [(int(k[0]), int(k[2]), t) for k, t in terms.items()]
     in_s, moved = timed(lambda: sum(t * u**p * v**q for p, q, t in powers), 3)
-    out_s, found = timed(lambda: to_detector(d, u + moved, v - 0.7 * moved), 3)
+    out_s, found = timed(lambda: d.to_detector(u + moved, v - 0.7 * moved), 3)
     off = max(most(found[0] - u), most(found[1] - v))
     bound, unit = stated(plan, "distortion")
     yield ProbeResult(

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -60,9 +60,12 @@ def probe(rule: str) -> Callable[[Probe], Probe]:
     return keep
 
 
-def timed(work: Callable[[], Any], times: int = 1) -> tuple[float, Any]:
+Result = TypeVar("Result")
+
+
+def timed(work: Callable[[], Result], times: int = 1) -> tuple[float, Result]:
     """CPU seconds of the quickest run, and its result."""
-    best, out = np.inf, None
+    best = np.inf
     for _ in range(times):
         began = time.process_time()
         out = work()

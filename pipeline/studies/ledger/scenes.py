@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -55,12 +54,12 @@ ORBIT = {
 SPHERE = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}
 
 
-def scene(changes: JsonObject | None = None, base: JsonObject | None = None) -> Any:
+def scene(changes: JsonObject | None = None, base: JsonObject | None = None) -> JsonObject:
     """A small scene with dotted changes, such as {"sensor.shape": [8, 8]}; None removes a key."""
     return changed(base or SCENE, changes or {})
 
 
-def before(towards: Any, range_m: float, name: str = "t", **more: Any) -> JsonObject:
+def before(towards: object, range_m: float, name: str = "t", **more: object) -> JsonObject:
     """A target that flies along with the observer in ORBIT, in a direction, so far away."""
     u = np.asarray(towards, float)
     place = np.add(PLACE_M, range_m * u / np.sqrt(u @ u))

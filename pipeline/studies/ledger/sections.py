@@ -89,7 +89,7 @@ def rounding(_: Bench) -> Iterator[ProbeResult]:
         chain = Chain(1.0, 0.0, None, 0.0, gain, 0.0, 63, rounding=way, photon_noise=False)
         place = StreamPlace(0, 0, 0, (0, 0), (0, 0), (0, 0))
         in_s, dn = timed(lambda chain=chain, place=place: to_dn(mean, chain, place), 3)  # type: ignore[misc]
-        out_s, _ = timed(lambda: mean / gain, 3)
+        out_s = timed(lambda: mean / gain, 3)[0]
         exact = [Fraction(float(m)) / Fraction(gain) for m in mean.ravel()]
         off = max(abs(Fraction(int(n)) - e) for n, e in zip(dn.ravel(), exact, strict=True))
         bound, unit = stated(plan, "adc")

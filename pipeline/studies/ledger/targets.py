@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -35,7 +34,7 @@ TOWARDS = [-2724520.7, -41120448.5, 0.0]  # of the geostationary body, from ORBI
 FRAME = np.zeros(1, np.int64)
 
 
-def followed(*targets: dict, **changes: Any) -> dict:
+def followed(*targets: dict, **changes: object) -> dict:
     """A scene that follows the first of some targets from ORBIT."""
     return scene(
         {
@@ -181,7 +180,7 @@ def _pulled(_: float, state: Array) -> Array:
     return np.concatenate([state[3:], -EARTH_GM_M3_S2 * r / distance**3 + bent])
 
 
-def _flown(place: Any, speed: Any, at_s: Array) -> Array:
+def _flown(place: object, speed: object, at_s: Array) -> Array:
     start = np.concatenate([place, speed]).astype(float)
     found = solve_ivp(_pulled, (0.0, float(at_s[-1])), start, "DOP853", at_s, rtol=1e-12, atol=1e-6)
     return np.asarray(found.y.T)

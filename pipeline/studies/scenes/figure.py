@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import io
-from typing import Any
+from typing import TYPE_CHECKING
 
 from catalog_tools.documents import JsonObject
+
+if TYPE_CHECKING:
+    import numpy as np
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Row = JsonObject
 
@@ -35,7 +40,7 @@ def ladder_figure(study: JsonObject) -> bytes:
     return _png(figure)
 
 
-def _panel(ax: Any, scene: Row) -> None:
+def _panel(ax: Axes, scene: Row) -> None:
     rungs = scene["rungs"]
     first = [r["cpu_s"] for r in rungs]
     again = [r["again_cpu_s"] for r in rungs]
@@ -66,11 +71,11 @@ def _panel(ax: Any, scene: Row) -> None:
     ax.xaxis.set_minor_formatter(_few)
 
 
-def _plain(value: float, _: int) -> str:
+def _plain(value: float, _: float) -> str:
     return f"{value:g}"
 
 
-def _few(value: float, _: int) -> str:
+def _few(value: float, _: float) -> str:
     """A tick between the decades: 2 and 5 alone."""
     digit = f"{value:.0e}"[0]
     return f"{value:g}" if digit in "25" else ""
@@ -110,7 +115,9 @@ def omission_figure(study: JsonObject) -> bytes:
     return _png(figure)
 
 
-def _figure(rows: int, columns: int, size: tuple[float, float] | None = None) -> tuple[Any, Any]:
+def _figure(
+    rows: int, columns: int, size: tuple[float, float] | None = None
+) -> tuple[Figure, np.ndarray]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -120,7 +127,7 @@ def _figure(rows: int, columns: int, size: tuple[float, float] | None = None) ->
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def _png(figure: Any) -> bytes:
+def _png(figure: Figure) -> bytes:
     out = io.BytesIO()
     figure.savefig(out, format="png")
     return out.getvalue()

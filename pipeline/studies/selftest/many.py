@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.special import erf
@@ -24,7 +23,7 @@ SELFTEST_COUNT = 10_000  # of the million that tests/extremes/test_million.py ta
 SITE = (np.radians(20.7), np.radians(-156.3), 3055.0)
 
 
-def satellites(count: int, seed: int) -> list[Any]:
+def satellites(count: int, seed: int) -> list[Satrec]:
     """Low, medium and geostationary orbits at random, as SGP4 takes them."""
     rng = np.random.default_rng(seed)
     day = sum(parse_utc(EPOCH)) - 2_433_281.5

@@ -17,12 +17,11 @@ from catalog_tools.geometry.sphere import MAS_RAD, angles_deg, directions, moved
 from catalog_tools.query import query
 from catalog_tools.query.query import (
     cone,
-    motion_pad_rad,
     polygon,
     read_leaf,
     record_batches,
-    select,
 )
+from catalog_tools.query.selection import motion_pad_rad, select
 
 
 def seen_from_the_sun(stars, epoch):

@@ -12,7 +12,6 @@ from astropy.wcs import WCS
 
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.distortion import gather_distortion, read_distortion
-from pipeline.physics.positions.distortion import to_plane
 from pipeline.plan.pointing.geometry import camera_of
 from pipeline.spec.load import parse_scene
 
@@ -75,7 +74,7 @@ def test_against_astropy(cards, where, tmp_path):
     there = np.array(straight.all_world2pix(*wcs.all_pix2world(x, y, 0), 0))
     middle = straight.all_world2pix(*wcs.all_pix2world(599.5, 499.5, 0), 0)
     shift = there - [x, y] - (np.array(middle) - [599.5, 499.5])[:, None]
-    plane = to_plane(camera.distortion, x - 599.5, y - 499.5)
+    plane = camera.distortion.to_plane(x - 599.5, y - 499.5)
     assert np.abs(plane - np.array([x - 599.5, y - 499.5]) - shift).max() < 1e-6
     assert np.abs(shift).max() > 0.5
     assert gather_distortion(scene) is scene

@@ -23,12 +23,8 @@ from pipeline.physics.positions.distortion import (
     Distortion,
     distortion_of,
     fitted,
-    largest_stretch,
     radial,
-    scale_matrices,
     sip,
-    to_detector,
-    to_plane,
 )
 from pipeline.physics.positions.focal_plane import (
     Camera,
@@ -93,7 +89,7 @@ def test_against_astropy_sip() -> None:
     found = project(camera, attitude, u)
     assert np.abs(np.array(back) - found).max() < 1e-7
     x0, y0 = camera.centre_px
-    plane = to_plane(camera.distortion, x - x0, y - y0)
+    plane = camera.distortion.to_plane(x - x0, y - y0)
     foc = wcs.sip.pix2foc(np.stack([x, y], -1), 0)
     assert np.abs(np.array(plane) - (foc - foc.mean(0) + np.mean(plane, 1)).T).max() < 1e-8
 
@@ -150,7 +146,8 @@ def test_there_and_back_near_and_far(wish: dict) -> None:
         back = project(camera, attitude, deproject(camera, attitude, x, y))
         assert np.hypot(back[0] - x, back[1] - y).max() < 1e-9
     u, v = np.random.Generator(np.random.SFC64(2)).uniform(-1e6, 1e6, (2, 2000))
-    for one, other in ((to_plane, to_detector), (to_detector, to_plane)):
+    ways = Distortion.to_plane, Distortion.to_detector
+    for one, other in (ways, ways[::-1]):
         back = other(camera.distortion, *one(camera.distortion, u, v))
         assert np.hypot(back[0] - u, back[1] - v).max() < 2e-9
 
@@ -177,12 +174,12 @@ def test_same_place_there_and_back_any_polynomial(
     except BadInput:
         return
     u, v = np.random.Generator(np.random.SFC64(3)).uniform(-3000, 3000, (2, 500))
-    back = to_detector(d, *to_plane(d, u, v))
+    back = d.to_detector(*d.to_plane(u, v))
     assert np.hypot(back[0] - u, back[1] - v).max() < 1e-9
-    middle = to_plane(d, np.zeros(1), np.zeros(1))
+    middle = d.to_plane(np.zeros(1), np.zeros(1))
     assert np.abs(middle).max() < 1e-9
     # Strongly monotone: two places never come closer than the least slope allows.
-    x, y = to_plane(d, u, v) if not to_pixel else to_detector(d, u, v)
+    x, y = d.to_plane(u, v) if not to_pixel else d.to_detector(u, v)
     along = np.diff(u) * np.diff(x) + np.diff(v) * np.diff(y)
     assert (along > 0.045 * (np.diff(u) ** 2 + np.diff(v) ** 2)).all()
 
@@ -268,13 +265,13 @@ def test_limits_displacement_fades_smoothly(wish: dict) -> None:
     edge = d.half_px[0]
     plane = replace(d, to_pixel=False)
     u = np.linspace(edge - 40, edge + 40, 8001)
-    moved = to_plane(plane, u, np.full(u.shape, 200.0))[0] - u
+    moved = plane.to_plane(u, np.full(u.shape, 200.0))[0] - u
     bare = replace(plane, half_px=(1e9, 1e9))
-    exact = to_plane(bare, u, np.full(u.shape, 200.0))[0] - u
+    exact = bare.to_plane(u, np.full(u.shape, 200.0))[0] - u
     within = u <= edge
     assert np.array_equal(moved[within], exact[within])
     assert np.abs(np.diff(moved, 2)).max() < 1e-4
-    far = to_plane(plane, np.array([3e4, 6e4]), np.array([200.0, 200.0]))[0]
+    far = plane.to_plane(np.array([3e4, 6e4]), np.array([200.0, 200.0]))[0]
     assert far[1] - far[0] == pytest.approx(3e4, abs=1e-7)
 
 
@@ -324,15 +321,15 @@ def test_solid_angle_of_pixels(wish: dict) -> None:
     np.testing.assert_allclose(off_axis_cosine(camera, x, y), cosine, rtol=1e-12)
     corner = off_axis_cosine(CAMERA, np.array([-0.5]), np.array([-0.5]))
     assert corner[0] == pytest.approx(np.cos(corner_radius(CAMERA)), rel=1e-12)
-    slopes = scale_matrices(camera.distortion, np.array([100.0]), np.array([-300.0]))[0]
+    slopes = camera.distortion.scale_matrices(np.array([100.0]), np.array([-300.0]))[0]
     step = 1e-3
     for axis in (0, 1):
         du, dv = step * np.eye(2)[axis]
-        ends = [to_plane(camera.distortion, np.array([100 + s * du]), np.array([-300 + s * dv]))
+        ends = [camera.distortion.to_plane(np.array([100 + s * du]), np.array([-300 + s * dv]))
                 for s in (1, -1)]  # fmt: skip
         numeric = (np.array(ends[0]) - ends[1])[:, 0] / (2 * step)
         assert slopes[:, axis] == pytest.approx(numeric, abs=1e-8)
-    assert largest_stretch(camera.distortion) >= np.linalg.norm(slopes, 2)
+    assert camera.distortion.largest_stretch() >= np.linalg.norm(slopes, 2)
 
 
 @ALL
@@ -380,10 +377,10 @@ def test_reference_pixel_off_the_frame_leaves_the_boresight() -> None:
     x, y = random_pixels(camera)
     raw = distorted(SIP).distortion
     bare = replace(raw, half_px=(1e9, 1e9))
-    shift = np.array(to_plane(bare, x + 800, y - 1900)) - [x + 800, y - 1900]
-    zero = np.array(to_plane(bare, np.array([1823.5]), np.array([-1150.5])))
+    shift = np.array(bare.to_plane(x + 800, y - 1900)) - [x + 800, y - 1900]
+    zero = np.array(bare.to_plane(np.array([1823.5]), np.array([-1150.5])))
     zero -= [[1823.5], [-1150.5]]
-    found = np.array(to_plane(camera.distortion, x - 1023.5, y - 749.5)) - [x - 1023.5, y - 749.5]
+    found = np.array(camera.distortion.to_plane(x - 1023.5, y - 749.5)) - [x - 1023.5, y - 749.5]
     assert np.abs(found - (shift - zero)).max() < 1e-8
 
 
@@ -408,4 +405,4 @@ def test_no_terms_move_nothing() -> None:
     one = distortion_of(SIP, 1, 1, 1e-5)
     assert one.half_px == (4.5, 4.5)
     straight = fitted(radial((0.0,) * 3, (0.0, 0.0), 1e-5), 10, 10)
-    assert to_detector(straight, np.array([4.0]), np.array([-2.0])) == (4.0, -2.0)
+    assert straight.to_detector(np.array([4.0]), np.array([-2.0])) == (4.0, -2.0)

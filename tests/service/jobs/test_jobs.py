@@ -16,6 +16,7 @@ from service.accounts.teams import pixel_frames_of
 from service.engine.attempts import Attempt
 from service.engine.cluster import SchedulerHealth
 from service.jobs.jobs import FINAL, NEXT, Job, Phase, Queue
+from service.jobs.submissions import Ask, TeamLimits, submit_many
 from service.jobs.views import job_dict
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
 from service.settings import Settings
@@ -28,7 +29,11 @@ def store(tmp_path: Path) -> Queue:
 
 
 def queue(store: Queue, key: str | None = None, body: str = "b", limit: int = 100) -> Job:
-    return store.submit("name", {"a": 1}, body, key, limit)[0]
+    ask = Ask("name", {"a": 1}, body, key)
+    [answer] = submit_many(store, [ask], TeamLimits(queued_jobs=limit))
+    if isinstance(answer, Exception):
+        raise answer
+    return answer[0]
 
 
 def test_a_job_outlives_its_store(tmp_path: Path) -> None:
@@ -75,7 +80,7 @@ def test_jobs_left_behind_go_on_in_their_order(store: Queue) -> None:
 
 def test_key_replays_and_refuses_another_body(store: Queue) -> None:
     job = queue(store, key="k", body="one")
-    assert store.submit("name", {}, "one", "k", 100) == (job, False)
+    assert queue(store, key="k", body="one") == job
     with pytest.raises(KeyReused):
         queue(store, key="k", body="two")
     store.delete(job.id)
@@ -84,9 +89,8 @@ def test_key_replays_and_refuses_another_body(store: Queue) -> None:
 
 def test_one_job_per_key_whatever_comes_at_once(store: Queue) -> None:
     with ThreadPoolExecutor(8) as pool:
-        answers = list(pool.map(lambda i: store.submit("n", {}, "b", f"k{i % 4}", 100), range(40)))
-    assert len({job.id for job, _ in answers}) == 4
-    assert sum(made for _, made in answers) == 4
+        made = list(pool.map(lambda i: queue(store, key=f"k{i % 4}"), range(40)))
+    assert len({job.id for job in made}) == len(store.listing((), 0, 50)) == 4
 
 
 def test_a_job_that_kills_its_workers_ends(store: Queue, tmp_path: Path) -> None:
