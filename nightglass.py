@@ -105,8 +105,7 @@ def observe(
     scene : Scene, path or mapping
         As `load_scene` gives or takes it.
     times : iterable of str or float, or str, optional
-        Middles of exposures, UTC or seconds after the epoch; `"START,STOP,STEP"`, or a file of
-        them. By default the scene's exposures.
+        Middles of exposures, UTC or seconds after the epoch; `"START,STOP,STEP"`, or a file's path.
     snr : float, optional
         Signal-to-noise ratio below which a target is too faint.
     centroid_seed : int, optional
