@@ -55,6 +55,15 @@ def load_scene(path: Path, overrides: Iterable[str] = ()) -> Scene:
     return parse_scene(data, base=path.parent)
 
 
+def read_format_file(path: Path, field: str, what: str) -> Any:
+    """The plain data of a file of one of our formats (`sweep`, `study`)."""
+    if not path.is_file():
+        raise BadInput(field, str(path), f"an existing {what} file (YAML or JSON)")
+    if path.stat().st_size > MAX_BYTES:
+        raise BadInput(field, str(path), f"a file of at most {MAX_BYTES} bytes")
+    return parse_text(path.read_bytes(), str(path))
+
+
 def parse_text(raw: bytes, name: str = "scene") -> Any:
     """Plain data from YAML 1.2 or JSON text; duplicates, aliases and deep nesting are refused."""
     try:
