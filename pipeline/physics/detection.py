@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.signal import fftconvolve
 from scipy.special import bdtrc, ndtr, ndtri
 
@@ -60,11 +60,14 @@ def threshold_sigma(false_alarm_rate: float) -> float:
     return float(-ndtri(false_alarm_rate))
 
 
-def detection_probability(snr: Array, threshold: float, frames: int = 1, needed: int = 1) -> Array:
+def detection_probability(
+    snr: Array, threshold: float, frames: ArrayLike = 1, needed: int = 1
+) -> Array:
     """Probability (...) that `needed` or more of `frames` alike show a source of SNR (...).
 
     Each by Q(threshold - snr): the matched filter's statistic is Gaussian of variance 1 and mean
-    snr (Kay 1998, eq. 3.9); frames are independent.
+    snr (Kay 1998, eq. 3.9); frames are independent. 0 of fewer frames than are needed.
     """
-    one = ndtr(np.asarray(snr, float) - threshold)
-    return one if frames == 1 else np.asarray(bdtrc(needed - 1, frames, one))
+    one, tries = ndtr(np.asarray(snr, float) - threshold), np.asarray(frames)
+    enough = tries >= needed
+    return np.where(enough, bdtrc(needed - 1, np.where(enough, tries, needed), one), 0.0)
