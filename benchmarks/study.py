@@ -139,7 +139,7 @@ def find_night(objects: int) -> dict[str, float]:
     sections = {k: CAMERA[k] for k in ("sensor", "exposure", "background")}
     elements = synthetic_elements(Synthetic(objects=objects), epoch)
     started, wall = time.process_time(), time.perf_counter()
-    watcher = make_watcher(sections | {"observer": observer}, FieldOfRegard(), epoch, Path(), True)
+    watcher = make_watcher(sections | {"observer": observer}, FieldOfRegard(), epoch, True)
     search = make_search(watcher, np.arange(0.0, 34_700.0, 10.0), 5.0)
     found = 0
     for first in range(0, objects, BATCH):

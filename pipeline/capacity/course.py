@@ -20,6 +20,7 @@ from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.vectors import from_angles
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.study import CuedTasking, Study
+from pipeline.spec.study_load import parse_study
 from pipeline.survey.elements import (
     Census,
     Elements,
@@ -105,11 +106,12 @@ def moments(course: StudyCourse, window: int) -> tuple[WatchMoments, ...]:
     return tuple(w.watch(course.offsets_s(window)) for w in course.watchers)
 
 
-def make_course(data: dict[str, Any], study: Study, folder: Path, out: Path) -> StudyCourse:
-    """A study's course; relative paths are from `folder`. BadInput for what it cannot have."""
+def make_course(data: dict[str, Any], out: Path) -> StudyCourse:
+    """The course of a study's plain data. BadInput for what it cannot have."""
+    study = parse_study(data)
     epoch = parse_utc(study.start, "start")
-    watchers = tuple(_watcher(data, study, i, epoch, folder) for i in range(len(study.sensors)))
-    elements, census = _elements(study, epoch, folder)
+    watchers = tuple(_watcher(data, study, i, epoch) for i in range(len(study.sensors)))
+    elements, census = _elements(study, epoch)
     for watcher in watchers:
         _check_regard(watcher, study.duration_h * 3600.0)
     text = json.dumps([study.as_dict(), len(elements)], sort_keys=True).encode()
@@ -127,10 +129,8 @@ def make_course(data: dict[str, Any], study: Study, folder: Path, out: Path) -> 
     )
 
 
-def _watcher(
-    data: dict[str, Any], study: Study, i: int, epoch: tuple[float, float], folder: Path
-) -> Watcher:
-    """The watcher of a sensor; its sky is that above it in the middle of its first night."""
+def _watcher(data: dict[str, Any], study: Study, i: int, epoch: tuple[float, float]) -> Watcher:
+    """The watcher of a sensor; its sky is that above it at the start."""
     sensor = study.sensors[i]
     camera = study.camera_of(sensor)
     plain = data["cameras"][study.cameras.index(camera)]
@@ -141,28 +141,20 @@ def _watcher(
         allowed_ = "sidereal, where fields are searched whatever is in them"
         raise BadInput(f"cameras.{study.cameras.index(camera)}.tracking", "target", allowed_)
     regard, field = sensor.field_of_regard, f"sensors.{i}"
-    return make_watcher(sections | {"name": sensor.name}, regard, epoch, folder, tracks, field)
+    return make_watcher(sections | {"name": sensor.name}, regard, epoch, tracks, field)
 
 
-def _elements(study: Study, epoch: tuple[float, float], folder: Path) -> tuple[Elements, Census]:
+def _elements(study: Study, epoch: tuple[float, float]) -> tuple[Elements, Census]:
     """The catalogue. BadInput for one that is empty, or whose elements are of another time."""
     asked, length_s = study.catalogue, study.duration_h * 3600.0
     parts, census = [], Census()
     if asked.populations:
         middle = (epoch[0], epoch[1] + 0.5 * length_s / DAY_S)
-        homed = [_homed(p, folder) for p in asked.populations]
-        found, census = gather_elements(homed, middle, "catalogue.populations")
+        found, census = gather_elements(asked.populations, middle, "catalogue.populations")
         parts.append(fresh(found, epoch, length_s, asked.most_age_days, census))
     if asked.synthetic is not None:
         parts.append(synthetic_elements(asked.synthetic, epoch))
     return joined(parts), census
-
-
-def _homed(population: Any, folder: Path) -> Any:
-    """A population whose files are found from everywhere."""
-    paths = {k: getattr(population, k) for k in ("path", "sizes")}
-    placed = {k: str((folder / Path(p).expanduser()).resolve()) for k, p in paths.items() if p}
-    return population.model_copy(update=placed)
 
 
 def _check_regard(watcher: Watcher, length_s: float) -> None:

@@ -30,6 +30,7 @@ from pipeline.capacity.tasking import (
     task_window,
 )
 from pipeline.errors import BadInput, DiskFull, Incomplete
+from pipeline.spec.load import place_paths
 from pipeline.spec.study import CuedTasking, Study
 from pipeline.spec.study_load import parse_study
 from pipeline.store.layout import full_disk, only_writer
@@ -69,7 +70,7 @@ Listener = Callable[[StudyProgress], None]
 def forecast_of(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     """What a study takes (`StudyCourse.forecast`), of all its points together."""
     study = parse_study(data)
-    told = make_course(_at_point(data, study, 0)[0], study, folder, Path()).forecast
+    told = make_course(_placed(_at_point(data, study, 0)[0], folder), Path()).forecast
     return told | {"points": study.points, "cpu_s": told["cpu_s"] * study.points}
 
 
@@ -123,12 +124,19 @@ def _at_point(
     return own, values | ({"seed": own["seed"]} if study.seeds > 1 else {})
 
 
+def _placed(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A copy of a study's data whose relative paths are from a folder."""
+    own: dict[str, Any] = json.loads(json.dumps(data))
+    place_paths(own, folder)
+    return own
+
+
 def _run_point(
     data: dict[str, Any], folder: Path, out: Path, options: StudyOptions, listen: Listener | None
 ) -> dict[str, Any]:
     started = time.perf_counter()
     study = parse_study(data)
-    course = make_course(data, study, folder, out)
+    course = make_course(_placed(data, folder), out)
     cpu_s = course.forecast["cpu_s"]
     if cpu_s > MOST_CPU_S and not options.yes:
         told = f"{cpu_s / 3600.0:.0f} h of one core"

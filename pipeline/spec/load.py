@@ -233,12 +233,21 @@ PATH_FIELDS = (
     ("targets", "*", "body", "parts", "*", "surface", "path"),
     ("targets", "*", "body", "parts", "*", "materials", "*", "path"),
 )
+STUDY_SECTIONS = (  # of a study: where it holds sections of a scene
+    ("catalogue", "populations"),
+    ("cameras", "*", "sensor"),
+    ("cameras", "*", "background"),
+    ("sensors", "*", "observer"),
+)
 
 
 def _tree() -> dict[str, Any]:
     """PATH_FIELDS as nested mappings; an empty one is a field that may name a file."""
     tree: dict[str, Any] = {}
-    for names in PATH_FIELDS:
+    of_studies = (
+        at + names[1:] for at in STUDY_SECTIONS for names in PATH_FIELDS if names[0] == at[-1]
+    )
+    for names in (*PATH_FIELDS, *of_studies):
         inner = tree
         for name in names:
             inner = inner.setdefault(name, {})
@@ -276,13 +285,18 @@ def resolve_paths(scene: Scene, base: Path) -> Scene:
     URLs (`s3://...`) stay as they are.
     """
     data = scene.as_dict()
+    place_paths(data, base)
+    return _checked(data)
+
+
+def place_paths(data: Any, base: Path) -> None:
+    """Make the relative paths in plain data absolute, in place, from the folder `base`."""
     for _, holder, key in path_holders(data):
         value = holder.get(key)
         if isinstance(value, list):
             holder[key] = [_absolute(path, base) for path in value]
         elif isinstance(value, str):
             holder[key] = _absolute(value, base)
-    return _checked(data)
 
 
 def _absolute(path: str, base: Path) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -141,7 +140,7 @@ def _watcher(scene: Scene, wish: FindOptions, epoch: tuple[float, float]) -> Wat
     data = scene.as_dict()
     sections = {k: data[k] for k in ("observer", "sensor", "exposure", "background", "seed")}
     tracks = scene.pointing.mode == "target"
-    return make_watcher(sections, wish.regard, epoch, Path(), tracks, "scene", scene.seed)
+    return make_watcher(sections, wish.regard, epoch, tracks, "scene", scene.seed)
 
 
 def _offsets(watcher: Watcher, wish: FindOptions) -> Array:

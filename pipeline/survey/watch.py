@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,14 @@ from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M, SPEED
 from pipeline.physics.noise.streams import stream_key, uniforms
 from pipeline.physics.positions.apparent import apparent_sun_m
 from pipeline.physics.positions.earth import earth_and_sun, teme_to_gcrs
-from pipeline.physics.positions.times import Instants, format_utc, instants
+from pipeline.physics.positions.times import Instants, format_utc, instants, parse_utc
 from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import from_angles, separation, to_angles, unit
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.pointing.air import terms_of
 from pipeline.plan.pointing.site import axes_of, place_of
 from pipeline.plan.resolved import ResolvedScene
+from pipeline.resolve.files import read_files
 from pipeline.resolve.resolve import resolve
 from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver, OrbitObserver
@@ -189,14 +189,13 @@ def make_watcher(
     sections: dict[str, Any],
     regard: FieldOfRegard,
     epoch: Epoch,
-    folder: Path,
     tracks: bool,
     field: str = "scene",
     seed: int = 0,
 ) -> Watcher:
     """A watcher of a scene's sections: `observer`, `sensor`, `exposure`, `background`.
 
-    epoch : two-part UTC, from which moments count; folder : from which relative paths are taken
+    epoch : two-part UTC, from which moments count
     The sky's light is that above the sensor at the epoch: one value for all directions and times.
     """
     stub = {
@@ -208,20 +207,17 @@ def make_watcher(
         "accuracy": {"check_cells": 0},
         "targets": [PROBE],
     }
-    stub["pointing"] = {"mode": "sidereal", **_upward(stub, folder, field)}
-    resolved = resolve(parse_scene(stub, folder)).scene
+    stub["pointing"] = {"mode": "sidereal", **_upward(stub, field)}
+    resolved = resolve(parse_scene(stub)).scene
     name = str(sections.get("name", field))
     signal = signal_table(resolved)
     return Watcher(name, field, resolved, regard, signal, epoch, seed, tracks)
 
 
-def _upward(stub: dict[str, Any], folder: Path, field: str) -> dict[str, float]:
+def _upward(stub: dict[str, Any], field: str) -> dict[str, float]:
     """The direction above an observer at the epoch, as a sidereal pointing has it."""
-    from pipeline.physics.positions.times import parse_utc
-    from pipeline.resolve.files import read_files
-
     looks = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0}
-    scene = read_files(parse_scene({**stub, "pointing": looks}, folder))
+    scene = read_files(parse_scene({**stub, "pointing": looks}))
     o, epoch = scene.observer, parse_utc(scene.epoch)
     times = instants(epoch, [0.0])
     if isinstance(o, GroundObserver):

@@ -16,7 +16,6 @@ from pipeline.physics.positions.times import format_utc, instants
 from pipeline.physics.vectors import to_angles
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
-from pipeline.spec.study_load import parse_study
 
 TIME_S = 1.0
 
@@ -39,7 +38,7 @@ def course_of(data: dict[str, Any], folder: Path) -> StudyCourse:
     made = {"objects": 400, "seed": 4, "smallest_m": 0.05, "largest_m": 4.0}
     data |= {"duration_h": 6.0, "catalogue": {"synthetic": made}}
     data["detection"] = {"least_probability": 0.0, "false_alarm_rate": 1e-6}
-    return make_course(data, parse_study(data), folder, folder)
+    return make_course(data, folder)
 
 
 def frame_of(course: StudyCourse, data: dict[str, Any], row: dict[str, Any], out: Path) -> Product:
@@ -67,7 +66,7 @@ def frame_of(course: StudyCourse, data: dict[str, Any], row: dict[str, Any], out
         pointing = {"mode": "target", "target": "object"}
     camera = data["cameras"][0]
     scene = {
-        "schema": "nightglass/scene/1", "name": "check", "seed": row["step"] + 7 * row["object"],
+        "schema": "nightglass/scene/1", "name": "check", "seed": 1000 * row["step"] + row["object"],
         "epoch": format_utc(float(at.utc1[0]), float(at.utc2[0])), "sensor": camera["sensor"],
         "observer": data["sensors"][row["sensor"]]["observer"], "exposure": camera["exposure"],
         "background": camera["background"], "pointing": pointing,
@@ -121,7 +120,7 @@ def test_against_rendered_frames(data: dict[str, Any], tmp_path: Path, count: in
     table = compared(data, tmp_path, count)
     told = judged(table)
     print(told)
-    assert told["least_percent"] > -1.0
+    assert told["least_percent"] > -1.5
     assert told["most_percent"] < 1.0
     assert abs(told["detected"] - told["expected"]) < 3.0 * max(told["sigma"], 1.0)
     pull = table[:, 2] - table[:, 0]  # of mean 0 and variance 1

@@ -17,7 +17,6 @@ from pipeline.capacity.candidates import find_candidates, path_of
 from pipeline.capacity.course import make_course
 from pipeline.capacity.run import StudyOptions, forecast_of, run_study
 from pipeline.errors import BadInput
-from pipeline.spec.study_load import parse_study
 
 ALONE = StudyOptions("synchronous")
 Data = dict[str, Any]
@@ -118,7 +117,7 @@ def test_searches_see_what_is_in_their_fields(data: Data, tmp_path: Path, patter
     run_study(data, tmp_path, tmp_path / "out", ALONE)
     rows = [row for window in observations(tmp_path / "out") for row in window]
     assert rows
-    course = make_course(data, parse_study(data), tmp_path, tmp_path / "out")
+    course = make_course(data, tmp_path / "out")
     for row in rows[:50]:
         slots = slots_of(course, 0, row["unit"])
         middle = row["time_s"] - 0.5 * row["busy_s"]
@@ -147,7 +146,7 @@ def test_searches_miss_nothing(data: Data, tmp_path: Path) -> None:
     data["catalogue"]["synthetic"] |= {"objects": 100, "smallest_m": 5.0}
     run_study(data, tmp_path, tmp_path / "out", ALONE)
     rows = [row for window in observations(tmp_path / "out") for row in window]
-    course = make_course(data, parse_study(data), tmp_path, tmp_path / "out")
+    course = make_course(data, tmp_path / "out")
     slots, w = slots_of(course, 0, 0), course.watchers[0]
     satellites = course.elements.satellites()
     expected = set()
@@ -272,7 +271,7 @@ def test_resume_needs_the_same_study(data: Data, tmp_path: Path) -> None:
 def test_weather_and_forecast(data: Data, tmp_path: Path) -> None:
     """Clouds come by the seed alone; a forecast counts what the study does."""
     data["sensors"][0]["field_of_regard"] = {"clear_fraction": 0.5, "weather_h": 0.5}
-    course = make_course(data, parse_study(data), tmp_path, tmp_path)
+    course = make_course(data, tmp_path)
     watcher, at = course.watchers[0], np.arange(0.0, 28_800.0, 60.0)
     clear = watcher.watch(at).works
     assert 0.1 < clear.mean() < 0.9

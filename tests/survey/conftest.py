@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -43,7 +42,7 @@ def watcher(
     """A watcher at that site; `pole` : polar motion [arcsec]."""
     asked = sections(refraction)
     asked["observer"]["polar_motion_arcsec"] = pole
-    return make_watcher(asked, FieldOfRegard(**regard), EPOCH, Path(), tracks, "sensors.0")
+    return make_watcher(asked, FieldOfRegard(**regard), EPOCH, tracks, "sensors.0")
 
 
 @pytest.fixture(scope="session")
