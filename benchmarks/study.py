@@ -99,13 +99,14 @@ def propagation(objects: int) -> dict[str, float]:
     from sgp4.api import SatrecArray
 
     from pipeline.physics.positions.orbit_screen import states_together
+    from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
     from pipeline.physics.positions.times import parse_utc
     from pipeline.spec.study import Synthetic
-    from pipeline.survey.elements import since_s, synthetic_elements
+    from pipeline.survey.elements import synthetic_elements
 
     epoch = parse_utc("2019-04-20T00:00:00Z")
     satellites = synthetic_elements(Synthetic(objects=min(objects, 1024)), epoch).satellites()
-    at, since = np.arange(361) * 60.0, since_s(satellites, epoch)
+    at, since = np.arange(361) * 60.0, since_epochs_s(satellites, epoch)
     alone, ours = [], []
     for _ in range(5):
         started = time.process_time()

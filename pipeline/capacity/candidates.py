@@ -16,11 +16,12 @@ from pipeline.capacity.course import BATCH, StudyCourse, moments
 from pipeline.capacity.patterns import pattern_sights
 from pipeline.physics.detection import detection_probability
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
+from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.physics.positions.regard import may_be_seen
 from pipeline.physics.sky.moon import SUN_V_MAG
 from pipeline.physics.vectors import unit
 from pipeline.spec.study import CuedTasking
-from pipeline.survey.elements import Elements, since_s
+from pipeline.survey.elements import Elements
 from pipeline.survey.prune import never_seen
 from pipeline.survey.sights import Sights, allowed, sights_of
 from pipeline.survey.watch import MOST_LIFT_RAD, WatchMoments
@@ -62,7 +63,7 @@ def find_candidates(course: StudyCourse, item: Item) -> int:
     failed: list[int] = []
     if len(some):
         satellites = elements.take(some).satellites()
-        since, at = since_s(satellites, course.watchers[0].epoch), watches[0].offset_s
+        since, at = since_epochs_s(satellites, course.watchers[0].epoch), watches[0].offset_s
         place, speed, codes = states_together(satellites, since, at)
         failed = (some[(codes != WHOLE).any(axis=1)] + batch * BATCH).tolist()
         tables = [

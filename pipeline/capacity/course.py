@@ -66,6 +66,10 @@ class StudyCourse:
         return max(1, math.ceil(self.study.duration_h * 3600.0 / self.study.step_s))
 
     @property
+    def hours(self) -> float:
+        return self.steps * self.study.step_s / 3600.0
+
+    @property
     def windows(self) -> int:
         return math.ceil(self.steps / STEPS)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -31,28 +30,13 @@ OBJECTS, SENSORS, HOURS, COVERAGE, REACH = (
     f"{name}.parquet" for name in ("objects", "sensors", "hours", "coverage", "reach")
 )
 REPORT, PAGE = "report.json", "report.html"
-ORDER = 4  # of the HEALPix map: 3,072 pixels of 3.7 degrees
+ORDER = 4  # of the HEALPix map
+PIXELS = 12 * 4**ORDER  # of 3.7 degrees
+ALTITUDES_KM = np.array([500, 800, 1200, 2000, 10_000, 25_000, 40_000])
 MOST_DETECTIONS = 4_000_000  # whose gaps are worked out in one go
 REACH_KM = tuple(np.geomspace(300.0, 45_000.0, 40).tolist())
 REACH_PHASE_RAD, REACH_ALBEDO = np.pi / 3.0, 0.175
 GAP_BINS_H = np.concatenate([[0.0], np.geomspace(1.0 / 60.0, 10_000.0, 61)])
-
-
-@dataclass(frozen=True, eq=False)
-class StudyCounts:
-    """Counts over all observations: by object (n,), by hour (h, s) and of sensors (u,), by pixel.
-
-    observations, detections, busy_s of each; one number a window is all that grows with the period
-    """
-
-    objects: NDArray[np.int64]
-    detections: NDArray[np.int64]
-    hours: NDArray[np.int64]
-    hour_detections: NDArray[np.int64]
-    busy_s: NDArray[np.float64]
-    unit_observations: NDArray[np.int64]
-    unit_detections: NDArray[np.int64]
-    sky: NDArray[np.int64]
 
 
 def summarise(
@@ -60,18 +44,14 @@ def summarise(
 ) -> dict[str, Any]:
     """Write all tables, the report and its page; returns the report."""
     files = sorted((out / "observations").glob("window-*.parquet"))
-    tally = _tally(course, files)
-    objects, gaps_h = _objects(course, files, tally)
-    hours = {
-        "hour": np.arange(len(tally.hours)),
-        "observations": tally.hours,
-        "detections": tally.hour_detections,
-    }
+    counts, busy_s = _counts(course, files)
+    objects, gaps_h = _objects(course, files, counts["object"])
+    hours = dict(zip(("observations", "detections"), counts["hour"], strict=True))
     tables = {
         OBJECTS: objects,
-        SENSORS: _sensors(course, tally),
-        HOURS: pa.table(hours),
-        COVERAGE: pa.table({"pixel": np.arange(12 * 4**ORDER), "observations": tally.sky}),
+        SENSORS: _sensors(course, counts["unit"], busy_s),
+        HOURS: pa.table({"hour": np.arange(counts["hour"].shape[1]), **hours}),
+        COVERAGE: pa.table({"pixel": np.arange(PIXELS), "observations": counts["pixel"][0]}),
         REACH: _reach(course),
     }
     for name, table in tables.items():
@@ -85,55 +65,43 @@ def summarise(
     return report
 
 
-def _tally(course: StudyCourse, files: list[Path]) -> StudyCounts:
-    n, units = len(course.elements), len(course.units)
-    hours = int(np.ceil(course.steps * course.study.step_s / 3600.0))
-    t = StudyCounts(
-        np.zeros(n, np.int64),
-        np.zeros(n, np.int64),
-        np.zeros(hours, np.int64),
-        np.zeros(hours, np.int64),
-        np.zeros(units),
-        np.zeros(units, np.int64),
-        np.zeros(units, np.int64),
-        np.zeros(12 * 4**ORDER, np.int64),
-    )
+def _counts(
+    course: StudyCourse, files: list[Path]
+) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.float64]]:
+    """Observations and detections (2, n) by object, hour, single sensor and pixel; seconds (u,)
+    for which each of these sensors was busy."""
+    hours, units = int(np.ceil(course.hours)), len(course.units)
+    sizes = {"object": len(course.elements), "hour": hours, "unit": units, "pixel": PIXELS}
+    counts = {name: np.zeros((2, n), np.int64) for name, n in sizes.items()}
+    busy_s = np.zeros(units)
     for path in files:
         rows = pq.read_table(path, page_checksum_verification=True)
         col = {name: rows[name].to_numpy() for name in rows.column_names}
-        seen = col["detected"]
-        hour = np.minimum(col["time_s"] // 3600.0, hours - 1).astype(np.int64)
-        ra, dec = angles_deg(np.stack([col[c] for c in "xyz"], axis=1).astype(float))
-        for into, where in (
-            (t.objects, col["object"]),
-            (t.detections, col["object"][seen]),
-            (t.hours, hour),
-            (t.hour_detections, hour[seen]),
-            (t.unit_observations, col["unit"]),
-            (t.unit_detections, col["unit"][seen]),
-            (t.sky, pixels_of(ORDER, ra, dec)),
-        ):
-            np.add.at(into, where, 1)
-        np.add.at(t.busy_s, col["unit"], col["busy_s"])
-    return t
+        col["hour"] = np.minimum(col["time_s"] // 3600.0, hours - 1).astype(np.int64)
+        angles = angles_deg(np.stack([col[c] for c in "xyz"], axis=1).astype(float))
+        col["pixel"] = pixels_of(ORDER, *angles)
+        for name, into in counts.items():
+            for k, which in enumerate((np.full(len(rows), True), col["detected"])):
+                into[k] += np.bincount(col[name][which], minlength=into.shape[1])
+        busy_s += np.bincount(col["unit"], col["busy_s"], units)
+    return counts, busy_s
 
 
 def _objects(
-    course: StudyCourse, files: list[Path], tally: StudyCounts
+    course: StudyCourse, files: list[Path], counts: NDArray[np.int64]
 ) -> tuple[pa.Table, dict[str, NDArray[np.int64]]]:
     """The table of objects, and of each regime how many gaps are of which length (GAP_BINS_H)."""
     period_s, custody_s = course.steps * course.study.step_s, course.study.custody_h * 3600.0
     regime = course.elements.regime
     counted = {str(r): np.zeros(len(GAP_BINS_H) - 1, np.int64) for r in np.unique(regime)}
     found: list[GapTimes] = []
-    edges = _groups(tally.detections)
-    for first, last in pairwise(edges):
+    for first, last in pairwise(_groups(counts[1])):
         who, when = _detections(files, first, last)
         gaps = gap_times(who - first, when, last - first, period_s, custody_s)
         found.append(gaps)
-        for name, counts in counted.items():
+        for name, many in counted.items():
             mine = (regime[first:last] == name)[gaps.of]
-            counts += np.histogram(gaps.all_s[mine] / 3600.0, GAP_BINS_H)[0]
+            many += np.histogram(gaps.all_s[mine] / 3600.0, GAP_BINS_H)[0]
     e = course.elements
 
     def column(name: str) -> NDArray[np.float64]:
@@ -147,8 +115,8 @@ def _objects(
         "regime": regime.astype(str),
         "altitude_km": e.mean_altitude_km,
         "reflecting_m2": e.reflecting_m2,
-        "observations": tally.objects,
-        "detections": tally.detections,
+        "observations": counts[0],
+        "detections": counts[1],
         **hours,
         "first_detection_h": column("first_s") / 3600.0,
         "revisit_h": column("revisit_s") / 3600.0,
@@ -177,34 +145,26 @@ def _detections(
     return rows["object"].to_numpy().astype(np.int64), rows["time_s"].to_numpy()
 
 
-def _sensors(course: StudyCourse, tally: StudyCounts) -> pa.Table:
+def _sensors(
+    course: StudyCourse, counts: NDArray[np.int64], busy_s: NDArray[np.float64]
+) -> pa.Table:
     """Each single sensor: hours in which it could look, share of them it was used."""
     open_h = np.zeros(len(course.watchers))
     for window in range(course.windows):
-        for j, watch in enumerate(moments(course, window)):
-            open_h[j] += float(watch.works[:-1].sum()) * course.study.step_s / 3600.0
-    names = [f"{course.watchers[j].name}-{k + 1}" for j, k in _numbered(course)]
-    could = open_h[course.units]
-    busy = tally.busy_s / 3600.0
-    used = np.divide(busy, could, out=np.zeros_like(busy), where=could > 0.0)
-    sky = [course.watchers[j].resolved.facts.background_e_s for j in course.units]
-    return pa.table(
-        {
-            "sensor": names,
-            "open_h": could,
-            "busy_h": busy,
-            "used_fraction": used,
-            "observations": tally.unit_observations,
-            "detections": tally.unit_detections,
-            "sky_e_s_px": sky,
-        }
-    )
-
-
-def _numbered(course: StudyCourse) -> list[tuple[int, int]]:
-    """Of each single sensor its place in the file, and its number there."""
-    first = np.searchsorted(course.units, course.units)
-    return [(int(j), int(u - f)) for u, (j, f) in enumerate(zip(course.units, first, strict=True))]
+        works = [watch.works[:-1].sum() for watch in moments(course, window)]
+        open_h += np.array(works) * course.study.step_s / 3600.0
+    number = np.arange(len(course.units)) - np.searchsorted(course.units, course.units) + 1
+    watchers = [course.watchers[j] for j in course.units]
+    columns = {
+        "sensor": [f"{w.name}-{k}" for w, k in zip(watchers, number, strict=True)],
+        "open_h": open_h[course.units],
+        "busy_h": busy_s / 3600.0,
+        "used_fraction": busy_s / 3600.0 / np.maximum(open_h[course.units], 1e-9),
+        "observations": counts[0],
+        "detections": counts[1],
+        "sky_e_s_px": [w.resolved.facts.background_e_s for w in watchers],
+    }
+    return pa.table(columns)
 
 
 def _reach(course: StudyCourse) -> pa.Table:
@@ -229,7 +189,7 @@ def smallest_m(
     light_e = light * watcher.electrons_per_light
     if r.extinction is not None:
         light_e = light_e * r.extinction.transmission(np.ones(1))
-    low, high = np.full(len(km := range_m), -4.0), np.full(len(km), 4.0)
+    low, high = np.full(len(range_m), -4.0), np.full(len(range_m), 4.0)
     for _ in range(40):
         middle = 0.5 * (low + high)
         seen = watcher.signal.snr(light_e * 10.0 ** (2.0 * middle), streak) >= threshold
@@ -242,7 +202,7 @@ def _report(
 ) -> dict[str, Any]:
     """All figures of a study as plain values."""
     objects, sensors = tables[OBJECTS], tables[SENSORS]
-    hours = course.steps * course.study.step_s / 3600.0
+    hours = course.hours
     seen = objects["detections"].to_numpy() > 0
     total = int(pc.sum(objects["observations"]).as_py())
     figures = {
@@ -264,9 +224,9 @@ def _report(
         "start": course.study.start,
         "hours": hours,
         "figures": figures,
-        "by_regime": _by(objects, "regime"),
-        "by_kind": _by(objects, "kind"),
-        "by_altitude_km": _by_altitude(objects, course.elements),
+        "by_regime": _by(objects, course.elements.regime),
+        "by_kind": _by(objects, course.elements.kind),
+        "by_altitude_km": _by(objects, _altitudes(course.elements)),
         "threshold_sigma": course.threshold,
         "false_alarm_rate": course.study.detection.false_alarm_rate,
         "notes": notes,
@@ -294,22 +254,23 @@ def _gap_figures(objects: pa.Table, which: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def _by(objects: pa.Table, name: str) -> dict[str, Any]:
-    """Gap figures by the values of a column."""
-    values = objects[name].to_numpy(zero_copy_only=False)
+def _by(objects: pa.Table, labels: NDArray[np.str_]) -> dict[str, Any]:
+    """Gap figures of the objects of each label (n,)."""
     out = {}
-    for value in np.unique(values.astype(str)):
-        mine = values == value
-        out[str(value)] = {"objects": int(mine.sum()), **_gap_figures(objects, mine)}
-    return out
+    for label in dict.fromkeys(labels.tolist()):
+        mine = labels == label
+        out[label] = {"objects": int(mine.sum()), **_gap_figures(objects, mine)}
+    return dict(sorted(out.items(), key=lambda item: _first_number(item[0])))
 
 
-def _by_altitude(objects: pa.Table, elements: Elements) -> dict[str, Any]:
-    """Gap figures by bins of mean altitude."""
-    edges = np.array([0, 500, 800, 1200, 2000, 10_000, 25_000, 40_000, np.inf])
-    at = np.digitize(elements.mean_altitude_km, edges)
-    out = {}
-    for k in np.unique(at):
-        name = f"{edges[max(k - 1, 0)]:g}-{edges[min(k, len(edges) - 1)]:g}"
-        out[name] = {"objects": int((at == k).sum()), **_gap_figures(objects, at == k)}
-    return out
+def _first_number(label: str) -> tuple[float, str]:
+    """Numbers by size, words after them by the alphabet."""
+    head = label.split("-")[0]
+    return (float(head), "") if head.isdigit() else (np.inf, label)
+
+
+def _altitudes(elements: Elements) -> NDArray[np.str_]:
+    """The bin of mean altitude of each object (n,): from-to [km]."""
+    at = np.digitize(elements.mean_altitude_km, ALTITUDES_KM)
+    edges = ["0", *(f"{km}" for km in ALTITUDES_KM), "inf"]
+    return np.array([f"{a}-{b}" for a, b in pairwise(edges)])[at]

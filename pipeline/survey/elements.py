@@ -16,7 +16,6 @@ from pipeline.errors import BadInput
 from pipeline.inputs.targets.population_files import ElementSet, element_sets, read_sizes
 from pipeline.physics.constants import DAY_S
 from pipeline.physics.positions.orbit_bounds import semi_major_axis_m
-from pipeline.physics.positions.orbit_screen import since_epochs_s
 from pipeline.physics.positions.times import elapsed_s
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.plan.bodies.albedos import albedo_of
@@ -86,27 +85,16 @@ class Elements:
         return np.where(self.mean[:, 1] > 0.25, "HEO", plain)
 
 
-@dataclass
-class Census:
-    """What became of the element sets: how many were read, and why some are not looked at."""
+class Census(Counter[str]):
+    """How many element sets are not looked at, by reason; `read` of them in all."""
 
-    read: int = 0
-    omitted: Counter[str] | None = None
-    first: str = ""
-
-    def omit(self, why: str, count: int, example: str = "") -> None:
-        """Count objects that are not looked at."""
-        self.omitted = self.omitted or Counter()
-        if count:
-            self.omitted[why] += count
-            self.first = self.first or example
+    read = 0
 
     def lines(self) -> list[str]:
         """One line for each reason."""
-        return [f"{n} of {self.read} element sets omitted: {why}" for why, n in self._items()]
-
-    def _items(self) -> list[tuple[str, int]]:
-        return sorted((self.omitted or Counter()).items())
+        return [
+            f"{n} of {self.read} element sets omitted: {w}" for w, n in sorted(self.items()) if n
+        ]
 
 
 def gather_elements(
@@ -117,7 +105,7 @@ def gather_elements(
     BadInput where a file cannot be used, or nothing in the files can be read.
     """
     rows: list[tuple[ElementSet, float, bool]] = []
-    census = Census()
+    census, first = Census(), ""
     for i, population in enumerate(populations):
         place = f"{field}.{i}"
         sizes: Sizes = {}
@@ -125,15 +113,15 @@ def gather_elements(
             sizes = read_sizes(Path(population.sizes), f"{place}.sizes")
         for batch in element_sets(Path(population.path), f"{place}.path"):
             census.read += len(batch)
-            bad = [one for one in batch if one.satellite is None]
-            if bad:
-                census.omit("not readable", len(bad), f"{bad[0].name or 'no name'}: {bad[0].fault}")
             for one in batch:
-                if one.satellite is not None:
+                if one.satellite is None:
+                    census["not readable"] += 1
+                    first = first or f"{one.name or 'no name'}: {one.fault}"
+                else:
                     body = member_body(population, sizes, one.name, one.number)
                     rows.append((one, _reflecting_m2(body, place), population.eclipse))
     if not rows:
-        raise BadInput(f"{field}.0.path", census.first or "nothing", "element sets to be read")
+        raise BadInput(f"{field}.0.path", first or "nothing", "element sets to be read")
     return _nearest(_columns(rows), middle, census)
 
 
@@ -158,7 +146,7 @@ def _nearest(
     order = np.lexsort((age, found.number))
     number = found.number[order]
     first = (np.diff(number, prepend=-1) != 0) | (number == 0)
-    census.omit("another set of the same object is nearer to the period", int((~first).sum()))
+    census["another set of the same object is nearer to the period"] += int((~first).sum())
     return found.take(np.sort(order[first])), census
 
 
@@ -175,7 +163,7 @@ def fresh(
     if not good.any():
         nearest = f"epochs {days.min():.0f} to {days.max():.0f} days from the period"
         raise BadInput("catalogue", nearest, f"elements within {most_days:g} days (most_age_days)")
-    census.omit(f"their epoch is more than {most_days:g} days from the period", int((~good).sum()))
+    census[f"their epoch is more than {most_days:g} days from the period"] += int((~good).sum())
     return found.take(good)
 
 
@@ -243,8 +231,3 @@ def joined(parts: Sequence[Elements]) -> Elements:
     return Elements(
         *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Elements))
     )
-
-
-def since_s(satellites: Sequence[Satrec], epoch: tuple[float, float]) -> Array:
-    """Seconds (n,) from each one's elements to an instant."""
-    return since_epochs_s(satellites, epoch)

@@ -77,7 +77,7 @@ def find(scene: Scene, wish: FindOptions, workers: int | None = None) -> FoundOb
             if isinstance(rows, Exception):
                 raise rows
             found[first] = rows[0]
-            census.omit("SGP4 cannot follow them", rows[1])
+            census["SGP4 cannot follow them"] += rows[1]
     objects = sorted((row for k in sorted(found) for row in found[k]), key=lambda o: -o["snr"])
     times = [_utc(watcher, t) for t in offsets[[0, -1]]]
     return FoundObjects(

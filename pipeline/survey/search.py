@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.physics.positions.orbit_screen import WHOLE, states_apart, states_together
+from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.physics.positions.regard import may_be_seen
 from pipeline.physics.vectors import unit
-from pipeline.survey.elements import Elements, since_s
+from pipeline.survey.elements import Elements
 from pipeline.survey.prune import never_seen
 from pipeline.survey.sights import Sights, allowed, sights_of
 from pipeline.survey.watch import MOST_LIFT_RAD, Watcher, WatchMoments
@@ -55,7 +56,7 @@ class Search:
 
     def _some(self, elements: Elements, which: NDArray[np.int64]) -> tuple[Sights, int]:
         satellites = elements.take(which).satellites()
-        since = since_s(satellites, self.watcher.epoch)
+        since = since_epochs_s(satellites, self.watcher.epoch)
         place, speed, codes = states_together(satellites, since, self.coarse.offset_s)
         c = self.coarse
         near = may_be_seen(

@@ -13,7 +13,7 @@ from pipeline.physics.positions.refraction import refract
 from pipeline.physics.targets.eclipse import sunlit_fraction
 from pipeline.physics.targets.lighting import phase_angle, photon_rate_at_aperture, sun_distance
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
-from pipeline.physics.vectors import separation, unit
+from pipeline.physics.vectors import unit
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.survey.watch import Watcher, WatchMoments
 
@@ -145,8 +145,3 @@ def allowed(watcher: Watcher, watch: WatchMoments, s: Sights) -> NDArray[np.bool
         sine = np.abs(np.sum(watch.pole[k] * s.geometric, axis=-1))
         good &= sine >= np.sin(r.galactic_exclusion_deg * DEG_RAD)
     return good
-
-
-def moon_distance_rad(watch: WatchMoments, s: Sights) -> Array:
-    """Angle (r,) from the Moon."""
-    return separation(watch.moon_m[s.moment] - watch.observer_m[s.moment], s.geometric)

@@ -110,7 +110,6 @@ class Watcher:
             lowest,
             works,
             teme(sun),
-            np.sqrt(np.sum(earth.sun_from_earth_m**2, axis=-1)),
             teme(moon_m(times.tt1, times.tt2)),
             teme(np.broadcast_to(GALACTIC_POLE, place.shape)),
             teme(earth.velocity_m_s),
@@ -156,8 +155,8 @@ class WatchMoments:
     """A sensor at n moments, in TEME axes; angles [rad], vectors (n, 3).
 
     to_gcrs : (n, 3, 3); observer_m, motion_m_s : geocentric; up : its vertical; lowest : (n,) least
-    elevation; works : (n,) whether it looks at all; sun_m : apparent, sun_distance_m : (n,) from
-    the Earth; moon_m : geocentric; pole : of the Galaxy; earth_m_s : the Earth's velocity
+    elevation; works : (n,) whether it looks at all; sun_m : apparent; moon_m : geocentric; pole :
+    of the Galaxy; earth_m_s : the Earth's velocity
     """
 
     offset_s: Array
@@ -168,7 +167,6 @@ class WatchMoments:
     lowest: Array
     works: NDArray[np.bool_]
     sun_m: Array
-    sun_distance_m: Array
     moon_m: Array
     pole: Array
     earth_m_s: Array

@@ -136,7 +136,7 @@ def test_searches_miss_nothing(data: Data, tmp_path: Path) -> None:
     from pipeline.capacity.patterns import slots_of
     from pipeline.physics.positions.focal_plane import project
     from pipeline.physics.positions.orbit_screen import states_together
-    from pipeline.survey.elements import since_s
+    from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 
     data["cameras"][0] |= {"tracking": "sidereal"}
     data["cameras"][0]["sensor"] = data["cameras"][0]["sensor"] | {"focal_length_m": 0.05}
@@ -152,7 +152,7 @@ def test_searches_miss_nothing(data: Data, tmp_path: Path) -> None:
     expected = set()
     for q, middle in enumerate(slots.watch.offset_s):
         at = middle + slots.frame_s
-        place, _, _ = states_together(satellites, since_s(satellites, w.epoch), at)
+        place, _, _ = states_together(satellites, since_epochs_s(satellites, w.epoch), at)
         seen = w.watch(at)
         path = place - seen.observer_m
         for f in range(len(at)):
@@ -174,7 +174,9 @@ def test_searches_miss_nothing(data: Data, tmp_path: Path) -> None:
     q, i = (np.array(v) for v in zip(*dark, strict=True)) if dark else (np.zeros(0, int),) * 2
     for slot, one in zip(q, i, strict=True):
         p, v, _ = states_together(
-            [satellites[one]], since_s([satellites[one]], w.epoch), slots.watch.offset_s[[slot]]
+            [satellites[one]],
+            since_epochs_s([satellites[one]], w.epoch),
+            slots.watch.offset_s[[slot]],
         )
         e = course.elements.take(np.array([one]))
         s = sights_of(

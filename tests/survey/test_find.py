@@ -9,8 +9,9 @@ import pytest
 
 from pipeline.errors import BadInput
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
+from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.spec.load import load_scene
-from pipeline.survey.elements import Elements, since_s
+from pipeline.survey.elements import Elements
 from pipeline.survey.find import FindOptions, find
 from pipeline.survey.search import make_search
 from pipeline.survey.sights import allowed, sights_of
@@ -27,7 +28,7 @@ def test_against_brute_force(objects: Elements, tracks: bool) -> None:
     found, failed = make_search(w, at, 5.0).of(objects)
     assert failed == 0
     watch, satellites = w.watch(at), objects.satellites()
-    place, speed, codes = states_together(satellites, since_s(satellites, EPOCH), at)
+    place, speed, codes = states_together(satellites, since_epochs_s(satellites, EPOCH), at)
     assert (codes == WHOLE).all()
     who, when = (i.ravel() for i in np.indices(place.shape[:2]))
     flat = place.reshape(-1, 3), speed.reshape(-1, 3)

@@ -12,8 +12,9 @@ from pipeline.physics.positions.orbit_bounds import (
     radius_bounds_m,
 )
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
+from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.spec.study import Synthetic
-from pipeline.survey.elements import Elements, since_s, synthetic_elements
+from pipeline.survey.elements import Elements, synthetic_elements
 from pipeline.survey.prune import never_seen
 from pipeline.survey.sights import allowed, sights_of
 from tests.survey.conftest import EPOCH, watcher
@@ -44,7 +45,9 @@ orbits = st.builds(
 def test_limits_of_orbits(one: Elements, days: float) -> None:
     """Distance and latitude stay within their bounds, days from the elements, too."""
     satellites = one.satellites()
-    place, _, codes = states_together(satellites, since_s(satellites, EPOCH) + 86_400.0 * days, AT)
+    place, _, codes = states_together(
+        satellites, since_epochs_s(satellites, EPOCH) + 86_400.0 * days, AT
+    )
     place = place[codes == WHOLE]
     if not len(place):
         return
@@ -68,7 +71,7 @@ def test_what_never_rises_does_not(one: Elements, latitude_deg: float, lowest_de
     if not never_rises(lat, 0.0, lowest, high, reach)[0]:
         return
     satellites = one.satellites()
-    place, _, codes = states_together(satellites, since_s(satellites, EPOCH), AT)
+    place, _, codes = states_together(satellites, since_epochs_s(satellites, EPOCH), AT)
     place = place[codes == WHOLE]
     # the best longitude: that of the satellite itself
     across = np.hypot(place[:, 0], place[:, 1])
@@ -86,7 +89,7 @@ def test_pruned_objects_are_never_seen() -> None:
     watch, satellites = w.watch(AT), objects.satellites()
     pruned = never_seen(w, watch, objects, 20.0)
     assert 20 < pruned.sum() < 140
-    place, speed, codes = states_together(satellites, since_s(satellites, EPOCH), AT)
+    place, speed, codes = states_together(satellites, since_epochs_s(satellites, EPOCH), AT)
     who, when = np.nonzero(codes == WHOLE)
     s = sights_of(
         w, watch, when, who, place[who, when], speed[who, when], objects.reflecting_m2[who],

@@ -9,8 +9,9 @@ from skyfield.api import EarthSatellite, load, wgs84
 from pipeline.execute.truth import matched_snr
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.orbit_screen import states_together
+from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.physics.vectors import separation
-from pipeline.survey.elements import Elements, since_s
+from pipeline.survey.elements import Elements
 from pipeline.survey.sights import Sights, sights_of
 from pipeline.survey.signal import straight
 from tests.survey.conftest import EPOCH, watcher
@@ -26,7 +27,7 @@ def _thousand(objects: Elements, refraction: bool) -> Thousand:
     w = watcher(tracks=True, refraction=refraction, pole=(0.0, 0.0))
     at = np.sort(np.random.default_rng(3).uniform(0.0, 86_400.0, 400))
     satellites = objects.satellites()
-    place, speed, _ = states_together(satellites, since_s(satellites, EPOCH), at)
+    place, speed, _ = states_together(satellites, since_epochs_s(satellites, EPOCH), at)
     who, when = (i.ravel() for i in np.indices(place.shape[:2]))
     flat = place.reshape(-1, 3), speed.reshape(-1, 3)
     s = sights_of(w, w.watch(at), when, who, *flat, objects.reflecting_m2[who], objects.shaded[who])
