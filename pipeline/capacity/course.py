@@ -35,6 +35,7 @@ from pipeline.survey.watch import Watcher, WatchMoments, make_watcher
 STEPS, BATCH = 360, 1024  # of a window; objects of a task
 MOST_CPU_S = 24 * 3600.0
 STATE_CPU_S, PAIR_CPU_S, TASK_CPU_S = 0.8e-6, 0.05e-6, 0.05  # of this machine, with room
+CAMERA_KEYS = ("sensor", "exposure", "background")
 LOOKS, LOOK_STEPS = 500, 200  # directions and moments at which a field of regard is tried
 
 
@@ -138,14 +139,20 @@ def _watcher(data: dict[str, Any], study: Study, i: int, epoch: tuple[float, flo
     sensor = study.sensors[i]
     camera = study.camera_of(sensor)
     plain = data["cameras"][study.cameras.index(camera)]
-    sections = {k: plain.get(k) for k in ("sensor", "exposure", "background")}
+    sections = {k: plain.get(k) for k in CAMERA_KEYS}
     sections |= {"observer": data["sensors"][i]["observer"], "seed": study.seed}
     tracks = camera.tracking == "target"
     if tracks and not isinstance(study.tasking, CuedTasking):
         allowed_ = "sidereal, where fields are searched whatever is in them"
         raise BadInput(f"cameras.{study.cameras.index(camera)}.tracking", "target", allowed_)
-    regard, field = sensor.field_of_regard, f"sensors.{i}"
-    return make_watcher(sections | {"name": sensor.name}, regard, epoch, tracks, field)
+    regard, field = sensor.field_of_regard, f"sensors.{i}."
+    try:
+        return make_watcher(sections | {"name": sensor.name}, regard, epoch, tracks, field)
+    except BadInput as error:  # of a scene: its sections stand elsewhere in a study
+        camera_at = f"cameras.{study.cameras.index(camera)}."
+        known = error.field.split(".")[0]
+        place = {"observer": field, **dict.fromkeys(CAMERA_KEYS, camera_at)}.get(known, "")
+        raise BadInput(place + error.field, error.value, error.allowed) from None
 
 
 def _elements(study: Study, epoch: tuple[float, float]) -> tuple[Elements, Census]:
@@ -164,7 +171,7 @@ def _elements(study: Study, epoch: tuple[float, float]) -> tuple[Elements, Censu
 def _check_regard(watcher: Watcher, length_s: float) -> None:
     """BadInput for a sensor that may never look anywhere during the period."""
     at = np.linspace(0.0, length_s, LOOK_STEPS + 2)[1:-1]
-    field, regard = f"{watcher.field}.field_of_regard", watcher.regard
+    field, regard = f"{watcher.field}field_of_regard", watcher.regard
     watch = watcher.watch(at)
     if not watch.works.any():
         if isinstance(watcher.observer, GroundObserver) and regard.clear_fraction == 1.0:

@@ -47,7 +47,6 @@ def page(
         f"{report['false_alarm_rate']:g} a frame and object, on Gaussian noise.",
         "Gaps run from the start to the first detection, between detections, and from the last one "
         "to the end; each object counts once in medians.",
-        "The sky's light is that above each sensor at the start, the same in all directions.",
         *report["notes"],
     ]
     groups = [

@@ -215,7 +215,7 @@ def _report(
         "sensor_time_used": float(pc.mean(sensors["used_fraction"]).as_py()),
         **_gap_figures(objects, np.ones(len(seen), bool)),
     }
-    notes = course.census.lines()
+    notes = [*course.census.lines(), *dict.fromkeys(w.sky_note for w in course.watchers)]
     if len(failed):
         names = ", ".join(course.elements.name[failed[:5]].astype(str))
         notes.append(f"{len(failed)} objects are not followed to the end (SGP4 ends): {names}")

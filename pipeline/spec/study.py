@@ -60,6 +60,13 @@ class StudyCamera(Strict):
     background: Background | None = None
     tracking: Literal["target", "sidereal"] = "sidereal"
 
+    @model_validator(mode="after")
+    def _sees_light(self) -> StudyCamera:
+        if self.exposure.integration_s == 0.0:
+            told = {"field": "exposure.integration_s"}
+            raise PydanticCustomError("bias", "allowed: above 0, to see light", told)
+        return self
+
 
 class Slewing(Strict):
     """Time from one dwell to the next: the angle over the rate, and then the settling."""

@@ -140,7 +140,7 @@ def _watcher(scene: Scene, wish: FindOptions, epoch: tuple[float, float]) -> Wat
     data = scene.as_dict()
     sections = {k: data[k] for k in ("observer", "sensor", "exposure", "background", "seed")}
     tracks = scene.pointing.mode == "target"
-    return make_watcher(sections, wish.regard, epoch, tracks, "scene", scene.seed)
+    return make_watcher(sections, wish.regard, epoch, tracks, "", scene.seed)
 
 
 def _offsets(watcher: Watcher, wish: FindOptions) -> Array:
@@ -178,7 +178,7 @@ def _notes(watcher: Watcher, search: Search, census: Census, wish: FindOptions) 
     notes = [
         f"SNR of one {r.integration_s(0):g} s frame, "
         + ("tracked" if watcher.tracks else "streaked by the object's own motion")
-        + f"; sky {r.facts.background_e_s:.3g} e-/s a pixel, that above the sensor at the start"
+        + f"; {watcher.sky_note}"
     ]
     if isinstance(watcher.observer, GroundObserver):
         notes.append(

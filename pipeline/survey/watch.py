@@ -31,6 +31,7 @@ from pipeline.survey.signal import SignalTable, signal_table
 Array = NDArray[np.float64]
 
 GALACTIC_POLE = from_angles(*np.array([192.859_48, 27.128_25]) * DEG_RAD)  # J2000
+CHANGING = ("moonlight", "twilight")  # parts of the sky that come and go in a night
 MOST_LIFT_RAD = 0.0125  # by the air, at the horizon, with room
 PROBE = {  # a target, so that the Sun's light in the band is worked out
     "name": "probe",
@@ -51,7 +52,8 @@ class Watcher:
     """A sensor that looks for objects.
 
     resolved : its camera as a scene that looks up at `epoch`; integration_s, frames, cadence_s :
-    of a dwell; tracks : whether dwells follow their object; field : its place in the file
+    of a dwell; tracks : whether dwells follow their object; field : what its keys begin with in the
+    file; omitted : parts of its sky that change in the night, not counted
     """
 
     name: str
@@ -62,6 +64,7 @@ class Watcher:
     epoch: Epoch
     seed: int
     tracks: bool
+    omitted: tuple[str, ...] = ()
 
     @property
     def observer(self) -> GroundObserver | OrbitObserver:
@@ -80,6 +83,14 @@ class Watcher:
         """Refraction's A and B [rad]; zeros without."""
         ground = isinstance(self.observer, GroundObserver)
         return terms_of(self.resolved.scene) if ground and self.observer.atmosphere else (0.0, 0.0)  # type: ignore[union-attr]
+
+    @property
+    def sky_note(self) -> str:
+        """What its sky is, for people."""
+        told = (
+            f"sky {self.resolved.facts.background_e_s:.3g} e-/s a pixel, that above it at the start"
+        )
+        return told + (f" without {' and '.join(self.omitted)}" if self.omitted else "")
 
     @property
     def dwell_s(self) -> float:
@@ -121,7 +132,7 @@ class Watcher:
         if isinstance(o, GroundObserver):
             return *place_of(o, times), axes_of(o, times)[:, 2]
         place, motion = orbit_states(
-            o.orbit, f"{self.field}.observer.orbit", self.epoch, offsets_s, times
+            o.orbit, f"{self.field}observer.orbit", self.epoch, offsets_s, times
         )
         return place, motion, unit(place)
 
@@ -188,7 +199,7 @@ def make_watcher(
     regard: FieldOfRegard,
     epoch: Epoch,
     tracks: bool,
-    field: str = "scene",
+    field: str = "",
     seed: int = 0,
 ) -> Watcher:
     """A watcher of a scene's sections: `observer`, `sensor`, `exposure`, `background`.
@@ -205,11 +216,14 @@ def make_watcher(
         "accuracy": {"check_cells": 0},
         "targets": [PROBE],
     }
+    sky = dict(stub.get("background") or {})
+    omitted = tuple(name for name in CHANGING if sky.pop(name, None))
+    stub["background"] = sky if any(sky.values()) else None
     stub["pointing"] = {"mode": "sidereal", **_upward(stub, field)}
     resolved = resolve(parse_scene(stub)).scene
     name = str(sections.get("name", field))
     signal = signal_table(resolved)
-    return Watcher(name, field, resolved, regard, signal, epoch, seed, tracks)
+    return Watcher(name, field, resolved, regard, signal, epoch, seed, tracks, omitted)
 
 
 def _upward(stub: dict[str, Any], field: str) -> dict[str, float]:
@@ -221,8 +235,8 @@ def _upward(stub: dict[str, Any], field: str) -> dict[str, float]:
     if isinstance(o, GroundObserver):
         up = axes_of(o, times)[0, 2]
     elif isinstance(o, OrbitObserver):
-        up = orbit_states(o.orbit, f"{field}.observer.orbit", epoch, np.zeros(1), times)[0][0]
+        up = orbit_states(o.orbit, f"{field}observer.orbit", epoch, np.zeros(1), times)[0][0]
     else:
-        raise BadInput(f"{field}.observer.kind", o.kind, "ground or orbit")
+        raise BadInput(f"{field}observer.kind", o.kind, "ground or orbit")
     ra, dec = to_angles(up)
     return {"boresight_ra_deg": float(np.degrees(ra)), "boresight_dec_deg": float(np.degrees(dec))}
