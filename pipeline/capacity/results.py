@@ -215,10 +215,13 @@ def _report(
         "sensor_time_used": float(pc.mean(sensors["used_fraction"]).as_py()),
         **_gap_figures(objects, np.ones(len(seen), bool)),
     }
-    notes = [*course.census.lines(), *dict.fromkeys(w.sky_note for w in course.watchers)]
+    skies: dict[str, list[str]] = {}
+    for watcher in course.watchers:
+        skies.setdefault(watcher.sky_note, []).append(watcher.name)
+    notes = [*course.census.lines(), *(f"{', '.join(w)}: {sky}" for sky, w in skies.items())]
     if len(failed):
         names = ", ".join(course.elements.name[failed[:5]].astype(str))
-        notes.append(f"{len(failed)} objects are not followed to the end (SGP4 ends): {names}")
+        notes.append(f"SGP4 ends within the period for {len(failed)} of the objects: {names}")
     return {
         "study": course.study.name,
         "start": course.study.start,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,11 @@ from pipeline.survey.prune import never_seen
 from pipeline.survey.sights import Sights, allowed, sights_of
 from pipeline.survey.watch import MOST_LIFT_RAD, Watcher, WatchMoments
 
+if TYPE_CHECKING:
+    from sgp4.api import Satrec
+
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 SCREEN_S = 60.0  # about the length of the steps that are screened
 MOST_STATES = 400_000  # of objects and steps looked at in one go
@@ -54,7 +59,7 @@ class Search:
             *(np.concatenate([getattr(p, name) for p in parts]) for name in _COLUMNS)
         ), failed
 
-    def _some(self, elements: Elements, which: NDArray[np.int64]) -> tuple[Sights, int]:
+    def _some(self, elements: Elements, which: Index) -> tuple[Sights, int]:
         satellites = elements.take(which).satellites()
         since = since_epochs_s(satellites, self.watcher.epoch)
         place, speed, codes = states_together(satellites, since, self.coarse.offset_s)
@@ -71,7 +76,15 @@ class Search:
         found = self._rows(elements, which, satellites, since, who[there], moment[there])
         return found, int((codes != WHOLE).any(axis=1).sum())
 
-    def _rows(self, elements, which, satellites, since, who, moment) -> Sights:
+    def _rows(
+        self,
+        elements: Elements,
+        which: Index,
+        satellites: list[Satrec],
+        since: Array,
+        who: Index,
+        moment: Index,
+    ) -> Sights:
         """Sights at the moments themselves of pairs that the screen has left."""
         w = self.watch
         place, speed, codes = states_apart(satellites, since, who, w.offset_s[moment])
