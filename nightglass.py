@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # functions import what they need, so that `import nightglass
     from pipeline.opened_product import Product
     from pipeline.route.draw import Progress
     from pipeline.spec.scene import Scene
+    from pipeline.survey.find import FoundObjects
 
     AnyPath = str | os.PathLike[str]
     AnyScene = Scene | Mapping[str, Any] | AnyPath
@@ -25,12 +26,14 @@ __all__ = [
     "Incomplete",
     "NightglassError",
     "TryLater",
+    "find",
     "load_scene",
     "observe",
     "open_catalogue",
     "open_product",
     "plan",
     "render",
+    "study",
 ]
 
 
@@ -169,6 +172,31 @@ def render(
 
     run(load_scene(scene), Path(product), Options(scheduler, workers, resume, replace), listen)
     return open_product(product)
+
+
+def find(scene: AnyScene, **wish: Any) -> FoundObjects:
+    """Which objects of a scene's populations its sensor can see, when, and where to point.
+
+    wish : of `pipeline.survey.find.FindOptions`: at, hours, night, step_s, least_snr, regard.
+    Raises BadInput for a scene without populations, or a site where it does not get dark.
+    """
+    from pipeline.survey.find import FindOptions
+    from pipeline.survey.find import find as look
+
+    return look(load_scene(scene), FindOptions(**wish))
+
+
+def study(file: AnyPath, out: AnyPath, **options: Any) -> dict[str, Any]:
+    """Run a study file into a folder and return its report, as `nightglass study --json` prints it.
+
+    options : fields of `pipeline.capacity.run.StudyOptions`: scheduler ("processes"), workers,
+    resume, yes. Raises BadInput for what cannot be run, Incomplete where work ended early.
+    """
+    from pipeline.capacity.run import StudyOptions, run_study
+    from pipeline.spec.study_load import read_study
+
+    path = Path(file)
+    return run_study(read_study(path), path.parent, Path(out), StudyOptions(**options))
 
 
 def open_product(path: AnyPath) -> Product:

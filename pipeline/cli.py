@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from catalog_tools.engine.heap import one_heap
+from pipeline.commands.capacity import find, study
 from pipeline.commands.catalog import catalog
 from pipeline.commands.cosmic_rays import cosmic_rays
 from pipeline.commands.export import export, import_app
@@ -431,6 +432,8 @@ def selftest(
 
 
 app.command()(observe)
+app.command()(find)
+app.command()(study)
 app.command()(sweep)
 app.command()(export)
 app.command()(join)

@@ -43,6 +43,7 @@ from service.routes import (
     queue,
     results,
     schema,
+    studies,
     sweeps,
     tickets,
     usage,
@@ -88,6 +89,7 @@ HEADERS: dict[int, dict[str, str]] = {
 ROOMS = (
     jobs,
     queue,
+    studies,
     sweeps,
     observe,
     results,

@@ -107,6 +107,7 @@ PROBLEM = {
 A_JOB, A_PROBLEM = ({"$ref": f"#/components/schemas/{name}"} for name in ("Job", "Problem"))
 JOB_ANSWERS = {
     ("post", "/v1/jobs"): ("200", "202"),
+    ("post", "/v1/studies"): ("200", "202"),
     ("post", "/v1/sweeps"): ("200", "202"),
     ("get", "/v1/jobs/{job_id}"): ("200",),
     ("post", "/v1/jobs/{job_id}/cancel"): ("202",),
@@ -191,7 +192,7 @@ def _complete(document: JsonObject) -> JsonObject:
     body = document["paths"]["/v1/jobs"]["post"]["requestBody"]["content"]["application/json"]
     body["examples"] = {"sidereal": {"summary": "two short frames, no stars", "value": SCENE}}
     planned = {"anyOf": [A_JOB, {"type": "object", "description": "a plan (dry_run)"}]}
-    for path in ("/v1/jobs", "/v1/sweeps"):
+    for path in ("/v1/jobs", "/v1/studies", "/v1/sweeps"):
         if path in document["paths"]:
             answer = document["paths"][path]["post"]["responses"]["200"]
             answer["content"]["application/json"] = {"schema": planned}

@@ -8,9 +8,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.capacity.run import forecast_of
 from pipeline.physics.targets.disc import photocentre_offset
 from pipeline.route.run import render
 from pipeline.spec.load import load_scene, parse_scene
+from pipeline.spec.study_load import read_study
 from pipeline.store.cube import open_cube
 from pipeline.sweep.run import check, gather_course
 
@@ -18,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SCENES = [*sorted((ROOT / "examples").glob("*.yaml")), ROOT / "pipeline" / "scenes" / "demo.yaml"]
 
 SWEEPS = sorted((ROOT / "examples" / "sweeps").glob("*.yaml"))
+STUDIES = sorted((ROOT / "examples" / "studies").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda p: p.stem)
@@ -53,3 +56,11 @@ def test_scene_without_catalogue(tmp_path):
         y, x = np.indices(frame.shape)
         dx, dy = (x * frame).sum() / total - 255.5, (y * frame).sum() / total - 255.5
         assert np.hypot(dx, dy) == pytest.approx(off, abs=1e-2)
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=lambda p: p.stem)
+def test_study_is_valid(path):
+    """Its sensors and objects, by the forecast that `--dry-run` prints."""
+    told = forecast_of(read_study(path), path.parent)
+    assert told["objects"] == 1000
+    assert told["cpu_s"] < 120.0

@@ -20,7 +20,8 @@ ROOT = DOCS.parent
 PAGES = ("tutorial.md", "howto/own-catalogue.md", "howto/own-sensor.md", "howto/exports.md",
          "howto/imports.md", "howto/sweep-on-a-cluster.md", "howto/submit-jobs.md",
          "howto/targets.md", "howto/orbits.md", "howto/attitude.md", "howto/materials.md",
-         "howto/space-sensor.md", "howto/stray-light.md", "howto/what-is-seen.md")  # fmt: skip
+         "howto/space-sensor.md", "howto/stray-light.md", "howto/gap-time.md",
+         "howto/what-is-seen.md")  # fmt: skip
 FILE = re.compile(r"(?s)```\w+\n# (\S+\.\w+)\n(.*?)```")  # a block whose first line names a file
 FIRST = re.compile(r"(nightglass|python|\.|\.venv\S*|for|make) ")
 # What is not run here, by a part of the command, and why.

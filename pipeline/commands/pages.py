@@ -243,3 +243,24 @@ def print_product(product: Path) -> None:
     for name, what in CONTENTS.items():
         if (product / name).exists():
             print(fold(what, " " * 6, f"  {product / name}  "))
+
+
+@contextmanager
+def progress_listener(unit: str, quiet: bool) -> Iterator[Callable[[Any], None] | None]:
+    """A listener that shows what is done, what failed and the time left on stderr.
+
+    It hears of `done`, `total` and, where there is one, `failed`.
+    """
+    if quiet:
+        yield None
+        return
+    with progress_bar(unit) as bar:
+        task = bar.add_task("planning", total=None)
+
+        def listen(progress: Any) -> None:
+            failed = f", {progress.failed} failed" if getattr(progress, "failed", 0) else ""
+            bar.update(
+                task, total=progress.total, completed=progress.done, description=f"running{failed}"
+            )
+
+        yield listen

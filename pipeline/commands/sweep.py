@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +18,7 @@ from pipeline.commands.options import (
     print_json,
     told_if_interrupted,
 )
+from pipeline.commands.pages import progress_listener
 from pipeline.lines import fold
 
 SweepFile = Annotated[Path, typer.Argument(help="sweep file, YAML or JSON", metavar="SWEEP")]
@@ -66,7 +65,7 @@ def sweep(
         return
     options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
     kept = told_if_interrupted(str(output), lambda: "finished points are kept")
-    with kept, _progress(as_json or not sys.stderr.isatty()) as listen:
+    with kept, progress_listener("points", as_json or not sys.stderr.isatty()) as listen:
         report = run(file, output, options, retry_failed, listen)
     if as_json:
         print_json(report)
@@ -120,26 +119,6 @@ def _there(
         print_json(report)
     else:
         _print(report, output)
-
-
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[Any], None] | None]:
-    """A listener that shows points done, failed ones and the time left on stderr."""
-    if quiet:
-        yield None
-        return
-    from pipeline.commands.pages import progress_bar
-
-    with progress_bar("points") as bar:
-        task = bar.add_task("planning", total=None)
-
-        def listen(progress: Any) -> None:
-            failed = f", {progress.failed} failed" if progress.failed else ""
-            bar.update(
-                task, total=progress.total, completed=progress.done, description=f"running{failed}"
-            )
-
-        yield listen
 
 
 def _print(report: dict[str, Any], output: Path) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.signal import fftconvolve
+from scipy.special import bdtrc, ndtr, ndtri
 
 Array = NDArray[np.float64]
 
@@ -52,3 +53,21 @@ def peak_near(statistic: Array, row: int, column: int, within_px: float) -> tupl
     at = int(np.argmax(np.where(far, -np.inf, statistic)))
     y, x = np.unravel_index(at, statistic.shape)
     return float(statistic[y, x]), int(y) - row, int(x) - column
+
+
+def threshold_sigma(false_alarm_rate: float) -> float:
+    """Threshold [sigma] that Gaussian noise passes at a rate: Q^-1(rate) (Kay 1998, 3.3)."""
+    return float(-ndtri(false_alarm_rate))
+
+
+def detection_probability(
+    snr: Array, threshold: float, frames: ArrayLike = 1, needed: int = 1
+) -> Array:
+    """Probability (...) that `needed` or more of `frames` alike show a source of SNR (...).
+
+    Each by Q(threshold - snr): the matched filter's statistic is Gaussian of variance 1 and mean
+    snr (Kay 1998, eq. 3.9); frames are independent. 0 of fewer frames than are needed.
+    """
+    one, tries = ndtr(np.asarray(snr, float) - threshold), np.asarray(frames)
+    enough = tries >= needed
+    return np.where(enough, bdtrc(needed - 1, np.where(enough, tries, needed), one), 0.0)

@@ -60,6 +60,15 @@ def load_scene(path: Path, overrides: Iterable[str] = ()) -> Scene:
     return parse_scene(data, base=path.parent)
 
 
+def read_format_file(path: Path, field: str, what: str) -> JsonValue:
+    """The plain data of a file of one of our formats (`sweep`, `study`)."""
+    if not path.is_file():
+        raise BadInput(field, str(path), f"an existing {what} file (YAML or JSON)")
+    if path.stat().st_size > MAX_BYTES:
+        raise BadInput(field, str(path), f"a file of at most {MAX_BYTES} bytes")
+    return parse_text(path.read_bytes(), str(path))
+
+
 def parse_text(raw: bytes, name: str = "scene") -> JsonValue:
     """Plain data from YAML 1.2 or JSON text; duplicates, aliases and deep nesting are refused."""
     try:
@@ -189,12 +198,21 @@ PATH_FIELDS = (
     ("targets", "*", "body", "parts", "*", "surface", "path"),
     ("targets", "*", "body", "parts", "*", "materials", "*", "path"),
 )
+STUDY_SECTIONS = (  # of a study: where it holds sections of a scene
+    ("catalogue", "populations"),
+    ("cameras", "*", "sensor"),
+    ("cameras", "*", "background"),
+    ("sensors", "*", "observer"),
+)
 
 
 def _tree() -> JsonObject:
     """PATH_FIELDS as nested mappings; an empty one is a field that may name a file."""
     tree: JsonObject = {}
-    for names in PATH_FIELDS:
+    of_studies = (
+        at + names[1:] for at in STUDY_SECTIONS for names in PATH_FIELDS if names[0] == at[-1]
+    )
+    for names in (*PATH_FIELDS, *of_studies):
         inner = tree
         for name in names:
             inner = inner.setdefault(name, {})
@@ -230,13 +248,18 @@ def resolve_paths(scene: Scene, base: Path) -> Scene:
     URLs (`s3://...`) stay as they are.
     """
     data = scene.as_dict()
+    place_paths(data, base)
+    return _checked(data)
+
+
+def place_paths(data: JsonObject, base: Path) -> None:
+    """Make the relative paths in plain data absolute, in place, from the folder `base`."""
     for _, holder, key in path_holders(data):
         value = holder.get(key)
         if isinstance(value, list):
             holder[key] = [_absolute(path, base) for path in value]
         elif isinstance(value, str):
             holder[key] = _absolute(value, base)
-    return _checked(data)
 
 
 def _absolute(path: str, base: Path) -> str:

@@ -60,7 +60,7 @@ def _check_schema(model: type[Strict], data: JsonObject) -> None:
     if given == own:
         return
     allowed, kind = f"allowed: {own!r}", given.partition("/")[2].partition("/")[0]
-    if kind in {"scene", "sweep"} - {own.split("/")[1]}:
+    if kind in {"scene", "sweep", "study"} - {own.split("/")[1]}:
         allowed += f"; this is a {kind}"
     raise PydanticCustomError("schema", "{allowed}", {"allowed": allowed, "field": "schema"})
 

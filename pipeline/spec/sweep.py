@@ -144,13 +144,7 @@ class Sweep(Strict):
     @field_validator("axes", mode="before")
     @classmethod
     def _kind_may_be_left_out(cls, value: object) -> object:
-        """An axis with `values` is a list."""
-        if not isinstance(value, list | tuple):
-            return value
-        return [
-            {"kind": "list", **axis} if isinstance(axis, dict) and "values" in axis else axis
-            for axis in value
-        ]
+        return axes_with_kinds(value)
 
     @model_validator(mode="after")
     def _fields_are_free_and_differ(self) -> Sweep:
@@ -217,15 +211,29 @@ class Sweep(Strict):
     @property
     def points(self) -> int:
         """How many points there are, seeds counted."""
-        design = self.design
-        if isinstance(design, QuasiRandom):
-            return design.points * self.seeds
-        lengths = [axis_length(axis) for axis in self.axes]
-        return (lengths[0] if isinstance(design, Zip) else math.prod(lengths)) * self.seeds
+        return points_of(self.axes, self.design, self.seeds)
 
     def as_dict(self) -> JsonObject:
         """The sweep with all defaults filled in, as plain data."""
         return self.model_dump(mode="json", by_alias=True)
+
+
+def axes_with_kinds(value: Any) -> Any:
+    """Axes as given, each that has `values` named a list."""
+    if not isinstance(value, list | tuple):
+        return value
+    return [
+        {"kind": "list", **axis} if isinstance(axis, dict) and "values" in axis else axis
+        for axis in value
+    ]
+
+
+def points_of(axes: tuple[Axis, ...], design: DesignWish, seeds: int) -> int:
+    """How many points a design makes of axes, seeds counted."""
+    if isinstance(design, QuasiRandom):
+        return design.points * seeds
+    lengths = [axis_length(axis) for axis in axes]
+    return (lengths[0] if isinstance(design, Zip) and axes else math.prod(lengths)) * seeds
 
 
 def axis_length(axis: ListAxis | TableAxis | RangeAxis) -> int:

@@ -7,17 +7,13 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from pipeline.errors import BadInput
-from pipeline.spec.load import MAX_BYTES, InvalidScene, mistakes_of, parse_text
+from pipeline.spec.load import InvalidScene, mistakes_of, read_format_file
 from pipeline.spec.sweep import Sweep
 
 
 def load_sweep(path: Path) -> Sweep:
     """Read a sweep file and check it."""
-    if not path.is_file():
-        raise BadInput("SWEEP", str(path), "an existing sweep file (YAML or JSON)")
-    if path.stat().st_size > MAX_BYTES:
-        raise BadInput("SWEEP", str(path), f"a file of at most {MAX_BYTES} bytes")
-    return parse_sweep(parse_text(path.read_bytes(), str(path)))
+    return parse_sweep(read_format_file(path, "SWEEP", "sweep"))
 
 
 def parse_sweep(data: object) -> Sweep:

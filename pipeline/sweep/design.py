@@ -12,6 +12,7 @@ import numpy as np
 
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
+from pipeline.spec.study import Study
 from pipeline.spec.sweep import (
     Grid,
     ListAxis,
@@ -29,7 +30,7 @@ BLOCK = 4096  # points of a Sobol sequence that are drawn at once
 class Design:
     """Points 0 to size - 1; a point is a place of the design and one of its seeds."""
 
-    def __init__(self, sweep: Sweep) -> None:
+    def __init__(self, sweep: Sweep | Study) -> None:
         self.sweep, self.axes, self.size = sweep, sweep.axes, sweep.points
         self._lengths = [axis_length(axis) for axis in sweep.axes]
         self._block = lru_cache(maxsize=4)(self._shares)

@@ -173,11 +173,11 @@ def _fit(value: JsonValue, kind: pa.DataType) -> JsonValue:
     return float(value) if pa.types.is_floating(kind) else value
 
 
-def begin(out: Path, identity: JsonObject, resume: bool) -> None:
-    """Make a sweep's folder, or take up one that was begun with the same sweep and scene."""
+def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") -> None:
+    """Make the folder of a sweep (or a study), or take up one that was begun with the same."""
     if not out.exists():
         if resume:
-            raise BadInput("--resume", str(out), "a sweep that was begun before")
+            raise BadInput("--resume", str(out), f"a {what} that was begun before")
         try:
             (out / PARTS).mkdir(parents=True)
         except OSError as error:
@@ -192,12 +192,12 @@ def begin(out: Path, identity: JsonObject, resume: bool) -> None:
     try:
         found = json.loads((out / BEGUN).read_text())
     except FileNotFoundError:
-        raise BadInput("--resume", str(out), "a sweep begun by `nightglass sweep`") from None
+        raise BadInput("--resume", str(out), f"a {what} begun by `nightglass {what}`") from None
     except (ValueError, OSError) as error:
         raise Damaged(str(out / BEGUN), f"not what was written ({error})") from None
     for key, wanted in identity.items():
         if found.get(key) != wanted:
-            raise BadInput("--resume", str(out), f"a sweep of the same {key}")
+            raise BadInput("--resume", str(out), f"a {what} of the same {key}")
     (out / PARTS).mkdir(exist_ok=True)
 
 
@@ -217,15 +217,15 @@ def _sha(value: object) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def is_complete(out: Path) -> bool:
-    """Whether a sweep's table stands sealed."""
-    return (out / COMPLETE).is_file() and (out / TABLE).is_file()
+def is_complete(out: Path, table: str = TABLE) -> bool:
+    """Whether a sweep's (or a study's) table stands sealed."""
+    return (out / COMPLETE).is_file() and (out / table).is_file()
 
 
-def seal(out: Path) -> None:
+def seal(out: Path, names: tuple[str, ...] = (TABLE, SWEEP, REPORT, PAGE, FIGURE)) -> None:
     """Write _COMPLETE, last of all, with the digests of the files."""
     files = {}
-    for name in (TABLE, SWEEP, REPORT, PAGE, FIGURE):
+    for name in names:
         if (out / name).is_file():
             with (out / name).open("rb") as handle:
                 files[name] = hashlib.file_digest(handle, "sha256").hexdigest()

@@ -139,10 +139,10 @@ class Attempt:
         scene = self._store.scene(self._job.id, hidden=True)
         files = names_of(self._store.engine, self._job.team, files_in(json.dumps(scene)))
         return {
-            "do": "render" if self._job.kind == "scene" else "sweep",
-            "scene": engine_scene(scene, settings)
-            if self._job.kind == "scene"
-            else engine_sweep(scene, settings),
+            "do": "render" if self._job.kind == "scene" else self._job.kind,
+            "scene": engine_sweep(scene, settings)
+            if self._job.kind == "sweep"
+            else engine_scene(scene, settings),
             "product": os.path.relpath(self._product, settings.catalogues.resolve()),
             "resume": resume,
             "workers": settings.workers,

@@ -27,6 +27,7 @@ from pipeline.spec.load import parse_scene
 from service import logs
 from service.problems import cut, mistake_dict, mistakes_of
 
+STUDY_SCHEMA = "nightglass/study/1"
 log = logging.getLogger("nightglass.engine")
 BETWEEN_LINES_S = 0.25
 
@@ -42,7 +43,8 @@ def main() -> None:
     order = json.loads(line)
     logs.set_up()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    todo = {"plan": _plan, "judge": _judge, "observe": _observe, "render": _render, "sweep": _sweep}
+    todo = {"plan": _plan, "judge": _judge, "observe": _observe, "render": _render}
+    todo |= {"study": _study, "sweep": _sweep}
     try:
         _say(answers, todo[order["do"]](order, answers))
     except Exception as error:
@@ -97,6 +99,10 @@ def _tiles_told(order: dict[str, Any]) -> Iterator[None]:
 
 
 def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
+    if order["scene"].get("schema") == STUDY_SCHEMA:
+        from pipeline.capacity.run import forecast_of
+
+        return {"outcome": "done", "plan": forecast_of(order["scene"], Path.cwd())}
     from pipeline.route.prepare import check_cost, plan_scene
 
     scene = parse_scene(order["scene"])
@@ -145,6 +151,12 @@ def _sweep(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
     from service.scenes.sweeps import run_sweep
 
     return {"outcome": "done"} | run_sweep(order, _listener(answers))
+
+
+def _study(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
+    from service.scenes.studies import run_study
+
+    return {"outcome": "done"} | run_study(order, _listener(answers))
 
 
 def _listener(answers: BinaryIO) -> Any:

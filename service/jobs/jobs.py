@@ -29,7 +29,7 @@ class Job:
     """One row of the table, without its scene. Times are Unix seconds; absent is None.
 
     team, owner : who may see it; which key or person submitted it
-    kind : "scene" or "sweep"; run_id : the client's own name for it
+    kind : "scene", "study" or "sweep"; run_id : the client's own name for it
     pixel_frames, bytes_kept : what it asks for, what its product takes on disk
     destruction_s, duration_s : when it will be removed; how long it may run
     attempt : how often a worker took it up; the fence against writes of an earlier worker

@@ -7,7 +7,11 @@ from datetime import UTC, datetime
 from catalog_tools.documents import JsonObject
 from service.jobs.jobs import FINAL, Job, Phase, can_be_retried
 
-MADE = {"scene": ("results", "preview.png", "plan", "report"), "sweep": ("results", "report")}
+MADE = {
+    "scene": ("results", "preview.png", "plan", "report"),
+    "study": ("results", "report"),
+    "sweep": ("results", "report"),
+}
 
 
 def job_dict(job: Job, dashboard: str | None = None) -> JsonObject:

@@ -598,7 +598,6 @@ def test_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     from types import SimpleNamespace
 
     from pipeline.commands import pages
-    from pipeline.commands.sweep import _progress
     from pipeline.route.draw import Progress
     from pipeline.sweep.run import SweepProgress
 
@@ -628,7 +627,7 @@ def test_progress(monkeypatch: pytest.MonkeyPatch) -> None:
             if tiles is not None and stages is not None:
                 tiles(Progress(2, 5, "tile"))
                 stages("sorting", 1, None)
-        with _progress(quiet) as points:
+        with pages.progress_listener("points", quiet) as points:
             for failed in (0, 4) if points is not None else ():
                 points(SweepProgress(6, 9, failed))
     check_told("cli/progress", told + "\n".join(said))

@@ -24,7 +24,7 @@ Place = Callable[[Array], tuple[Array, Array]]
 
 FIRST_STEP_S, SPLIT, LAST_STEP_S = 60.0, 4, 0.25
 BATCH, SAMPLES = 4096, 262_144  # satellites, and their moments, looked at in one go
-_WHOLE = -1  # where SGP4 found no error
+WHOLE = -1  # where SGP4 found no error
 _TEME_TURN_RAD_S = 1e-11  # of TEME against GCRS, with room (7.7e-12)
 _EARTH_M_S = 30.5e3  # the Earth's speed about the Sun, with room: annual aberration
 _LOWEST_M = 6.3e6  # nothing above the ground is pulled more strongly than here
@@ -89,15 +89,15 @@ def screen_cone(
     )
     since_s = since_epochs_s(satellites, epoch_utc)
     inside = np.zeros(len(satellites), bool)
-    codes = np.full(len(satellites), _WHOLE)
+    codes = np.full(len(satellites), WHOLE)
     who, when = [np.zeros(0, np.int64)], [np.zeros(0)]
     step = max(64, min(BATCH, SAMPLES // count))
     for start in range(0, len(satellites), step):
         part = slice(start, start + step)
-        place, speed, errors = _together(satellites[part], since_s[part], middles)
-        bad = errors != _WHOLE
+        place, speed, errors = states_together(satellites[part], since_s[part], middles)
+        bad = errors != WHOLE
         first = errors[np.arange(len(bad)), np.argmax(bad, axis=1)]
-        codes[part] = np.where(bad.any(axis=1), first, _WHOLE)
+        codes[part] = np.where(bad.any(axis=1), first, WHOLE)
         hit, near = sky.judge(place, speed, np.broadcast_to(middles, bad.shape), half)
         inside[part] |= (hit & ~bad).any(axis=1)
         i, k = np.nonzero(near & ~bad & ~inside[part, None])
@@ -106,8 +106,8 @@ def screen_cone(
     _refine(
         satellites, since_s, sky, (np.concatenate(who), np.concatenate(when), half), inside, codes
     )
-    failed = np.flatnonzero(codes != _WHOLE)
-    return ScreenResult(np.flatnonzero(inside & (codes == _WHOLE)), failed, codes[failed])
+    failed = np.flatnonzero(codes != WHOLE)
+    return ScreenResult(np.flatnonzero(inside & (codes == WHOLE)), failed, codes[failed])
 
 
 @dataclass(frozen=True)
@@ -150,10 +150,13 @@ class _Sky:
         return angle <= self.half_angle_rad, angle <= self.half_angle_rad + margin
 
 
-def _together(
+def states_together(
     satellites: Sequence[Satrec], since_s: Array, middles: Array
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """TEME places [m], velocities [m/s] (m, k, 3) and error codes (m, k) at common times."""
+    """TEME places [m], velocities [m/s] (m, k, 3) and error codes (m, k) at common times.
+
+    since_s : (m,) from `since_epochs_s`, of the instant from which `middles` (k,) [s] count
+    """
     # SGP4 counts from each epoch: one common scale of dates serves all where no leap second lies
     # between; elsewhere that second is put right by the satellite's own speed
     reference = (satellites[0].jdsatepoch, satellites[0].jdsatepochF)
@@ -165,16 +168,21 @@ def _together(
         [(s.jdsatepoch - reference[0]) + (s.jdsatepochF - reference[1]) for s in satellites]
     )
     late = since_s - (since_s[0] - dates * DAY_S)
-    place = place + late[:, None, None] * speed
+    if late.any():
+        place += late[:, None, None] * speed
     codes = _codes(errors, place, speed)
-    bad = (codes != _WHOLE)[..., None]
-    return np.where(bad, 1e7, place * 1e3), np.where(bad, 0.0, speed * 1e3), codes
+    place *= 1e3
+    speed *= 1e3
+    bad = codes != WHOLE
+    if bad.any():
+        place[bad], speed[bad] = 1e7, 0.0
+    return place, speed, codes
 
 
 def _codes(errors: NDArray[np.uint8], place: Array, speed: Array) -> NDArray[np.int64]:
-    """SGP4's codes (...), 0 where the result is not finite, _WHOLE where all is well."""
+    """SGP4's codes (...), 0 where the result is not finite, WHOLE where all is well."""
     bad = (errors != 0) | ~np.isfinite(place).all(axis=-1) | ~np.isfinite(speed).all(axis=-1)
-    return np.where(bad, errors.astype(np.int64), _WHOLE)
+    return np.where(bad, errors.astype(np.int64), WHOLE)
 
 
 def _refine(
@@ -198,21 +206,24 @@ def _refine(
             return
         when = (when[:, None] + offsets * half).ravel()
         who, half = np.repeat(who, SPLIT), half / SPLIT
-        place, speed, errors = _apart(satellites, since_s, who, when)
-        bad = errors != _WHOLE
+        place, speed, errors = states_apart(satellites, since_s, who, when)
+        bad = errors != WHOLE
         codes[who[bad]] = errors[bad]
         hit, near = sky.judge(place, speed, when, half)
         inside[who[hit & ~bad]] = True
         who, when = who[near & ~bad], when[near & ~bad]
 
 
-def _apart(
+def states_apart(
     satellites: Sequence[Satrec], since_s: Array, who: NDArray[np.int64], when: Array
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """TEME places, velocities (p, 3) and error codes (p,) of pairs of satellite and time."""
+    """TEME places, velocities (p, 3) and error codes (p,) of pairs of satellite and time.
+
+    who : (p,) indices; when : (p,) seconds from the instant of `since_s`
+    """
     order = np.argsort(who, kind="stable")
     place, speed = np.zeros((2, len(who), 3))
-    codes = np.full(len(who), _WHOLE)
+    codes = np.full(len(who), WHOLE)
     edges = np.flatnonzero(np.diff(who[order])) + 1
     for pairs in np.split(order, edges):
         if not len(pairs):
@@ -225,6 +236,6 @@ def _apart(
         )
         place[pairs], speed[pairs] = r * 1e3, v * 1e3
         codes[pairs] = _codes(errors, r, v)
-    bad = codes != _WHOLE
+    bad = codes != WHOLE
     place[bad], speed[bad] = 1e7, 0.0
     return place, speed, codes

@@ -196,25 +196,10 @@ class Sieve:
             name=f"{self.population.name}-{one.number}",
             object_name=(one.name or "").strip()[:80] or None,
             orbit=one.orbit,
-            body=self._body(one.name, one.number),
+            body=member_body(self.population, self.sizes, one.name, one.number),
             lighting=None,
             eclipse=self.population.eclipse,
         )
-
-    def _body(self, name: str, number: int) -> Body:
-        """The default body, with the size that the table or else the first rule gives."""
-        body = self.population.body
-        if not isinstance(body, SphereBody):
-            return body
-        given: dict[str, object] = {}
-        for rule in self.population.rules:
-            if rule.name_contains.lower() in name.lower():
-                given = {"diameter_m": rule.diameter_m, "albedo": rule.albedo}
-                break
-        diameter, albedo = self.sizes.get(number, (None, None))
-        given |= {} if diameter is None else {"diameter_m": diameter}
-        given |= {} if albedo is None else {"albedo": albedo}
-        return body.model_copy(update={k: v for k, v in given.items() if v is not None})
 
     def close(self, digest: str) -> tuple[list[Target], Population]:
         """The targets, and the population with what the screen found.
@@ -247,6 +232,22 @@ class Sieve:
             dwell_s=look.length_s,
         )
         return list(chosen.values()), self.population.model_copy(update={"screened": told})
+
+
+def member_body(population: Population, sizes: Sizes, name: str, number: int) -> Body:
+    """The default body, with the size that the table or else the first rule gives."""
+    body = population.body
+    if not isinstance(body, SphereBody):
+        return body
+    given: dict[str, object] = {}
+    for rule in population.rules:
+        if rule.name_contains.lower() in name.lower():
+            given = {"diameter_m": rule.diameter_m, "albedo": rule.albedo}
+            break
+    diameter, albedo = sizes.get(number, (None, None))
+    given |= {} if diameter is None else {"diameter_m": diameter}
+    given |= {} if albedo is None else {"albedo": albedo}
+    return body.model_copy(update={k: v for k, v in given.items() if v is not None})
 
 
 def _label(one: Any) -> str:
@@ -285,6 +286,8 @@ def population_decisions(scene: Scene) -> list[Decision]:
             f"boresight (the frame's corner and all that sends light into it) during the "
             f"{s.dwell_s:g} s of {dwells}; for the others the screen proves that they do not"
         ]
+        if not s.kept:
+            parts.append("`nightglass find SCENE` lists those that can be seen, and where")
         if s.superseded:
             parts.append(f"{s.superseded} sets have a younger one of the same object")
         parts += [f"{n} omitted: {_meaning(code)}" for code, n in s.failed]

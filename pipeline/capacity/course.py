@@ -1,0 +1,189 @@
+"""A study made ready: sensors resolved, elements read, impossible ones refused, cost foretold."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput
+from pipeline.physics.constants import DAY_S
+from pipeline.physics.detection import threshold_sigma
+from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.vectors import from_angles
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.study import CuedTasking, Study
+from pipeline.spec.study_load import parse_study
+from pipeline.survey.elements import (
+    Census,
+    Elements,
+    fresh,
+    gather_elements,
+    joined,
+    synthetic_elements,
+)
+from pipeline.survey.sights import Sights, allowed
+from pipeline.survey.watch import Watcher, WatchMoments, make_watcher
+
+STEPS, BATCH = 360, 1024  # of a window; objects of a task
+MOST_CPU_S = 24 * 3600.0
+STATE_CPU_S, PAIR_CPU_S, TASK_CPU_S = 0.8e-6, 0.05e-6, 0.05  # of this machine, with room
+CAMERA_KEYS = ("sensor", "exposure", "background")
+LOOKS, LOOK_STEPS = 500, 200  # directions and moments at which a field of regard is tried
+
+
+@dataclass(frozen=True, eq=False)
+class StudyCourse:
+    """What every task of a study needs.
+
+    watchers : one for each sensor; units : (u,) the sensor of each single one of them
+    least_snr : of a frame, below which none is tasked; key : of all that the result follows from
+    """
+
+    study: Study
+    watchers: tuple[Watcher, ...]
+    units: NDArray[np.int64]
+    elements: Elements
+    census: Census
+    threshold: float
+    key: str
+    out: str = ""
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, StudyCourse) and self.key == other.key
+
+    @property
+    def steps(self) -> int:
+        return max(1, math.ceil(self.study.duration_h * 3600.0 / self.study.step_s))
+
+    @property
+    def hours(self) -> float:
+        return self.steps * self.study.step_s / 3600.0
+
+    @property
+    def windows(self) -> int:
+        return math.ceil(self.steps / STEPS)
+
+    @property
+    def batches(self) -> int:
+        return math.ceil(len(self.elements) / BATCH)
+
+    @cached_property
+    def least_snr(self) -> float:
+        least = self.study.detection.least_probability
+        return self.threshold + (-threshold_sigma(least) if 0.0 < least < 1.0 else -8.0)
+
+    def offsets_s(self, window: int) -> NDArray[np.float64]:
+        """The moments of a window [s], and the one after it."""
+        last = min((window + 1) * STEPS, self.steps)
+        return np.asarray(np.arange(window * STEPS, last + 1) * self.study.step_s, float)
+
+    @property
+    def forecast(self) -> dict[str, Any]:
+        """What the study takes: objects, steps, seconds of one core, MB of each worker."""
+        states = len(self.elements) * self.steps
+        cpu_s = states * (STATE_CPU_S + len(self.watchers) * PAIR_CPU_S)
+        tasks = self.windows * self.batches
+        rows = min(len(self.elements), BATCH) * STEPS
+        return {
+            "objects": len(self.elements),
+            "sensors": len(self.units),
+            "steps": self.steps,
+            "tasks": tasks,
+            "cpu_s": cpu_s + TASK_CPU_S * tasks * len(self.watchers),
+            "worker_memory_mb": 250.0 + rows * 250 / 1e6,
+        }
+
+
+@lru_cache(maxsize=2)
+def moments(course: StudyCourse, window: int) -> tuple[WatchMoments, ...]:
+    """All sensors at the moments of a window: kept in each process while its batches are done."""
+    return tuple(w.watch(course.offsets_s(window)) for w in course.watchers)
+
+
+def make_course(data: dict[str, Any], out: Path) -> StudyCourse:
+    """The course of a study's plain data. BadInput for what it cannot have."""
+    study = parse_study(data)
+    epoch = parse_utc(study.start, "start")
+    watchers = tuple(_watcher(data, study, i, epoch) for i in range(len(study.sensors)))
+    elements, census = _elements(study, epoch)
+    for watcher in watchers:
+        _check_regard(watcher, study.duration_h * 3600.0)
+    text = json.dumps([study.as_dict(), len(elements)], sort_keys=True).encode()
+    for column in (elements.mean, elements.jd2, elements.reflecting_m2):
+        text += hashlib.sha256(np.ascontiguousarray(column).tobytes()).digest()
+    return StudyCourse(
+        study,
+        watchers,
+        np.repeat(np.arange(len(watchers)), [s.count for s in study.sensors]),
+        elements,
+        census,
+        threshold_sigma(study.detection.false_alarm_rate),
+        hashlib.sha256(text).hexdigest(),
+        str(out.resolve()),
+    )
+
+
+def _watcher(data: dict[str, Any], study: Study, i: int, epoch: tuple[float, float]) -> Watcher:
+    """The watcher of a sensor; its sky is that above it at the start."""
+    sensor = study.sensors[i]
+    camera = study.camera_of(sensor)
+    plain = data["cameras"][study.cameras.index(camera)]
+    sections = {k: plain.get(k) for k in CAMERA_KEYS}
+    sections |= {"observer": data["sensors"][i]["observer"], "seed": study.seed}
+    tracks = camera.tracking == "target"
+    if tracks and not isinstance(study.tasking, CuedTasking):
+        allowed_ = "sidereal, where fields are searched whatever is in them"
+        raise BadInput(f"cameras.{study.cameras.index(camera)}.tracking", "target", allowed_)
+    regard, field = sensor.field_of_regard, f"sensors.{i}."
+    try:
+        return make_watcher(sections | {"name": sensor.name}, regard, epoch, tracks, field)
+    except BadInput as error:  # of a scene: its sections stand elsewhere in a study
+        camera_at = f"cameras.{study.cameras.index(camera)}."
+        known = error.field.split(".")[0]
+        place = {"observer": field, **dict.fromkeys(CAMERA_KEYS, camera_at)}.get(known, "")
+        raise BadInput(place + error.field, error.value, error.allowed) from None
+
+
+def _elements(study: Study, epoch: tuple[float, float]) -> tuple[Elements, Census]:
+    """The catalogue. BadInput for one that is empty, or whose elements are of another time."""
+    asked, length_s = study.catalogue, study.duration_h * 3600.0
+    parts, census = [], Census()
+    if asked.populations:
+        middle = (epoch[0], epoch[1] + 0.5 * length_s / DAY_S)
+        found, census = gather_elements(asked.populations, middle, "catalogue.populations")
+        parts.append(fresh(found, epoch, length_s, asked.most_age_days, census))
+    if asked.synthetic is not None:
+        parts.append(synthetic_elements(asked.synthetic, epoch))
+    return joined(parts), census
+
+
+def _check_regard(watcher: Watcher, length_s: float) -> None:
+    """BadInput for a sensor that may never look anywhere during the period."""
+    at = np.linspace(0.0, length_s, LOOK_STEPS + 2)[1:-1]
+    field, regard = f"{watcher.field}field_of_regard", watcher.regard
+    watch = watcher.watch(at)
+    if not watch.works.any():
+        if isinstance(watcher.observer, GroundObserver) and regard.clear_fraction == 1.0:
+            told = f"{regard.twilight_deg:g} (never dark enough)"
+            raise BadInput(f"{field}.twilight_deg", told, "a Sun that sinks below it in the period")
+        raise BadInput(field, "no clear dark hour in the period", "a longer period, more clear sky")
+    rng = np.random.default_rng(0)
+    u = from_angles(rng.uniform(0, 2 * np.pi, LOOKS), np.arcsin(rng.uniform(-1, 1, LOOKS)))
+    k = np.repeat(np.flatnonzero(watch.works), LOOKS)
+    u, one = np.tile(u, (len(k) // LOOKS, 1)), np.ones(len(k))
+    height = np.arcsin(np.clip(np.sum(u * watch.up[k], axis=-1), -1.0, 1.0))
+    s = Sights(k, k, u, u, one, height, *[one] * 7)
+    if not allowed(watcher, watch, s).any():
+        told = "exclusions that leave no direction at any time"
+        raise BadInput(field, told, "smaller angles, or other elevations")

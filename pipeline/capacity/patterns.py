@@ -1,0 +1,169 @@
+"""Search patterns: the fields that sensors step through, and the objects that are in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pipeline.capacity.course import StudyCourse, moments
+from pipeline.physics.constants import DEG_RAD
+from pipeline.physics.positions.earth import gcrs_to_itrs
+from pipeline.physics.positions.times import instants
+from pipeline.physics.vectors import from_angles, to_angles, unit
+from pipeline.spec.study import SearchPattern
+from pipeline.survey.elements import Elements
+from pipeline.survey.sights import Sights, allowed, sights_of
+from pipeline.survey.watch import Watcher, WatchMoments
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+RING_M = 42_164_172.0  # radius of the geostationary ring
+
+
+@dataclass(frozen=True, eq=False)
+class Slots:
+    """The dwells of one single sensor in a window, in order.
+
+    watch : the sensor at their middles (q,); axes : (q, 3, 3) across, up and along of each field,
+    TEME; frame_s : (f,) middles of the frames from the middle of the dwell
+    """
+
+    watch: WatchMoments
+    axes: Array
+    frame_s: Array
+
+
+@lru_cache(maxsize=16)
+def slots_of(course: StudyCourse, window: int, unit_: int) -> Slots:
+    """The slots of a single sensor (number among all) in a window."""
+    j = int(course.units[unit_])
+    watcher, sensor, pattern = course.watchers[j], course.study.sensors[j], course.study.tasking
+    assert isinstance(pattern, SearchPattern)
+    height, width = field_rad(watcher)
+    stride = min(height, width) * (1.0 - pattern.overlap)
+    count = max(1, int(np.ceil((pattern.to_deg - pattern.from_deg) * DEG_RAD / stride)))
+    slew = sensor.slewing  # by a field's width from one to the next
+    each = stride / (slew.rate_deg_s * DEG_RAD) + slew.settle_s + watcher.dwell_s
+    start, *_, end = course.offsets_s(window)
+    number = np.arange(np.ceil(start / each - 0.5), np.ceil(end / each - 0.5)).astype(np.int64)
+    watch = watcher.watch(np.asarray((number + 0.5) * each, float))
+    own = unit_ - int(np.searchsorted(course.units, j))
+    place = (number + own * count // sensor.count) % count
+    at_deg = pattern.from_deg + (place + 0.5) * (pattern.to_deg - pattern.from_deg) / count
+    e = watcher.resolved.scene.exposure
+    frames = np.asarray((np.arange(e.frames) - 0.5 * (e.frames - 1)) * e.step_s, float)
+    return Slots(watch, _axes(watcher, watch, pattern, at_deg), frames)
+
+
+def field_rad(watcher: Watcher) -> tuple[float, float]:
+    """Height and width of a sensor's field [rad]."""
+    camera, ifov = watcher.resolved.camera, watcher.resolved.facts.ifov_rad
+    return 2.0 * np.arctan(camera.rows * ifov / 2), 2.0 * np.arctan(camera.columns * ifov / 2)
+
+
+def _axes(watcher: Watcher, watch: WatchMoments, pattern: SearchPattern, at_deg: Array) -> Array:
+    """Axes (q, 3, 3: across, up, along) of fields, TEME: up is towards the pole or the zenith."""
+    at = at_deg * DEG_RAD
+    pole = np.einsum("nji,j->ni", watch.to_gcrs, np.array([0.0, 0.0, 1.0]))
+    if pattern.pattern == "fence":
+        east = unit(np.cross(pole, watch.up))
+        north = np.cross(watch.up, east)
+        azimuth = pattern.azimuth_deg * DEG_RAD
+        level = np.cos(azimuth) * north + np.sin(azimuth) * east
+        along, up = np.cos(at)[:, None] * level + np.sin(at)[:, None] * watch.up, watch.up
+    elif pattern.pattern == "belt":
+        times = instants(watcher.epoch, watch.offset_s, watcher.resolved.dut1_s)
+        ring = RING_M * from_angles(at, np.zeros_like(at))
+        to_teme = np.einsum("nki,njk->nij", watch.to_gcrs, gcrs_to_itrs(times))
+        along, up = unit(np.einsum("nij,nj->ni", to_teme, ring) - watch.observer_m), pole
+    else:
+        sun = to_angles(np.einsum("nij,nj->ni", watch.to_gcrs, watch.sun_m))[0]
+        strip = from_angles(sun + np.pi + at, np.full(len(at), pattern.declination_deg * DEG_RAD))
+        along, up = np.einsum("nji,nj->ni", watch.to_gcrs, strip), pole
+    across = unit(np.cross(along, up))
+    return np.stack([across, np.cross(across, along), along], axis=1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def in_fields(
+    place, speed, near, start_s, step_s, slot_s, axes, observer, motion, frame_s, tangent
+):
+    """Objects in fields, frame by frame.
+
+    place, speed : (m, n, 3) at even steps from start_s; near : (m, n) what may be seen about a
+    step; slot_s : (q,) middles of dwells, with axes (q, 3, 3), observer, motion (q, 3); frame_s :
+    (f,) from the middle; tangent : (2,) of half the field, across and up. Between steps places
+    are cubic (Hermite: 1 m off in low orbits at 60 s). Returns object (r,), slot (r,), number of
+    frames that have it (r,), place and velocity (r, 3) at the middle of the dwell.
+    """
+    rows = [(np.int64(0), np.int64(0), np.int64(0))]
+    states = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)]
+    for i in range(place.shape[0]):
+        for q in range(slot_s.size):
+            k = int((slot_s[q] - start_s) / step_s)
+            k = max(0, min(place.shape[1] - 2, k))
+            if not (near[i, k] or near[i, k + 1]):
+                continue
+            frames = 0
+            for f in range(frame_s.size):
+                r, _ = _between(place[i], speed[i], k, slot_s[q] + frame_s[f] - start_s, step_s)
+                d = r - observer[q] - motion[q] * frame_s[f]
+                along = d[0] * axes[q, 2, 0] + d[1] * axes[q, 2, 1] + d[2] * axes[q, 2, 2]
+                x = d[0] * axes[q, 0, 0] + d[1] * axes[q, 0, 1] + d[2] * axes[q, 0, 2]
+                y = d[0] * axes[q, 1, 0] + d[1] * axes[q, 1, 1] + d[2] * axes[q, 1, 2]
+                inside = abs(x) <= tangent[0] * along and abs(y) <= tangent[1] * along
+                frames += 1 if inside and along > 0.0 else 0
+            if frames:
+                r, v = _between(place[i], speed[i], k, slot_s[q] - start_s, step_s)
+                rows.append((np.int64(i), np.int64(q), np.int64(frames)))
+                states.append((r[0], r[1], r[2], v[0], v[1], v[2]))
+    return np.array(rows)[1:], np.array(states)[1:]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _between(place, speed, k, at_s, step_s):
+    """Place and velocity (3,) by the cubic through steps k and k + 1, at_s after the first step."""
+    u = at_s / step_s - k
+    a, b = place[k], place[k + 1]
+    va, vb = speed[k] * step_s, speed[k + 1] * step_s
+    c, d = 3.0 * (b - a) - 2.0 * va - vb, 2.0 * (a - b) + va + vb
+    return a + u * (va + u * (c + u * d)), (va + u * (2.0 * c + 3.0 * u * d)) / step_s
+
+
+Found = tuple[WatchMoments, Sights, Index, Index]
+
+
+def pattern_sights(
+    course: StudyCourse,
+    window: int,
+    sensor: int,
+    elements: Elements,
+    some: Index,
+    states: tuple[Array, Array],
+    near: NDArray[np.bool_],
+) -> Iterator[Found]:
+    """Of each single sensor: its moments, sights, frames that have each, and its number."""
+    watcher = course.watchers[sensor]
+    start_s = float(moments(course, window)[sensor].offset_s[0])
+    tangent = np.tan(0.5 * np.array(field_rad(watcher)[::-1]))
+    for unit_ in np.flatnonzero(course.units == sensor):
+        slots = slots_of(course, window, int(unit_))
+        watch = slots.watch
+        rows, at = in_fields(
+            *states, near, start_s, course.study.step_s, watch.offset_s, slots.axes,
+            watch.observer_m, watch.motion_m_s, slots.frame_s, tangent,
+        )  # fmt: skip
+        rows, at = rows.reshape(-1, 3), at.reshape(-1, 6)
+        who = some[rows[:, 0]]
+        s = sights_of(
+            watcher, watch, rows[:, 1], who, at[:, :3], at[:, 3:], elements.reflecting_m2[who],
+            elements.shaded[who],
+        )  # fmt: skip
+        good = allowed(watcher, watch, s)
+        yield watch, s.take(good), rows[good, 2], np.full(int(good.sum()), unit_)

@@ -1,0 +1,270 @@
+"""The route of a study: candidates on Dask, tasking window by window, results; resumable."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from catalog_tools.engine.schedulers import Scheduler, open_scheduler
+from catalog_tools.storage.durable import whole_file, write_atomically
+from pipeline.capacity.candidates import ENDED, OPTIONS, Item, find_candidates, path_of
+from pipeline.capacity.course import MOST_CPU_S, StudyCourse, make_course
+from pipeline.capacity.results import OBJECTS, REPORT, summarise
+from pipeline.capacity.tasking import (
+    Candidates,
+    SensorState,
+    Taken,
+    begin_state,
+    detected,
+    task_window,
+)
+from pipeline.errors import BadInput, DiskFull, Incomplete
+from pipeline.spec.load import place_paths
+from pipeline.spec.study import CuedTasking, Study
+from pipeline.spec.study_load import parse_study
+from pipeline.store.layout import full_disk, only_writer
+from pipeline.sweep import ledger
+from pipeline.sweep.design import Design
+from pipeline.sweep.points import set_field
+
+STATE, STUDY, SEEN = "state.npz", "study.json", "observations"
+POINTS = "points.parquet"
+ORDER_OF_ROWS = ("step", "sensor", "object", "unit", "time_s")
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """How a study is run; none of it changes a number.
+
+    yes : also where the forecast is beyond MOST_CPU_S
+    """
+
+    scheduler: str = "processes"
+    workers: int | None = None
+    resume: bool = False
+    yes: bool = False
+
+
+@dataclass(frozen=True)
+class StudyProgress:
+    """Tasks done, of how many."""
+
+    done: int
+    total: int
+
+
+Listener = Callable[[StudyProgress], None]
+
+
+def forecast_of(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """What a study takes (`StudyCourse.forecast`), of all its points together."""
+    study = parse_study(data)
+    told = make_course(_placed(_at_point(data, study, 0)[0], folder), Path()).forecast
+    return told | {"points": study.points, "cpu_s": told["cpu_s"] * study.points}
+
+
+def run_study(
+    data: dict[str, Any],
+    folder: Path,
+    out: Path,
+    options: StudyOptions | None = None,
+    listen: Listener | None = None,
+) -> dict[str, Any]:
+    """Run a study's plain data into a folder and return its report; of one with axes, each point
+    below `points/`, and a table of their figures.
+
+    folder : from which relative paths are taken. BadInput before anything is begun, Incomplete
+    where work stopped (what is done is kept).
+    """
+    study, options = parse_study(data), options or StudyOptions()
+    if study.points == 1:
+        return _run_point(data, folder, out, options, listen)
+    ledger.begin(out, {"study": data}, options.resume, "study")
+    rows = []
+    for point in range(study.points):
+        own, values = _at_point(data, study, point)
+        place = out / "points" / f"{point:04d}"
+        place.parent.mkdir(exist_ok=True)
+        again = StudyOptions(options.scheduler, options.workers, place.exists(), options.yes)
+        report = _run_point(own, folder, place, again, listen)
+        rows.append({"point": point, **values, **report["figures"]})
+    with whole_file(out / POINTS) as table:
+        pq.write_table(pa.Table.from_pylist(rows), table)
+    whole = {"study": study.name, "points": rows}
+    write_atomically(out / REPORT, json.dumps(whole, indent=2) + "\n")
+    ledger.seal(out, (POINTS, REPORT))
+    return whole
+
+
+def _at_point(
+    data: dict[str, Any], study: Study, point: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The study of one point of the axes, without axes, and the values it has."""
+    own = json.loads(
+        json.dumps({k: v for k, v in data.items() if k not in ("axes", "design", "seeds")})
+    )
+    if study.points == 1:
+        return own, {}
+    design = Design(study)
+    values = design.values(point)
+    for name, value in values.items():
+        set_field(own, name, value)
+    own["seed"] = study.seed + design.seed_step(point)
+    return own, values | ({"seed": own["seed"]} if study.seeds > 1 else {})
+
+
+def _placed(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A copy of a study's data whose relative paths are from a folder."""
+    own: dict[str, Any] = json.loads(json.dumps(data))
+    place_paths(own, folder)
+    return own
+
+
+def _run_point(
+    data: dict[str, Any], folder: Path, out: Path, options: StudyOptions, listen: Listener | None
+) -> dict[str, Any]:
+    started = time.perf_counter()
+    study = parse_study(data)
+    course = make_course(_placed(data, folder), out)
+    cpu_s = course.forecast["cpu_s"]
+    if cpu_s > MOST_CPU_S and not options.yes:
+        told = f"{cpu_s / 3600.0:.0f} h of one core"
+        raise BadInput("study", told, f"up to {MOST_CPU_S / 3600.0:g} h: shorten it, or --yes")
+    ledger.begin(out, {"format": study.schema_, "study": course.key}, options.resume, "study")
+    with full_disk(out), only_writer(out):
+        if ledger.is_complete(out, OBJECTS):
+            report: dict[str, Any] = json.loads((out / REPORT).read_text())
+            return report
+        write_atomically(out / STUDY, json.dumps(study.as_dict(), indent=2))
+        (out / SEEN).mkdir(exist_ok=True)
+        failed = _stream(course, out, options, listen)
+        report = summarise(course, out, failed, time.perf_counter() - started)
+        ledger.seal(out, (OBJECTS, STUDY, REPORT))
+        shutil.rmtree(out / "parts")
+        return report
+
+
+def _stream(
+    course: StudyCourse, out: Path, options: StudyOptions, listen: Listener | None
+) -> NDArray[np.int64]:
+    """Find candidates and task windows as they are whole; objects that SGP4 ended."""
+    state, first, failed = _taken_up(course, out)
+    items = [(w, b) for w in range(first, course.windows) for b in range(course.batches)]
+    done = {item for item in items if _is_whole(path_of(out, item))}
+    left, total, window = (
+        [i for i in items if i not in done],
+        course.windows * course.batches,
+        first,
+    )
+
+    def finish_windows() -> None:
+        nonlocal window
+        while window < course.windows and all((window, b) in done for b in range(course.batches)):
+            _finish(course, out, window, state, failed)
+            window += 1
+
+    finish_windows()
+    if left:
+        with open_scheduler(options.scheduler, options.workers) as scheduler:
+            for item in _run(scheduler, course, left):
+                done.add(item)
+                if listen is not None:
+                    listen(StudyProgress(total - len(items) + len(done), total))
+                finish_windows()
+    return np.array(sorted(failed), np.int64)
+
+
+def _run(scheduler: Scheduler, course: StudyCourse, items: list[Item]) -> Iterator[Item]:
+    for item, answer in scheduler.each(find_candidates, course, items):
+        if isinstance(answer, DiskFull | BadInput) or getattr(answer, "errno", None):
+            raise answer
+        if isinstance(answer, Exception):
+            told = f"{type(answer).__name__}: {answer}; what is finished is kept"
+            raise Incomplete(told) from answer
+        yield item
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a task's file is there as it was written; one that is not is removed."""
+    try:
+        pq.read_table(path, page_checksum_verification=True)
+    except FileNotFoundError:
+        return False
+    except (pa.ArrowException, OSError):
+        path.unlink()
+        return False
+    return True
+
+
+def _taken_up(course: StudyCourse, out: Path) -> tuple[SensorState, int, set[int]]:
+    """The state after the last finished window, the next one's number, objects that ended."""
+    if not (out / STATE).is_file():
+        return begin_state(course), 0, set()
+    with np.load(out / STATE) as kept:
+        state = SensorState(kept["free_s"], kept["direction"], kept["last_s"])
+        return state, int(kept["window"]) + 1, set(kept["failed"].tolist())
+
+
+def _finish(
+    course: StudyCourse, out: Path, window: int, state: SensorState, failed: set[int]
+) -> None:
+    """Write the observations of a window, then the state after it, then drop its candidates."""
+    paths = [path_of(out, (window, b)) for b in range(course.batches)]
+    tables = [pq.read_table(p, page_checksum_verification=True) for p in paths]
+    failed.update(k for t in tables for k in json.loads(t.schema.metadata[ENDED]))
+    table = pa.concat_tables(tables).sort_by([(n, "ascending") for n in ORDER_OF_ROWS])
+    cued = isinstance(course.study.tasking, CuedTasking)
+    seen = _tasked(course, table, state) if cued else _searched(course, table)
+    with whole_file(out / SEEN / f"window-{window:06d}.parquet") as own:
+        pq.write_table(seen, own, **OPTIONS)
+    held = io.BytesIO()
+    np.savez(held, window=window, failed=np.array(sorted(failed), np.int64), **asdict(state))
+    write_atomically(out / STATE, held.getvalue())
+    for path in paths:
+        path.unlink()
+
+
+def _tasked(course: StudyCourse, table: pa.Table, state: SensorState) -> pa.Table:
+    """The observations that a cued study chooses from its candidates."""
+    column = {n: table[n].to_numpy() for n in ("step", "sensor", "object", "probability")}
+    direction = np.stack([table[n].to_numpy() for n in "xyz"], axis=1).astype(float)
+    step, sensor, object_ = (column[n].astype(np.int64) for n in ("step", "sensor", "object"))
+    chance = column["probability"].astype(float)
+    t: Taken = task_window(course, Candidates(step, sensor, object_, direction, chance), state)
+    return _observed(table.take(pa.array(t.row)), t.unit, t.start_s, t.length_s, t.detected)
+
+
+def _searched(course: StudyCourse, table: pa.Table) -> pa.Table:
+    """All rows of a search: whatever is in a field is observed."""
+    when, unit_ = table["time_s"].to_numpy(), table["unit"].to_numpy().astype(np.int64)
+    dwell = np.array([course.watchers[j].dwell_s for j in course.units])[unit_]
+    frame = np.floor(when).astype(np.int64)
+    chance = table["probability"].to_numpy().astype(float)
+    seen = detected(course, frame, unit_, table["object"].to_numpy(), chance)
+    return _observed(table, unit_, when - 0.5 * dwell, dwell, seen)
+
+
+def _observed(
+    table: pa.Table,
+    unit_: NDArray[np.int64],
+    start_s: NDArray[np.float64],
+    length_s: NDArray[np.float64],
+    seen: NDArray[np.bool_],
+) -> pa.Table:
+    """Observations: `time_s` is the end of the dwell, `busy_s` goes from the slew to it."""
+    i, j = (table.schema.get_field_index(n) for n in ("time_s", "unit"))
+    table = table.set_column(i, "time_s", pa.array(start_s + length_s))
+    table = table.set_column(j, "unit", pa.array(unit_, pa.int16()))
+    table = table.append_column("busy_s", pa.array(length_s.astype(np.float32)))
+    return table.append_column("detected", pa.array(seen))

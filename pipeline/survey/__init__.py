@@ -1,0 +1,1 @@
+"""What a sensor can see of very many objects, without drawing: places, light, detection."""

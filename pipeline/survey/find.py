@@ -1,0 +1,190 @@
+"""Which objects of a scene's populations can be seen from its site, when, and where to point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog_tools.engine.schedulers import open_scheduler
+from pipeline.errors import BadInput
+from pipeline.physics.constants import DAY_S, SPEED_OF_LIGHT_M_S
+from pipeline.physics.positions.apparent import unaberrate
+from pipeline.physics.positions.times import format_utc, parse_utc
+from pipeline.physics.sky.moon import SUN_V_MAG
+from pipeline.physics.vectors import to_angles
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.scene import Scene
+from pipeline.spec.study import FieldOfRegard
+from pipeline.survey.elements import Census, Elements, gather_elements
+from pipeline.survey.search import Search, make_search
+from pipeline.survey.sights import Sights
+from pipeline.survey.watch import Watcher, make_watcher
+
+Array = NDArray[np.float64]
+
+BATCH = 2048
+MOST_HOURS, MOST_MOMENTS = 72.0, 50_000
+NIGHT_LOOK_S = 60.0
+DEFAULT_REGARD = FieldOfRegard()
+
+
+@dataclass(frozen=True)
+class FindOptions:
+    """What is looked for: from `at` (default: the scene's epoch) for so many hours (0: that moment
+    alone), or in the night about it; every step_s; objects of least_snr or more in one frame."""
+
+    at: str | None = None
+    hours: float = 0.0
+    night: bool = False
+    step_s: float = 10.0
+    least_snr: float = 5.0
+    regard: FieldOfRegard = DEFAULT_REGARD
+
+
+@dataclass(frozen=True)
+class FoundObjects:
+    """What was found: objects, best first, each as plain values; and of how many, when, by what
+    limits (`notes`)."""
+
+    objects: list[dict[str, Any]]
+    looked_at: int
+    start: str
+    end: str
+    notes: list[str]
+
+
+def find(scene: Scene, wish: FindOptions, workers: int | None = None) -> FoundObjects:
+    """The objects of a scene's populations that its sensor can see, wherever it points.
+
+    Populations are read from their files. BadInput for a scene without one, a time that is none, a
+    site where it does not get dark.
+    """
+    if not scene.populations:
+        raise BadInput("populations", "none", "at least one file of element sets to look through")
+    epoch = parse_utc(wish.at, "--at") if wish.at is not None else parse_utc(scene.epoch)
+    watcher = _watcher(scene, wish, epoch)
+    offsets = _offsets(watcher, wish)
+    middle = (epoch[0], epoch[1] + 0.5 * float(offsets[0] + offsets[-1]) / DAY_S)
+    elements, census = gather_elements(scene.populations, middle)
+    search = make_search(watcher, offsets, wish.least_snr)
+    starts = range(0, len(elements), BATCH)
+    found: dict[int, list[dict[str, Any]]] = {}
+    with open_scheduler("threads", workers) as scheduler:
+        for first, rows in scheduler.each(_batch, (search, elements), starts):
+            if isinstance(rows, Exception):
+                raise rows
+            found[first] = rows[0]
+            census["SGP4 cannot follow them"] += rows[1]
+    objects = sorted((row for k in sorted(found) for row in found[k]), key=lambda o: -o["snr"])
+    times = [_utc(watcher, t) for t in offsets[[0, -1]]]
+    return FoundObjects(
+        objects, len(elements), times[0], times[1], _notes(watcher, search, census, wish)
+    )
+
+
+def _batch(shared: tuple[Search, Elements], first: int) -> tuple[list[dict[str, Any]], int]:
+    search, elements = shared
+    some = elements.take(slice(first, first + BATCH))
+    sights, failed = search.of(some)
+    return [_described(search, some, s) for s in _by_object(sights)], failed
+
+
+def _by_object(s: Sights) -> list[Sights]:
+    """The sights of each object, in order of time."""
+    order = np.lexsort((s.moment, s.object))
+    s = s.take(order)
+    edges = np.flatnonzero(np.diff(s.object)) + 1
+    return [s.take(part) for part in np.split(np.arange(len(s)), edges) if len(part)]
+
+
+def _described(search: Search, elements: Elements, s: Sights) -> dict[str, Any]:
+    """One object: its best moment, and from when to when it is seen."""
+    w, watcher = search.watch, search.watcher
+    best, i = int(np.argmax(s.snr)), int(s.object[0])
+    k = int(s.moment[best])
+    natural = unaberrate(s.geometric[best], w.earth_m_s[k] / SPEED_OF_LIGHT_M_S)
+    ra, dec = to_angles(w.to_gcrs[k] @ natural)
+    km = float(s.range_m[best]) / 1e3
+    return {
+        "name": str(elements.name[i]),
+        "number": int(elements.number[i]),
+        "best": _utc(watcher, w.offset_s[k]),
+        "first": _utc(watcher, w.offset_s[s.moment[0]]),
+        "last": _utc(watcher, w.offset_s[s.moment[-1]]),
+        "moments": len(s),
+        "ra_deg": float(np.degrees(ra)),
+        "dec_deg": float(np.degrees(dec)),
+        "elevation_deg": float(np.degrees(s.elevation[best])),
+        "range_km": km,
+        "rate_arcsec_s": float(np.degrees(s.rate[best]) * 3600.0),
+        "phase_deg": float(np.degrees(s.phase[best])),
+        "sunlit_fraction": float(s.sunlit[best]),
+        "v_mag": float(SUN_V_MAG - 2.5 * np.log10(s.light[best])),
+        "electrons": float(s.light_e[best]),
+        "streak_px": float(s.streak_px[best]),
+        "snr": float(s.snr[best]),
+    }
+
+
+def _utc(watcher: Watcher, offset_s: float) -> str:
+    from pipeline.physics.positions.times import instants
+
+    at = instants(watcher.epoch, [offset_s])
+    return format_utc(float(at.utc1[0]), float(at.utc2[0]))[:19] + "Z"
+
+
+def _watcher(scene: Scene, wish: FindOptions, epoch: tuple[float, float]) -> Watcher:
+    data = scene.as_dict()
+    sections = {k: data[k] for k in ("observer", "sensor", "exposure", "background", "seed")}
+    tracks = scene.pointing.mode == "target"
+    return make_watcher(sections, wish.regard, epoch, tracks, "", scene.seed)
+
+
+def _offsets(watcher: Watcher, wish: FindOptions) -> Array:
+    """Moments (n,) [s] after the watcher's epoch."""
+    if not 0.0 <= wish.hours <= MOST_HOURS:
+        raise BadInput("--hours", wish.hours, f"0 to {MOST_HOURS:g}")
+    start, end = 0.0, wish.hours * 3600.0
+    if wish.night:
+        start, end = _night(watcher, wish)
+    count = int(np.floor((end - start) / wish.step_s + 1e-9)) + 1
+    if count > MOST_MOMENTS:
+        raise BadInput("--step", wish.step_s, f"at most {MOST_MOMENTS} moments (these: {count})")
+    return np.asarray(start + wish.step_s * np.arange(count), float)
+
+
+def _night(watcher: Watcher, wish: FindOptions) -> tuple[float, float]:
+    """The dark hours at or after the epoch: from within to the end of the night it is in, or the
+    next one's."""
+    if not isinstance(watcher.observer, GroundObserver):
+        raise BadInput("--night", "an orbit", "a site; for a satellite give --hours")
+    at = np.arange(-DAY_S / 2, 1.5 * DAY_S, NIGHT_LOOK_S)
+    dark = watcher.watch(at).works
+    edges = np.flatnonzero(np.diff(dark.astype(np.int8), prepend=0, append=0))
+    nights = [(at[a], at[b - 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    for start, end in nights:
+        if end >= 0.0:
+            return float(start), float(end)
+    limit = wish.regard.twilight_deg
+    raise BadInput("--night", "no darkness", f"a date on which the Sun sinks below {limit:g} deg")
+
+
+def _notes(watcher: Watcher, search: Search, census: Census, wish: FindOptions) -> list[str]:
+    """What the finding rests on."""
+    r, regard = watcher.resolved, wish.regard
+    notes = [
+        f"SNR of one {r.integration_s(0):g} s frame, "
+        + ("tracked" if watcher.tracks else "streaked by the object's own motion")
+        + f"; {watcher.sky_note}"
+    ]
+    if isinstance(watcher.observer, GroundObserver):
+        notes.append(
+            f"above {regard.lowest_elevation_deg:g} deg, the Sun below {regard.twilight_deg:g} deg,"
+            f" {regard.moon_exclusion_deg:g} deg or more from the Moon"
+        )
+        if not search.watch.works.any():
+            notes.append("it is never dark at these times: `--night` looks at the dark hours")
+    return notes + census.lines()

@@ -1,0 +1,147 @@
+"""What a sensor sees of objects row by row: place, light, signal, and whether it may look there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.physics.constants import DEG_RAD, SPEED_OF_LIGHT_M_S
+from pipeline.physics.positions.apparent import aberrate
+from pipeline.physics.positions.refraction import refract
+from pipeline.physics.targets.eclipse import sunlit_fraction
+from pipeline.physics.targets.lighting import phase_angle, photon_rate_at_aperture, sun_distance
+from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
+from pipeline.physics.vectors import unit
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.survey.watch import Watcher, WatchMoments
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Sights:
+    """Rows of what is seen, (r,) and (r, 3) each.
+
+    moment, object : indices; geometric, observed : directions in TEME axes, without aberration and
+    as the camera sees it; range_m : from emission; elevation : observed [rad] (of a satellite:
+    above its horizontal plane); rate : against the stars [rad/s]; phase [rad], sunlit; light : of
+    that of the Sun at 1 au, above the air; light_e : electrons of an exposure; streak_px; snr : of
+    a frame
+    """
+
+    moment: Index
+    object: Index
+    geometric: Array
+    observed: Array
+    range_m: Array
+    elevation: Array
+    rate: Array
+    phase: Array
+    sunlit: Array
+    light: Array
+    light_e: Array
+    streak_px: Array
+    snr: Array
+
+    def __len__(self) -> int:
+        return len(self.moment)
+
+    def take(self, which: NDArray[np.bool_] | Index) -> Sights:
+        """Some of the rows."""
+        return Sights(*(getattr(self, f.name)[which] for f in fields(self)))
+
+
+def sights_of(
+    watcher: Watcher,
+    watch: WatchMoments,
+    moment: Index,
+    object_: Index,
+    place_m: Array,
+    speed_m_s: Array,
+    reflecting_m2: Array,
+    shaded: NDArray[np.bool_],
+) -> Sights:
+    """Sights of objects at places (r, 3) [m] with velocities (r, 3) [m/s], TEME, at moments (r,).
+
+    The light path is solved with the velocity at reception (0.5 a t^2: 2 mm off at GEO); aberration
+    is the observer's about the Earth's centre: the annual one is shared with the stars.
+    reflecting_m2, shaded : (r,) of the objects (`Elements`)
+    """
+    observer, motion = watch.observer_m[moment], watch.motion_m_s[moment]
+    emitted, path, range_m = _light_path(place_m, speed_m_s, observer)
+    geometric = path / range_m[:, None]
+    observed, elevation = _observed(watcher, watch, moment, geometric)
+    sun = watch.sun_m[moment]
+    phase = phase_angle(emitted, sun, observer)
+    sunlit = np.where(shaded, sunlit_fraction(emitted, sun), 1.0)
+    reflected = sphere_intensity_per_irradiance(phase, 1.0, 1.0) * reflecting_m2
+    light = photon_rate_at_aperture(1.0, sun_distance(emitted, sun), sunlit, reflected, range_m)
+    rate = _rate(geometric, speed_m_s - motion, range_m)
+    light_e = light * watcher.electrons_per_light
+    extinction = watcher.resolved.extinction
+    if extinction is not None:
+        light_e = light_e * extinction.transmission(np.sin(elevation))
+    streak = np.zeros_like(rate) if watcher.tracks else _streak_px(watcher, rate)
+    snr = watcher.signal.snr(light_e, streak)
+    return Sights(
+        moment, object_, geometric, observed, range_m, elevation, rate, phase, sunlit, light,
+        light_e, streak, snr,
+    )  # fmt: skip
+
+
+def _light_path(place: Array, speed: Array, observer: Array) -> tuple[Array, Array, Array]:
+    """Place at emission, path from the observer to it (r, 3) and its length (r,) [m]."""
+    range_m = np.sqrt(np.sum((place - observer) ** 2, axis=-1))
+    emitted = path = place
+    for _ in range(2):
+        emitted = place - speed * (range_m / SPEED_OF_LIGHT_M_S)[:, None]
+        path = emitted - observer
+        range_m = np.sqrt(np.sum(path**2, axis=-1))
+    return emitted, path, range_m
+
+
+def _observed(
+    watcher: Watcher, watch: WatchMoments, moment: Index, geometric: Array
+) -> tuple[Array, Array]:
+    """Directions (r, 3) as the camera sees them, and their elevation (r,)."""
+    up = watch.up[moment]
+    seen = aberrate(geometric, watch.beta[moment])
+    if any(watcher.air_terms):
+        terms = np.broadcast_to(watcher.air_terms, (len(up), 2))
+        seen = refract(seen, np.concatenate([up, terms], axis=1))
+    sine = np.clip(np.sum(seen * up, axis=-1), -1.0, 1.0)
+    return seen, np.arcsin(sine)
+
+
+def _rate(direction: Array, speed: Array, range_m: Array) -> Array:
+    """Angular rate (r,) [rad/s] of objects of a speed (r, 3) against the observer."""
+    across = speed - np.sum(speed * direction, axis=-1, keepdims=True) * direction
+    return np.sqrt(np.sum(across**2, axis=-1)) / range_m
+
+
+def _streak_px(watcher: Watcher, rate: Array) -> Array:
+    r = watcher.resolved
+    return rate * r.integration_s(0) / r.facts.ifov_rad
+
+
+def allowed(watcher: Watcher, watch: WatchMoments, s: Sights) -> NDArray[np.bool_]:
+    """Which rows (r,) the field of regard allows: elevation, Sun, Moon, Galaxy."""
+    r, k = watcher.regard, s.moment
+    good = watch.works[k] & (s.elevation >= watch.lowest[k])
+    if isinstance(watcher.observer, GroundObserver):
+        good &= s.elevation <= r.highest_elevation_deg * DEG_RAD
+    observer = watch.observer_m[k]
+    for body, angle_deg in (
+        (watch.sun_m, r.sun_exclusion_deg),
+        (watch.moon_m, r.moon_exclusion_deg),
+    ):
+        if angle_deg > 0.0:
+            cosine = np.sum(unit(body[k] - observer) * s.geometric, axis=-1)
+            good &= cosine <= np.cos(angle_deg * DEG_RAD)
+    if r.galactic_exclusion_deg > 0.0:
+        sine = np.abs(np.sum(watch.pole[k] * s.geometric, axis=-1))
+        good &= sine >= np.sin(r.galactic_exclusion_deg * DEG_RAD)
+    return good

@@ -1,0 +1,242 @@
+"""A sensor that watches: its camera resolved once, and where it stands and may look at moments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import BadInput
+from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M, SPEED_OF_LIGHT_M_S
+from pipeline.physics.noise.streams import stream_key, uniforms
+from pipeline.physics.positions.apparent import apparent_sun_m
+from pipeline.physics.positions.earth import earth_and_sun, teme_to_gcrs
+from pipeline.physics.positions.times import Instants, format_utc, instants, parse_utc
+from pipeline.physics.targets.shadow import moon_m
+from pipeline.physics.vectors import from_angles, separation, to_angles, unit
+from pipeline.plan.bodies.orbits import orbit_states
+from pipeline.plan.pointing.air import terms_of
+from pipeline.plan.pointing.site import axes_of, place_of
+from pipeline.plan.resolved import ResolvedScene
+from pipeline.resolve.files import read_files
+from pipeline.resolve.resolve import resolve
+from pipeline.spec.load import parse_scene
+from pipeline.spec.pointing.observer import GroundObserver, OrbitObserver
+from pipeline.spec.study import FieldOfRegard
+from pipeline.survey.signal import SignalTable, signal_table
+
+Array = NDArray[np.float64]
+
+GALACTIC_POLE = from_angles(*np.array([192.859_48, 27.128_25]) * DEG_RAD)  # J2000
+CHANGING = ("moonlight", "twilight")  # parts of the sky that come and go in a night
+MOST_LIFT_RAD = 0.0125  # by the air, at the horizon, with room
+PROBE = {  # a target, so that the Sun's light in the band is worked out
+    "name": "probe",
+    "orbit": {
+        "kind": "keplerian",
+        "semi_major_axis_m": 1e8,
+        "eccentricity": 0,
+        "inclination_deg": 0,
+        "mean_anomaly_deg": 0,
+    },
+    "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2},
+}
+Epoch = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Watcher:
+    """A sensor that looks for objects.
+
+    resolved : its camera as a scene that looks up at `epoch`; integration_s, frames, cadence_s :
+    of a dwell; tracks : whether dwells follow their object; field : what its keys begin with in the
+    file; omitted : parts of its sky that change in the night, not counted
+    """
+
+    name: str
+    field: str
+    resolved: ResolvedScene
+    regard: FieldOfRegard
+    signal: SignalTable
+    epoch: Epoch
+    seed: int
+    tracks: bool
+    omitted: tuple[str, ...] = ()
+
+    @property
+    def observer(self) -> GroundObserver | OrbitObserver:
+        o = self.resolved.scene.observer
+        assert isinstance(o, GroundObserver | OrbitObserver)
+        return o
+
+    @cached_property
+    def electrons_per_light(self) -> float:
+        """Electrons of an exposure [e-], of light equal to the Sun's at 1 au."""
+        r = self.resolved
+        return r.sun_rate_e_s_m2 * r.facts.area_m2 * r.integration_s(0)
+
+    @cached_property
+    def air_terms(self) -> tuple[float, float]:
+        """Refraction's A and B [rad]; zeros without."""
+        ground = isinstance(self.observer, GroundObserver)
+        return terms_of(self.resolved.scene) if ground and self.observer.atmosphere else (0.0, 0.0)  # type: ignore[union-attr]
+
+    @property
+    def sky_note(self) -> str:
+        """What its sky is, for people."""
+        told = (
+            f"sky {self.resolved.facts.background_e_s:.3g} e-/s a pixel, that above it at the start"
+        )
+        return told + (f" without {' and '.join(self.omitted)}" if self.omitted else "")
+
+    @property
+    def dwell_s(self) -> float:
+        """From the start of a dwell's first exposure to the end of its last."""
+        e = self.resolved.scene.exposure
+        return (e.frames - 1) * e.step_s + e.integration_s
+
+    def watch(self, offsets_s: Array) -> WatchMoments:
+        """Where it stands and may look at moments (n,) [s] after its epoch."""
+        times = instants(self.epoch, offsets_s, self.resolved.dut1_s)
+        to_gcrs, earth = (
+            teme_to_gcrs(times),
+            earth_and_sun(*(np.ascontiguousarray(t) for t in (times.tt1, times.tt2))),
+        )
+
+        def teme(v: Array) -> Array:
+            return np.ascontiguousarray(np.einsum("nji,nj->ni", to_gcrs, v))
+
+        place, motion, up = self._state(offsets_s, times)
+        sun = apparent_sun_m(earth)
+        lowest, works = self._limits(offsets_s, place, up, sun)
+        return WatchMoments(
+            offsets_s,
+            to_gcrs,
+            teme(place),
+            teme(motion),
+            teme(up),
+            lowest,
+            works,
+            teme(sun),
+            teme(moon_m(times.tt1, times.tt2)),
+            teme(np.broadcast_to(GALACTIC_POLE, place.shape)),
+            teme(earth.velocity_m_s),
+        )
+
+    def _state(self, offsets_s: Array, times: Instants) -> tuple[Array, Array, Array]:
+        """Place [m], velocity [m/s] and vertical (n, 3), GCRS."""
+        o = self.observer
+        if isinstance(o, GroundObserver):
+            return *place_of(o, times), axes_of(o, times)[:, 2]
+        place, motion = orbit_states(
+            o.orbit, f"{self.field}observer.orbit", self.epoch, offsets_s, times
+        )
+        return place, motion, unit(place)
+
+    def _limits(
+        self, offsets_s: Array, place: Array, up: Array, sun: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Least elevation (n,) [rad] that may be looked at, as the air shows it, and whether
+        anything is."""
+        r, n = self.regard, len(offsets_s)
+        if not isinstance(self.observer, GroundObserver):
+            height = np.sqrt(np.sum(place**2, axis=-1))
+            limb = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / height))
+            return limb + r.earth_exclusion_deg * DEG_RAD - 0.5 * np.pi, np.ones(n, bool)
+        sun_elevation = 0.5 * np.pi - separation(sun - place, up)
+        works = sun_elevation <= r.twilight_deg * DEG_RAD
+        if r.clear_fraction < 1.0:
+            works &= self._clear(offsets_s)
+        return np.full(n, r.lowest_elevation_deg * DEG_RAD), works
+
+    def _clear(self, offsets_s: Array) -> NDArray[np.bool_]:
+        """Whether the sky is clear (n,): each stretch of weather draws by seed, sensor, number."""
+        stretch = np.floor(offsets_s / (self.regard.weather_h * 3600.0)).astype(np.int64)
+        key = stream_key(self.seed, f"weather of {self.name}")
+        numbers, of = np.unique(stretch, return_inverse=True)
+        draws = np.array([uniforms(1, 1, 0, 0, int(k) & 0xFFFFFFFF, *key)[0, 0] for k in numbers])
+        return np.asarray(draws < self.regard.clear_fraction)[of]
+
+
+@dataclass(frozen=True, eq=False)
+class WatchMoments:
+    """A sensor at n moments, in TEME axes; angles [rad], vectors (n, 3).
+
+    to_gcrs : (n, 3, 3); observer_m, motion_m_s : geocentric; up : its vertical; lowest : (n,) least
+    elevation; works : (n,) whether it looks at all; sun_m : apparent; moon_m : geocentric; pole :
+    of the Galaxy; earth_m_s : the Earth's velocity
+    """
+
+    offset_s: Array
+    to_gcrs: Array
+    observer_m: Array
+    motion_m_s: Array
+    up: Array
+    lowest: Array
+    works: NDArray[np.bool_]
+    sun_m: Array
+    moon_m: Array
+    pole: Array
+    earth_m_s: Array
+
+    @property
+    def turn_rad_s(self) -> Array:
+        """Rate of the vertical (n,), at most."""
+        speed, radius = (np.sqrt(np.sum(v**2, -1)) for v in (self.motion_m_s, self.observer_m))
+        return 1.01 * speed / radius + 1e-6
+
+    @property
+    def beta(self) -> Array:
+        """Velocity over that of light (n, 3), against the Earth's centre."""
+        return self.motion_m_s / SPEED_OF_LIGHT_M_S
+
+
+def make_watcher(
+    sections: dict[str, Any],
+    regard: FieldOfRegard,
+    epoch: Epoch,
+    tracks: bool,
+    field: str = "",
+    seed: int = 0,
+) -> Watcher:
+    """A watcher of a scene's sections: `observer`, `sensor`, `exposure`, `background`.
+
+    epoch : two-part UTC, from which moments count
+    The sky's light is that above the sensor at the epoch: one value for all directions and times.
+    """
+    stub = {
+        **{k: v for k, v in sections.items() if v is not None},
+        "schema": "nightglass/scene/1",
+        "name": "watch",
+        "epoch": format_utc(*epoch),
+        "accept": ["sun", "moon", "daylight", "coverage", "error"],
+        "accuracy": {"check_cells": 0},
+        "targets": [PROBE],
+    }
+    sky = dict(stub.get("background") or {})
+    omitted = tuple(name for name in CHANGING if sky.pop(name, None))
+    stub["background"] = sky if any(sky.values()) else None
+    stub["pointing"] = {"mode": "sidereal", **_upward(stub, field)}
+    resolved = resolve(parse_scene(stub)).scene
+    name = str(sections.get("name", field))
+    signal = signal_table(resolved)
+    return Watcher(name, field, resolved, regard, signal, epoch, seed, tracks, omitted)
+
+
+def _upward(stub: dict[str, Any], field: str) -> dict[str, float]:
+    """The direction above an observer at the epoch, as a sidereal pointing has it."""
+    looks = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0}
+    scene = read_files(parse_scene({**stub, "pointing": looks}))
+    o, epoch = scene.observer, parse_utc(scene.epoch)
+    times = instants(epoch, [0.0])
+    if isinstance(o, GroundObserver):
+        up = axes_of(o, times)[0, 2]
+    elif isinstance(o, OrbitObserver):
+        up = orbit_states(o.orbit, f"{field}observer.orbit", epoch, np.zeros(1), times)[0][0]
+    else:
+        raise BadInput(f"{field}observer.kind", o.kind, "ground or orbit")
+    ra, dec = to_angles(up)
+    return {"boresight_ra_deg": float(np.degrees(ra)), "boresight_dec_deg": float(np.degrees(dec))}

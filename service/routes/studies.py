@@ -1,0 +1,41 @@
+"""Studies of capacity: submitted here, watched and fetched like any other job."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Query, Request
+from fastapi.responses import JSONResponse, Response
+from starlette.concurrency import run_in_threadpool
+
+from service.context import Service
+from service.http.bodies import TEXTS, media_type, parse_text, read_body
+from service.http.gate import allow_time
+from service.routes.jobs import check_key, json_body, taken
+from service.scenes.studies import accept_study
+
+router = APIRouter(prefix="/v1/studies", tags=["studies"])
+STUDY_BODY = json_body("A study: cameras, sensors, a catalogue, a period, tasking.", TEXTS)
+
+
+@router.post("", status_code=202, openapi_extra=STUDY_BODY)
+async def submit(
+    request: Request,
+    service: Service,
+    dry_run: Annotated[bool, Query(description="answer the forecast; make no job")] = False,
+    idempotency_key: Annotated[str | None, Header()] = None,
+) -> Response:
+    """Queue a study: 202 and where its job is; 200 for a key that was used with this body."""
+    check_key(idempotency_key)
+    settings = service.settings
+    body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
+    data = await run_in_threadpool(parse_text, body, media_type(request))
+    study = await run_in_threadpool(accept_study, data, settings, service.has_file)
+    if dry_run:
+        allow_time(request, settings.plan_s + settings.answer_s)
+        return JSONResponse(await service.looks.plan(request, service.caller.team, study))
+    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+    ask = service.store.ask(study["name"], study, digest, idempotency_key, kind="study")
+    return taken(service, *await service.intake.put(ask))

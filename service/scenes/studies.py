@@ -1,0 +1,43 @@
+"""Studies over REST: what one may hold, and how the worker runs it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pipeline.spec.study_load import parse_study
+from service.problems import NotAllowed
+from service.scenes.scenes import HasFile, check_named, named_in
+from service.settings import Settings
+
+STATE_CPU_S = 1e-6  # of an object at a step, at least
+
+
+def accept_study(data: Any, settings: Settings, has_file: HasFile | None = None) -> dict[str, Any]:
+    """A study as it is stored. Files in it are the caller's uploads; it has a size.
+
+    Raises BadInput, InvalidScene, NotAllowed.
+    """
+    study = parse_study(data)
+    plain = study.as_dict()
+    check_named(named_in(plain), settings, has_file)
+    for i, axis in enumerate(study.axes):
+        if any(f.split(".")[-1] in ("path", "sizes", "orbit") for f in axis.fields):
+            allowed = "an axis over numbers: over REST none goes through files"
+            raise NotAllowed(f"axes.{i}: {allowed}", ((f"axes.{i}", axis.fields[0], allowed),))
+    made = study.catalogue.synthetic.objects if study.catalogue.synthetic else 1
+    cpu_s = STATE_CPU_S * made * study.duration_h * 3600.0 / study.step_s * study.points
+    if cpu_s > settings.job_cpu_s or study.points > settings.sweep_points:
+        allowed = f"a study of at most {settings.job_cpu_s:g} CPU s, {settings.sweep_points} points"
+        raise NotAllowed(f"duration_h: {allowed}", (("duration_h", study.duration_h, allowed),))
+    return plain
+
+
+def run_study(order: dict[str, Any], listen: Any) -> dict[str, Any]:
+    """Run a stored study, in the worker's process."""
+    from pipeline.capacity.run import StudyOptions
+    from pipeline.capacity.run import run_study as run
+
+    options = StudyOptions(order["scheduler"], order["workers"], order["resume"])
+    run(order["scene"], Path.cwd(), Path(order["product"]), options, listen)
+    return {"tiles": 0, "content_digest": None}

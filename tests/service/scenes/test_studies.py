@@ -1,0 +1,58 @@
+"""Studies over REST: forecast, run and fetched like jobs; files in them are uploads alone."""
+
+from __future__ import annotations
+
+import copy
+import io
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from tests.capacity.conftest import SMALL
+
+ELEMENTS = Path(__file__).resolve().parents[3] / "examples" / "population.tle"
+BODY = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}
+
+
+def _study(**changes: Any) -> dict[str, Any]:
+    return copy.deepcopy(SMALL) | {"duration_h": 1.0} | changes
+
+
+def test_a_study_is_forecast_run_and_fetched(server: Any) -> None:
+    """With the elements of an uploaded file."""
+    post = server.client.post
+    sent = post("/v1/files?name=population.tle", content=ELEMENTS.read_bytes())
+    assert sent.status_code in (200, 201), sent.text
+    population = {"name": "sent", "path": sent.json()["id"], "body": BODY}
+    study = _study(catalogue={"populations": [population]})
+    answer = post("/v1/studies?dry_run=1", json=study)
+    assert answer.status_code == 200, answer.text
+    told = answer.json()
+    assert (told["objects"], told["steps"], told["sensors"]) == (600, 60, 3)
+    key = {"Idempotency-Key": "study-1"}
+    made = post("/v1/studies", json=study, headers=key)
+    assert made.status_code == 202, made.text
+    assert post("/v1/studies", json=study, headers=key).status_code == 200
+    here = made.headers["location"]
+    job = server.ended(here)
+    assert (job["phase"], job["kind"]) == ("COMPLETED", "study"), job["error"]
+    report = server.client.get(f"{here}/report").json()
+    assert report["figures"]["objects"] == 600
+    table = pq.read_table(io.BytesIO(server.client.get(f"{here}/results/objects.parquet").content))
+    assert table.num_rows == 600
+    assert b"Gap time by orbit" in server.client.get(f"{here}/results/report.html").content
+    assert str(server.home) not in server.client.get(f"{here}/results/study.json").text
+
+
+def test_what_a_study_may_not_hold(server: Any) -> None:
+    post = server.client.post
+    population = {"name": "file", "path": "/etc/passwd", "body": BODY}
+    answer = post("/v1/studies", json=_study(catalogue={"populations": [population]}))
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["pointer"] == "/catalogue/populations/0/path"
+    long = _study(duration_h=80_000, catalogue={"synthetic": {"objects": 1_000_000}})
+    assert "CPU s" in post("/v1/studies", json=long).text
+    axes = [{"field": "catalogue.populations.0.path", "values": ["a", "b"]}]
+    assert "over REST none goes through files" in post("/v1/studies", json=_study(axes=axes)).text
+    assert post("/v1/studies", json={"schema": "nightglass/study/1"}).status_code == 422

@@ -1,0 +1,100 @@
+"""What is never looked at is never seen: bounds of orbits against orbits followed densely."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.physics.positions.orbit_bounds import (
+    latitude_bound_rad,
+    never_rises,
+    radius_bounds_m,
+)
+from pipeline.physics.positions.orbit_screen import WHOLE, states_together
+from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
+from pipeline.spec.study import Synthetic
+from pipeline.survey.elements import Elements, synthetic_elements
+from pipeline.survey.prune import never_seen
+from pipeline.survey.sights import allowed, sights_of
+from tests.survey.conftest import EPOCH, watcher
+
+AT = np.arange(0.0, 86_400.0, 240.0)
+
+
+def _orbit(perigee_km: float, ecc: float, tilt_deg: float, turns: tuple[float, ...]) -> Elements:
+    """One object with these elements at the epoch."""
+    made = synthetic_elements(Synthetic(objects=1), EPOCH)
+    motion = np.sqrt(398_600.8 / ((6378.135 + perigee_km) / (1.0 - ecc)) ** 3) * 60.0
+    node, argument, anomaly = (2.0 * np.pi * t for t in turns)
+    made.mean[0] = [0.0, ecc, argument, np.radians(tilt_deg), anomaly, motion, node]
+    return made
+
+
+orbits = st.builds(
+    _orbit,
+    st.floats(200.0, 36_000.0),
+    st.floats(0.0, 0.7),
+    st.floats(0.0, 180.0),
+    st.tuples(*[st.floats(0.0, 1.0)] * 3),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(orbits, st.floats(0.0, 20.0))
+def test_limits_of_orbits(one: Elements, days: float) -> None:
+    """Distance and latitude stay within their bounds, days from the elements, too."""
+    satellites = one.satellites()
+    place, _, codes = states_together(
+        satellites, since_epochs_s(satellites, EPOCH) + 86_400.0 * days, AT
+    )
+    place = place[codes == WHOLE]
+    if not len(place):
+        return
+    radius = np.sqrt(np.sum(place**2, axis=-1))
+    motion, ecc, tilt = one.mean[:, 5], one.mean[:, 1], one.mean[:, 3]
+    low, high = radius_bounds_m(motion, ecc, np.array([days + 1.0]))
+    assert low[0] <= radius.min()
+    assert radius.max() <= high[0]
+    latitude = np.abs(np.arcsin(place[:, 2] / radius)).max()
+    assert latitude <= latitude_bound_rad(tilt, motion, np.array([days + 1.0]))[0]
+
+
+@settings(max_examples=100, deadline=None)
+@given(orbits, st.floats(-90.0, 90.0), st.floats(0.0, 80.0))
+def test_what_never_rises_does_not(one: Elements, latitude_deg: float, lowest_deg: float) -> None:
+    """From no longitude of a parallel does anything that is pruned stand above the elevation."""
+    lat, lowest = np.radians(latitude_deg), np.radians(lowest_deg)
+    days = np.array([1.0])
+    _, high = radius_bounds_m(one.mean[:, 5], one.mean[:, 1], days)
+    reach = latitude_bound_rad(one.mean[:, 3], one.mean[:, 5], days)
+    if not never_rises(lat, 0.0, lowest, high, reach)[0]:
+        return
+    satellites = one.satellites()
+    place, _, codes = states_together(satellites, since_epochs_s(satellites, EPOCH), AT)
+    place = place[codes == WHOLE]
+    # the best longitude: that of the satellite itself
+    across = np.hypot(place[:, 0], place[:, 1])
+    n = 6_378_137.0 / np.sqrt(1.0 - 0.006_694_38 * np.sin(lat) ** 2)
+    x = across - n * np.cos(lat)
+    z = place[:, 2] - n * (1.0 - 0.006_694_38) * np.sin(lat)
+    sine = (x * np.cos(lat) + z * np.sin(lat)) / np.hypot(x, z)
+    assert (sine < np.sin(lowest)).all()
+
+
+def test_pruned_objects_are_never_seen() -> None:
+    """Of many objects those that are pruned have no sight at all, and some are pruned."""
+    w = watcher(tracks=True, lowest_elevation_deg=10.0)
+    objects = synthetic_elements(Synthetic(objects=150, seed=8, smallest_m=0.02), EPOCH)
+    watch, satellites = w.watch(AT), objects.satellites()
+    pruned = never_seen(w, watch, objects, 20.0)
+    assert 20 < pruned.sum() < 140
+    place, speed, codes = states_together(satellites, since_epochs_s(satellites, EPOCH), AT)
+    who, when = np.nonzero(codes == WHOLE)
+    s = sights_of(
+        w, watch, when, who, place[who, when], speed[who, when], objects.reflecting_m2[who],
+        objects.shaded[who],
+    )  # fmt: skip
+    seen = np.unique(s.object[allowed(w, watch, s) & (s.snr >= 20.0)])
+    assert len(seen)
+    assert not pruned[seen].any()
