@@ -89,8 +89,9 @@ def write_all(folder, stars):
 
 
 def test_same_rows_from_every_kind_and_every_byte_digested(tmp_path):
-    stars = random_stars(300, 5)
-    for kind, path in write_all(tmp_path, stars).items():
+    stars, folder = random_stars(300, 5), tmp_path / "a #b?c=%41&d"
+    folder.mkdir()
+    for kind, path in write_all(folder, stars).items():
         assert kind_of(path) == kind.split()[0]
         md5 = hashlib.md5()
         assert read(path, IN_SQL, md5=md5).equals(stars), kind
