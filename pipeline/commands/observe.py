@@ -100,7 +100,7 @@ def _cells(row: dict[str, Any], days: bool) -> list[str]:
     up, mag, snr = row["elevation_deg"], row["v_mag"], row["snr"]
     here = (row["azimuth_deg"], up) if up == up else (row["ra_deg"], row["dec_deg"])
     return [
-        row["object_name"][:14],
+        row["object_name"][: 12 if days else 14],
         row["seen"],
         row["utc"][5:16].replace("T", " ") if days else row["utc"][11:19],
         *(f"{v:.1f}" for v in here),

@@ -54,7 +54,8 @@ Listener = Callable[[str, int, int | None], None]
 
 @dataclass(frozen=True)
 class Observed:
-    """What is seen: a row for each exposure and target, by time, then in the scene's order.
+    """What is seen: a row for each exposure and target, by time, then in the scene's order,
+    of populations the members that are drawn first.
 
     table : columns of ORDER; notes : what else is to be reported; scene : its name
     """
@@ -144,7 +145,7 @@ def _rows(
     if centroid_seed is not None:
         columns |= _measured(plan, g, seen == "yes", centroid_seed, part.start)
     words = {"seen": seen, "snr_at": np.where(near, "frame", "boresight")}
-    return _table(plan, g, {**columns, **words}, part.start, group.first)
+    return _table(plan, g, {**columns, **words}, part.start, group)
 
 
 def _truth(plan: ResolvedScene, g: Geometry) -> tuple[dict[str, Array], Mask, Mask]:
@@ -194,10 +195,10 @@ def _fill_others(
 
 
 def _table(
-    plan: ResolvedScene, g: Geometry, columns: dict[str, Array], start: int, first: int
+    plan: ResolvedScene, g: Geometry, columns: dict[str, Array], start: int, group: Group
 ) -> pa.Table:
-    """Rows of the targets from `first` on, frame by frame."""
-    targets = plan.scene.targets
+    """Rows of a group's targets, frame by frame."""
+    targets, first = plan.scene.targets, group.first
     shape = (len(g.frame), len(targets) - first)
     moment, index = (np.ravel(v) for v in np.indices(shape))
     utc = [format_utc(a, b) for a, b in zip(g.utc1[:, g.middle], g.utc2[:, g.middle], strict=True)]
@@ -209,6 +210,6 @@ def _table(
         "name": pa.array(names, pa.string()).take(pa.array(index)),
         "object_name": pa.array(objects, pa.string()).take(pa.array(index)),
         "moment": pa.array(moment + start),
-        "index": pa.array(index + first),
+        "index": pa.array(index + (0 if group.as_drawn else MOST_ROWS)),  # those drawn first
     }
     return pa.table(words | {k: pa.array(v[:, first:].ravel()) for k, v in columns.items()})

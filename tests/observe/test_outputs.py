@@ -168,6 +168,8 @@ def test_decayed_and_faulty_elements_are_reported(tmp_path: Path, scene: Path) -
     assert any("element sets omitted" in note for note in found["notes"])
     assert any("old elements, the worst" in note for note in found["notes"])
     assert 3 < len(found["rows"]) < 603
+    long = nightglass("observe", scene, "--json", "--times", "0,9e8,4.5e8")  # 28 years: no grid
+    assert 0 < len(json.loads(long.stdout)["rows"]) <= 3 * len(found["rows"])
 
 
 def test_no_message_of_nothing(scene: Path, tmp_path: Path) -> None:

@@ -110,6 +110,23 @@ def screen_cone(
     return ScreenResult(np.flatnonzero(inside & (codes == WHOLE)), failed, codes[failed])
 
 
+def sgp4_codes(
+    satellites: Sequence[Satrec], epoch_utc: tuple[float, float], offsets_s: Array
+) -> dict[int, int]:
+    """SGP4's code of each satellite that it ends for at any of some times (n,) after an epoch: the
+    first, by the satellite's index; 0 where what it gave was not finite."""
+    since_s = since_epochs_s(satellites, epoch_utc)
+    found: dict[int, int] = {}
+    step = max(64, min(BATCH, SAMPLES // len(offsets_s)))
+    for start in range(0, len(satellites), step):
+        part = slice(start, start + step)
+        codes = _together(satellites[part], since_s[part], offsets_s)[2]
+        bad = codes != _WHOLE
+        for i in np.flatnonzero(bad.any(axis=1)):
+            found[start + int(i)] = int(codes[i, np.argmax(bad[i])])
+    return found
+
+
 @dataclass(frozen=True)
 class _Sky:
     """Observer and boresight in TEME, and how far apart seen and computed directions may be."""

@@ -33,6 +33,7 @@ Sizes = Mapping[int, tuple[float | None, float | None]]
 STEP_S, MOST_STEPS = 1.0, 100_000  # between looks at the pointing, to tell how fast it turns
 TURN_ROOM = 2.0  # times the change between looks
 BEFORE_S = 10.0  # light that is seen left the farthest satellites before
+LOOKED_AT = 257  # moments at which SGP4 is tried, where no cone is looked into
 MOST_REFRACTION_RAD = 0.0125  # at the horizon, with room (0.6 degrees; Bennett 1982)
 
 
@@ -96,23 +97,18 @@ def look_of(scene: Scene, halo_px: float, dut1_s: float) -> SearchView:
 
 @dataclass(frozen=True)
 class WholeSky(SearchView):
-    """The look that finds every object, wherever it is, that SGP4 carries through `span_s`
-    [s after the epoch]."""
+    """The look that finds every object, wherever it is, that SGP4 carries through `span_s`.
+
+    span_s : first and last time [s after the epoch]; looked at are LOOKED_AT moments at most
+    """
 
     span_s: tuple[float, float] = (0.0, 0.0)
 
     def screen(self, satellites: list[Satrec]) -> tuple[list[int], dict[int, int]]:
-        start, way = instants(self.epoch, [self.span_s[0]]), self.span_s[1] - self.span_s[0]
-        found = orbit_screen.screen_cone(
-            satellites,
-            (float(start.utc1[0]), float(start.utc2[0])),
-            way,
-            lambda at_s: (np.zeros((len(at_s), 3)), np.zeros((len(at_s), 3))),
-            lambda at_s: np.broadcast_to([0.0, 0.0, 1.0], (len(at_s), 3)),
-            np.pi,
-        )
-        codes = dict(zip(found.failed.tolist(), found.codes.tolist(), strict=True))
-        return found.inside.tolist(), codes
+        count = int(np.clip(np.ptp(self.span_s) / orbit_screen.FIRST_STEP_S, 1, LOOKED_AT - 1)) + 1
+        moments = np.linspace(*self.span_s, count)
+        codes = orbit_screen.sgp4_codes(satellites, self.epoch, moments)
+        return sorted(set(range(len(satellites))) - set(codes)), codes
 
 
 def whole_sky(scene: Scene, start_s: float, stop_s: float) -> WholeSky:
