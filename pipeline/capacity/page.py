@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import io
 from typing import Any
@@ -14,13 +13,8 @@ from numpy.typing import NDArray
 from catalog_tools.geometry.healpix import pixels_of
 from pipeline.capacity.course import StudyCourse
 from pipeline.capacity.results import COVERAGE, GAP_BINS_H, HOURS, ORDER, REACH, SENSORS
+from pipeline.report_page import document, picture, table
 
-STYLE = (
-    "body{font:15px/1.45 sans-serif;margin:2em auto;max-width:70em;padding:0 1em;color:#222}"
-    "table{border-collapse:collapse;margin:1em 0;font-variant-numeric:tabular-nums}"
-    "td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #ddd}"
-    "td:first-child,th:first-child{text-align:left}img{max-width:100%;height:auto}"
-)
 GAP_HEADS = {
     "objects": "objects",
     "gap_median_h": "median gap [h]",
@@ -49,39 +43,24 @@ def page(
         "to the end; each object counts once in medians.",
         *report["notes"],
     ]
-    groups = [
-        (title, _gap_table(report[key]))
-        for title, key in (
-            ("Gap time by orbit", "by_regime"),
-            ("By kind of object", "by_kind"),
-            ("By mean altitude [km]", "by_altitude_km"),
-        )
-    ]
+    keys = {"by_regime": "orbit", "by_kind": "kind of object", "by_altitude_km": "altitude [km]"}
+    groups = (f"<h2>Gap time by {word}</h2>{_gap_table(report[k])}" for k, word in keys.items())
     sensors = [[_cell(v) for v in row.values()] for row in tables[SENSORS].to_pylist()]
-    body = "".join(f"<h2>{title}</h2>{table}" for title, table in groups)
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"/><title>{course.study.name}'
-        f"</title><style>{STYLE}</style></head><body><h1>{course.study.name}</h1><ul>"
-        + "".join(f"<li>{html.escape(note)}</li>" for note in notes)
-        + f"</ul>{body}<h2>Sensors</h2>{_table(tables[SENSORS].column_names, sensors)}"
-        + f"{_pictures(tables, gaps)}</body></html>\n"
+    told = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
+    return document(
+        course.study.name,
+        f"<h1>{course.study.name}</h1><ul>{told}</ul>{''.join(groups)}"
+        f"<h2>Sensors</h2>{table(tables[SENSORS].column_names, sensors)}{_pictures(tables, gaps)}",
     )
 
 
 def _gap_table(groups: dict[str, Any]) -> str:
     rows = [[name, *(_cell(g[key]) for key in GAP_HEADS)] for name, g in groups.items()]
-    return _table(["", *GAP_HEADS.values()], rows)
+    return table(["", *GAP_HEADS.values()], rows)
 
 
 def _cell(value: Any) -> str:
     return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _table(heads: list[str], rows: list[list[str]]) -> str:
-    def line(cells: list[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) + "</tr>"
-
-    return f"<table>{line(heads, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
 
 
 def _pictures(tables: dict[str, pa.Table], gaps: dict[str, NDArray[np.int64]]) -> str:
@@ -99,9 +78,8 @@ def _pictures(tables: dict[str, pa.Table], gaps: dict[str, NDArray[np.int64]]) -
     _draw_reach(figure.add_subplot(2, 2, 4), tables[REACH])
     held = io.BytesIO()
     figure.savefig(held, dpi=90, metadata={"Software": None})
-    text = base64.b64encode(held.getvalue()).decode()
     told = "sky coverage; gap times; observations an hour; smallest size against range"
-    return f'<p><img alt="{told}" src="data:image/png;base64,{text}"/></p>'
+    return picture(held.getvalue(), told)
 
 
 def _draw_sky(axes: Any, coverage: pa.Table) -> None:

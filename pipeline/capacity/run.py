@@ -37,6 +37,7 @@ from pipeline.store.layout import full_disk, only_writer
 from pipeline.sweep import ledger
 from pipeline.sweep.design import Design
 from pipeline.sweep.points import set_field
+from pipeline.sweep.run import SweepProgress
 
 STATE, STUDY, SEEN = "state.npz", "study.json", "observations"
 POINTS = "points.parquet"
@@ -56,15 +57,7 @@ class StudyOptions:
     yes: bool = False
 
 
-@dataclass(frozen=True)
-class StudyProgress:
-    """Tasks done, of how many."""
-
-    done: int
-    total: int
-
-
-Listener = Callable[[StudyProgress], None]
+Listener = Callable[[SweepProgress], None]
 
 
 def forecast_of(data: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -180,7 +173,7 @@ def _stream(
             for item in _run(scheduler, course, left):
                 done.add(item)
                 if listen is not None:
-                    listen(StudyProgress(total - len(items) + len(done), total))
+                    listen(SweepProgress(total - len(items) + len(done), total, 0))
                 finish_windows()
     return np.array(sorted(failed), np.int64)
 
