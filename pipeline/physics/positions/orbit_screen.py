@@ -120,8 +120,8 @@ def sgp4_codes(
     step = max(64, min(BATCH, SAMPLES // len(offsets_s)))
     for start in range(0, len(satellites), step):
         part = slice(start, start + step)
-        codes = _together(satellites[part], since_s[part], offsets_s)[2]
-        bad = codes != _WHOLE
+        codes = states_together(satellites[part], since_s[part], offsets_s)[2]
+        bad = codes != WHOLE
         for i in np.flatnonzero(bad.any(axis=1)):
             found[start + int(i)] = int(codes[i, np.argmax(bad[i])])
     return found
