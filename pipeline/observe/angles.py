@@ -10,8 +10,7 @@ from pipeline.arrays import Array, Geometry
 from pipeline.physics.constants import ARCSEC_RAD, DEG_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import aberrate, unaberrate
 from pipeline.physics.positions.focal_plane import corner_radius
-from pipeline.physics.positions.sky_angles import horizontal, position_angle
-from pipeline.physics.vectors import separation, unit
+from pipeline.physics.vectors import horizontal, position_angle, separation, unit
 from pipeline.plan.bodies.paths import batches
 from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.plan.pointing.geometry import aimed, moments_at
