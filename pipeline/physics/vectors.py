@@ -61,7 +61,7 @@ def _skew(v: Vectors) -> NDArray[np.float64]:
     return np.stack(rows, axis=-1).reshape(*x.shape, 3, 3)
 
 
-def position_angle(u: Array, way: Array) -> Array:
+def position_angle(u: Vectors, way: Vectors) -> Vectors:
     """Angle (...) [rad] of motions (..., 3) at directions (..., 3), from north (+z) through east
     (Green 1985, Spherical Astronomy, section 1.6)."""
     x, y = u[..., 0], u[..., 1]
@@ -70,7 +70,7 @@ def position_angle(u: Array, way: Array) -> Array:
     return np.asarray(np.arctan2(east, north) % (2.0 * np.pi))
 
 
-def horizontal(u: Array, axes: Array) -> tuple[Array, Array]:
+def horizontal(u: Vectors, axes: Vectors) -> tuple[Vectors, Vectors]:
     """Azimuth, from north through east in [0, 2 pi), and elevation [rad] (...) of directions.
 
     u : (..., 3); axes : (..., 3, 3) whose rows are north, east and zenith
