@@ -33,7 +33,7 @@ COMMANDS = [
     "find {root}/examples/population.yaml --night --step 60",
     "study {root}/examples/studies/three-sites.yaml --dry-run",
     "study {root}/examples/studies/three-sites.yaml -o studied --scheduler synchronous"
-    " --set duration_h=1 --set catalogue.synthetic.objects=50",
+    " --set catalogue.synthetic.objects=50",
     "export run --to png -o pictures", "sweep sweep.json --dry-run", "sweep sweep.json -o swept",
     "catalog demo -o small --faintest 5", "catalog info small", "catalog verify small",
     "catalog cone small --ra 10 --dec 10 --radius 5 -o cone.csv",
