@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from pipeline.physics.vectors import from_angles
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.study import CuedTasking, Study
 from pipeline.spec.study_load import parse_study
+from pipeline.store.product import files_digest
 from pipeline.survey.elements import (
     Census,
     Elements,
@@ -119,9 +120,10 @@ def make_course(data: dict[str, Any], out: Path) -> StudyCourse:
     elements, census = _elements(study, epoch)
     for watcher in watchers:
         _check_regard(watcher, study.duration_h * 3600.0)
-    text = json.dumps([study.as_dict(), len(elements)], sort_keys=True).encode()
-    for column in (elements.mean, elements.jd2, elements.reflecting_m2):
-        text += hashlib.sha256(np.ascontiguousarray(column).tobytes()).digest()
+    text = json.dumps([study.as_dict(), files_digest(data)], sort_keys=True).encode()
+    for column in fields(elements):
+        values = np.ascontiguousarray(getattr(elements, column.name))
+        text += hashlib.sha256(values.tobytes()).digest()
     return StudyCourse(
         study,
         watchers,

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import sync, sync_all
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.plan import Plan
@@ -31,6 +32,7 @@ from pipeline.store.markers import (
 from pipeline.store.truth import drop_parts, part_is_whole
 
 FORMAT = "nightglass/product/1"
+CONTENT_KNOWN = ("stars.", "populations.", "catalogue.")  # fields of files whose content is known
 SYNCED_AT_ONCE = 16  # a disk takes these in one go
 Cell = tuple[Any, ...]  # layer, frame, row, column, checksum
 
@@ -105,7 +107,7 @@ def identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
         "format": FORMAT,
         "scene_sha256": scene_digest(plan),
         "catalogue_digest": catalogue_digest,
-        "files_sha256": files_digest(plan.scene),
+        "files_sha256": files_digest(plan.scene.as_dict()),
         "tile_shape": list(tile_shape(plan.scene)),
         "compression": plan.scene.output.compression,
         "tiles": len(plan.tiles) * plan.frames,
@@ -255,15 +257,16 @@ def scene_digest(plan: Plan) -> str:
     return hashlib.sha256(json.dumps(scene, sort_keys=True).encode()).hexdigest()
 
 
-def files_digest(scene: Scene) -> str | None:
-    """SHA-256 over the content of all files that a resolved scene still names; None without any.
+def files_digest(data: JsonObject) -> str | None:
+    """SHA-256 over the content of all files that plain data of a scene, or a study, still names;
+    None without any. Its paths are absolute.
 
-    Catalogues have digests of their own; of populations the scene holds what was found.
+    Catalogues have digests of their own; of populations what was found in them counts.
     """
     found = []
-    for field_name, holder, key in path_holders(scene.as_dict()):
+    for field_name, holder, key in path_holders(data):
         name = holder.get(key)
-        if isinstance(name, str) and not field_name.startswith(("stars.", "populations.")):
+        if isinstance(name, str) and not field_name.startswith(CONTENT_KNOWN):
             path = Path(name)
             files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
             found += [(field_name, file_digest(file)) for file in files if file.is_file()]

@@ -273,6 +273,19 @@ def test_resume_needs_the_same_study(data: Data, tmp_path: Path) -> None:
         run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous", resume=True))
 
 
+def test_resume_needs_the_same_files(data: Data, tmp_path: Path) -> None:
+    """A curve that was changed under its name would be mixed with what was found by the old one."""
+    curve, again = tmp_path / "qe.csv", StudyOptions("synchronous", resume=True)
+    data["cameras"][0]["sensor"] |= {"quantum_efficiency": "qe.csv"}
+    data["duration_h"] = 1.0
+    curve.write_text("wavelength_nm,value\n400,0.5\n900,0.5\n")
+    before = run_study(data, tmp_path, tmp_path / "out", ALONE)
+    assert run_study(data, tmp_path, tmp_path / "out", again) == before
+    curve.write_text("wavelength_nm,value\n400,0.6\n900,0.6\n")
+    with pytest.raises(BadInput, match="a study of the same study"):
+        run_study(data, tmp_path, tmp_path / "out", again)
+
+
 def test_weather_and_forecast(data: Data, tmp_path: Path) -> None:
     """Clouds come by the seed alone; a forecast counts what the study does."""
     data["sensors"][0]["field_of_regard"] = {"clear_fraction": 0.5, "weather_h": 0.5}
