@@ -43,6 +43,12 @@ class Looks:
         plan: JsonObject = (await unless_gone(request, look))["plan"]
         return plan
 
+    async def forecast(self, request: Request, team: str, study: JsonObject) -> JsonObject:
+        """What an accepted study takes. Raises as `plan` does."""
+        look = self._look(team, study, {"do": "forecast"}, self._settings.plan_s)
+        forecast: JsonObject = (await unless_gone(request, look))["forecast"]
+        return forecast
+
     async def observe(
         self, request: Request, team: str, scene: JsonObject, asked: JsonObject
     ) -> JsonObject:

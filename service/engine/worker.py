@@ -27,7 +27,6 @@ from pipeline.spec.load import parse_scene
 from service import logs
 from service.problems import cut, mistake_dict, mistakes_of
 
-STUDY_SCHEMA = "nightglass/study/1"
 log = logging.getLogger("nightglass.engine")
 BETWEEN_LINES_S = 0.25
 
@@ -43,8 +42,15 @@ def main() -> None:
     order = json.loads(line)
     logs.set_up()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    todo = {"plan": _plan, "judge": _judge, "observe": _observe, "render": _render}
-    todo |= {"study": _study, "sweep": _sweep}
+    todo = {
+        "plan": _plan,
+        "forecast": _forecast,
+        "judge": _judge,
+        "observe": _observe,
+        "render": _render,
+        "study": _study,
+        "sweep": _sweep,
+    }
     try:
         _say(answers, todo[order["do"]](order, answers))
     except Exception as error:
@@ -99,16 +105,18 @@ def _tiles_told(order: dict[str, Any]) -> Iterator[None]:
 
 
 def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
-    if order["scene"].get("schema") == STUDY_SCHEMA:
-        from pipeline.capacity.run import forecast_of
-
-        return {"outcome": "done", "plan": forecast_of(order["scene"], Path.cwd())}
     from pipeline.route.prepare import check_cost, plan_scene
 
     scene = parse_scene(order["scene"])
     plan = plan_scene(scene)
     check_cost(scene, plan, order["most_cpu_s"])
     return {"outcome": "done", "plan": plan}
+
+
+def _forecast(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
+    from pipeline.capacity.run import forecast_of
+
+    return {"outcome": "done", "forecast": forecast_of(order["scene"], Path.cwd())}
 
 
 def _observe(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:

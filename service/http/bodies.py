@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import json
 import math
 from collections.abc import Sequence
@@ -186,3 +187,8 @@ def _check_text(text: str) -> None:
             raise Malformed(
                 f"text with a lone surrogate (U+{ord(text[error.start]):04X}) is not Unicode"
             ) from None
+
+
+def digest_of(data: object) -> str:
+    """SHA-256 of plain data that was sent: the same for every order of keys and every notation."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request
@@ -11,7 +9,7 @@ from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.context import Service
-from service.http.bodies import TEXTS, media_type, parse_text, read_body
+from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
 from service.http.gate import allow_time
 from service.routes.jobs import check_key, json_body, taken
 from service.scenes.studies import accept_study
@@ -35,7 +33,7 @@ async def submit(
     study = await run_in_threadpool(accept_study, data, settings, service.has_file)
     if dry_run:
         allow_time(request, settings.plan_s + settings.answer_s)
-        return JSONResponse(await service.looks.plan(request, service.caller.team, study))
-    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+        return JSONResponse(await service.looks.forecast(request, service.caller.team, study))
+    digest = digest_of(data)
     ask = service.store.ask(study["name"], study, digest, idempotency_key, kind="study")
     return taken(service, *await service.intake.put(ask))

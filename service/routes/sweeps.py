@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request
@@ -12,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.accounts.teams import pixel_frames_of
 from service.context import Service
-from service.http.bodies import TEXTS, media_type, parse_text, read_body
+from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
 from service.http.gate import allow_time
 from service.routes.jobs import check_key, json_body, taken, with_time
 from service.scenes.sweeps import accept_sweep, can_run
@@ -43,7 +41,7 @@ async def submit(
         size = {"points": points, "pixel_frames": pixel_frames}
         return JSONResponse(size | {"base": with_time(plan)})
     await service.looks.judge(request, service.caller.team, sweep["scene"])
-    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+    digest = digest_of(data)
     name = str(data.get("name", "sweep"))[:128]
     ask = service.store.ask(
         name, sweep, digest, idempotency_key, kind="sweep", pixel_frames=pixel_frames

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from catalog_tools.documents import JsonObject
 from pipeline.plan.cost import least_cpu_s
-from service.http.bodies import JSON, parse_text
+from service.http.bodies import JSON, digest_of, parse_text
 from service.scenes.scenes import (
     HasFile,
     Named,
@@ -83,7 +82,7 @@ class Acceptance:
         data = parse_text(body, kind)
         scene = judge_scene(data, self._settings)
         plain = scene.as_dict()
-        digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+        digest = digest_of(data)
         text = to_json(plain, inf_nan_mode="constants").decode()
         return Accepted(
             scene.name, text, digest, pixel_frames_of(scene), named_in(plain), least_cpu_s(scene)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
@@ -13,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from catalog_tools.documents import JsonObject
 from pipeline.spec.scene import Scene
 from service.context import Context, Service
-from service.http.bodies import parse_json, read_body
+from service.http.bodies import digest_of, parse_json, read_body
 from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
 from service.jobs.views import utc
@@ -127,7 +125,7 @@ async def execute(request: Request, service: Service, process: str) -> Response:
         plan = await service.looks.plan(request, service.caller.team, scene.as_dict())
         return JSONResponse({"plan": plan})
     await service.looks.judge(request, service.caller.team, scene.as_dict())
-    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+    digest = digest_of(data)
     ask = service.store.ask(scene.name, scene.as_dict(), digest, None)
     job, _ = await service.intake.put(ask)
     service.dispatcher.wake()

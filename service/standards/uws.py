@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
-import json
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -18,7 +16,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.store import layout
 from service.context import Context, Service
-from service.http.bodies import JSON, YAML, parse_text, read_body
+from service.http.bodies import JSON, YAML, digest_of, parse_text, read_body
 from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
 from service.problems import Malformed, NotReady, NotThere
@@ -74,7 +72,7 @@ async def create(request: Request, service: Service) -> Response:
         raise BadInput("?SCENE", None, "a scene as JSON or YAML text")
     await service.looks.judge(request, service.caller.team, scene)
     phase = Phase.QUEUED if _runs(given) else Phase.PENDING
-    digest = hashlib.sha256(json.dumps(scene, sort_keys=True).encode()).hexdigest()
+    digest = digest_of(scene)
     ask = service.store.ask(scene["name"], scene, digest, None, phase=phase, **_amends(given))
     job, _ = await service.intake.put(ask)
     service.dispatcher.wake()
