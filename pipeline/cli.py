@@ -24,6 +24,7 @@ from pipeline.commands.options import (
     OutputOrUrl,
     Overrides,
     ProductOrUrl,
+    SceneFile,
     SchedulerName,
     Slurm,
     Wait,
@@ -46,7 +47,6 @@ app = typer.Typer(
 )
 report_app = typer.Typer(help="Studies of error against run time.", no_args_is_help=True)
 
-SceneFile = Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")]
 ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")]
 
 

@@ -18,7 +18,6 @@ from pipeline.physics.detection import detection_probability
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.physics.positions.regard import may_be_seen
-from pipeline.physics.sky.moon import SUN_V_MAG
 from pipeline.physics.vectors import unit
 from pipeline.spec.study import CuedTasking
 from pipeline.survey.elements import Elements
@@ -141,9 +140,9 @@ def _table(
         **dict(zip("xyz", direction.T, strict=True)),
         "elevation_deg": np.degrees(s.elevation),
         "range_km": s.range_m / 1e3,
-        "rate_arcsec_s": np.degrees(s.rate) * 3600.0,
+        "rate_arcsec_s": s.rate_arcsec_s,
         "phase_deg": np.degrees(s.phase),
-        "v_mag": SUN_V_MAG - 2.5 * np.log10(s.light),
+        "v_mag": s.v_mag,
         "streak_px": s.streak_px,
         "snr": s.snr,
         "probability": chance,

@@ -20,7 +20,11 @@ from catalog_tools.geometry.sphere import angles_deg
 from catalog_tools.storage.durable import whole_file, write_atomically
 from pipeline.capacity.course import StudyCourse, moments
 from pipeline.capacity.gaps import GapTimes, gap_times
-from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, EARTH_GM_M3_S2
+from pipeline.physics.constants import (
+    ASTRONOMICAL_UNIT_M,
+    EARTH_EQUATORIAL_RADIUS_M,
+    EARTH_GM_M3_S2,
+)
 from pipeline.physics.targets.lighting import photon_rate_at_aperture
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.survey.elements import Elements
@@ -180,15 +184,12 @@ def smallest_m(
     """Diameters (n,) [m] of spheres (albedo 0.175, phase 60 degrees, at the zenith) whose SNR is
     the threshold; without tracking they cross at the speed of a circular orbit of that height."""
     range_m = range_km * 1e3
-    radius = range_m + 6_378_137.0
+    radius = range_m + EARTH_EQUATORIAL_RADIUS_M
     rate = np.sqrt(EARTH_GM_M3_S2 / radius) / range_m
-    r = watcher.resolved
-    streak = rate * r.integration_s(0) / r.facts.ifov_rad * (0.0 if watcher.tracks else 1.0)
+    streak = watcher.streak_px(rate)
     reflected = sphere_intensity_per_irradiance(REACH_PHASE_RAD, 1.0, REACH_ALBEDO)
     light = photon_rate_at_aperture(1.0, ASTRONOMICAL_UNIT_M, 1.0, reflected, range_m)
-    light_e = light * watcher.electrons_per_light
-    if r.extinction is not None:
-        light_e = light_e * r.extinction.transmission(np.ones(1))
+    light_e = watcher.light_e(light, np.ones(1))
     low, high = np.full(len(range_m), -4.0), np.full(len(range_m), 4.0)
     for _ in range(40):
         middle = 0.5 * (low + high)

@@ -13,6 +13,7 @@ from pipeline.commands.options import (
     Json,
     Output,
     Overrides,
+    SceneFile,
     SchedulerName,
     Workers,
     print_json,
@@ -24,8 +25,6 @@ from pipeline.lines import fold, pair
 
 if TYPE_CHECKING:
     from pipeline.survey.find import FoundObjects
-
-SceneFile = Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")]
 
 
 def find(

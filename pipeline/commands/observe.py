@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.commands.options import Json, Overrides, print_json
+from pipeline.commands.options import Json, Overrides, SceneFile, print_json
 
 if TYPE_CHECKING:
     from pipeline.observe.observe import Observed
@@ -18,7 +18,7 @@ HEADS = ("target", "seen", "UTC", "az/RA", "el/dec", "km", "V", "SNR")
 
 
 def observe(
-    scene: Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")],
+    scene: SceneFile,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="all rows: a .parquet, .csv, .json or .tdm file"),

@@ -42,6 +42,7 @@ OutputOrUrl = Annotated[
 ProductOrUrl = Annotated[
     str, typer.Argument(help="product directory, or s3://BUCKET/NAME", metavar="PRODUCT")
 ]
+SceneFile = Annotated[Path, typer.Argument(help="scene file, YAML or JSON", metavar="SCENE")]
 Json = Annotated[bool, typer.Option("--json", help="machine-readable result on stdout")]
 SchedulerName = Annotated[
     str,

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from pipeline.errors import BadInput
 from pipeline.inputs.targets.populations import screened
 from pipeline.observe.times import Times
-from pipeline.physics.vectors import to_angles
-from pipeline.plan.pointing.geometry import moments_at
-from pipeline.plan.pointing.site import axes_of
+from pipeline.plan.pointing.geometry import zenith_pointing
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.responses import plan_responses
 from pipeline.plan.targets.orbit_age import oldest_remarks
@@ -20,8 +16,6 @@ from pipeline.plan.timing import longest_s
 from pipeline.resolve.files import read_files, with_numbers
 from pipeline.resolve.resolve import resolve
 from pipeline.spec.accept import ACCEPTABLE
-from pipeline.spec.pointing.observer import GroundObserver
-from pipeline.spec.pointing.pointing import SiderealPointing
 from pipeline.spec.scene import Scene
 
 
@@ -88,12 +82,8 @@ def _sensor_of(asked: Scene) -> tuple[ResolvedScene, list[str], bool]:
 
 def _looking_up(scene: Scene) -> Scene:
     """The scene with one exposure at the zenith of its site, or of its place in space."""
-    at, o = moments_at(scene, 0.0, np.zeros(1)), scene.observer
-    up = axes_of(o, at.times)[:, 2] if isinstance(o, GroundObserver) else at.observer_m
-    ra, dec = (float(np.degrees(v[0])) for v in to_angles(up))
-    pointing = SiderealPointing(mode="sidereal", boresight_ra_deg=ra, boresight_dec_deg=dec)
     exposure = scene.exposure.model_copy(update={"frames": 1})
-    update = {"pointing": pointing, "exposure": exposure, "dwells": None}
+    update = {"pointing": zenith_pointing(scene), "exposure": exposure, "dwells": None}
     return scene.model_copy(update=update)
 
 

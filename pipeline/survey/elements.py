@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
 from pipeline.inputs.targets.population_files import ElementSet, element_sets, read_sizes
-from pipeline.physics.constants import DAY_S
-from pipeline.physics.positions.orbit_bounds import semi_major_axis_m
+from pipeline.physics.constants import DAY_S, EARTH_EQUATORIAL_RADIUS_M
+from pipeline.physics.positions.orbit_bounds import GM72_KM3_S2, semi_major_axis_m
 from pipeline.physics.positions.times import elapsed_s
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.plan.bodies.albedos import albedo_of
@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 
 _SGP4_ZERO_JD = 2_433_281.5  # 1949-12-31, from which sgp4init counts
 _MEAN = ("bstar", "ecco", "argpo", "inclo", "mo", "no_kozai", "nodeo")  # as sgp4init takes them
-EARTH_RADIUS_KM = 6378.137
 
 
 @dataclass(frozen=True)
@@ -64,8 +63,8 @@ class Elements:
 
     @property
     def mean_altitude_km(self) -> Array:
-        """Semi-major axis less the Earth's radius (n,)."""
-        return semi_major_axis_m(self.mean[:, 5]) / 1e3 - EARTH_RADIUS_KM
+        """Semi-major axis less the Earth's equatorial radius (n,)."""
+        return (semi_major_axis_m(self.mean[:, 5]) - EARTH_EQUATORIAL_RADIUS_M) / 1e3
 
     @property
     def kind(self) -> NDArray[np.str_]:
@@ -207,7 +206,7 @@ def synthetic_elements(wish: Synthetic, start: tuple[float, float]) -> Elements:
     tilts = rng.choice([53.0, 65.0, 74.0, 82.0, 98.0], n) + rng.normal(0.0, 1.0, n)
     slight = [tilts, rng.normal(56.0, 1.0, n), np.abs(rng.normal(0.0, 5.0, n))]
     tilt = np.select(regimes, slight, rng.uniform(5.0, 64.0, n))
-    motion = np.sqrt(398_600.8 / axis_km**3) * 60.0
+    motion = np.sqrt(GM72_KM3_S2 / axis_km**3) * 60.0
     turns = rng.uniform(0.0, 2.0 * np.pi, (3, n))
     bstar = np.where(regime == 0, 1e-5, 0.0)
     share = rng.uniform(size=n)

@@ -12,8 +12,7 @@ from catalog_tools.engine.schedulers import open_scheduler
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrate
-from pipeline.physics.positions.times import format_utc, parse_utc
-from pipeline.physics.sky.moon import SUN_V_MAG
+from pipeline.physics.positions.times import format_utc, instants, parse_utc
 from pipeline.physics.vectors import to_angles
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
@@ -119,10 +118,10 @@ def _described(search: Search, elements: Elements, s: Sights) -> dict[str, Any]:
         "dec_deg": float(np.degrees(dec)),
         "elevation_deg": float(np.degrees(s.elevation[best])),
         "range_km": km,
-        "rate_arcsec_s": float(np.degrees(s.rate[best]) * 3600.0),
+        "rate_arcsec_s": float(s.rate_arcsec_s[best]),
         "phase_deg": float(np.degrees(s.phase[best])),
         "sunlit_fraction": float(s.sunlit[best]),
-        "v_mag": float(SUN_V_MAG - 2.5 * np.log10(s.light[best])),
+        "v_mag": float(s.v_mag[best]),
         "electrons": float(s.light_e[best]),
         "streak_px": float(s.streak_px[best]),
         "snr": float(s.snr[best]),
@@ -130,8 +129,6 @@ def _described(search: Search, elements: Elements, s: Sights) -> dict[str, Any]:
 
 
 def _utc(watcher: Watcher, offset_s: float) -> str:
-    from pipeline.physics.positions.times import instants
-
     at = instants(watcher.epoch, [offset_s])
     return format_utc(float(at.utc1[0]), float(at.utc2[0]))[:19] + "Z"
 

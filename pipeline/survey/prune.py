@@ -40,9 +40,7 @@ def never_seen(
     nearest = np.maximum(1.0, least_range_m(radius.min(), radius.max(), low, high))
     reflected = sphere_intensity_per_irradiance(0.0, 1.0, 1.0) * elements.reflecting_m2
     light = photon_rate_at_aperture(1.0, NEAREST_SUN_M, 1.0, reflected, nearest)
-    light_e = light * watcher.electrons_per_light
-    if watcher.resolved.extinction is not None:
-        light_e = light_e * watcher.resolved.extinction.transmission(np.ones(1))
+    light_e = watcher.light_e(light, np.ones(1))
     faint = watcher.signal.snr(light_e, np.zeros_like(light_e)) < SHARE * least_snr
     o = watcher.observer
     if not isinstance(o, GroundObserver):

@@ -7,9 +7,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.physics.constants import DEG_RAD, SPEED_OF_LIGHT_M_S
+from pipeline.physics.constants import ARCSEC_RAD, DEG_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import aberrate
 from pipeline.physics.positions.refraction import refract
+from pipeline.physics.sky.moon import SUN_V_MAG
 from pipeline.physics.targets.eclipse import sunlit_fraction
 from pipeline.physics.targets.lighting import phase_angle, photon_rate_at_aperture, sun_distance
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
@@ -49,6 +50,16 @@ class Sights:
     def __len__(self) -> int:
         return len(self.moment)
 
+    @property
+    def v_mag(self) -> Array:
+        """Magnitude in V above the air (r,)."""
+        return SUN_V_MAG - 2.5 * np.log10(self.light)
+
+    @property
+    def rate_arcsec_s(self) -> Array:
+        """Rate against the stars (r,)."""
+        return self.rate / ARCSEC_RAD
+
     def take(self, which: NDArray[np.bool_] | Index) -> Sights:
         """Some of the rows."""
         return Sights(*(getattr(self, f.name)[which] for f in fields(self)))
@@ -80,11 +91,7 @@ def sights_of(
     reflected = sphere_intensity_per_irradiance(phase, 1.0, 1.0) * reflecting_m2
     light = photon_rate_at_aperture(1.0, sun_distance(emitted, sun), sunlit, reflected, range_m)
     rate = _rate(geometric, speed_m_s - motion, range_m)
-    light_e = light * watcher.electrons_per_light
-    extinction = watcher.resolved.extinction
-    if extinction is not None:
-        light_e = light_e * extinction.transmission(np.sin(elevation))
-    streak = np.zeros_like(rate) if watcher.tracks else _streak_px(watcher, rate)
+    light_e, streak = watcher.light_e(light, np.sin(elevation)), watcher.streak_px(rate)
     snr = watcher.signal.snr(light_e, streak)
     return Sights(
         moment, object_, geometric, observed, range_m, elevation, rate, phase, sunlit, light,
@@ -120,11 +127,6 @@ def _rate(direction: Array, speed: Array, range_m: Array) -> Array:
     """Angular rate (r,) [rad/s] of objects of a speed (r, 3) against the observer."""
     across = speed - np.sum(speed * direction, axis=-1, keepdims=True) * direction
     return np.sqrt(np.sum(across**2, axis=-1)) / range_m
-
-
-def _streak_px(watcher: Watcher, rate: Array) -> Array:
-    r = watcher.resolved
-    return rate * r.integration_s(0) / r.facts.ifov_rad
 
 
 def allowed(watcher: Watcher, watch: WatchMoments, s: Sights) -> NDArray[np.bool_]:

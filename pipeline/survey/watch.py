@@ -14,11 +14,12 @@ from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M, SPEED
 from pipeline.physics.noise.streams import stream_key, uniforms
 from pipeline.physics.positions.apparent import apparent_sun_m
 from pipeline.physics.positions.earth import earth_and_sun, teme_to_gcrs
-from pipeline.physics.positions.times import Instants, format_utc, instants, parse_utc
+from pipeline.physics.positions.times import Instants, format_utc, instants
 from pipeline.physics.targets.shadow import moon_m
-from pipeline.physics.vectors import from_angles, separation, to_angles, unit
+from pipeline.physics.vectors import from_angles, separation, unit
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.pointing.air import terms_of
+from pipeline.plan.pointing.geometry import zenith_pointing
 from pipeline.plan.pointing.site import axes_of, place_of
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.resolve.files import read_files
@@ -77,6 +78,18 @@ class Watcher:
         """Electrons of an exposure [e-], of light equal to the Sun's at 1 au."""
         r = self.resolved
         return r.sun_rate_e_s_m2 * r.facts.area_m2 * r.integration_s(0)
+
+    def light_e(self, light: Array, sine: Array) -> Array:
+        """Electrons of an exposure (n,) [e-] of light (n,) [of the Sun's at 1 au], through the air
+        at elevations of this sine (n,)."""
+        extinction = self.resolved.extinction
+        through = 1.0 if extinction is None else extinction.transmission(sine)
+        return light * self.electrons_per_light * through
+
+    def streak_px(self, rate: Array) -> Array:
+        """Streaks (n,) [px] of objects that move at a rate (n,) [rad/s]; none where it tracks."""
+        r = self.resolved
+        return np.zeros_like(rate) if self.tracks else rate * r.integration_s(0) / r.facts.ifov_rad
 
     @cached_property
     def air_terms(self) -> tuple[float, float]:
@@ -215,28 +228,16 @@ def make_watcher(
         "accept": ["sun", "moon", "daylight", "coverage", "error"],
         "accuracy": {"check_cells": 0},
         "targets": [PROBE],
+        "pointing": {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0},
     }
     sky = dict(stub.get("background") or {})
     omitted = tuple(name for name in CHANGING if sky.pop(name, None))
     stub["background"] = sky if any(sky.values()) else None
-    stub["pointing"] = {"mode": "sidereal", **_upward(stub, field)}
-    resolved = resolve(parse_scene(stub)).scene
+    scene = parse_scene(stub)
+    if not isinstance(scene.observer, GroundObserver | OrbitObserver):
+        raise BadInput(f"{field}observer.kind", scene.observer.kind, "ground or orbit")
+    up = zenith_pointing(read_files(scene))
+    resolved = resolve(scene.model_copy(update={"pointing": up})).scene
     name = str(sections.get("name", field))
     signal = signal_table(resolved)
     return Watcher(name, field, resolved, regard, signal, epoch, seed, tracks, omitted)
-
-
-def _upward(stub: dict[str, Any], field: str) -> dict[str, float]:
-    """The direction above an observer at the epoch, as a sidereal pointing has it."""
-    looks = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0}
-    scene = read_files(parse_scene({**stub, "pointing": looks}))
-    o, epoch = scene.observer, parse_utc(scene.epoch)
-    times = instants(epoch, [0.0])
-    if isinstance(o, GroundObserver):
-        up = axes_of(o, times)[0, 2]
-    elif isinstance(o, OrbitObserver):
-        up = orbit_states(o.orbit, f"{field}observer.orbit", epoch, np.zeros(1), times)[0][0]
-    else:
-        raise BadInput(f"{field}observer.kind", o.kind, "ground or orbit")
-    ra, dec = to_angles(up)
-    return {"boresight_ra_deg": float(np.degrees(ra)), "boresight_dec_deg": float(np.degrees(dec))}

@@ -10,10 +10,8 @@ import numpy as np
 from catalog_tools.catalogue import Catalogue
 from pipeline.inputs.band.colour_fit_files import colour_fit_of
 from pipeline.inputs.band.curves import solar_spectrum
-from pipeline.inputs.reference import zodiacal as published
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.radiometry import ResponseCurve, surface_brightness_electron_rate
-from pipeline.physics.sky.zodiacal import band_rates, zodiacal_table
 from pipeline.plan.sky.light import SkyInputs, StarlightLike, background_of
 from pipeline.spec.scene import Scene
 from pipeline.spec.sky.background import Background
@@ -41,6 +39,9 @@ def gather_sky(
     b = background_of(scene)
     table, rates, every = None, (0.0, 0.0), None
     if b.zodiacal:
+        from pipeline.inputs.reference import zodiacal as published
+        from pipeline.physics.sky.zodiacal import band_rates, zodiacal_table
+
         table = zodiacal_table(
             np.array(published.LONGITUDE_DEG, float),
             np.array(published.LATITUDE_DEG, float),

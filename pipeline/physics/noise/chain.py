@@ -78,7 +78,8 @@ def _read_out(mean_e: Array, of: Readout) -> NDArray:
 def _measured_e(mean_e: Array, of: Readout) -> Array:
     """The steps from photon to read noise as one compiled pass [e-]."""
     columns, at = mean_e.shape[1], of.at
-    terms = (0.0 if of.read_e is None else of.read_e, of.chain.well_e, of.chain.read_noise_e)
+    read_e = of.read_e
+    terms = (0.0 if read_e is None else read_e, of.chain.well_e, of.chain.read_noise_e)
     drawn, well, read = (_row_wise(term, columns) for term in terms)
     keys = at.joint_key, at.photon_key, at.read_key
     mean = np.ascontiguousarray(mean_e)

@@ -66,8 +66,9 @@ def _photon_noise(mean_e: Array, of: Readout) -> Array:
 
 
 def _cosmic_rays(charge_e: Array, of: Readout) -> Array:
-    if of.read_e is not None:
-        charge_e += of.read_e
+    read_e = of.read_e
+    if read_e is not None:
+        charge_e += read_e
     return charge_e
 
 

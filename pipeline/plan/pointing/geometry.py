@@ -25,7 +25,7 @@ from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.positions.limb import limb_angle
 from pipeline.physics.positions.orbit import check_above_earth
 from pipeline.physics.positions.times import Instants, instants, parse_utc
-from pipeline.physics.vectors import separation
+from pipeline.physics.vectors import separation, to_angles
 from pipeline.plan.bodies.bodies import flicker_shares
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.bodies.paths import target_paths
@@ -34,7 +34,7 @@ from pipeline.plan.pointing.air import air_of, check_height, lifted
 from pipeline.plan.pointing.attitude_motion import motion_plan, random_motion_rad
 from pipeline.plan.pointing.paths import LONGEST_STREAK_PX, bends_px, check_paths, near_frame
 from pipeline.plan.pointing.pointing import Vantage, attitudes, pointing_field, swept_rad
-from pipeline.plan.pointing.site import place_of
+from pipeline.plan.pointing.site import axes_of, place_of
 from pipeline.plan.pointing.star_paths import field_points, star_paths
 from pipeline.plan.timing import (
     dwell_of,
@@ -44,7 +44,7 @@ from pipeline.plan.timing import (
     integration_range_s,
 )
 from pipeline.spec.pointing.observer import FixedObserver, GroundObserver
-from pipeline.spec.pointing.pointing import RatePointing, TargetPointing
+from pipeline.spec.pointing.pointing import RatePointing, SiderealPointing, TargetPointing
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import RollingShutter, TimeDelay
 
@@ -321,6 +321,14 @@ def moments_at(scene: Scene, dut1_s: float, offsets: Array) -> Moments:
     return Moments(
         epoch, offsets, times, earth, place, velocity, partial(moments_at, scene, dut1_s)
     )
+
+
+def zenith_pointing(scene: Scene) -> SiderealPointing:
+    """A pointing to the zenith of a scene's site at its epoch, or away from the Earth's centre."""
+    at, o = moments_at(scene, 0.0, np.zeros(1)), scene.observer
+    up = axes_of(o, at.times)[:, 2] if isinstance(o, GroundObserver) else at.observer_m
+    ra, dec = (float(np.degrees(v[0])) for v in to_angles(up))
+    return SiderealPointing(mode="sidereal", boresight_ra_deg=ra, boresight_dec_deg=dec)
 
 
 def _vantage(scene: Scene, at: Moments) -> Vantage:
