@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.engine.heap import one_heap
 from pipeline.commands.capacity import find, study
 from pipeline.commands.catalog import catalog
@@ -462,7 +463,7 @@ def _only_here(*given: bool) -> None:
         raise BadInput("--server", "with them", allowed)
 
 
-def _print_result(report: dict[str, Any], output: Path | str, as_json: bool) -> None:
+def _print_result(report: JsonObject, output: Path | str, as_json: bool) -> None:
     """What came out; exit code 5 where a product errs by more than was stated."""
     if as_json:
         print_json(report)
@@ -471,7 +472,7 @@ def _print_result(report: dict[str, Any], output: Path | str, as_json: bool) -> 
     as_stated(report)
 
 
-def _print_report(report: dict[str, Any], product: Path | str) -> None:
+def _print_report(report: JsonObject, product: Path | str) -> None:
     from pipeline.commands.pages import print_warnings
     from pipeline.lines import fold
 

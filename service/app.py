@@ -18,6 +18,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, Damaged, NightglassError
 from service import problems
 from service.accounts.auth import Authenticator
@@ -204,7 +205,7 @@ def _of_table(error: DBAPIError | PoolTimeout) -> Exception:
     return error
 
 
-def _explain(error: Exception, status: int) -> tuple[str, list[dict[str, Any]]]:
+def _explain(error: Exception, status: int) -> tuple[str, list[JsonObject]]:
     """What is said of an error, and the mistakes to mend; nothing of an internal fault."""
     if isinstance(error, problems.Refusal):
         return problems.cut(str(error)), error.errors

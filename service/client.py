@@ -92,7 +92,7 @@ class Client:
         """What a scene needs and why, planned by the server; nothing is rendered."""
         return self.ask("POST", "/v1/jobs", json=_data(scene), params={"dry_run": "1"}).json()
 
-    def observe(self, scene: Scene, **asked: Any) -> dict[str, Any]:
+    def observe(self, scene: Scene, **asked: Any) -> JsonObject:
         """What a scene's sensor sees, by the server; asked : `times` ("START,STOP,STEP"), `snr`."""
         return self.ask("POST", "/v1/observe", json=_data(scene), params=asked).json()
 

@@ -8,11 +8,11 @@ import math
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S
 from pipeline.physics.detection import threshold_sigma
@@ -90,7 +90,7 @@ class StudyCourse:
         return np.asarray(np.arange(window * STEPS, last + 1) * self.study.step_s, float)
 
     @property
-    def forecast(self) -> dict[str, Any]:
+    def forecast(self) -> JsonObject:
         """What the study takes: objects, steps, seconds of one core, MB of each worker."""
         states = len(self.elements) * self.steps
         cpu_s = states * (STATE_CPU_S + len(self.watchers) * PAIR_CPU_S)
@@ -112,7 +112,7 @@ def moments(course: StudyCourse, window: int) -> tuple[WatchMoments, ...]:
     return tuple(w.watch(course.offsets_s(window)) for w in course.watchers)
 
 
-def make_course(data: dict[str, Any], out: Path) -> StudyCourse:
+def make_course(data: JsonObject, out: Path) -> StudyCourse:
     """The course of a study's plain data. BadInput for what it cannot have."""
     study = parse_study(data)
     epoch = parse_utc(study.start, "start")
@@ -136,7 +136,7 @@ def make_course(data: dict[str, Any], out: Path) -> StudyCourse:
     )
 
 
-def _watcher(data: dict[str, Any], study: Study, i: int, epoch: tuple[float, float]) -> Watcher:
+def _watcher(data: JsonObject, study: Study, i: int, epoch: tuple[float, float]) -> Watcher:
     """The watcher of a sensor; its sky is that above it at the start."""
     sensor = study.sensors[i]
     camera = study.camera_of(sensor)

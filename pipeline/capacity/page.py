@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.geometry.healpix import pixels_of
 from pipeline.capacity.course import StudyCourse
 from pipeline.capacity.results import COVERAGE, GAP_BINS_H, HOURS, ORDER, REACH, SENSORS
@@ -27,7 +28,7 @@ GAP_HEADS = {
 
 def page(
     course: StudyCourse,
-    report: dict[str, Any],
+    report: JsonObject,
     tables: dict[str, pa.Table],
     gaps: dict[str, NDArray[np.int64]],
 ) -> str:
@@ -54,7 +55,7 @@ def page(
     )
 
 
-def _gap_table(groups: dict[str, Any]) -> str:
+def _gap_table(groups: JsonObject) -> str:
     rows = [[name, *(_cell(g[key]) for key in GAP_HEADS)] for name, g in groups.items()]
     return table(["", *GAP_HEADS.values()], rows)
 

@@ -15,6 +15,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.geometry.healpix import pixels_of
 from catalog_tools.geometry.sphere import angles_deg
 from catalog_tools.storage.durable import whole_file, write_atomically
@@ -45,7 +46,7 @@ GAP_BINS_H = np.concatenate([[0.0], np.geomspace(1.0 / 60.0, 10_000.0, 61)])
 
 def summarise(
     course: StudyCourse, out: Path, failed: NDArray[np.int64], seconds: float
-) -> dict[str, Any]:
+) -> JsonObject:
     """Write all tables, the report and its page; returns the report."""
     files = sorted((out / "observations").glob("window-*.parquet"))
     counts, busy_s = _counts(course, files)
@@ -200,7 +201,7 @@ def smallest_m(
 
 def _report(
     course: StudyCourse, tables: dict[str, pa.Table], failed: NDArray[np.int64], seconds: float
-) -> dict[str, Any]:
+) -> JsonObject:
     """All figures of a study as plain values."""
     objects, sensors = tables[OBJECTS], tables[SENSORS]
     hours = course.hours
@@ -240,7 +241,7 @@ def _report(
     }
 
 
-def _gap_figures(objects: pa.Table, which: NDArray[np.bool_]) -> dict[str, Any]:
+def _gap_figures(objects: pa.Table, which: NDArray[np.bool_]) -> JsonObject:
     """Over some objects: medians of their gaps' median and 95 %, the longest; first, custody."""
     some = objects.filter(pa.array(which))
 
@@ -258,7 +259,7 @@ def _gap_figures(objects: pa.Table, which: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def _by(objects: pa.Table, labels: NDArray[np.str_]) -> dict[str, Any]:
+def _by(objects: pa.Table, labels: NDArray[np.str_]) -> JsonObject:
     """Gap figures of the objects of each label (n,)."""
     out = {}
     for label in dict.fromkeys(labels.tolist()):

@@ -9,13 +9,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.engine.schedulers import Scheduler, open_scheduler
 from catalog_tools.storage.durable import whole_file, write_atomically
 from pipeline.capacity.candidates import ENDED, OPTIONS, Item, find_candidates, path_of
@@ -60,7 +60,7 @@ class StudyOptions:
 Listener = Callable[[SweepProgress], None]
 
 
-def forecast_of(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+def forecast_of(data: JsonObject, folder: Path) -> JsonObject:
     """What a study takes (`StudyCourse.forecast`), of all its points together."""
     study = parse_study(data)
     told = make_course(_placed(_at_point(data, study, 0)[0], folder), Path()).forecast
@@ -68,12 +68,12 @@ def forecast_of(data: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def run_study(
-    data: dict[str, Any],
+    data: JsonObject,
     folder: Path,
     out: Path,
     options: StudyOptions | None = None,
     listen: Listener | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Run a study's plain data into a folder and return its report; of one with axes, each point
     below `points/`, and a table of their figures.
 
@@ -100,9 +100,7 @@ def run_study(
     return whole
 
 
-def _at_point(
-    data: dict[str, Any], study: Study, point: int
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def _at_point(data: JsonObject, study: Study, point: int) -> tuple[JsonObject, JsonObject]:
     """The study of one point of the axes, without axes, and the values it has."""
     own = json.loads(
         json.dumps({k: v for k, v in data.items() if k not in ("axes", "design", "seeds")})
@@ -117,16 +115,16 @@ def _at_point(
     return own, values | ({"seed": own["seed"]} if study.seeds > 1 else {})
 
 
-def _placed(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _placed(data: JsonObject, folder: Path) -> JsonObject:
     """A copy of a study's data whose relative paths are from a folder."""
-    own: dict[str, Any] = json.loads(json.dumps(data))
+    own: JsonObject = json.loads(json.dumps(data))
     place_paths(own, folder)
     return own
 
 
 def _run_point(
-    data: dict[str, Any], folder: Path, out: Path, options: StudyOptions, listen: Listener | None
-) -> dict[str, Any]:
+    data: JsonObject, folder: Path, out: Path, options: StudyOptions, listen: Listener | None
+) -> JsonObject:
     started = time.perf_counter()
     study = parse_study(data)
     course = make_course(_placed(data, folder), out)
@@ -137,7 +135,7 @@ def _run_point(
     ledger.begin(out, {"format": study.schema_, "study": course.key}, options.resume, "study")
     with full_disk(out), only_writer(out):
         if ledger.is_complete(out, OBJECTS):
-            report: dict[str, Any] = json.loads((out / REPORT).read_text())
+            report: JsonObject = json.loads((out / REPORT).read_text())
             return report
         write_atomically(out / STUDY, json.dumps(study.as_dict(), indent=2))
         (out / SEEN).mkdir(exist_ok=True)

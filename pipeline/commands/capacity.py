@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from catalog_tools.documents import JsonObject
 from pipeline.commands.options import (
     Json,
     Output,
@@ -106,7 +107,7 @@ def study(
         _print_report(report, output)
 
 
-def _print_report(report: dict[str, Any], output: Path) -> None:
+def _print_report(report: JsonObject, output: Path) -> None:
     figures = report.get("figures")
     if figures is None:
         print(f"{output}: {len(report['points'])} points; {output / 'points.parquet'}")

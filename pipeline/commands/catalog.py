@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.errors import BadInput, Damaged
 from pipeline.commands.options import Json, Output, SchedulerName, Workers, print_mapping
 
@@ -184,7 +185,7 @@ def demo(
         return
     fields = [_numbers("--field", text, 4, "56.75,24.1,1.0,20") for text in field or []]
     with _stages(as_json) as progress:
-        shared: dict[str, Any] = {
+        shared: JsonObject = {
             "seed": seed,
             "workers": workers or 2,
             "progress": progress,

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from catalog_tools.documents import JsonObject
 from pipeline.commands.options import Json, Output, print_json
 from pipeline.errors import BadInput, Interrupted
 from pipeline.lines import fold, pair, table
@@ -42,7 +43,7 @@ def read_scene(scene: Path, overrides: list[str]) -> Any:
 
 def render_there(
     scene: Path, output: Path, overrides: list[str], server: str, as_json: bool
-) -> dict[str, Any]:
+) -> JsonObject:
     """Submit a scene, wait, fetch its product into `output`; returns the report.
 
     Interrupted, the job goes on; `nightglass jobs fetch` brings what it made.
@@ -59,7 +60,7 @@ def render_there(
         return job.report()
 
 
-def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> dict[str, Any]:
+def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> JsonObject:
     """Submit a sweep, wait, fetch what it made into `output`; returns the report.
 
     Interrupted, the job goes on; `nightglass jobs show` tells of it.
@@ -76,7 +77,7 @@ def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> dict[st
         return job.report()
 
 
-def plan_there(scene: Path, overrides: list[str], server: str) -> dict[str, Any]:
+def plan_there(scene: Path, overrides: list[str], server: str) -> JsonObject:
     """The plan of a scene, made by a server."""
     with connect(server) as client:
         return client.plan(read_scene(scene, overrides))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from catalog_tools.documents import JsonObject
 from pipeline.commands.options import Json, Overrides, SceneFile, print_json
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def _print(observed: Observed) -> None:
         print(f"  and {len(observed.notes) - MOST_NOTES} more notes (--json)")
 
 
-def _best(observed: Observed) -> list[dict[str, Any]]:
+def _best(observed: Observed) -> list[JsonObject]:
     """The row of each target in which it is seen best, by SNR; of one never seen, its highest."""
     import pyarrow.compute as pc
 
@@ -95,7 +96,7 @@ def _best(observed: Observed) -> list[dict[str, Any]]:
     return list(seen.take(sorted(first.values())).to_pylist())
 
 
-def _cells(row: dict[str, Any], days: bool) -> list[str]:
+def _cells(row: JsonObject, days: bool) -> list[str]:
     """A row of the table: azimuth and elevation at a site, RA and Dec in space."""
     up, mag, snr = row["elevation_deg"], row["v_mag"], row["snr"]
     here = (row["azimuth_deg"], up) if up == up else (row["ra_deg"], row["dec_deg"])

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.urls import is_url
 from pipeline.errors import BadInput, Interrupted
 from pipeline.lines import pair
@@ -90,7 +91,7 @@ def told_if_interrupted(
         raise Interrupted(f"interrupted; {place}: {kept()}; go on with:\n  {again}") from None
 
 
-def as_stated(report: dict[str, Any]) -> None:
+def as_stated(report: JsonObject) -> None:
     """Exit code 5 for a finished product whose error is more than its plan stated."""
     if not report.get("errors", {}).get("as_stated", True):
         raise typer.Exit(5)
@@ -101,7 +102,7 @@ def print_json(value: Any) -> None:
     print(json.dumps(value, indent=2, allow_nan=False))
 
 
-def print_mapping(value: dict[str, Any], as_json: bool) -> None:
+def print_mapping(value: JsonObject, as_json: bool) -> None:
     """A mapping for people, a line for each key; or as JSON."""
     if as_json:
         print_json(value)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from catalog_tools.documents import JsonObject
 from pipeline.lines import fold, pair, width
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def progress_bar(unit: str = "") -> Any:
 MOST_TARGETS, MOST_WARNINGS = 3, 2
 
 
-def print_plan(plan: dict[str, Any], everything: bool = False, explain: bool = False) -> None:
+def print_plan(plan: JsonObject, everything: bool = False, explain: bool = False) -> None:
     """The answer in at most 15 lines; with `everything` also each decision with its reason and
     bound, and the notes; with `explain` the rules of the decisions, too."""
     everything = everything or explain
@@ -110,7 +111,7 @@ def print_plan(plan: dict[str, Any], everything: bool = False, explain: bool = F
         print(fold(remark, "      ", "note: "))
 
 
-def _answer(plan: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _answer(plan: JsonObject) -> Iterator[tuple[str, str]]:
     """What a scene gives and takes: names and lines."""
     needs, out = plan["predicted"], plan["outlook"]
     yield "frames", f"{plan['frames']} of {plan['shape'][0]} x {plan['shape'][1]} px"
@@ -131,7 +132,7 @@ def _answer(plan: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "needs", f"{cpu:.3g} s of one core, {memory:.0f} MB a worker, {disk:.3g} MB of disk"
 
 
-def _stars(plan: dict[str, Any]) -> str:
+def _stars(plan: JsonObject) -> str:
     if plan["catalogue"] is None:
         return "none: no catalogue"
     limit = (plan["coverage"] or {}).get("complete_to_g_mag")
@@ -140,14 +141,14 @@ def _stars(plan: dict[str, Any]) -> str:
     return f"about {plan['stars_per_frame']} a frame; catalogue covers {covered}"
 
 
-def _covered(said: dict[str, Any] | None) -> str:
+def _covered(said: JsonObject | None) -> str:
     if said is None or said["source"] is None:
         return "an unknown part of the field"
     worst = f"{100 * said['worst_frame_fraction']:.3g}%"
     return worst + ("" if said["mean_fraction"] == 1.0 else f" of frame {said['worst_frame']}")
 
 
-def _print_decision(d: dict[str, Any], explain: bool) -> None:
+def _print_decision(d: JsonObject, explain: bool) -> None:
     """A decision: what is kept or omitted, the bound of its error, and why."""
     bounds = [
         f"{d[name]:.3g} {unit}"
@@ -168,7 +169,7 @@ def _cut(line: str) -> str:
     return line if len(line) <= width() else line[: width() - 4] + " ..."
 
 
-def _coverage(said: dict[str, Any] | None) -> str:
+def _coverage(said: JsonObject | None) -> str:
     """How much of the frames the catalogue covers."""
     if said is None:
         return "no catalogue"
@@ -209,7 +210,7 @@ CONTENTS = {
 }
 
 
-def print_info(product: Path, found: dict[str, Any]) -> None:
+def print_info(product: Path, found: JsonObject) -> None:
     """A product at a glance, and how to open it or go on with it."""
     print_warnings(found["warnings"])
     for name, text in _facts(found).items():
@@ -221,7 +222,7 @@ def print_info(product: Path, found: dict[str, Any]) -> None:
         print(fold("`nightglass render SCENE -o PRODUCT --resume` goes on with it"))
 
 
-def _facts(found: dict[str, Any]) -> dict[str, str]:
+def _facts(found: JsonObject) -> dict[str, str]:
     rows, columns = found["shape"] or (0, 0)
     size = found["field_deg"] or (0.0, 0.0)
     return {

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from catalog_tools.documents import JsonObject
 from pipeline.commands.jobs import Server
 from pipeline.commands.options import (
     Json,
@@ -121,7 +122,7 @@ def _there(
         _print(report, output)
 
 
-def _print(report: dict[str, Any], output: Path) -> None:
+def _print(report: JsonObject, output: Path) -> None:
     print(
         f"{output}: {report['points']} points in {report['seconds']:.2f} s, "
         f"{report['failed']} failed"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.execute.blocks import LightBlock
 from pipeline.execute.check import check_tile
@@ -42,7 +43,7 @@ def render_tile(
     before: Sequence[Array] = (),
     light_e: dict[str, Array] | None = None,
     shared: StarLight | None = None,
-) -> tuple[dict[str, NDArray], list[dict[str, Any]]]:
+) -> tuple[dict[str, NDArray], list[JsonObject]]:
     """The layers of a tile that the scene asks for, and what the reference path found in it.
 
     The layers are `dn`, and the noise-free ones in float32. The light layers are what the pixels

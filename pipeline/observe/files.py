@@ -9,13 +9,13 @@ import re
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import whole_file
 from pipeline.errors import BadInput
 from pipeline.observe.observe import Observed
@@ -72,7 +72,7 @@ def write(observed: Observed, path: Path) -> None:
         raise BadInput("-o", str(path), f"a file that can be written; {why}") from None
 
 
-def as_data(observed: Observed) -> dict[str, Any]:
+def as_data(observed: Observed) -> JsonObject:
     """Plain data: scene, counts by reason, notes, rows (null where there is no value)."""
     rows = _without_nan(observed.table).to_pylist()
     notes = list(observed.notes)
@@ -105,7 +105,7 @@ def tdm_text(observed: Observed) -> str:
     return head + "".join("\n".join(_segment(observed.scene, of)) for of in segments)
 
 
-def _segment(sensor: str, rows: list[dict[str, Any]]) -> Iterator[str]:
+def _segment(sensor: str, rows: list[JsonObject]) -> Iterator[str]:
     first, noise = rows[0], "without noise"
     if "ra_measured_deg" in first:
         sigma = [row["centroid_sigma_arcsec"] for row in rows]
@@ -122,5 +122,5 @@ def _segment(sensor: str, rows: list[dict[str, Any]]) -> Iterator[str]:
     yield "DATA_STOP\n"
 
 
-def _time(row: dict[str, Any]) -> str:
+def _time(row: JsonObject) -> str:
     return str(row["utc"]).rstrip("Z")

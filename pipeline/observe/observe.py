@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, Geometry
 from pipeline.errors import BadInput
 from pipeline.execute.sources import comes_by, reaching
@@ -150,7 +150,7 @@ def _rows(
 
 def _truth(plan: ResolvedScene, g: Geometry) -> tuple[dict[str, Array], Mask, Mask]:
     """Columns (F, T) of truth and the streaks; whose light reaches the frame; who crosses it."""
-    found: list[dict[str, Any]] = []
+    found: list[JsonObject] = []
     near, crosses = np.zeros((2, len(g.frame), len(plan.scene.targets)), np.bool_)
     for k in range(len(g.frame)):
         one = g.frame_slice(k)

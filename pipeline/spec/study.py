@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from catalog_tools.documents import JsonObject
 from pipeline.spec.pointing.observer import GroundObserver, OrbitObserver
 from pipeline.spec.scene import Exposure
 from pipeline.spec.sensor.sensor import Sensor
@@ -238,6 +239,6 @@ class Study(Strict):
         """The camera of a sensor."""
         return next((c for c in self.cameras if c.name == sensor.camera), self.cameras[0])
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> JsonObject:
         """The study with all defaults filled in, as plain data."""
         return self.model_dump(mode="json", by_alias=True)

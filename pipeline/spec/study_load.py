@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput
 from pipeline.spec.load import (
     InvalidScene,
@@ -18,7 +18,7 @@ from pipeline.spec.load import (
 from pipeline.spec.study import Study
 
 
-def read_study(path: Path, overrides: Iterable[str] = ()) -> dict[str, Any]:
+def read_study(path: Path, overrides: Iterable[str] = ()) -> JsonObject:
     """The plain data of a study file with `a.b=value` overrides; not yet checked."""
     data = read_format_file(path, "STUDY", "study")
     if not isinstance(data, dict):
@@ -28,7 +28,7 @@ def read_study(path: Path, overrides: Iterable[str] = ()) -> dict[str, Any]:
     return data
 
 
-def parse_study(data: Any) -> Study:
+def parse_study(data: JsonValue) -> Study:
     """Check plain data against the study format. Raises InvalidScene with every mistake."""
     if not isinstance(data, dict):
         raise BadInput("study", data, "a mapping (schema, name, start, sensors, ...)")

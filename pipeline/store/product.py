@@ -101,7 +101,7 @@ def make_together(path: Path, plan: Plan, catalogue_digest: str | None) -> None:
         shutil.rmtree(own, ignore_errors=True)
 
 
-def identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
+def identity_of(plan: Plan, catalogue_digest: str | None) -> JsonObject:
     """What makes two products the same."""
     return {
         "format": FORMAT,
@@ -117,7 +117,7 @@ def identity_of(plan: Plan, catalogue_digest: str | None) -> dict[str, Any]:
 def _take_up(
     path: Path,
     plan: Plan,
-    identity: dict[str, Any],
+    identity: JsonObject,
     mine: Callable[[int, int, int], bool] | None = None,
 ) -> Begun:
     if not is_begun(path):
@@ -151,7 +151,7 @@ CHANGED = {  # what may have changed since a product was begun, in the user's wo
 }
 
 
-def check_same(place: str, found: dict[str, Any], identity: dict[str, Any]) -> None:
+def check_same(place: str, found: JsonObject, identity: JsonObject) -> None:
     """Refuse to go on with a product that was begun as another one."""
     for key, wanted in identity.items():
         if found.get(key, wanted if key in LATER else None) != wanted:
@@ -172,12 +172,12 @@ def _is_bare_beginning(path: Path) -> bool:
     return ours and set(names) <= known
 
 
-def _identity(path: Path) -> dict[str, Any]:
+def _identity(path: Path) -> JsonObject:
     """What the product was begun as. Raises Damaged where the record is not what was written."""
     return identity_in((path / layout.BEGUN).read_bytes(), str(path / layout.BEGUN))
 
 
-def identity_in(content: bytes, place: str) -> dict[str, Any]:
+def identity_in(content: bytes, place: str) -> JsonObject:
     """What the record of a beginning says. Raises Damaged naming `place`."""
     try:
         found = json.loads(content)

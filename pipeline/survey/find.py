@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.engine.schedulers import open_scheduler
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S, SPEED_OF_LIGHT_M_S
@@ -48,7 +48,7 @@ class FoundObjects:
     """What was found: objects, best first, each as plain values; and of how many, when, by what
     limits (`notes`)."""
 
-    objects: list[dict[str, Any]]
+    objects: list[JsonObject]
     looked_at: int
     start: str
     end: str
@@ -70,7 +70,7 @@ def find(scene: Scene, wish: FindOptions, workers: int | None = None) -> FoundOb
     elements, census = gather_elements(scene.populations, middle)
     search = make_search(watcher, offsets, wish.least_snr)
     starts = range(0, len(elements), BATCH)
-    found: dict[int, list[dict[str, Any]]] = {}
+    found: dict[int, list[JsonObject]] = {}
     with open_scheduler("threads", workers) as scheduler:
         for first, rows in scheduler.each(_batch, (search, elements), starts):
             if isinstance(rows, Exception):
@@ -84,7 +84,7 @@ def find(scene: Scene, wish: FindOptions, workers: int | None = None) -> FoundOb
     )
 
 
-def _batch(shared: tuple[Search, Elements], first: int) -> tuple[list[dict[str, Any]], int]:
+def _batch(shared: tuple[Search, Elements], first: int) -> tuple[list[JsonObject], int]:
     search, elements = shared
     some = elements.take(slice(first, first + BATCH))
     sights, failed = search.of(some)
@@ -99,7 +99,7 @@ def _by_object(s: Sights) -> list[Sights]:
     return [s.take(part) for part in np.split(np.arange(len(s)), edges) if len(part)]
 
 
-def _described(search: Search, elements: Elements, s: Sights) -> dict[str, Any]:
+def _described(search: Search, elements: Elements, s: Sights) -> JsonObject:
     """One object: its best moment, and from when to when it is seen."""
     w, watcher = search.watch, search.watcher
     best, i = int(np.argmax(s.snr)), int(s.object[0])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M, SPEED_OF_LIGHT_M_S
 from pipeline.physics.noise.streams import stream_key, uniforms
@@ -208,7 +208,7 @@ class WatchMoments:
 
 
 def make_watcher(
-    sections: dict[str, Any],
+    sections: JsonObject,
     regard: FieldOfRegard,
     epoch: Epoch,
     tracks: bool,

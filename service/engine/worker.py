@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from catalog_tools.catalogue import MANIFEST_NAME
+from catalog_tools.documents import JsonObject
 from catalog_tools.engine.heap import one_heap
 from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError, TryLater
 from pipeline.spec.load import parse_scene
@@ -65,17 +66,17 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _say(answers: BinaryIO, message: dict[str, Any]) -> None:
+def _say(answers: BinaryIO, message: JsonObject) -> None:
     answers.write(json.dumps(message).encode() + b"\n")
 
 
-def _said(order: dict[str, Any]) -> dict[str, Any]:
+def _said(order: JsonObject) -> JsonObject:
     """What every line of the log carries."""
     return {name: order.get(name) for name in ("job", "attempt")}
 
 
 @contextlib.contextmanager
-def _tiles_told(order: dict[str, Any]) -> Iterator[None]:
+def _tiles_told(order: JsonObject) -> Iterator[None]:
     """Log each tile that this process draws (level debug), and those in flight when one fails."""
     from dask.callbacks import Callback
 
@@ -104,7 +105,7 @@ def _tiles_told(order: dict[str, Any]) -> Iterator[None]:
         raise
 
 
-def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
+def _plan(order: JsonObject, _: BinaryIO) -> JsonObject:
     from pipeline.route.prepare import check_cost, plan_scene
 
     scene = parse_scene(order["scene"])
@@ -113,13 +114,13 @@ def _plan(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
     return {"outcome": "done", "plan": plan}
 
 
-def _forecast(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
+def _forecast(order: JsonObject, _: BinaryIO) -> JsonObject:
     from pipeline.capacity.run import forecast_of
 
     return {"outcome": "done", "forecast": forecast_of(order["scene"], Path.cwd())}
 
 
-def _observe(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
+def _observe(order: JsonObject, _: BinaryIO) -> JsonObject:
     from pipeline.observe.files import as_data
     from pipeline.observe.observe import observe
 
@@ -128,14 +129,14 @@ def _observe(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
     return {"outcome": "done", "observed": as_data(found)}
 
 
-def _judge(order: dict[str, Any], _: BinaryIO) -> dict[str, Any]:
+def _judge(order: JsonObject, _: BinaryIO) -> JsonObject:
     from pipeline.route.judge import judge
 
     judge(parse_scene(order["scene"]))
     return {"outcome": "done"}
 
 
-def _render(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
+def _render(order: JsonObject, answers: BinaryIO) -> JsonObject:
     from pipeline.route.run import Options, render
 
     options = Options(
@@ -155,13 +156,13 @@ def _render(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
     }
 
 
-def _sweep(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
+def _sweep(order: JsonObject, answers: BinaryIO) -> JsonObject:
     from service.scenes.sweeps import run_sweep
 
     return {"outcome": "done"} | run_sweep(order, _listener(answers))
 
 
-def _study(order: dict[str, Any], answers: BinaryIO) -> dict[str, Any]:
+def _study(order: JsonObject, answers: BinaryIO) -> JsonObject:
     from service.scenes.studies import run_study
 
     return {"outcome": "done"} | run_study(order, _listener(answers))
@@ -182,10 +183,10 @@ def _listener(answers: BinaryIO) -> Any:
     return listen
 
 
-def describe(error: Exception, order: dict[str, Any]) -> dict[str, Any]:
+def describe(error: Exception, order: JsonObject) -> JsonObject:
     """An error as the job shows it: one message, and the fields to mend; no path of the server,
     and uploaded files by the names that their user gave them."""
-    errors: list[dict[str, Any]] = []
+    errors: list[JsonObject] = []
     if gone := _catalogues_gone(order):
         kind, message = "try later", f"the catalogue {gone[0]} is not there now"
     elif mistakes := [_without_paths(m, order) for m in mistakes_of(error)[:20]]:
@@ -220,7 +221,7 @@ def _fault(error: Exception) -> str:
     return "an internal fault; the server's log tells more"
 
 
-def _catalogues_gone(order: dict[str, Any]) -> list[str]:
+def _catalogues_gone(order: JsonObject) -> list[str]:
     """Registered catalogues that an accepted scene names and whose folder or link is gone."""
     scene = order["scene"]
     scene = scene.get("scene", scene)  # of a sweep: its base
@@ -229,13 +230,13 @@ def _catalogues_gone(order: dict[str, Any]) -> list[str]:
     return [name for name in names if not (Path(name) / MANIFEST_NAME).is_file()]
 
 
-def _without_paths(mistake: tuple[str, Any, str], order: dict[str, Any]) -> tuple[str, Any, str]:
+def _without_paths(mistake: tuple[str, Any, str], order: JsonObject) -> tuple[str, Any, str]:
     field, value, allowed = mistake
     value = _clean(value, order) if isinstance(value, str) else value
     return field, value, _clean(allowed, order)
 
 
-def _clean(text: str, order: dict[str, Any]) -> str:
+def _clean(text: str, order: JsonObject) -> str:
     """Text with the places of the server's folders cut out, and the user's names of files."""
     for file_id, name in order.get("files", {}).items():
         for place in set(re.findall(rf"[\w./-]*{re.escape(file_id)}", text)):

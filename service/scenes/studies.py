@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.spec.study_load import parse_study
 from service.problems import NotAllowed
 from service.scenes.scenes import HasFile, check_named, named_in
@@ -13,7 +14,9 @@ from service.settings import Settings
 STATE_CPU_S = 1e-6  # of an object at a step, at least
 
 
-def accept_study(data: Any, settings: Settings, has_file: HasFile | None = None) -> dict[str, Any]:
+def accept_study(
+    data: JsonValue, settings: Settings, has_file: HasFile | None = None
+) -> JsonObject:
     """A study as it is stored. Files in it are the caller's uploads; it has a size.
 
     Raises BadInput, InvalidScene, NotAllowed.
@@ -33,7 +36,7 @@ def accept_study(data: Any, settings: Settings, has_file: HasFile | None = None)
     return plain
 
 
-def run_study(order: dict[str, Any], listen: Any) -> dict[str, Any]:
+def run_study(order: JsonObject, listen: Any) -> JsonObject:
     """Run a stored study, in the worker's process."""
     from pipeline.capacity.run import StudyOptions
     from pipeline.capacity.run import run_study as run
