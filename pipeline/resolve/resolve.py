@@ -25,10 +25,10 @@ from pipeline.plan.optics.optics import check_motion
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.resolved import ResolvedScene, resolved_scene
 from pipeline.plan.response.responses import plan_responses
-from pipeline.plan.scene_plan import FieldStars
 from pipeline.plan.sensor.detector import typical_read_noise_e
 from pipeline.plan.sky.doubts import sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
+from pipeline.plan.stars.field_stars import FieldStars
 from pipeline.plan.targets.decisions import mesh_notices
 from pipeline.plan.targets.orbit_age import orbit_remarks
 from pipeline.plan.targets.umbra import umbra_remarks

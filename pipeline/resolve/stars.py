@@ -25,8 +25,8 @@ from pipeline.plan.cones import catalogue_cones, field_cones
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.pointing.geometry import epochs_jyear, observer_distances_au, plan_geometry
 from pipeline.plan.resolved import ResolvedScene
-from pipeline.plan.scene_plan import FieldStars
 from pipeline.plan.stars.brightest import brightest_star_e, star_radius_rad
+from pipeline.plan.stars.field_stars import FieldStars, OwnMotion, StarCounts
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -89,9 +89,6 @@ def gather_field_stars(
     """
     if resolved.scene.stars is None:
         return None
-    from pipeline.plan.stars.engines import StarCounts
-    from pipeline.plan.stars.shared_frames import OwnMotion
-
     counts = StarCounts(*_lights(resolved, catalogues, left_out, g))
     leaves = [shard.leaf for shard in shards_of(resolved, catalogues, g)]
     own = OwnMotion(

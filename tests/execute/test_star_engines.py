@@ -19,9 +19,12 @@ from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import phase_table
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
+from pipeline.plan.ledger import LEDGER
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.stars.engines import StarCounts, choose_engines, cubic_bound
+from pipeline.plan.rule import PlanBasis
+from pipeline.plan.stars.engines import choose_engines, cubic_bound
+from pipeline.plan.stars.field_stars import StarCounts
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
 from tests.plans import plan_from
@@ -61,8 +64,10 @@ def chosen(plan: Plan, stars: float, g_mag: tuple[float, float]) -> Plan:
 
 def with_engines(plan: Plan, counts: StarCounts) -> Plan:
     g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
-    responses, decisions = choose_engines(plan, g, counts, plan.decisions)
-    return replace(plan, responses=responses, decisions=decisions)
+    engines = choose_engines(plan, g, counts)
+    basis = PlanBasis(plan, g, engines=engines)
+    decisions = tuple(d for rule in LEDGER for d in rule.decide(basis))
+    return replace(plan, responses=engines.responses, decisions=decisions)
 
 
 def engines(plan: Plan) -> list[tuple[int, int]]:

@@ -43,12 +43,12 @@ from pipeline.physics.vectors import separation, unit
 from pipeline.plan.checks import choose_checks
 from pipeline.plan.cones import catalogue_cones, field_cones
 from pipeline.plan.cost import CHECK_S, check_count, least_cpu_s
-from pipeline.plan.decisions import core_ends
 from pipeline.plan.described import plan_dict
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.needs import StarForecast, drawing_s, frame_seconds, predict
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
+from pipeline.plan.response.decisions import core_ends
 from pipeline.plan.response.responses import ResponsePlan, cut_share, plan_responses
 from pipeline.plan.stars.faint import peak_share
 from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape

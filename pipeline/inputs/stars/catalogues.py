@@ -12,7 +12,7 @@ from catalog_tools.catalogue import Catalogue, open_catalogue
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.band.colour_fit import default_colour_error_mag
-from pipeline.plan.decisions import Decision
+from pipeline.plan.decision import Decision
 
 if TYPE_CHECKING:
     from catalog_tools.geometry.regions import Cone

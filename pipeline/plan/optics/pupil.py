@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from pipeline.arrays import Geometry
 from pipeline.physics.positions.focal_plane import Camera, corner_radius, off_axis_cosine
 from pipeline.plan.decision import Decision
-from pipeline.plan.pointing.geometry import camera_of
 from pipeline.plan.pointing.star_paths import at_nodes, field_points, star_paths
+from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
@@ -39,9 +39,9 @@ def pupil_along(scene: Scene, camera: Camera, offset_s: Array, x_px: Array, y_px
     return pupil_fraction(scene, camera, x_px, y_px + camera.charge_px_s * (offset_s - middle))
 
 
-def decide_pupil(scene: Scene, ends: Geometry) -> list[Decision]:
+def _pupil(basis: PlanBasis) -> list[Decision]:
     """The projected pupil, its size, and what taking it at mid-exposure errs by."""
-    camera = camera_of(scene)
+    scene, camera = basis.scene, basis.resolved.camera
     lost = 1.0 - float(np.cos(corner_radius(camera)))
     size = f"a corner of the frame receives {lost:.2g} less than its middle"
     if not scene.sensor.pupil_projection:
@@ -53,7 +53,7 @@ def decide_pupil(scene: Scene, ends: Geometry) -> list[Decision]:
         f"light is dimmed by the cosine of its angle off axis: {size}; not the stray light, which "
         "reaches the focal plane otherwise. Of a star that streaks, at mid-exposure"
     )
-    off = _changes(scene, camera, ends) if scene.stars is not None else 0.0
+    off = _changes(scene, camera, basis.frames) if scene.stars is not None else 0.0
     return [Decision("pupil_projection", True, reason, bound=off, unit="of a source's light")]
 
 
@@ -66,3 +66,13 @@ def _changes(scene: Scene, camera: Camera, ends: Geometry) -> float:
     paths = star_paths(camera, few, *field_points(camera), scene.star_effects["aberration"])
     found = pupil_along(scene, camera, few.offset_s, *paths)
     return float(np.nanmax(np.abs(found / found[..., [NODES // 2]] - 1.0)))
+
+
+RULES = (
+    Rule(
+        ("pupil_projection",),
+        "always, but where flat is an image (a measured flat holds it) or the sensor says no",
+        "tests/acceptance/test_wide_field.py::test_stars_fall_with_the_cosine",
+        _pupil,
+    ),
+)

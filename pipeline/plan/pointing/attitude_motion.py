@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.decision import Decision
+from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.timing import frame_times, integration_range_s
 from pipeline.spec.pointing.attitude import (
     AttitudeModel,
@@ -176,8 +177,9 @@ def _straight_between(values: Array, nodes: int) -> Array:
     return (1.0 - share) * values[:, k] + share * values[:, upper]
 
 
-def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
+def _random_motion(basis: PlanBasis) -> tuple[Decision, ...]:
     """What the plan says of random motion; nothing for a scene that has none."""
+    scene = basis.scene
     plan, model = motion_plan(scene), scene.pointing.attitude
     if plan is None or model is None:
         return ()
@@ -198,7 +200,18 @@ def decide_motion(scene: Scene, sigma_floor_e: float) -> tuple[Decision, ...]:
             f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
             "is four times these, in a pixel whose light equals the noise floor, for images of "
             f"{SHARPEST_PX:g} px rms or more",
-            plan.error_sigma * sigma_floor_e,
+            plan.error_sigma * basis.facts.sigma_floor_e,
             plan.error_sigma,
         ),
     )
+
+
+RULES = (
+    Rule(
+        ("pointing_motion",),
+        "jitter slower than the nodes of an exposure moves the path, faster one is blur; the bound "
+        "is of what lies between",
+        "tests/physics/motion/test_jitter.py",
+        _random_motion,
+    ),
+)

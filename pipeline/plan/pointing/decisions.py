@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.plan.decision import Decision
 from pipeline.plan.pointing.air import needs_air, terms_of
 from pipeline.plan.pointing.geometry import ROUGH_PX
+from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.timing import dwell_plans, frame_count, integration_range_s
 from pipeline.spec.pointing.observer import GroundObserver
-from pipeline.spec.pointing.pointing import LocalPointing, TablePointing
+from pipeline.spec.pointing.pointing import LocalPointing, Pointing, TablePointing
 from pipeline.spec.scene import Scene
 
 OVER_ROWS = 1.25  # more than left-out rows tell: motions with eight rows or more in a period
@@ -25,40 +28,54 @@ def _lift_arcsec(scene: Scene, p: LocalPointing) -> float | None:
     return float(terms_of(scene)[0] / np.tan(np.radians(p.elevation_deg)) / ARCSEC_RAD)
 
 
-def decide_pointing(scene: Scene) -> tuple[Decision, ...]:
-    """Decisions of a scene's pointing; none for one dwell that holds, scans or tracks."""
-    out = []
-    plans = dwell_plans(scene)
-    if scene.dwells is not None:
-        shortest, longest = integration_range_s(scene)
-        slews = sum(p.slew is not None for p in plans)
-        out.append(
-            Decision(
-                "dwells",
-                True,
-                f"{len(plans)} dwells with {frame_count(scene)} frames of {shortest:g} to "
-                f"{longest:g} s, {slews} slews; bounds are those of the shortest exposure's noise",
-                bound=0.0,
-                unit="e-",
-            )
+def _dwells(basis: PlanBasis) -> list[Decision]:
+    """Of several exposures; none for one dwell."""
+    scene = basis.scene
+    if scene.dwells is None:
+        return []
+    plans, (shortest, longest) = dwell_plans(scene), integration_range_s(scene)
+    slews = sum(p.slew is not None for p in plans)
+    return [
+        Decision(
+            "dwells",
+            True,
+            f"{len(plans)} dwells with {frame_count(scene)} frames of {shortest:g} to "
+            f"{longest:g} s, {slews} slews; bounds are those of the shortest exposure's noise",
+            bound=0.0,
+            unit="e-",
         )
-    for plan in plans:
-        p = plan.pointing
-        where = "" if scene.dwells is None else f" in dwell {plan.index}"
-        if isinstance(p, TablePointing):
-            out.append(_table_told(scene, p, where))
-        elif isinstance(p, LocalPointing):
-            out.append(
-                Decision(
-                    "pointing_refraction",
-                    False,
-                    f"azimuth and elevation{where} are those of the sky without air: with the "
-                    "site's refraction the camera is held as much higher (60 arcsec at 45 degrees)",
-                    bound=_lift_arcsec(scene, p),
-                    unit="arcsec",
-                )
-            )
-    return tuple(out)
+    ]
+
+
+def _pointings(scene: Scene) -> Iterator[tuple[Pointing, str]]:
+    """The pointing of each dwell, and where it stands in words."""
+    for plan in dwell_plans(scene):
+        yield plan.pointing, "" if scene.dwells is None else f" in dwell {plan.index}"
+
+
+def _tables(basis: PlanBasis) -> list[Decision]:
+    """Of tables of attitudes."""
+    return [
+        _table_told(basis.scene, p, where)
+        for p, where in _pointings(basis.scene)
+        if isinstance(p, TablePointing)
+    ]
+
+
+def _refraction(basis: PlanBasis) -> list[Decision]:
+    """Of azimuth and elevation under a site's air."""
+    return [
+        Decision(
+            "pointing_refraction",
+            False,
+            f"azimuth and elevation{where} are those of the sky without air: with the "
+            "site's refraction the camera is held as much higher (60 arcsec at 45 degrees)",
+            bound=_lift_arcsec(basis.scene, p),
+            unit="arcsec",
+        )
+        for p, where in _pointings(basis.scene)
+        if isinstance(p, LocalPointing)
+    ]
 
 
 def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
@@ -78,3 +95,20 @@ def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
         bound=None if p.error_arcsec is None else OVER_ROWS * p.error_arcsec,
         unit="arcsec",
     )
+
+
+RULES = (
+    Rule(("dwells",), "where the scene has them", "tests/plan/test_dwells.py", _dwells),
+    Rule(
+        ("pointing_table",),
+        "rows are interpolated; the error is measured by leaving rows out",
+        "tests/inputs/test_pointing_tables.py",
+        _tables,
+    ),
+    Rule(
+        ("pointing_refraction",),
+        "a pointing names the true place; the air lifts the camera",
+        "tests/acceptance/test_site_with_air.py",
+        _refraction,
+    ),
+)

@@ -24,6 +24,7 @@ from pipeline.physics.positions.limb import (
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.decision import Decision
+from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
@@ -121,16 +122,12 @@ def visible_path(
     return path_through(x[ends], y[ends], share[kept] / total, merge_px), total
 
 
-def decide_occultation(
-    scene: Scene, camera: Camera, reach_px: float, ends: Geometry
-) -> list[Decision]:
-    """What the Earth hides; nothing for a scene without sources.
-
-    ends : some of the scene's frames
-    """
+def _occultation(basis: PlanBasis) -> list[Decision]:
+    """What the Earth hides; nothing for a scene without sources."""
+    scene, ends = basis.scene, basis.frames
     if not (scene.stars or scene.targets):
         return []
-    near = limb_in_reach(scene, camera, ends, reach_px)
+    near = limb_in_reach(scene, basis.resolved.camera, ends, basis.resolved.responses.reach_px)
     gone = bool((ends.target_clear < 0.0).any())
     if not near and not gone:
         beside = "the limb of the Earth, or the horizon, is beside the field: nothing is judged"
@@ -230,3 +227,14 @@ def _earth_m(g: Geometry, nodes: NDArray[np.int64]) -> Array:
 def _latitude_rad(scene: Scene) -> float:
     assert isinstance(scene.observer, GroundObserver)
     return scene.observer.latitude_deg * DEG_RAD
+
+
+RULES = (
+    Rule(
+        ("earth_occultation", "earth_occultation.air"),
+        "each source by itself where the limb or the horizon comes near the field; the air at a "
+        "limb seen from space never, that of a site where its refraction is asked for",
+        "tests/acceptance/test_behind_the_earth.py::test_stars_behind_the_limb_against_rays",
+        _occultation,
+    ),
+)

@@ -13,6 +13,7 @@ from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.geometry import camera_of
 from pipeline.plan.pointing.star_paths import star_paths
+from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import (
@@ -25,6 +26,11 @@ from pipeline.spec.sensor.detector import (
 )
 
 LISTED = "; each pixel is in truth/pixels.parquet"
+EXTRAS = (
+    *("detector_extras", "bad_pixels", "dead_pixels", "hot_pixels", "prnu", "bias_structure"),
+    *("amplifiers", "row_noise", "column_noise", "blooming", "nonlinearity", "lag"),
+    *("frame_transfer", "tdi"),
+)
 
 
 def typical_read_noise_e(scene: Scene, maps: SensorMaps) -> float:
@@ -43,16 +49,26 @@ def lag_depth(scene: Scene, sigma_e: float) -> int:
     return lag_frames(d.lag.fraction, full_well_e, SMALL * part_sigma(scene) * sigma_e)
 
 
-def decide_detector(
-    scene: Scene, facts: Facts, ends: Geometry, dut1_s: float = 0.0
-) -> tuple[Decision, ...]:
+def _extras(basis: PlanBasis) -> list[Decision]:
     """Every extra of the detector that is asked for; one line where none is."""
-    d = scene.sensor.detector
+    scene, d = basis.scene, basis.scene.sensor.detector
     if d is None:
         why = "no bad or hot pixels, patterns, bent response, blooming, lag, smear or TDI asked for"
-        return (Decision("detector_extras", False, why, 0.0, 0.0),)
-    kept = [*_faults(d), *_patterns(d), *_charge(scene, d, facts), *_moving(scene, d, ends, dut1_s)]
-    return tuple(Decision(name, True, reason, *bound) for name, reason, *bound in kept)
+        return [Decision("detector_extras", False, why, 0.0, 0.0)]
+    kept = [*_faults(d), *_patterns(d), *_charge(scene, d, basis.facts)]
+    kept += _moving(scene, d, basis.frames)
+    return [Decision(name, True, reason, *bound) for name, reason, *bound in kept]
+
+
+def _rolling(basis: PlanBasis) -> list[Decision]:
+    """Rows that are read one after another."""
+    d = basis.scene.sensor.detector
+    if d is None or not isinstance(d.readout, RollingShutter):
+        return []
+    from pipeline.plan.sensor.rolling import rolling_shutter
+
+    told, off_px = rolling_shutter(basis.scene, d.readout, basis.frames, basis.resolved.dut1_s)
+    return [Decision("rolling_shutter", True, told, bound=off_px, unit="px")]
 
 
 def _faults(d: Detector) -> list[tuple]:
@@ -142,7 +158,7 @@ def _chord_error_e(d: Detector, full_well_e: float) -> float:
     return float(1.05 * np.abs(bend(x)).max() * full_well_e / 8.0 / 4096**2)
 
 
-def _moving(scene: Scene, d: Detector, ends: Geometry, dut1_s: float) -> list[tuple]:
+def _moving(scene: Scene, d: Detector, ends: Geometry) -> list[tuple]:
     """Charge that moves under the light."""
     if isinstance(d.readout, FrameTransfer):
         r, t = d.readout, integration_range_s(scene)[0]
@@ -158,11 +174,6 @@ def _moving(scene: Scene, d: Detector, ends: Geometry, dut1_s: float) -> list[tu
         ]
     if isinstance(d.readout, TimeDelay):
         return [("tdi", _time_delay(scene, d.readout, ends))]
-    if isinstance(d.readout, RollingShutter):
-        from pipeline.plan.sensor.rolling import rolling_shutter
-
-        told, off_px = rolling_shutter(scene, d.readout, ends, dut1_s)
-        return [("rolling_shutter", told, None, None, None, off_px, "px")]
     return []
 
 
@@ -216,3 +227,19 @@ def _time_delay(scene: Scene, r: TimeDelay, ends: Geometry) -> str:
         f"; lines recorded one after the other would see targets up to {late_s:.3g} s earlier or "
         f"later, and so up to {speed * late_s:.3g} px elsewhere"
     )
+
+
+RULES = (
+    Rule(
+        EXTRAS,
+        "each where the scene asks for it; nothing is computed or loaded otherwise",
+        "tests/execute/test_detector.py::test_nothing_of_it_unless_asked_for",
+        _extras,
+    ),
+    Rule(
+        ("rolling_shutter",),
+        "where the detector's readout asks for it; refused where its bounds do not hold",
+        "tests/execute/test_rolling_shutter.py::test_stars_against_each_rows_own_exposure",
+        _rolling,
+    ),
+)

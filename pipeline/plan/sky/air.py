@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.arrays import Geometry
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.positions.refraction import refraction_terms
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.air import frame_sines, needs_air, terms_of, weather_of
-from pipeline.plan.pointing.geometry import camera_of
+from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
@@ -23,10 +22,9 @@ KNOWN_ARCSEC, LOW_SINE = 0.06, 0.2588  # ERFA's own account of its refraction, a
 FINITE_M = 2.3  # of (refractivity at sea level) x (scale height): how far a bent ray is displaced
 
 
-def decide_air(
-    scene: Scene, facts: Facts, ends: Geometry, extinction: BandExtinction | None
-) -> list[Decision]:
+def _air(basis: PlanBasis) -> list[Decision]:
     """Refraction and extinction of a site's air; nothing for other observers."""
+    scene, ends = basis.scene, basis.frames
     o = scene.observer
     if not isinstance(o, GroundObserver):
         return []
@@ -40,9 +38,12 @@ def decide_air(
             )
         ]
     middle = ends.middle
-    camera, air = camera_of(scene), ends.air[:, middle]
+    camera, air = basis.resolved.camera, ends.air[:, middle]
     lowest = float(frame_sines(camera, ends.attitude[:, middle], air[:, :3]).min())
-    return [*_refraction(scene, facts, lowest), *_extinction(extinction, lowest)]
+    return [
+        *_refraction(scene, basis.facts, lowest),
+        *_extinction(basis.resolved.extinction, lowest),
+    ]
 
 
 def _refraction(scene: Scene, facts: Facts, sine: float) -> list[Decision]:
@@ -114,3 +115,13 @@ def _extinction(extinction: BandExtinction | None, sine: float) -> list[Decision
             "in the truth are above the air, electrons below it",
         )
     ]
+
+
+RULES = (
+    Rule(
+        ("atmosphere", "atmosphere.*"),
+        "each part where observer.atmosphere asks for it",
+        "tests/acceptance/test_site_with_air.py::test_elevations_against_astropy",
+        _air,
+    ),
+)

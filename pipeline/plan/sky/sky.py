@@ -13,7 +13,7 @@ from pipeline.physics.colour import brightest_electrons
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.sky.galactic import RELATIVE_ERROR
 from pipeline.physics.sky.grid import FrameGrid, at_nodes, refine, tile_light
-from pipeline.plan.decisions import Decision
+from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts, error_budget_e
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, SkyInputs, background_of

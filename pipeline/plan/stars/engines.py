@@ -7,20 +7,18 @@ workers. It changes costs alone: either way meets the bounds that the plan state
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.arrays import Array, Geometry
+from pipeline.arrays import Geometry
 from pipeline.physics.drawing.spectral_plan import CROWD_PX
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import oversampling_for
-from pipeline.plan.decision import Decision
-from pipeline.plan.decisions import core_ends
 from pipeline.plan.response.responses import (
     FIELD_BYTES,
     SPECTRAL_S_PER_PIXEL,
@@ -32,6 +30,7 @@ from pipeline.plan.response.responses import (
     table_bytes,
 )
 from pipeline.plan.response.streaks import Streak, zone_streak
+from pipeline.plan.stars.field_stars import StarCounts
 from pipeline.plan.tiles import BLOCK_PX
 
 if TYPE_CHECKING:
@@ -50,37 +49,26 @@ TOGETHER = 5.0  # standard deviations of what a crowd's errors add up to
 
 
 @dataclass(frozen=True)
-class StarCounts:
-    """The stars that light a frame: their light [e-] (n,), sorted, and how many each stands for."""
+class StarEngines:
+    """The engines that were chosen for the stars.
 
-    light_e: Array
-    each: float = 1.0
+    responses : with tables only where these are cheaper; ways : how stars are drawn, in words
+    tables : whether there are any
+    """
 
-    @property
-    def total(self) -> int:
-        return round(self.each * len(self.light_e))
-
-    def brighter(self, light_e: float) -> float:
-        """Stars of more light than so many electrons."""
-        fainter = np.searchsorted(self.light_e, light_e, "right")
-        return self.each * float(len(self.light_e) - fainter)
-
-    def between(self, low_e: float, high_e: float) -> float:
-        """Stars of more than `low_e` and at most `high_e` electrons."""
-        return self.brighter(low_e) - self.brighter(high_e) if low_e < high_e else 0.0
+    responses: ResponsePlan
+    ways: tuple[str, ...]
+    tables: bool
 
 
-def choose_engines(
-    plan: ResolvedScene, g: Geometry, counts: StarCounts, decisions: tuple[Decision, ...]
-) -> tuple[ResponsePlan, tuple[Decision, ...]]:
-    """The responses with tables only where they are cheaper than drawing star by star, and the
-    decisions with that one.
+def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> StarEngines | None:
+    """The cheapest engines for the stars of a frame; None where there are no responses to choose.
 
     g : some of the scene's frames
     """
     r = plan.responses
     if not r.classes:
-        return r, decisions
+        return None
     streaks = _streaks(plan, g)
     limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
     classes, said, stars_s = [], [], 0.0
@@ -94,7 +82,8 @@ def choose_engines(
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
     if r.spectral_from:
         made = replace(made, crowd_e=_crowd_e(plan, counts, streaks))
-    return made, (*_of_tables(plan, classes, decisions), _decision(said))
+    drawn = r.spectral_from or r.products or any(c.phases or c.mixed_phases for c in classes)
+    return StarEngines(made, tuple(said), bool(drawn))
 
 
 def _choose(
@@ -264,20 +253,3 @@ def _said(core: CoreClass, usual: float, bright: float, phases: int, mixed: int)
         way = f"by mixtures of {mixed} phases" if mixed else "each along its own path"
         said.append(f"about {bright:.0f} bright streaks with {name} {way}")
     return said
-
-
-def _of_tables(
-    plan: ResolvedScene, classes: list[CoreClass], decisions: tuple[Decision, ...]
-) -> Sequence[Decision]:
-    """The decisions so far; of classes that need no tables, without those of tables."""
-    name, r = "phase_interpolation", plan.responses
-    if r.spectral_from or r.products or any(c.phases or c.mixed_phases for c in classes):
-        return decisions
-    why = "each star at its exact place: no tables are made"
-    out = [Decision(name, False, why) if d.component == name else d for d in decisions]
-    return out if r.spacing_px else [*out, core_ends(r, plan.facts)]
-
-
-def _decision(said: list[str]) -> Decision:
-    reason = "the cheapest for the stars of the fullest frame; the bounds are the same"
-    return Decision("star_engines", True, f"{'; '.join(said) or 'stamps from tables'}: {reason}")

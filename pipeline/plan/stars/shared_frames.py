@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from pipeline.plan.pointing.geometry import epochs_jyear, plan_geometry
 from pipeline.plan.pointing.occultation import limb_in_reach
 from pipeline.plan.pointing.star_paths import field_points, still_paths
 from pipeline.plan.response.responses import point_curvature, point_slope
+from pipeline.plan.stars.field_stars import OwnMotion
 
 if TYPE_CHECKING:
     from pipeline.plan.resolved import ResolvedScene
@@ -29,28 +30,22 @@ BETWEEN = 1.2  # times what centre and corners of the field move, for stars betw
 MOST_FRAMES = 1 << 12
 
 
-class OwnMotion(NamedTuple):
-    """The most that stars move by themselves [mas a year], and by parallax [mas for each au]."""
-
-    proper_motion_mas_yr: float
-    parallax_mas: float
-
-
 def share_frames(
     plan: ResolvedScene,
     decisions: tuple[Decision, ...],
-    sampled: NDArray[np.int64],
+    g: Geometry,
     own: OwnMotion,
     seconds: float,
 ) -> tuple[int, tuple[Decision, ...]]:
     """As many frames to a drawing of stars as the accuracy leaves room for, and the decision on
     that where it is more than one.
 
-    decisions : the others; sampled : the frames that are looked at; own : of the stars around
+    decisions : all others; g : geometry of the frames that are looked at; own : of the stars around
     them; seconds : that a drawing of stars takes
     """
     if not may_share_frames(plan.scene):
         return 1, ()
+    sampled = g.frame
     left = PART * (plan.scene.accuracy.noise_fraction - total_sigma(decisions))
     together, moved_px = 1, _moved_px(plan, sampled, own, 2)
     if bound_sigma(plan, moved_px) <= left:

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from pipeline.arrays import Geometry
-from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.bodies.bodies import flicker_share
 from pipeline.plan.bodies.sizes import limb_px, radius_m
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.response.responses import point_slope
+from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.targets.bounds import (
     between_facets,
     earthshine_share,
     table_told,
     two_body_m,
 )
+from pipeline.plan.targets.umbra import decide_umbra
 from pipeline.spec.scene import Scene, Target
 from pipeline.spec.targets.body import CompositeBody, SphereBody
 from pipeline.spec.targets.mesh import MeshBody
@@ -29,32 +31,30 @@ FINER_SHADOW = 1.5e-4  # of sunlight: shadows with an ellipsoid, limb darkening,
 LAMPS_ERROR = 5e-4  # of earthshine, in 256 lamps
 
 
-def decide_targets(scene: Scene, facts: Facts, ends: Geometry, blur: Blur) -> list[Decision]:
-    """Every decision about the targets of a scene; none without targets.
+def _populations(basis: PlanBasis) -> list[Decision]:
+    """How many objects of each population are drawn."""
+    if not basis.scene.populations:
+        return []
+    from pipeline.plan.targets.populations import population_decisions
 
-    ends : some of the scene's frames; blur : the response
-    """
-    screened = []
-    if scene.populations:
-        from pipeline.plan.targets.populations import population_decisions
+    return population_decisions(basis.scene)
 
-        screened = population_decisions(scene)
-    if not scene.targets:
-        return screened
+
+def _between_nodes(basis: PlanBasis) -> list[Decision]:
+    """How a target's light changes in an exposure."""
+    ends = basis.frames
+    if not basis.scene.targets:
+        return []
+    off = flicker_share(ends, near_frame(basis.scene, ends))
     return [
-        *screened,
-        *_lighting(scene, ends),
-        *_orbits(scene, ends),
-        *_sizes(scene, facts, ends, blur),
         Decision(
             "targets.light_between_nodes",
             True,
-            f"linear between {ends.nodes} nodes of an exposure: off by at most "
-            f"{flicker_share(ends, near_frame(scene, ends)):.2g} of the light of a target in or "
-            "beside the frame, of the frames looked at",
-            bound=flicker_share(ends, near_frame(scene, ends)),
+            f"linear between {ends.nodes} nodes of an exposure: off by at most {off:.2g} of the "
+            "light of a target in or beside the frame, of the frames looked at",
+            bound=off,
             unit="of a target's light",
-        ),
+        )
     ]
 
 
@@ -73,39 +73,26 @@ def _names(targets: list[Target]) -> str:
     return shown + (f" and {len(targets) - 5} more" if len(targets) > 5 else "")
 
 
-def _lighting(scene: Scene, ends: Geometry) -> list[Decision]:
-    """Eclipse, earthshine, and what parts of a body do to each other."""
-    targets = list(scene.targets)
-    finer = [t for t in targets if t.lighting is not None]
-    lamps = [t for t in finer if t.lighting and t.lighting.earthshine_albedo]
-    meshes = [t for t in targets if isinstance(t.body, MeshBody)]
-    out = [_eclipse(targets, finer), _earthshine(lamps, ends)]
-    if meshes:
-        from pipeline.plan.bodies.mesh_tables import decide_tables
-
-        out += decide_tables(scene)
-        glowing = [t for t in lamps if isinstance(t.body, MeshBody)]
-        if glowing:
-            out.append(_earthshine_on_meshes(glowing))
-        out += [_mesh_shadows(meshes), between_facets(meshes)]
-    composite = [t for t in targets if isinstance(t.body, CompositeBody)]
-    if composite:
-        out.append(
-            Decision(
-                "targets.mutual_shadowing",
-                False,
-                f"parts of {_names(composite)} neither shade nor hide each other: their light is "
-                "an upper bound; as much as all of it may be in excess",
-                bound=1.0,
-                unit="of the light drawn",
-            )
-        )
-    return out
+def _meshes(scene: Scene) -> list[Target]:
+    return [t for t in scene.targets if isinstance(t.body, MeshBody)]
 
 
-def _eclipse(targets: list[Target], finer: list[Target]) -> Decision:
-    """Of the Earth's shadow; finer : targets that ask for more than its usual form."""
+def _lamps(targets: Iterable[Target]) -> list[Target]:
+    """Those that ask for earthshine."""
+    return [t for t in targets if t.lighting and t.lighting.earthshine_albedo]
+
+
+def _shadows(basis: PlanBasis) -> Iterator[Decision]:
+    """The Earth's shadow, and what still lights targets in it."""
+    if basis.scene.targets:
+        yield _eclipse(list(basis.scene.targets))
+        yield from decide_umbra(basis)
+
+
+def _eclipse(targets: list[Target]) -> Decision:
+    """Of the Earth's shadow."""
     dark = [t for t in targets if not t.eclipse]
+    finer = [t for t in targets if t.lighting is not None]
     return Decision(
         "targets.eclipse",
         len(dark) < len(targets),
@@ -122,9 +109,12 @@ def _eclipse(targets: list[Target], finer: list[Target]) -> Decision:
     )
 
 
-def _earthshine(lamps: list[Target], ends: Geometry) -> Decision:
+def _earthshine(basis: PlanBasis) -> Iterator[Decision]:
     """Of the Earth's light on the targets that ask for it."""
-    return Decision(
+    if not basis.scene.targets:
+        return
+    lamps = _lamps(basis.scene.targets)
+    yield Decision(
         "targets.earthshine",
         bool(lamps),
         f"Lambertian Earth without clouds or seasons for {_names(lamps)}, in 256 lamps: to "
@@ -132,9 +122,35 @@ def _earthshine(lamps: list[Target], ends: Geometry) -> Decision:
         if lamps
         else "not asked for: at most albedo (R/r)^2 of direct sunlight on a surface that faces the "
         "Earth, 0.7% at GEO, 26% at 500 km (albedo 0.3), all of it in the shadow of the body",
-        bound=(LAMPS_ERROR if lamps else 1.0) * earthshine_share(lamps, ends),
+        bound=(LAMPS_ERROR if lamps else 1.0) * earthshine_share(lamps, basis.frames),
         unit="of direct sunlight",
     )
+
+
+def _tables(basis: PlanBasis) -> list[Decision]:
+    """Tables of the light of meshes."""
+    if not _meshes(basis.scene):
+        return []
+    from pipeline.plan.bodies.mesh_tables import decide_tables
+
+    return decide_tables(basis.scene)
+
+
+def _between_parts(basis: PlanBasis) -> Iterator[Decision]:
+    """What the facets of meshes and the parts of composites do to each other."""
+    if meshes := _meshes(basis.scene):
+        yield _mesh_shadows(meshes)
+        yield between_facets(meshes)
+    composite = [t for t in basis.scene.targets if isinstance(t.body, CompositeBody)]
+    if composite:
+        yield Decision(
+            "targets.mutual_shadowing",
+            False,
+            f"parts of {_names(composite)} neither shade nor hide each other: their light is "
+            "an upper bound; as much as all of it may be in excess",
+            bound=1.0,
+            unit="of the light drawn",
+        )
 
 
 def _mesh_shadows(meshes: list[Target]) -> Decision:
@@ -151,10 +167,13 @@ def _mesh_shadows(meshes: list[Target]) -> Decision:
     )
 
 
-def _earthshine_on_meshes(glowing: list[Target]) -> Decision:
+def _earthshine_on_meshes(basis: PlanBasis) -> Iterator[Decision]:
     """How the Earth's light falls on meshes, and what is omitted of it."""
+    glowing = _lamps(_meshes(basis.scene))
+    if not glowing:
+        return
     share = max(t.body.error or 0.0 for t in glowing if isinstance(t.body, MeshBody))
-    return Decision(
+    yield Decision(
         "targets.earthshine_on_meshes",
         True,
         f"{_names(glowing)}: the Earth in ever smaller parts until the light of the body changes "
@@ -168,11 +187,12 @@ def _earthshine_on_meshes(glowing: list[Target]) -> Decision:
     )
 
 
-def _sizes(scene: Scene, facts: Facts, ends: Geometry, blur: Blur) -> list[Decision]:
+def _sizes(basis: PlanBasis) -> list[Decision]:
     """Which bodies are points, and which have a size."""
     out = []
+    scene, facts, ends = basis.scene, basis.facts, basis.frames
     others = [t for t in scene.targets if not isinstance(t.body, SphereBody | MeshBody)]
-    meshes = [t for t in scene.targets if isinstance(t.body, MeshBody)]
+    meshes = _meshes(scene)
     if meshes:
         out.append(_resolved_meshes(scene, facts, ends))
     if len(others) + len(meshes) < len(scene.targets):
@@ -194,7 +214,7 @@ def _sizes(scene: Scene, facts: Facts, ends: Geometry, blur: Blur) -> list[Decis
                 True,
                 f"{_names(others)}: points at any size, up to {largest:.3g} px in radius here: "
                 "only spheres and meshes have pictures, as parts of composites have no places",
-                bound=min(1.0, point_slope(blur) * largest),
+                bound=min(1.0, point_slope(basis.resolved.responses.blur) * largest),
                 unit="of the target's light",
             )
         )
@@ -237,9 +257,9 @@ def _resolved_meshes(scene: Scene, facts: Facts, ends: Geometry) -> Decision:
     )
 
 
-def _orbits(scene: Scene, ends: Geometry) -> list[Decision]:
+def _forces(basis: PlanBasis) -> list[Decision]:
     """What the kinds of orbit leave out."""
-    found = []
+    found, scene = [], basis.scene
     plain = [t for t in scene.targets if isinstance(t.orbit, StateOrbit | KeplerianOrbit)]
     if plain:
         found.append(
@@ -249,7 +269,7 @@ def _orbits(scene: Scene, ends: Geometry) -> list[Decision]:
                 f"two-body motion for {_names(plain)}: the Earth's oblateness is omitted, up to "
                 "80 km an hour after the state at 500 km, 60 m at GEO, and all smaller forces (the "
                 "bound is without drag)",
-                bound=two_body_m(plain, scene, ends),
+                bound=two_body_m(plain, scene, basis.frames),
                 unit="m",
             )
         )
@@ -264,4 +284,76 @@ def _orbits(scene: Scene, ends: Geometry) -> list[Decision]:
                 "0.4 to 2.2 km in a day at 500 km, 0.1 to 0.4 km at GEO",
             )
         )
-    return found + [table_told(t) for t in scene.targets if isinstance(t.orbit, TableOrbit)]
+    return found
+
+
+def _ephemerides(basis: PlanBasis) -> list[Decision]:
+    """How well tables tell orbits between their rows."""
+    return [table_told(t) for t in basis.scene.targets if isinstance(t.orbit, TableOrbit)]
+
+
+RULES = (
+    Rule(
+        ("populations.*",),
+        "objects that come near the field in the dwell; none is missed",
+        "tests/plan/targets/test_populations.py",
+        _populations,
+    ),
+    Rule(
+        ("targets.eclipse", "targets.umbra_light"),
+        "where eclipse is on; a disc's overlap, or the options of lighting; light that the air "
+        "sends into the umbra never",
+        "tests/physics/targets/test_eclipse.py::test_against_caps_on_the_sphere",
+        _shadows,
+    ),
+    Rule(
+        ("targets.earthshine",),
+        "where lighting asks for it",
+        "tests/physics/targets/test_earthshine.py::test_against_a_fine_earth",
+        _earthshine,
+    ),
+    Rule(
+        ("targets.light_table",),
+        "where the frames need many moments of a mesh's light, and a table within the error asked "
+        "for takes at most a third of them",
+        "tests/plan/bodies/test_mesh_tables.py::test_the_stated_error_holds",
+        _tables,
+    ),
+    Rule(
+        ("targets.earthshine_on_meshes",),
+        "where lighting asks for it on a mesh",
+        "tests/plan/test_mesh_earthshine.py::test_against_every_lamp_traced",
+        _earthshine_on_meshes,
+    ),
+    Rule(
+        ("targets.light_between_facets", "targets.mesh_shadows", "targets.mutual_shadowing"),
+        "shadows within a mesh always, to the error asked for; between facets and between the "
+        "parts of composites never",
+        "tests/physics/meshes/test_intensity.py::test_the_error_asked_for_is_met",
+        _between_parts,
+    ),
+    Rule(
+        ("targets.forces", "targets.perturbations"),
+        "the forces that the orbit names; sizes of the others are said",
+        "tests/physics/positions/test_orbit_numerical.py::test_forces_one_by_one",
+        _forces,
+    ),
+    Rule(
+        ("targets.ephemeris",),
+        "tables are interpolated; the error is measured by leaving rows out",
+        "tests/physics/positions/test_orbit_table.py::test_stated_error_holds",
+        _ephemerides,
+    ),
+    Rule(
+        ("targets.point_sources", "targets.shapes_as_points", "targets.resolved_meshes"),
+        "a point where its size changes no pixel by more than the budget",
+        "tests/physics/drawing/test_extended.py::test_point_error_bounds_what_is_left_out",
+        _sizes,
+    ),
+    Rule(
+        ("targets.light_between_nodes",),
+        "as many moments as keep the light within accuracy.flux_fraction",
+        "tests/plan/bodies/test_bodies.py::test_flicker_bounds_the_error_at_the_edge_of_the_shadow",
+        _between_nodes,
+    ),
+)

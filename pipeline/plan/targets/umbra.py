@@ -10,8 +10,8 @@ from pipeline.physics.targets.umbra import umbra_fraction
 from pipeline.plan.bodies.bodies import target_lights
 from pipeline.plan.bodies.sights import sights
 from pipeline.plan.decision import Decision
-from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.geometry import moments_at
+from pipeline.plan.rule import PlanBasis
 from pipeline.plan.timing import integration_s
 from pipeline.spec.scene import Scene
 
@@ -20,14 +20,13 @@ Indices = NDArray[np.int64]
 MOST_NAMED = 5
 
 
-def decide_umbra(
-    scene: Scene, facts: Facts, ends: Geometry, sun_rate_e_s_m2: float, dut1_s: float
-) -> list[Decision]:
+def decide_umbra(basis: PlanBasis) -> list[Decision]:
     """The light omitted from targets in the umbra; nothing where none is in it."""
+    scene, ends = basis.scene, basis.frames
     which = np.flatnonzero((ends.target_sunlit <= 0.0).any(axis=(1, 2)))
     if not len(which):
         return []
-    electrons, share = _most_light(scene, facts, ends, which[:MOST_NAMED], sun_rate_e_s_m2, dut1_s)
+    electrons, share = _most_light(basis, which[:MOST_NAMED])
     names = _names(scene, which)
     more = "" if len(which) <= MOST_NAMED else f" (worked out for the first {MOST_NAMED})"
     return [
@@ -56,15 +55,14 @@ def umbra_remarks(scene: Scene, ends: Geometry) -> list[str]:
     ]
 
 
-def _most_light(
-    scene: Scene, facts: Facts, ends: Geometry, which: Indices, sun_rate: float, dut1_s: float
-) -> tuple[float, float]:
+def _most_light(basis: PlanBasis, which: Indices) -> tuple[float, float]:
     """Most electrons in an exposure, and of full sunlight, at mid-exposure of the frames."""
+    scene, ends = basis.scene, basis.frames
     bare = scene.model_copy(
         update={"targets": [t.model_copy(update={"eclipse": False}) for t in scene.targets]}
     )
     some = [int(i) for i in which]
-    at = moments_at(bare, dut1_s, ends.offset_s[:, ends.middle])
+    at = moments_at(bare, basis.resolved.dut1_s, ends.offset_s[:, ends.middle])
     seen, view = sights(bare, some, at)
     light, _, _ = target_lights(
         [bare.targets[i] for i in some],
@@ -78,7 +76,8 @@ def _most_light(
     )
     share = umbra_fraction(view.place_m, view.sun_m)
     exposed_s = np.array([integration_s(scene, int(f)) for f in ends.frame])
-    electrons = light * share * exposed_s * sun_rate * facts.area_m2
+    sun_rate_e_s_m2, area_m2 = basis.resolved.sun_rate_e_s_m2, basis.facts.area_m2
+    electrons = light * share * exposed_s * sun_rate_e_s_m2 * area_m2
     return float(electrons.max()), float(share.max())
 
 

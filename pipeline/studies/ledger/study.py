@@ -12,7 +12,8 @@ from pathlib import Path
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
-from pipeline.plan.ledger import LEDGER, Rule, rule_of
+from pipeline.plan.ledger import LEDGER, rule_of
+from pipeline.plan.rule import Rule
 from pipeline.studies.ledger import (  # noqa: F401  (each module registers its probes)
     air,
     drawing,

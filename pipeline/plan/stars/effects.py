@@ -1,8 +1,9 @@
-"""Decisions about stars: each effect on directions and light; the turn of a site with the Earth."""
+"""Effects on stars in the plan: on directions and light; the turn of a site with the Earth."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from pipeline.physics.constants import (
     ARCSEC_RAD,
@@ -12,8 +13,8 @@ from pipeline.physics.constants import (
 )
 from pipeline.physics.positions.focal_plane import corner_radius
 from pipeline.plan.decision import Decision
-from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.geometry import camera_of
+from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.spec.pointing.observer import FixedObserver, GroundObserver
 from pipeline.spec.scene import Scene
 
@@ -27,38 +28,46 @@ POLE_DRIFT_ARCSEC = 0.08  # in two weeks, or of predictions of a year (IERS Bull
 EARTH_RADIUS_M = 6.378e6
 
 
-def decide_star_effects(scene: Scene, facts: Facts) -> list[Decision]:
-    """What becomes of the directions and the light of stars; of the Earth's turn, under a site."""
-    out = []
-    if scene.stars is not None:
-        for name, (size, bound, unit) in _sizes(scene).items():
-            kept = getattr(scene.stars, name)
-            reason = "applied to each star" if kept else f"switched off in the scene: {size}"
-            out.append(Decision(f"stars.{name}", kept, reason, bound=bound, unit=unit))
-        speed = _speed_m_s(scene)
-        share = doppler_share(speed, facts.mean_wavelength_m)
-        out.append(
-            Decision(
-                "stars.doppler",
-                False,
-                "the observer's motion changes directions but neither brightness nor colour: about "
-                f"{3.0 * speed / SPEED_OF_LIGHT_M_S:.1g} of a star's light at {speed:.3g} m/s, up "
-                f"to {share:.2g} of that of a black body of {COOLEST_K:g} K",
-                bound=share,
-                unit="of a star's light",
-            )
-        )
-    if isinstance(scene.observer, GroundObserver):
-        out += [
-            Decision(
-                "precession_nutation",
-                True,
-                "IAU 2006/2000A turns the site into the stars' frame; the stars of an image whose "
-                "boresight is given in ICRS do not move by it",
-            ),
-            _polar_motion(scene.observer.polar_motion_arcsec),
-        ]
-    return out
+def _directions(basis: PlanBasis) -> Iterator[Decision]:
+    """What becomes of the directions of stars."""
+    scene = basis.scene
+    if scene.stars is None:
+        return
+    for name, (size, bound, unit) in _sizes(scene).items():
+        kept = getattr(scene.stars, name)
+        reason = "applied to each star" if kept else f"switched off in the scene: {size}"
+        yield Decision(f"stars.{name}", kept, reason, bound=bound, unit=unit)
+
+
+def _doppler(basis: PlanBasis) -> Iterator[Decision]:
+    """What the observer's motion does to the light of stars."""
+    if basis.scene.stars is None:
+        return
+    speed = _speed_m_s(basis.scene)
+    share = doppler_share(speed, basis.facts.mean_wavelength_m)
+    yield Decision(
+        "stars.doppler",
+        False,
+        "the observer's motion changes directions but neither brightness nor colour: about "
+        f"{3.0 * speed / SPEED_OF_LIGHT_M_S:.1g} of a star's light at {speed:.3g} m/s, up "
+        f"to {share:.2g} of that of a black body of {COOLEST_K:g} K",
+        bound=share,
+        unit="of a star's light",
+    )
+
+
+def _earths_turn(basis: PlanBasis) -> Iterator[Decision]:
+    """How a site turns with the Earth."""
+    observer = basis.scene.observer
+    if not isinstance(observer, GroundObserver):
+        return
+    yield Decision(
+        "precession_nutation",
+        True,
+        "IAU 2006/2000A turns the site into the stars' frame; the stars of an image whose "
+        "boresight is given in ICRS do not move by it",
+    )
+    yield _polar_motion(observer.polar_motion_arcsec)
 
 
 def _polar_motion(pole_arcsec: tuple[float, float] | None) -> Decision:
@@ -140,3 +149,26 @@ def _sizes(scene: Scene) -> dict[str, tuple[str, float, str]]:
             "arcsec",
         ),
     }
+
+
+RULES = (
+    Rule(
+        ("stars.space_motion", "stars.parallax", "stars.aberration", "stars.deflection"),
+        "switched in the scene; on by default",
+        "tests/physics/positions/test_apparent.py",
+        _directions,
+    ),
+    Rule(
+        ("stars.doppler",),
+        "never: brightness and colour are those of an observer at rest",
+        "tests/physics/positions/test_apparent.py",
+        _doppler,
+    ),
+    Rule(
+        ("precession_nutation", "polar_motion"),
+        "IAU 2006/2000A always; the pole of the epoch where the IERS tables cover it, else the "
+        "origin (10 m)",
+        "tests/inputs/test_earth_orientation.py::test_a_scenes_site_against_astropy",
+        _earths_turn,
+    ),
+)

@@ -1,0 +1,228 @@
+"""Responses in the plan: wavelengths, tables, streaks, wings, and the engines that draw stars."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from pipeline.physics.psf.band import BandOptics
+from pipeline.physics.psf.product import PHASES
+from pipeline.plan.accuracy import by_wavelength
+from pipeline.plan.decision import Decision
+from pipeline.plan.facts import Facts, planned_floor_e
+from pipeline.plan.response.responses import ResponsePlan, cut_share, table_error
+from pipeline.plan.rule import PlanBasis, Rule
+from pipeline.plan.tiles import BLOCK_PX
+from pipeline.spec.scene import Scene
+
+
+def _responses(basis: PlanBasis) -> Iterator[Decision]:
+    """One response or several, and what becomes of the spectra of tables."""
+    scene, r = basis.scene, basis.resolved.responses
+    yield _over_the_field(r)
+    table = max(map(table_error, r.blurs))
+    if table and (scene.stars or scene.targets):
+        reason = (
+            "spectra of tables are cut where little is left; the product says what that is beside "
+            "its brightest source where it is more than its part"
+        )
+        yield Decision("table_band", True, reason, bound=table, unit="of a source's light")
+
+
+def _over_the_field(r: ResponsePlan) -> Decision:
+    """One response for the focal plane, or several, which bilinear mixtures lie between."""
+    if r.field is None:
+        return Decision("one_psf", True, "one point-spread function for the whole focal plane")
+    known = [e for e in r.field.error if e is not None]
+    bound = sum(known) if len(known) == len(r.field.error) else None
+    unit = "of a source's light, from a response that varies smoothly between the places"
+    return Decision("psf_over_the_field", True, r.field.reason(r.table_mb), bound=bound, unit=unit)
+
+
+def _band(basis: PlanBasis) -> Iterator[Decision]:
+    """The wavelengths that stand for the band."""
+    if basis.facts.band is not None:
+        yield _wavelengths(basis.scene, basis.facts, basis.facts.band)
+
+
+def _wavelengths(scene: Scene, facts: Facts, band: BandOptics) -> Decision:
+    """A few wavelengths, or one, for the whole band."""
+    nm = ", ".join(f"{w * 1e9:.0f}" for w in band.wavelengths_m)
+    name = "monochromatic_psf" if len(band.wavelengths_m) == 1 else "few_wavelengths"
+    if not by_wavelength(scene):
+        return Decision(name, True, f"drawn at {nm} nm: as asked")
+    reason = (
+        f"drawn at {nm} nm: a pixel differs by up to {band.error:.2g} of its source's light from "
+        f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone); the same for "
+        f"sources of all colours. The bound is beside a source of {facts.brightest_e:.3g} e-"
+    )
+    sigma = band.error_sigma * planned_floor_e(scene, facts.sigma_floor_e) / facts.sigma_floor_e
+    return Decision(name, True, reason, band.error * facts.brightest_e, sigma)
+
+
+def _stars(basis: PlanBasis) -> Iterator[Decision]:
+    """How stars are drawn."""
+    if basis.scene.stars is None:
+        return
+    yield _phases(basis)
+    yield from _streaks(basis.resolved.responses, basis.facts)
+    if basis.engines is not None:
+        ways = "; ".join(basis.engines.ways) or "stamps from tables"
+        reason = "the cheapest for the stars of the fullest frame; the bounds are the same"
+        yield Decision("star_engines", True, f"{ways}: {reason}")
+
+
+def _phases(basis: PlanBasis) -> Decision:
+    """Tables of responses between whose phases stars lie."""
+    if basis.engines is not None and not basis.engines.tables:
+        why = "each star at its exact place: no tables are made"
+        return Decision("phase_interpolation", False, why)
+    r, budget_e = basis.resolved.responses, basis.resolved.responses.budget_e
+    how = (
+        f"column times row, interpolated cubically between {PHASES} phases a pixel"
+        if r.products
+        else f"interpolated between {r.classes[0].phases} phases a pixel, linearly where that errs "
+        f"by at most {budget_e:.3g} e-, else cubically"
+    )
+    return Decision(
+        "phase_interpolation",
+        True,
+        f"stars are {how}; the bound holds for a pixel at the noise floor and grows with the "
+        "noise of a pixel that holds more light",
+        error_bound_e=budget_e,
+        error_bound_sigma=budget_e / basis.facts.sigma_floor_e,
+    )
+
+
+def _streaks(r: ResponsePlan, facts: Facts) -> list[Decision]:
+    """How the stars' streaks and crowds are drawn."""
+    s, sigma_e = r.streaks, facts.sigma_floor_e
+    if s.at_rest < math.inf:
+        reason = (
+            f"stars move by at most {s.longest_px:.2g} px in an exposure and are drawn as points, "
+            "each at the centroid of its light"
+        )
+    else:
+        reason = (
+            f"{s.zones} x {s.zones} zone(s) and {s.pieces} piece(s) of the exposure, each with one "
+            "shape for all its stars, set where each star's own light is. Ends are off by at most "
+            f"{s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that share of the "
+            "light of a pixel there"
+        )
+    bound = s.error_e(facts.brightest_e or math.inf)
+    if s.mixed_from_e_px < math.inf:
+        reason += (
+            f". Stars of more than {s.mixed_from_e_px:.3g} e- a px of their path, of which that "
+            "would be more than the bound, get a mixture of three shapes, off by at most "
+            f"{s.mixed_px:.2g} px, and the brightest are drawn along their own path, one by one. "
+            "The bound grows with a pixel's noise"
+        )
+    out = [Decision("common_streak", True, reason, bound, bound / sigma_e)]
+    if r.spectral_from:
+        out.append(
+            Decision(
+                "crowds_by_transforms",
+                True,
+                f"where {r.spectral_from} stars or more light a block of {BLOCK_PX} px, those of "
+                "the first class are drawn together by a non-uniform FFT; a pixel errs by at most "
+                "the bound for each star near it, and brighter stars are stamps",
+                r.budget_e,
+                r.budget_e / sigma_e,
+            )
+        )
+    return out
+
+
+def _far_light(basis: PlanBasis) -> Iterator[Decision]:
+    """Light far from its source; where there are wings, or tables, cores are part of these."""
+    scene, r, engines = basis.scene, basis.resolved.responses, basis.engines
+    if not (scene.stars or scene.targets):
+        return
+    if r.spacing_px:
+        yield from _wings(r, basis.facts, bool(scene.targets or scene.populations))
+    elif scene.stars is None or (engines is not None and not engines.tables):
+        yield core_ends(r, basis.facts)
+
+
+def core_ends(r: ResponsePlan, facts: Facts) -> Decision:
+    """Where sources end whose response has no wings; with tables it is part of their bound."""
+    usual, whole = r.classes
+    brightest = facts.brightest_e or usual.target_e
+    largest = whole.wing_error * min(brightest, whole.target_e)  # brighter ones by quadrature
+    bound = max(min(r.lost_light * brightest, r.budget_e), largest)
+    reason = (
+        f"light beyond {usual.radius_px:.3g} px of a source is omitted, {r.lost_light:.2g} of it; "
+        f"beyond {whole.radius_px:.3g} px for sources above {usual.target_e:.3g} e-; the bound is "
+        f"beside a source of {brightest:.3g} e-"
+    )
+    return Decision("core_ends", True, reason, bound, bound / facts.sigma_floor_e)
+
+
+def _wings(r: ResponsePlan, facts: Facts, targets_there: bool) -> list[Decision]:
+    budget, last, sigma_e = r.budget_e, r.classes[-1], facts.sigma_floor_e
+    limits = [c.brightest_e for c in r.classes[:-1]]
+    limits = limits or [budget / last.wing_error]
+    brightest = facts.brightest_e or max(limits)
+    share, first, targets = cut_share(r.blurs, r.reach_px), r.classes[0], ""
+    cut = share * brightest
+    if first.target_e != first.brightest_e and targets_there:
+        targets = (
+            f". For targets, which may stand still among streaked stars, these are "
+            f"{first.target_e:.3g} e-, {budget / last.target_error:.3g} e- and "
+            f"{last.target_error:.2g}"
+        )
+    return [
+        Decision(
+            "wings_on_a_coarse_grid",
+            True,
+            f"light beyond {r.classes[0].radius_px:.0f} px of a source is drawn on a grid of "
+            f"{r.spacing_px} px, swept by one streak for each block of {BLOCK_PX} px, which the "
+            f"limits of cores take into account; sources "
+            f"above {min(limits):.3g} e- get larger cores. The bound holds up to "
+            f"{budget / last.wing_error:.3g} e-; above, sources are integrated over each pixel "
+            "where their profile is known and their path is short; else a pixel errs by up to "
+            f"{last.wing_error:.2g} of its source's light, and the product says so{targets}",
+            budget,
+            budget / sigma_e,
+        ),
+        Decision(
+            "wings_cut_off",
+            True,
+            f"light beyond {r.reach_px:.0f} px of a source is omitted: {r.lost_light:.2g} of its "
+            f"light, and at most {share:.2g} of it in a pixel (the spikes of vanes apart); the "
+            f"bound is beside a source of {brightest:.3g} e-",
+            cut,
+            cut / sigma_e,
+        ),
+    ]
+
+
+RULES = (
+    Rule(
+        ("one_psf", "psf_over_the_field", "table_band"),
+        "one response, or mixtures of those the scene gives for places of the field; a table's "
+        "spectrum is cut where at most 1e-5 of its light is left",
+        "tests/execute/test_psf_field.py::"
+        "test_a_star_at_a_place_is_its_own_and_between_two_their_mean",
+        _responses,
+    ),
+    Rule(
+        ("monochromatic_psf", "few_wavelengths"),
+        "as few wavelengths as keep a pixel within a share of its source's light",
+        "tests/physics/psf/test_band.py::test_against_a_hundred_wavelengths",
+        _band,
+    ),
+    Rule(
+        ("phase_interpolation", "common_streak", "crowds_by_transforms", "star_engines"),
+        "the cheapest drawing whose bound is within its part of accuracy.noise_fraction",
+        "tests/execute/test_engines.py::test_engines_agree_within_the_sum_of_their_bounds",
+        _stars,
+    ),
+    Rule(
+        ("wings_on_a_coarse_grid", "wings_cut_off", "core_ends"),
+        "light far from a source on a coarse grid, up to a reach beyond which less than "
+        "accuracy.flux_fraction is left, 1e-8 where a response has no wings",
+        "tests/physics/drawing/test_wings.py::test_stated_wing_error_holds",
+        _far_light,
+    ),
+)

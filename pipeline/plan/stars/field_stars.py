@@ -1,0 +1,55 @@
+"""The stars around a field: their light in the fullest frame, their motion, what covers it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.arrays import Array
+from pipeline.plan.coverage import FieldCoverage
+from pipeline.plan.decision import Decision
+
+
+@dataclass(frozen=True)
+class StarCounts:
+    """The stars that light a frame: their light [e-] (n,), sorted, and how many each stands for."""
+
+    light_e: Array
+    each: float = 1.0
+
+    @property
+    def total(self) -> int:
+        return round(self.each * len(self.light_e))
+
+    def brighter(self, light_e: float) -> float:
+        """Stars of more light than so many electrons."""
+        fainter = np.searchsorted(self.light_e, light_e, "right")
+        return self.each * float(len(self.light_e) - fainter)
+
+    def between(self, low_e: float, high_e: float) -> float:
+        """Stars of more than `low_e` and at most `high_e` electrons."""
+        return self.brighter(low_e) - self.brighter(high_e) if low_e < high_e else 0.0
+
+
+class OwnMotion(NamedTuple):
+    """The most that stars move by themselves [mas a year], and by parallax [mas for each au]."""
+
+    proper_motion_mas_yr: float
+    parallax_mas: float
+
+
+@dataclass(frozen=True)
+class FieldStars:
+    """What was found of the stars around the field.
+
+    counts : those that light the fullest of some frames; own_motion : the most that any has
+    layers : the decisions about catalogues laid over the main one
+    coverage : of the frames by the main catalogue
+    """
+
+    counts: StarCounts
+    own_motion: OwnMotion
+    layers: tuple[Decision, ...] = ()
+    coverage: FieldCoverage | None = None
