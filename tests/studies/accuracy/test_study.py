@@ -16,7 +16,7 @@ from pipeline.studies.accuracy.engines import EngineCase
 from pipeline.studies.accuracy.probes import make_probes
 from pipeline.studies.accuracy.reference import GaussianStar, Track, exact_pixels, straight
 from pipeline.studies.accuracy.report import report_accuracy
-from pipeline.studies.accuracy.study import Record, with_pareto
+from pipeline.studies.accuracy.study import SHAPES, Record, _record, with_pareto
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 
@@ -104,6 +104,15 @@ def record(cpu_s: float, error: float) -> Record:
 def test_pareto_front() -> None:
     marked = with_pareto([record(1.0, 1.0), record(2.0, 0.5), record(3.0, 0.7), record(2.0, 0.5)])
     assert [r.pareto for r in marked] == [True, True, False, True]
+
+
+def test_time_of_fewer_stars_stands_for_all() -> None:
+    """100 stars, of which 10 took 2 s: 20 s."""
+    case = EngineCase(SHAPES[0], straight(0.0, 0.0), 0.0, (256, 256))
+    probes = make_probes(case, 1)
+    made = _record(case, "peer", "", False, probes, [(1e-3, 1e-4)], 100, 10, 2.0, 0.5, None)
+    assert (made.stars, made.stars_timed) == (100, 10)
+    assert (made.cpu_s, made.cpu_s_per_star, made.table_s) == (20.0, 0.2, 0.5)
 
 
 @pytest.mark.parametrize("kwargs", [{"stars": 0}, {"frame": (64, 1024)}])
