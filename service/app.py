@@ -27,11 +27,12 @@ from service.accounts.tickets import Tickets
 from service.context import Context
 from service.engine.looks import Looks
 from service.engine.runner import Dispatcher
+from service.gauges import Gauges
 from service.http.gate import Gate
 from service.jobs.changes import Changes
 from service.jobs.jobs import Queue
 from service.jobs.submissions import Intake
-from service.metrics import Gauges, Numbers
+from service.metrics import Numbers
 from service.openapi import describe
 from service.routes import (
     catalogues,

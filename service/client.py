@@ -253,14 +253,14 @@ class RemoteJob:
     ) -> Path:
         """Fetch its product into `folder`: files in parallel, what is there already gone on with,
         all verified. Raises Damaged where a byte differs from what was rendered."""
-        from service.fetching import fetch_product
-
         self._complete()
         shown = (
             _bar(f"fetching {self.name}", "MB")
             if progress is True
             else nullcontext(progress or None)
         )
+        from service.fetching import fetch_product
+
         with shown as listen:
             return fetch_product(self, Path(folder), parallel, listen)
 

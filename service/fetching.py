@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import httpx
 
@@ -18,16 +18,31 @@ from pipeline.store import layout
 from pipeline.store.product import check, content_digest, file_digest
 from service.answers import problem_of
 
-if TYPE_CHECKING:
-    from service.client import RemoteJob
-
 PART = ".part"
 TRIES = 8
 PIECE_BYTES = 1 << 18
 Listener = Callable[[JsonObject], None]
 
 
-def fetch_product(job: RemoteJob, folder: Path, parallel: int, listen: Listener | None) -> Path:
+class Asking(Protocol):
+    """What asks a server, with patience."""
+
+    http: httpx.Client
+
+    def ask(self, method: str, path: str, **request: Any) -> httpx.Response: ...
+
+
+class Fetched(Protocol):
+    """A job whose files are fetched."""
+
+    facts: JsonObject
+    path: str
+
+    @property
+    def client(self) -> Asking: ...
+
+
+def fetch_product(job: Fetched, folder: Path, parallel: int, listen: Listener | None) -> Path:
     """Bring a complete product into `folder`; it opens as one only when all of it was proved.
 
     Files already there in full are kept, cut ones gone on with. Raises BadInput for a folder that
@@ -51,7 +66,7 @@ def fetch_product(job: RemoteJob, folder: Path, parallel: int, listen: Listener 
     return folder
 
 
-def fetch_sweep(job: RemoteJob, folder: Path, parallel: int = 8) -> Path:
+def fetch_sweep(job: Fetched, folder: Path, parallel: int = 8) -> Path:
     """Bring what a sweep made (its table, report, page, cubes) into `folder`, each file of its seal
     proved by its digest; the seal comes last. Raises as `fetch_product` does."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -84,7 +99,7 @@ def _take_folder(folder: Path, record: bytes) -> None:
     layout.write_atomically(begun, record)
 
 
-def _listing(job: RemoteJob) -> Iterator[tuple[str, int]]:
+def _listing(job: Fetched) -> Iterator[tuple[str, int]]:
     """(path, bytes) of every file; a path that would leave the folder is refused."""
     address = f"{job.path}/results?limit=10000"
     while address:
@@ -98,9 +113,7 @@ def _listing(job: RemoteJob) -> Iterator[tuple[str, int]]:
         address = answer.links.get("next", {}).get("url", "")
 
 
-def _fetch(
-    job: RemoteJob, folder: Path, path: str, size: int, count: Callable[[int], None]
-) -> None:
+def _fetch(job: Fetched, folder: Path, path: str, size: int, count: Callable[[int], None]) -> None:
     """One file, gone on with after every interruption until it has its length."""
     target = folder / path
     part = target.with_name(target.name + PART)
@@ -126,7 +139,7 @@ def _fetch(
 
 
 def _go_on(
-    job: RemoteJob, path: str, part: Path, have: int, size: int, count: Callable[[int], None]
+    job: Fetched, path: str, part: Path, have: int, size: int, count: Callable[[int], None]
 ) -> int:
     """Append what comes of the rest of a file; returns how many bytes that was."""
     if size == 0:
@@ -153,7 +166,7 @@ def _go_on(
     return came
 
 
-def _prove(job: RemoteJob, folder: Path, seal: bytes) -> None:
+def _prove(job: Fetched, folder: Path, seal: bytes) -> None:
     """Every chunk, marker and table against its checksum, the whole against the job's digest."""
     complete = folder / layout.COMPLETE
     layout.write_atomically(complete, seal)

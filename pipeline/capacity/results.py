@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from catalog_tools.documents import JsonObject
 from catalog_tools.geometry.healpix import pixels_of
 from catalog_tools.geometry.sphere import angles_deg
-from catalog_tools.storage.durable import whole_file, write_atomically
+from catalog_tools.storage.durable import whole_file
 from pipeline.capacity.course import StudyCourse, moments
 from pipeline.capacity.gaps import GapTimes, gap_times
 from pipeline.physics.constants import (
@@ -46,8 +45,8 @@ GAP_BINS_H = np.concatenate([[0.0], np.geomspace(1.0 / 60.0, 10_000.0, 61)])
 
 def summarise(
     course: StudyCourse, out: Path, failed: NDArray[np.int64], seconds: float
-) -> JsonObject:
-    """Write all tables, the report and its page; returns the report."""
+) -> tuple[JsonObject, dict[str, pa.Table], dict[str, NDArray[np.int64]]]:
+    """Write all tables; returns the report, the tables, and how many gaps are of which length."""
     files = sorted((out / "observations").glob("window-*.parquet"))
     counts, busy_s = _counts(course, files)
     objects, gaps_h = _objects(course, files, counts["object"])
@@ -62,12 +61,7 @@ def summarise(
     for name, table in tables.items():
         with whole_file(out / name) as own:
             pq.write_table(table, own, write_page_checksum=True)
-    report = _report(course, tables, failed, seconds)
-    from pipeline.capacity.page import page  # figures: nothing of them is needed by workers
-
-    write_atomically(out / PAGE, page(course, report, tables, gaps_h))
-    write_atomically(out / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
-    return report
+    return _report(course, tables, failed, seconds), tables, gaps_h
 
 
 def _counts(

@@ -20,7 +20,8 @@ from catalog_tools.engine.schedulers import Scheduler, open_scheduler
 from catalog_tools.storage.durable import whole_file, write_atomically
 from pipeline.capacity.candidates import ENDED, OPTIONS, Item, find_candidates, path_of
 from pipeline.capacity.course import MOST_CPU_S, StudyCourse, make_course
-from pipeline.capacity.results import OBJECTS, REPORT, summarise
+from pipeline.capacity.page import page
+from pipeline.capacity.results import OBJECTS, PAGE, REPORT, summarise
 from pipeline.capacity.tasking import (
     Candidates,
     SensorState,
@@ -140,7 +141,9 @@ def _run_point(
         write_atomically(out / STUDY, json.dumps(study.as_dict(), indent=2))
         (out / SEEN).mkdir(exist_ok=True)
         failed = _stream(course, out, options, listen)
-        report = summarise(course, out, failed, time.perf_counter() - started)
+        report, tables, gaps = summarise(course, out, failed, time.perf_counter() - started)
+        write_atomically(out / PAGE, page(course, report, tables, gaps))
+        write_atomically(out / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
         ledger.seal(out, (OBJECTS, STUDY, REPORT))
         shutil.rmtree(out / "parts")
         return report

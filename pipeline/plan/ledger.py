@@ -8,12 +8,13 @@ from fnmatch import fnmatchcase
 from catalog_tools.documents import JsonObject
 from pipeline.plan import sections
 from pipeline.plan.decision import Decision
-from pipeline.plan.optics import distortion, pupil
-from pipeline.plan.pointing import attitude_motion, occultation
+from pipeline.plan.optics import decisions as optics
 from pipeline.plan.pointing import decisions as pointing
+from pipeline.plan.pointing import occultation
 from pipeline.plan.response import decisions as response
 from pipeline.plan.rule import PlanBasis, Rule
-from pipeline.plan.sensor import detector, noise
+from pipeline.plan.sensor import decisions as detector
+from pipeline.plan.sensor import noise
 from pipeline.plan.sky import air
 from pipeline.plan.sky import decisions as sky
 from pipeline.plan.stars import effects
@@ -36,16 +37,14 @@ LEDGER: tuple[Rule, ...] = (
     *sections.RULES,
     *noise.RULES,
     *effects.RULES,
-    *distortion.RULES,
     *response.RULES,
     *occultation.RULES,
     *targets.RULES,
-    *pupil.RULES,
+    *optics.RULES,
     *air.RULES,
     *sky.RULES,
     *detector.RULES,
     *pointing.RULES,
-    *attitude_motion.RULES,
     SHARED_FRAMES,
 )
 

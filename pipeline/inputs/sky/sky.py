@@ -12,7 +12,8 @@ from pipeline.inputs.band.colour_fit_files import colour_fit_of
 from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.radiometry import ResponseCurve, surface_brightness_electron_rate
-from pipeline.plan.sky.light import SkyInputs, StarlightLike, background_of
+from pipeline.plan.sky.inputs import SkyInputs, StarlightLike
+from pipeline.plan.sky.light import background_of
 from pipeline.spec.scene import Scene
 from pipeline.spec.sky.background import Background
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array
 from pipeline.plan.accuracy import part_sigma
-from pipeline.plan.decision import Decision
-from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.timing import frame_times, integration_range_s
 from pipeline.spec.pointing.attitude import (
     AttitudeModel,
@@ -175,43 +173,3 @@ def _straight_between(values: Array, nodes: int) -> Array:
     upper = np.minimum(k + 1, values.shape[1] - 1)
     share = (t / stride)[:, None]
     return (1.0 - share) * values[:, k] + share * values[:, upper]
-
-
-def _random_motion(basis: PlanBasis) -> tuple[Decision, ...]:
-    """What the plan says of random motion; nothing for a scene that has none."""
-    scene = basis.scene
-    plan, model = motion_plan(scene), scene.pointing.attitude
-    if plan is None or model is None:
-        return ()
-    parts = f"{len(model.jitter)} spectra, {len(model.modes)} modes"
-    more = ""
-    if plan.uneven_px > 1e-4:
-        more += f"; one axis has {plan.uneven_px:.2g} px rms more than the round blur"
-    if plan.roll_px > 1e-4:
-        more += f"; fast roll of {plan.roll_px:.2g} px rms in the corners is omitted"
-    return (
-        Decision(
-            "pointing_motion",
-            True,
-            f"{parts}: below {plan.split_hz:.3g} Hz (in the longest exposure) a path of "
-            f"{plan.nodes} nodes, {plan.path_px:.3g} px rms; the rest, and what straight lines "
-            f"between nodes lose, is a blur of {plan.blur_px:.3g} px rms per axis. Omitted: how "
-            f"that blur moves an exposure's mean ({plan.left_px:.2g} px rms) and changes its own "
-            f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
-            "is four times these, in a pixel whose light equals the noise floor, for images of "
-            f"{SHARPEST_PX:g} px rms or more",
-            plan.error_sigma * basis.facts.sigma_floor_e,
-            plan.error_sigma,
-        ),
-    )
-
-
-RULES = (
-    Rule(
-        ("pointing_motion",),
-        "jitter slower than the nodes of an exposure moves the path, faster one is blur; the bound "
-        "is of what lies between",
-        "tests/physics/motion/test_jitter.py",
-        _random_motion,
-    ),
-)

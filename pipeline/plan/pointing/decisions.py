@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.plan.decision import Decision
 from pipeline.plan.pointing.air import needs_air, terms_of
+from pipeline.plan.pointing.attitude_motion import SHARPEST_PX, motion_plan
 from pipeline.plan.pointing.geometry import ROUGH_PX
 from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.timing import dwell_plans, frame_count, integration_range_s
@@ -97,6 +98,35 @@ def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
     )
 
 
+def _random_motion(basis: PlanBasis) -> tuple[Decision, ...]:
+    """What the plan says of random motion; nothing for a scene that has none."""
+    scene = basis.scene
+    plan, model = motion_plan(scene), scene.pointing.attitude
+    if plan is None or model is None:
+        return ()
+    parts = f"{len(model.jitter)} spectra, {len(model.modes)} modes"
+    more = ""
+    if plan.uneven_px > 1e-4:
+        more += f"; one axis has {plan.uneven_px:.2g} px rms more than the round blur"
+    if plan.roll_px > 1e-4:
+        more += f"; fast roll of {plan.roll_px:.2g} px rms in the corners is omitted"
+    return (
+        Decision(
+            "pointing_motion",
+            True,
+            f"{parts}: below {plan.split_hz:.3g} Hz (in the longest exposure) a path of "
+            f"{plan.nodes} nodes, {plan.path_px:.3g} px rms; the rest, and what straight lines "
+            f"between nodes lose, is a blur of {plan.blur_px:.3g} px rms per axis. Omitted: how "
+            f"that blur moves an exposure's mean ({plan.left_px:.2g} px rms) and changes its own "
+            f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
+            "is four times these, in a pixel whose light equals the noise floor, for images of "
+            f"{SHARPEST_PX:g} px rms or more",
+            plan.error_sigma * basis.facts.sigma_floor_e,
+            plan.error_sigma,
+        ),
+    )
+
+
 RULES = (
     Rule(("dwells",), "where the scene has them", "tests/plan/test_dwells.py", _dwells),
     Rule(
@@ -110,5 +140,12 @@ RULES = (
         "a pointing names the true place; the air lifts the camera",
         "tests/acceptance/test_site_with_air.py",
         _refraction,
+    ),
+    Rule(
+        ("pointing_motion",),
+        "jitter slower than the nodes of an exposure moves the path, faster one is blur; the bound "
+        "is of what lies between",
+        "tests/physics/motion/test_jitter.py",
+        _random_motion,
     ),
 )

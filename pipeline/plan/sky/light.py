@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
 from pipeline.errors import BadInput
-from pipeline.physics.colour import ColourFit
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, DEG_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrate
 from pipeline.physics.positions.focal_plane import Camera, deproject, solid_angle_sr
@@ -22,67 +21,18 @@ from pipeline.physics.sky.smooth import smooth
 from pipeline.physics.sky.starlight import band_light
 from pipeline.plan.facts import Facts
 from pipeline.plan.optics.pupil import pupil_fraction
+from pipeline.plan.sky.inputs import SkyInputs, StarlightLike
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sky.background import Background, Galactic, Zodiacal
 
 if TYPE_CHECKING:
-    from pipeline.physics.sky.extinction import BandExtinction
-    from pipeline.physics.sky.night import NightBand
-    from pipeline.plan.sky.stray_light import StrayInputs
     from pipeline.spec.sky.stray_light import StrayLight
 
 Array = NDArray[np.float64]
 
 ALL_G_MAG = -99.0  # brighter than any star
 MOVED = 1e-5  # radians by which a boresight turns in an exposure before its ends are looked at too
-
-
-class LightLike(Protocol):
-    """Summed light of stars per sr, as `catalog_tools.query.starlight.Light`."""
-
-    @property
-    def g(self) -> Array: ...
-    @property
-    def g_colour(self) -> Array: ...
-    @property
-    def g_colour_squared(self) -> Array: ...
-    @property
-    def g_without_colour(self) -> Array: ...
-    @property
-    def g_squared(self) -> Array: ...
-    @property
-    def g_error(self) -> Array: ...
-
-
-class StarlightLike(Protocol):
-    """A source of the summed light of stars beyond a magnitude."""
-
-    @property
-    def source(self) -> str: ...
-    def fainter(self, limit_g_mag: float, directions: Array) -> LightLike: ...
-
-
-@dataclass(frozen=True, eq=False)
-class SkyInputs:
-    """What was read for the sky; None for a part that the scene does not ask for.
-
-    uniform_m2_sr : electrons/s per m2 of pupil and sr of a uniform sky; uniform_e_s : electrons/s
-        of each pixel, where the scene gives that
-    zodiacal_rates : of `physics.sky.zodiacal.band_rates`
-    undrawn : stars that are left to the sky; every : all stars of the sky, for the Galaxy's dust
-    """
-
-    uniform_m2_sr: float | None = None
-    uniform_e_s: float | None = None
-    zodiacal: z.ZodiacalTable | None = None
-    zodiacal_rates: tuple[float, float] = (0.0, 0.0)
-    undrawn: StarlightLike | None = None
-    every: StarlightLike | None = None
-    fit: ColourFit | None = None
-    stray: StrayInputs | None = None
-    extinction: BandExtinction | None = None
-    night: NightBand | None = None
 
 
 @dataclass(frozen=True)

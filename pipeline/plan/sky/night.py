@@ -23,7 +23,7 @@ from pipeline.spec.sky.background import Background
 
 if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
-    from pipeline.plan.sky.light import SkyInputs
+    from pipeline.plan.sky.inputs import SkyInputs
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,8 @@ from pipeline.physics.sky.grid import FrameGrid, at_nodes, refine, tile_light
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts, error_budget_e
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, SkyInputs, background_of
+from pipeline.plan.sky.inputs import SkyInputs
+from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, background_of
 from pipeline.plan.stars.faint import (
     FaintLimit,
     faint_limit,
