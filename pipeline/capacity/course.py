@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S
-from pipeline.physics.detection import threshold_sigma
+from pipeline.physics.detection import snr_of, threshold_sigma
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.vectors import from_angles
 from pipeline.spec.pointing.observer import GroundObserver
@@ -45,7 +45,8 @@ class StudyCourse:
     """What every task of a study needs.
 
     watchers : one for each sensor; units : (u,) the sensor of each single one of them
-    least_snr : of a frame, below which none is tasked; key : of all that the result follows from
+    least_snr : of a frame, below which no dwell has the least probability; key : of all that the
+    result follows from
     """
 
     study: Study
@@ -81,8 +82,11 @@ class StudyCourse:
 
     @cached_property
     def least_snr(self) -> float:
-        least = self.study.detection.least_probability
-        return self.threshold + (-threshold_sigma(least) if 0.0 < least < 1.0 else -8.0)
+        d = self.study.detection
+        frames = max(camera.exposure.frames for camera in self.study.cameras)
+        if d.least_probability == 0.0:
+            return self.threshold - 8.0
+        return snr_of(d.least_probability, self.threshold, frames, d.frames_needed)
 
     def offsets_s(self, window: int) -> NDArray[np.float64]:
         """The moments of a window [s], and the one after it."""
@@ -149,7 +153,8 @@ def _watcher(data: JsonObject, study: Study, i: int, epoch: tuple[float, float])
         raise BadInput(f"cameras.{study.cameras.index(camera)}.tracking", "target", allowed_)
     regard, field = sensor.field_of_regard, f"sensors.{i}."
     try:
-        return make_watcher(sections | {"name": sensor.name}, regard, epoch, tracks, field)
+        named = sections | {"name": sensor.name}
+        return make_watcher(named, regard, epoch, tracks, field, study.seed)
     except BadInput as error:  # of a scene: its sections stand elsewhere in a study
         camera_at = f"cameras.{study.cameras.index(camera)}."
         known = error.field.split(".")[0]

@@ -35,8 +35,10 @@ def gap_times(
 
     Gaps run from the start of the period to the first detection, between detections, and from the
     last one to the end: an object that is never detected has one, of the whole period. It is in
-    custody for custody_s after each detection. Percentiles are those of numpy (linear).
+    custody for custody_s after each detection. Percentiles are those of numpy (linear). What a
+    dwell detects that ends after the period counts at its end.
     """
+    time_s = np.minimum(time_s, period_s)
     order = np.lexsort((time_s, object_))
     who = np.concatenate([np.arange(count), object_[order], np.arange(count)])
     when = np.concatenate([np.zeros(count), time_s[order], np.full(count, period_s)])

@@ -72,7 +72,7 @@ def _axes(watcher: Watcher, watch: WatchMoments, pattern: SearchPattern, at_deg:
     at = at_deg * DEG_RAD
     pole = np.einsum("nji,j->ni", watch.to_gcrs, np.array([0.0, 0.0, 1.0]))
     if pattern.pattern == "fence":
-        east = unit(np.cross(pole, watch.up))
+        east = unit(np.cross([0.0, 0.0, 1.0], watch.up))  # TEME's own axis: the pole of date
         north = np.cross(watch.up, east)
         azimuth = pattern.azimuth_deg * DEG_RAD
         level = np.cos(azimuth) * north + np.sin(azimuth) * east

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import fftconvolve
-from scipy.special import bdtrc, ndtr, ndtri
+from scipy.special import bdtrc, bdtri, ndtr, ndtri
 
 Array = NDArray[np.float64]
 
@@ -71,3 +71,9 @@ def detection_probability(
     one, tries = ndtr(np.asarray(snr, float) - threshold), np.asarray(frames)
     enough = tries >= needed
     return np.where(enough, bdtrc(needed - 1, np.where(enough, tries, needed), one), 0.0)
+
+
+def snr_of(probability: float, threshold: float, frames: int = 1, needed: int = 1) -> float:
+    """The SNR of a frame at which `detection_probability` is a probability in (0, 1)."""
+    one = bdtri(needed - 1, frames, 1.0 - probability)
+    return threshold + float(ndtri(one))

@@ -181,7 +181,7 @@ def _reflecting_m2(body: Body, field: str) -> float:
     if isinstance(body, SphereBody):
         return albedo_of(body, f"{field}.body") * body.diameter_m**2
     steady = isinstance(body, LightCurveBody) and body.phase_law == "lambert"
-    if not (steady and isinstance(body, LightCurveBody) and len(body.times_s) == 1):
+    if not (steady and isinstance(body, LightCurveBody) and _of_one_value(body)):
         allowed = "sphere, or light_curve of one value with phase_law: lambert"
         raise BadInput(f"{field}.body.kind", body.kind, allowed)
     if body.magnitudes is not None:
@@ -191,6 +191,10 @@ def _reflecting_m2(body: Body, field: str) -> float:
         value = body.intensities_m2_sr[0]
     at_phase = float(sphere_area_function(math.radians(body.phase_deg), 1.0))
     return float(math.pi * value / at_phase)
+
+
+def _of_one_value(body: LightCurveBody) -> bool:
+    return len(set(body.magnitudes or body.intensities_m2_sr or ())) == 1
 
 
 def synthetic_elements(wish: Synthetic, start: tuple[float, float]) -> Elements:

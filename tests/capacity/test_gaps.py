@@ -28,3 +28,9 @@ def test_against_a_count_by_hand(rows: list[tuple[int, float]]) -> None:
         ages = clock[:, None] - np.array(times)[None, :]
         held = ((ages >= 0) & (ages < 500.0)).any(axis=1).mean() if times else 0.0
         assert abs(found.custody[i] - held) < 0.001 * (1 + len(times))
+
+
+def test_a_detection_after_the_end_makes_no_gap_below_zero() -> None:
+    found = gap_times(np.array([0, 0]), np.array([500.0, 1012.0]), 1, 1000.0, 100.0)
+    np.testing.assert_array_equal(found.all_s, [500.0, 500.0, 0.0])
+    np.testing.assert_allclose(found.custody, [0.1])

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
-from pipeline.physics.detection import filtered, peak_near, robust_noise
+from pipeline.physics.detection import (
+    detection_probability,
+    filtered,
+    peak_near,
+    robust_noise,
+    snr_of,
+)
 
 y, x = np.mgrid[-6:7, -6:7]
 RESPONSE = np.exp(-(x**2 + y**2) / (2 * 1.3**2))
@@ -74,3 +82,16 @@ def test_the_cut_tails_are_put_back() -> None:
     middle, sigma = robust_noise(image)
     assert middle == pytest.approx(20.0, abs=0.02)
     assert sigma == pytest.approx(4.0, rel=2.5e-3)
+
+
+@pytest.mark.parametrize(("frames", "needed"), [(1, 1), (5, 1), (5, 3), (5, 5)])
+def test_the_snr_of_a_probability(frames: int, needed: int) -> None:
+    """By the sum of the binomial's tail, and back."""
+    for wanted in (0.01, 0.05, 0.5, 0.99):
+        snr = snr_of(wanted, 4.75, frames, needed)
+        one = 0.5 * math.erfc((4.75 - snr) / math.sqrt(2.0))
+        tail = sum(math.comb(frames, k) * one**k * (1.0 - one) ** (frames - k)
+                   for k in range(needed, frames + 1))  # fmt: skip
+        assert tail == pytest.approx(wanted, rel=1e-9)
+        told = detection_probability(np.array([snr]), 4.75, frames, needed)[0]
+        assert told == pytest.approx(wanted, rel=1e-9)

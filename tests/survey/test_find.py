@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from pipeline.survey.elements import Elements
 from pipeline.survey.find import FindOptions, find
 from pipeline.survey.search import make_search
 from pipeline.survey.sights import allowed, sights_of
+from tests.command import nightglass
 from tests.survey.conftest import EPOCH, watcher
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,9 +26,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize("tracks", [True, False])
 def test_against_brute_force(objects: Elements, tracks: bool) -> None:
-    """Every object at every moment, without a screen: nothing missed, nothing more."""
-    w = watcher(tracks, lowest_elevation_deg=15.0)
-    at = 10.0 * np.arange(0, 720)
+    """Every object at every moment, without a screen: nothing missed, nothing more; night falls
+    within a step of the screen."""
+    w = watcher(tracks, lowest_elevation_deg=15.0, twilight_deg=-14.0)
+    at = 10.0 * np.arange(-123, 600)
+    dark = w.watch(at).works
+    assert not dark[0]
+    assert np.argmax(dark) % 6 not in (0, 1)
     found, failed = make_search(w, at, 5.0).of(objects)
     assert failed == 0
     watch, satellites = w.watch(at), objects.satellites()
@@ -101,3 +109,91 @@ def test_no_night_and_no_population_are_refused() -> None:
         find(north, FindOptions(night=True))
     with pytest.raises(BadInput, match="populations: 'none'"):
         find(load_scene(ROOT / "examples" / "site-at-night.yaml"), FindOptions())
+
+
+def shown(*options: str) -> dict[str, Any]:
+    """What the command finds of the example as JSON."""
+    result = nightglass("find", ROOT / "examples" / "population.yaml", "--json", *options)
+    assert result.returncode == 0, result.stderr
+    return dict(json.loads(result.stdout))
+
+
+def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor do the parts of a batch that are looked at in one go."""
+    scene = load_scene(ROOT / "examples" / "population.yaml")
+    wish = FindOptions(at="2019-04-20T09:00:00Z", hours=1.0, step_s=60.0)
+    whole = find(scene, wish)
+    assert len(whole.objects) > 20
+    monkeypatch.setattr("pipeline.survey.find.BATCH", 23)
+    monkeypatch.setattr("pipeline.survey.search.MOST_STATES", 5 * 61)
+    assert find(scene, wish, 2).objects == whole.objects
+
+
+def test_options_of_the_command() -> None:
+    """Each limit leaves a part of what is found without it, and steps are as long as asked."""
+    asked = ("--at", "2019-04-20T05:20:00Z", "--hours", "1.5")
+    every = shown(*asked, "--step", "60", "--twilight=-6")
+    assert (every["start"], every["end"]) == ("2019-04-20T05:20:00Z", "2019-04-20T06:50:00Z")
+    objects = {o["name"]: o for o in every["objects"]}
+    bright = shown(*asked, "--step", "60", "--twilight=-6", "--snr", "12")["objects"]
+    kept = [n for n, o in objects.items() if o["snr"] >= 12.0]
+    assert 0 < len(bright) < len(objects)
+    assert [o["name"] for o in bright] == kept
+    high = shown(*asked, "--step", "60", "--twilight=-6", "--elevation", "50")["objects"]
+    assert 0 < len(high) < len(objects)
+    assert all(o["elevation_deg"] >= 50.0 for o in high)
+    assert min(o["first"] for o in every["objects"]) < "2019-04-20T05:30:00Z"  # by -6 degrees
+    dark = shown(*asked, "--step", "60")["objects"]
+    assert min(o["first"] for o in dark) == "2019-04-20T05:35:00Z"
+    for o in every["objects"]:
+        assert o["first"] <= o["best"] <= o["last"]
+        span = np.datetime64(o["last"][:-1]) - np.datetime64(o["first"][:-1])
+        assert 1 <= o["moments"] <= span.astype(int) // 60 + 1
+    assert any(o["first"] < o["best"] < o["last"] for o in every["objects"])
+    one = shown("--at", "2019-04-20T06:00:00Z")
+    assert one["start"] == one["end"] == "2019-04-20T06:00:00Z"
+    assert all(o["moments"] == 1 for o in one["objects"])
+
+
+def test_the_best_moment_is_that_of_the_highest_snr() -> None:
+    """Against each moment looked at alone."""
+    singles: dict[str, dict[str, float]] = {}
+    for minute in (0, 4, 8, 12):
+        at = f"2019-04-20T07:{minute:02d}:00Z"
+        for o in shown("--at", at)["objects"]:
+            singles.setdefault(o["name"], {})[at] = o["snr"]
+    found = shown("--at", "2019-04-20T07:00:00Z", "--hours", "0.2", "--step", "240")["objects"]
+    assert {o["name"] for o in found} == set(singles)
+    assert max(len(of) for of in singles.values()) > 2
+    for o in found:
+        of = singles[o["name"]]
+        assert (o["first"], o["last"], o["moments"]) == (min(of), max(of), len(of))
+        assert o["best"] == max(of, key=lambda at: of[at])
+        assert o["snr"] == pytest.approx(max(of.values()))
+
+
+def test_the_night_that_it_is() -> None:
+    """At ten in the evening the night has begun already; at noon the next one is meant."""
+    path = ROOT / "examples" / "population.yaml"
+    scene, wish = load_scene(path), FindOptions(night=True, step_s=600.0, least_snr=1e6)
+    now, noon = (find(scene, replace(wish, at=at)) for at in (
+        "2019-04-20T08:00:00Z", "2019-04-20T22:00:00Z"))  # fmt: skip
+    assert now.start < "2019-04-20T08:00:00Z" < now.end < "2019-04-20T15:30:00Z"
+    assert "2019-04-21T05:00:00Z" < noon.start < "2019-04-21T06:00:00Z"
+
+
+def test_what_sgp4_cannot_follow_is_told(tmp_path: Path) -> None:
+    from tests.observe.test_against_others import tle
+
+    lines = [tle(1, 51.6, 10.0, 0.001, 20.0, 30.0, 15.0), tle(2, 51.6, 10.0, 0.6, 20.0, 30.0, 15.0)]
+    (tmp_path / "two.tle").write_text("\n".join(line for both in lines for line in both))
+    told = shown("--night", "--step", "600", "--set", f"populations.0.path={tmp_path}/two.tle")
+    assert "1 of 2 element sets omitted: SGP4 cannot follow them" in told["notes"]
+
+
+def test_objects_that_the_shadow_does_not_dim() -> None:
+    """`eclipse: false`: they are found in the Earth's shadow, too."""
+    dark = ("--night", "--step", "600", "--elevation", "60")
+    lit, both = (shown(*dark, "--set", f"populations.0.eclipse={e}") for e in ("true", "false"))
+    assert len(both["objects"]) > len(lit["objects"]) + 10
+    assert all(o["sunlit_fraction"] == 1.0 for o in both["objects"])

@@ -13,11 +13,12 @@ from pipeline.physics.positions.orbit_bounds import (
 )
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
-from pipeline.spec.study import Synthetic
+from pipeline.spec.study import FieldOfRegard, Synthetic
 from pipeline.survey.elements import Elements, synthetic_elements
 from pipeline.survey.prune import never_seen
 from pipeline.survey.sights import allowed, sights_of
-from tests.survey.conftest import EPOCH, watcher
+from pipeline.survey.watch import make_watcher
+from tests.survey.conftest import EPOCH, sections, watcher
 
 AT = np.arange(0.0, 86_400.0, 240.0)
 
@@ -97,4 +98,25 @@ def test_pruned_objects_are_never_seen() -> None:
     )  # fmt: skip
     seen = np.unique(s.object[allowed(w, watch, s) & (s.snr >= 20.0)])
     assert len(seen)
+    assert not pruned[seen].any()
+
+
+def test_a_satellite_on_a_long_orbit_comes_near() -> None:
+    """From a height of 1,000 to 20,000 km: what it sees at its nearest is not pruned."""
+    orbit = {"kind": "keplerian", "semi_major_axis_m": 16.9e6, "eccentricity": 0.56,
+             "inclination_deg": 70.0, "true_anomaly_deg": 100.0}  # fmt: skip
+    asked = sections(observer={"kind": "orbit", "orbit": orbit})
+    w = make_watcher(asked, FieldOfRegard(), EPOCH, True)
+    objects = synthetic_elements(Synthetic(objects=400, seed=8, smallest_m=0.03), EPOCH)
+    watch, satellites = w.watch(AT), objects.satellites()
+    pruned = never_seen(w, watch, objects, 20.0)
+    assert 20 < pruned.sum() < 380
+    place, speed, codes = states_together(satellites, since_epochs_s(satellites, EPOCH), AT)
+    who, when = np.nonzero(codes == WHOLE)
+    s = sights_of(
+        w, watch, when, who, place[who, when], speed[who, when], objects.reflecting_m2[who],
+        objects.shaded[who],
+    )  # fmt: skip
+    seen = np.unique(s.object[allowed(w, watch, s) & (s.snr >= 20.0)])
+    assert len(seen) > 20
     assert not pruned[seen].any()

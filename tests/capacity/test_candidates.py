@@ -1,0 +1,112 @@
+"""Candidates and observations: their columns by closed forms, and no edge of a window in them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import astropy.coordinates as coord
+import astropy.units as u
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from astropy.time import Time
+from scipy.stats import binom, norm
+
+from pipeline.capacity.candidates import ENDED, find_candidates, path_of
+from pipeline.capacity.course import make_course
+from pipeline.capacity.run import StudyOptions, run_study
+from pipeline.physics.vectors import from_angles, separation
+
+ALONE = StudyOptions("synchronous")
+Data = dict[str, Any]
+
+
+def test_columns(data: Data, tmp_path: Path) -> None:
+    """Elevation, phase, magnitude and chance of each candidate follow from its other columns."""
+    air = {"extinction": {"mag_per_airmass": 0.12}, "refraction": True}
+    data["sensors"] = data["sensors"][:1]
+    data["sensors"][0]["observer"] = data["sensors"][0]["observer"] | {"atmosphere": air}
+    data["detection"] = {"false_alarm_rate": 1e-4, "frames_needed": 2, "least_probability": 0.1}
+    data["catalogue"]["synthetic"] |= {"objects": 200, "smallest_m": 0.05}
+    course = make_course(data | {"duration_h": 6.0}, tmp_path)
+    (tmp_path / "parts").mkdir()
+    count = find_candidates(course, (0, 0))
+    table = pq.read_table(path_of(tmp_path, (0, 0)))
+    assert count == table.num_rows > 500
+    row = {name: table[name].to_numpy() for name in table.column_names}
+    assert (row["time_s"] == 60.0 * row["step"]).all()
+    chance = norm.sf(norm.isf(1e-4) - row["snr"].astype(float))
+    np.testing.assert_allclose(row["probability"], binom.sf(1, 3, chance), rtol=1e-4)
+    assert 0.1 <= row["probability"].min() < 0.2
+    watch = course.watchers[0].watch(row["time_s"])
+    towards = np.stack([row[n] for n in "xyz"], axis=1).astype(float)
+    up = np.einsum("nij,nj->ni", watch.to_gcrs, watch.up)
+    height = 90.0 - np.degrees(separation(towards, up))
+    np.testing.assert_allclose(row["elevation_deg"], height, atol=2e-4)
+    here = np.einsum("nij,nj->ni", watch.to_gcrs, watch.observer_m)
+    there = here + 1e3 * row["range_km"].astype(float)[:, None] * towards
+    sun = coord.get_sun(Time("2019-04-20T06:00:00") + row["time_s"] * u.s)
+    place = from_angles(sun.ra.rad, sun.dec.rad) * sun.distance.to_value(u.m)[:, None]
+    phase = separation(place - there, here - there)
+    np.testing.assert_allclose(row["phase_deg"], np.degrees(phase), atol=0.05)
+    bracket = np.sin(phase) + (np.pi - phase) * np.cos(phase)
+    e = course.elements.reflecting_m2[row["object"]]
+    light = e / np.pi / 6.0 * bracket / (1e3 * row["range_km"].astype(float)) ** 2
+    mag = -26.76 - 2.5 * np.log10(light / sun.distance.to_value(u.au) ** 2)
+    off = row["v_mag"] - mag
+    assert off.min() > -0.005  # the penumbra dims a few
+    assert np.quantile(off, 0.9) < 0.005
+
+
+def run_rows(data: Data, out: Path) -> list[dict[str, Any]]:
+    run_study(data, out.parent, out, ALONE)
+    files = sorted((out / "observations").glob("*.parquet"))
+    return list(pa.concat_tables([pq.read_table(f) for f in files]).to_pylist())
+
+
+@pytest.mark.parametrize("pattern", [None, "strip"])
+def test_windows_and_batches_change_nothing(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pattern: str | None
+) -> None:
+    """Every observation is there once, whatever windows and batches the work is cut into."""
+    data |= {"duration_h": 4.0, "detection": {"least_probability": 0.01}}
+    data["tasking"]["revisit_h"] = 0.3
+    data["catalogue"]["synthetic"] |= {"objects": 120}
+    if pattern is not None:
+        data["cameras"][0] |= {"tracking": "sidereal"}
+        data["cameras"][0]["sensor"] = data["cameras"][0]["sensor"] | {"focal_length_m": 0.05}
+        data["tasking"] = {"kind": "serendipitous", "pattern": pattern, "from_deg": -40,
+                           "to_deg": 40}  # fmt: skip
+    whole = run_rows(data, tmp_path / "whole")
+    assert len(whole) > 30
+    monkeypatch.setattr("pipeline.capacity.course.STEPS", 37)
+    for place in ("course", "candidates"):
+        monkeypatch.setattr(f"pipeline.capacity.{place}.BATCH", 19)
+    cut = run_rows(data, tmp_path / "cut")
+    assert len(cut) == len(whole)
+
+    def key(r: dict[str, Any]) -> tuple[Any, ...]:
+        return r["step"], r["object"], r["unit"], r["time_s"]
+
+    for a, b in zip(sorted(whole, key=key), sorted(cut, key=key), strict=True):
+        assert key(a)[:3] == key(b)[:3]
+        assert (a["detected"], a["frames"]) == (b["detected"], b["frames"])
+        for name in ("time_s", "busy_s", "x", "y", "z", "snr", "range_km"):
+            assert a[name] == pytest.approx(b[name], rel=1e-6, abs=1e-6)
+
+
+def test_what_sgp4_ends_is_told_in_later_batches(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for place in ("course", "candidates"):
+        monkeypatch.setattr(f"pipeline.capacity.{place}.BATCH", 25)
+    course = make_course(data | {"duration_h": 1.0}, tmp_path)
+    course.elements.mean[41, 1] = 0.9  # a perigee inside the Earth
+    (tmp_path / "parts").mkdir()
+    find_candidates(course, (0, 1))
+    table = pq.read_table(path_of(tmp_path, (0, 1)))
+    assert json.loads(table.schema.metadata[ENDED]) == [41]
+    assert set(table["object"].to_pylist()) <= set(range(25, 50)) - {41}

@@ -1,0 +1,132 @@
+"""Where searches look and when: against astropy's horizon, ring and Sun."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import astropy.coordinates as coord
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.time import Time
+
+from pipeline.capacity.course import StudyCourse, make_course
+from pipeline.capacity.patterns import Slots, in_fields, slots_of
+from pipeline.physics.vectors import from_angles, separation
+
+Data = dict[str, Any]
+Array = np.ndarray
+SITE = coord.EarthLocation.from_geodetic(-156.3, 20.7, 3055.0)
+PIXEL_RAD = 13.5e-6 / 0.1
+HIGH, WIDE = 2 * np.arctan(512 * PIXEL_RAD / 2), 2 * np.arctan(1024 * PIXEL_RAD / 2)
+OVERLAP, RATE_DEG_S, SETTLE_S, DWELL_S = 0.25, 2.0, 4.0, 5.0
+
+
+@pytest.fixture
+def course(data: Data, tmp_path: Path) -> Any:
+    """A maker of courses: three cameras of 512 rows and 1,024 columns at the site."""
+
+    def make(**tasking: Any) -> StudyCourse:
+        camera = data["cameras"][0]
+        camera["sensor"] = camera["sensor"] | {"focal_length_m": 0.1, "shape": [512, 1024]}
+        camera["tracking"] = "sidereal"
+        data["sensors"][0]["count"] = 3
+        data["sensors"][0]["slewing"] = {"rate_deg_s": RATE_DEG_S, "settle_s": SETTLE_S}
+        data["tasking"] = {"kind": "serendipitous", "overlap": OVERLAP} | tasking
+        return make_course(data, tmp_path)
+
+    return make
+
+
+def along(slots: Slots) -> Array:
+    """Middles of fields (q, 3), GCRS."""
+    return np.einsum("nij,nj->ni", slots.watch.to_gcrs, slots.axes[:, 2])
+
+
+def when(slots: Slots) -> Any:
+    return Time("2019-04-20T06:00:00") + slots.watch.offset_s * u.s
+
+
+def places(span_deg: float) -> tuple[int, float]:
+    """How many fields there are, and the seconds from one to the next."""
+    stride = HIGH * (1.0 - OVERLAP)  # the shorter side, less what neighbours share
+    count = int(np.ceil(np.radians(span_deg) / stride))
+    return count, np.degrees(stride) / RATE_DEG_S + SETTLE_S + DWELL_S
+
+
+def test_fields_follow_each_other(course: Any) -> None:
+    """Evenly from one end to the other and again; sensors of one count a third of the way apart."""
+    made = course(pattern="fence", from_deg=20.0, to_deg=80.0, azimuth_deg=110.0)
+    count, each_s = places(60.0)
+    numbers = []
+    for unit in range(3):
+        slots = slots_of(made, 0, unit)
+        at = slots.watch.offset_s
+        np.testing.assert_allclose(at, (np.arange(len(at)) + 0.5) * each_s, rtol=1e-9)
+        assert at[-1] < 360 * 60.0 < at[-1] + each_s
+        after = slots_of(made, 1, unit).watch.offset_s
+        assert after[0] == pytest.approx(at[-1] + each_s)
+        up = np.einsum("nij,nj->ni", slots.watch.to_gcrs, slots.watch.up)
+        height = 90.0 - np.degrees(separation(along(slots), up))
+        number = (height - 20.0) / 60.0 * count - 0.5
+        np.testing.assert_allclose(number, np.round(number), atol=1e-6)
+        numbers.append(np.round(number).astype(int))
+        np.testing.assert_array_equal(np.diff(numbers[-1]) % count, 1)
+    assert [n[0] for n in numbers] == [0, count // 3, 2 * count // 3]
+    np.testing.assert_allclose(slots.frame_s, [-2.0, 0.0, 2.0])
+
+
+def test_a_fence_stands_in_its_azimuth(course: Any) -> None:
+    slots = slots_of(course(pattern="fence", from_deg=20.0, to_deg=80.0, azimuth_deg=110.0), 0, 0)
+    place, _ = SITE.get_gcrs_posvel(when(slots))
+    far = 1e12 * u.m * along(slots).T + place.xyz  # so that no parallax is added
+    seen = coord.GCRS(*far, representation_type="cartesian", obstime=when(slots))
+    told = seen.transform_to(coord.AltAz(obstime=when(slots), location=SITE))
+    off = (told.az.deg - 110.0) * np.cos(told.alt.rad)
+    assert np.abs(off).max() < 0.02
+    across = np.einsum("ni,ni->n", slots.axes[:, 0], slots.watch.up)
+    assert np.abs(across).max() < 1e-9  # rows lie level
+
+
+def test_a_belt_is_the_geostationary_ring(course: Any) -> None:
+    slots = slots_of(course(pattern="belt", from_deg=-200.0, to_deg=-110.0), 0, 1)
+    count, _ = places(90.0)
+    number = (np.arange(len(slots.watch.offset_s)) + count // 3) % count
+    longitude = np.radians(-200.0 + (number + 0.5) * 90.0 / count)
+    ring = 42_164_172.0 * from_angles(longitude, np.zeros_like(longitude))
+    itrs = coord.ITRS(*(ring.T * u.m), obstime=when(slots))
+    there = itrs.transform_to(coord.GCRS(obstime=when(slots))).cartesian.xyz.to_value(u.m)
+    here = SITE.get_gcrs_posvel(when(slots))[0].xyz.to_value(u.m)
+    assert np.degrees(separation(along(slots), (there - here).T)).max() < 0.005
+
+
+def test_a_strip_is_opposite_the_sun(course: Any) -> None:
+    slots = slots_of(course(pattern="strip", from_deg=-40.0, to_deg=20.0, declination_deg=12.0),
+                     0, 0)  # fmt: skip
+    count, _ = places(60.0)
+    number = np.arange(len(slots.watch.offset_s)) % count
+    offset = -40.0 + (number + 0.5) * 60.0 / count
+    sun = coord.get_sun(when(slots)).ra.deg
+    wanted = from_angles(np.radians(sun + 180.0 + offset), np.full(len(sun), np.radians(12.0)))
+    assert np.degrees(separation(along(slots), wanted)).max() < 0.02
+
+
+def test_frames_in_a_field_that_moves() -> None:
+    """Objects that stand still before a camera whose site moves by half a field between frames:
+    what lies in the field of each frame, by hand."""
+    axes = np.eye(3)[None]  # across x, up y, along z
+    away = 1e7
+    x = np.array([-0.019, 0.0, 0.019, 0.0, 0.0]) * away
+    y = np.array([0.0, 0.0, 0.0, 0.009, 0.011]) * away
+    place = np.stack([x, y, np.full(5, away)], axis=1)[:, None].repeat(3, axis=1)
+    near = np.zeros((5, 3), bool)
+    near[:, 1] = True  # either side of a step is enough
+    motion = np.array([[0.01 * away, 0.0, 0.0]])
+    for middle in (30.0, 90.0):
+        rows, _ = in_fields(
+            place, np.zeros_like(place), near, 0.0, 60.0, np.array([middle]), axes,
+            np.zeros((1, 3)), motion, np.array([-1.0, 0.0, 1.0]), np.array([0.02, 0.01]),
+        )  # fmt: skip
+        frames = dict(zip(rows[:, 0].tolist(), rows[:, 2].tolist(), strict=True))
+        assert frames == {0: 2, 1: 3, 2: 2, 3: 3}

@@ -1,0 +1,183 @@
+"""Tables and figures of a study against counts by hand from its observations, and closed forms."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import astropy.coordinates as coord
+import astropy.units as u
+import healpy
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from astropy.time import Time
+
+from pipeline.capacity import course as courses
+from pipeline.capacity import results
+from pipeline.capacity.course import make_course
+from pipeline.capacity.results import smallest_m
+from pipeline.capacity.run import StudyOptions, run_study
+from pipeline.execute.truth import matched_snr
+from pipeline.survey.signal import straight
+from tests.capacity.conftest import SMALL
+from tests.survey.conftest import watcher
+
+Rows = list[dict[str, Any]]
+HOURS = 10.5
+CHANGES: dict[str, Any] = {
+    "duration_h": HOURS,
+    "custody_h": 1.5,
+    "detection": {"false_alarm_rate": 1e-4, "frames_needed": 2, "least_probability": 0.2},
+    "catalogue": {"synthetic": {"objects": 80, "seed": 4, "smallest_m": 0.1}},
+}
+
+
+class Made:
+    """A small study of three windows and what it wrote."""
+
+    def __init__(self, folder: Path) -> None:
+        data = copy.deepcopy(SMALL) | CHANGES
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(courses, "STEPS", 250)
+            patch.setattr(results, "MOST_DETECTIONS", 7)
+            self.report = run_study(data, folder, folder / "out", StudyOptions("synchronous"))
+        self.folder, self.course = folder / "out", make_course(data, folder)
+        self.rows: Rows = []
+        for path in sorted((self.folder / "observations").glob("*.parquet")):
+            self.rows += pq.read_table(path).to_pylist()
+        self.seen = [r for r in self.rows if r["detected"]]
+
+    def table(self, name: str) -> Rows:
+        return list(pq.read_table(self.folder / f"{name}.parquet").to_pylist())
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    made = Made(tmp_path_factory.mktemp("study"))
+    assert len(list((made.folder / "observations").iterdir())) == 3
+    assert 30 < len(made.seen) < len(made.rows) - 10
+    return made
+
+
+def test_objects(made: Made) -> None:
+    """Gaps and custody by a clock of seconds; a detection that ends after the period is at its
+    end."""
+    end = HOURS * 3600.0
+    clock = np.arange(0.5, end)
+    told = made.table("objects")
+    assert sum(o["detections"] for o in told) == len(made.seen)
+    for i, o in enumerate(told):
+        times = sorted(min(r["time_s"], end) for r in made.seen if r["object"] == i)
+        gaps = np.diff([0.0, *times, end]) / 3600.0
+        assert o["observations"] == sum(r["object"] == i for r in made.rows)
+        assert o["detections"] == len(times)
+        assert o["gap_longest_h"] == pytest.approx(gaps.max())
+        assert o["gap_p95_h"] == pytest.approx(np.percentile(gaps, 95))
+        first, between = o["first_detection_h"], o["revisit_h"]
+        assert first == (pytest.approx(times[0] / 3600.0) if times else None)
+        several = len(times) > 1
+        assert between == (pytest.approx(np.diff(times).mean() / 3600.0) if several else None)
+        last = np.searchsorted(times, clock) - 1
+        age = clock - np.array([*times, -1e9])[last]  # -1: of none
+        assert o["custody_fraction"] == pytest.approx((age < 1.5 * 3600.0).mean(), abs=1e-3)
+
+
+def test_hours_and_sensors(made: Made) -> None:
+    """Open hours are those of astropy's Sun below -12 degrees."""
+    for which, name in ((made.rows, "observations"), (made.seen, "detections")):
+        hours = Counter(min(int(r["time_s"] // 3600), 10) for r in which)
+        assert [h[name] for h in made.table("hours")] == [hours[k] for k in range(11)]
+        units = Counter(r["unit"] for r in which)
+        assert [s[name] for s in made.table("sensors")] == [units[k] for k in range(3)]
+    sensors = made.table("sensors")
+    assert [s["sensor"] for s in sensors] == ["one-1", "one-2", "two-1"]
+    when = Time("2019-04-20T06:00:00") + np.arange(0, HOURS * 60) * u.min
+    for k, s in enumerate(sensors):
+        busy = sum(r["busy_s"] for r in made.rows if r["unit"] == k) / 3600.0
+        site = coord.EarthLocation.from_geodetic(-120.0 if k == 2 else -156.3, 20.7, 3055.0)
+        up = coord.get_sun(when).transform_to(coord.AltAz(obstime=when, location=site)).alt.deg
+        assert s["open_h"] == pytest.approx((up <= -12.0).sum() / 60.0)
+        assert s["busy_h"] == pytest.approx(busy, rel=1e-5)
+        assert s["used_fraction"] == pytest.approx(busy / s["open_h"], rel=1e-5)
+
+
+def test_coverage_is_healpys(made: Made) -> None:
+    ra, dec = (np.degrees(a) for a in (
+        np.arctan2([r["y"] for r in made.rows], [r["x"] for r in made.rows]),
+        np.arcsin([r["z"] for r in made.rows])))  # fmt: skip
+    pixel = healpy.ang2pix(16, ra, dec, nest=True, lonlat=True)
+    told = [row["observations"] for row in made.table("coverage")]
+    assert told == np.bincount(pixel, minlength=3072).tolist()
+
+
+def test_figures(made: Made) -> None:
+    """Of all, by orbit, by kind and by altitude: medians over objects, and the longest of all."""
+    objects, f = made.table("objects"), made.report["figures"]
+    assert json.loads((made.folder / "report.json").read_text())["figures"] == f
+    assert f["observations"] == len(made.rows)
+    assert f["observations_per_hour"] == pytest.approx(len(made.rows) / HOURS)
+    assert f["observations_per_object"] == pytest.approx(len(made.rows) / 80)
+    assert f["objects_detected"] == len({r["object"] for r in made.seen})
+    used = [s["used_fraction"] for s in made.table("sensors")]
+    assert f["sensor_time_used"] == pytest.approx(np.mean(used))
+
+    def height(o: dict[str, Any]) -> str:
+        edges = [0, 500, 800, 1200, 2000, 10_000, 25_000, 40_000, np.inf]
+        k = next(k for k, edge in enumerate(edges) if o["altitude_km"] < edge)
+        return f"{edges[k - 1]}-{edges[k]}"
+
+    groups = {"by_regime": lambda o: o["regime"], "by_kind": lambda o: o["kind"],
+              "by_altitude_km": height}  # fmt: skip
+    told = [(f, objects)]
+    for name, of in groups.items():
+        assert set(made.report[name]) == {of(o) for o in objects}
+        for label, figures in made.report[name].items():
+            mine = [o for o in objects if of(o) == label]
+            assert figures["objects"] == len(mine)
+            told.append((figures, mine))
+    for figures, mine in told:
+        for key, over in (("gap_median_h", np.median), ("gap_p95_h", np.median),
+                          ("gap_longest_h", np.max), ("first_detection_h", np.median),
+                          ("revisit_h", np.median), ("custody_fraction", np.mean)):  # fmt: skip
+            values = [o[key] for o in mine if o[key] is not None]
+            assert figures[key] == (pytest.approx(over(values)) if values else None)
+
+
+def test_the_page_has_the_figures(made: Made) -> None:
+    """Each group's row under its own heads."""
+    page = (made.folder / "report.html").read_text()
+    heads = ["objects", "median gap [h]", "95 % [h]", "longest [h]", "first detection [h]"]
+    assert "".join(f"<th>{h}</th>" for h in heads) in page
+    for name in ("by_regime", "by_kind", "by_altitude_km"):
+        for label, g in made.report[name].items():
+            keys = ("gap_median_h", "gap_p95_h", "gap_longest_h", "first_detection_h")
+            cells = [label, f"{g['objects']}"]
+            cells += ["–" if g[k] is None else f"{g[k]:.4g}" for k in keys]
+            assert "".join(f"<td>{c}</td>" for c in cells) in page
+
+
+@pytest.mark.parametrize("tracks", [True, False])
+def test_reach(tracks: bool) -> None:
+    """The light of that sphere at 60 degrees of phase, 1 au and its range has the threshold's SNR;
+    without tracking along the streak of a circular orbit overhead."""
+    w = watcher(tracks)
+    km = np.array([500.0, 2000.0, 36_000.0])
+    found = smallest_m(w, km, 4.75)
+    phase = np.pi / 3.0
+    bracket = np.sin(phase) + (np.pi - phase) * np.cos(phase)
+    light = 0.175 / np.pi * (2.0 / 3.0) * (found / 2.0) ** 2 * bracket / (1e3 * km) ** 2
+    r = w.resolved
+    air = 10.0 ** (-0.4 * 0.12)
+    light_e = light * air * r.sun_rate_e_s_m2 * np.pi * 0.2**2 * 1.0
+    speed = np.sqrt(3.986004418e14 / (6_378_137.0 + 1e3 * km))
+    streak = 0.0 * km if tracks else speed / (1e3 * km) / 13.5e-6 * 1.0
+    for e, length in zip(light_e, streak, strict=True):
+        inside = min(1.0, 1024.0 / max(length, 1e-9))
+        middle = np.array([511.5])
+        path = straight(min(length, 1024.0))
+        snr = matched_snr(r, path, np.array([e * inside]), middle, middle)  # type: ignore[arg-type]
+        assert snr[0] == pytest.approx(4.75, rel=3e-3)

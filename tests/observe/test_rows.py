@@ -1,0 +1,141 @@
+"""Rows of what is observed: windows of times, files of noise, light, and what a table shows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.execute.sources import place_targets
+from pipeline.observe.centroid import centroid_covariance_px2
+from pipeline.observe.observe import Observed, observe
+from pipeline.observe.times import times_of
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.resolve.resolve import resolve
+from pipeline.spec.load import parse_scene
+from tests.command import nightglass
+from tests.observe.conftest import BALL, in_high_orbit, night
+
+ALONE: dict[str, Any] = {"targets": night()["targets"][:1]}
+
+
+def test_windows_of_times_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows, noise of centroids and their order; every exposure draws its own noise."""
+    scene, times = parse_scene(night()), np.arange(7) * 3.0
+    whole = observe(scene, times, 1.0, None, 7).table
+    monkeypatch.setattr("pipeline.observe.observe.SAMPLES", 6)  # two times of three targets
+    told: list[tuple[int, int | None]] = []
+    cut = observe(scene, times, 1.0, lambda _, done, of: told.append((done, of)), 7).table
+    assert told == [(6, 21), (12, 21), (18, 21), (21, 21)]
+    for name in whole.column_names:
+        a, b = whole[name].to_numpy(), cut[name].to_numpy()
+        if whole[name].type == "double":
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9, err_msg=name)
+        else:
+            assert (a == b).all(), name
+    ball = cut.slice(0, 21).to_pylist()[::3]
+    noise = [(row["ra_measured_deg"] - row["ra_deg"]) * 3600.0 for row in ball]
+    assert len({round(n, 4) for n in noise}) == 7
+
+
+def test_noise_is_of_each_target() -> None:
+    """Two like each other at one place have noises of their own."""
+    twins = [{"name": n, "orbit": in_high_orbit(150.0), "body": BALL} for n in ("ball", "twin")]
+    table = observe(parse_scene(night(targets=twins)), None, 1.0, None, 7).table.to_pylist()
+    assert table[0]["ra_deg"] == table[1]["ra_deg"]
+    assert table[0]["ra_measured_deg"] != table[1]["ra_measured_deg"]
+
+
+def test_a_bright_centroid_has_the_noise_of_its_own_photons() -> None:
+    """s / SNR of a Gaussian response of s pixels, the pixel's own width in it."""
+    sensor = night()["sensor"] | {"read_noise_e": 0.1, "psf": {"kind": "gaussian", "sigma_px": 3}}
+    bright = [{"name": "ball", "orbit": in_high_orbit(150.0), "body": BALL | {"diameter_m": 60.0}}]
+    found = resolve(parse_scene(night(sensor=sensor, targets=bright, background=None))).scene
+    g = plan_geometry(found.scene, np.array([0]), found.dut1_s)
+    target = place_targets(found, g)[0]
+    sigma = np.sqrt(np.diag(centroid_covariance_px2(found, target, 0)))
+    snr = np.sqrt(float(target.light_e))
+    np.testing.assert_allclose(sigma, np.sqrt(9.0 + 1.0 / 12.0) / snr, rtol=0.02)
+
+
+def test_a_message_with_noise(tmp_path: Path) -> None:
+    """Its angles are the measured ones, its comments tell their sigma and the object, its date is
+    that of the last row."""
+    path, scene = tmp_path / "seen.tdm", tmp_path / "scene.json"
+    scene.write_text(json.dumps(night()))
+    asked = ("observe", scene, "--centroid-noise", "7", "-o", path, "--json")
+    rows = [r for r in json.loads(nightglass(*asked).stdout)["rows"] if r["seen"] == "yes"]
+    lines = path.read_text().splitlines()
+    for row in rows:
+        time = row["utc"].rstrip("Z")
+        assert f"ANGLE_1 = {time} {row['ra_measured_deg']:.9f}" in lines
+        assert f"ANGLE_2 = {time} {row['dec_measured_deg']:.9f}" in lines
+    assert f"CREATION_DATE = {max(r['utc'] for r in rows).rstrip('Z')}" in lines
+    assert "COMMENT ball is A BALL" in lines
+    sigma = [r["centroid_sigma_arcsec"] for r in rows if r["name"] == "ball"]
+    told = f"sigma {min(sigma):.4g} to {max(sigma):.4g} arcsec"
+    assert f"COMMENT Angles with the noise of centroids, {told}" in lines
+    assert [r["object_name"] for r in rows if r["name"] == "ball"] == ["A BALL"] * 3
+    other = json.loads(nightglass(*asked[:3], "8", *asked[4:]).stdout)["rows"]
+    assert other[0]["ra_measured_deg"] != rows[0]["ra_measured_deg"]
+
+
+def test_electrons_per_second() -> None:
+    for integration_s in (0.5, 2.0):
+        exposure = {"integration_s": integration_s, "frames": 1}
+        for row in observe(parse_scene(night(exposure=exposure))).table.to_pylist():
+            assert row["electrons_per_s"] == pytest.approx(row["electrons"] / integration_s)
+
+
+def test_times_and_the_frames_that_they_are_like() -> None:
+    """Both ends count; each time is like the exposure whose middle is nearest: 1, 21 and 41 s."""
+    scene = parse_scene(night())
+    asked = times_of(scene, "0,40,5")
+    assert asked.middle_s.tolist() == [0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0]
+    assert asked.frame.tolist() == [0, 0, 0, 1, 1, 1, 1, 2, 2]
+    np.testing.assert_allclose(asked.late_s, asked.middle_s - [1, 1, 1, 21, 21, 21, 21, 41, 41])
+    assert times_of(scene, "0,1,0.1").middle_s[-1] == pytest.approx(1.0)
+    mixed = times_of(scene, "2019-04-20T10:00:30Z,60,20").middle_s
+    np.testing.assert_allclose(mixed, [30.0, 50.0])
+    exposed = times_of(scene, None)
+    assert (exposed.middle_s.tolist(), exposed.as_exposed) == ([1.0, 21.0, 41.0], True)
+
+
+def test_out_of_the_field_streaks_along_the_columns_charge() -> None:
+    """Past a camera whose charge moves down the columns, as one that looks at it has them."""
+    sensor = night()["sensor"] | {"detector": {"readout": {"kind": "tdi", "rows_per_s": 2.0}}}
+    rows = []
+    for off_deg in (0.0, 30.0):
+        far = observe(parse_scene(night(**ALONE))).table.to_pylist()[0]
+        pointing = {"mode": "sidereal", "boresight_ra_deg": far["ra_deg"],
+                    "boresight_dec_deg": far["dec_deg"] + off_deg}  # fmt: skip
+        scene = night(sensor=sensor, pointing=pointing, exposure={"integration_s": 2.0}, **ALONE)
+        rows.append(observe(parse_scene(scene)).table.to_pylist()[0])
+    assert [row["snr_at"] for row in rows] == ["frame", "boresight"]
+    assert rows[1]["streak_px"] == pytest.approx(rows[0]["streak_px"], rel=1e-2)
+
+
+def shown(*options: Any) -> list[str]:
+    result = nightglass("observe", *options)
+    assert result.returncode == 0, result.stderr
+    return result.stdout.splitlines()
+
+
+def test_the_table_shows_each_targets_best_time(tmp_path: Path) -> None:
+    """With more than 20 rows: of each target the highest SNR of those that are seen."""
+    scene = tmp_path / "scene.json"
+    scene.write_text(json.dumps(night()))
+    found: Observed = observe(parse_scene(night()), "0,7200,300")
+    rows = found.table.to_pylist()
+    lines = shown(scene, "--times", "0,7200,300")
+    assert lines[0].startswith(f"{len(rows)} rows (times x targets): {found.counts()['yes']} seen")
+    ball = max((r for r in rows if r["name"] == "ball" and r["seen"] == "yes"),
+               key=lambda r: r["snr"])  # fmt: skip
+    (line,) = [line for line in lines if "A BALL" in line]
+    for word in (ball["utc"][11:19], f"{ball['range_m'] / 1e3:.0f}", f"{ball['v_mag']:.1f}",
+                 f"{ball['azimuth_deg']:.1f}", f"{ball['elevation_deg']:.1f}"):  # fmt: skip
+        assert word in line.split()
+    assert line.split()[-1] == (f"{ball['snr']:.3g}" if ball["snr"] < 100 else f"{ball['snr']:.0f}")

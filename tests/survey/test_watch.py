@@ -1,0 +1,140 @@
+"""Where and when a sensor may look: astropy's Sun, Moon and Galaxy, a satellite's limb, weather."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import astropy.coordinates as coord
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.time import Time
+
+from pipeline.physics.vectors import from_angles, separation, unit
+from pipeline.spec.study import FieldOfRegard
+from pipeline.survey.sights import Sights, allowed
+from pipeline.survey.watch import Watcher, WatchMoments, make_watcher
+from tests.survey.conftest import EPOCH, sections, watcher
+
+SITE = coord.EarthLocation.from_geodetic(-156.3, 20.7, 3055.0)
+START = Time("2019-04-20T06:00:00")
+NEAR = 0.02  # [deg] about a limit, where two ephemerides and aberration may differ
+Array = np.ndarray
+
+
+def vectors(body: Any) -> Array:
+    """(n, 3) unit vectors of astropy's coordinates."""
+    return from_angles(np.asarray(body.ra.rad), np.asarray(body.dec.rad))
+
+
+def looks(watch: WatchMoments, about: Array, rng: Any, least: float, most: float) -> Sights:
+    """500 directions at each moment, least to most degrees from the vectors `about` (n, 3) GCRS;
+    elevations as they are."""
+    k = np.repeat(np.arange(len(about)), 500)
+    angle = np.radians(rng.uniform(least, most, len(k)))
+    side = unit(np.cross(about[k], rng.normal(size=(len(k), 3))))
+    away = np.cos(angle)[:, None] * about[k] + np.sin(angle)[:, None] * side
+    at = np.einsum("nji,nj->ni", watch.to_gcrs[k], away)
+    height = 0.5 * np.pi - separation(at, watch.up[k])
+    one = np.ones(len(k))
+    return Sights(k, k, at, at, one, height, *[one] * 7)
+
+
+def agrees(w: Watcher, watch: WatchMoments, s: Sights, margin_deg: Array, least: int) -> None:
+    """Rows are allowed where a margin is above 0, but for those next to the limit."""
+    clear = np.abs(margin_deg) > NEAR
+    good = allowed(w, watch, s)
+    np.testing.assert_array_equal(good[clear], margin_deg[clear] > 0.0)
+    assert min(good.sum(), (~good).sum()) > least
+
+
+def off(s: Sights, watch: WatchMoments, from_: Array) -> Array:
+    """Angles [deg] of directions from vectors (n, 3), GCRS, of their moments."""
+    there = np.einsum("nij,nj->ni", watch.to_gcrs[s.moment], s.geometric)
+    return np.degrees(separation(there, from_[s.moment]))
+
+
+AT = np.linspace(0.0, 30_000.0, 20)  # the night of a Moon one day past full
+BARE = {"lowest_elevation_deg": 0.0, "sun_exclusion_deg": 0.0, "moon_exclusion_deg": 0.0}
+
+
+def test_moon_exclusion_of_a_site() -> None:
+    """The Moon stands up to a degree beside where the Earth's centre sees it."""
+    w = watcher(**BARE | {"moon_exclusion_deg": 30.0, "twilight_deg": 0.0})
+    watch = w.watch(AT)
+    moon = vectors(coord.get_body("moon", START + AT * u.s, SITE, ephemeris="builtin"))
+    s = looks(watch, moon, np.random.default_rng(1), 29.0, 31.0)
+    s = s.take((s.elevation > 0.0) & watch.works[s.moment])
+    agrees(w, watch, s, off(s, watch, moon) - 30.0, 1000)
+
+
+def test_elevations_of_a_site() -> None:
+    w = watcher(**BARE | {"lowest_elevation_deg": 25.0, "highest_elevation_deg": 70.0})
+    watch = w.watch(AT)
+    up = np.einsum("nij,nj->ni", watch.to_gcrs, watch.up)
+    s = looks(watch, up, np.random.default_rng(2), 0.0, 90.0)
+    s = s.take(watch.works[s.moment])
+    away = off(s, watch, up)
+    agrees(w, watch, s, np.minimum(away - 20.0, 65.0 - away), 1000)
+
+
+def test_galactic_exclusion() -> None:
+    w = watcher(**BARE | {"galactic_exclusion_deg": 20.0})
+    watch = w.watch(AT)
+    pole = coord.SkyCoord(l=0 * u.deg, b=90 * u.deg, frame="galactic").icrs
+    s = looks(watch, np.tile(vectors(pole), (len(AT), 1)), np.random.default_rng(3), 0.0, 180.0)
+    s = s.take((s.elevation > 0.0) & watch.works[s.moment])
+    there = np.einsum("nij,nj->ni", watch.to_gcrs[s.moment], s.geometric)
+    sky = coord.SkyCoord(*there.T, representation_type="cartesian")
+    b = sky.galactic.b.to_value(u.deg)
+    agrees(w, watch, s, np.abs(b) - 20.0, 500)
+    assert (b > 20.0).any()
+    assert (b < -20.0).any()
+
+
+def test_sun_and_limb_from_a_satellite() -> None:
+    """By its own limits: the Moon's is left alone, and the Earth is a disc of 6,378 km."""
+    orbit = {"kind": "keplerian", "semi_major_axis_m": 9e6, "eccentricity": 0.0,
+             "inclination_deg": 98.0, "true_anomaly_deg": 10.0}  # fmt: skip
+    regard = FieldOfRegard(sun_exclusion_deg=40.0, moon_exclusion_deg=0.0, earth_exclusion_deg=7.0)
+    observer = {"kind": "orbit", "orbit": orbit}
+    w = make_watcher(sections(observer=observer), regard, EPOCH, False)
+    watch = w.watch(AT)
+    sun = vectors(coord.get_sun(START + AT * u.s))
+    s = looks(watch, sun, np.random.default_rng(4), 30.0, 50.0)
+    down = np.einsum("nij,nj->ni", watch.to_gcrs, -unit(watch.observer_m))
+    limb = np.degrees(np.arcsin(6_378_137.0 / 9e6))
+    margin = np.minimum(off(s, watch, sun) - 40.0, off(s, watch, down) - limb - 7.0)
+    agrees(w, watch, s, margin, 1000)
+    s = looks(watch, down, np.random.default_rng(5), limb, limb + 14.0)
+    margin = np.minimum(off(s, watch, sun) - 40.0, off(s, watch, down) - limb - 7.0)
+    agrees(w, watch, s, margin, 1000)
+
+
+@pytest.mark.parametrize("twilight_deg", [-6.0, -15.0])
+def test_dark_by_the_suns_elevation(twilight_deg: float) -> None:
+    at = np.arange(0.0, 86_400.0, 30.0)
+    found = watcher(twilight_deg=twilight_deg).watch(at).works
+    when = START + at * u.s
+    up = coord.get_sun(when).transform_to(coord.AltAz(obstime=when, location=SITE)).alt.deg
+    clear = np.abs(up - twilight_deg) > NEAR
+    np.testing.assert_array_equal(found[clear], (up <= twilight_deg)[clear])
+
+
+def clear_of(seed: int = 0, name: str = "here", **regard: Any) -> Array:
+    """Whether the sky is clear at each hour of 400 days, by night and day."""
+    asked = sections(name=name)
+    w = make_watcher(asked, FieldOfRegard(**regard), EPOCH, False, "", seed)
+    return w._clear(3600.0 * np.arange(9600.0) + 1.0)
+
+
+def test_weather_is_clear_as_often_as_asked() -> None:
+    """In whole stretches of `weather_h`; of another seed, or another sensor, another weather."""
+    clear = clear_of(clear_fraction=0.8, weather_h=4.0).reshape(-1, 4)
+    assert (clear == clear[:, :1]).all()
+    assert clear[:, 0].mean() == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / 2400))
+    change = np.diff(clear[:, 0].astype(int)) != 0
+    assert change.mean() == pytest.approx(0.32, abs=0.05)  # one stretch tells nothing of the next
+    for other in (clear_of(1, clear_fraction=0.8, weather_h=4.0),
+                  clear_of(0, "there", clear_fraction=0.8, weather_h=4.0)):  # fmt: skip
+        assert (other.reshape(-1, 4)[:, 0] != clear[:, 0]).mean() == pytest.approx(0.32, abs=0.05)
