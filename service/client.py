@@ -74,9 +74,7 @@ class Client:
         With its Idempotency-Key (a new one by default) it becomes one job, however often the
         connection breaks. Raises Refused with every field's message, ServiceError.
         """
-        headers = {"Idempotency-Key": idempotency_key or str(uuid.uuid4())}
-        answer = self.ask("POST", "/v1/jobs", json=_data(scene), headers=headers)
-        return RemoteJob(self, answer.json())
+        return self._submit("/v1/jobs", _data(scene), idempotency_key)
 
     def sweep(self, sweep: Scene, idempotency_key: str | None = None) -> RemoteJob:
         """Submit a sweep, as `submit` does a scene; its base scene may be a file beside it."""
@@ -85,8 +83,15 @@ class Client:
         if isinstance(base, str):
             folder = Path() if isinstance(sweep, Mapping) else Path(sweep).parent
             data = data | {"scene": _data(folder / base)}
+        return self._submit("/v1/sweeps", data, idempotency_key)
+
+    def study(self, study: Scene, idempotency_key: str | None = None) -> RemoteJob:
+        """Submit a study of capacity, as `submit` does a scene; files in it are uploads."""
+        return self._submit("/v1/studies", _data(study), idempotency_key)
+
+    def _submit(self, path: str, data: JsonValue, idempotency_key: str | None) -> RemoteJob:
         headers = {"Idempotency-Key": idempotency_key or str(uuid.uuid4())}
-        return RemoteJob(self, self.ask("POST", "/v1/sweeps", json=data, headers=headers).json())
+        return RemoteJob(self, self.ask("POST", path, json=data, headers=headers).json())
 
     def plan(self, scene: Scene) -> JsonObject:
         """What a scene needs and why, planned by the server; nothing is rendered."""
@@ -234,7 +239,7 @@ class RemoteJob:
             return open_cube(self.fetch(folder))
         import xarray as xr
 
-        self._complete()
+        self._complete("scene")
         try:
             import aiohttp  # noqa: F401
         except ImportError:
@@ -253,7 +258,7 @@ class RemoteJob:
     ) -> Path:
         """Fetch its product into `folder`: files in parallel, what is there already gone on with,
         all verified. Raises Damaged where a byte differs from what was rendered."""
-        self._complete()
+        self._complete("scene")
         shown = (
             _bar(f"fetching {self.name}", "MB")
             if progress is True
@@ -265,17 +270,18 @@ class RemoteJob:
             return fetch_product(self, Path(folder), parallel, listen)
 
     def fetch_sweep(self, folder: Path | str) -> Path:
-        """Fetch what a sweep made into `folder`, which is not there yet: its table of points,
+        """Fetch what a sweep or a study made into `folder`, which is not there yet: its tables,
         report and page, each proved. Raises Damaged where a byte differs."""
         from service.fetching import fetch_sweep
 
-        self._complete("sweep")
+        self._complete("sweep", "study")
         return fetch_sweep(self, Path(folder))
 
-    def _complete(self, kind: str = "scene") -> None:
-        if self.facts["kind"] != kind:
-            allowed = "a scene's job; a sweep's table comes by points()"
-            raise BadInput("job", self.id, allowed if kind == "scene" else "a sweep's job")
+    def _complete(self, *kinds: str) -> None:
+        if self.facts["kind"] not in kinds:
+            more = "; a sweep's table comes by points()" if "scene" in kinds else ""
+            allowed = " or ".join(f"a {kind}'s job" for kind in kinds)
+            raise BadInput("job", self.id, allowed + more)
         if self.phase != "COMPLETED":
             self.refresh()
         if self.phase in ("ERROR", "ABORTED"):

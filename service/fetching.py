@@ -67,8 +67,8 @@ def fetch_product(job: Fetched, folder: Path, parallel: int, listen: Listener | 
 
 
 def fetch_sweep(job: Fetched, folder: Path, parallel: int = 8) -> Path:
-    """Bring what a sweep made (its table, report, page, cubes) into `folder`, each file of its seal
-    proved by its digest; the seal comes last. Raises as `fetch_product` does."""
+    """Bring what a sweep or a study made (tables, report, page) into `folder`, each file of its
+    seal proved by its digest; the seal comes last. Raises as `fetch_product` does."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise BadInput("-o", str(folder), "a path that does not exist yet")
     stage = folder.with_name(folder.name + PART)  # of an earlier try: begun anew
@@ -80,7 +80,7 @@ def fetch_sweep(job: Fetched, folder: Path, parallel: int = 8) -> Path:
         list(pool.map(lambda file: _fetch(job, stage, file[0], file[1], lambda _: None), files))
     for name, digest in json.loads(seal)["files"].items():
         if not (stage / name).is_file() or file_digest(stage / name) != digest:
-            raise Damaged(name, "not what the sweep made; fetch it again")
+            raise Damaged(name, "not what was made; fetch it again")
     layout.write_atomically(stage / layout.COMPLETE, seal)
     stage.replace(folder)  # over an empty folder too
     return folder

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from catalog_tools.documents import JsonObject
+from pipeline.commands.jobs import Server, run_there
 from pipeline.commands.options import (
     Json,
     Output,
@@ -22,6 +23,7 @@ from pipeline.commands.options import (
     told_if_interrupted,
 )
 from pipeline.commands.pages import progress_listener
+from pipeline.errors import BadInput
 from pipeline.lines import fold, pair
 
 if TYPE_CHECKING:
@@ -87,13 +89,21 @@ def study(
     resume: Annotated[bool, typer.Option("--resume", help="go on with an unfinished one")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="only say what it takes")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="even where that is days")] = False,
+    server: Server = None,
     as_json: Json = False,
 ) -> None:
     """Run a study of capacity: what sensors observe of a catalogue, how often, with what gaps."""
-    from pipeline.capacity.run import StudyOptions, forecast_of, run_study
     from pipeline.spec.study_load import read_study
 
     data, folder = read_study(file, set_ or []), file.parent
+    if server is not None:
+        if resume or dry_run or yes or workers is not None or scheduler != "processes":
+            allowed = "without --resume, --dry-run, --yes, --workers, --scheduler"
+            raise BadInput("--server", "with them", allowed)
+        _tell(run_there("study", data, output, server, as_json), output, as_json)
+        return
+    from pipeline.capacity.run import StudyOptions, forecast_of, run_study
+
     if dry_run:
         print_mapping(forecast_of(data, folder), as_json)
         return
@@ -101,6 +111,10 @@ def study(
     kept = told_if_interrupted(str(output), lambda: "finished tasks are kept")
     with kept, progress_listener("tasks", as_json or not sys.stderr.isatty()) as listen:
         report = run_study(data, folder, output, options, listen)
+    _tell(report, output, as_json)
+
+
+def _tell(report: JsonObject, output: Path, as_json: bool) -> None:
     if as_json:
         print_json(report)
     else:

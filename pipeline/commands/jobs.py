@@ -60,15 +60,17 @@ def render_there(
         return job.report()
 
 
-def sweep_there(file: Path, output: Path, server: str, as_json: bool) -> JsonObject:
-    """Submit a sweep, wait, fetch what it made into `output`; returns the report.
+def run_there(
+    kind: str, asked: Path | JsonObject, output: Path, server: str, as_json: bool
+) -> JsonObject:
+    """Submit a `sweep` or a `study`, wait, fetch what it made into `output`; returns the report.
 
     Interrupted, the job goes on; `nightglass jobs show` tells of it.
     """
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise BadInput("-o", str(output), "a path that does not exist yet")
     with connect(server) as client:
-        job = client.sweep(file)
+        job = getattr(client, kind)(asked)
         try:
             job.wait(progress=not as_json).fetch_sweep(output)
         except KeyboardInterrupt:
@@ -147,8 +149,8 @@ def fetch(
     output: Output,
     wait: Annotated[bool, typer.Option(help="wait until the job has ended")] = True,
 ) -> None:
-    """Fetch and verify a job's product, or what a sweep made; a product is gone on with."""
+    """Fetch and verify what a job made; a product is gone on with."""
     with connect(server) as client:
         found = client.job(job)
         found = found.wait() if wait else found
-        print(found.fetch_sweep(output) if found.facts["kind"] == "sweep" else found.fetch(output))
+        print(found.fetch(output) if found.facts["kind"] == "scene" else found.fetch_sweep(output))

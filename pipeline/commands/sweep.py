@@ -107,7 +107,7 @@ def _print_forecast(file: Path, as_json: bool) -> None:
 def _there(
     file: Path, output: Path, server: str, as_json: bool, decided: bool, point: int | None
 ) -> None:
-    from pipeline.commands.jobs import sweep_there
+    from pipeline.commands.jobs import run_there
     from pipeline.errors import BadInput
 
     if decided or point is not None:
@@ -115,7 +115,7 @@ def _there(
             "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point, --dry-run"
         )
         raise BadInput("--server", "with them", allowed)
-    report = sweep_there(file, output, server, as_json)
+    report = run_there("sweep", file, output, server, as_json)
     if as_json:
         print_json(report)
     else:

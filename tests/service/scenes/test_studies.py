@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import copy
 import io
+import json
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
 
+from pipeline.capacity.run import StudyOptions, run_study
+from pipeline.cli import app
+from pipeline.errors import BadInput
+from service.client import Client
 from tests.capacity.conftest import SMALL
 
 ELEMENTS = Path(__file__).resolve().parents[3] / "examples" / "population.tle"
@@ -43,6 +50,32 @@ def test_a_study_is_forecast_run_and_fetched(server: Any) -> None:
     assert table.num_rows == 600
     assert b"Gap time by orbit" in server.client.get(f"{here}/results/report.html").content
     assert str(server.home) not in server.client.get(f"{here}/results/study.json").text
+
+
+def test_by_the_client_and_the_command(server: Any, tmp_path: Path) -> None:
+    """What comes from a server is what the study makes here; a taken folder is refused first."""
+    file = tmp_path / "study.json"
+    file.write_text(json.dumps(_study()))
+    own = run_study(_study(), tmp_path, tmp_path / "own", StudyOptions("synchronous"))
+    with Client(server.url) as client:
+        job = client.study(file, "study-2")
+        assert client.study(_study(), "study-2").id == job.id  # the same body
+        job.wait(60, progress=False).fetch_sweep(tmp_path / "fetched")
+        with pytest.raises(BadInput, match="a scene's job"):
+            job.open()
+    assert (
+        json.loads((tmp_path / "fetched" / "report.json").read_text())["figures"]
+        == (own["figures"])
+    )
+    words = ["study", str(file), "--server", server.url, "-o", str(tmp_path / "there")]
+    result = CliRunner().invoke(app, [*words, "--set", "seed=4"])
+    assert result.exit_code == 0, result.output
+    assert ", 1 h in" in result.output
+    again = CliRunner().invoke(app, words)
+    assert "a path that does not exist yet" in str(again.exception)
+    with_more = CliRunner().invoke(app, [*words, "--resume"])
+    assert "without --resume" in str(with_more.exception)
+    assert pq.read_table(tmp_path / "there" / "objects.parquet").num_rows == 60
 
 
 def test_what_a_study_may_not_hold(server: Any) -> None:
