@@ -153,4 +153,5 @@ def fetch(
     with connect(server) as client:
         found = client.job(job)
         found = found.wait() if wait else found
-        print(found.fetch(output) if found.facts["kind"] == "scene" else found.fetch_sweep(output))
+        tables = found.facts["kind"] in ("sweep", "study")
+        print(found.fetch_sweep(output) if tables else found.fetch(output))
