@@ -46,7 +46,7 @@ class StudyCourse:
 
     watchers : one for each sensor; units : (u,) the sensor of each single one of them
     least_snr : of a frame, below which no dwell has the least probability; key : of all that the
-    result follows from
+    result follows from; idle : sensors that look nowhere in the period, and why
     """
 
     study: Study
@@ -57,6 +57,7 @@ class StudyCourse:
     threshold: float
     key: str
     out: str = ""
+    idle: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -95,7 +96,8 @@ class StudyCourse:
 
     @property
     def forecast(self) -> JsonObject:
-        """What the study takes: objects, steps, seconds of one core, MB of each worker."""
+        """What the study takes: objects, steps, seconds of one core, MB of each worker; how many
+        kinds of sensor look nowhere in the period."""
         states = len(self.elements) * self.steps
         cpu_s = states * (STATE_CPU_S + len(self.watchers) * PAIR_CPU_S)
         tasks = self.windows * self.batches
@@ -103,6 +105,7 @@ class StudyCourse:
         return {
             "objects": len(self.elements),
             "sensors": len(self.units),
+            "idle_sensors": len(self.idle),
             "steps": self.steps,
             "tasks": tasks,
             "cpu_s": cpu_s + TASK_CPU_S * tasks * len(self.watchers),
@@ -122,8 +125,9 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
     epoch = parse_utc(study.start, "start")
     watchers = tuple(_watcher(data, study, i, epoch) for i in range(len(study.sensors)))
     elements, census = _elements(study, epoch)
-    for watcher in watchers:
-        _check_regard(watcher, study.duration_h * 3600.0)
+    idle = [_idle(watcher, study.duration_h * 3600.0) for watcher in watchers]
+    if all(idle) and idle[0] is not None:
+        raise idle[0]
     text = json.dumps([study.as_dict(), files_digest(data)], sort_keys=True).encode()
     for column in fields(elements):
         values = np.ascontiguousarray(getattr(elements, column.name))
@@ -137,6 +141,11 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
         threshold_sigma(study.detection.false_alarm_rate),
         hashlib.sha256(text).hexdigest(),
         str(out.resolve()),
+        tuple(
+            f"{watcher.name} looks nowhere in the period: {why.field}: {why.value}"
+            for watcher, why in zip(watchers, idle, strict=True)
+            if why is not None
+        ),
     )
 
 
@@ -175,16 +184,21 @@ def _elements(study: Study, epoch: tuple[float, float]) -> tuple[Elements, Censu
     return joined(parts), census
 
 
-def _check_regard(watcher: Watcher, length_s: float) -> None:
-    """BadInput for a sensor that may never look anywhere during the period."""
+def _idle(watcher: Watcher, length_s: float) -> BadInput | None:
+    """Why a sensor never looks during the period: no dark or no clear hour; None where it does.
+
+    Raises BadInput for exclusions that leave no direction at any time.
+    """
     at = np.linspace(0.0, length_s, LOOK_STEPS + 2)[1:-1]
     field, regard = f"{watcher.field}field_of_regard", watcher.regard
     watch = watcher.watch(at)
     if not watch.works.any():
         if isinstance(watcher.observer, GroundObserver) and regard.clear_fraction == 1.0:
             told = f"{regard.twilight_deg:g} (never dark enough)"
-            raise BadInput(f"{field}.twilight_deg", told, "a Sun that sinks below it in the period")
-        raise BadInput(field, "no clear dark hour in the period", "a longer period, more clear sky")
+            allowed_ = "a Sun that sinks below it in the period"
+            return BadInput(f"{field}.twilight_deg", told, allowed_)
+        told = "no clear dark hour in the period"
+        return BadInput(field, told, "a longer period, more clear sky")
     rng = np.random.default_rng(0)
     u = from_angles(rng.uniform(0, 2 * np.pi, LOOKS), np.arcsin(rng.uniform(-1, 1, LOOKS)))
     k = np.repeat(np.flatnonzero(watch.works), LOOKS)
@@ -194,3 +208,4 @@ def _check_regard(watcher: Watcher, length_s: float) -> None:
     if not allowed(watcher, watch, s).any():
         told = "exclusions that leave no direction at any time"
         raise BadInput(field, told, "smaller angles, or other elevations")
+    return None

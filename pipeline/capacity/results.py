@@ -214,7 +214,11 @@ def _report(
     skies: dict[str, list[str]] = {}
     for watcher in course.watchers:
         skies.setdefault(watcher.sky_note, []).append(watcher.name)
-    notes = [*course.census.lines(), *(f"{', '.join(w)}: {sky}" for sky, w in skies.items())]
+    notes = [
+        *course.census.lines(),
+        *course.idle,
+        *(f"{', '.join(w)}: {sky}" for sky, w in skies.items()),
+    ]
     if len(failed):
         names = ", ".join(course.elements.name[failed[:5]].astype(str))
         notes.append(f"SGP4 ends within the period for {len(failed)} of the objects: {names}")

@@ -206,7 +206,8 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"catalogue": {}}, "catalogue: .*populations, synthetic or both"),
     ({"start": "tomorrow"}, "start: 'tomorrow'"),
     ({"sensors.0.camera": "none"}, "sensors.0.camera: 'none' is not accepted; allowed: camera"),
-    ({"sensors.0.observer.latitude_deg": 85.0, "start": "2019-06-21T00:00:00Z"},
+    ({"sensors.0.observer.latitude_deg": 85.0, "sensors.1.observer.latitude_deg": 80.0,
+      "start": "2019-06-21T00:00:00Z"},
      "sensors.0.field_of_regard.twilight_deg: '-12 .never dark enough.'"),
     ({"sensors.0.field_of_regard": {"lowest_elevation_deg": 50, "highest_elevation_deg": 40}},
      "sensors.0.field_of_regard.highest_elevation_deg: 40"),
@@ -244,6 +245,24 @@ def test_bad_input_is_one_line(data: Data, tmp_path: Path, changes: Data, text: 
     assert re.search(text, str(told.value)), str(told.value)
     assert "\n" not in str(told.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_sensor_without_a_night_is_reported_and_the_others_look(
+    data: Data, tmp_path: Path
+) -> None:
+    """A polar site in June, and one under clouds: they observe nothing, the third does."""
+    data["start"] = "2019-06-21T06:00:00Z"
+    data["sensors"][0]["observer"] = data["sensors"][0]["observer"] | {"latitude_deg": 85.0}
+    cloudy = {"name": "cloudy", "field_of_regard": {"clear_fraction": 1e-9}}
+    data["sensors"].append(data["sensors"][1] | cloudy)
+    report = run_study(data, tmp_path, tmp_path / "out", ALONE)
+    idle = [n for n in report["notes"] if "looks nowhere" in n]
+    assert [n.split()[0] for n in idle] == ["one", "cloudy"]
+    assert "-12 (never dark enough)" in idle[0]
+    rows = pq.read_table(tmp_path / "out" / "sensors.parquet").to_pylist()
+    assert [r["observations"] > 0 for r in rows] == [False, False, True, False]
+    assert [r["open_h"] > 0 for r in rows] == [False, False, True, False]
+    assert all(0.0 <= r["used_fraction"] <= 1.0 for r in rows)
 
 
 def test_decayed_objects_are_reported(data: Data, tmp_path: Path) -> None:
