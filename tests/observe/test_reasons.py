@@ -140,3 +140,28 @@ def test_a_target_behind_the_camera() -> None:
     assert [row["seen"] for row in rows] == ["yes", "out of field"]
     assert [row["snr_at"] for row in rows] == ["frame", "boresight"]
     assert rows[1]["snr"] == pytest.approx(rows[0]["snr"], rel=0.01)
+
+
+def test_a_black_back_sends_no_light() -> None:
+    """A plate that looks down at the Earth, the Sun on its front, seen from above: dark, if lit."""
+    down = unit(ACROSS - 0.5 * SUN)
+    target = ball_at(2e7 * down) | {"body": {
+        "kind": "plate", "area_m2": 9.0, "albedo": 0.3, "attitude": {"kind": "nadir"}}}  # fmt: skip
+    for far, word in ((1.05, "in shadow"), (0.95, "yes")):
+        space = {"kind": "orbit", "orbit": ball_at(2e7 * far * down)["orbit"]}
+        ra, dec = (float(np.degrees(v)) for v in to_angles((1.0 - far) * down))
+        assert seen_from(space, [target], ra, dec) == word
+
+
+def test_lamps_of_what_is_out_of_the_field() -> None:
+    """They are those of a frame that is pointed at the target: as far from its middle as a render
+    wants the Sun, whose limb (0.27 degrees) may not touch its corner (1.04) either."""
+    space = {"kind": "orbit", "orbit": ball_at(BESIDE)["orbit"]}
+    at_sun = [float(np.degrees(v)) for v in to_angles(SUN)]
+    for limit_deg, off_deg, word in ((20.0, 19.9, "Sun"), (20.0, 20.1, "out of field"),
+                                     (0.0, 1.2, "Sun"), (0.0, 1.4, "out of field")):  # fmt: skip
+        sensor = night()["sensor"] | {"sun_exclusion_deg": limit_deg}
+        off = np.radians(off_deg)
+        target = ball_at(BESIDE + 1e6 * (np.cos(off) * SUN + np.sin(off) * ACROSS))
+        for ra, dec in (at_sun, [at_sun[0], at_sun[1] - 60.0]):
+            assert seen_from(space, [target], ra, dec, sensor=sensor) == word
