@@ -13,6 +13,7 @@ import pytest
 
 from pipeline.capacity.course import make_course
 from pipeline.capacity.run import StudyOptions, _searched, run_study
+from tests.command import nightglass
 
 Data = dict[str, Any]
 
@@ -54,3 +55,23 @@ def test_dwells_of_a_search_draw_each_for_itself(data: Data, tmp_path: Path) -> 
     assert seen["detected"].to_numpy().mean() == pytest.approx(0.3, abs=4 * 0.46 / np.sqrt(1000))
     np.testing.assert_allclose(seen["time_s"].to_numpy(), middles + 2.5)  # 3 frames in 5 s
     np.testing.assert_allclose(seen["busy_s"].to_numpy(), 5.0)
+
+
+def test_options_of_the_command(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fields that are set, the forecast, its limit, and going on."""
+    monkeypatch.setattr("pipeline.capacity.page.page", lambda *_: "")
+    (tmp_path / "study.json").write_text(json.dumps(data))
+    short = ("--set", "duration_h=0.5", "--set", "catalogue.synthetic.objects=10", "--json")
+    file, out = tmp_path / "study.json", tmp_path / "out"
+    told = json.loads(nightglass("study", file, *short, "--dry-run").stdout)
+    assert (told["objects"], told["steps"], out.exists()) == (10, 30, False)
+    monkeypatch.setattr("pipeline.capacity.run.MOST_CPU_S", 1e-6)
+    run = ("study", file, *short, "--scheduler", "synchronous", "-o", out)
+    refused = nightglass(*run)
+    assert (refused.returncode, "or --yes" in refused.stderr) == (2, True)
+    report = json.loads(nightglass(*run, "--yes").stdout)
+    assert (report["hours"], report["figures"]["objects"]) == (0.5, 10)
+    assert "--resume" in nightglass(*run, "--yes").stderr
+    assert json.loads(nightglass(*run, "--yes", "--resume").stdout) == report

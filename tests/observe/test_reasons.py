@@ -9,11 +9,12 @@ import pytest
 
 from pipeline.observe.observe import observe
 from pipeline.physics.positions.earth import earth_and_sun
-from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import to_angles, unit
+from pipeline.plan.pointing.site import place_of
 from pipeline.spec.load import parse_scene
-from tests.observe.conftest import BALL, in_high_orbit, night
+from tests.observe.conftest import BALL, SITE, in_high_orbit, night
 
 EPOCH = "2019-04-20T10:00:00Z"
 DATE = parse_utc(EPOCH)
@@ -165,3 +166,22 @@ def test_lamps_of_what_is_out_of_the_field() -> None:
         target = ball_at(BESIDE + 1e6 * (np.cos(off) * SUN + np.sin(off) * ACROSS))
         for ra, dec in (at_sun, [at_sun[0], at_sun[1] - 60.0]):
             assert seen_from(space, [target], ra, dec, sensor=sensor) == word
+
+
+@pytest.mark.parametrize(("moonlight", "words"), [(True, ("Moon", "yes")), (False, ("yes", "yes"))])
+def test_near_the_moon_where_its_light_is_asked_for(
+    moonlight: bool, words: tuple[str, ...]
+) -> None:
+    """Its light is known from 5 degrees beside it on; the corner of the field is 1.04 from it."""
+    times = instants(DATE, np.array([0.5]))
+    site = parse_scene(night()).observer
+    here = place_of(site, times)[0][0]
+    moon = unit(moon_m(*DATE)[0] - here)
+    side = unit(np.cross(moon, here))
+    for off_deg, word in zip((5.5, 7.0), words, strict=True):
+        off = np.radians(off_deg)
+        towards = np.cos(off) * moon + np.sin(off) * side
+        ra, dec = (float(np.degrees(v)) for v in to_angles(towards))
+        sky = {"uniform_e_per_s": 1.0, "moonlight": moonlight}
+        target = ball_at(here + 1e8 * towards, 90.0)
+        assert seen_from(SITE, [target], ra, dec, background=sky) == word
