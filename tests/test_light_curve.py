@@ -108,6 +108,37 @@ def test_many_together_are_each_as_alone(tmp_path: Path) -> None:
             np.testing.assert_allclose(found, getattr(alone, column), rtol=1e-13)
 
 
+def test_curves_come_as_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of the names, whatever is worked out together; to the last exposure's end."""
+    scene = parse_scene(SCENE)
+    names = ["ball", "tube"]
+    alone = {name: light_curve(scene, name, BAND, points=30) for name in names}
+    monkeypatch.setattr("pipeline.plan.bodies.paths.TOGETHER", 1)
+    for wanted in (names, names[::-1]):
+        found = list(light_curves(scene, wanted, BAND, points=30))
+        assert [name for name, _ in found] == wanted
+        for name, curve in found:
+            own = alone[name].irradiance_e_s_m2
+            np.testing.assert_allclose(curve.irradiance_e_s_m2, own, rtol=1e-13)
+    assert alone["ball"].time_s[[0, -1]].tolist() == [0.0, 92.0]  # four of 2 s, 30 s apart
+
+
+def test_a_sphere_by_closed_form() -> None:
+    """AB, electrons and phase of the ball: Lambert's sphere in sunlight at its distances."""
+    curve = light_curve(parse_scene(SCENE), "ball", BAND, points=10)
+    wavelength, sun, _, _ = solar_spectrum()
+    full = band_photon_irradiance_sun(wavelength, sun, BAND)
+    a = curve.phase_rad
+    bracket = np.sin(a) + (np.pi - a) * np.cos(a)
+    light = 0.2 / np.pi * (2.0 / 3.0) * bracket / curve.range_m**2
+    wanted = light * full * curve.sunlit / 1.016**2  # au, in July
+    np.testing.assert_allclose(curve.irradiance_e_s_m2, wanted, rtol=2e-3)
+    lit = wanted > 0.0
+    assert lit.any()
+    mag = -2.5 * np.log10(wanted[lit] / ab_photon_rate(0.0, BAND))
+    np.testing.assert_allclose(curve.mag_ab[lit], mag, atol=2e-3)
+
+
 def test_no_plot_of_many(tmp_path: Path) -> None:
     curves = light_curves(parse_scene(SCENE), [], BAND, points=5)
     with pytest.raises(BadInput, match=r"^--plot: .* one --target"):

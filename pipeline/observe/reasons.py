@@ -37,7 +37,7 @@ def seen_of(
     near = {k: np.where(in_field, frame[k][:, None], there[k]) <= 0.0 for k in there}
     tests = {
         HIDDEN[hidden_by(plan.scene)]: columns["visible_fraction"] <= 0.0,
-        "in shadow": (columns["sunlit_fraction"] <= 0.0) & ~(columns["electrons"] > 0.0),
+        "in shadow": np.isnan(columns["v_mag"]),  # where no light is sent
         "Sun": near["sun"] | near["near the sun"],
         "Moon": near["moon"] | near["near the moon"],
         "daylight": _by_day(plan, angles.lamps[0])[:, None] & np.ones_like(in_field),

@@ -9,11 +9,12 @@ import pytest
 
 from pipeline.observe.observe import observe
 from pipeline.physics.positions.earth import earth_and_sun
-from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import to_angles, unit
+from pipeline.plan.pointing.site import place_of
 from pipeline.spec.load import parse_scene
-from tests.observe.conftest import BALL, in_high_orbit, night
+from tests.observe.conftest import BALL, SITE, in_high_orbit, night
 
 EPOCH = "2019-04-20T10:00:00Z"
 DATE = parse_utc(EPOCH)
@@ -140,3 +141,47 @@ def test_a_target_behind_the_camera() -> None:
     assert [row["seen"] for row in rows] == ["yes", "out of field"]
     assert [row["snr_at"] for row in rows] == ["frame", "boresight"]
     assert rows[1]["snr"] == pytest.approx(rows[0]["snr"], rel=0.01)
+
+
+def test_a_black_back_sends_no_light() -> None:
+    """A plate that looks down at the Earth, the Sun on its front, seen from above: dark, if lit."""
+    down = unit(ACROSS - 0.5 * SUN)
+    target = ball_at(2e7 * down) | {"body": {
+        "kind": "plate", "area_m2": 9.0, "albedo": 0.3, "attitude": {"kind": "nadir"}}}  # fmt: skip
+    for far, word in ((1.05, "in shadow"), (0.95, "yes")):
+        space = {"kind": "orbit", "orbit": ball_at(2e7 * far * down)["orbit"]}
+        ra, dec = (float(np.degrees(v)) for v in to_angles((1.0 - far) * down))
+        assert seen_from(space, [target], ra, dec) == word
+
+
+def test_lamps_of_what_is_out_of_the_field() -> None:
+    """They are those of a frame that is pointed at the target: as far from its middle as a render
+    wants the Sun, whose limb (0.27 degrees) may not touch its corner (1.04) either."""
+    space = {"kind": "orbit", "orbit": ball_at(BESIDE)["orbit"]}
+    at_sun = [float(np.degrees(v)) for v in to_angles(SUN)]
+    for limit_deg, off_deg, word in ((20.0, 19.9, "Sun"), (20.0, 20.1, "out of field"),
+                                     (0.0, 1.2, "Sun"), (0.0, 1.4, "out of field")):  # fmt: skip
+        sensor = night()["sensor"] | {"sun_exclusion_deg": limit_deg}
+        off = np.radians(off_deg)
+        target = ball_at(BESIDE + 1e6 * (np.cos(off) * SUN + np.sin(off) * ACROSS))
+        for ra, dec in (at_sun, [at_sun[0], at_sun[1] - 60.0]):
+            assert seen_from(space, [target], ra, dec, sensor=sensor) == word
+
+
+@pytest.mark.parametrize(("moonlight", "words"), [(True, ("Moon", "yes")), (False, ("yes", "yes"))])
+def test_near_the_moon_where_its_light_is_asked_for(
+    moonlight: bool, words: tuple[str, ...]
+) -> None:
+    """Its light is known from 5 degrees beside it on; the corner of the field is 1.04 from it."""
+    times = instants(DATE, np.array([0.5]))
+    site = parse_scene(night()).observer
+    here = place_of(site, times)[0][0]
+    moon = unit(moon_m(*DATE)[0] - here)
+    side = unit(np.cross(moon, here))
+    for off_deg, word in zip((5.5, 7.0), words, strict=True):
+        off = np.radians(off_deg)
+        towards = np.cos(off) * moon + np.sin(off) * side
+        ra, dec = (float(np.degrees(v)) for v in to_angles(towards))
+        sky = {"uniform_e_per_s": 1.0, "moonlight": moonlight}
+        target = ball_at(here + 1e8 * towards, 90.0)
+        assert seen_from(SITE, [target], ra, dec, background=sky) == word

@@ -15,7 +15,7 @@ from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.spec.study import FieldOfRegard, Synthetic
 from pipeline.survey.elements import Elements, synthetic_elements
-from pipeline.survey.prune import never_seen
+from pipeline.survey.prune import _days, never_seen
 from pipeline.survey.sights import allowed, sights_of
 from pipeline.survey.watch import make_watcher
 from tests.survey.conftest import EPOCH, sections, watcher
@@ -120,3 +120,11 @@ def test_a_satellite_on_a_long_orbit_comes_near() -> None:
     seen = np.unique(s.object[allowed(w, watch, s) & (s.snr >= 20.0)])
     assert len(seen) > 20
     assert not pruned[seen].any()
+
+
+def test_bounds_hold_at_the_farther_end() -> None:
+    """Of elements from before, from within and from after a watch of four days."""
+    made = synthetic_elements(Synthetic(objects=3), EPOCH)
+    made.jd2[:] += [-10.0, 1.5, 20.0]
+    w = watcher()
+    np.testing.assert_allclose(_days(w, w.watch(np.array([0.0, 345_600.0])), made), [14, 2.5, 20])

@@ -86,3 +86,27 @@ def test_a_sky_that_changes_in_the_night_is_reported() -> None:
     w = make_watcher(sections(background=sky), FieldOfRegard(), EPOCH, False)
     assert "without moonlight and twilight" in w.sky_note
     assert w.resolved.facts.background_e_s == watcher().resolved.facts.background_e_s
+
+
+def test_rates_against_skyfield(objects: Elements) -> None:
+    """Of 100 cases, by places half a second before and after, the site's own motion in them."""
+    s, _, at, dut1_s = _thousand(objects, False)
+    ts = load.timescale(delta_t=69.184 - dut1_s)
+    site, satellites = wgs84.latlon(20.7, -156.3, elevation_m=3055), objects.satellites()
+    for row in range(0, len(s), 10):
+        body = EarthSatellite.from_satrec(satellites[int(s.object[row])], ts)
+        t = [ts.tt_jd(2458593.75, (69.184 + at[s.moment[row]] + off) / 86400.0)
+             for off in (-0.5, 0.5)]  # fmt: skip
+        paths = [(body - site).at(moment).position.m for moment in t]
+        turn = separation(*(p / np.linalg.norm(p) for p in paths))
+        assert s.rate[row] == pytest.approx(turn, rel=2e-3)
+        assert s.rate_arcsec_s[row] == pytest.approx(turn / ARCSEC, rel=2e-3)
+
+
+def test_light_is_dimmed_by_the_air_on_its_way(objects: Elements) -> None:
+    """0.12 mag an airmass, which is 1 / sin(elevation) to 0.5 % above 25 degrees."""
+    s, *_ = _thousand(objects, False)
+    s = s.take((s.elevation > np.radians(25.0)) & (s.light > 0.0))
+    assert len(s) > 200
+    told = -2.5 * np.log10(s.light_e / (s.light * watcher().electrons_per_light))
+    np.testing.assert_allclose(told, 0.12 / np.sin(s.elevation), rtol=1e-2)

@@ -16,6 +16,9 @@ from pipeline.capacity.run import StudyOptions, run_study
 from pipeline.cli import app
 from pipeline.errors import BadInput
 from service.client import Client
+from service.problems import NotAllowed
+from service.scenes.studies import accept_study
+from service.settings import Settings
 from tests.capacity.conftest import SMALL
 
 ELEMENTS = Path(__file__).resolve().parents[3] / "examples" / "population.tle"
@@ -89,3 +92,23 @@ def test_what_a_study_may_not_hold(server: Any) -> None:
     axes = [{"field": "catalogue.populations.0.path", "values": ["a", "b"]}]
     assert "over REST none goes through files" in post("/v1/studies", json=_study(axes=axes)).text
     assert post("/v1/studies", json={"schema": "nightglass/study/1"}).status_code == 422
+
+
+def test_limits_of_a_study(tmp_path: Path) -> None:
+    """CPU by objects x steps x points, and points, against the settings; no axis goes through
+    files or orbits."""
+    settings = Settings(tmp_path, job_cpu_s=1000.0, sweep_points=7)
+    day = _study(duration_h=24.0, catalogue={"synthetic": {"objects": 100_000}})  # 144 s a point
+
+    def seeds(count: int, **changes: Any) -> dict[str, Any]:
+        return accept_study(day | {"seeds": count} | changes, settings)
+
+    assert seeds(6)["seeds"] == 6
+    with pytest.raises(NotAllowed, match="at most 1000 CPU s, 7 points"):
+        seeds(7)
+    assert seeds(7, duration_h=12.0)["seeds"] == 7
+    with pytest.raises(NotAllowed, match="7 points"):
+        seeds(8, duration_h=1.0)
+    for field in ("catalogue.populations.0.sizes", "sensors.0.observer.orbit"):
+        with pytest.raises(NotAllowed, match="none goes through files"):
+            accept_study(_study(axes=[{"field": field, "values": ["a", "b"]}]), settings)

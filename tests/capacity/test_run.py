@@ -1,0 +1,77 @@
+"""The route of a study: its points with their axes and seeds, and the draws of a search."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.capacity.course import make_course
+from pipeline.capacity.run import StudyOptions, _searched, run_study
+from tests.command import nightglass
+
+Data = dict[str, Any]
+
+
+def test_points_have_their_values_of_all_axes_and_their_seeds(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.capacity.page.page", lambda *_: "")  # pictures take a second
+    data |= {"duration_h": 1.0, "seeds": 2, "design": {"kind": "zip"}}
+    data["catalogue"]["synthetic"]["objects"] = 20
+    data["axes"] = [{"field": "sensors.0.count", "values": [1, 3]},
+                    {"field": "cameras.0.sensor.aperture_m", "values": [0.1, 0.6]}]  # fmt: skip
+    run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous"))
+    told = pq.read_table(tmp_path / "out" / "points.parquet").to_pylist()
+    found = []
+    for row in told:
+        place = tmp_path / "out" / "points" / f"{row['point']:04d}"
+        own = json.loads((place / "study.json").read_text())
+        values = own["sensors"][0]["count"], own["cameras"][0]["sensor"]["aperture_m"], own["seed"]
+        keys = "sensors.0.count", "cameras.0.sensor.aperture_m", "seed"
+        assert tuple(row[k] for k in keys) == values
+        figures = json.loads((place / "report.json").read_text())["figures"]
+        assert {k: row[k] for k in figures} == figures
+        found.append(values)
+    assert sorted(found) == [(n, a, s) for n, a in ((1, 0.1), (3, 0.6)) for s in (3, 4)]
+
+
+def test_dwells_of_a_search_draw_each_for_itself(data: Data, tmp_path: Path) -> None:
+    """One object in one sensor's fields a thousand times; `time_s` becomes the end of the dwell."""
+    data["cameras"][0]["tracking"] = "sidereal"
+    data["tasking"] = {"kind": "serendipitous", "pattern": "fence"}
+    course = make_course(data, tmp_path)
+    middles = 17.5 + 23.0 * np.arange(1000)
+    table = pa.table({
+        "time_s": middles, "unit": np.full(1000, 1), "object": np.zeros(1000, np.int32),
+        "probability": np.full(1000, 0.3, np.float32),
+    })  # fmt: skip
+    seen = _searched(course, table)
+    assert seen["detected"].to_numpy().mean() == pytest.approx(0.3, abs=4 * 0.46 / np.sqrt(1000))
+    np.testing.assert_allclose(seen["time_s"].to_numpy(), middles + 2.5)  # 3 frames in 5 s
+    np.testing.assert_allclose(seen["busy_s"].to_numpy(), 5.0)
+
+
+def test_options_of_the_command(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fields that are set, the forecast, its limit, and going on."""
+    monkeypatch.setattr("pipeline.capacity.page.page", lambda *_: "")
+    (tmp_path / "study.json").write_text(json.dumps(data))
+    short = ("--set", "duration_h=0.5", "--set", "catalogue.synthetic.objects=10", "--json")
+    file, out = tmp_path / "study.json", tmp_path / "out"
+    told = json.loads(nightglass("study", file, *short, "--dry-run").stdout)
+    assert (told["objects"], told["steps"], out.exists()) == (10, 30, False)
+    monkeypatch.setattr("pipeline.capacity.run.MOST_CPU_S", 1e-6)
+    run = ("study", file, *short, "--scheduler", "synchronous", "-o", out)
+    refused = nightglass(*run)
+    assert (refused.returncode, "or --yes" in refused.stderr) == (2, True)
+    report = json.loads(nightglass(*run, "--yes").stdout)
+    assert (report["hours"], report["figures"]["objects"]) == (0.5, 10)
+    assert "--resume" in nightglass(*run, "--yes").stderr
+    assert json.loads(nightglass(*run, "--yes", "--resume").stdout) == report
