@@ -115,7 +115,7 @@ def _digest(body: MeshBody, files: Mapping[tuple[str, Unit], MeshFile], palette:
     has added to the body: a product's scene is read with the same files again.
     """
     bare = body.model_copy(update={"digest": None, "error": None})
-    folders = {"path": True, "surface": {"path"}, "materials": {"__all__": {"path"}}}
+    folders: Arguments = {"path": True, "surface": {"path"}, "materials": {"__all__": {"path"}}}
     content = hashlib.sha256(
         bare.model_dump_json(exclude=folders | {"parts": {"__all__": folders}}).encode()
     )

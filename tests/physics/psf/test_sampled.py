@@ -218,7 +218,7 @@ def test_tables_are_equal_by_content_and_travel() -> None:
 
 
 def test_everything_in_a_table_counts() -> None:
-    """Caches hand out what they know of an equal one: each use has its own light, place and size."""
+    """Caches hand out what is known of an equal one: each use has its own light, place, size."""
     table = gaussian_table((12, 13), (6.0, 6.0), 2.0)
     other = table + np.eye(12, 13)
     made = [
