@@ -57,7 +57,8 @@ def test_values_come_back_as_they_were_made(folder):
 CONTENT = [
     ("a",), ("b",), ("a", "b"), (("a",), "b"), (("a", "b"),), ("ab",), (1,), (1.0,), (True,),
     (None,), (1.0 + 1e-15,), (-0.0,), (0.0,), ("1",), (np.zeros(2),), (np.zeros((1, 2)),),
-    (np.zeros(2, np.float32),), (np.array([0.0, 5e-324]),), (One(1.0, (2.0,)),),
+    (np.zeros(2, np.float32),), (np.zeros(2, np.int64),), (np.arange(4.0).reshape(2, 2),),
+    (np.arange(4.0).reshape(2, 2).T,), (np.array([0.0, 5e-324]),), (One(1.0, (2.0,)),),
     (Other(1.0, (2.0,)),), (One(2.0, (1.0,)),), (One(1.0, (np.ones(1),)),),
 ]  # fmt: skip
 

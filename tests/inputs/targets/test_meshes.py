@@ -181,7 +181,9 @@ def test_a_digest_tells_all_that_shapes_the_light_but_no_folder(tmp_path):
         wing = write(tmp_path / folder, CUBE + wing, "wing.obj")
         parts = [{"name": "wing", "path": str(wing), "place_m": place}]
         path = write(tmp_path / folder, text, name)
-        return gather_mesh(body(path, surface=surface, parts=parts, **more)).digest
+        half = {"black": surface | {"scale": 0.5}}
+        wish = {"surface": surface, "materials": half, "parts": parts} | more
+        return gather_mesh(body(path, **wish)).digest
 
     found = [
         digest("a"),
