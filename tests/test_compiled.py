@@ -88,6 +88,14 @@ def test_a_folder_of_kept_kernels_is_parted_by_sources(
         assert os.environ[FOLDER] == found[-1]
     assert found[0] == found[2] != found[1]
     assert {Path(f).parent for f in found} == {tmp_path / "kept"}
+    (tmp_path / "inner").mkdir()
+    source.rename(tmp_path / "inner" / "a.py")  # the same content elsewhere, then another there
+    for content in ("x = 1", "x = 2"):
+        (tmp_path / "inner" / "a.py").write_text(content)
+        monkeypatch.setenv(FOLDER, str(tmp_path / "kept"))
+        keep_apart(tmp_path)
+        assert os.environ[FOLDER] not in found
+        found.append(os.environ[FOLDER])
     monkeypatch.delenv(FOLDER)
     keep_apart(tmp_path)
     assert FOLDER not in os.environ

@@ -55,9 +55,11 @@ def test_values_come_back_as_they_were_made(folder):
 
 
 CONTENT = [
-    ("a",), ("b",), ("a", "b"), (("a",), "b"), (("a", "b"),), ("ab",), (1,), (1.0,), (True,),
+    ("a",), ("b",), ("a", "b"), (1, 23), (12, 3), (("a",), "b"), (("a", "b"),), ("ab",), (1,),
+    (1.0,), (True,),
     (None,), (1.0 + 1e-15,), (-0.0,), (0.0,), ("1",), (np.zeros(2),), (np.zeros((1, 2)),),
-    (np.zeros(2, np.float32),), (np.array([0.0, 5e-324]),), (One(1.0, (2.0,)),),
+    (np.zeros(2, np.float32),), (np.zeros(2, np.int64),), (np.arange(4.0).reshape(2, 2),),
+    (np.arange(4.0).reshape(2, 2).T,), (np.array([0.0, 5e-324]),), (One(1.0, (2.0,)),),
     (Other(1.0, (2.0,)),), (One(2.0, (1.0,)),), (One(1.0, (np.ones(1),)),),
 ]  # fmt: skip
 
@@ -72,6 +74,33 @@ def test_another_version_of_the_physics_has_its_own(folder, monkeypatch):
     assert kept_number(("n",), lambda: 1.0) == 1.0
     monkeypatch.setattr(store, "_code", lambda: b"another")
     assert kept_number(("n",), lambda: 2.0) == 2.0
+
+
+def test_the_code_its_libraries_and_the_processor_count(tmp_path, monkeypatch):
+    """Rounding differs between versions and processors; a file far below is physics, too."""
+    inner = tmp_path / "physics" / "sky" / "one.py"
+    inner.parent.mkdir(parents=True)
+    inner.write_text("x = 1")
+    monkeypatch.setattr(store, "__file__", str(tmp_path / "kept.py"))
+    versions = dict.fromkeys(("numpy", "scipy", "numba"), "1.0")
+    monkeypatch.setattr(store, "version", versions.__getitem__)
+    told = [store._code.__wrapped__()]
+
+    def now():
+        told.append(store._code.__wrapped__())
+        assert told[-1] not in told[:-1]
+
+    inner.write_text("x = 2")
+    now()
+    inner.rename(inner.with_name("two.py"))
+    now()
+    for name in versions:
+        versions[name] = "2.0"
+        now()
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_name", lambda: "another")
+    now()
+    monkeypatch.setattr(store.platform, "machine", lambda: "another")
+    now()
 
 
 def test_content_without_content_is_refused(folder):

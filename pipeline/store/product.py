@@ -32,7 +32,8 @@ from pipeline.store.markers import (
 from pipeline.store.truth import drop_parts, part_is_whole
 
 FORMAT = "nightglass/product/1"
-CONTENT_KNOWN = ("stars.", "populations.", "catalogue.")  # fields of files whose content is known
+CATALOGUES = ("stars.catalogue",)  # fields of files that have digests of their own
+CONTENT_KNOWN = (*CATALOGUES, "populations.", "catalogue.")  # or whose content is in the scene
 SYNCED_AT_ONCE = 16  # a disk takes these in one go
 Cell = tuple[Any, ...]  # layer, frame, row, column, checksum
 
@@ -263,14 +264,21 @@ def files_digest(data: JsonObject) -> str | None:
 
     Catalogues have digests of their own; of populations what was found in them counts.
     """
-    found = []
+    found = [(field_name, file_digest(file)) for field_name, file in named_files(data)]
+    return hashlib.sha256(json.dumps(found).encode()).hexdigest() if found else None
+
+
+def named_files(
+    data: JsonObject, known: tuple[str, ...] = CONTENT_KNOWN
+) -> Iterator[tuple[str, Path]]:
+    """Dotted field and file of all that plain data names, of a folder all its files; but for fields
+    whose content is known."""
     for field_name, holder, key in path_holders(data):
         name = holder.get(key)
-        if isinstance(name, str) and not field_name.startswith(CONTENT_KNOWN):
+        if isinstance(name, str) and not field_name.startswith(known):
             path = Path(name)
             files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-            found += [(field_name, file_digest(file)) for file in files if file.is_file()]
-    return hashlib.sha256(json.dumps(found).encode()).hexdigest() if found else None
+            yield from ((field_name, file) for file in files if file.is_file())
 
 
 def content_digest(path: Path) -> str:

@@ -201,8 +201,10 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
     (out / PARTS).mkdir(exist_ok=True)
 
 
-def identity_of(sweep: Sweep, data: JsonObject, digests: list[str]) -> JsonObject:
-    """What makes two sweeps the same: their points, base scene, catalogues and metrics."""
+def identity_of(
+    sweep: Sweep, data: JsonObject, digests: list[str], files: str | None
+) -> JsonObject:
+    """What makes two sweeps the same: their points, base scene, catalogues, files and metrics."""
     plain = sweep.as_dict()
     return {
         "format": FORMAT,
@@ -210,6 +212,7 @@ def identity_of(sweep: Sweep, data: JsonObject, digests: list[str]) -> JsonObjec
         "scene": _sha(data),
         "metrics": _sha([plain["metrics"], plain["targets"], plain["detection"], plain["cubes"]]),
         "catalogues": digests,
+        "files": files,
     }
 
 

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import copy
+import hashlib
+import json
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +16,10 @@ from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.images import read_image
 from pipeline.spec.dotted import NoFieldError, set_dotted
-from pipeline.spec.load import InvalidScene, parse_scene
+from pipeline.spec.load import InvalidScene, parse_scene, place_paths
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep
+from pipeline.store.product import CATALOGUES, file_digest, named_files
 from pipeline.sweep.dependence import AFTER_LIGHT, FLOOR, SKY_FLOOR
 from pipeline.sweep.design import Design
 from pipeline.sweep.stages import Base, Stages, is_plain, without_noise
@@ -70,6 +75,30 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
         data["seed"] = seed + design.seed_step(point)
     data["name"] = f"{str(data.get('name', 'scene'))[:110]}-{point:07d}"
     return parse_scene(data, base=Path(course.base_folder))
+
+
+def files_of(course: Course) -> str | None:
+    """SHA-256 over the content of all files that the points name, each read once; None without.
+
+    Catalogues have digests of their own.
+    """
+    named = dict.fromkeys(named_files(course.data, CATALOGUES))
+    for name, value in _words(course):
+        data = copy.deepcopy(course.data)
+        set_field(data, name, value)
+        place_paths(data, Path(course.base_folder))
+        named |= dict.fromkeys(named_files(data, CATALOGUES))
+    known = {file: file_digest(file) for file in {file for _, file in named}}
+    found = [(field, known[file]) for field, file in named]
+    return hashlib.sha256(json.dumps(found).encode()).hexdigest() if found else None
+
+
+def _words(course: Course) -> Iterator[tuple[str, object]]:
+    """Fields of the axes with each of their values that may name a file."""
+    design = course.design
+    for name in chain.from_iterable(axis.fields for axis in course.sweep.axes):
+        words = [v for v in design.extremes(name) if isinstance(v, str | dict | list)]
+        yield from ((name, v) for v in {json.dumps(v, sort_keys=True): v for v in words}.values())
 
 
 def set_field(data: JsonObject, name: str, value: object) -> None:

@@ -24,7 +24,15 @@ from pipeline.store.layout import full_disk, only_writer
 from pipeline.sweep import ledger
 from pipeline.sweep.dependence import AFTER_LIGHT
 from pipeline.sweep.ledger import PointLedger
-from pipeline.sweep.points import Course, check_axes, floors_of, light_group, scene_of, with_floor
+from pipeline.sweep.points import (
+    Course,
+    check_axes,
+    files_of,
+    floors_of,
+    light_group,
+    scene_of,
+    with_floor,
+)
 from pipeline.sweep.stages import stages
 from pipeline.sweep.summary import summarise
 from pipeline.sweep.task import run_points
@@ -77,7 +85,8 @@ def _run_course(
 ) -> JsonObject:
     started = time.perf_counter()
     names, digests = check(course)
-    ledger.begin(out, ledger.identity_of(course.sweep, course.data, digests), options.resume)
+    identity = ledger.identity_of(course.sweep, course.data, digests, files_of(course))
+    ledger.begin(out, identity, options.resume)
     with only_writer(out):
         schema = ledger.schema_of(course.sweep, names)
         book = PointLedger(out, schema, course.sweep.points)

@@ -16,11 +16,11 @@ from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
 from pipeline.route.run import Options, join, render
 from pipeline.route.shares import Share
-from pipeline.spec.load import parse_scene
+from pipeline.spec.load import PATH_FIELDS, parse_scene
 from pipeline.store.cube import open_cube
 from pipeline.store.layout import only_writer
 from pipeline.store.markers import read_marker
-from pipeline.store.product import check, content_digest
+from pipeline.store.product import check, content_digest, files_digest
 from pipeline.store.truth import part_is_whole, part_path
 
 SCENE = {
@@ -147,6 +147,22 @@ def test_a_file_that_changed_since_is_refused(tmp_path, kind):
         render(parse_scene(data), product, AGAIN)
     write(1.0)
     assert render(parse_scene(data), product, AGAIN)["tiles_resumed"] == TILES - 1
+
+
+def test_every_file_that_a_scene_names_counts(tmp_path):
+    """In each field that may name one, but catalogues, and populations that were read."""
+    path, counts = tmp_path / "file", {}
+    for names in PATH_FIELDS:
+        data = str(path)
+        for name in reversed(names):
+            data = {"k" if name == "*" else name: data}
+        path.write_text("first")
+        first = files_digest(data)
+        path.write_text("other")
+        counts[names] = None not in (first, files_digest(data)) and files_digest(data) != first
+    known = {names for names, changed in counts.items() if not changed}
+    others = [n for n in PATH_FIELDS if n[0] == "populations"]
+    assert known == {("stars", "catalogue"), *others}
 
 
 def test_what_a_killed_writer_left_is_no_part_of_the_product(starry, product):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pyarrow.parquet as pq
 import pytest
 
@@ -9,7 +11,7 @@ from pipeline.route.run import Options, render
 from pipeline.store.product import content_digest
 from pipeline.sweep.dependence import NEUTRAL
 from pipeline.sweep.run import gather_course, point_scene, sweep
-from pipeline.sweep.stages import stages
+from pipeline.sweep.stages import _read_key, stages
 from pipeline.sweep.task import run_points
 
 SPHERE = "targets.0.body.albedo"
@@ -67,6 +69,49 @@ def test_same_rows_with_seeds(more, sweep_file, tmp_path):
         alone = tmp_path / f"alone-{row['point']}"
         render(point_scene(path, row["point"]), alone, Options("synchronous"))
         assert content_digest(alone) == row["content_digest"]
+
+
+def test_same_rows_however_a_frame_is_cut(sweep_file, tmp_path):
+    """Six tiles that are not alike, the target on a border: one tile's bits and metrics."""
+    axis, rows = [{"field": "sensor.read_noise_e", "values": [2.0, 9.0]}], []
+    for k, tile in enumerate(([256, 256], [300, 520])):
+        more = {"sensor.shape": [300, 520], "sensor.full_well_e": 2000.0, "exposure.frames": 1}
+        path = sweep_file(axis, more | {"output.tile_shape": tile})
+        rows.append(rows_of(path, tmp_path / f"swept-{k}"))
+    render(point_scene(path, 1), tmp_path / "alone", Options("synchronous"))
+    assert content_digest(tmp_path / "alone") == rows[0][1]["content_digest"]
+    for cut, whole in zip(*rows, strict=True):
+        assert cut.pop("background_e") == pytest.approx(whole.pop("background_e"), rel=0.02)
+        others = [name for name in cut if name not in ("seconds", "light_s")]
+        assert [cut[name] for name in others] == [whole[name] for name in others]
+        assert 0.0 < cut["saturated_fraction"] < 0.01
+        assert cut["detected_fraction.ball"] == 1.0
+
+
+def _rows_key(**changes):
+    stars = {"faintest_g_mag": None, "space_motion": True} | changes.pop("stars", {})
+    plan = {"colour": "fit", "facts": SimpleNamespace(area_m2=changes.pop("area_m2", 1.0))}
+    plan |= {k: changes.pop(k) for k in ("colour",) if k in changes}
+    catalogues = [SimpleNamespace(digest=d) for d in changes.pop("digests", ["a", "b"])]
+    prepared = SimpleNamespace(catalogues=catalogues, left_out=changes.pop("left_out", ()))
+    assert not changes
+    scene = SimpleNamespace(stars=SimpleNamespace(**stars))
+    return _read_key(SimpleNamespace(prepared=prepared), SimpleNamespace(scene=scene, **plan))
+
+
+def test_rows_of_stars_are_those_of_all_that_is_read():
+    """The rows of a shard are shared by points whose catalogue, limit, colour and light agree."""
+    keys = [
+        _rows_key(),
+        _rows_key(digests=["a", "c"]),
+        _rows_key(left_out=(1,)),
+        _rows_key(stars={"faintest_g_mag": 15.0}),
+        _rows_key(stars={"space_motion": False}),
+        _rows_key(colour="another"),
+        _rows_key(area_m2=2.0),
+    ]
+    assert len(set(keys)) == len(keys)
+    assert _rows_key() == keys[0]
 
 
 def test_same_bits_whatever_the_detector_is(sweep_file, tmp_path):

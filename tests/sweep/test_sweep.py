@@ -158,6 +158,24 @@ def test_another_sweep_is_not_gone_on_with(tmp_path):
         ledger.begin(tmp_path / "out", known | {"scene": "c"}, resume=True)
 
 
+def test_a_sweep_goes_on_with_the_files_that_it_was_begun_with(sweep_file, tmp_path):
+    """A flat changed at its path, of the base scene or of an axis: no half of the points each."""
+    flat, other = (tmp_path / name for name in ("flat.npy", "other.npy"))
+    for path in (flat, other):
+        np.save(path, np.ones((256, 256)))
+    axes = [{"field": "sensor.flat", "values": ["other.npy", 1.0]},
+            {"field": "sensor.psf", "values": [{"kind": "airy"}]}]  # fmt: skip
+    wish = sweep_file(axes, {"sensor.flat": "flat.npy"}, metrics=["background"])
+    sweep(wish, tmp_path / "out", Options("synchronous"))
+    again = Options("synchronous", resume=True)
+    for path in (flat, other):
+        np.save(path, np.full((256, 256), 0.5))
+        with pytest.raises(BadInput, match="a sweep of the same files"):
+            sweep(wish, tmp_path / "out", again)
+        np.save(path, np.ones((256, 256)))
+    assert sweep(wish, tmp_path / "out", again)["points"] == 2
+
+
 @pytest.mark.slow
 def test_same_table_by_every_scheduler(sweep_file, tmp_path):
     path = sweep_file([NOISE], SKY, seeds=3)
@@ -322,8 +340,9 @@ def test_what_makes_two_sweeps_the_same():
     axes = [{"field": "a", "values": [1, 2]}]
     plain = {"axes": axes, "metrics": ["snr", "detection"]}
 
-    def identity(data="x", digests=("c",), **changes):
-        return ledger.identity_of(parse_sweep(head | plain | changes), {"a": data}, list(digests))
+    def identity(data="x", digests=("c",), files="f", **changes):
+        wish = parse_sweep(head | plain | changes)
+        return ledger.identity_of(wish, {"a": data}, list(digests), files)
 
     known = identity()
     assert identity(name="other") == known
@@ -332,6 +351,7 @@ def test_what_makes_two_sweeps_the_same():
         ({"design": {"kind": "zip"}}, "axes"), ({"metrics": ["snr"]}, "metrics"),
         ({"targets": ["t"]}, "metrics"), ({"detection": {"threshold_sigma": 9.0}}, "metrics"),
         ({"cubes": [1]}, "metrics"), ({"data": "y"}, "scene"), ({"digests": ["e"]}, "catalogues"),
+        ({"files": "g"}, "files"),
     ):  # fmt: skip
         assert {k for k, v in identity(**changes).items() if v != known[k]} == {key}, changes
 

@@ -63,8 +63,15 @@ class Palette:
             surface, content = make_surface(wish, where)
             self._made[key] = len(self._surfaces)
             self._surfaces.append(surface)
-            self._digest.update(key.encode() + content)
+            self._digest.update(_told(wish).encode() + content)
         return self._made[key]
+
+
+def _told(wish: Reflecting) -> str:
+    """All that is said of a surface, but not the folder that its table lies in."""
+    if isinstance(wish, TableSurface):
+        wish = wish.model_copy(update={"path": Path(wish.path).name})
+    return wish.model_dump_json()
 
 
 def make_surface(wish: Reflecting, field: str = "surface") -> tuple[FacetSurface, bytes]:

@@ -111,9 +111,13 @@ def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
 
 
 def _digest(body: MeshBody, files: Mapping[tuple[str, Unit], MeshFile], palette: Palette) -> str:
-    """Of a body and its files: names, but not the folders that they lie in."""
+    """Of a body and its files: names, but not the folders that they lie in, nor what reading them
+    has added to the body: a product's scene is read with the same files again.
+    """
+    bare = body.model_copy(update={"digest": None, "error": None})
+    folders: Arguments = {"path": True, "surface": {"path"}, "materials": {"__all__": {"path"}}}
     content = hashlib.sha256(
-        body.model_dump_json(exclude={"path": True, "parts": {"__all__": {"path"}}}).encode()
+        bare.model_dump_json(exclude=folders | {"parts": {"__all__": folders}}).encode()
     )
     for (path, unit), file in files.items():
         content.update(f"{Path(path).name} {unit} {file.digest}\n".encode())

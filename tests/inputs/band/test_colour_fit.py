@@ -193,3 +193,15 @@ def test_curves_of_one_name_have_fits_of_their_own(embedded, tmp_path):
     for end in (700, 900):
         assert np.array_equal(found[end, tmp_path].coefficients, found[end, None].coefficients)
     assert not np.allclose(found[700, None].coefficients, found[900, None].coefficients)
+
+
+def test_curves_of_one_content_keep_their_names_and_degrees(embedded, tmp_path):
+    """Products tell the band's name; `color-fit` may ask for a degree."""
+    response, _, digest = curves.resolve_response(
+        {"kind": "box", "short_nm": 400, "long_nm": 900}, 1.0, 1.0
+    )
+    asked = [("mine", 2), ("theirs", 2), ("mine", 3)]
+    for _ in range(2):
+        found = [colour_fit.gather_colour_fit(response, n, digest, tmp_path, d) for n, d in asked]
+        assert [(f.band_name, len(f.coefficients) - 1) for f in found] == asked
+    assert len(list(tmp_path.iterdir())) == 3

@@ -15,11 +15,13 @@ from pipeline.physics.meshes.intensity import mesh_intensity
 from pipeline.physics.meshes.model import model_light, posed
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.physics.vectors import separation, unit
+from pipeline.spec.load import parse_scene
 from pipeline.spec.targets.mesh import MeshBody, Reflecting
+from tests.plan.bodies.test_bodies import SKY, TARGET
 
 trimesh = pytest.importorskip("trimesh")
 from pipeline.inputs.targets import meshes  # noqa: E402
-from pipeline.inputs.targets.meshes import gather_mesh, read_mesh  # noqa: E402
+from pipeline.inputs.targets.meshes import gather_mesh, gather_meshes, read_mesh  # noqa: E402
 
 MATT = {"kind": "lambert", "albedo": 0.5}
 
@@ -166,6 +168,52 @@ def test_surfaces_go_by_the_materials_names(tmp_path):
         gather_mesh(body(path, materials={"silver": white}))
     other = gather_mesh(body(path, materials={"gold": MATT}))
     assert other.digest != model.digest
+
+
+def test_a_digest_tells_all_that_shapes_the_light_but_no_folder(tmp_path):
+    """A product goes on, and a table of light is taken, where the digest is the same."""
+
+    def digest(folder, text=CUBE, brdf=0.1, name="body.obj", wing="", place=(3, 0, 0), **more):
+        scale = more.pop("scale", 1.0)
+        (tmp_path / folder).mkdir(exist_ok=True)
+        surface = {"kind": "table", "path": str(tmp_path / folder / "brdf.npy"), "scale": scale}
+        np.save(tmp_path / folder / "brdf.npy", _rows(brdf))
+        wing = write(tmp_path / folder, CUBE + wing, "wing.obj")
+        parts = [{"name": "wing", "path": str(wing), "place_m": place}]
+        path = write(tmp_path / folder, text, name)
+        half = {"black": surface | {"scale": 0.5}}
+        wish = {"surface": surface, "materials": half, "parts": parts} | more
+        return gather_mesh(body(path, **wish)).digest
+
+    found = [
+        digest("a"),
+        digest("a", text=CUBE + SHEET),
+        digest("a", brdf=0.2),
+        digest("a", scale=1.5),
+        digest("a", wing=SHEET),
+        digest("a", name="other.obj"),
+        digest("a", unit="mm"),
+        digest("a", place=(4, 0, 0)),
+        digest("a", materials={"gold": MATT}),
+        digest("a", attitude={"kind": "spin", "rate_deg_s": 1.0, "axis": [0, 0, 1]}),
+    ]
+    assert len(set(found)) == len(found)
+    assert digest("b") == digest("a") == found[0]
+
+
+def test_a_body_is_read_again_from_its_own_files_alone(tmp_path):
+    """As in the scene that a product keeps: with the digest and error that reading has added."""
+    np.save(tmp_path / "brdf.npy", _rows())
+    surface = {"kind": "table", "path": str(tmp_path / "brdf.npy")}
+    wish = body(write(tmp_path, CUBE), materials={"gold": surface}).model_dump(mode="json")
+    scene = gather_meshes(parse_scene({**SKY, "targets": [{**TARGET, "body": wish}]}))
+    kept = scene.targets[0].body
+    assert None not in (kept.digest, kept.error)
+    again = parse_scene(scene.as_dict())
+    assert gather_meshes(again).targets[0].body.model_dump() == kept.model_dump()
+    np.save(tmp_path / "brdf.npy", _rows(0.2))
+    with pytest.raises(BadInput, match=r"targets\.0\.body\.digest.*of these files"):
+        gather_meshes(again)
 
 
 @pytest.mark.parametrize("kind", ["stl", "ply", "glb"])

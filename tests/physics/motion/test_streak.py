@@ -45,6 +45,16 @@ def sampled(path: Path, per_segment: int) -> tuple[np.ndarray, np.ndarray, np.nd
     return x.ravel(), y.ravel(), w.ravel()
 
 
+def test_paths_are_equal_by_all_their_numbers() -> None:
+    """They are keys of caches: each of the three counts."""
+    x, y, weight = np.array([0.0, 3.0, 4.0]), np.array([0.0, 1.0, 1.0]), np.array([0.7, 0.3])
+    one, same = Path(x, y, weight), Path(x + 0.0, y + 0.0, weight + 0.0)
+    assert one == same
+    assert hash(one) == hash(same)
+    others = [Path(x + 1.0, y, weight), Path(x, y + 1.0, weight), Path(x, y, weight[::-1])]
+    assert len({one, *others}) == 4
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_against_time_average_transfer(kind: str) -> None:
     x, y = nodes(kind)

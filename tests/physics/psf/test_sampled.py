@@ -217,6 +217,25 @@ def test_tables_are_equal_by_content_and_travel() -> None:
     assert np.array_equal(back.transfer(f, f), one.transfer(f, f))
 
 
+def test_everything_in_a_table_counts() -> None:
+    """Caches hand out what is known of an equal one: each use has its own light, place, size."""
+    table = gaussian_table((12, 13), (6.0, 6.0), 2.0)
+    other = table + np.eye(12, 13)
+    made = [
+        sampled(table, 0.5, (6.0, 6.0)),
+        sampled(table, 0.5, (6.0, 6.0), 0.8),
+        sampled(table, 0.5, (6.0, 5.0)),
+        sampled(table, 0.5, (5.0, 6.0)),
+        sampled(table, 0.25, (6.0, 6.0)),
+        sampled(table.reshape(13, 12), 0.5, (6.0, 6.0)),
+        sampled(other, 0.5, (6.0, 6.0)),
+    ]
+    assert len(set(made)) == len({m.digest for m in made}) == len(made)
+    zero = np.zeros(1)
+    lights = [abs(m.transfer(zero, zero)[0]) for m in made]
+    assert lights == pytest.approx([1.0, 0.8, 1.0, 1.0, 1.0, 1.0, 1.0], abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("spoil", "what"),
     [

@@ -138,6 +138,9 @@ def test_pictures_of_one_content_are_one_key() -> None:
     assert hash(one) == hash(other)
     assert one != picture(np.eye(4), 0.25)
     assert one != picture(np.eye(4), 0.5, (0.0, 0.0))
+    assert one != picture(np.eye(4)[::-1], 0.5)
+    light = np.arange(1.0, 7.0)
+    assert picture(light.reshape(2, 3), 0.5, (0, 0)) != picture(light.reshape(3, 2), 0.5, (0, 0))
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,10 @@ from hypothesis import strategies as st
 
 from pipeline.physics.meshes.light_table import TURN, tabulated
 from pipeline.plan.bodies import mesh_tables
-from pipeline.plan.bodies.mesh_tables import decide_tables, moments_wanted
+from pipeline.plan.bodies.mesh_tables import decide_tables, moments_wanted, table_between
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.spec.load import parse_scene
+from pipeline.spec.pointing.observer import GroundObserver
 from tests.plan.bodies.test_bodies import SKY, TARGET
 
 trimesh = pytest.importorskip("trimesh")
@@ -97,6 +99,31 @@ def _fresh() -> Any:
     mesh_tables.KEPT.clear()
     yield
     mesh_tables.KEPT.clear()
+
+
+def test_a_table_is_kept_for_all_that_it_follows_from(tmp_path: Path, monkeypatch: Any) -> None:
+    """Each part counts: another scene of this process must not be given its light."""
+    monkeypatch.setattr(mesh_tables, "tabulated", lambda *_: object())
+    scene = scene_of(tmp_path, WORK["none"], 900)
+    bright = scene_of(tmp_path, WORK["none"], 900, lighting={"earthshine_albedo": 0.3})
+    site = GroundObserver(kind="ground", latitude_deg=10.0, longitude_deg=20.0)
+    cases = {
+        "first": (scene, 0.0, 900.0, 9000),
+        "epoch": (scene.model_copy(update={"epoch": "2019-07-20T09:00:01Z"}), 0.0, 900.0, 9000),
+        "observer": (scene.model_copy(update={"observer": site}), 0.0, 900.0, 9000),
+        "target": (bright, 0.0, 900.0, 9000),
+        "start": (scene, 1.0, 900.0, 9000),
+        "stop": (scene, 0.0, 901.0, 9000),
+        "wanted": (scene, 0.0, 900.0, 9001),
+    }
+    at: Any = SimpleNamespace(elsewhere=len)
+
+    def tables() -> dict[str, object]:
+        return {k: table_between(one, 0, at, *rest) for k, (one, *rest) in cases.items()}
+
+    found = tables()
+    assert len(set(map(id, found.values()))) == len(cases)
+    assert tables() == found
 
 
 def test_few_frames_need_none(tmp_path: Path) -> None:
