@@ -86,6 +86,33 @@ def test_objects(made: Made) -> None:
         assert o["custody_fraction"] == pytest.approx((age < 1.5 * 3600.0).mean(), abs=1e-3)
 
 
+def test_observations_begin_in_their_step(made: Made) -> None:
+    """`time_s` is the end of a dwell that begins, with its slew, `busy_s` before: settling of 5 s
+    and three frames in 5 s at least. No sensor does two things at once."""
+    for unit in range(3):
+        own = sorted((r for r in made.rows if r["unit"] == unit), key=lambda r: r["time_s"])
+        start = np.array([r["time_s"] - r["busy_s"] for r in own])
+        assert (np.floor(start / 60.0 + 1e-4) == [r["step"] for r in own]).all()
+        assert min(r["busy_s"] for r in own) >= 10.0
+        assert (start[1:] - [r["time_s"] for r in own[:-1]]).min() > -1e-2
+
+
+def test_gaps_are_counted_by_orbit(made: Made) -> None:
+    """What the page draws: how many gaps of the objects of each orbit are how long."""
+    files = sorted((made.folder / "observations").glob("*.parquet"))
+    objects, end = made.table("objects"), HOURS * 3600.0
+    counts = np.array([[o[n] for o in objects] for n in ("observations", "detections")])
+    _, counted = results._objects(made.course, files, counts)
+    assert set(counted) == {o["regime"] for o in objects}
+    for regime, many in counted.items():
+        gaps: list[float] = []
+        for i in (i for i, o in enumerate(objects) if o["regime"] == regime):
+            times = sorted(min(r["time_s"], end) for r in made.seen if r["object"] == i)
+            gaps += np.diff([0.0, *times, end]).tolist()
+        wanted, _ = np.histogram(np.array(gaps) / 3600.0, results.GAP_BINS_H)
+        np.testing.assert_array_equal(many, wanted)
+
+
 def test_hours_and_sensors(made: Made) -> None:
     """Open hours are those of astropy's Sun below -12 degrees."""
     for which, name in ((made.rows, "observations"), (made.seen, "detections")):

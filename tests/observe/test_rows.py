@@ -118,6 +118,21 @@ def test_out_of_the_field_streaks_along_the_columns_charge() -> None:
     assert rows[1]["streak_px"] == pytest.approx(rows[0]["streak_px"], rel=1e-2)
 
 
+def test_out_of_the_field_of_a_camera_that_follows_another() -> None:
+    """Both are near the geostationary ring: turned onto the far one the camera follows it, too."""
+    exposure = {"integration_s": 10.0}
+    sidereal = {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 80.0}
+    rows = []
+    for pointing in (night()["pointing"], sidereal):
+        table = observe(parse_scene(night(exposure=exposure, pointing=pointing))).table.to_pylist()
+        rows.append(next(row for row in table if row["name"] == "far"))
+    followed, passed = rows
+    assert (followed["snr_at"], passed["snr_at"]) == ("boresight", "boresight")
+    ifov_arcsec = np.degrees(20e-6 / 0.1) * 3600.0
+    assert passed["streak_px"] == pytest.approx(passed["rate_arcsec_s"] * 10.0 / ifov_arcsec, 1e-3)
+    assert followed["streak_px"] < 0.15 * passed["streak_px"]
+
+
 def shown(*options: Any) -> list[str]:
     result = nightglass("observe", *options)
     assert result.returncode == 0, result.stderr

@@ -18,6 +18,7 @@ from pipeline.survey.elements import Elements
 from pipeline.survey.find import FindOptions, find
 from pipeline.survey.search import make_search
 from pipeline.survey.sights import allowed, sights_of
+from pipeline.survey.watch import PROBE
 from tests.command import nightglass
 from tests.survey.conftest import EPOCH, watcher
 
@@ -197,3 +198,19 @@ def test_objects_that_the_shadow_does_not_dim() -> None:
     lit, both = (shown(*dark, "--set", f"populations.0.eclipse={e}") for e in ("true", "false"))
     assert len(both["objects"]) > len(lit["objects"]) + 10
     assert all(o["sunlit_fraction"] == 1.0 for o in both["objects"])
+
+
+def test_a_camera_that_tracks_sees_no_streaks() -> None:
+    """At a higher SNR for it; one with a fixed pointing sees the streaks of its exposure."""
+    moment = ("--at", "2019-04-20T06:00:00Z")
+    ball = {"name": "ball", "orbit": PROBE["orbit"], "body": PROBE["body"]}
+    target = ("--set", f"targets={json.dumps([ball])}",
+              "--set", 'pointing={"mode": "target", "target": "ball"}')  # fmt: skip
+    still, streaks = shown(*moment, *target), shown(*moment)
+    assert {o["streak_px"] for o in still["objects"]} == {0.0}
+    held = {o["name"]: o["snr"] for o in still["objects"]}
+    assert streaks["objects"]
+    for o in streaks["objects"]:  # 2 s, 20 um, 20 mm
+        assert o["snr"] < held[o["name"]]
+        wanted = np.radians(o["rate_arcsec_s"] / 3600.0) * 2.0 / 1e-3
+        assert o["streak_px"] == pytest.approx(wanted, rel=1e-6)
