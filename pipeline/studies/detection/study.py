@@ -93,7 +93,7 @@ def _one(
 ) -> JsonObject:
     """One finder on one frame."""
     mags = labels.g_mag[np.isfinite(labels.g_mag)]
-    low, high = (np.floor(mags.min()), np.ceil(mags.max())) if mags.size else (0.0, 1.0)
+    low, high = (np.floor(mags.min()), np.floor(mags.max()) + 1.0) if mags.size else (0.0, 1.0)
     targets = np.flatnonzero(labels.kind == TARGET)
     return {
         "frame": frame,

@@ -232,6 +232,29 @@ def test_limits_damaged_data_are_named(tmp_path, monkeypatch):
         curves.stellar_library()
 
 
+def test_every_spectrum_of_the_library_counts_in_its_digest(tmp_path, monkeypatch):
+    """Names and contents of the user's, else the numbers that are embedded: fits are kept by it."""
+    monkeypatch.setenv("NIGHTGLASS_DATA", str(tmp_path))
+    found = [curves.stellar_library_digest()]
+
+    def now():
+        found.append(curves.stellar_library_digest())
+        assert found[-1] not in found[:-1]
+
+    monkeypatch.setattr(stellar_boxes, "RELATIVE_MMAG", {"A0V": (0.0, 1.0)})
+    now()
+    monkeypatch.setattr(stellar_boxes, "EDGES_NM", (300.0, 400.0, 500.0))
+    now()
+    folder = tmp_path / "stellar_spectra" / "pickles_uvk"
+    folder.mkdir(parents=True)
+    now()
+    for name, content in (("a.fits", b"1"), ("a.fits", b"2"), ("b.fits", b"2"), ("b.fits", b"1")):
+        (folder / name).write_bytes(content)
+        now()
+    (folder / "a.fits").rename(folder / "c.fits")
+    now()
+
+
 def test_against_pickles_embedded_boxes(real, monkeypatch):
     full, source = curves.stellar_library()
     assert source.startswith("106 spectra")

@@ -255,6 +255,9 @@ def test_bins_of_magnitude_and_their_sum():
     bins = {(b["bright_mag"], b["sought"], b["found"]): b["completeness"] for b in total["stars"]}
     assert bins == {(10.0, 4, 2): 0.5, (10.5, 2, 2): 1.0, (11.0, 0, 0): None, (11.5, 2, 0): 0.0}
     assert [t["found"] for t in frames[0]["targets"]] == [True]
+    whole = replace(told, g_mag=np.array([10.0, 10.4, 10.5, 11.0, 12.0, np.nan]))
+    counted = _one(0, "sep", whole, sought, none, verdict)["stars"]
+    assert sum(b["sought"] for b in counted) == 4
 
 
 @pytest.mark.parametrize("shape", [(96, 200), (200, 96)])
