@@ -174,16 +174,16 @@ def render(
     return open_product(product)
 
 
-def find(scene: AnyScene, **wish: Any) -> FoundObjects:
+def find(scene: AnyScene, **request: Any) -> FoundObjects:
     """Which objects of a scene's populations its sensor can see, when, and where to point.
 
-    wish : of `pipeline.survey.find.FindOptions`: at, hours, night, step_s, least_snr, regard.
+    request : of `pipeline.survey.find.FindOptions`: at, hours, night, step_s, least_snr, regard.
     Raises BadInput for a scene without populations, or a site where it does not get dark.
     """
     from pipeline.survey.find import FindOptions
     from pipeline.survey.find import find as look
 
-    return look(load_scene(scene), FindOptions(**wish))
+    return look(load_scene(scene), FindOptions(**request))
 
 
 def study(file: AnyPath, out: AnyPath, **options: Any) -> dict[str, Any]:

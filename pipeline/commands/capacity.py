@@ -51,8 +51,8 @@ def find(
     from pipeline.survey.find import find as look
 
     regard = FieldOfRegard(lowest_elevation_deg=elevation, twilight_deg=twilight)
-    wish = FindOptions(at, hours, night, step, snr, regard)
-    found = look(load_scene(scene, set_ or []), wish, workers)
+    request = FindOptions(at, hours, night, step, snr, regard)
+    found = look(load_scene(scene, set_ or []), request, workers)
     if as_json:
         print_json(asdict(found))
     else:

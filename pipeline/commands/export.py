@@ -37,8 +37,8 @@ def export(
     """Write frames as FITS (WCS, times), PNG, GIF, MP4; labels as SatNet, COCO, or masks."""
     from pipeline.export.formats import ExportRequest, export_product
 
-    wish = ExportRequest(frame, layer, stars_snr, threshold, light, fps)
-    for path in export_product(product, to, output, wish):
+    request = ExportRequest(frame, layer, stars_snr, threshold, light, fps)
+    for path in export_product(product, to, output, request):
         print(path)
 
 

@@ -248,16 +248,16 @@ def _places(graph: Tasks, inputs: object, view: _View, tile: Tile | None) -> lis
 
 def read_shard(inputs: Inputs, shard: Shard) -> StarTable:
     """Task: the rows of one shard."""
-    plan, wish = inputs.plan, inputs.plan.scene.stars
-    assert wish is not None
+    plan, request = inputs.plan, inputs.plan.scene.stars
+    assert request is not None
     assert plan.colour is not None
     return gather_leaf(
         inputs.catalogues[shard.catalogue],
         shard.leaf,
-        wish.faintest_g_mag,
+        request.faintest_g_mag,
         plan.colour,
         plan.facts.area_m2,
-        not wish.space_motion,
+        not request.space_motion,
         inputs.left_out[shard.catalogue],
     )
 

@@ -55,15 +55,15 @@ def place_stars(
 
     catalogue : the number of theirs among the scene's, and its reference epoch.
     """
-    wish, middle = plan.scene.stars, g.middle
-    assert wish is not None
+    request, middle = plan.scene.stars, g.middle
+    assert request is not None
     observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     astrometric = star_astrometric(
         stars.ra_rad,
         stars.dec_rad,
         stars.pm_ra_cosdec_rad_yr,
         stars.pm_dec_rad_yr,
-        stars.parallax_rad if wish.parallax else np.full(len(stars), np.nan),
+        stars.parallax_rad if request.parallax else np.full(len(stars), np.nan),
         stars.radial_velocity_m_s,
         ref_epoch_jyear,
         float(g.tt1[0, middle]),
@@ -71,7 +71,7 @@ def place_stars(
         observer[0],
     )
     proper = star_proper(
-        astrometric, *observer, deflection=wish.deflection, aberration=wish.aberration
+        astrometric, *observer, deflection=request.deflection, aberration=request.aberration
     )
     observed = refract(proper, g.air_at(0, middle))
     x, y = project(plan.camera, g.attitude[0, middle], observed)
@@ -80,7 +80,7 @@ def place_stars(
     near = distance_px(x, y, *frame) < reach
     longer = np.ones(len(x))
     if plan.camera.line_s:
-        seen = rolled_stars(plan.camera, g, x[near], y[near], wish.aberration)
+        seen = rolled_stars(plan.camera, g, x[near], y[near], request.aberration)
         x[near], y[near], longer[near] = seen
         near &= distance_px(x, y, *frame) < reach
     ra, dec = to_angles(astrometric[near])

@@ -55,7 +55,9 @@ class ExportRequest:
     fps: float = 5.0
 
 
-def export_product(product: Path, kind: str, output: Path, wish: ExportRequest) -> Iterator[Path]:
+def export_product(
+    product: Path, kind: str, output: Path, request: ExportRequest
+) -> Iterator[Path]:
     """Write a complete product in another format; yields each file as it is whole.
 
     Raises BadInput for a format, layer, frame or number that is not accepted, and for an output
@@ -64,21 +66,21 @@ def export_product(product: Path, kind: str, output: Path, wish: ExportRequest) 
     if kind not in FORMATS:
         raise BadInput("--to", kind, ", ".join(FORMATS))
     if kind in FRAME_KINDS:
-        yield from export_frames(product, kind, output, wish.frame, wish.layer)
+        yield from export_frames(product, kind, output, request.frame, request.layer)
         return
     named = kind not in ("gif", "mp4") or output.suffix == f".{kind}"
-    fps, sigma, snr = wish.fps, wish.threshold_sigma, wish.stars_snr
+    fps, sigma, snr = request.fps, request.threshold_sigma, request.stars_snr
     for good, field, value, allowed in (
         (named, "-o", str(output), f"a path ending in .{kind}"),
         (0 < fps <= 100, "--fps", fps, "above 0, up to 100"),
         (0 < sigma < 1e6, "--threshold", sigma, "above 0 and below 1e6"),
-        (wish.light in ("response", "layers"), "--light", wish.light, "response or layers"),
+        (request.light in ("response", "layers"), "--light", request.light, "response or layers"),
         (snr is None or snr >= 0, "--stars-snr", snr, "a number of at least 0"),
         (not output.exists(), "-o", str(output), "a path that does not exist yet"),
     ):
         if not good:
             raise BadInput(field, value, allowed)
-    job = _Job(product, wish)
+    job = _Job(product, request)
     yield from {"gif": _movie, "mp4": _movie, "satnet": _satnet, "coco": _coco, "masks": _masks}[
         kind
     ](job, output)
@@ -87,11 +89,11 @@ def export_product(product: Path, kind: str, output: Path, wish: ExportRequest) 
 class _Job:
     """A product that is being exported: its cube, frames, noise and labels."""
 
-    def __init__(self, product: Path, wish: ExportRequest) -> None:
-        self.product, self.wish = product, wish
+    def __init__(self, product: Path, request: ExportRequest) -> None:
+        self.product, self.request = product, request
         self.cube: xr.Dataset = open_cube(product)
         self.layers = layers_of(self.cube)
-        self.frames = frames_of(self.cube, self.layers, wish.layer, wish.frame)
+        self.frames = frames_of(self.cube, self.layers, request.layer, request.frame)
 
     @property
     def name(self) -> str:
@@ -109,21 +111,21 @@ class _Job:
     def threshold_e(self) -> float:
         """Least electrons of a mask's pixel."""
         report = json.loads((self.product / REPORT).read_text())
-        return self.wish.threshold_sigma * float(report["errors"]["noise_floor_e"])
+        return self.request.threshold_sigma * float(report["errors"]["noise_floor_e"])
 
     def labels(self, frame: int) -> Labels:
-        return frame_labels(self.product, frame, self.shape, self.wish.stars_snr)
+        return frame_labels(self.product, frame, self.shape, self.request.stars_snr)
 
 
 def _movie(job: _Job, output: Path) -> Iterator[Path]:
-    pictures = movie_frames(job.product, job.frames, job.wish.layer, MOVIE_PX)
+    pictures = movie_frames(job.product, job.frames, job.request.layer, MOVIE_PX)
     if output.suffix == ".gif":
-        write_atomically(output, gif_bytes(pictures, job.wish.fps))
+        write_atomically(output, gif_bytes(pictures, job.request.fps))
     else:
         encoder()
         part = output.with_name(output.stem + ".part.mp4")
         try:
-            write_mp4(pictures, part, job.wish.fps)
+            write_mp4(pictures, part, job.request.fps)
             part.replace(output)
         finally:
             part.unlink(missing_ok=True)
@@ -139,7 +141,7 @@ def _satnet(job: _Job, output: Path) -> Iterator[Path]:
     for k in job.frames:
         stem = f"{job.name}.{k:04d}"
         image = output / "ImageFiles" / f"{stem}.fits"
-        write_atomically(image, fits_bytes(job.product, job.cube, k, job.wish.layer))
+        write_atomically(image, fits_bytes(job.product, job.cube, k, job.request.layer))
         yield image
         file = {"dirname": output.name, "sequence": 0, "filename": image.name, "sequence_id": k}
         told = satnet.annotation(
@@ -176,13 +178,13 @@ def _compact(value: object) -> bytes:
 
 def _write_image(job: _Job, frame: int, stem: Path) -> Path:
     """A frame in the order of the array: row 0 is the picture's first row."""
-    image = read_layer(job.product, job.wish.layer, frame)
+    image = read_layer(job.product, job.request.layer, frame)
     if image.dtype.kind == "u" and int(image.max(initial=0)) < 1 << 16:
         path = stem.with_suffix(".png")
         write_atomically(path, png_bytes(Image.fromarray(image.astype(np.uint16))))
         return path
     path = stem.with_suffix(".fits")
-    write_atomically(path, fits_bytes(job.product, job.cube, frame, job.wish.layer))
+    write_atomically(path, fits_bytes(job.product, job.cube, frame, job.request.layer))
     return path
 
 
@@ -194,12 +196,12 @@ def _masks(job: _Job, output: Path) -> Iterator[Path]:
         masks = source_masks(labels, job.light, job.shape, job.threshold_e)
         owner = paint(labels, masks, job.shape)
         classes = np.concatenate([[0], labels.kind]).astype(np.uint8)[owner]
-        if job.wish.light == "layers":
+        if job.request.light == "layers":
             classes = classes_from_light(job.product, k, job.layers, job.threshold_e)
-        cards = fits_header(job.cube, k, job.wish.layer)
+        cards = fits_header(job.cube, k, job.request.layer)
         cards = [c for c in cards if c[0] not in ("BUNIT", "SATURATE")] + [
             ("THRESH", job.threshold_e, "[e-] least light of a mask's pixel"),
-            ("CLASSBY", job.wish.light, "what CLASS is made from"),
+            ("CLASSBY", job.request.light, "what CLASS is made from"),
             ("COMMENT", "CLASS: 1 target, 2 star, 0 none; SOURCE: number in the table SOURCES", ""),
             ("COMMENT", RULE, ""),
         ]

@@ -38,7 +38,7 @@ class Pass:
     tracked: bool
 
 
-def zenith_pass(data: JsonObject, wish: Pass) -> tuple[JsonObject, str | None]:
+def zenith_pass(data: JsonObject, request: Pass) -> tuple[JsonObject, str | None]:
     """The scene with the satellite `sat` at the zenith, on a circular orbit, and its pointing.
 
     data : a scene with a ground observer, without pointing and targets; not changed. Where the
@@ -55,8 +55,10 @@ def zenith_pass(data: JsonObject, wish: Pass) -> tuple[JsonObject, str | None]:
     up = site[0] / np.linalg.norm(site[0])
     east = np.cross([0.0, 0.0, 1.0], up)
     east /= np.linalg.norm(east)
-    along = math.cos(wish.heading_rad) * np.cross(up, east) + math.sin(wish.heading_rad) * east
-    place = site[0] + wish.height_m * up
+    along = (
+        math.cos(request.heading_rad) * np.cross(up, east) + math.sin(request.heading_rad) * east
+    )
+    place = site[0] + request.height_m * up
     speed = math.sqrt(EARTH_MU_M3_S2 / float(np.linalg.norm(place)))
     state = {
         "kind": "state",
@@ -69,9 +71,9 @@ def zenith_pass(data: JsonObject, wish: Pass) -> tuple[JsonObject, str | None]:
     data["pointing"] = {"mode": "target", "target": "sat"}
     just_before = format_utc(epoch[0], epoch[1] - 0.5 * MOMENT_S / 86_400.0)
     moment = data | {"epoch": just_before, "exposure": {"integration_s": MOMENT_S}}
-    if wish.magnitude is not None:
-        data["targets"][0]["body"] = _light(moment, wish.magnitude, dut1_s)
-    if wish.tracked:
+    if request.magnitude is not None:
+        data["targets"][0]["body"] = _light(moment, request.magnitude, dut1_s)
+    if request.tracked:
         return data, None
     data["pointing"] = _held(moment, dut1_s)
     try:

@@ -80,9 +80,9 @@ def read_simsit(
     ]
     if catalogue is not None:
         data["stars"] = {"catalogue": catalogue}
-    wish = Pass(height_m, heading, _magnitude(f, rng, notes), _tracks(f))
+    request = Pass(height_m, heading, _magnitude(f, rng, notes), _tracks(f))
     _leave_out(f, notes, catalogue)
-    data, lost = zenith_pass(data, wish)
+    data, lost = zenith_pass(data, request)
     notes.left_out += [lost] if lost else []
     return Imported(f"SImSiT {path.name}", data, images, notes)
 

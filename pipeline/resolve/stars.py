@@ -155,15 +155,15 @@ def _rows(shards: Iterable[Shard]) -> int:
 def _read(
     resolved: ResolvedScene, catalogue: Catalogue, shard: Shard, left_out: Array
 ) -> StarTable:
-    wish = resolved.scene.stars
-    assert wish is not None
+    request = resolved.scene.stars
+    assert request is not None
     assert resolved.colour is not None
     return gather_leaf(
         catalogue,
         shard.leaf,
-        wish.faintest_g_mag,
+        request.faintest_g_mag,
         resolved.colour,
         resolved.facts.area_m2,
-        not wish.space_motion,
+        not request.space_motion,
         left_out,
     )

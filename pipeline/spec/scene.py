@@ -247,15 +247,15 @@ class Scene(Strict):
         if b is None or not b.of_the_air:
             return self
         names = [n for n in ("airglow", "moonlight", "twilight") if getattr(b, n)]
-        wish = {"field": f"background.{names[0]}"}
+        request = {"field": f"background.{names[0]}"}
         if not isinstance(o, GroundObserver):
             raise PydanticCustomError(
-                "air", "allowed: with an observer of kind ground, below the air", wish
+                "air", "allowed: with an observer of kind ground, below the air", request
             )
         if names != ["airglow"] and not (o.atmosphere and o.atmosphere.extinction):
-            wish["field"] = f"background.{names[-1]}"
+            request["field"] = f"background.{names[-1]}"
             raise PydanticCustomError(
-                "air", "allowed: with observer.atmosphere.extinction, which scatters it", wish
+                "air", "allowed: with observer.atmosphere.extinction, which scatters it", request
             )
         return self
 

@@ -197,9 +197,9 @@ def _of_one_value(body: LightCurveBody) -> bool:
     return len(set(body.magnitudes or body.intensities_m2_sr or ())) == 1
 
 
-def synthetic_elements(wish: Synthetic, start: tuple[float, float]) -> Elements:
+def synthetic_elements(request: Synthetic, start: tuple[float, float]) -> Elements:
     """Made-up objects whose elements are of an instant (two-part UTC): see `Synthetic`."""
-    rng, n = np.random.default_rng(wish.seed), wish.objects
+    rng, n = np.random.default_rng(request.seed), request.objects
     regime = rng.choice(4, n, p=[0.8, 0.05, 0.08, 0.07])
     low = 6378.0 + rng.choice([500.0, 550.0, 780.0, 850.0, 1200.0, 1400.0], n)
     shells = low + rng.normal(0.0, 40.0, n)
@@ -214,7 +214,7 @@ def synthetic_elements(wish: Synthetic, start: tuple[float, float]) -> Elements:
     turns = rng.uniform(0.0, 2.0 * np.pi, (3, n))
     bstar = np.where(regime == 0, 1e-5, 0.0)
     share = rng.uniform(size=n)
-    small, large = wish.smallest_m**-1.6, wish.largest_m**-1.6
+    small, large = request.smallest_m**-1.6, request.largest_m**-1.6
     diameter = (small + share * (large - small)) ** (-1.0 / 1.6)
     mean = np.stack([bstar, ecc, turns[0], np.radians(tilt), turns[1], motion, turns[2]], axis=1)
     kind = np.where(diameter < 1.0, "DEB", "SAT")
@@ -224,7 +224,7 @@ def synthetic_elements(wish: Synthetic, start: tuple[float, float]) -> Elements:
         np.full(n, start[0]),
         np.full(n, start[1]),
         mean,
-        wish.albedo * diameter**2,
+        request.albedo * diameter**2,
         np.ones(n, bool),
     )
 

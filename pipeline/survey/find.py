@@ -55,7 +55,7 @@ class FoundObjects:
     notes: list[str]
 
 
-def find(scene: Scene, wish: FindOptions, workers: int | None = None) -> FoundObjects:
+def find(scene: Scene, request: FindOptions, workers: int | None = None) -> FoundObjects:
     """The objects of a scene's populations that its sensor can see, wherever it points.
 
     Populations are read from their files. BadInput for a scene without one, a time that is none, a
@@ -63,12 +63,12 @@ def find(scene: Scene, wish: FindOptions, workers: int | None = None) -> FoundOb
     """
     if not scene.populations:
         raise BadInput("populations", "none", "at least one file of element sets to look through")
-    epoch = parse_utc(wish.at, "--at") if wish.at is not None else parse_utc(scene.epoch)
-    watcher = _watcher(scene, wish, epoch)
-    offsets = _offsets(watcher, wish)
+    epoch = parse_utc(request.at, "--at") if request.at is not None else parse_utc(scene.epoch)
+    watcher = _watcher(scene, request, epoch)
+    offsets = _offsets(watcher, request)
     middle = (epoch[0], epoch[1] + 0.5 * float(offsets[0] + offsets[-1]) / DAY_S)
     elements, census = gather_elements(scene.populations, middle)
-    search = make_search(watcher, offsets, wish.least_snr)
+    search = make_search(watcher, offsets, request.least_snr)
     starts = range(0, len(elements), BATCH)
     found: dict[int, list[JsonObject]] = {}
     with open_scheduler("threads", workers) as scheduler:
@@ -80,7 +80,7 @@ def find(scene: Scene, wish: FindOptions, workers: int | None = None) -> FoundOb
     objects = sorted((row for k in sorted(found) for row in found[k]), key=lambda o: -o["snr"])
     times = [_utc(watcher, t) for t in offsets[[0, -1]]]
     return FoundObjects(
-        objects, len(elements), times[0], times[1], _notes(watcher, search, census, wish)
+        objects, len(elements), times[0], times[1], _notes(watcher, search, census, request)
     )
 
 
@@ -133,27 +133,27 @@ def _utc(watcher: Watcher, offset_s: float) -> str:
     return format_utc(float(at.utc1[0]), float(at.utc2[0]))[:19] + "Z"
 
 
-def _watcher(scene: Scene, wish: FindOptions, epoch: tuple[float, float]) -> Watcher:
+def _watcher(scene: Scene, request: FindOptions, epoch: tuple[float, float]) -> Watcher:
     data = scene.as_dict()
     sections = {k: data[k] for k in ("observer", "sensor", "exposure", "background", "seed")}
     tracks = scene.pointing.mode == "target"
-    return make_watcher(sections, wish.regard, epoch, tracks, "", scene.seed)
+    return make_watcher(sections, request.regard, epoch, tracks, "", scene.seed)
 
 
-def _offsets(watcher: Watcher, wish: FindOptions) -> Array:
+def _offsets(watcher: Watcher, request: FindOptions) -> Array:
     """Moments (n,) [s] after the watcher's epoch."""
-    if not 0.0 <= wish.hours <= MOST_HOURS:
-        raise BadInput("--hours", wish.hours, f"0 to {MOST_HOURS:g}")
-    start, end = 0.0, wish.hours * 3600.0
-    if wish.night:
-        start, end = _night(watcher, wish)
-    count = int(np.floor((end - start) / wish.step_s + 1e-9)) + 1
+    if not 0.0 <= request.hours <= MOST_HOURS:
+        raise BadInput("--hours", request.hours, f"0 to {MOST_HOURS:g}")
+    start, end = 0.0, request.hours * 3600.0
+    if request.night:
+        start, end = _night(watcher, request)
+    count = int(np.floor((end - start) / request.step_s + 1e-9)) + 1
     if count > MOST_MOMENTS:
-        raise BadInput("--step", wish.step_s, f"at most {MOST_MOMENTS} moments (these: {count})")
-    return np.asarray(start + wish.step_s * np.arange(count), float)
+        raise BadInput("--step", request.step_s, f"at most {MOST_MOMENTS} moments (these: {count})")
+    return np.asarray(start + request.step_s * np.arange(count), float)
 
 
-def _night(watcher: Watcher, wish: FindOptions) -> tuple[float, float]:
+def _night(watcher: Watcher, request: FindOptions) -> tuple[float, float]:
     """The dark hours at or after the epoch: from within to the end of the night it is in, or the
     next one's."""
     if not isinstance(watcher.observer, GroundObserver):
@@ -165,13 +165,13 @@ def _night(watcher: Watcher, wish: FindOptions) -> tuple[float, float]:
     for start, end in nights:
         if end >= 0.0:
             return float(start), float(end)
-    limit = wish.regard.twilight_deg
+    limit = request.regard.twilight_deg
     raise BadInput("--night", "no darkness", f"a date on which the Sun sinks below {limit:g} deg")
 
 
-def _notes(watcher: Watcher, search: Search, census: Census, wish: FindOptions) -> list[str]:
+def _notes(watcher: Watcher, search: Search, census: Census, request: FindOptions) -> list[str]:
     """What the finding rests on."""
-    r, regard = watcher.resolved, wish.regard
+    r, regard = watcher.resolved, request.regard
     notes = [
         f"SNR of one {r.integration_s(0):g} s frame, "
         + ("tracked" if watcher.tracks else "streaked by the object's own motion")

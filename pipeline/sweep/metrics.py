@@ -33,10 +33,10 @@ class TargetWindow:
         self.place, self.response, self.corner = place, response, corner
         self.image_e = np.zeros((place.rows, place.columns))
 
-    def peak(self, wish: Detection, step_e: float) -> float:
+    def peak(self, request: Detection, step_e: float) -> float:
         """Highest matched-filter statistic near the target's true place [sigma]."""
         statistic = filtered(self.image_e, self.response, step_e)
-        return peak_near(statistic, *self.corner, wish.search_px)[0]
+        return peak_near(statistic, *self.corner, request.search_px)[0]
 
 
 class Measurement:
@@ -48,10 +48,10 @@ class Measurement:
         maps: SensorMaps,
         metrics: tuple[str, ...],
         names: tuple[str, ...],
-        wish: Detection,
+        request: Detection,
     ) -> None:
         self.plan, self.maps, self.metrics, self.names = plan, maps, metrics, names
-        self.wish = wish
+        self.request = request
         self._cells: list[list[object]] = []
         self._backgrounds: list[tuple[float, int]] = []
         self._saturated, self._pixels = 0, 0
@@ -92,7 +92,7 @@ class Measurement:
     def end_frame(self) -> None:
         """After a frame's tiles."""
         for name, window in self._windows:
-            self._peaks[name].append(window.peak(self.wish, self.maps.typical("gain_e_per_dn")))
+            self._peaks[name].append(window.peak(self.request, self.maps.typical("gain_e_per_dn")))
         self._windows = []
 
     def row(self) -> JsonObject:
@@ -109,7 +109,7 @@ class Measurement:
             if "snr" in self.metrics:
                 out[f"snr.{name}"] = max(snr, default=0.0)
             if "detection" in self.metrics:
-                found = [p >= self.wish.threshold_sigma for p in peaks]
+                found = [p >= self.request.threshold_sigma for p in peaks]
                 out[f"peak_sigma.{name}"] = max(peaks, default=None)
                 out[f"frames_in_view.{name}"] = len(peaks)
                 out[f"detected_fraction.{name}"] = sum(found) / len(found) if found else None

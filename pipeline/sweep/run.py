@@ -115,27 +115,29 @@ def _run_course(
 
 def gather_course(path: Path, out: Path) -> Course:
     """Read a sweep file and its base scene; paths in them are made absolute."""
-    wish = load_sweep(path)
+    request = load_sweep(path)
     folder = path.parent.resolve()
-    return course_of(wish, folder, out)
+    return course_of(request, folder, out)
 
 
-def course_of(wish: Sweep, folder: Path, out: Path) -> Course:
+def course_of(request: Sweep, folder: Path, out: Path) -> Course:
     """A sweep ready to run; relative paths in it are from `folder`."""
-    if isinstance(wish.scene, str):
-        file = folder / wish.scene
+    if isinstance(request.scene, str):
+        file = folder / request.scene
         if not file.is_file():
-            raise BadInput("scene", wish.scene, "an existing scene file, from the sweep's folder")
+            raise BadInput(
+                "scene", request.scene, "an existing scene file, from the sweep's folder"
+            )
         data, home = parse_text(file.read_bytes(), str(file)), file.parent
     else:
-        data, home = json.loads(json.dumps(wish.scene)), folder
+        data, home = json.loads(json.dumps(request.scene)), folder
     if not isinstance(data, dict):
         raise BadInput("scene", data, "a scene: a mapping of sections")
     for _, holder, key in path_holders(data):
         if key in holder:
             holder[key] = _from(home, holder[key])
-    floors = floors_of(wish, str(folder))
-    return Course(wish, data, str(folder), floors, uuid4().hex, str(out.resolve()))
+    floors = floors_of(request, str(folder))
+    return Course(request, data, str(folder), floors, uuid4().hex, str(out.resolve()))
 
 
 def _from(home: Path, value: object) -> object:

@@ -138,14 +138,14 @@ def _draw(course: Course, kept: Stages, group: list[_Point]) -> None:
 def _look(course: Course, kept: Stages, point: _Point, frame: int, found: list[Any]) -> None:
     """The geometry of a frame, and the windows around its targets."""
     base, names = point.ready.base, point.ready.measured.names
-    g, wish = kept.geometry(base, frame), course.sweep.detection
+    g, request = kept.geometry(base, frame), course.sweep.detection
     if "detection" not in course.sweep.metrics:
         found.append((g, []))
         return
     windows = kept.get(
         "windows",
         (base.key, frame, names),
-        lambda: target_windows(base.plan, g, names, wish.search_px),
+        lambda: target_windows(base.plan, g, names, request.search_px),
         lambda v: sum(w.image_e.nbytes + w.response.nbytes for _, w in v),
     )
     found.append((g, windows))

@@ -202,8 +202,8 @@ pictured(lambda: (figure.ladder_figure(told), figure.omission_figure(told),
     figure.omission_figure(told | {"scenes": []})))
 [figure._few(v, 0) for v in (.2, .3, 5., 50.)], figure._plain(2.50, 0),
     [f"{w.name} {w.title} {w.share} {listed(scenes.with_accuracy(w, .05, .001, 'cat'))}" for w in
-    scenes.wishes((), False)], [(w.name, w.share, w.data["sensor"], w.data.get("stars"),
-    len(w.data.get("targets", ()))) for w in scenes.wishes((), True)]
+    scenes.requests((), False)], [(w.name, w.share, w.data["sensor"], w.data.get("stars"),
+    len(w.data.get("targets", ()))) for w in scenes.requests((), True)]
 [scenes.deep_fields(n, q) for q in (True, False) for n in (tuple(scenes.MAKERS), ("wide-field",),
     ("rate-track", "sidereal-crowded"))]
 scenes.SENSOR, [study.checked_rungs(None, q) for q in (True, False)],
@@ -212,7 +212,7 @@ study.checked_rungs("x", True)
 study.checked_rungs("1.01", True)
 study.checked_rungs("0.5,9e-5", True)
 study.checked_rungs(",".join(["1"] * 13), True)
-scenes.wishes(("wide-field", "no"), True)
+scenes.requests(("wide-field", "no"), True)
 says(1, "", "a broken")
 says(0, "", "")
 says(0, 'x {"a": 1}', "")

@@ -17,7 +17,7 @@ from pipeline.plan.accuracy import doubts_of, judge, parts, total_e, total_sigma
 from pipeline.plan.decision import Decision
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import load_scene, parse_scene
-from pipeline.studies.scenes.scenes import wishes
+from pipeline.studies.scenes.scenes import requests
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = [*sorted((ROOT / "examples").glob("*.yaml")), ROOT / "pipeline" / "scenes" / "demo.yaml"]
@@ -58,7 +58,7 @@ def test_examples_keep_what_they_ask_for(path: Path, catalogue: str) -> None:
 
 
 def test_scenes_of_the_report_keep_what_they_ask_for(catalogue: str) -> None:
-    scenes = wishes((), quick=True)
+    scenes = requests((), quick=True)
     assert len(scenes) == 7
     for one in scenes:
         data = one.data

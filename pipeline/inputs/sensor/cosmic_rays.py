@@ -40,48 +40,53 @@ DIGITAL_SIGMA = 12.0**-0.5  # noise of a frame whose pixels all hold one digital
 
 
 def gather_cosmic_rays(
-    wish: spec.CosmicRays | None, sensor: Sensor, integration_s: float
+    request: spec.CosmicRays | None, sensor: Sensor, integration_s: float
 ) -> CosmicRays | None:
     """What draws the cosmic rays of a scene; None where there are none (absent, or rate 0).
 
     BadInput where a library cannot be read, or lacks what the arrival asks for.
     """
-    if wish is None:
+    if request is None:
         return None
-    if isinstance(wish, spec.GeneratedCosmicRays):
-        flux = _flux(wish, sensor, integration_s)
+    if isinstance(request, spec.GeneratedCosmicRays):
+        flux = _flux(request, sensor, integration_s)
         return flux and _few_enough("rate_per_cm2_s", flux.rate_per_cm2_s, flux)
-    if wish.rate_scale == 0.0:
+    if request.rate_scale == 0.0:
         return None
-    library = read_library(Path(wish.path))
-    if wish.arrival == "frames" and (library.shape is None or library.frames is None):
+    library = read_library(Path(request.path))
+    if request.arrival == "frames" and (library.shape is None or library.frames is None):
         allowed = "poisson: the library does not say which frame an event is of"
-        raise BadInput("cosmic_rays.arrival", wish.arrival, allowed)
+        raise BadInput("cosmic_rays.arrival", request.arrival, allowed)
     recorded = Recorded(
-        library, *sensor.shape, sensor.pixel_pitch_um, integration_s, wish.rate_scale, wish.arrival
+        library,
+        *sensor.shape,
+        sensor.pixel_pitch_um,
+        integration_s,
+        request.rate_scale,
+        request.arrival,
     )
-    return _few_enough("rate_scale", wish.rate_scale, recorded)
+    return _few_enough("rate_scale", request.rate_scale, recorded)
 
 
-def _flux(wish: spec.GeneratedCosmicRays, sensor: Sensor, integration_s: float) -> Flux | None:
+def _flux(request: spec.GeneratedCosmicRays, sensor: Sensor, integration_s: float) -> Flux | None:
     """The particles that are generated, defaults filled in; None of rate 0."""
     defaults = (spec.GROUND_RATE_PER_CM2_S, 0.0, spec.MUON_ZENITH_POWER)
-    if wish.source == "space":
+    if request.source == "space":
         defaults = (spec.SPACE_RATE_PER_CM2_S, spec.SPACE_HELIUM_SHARE, 0.0)
-    rate = defaults[0] if wish.rate_per_cm2_s is None else wish.rate_per_cm2_s
-    helium = defaults[1] if wish.helium_share is None else wish.helium_share
+    rate = defaults[0] if request.rate_per_cm2_s is None else request.rate_per_cm2_s
+    helium = defaults[1] if request.helium_share is None else request.helium_share
     if rate == 0.0:
         return None
     return Flux(
         *sensor.shape,
         sensor.pixel_pitch_um,
-        wish.thickness_um,
+        request.thickness_um,
         rate,
         integration_s,
         defaults[2],
         helium,
-        wish.diffusion_um,
-        wish.delta_electrons,
+        request.diffusion_um,
+        request.delta_electrons,
     )
 
 

@@ -24,11 +24,11 @@ def gather_distortion(scene: Scene) -> Scene:
     So the product knows the terms themselves: nothing later depends on the file. Any other scene
     comes back as it is. BadInput where the file holds no SIP or TPV distortion.
     """
-    wish = scene.sensor.distortion
-    if not isinstance(wish, FileDistortion):
+    request = scene.sensor.distortion
+    if not isinstance(request, FileDistortion):
         return scene
     data = scene.as_dict()
-    data["sensor"]["distortion"] = read_distortion(Path(wish.path))
+    data["sensor"]["distortion"] = read_distortion(Path(request.path))
     return parse_scene(data)
 
 

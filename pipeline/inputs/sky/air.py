@@ -20,11 +20,11 @@ def with_wavelength(scene: Scene, response: ResponseCurve) -> Scene:
     o = scene.observer
     assert isinstance(o, GroundObserver)
     assert o.atmosphere is not None
-    wish = o.atmosphere.refraction
-    if not isinstance(wish, Refraction) or wish.wavelength_nm is not None:
+    request = o.atmosphere.refraction
+    if not isinstance(request, Refraction) or request.wavelength_nm is not None:
         return scene
-    wish = wish.model_copy(update={"wavelength_nm": mean_wavelength_m(response) * 1e9})
-    air = o.atmosphere.model_copy(update={"refraction": wish})
+    request = request.model_copy(update={"wavelength_nm": mean_wavelength_m(response) * 1e9})
+    air = o.atmosphere.model_copy(update={"refraction": request})
     return scene.model_copy(update={"observer": o.model_copy(update={"atmosphere": air})})
 
 
@@ -34,13 +34,13 @@ def gather_extinction(scene: Scene, response: ResponseCurve) -> BandExtinction |
     o = scene.observer
     if not isinstance(o, GroundObserver) or o.atmosphere is None:
         return None
-    wish = o.atmosphere.extinction
-    if not isinstance(wish, Extinction):
+    request = o.atmosphere.extinction
+    if not isinstance(request, Extinction):
         return None
     mag: float | tuple[float, float, float, float] = (
-        (o.height_m, wish.aerosol_mag, wish.aerosol_slope, wish.ozone_dobson)
-        if wish.mag_per_airmass is None
-        else wish.mag_per_airmass
+        (o.height_m, request.aerosol_mag, request.aerosol_slope, request.ozone_dobson)
+        if request.mag_per_airmass is None
+        else request.mag_per_airmass
     )
     wavelength, irradiance, _, _ = solar_spectrum()
     library, _ = stellar_library()

@@ -13,13 +13,13 @@ from pipeline.physics.sky.night import NightBand, airglow_pieces, pieces_of, sol
 from pipeline.spec.sky.background import Airglow, Background
 
 
-def gather_night(wish: Background, response: ResponseCurve) -> NightBand:
+def gather_night(request: Background, response: ResponseCurve) -> NightBand:
     """Light of the air in a band. Raises BadInput for airglow where its table has no values."""
     wavelength, irradiance, _, _ = solar_spectrum()
     sun = pieces_of(wavelength, irradiance, response)
     moon = pieces_of(wavelength, spectrum(wavelength, irradiance), response)
     glow = np.zeros(len(sun))
-    if isinstance(wish.airglow, Airglow):
+    if isinstance(request.airglow, Airglow):
         edges = np.array(published.EDGES_NM, float)
         ends = response.wavelength_m[[0, -1]] * 1e9
         if ends[0] < edges[0] - 1e-6 or ends[1] > edges[-1] + 1e-6:
@@ -28,6 +28,6 @@ def gather_night(wish: Background, response: ResponseCurve) -> NightBand:
                 f"a band from {ends[0]:g} to {ends[1]:g} nm",
                 f"a band within {edges[0]:g} to {edges[-1]:g} nm, where airglow is known",
             )
-        activity = solar_activity(wish.airglow.solar_flux_sfu, published.SOLAR_FLUX_SFU)
+        activity = solar_activity(request.airglow.solar_flux_sfu, published.SOLAR_FLUX_SFU)
         glow = airglow_pieces(edges * 1e-9, np.array(published.ZENITH), response, activity)
     return NightBand(glow, sun, moon)

@@ -25,8 +25,8 @@ def gather_starlight(
     `starlight: all` is asked for, the star counts from its end on (all, without a catalogue). The
     layers' own fainter stars are not in it. Raises Damaged for a map that cannot be trusted.
     """
-    wish = background_of(scene).starlight
-    if wish != "all" and not limit_from_noise:
+    request = background_of(scene).starlight
+    if request != "all" and not limit_from_noise:
         return None
     from catalog_tools.query.starlight import AddedLight, CountedLight, read_starlight
 
@@ -38,7 +38,7 @@ def gather_starlight(
     if _limit_g_mag(scene.stars, limit_from_noise) < end:
         counted = CountedLight(faintest_g_mag=min(end, COUNTS_END_G_MAG))
         parts.append(read_starlight(main) or counted)
-    if wish == "all" and end < COUNTS_END_G_MAG:
+    if request == "all" and end < COUNTS_END_G_MAG:
         parts.append(CountedLight(max(end, COUNTS_BEGIN_G_MAG), in_no_catalogue=True))
     return AddedLight(tuple(parts)) if parts else None
 

@@ -26,7 +26,7 @@ LARGEST_BYTES = 16_000_000
 REACHES_SIDE_DEG = 90.0  # a table that goes this far need say no more
 
 
-def gather_stray_light(scene: Scene, wish: StrayLight) -> StrayInputs:
+def gather_stray_light(scene: Scene, request: StrayLight) -> StrayInputs:
     """Read the curve and the map that a scene names, and what the Sun and the Moon send in band.
 
     Raises BadInput for a table with a value that is not a number or out of range, with angles that
@@ -35,33 +35,33 @@ def gather_stray_light(scene: Scene, wish: StrayLight) -> StrayInputs:
     s = scene.sensor
     pst: Pst
     through = True
-    if isinstance(wish.pst, TablePst):
-        angle, value = read_pst(Path(wish.pst.path))
+    if isinstance(request.pst, TablePst):
+        angle, value = read_pst(Path(request.pst.path))
         reaches = angle[-1] >= REACHES_SIDE_DEG
-        beyond: Literal["refuse", "zero", "clip"] = wish.pst.beyond or (
+        beyond: Literal["refuse", "zero", "clip"] = request.pst.beyond or (
             "zero" if reaches else "refuse"
         )
-        nearest = angle[0] if wish.exclusion_deg is None else wish.exclusion_deg
-        pst = PstTable(angle * DEG_RAD, value, nearest * DEG_RAD, wish.inside, beyond)
-        through = not wish.pst.holds_transmission
+        nearest = angle[0] if request.exclusion_deg is None else request.exclusion_deg
+        pst = PstTable(angle * DEG_RAD, value, nearest * DEG_RAD, request.inside, beyond)
+        through = not request.pst.holds_transmission
     else:
-        h = wish.pst
+        h = request.pst
         pst = PstHarvey(
             h.b0_per_sr,
             h.shoulder,
             h.slope,
             h.mirrors,
             s.focal_length_m / s.aperture_m,
-            (wish.exclusion_deg or 0.0) * DEG_RAD,
-            wish.inside,
+            (request.exclusion_deg or 0.0) * DEG_RAD,
+            request.inside,
         )
     transmission = s.transmission if through else 1.0
     response, _, _ = resolve_response(s.bandpass.model_dump(), transmission, s.quantum_efficiency)
     wavelength, irradiance, _, _ = solar_spectrum()
     albedo = (
-        np.array([[wish.earth_albedo]])
-        if isinstance(wish.earth_albedo, float)
-        else (read_albedo(Path(wish.earth_albedo)))
+        np.array([[request.earth_albedo]])
+        if isinstance(request.earth_albedo, float)
+        else (read_albedo(Path(request.earth_albedo)))
     )
     return StrayInputs(
         pst,

@@ -91,7 +91,7 @@ def gather_leaf(
 ) -> StarTable:
     """Rows of a leaf that are bright enough, with their electron rate in the sensor's band.
 
-    area_m2 : collecting area of the pupil. `unmoving` leaves space motion out (the scene's wish);
+    area_m2 : collecting area of the pupil. `unmoving` leaves space motion out, as asked;
     left_out : sorted source_ids of stars that an earlier catalogue holds.
     """
     from catalog_tools.query.query import read_leaf

@@ -52,72 +52,72 @@ class Palette:
     def number(self, material: str, owners: tuple[Meshed, ...], field: str) -> int | None:
         """The surface of a material: the first owner's that has one, by name, then for all."""
         for owner in owners:
-            wish = owner.materials.get(material, owner.surface)
-            if wish is not None:
+            request = owner.materials.get(material, owner.surface)
+            if request is not None:
                 break
         else:
             return None
-        key = wish.model_dump_json()
+        key = request.model_dump_json()
         if key not in self._made:
             where = f"{field}.materials.{material}" if material else f"{field}.surface"
-            surface, content = make_surface(wish, where)
+            surface, content = make_surface(request, where)
             self._made[key] = len(self._surfaces)
             self._surfaces.append(surface)
-            self._digest.update(_told(wish).encode() + content)
+            self._digest.update(_told(request).encode() + content)
         return self._made[key]
 
 
-def _told(wish: Reflecting) -> str:
+def _told(request: Reflecting) -> str:
     """All that is said of a surface, but not the folder that its table lies in."""
-    if isinstance(wish, TableSurface):
-        wish = wish.model_copy(update={"path": Path(wish.path).name})
-    return wish.model_dump_json()
+    if isinstance(request, TableSurface):
+        request = request.model_copy(update={"path": Path(request.path).name})
+    return request.model_dump_json()
 
 
-def make_surface(wish: Reflecting, field: str = "surface") -> tuple[FacetSurface, bytes]:
+def make_surface(request: Reflecting, field: str = "surface") -> tuple[FacetSurface, bytes]:
     """The surface that a scene describes, and the bytes of the file it was read from, if any."""
-    if isinstance(wish, TableSurface):
-        table, raw = read_brdf_table(Path(wish.path), wish.scale, field)
-        return FacetSurface(table, wish.two_sided), raw
-    given, sharp = FORMULAS[type(wish)](wish)
-    return FacetSurface(given, wish.two_sided, SUN_RINGS if sharp else 0), b""
+    if isinstance(request, TableSurface):
+        table, raw = read_brdf_table(Path(request.path), request.scale, field)
+        return FacetSurface(table, request.two_sided), raw
+    given, sharp = FORMULAS[type(request)](request)
+    return FacetSurface(given, request.two_sided, SUN_RINGS if sharp else 0), b""
 
 
-def _lambert(wish: LambertSurface) -> tuple[Brdf, bool]:
-    return partial(brdf.lambert, albedo=wish.albedo), False
+def _lambert(request: LambertSurface) -> tuple[Brdf, bool]:
+    return partial(brdf.lambert, albedo=request.albedo), False
 
 
-def _phong(wish: PhongSurface) -> tuple[Brdf, bool]:
+def _phong(request: PhongSurface) -> tuple[Brdf, bool]:
     given = partial(
-        brdf.phong, diffuse=wish.diffuse, specular=wish.specular, exponent=wish.exponent
+        brdf.phong, diffuse=request.diffuse, specular=request.specular, exponent=request.exponent
     )
-    return given, bool(wish.specular) and wish.exponent > SHARP_EXPONENT
+    return given, bool(request.specular) and request.exponent > SHARP_EXPONENT
 
 
-def _cook_torrance(wish: CookTorranceSurface) -> tuple[Brdf, bool]:
-    index = None if wish.refractive_index is None else complex(*wish.refractive_index)
+def _cook_torrance(request: CookTorranceSurface) -> tuple[Brdf, bool]:
+    index = None if request.refractive_index is None else complex(*request.refractive_index)
     given = partial(
         brdf.cook_torrance,
-        diffuse=wish.diffuse,
-        roughness=wish.roughness,
+        diffuse=request.diffuse,
+        roughness=request.roughness,
         index=index,
-        normal_reflectance=wish.normal_reflectance or 0.0,
+        normal_reflectance=request.normal_reflectance or 0.0,
     )
-    return given, wish.roughness < SHARP_ROUGHNESS
+    return given, request.roughness < SHARP_ROUGHNESS
 
 
-def _ashikhmin_shirley(wish: AshikhminShirleySurface) -> tuple[Brdf, bool]:
-    across = wish.exponent_u if wish.exponent_v is None else wish.exponent_v
+def _ashikhmin_shirley(request: AshikhminShirleySurface) -> tuple[Brdf, bool]:
+    across = request.exponent_u if request.exponent_v is None else request.exponent_v
     given = partial(
         brdf.ashikhmin_shirley,
-        diffuse=wish.diffuse,
-        specular=wish.specular,
-        exponent_u=wish.exponent_u,
+        diffuse=request.diffuse,
+        specular=request.specular,
+        exponent_u=request.exponent_u,
         exponent_v=across,
-        grain=np.array(wish.grain),
+        grain=np.array(request.grain),
     )
-    sharp = max(wish.exponent_u, across) > 0.25 * SHARP_EXPONENT
-    return given, sharp and bool(wish.specular)
+    sharp = max(request.exponent_u, across) > 0.25 * SHARP_EXPONENT
+    return given, sharp and bool(request.specular)
 
 
 # By kind of surface: its reflectance, and whether its highlight is as sharp as the Sun's disc.

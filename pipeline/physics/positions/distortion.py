@@ -80,28 +80,28 @@ class Distortion:
         return 1.01 * float(worst)  # the grid may miss the very largest
 
 
-def distortion_of(wish: JsonObject, rows: int, columns: int, ifov_rad: float) -> Distortion:
+def distortion_of(request: JsonObject, rows: int, columns: int, ifov_rad: float) -> Distortion:
     """The distortion that a scene's plain data ask for, checked over the frame and a margin.
 
-    wish : `kind` (sip, tpv or radial) and its coefficients, as `pipeline.spec.sensor.distortion`
+    request : `kind` (sip, tpv or radial) and its coefficients, as `pipeline.spec.sensor.distortion`
         has them
     Raises BadInput that names `sensor.distortion` where it is not one-to-one.
     """
     origin = (0.0, 0.0)
-    if wish.get("reference_px") is not None:
-        x, y = wish["reference_px"]
+    if request.get("reference_px") is not None:
+        x, y = request["reference_px"]
         origin = (x - (columns - 1) / 2.0, y - (rows - 1) / 2.0)
-    if wish["kind"] == "sip":
-        raw = sip(wish["a"], wish["b"], origin)
-    elif wish["kind"] == "tpv":
+    if request["kind"] == "sip":
+        raw = sip(request["a"], request["b"], origin)
+    elif request["kind"] == "tpv":
         step = math.degrees(ifov_rad)
-        cd = wish.get("cd_deg") or ((-step, 0.0), (0.0, step))
-        raw = tpv(wish["pv1"], wish["pv2"], cd, origin)
-    elif wish["kind"] == "radial":
-        k = (wish["k1"], wish["k2"], wish["k3"])
-        raw = radial(k, (wish["p1"], wish["p2"]), ifov_rad, origin)
+        cd = request.get("cd_deg") or ((-step, 0.0), (0.0, step))
+        raw = tpv(request["pv1"], request["pv2"], cd, origin)
+    elif request["kind"] == "radial":
+        k = (request["k1"], request["k2"], request["k3"])
+        raw = radial(k, (request["p1"], request["p2"]), ifov_rad, origin)
     else:
-        raise BadInput(f"{FIELD}.kind", wish["kind"], "sip, tpv or radial once files are read")
+        raise BadInput(f"{FIELD}.kind", request["kind"], "sip, tpv or radial once files are read")
     return fitted(raw, rows, columns)
 
 

@@ -114,21 +114,23 @@ def _sunlit_shares(targets: Sequence[Target], view: View, tt: tuple[Array, Array
     return lit
 
 
-def _finer(wish: Lighting | None) -> bool:
+def _finer(request: Lighting | None) -> bool:
     """True where more than a round Earth and an even Sun is asked for."""
-    return wish is not None and bool(wish.oblate_earth or wish.limb_darkening or wish.moon)
+    return request is not None and bool(
+        request.oblate_earth or request.limb_darkening or request.moon
+    )
 
 
 def _sunlit(lighting: Lighting | None, place: Array, sun: Array, tt: tuple[Array, Array]) -> Array:
     """Share (n,) of sunlight that reaches a target past Earth and Moon."""
-    wish = lighting or Lighting()
-    if wish.oblate_earth or wish.limb_darkening:
-        lit = sunlit_past_earth(place, sun, wish.limb_darkening, wish.oblate_earth)
+    request = lighting or Lighting()
+    if request.oblate_earth or request.limb_darkening:
+        lit = sunlit_past_earth(place, sun, request.limb_darkening, request.oblate_earth)
     else:
         lit = sunlit_fraction(place, sun)
-    if wish.moon:
+    if request.moon:
         # where both stand before the Sun their shadows are taken one after the other
-        lit = lit * sunlit_past_moon(place, sun, moon_m(*tt), wish.limb_darkening)
+        lit = lit * sunlit_past_moon(place, sun, moon_m(*tt), request.limb_darkening)
     return lit
 
 

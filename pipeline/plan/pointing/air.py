@@ -58,31 +58,33 @@ def air_of(scene: Scene, times: Instants) -> Array | None:
 
 def terms_of(scene: Scene) -> tuple[float, float]:
     """A and B [rad] of a scene's refraction; zeros without."""
-    wish = _refraction(scene)
-    if wish is None:
+    request = _refraction(scene)
+    if request is None:
         return 0.0, 0.0
-    wavelength = USUAL_WAVELENGTH_M if wish.wavelength_nm is None else wish.wavelength_nm * 1e-9
+    wavelength = (
+        USUAL_WAVELENGTH_M if request.wavelength_nm is None else request.wavelength_nm * 1e-9
+    )
     return refraction_terms(*weather_of(scene), wavelength)
 
 
 def weather_of(scene: Scene) -> tuple[float, float, float]:
     """Pressure [hPa], temperature [C] and humidity of a scene with refraction."""
-    o, wish = scene.observer, _refraction(scene)
+    o, request = scene.observer, _refraction(scene)
     assert isinstance(o, GroundObserver)
-    assert wish is not None
+    assert request is not None
     pressure, temperature = standard_air(o.height_m)
     return (
-        pressure if wish.pressure_hpa is None else wish.pressure_hpa,
-        temperature if wish.temperature_c is None else wish.temperature_c,
-        wish.humidity,
+        pressure if request.pressure_hpa is None else request.pressure_hpa,
+        temperature if request.temperature_c is None else request.temperature_c,
+        request.humidity,
     )
 
 
 def _refraction(scene: Scene) -> Refraction | None:
     o = scene.observer
     assert isinstance(o, GroundObserver)
-    wish = o.atmosphere.refraction if o.atmosphere is not None else None
-    return wish if isinstance(wish, Refraction) else None
+    request = o.atmosphere.refraction if o.atmosphere is not None else None
+    return request if isinstance(request, Refraction) else None
 
 
 def lifted(attitude: Array, air: Array) -> Array:

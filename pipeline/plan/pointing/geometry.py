@@ -82,8 +82,8 @@ def camera_of(scene: Scene) -> Camera:
         return camera
     from pipeline.physics.positions.distortion import distortion_of
 
-    wish = s.distortion.model_dump()
-    distortion = distortion_of(wish, camera.rows, camera.columns, ifov_rad(camera))
+    request = s.distortion.model_dump()
+    distortion = distortion_of(request, camera.rows, camera.columns, ifov_rad(camera))
     return replace(camera, distortion=distortion)
 
 

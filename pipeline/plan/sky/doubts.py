@@ -286,13 +286,13 @@ def _planets_in_field(seen: LampGeometry, nearest: dict[str, int]) -> list[str]:
 def _no_stray_light(scene: Scene, seen: LampGeometry) -> list[str]:
     """Notes on bodies that baffles are made to be pointed away from, where none of their light is
     drawn."""
-    wish = scene.background.stray_light if scene.background is not None else None
+    request = scene.background.stray_light if scene.background is not None else None
     if isinstance(scene.observer, GroundObserver):
         return []
     found = []
     for name, lamp, within, drawn in (
-        ("Earth's limb", seen.earth, EARTH_RAD, wish is not None and wish.earth),
-        ("Moon's limb", seen.moon, MOON_RAD, wish is not None and wish.moon),
+        ("Earth's limb", seen.earth, EARTH_RAD, request is not None and request.earth),
+        ("Moon's limb", seen.moon, MOON_RAD, request is not None and request.moon),
     ):
         off = lamp.off_axis - lamp.radius
         off = np.where((lamp.hidden <= 0.0) & (lamp.radius > SMALL_RAD), off, np.pi)

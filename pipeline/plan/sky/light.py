@@ -118,19 +118,19 @@ class LightOfSky:
         """Each body's stray light (n,) [e-/s and pixel]."""
         from pipeline.plan.sky.stray_light import stray_parts
 
-        wish = background_of(self.scene).stray_light
-        assert wish is not None
+        request = background_of(self.scene).stray_light
+        assert request is not None
         assert self.inputs.stray is not None
         inputs, air = self.inputs.stray, self.inputs.extinction
 
-        def parts(wish: StrayLight, x: Array, y: Array) -> dict[str, Array]:
+        def parts(request: StrayLight, x: Array, y: Array) -> dict[str, Array]:
             u = self.directions(g, f, node, x, y)
-            return stray_parts(self.scene, wish, inputs, g, f, node, u, self.dut1_s, air)
+            return stray_parts(self.scene, request, inputs, g, f, node, u, self.dut1_s, air)
 
-        lamps = wish.model_copy(update={"earth": False})
+        lamps = request.model_copy(update={"earth": False})
         out = parts(lamps, x, y)
-        if wish.earth and not isinstance(self.scene.observer, GroundObserver):
-            earth = wish.model_copy(update={"sun": False, "moon": False})
+        if request.earth and not isinstance(self.scene.observer, GroundObserver):
+            earth = request.model_copy(update={"sun": False, "moon": False})
             rows, columns = self.camera.rows, self.camera.columns
             out["earth"] = smooth(lambda x, y: parts(earth, x, y)["earth"], rows, columns, x, y)
         return out
@@ -175,8 +175,8 @@ def background_of(scene: Scene) -> Background:
     return scene.background or Background(starlight="auto")
 
 
-def _check_elongation(least_rad: float, wish: Zodiacal | bool | None) -> None:
-    extrapolate = isinstance(wish, Zodiacal) and wish.near_sun == "extrapolate"
+def _check_elongation(least_rad: float, request: Zodiacal | bool | None) -> None:
+    extrapolate = isinstance(request, Zodiacal) and request.near_sun == "extrapolate"
     end = z.NEAREST_RAD if extrapolate else z.TABLE_ENDS_RAD
     if least_rad < end:
         hint = "" if extrapolate else "; near_sun: extrapolate goes to 2"

@@ -44,10 +44,10 @@ def dimmed(
     o = scene.observer
     if extinction is None or not isinstance(o, GroundObserver) or o.atmosphere is None:
         return parts
-    wish = o.atmosphere.extinction
-    assert isinstance(wish, Extinction)
+    request = o.atmosphere.extinction
+    assert isinstance(request, Extinction)
     sine = observed @ air[:3]
-    diffuse = extinction.transmission(sine, wish.diffuse_share)
+    diffuse = extinction.transmission(sine, request.diffuse_share)
     stars = extinction.transmission(sine)
     return {n: light * (stars if n == "starlight" else diffuse) for n, light in parts.items()}
 

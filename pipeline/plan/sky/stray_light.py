@@ -64,7 +64,7 @@ class _Body:
 
 def stray_parts(
     scene: Scene,
-    wish: StrayLight,
+    request: StrayLight,
     inputs: StrayInputs,
     g: Geometry,
     f: int,
@@ -85,9 +85,9 @@ def stray_parts(
     pixel_m2 = (scene.sensor.pixel_pitch_um * 1e-6) ** 2 * scene.sensor.fill_factor
     out: dict[str, Array] = {}
     lamps = {}
-    if wish.sun:
+    if request.sun:
         lamps["Sun"] = _sun(inputs, place, sun)
-    if wish.moon:
+    if request.moon:
         lamps["Moon"] = _moon(inputs, place, sun, moon_m(*tt)[0])
     for name, lamp in lamps.items():
         if extinction is not None and g.has_air:
@@ -95,9 +95,9 @@ def stray_parts(
             lamp = replace(lamp, irradiance=lamp.irradiance * float(passed))
         if lamp.irradiance > 0.0:
             _check_frame(scene, g.attitude[f, node], name, lamp)
-        out[name.lower()] = _lamp(wish, inputs, name, lamp, u) * pixel_m2
-    if wish.earth and not isinstance(scene.observer, GroundObserver):
-        out["earth"] = _earth(scene, wish, inputs, g, f, node, place, sun, u, dut1_s) * pixel_m2
+        out[name.lower()] = _lamp(request, inputs, name, lamp, u) * pixel_m2
+    if request.earth and not isinstance(scene.observer, GroundObserver):
+        out["earth"] = _earth(scene, request, inputs, g, f, node, place, sun, u, dut1_s) * pixel_m2
     return out
 
 
@@ -133,18 +133,18 @@ def _seen_past_earth(place: Array, to_body: Array, radius_m: float) -> float:
     return float(np.clip(0.5 + 0.5 * above / radius, 0.0, 1.0))
 
 
-def _lamp(wish: StrayLight, inputs: StrayInputs, name: str, body: _Body, u: Array) -> Array:
+def _lamp(request: StrayLight, inputs: StrayInputs, name: str, body: _Body, u: Array) -> Array:
     """Electrons/s/m2 of focal plane (n,) of a lamp."""
     if body.irradiance <= 0.0:
         return np.zeros(len(u))
     angle = separation(u, body.towards[None])
-    _check(wish, inputs.pst, name, float(angle.min()), float(angle.max()))
+    _check(request, inputs.pst, name, float(angle.min()), float(angle.max()))
     return inputs.pst.value(angle) * body.irradiance
 
 
 def _earth(
     scene: Scene,
-    wish: StrayLight,
+    request: StrayLight,
     inputs: StrayInputs,
     g: Geometry,
     f: int,
@@ -168,9 +168,9 @@ def _earth(
         light = earth_stray(u, place, sun, inputs.pst, inputs.albedo, turn)
         if not light.any():
             return light  # all that is seen of it is dark
-        _check(wish, inputs.pst, "Earth's limb", float(from_limb.min()), farthest)
+        _check(request, inputs.pst, "Earth's limb", float(from_limb.min()), farthest)
         return light * rate
-    _check(wish, inputs.pst, "Earth's limb", float(from_limb.min()), farthest)
+    _check(request, inputs.pst, "Earth's limb", float(from_limb.min()), farthest)
     return np.zeros(len(u))
 
 
@@ -191,11 +191,11 @@ def _in_field(name: str) -> BadInput:
     )
 
 
-def _check(wish: StrayLight, pst: Pst, name: str, nearest: float, farthest: float) -> None:
+def _check(request: StrayLight, pst: Pst, name: str, nearest: float, farthest: float) -> None:
     """Refuse a body in a line of sight, inside the exclusion angle, or beyond the curve's end."""
     if nearest <= 0.0:
         raise _in_field(name)
-    if wish.inside == "refuse" and nearest < pst.exclusion_rad:
+    if request.inside == "refuse" and nearest < pst.exclusion_rad:
         raise BadInput(
             FIELD,
             f"{nearest / DEG_RAD:.4g} deg from the field to the {name}",
@@ -212,7 +212,7 @@ def _check(wish: StrayLight, pst: Pst, name: str, nearest: float, farthest: floa
         )
 
 
-def stray_told(wish: StrayLight, ends: list[dict[str, Array]]) -> list[Decision]:
+def stray_told(request: StrayLight, ends: list[dict[str, Array]]) -> list[Decision]:
     """What each body gives, and how well it is known; ends : parts in the first and last frame."""
     told = {
         "sun": "a point; the share of it that the Earth leaves free (uniform disc)",
@@ -229,11 +229,15 @@ def stray_told(wish: StrayLight, ends: list[dict[str, Array]]) -> list[Decision]
             span = f"{values.min():.4g} to {values.max():.4g} e-/s per pixel"
             most, unit = OVER_ENDS * float(values.max()), "e-/s per pixel"
             out.append(Decision(component, True, f"{span}: {how}", bound=most, unit=unit))
-        elif name == "earth" and wish.earth:
+        elif name == "earth" and request.earth:
             out.append(Decision(component, False, "a site on the ground sees no disc", 0.0, 0.0))
         else:
             out.append(Decision(component, False, "switched off in the scene"))
-    curve = wish.pst.kind if wish.inside == "refuse" else f"{wish.pst.kind}, {wish.inside} inside"
+    curve = (
+        request.pst.kind
+        if request.inside == "refuse"
+        else f"{request.pst.kind}, {request.inside} inside"
+    )
     out.append(
         Decision(
             "stray_light.pst",

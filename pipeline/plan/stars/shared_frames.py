@@ -105,11 +105,11 @@ def _apart_px(plan: ResolvedScene, g: Geometry, own: OwnMotion, a: int, b: int) 
         still_paths(plan.camera, g.frame_slice(k), *at, effects["aberration"])[:, :, 0]
         for k, at in ((a, (x, y)), (b, (bx, by)))
     )
-    wish = plan.scene.stars
-    assert wish is not None
-    years = float(np.ptp(epochs_jyear(g)[[a, b]])) * wish.space_motion
+    request = plan.scene.stars
+    assert request is not None
+    years = float(np.ptp(epochs_jyear(g)[[a, b]])) * request.space_motion
     far_m = float(np.linalg.norm(g.observer_m[b, middle] - g.observer_m[a, middle]))
-    far_au = far_m / ASTRONOMICAL_UNIT_M * wish.parallax
+    far_au = far_m / ASTRONOMICAL_UNIT_M * request.parallax
     own_mas = own.proper_motion_mas_yr * years + own.parallax_mas * far_au
     own_px = 1e-3 * ARCSEC_RAD * own_mas / plan.facts.ifov_rad
     return BETWEEN * float(np.hypot(*(after - before)).max()) + own_px * stretch(plan.camera)

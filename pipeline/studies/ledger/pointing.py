@@ -28,8 +28,8 @@ LINE_S, ROWS = 2e-3, 5
 def distortion(_: Bench) -> Iterator[ProbeResult]:
     """Places through SIP terms and back by the product, the terms summed by numpy's powers."""
     terms = {"2_0": 3e-5, "1_1": -2e-5, "0_2": 1e-5, "3_0": 4e-8, "1_2": -3e-8}
-    wish = {"kind": "sip", "a": terms, "b": {k: -0.7 * v for k, v in terms.items()}}
-    plan = prepare(parse_scene(scene({"sensor.distortion": wish}))).plan
+    request = {"kind": "sip", "a": terms, "b": {k: -0.7 * v for k, v in terms.items()}}
+    plan = prepare(parse_scene(scene({"sensor.distortion": request}))).plan
     d = plan.camera.distortion
     assert d is not None
     half = 0.5 * (plan.camera.rows - 1)

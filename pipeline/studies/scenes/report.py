@@ -12,7 +12,7 @@ from pipeline.errors import BadInput
 from pipeline.inputs.stars.catalogues import open_catalogues
 from pipeline.studies.scenes.figure import ladder_figure, omission_figure
 from pipeline.studies.scenes.page import page
-from pipeline.studies.scenes.scenes import wishes
+from pipeline.studies.scenes.scenes import requests
 from pipeline.studies.scenes.study import Progress, checked_rungs, run_study
 from pipeline.studies.scenes.tables import (
     explained,
@@ -38,7 +38,7 @@ def report_scenes(
     that is none, a folder that is not empty, a catalogue that is none, a library that is missing.
     """
     chosen = checked_rungs(rungs, quick)
-    wishes(scenes, quick)
+    requests(scenes, quick)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise BadInput("-o", str(out), "a new or empty folder")
     if find_spec("matplotlib") is None:

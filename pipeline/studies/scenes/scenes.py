@@ -268,7 +268,7 @@ MAKERS: dict[str, Callable[[bool], ReportScene]] = {
 }
 
 
-def wishes(names: tuple[str, ...], quick: bool) -> list[ReportScene]:
+def requests(names: tuple[str, ...], quick: bool) -> list[ReportScene]:
     """The scenes of these names, all where none is given; BadInput for a name that is none."""
     for name in names:
         if name not in MAKERS:
@@ -277,10 +277,10 @@ def wishes(names: tuple[str, ...], quick: bool) -> list[ReportScene]:
 
 
 def with_accuracy(
-    wish: ReportScene, noise_fraction: float, flux_fraction: float, catalogue: str
+    request: ReportScene, noise_fraction: float, flux_fraction: float, catalogue: str
 ) -> dict:
     """A scene at one rung, its stars from a catalogue; the product makes no check of its own."""
-    data = copy.deepcopy(wish.data)
+    data = copy.deepcopy(request.data)
     data["accuracy"] = {
         "noise_fraction": noise_fraction,
         "flux_fraction": flux_fraction,

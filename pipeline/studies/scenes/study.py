@@ -19,7 +19,7 @@ from pipeline.studies.scenes.scenes import (
     QUICK_ALL_SKY_G_MAG,
     ReportScene,
     deep_fields,
-    wishes,
+    requests,
     with_accuracy,
 )
 
@@ -63,7 +63,7 @@ def run_study(
     rungs : noise_fraction, coarsest first
     catalogue : of stars; None makes a synthetic one. folder : for work, its contents are lost
     """
-    chosen = wishes(names or (QUICK_SCENES if quick else ()), quick)
+    chosen = requests(names or (QUICK_SCENES if quick else ()), quick)
 
     def say(stage: str, done: int, of: int) -> None:
         if progress is not None:
@@ -73,16 +73,16 @@ def run_study(
     stars = str(catalogue or make_catalogue(tuple(w.name for w in chosen), quick, folder))
     say("catalogue", 1, 1)
     told = []
-    for wish in chosen:
-        say(wish.name, 0, len(rungs) + 1)
-        found = run_child(_reference_order(wish, rungs, quick, stars, folder))
+    for request in chosen:
+        say(request.name, 0, len(rungs) + 1)
+        found = run_child(_reference_order(request, rungs, quick, stars, folder))
         rows = []
         for k, rung in enumerate(rungs):
-            say(wish.name, k + 1, len(rungs) + 1)
+            say(request.name, k + 1, len(rungs) + 1)
             asked = {"noise_fraction": rung, "flux_fraction": FLUX_OF_NOISE * rung}
-            rows.append(asked | run_child(_rung_order(wish, rung, stars, folder)))
-        say(wish.name, len(rungs) + 1, len(rungs) + 1)
-        told.append(_told(wish, found, rows))
+            rows.append(asked | run_child(_rung_order(request, rung, stars, folder)))
+        say(request.name, len(rungs) + 1, len(rungs) + 1)
+        told.append(_told(request, found, rows))
     return {
         "schema": "nightglass/scene-report/1",
         "quick": quick,
@@ -95,39 +95,39 @@ def run_study(
 
 
 def _reference_order(
-    wish: ReportScene, rungs: tuple[float, ...], quick: bool, stars: str, folder: Path
+    request: ReportScene, rungs: tuple[float, ...], quick: bool, stars: str, folder: Path
 ) -> JsonObject:
     finest = FINER * min(*rungs, USUAL)
     return {
         "work": "reference",
         "windows": QUICK_WINDOWS if quick else WINDOWS,
-        "finest": with_accuracy(wish, finest, FLUX_OF_NOISE * finest, stars),
-        "scene": with_accuracy(wish, USUAL, FLUX_OF_NOISE * USUAL, stars),
-        "share": wish.share,
-        "exact": str(folder / f"{wish.name}.npz"),
-        "folder": str(folder / f"{wish.name}-first"),
+        "finest": with_accuracy(request, finest, FLUX_OF_NOISE * finest, stars),
+        "scene": with_accuracy(request, USUAL, FLUX_OF_NOISE * USUAL, stars),
+        "share": request.share,
+        "exact": str(folder / f"{request.name}.npz"),
+        "folder": str(folder / f"{request.name}-first"),
     }
 
 
-def _rung_order(wish: ReportScene, rung: float, stars: str, folder: Path) -> JsonObject:
-    work = folder / f"{wish.name}-{rung:g}"
+def _rung_order(request: ReportScene, rung: float, stars: str, folder: Path) -> JsonObject:
+    work = folder / f"{request.name}-{rung:g}"
     work.mkdir()
     return {
         "work": "rung",
-        "scene": with_accuracy(wish, rung, FLUX_OF_NOISE * rung, stars),
-        "share": wish.share,
-        "exact": str(folder / f"{wish.name}.npz"),
+        "scene": with_accuracy(request, rung, FLUX_OF_NOISE * rung, stars),
+        "share": request.share,
+        "exact": str(folder / f"{request.name}.npz"),
         "folder": str(work),
     }
 
 
-def _told(wish: ReportScene, found: JsonObject, rows: list[JsonObject]) -> JsonObject:
-    size = wish.data["sensor"]["shape"]
+def _told(request: ReportScene, found: JsonObject, rows: list[JsonObject]) -> JsonObject:
+    size = request.data["sensor"]["shape"]
     return {
-        "scene": wish.name,
-        "title": wish.title,
+        "scene": request.name,
+        "title": request.title,
         "shape": size,
-        "tiles_drawn": list(wish.share),
+        "tiles_drawn": list(request.share),
         "stars": rows[0]["stars"],
         "targets": rows[0]["targets"],
         "windows": found["windows"],
