@@ -16,7 +16,8 @@ from astropy.time import Time
 from scipy.stats import binom, norm
 
 from pipeline.capacity.candidates import ENDED, find_candidates, path_of
-from pipeline.capacity.course import make_course
+from pipeline.capacity.course import make_course, moments
+from pipeline.capacity.patterns import slots_of
 from pipeline.capacity.run import StudyOptions, run_study
 from pipeline.physics.vectors import from_angles, separation
 
@@ -85,12 +86,16 @@ def test_windows_and_batches_change_nothing(
     monkeypatch.setattr("pipeline.capacity.course.STEPS", 37)
     for place in ("course", "candidates"):
         monkeypatch.setattr(f"pipeline.capacity.{place}.BATCH", 19)
+    for kept in (moments, slots_of):  # of the windows as they were
+        kept.cache_clear()
     cut = run_rows(data, tmp_path / "cut")
     assert len(cut) == len(whole)
 
     def key(r: dict[str, Any]) -> tuple[Any, ...]:
         return r["step"], r["object"], r["unit"], r["time_s"]
 
+    for kept in (moments, slots_of):
+        kept.cache_clear()
     for a, b in zip(sorted(whole, key=key), sorted(cut, key=key), strict=True):
         assert key(a)[:3] == key(b)[:3]
         assert (a["detected"], a["frames"]) == (b["detected"], b["frames"])
