@@ -103,6 +103,20 @@ def test_windows_and_batches_change_nothing(
             assert a[name] == pytest.approx(b[name], rel=1e-6, abs=1e-6)
 
 
+def test_steps_of_windows_follow_each_other(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The moment after a window is the next one's."""
+    monkeypatch.setattr("pipeline.capacity.course.STEPS", 30)
+    data["catalogue"]["synthetic"]["seed"] = 6  # a study that no other test has
+    course = make_course(data | {"duration_h": 1.0}, tmp_path)
+    (tmp_path / "parts").mkdir()
+    for window in (0, 1):
+        find_candidates(course, (window, 0))
+        steps = set(pq.read_table(path_of(tmp_path, (window, 0)))["step"].to_pylist())
+        assert steps == set(range(30 * window, 30 * window + 30))
+
+
 def test_what_sgp4_ends_is_told_in_later_batches(
     data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
