@@ -16,7 +16,8 @@ from astropy.time import Time
 from scipy.stats import binom, norm
 
 from pipeline.capacity.candidates import ENDED, find_candidates, path_of
-from pipeline.capacity.course import make_course
+from pipeline.capacity.course import make_course, moments
+from pipeline.capacity.patterns import slots_of
 from pipeline.capacity.run import StudyOptions, run_study
 from pipeline.physics.vectors import from_angles, separation
 
@@ -85,17 +86,35 @@ def test_windows_and_batches_change_nothing(
     monkeypatch.setattr("pipeline.capacity.course.STEPS", 37)
     for place in ("course", "candidates"):
         monkeypatch.setattr(f"pipeline.capacity.{place}.BATCH", 19)
+    for kept in (moments, slots_of):  # of the windows as they were
+        kept.cache_clear()
     cut = run_rows(data, tmp_path / "cut")
     assert len(cut) == len(whole)
 
     def key(r: dict[str, Any]) -> tuple[Any, ...]:
         return r["step"], r["object"], r["unit"], r["time_s"]
 
+    for kept in (moments, slots_of):
+        kept.cache_clear()
     for a, b in zip(sorted(whole, key=key), sorted(cut, key=key), strict=True):
         assert key(a)[:3] == key(b)[:3]
         assert (a["detected"], a["frames"]) == (b["detected"], b["frames"])
         for name in ("time_s", "busy_s", "x", "y", "z", "snr", "range_km"):
             assert a[name] == pytest.approx(b[name], rel=1e-6, abs=1e-6)
+
+
+def test_steps_of_windows_follow_each_other(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The moment after a window is the next one's."""
+    monkeypatch.setattr("pipeline.capacity.course.STEPS", 30)
+    data["catalogue"]["synthetic"]["seed"] = 6  # a study that no other test has
+    course = make_course(data | {"duration_h": 1.0}, tmp_path)
+    (tmp_path / "parts").mkdir()
+    for window in (0, 1):
+        find_candidates(course, (window, 0))
+        steps = set(pq.read_table(path_of(tmp_path, (window, 0)))["step"].to_pylist())
+        assert steps == set(range(30 * window, 30 * window + 30))
 
 
 def test_what_sgp4_ends_is_told_in_later_batches(

@@ -12,6 +12,7 @@ import pytest
 from pipeline.capacity.candidates import find_candidates, path_of
 from pipeline.capacity.course import make_course
 from pipeline.capacity.run import forecast_of
+from pipeline.errors import BadInput
 from pipeline.physics.detection import threshold_sigma
 from tests.observe.test_against_others import tle
 
@@ -92,3 +93,10 @@ def test_a_forecast_is_of_all_points(data: Data, tmp_path: Path) -> None:
     three = forecast_of(data | {"axes": [axis], "seeds": 2}, tmp_path)
     assert (one["points"], three["points"]) == (1, 6)
     assert three["cpu_s"] == pytest.approx(6 * one["cpu_s"])
+
+
+def test_frames_needed_are_those_of_every_dwell(data: Data, tmp_path: Path) -> None:
+    other = data["cameras"][0] | {"name": "other", "exposure": {"integration_s": 1.0, "frames": 5}}
+    data |= {"cameras": [data["cameras"][0], other], "detection": {"frames_needed": 4}}
+    with pytest.raises(BadInput, match=r"detection.frames_needed: 4 .*frames of a dwell, 3"):
+        make_course(data, tmp_path)

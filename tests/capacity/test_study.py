@@ -139,7 +139,8 @@ def test_searches_miss_nothing(data: Data, tmp_path: Path) -> None:
     from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 
     data["cameras"][0] |= {"tracking": "sidereal"}
-    data["cameras"][0]["sensor"] = data["cameras"][0]["sensor"] | {"focal_length_m": 0.05}
+    upright = {"focal_length_m": 0.05, "shape": [1024, 700]}
+    data["cameras"][0]["sensor"] = data["cameras"][0]["sensor"] | upright
     data["sensors"] = data["sensors"][1:]
     data["tasking"] = {"kind": "serendipitous", "pattern": "strip", "from_deg": 30, "to_deg": 60}
     data |= {"duration_h": 5.0, "detection": {"least_probability": 0.0}}
@@ -157,7 +158,7 @@ def test_searches_miss_nothing(data: Data, tmp_path: Path) -> None:
         path = place - seen.observer_m
         for f in range(len(at)):
             x, y = project(w.resolved.camera, slots.axes[q], path[:, f])
-            inside = (np.abs(x - 511.5) <= 512) & (np.abs(y - 511.5) <= 512)
+            inside = (np.abs(x - 349.5) <= 350) & (np.abs(y - 511.5) <= 512)
             expected |= {(q, int(i), f) for i in np.flatnonzero(inside)}
     frames = {}
     for q, i, _ in expected:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import astropy.coordinates as coord
+import astropy.units as u
 import numpy as np
 import pytest
+from astropy.time import Time
 
 from pipeline.observe.observe import observe
 from pipeline.physics.positions.earth import earth_and_sun
@@ -185,3 +188,14 @@ def test_near_the_moon_where_its_light_is_asked_for(
         sky = {"uniform_e_per_s": 1.0, "moonlight": moonlight}
         target = ball_at(here + 1e8 * towards, 90.0)
         assert seen_from(SITE, [target], ra, dec, background=sky) == word
+
+
+def test_daylight_begins_where_the_sky_is_not_known() -> None:
+    """With airglow and no twilight: at the Sun's -12 degrees, by astropy."""
+    hours = np.arange(0.0, 6.0, 1.0 / 30.0)
+    when = Time("2019-04-20T10:00:00") + hours * u.hour
+    site = coord.EarthLocation.from_geodetic(-156.3, 20.7, 3055.0)
+    up = coord.get_sun(when).transform_to(coord.AltAz(obstime=when, location=site)).alt.deg
+    assert ((up > -12.0) & (up < -3.0)).sum() > 5
+    found = [word == "daylight" for word in by_hours(*hours, background={"airglow": True})]
+    assert found == (up > -12.0).tolist()

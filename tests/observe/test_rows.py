@@ -12,6 +12,7 @@ import pytest
 from pipeline.execute.sources import place_targets
 from pipeline.observe.centroid import centroid_covariance_px2
 from pipeline.observe.observe import Observed, observe
+from pipeline.observe.on_axis import on_axis_light_e
 from pipeline.observe.times import times_of
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.resolve.resolve import resolve
@@ -116,6 +117,16 @@ def test_out_of_the_field_streaks_along_the_columns_charge() -> None:
         rows.append(observe(parse_scene(scene)).table.to_pylist()[0])
     assert [row["snr_at"] for row in rows] == ["frame", "boresight"]
     assert rows[1]["streak_px"] == pytest.approx(rows[0]["streak_px"], rel=1e-2)
+
+
+def test_light_counts_while_the_earth_does_not_hide_it() -> None:
+    """Out of the field as on it: a quarter of the exposure, a quarter of the light."""
+    found = resolve(parse_scene(night())).scene
+    g = plan_geometry(found.scene, np.arange(3), found.dut1_s)
+    whole = on_axis_light_e(found, g, np.ones((3, 3)))
+    part = on_axis_light_e(found, g, np.full((3, 3), 0.25))
+    assert whole.min() > 0.0
+    np.testing.assert_allclose(part, 0.25 * whole)
 
 
 def test_out_of_the_field_of_a_camera_that_follows_another() -> None:
