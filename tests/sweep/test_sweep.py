@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.execute.sources import place_targets
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.tiles import Tile
@@ -88,6 +89,26 @@ def test_a_targets_window_holds_its_own_light_alone(scene_data):
     assert np.array_equal(alone.response, among.response)
     assert np.array_equal(alone.response, behind.response)
     assert alone.response.sum() > 0.9
+
+
+@pytest.mark.parametrize("way", [(0, 34), (0, -34), (34, 0), (-34, 0), (-34, -33)])
+def test_a_targets_response_lies_where_it_is_drawn(way, scene_data):
+    """Also in windows that an edge of the frame cuts, by rows, by columns or both."""
+    plain = copy.deepcopy(scene_data) | {"stars": None}
+    [ball] = plain["targets"]
+    place = np.array(ball["orbit"]["position_m"])
+    east = np.cross([0.0, 0.0, 1.0], place)
+    place += way[0] * east / np.linalg.norm(east) + way[1] * np.array([0.0, 0.0, 1.0])
+    ball["orbit"]["position_m"] = place.tolist()
+    plan = prepare(parse_scene(plain)).plan
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    [(_, window)] = target_windows(plan, g, ("ball",), 3.0)
+    [ours] = place_targets(plan, g)
+    y, x = np.unravel_index(np.argmax(window.response), window.response.shape)
+    assert window.place.y0 + window.corner[0] + y == pytest.approx(ours.y_px, abs=0.51)
+    assert window.place.x0 + window.corner[1] + x == pytest.approx(ours.x_px, abs=0.51)
+    assert min(window.place.y0, window.place.x0) >= 0
+    assert max(np.abs(np.array([ours.y_px, ours.x_px]) - 127.5)) > 100.0
 
 
 def test_metrics_take_each_frames_own_time(sweep_file, tmp_path):

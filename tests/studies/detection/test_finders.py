@@ -118,6 +118,17 @@ def test_judge_counts_right_fragments_and_false():
     assert streak.found.tolist() == [False, True]
 
 
+def test_the_brightest_detection_stands_for_a_source():
+    """Of two near one source the brighter, though farther; a fainter one takes what is left."""
+    told = labels([(TARGET, 50, 50, 0, 0, 20), (TARGET, 52, 50, 0, 0, 20)])
+    found = replace(found_at((50.2, 50), (51.2, 50), (49, 50)), snr=np.array([5.0, 9.0, 4.0]))
+    verdict = judge(told, np.array([True, False]), found)
+    assert verdict.right.tolist() == [False, True, False]
+    both = judge(told, np.array([True, True]), found)
+    assert both.right.tolist() == [True, True, False]
+    assert both.found.all()
+
+
 @pytest.mark.parametrize("angle", [0.0, 30.0, 75.0, 120.0, 160.0])
 def test_judge_measures_along_and_across_a_streak(angle):
     """Half a length of 40 px: a detection 20 px along it is its own, one 4 px beside it is not."""
