@@ -22,7 +22,7 @@ from pipeline.studies.detection.finders import drift_of, tasks
 from pipeline.studies.detection.judge import DetectionVerdict, judge
 from pipeline.studies.detection.points import Detections, find_points, flattened
 from pipeline.studies.detection.streaks import all_lines, find_lines, without_streaks
-from pipeline.studies.detection.study import _one, _summed, report_detection
+from pipeline.studies.detection.study import _frame, _one, _summed, report_detection
 
 pytest.importorskip("sep")
 SIDE = 256
@@ -186,6 +186,7 @@ def test_study_of_a_product(product, tmp_path):
         product, tmp_path / "out", progress=lambda _, done, total: told.append((done, total))
     )
     assert told == [(1, 2), (2, 2)]  # each frame as it is done
+    assert [bool(_frame(product, (512, 512), 5.0, k)[1]) for k in (0, 1)] == [True, False]
     assert [t["found"] for t in study["targets"] if t["finder"] == "sep"] == [True, True]
     assert study["finders"]["sep"]["false_alarms"] <= 2
     assert json.loads((tmp_path / "out" / "detection.json").read_text()) == study
