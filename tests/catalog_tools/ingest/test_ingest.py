@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import os
+import shutil
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -339,7 +340,8 @@ def test_an_unfinished_ingest_of_other_arguments_is_refused(tmp_path, parts, mon
         patch.setattr(build, "write_leaf", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             ingest(files, tmp_path / "c", workers=1)
-    for sources, rows in ((files[:2], 1_000_000), (files, 900)):
+    other = Path(shutil.copy(files[2], tmp_path / "other.csv.gz"))
+    for sources, rows in ((files[:2], 1_000_000), (files, 900), ([*files[:2], other], 1_000_000)):
         with pytest.raises(BadInput, match="--restart"):
             ingest(sources, tmp_path / "c", rows_per_leaf=rows)
     report = ingest(files[:2], tmp_path / "c", restart=True)
