@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from catalog_tools.errors import BadInput
 from catalog_tools.forms import known_forms, load_form
 from catalog_tools.forms.form import UNITS, Names
 from catalog_tools.readers import read_tables
+from catalog_tools.readers.meaning import apply
 
 FORMS = Path(__file__).parent / "forms"
 
@@ -234,8 +236,11 @@ unit = "mag"
 add = -0.25
 """
     csv = "mag,id,alpha,delta,b,v\n9,1,0,0,4,3.5\n9,2,0,0,4,1\n9,3,0,0,9,\n9,4,0,0,,2\n"
+    csv += "9,5,0,0,3,2\n9,6,0,0,4,4\n"  # both ends of the range are in it
     stars = rows(tmp_path, load(tmp_path, EXAMPLE + ways), csv)
-    assert [star["phot_bp_mean_mag"] for star in stars] == [9 + 0.5 + 1.0 - 0.25, 13.0, 14.0, 8.75]
+    assert [star["phot_bp_mean_mag"] for star in stars] == [
+        9 + 0.5 + 1.0 - 0.25, 13.0, 14.0, 8.75, 9 + 0.5 + 2.0 - 1.0, 9.5
+    ]  # fmt: skip
 
 
 def test_missing_columns_are_named_unless_optional(tmp_path):
@@ -332,6 +337,22 @@ def test_rows_of_another_epoch_are_refused(tmp_path, unit, same, later):
     assert rows(tmp_path, form, f"id,alpha,delta,mag,t\n7,1.5,-2,9,{same}\n")[0]["ra"] == 1.5
     with pytest.raises(BadInput, match=r"t row 2: 2001"):
         rows(tmp_path, form, f"id,alpha,delta,mag,t\n7,1,-2,9,{same}\n8,1,-2,9,{later}\n")
+    year = later - same
+    for share, fine in ((0.0019, True), (-0.0019, True), (0.0021, False), (-0.0021, False)):
+        csv = f"id,alpha,delta,mag,t\n7,1.5,-2,9,{same + share * year!r}\n"  # half a day more: no
+        with nullcontext() if fine else pytest.raises(BadInput, match="t row 1"):
+            rows(tmp_path, form, csv)
+
+
+def test_a_bad_row_is_named_by_its_place_in_the_file(tmp_path):
+    """Files are read in pieces: the rows of those before count."""
+    epoch = '[epoch]\nfrom = "t"\nunit = "jyear"\n[source_id]'
+    form = load(tmp_path, EXAMPLE.replace("[source_id]", epoch))
+    good = {"id": [7.0, 8.0], "alpha": [1.0, 1.0], "delta": [2.0, 2.0], "mag": [9.0, 9.0],
+            "t": [2000.0, 2000.0]}  # fmt: skip
+    for change, name in (({"t": [2000.0, 1990.0]}, "t"), ({"id": [7.0, 8.5]}, "id")):
+        with pytest.raises(BadInput, match=f"f {name} row 5002"):
+            apply(form, pa.table(good | change), "f", 5000)
 
 
 GSC_HEAD = "hstID,gsc2ID,GAIAdr2sourceID,ra,dec,epoch,rapm,decpm,parallax,radialVelocity,"

@@ -38,6 +38,9 @@ def test_owslib_lists_describes_executes(
     plan = ogc.execute("plan", {"scene": {"value": scene, "mediaType": "application/json"}})
     assert plan["plan"]["tiles"] == 2
     assert told["jobID"] in [j["jobID"] for j in server.client.get("/ogc/jobs").json()["jobs"]]
+    newer = ogc.execute("render", {"scene": scene | {"seed": 2}}, async_=True)["jobID"]
+    listed = server.client.get("/ogc/jobs?limit=1").json()["jobs"]
+    assert [j["jobID"] for j in listed] == [newer]
     gone = server.client.delete(f"/ogc/jobs/{told['jobID']}")
     assert gone.json()["status"] == "dismissed"
     assert server.client.get(f"/v1/jobs/{told['jobID']}").status_code == 404

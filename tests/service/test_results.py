@@ -157,6 +157,19 @@ def test_tiles_are_told_and_shown_as_they_are_drawn(scene: dict[str, Any], tmp_p
                 tile_values(tmp_path / "run", 0, row, column)
 
 
+def test_oblong_tiles_are_those_of_their_row_and_column(tmp_path: Path) -> None:
+    """Each tile of each frame by its own pixels; those at the far edges are what is left."""
+    dn = np.arange(2 * 6 * 10, dtype=np.uint16).reshape(2, 6, 10)
+    zarr.create_array(store=tmp_path / "cube.zarr" / "dn", data=dn, chunks=(1, 4, 3))
+    (tmp_path / "_COMPLETE").write_text("{}")
+    for frame, row, column in np.ndindex(2, 2, 4):
+        own = dn[frame, 4 * row : 4 * row + 4, 3 * column : 3 * column + 3]
+        assert np.array_equal(tile_values(tmp_path, frame, row, column), own)
+    for outside in ((2, 0, 0), (0, 2, 0), (0, 0, 4), (0, -1, 0)):
+        with pytest.raises(NotThere):
+            tile_values(tmp_path, *outside)
+
+
 @pytest.mark.parametrize("stretch", ["asinh", "linear", "log"])
 def test_pictures_are_black_at_low_and_white_at_high(stretch: str) -> None:
     """Whatever the stretch, in between they rise; what is beyond an end is as the end."""
@@ -166,6 +179,10 @@ def test_pictures_are_black_at_low_and_white_at_high(stretch: str) -> None:
     assert (grey[0], grey[1], grey[-2], grey[-1]) == (0, 0, 255, 255)
     assert (np.diff(grey[1:-1]) > 0).all()
     assert grey[-3] < 255
+    upright = tile_picture(np.array([[0.0, 50.0], [100.0, 100.0]]), stretch, 0.0, 100.0)
+    rows = np.asarray(Image.open(io.BytesIO(upright)))  # the first row at the bottom
+    assert rows[0].tolist() == [255, 255]
+    assert rows[1, 0] == 0 < rows[1, 1] < 255
 
 
 def test_the_wcs_of_a_frame_is_the_first_one_alone(scene: dict[str, Any], tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pyvo.dal import AsyncTAPJob, DALQueryError, DALServiceError
 from pyvo.dal.tap import TAPService
 
 from pipeline.spec.load import parse_scene, scene_yaml
+from service.standards.uws import _amends
 
 UWS = "{http://www.ivoa.net/xml/UWS/v1.0}"
 XLINK = "{http://www.w3.org/1999/xlink}"
@@ -201,3 +202,9 @@ def test_listings_are_chosen_by_phase_time_and_count(server: Any, scene: dict[st
     assert listed(f"AFTER={between[1]}&AFTER={between[0]}") == [2]
     for path in made:
         server.client.delete(path)
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("0", None), ("1", 1.0), ("86400", 86400.0)])
+def test_no_duration_is_no_limit(text: str, seconds: float | None) -> None:
+    """UWS: 0 leaves the duration open, it ends no job at once."""
+    assert _amends({"EXECUTIONDURATION": text}) == {"duration_s": seconds}

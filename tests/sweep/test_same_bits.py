@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from types import SimpleNamespace
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.inputs.sensor.sensor import gather_sensor_maps
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.route.run import Options, render
+from pipeline.spec.load import parse_scene
 from pipeline.store.product import content_digest
 from pipeline.sweep.dependence import NEUTRAL
 from pipeline.sweep.run import gather_course, point_scene, sweep
-from pipeline.sweep.stages import _read_key, stages
+from pipeline.sweep.stages import Stages, _read_key, maps_of, stages
 from pipeline.sweep.task import run_points
 
 SPHERE = "targets.0.body.albedo"
@@ -112,6 +117,37 @@ def test_rows_of_stars_are_those_of_all_that_is_read():
     ]
     assert len(set(keys)) == len(keys)
     assert _rows_key() == keys[0]
+
+
+def test_maps_of_the_detector_are_those_of_each_point(scene_data, tmp_path):
+    """Points that share all but one of a sensor's numbers have maps of their own."""
+    np.save(tmp_path / "dark.npy", np.full((256, 256), 4.0))
+    sensor = scene_data["sensor"] | {"dark_e_per_s": str(tmp_path / "dark.npy")}
+    kept = Stages(1e8)
+    for change in (
+        {"adc_bits": 12}, {"flat": 0.9}, {"dark_e_per_s": 7.0}, {"dark_scale": 3.0},
+        {"read_noise_e": 1.0}, {"gain_e_per_dn": 1.5}, {"bias_dn": 5.0},
+    ):  # fmt: skip
+        scene = parse_scene(scene_data | {"sensor": sensor | change})
+        maps, alone = maps_of(kept, None, scene), gather_sensor_maps(scene)
+        for field in fields(alone):
+            name = field.name
+            assert np.array_equal(getattr(maps, name), getattr(alone, name)), (change, name)
+    assert kept.drawn["sensor maps"] == 7
+
+
+def test_frames_far_into_a_sweep_have_their_own_geometry(scene_data, monkeypatch):
+    """It is worked out for some frames at once; those of the next lot are others."""
+    monkeypatch.setattr("pipeline.sweep.stages.FRAMES_AHEAD", 2)
+    exposure = {"integration_s": 0.5, "frames": 5, "cadence_s": 60.0}
+    scene = parse_scene(scene_data | {"exposure": exposure, "stars": None, "accept": ["sun"]})
+    kept = Stages(1e8)
+    base = kept.base(scene)
+    every = plan_geometry(base.plan.scene, np.arange(5), base.plan.dut1_s)
+    for frame in (0, 4, 1, 3, 2):
+        ours, theirs = kept.geometry(base, frame), every.frame_slice(frame)
+        assert int(ours.frame[0]) == frame
+        assert np.array_equal(ours.target_light, theirs.target_light)
 
 
 def test_same_bits_whatever_the_detector_is(sweep_file, tmp_path):

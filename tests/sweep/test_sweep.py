@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.execute.sources import place_targets
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.tiles import Tile
@@ -88,6 +89,26 @@ def test_a_targets_window_holds_its_own_light_alone(scene_data):
     assert np.array_equal(alone.response, among.response)
     assert np.array_equal(alone.response, behind.response)
     assert alone.response.sum() > 0.9
+
+
+@pytest.mark.parametrize("way", [(0, 34), (0, -34), (34, 0), (-34, 0), (-34, -33)])
+def test_a_targets_response_lies_where_it_is_drawn(way, scene_data):
+    """Also in windows that an edge of the frame cuts, by rows, by columns or both."""
+    plain = copy.deepcopy(scene_data) | {"stars": None}
+    [ball] = plain["targets"]
+    place = np.array(ball["orbit"]["position_m"])
+    east = np.cross([0.0, 0.0, 1.0], place)
+    place += way[0] * east / np.linalg.norm(east) + way[1] * np.array([0.0, 0.0, 1.0])
+    ball["orbit"]["position_m"] = place.tolist()
+    plan = prepare(parse_scene(plain)).plan
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    [(_, window)] = target_windows(plan, g, ("ball",), 3.0)
+    [ours] = place_targets(plan, g)
+    y, x = np.unravel_index(np.argmax(window.response), window.response.shape)
+    assert window.place.y0 + window.corner[0] + y == pytest.approx(ours.y_px, abs=0.51)
+    assert window.place.x0 + window.corner[1] + x == pytest.approx(ours.x_px, abs=0.51)
+    assert min(window.place.y0, window.place.x0) >= 0
+    assert max(np.abs(np.array([ours.y_px, ours.x_px]) - 127.5)) > 100.0
 
 
 def test_metrics_take_each_frames_own_time(sweep_file, tmp_path):
@@ -357,16 +378,19 @@ def test_what_makes_two_sweeps_the_same():
 
 
 def test_the_summary_and_the_seal_by_hand(tmp_path):
-    """Least, mean and largest of what is known; failures counted by message; every file sealed."""
+    """Least, mean and largest of what is known, failures by message, the commonest first: over all
+    pieces of a table; every file sealed."""
+    values = [1.0, 2.0, 3.0, 4.0, 5.0]
     wish = parse_sweep({"schema": "nightglass/sweep/1", "name": "d", "scene": "s.yaml",
-                        "axes": [{"field": "a", "values": [1, 2, 3, 4]}]})  # fmt: skip
-    rows = {"point": [0, 1, 2, 3], "a": [1.0, 2.0, 3.0, 4.0], "seed": [0] * 4,
-            "status": ["done", "failed", "done", "failed"], "message": [None, "bad", None, "bad"],
-            "content_digest": ["x"] * 4, "sky_e": [7.0, None, 2.0, None]}  # fmt: skip
-    pq.write_table(pa.table(rows), tmp_path / "points.parquet")
+                        "axes": [{"field": "a", "values": values}]})  # fmt: skip
+    failed, messages = ["done", "failed"] * 2 + ["failed"], [None, "rare", None, "bad", "bad"]
+    rows = {"point": range(5), "a": values, "seed": [0] * 5, "status": failed, "message": messages,
+            "content_digest": ["x"] * 5, "sky_e": [7.0, None, 2.0, None, None]}  # fmt: skip
+    pq.write_table(pa.table(rows), tmp_path / "points.parquet", row_group_size=1)
     report = summarise(wish, tmp_path, ("t",), {"seconds": 1.0})
     assert report["metrics"] == {"sky_e": {"known": 2, "least": 2.0, "mean": 4.5, "largest": 7.0}}
-    assert (report["points"], report["failed"], report["messages"]) == (4, 2, {"bad": 2})
+    assert (report["points"], report["failed"]) == (5, 3)
+    assert list(report["messages"].items()) == [("bad", 2), ("rare", 1)]
     (tmp_path / "sweep.json").write_text("{}")
     ledger.seal(tmp_path)
     sealed = json.loads((tmp_path / "_COMPLETE").read_text())["files"]

@@ -59,6 +59,7 @@ def test_the_folder_says_what_its_files_cover(archive, tmp_path, hasty):
     assert coverage.ranges.tolist() == [[0, 10**8 // 64 + 1]]
     assert notes == ()
     assert stated_coverage(paths[1:])[0] is None
+    assert stated_coverage([*paths, tmp_path / "own.csv"])[0] is None
 
 
 def test_connections_cut_at_random_bytes(archive, tmp_path, hasty):
@@ -290,7 +291,10 @@ def test_ledger_spares_hashing_and_verify_hashes(archive, tmp_path, hasty):
     assert (report.downloaded, report.present) == (1, 4)
     assert {stage for stage, *_ in seen} == {"verify", "download"}
     assert visible(tmp_path) == archive.files
-    path.write_bytes(bad)  # with a new date it is seen without being asked
+    path.write_bytes(bad + b"!")  # another length is seen without being asked, the date as it was
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+    assert bring(archive, tmp_path, hasty).downloaded == 1
+    path.write_bytes(bad)  # and so is a new date
     assert bring(archive, tmp_path, hasty).downloaded == 1
     with (tmp_path / ".fetch" / "verified.jsonl").open("a") as file:
         file.write('{"name": "torn')

@@ -21,6 +21,8 @@ from catalog_tools.errors import BadInput, Incomplete
 from catalog_tools.fetch import tap
 from catalog_tools.fetch.cones import FetchCone
 from catalog_tools.fetch.fetch import fetch
+from catalog_tools.fetch.layout import release_named
+from catalog_tools.fetch.tap import file_name
 from catalog_tools.ingest.ingest import ingest
 from catalog_tools.readers import read_tables
 
@@ -190,6 +192,15 @@ def test_what_was_asked_for_is_what_the_catalogue_covers(service, sky, tmp_path,
     assert "gaia-dr2_cone_100.0_10.0_1.0.csv.gz holds no row" in report.notes
     limits = coverage_of(report.catalogue).limits_g_mag([0.2, 100.5, 4.0], [-40.0, 10.5, -40.0])
     assert limits.tolist() == [15.0, np.inf, -np.inf]
+
+
+def test_every_cone_has_a_file_of_its_own():
+    """One that were taken for another's would be called fetched, and cover what it does not."""
+    cones = [FetchCone(10.0, 20.0, 1.0), FetchCone(10.0, 20.0, 1.0, 15.0)]
+    cones += [FetchCone(10.0, 20.0, 1.0, 15.5), FetchCone(10.0, 20.0, 1.5)]
+    cones += [FetchCone(10.0, -20.0, 1.0), FetchCone(10.000001, 20.0, 1.0)]
+    names = {file_name(release_named(r), c) for c in cones for r in ("gaia-dr2", "gaia-dr3")}
+    assert len(names) == 2 * len(cones)
 
 
 def test_a_row_on_the_border_of_two_bands_is_in_one_of_them():

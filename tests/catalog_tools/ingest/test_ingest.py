@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import os
+import shutil
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,9 +23,10 @@ from catalog_tools.columns import STORED
 from catalog_tools.coverage import all_sky
 from catalog_tools.errors import BadInput, Damaged, Incomplete
 from catalog_tools.fetch.fetched import note_coverage
+from catalog_tools.forms import load_form
 from catalog_tools.info import info
 from catalog_tools.ingest import batches, build, leaves, memory, publish
-from catalog_tools.ingest.ingest import ingest
+from catalog_tools.ingest.ingest import FileSource, ingest
 from catalog_tools.ingest.judging import PLACE_COLUMN
 from catalog_tools.partition import choose_leaves, coarser, healpix_29
 from catalog_tools.query.query import cone
@@ -336,7 +340,8 @@ def test_an_unfinished_ingest_of_other_arguments_is_refused(tmp_path, parts, mon
         patch.setattr(build, "write_leaf", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             ingest(files, tmp_path / "c", workers=1)
-    for sources, rows in ((files[:2], 1_000_000), (files, 900)):
+    other = Path(shutil.copy(files[2], tmp_path / "other.csv.gz"))
+    for sources, rows in ((files[:2], 1_000_000), (files, 900), ([*files[:2], other], 1_000_000)):
         with pytest.raises(BadInput, match="--restart"):
             ingest(sources, tmp_path / "c", rows_per_leaf=rows)
     report = ingest(files[:2], tmp_path / "c", restart=True)
@@ -356,6 +361,43 @@ def test_a_source_that_changed_since_is_read_again(tmp_path, parts, monkeypatch)
     kept = pa.concat_tables([stars.slice(0, 3500), stars.slice(4000)])
     assert same_rows(cone(report.catalogue, 0, 0, 180)[0], kept)
     assert verify(report.catalogue).findings == ()  # no shard of the first run is left
+
+
+@pytest.mark.parametrize("change", ["size", "date", "md5"])
+def test_each_mark_of_a_changed_source_counts(tmp_path, parts, monkeypatch, change):
+    """Another length of the same date, another date of the same length, another digest told."""
+    stars, files = parts
+    monkeypatch.setattr(build, "BATCH_SOURCES", 1)
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "write_manifest", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            ingest(files, tmp_path / "c", workers=1)
+    before = files[1].stat()
+    if change == "size":
+        write_csv(files[1], stars.slice(2000, 1500))
+        os.utime(files[1], ns=(before.st_atime_ns, before.st_mtime_ns))
+    elif change == "date":
+        os.utime(files[1], ns=(before.st_atime_ns, before.st_mtime_ns + 1))
+    else:
+        (files[1].parent / "MD5SUM.txt").write_text(f"{'0' * 32}  {files[1].name}\n")
+        with pytest.raises(Damaged, match="MD5"):
+            ingest(files, tmp_path / "c", workers=1)
+        return
+    report = ingest(files, tmp_path / "c", workers=1)
+    assert (report.rows_in, report.continued) == (5500 if change == "size" else 6000, 2)
+
+
+def test_a_source_of_another_date_at_its_end_was_changed_meanwhile(parts):
+    file = parts[1][0]
+    about = file.stat()
+    source = FileSource(str(file), file.name, about.st_size, about.st_mtime_ns,
+                        load_form("gaia_dr2"), None, 1 << 30)  # fmt: skip
+    record = {}
+    assert sum(t.num_rows for t in source.tables(record)) == 2000
+    assert record["bytes"] == about.st_size
+    for other in ({"mtime_ns": about.st_mtime_ns - 1}, {"size": about.st_size + 1}):
+        with pytest.raises(Damaged, match="changed while it was read"):
+            list(replace(source, **other).tables({}))
 
 
 def test_full_disk_is_told_as_incomplete(tmp_path, parts, monkeypatch):

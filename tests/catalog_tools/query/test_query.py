@@ -369,3 +369,12 @@ def test_unknown_column(catalogue):
         record_batches(catalogue, cone_of(0, 0, 1), columns=["ruwe"])
     with pytest.raises(BadInput, match="columns"):
         cone(catalogue, 0, 0, 1, columns=[])
+
+
+def test_light_takes_its_time_to_far_observers():
+    """A star of 10"/yr, looked at from 1000 au at the catalogue's epoch: 499 s for each au."""
+    years = 1000.0 * 499.004784 / (365.25 * 86400.0)
+    moved_rad = np.radians(10.0 / 3600.0) * years
+    assert motion_pad_rad(1e4, 0.0, 0.0, 1000.0) == pytest.approx(moved_rad, rel=1e-3, abs=2e-9)
+    both = motion_pad_rad(1e4, 0.0, -2.0, 1000.0)
+    assert both == pytest.approx(np.radians(20.0 / 3600.0) + moved_rad, rel=1e-3)

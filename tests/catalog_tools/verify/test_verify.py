@@ -217,6 +217,7 @@ def columns_of(made, index):
 
 
 CHANGES = {
+    "outside ra 0 to 360 or dec": ("ra", lambda x: np.full_like(x, 360.0)),
     "is not that of their ra and dec": ("ra", lambda x: x + 2.0**-20),
     "outside the magnitude range": ("phot_g_mean_mag", lambda x: x + np.float32(30)),
     "that move faster": ("pmdec", lambda x: x + np.float32(1e6)),

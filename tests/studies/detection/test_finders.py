@@ -22,7 +22,7 @@ from pipeline.studies.detection.finders import drift_of, tasks
 from pipeline.studies.detection.judge import DetectionVerdict, judge
 from pipeline.studies.detection.points import Detections, find_points, flattened
 from pipeline.studies.detection.streaks import all_lines, find_lines, without_streaks
-from pipeline.studies.detection.study import _one, _summed, report_detection
+from pipeline.studies.detection.study import _frame, _one, _summed, report_detection
 
 pytest.importorskip("sep")
 SIDE = 256
@@ -118,6 +118,17 @@ def test_judge_counts_right_fragments_and_false():
     assert streak.found.tolist() == [False, True]
 
 
+def test_the_brightest_detection_stands_for_a_source():
+    """Of two near one source the brighter, though farther; a fainter one takes what is left."""
+    told = labels([(TARGET, 50, 50, 0, 0, 20), (TARGET, 52, 50, 0, 0, 20)])
+    found = replace(found_at((50.2, 50), (51.2, 50), (49, 50)), snr=np.array([5.0, 9.0, 4.0]))
+    verdict = judge(told, np.array([True, False]), found)
+    assert verdict.right.tolist() == [False, True, False]
+    both = judge(told, np.array([True, True]), found)
+    assert both.right.tolist() == [True, True, False]
+    assert both.found.all()
+
+
 @pytest.mark.parametrize("angle", [0.0, 30.0, 75.0, 120.0, 160.0])
 def test_judge_measures_along_and_across_a_streak(angle):
     """Half a length of 40 px: a detection 20 px along it is its own, one 4 px beside it is not."""
@@ -175,6 +186,7 @@ def test_study_of_a_product(product, tmp_path):
         product, tmp_path / "out", progress=lambda _, done, total: told.append((done, total))
     )
     assert told == [(1, 2), (2, 2)]  # each frame as it is done
+    assert [bool(_frame(product, (512, 512), 5.0, k)[1]) for k in (0, 1)] == [True, False]
     assert [t["found"] for t in study["targets"] if t["finder"] == "sep"] == [True, True]
     assert study["finders"]["sep"]["false_alarms"] <= 2
     assert json.loads((tmp_path / "out" / "detection.json").read_text()) == study
