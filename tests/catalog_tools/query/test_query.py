@@ -22,6 +22,7 @@ from catalog_tools.query.query import (
     record_batches,
 )
 from catalog_tools.query.selection import motion_pad_rad, select
+from catalog_tools.query.star_catalogue import StarCatalogue
 
 
 def seen_from_the_sun(stars, epoch):
@@ -320,6 +321,16 @@ def test_region_carries_its_own_epoch(catalogue):
     region = Cone(tuple(directions(20.0, 10.0).tolist()), 0.1, epoch_jyear=2095.0)
     streamed = pa.Table.from_batches(record_batches(catalogue, region))
     assert streamed.equals(cone(catalogue, 20.0, 10.0, np.degrees(0.1), None, 2095.0)[0])
+
+
+def test_the_object_of_a_catalogue_asks_as_the_function_does(catalogue):
+    """`nightglass.open_catalogue(...).cone`: every argument in its place, the epoch too."""
+    asked = (20.0, 10.0, 60.0, 20.0, 4000.0, ["source_id", "ra"])
+    found = StarCatalogue(catalogue).cone(*asked)
+    assert found.equals(cone(catalogue, *asked)[0])
+    assert set(found.column_names) == {"source_id", "ra"}
+    still = StarCatalogue(catalogue).cone(20.0, 10.0, 60.0, 20.0)
+    assert set(still["source_id"].to_pylist()) != set(found["source_id"].to_pylist())
 
 
 def test_against_erfa_space_motion():

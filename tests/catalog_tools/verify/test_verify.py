@@ -79,6 +79,18 @@ def test_same_catalogue_is_whole(copy, stars, catalogue):
         verify(copy, workers=0)
 
 
+def test_another_catalogue_in_its_place_is_named(copy, tmp_path):
+    """Whole, and of the same name: what was opened is no more what is there."""
+    write_csv(tmp_path / "stars.csv", random_stars(500, 7))
+    other = ingest([tmp_path / "stars.csv"], tmp_path / "other", rows_per_leaf=300, name=copy.name)
+    shutil.rmtree(copy.path)
+    shutil.move(other.catalogue.path, copy.path)
+    now = open_catalogue(copy.path)
+    assert now.name == copy.name
+    assert verify(now).whole
+    assert f"{MANIFEST_NAME}: was changed since the catalogue was opened" in texts(copy)
+
+
 EVERY_FILE = [
     MANIFEST_NAME, LEAVES_NAME, ROW_GROUPS_NAME, SOURCES_NAME, REJECTS_NAME, "partition_info.csv",
     "dataset/_common_metadata", "skymap.fits", "point_map.fits", "properties", "hats.properties",
