@@ -6,6 +6,7 @@ import contextlib
 import copy
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -21,7 +22,7 @@ from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.markers import markers_present, read_marker
-from pipeline.store.product import cells_of, check
+from pipeline.store.product import cells_digest, cells_of, check, content_digest
 from pipeline.store.truth import join_parts, part_path, write_part
 
 SCENE = {
@@ -221,6 +222,17 @@ def test_cells_know_their_frame(made):
     markers = [read_marker(path) for path in markers_present(made)]
     assert {m.frame for m in markers} == {0, 1}
     assert all({cell[1] for cell in cells_of(m)} <= {m.frame} for m in markers)
+
+
+def test_cells_know_their_layer(made):
+    """Nor because one has the content of the other under another layer's name."""
+
+    def digest(markers):
+        return cells_digest(cell for m in markers for cell in cells_of(m))
+
+    markers = [read_marker(path) for path in markers_present(made)]
+    other = [replace(m, cells={f"{name}_e": c for name, c in m.cells.items()}) for m in markers]
+    assert digest(markers) == content_digest(made) != digest(other)
 
 
 def test_one_chunking_along_frames(made, tmp_path):

@@ -112,6 +112,20 @@ def test_other_layers_tiles_or_compression_are_refused(starry, product, output, 
         render(parse_scene(data), product, AGAIN)
 
 
+@pytest.mark.parametrize(
+    "field", ["seed", "epoch", "sensor.read_noise_e", "background.uniform_e_per_s"]
+)
+def test_another_scene_is_refused(starry, product, field):
+    """Whatever decides the pixels."""
+    *section, name = field.split(".")
+    data = starry[0].as_dict()
+    holder = data[section[0]] if section else data
+    holder[name] = "2019-07-20T09:00:01Z" if field == "epoch" else holder[name] + 1
+    unfinished(product)
+    with pytest.raises(BadInput, match="same scene_sha256"):
+        render(parse_scene(data), product, AGAIN)
+
+
 def test_parts_have_one_compression(starry, tmp_path):
     """A part with another one wrote chunks that nobody could read, and was called whole."""
     data = starry[0].as_dict()

@@ -30,6 +30,7 @@ CASES = {
             {"field": "sensor.dark_e_per_s", "values": [0.0, 40.0]}],
     "target": [{"field": SPHERE, "values": [0.1, 0.6]},
                {"field": "sensor.bias_dn", "values": [100, 900.5]}],
+    "time": [{"field": "exposure.integration_s", "values": [0.5, 1.0]}],
     "optics": [{"kind": "table", "fields": ["sensor.aperture_m", "stars.faintest_g_mag"],
                 "rows": [[0.1, 15.0], [0.12, 14.0], [0.1, 14.0]]}],
 }  # fmt: skip

@@ -32,7 +32,7 @@ from pipeline.sweep import ledger
 from pipeline.sweep.metrics import Measurement, target_windows
 from pipeline.sweep.points import scene_of
 from pipeline.sweep.run import gather_course, point_scene, sweep
-from pipeline.sweep.summary import summarise
+from pipeline.sweep.summary import _failures, _spread, summarise
 from tests.command import nightglass
 from tests.service.conftest import SCENE as SMALL
 
@@ -377,16 +377,27 @@ def test_what_makes_two_sweeps_the_same():
         assert {k for k, v in identity(**changes).items() if v != known[k]} == {key}, changes
 
 
+def test_the_summary_of_a_large_table_is_of_all_its_pieces(tmp_path):
+    """Tables are read 65,536 rows at a time."""
+    n = 70_000
+    table = pa.table({"message": ["bad"] * (n - 1) + [None], "x": np.arange(float(n))})
+    pq.write_table(table, tmp_path / "points.parquet")
+    file = pq.ParquetFile(tmp_path / "points.parquet")
+    assert _failures(file) == {"failed": n - 1, "messages": {"bad": n - 1}}
+    told = {"known": n, "least": 0.0, "mean": (n - 1) / 2, "largest": n - 1.0}
+    assert _spread(file, "x") == told
+
+
 def test_the_summary_and_the_seal_by_hand(tmp_path):
-    """Least, mean and largest of what is known, failures by message, the commonest first: over all
-    pieces of a table; every file sealed."""
+    """Least, mean and largest of what is known, failures by message, the commonest first; every
+    file sealed."""
     values = [1.0, 2.0, 3.0, 4.0, 5.0]
     wish = parse_sweep({"schema": "nightglass/sweep/1", "name": "d", "scene": "s.yaml",
                         "axes": [{"field": "a", "values": values}]})  # fmt: skip
     failed, messages = ["done", "failed"] * 2 + ["failed"], [None, "rare", None, "bad", "bad"]
     rows = {"point": range(5), "a": values, "seed": [0] * 5, "status": failed, "message": messages,
             "content_digest": ["x"] * 5, "sky_e": [7.0, None, 2.0, None, None]}  # fmt: skip
-    pq.write_table(pa.table(rows), tmp_path / "points.parquet", row_group_size=1)
+    pq.write_table(pa.table(rows), tmp_path / "points.parquet")
     report = summarise(wish, tmp_path, ("t",), {"seconds": 1.0})
     assert report["metrics"] == {"sky_e": {"known": 2, "least": 2.0, "mean": 4.5, "largest": 7.0}}
     assert (report["points"], report["failed"]) == (5, 3)

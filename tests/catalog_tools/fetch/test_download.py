@@ -291,6 +291,7 @@ def test_ledger_spares_hashing_and_verify_hashes(archive, tmp_path, hasty):
     assert (report.downloaded, report.present) == (1, 4)
     assert {stage for stage, *_ in seen} == {"verify", "download"}
     assert visible(tmp_path) == archive.files
+    state = path.stat()
     path.write_bytes(bad + b"!")  # another length is seen without being asked, the date as it was
     os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
     assert bring(archive, tmp_path, hasty).downloaded == 1

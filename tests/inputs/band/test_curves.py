@@ -251,7 +251,7 @@ def test_every_spectrum_of_the_library_counts_in_its_digest(tmp_path, monkeypatc
     for name, content in (("a.fits", b"1"), ("a.fits", b"2"), ("b.fits", b"2"), ("b.fits", b"1")):
         (folder / name).write_bytes(content)
         now()
-    (folder / "a.fits").rename(folder / "c.fits")
+    (folder / "b.fits").rename(folder / "c.fits")  # in its old place of the order
     now()
 
 
