@@ -21,7 +21,7 @@ Data = dict[str, Any]
 def test_points_have_their_values_of_all_axes_and_their_seeds(
     data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pipeline.capacity.page.page", lambda *_: "")  # pictures take a second
+    monkeypatch.setattr("pipeline.capacity.run.page", lambda *_: "")  # pictures take a second
     data |= {"duration_h": 1.0, "seeds": 2, "design": {"kind": "zip"}}
     data["catalogue"]["synthetic"]["objects"] = 20
     data["axes"] = [{"field": "sensors.0.count", "values": [1, 3]},
@@ -61,7 +61,7 @@ def test_options_of_the_command(
     data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Fields that are set, the forecast, its limit, and going on."""
-    monkeypatch.setattr("pipeline.capacity.page.page", lambda *_: "")
+    monkeypatch.setattr("pipeline.capacity.run.page", lambda *_: "")
     (tmp_path / "study.json").write_text(json.dumps(data))
     short = ("--set", "duration_h=0.5", "--set", "catalogue.synthetic.objects=10", "--json")
     file, out = tmp_path / "study.json", tmp_path / "out"

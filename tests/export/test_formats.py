@@ -214,6 +214,20 @@ def test_limits_refused(labelled, tmp_path, kind, name, wish, field):
     assert caught.value.field == field
 
 
+@pytest.mark.parametrize("kind", ["fits", "png"])
+def test_frames_that_are_there_are_kept(labelled, tmp_path, kind):
+    """In a folder, and as one file: refused by name, not a byte of them changed."""
+    first, *_ = export_product(labelled, kind, tmp_path / "all", ExportRequest())
+    one = tmp_path / f"one.{kind}"
+    assert list(export_product(labelled, kind, one, ExportRequest(frame=0))) == [one]
+    before = [path.read_bytes() for path in (first, one)]
+    for output, taken in ((tmp_path / "all", first), (one, one)):
+        with pytest.raises(BadInput, match="does not exist yet") as caught:
+            list(export_product(labelled, kind, output, ExportRequest(layer="mean_e", frame=0)))
+        assert caught.value.value == str(taken)
+    assert [path.read_bytes() for path in (first, one)] == before
+
+
 def test_annotations_are_plain_json(coco):
     text = coco.read_text()
     assert "NaN" not in text
