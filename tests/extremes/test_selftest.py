@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.studies.selftest import frames as of_frames
-from pipeline.studies.selftest import stars
+from pipeline.studies.selftest import places, stars
 from pipeline.studies.selftest.case import CaseResult, LimitingCase, run_case
 from pipeline.studies.selftest.report import all_cases, chosen, markdown
 
@@ -65,6 +65,27 @@ def test_the_worst_of_several_lengths_is_what_counts(tmp_path, monkeypatch):
 
     monkeypatch.setattr(stars, "_swept", wrong)
     (case,) = chosen("stars/streaks")
+    assert not run_case(case, tmp_path).passed
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "of"),
+    [
+        ("places/0.99c", "aberrate", lambda found: found),
+        ("places/fly-by", "target_apparent", lambda found: found.direction_geometric),
+    ],
+)
+def test_one_wrong_direction_fails_the_case_of_all(name, function, of, tmp_path, monkeypatch):
+    """Of some thousand angles or moments, one a hundredth of a radian beside the right one."""
+    right = getattr(places, function)
+
+    def wrong(*given):
+        found = right(*given)
+        of(found)[700, :2] += 0.01
+        return found
+
+    monkeypatch.setattr(places, function, wrong)
+    (case,) = chosen(name)
     assert not run_case(case, tmp_path).passed
 
 
