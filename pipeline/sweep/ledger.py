@@ -189,6 +189,12 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
         return
     if not resume:
         raise BadInput("-o", str(out), "a path that does not exist yet; or give --resume")
+    _check_begun(out, identity, what)
+    (out / PARTS).mkdir(exist_ok=True)
+
+
+def _check_begun(out: Path, identity: JsonObject, what: str) -> None:
+    """BadInput for a folder that was begun with something else; keeps what is new of files."""
     try:
         found = json.loads((out / BEGUN).read_text())
     except FileNotFoundError:
@@ -196,13 +202,22 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
     except (ValueError, OSError) as error:
         raise Damaged(str(out / BEGUN), f"not what was written ({error})") from None
     for key, wanted in identity.items():
-        if found.get(key) != wanted:
+        if not _as_begun(key, found.get(key), wanted):
             raise BadInput("--resume", str(out), f"a {what} of the same {key}")
-    (out / PARTS).mkdir(exist_ok=True)
+    if found != identity:  # with files that were not there before
+        write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
+
+
+def _as_begun(key: str, begun: JsonValue, now: JsonValue) -> bool:
+    """Whether a part of the identity is that of the beginning; files that were missing then, so
+    that their points failed, may be there now."""
+    if key == "files" and isinstance(begun, list):
+        return all(one in now for one in begun)
+    return bool(begun == now)
 
 
 def identity_of(
-    sweep: Sweep, data: JsonObject, digests: list[str], files: str | None
+    sweep: Sweep, data: JsonObject, digests: list[str], files: list[list[str]]
 ) -> JsonObject:
     """What makes two sweeps the same: their points, base scene, catalogues, files and metrics."""
     plain = sweep.as_dict()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -77,8 +76,8 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
     return parse_scene(data, base=Path(course.base_folder))
 
 
-def files_of(course: Course) -> str | None:
-    """SHA-256 over the content of all files that the points name, each read once; None without.
+def files_of(course: Course) -> list[list[str]]:
+    """Field, name and SHA-256 of the content of all files that the points name, each read once.
 
     Catalogues have digests of their own.
     """
@@ -89,8 +88,7 @@ def files_of(course: Course) -> str | None:
         place_paths(data, Path(course.base_folder))
         named |= dict.fromkeys(named_files(data, CATALOGUES))
     known = {file: file_digest(file) for file in {file for _, file in named}}
-    found = [(field, known[file]) for field, file in named]
-    return hashlib.sha256(json.dumps(found).encode()).hexdigest() if found else None
+    return [list(one) for one in sorted({(field, f.name, known[f]) for field, f in named})]
 
 
 def _words(course: Course) -> Iterator[tuple[str, object]]:

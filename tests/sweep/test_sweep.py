@@ -253,11 +253,15 @@ def test_failed_points_are_tried_again_when_asked(sweep_file, tmp_path):
     assert report["failed"] == 1
     assert "flat.npy" in next(iter(report["messages"]))
     hidden.rename(image)
-    report = sweep(path, tmp_path / "out", Options("synchronous", resume=True), retry_failed=True)
+    again = Options("synchronous", resume=True)
+    report = sweep(path, tmp_path / "out", again, retry_failed=True)
     rows = table(tmp_path / "out").to_pylist()
     assert report["failed"] == 0
     assert [r["status"] for r in rows] == ["done"] * 3
     assert rows[0]["content_digest"] == rows[1]["content_digest"]  # a flat of one is no flat
+    np.save(image, np.full((256, 256), 0.5))  # known by now: it may not change any more
+    with pytest.raises(BadInput, match="a sweep of the same files"):
+        sweep(path, tmp_path / "out", again, retry_failed=True)
 
 
 BAD = {
@@ -361,9 +365,9 @@ def test_what_makes_two_sweeps_the_same():
     axes = [{"field": "a", "values": [1, 2]}]
     plain = {"axes": axes, "metrics": ["snr", "detection"]}
 
-    def identity(data="x", digests=("c",), files="f", **changes):
+    def identity(data="x", digests=("c",), files=(), **changes):
         wish = parse_sweep(head | plain | changes)
-        return ledger.identity_of(wish, {"a": data}, list(digests), files)
+        return ledger.identity_of(wish, {"a": data}, list(digests), list(files))
 
     known = identity()
     assert identity(name="other") == known
@@ -372,7 +376,7 @@ def test_what_makes_two_sweeps_the_same():
         ({"design": {"kind": "zip"}}, "axes"), ({"metrics": ["snr"]}, "metrics"),
         ({"targets": ["t"]}, "metrics"), ({"detection": {"threshold_sigma": 9.0}}, "metrics"),
         ({"cubes": [1]}, "metrics"), ({"data": "y"}, "scene"), ({"digests": ["e"]}, "catalogues"),
-        ({"files": "g"}, "files"),
+        ({"files": [["sensor.flat", "a.npy", "0"]]}, "files"),
     ):  # fmt: skip
         assert {k for k, v in identity(**changes).items() if v != known[k]} == {key}, changes
 
