@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.errors import BadInput
 from pipeline.physics.positions.focal_plane import project
-from pipeline.plan.pointing.geometry import camera_of, plan_geometry, star_paths
+from pipeline.plan.pointing.geometry import camera_of, check_view, plan_geometry, star_paths
 from pipeline.spec.scene import Scene
 
 Make = Callable[..., Scene]
@@ -186,3 +186,20 @@ def test_target_as_fast_as_light_is_refused(scene: Make) -> None:
     orbit = {**GEO_TARGET["orbit"], "velocity_m_s": [0.0, C, 0.0]}
     with pytest.raises(BadInput, match="speed below that of light"):
         every(scene({"targets": [{**GEO_TARGET, "orbit": orbit}]}))
+
+
+@pytest.mark.parametrize("inside", [[True, False], [False, True], [True, True]])
+def test_a_view_that_ends_in_the_earth_in_one_moment_alone_is_refused(
+    scene: Make, inside: list[bool]
+) -> None:
+    """A tenth of a degree beside and inside the disc, from low orbit: the worst is reported."""
+    place = np.array([[6.9e6, 0.0, 0.0], [0.0, 6.9e6, 0.0]])
+    limb = np.pi - np.arcsin(6378.137e3 / 6.9e6)  # from straight up
+    away = limb + np.radians(np.where(inside, [0.2, 0.1], -0.1))
+    up = np.eye(3)[:2]
+    boresight = np.cos(away)[:, None] * up + np.sin(away)[:, None] * np.roll(up, 1, axis=0)
+    s = scene({"observer": LEO})
+    check_view(s, place[:1], up[:1])
+    check_view(s, place, np.where(np.array(inside)[:, None], up, boresight))
+    with pytest.raises(BadInput, match=f"0.{'2' if inside[0] else '1'}0 deg inside the Earth"):
+        check_view(s, place, boresight)
