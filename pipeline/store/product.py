@@ -252,7 +252,7 @@ def truth_parts(plan: Plan) -> Iterator[tuple[str, int]]:
 
 
 def scene_digest(plan: Plan) -> str:
-    """SHA-256 of what decides the pixels: the scene without how it is cut, kept and named."""
+    """SHA-256 of what decides the pixels: the scene, but for its tiles and what is kept of them."""
     scene = plan.scene.as_dict()
     scene["output"] = {"layers": scene["output"]["layers"]}
     return hashlib.sha256(json.dumps(scene, sort_keys=True).encode()).hexdigest()
