@@ -189,31 +189,32 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
         return
     if not resume:
         raise BadInput("-o", str(out), "a path that does not exist yet; or give --resume")
-    _check_begun(out, identity, what)
+    begun = _begun(out, what)
+    for key, wanted in identity.items():
+        if not _as_begun(key, begun.get(key), wanted):
+            raise BadInput("--resume", str(out), f"a {what} of the same {key}")
+    if begun != identity:  # with files that were not there before
+        write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
     (out / PARTS).mkdir(exist_ok=True)
 
 
-def _check_begun(out: Path, identity: JsonObject, what: str) -> None:
-    """BadInput for a folder that was begun with something else; keeps what is new of files."""
+def _begun(out: Path, what: str) -> JsonObject:
+    """The identity that a folder was begun with. BadInput, Damaged where there is none."""
     try:
-        found = json.loads((out / BEGUN).read_text())
+        found: JsonObject = json.loads((out / BEGUN).read_text())
     except FileNotFoundError:
         raise BadInput("--resume", str(out), f"a {what} begun by `nightglass {what}`") from None
     except (ValueError, OSError) as error:
         raise Damaged(str(out / BEGUN), f"not what was written ({error})") from None
-    for key, wanted in identity.items():
-        if not _as_begun(key, found.get(key), wanted):
-            raise BadInput("--resume", str(out), f"a {what} of the same {key}")
-    if found != identity:  # with files that were not there before
-        write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
+    return found
 
 
 def _as_begun(key: str, begun: JsonValue, now: JsonValue) -> bool:
     """Whether a part of the identity is that of the beginning; files that were missing then, so
-    that their points failed, may be there now."""
-    if key == "files" and isinstance(begun, list):
+    that their points failed, may be there now. An older record knows of no files."""
+    if key == "files" and begun is not None:
         return all(one in now for one in begun)
-    return bool(begun == now)
+    return bool(begun == now) or (key == "files" and not now)
 
 
 def identity_of(

@@ -381,6 +381,16 @@ def test_what_makes_two_sweeps_the_same():
         assert {k for k, v in identity(**changes).items() if v != known[k]} == {key}, changes
 
 
+def test_a_record_older_than_files_is_gone_on_with_where_there_are_none(tmp_path):
+    """Begun before files counted: as then without any, refused with one that nobody looked at."""
+    ledger.begin(tmp_path / "out", {"format": ledger.FORMAT}, resume=False)
+    ledger.begin(tmp_path / "out", {"format": ledger.FORMAT, "files": []}, resume=True)
+    (tmp_path / "out" / ledger.BEGUN).write_text(json.dumps({"format": ledger.FORMAT}))
+    one = {"format": ledger.FORMAT, "files": [["sensor.flat", "a.npy", "0"]]}
+    with pytest.raises(BadInput, match="a sweep of the same files"):
+        ledger.begin(tmp_path / "out", one, resume=True)
+
+
 def test_the_summary_of_a_large_table_is_of_all_its_pieces(tmp_path):
     """Tables are read 65,536 rows at a time."""
     n = 70_000
