@@ -17,7 +17,7 @@ from pipeline.spec.study import FieldOfRegard, Synthetic
 from pipeline.survey.elements import Elements, synthetic_elements
 from pipeline.survey.prune import _days, never_seen
 from pipeline.survey.sights import allowed, sights_of
-from pipeline.survey.watch import make_watcher
+from pipeline.survey.watch import Watcher, make_watcher
 from tests.survey.conftest import EPOCH, sections, watcher
 
 AT = np.arange(0.0, 86_400.0, 240.0)
@@ -83,13 +83,9 @@ def test_what_never_rises_does_not(one: Elements, latitude_deg: float, lowest_de
     assert (sine < np.sin(lowest)).all()
 
 
-def test_pruned_objects_are_never_seen() -> None:
-    """Of many objects those that are pruned have no sight at all, and some are pruned."""
-    w = watcher(tracks=True, lowest_elevation_deg=10.0)
-    objects = synthetic_elements(Synthetic(objects=150, seed=8, smallest_m=0.02), EPOCH)
+def pruned_and_seen(w: Watcher, objects: Elements) -> tuple[np.ndarray, np.ndarray]:
+    """Which objects are pruned, and the numbers of those that are seen at SNR 20 without."""
     watch, satellites = w.watch(AT), objects.satellites()
-    pruned = never_seen(w, watch, objects, 20.0)
-    assert 20 < pruned.sum() < 140
     place, speed, codes = states_together(satellites, since_epochs_s(satellites, EPOCH), AT)
     who, when = np.nonzero(codes == WHOLE)
     s = sights_of(
@@ -97,6 +93,15 @@ def test_pruned_objects_are_never_seen() -> None:
         objects.shaded[who],
     )  # fmt: skip
     seen = np.unique(s.object[allowed(w, watch, s) & (s.snr >= 20.0)])
+    return never_seen(w, watch, objects, 20.0), seen
+
+
+def test_pruned_objects_are_never_seen() -> None:
+    """Of many objects those that are pruned have no sight at all, and some are pruned."""
+    w = watcher(tracks=True, lowest_elevation_deg=10.0)
+    objects = synthetic_elements(Synthetic(objects=150, seed=8, smallest_m=0.02), EPOCH)
+    pruned, seen = pruned_and_seen(w, objects)
+    assert 20 < pruned.sum() < 140
     assert len(seen)
     assert not pruned[seen].any()
 
@@ -108,16 +113,8 @@ def test_a_satellite_on_a_long_orbit_comes_near() -> None:
     asked = sections(observer={"kind": "orbit", "orbit": orbit})
     w = make_watcher(asked, FieldOfRegard(), EPOCH, True)
     objects = synthetic_elements(Synthetic(objects=400, seed=8, smallest_m=0.03), EPOCH)
-    watch, satellites = w.watch(AT), objects.satellites()
-    pruned = never_seen(w, watch, objects, 20.0)
+    pruned, seen = pruned_and_seen(w, objects)
     assert 20 < pruned.sum() < 380
-    place, speed, codes = states_together(satellites, since_epochs_s(satellites, EPOCH), AT)
-    who, when = np.nonzero(codes == WHOLE)
-    s = sights_of(
-        w, watch, when, who, place[who, when], speed[who, when], objects.reflecting_m2[who],
-        objects.shaded[who],
-    )  # fmt: skip
-    seen = np.unique(s.object[allowed(w, watch, s) & (s.snr >= 20.0)])
     assert len(seen) > 20
     assert not pruned[seen].any()
 
