@@ -42,7 +42,7 @@ def make_plan(
 
         drawn = replace(resolved, responses=responses)
         seconds = drawing_s(drawn, stars.counts.total)
-        shared, more = share_frames(drawn, decisions, g, stars.own_motion, seconds)
+        shared, more = share_frames(drawn, decisions, g.frame, stars.own_motion, seconds)
         decisions += more
     return Plan(
         **vars(resolved) | {"responses": responses},

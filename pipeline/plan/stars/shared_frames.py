@@ -33,19 +33,18 @@ MOST_FRAMES = 1 << 12
 def share_frames(
     plan: ResolvedScene,
     decisions: tuple[Decision, ...],
-    g: Geometry,
+    sampled: NDArray[np.int64],
     own: OwnMotion,
     seconds: float,
 ) -> tuple[int, tuple[Decision, ...]]:
     """As many frames to a drawing of stars as the accuracy leaves room for, and the decision on
     that where it is more than one.
 
-    decisions : all others; g : geometry of the frames that are looked at; own : of the stars around
+    decisions : all others; sampled : the frames that are looked at; own : of the stars around
     them; seconds : that a drawing of stars takes
     """
     if not may_share_frames(plan.scene):
         return 1, ()
-    sampled = g.frame
     left = PART * (plan.scene.accuracy.noise_fraction - total_sigma(decisions))
     together, moved_px = 1, _moved_px(plan, sampled, own, 2)
     if bound_sigma(plan, moved_px) <= left:
