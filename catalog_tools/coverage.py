@@ -76,6 +76,11 @@ class Coverage:
         return inside
 
     @property
+    def from_rows(self) -> bool:
+        """Whether only the rows say so: then a field may end some spacings of its rows earlier."""
+        return self.source.startswith((ROWS, LEAVES))
+
+    @property
     def sky_fraction(self) -> float | None:
         """Fraction of the whole sky that is covered; None where it can't be known.
 

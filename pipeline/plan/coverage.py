@@ -16,7 +16,7 @@ class FieldCoverage:
 
     catalogue : its name; source : what says so, None where nothing can; worst, mean : fractions,
     of the frame `worst_frame` and of all; complete_to_g_mag : the least G to which a covered part
-    is complete, None without a known limit.
+    is complete, None without a known limit; from_rows : whether only the rows say so.
     """
 
     catalogue: str
@@ -25,6 +25,7 @@ class FieldCoverage:
     mean: float
     worst_frame: int
     complete_to_g_mag: float | None = None
+    from_rows: bool = False
 
     def as_dict(self) -> JsonObject:
         """Plain values for plan.json, report.json and the truth's metadata."""
@@ -47,6 +48,15 @@ class FieldCoverage:
             f"the catalogue {self.catalogue} covers {part} of frame {self.worst_frame} and "
             f"{100.0 * self.mean:.3g}% of all frames (by {self.source}): elsewhere in them no star "
             "of it is drawn"
+        )
+
+    def warning_of_no_star(self, stars_per_frame: int) -> str | None:
+        """That frames without a star may lie beside the catalogue, where its rows alone tell."""
+        if not self.from_rows or self.worst == 0.0 or stars_per_frame > 0:
+            return None
+        return (
+            f"no star of {self.catalogue} lies in any frame looked at; that it covers them is "
+            "judged from the rows around alone: the field may end before them"
         )
 
     def remark(self, faintest_g_mag: float | None, deepest_g_mag: float | None) -> str | None:

@@ -32,7 +32,7 @@ from pipeline.plan.stars.field_stars import FieldStars
 from pipeline.plan.targets.decisions import mesh_notices
 from pipeline.plan.targets.orbit_age import orbit_remarks
 from pipeline.plan.targets.umbra import umbra_remarks
-from pipeline.plan.timing import integration_range_s
+from pipeline.plan.timing import BIAS_PLANNED_AS_S, integration_range_s
 from pipeline.resolve.files import has_air, read_files, with_numbers
 from pipeline.resolve.stars import brightest_in_field_e, gather_field_stars, stars_left_out
 from pipeline.spec.scene import Scene
@@ -107,6 +107,7 @@ def resolve(asked: Scene) -> Resolved:
         scene, facts, g, light.colour, light.sun_rate_e_s_m2, dut1_s, sky, extinction
     )
     left_out = stars_left_out(resolved, catalogues)
+    field_stars = gather_field_stars(resolved, catalogues, left_out, g, coverage)
     return Resolved(
         resolved,
         g,
@@ -114,9 +115,9 @@ def resolve(asked: Scene) -> Resolved:
         maps,
         catalogues,
         left_out,
-        gather_field_stars(resolved, catalogues, left_out, g, coverage),
+        field_stars,
         _cosmic_rays(scene),
-        (*doubts.warnings, *warnings),
+        (*doubts.warnings, *warnings, *_none_in_field(scene, field_stars)),
         (
             *([of_time] if of_time else ()),
             *light.remarks,
@@ -206,6 +207,15 @@ def _judge_catalogues(
         (*of_coverage[0], *of_colours[0]),
         (*of_limits, *of_coverage[1], *of_colours[1]),
     )
+
+
+def _none_in_field(scene: Scene, field_stars: FieldStars | None) -> tuple[str, ...]:
+    """The warning that no star lies in the field, where only the rows say that it is covered."""
+    dark = integration_range_s(scene)[1] <= BIAS_PLANNED_AS_S
+    if dark or field_stars is None or field_stars.coverage is None:
+        return ()
+    warning = field_stars.coverage.warning_of_no_star(field_stars.counts.total)
+    return (warning,) if warning else ()
 
 
 def _cosmic_rays(scene: Scene) -> CosmicRays | None:

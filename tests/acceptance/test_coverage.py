@@ -154,3 +154,23 @@ def test_a_real_cluster_and_a_field_beside_it(shared_data, tmp_path):
     assert done.returncode == 2
     assert "stars.catalogue" in done.stderr
     assert "accept: [coverage]" in done.stderr
+
+
+def test_a_frame_just_past_the_last_row_is_told_to_hold_no_star(tmp_path):
+    """Rows of an unnamed region, 16 x 16 a tenth of a degree apart: beyond the last of them nobody
+    knows; between them a frame as empty is told of as well, for the same reason."""
+    places = [(100 + 0.1 * i, 0.1 * j) for i in range(16) for j in range(16)]
+    rows = [f"{n + 1},{ra:.6f},{dec:.6f},9.0" for n, (ra, dec) in enumerate(places)]
+    (tmp_path / "s.csv").write_text("\n".join(["source_id,ra,dec,phot_g_mean_mag", *rows]) + "\n")
+    ingest([tmp_path / "s.csv"], tmp_path / "grid", form="gaia_dr2")
+
+    def told(ra_deg: float, dec_deg: float, **more) -> list[str]:
+        plan = plan_scene(scene_of(str(tmp_path / "grid"), ra_deg, dec_deg, **more))
+        assert plan["coverage"]["worst_frame_fraction"] == 1.0
+        return [each for each in plan["warnings"] if "no star of" in each]
+
+    for place in ((101.57, 0.7), (101.05, 0.75)):
+        (warning,) = told(*place)
+        assert "judged from the rows around alone" in warning
+        assert told(*place, exposure={"integration_s": 0.0, "frames": 1}) == []
+    assert told(101.0, 0.7) == []

@@ -42,6 +42,7 @@ def gather_coverage(scene: Scene, catalogue: Catalogue, g: Geometry) -> FieldCov
         float(fractions.mean()),
         int(g.frame[worst]),
         float(least.min()) if least.size else None,
+        coverage.from_rows,
     )
 
 
