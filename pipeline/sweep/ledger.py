@@ -174,12 +174,16 @@ def _fit(value: JsonValue, kind: pa.DataType) -> JsonValue:
 
 
 def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") -> None:
-    """Make the folder of a sweep (or a study), or take up one that was begun with the same."""
-    if not out.exists():
-        if resume:
-            raise BadInput("--resume", str(out), f"a {what} that was begun before")
+    """Make the folder of a sweep (or a study), or take up one that was begun with the same.
+
+    A folder without a record and without content is what a process leaves that was killed as it
+    began: `resume` begins it.
+    """
+    if resume and not out.exists():
+        raise BadInput("--resume", str(out), f"a {what} that was begun before")
+    if not out.exists() or (resume and _is_bare(out)):
         try:
-            (out / PARTS).mkdir(parents=True)
+            (out / PARTS).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             if error.errno in NO_ROOM:
                 raise
@@ -196,6 +200,13 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
     if begun != identity:  # with files that were not there before
         write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
     (out / PARTS).mkdir(exist_ok=True)
+
+
+def _is_bare(out: Path) -> bool:
+    """Whether a folder holds nothing but what is made before its record is whole."""
+    return out.is_dir() and all(
+        path == out / PARTS or path.name.startswith(f".{BEGUN}.") for path in out.rglob("*")
+    )
 
 
 def _begun(out: Path, what: str) -> JsonObject:

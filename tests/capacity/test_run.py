@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -75,3 +78,48 @@ def test_options_of_the_command(
     assert (report["hours"], report["figures"]["objects"]) == (0.5, 10)
     assert "--resume" in nightglass(*run, "--yes").stderr
     assert json.loads(nightglass(*run, "--yes", "--resume").stdout) == report
+
+
+DIES = """
+import json, os, signal, sys
+from pathlib import Path
+from pipeline.capacity import run
+file, out, last = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+changes = 0
+def die_at_the_last(event, _):
+    global changes
+    if event in ("os.rename", "os.remove"):
+        changes += 1
+        if changes == last:
+            os.kill(os.getpid(), signal.SIGKILL)
+sys.addaudithook(die_at_the_last)
+run.page = lambda *_: ""
+options = run.StudyOptions("synchronous", resume=out.exists())
+run.run_study(json.loads(file.read_text()), file.parent, out, options)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", [1, 2])
+def test_killed_at_any_change_of_its_files_it_goes_on(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: int
+) -> None:
+    """Each process is killed before one more renaming or removal than the last, until one comes to
+    the end: the same tables as of a study that nothing disturbed."""
+    monkeypatch.setattr("pipeline.capacity.run.page", lambda *_: "")
+    data["catalogue"]["synthetic"]["objects"] = 20
+    data["axes"] = [{"field": "sensors.0.count", "values": [1, 2]}]
+    (tmp_path / "study.json").write_text(json.dumps(data))
+    run_study(data, tmp_path, tmp_path / "whole", StudyOptions("synchronous"))
+    command = [sys.executable, "-c", DIES, tmp_path / "study.json", tmp_path / "out"]
+    last = first
+    while (died := subprocess.run([*command, str(last)], check=False).returncode) != 0:
+        assert died == -signal.SIGKILL
+        last += 2
+    assert last >= first + 4
+    whole = sorted(
+        p.relative_to(tmp_path / "whole") for p in (tmp_path / "whole").rglob("*.parquet")
+    )
+    assert len(whole) >= 8
+    for name in whole:
+        assert pq.read_table(tmp_path / "out" / name) == pq.read_table(tmp_path / "whole" / name)

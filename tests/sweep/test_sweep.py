@@ -6,6 +6,7 @@ import copy
 import hashlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -177,6 +178,22 @@ def test_another_sweep_is_not_gone_on_with(tmp_path):
     ledger.begin(tmp_path / "out", known, resume=True)
     with pytest.raises(BadInput, match="a sweep of the same scene"):
         ledger.begin(tmp_path / "out", known | {"scene": "c"}, resume=True)
+
+
+def test_what_was_killed_before_its_record_was_whole_is_begun_again(tmp_path):
+    out, known = tmp_path / "out", {"axes": "a"}
+    for left in ((), ("parts",), ("parts", f".{ledger.BEGUN}.0a.tmp")):
+        shutil.rmtree(out, ignore_errors=True)
+        out.mkdir()
+        for name in left:
+            (out / name).write_text("{") if name.endswith("tmp") else (out / name).mkdir()
+        with pytest.raises(BadInput, match="does not exist yet"):
+            ledger.begin(out, known, resume=False)
+        ledger.begin(out, known, resume=True)
+        assert json.loads((out / ledger.BEGUN).read_text()) == known
+    (out / ledger.BEGUN).rename(out / "another")
+    with pytest.raises(BadInput, match="a sweep begun by"):
+        ledger.begin(out, known, resume=True)
 
 
 def test_a_sweep_goes_on_with_the_files_that_it_was_begun_with(sweep_file, tmp_path):
