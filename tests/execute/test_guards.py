@@ -10,7 +10,7 @@ import pytest
 from pipeline.arrays import SensorMaps
 from pipeline.errors import NightglassError
 from pipeline.execute import light as light_module
-from pipeline.execute.guards import guard_places
+from pipeline.execute.guards import guard_mean, guard_places
 from pipeline.execute.sources import place_stars
 from pipeline.execute.tile import render_tile
 from pipeline.physics.drawing import stamps
@@ -57,6 +57,18 @@ def test_a_negative_mean_names_the_layer(plan):
     maps = replace(MAPS, dark_e_per_s=np.full((SIDE, SIDE), -50.0))
     with pytest.raises(NightglassError, match=r"-50 e-, below zero.*lowest is dark_e"):
         render_tile(plan, maps, geometry_of(plan), WHOLE, [stars()], [])
+
+
+def test_rounding_below_zero_is_clipped_and_no_more(plan):
+    g, mean_e = geometry_of(plan), np.full((SIDE, SIDE), 3.0)
+    mean_e[5, 7], layers = -1e-6, {"stars_e": mean_e}
+    found = guard_mean(plan, g, WHOLE, mean_e, layers, 0.0)
+    assert found[5, 7] == 0.0
+    assert np.array_equal(found, np.maximum(mean_e, 0.0))
+    mean_e[5, 7] = -1.0
+    with pytest.raises(NightglassError, match="below zero by more than rounding"):
+        guard_mean(plan, g, WHOLE, mean_e, layers, 0.0)
+    assert guard_mean(plan, g, WHOLE, mean_e, layers, 0.5)[5, 7] == 0.0  # as much as wings err by
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])

@@ -86,9 +86,9 @@ def test_limits_blinding_star_fails_no_tile(catalogue, tmp_path):
         "accept": ["error", "sun"],
         "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
         "sensor": {
-            "shape": [768, 768], "pixel_pitch_um": 13.5, "focal_length_m": 1.0, "aperture_m": 4.0,
+            "shape": [512, 512], "pixel_pitch_um": 13.5, "focal_length_m": 1.0, "aperture_m": 4.0,
             "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
-            "psf": {"kind": "airy", "wavelength_nm": 6500.0},
+            "psf": {"kind": "airy", "wavelength_nm": 26000.0},
         },
         "pointing": {
             "mode": "sidereal", "boresight_ra_deg": 269.454, "boresight_dec_deg": 4.66828,
