@@ -139,7 +139,8 @@ def test_elevations_against_astropy(catalogue, tmp_path):
 
 
 def test_a_tracked_target_stays_in_the_centre_and_fades(tmp_path):
-    """A rate track through air: the target at the centre, its light less the extinction."""
+    """A rate track through air: the target at the centre, its light less the extinction, its place
+    in the truth the one that the frame's WCS names there."""
     sphere = {"kind": "sphere", "diameter_m": 3.0, "albedo": 0.3}
     state = {"kind": "state", "position_m": [-36.0e6, -21.9e6, 0.0],
              "velocity_m_s": [1597.0, -2625.0, 0.0]}  # fmt: skip
@@ -153,6 +154,13 @@ def test_a_tracked_target_stays_in_the_centre_and_fades(tmp_path):
         assert (row["x_px"], row["y_px"]) == pytest.approx((319.5, 255.5), abs=1e-5)
         light = open_cube(tmp_path / name)["targets_e"].values[0]
         assert light.sum() == pytest.approx(row["electrons"], rel=1e-3)
+        (path,) = export_frames(tmp_path / name, "fits", tmp_path / f"{name}.fits", frame=0)
+        seen_at = WCS(fits.getheader(path)).all_world2pix(row["ra_deg"], row["dec_deg"], 0)
+        assert tuple(map(float, seen_at)) == pytest.approx((319.5, 255.5), abs=1e-3)
+        lifted = abs(row["apparent_dec_deg"] - row["dec_deg"]) + abs(
+            row["apparent_ra_deg"] - row["ra_deg"]
+        )
+        assert lifted > 0.005  # by the air: a place of the catalogue's kind knows none
         electrons.append(row["electrons"])
     assert 0.4 < electrons[0] / electrons[1] < 0.76
 

@@ -76,13 +76,19 @@ def test_a_tracking_panel_on_a_spinning_bus_stays_bright():
     assert model.radius_m >= 2.0
 
 
-def test_a_spinning_plate_flashes_with_its_period():
-    model = MeshModel((RigidPart(plate(), None, None, None, Joint("spin", X, 0 * X, Z, 0.0, 0.5)),),
-                      (WHITE,))  # fmt: skip
+@pytest.mark.parametrize("rate_rad_s", [0.5, -0.5])
+def test_a_spinning_plate_flashes_with_its_period(rate_rad_s):
+    joint = Joint("spin", X, 0 * X, Z, 0.0, rate_rad_s)
+    model = MeshModel((RigidPart(plate(), None, None, None, joint),), (WHITE,))
     t = np.linspace(0, 20, 41)
     z = np.tile(Z, (41, 1))
+    true = np.maximum(np.cos(0.5 * t), 0.0) ** 2 / np.pi
     light, _ = model_light(model, z, z, t)
-    np.testing.assert_allclose(light, np.maximum(np.cos(0.5 * t), 0.0) ** 2 / np.pi, atol=1e-12)
+    np.testing.assert_allclose(light, true, atol=1e-12)
+    t = np.linspace(0, 20, 2001)
+    light, _ = model_light(model, z[:1].repeat(2001, 0), z[:1].repeat(2001, 0), t, step_rad=0.05)
+    true = np.maximum(np.cos(0.5 * t), 0.0) ** 2 / np.pi
+    np.testing.assert_allclose(light, true, atol=3e-4)
 
 
 def test_a_dish_shades_the_bus_below_it():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import warnings
 from typing import Any
 
@@ -333,6 +334,20 @@ def test_search_for_a_frame_that_is_missed() -> None:
         assert refused == (least <= 0.0) or abs(least) < every.turn.max()
     assert not silent
     assert 2 <= found <= 11
+
+
+@pytest.mark.parametrize("height_m", [0.0, 1000.0, 4000.0])
+def test_from_a_mountain_more_is_seen(height_m: float) -> None:
+    """A body is hidden below the line that touches the sea, lifted by 34 arcmin of air there."""
+    up = {"pointing": {"mode": "local", "azimuth_deg": 70.0, "elevation_deg": 60.0}}
+    scene = scene_of({"observer": SITE | {"height_m": height_m}}, up)
+    seen = lamps._look(scene, 0.0, np.array([5]))
+    touch_m = math.sqrt((6378137.0 + height_m) ** 2 - 6378137.0**2)
+    horizon_deg = -math.degrees(math.atan(touch_m / 6378137.0)) - 34.0 / 60.0
+    for lamp in (seen.sun, seen.moon, *(one for one, _ in seen.planets.values())):
+        disc = 0.0 if lamp.radius[0] < 1e-3 else lamp.radius[0]  # planets are points
+        below_deg = np.degrees(lamp.hidden[0] + disc)
+        assert below_deg + np.degrees(lamp.elevation[0]) == pytest.approx(horizon_deg, abs=0.01)
 
 
 def test_a_frame_between_those_sampled_is_found() -> None:

@@ -33,11 +33,13 @@ from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import load_scene, parse_scene
 from pipeline.spec.scene import Scene, Target
+from pipeline.spec.targets.orbit import TleOrbit
 from pipeline.store.cube import open_cube
 
 COUNT = 1200
 BALL = {"kind": "sphere", "diameter_m": 2.0, "albedo": 0.2}
 SITE = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055}
+ORBIT: Any = TleOrbit.model_construct(kind="tle", line1="", line2="")
 LOW = {"kind": "orbit", "orbit": {
     "kind": "keplerian", "perigee_radius_m": 6.9e6, "eccentricity": 0.001, "inclination_deg": 60,
     "true_anomaly_deg": 40.0}}  # fmt: skip
@@ -289,6 +291,25 @@ def test_a_younger_set_beside_the_field_outdates_one_inside(tle: Path) -> None:
     assert (population.screened.kept, population.screened.superseded) == (2, 3)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_several_sets_the_nearest_in_time_counts(order: int, tle: Path) -> None:
+    """Whether it is of before the epoch or of after it, and in any order of the file."""
+    day, fraction = parse_utc(EPOCH)
+    look: Any = SimpleNamespace(
+        epoch=(day, fraction), half_angle_rad=0.1, length_s=85.0,
+        screen=lambda satellites: (list(range(len(satellites))), {}),
+    )  # fmt: skip
+    sets = []
+    for number, days in ((7, (-9.0, -0.02, 0.03, 4.0)), (8, (-5.0, 0.5, 3.0)), (9, (-8.0, -2.0))):
+        for at in days[::order]:
+            at_jd = SimpleNamespace(jdsatepoch=day, jdsatepochF=fraction + at)
+            sets.append(population_files.ElementSet(f"{number}: {at:g}", number, ORBIT, at_jd))
+    sieve = Sieve(scene(tle).populations[0], look, {}, "populations.0")
+    sieve.take(sets)
+    targets, _ = sieve.close("0" * 64)
+    assert {t.object_name for t in targets} == {"7: -0.02", "8: 0.5", "9: -2"}
+
+
 def test_the_cone_holds_what_the_air_lifts_into_the_field(tle: Path) -> None:
     """Wider by more than refraction bends anywhere above the horizon, as ERFA has it."""
     airy = {"observer": SITE | {"atmosphere": {"refraction": True}}}
@@ -309,6 +330,16 @@ def test_a_single_bias_frame_has_a_look(tle: Path) -> None:
     look = look_of(bias, 10.0, 0.0)
     assert (look.length_s, look.turns_rad_s) == (0.0, (0.0,))
     assert kept(bias) <= kept(scene(tle))
+
+
+def test_a_set_without_a_name_has_none(lines: list[list[str]], tmp_path: Path) -> None:
+    """Not that of the set before it, in a file that names some."""
+    mixed = [line for k, three in enumerate(lines[:6]) for line in three[k % 3 == 1 :]]
+    (tmp_path / "mixed.tle").write_text("\n".join(mixed) + "\n")
+    (found,) = population_files.element_sets(tmp_path / "mixed.tle", "path")
+    assert [one.name for one in found] == [
+        "" if k % 3 == 1 else three[0] for k, three in enumerate(lines[:6])
+    ]
 
 
 def test_objects_keep_the_names_of_their_file(lines: list[list[str]], tle: Path) -> None:
