@@ -182,14 +182,7 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
     if resume and not out.exists():
         raise BadInput("--resume", str(out), f"a {what} that was begun before")
     if not out.exists() or (resume and _is_bare(out)):
-        try:
-            (out / PARTS).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            if error.errno in NO_ROOM:
-                raise
-            allowed = f"a path that can be written; {error.strerror}"
-            raise BadInput("-o", str(out), allowed) from None
-        write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
+        _make(out, identity)
         return
     if not resume:
         raise BadInput("-o", str(out), "a path that does not exist yet; or give --resume")
@@ -200,6 +193,18 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
     if begun != identity:  # with files that were not there before
         write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
     (out / PARTS).mkdir(exist_ok=True)
+
+
+def _make(out: Path, identity: JsonObject) -> None:
+    """The folder and its record. BadInput where it can't be made."""
+    try:
+        (out / PARTS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        if error.errno in NO_ROOM:
+            raise
+        allowed = f"a path that can be written; {error.strerror}"
+        raise BadInput("-o", str(out), allowed) from None
+    write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
 
 
 def _is_bare(out: Path) -> bool:
