@@ -254,6 +254,12 @@ def test_same_bits_for_one_worker_and_after_a_kill(tmp_path, folder):
     write_csv_files(other, ROWS, workers=2)
     assert again == {path: path.stat().st_mtime_ns for path in other.glob("Gaia*")}
     assert {path.name for path in other.iterdir()} == {path.name for path in folder.iterdir()}
+    cut, lost, *_ = sorted(other.glob("Gaia*"))
+    whole = {path: path.read_bytes() for path in (cut, lost)}
+    cut.write_bytes(whole[cut][:-20])
+    lost.unlink()
+    write_csv_files(other, ROWS, workers=1)
+    assert whole == {path: path.read_bytes() for path in (cut, lost)}
 
 
 def test_other_seed_other_stars(tmp_path, folder):
