@@ -10,6 +10,7 @@ from astropy.io import fits
 from astropy.wcs import WCS
 
 from pipeline.export.formats import ExportRequest, export_product
+from pipeline.export.response import STEP_PX, path_between
 from pipeline.store.cube import read_layer
 
 TOLERANCE_PX = 1e-3
@@ -109,3 +110,14 @@ def test_times_are_told_alike(labelled, satnet, tmp_path):
     (*_, coco) = export_product(labelled, "coco", tmp_path / "last", ExportRequest(1))
     (alone,) = json.loads(coco.read_text())["images"]
     assert {k for k in alone if alone[k] != entries[1][k]} == {"id"}
+
+
+def test_a_path_through_three_places_bends_their_way() -> None:
+    """At its ends it is at the ends, halfway in the middle; straight where they are in line."""
+    start, middle, end = np.array([-10.0, 3.0]), np.array([2.0, 9.0]), np.array([12.0, 1.0])
+    path = path_between(start, middle, end)
+    x, y = middle[0] + path.x_px, middle[1] + path.y_px
+    half = len(x) // 2
+    for k, place in ((0, start), (half, middle), (-1, end)):
+        assert (x[k], y[k]) == pytest.approx(tuple(place), abs=2 * STEP_PX)
+    assert path_between(start, 0.5 * (start + end), end).segments == 1

@@ -419,6 +419,14 @@ def test_the_summary_of_a_large_table_is_of_all_its_pieces(tmp_path):
     assert _spread(file, "x") == told
 
 
+def test_all_failures_count_though_not_all_their_messages_are_listed(tmp_path):
+    texts = [f"fault {i}" for i in range(30) for _ in range(1 + (i < 5))]
+    pq.write_table(pa.table({"message": texts}), tmp_path / "points.parquet")
+    found = _failures(pq.ParquetFile(tmp_path / "points.parquet"))
+    assert found["failed"] == 35
+    assert list(found["messages"].values()) == [2] * 5 + [1] * 15
+
+
 def test_the_summary_and_the_seal_by_hand(tmp_path):
     """Least, mean and largest of what is known, failures by message, the commonest first; every
     file sealed."""
