@@ -13,7 +13,9 @@ from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.light_curve import light_curve, light_curves, write_light_curves
 from pipeline.physics.radiometry import ab_photon_rate, band_photon_irradiance_sun, box
+from pipeline.plan.bodies import mesh_tables
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.resolve.files import read_files
 from pipeline.spec.load import parse_scene
 
 ROOT = Path(__file__).parents[1]
@@ -121,6 +123,27 @@ def test_curves_come_as_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> N
             own = alone[name].irradiance_e_s_m2
             np.testing.assert_allclose(curve.irradiance_e_s_m2, own, rtol=1e-13)
     assert alone["ball"].time_s[[0, -1]].tolist() == [0.0, 92.0]  # four of 2 s, 30 s apart
+
+
+def test_a_table_of_light_is_of_its_own_mesh(tmp_path: Path) -> None:
+    """Two plates among other bodies: asked for with a part of them, in any order."""
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    lines = [f"v {x} {y} 0" for x, y in corners] + ["f 1 2 3 4", "f 4 3 2 1"]
+    (tmp_path / "plate.obj").write_text("\n".join(lines) + "\n")
+    plate = {"kind": "mesh", "path": str(tmp_path / "plate.obj"), "unit": "m",
+             "surface": {"kind": "lambert", "albedo": 0.5},
+             "attitude": {"kind": "nadir", "quaternion": [-0.5, 0.5, 0.3, 0.8]}}  # fmt: skip
+    orbit = LEO | {"position_m": [6.9e6, 3e5, 0]}
+    turned = plate | {"attitude": {"kind": "nadir", "quaternion": [0.5, 0.5, 0.3, 0.8]}}
+    plates = [{"name": name, "orbit": orbit, "body": body}
+              for name, body in (("plate", plate), ("other", turned))]  # fmt: skip
+    scene = read_files(parse_scene(SCENE | {"targets": [SCENE["targets"][0], *plates]}))
+    alone = {n: light_curve(scene, n, BAND, points=400) for n in ("tube", "plate", "other")}
+    assert any(table is not None for table in mesh_tables.KEPT.values())
+    for names in (["plate", "other"], ["other", "plate"], ["other", "tube"]):
+        for name, curve in light_curves(scene, names, BAND, points=400):
+            found, own = curve.irradiance_e_s_m2, alone[name].irradiance_e_s_m2
+            np.testing.assert_allclose(found, own, rtol=1e-12, atol=0.0, err_msg=f"{name}, {names}")
 
 
 def test_a_sphere_by_closed_form() -> None:

@@ -48,6 +48,15 @@ def test_the_set_nearest_to_the_period_counts(tmp_path: Path) -> None:
     ]
 
 
+def test_sets_without_a_number_are_objects_of_their_own(tmp_path: Path) -> None:
+    text = "".join(lines_of(n, day, f"A {day}") for n, day in (
+        (0, 108.0), (0, 111.0), (4, 111.0), (0, 112.0), (4, 112.0)))  # fmt: skip
+    found, told = gathered(tmp_path, text)
+    assert sorted(found.name) == ["A 108.0", "A 111.0", "A 111.0", "A 112.0"]
+    assert found.number.tolist().count(0) == 3
+    assert [one.split(":")[0] for one in told] == ["1 of 5 element sets omitted"]
+
+
 def test_kinds_and_orbits(tmp_path: Path) -> None:
     """Altitudes by Kepler's third law of the mean motion."""
     cases = [("SL-8 R/B", 0.001, 14.0, "rocket body", "LEO"), ("r/b x", 0.001, 11.0, "rocket body",
