@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import trimesh
 
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
@@ -126,22 +127,23 @@ def test_curves_come_as_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_table_of_light_is_of_its_own_mesh(tmp_path: Path) -> None:
-    """Two plates among other bodies: asked for with a part of them, in any order."""
-    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-    lines = [f"v {x} {y} 0" for x, y in corners] + ["f 1 2 3 4", "f 4 3 2 1"]
-    (tmp_path / "plate.obj").write_text("\n".join(lines) + "\n")
-    plate = {"kind": "mesh", "path": str(tmp_path / "plate.obj"), "unit": "m",
+    """Two boxes among other bodies: asked for with a part of them, in any order."""
+    (tmp_path / "box.stl").write_bytes(trimesh.creation.box((1, 2, 1.5)).export(file_type="stl"))
+    solid = {"kind": "mesh", "path": str(tmp_path / "box.stl"), "unit": "m",
              "surface": {"kind": "lambert", "albedo": 0.5},
              "attitude": {"kind": "nadir", "quaternion": [-0.5, 0.5, 0.3, 0.8]}}  # fmt: skip
     orbit = LEO | {"position_m": [6.9e6, 3e5, 0]}
-    turned = plate | {"attitude": {"kind": "nadir", "quaternion": [0.5, 0.5, 0.3, 0.8]}}
-    plates = [{"name": name, "orbit": orbit, "body": body}
-              for name, body in (("plate", plate), ("other", turned))]  # fmt: skip
-    scene = read_files(parse_scene(SCENE | {"targets": [SCENE["targets"][0], *plates]}))
-    alone = {n: light_curve(scene, n, BAND, points=400) for n in ("tube", "plate", "other")}
+    turned = solid | {"attitude": {"kind": "nadir", "quaternion": [0.5, 0.5, 0.3, 0.8]}}
+    boxes = [{"name": name, "orbit": orbit, "body": body}
+              for name, body in (("box", solid), ("other", turned))]  # fmt: skip
+    scene = read_files(parse_scene(SCENE | {"targets": [SCENE["targets"][0], *boxes]}))
+    span = {"start_s": 2000.0, "stop_s": 2400.0, "points": 2000}
+    alone = {n: light_curve(scene, n, BAND, **span) for n in ("tube", "box", "other")}
+    lit, also = (alone[n].irradiance_e_s_m2 for n in ("box", "other"))
+    assert np.abs(lit - also).max() > 0.1 * lit.max() > 0.0
     assert any(table is not None for table in mesh_tables.KEPT.values())
-    for names in (["plate", "other"], ["other", "plate"], ["other", "tube"]):
-        for name, curve in light_curves(scene, names, BAND, points=400):
+    for names in (["box", "other"], ["other", "box"], ["other", "tube"]):
+        for name, curve in light_curves(scene, names, BAND, **span):
             found, own = curve.irradiance_e_s_m2, alone[name].irradiance_e_s_m2
             np.testing.assert_allclose(found, own, rtol=1e-12, atol=0.0, err_msg=f"{name}, {names}")
 
