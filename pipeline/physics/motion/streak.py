@@ -46,6 +46,7 @@ class Path:
         return isinstance(other, Path) and self._numbers == other._numbers
 
 
+SURELY_OFF = 1.0 + 1e-9  # of a tolerance's square: beyond it whatever rounding
 POINT = Path(np.zeros(2), np.zeros(2), np.ones(1))
 
 
@@ -57,27 +58,42 @@ def path_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -
     merged segment gives it, so that neither shape nor speed changes by more than that.
     """
     x, y, w = (np.asarray(a, float) for a in (x_px, y_px, weight))
-    keep = [0]
+    nodes, keep = list(zip(x.tolist(), y.tolist(), strict=True)), [0]
     while keep[-1] < len(w):
-        keep.append(_longest_run(x, y, w, keep[-1], tolerance_px))
+        keep.append(_longest_run(x, y, w, nodes, keep[-1], tolerance_px))
     merged = np.add.reduceat(w, keep[:-1])
     return Path(x[keep], y[keep], merged)
 
 
-def _longest_run(x: Array, y: Array, w: Array, start: int, tolerance_px: float) -> int:
-    """Last node that one segment from `start` may reach (tried by halving, longest first)."""
-    stop = len(w)
+def _longest_run(
+    x: Array,
+    y: Array,
+    w: Array,
+    nodes: list[tuple[float, float]],
+    start: int,
+    tolerance_px: float,
+) -> int:
+    """Last node that one segment from `start` may reach (tried by halving, longest first).
+
+    nodes : x and y of each, by which the middle of a run is looked at before all of it
+    """
+    stop, sums = len(w), np.concatenate([[0.0], np.cumsum(w[start:])])
+    lights = sums.tolist()
     while stop > start + 1:
-        light = np.concatenate([[0.0], np.cumsum(w[start:stop])])
-        total = light[-1]
-        share = light / total if total > 0 else np.linspace(0, 1, stop - start + 1)
-        off = np.hypot(
-            x[start] + share * (x[stop] - x[start]) - x[start : stop + 1],
-            y[start] + share * (y[stop] - y[start]) - y[start : stop + 1],
-        )
-        if off.max() <= tolerance_px:
-            return stop
-        stop = start + max(1, (stop - start) // 2)
+        half, total = (stop - start) // 2, lights[stop - start]
+        (x0, y0), (x1, y1), (x2, y2) = nodes[start], nodes[start + half], nodes[stop]
+        at = lights[half] / total if total > 0 else half / (stop - start)
+        off_x, off_y = x0 + at * (x2 - x0) - x1, y0 + at * (y2 - y0) - y1
+        if off_x * off_x + off_y * off_y <= SURELY_OFF * tolerance_px**2:
+            light = sums[: stop - start + 1]
+            share = light / total if total > 0 else np.linspace(0, 1, stop - start + 1)
+            off = np.hypot(
+                x[start] + share * (x[stop] - x[start]) - x[start : stop + 1],
+                y[start] + share * (y[stop] - y[start]) - y[start : stop + 1],
+            )
+            if off.max() <= tolerance_px:
+                return stop
+        stop = start + max(1, half)
     return stop
 
 
