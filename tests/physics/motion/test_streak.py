@@ -36,6 +36,40 @@ def nodes(kind: str, n: int = 65) -> tuple[np.ndarray, np.ndarray]:
 KINDS = ["straight", "curved", "accelerating", "retraced"]
 
 
+def plainly_merged(x, y, w, tolerance_px: float) -> list[int]:
+    """Nodes that are kept: of the halves of what is left the first that uniform motion describes."""
+    keep = [0]
+    while (start := keep[-1]) < len(w):
+        stop = len(w)
+        while stop > start + 1:
+            light = np.concatenate([[0.0], np.cumsum(w[start:stop])])
+            share = light / light[-1] if light[-1] > 0 else np.linspace(0, 1, stop - start + 1)
+            off_x = x[start] + share * (x[stop] - x[start]) - x[start : stop + 1]
+            off_y = y[start] + share * (y[stop] - y[start]) - y[start : stop + 1]
+            if np.hypot(off_x, off_y).max() <= tolerance_px:
+                break
+            stop = start + max(1, (stop - start) // 2)
+        keep.append(stop)
+    return keep
+
+
+@settings(max_examples=60)
+@given(
+    n=st.integers(1, 70), kind=st.sampled_from(KINDS), seed=st.integers(0, 999),
+    shake_px=st.sampled_from([0.0, 1e-9, 0.02, 1.0]), dark=st.sampled_from([0.0, 0.3, 1.0]),
+    tolerance_px=st.sampled_from([0.0, 1e-9, 1e-3, 0.1, 5.0]),
+)  # fmt: skip
+def test_runs_are_merged_as_the_rule_says(n, kind, seed, shake_px, dark, tolerance_px) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = (v + rng.normal(0.0, shake_px, n + 1) for v in nodes(kind, n + 1))
+    w = rng.random(n) * (rng.random(n) >= dark)
+    keep = plainly_merged(x, y, w, tolerance_px)
+    path = path_through(x, y, w, tolerance_px)
+    assert np.array_equal(path.x_px, x[keep])
+    assert np.array_equal(path.y_px, y[keep])
+    assert np.array_equal(path.weight, np.add.reduceat(w, keep[:-1]))
+
+
 def sampled(path: Path, per_segment: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of a path by brute force: (x, y, light), midpoints of equal parts of each segment."""
     u = (np.arange(per_segment) + 0.5) / per_segment
