@@ -37,7 +37,7 @@ KINDS = ["straight", "curved", "accelerating", "retraced"]
 
 
 def plainly_merged(x, y, w, tolerance_px: float) -> list[int]:
-    """Nodes that are kept: of the halves of what is left the first that uniform motion describes."""
+    """Nodes kept: each run the first of ever halved rests that uniform motion describes."""
     keep = [0]
     while (start := keep[-1]) < len(w):
         stop = len(w)
