@@ -157,9 +157,10 @@ def bodies_m(at: Moments) -> tuple[Array, Array]:
 def sun_and_moon(scene: Scene, at: Moments, attitude: Array) -> tuple[Lamp, Lamp]:
     """Both at moments (n,), as a camera of attitudes (n, 3, 3) sees them."""
     camera, (sun, moon) = camera_of(scene), bodies_m(at)
+    past_moon_m_s = at.observer_m_s - at.earth.velocity_m_s  # it goes round the Sun with the Earth
     return (
-        _lamp(scene, camera, attitude, at, sun, SUN_RADIUS_M),
-        _lamp(scene, camera, attitude, at, moon, MOON_RADIUS_M),
+        _lamp(scene, camera, attitude, at, sun, SUN_RADIUS_M, at.observer_m_s),
+        _lamp(scene, camera, attitude, at, moon, MOON_RADIUS_M, past_moon_m_s),
     )
 
 
@@ -194,11 +195,12 @@ def _lamp(
     at: Moments,
     body_m: Array,
     radius_m: float,
+    past_m_s: Array,
 ) -> Lamp:
-    """A body at vectors (n, 3) from the observer."""
+    """A body at vectors (n, 3) from the observer, whom velocities (n, 3) carry past it."""
     distance = np.sqrt(np.sum(body_m**2, axis=-1))
     moving = float(scene.star_effects["aberration"])
-    towards = aberrate(unit(body_m), moving * at.observer_m_s / SPEED_OF_LIGHT_M_S)
+    towards = aberrate(unit(body_m), moving * past_m_s / SPEED_OF_LIGHT_M_S)
     radius = np.arcsin(np.minimum(1.0, radius_m / distance))
     elevation = 0.5 * np.pi - separation(body_m, _upright(at.observer_m))
     off_axis = separation(attitude[:, 2], towards)

@@ -336,6 +336,27 @@ def test_search_for_a_frame_that_is_missed() -> None:
     assert 2 <= found <= 11
 
 
+@pytest.mark.parametrize("day", [3, 10, 17, 24])
+def test_the_moon_is_where_astropy_sees_it_from_a_site(day: int) -> None:
+    """Its apparent place: it goes round the Sun with the Earth, so its own way during the light's
+    takes back the 20 arcsec by which the Earth's motion moves the stars."""
+    import astropy.units as u
+    from astropy.coordinates import EarthLocation, get_body
+    from astropy.time import Time
+    from astropy.utils import iers
+
+    epoch = f"2019-04-{day:02d}T21:00:00Z"
+    up = {"epoch": epoch, "pointing": {"mode": "local", "azimuth_deg": 70.0, "elevation_deg": 60.0}}
+    scene = scene_of({"observer": SITE}, up)
+    ((axis,),) = lamps.aimed(scene, np.array([0.0]), 0.0)[1][:, 2:]
+    place = EarthLocation.from_geodetic(-156.3 * u.deg, 20.7 * u.deg, 3055 * u.m)
+    with iers.conf.set_temp("auto_download", False):
+        moon = get_body("moon", Time(epoch.rstrip("Z")), place, "builtin").cartesian.xyz.value
+    apart = np.arccos(axis @ moon / np.linalg.norm(moon))
+    found = lamps._look(scene, 0.0, np.array([0])).moon.off_axis[0]
+    assert np.degrees(abs(found - apart)) * 3600.0 < 3.0
+
+
 @pytest.mark.parametrize("height_m", [0.0, 1000.0, 4000.0])
 def test_from_a_mountain_more_is_seen(height_m: float) -> None:
     """A body is hidden below the line that touches the sea, lifted by 34 arcmin of air there."""
