@@ -267,3 +267,8 @@ def test_a_real_field_is_what_its_rows_cover(shared_data, tmp_path):
     assert np.isneginf(coverage.limits_g_mag([134.2, 56.75], [11.8, 24.1])).all()
     assert len(made.coverage["ranges"]) < 200
     assert verify(made).whole
+
+
+def test_ranges_within_others_end_none_of_them():
+    coverage = of_pixels("files", 3, [0, 2, 6, 12, 12], [10, 4, 8, 13, 15])
+    assert coverage.ranges.tolist() == [[0, 10], [12, 15]]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from astropy import units
 
@@ -396,3 +397,37 @@ def test_hipparcos_colours_beyond_the_relations(tmp_path):
     assert [star["phot_g_mean_mag"] for star in stars] == pytest.approx(expected, abs=1e-6)
     assert [star["phot_bp_mean_mag"] is None for star in stars] == [False, False, True, True]
     assert [star["source_id"] for star in stars] == [1, 2, 3, 118322]
+
+
+def test_a_colour_is_held_at_both_ends_of_its_range(tmp_path):
+    way = '\n[phot_bp_mean_mag]\nfrom = "mag"\nunit = "mag"\ncolour = "b"\n'
+    way += "coefficients = [0.0, 1.0]\ncolour_range = [3.0, 5.0]\nclip = true\n"
+    csv = "mag,id,alpha,delta,b\n9,1,0,0,1\n9,2,0,0,3\n9,3,0,0,4.5\n9,4,0,0,5\n9,5,0,0,8\n"
+    stars = rows(tmp_path, load(tmp_path, EXAMPLE + way), csv)
+    assert [star["phot_bp_mean_mag"] for star in stars] == [12.0, 12.0, 13.5, 14.0, 14.0]
+
+
+@pytest.mark.parametrize("number", [2.0**53 + 2, -(2.0**53) - 2, 1.5, -1.5, np.inf, -np.inf])
+def test_floating_ids_that_are_damaged_are_refused_with_their_row(tmp_path, number):
+    """Exact to 2**53 of either sign; the form is for a table of doubles."""
+    path = tmp_path / "stars.parquet"
+    for last, refused in ((number, True), (2.0**53, False), (-(2.0**53), False)):
+        table = pa.table({"id": [1.0, last], "mag": [9.0, 9.0], "alpha": [1.0, 1.0],
+                          "delta": [2.0, 3.0]})  # fmt: skip
+        pq.write_table(table, path)
+        form = load(tmp_path, EXAMPLE)
+        if refused:
+            with pytest.raises(BadInput, match=r"id row 2: .*integers"):
+                list(read_tables(path, form))
+        else:
+            found = pa.concat_tables(read_tables(path, form))["source_id"].to_pylist()
+            assert found == [1, int(last)]
+
+
+def test_a_value_is_there_where_nothing_speaks_against_it(tmp_path):
+    """Neither a number that stands for none, nor any of the columns that must be positive."""
+    way = '\n[phot_bp_mean_mag]\nfrom = "b"\nunit = "mag"\nnull = [99.0]\npositive = ["p", "q"]\n'
+    csv = "mag,id,alpha,delta,b,p,q\n9,1,0,0,8,1,1\n9,2,0,0,99,1,1\n9,3,0,0,8,0,1\n"
+    csv += "9,4,0,0,8,1,-1\n9,5,0,0,8,,1\n9,6,0,0,7,1,2\n"
+    stars = rows(tmp_path, load(tmp_path, EXAMPLE + way), csv)
+    assert [star["phot_bp_mean_mag"] for star in stars] == [8.0, None, None, None, None, 7.0]

@@ -373,3 +373,32 @@ def test_detection_looks_into_every_kind(tmp_path):
     for name in ("a.parquet", "a.fits", "a.vot"):
         assert detect_form(tmp_path / name).name == "gaia_dr3"
         assert pa.concat_tables(read_tables(tmp_path / name)).equals(stars)
+
+
+def test_fits_tables_behind_lists_of_any_length_are_found(tmp_path):
+    """The heap that such columns keep behind their rows is passed over with them."""
+    from astropy.io import fits
+
+    stars = random_stars(20, 4)
+    lists = np.empty(3, object)
+    lists[:] = [np.arange(n, dtype=np.float64) for n in (700, 0, 1500)]
+    heap = fits.BinTableHDU.from_columns([fits.Column("v", "PD()", array=lists)])
+    table = fits.table_to_hdu(as_astropy(stars, masked=False))
+    fits.HDUList([fits.PrimaryHDU(), heap, table]).writeto(tmp_path / "a.fits")
+    found = read(tmp_path / "a.fits", replace(DR2, layout=Layout(hdu=2)))
+    assert found["source_id"].to_pylist() == stars["source_id"].to_pylist()
+
+
+def test_votable_integers_that_stand_for_none(tmp_path):
+    """The number that a field says is null, of an id and of a magnitude in whole numbers."""
+    null = '<FIELD name="{}" datatype="{}"><VALUES null="-99"/></FIELD>'
+    fields = null.format("source_id", "long") + null.format("phot_g_mean_mag", "int")
+    fields += "".join(f'<FIELD name="{n}" datatype="double"/>' for n in ("ra", "dec"))
+    rows = "".join(
+        f"<TR><TD>{i}</TD><TD>{g}</TD><TD>1</TD><TD>2</TD></TR>"
+        for i, g in ((7, 9), (-99, 8), (6, -99))
+    )
+    (tmp_path / "a.xml").write_text(VOTABLE.format(fields=fields, rows=rows))
+    found = read(tmp_path / "a.xml").to_pydict()
+    assert found["source_id"] == [7, None, 6]
+    assert found["phot_g_mean_mag"] == [9.0, 8.0, None]

@@ -446,3 +446,23 @@ def test_stars_of_one_id_are_drawn_in_one_order():
     for order in itertools.permutations(range(4)):
         found = drawing_order(select(stars, np.array(order)))
         assert found.light_e.tolist() == [101.0, 103.0, 102.0, 100.0]
+
+
+@pytest.mark.parametrize(("row", "column"), [(3.0, 4.0), (5.0, 0.0), (0.0, 5.0)])
+def test_the_plans_noise_holds_that_of_rows_and_columns(row, column):
+    """12 e- of a pixel, with 5 e- of its lines: 13 in quadrature, however they are shared."""
+    s = scene({"row_noise_e": row, "column_noise_e": column}, sensor__read_noise_e=12.0)
+    assert prepare(s).plan.facts.read_noise_e == pytest.approx(13.0)
+
+
+@pytest.mark.parametrize("coefficients", [[-0.05], [0.05], [-0.05, 0.01], [0.02, -0.08]])
+def test_points_of_a_polynomial_err_by_what_the_plan_says(coefficients):
+    """Straight lines between 4097 points, against the polynomial half way between them."""
+    bent = {"nonlinearity": {"kind": "polynomial", "coefficients": coefficients}}
+    plan = prepare(scene(bent)).plan
+    (told,) = (d for d in plan.decisions if d.component == "nonlinearity")
+    curve = np.polynomial.Polynomial([0.0, 1.0, *coefficients])
+    x = np.linspace(0.0, 1.0, 4097)
+    between = 0.5 * (curve(x[1:]) + curve(x[:-1])) - curve(0.5 * (x[1:] + x[:-1]))
+    off_e = np.abs(between).max() * SCENE["sensor"]["full_well_e"]
+    assert off_e <= told.error_bound_e <= 1.1 * off_e

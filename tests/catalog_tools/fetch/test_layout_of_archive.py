@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from catalog_tools.errors import BadInput, Incomplete
 from catalog_tools.fetch import layout
 from catalog_tools.fetch.cones import FetchCone, parse_cone
-from catalog_tools.fetch.fetch import fetch
+from catalog_tools.fetch.fetch import _notes, fetch
 from catalog_tools.fetch.layout import Entry, choose, cone_ranges, parse_index, parse_md5sum
 from catalog_tools.readers import read_tables
 
@@ -264,3 +264,21 @@ def test_folder_that_cannot_be_written(archive, tmp_path, hasty):
 def test_cones_are_read_as_written():
     assert parse_cone("56.75, 24.1,1,16.5") == FetchCone(56.75, 24.1, 1.0, 16.5)
     assert parse_cone("-10,0,180") == FetchCone(-10.0, 0.0, 180.0)
+
+
+def test_files_of_every_cone_are_chosen():
+    """In the order of the list, of cones in any order; those between them are not."""
+    entries = [Entry(f"{k}", "", k << 55, ((k + 1) << 55) - 1) for k in range(192)]
+    far = [FetchCone(10.0, 45.0, 0.1), FetchCone(100.0, -45.0, 0.1), FetchCone(250.0, 0.0, 0.1)]
+    own = [{entry.name for entry in choose(entries, [cone])} for cone in far]
+    assert all(own)
+    assert not own[0] & own[1]
+    for cones in (far, far[::-1]):
+        assert {entry.name for entry in choose(entries, cones)} == set().union(*own)
+
+
+@pytest.mark.parametrize("limits", [(None, None), (None, 16.0), (16.0, None), (16.0, 17.0)])
+def test_a_limit_without_effect_is_noted_of_any_cone(limits):
+    cones = [FetchCone(10.0 * k, 5.0, 0.1, g_mag) for k, g_mag in enumerate(limits)]
+    noted = any("the limit had no effect" in note for note in _notes(DR2, [], cones))
+    assert noted == any(g_mag is not None for g_mag in limits)

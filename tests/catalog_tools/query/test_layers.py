@@ -322,3 +322,17 @@ def test_real_hipparcos_in_real_dr2(hipparcos, shared_data, tmp_path):
     turned = hip.set_column(1, "ra", pa.array((hip["ra"].to_numpy() + 1.0) % 360))
     elsewhere = catalogue_of(turned, tmp_path / "t", HIP_JYEAR, 100_000)
     assert already_in(main, elsewhere, ALL_SKY).size == 0
+
+
+@pytest.mark.parametrize("newer", [True, False])
+def test_a_layer_may_be_older_or_newer(newer, tmp_path):
+    """2 arcsec and 0.04 for each year between, whichever catalogue is the later one."""
+    epochs = (HIP_JYEAR, DR2_JYEAR) if newer else (DR2_JYEAR, HIP_JYEAR)
+    edge = 2.0 + 0.04 * (DR2_JYEAR - HIP_JYEAR)
+    ra, dec = np.full(3, 9.0), np.array([-20.0, 0.0, 20.0])
+    apart = np.array([0.0, edge - 0.01, edge + 0.01]) / 3600.0
+    main, layer = (
+        catalogue_of(table(ra=ra, dec=dec + off, phot_g_mean_mag=ra), tmp_path / name, epoch)
+        for name, off, epoch in zip(("main", "layer"), (0.0, apart), epochs, strict=True)
+    )
+    assert already_in(main, layer, ALL_SKY).tolist() == [1, 2]

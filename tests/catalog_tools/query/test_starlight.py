@@ -219,3 +219,46 @@ def test_against_a_real_complete_field(shared_data, tmp_path):
         own = 10.0 ** (-0.4 * g[kept])
         mean = (own * (bp - rp)[kept]).sum() / own.sum()
         assert counted.g_colour[0] / counted.g[0] == pytest.approx(mean, abs=0.1)
+
+
+@pytest.mark.parametrize(("before", "after"), [(3.0, 1.0), (1.0, 3.0)])
+def test_error_inside_a_bin_holds_a_slope_either_way(before, after):
+    """A line through the neighbouring bins moves (b - a) / 4 h (1 - h) past a limit."""
+    light = np.zeros((sl.BINS, len(sl.KINDS), 12), np.float32)
+    light[19, 0], light[21, 0] = before, after
+    low, high = sl.BIN_EDGES_G_MAG[19:21]
+    for share in (0.5, 0.1):
+        found = sl.StarlightMap(0, light, "").fainter(high - share * (high - low), centre(0, 4))
+        per_pixel = found.g_error[0] * 4.0 * np.pi / 12.0
+        assert per_pixel == pytest.approx(2.0 / 4.0 * share * (1.0 - share))
+
+
+def test_leaves_smaller_than_pixels_and_stars_with_one_colour_alone(tmp_path):
+    """Leaves of a higher order than the map's fall into their pixels; half a colour is none."""
+    from catalog_tools.ingest.ingest import ingest
+
+    rng = np.random.default_rng(8)
+    ra, dec = rng.uniform(100.0, 130.0, 1500), rng.uniform(-20.0, 20.0, 1500)
+    kind = np.arange(1500) % 3
+    rows = [
+        f"{i + 1},2015.5,{ra[i]},{dec[i]},,,,,9.0,{'' if kind[i] == 1 else 9.5},"
+        f"{'' if kind[i] == 2 else 8.7}"
+        for i in range(1500)
+    ]
+    head = "source_id,ref_epoch,ra,dec,parallax,pmra,pmdec,radial_velocity,phot_g_mean_mag,"
+    head += "phot_bp_mean_mag,phot_rp_mean_mag"
+    (tmp_path / "stars.csv").write_text("\n".join([head, *rows]) + "\n")
+    ingest([tmp_path / "stars.csv"], tmp_path / "catalogue", workers=1, rows_per_leaf=200)
+    catalogue = open_catalogue(tmp_path / "catalogue")
+    assert catalogue.leaf_table["order"].max() > 1
+    light = sl.make_starlight(catalogue, order=1).light.sum(axis=0)
+    healpix = cone(catalogue, 0.0, 0.0, 180.0, columns=["_healpix_29", "phot_bp_mean_mag",
+                                                       "phot_rp_mean_mag"])[0]  # fmt: skip
+    pixel = healpix["_healpix_29"].to_numpy() >> 56
+    whole = np.isfinite(
+        sum(healpix[n].to_numpy() for n in ("phot_bp_mean_mag", "phot_rp_mean_mag"))
+    )
+    one = 10.0 ** (-0.4 * 9.0)
+    for row, which in ((0, whole), (3, ~whole)):
+        expected = np.bincount(pixel[which], minlength=48) * one
+        np.testing.assert_allclose(light[row], expected, rtol=1e-5)

@@ -357,3 +357,30 @@ def test_findings_are_plain(copy):
 def test_same_rows_after_verifying(copy, small):
     verify(copy)
     assert same_rows(cone(copy, 0, 0, 180)[0], cone(small, 0, 0, 180)[0])
+
+
+def test_caps_of_leaves_that_leave_rows_out_are_named(tmp_path, small):
+    """The cap of a whole shard, by which a query passes it over, and not those of its parts."""
+
+    def change(folder, leaves, groups):
+        leaves["radius_rad"][1] *= 0.7
+
+    found = texts(rewritten(small, tmp_path / "changed", change))
+    assert found
+    for text in found:
+        assert text.startswith(small.leaf(1).path)
+        assert "outside the cap" in text
+
+
+@pytest.mark.parametrize(("column", "said"), [
+    ("max_proper_motion_mas_yr", "that move faster"), ("max_parallax_mas", "with a parallax above"),
+])  # fmt: skip
+def test_motions_beyond_those_of_a_row_group_are_named(tmp_path, small, column, said):
+    """Its own, though all of them are within those of its leaf."""
+
+    def change(folder, leaves, groups):
+        groups[column][0] *= 0.5
+
+    (text,) = texts(rewritten(small, tmp_path / "changed", change))
+    assert text.startswith(small.leaf(0).path)
+    assert said in text

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.physics.sky.grid import MOST_INTERVALS, refine, tile_light
+from pipeline.physics.sky.grid import MOST_INTERVALS, at_nodes, refine, tile_light
 
 
 def curved(a, b, c, d):
@@ -80,3 +80,15 @@ def test_same_bits_in_any_tile(ny, nx, size):
             part = (min(size, rows - y), min(size, columns - x))
             got = tile_light(values, (rows, columns), (y, x), part)
             np.testing.assert_array_equal(got, whole[y : y + part[0], x : x + part[1]])
+
+
+def test_one_node_stands_for_the_same_value_in_every_frame():
+    """Frames between knots get what those get: half way between least and largest."""
+
+    def light(x, y):
+        return np.stack([10.0 + 0.001 * x, 20.0 - 0.001 * y])
+
+    even = refine(light, 100, 80, 0.06).values
+    assert even.shape == (2, 1, 1)
+    np.testing.assert_allclose(even.ravel(), [10.0395, 19.9505], rtol=1e-12)
+    np.testing.assert_array_equal(at_nodes(light, 100, 80, 1, 1), even)

@@ -152,3 +152,19 @@ def test_several_spins_are_not_put_into_a_table(tmp_path: Path) -> None:
     body = scene.targets[0].body
     assert mesh_tables.spin_rad_s(body) == pytest.approx(np.radians(4.0))
     assert moments_wanted(scene, body) == 2000 * 5
+
+
+def test_errors_of_a_flash_are_told_of_its_peak_and_of_the_mean() -> None:
+    """A flash 20 times the rest: the largest difference over the brightest light, not the mean."""
+
+    def light(p: np.ndarray, t: np.ndarray) -> np.ndarray:
+        off = np.mod(p - 1.0 + np.pi, TURN) - np.pi
+        return (1.0 + 20.0 * np.exp(-((off / 0.5) ** 2)) + 0.0 * t)[:, None]
+
+    table = tabulated(light, 0.0, 10.0, 1e-3, 50_000, True)
+    assert table is not None
+    p = np.linspace(0.0, TURN, 20_001)
+    true, ours = light(p, 0 * p)[:, 0], table.at(0 * p, p)[:, 0]
+    off = np.abs(ours - true)
+    assert 0.2 < table.worst / (off.max() / true.max()) <= 1.01
+    assert 0.5 < table.error / (off.mean() / true.mean()) < 2.0

@@ -120,3 +120,14 @@ def test_every_kind_is_planned_and_told(scene: Make, psf: dict[str, Any]) -> Non
     errors = [c.wing_error for c in r.classes if c.wing_error > 1e-14]
     assert errors == sorted(errors, reverse=True)
     json.dumps(describe(r.blur.optics))
+
+
+def test_defocus_is_added_to_a_wavefront_that_has_some(scene: Make) -> None:
+    """Noll's fourth term in nm, and a detector off best focus: their sum, each with its sign."""
+    for defocus_um in (20.0, -20.0):
+        psf = {"kind": "airy", "wavelength_nm": 500.0, "defocus_um": defocus_um,
+               "aberrations": [{"noll": 4, "rms_nm": 50.0}]}  # fmt: skip
+        optics = facts_of(scene({"sensor.psf": psf})).blur.optics
+        assert isinstance(optics, Pupil)
+        off = defocus_um * 1e-6 / (8 * 2.5**2) / (2 * np.sqrt(3))
+        assert dict(optics.waves)[4] == pytest.approx((50e-9 + off) / 500e-9)

@@ -186,3 +186,15 @@ def test_tables_of_light_stand_at_their_places(scene: Make) -> None:
     assert "3 point-spread" in f.field.reason(1.0)
     assert "along columns of its source's light" in f.field.reason(1.0)
     assert json.loads(json.dumps(f.field.describe()))["which"] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_band_that_errs_most_is_told(scene: Make, first: int) -> None:
+    """Of a place resolved at one wavelength, and of one that takes its whole band."""
+    psfs = [{"kind": "airy", "wavelength_nm": 650.0}, {"kind": "airy", "wavelengths": 2}]
+    psf = {"kind": "field", "rows_px": [0.0], "columns_px": [0.0, 767.0],
+           "psfs": [[psfs[first], psfs[1 - first]]]}  # fmt: skip
+    band = facts_of(scene({"sensor.psf": psf})).band
+    assert band is not None
+    assert len(band.wavelengths_m) == 2
+    assert band.error > 0.0

@@ -23,12 +23,13 @@ from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import aberrate
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.focal_plane import project
+from pipeline.physics.sky.grid import FrameGrid
 from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import from_angles
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.sky.night import _moon_share, dimmed
-from pipeline.plan.sky.sky import facts_with_sky, plan_sky, sky_grid, sky_tile
+from pipeline.plan.sky.sky import _grid_told, facts_with_sky, plan_sky, sky_grid, sky_tile
 from pipeline.plan.stars.faint import faint_limit, limits_g_mag
 from pipeline.plan.tiles import Tile, plan_tiles
 
@@ -340,3 +341,23 @@ def test_an_eclipsed_moon_gives_no_moonlight():
         earth = earth_and_sun(*tt)
         share = _moon_share(np.zeros(3), earth.sun_from_earth_m[0], moon_m(*tt)[0])
         assert low <= share <= high
+
+
+def test_darkest_place_is_told_of_the_shortest_exposure(scene):
+    """Its electrons, and the noise of them: with 30 and 2 s, those of 2 s."""
+    sky_e_s = {"background": {"uniform_e_per_s": 3.0, "starlight": "none"}}
+    dwells = {"dwells": [{"frames": 2, "integration_s": [30.0, 2.0]}]}
+    s, facts, sky, _ = planned(scene, sky_e_s | dwells)
+    told = facts_with_sky(facts, s, sky)
+    assert told.background_e == pytest.approx(6.0)
+    assert told.sigma_floor_e**2 == pytest.approx(6.0 + facts.read_noise_e**2 + 1 / 12)
+
+
+@pytest.mark.parametrize("odd", [7.0, 13.0])
+def test_what_the_mean_of_four_corners_would_err_is_told(odd):
+    """The corner farthest from their mean, whether darker or brighter than the others."""
+    grid = FrameGrid(10, 10, np.ones((1, 1, 1)), 0.0, True)
+    corners = np.array([[10.0, 10.0, 10.0, 10.0], [10.0, odd, 10.0, 10.0]])
+    told = _grid_told(grid, 0.0, 0.1, 2.0, 1.0, corners)
+    assert "would err by 2.25 e- there" in told.reason
+    assert told.error_bound_sigma == pytest.approx(0.05)

@@ -412,3 +412,56 @@ def test_how_far_lamps_are_from_an_oblong_frame(shape: list[int], turn: float) -
         assert lamp.off_frame[0] == pytest.approx(apart.min(), abs=5e-6)
         middle = np.arccos(attitude[0, 2] @ to / np.linalg.norm(to))
         assert lamp.off_axis[0] == pytest.approx(middle, abs=5e-6)
+
+
+@pytest.mark.parametrize(
+    ("times", "fill"), [([10.0], 1.0), ([10.0], 0.25), ([10.0, 40.0, 2.0], 1.0)]
+)
+def test_light_that_is_not_drawn_is_told_of_the_longest_exposure(times: Any, fill: float) -> None:
+    """V = 2.4 as an AB magnitude: 3631 Jy over 400 to 900 nm, a pupil of 0.1 m, open pixels."""
+    disc = np.degrees(np.arcsin(6378.137 / 42164.0))
+    pointing = {"mode": "sidereal", "boresight_dec_deg": 0.0, "boresight_ra_deg": 179.5 - disc}
+    dwells = {"dwells": [{"integration_s": times, "frames": len(times)}]}
+    found = doubts(scene_of({"observer": HIGH, "pointing": pointing}, dwells, fill_factor=fill))
+    (said,) = [one for one in found.warnings if one.startswith("the Earth is in the field")]
+    per_m2 = 3631e-26 / 6.62607015e-34 * np.log(900.0 / 400.0) * 10.0 ** (-0.4 * 2.4)
+    arcsec2 = (np.degrees(10e-6 / 0.02) * 3600.0) ** 2
+    wanted = per_m2 * np.pi / 4.0 * 0.1**2 * arcsec2 * fill * max(times)
+    assert float(said.split("or ")[1].split(" e-")[0]) == pytest.approx(wanted, rel=0.01)
+
+
+@pytest.mark.parametrize(("elevation", "refused"), [(2.0, True), (-3.5, False)])
+def test_a_moon_that_has_set_is_not_near(elevation: float, refused: bool) -> None:
+    """A level frame above it: from 3055 m the line that touches the sea lies 2.3 degrees down."""
+    import astropy.units as u
+    from astropy.coordinates import AltAz, EarthLocation, get_body
+    from astropy.time import Time
+
+    site = EarthLocation.from_geodetic(-156.3 * u.deg, 20.7 * u.deg, 3055 * u.m)
+    times = Time("2019-04-12T08:00:00") + np.linspace(0.0, 6.0, 721) * u.hour
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        at = get_body("moon", times, site).transform_to(AltAz(obstime=times, location=site))
+    k = int(np.argmin(np.abs(at.alt.deg - elevation)))
+    pointing = {"pointing": {"mode": "local", "azimuth_deg": float(at.az.deg[k]),
+                             "elevation_deg": 0.5}, "epoch": times[k].isot + "Z"}  # fmt: skip
+    air = {"observer": SITE | {"atmosphere": {"extinction": {"mag_per_airmass": 0.3}}},
+           "background": {"moonlight": True}}  # fmt: skip
+    assert abs(at.alt.deg[k] - elevation) < 0.2
+    assert word(scene_of(air, pointing)) == ("moon" if refused else "")
+
+
+@pytest.mark.parametrize("drawn", ["earth", "moon", "neither", "both"])
+def test_stray_light_that_is_drawn_has_no_note(drawn: str) -> None:
+    """Of a limb 15 degrees beside the boresight, of the Earth; a full Moon 5 degrees beside it."""
+    pst = {"kind": "harvey", "b0_per_sr": 0.06, "shoulder": 0.02, "slope": -3.5}
+    parts = {name: drawn in (name, "both") for name in ("earth", "moon")}
+    sky = {"background": {"stray_light": {"pst": pst} | parts}}
+    disc = np.degrees(np.arcsin(6378.137 / 42164.0))
+    earth = {"pointing": {"mode": "sidereal", "boresight_dec_deg": 0.0,
+                          "boresight_ra_deg": 180.0 - disc - 15.0}}  # fmt: skip
+    towards = body("moon") - body("earth") - np.array(HIGH["orbit"]["position_m"])
+    for name, pointing in (("Earth", earth), ("Moon", beside(towards, 5.0))):
+        found = doubts(scene_of({"observer": HIGH}, pointing, sky))
+        noted = any(f"the {name}'s limb" in said for said in found.remarks)
+        assert noted != parts[name.lower()]

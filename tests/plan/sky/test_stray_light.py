@@ -14,13 +14,15 @@ from pipeline.inputs.sky.sky import gather_sky
 from pipeline.inputs.sky.stray_light import read_albedo, read_pst
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, EARTH_EQUATORIAL_RADIUS_M
 from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.positions.focal_plane import deproject, ifov_rad
+from pipeline.physics.sky.earth_disc import earth_stray
 from pipeline.physics.sky.pst import PstTable
 from pipeline.physics.targets.shadow import moon_m
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.sky.light import LightOfSky
 from pipeline.plan.sky.sky import plan_sky, sky_tile
-from pipeline.plan.sky.stray_light import _check, stray_parts
+from pipeline.plan.sky.stray_light import _Body, _check, _check_frame, stray_parts
 from pipeline.plan.tiles import Tile
 from pipeline.spec.sky.stray_light import StrayLight
 
@@ -322,3 +324,46 @@ def test_edges_of_a_curve(angle, inside, refused):
     pst = PstTable(ends, np.ones(2), float(ends[0]), inside, "refuse")
     with pytest.raises(BadInput) if refused else nullcontext():
         _check(wish, pst, "Sun", *np.radians(angle))
+
+
+@pytest.mark.parametrize("epoch", ["2020-01-05T06:00:00Z", "2020-07-04T06:00:00Z"])
+def test_the_earth_is_lit_by_the_sun_of_its_distance(scene, curve, epoch):
+    """Its disc through the curve, with sunlight that changes by 7% over the year."""
+    wish = {"pst": {"kind": "table", "path": curve}, "sun": False, "moon": False}
+    small = {"epoch": epoch, "sensor.shape": [8, 8]}
+    _, _, inputs, g, sky = planned(scene, wish, small | at(160.0, 10.0))
+    earth = earth_and_sun(g.tt1[0, g.middle], g.tt2[0, g.middle])
+    place, sun = g.observer_m[0, g.middle] - earth.position_m[0], earth.sun_from_earth_m[0]
+    boresight, stray = g.attitude[0, g.middle, 2], inputs.stray
+    light = earth_stray(boresight[None], place, sun, stray.pst, stray.albedo, np.eye(3))[0]
+    rate = stray.sun_rate * ASTRONOMICAL_UNIT_M**2 / (sun @ sun) * (10e-6) ** 2
+    assert light > 0.0
+    assert sky_tile(sky, 0, Tile(0, 0, 0, 0, 8, 8)).mean() == pytest.approx(light * rate, rel=2e-3)
+
+
+def test_the_bound_is_of_the_brightest_place(scene, curve):
+    """Half a degree off the limb, where a frame's corners differ many times over."""
+    wish = {"pst": {"kind": "table", "path": curve}, "inside": "extrapolate", "sun": False}
+    sky = planned(scene, wish, at(190.0, 0.0))[-1]
+    d = told(sky)["stray_light.earth"]
+    low, high = map(float, d.reason.split(" e-/s")[0].split(" to "))
+    assert high > 1.1 * low
+    assert d.bound == pytest.approx(1.02 * high, rel=1e-3)
+    assert d.bound >= sky.grids.max()
+
+
+@pytest.mark.parametrize("shape", [(40, 200), (200, 40)])
+def test_a_body_beside_an_oblong_frame_is_not_in_it(scene, shape):
+    """Places inside and just outside of each side, by more than the disc's radius or less."""
+    s = scene({"sensor.shape": list(shape)} | at(30.0, 10.0))
+    attitude = plan_geometry(s, np.zeros(1, np.int64), 0.0).attitude[0, 0]
+    camera, rows, columns = camera_of(s), *shape
+    middle, end = np.array([columns / 2, rows / 2]), np.array([columns, rows])
+    for axis in (0, 1):
+        for off_px, inside in ((-20.0, True), (1.5, True), (6.0, False)):
+            for place in (end[axis] - 0.5 + off_px, -0.5 - off_px):
+                x, y = np.where(np.arange(2) == axis, place, middle)
+                towards = deproject(camera, attitude, np.array([x]), np.array([y]))[0]
+                lamp = _Body(towards, 3.0 * ifov_rad(camera), 1.0)
+                with pytest.raises(BadInput) if inside else nullcontext():
+                    _check_frame(s, attitude, "Moon", lamp)
