@@ -124,6 +124,8 @@ def test_no_light_where_nothing_is_seen_and_all_where_it_is(horizon):
     dark = inside & (truth["visible_fraction"] == 0.0)
     lit = inside & (truth["visible_fraction"] == 1.0)
     assert light[dark].max() < 0.02 * light[lit].min()
+    for name in ("x_light_px", "y_light_px"):  # where the light stands, if there is any
+        np.testing.assert_array_equal(np.isnan(truth[name]), truth["visible_fraction"] == 0.0)
     errors = json.loads((product / "report.json").read_text())["errors"]
     assert errors["windows"] > 0
     assert errors["achieved_error_sigma"] < 0.1

@@ -21,6 +21,7 @@ from catalog_tools.geometry.sphere import angles_deg, moved
 from catalog_tools.ingest import shards
 from catalog_tools.ingest.build import About, build
 from pipeline.errors import BadInput
+from pipeline.resolve.resolve import resolve
 from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import load_scene, parse_scene, scene_yaml
@@ -184,6 +185,12 @@ def test_each_star_once(reference, folders, tmp_path):
     assert np.abs(both - sum(parts)).max() < 1e-6 * both.max()
     assert both.sum() > 5 * parts[0].sum()
     assert 0 < report["layers"][0]["left_out"] <= (main["phot_g_mean_mag"] < 8).sum()
+
+
+def test_stars_of_both_are_counted_once(layered, reference):
+    """As many as the truth of the fullest frame has."""
+    _, many = np.unique(truth_of(reference[0])["frame"], return_counts=True)
+    assert resolve(layered()).stars.counts.total == many.max()
 
 
 def test_what_is_told(reference, folders):

@@ -144,6 +144,21 @@ def test_out_of_the_field_of_a_camera_that_follows_another() -> None:
     assert followed["streak_px"] < 0.15 * passed["streak_px"]
 
 
+def test_out_of_the_field_each_exposure_has_its_own_time_and_noise() -> None:
+    """Of two dwells the second is four times as long: as much light a second, and twice the SNR
+    under a bright sky."""
+    away = {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 80.0}
+    scene = night(pointing=away, background={"uniform_e_per_s": 1e9}, **ALONE) | {
+        "exposure": {"integration_s": 1.0},
+        "dwells": [{"integration_s": 1.0}, {"integration_s": 4.0, "start_s": 5.0}],
+        "sensor": night()["sensor"] | {"focal_length_m": 0.01},
+    }
+    first, second = observe(parse_scene(scene)).table.to_pylist()
+    assert (first["snr_at"], second["snr_at"]) == ("boresight", "boresight")
+    assert second["electrons_per_s"] == pytest.approx(first["electrons_per_s"], rel=1e-3)
+    assert second["snr"] == pytest.approx(2.0 * first["snr"], rel=0.03)
+
+
 def shown(*options: Any) -> list[str]:
     result = nightglass("observe", *options)
     assert result.returncode == 0, result.stderr

@@ -14,8 +14,14 @@ from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.plan.bodies.sights import sights
 from pipeline.plan.bodies.sizes import limb_px
 from pipeline.plan.pointing.geometry import moments_at, plan_geometry
-from pipeline.plan.targets.bounds import _lowest_m, between_facets, two_body_m
-from pipeline.plan.targets.orbit_age import _aged, elements_error_m
+from pipeline.plan.targets.bounds import (
+    _lowest_m,
+    between_facets,
+    earthshine_share,
+    longest_from_elements_s,
+    two_body_m,
+)
+from pipeline.plan.targets.orbit_age import _aged, elements_error_m, oldest_remarks
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Target
@@ -72,6 +78,23 @@ def test_elements_of_seven_years_ago_are_told_with_their_error():
     assert elements_error_m(1e5, 15.52) == pytest.approx(2 * 6.79e6, rel=2e-3)  # the orbit itself
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_oldest_elements_of_many_are_told(order: int) -> None:
+    """Wherever they stand in the scene."""
+    second = checksum(TLE["line2"])
+    each = [
+        target(
+            {"kind": "tle", "line1": checksum(TLE["line1"].replace("19100", day)), "line2": second},
+            name=f"of-day-{day}",
+        )
+        for day in ("19050", "19001", "19060")[::order]
+    ]
+    held = {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 20.0}
+    scene = parse_scene(SCENE | {"targets": each, "pointing": held})
+    (told,) = oldest_remarks(scene, 0.0, 2.1)
+    assert told.startswith("3 of the targets have old elements, the worst of-day-19001: ")
+
+
 def test_an_orbit_beyond_the_earths_reach_is_told():
     """4.4 million km away for a day: the Sun pulls it off by half a t^2."""
     far = state([4.4e9, 0.0, 0.0], [0.0, 100.0, 0.0]) | {"epoch": "2019-03-20T09:00:00Z"}
@@ -80,6 +103,14 @@ def test_an_orbit_beyond_the_earths_reach_is_told():
     assert f"{km:.3g} km after 1 days" in told
     near = state([4.2e7, 0.0, 0.0], [0.0, 3070.0, 0.0])
     assert not [r for r in planned([target(near)]).remarks if "influence" in r]
+
+
+@pytest.mark.parametrize(("pulls", "told"), [([], 1), (["moon"], 1), (["sun", "moon"], 0)])
+def test_beyond_the_earths_reach_the_suns_pull_counts(pulls: list[str], told: int) -> None:
+    far = state([4.4e9, 0.0, 0.0], [0.0, 100.0, 0.0])
+    orbit = far | {"kind": "numerical", "third_bodies": pulls}
+    remarks = planned([target(orbit)]).remarks
+    assert sum("leaves out the Sun's pull" in remark for remark in remarks) == told
 
 
 def behind(at_rad: float) -> dict[str, Any]:
@@ -117,6 +148,20 @@ def test_a_target_that_leaves_the_umbra_is_named_too():
     assert (g.target_sunlit[0] == 0.0).all(axis=1).tolist() == [True, False]
     assert "targets.umbra_light" in {d.component for d in plan.decisions}
     assert not [r for r in plan.remarks if "during all frames" in r]
+
+
+def test_light_in_the_umbra_is_that_of_the_longest_exposure():
+    """Four times the exposure in one of two dwells: four times the light that is left out."""
+    shown = target(state([GEO_M, 0.0, 0.0], [0.0, 3074.7, 0.0]), name="lit")
+    bounds = []
+    for longest_s in (0.1, 0.4):
+        dwells = [{"integration_s": 0.1}, {"integration_s": longest_s, "start_s": 5.0}]
+        plan = planned(
+            [target(behind(0.0)), shown], dwells=dwells, exposure={"integration_s": 0.1},
+            pointing={"mode": "target", "target": "lit"},
+        )  # fmt: skip
+        bounds.append({d.component: d for d in plan.decisions}["targets.umbra_light"].bound)
+    assert bounds[1] == pytest.approx(4.0 * bounds[0], rel=1e-3)
 
 
 OBSERVER = [7.0e6, 0.0, 0.0], [0.0, 7546.0, 0.0]
@@ -216,6 +261,29 @@ def test_elements_are_right_at_their_perigee() -> None:
         g = plan_geometry(scene, np.arange(3), 0.0)
         bounds.append(two_body_m(scene.targets, scene, g) / days**2)
     assert bounds == pytest.approx([bounds[0]] * 3, rel=1e-3)
+
+
+@pytest.mark.parametrize(("day", "longest_s"), [("20", 86_402.1), ("22", 86_400.0)])
+def test_a_state_is_right_at_its_epoch_alone(day: str, longest_s: float) -> None:
+    """Before it as after it, whichever end of the scene is farther from it."""
+    orbit = state(*OBSERVER) | {"epoch": f"2019-03-{day}T09:00:00Z"}
+    scene = parse_scene(SCENE | {"targets": [target(orbit)]})
+    found = longest_from_elements_s(scene, scene.targets[0].orbit)
+    assert found == pytest.approx(longest_s, abs=1e-3)
+
+
+def test_earthshine_is_bounded_by_the_brightest_earth_asked_for() -> None:
+    """Of two targets, in any order: albedo (R/r)^2, and a hundredth of it to spare."""
+    asked = [
+        target(behind(0.0), name=f"a{albedo}") | {"lighting": {"earthshine_albedo": albedo}}
+        for albedo in (0.1, 0.6)
+    ]
+    for order in (1, -1):
+        held = {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 20.0}
+        near = {"observer": {"kind": "orbit", "orbit": state(*OBSERVER)}, "pointing": held}
+        scene = parse_scene(SCENE | near | {"targets": asked[::order]})
+        share = earthshine_share(scene.targets, plan_geometry(scene, np.arange(3), 0.0))
+        assert share == pytest.approx(1.01 * 0.6 * (6.378e6 / GEO_M) ** 2, rel=1e-3)
 
 
 def test_light_between_matt_facets() -> None:

@@ -21,6 +21,8 @@ from pipeline.inputs.sensor.cosmic_rays import (
 from pipeline.physics.cosmic_rays.frame import charge_e, truth_columns
 from pipeline.physics.cosmic_rays.library import Recorded
 from pipeline.physics.cosmic_rays.tracks import Flux
+from pipeline.resolve.resolve import resolve
+from pipeline.spec.load import parse_scene
 from pipeline.spec.sensor.cosmic_rays import GeneratedCosmicRays, LibraryCosmicRays
 from pipeline.spec.sensor.sensor import Sensor
 from pipeline.studies.cosmic_rays import (
@@ -151,6 +153,26 @@ def test_gather():
     ground = gather_cosmic_rays(GeneratedCosmicRays(kind="generated", source="ground"), SENSOR, 2.0)
     assert (ground.zenith_power, ground.helium_share) == (2.0, 0.0)
     assert ground.rate_per_cm2_s == pytest.approx(1 / 60)
+
+
+def test_the_longest_exposure_may_not_hold_too_many_events(monkeypatch):
+    """0.06 cm2 at 5 a cm2 and second: 0.3 in the second of one dwell, 1.2 in four seconds."""
+    monkeypatch.setattr(cosmic_rays_module, "MOST_EVENTS", 1)
+
+    def asked(*times_s):
+        dwells = [{"integration_s": t, "start_s": 10.0 * k} for k, t in enumerate(times_s)]
+        return parse_scene({
+            "schema": "nightglass/scene/1", "name": "rays", "epoch": "2019-04-20T03:00:00Z",
+            "observer": {"kind": "fixed", "position_au": [1.2, 0.1, 0.05]},
+            "sensor": SENSOR.model_dump(mode="json", exclude_unset=True),
+            "cosmic_rays": {"kind": "generated", "rate_per_cm2_s": 5.0}, "dwells": dwells,
+            "pointing": {"mode": "sidereal", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0},
+            "exposure": {"integration_s": 1.0},
+        })  # fmt: skip
+
+    assert resolve(asked(1.0, 1.0)).rays is not None
+    with pytest.raises(BadInput, match=r"rate_per_cm2_s.*at most 4"):
+        resolve(asked(1.0, 4.0))
 
 
 def table(tmp_path, header=None, drop=(), **columns):

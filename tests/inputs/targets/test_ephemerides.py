@@ -18,7 +18,7 @@ from sgp4.api import WGS72, Satrec
 
 from pipeline.errors import BadInput
 from pipeline.inputs.earth_orientation import gather_pole_arcsec
-from pipeline.inputs.targets.ephemerides import gather_ephemerides
+from pipeline.inputs.targets.ephemerides import gather_ephemerides, to_gcrs
 from pipeline.inputs.targets.ephemeris_files import read_ephemeris
 from pipeline.inputs.targets.omm_files import read_omm
 from pipeline.physics.positions.orbit_table import best_nodes
@@ -91,8 +91,8 @@ def test_sp3_against_astropy(shared_data: Path) -> None:
 
 @pytest.mark.parametrize(
     ("scale", "tai_minus_s"),
-    [("GPS", 19), ("GAL", 19), ("QZS", 19), ("IRN", 19), ("BDT", 33), ("TAI", 0), ("UTC", 37),
-     ("GLO", 37), ("ccc", 19)],
+    [("GPS", 19), ("GAL", 19), ("QZS", 19), ("IRN", 19), ("BDT", 33), ("BDS", 33),
+     ("TAI", 0), ("UTC", 37), ("GLO", 37), ("ccc", 19)],
 )  # fmt: skip
 def test_time_systems_of_sp3(scale: str, tai_minus_s: int, tmp_path: Path) -> None:
     """Each satellite system's midnight in TAI (SP3-d; BeiDou's began with 33 s of leap seconds)."""
@@ -246,6 +246,53 @@ def test_the_segment_that_covers_the_exposures(tmp_path: Path, order: tuple[int,
     assert np.linalg.norm(found - places[0][[30, 31]], axis=1).max() < 0.05
 
 
+def test_earth_fixed_rows_across_a_leap_second(tmp_path: Path) -> None:
+    """UT1 - UTC jumps there, the Earth does not: against astropy, half an hour to either side."""
+    t = np.arange(-1800.0, 1801.0, 60.0)
+    place, speed = two_body(np.array([7e6, 0, 0]), np.array([0, 6000.0, 5500.0]), t)
+    times = Time("2017-01-01T00:00:00", scale="utc") + t * u.s
+    with iers.conf.set_temp("auto_download", False):
+        told = GCRS(CartesianRepresentation(*place.T * u.m), obstime=times)
+        fixed = told.transform_to(ITRS(obstime=times)).cartesian.xyz.to_value(u.m).T
+    path = tmp_path / "sat.oem"
+    path.write_text(oem("ITRF2014", fixed, speed, list(times.isot)))
+    ((source,),) = read_ephemeris(path, None, SCENE["epoch"], "f").values()
+    found, _ = to_gcrs(source, slice(None))
+    assert np.linalg.norm(found - place, axis=1).max() < 0.05
+
+
+def test_each_segment_has_its_own_metadata(tmp_path: Path) -> None:
+    """What the first one says of where it may be used is nothing to the second, an hour later."""
+    t = np.arange(-1800.0, 1801.0, 60.0)
+    place, speed = two_body(np.array([7e6, 0, 0]), np.array([0, 6000.0, 5500.0]), t)
+    start = Time("2017-02-14T06:07:00", scale="utc")
+    first, second = (
+        oem("EME2000", place, speed, list((start + (t + late) * u.s).isot)) for late in (0.0, 4e3)
+    )
+    stop = f"USEABLE_STOP_TIME = {(start + 600.0 * u.s).isot}\nMETA_STOP"
+    path = tmp_path / "sat.oem"
+    path.write_text(first.replace("META_STOP", stop) + second[second.index("META_START") :])
+    (segments,) = read_ephemeris(path, None, SCENE["epoch"], "f").values()
+    assert [len(one.place_m) for one in segments] == [41, 61]
+
+
+def test_one_file_in_two_frames(tmp_path: Path) -> None:
+    """Each target has the frame that it names, though the file is read once for each frame."""
+    path = tmp_path / "orbit.csv"
+    write_csv(path)
+    data = copy.deepcopy(SCENE)
+    data["targets"] = [
+        {"name": frame, "body": BODY,
+         "orbit": {"kind": "ephemeris", "path": str(path), "frame": frame}}
+        for frame in ("gcrs", "teme")
+    ]  # fmt: skip
+    found = [target.orbit for target in gather_ephemerides(parse_scene(data)).targets]
+    for orbit, frame in zip(found, ("gcrs", "teme"), strict=True):
+        alone = table({"kind": "ephemeris", "path": str(path), "frame": frame})
+        assert orbit.rows == alone.rows  # type: ignore[union-attr]
+    assert found[0].rows != found[1].rows  # type: ignore[union-attr]
+
+
 def test_pole_against_astropy() -> None:
     for day in ("2017-02-14", "2026-01-05"):
         x, y = iers.IERS_A.open(iers.IERS_A_FILE).pm_xy(Time(day))
@@ -323,6 +370,7 @@ def test_observer_from_a_file_and_scenes_without(tmp_path: Path) -> None:
         ("a.csv", "time_utc,x,y,z\n2017-02-14T06:00:00,1,2,3\n", {"frame": "itrf"}, "x_m, y_m"),
         ("a.csv", "time_utc,x_m,y_m,z_m\nnoon,1,2,3\n", {"frame": "itrf"}, "2019-04-20"),
         ("a.csv", "time_s,x_m,y_m,z_m\n0,1,nan,3\n1,1,2,3\n", {"frame": "gcrs"}, "finite"),
+        ("a.csv", "time_s,x_m,y_m,z_m\n0,1,-2e13,3\n1,1,2,3\n", {"frame": "gcrs"}, "finite"),
         ("a.csv", "time_s,x_m,y_m,z_m\n0,1,2,3\n0,1,2,3\n", {"frame": "gcrs"}, "increasing"),
         ("a.csv", "time_s,x_m,y_m,z_m\n0,1,x,3\n0,1,2,3\n", {"frame": "gcrs"}, "numbers"),
         ("a.csv", "time_s,x_m,y_m,z_m\n-9,7e6,2,3\n20,7e6,2,3\n", {"frame": "gcrs"}, "06:08:00"),

@@ -15,6 +15,7 @@ from pipeline.physics.meshes.intensity import mesh_intensity
 from pipeline.physics.meshes.model import model_light, posed
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.physics.vectors import separation, unit
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.spec.load import parse_scene
 from pipeline.spec.targets.mesh import MeshBody, Reflecting
 from tests.plan.bodies.test_bodies import SKY, TARGET
@@ -154,6 +155,17 @@ def test_objects_of_the_bodys_file_may_move(tmp_path):
         gather_mesh(body(path, parts=[{"name": "p", "objects": ["Dish"]}]))
 
 
+@pytest.mark.parametrize("rate_deg_s", [6.0, -6.0])
+def test_a_part_that_turns_either_way_turns_the_body(tmp_path, rate_deg_s):
+    """12 degrees in two seconds, which a picture of the middle does not show."""
+    joint = {"kind": "spin", "axis": [0, 0, 1], "pivot_m": [2, 0, 0], "rate_deg_s": rate_deg_s}
+    part = {"name": "panel", "objects": ["Panel"], "joint": joint}
+    wish = body(write(tmp_path, CUBE + SHEET), parts=[part]).model_dump(mode="json")
+    scene = gather_meshes(parse_scene({**SKY, "targets": [{**TARGET, "body": wish}]}))
+    turn = plan_geometry(scene, np.arange(1), 0.0).target_turn_rad
+    assert turn == pytest.approx(np.radians(12.0), rel=0.02)
+
+
 def test_surfaces_go_by_the_materials_names(tmp_path):
     path = write(tmp_path, CUBE)
     white = {"kind": "lambert", "albedo": 1.0}
@@ -226,6 +238,18 @@ def test_other_formats_hold_the_same_cube(tmp_path, kind):
     size = np.ptp(mesh.corners_m.reshape(-1, 3), axis=0)
     np.testing.assert_allclose(size, [1, 2, 3], rtol=1e-6)
     assert mesh.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_a_mirrored_part_keeps_its_front(tmp_path):
+    """A sheet that faces +z, mirrored by its node from left to right, still faces +z."""
+    sheet = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+    for sign in (1.0, -1.0):
+        scene = trimesh.Scene()
+        scene.add_geometry(sheet, transform=np.diag([sign, 1.0, 1.0, 1.0]))
+        path = write(tmp_path, scene.export(file_type="glb"), f"sheet{sign:g}.glb")
+        ((a, b, c),) = read_mesh(path, "m").corners_m
+        np.testing.assert_allclose(np.cross(b - a, c - a), [0.0, 0.0, 1.0], atol=1e-12)
+        assert max(a[0], b[0], c[0], key=abs) == pytest.approx(sign)
 
 
 def test_a_glb_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):

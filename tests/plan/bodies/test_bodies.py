@@ -11,19 +11,23 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
-from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.radiometry import box
 from pipeline.physics.targets.frustum import cylinder_area_function
 from pipeline.physics.targets.plate import box_area_function
+from pipeline.physics.targets.shadow import moon_m, sunlit_past_moon
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.physics.vectors import unit
 from pipeline.plan.bodies.albedos import has_band_albedos, with_band_albedos
 from pipeline.plan.bodies.attitudes import View, needs_velocity
-from pipeline.plan.bodies.bodies import earthshine_m2_sr, flicker_share
+from pipeline.plan.bodies.bodies import _sunlit, earthshine_m2_sr, flicker_share
+from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.bodies.shapes import light_curve_m2_sr, reflected_m2_sr
-from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.bodies.sights import sights
+from pipeline.plan.pointing.geometry import moments_at, plan_geometry
 from pipeline.spec.load import parse_scene
-from pipeline.spec.targets.body import Body
+from pipeline.spec.targets.body import Body, Lighting
+from pipeline.spec.targets.orbit import KeplerianOrbit
 
 EPOCH = parse_utc("2019-07-20T09:00:00Z")
 AU = 1.495978707e11
@@ -162,6 +166,76 @@ def test_same_light_by_the_definitions_of_laws() -> None:
     np.testing.assert_allclose(reflected_m2_sr([tube], EPOCH, view)[0], plain, rtol=1e-9)
     with pytest.raises(BadInput, match=r"times_s.*covers the exposures"):
         reflected_m2_sr([tube], EPOCH, circular(TIMES + 1.0))
+
+
+@pytest.mark.parametrize("anomaly", ["true_anomaly_deg", "mean_anomaly_deg"])
+def test_an_anomaly_is_that_of_the_elements_own_epoch(anomaly: str) -> None:
+    """Ten minutes before the scene's: where it is ten minutes after one of the scene's."""
+    shape = {"kind": "keplerian", "semi_major_axis_m": 7.2e6, "eccentricity": 0.05,
+             "inclination_deg": 50.0, anomaly: 70.0}  # fmt: skip
+    early = TypeAdapter(KeplerianOrbit).validate_python(shape | {"epoch": "2019-07-20T08:50:00Z"})
+    own = TypeAdapter(KeplerianOrbit).validate_python(shape)
+    at, late = np.array([0.0, 30.0]), np.array([600.0, 630.0])
+    found = orbit_states(early, "orbit", EPOCH, at, instants(EPOCH, at))
+    wanted = orbit_states(own, "orbit", EPOCH, late, instants(EPOCH, late))
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-6)
+
+
+def test_a_table_of_attitudes_counts_from_its_own_epoch() -> None:
+    """One of 100 s before the scene's tells of each moment what the scene's does 100 s later."""
+    fixed, times = circular(np.zeros(1)), np.arange(0.0, 400.0, 10.0)
+    still = [np.repeat(getattr(fixed, name), times.size, axis=1) for name in
+             ("place_m", "velocity_m_s", "sun_m", "observer_m")]  # fmt: skip
+    view = View(times[None], *still)
+    law = {"kind": "table", "times_s": [0, 600], "quaternions": [[1, 0, 0, 0], [0.6, 0.8, 0, 0]]}
+    own, early = (
+        reflected_m2_sr([body(kind="box", size_m=[1, 2, 3], attitude=law | more)], EPOCH, view)[0]
+        for more in ({}, {"epoch": "2019-07-20T08:58:20Z"})
+    )
+    np.testing.assert_allclose(early[:-10], own[10:], rtol=1e-9)
+    assert np.ptp(own) > 0.01 * own.mean()
+
+
+def test_parts_without_a_law_have_that_of_the_whole() -> None:
+    box, law = {"kind": "box", "size_m": [1, 2, 3], "albedo": 0.2}, {"kind": "nadir"}
+    whole = {"kind": "composite", "attitude": law, "parts": [box]}
+    made = TypeAdapter(Body).validate_python(whole), body(**box, attitude=law), body(**box)
+    together, alone, upright = (reflected_m2_sr([one], EPOCH, circular(TIMES))[0] for one in made)
+    np.testing.assert_allclose(together, alone, rtol=1e-12)
+    assert np.abs(together - upright).max() > 0.01
+
+
+def test_bodies_are_seen_as_they_stood_when_the_light_left() -> None:
+    """From 1.2 au the light takes minutes."""
+    far = {"observer": {"kind": "fixed", "position_au": [1.2, 0.1, 0.05]}}
+    scene = parse_scene(SKY | far | {"targets": [TARGET | {"body": {
+        "kind": "sphere", "diameter_m": 1.0, "albedo": 0.5}}]})  # fmt: skip
+    seen, view = sights(scene, [0], moments_at(scene, 0.0, np.array([0.0, 30.0])))
+    light_s = seen.range_m / 299_792_458.0
+    assert light_s.min() > 100.0
+    np.testing.assert_allclose(view.time_s, [0.0, 30.0] - light_s, atol=1e-6)
+
+
+def test_the_moon_hides_a_darkened_sun() -> None:
+    """Half of its radius before the disc's edge: less of the light than of the area."""
+    tt, sun = EPOCH, AU * unit(np.array([[1.0, 0.2, 0.4]]))
+    moon = moon_m(np.array([tt[0]]), np.array([tt[1]]))
+    towards, across = unit(sun - moon), unit(np.cross(sun - moon, Z))
+    place = moon - 3e8 * towards + 1.0e6 * across
+    for darkening in (0.0, 0.6):
+        light = Lighting(limb_darkening=darkening, moon=True)
+        found = _sunlit(light, place, sun, (np.array([tt[0]]), np.array([tt[1]])))
+        assert found == pytest.approx(sunlit_past_moon(place, sun, moon, darkening))
+        assert 0.05 < found[0] < 0.95
+
+
+@pytest.mark.parametrize(("closed", "area_m2"), [("base", np.pi), ("none", 0.0)])
+def test_a_cone_from_behind(closed: str, area_m2: float) -> None:
+    """Lit and seen along its axis: the disc of its base, or nothing where that is open."""
+    along = np.array([[[0.0, 0.0, -1.0]]])
+    view = View(np.zeros((1, 1)), 0 * along, 0 * along, AU * along, 1e7 * along)
+    cone = body(kind="cone", diameter_m=2.0, length_m=3.0, closed=closed)
+    assert reflected_m2_sr([cone], EPOCH, view)[0] == pytest.approx(0.3 / np.pi * area_m2)
 
 
 def test_light_curves() -> None:

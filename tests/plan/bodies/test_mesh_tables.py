@@ -168,3 +168,10 @@ def test_errors_of_a_flash_are_told_of_its_peak_and_of_the_mean() -> None:
     off = np.abs(ours - true)
     assert 0.2 < table.worst / (off.max() / true.max()) <= 1.01
     assert 0.5 < table.error / (off.mean() / true.mean()) < 2.0
+
+
+def test_a_spin_either_way_needs_as_many_moments(tmp_path: Path) -> None:
+    """20 degrees in an exposure: 2 and one for each 0.01 rad, whichever way it turns."""
+    for rate in (40.0, -40.0):
+        scene = scene_of(tmp_path, {"kind": "spin", "rate_deg_s": rate, "axis": [1, 0, 0]}, 10)
+        assert moments_wanted(scene, scene.targets[0].body) == 10 * (2 + 34)

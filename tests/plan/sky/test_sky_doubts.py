@@ -5,8 +5,10 @@ from __future__ import annotations
 import copy
 import math
 import warnings
+from types import SimpleNamespace
 from typing import Any
 
+import erfa
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from pipeline.inputs.band.response import gather_response
 from pipeline.physics.positions.planets import PLANETS, brightest_v_mag
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing import lamps
+from pipeline.plan.pointing.geometry import aimed
 from pipeline.plan.sky.doubts import Doubts, sky_doubts
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
@@ -465,3 +468,28 @@ def test_stray_light_that_is_drawn_has_no_note(drawn: str) -> None:
         found = doubts(scene_of({"observer": HIGH}, pointing, sky))
         noted = any(f"the {name}'s limb" in said for said in found.remarks)
         assert noted != parts[name.lower()]
+
+
+def test_what_stands_before_the_earth_is_not_hidden_by_it() -> None:
+    """Seen from a million kilometres: the Moon on this side of the Earth, beside it and behind."""
+    far: Any = SimpleNamespace(observer=None)
+    place = np.tile([1e9, 0.0, 0.0], (3, 1))
+    body = np.array([[3.8e8, 1e5, 0.0], [0.0, 3.8e8, 0.0], [-3.8e8, 1e5, 0.0]]) - place
+    hidden = lamps._hidden(far, place, body, np.zeros(3))
+    assert (hidden > 0.0).tolist() == [False, False, True]
+
+
+def test_lamps_stand_where_the_moving_observer_sees_them() -> None:
+    """Against ERFA's aberration, half a degree at a hundredth of the speed of light."""
+    fast = copy.deepcopy(SCENE)
+    fast["observer"] |= {"velocity_m_s": [0.0, 0.0, 3e6]}
+    scene = parse_scene(fast)
+    at, attitude = aimed(scene, np.zeros(1), 0.0)
+    beta = np.array([0.0, 0.0, 3e6]) / 299_792_458.0
+    both = lamps.sun_and_moon(scene, at, attitude)
+    for lamp, body_m in zip(both, lamps.bodies_m(at), strict=True):
+        true = body_m[0] / np.linalg.norm(body_m[0])
+        seen = erfa.ab(true, beta, 1.0, np.sqrt(1.0 - beta @ beta))
+        assert np.linalg.norm(seen - true) > 5e-3
+        off = np.arctan2(np.linalg.norm(np.cross(seen, attitude[0, 2])), seen @ attitude[0, 2])
+        assert lamp.off_axis[0] == pytest.approx(off, abs=1e-6)

@@ -349,3 +349,52 @@ def test_objects_keep_the_names_of_their_file(lines: list[list[str]], tle: Path)
     assert targets
     for target in targets:
         assert target.object_name == named[int(target.name.removeprefix("crowd-"))]
+
+
+@pytest.mark.parametrize("eclipse", [True, False])
+def test_members_are_in_the_earths_shadow_as_their_population_says(
+    eclipse: bool, tle: Path
+) -> None:
+    members = prepare(scene(tle, population={"eclipse": eclipse})).plan.scene.targets
+    assert members
+    assert {member.eclipse for member in members} == {eclipse}
+
+
+def test_one_that_fails_in_any_dwell_is_in_none(tle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SGP4 carries 3 through the first dwell alone: its code is told, and it is not drawn."""
+    look = look_of(scene(tle, **POINTINGS["dwells"]), 10.0, 0.0)
+    each = [
+        SimpleNamespace(inside=np.array([1, 3]), failed=np.array([5]), codes=np.array([1])),
+        SimpleNamespace(inside=np.array([0, 1]), failed=np.array([3]), codes=np.array([6])),
+    ]
+    monkeypatch.setattr(type(look), "_screen", lambda self, satellites, k: each[k])
+    assert look.screen([]) == ([0, 1], {3: 6, 5: 1})
+
+
+def test_a_set_that_fails_outdates_none(tle: Path) -> None:
+    """Of two sets of an object the younger one has decayed: the older one is drawn."""
+    day, fraction = parse_utc(EPOCH)
+    look: Any = SimpleNamespace(
+        epoch=(day, fraction), half_angle_rad=0.1, length_s=85.0,
+        screen=lambda satellites: ([0], {1: 6}),
+    )  # fmt: skip
+    sets = [
+        population_files.ElementSet(
+            f"{days:g}", 7, ORBIT, SimpleNamespace(jdsatepoch=day, jdsatepochF=fraction + days)
+        )
+        for days in (-9.0, -1.0)
+    ]
+    sieve = Sieve(scene(tle).populations[0], look, {}, "populations.0")
+    sieve.take(sets)
+    targets, population = sieve.close("0" * 64)
+    assert [t.object_name for t in targets] == ["-9"]
+    assert population.screened is not None
+    assert (population.screened.superseded, population.screened.failed) == (0, ((6, 1),))
+
+
+def test_members_may_have_a_table_of_reflectance(tle: Path) -> None:
+    """An even one of 0.2 is an albedo of 0.2."""
+    even = BALL | {"albedo": [[300.0, 0.2], [1100.0, 0.2]]}
+    members = prepare(scene(tle, population={"body": even})).plan.scene.targets
+    assert members
+    assert [t.body.albedo for t in members] == pytest.approx([0.2] * len(members))  # type: ignore[union-attr]
