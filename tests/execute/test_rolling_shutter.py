@@ -15,8 +15,8 @@ from scipy.special import erf
 from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.physics.motion.rolling import exposed_longer, rolled, rolled_sources, row_delay_s
-from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.pointing.star_paths import star_paths
+from pipeline.plan.pointing.geometry import camera_of, plan_geometry
+from pipeline.plan.pointing.star_paths import excursions_px, star_paths
 from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -176,6 +176,16 @@ def test_each_node_is_in_its_own_rows_time(vx: float, vy: float, bend: float, y0
         np.testing.assert_allclose(ry, y0 + vy * late - bend * late**2, atol=1e-6)
         if bend == 0.0:
             np.testing.assert_allclose(exposed_longer(delay, t), 1.0 / (1.0 - line * vy))
+
+
+@pytest.mark.parametrize("first", ["low_rows", "high_rows"])
+def test_stars_come_from_as_far_whichever_row_is_first(first: str) -> None:
+    """Half of its streak, and what it goes from the first row's time to that of the last one."""
+    made = scene(None, 30.0, {"line_s": 0.005, "first": first})
+    g, camera = plan_geometry(made, np.arange(1), 0.0), camera_of(made)
+    speed_px_s = np.hypot(1.2, 1.6) * 30.0 / (IFOV_DEG * 3600.0)
+    (far,) = excursions_px(camera, g)
+    assert far >= speed_px_s * (0.5 * TIME_S + 0.005 * SIDE)
 
 
 def test_limits_light_and_what_is_not_there() -> None:

@@ -12,7 +12,13 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.vectors import separation
-from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames, star_paths
+from pipeline.plan.pointing.geometry import (
+    aimed,
+    camera_of,
+    plan_geometry,
+    sampled_frames,
+    star_paths,
+)
 from pipeline.plan.stars.brightest import brightest_star_e, brightest_target_e
 from pipeline.plan.timing import (
     end_s,
@@ -96,6 +102,21 @@ def test_frames_in_a_slew_are_on_the_way(scene: Make) -> None:
     assert np.allclose(lengths.sum(), np.tan(total) / 1e-5, rtol=1e-3)
     assert lengths[3] > 5 * lengths[1] > 0
     assert lengths[6] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_slew_begins_where_the_dwell_before_has_drifted_to(scene: Make) -> None:
+    """50 arcsec a second for the two seconds before it."""
+    away = {"pointing": held(40.011), "slew": {"duration_s": 10.0}, "start_s": 2.0, "frames": 6,
+            "integration_s": 2.0, "cadence_s": 2.0}  # fmt: skip
+    drift = {"attitude": {"drift": {"x_arcsec_s": 50.0, "y_arcsec_s": 0.0}}}
+    still = {"stars.aberration": False, "stars.deflection": False, "exposure.cadence_s": 2.0}
+    axes = []
+    for more in (drift, {}):
+        s = scene({"dwells": [{"frames": 1}, away], "pointing": held(40.0) | more} | still)
+        begin, end = (aimed(s, np.array([2.0]), 0.0, np.array([k]))[1][0] for k in (1, 0))
+        np.testing.assert_allclose(begin, end, atol=1e-12)
+        axes.append(begin[2])
+    assert separation(*axes) == pytest.approx(100.0 * ARCSEC, rel=1e-3)
 
 
 def test_settling_after_a_slew(scene: Make) -> None:

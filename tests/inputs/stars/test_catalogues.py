@@ -9,7 +9,7 @@ import pytest
 
 from catalog_tools.ingest.build import About, build
 from catalog_tools.query.starlight import CountedLight
-from pipeline.inputs.band.colour_fit import gather_colour_fit
+from pipeline.inputs.band.colour_fit import default_colour_error_mag, gather_colour_fit
 from pipeline.inputs.band.curves import resolve_response
 from pipeline.inputs.sky.starlight import gather_starlight
 from pipeline.inputs.stars.catalogues import (
@@ -18,6 +18,7 @@ from pipeline.inputs.stars.catalogues import (
     colour_sentences,
     gather_left_out,
 )
+from pipeline.physics.colour import ColourFit
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.spec.load import parse_scene
 from tests.spec.test_limits import BASE
@@ -145,3 +146,32 @@ def test_magnitudes_that_the_sky_has_where_stars_are_not_drawn(
         assert told == pytest.approx(np.sum(each, axis=0), rel=1e-9)
     alone = parse_scene(BASE | {"background": background})
     assert (gather_starlight(alone, (), False) is None) == (wish == "auto")
+
+
+def test_a_layer_leaves_out_what_any_earlier_catalogue_holds(monkeypatch):
+    """Of three, the last one also the stars of the second; each once."""
+    common = {("a", "b"): [7, 5], ("a", "c"): [2, 3], ("b", "c"): [9, 3]}
+
+    def already_in(main, layer, cones, faintest_g_mag):
+        return np.array(common[main, layer])
+
+    monkeypatch.setattr("catalog_tools.query.layers.already_in", already_in)
+    found = gather_left_out(["a", "b", "c"], (), None)
+    assert [ids.tolist() for ids in found] == [[], [5, 7], [2, 3, 9]]
+
+
+def test_a_layer_within_the_reach_of_another_ends_nothing(empty):
+    """A list of G 3 to 8 over a catalogue to 20."""
+    both = [catalogue(empty, "deep", 1.5, 20.0), catalogue(empty, "list", 3.0, 8.0)]
+    for catalogues in (both, both[::-1]):
+        assert catalogue_remarks(catalogues, 19.0) == ()
+        assert catalogue_remarks(catalogues, 21.0) == (
+            "the catalogues end at G = 20.0, the scene asks for 21.0",
+        )
+
+
+@pytest.mark.parametrize("slope", [0.1, -0.1])
+def test_what_the_default_colour_may_cost_either_way(slope):
+    """At most at the reddest star, whether it is brighter or fainter in the band."""
+    fit = ColourFit("b", np.array([0.0, slope]), (-1.0, 5.0), 0, 0, 1.44, 0.5, 0, 1e10, "s", 1)
+    assert default_colour_error_mag(fit)[1] == pytest.approx(0.1 * (4.09 - 1.44))

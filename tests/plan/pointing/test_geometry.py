@@ -12,7 +12,15 @@ import pytest
 
 from pipeline.errors import BadInput
 from pipeline.physics.positions.focal_plane import project
-from pipeline.plan.pointing.geometry import camera_of, check_view, plan_geometry, star_paths
+from pipeline.plan.pointing.geometry import (
+    camera_of,
+    check_view,
+    moments_at,
+    plan_geometry,
+    star_paths,
+    zenith_pointing,
+)
+from pipeline.plan.pointing.site import axes_of
 from pipeline.spec.scene import Scene
 
 Make = Callable[..., Scene]
@@ -203,3 +211,12 @@ def test_a_view_that_ends_in_the_earth_in_one_moment_alone_is_refused(
     check_view(s, place, np.where(np.array(inside)[:, None], up, boresight))
     with pytest.raises(BadInput, match=f"0.{'2' if inside[0] else '1'}0 deg inside the Earth"):
         check_view(s, place, boresight)
+
+
+def test_the_zenith_of_a_site_is_upright_on_its_ellipsoid(scene: Make) -> None:
+    """Not away from the Earth's centre, 0.13 degrees beside it."""
+    s = scene({"observer": GROUND})
+    p = zenith_pointing(s)
+    found = erfa.s2c(np.radians(p.boresight_ra_deg), np.radians(p.boresight_dec_deg))
+    up_there = axes_of(s.observer, moments_at(s, 0.0, np.zeros(1)).times)[0, 2]  # type: ignore[arg-type]
+    np.testing.assert_allclose(found, up_there, atol=1e-9)

@@ -189,6 +189,18 @@ def test_drift_moves_the_stars_against_it(scene: Make) -> None:
     assert y[-1] - y[0] == pytest.approx(6.0 * scale, rel=1e-4)
 
 
+def test_drift_in_roll_turns_the_camera_about_its_boresight(scene: Make) -> None:
+    drift = {"drift": {"roll_arcsec_s": 300.0}}
+    s = scene({"pointing": SIDEREAL | {"attitude": drift}, "exposure.frames": 1,
+               "stars.aberration": False, "stars.deflection": False})  # fmt: skip
+    start, *_, end = every(s).attitude[0]
+    np.testing.assert_allclose(end[2], start[2], atol=1e-12)
+    turned = [math.atan2(end[0] @ start[1], end[0] @ start[0]),
+              math.atan2(-(end[1] @ start[0]), end[1] @ start[1])]  # fmt: skip
+    assert np.abs(turned) == pytest.approx([600.0 * ARCSEC] * 2, rel=1e-6)
+    assert turned[0] == pytest.approx(turned[1], rel=1e-9)
+
+
 RANDOM: dict[str, Any] = {
     "jitter": [
         {"kind": "white", "rms_arcsec": 1.0, "low_hz": 0.2, "high_hz": 100.0},
@@ -242,6 +254,18 @@ def test_blur_leaves_out_no_more_than_is_asked(scene: Make, noise_fraction: floa
     assert plan is not None
     assert plan.left_px <= 5e-3
     assert 4.0 * plan.left_px < plan.error_sigma <= part_sigma(s)
+
+
+def test_a_blur_of_one_axis_is_uneven_whichever_it_is(scene: Make) -> None:
+    found = []
+    for axis in ("x", "y"):
+        mode = {"kind": "oscillator", "axis": axis, "frequency_hz": 900.0, "damping": 0.01,
+                "rms_arcsec": 0.5}  # fmt: skip
+        plan = motion_plan(scene({"pointing": SIDEREAL | {"attitude": {"modes": [mode]}}}))
+        assert plan is not None
+        found.append((plan.uneven_px, plan.error_sigma))
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+    assert found[0][0] == pytest.approx(0.5 * ARCSEC / 1e-5 / math.sqrt(2.0), rel=0.05)
 
 
 def test_frames_and_windows_meet_where_they_touch(scene: Make) -> None:
