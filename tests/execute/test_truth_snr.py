@@ -33,7 +33,7 @@ def test_a_streak_of_many_pieces_has_the_noise_of_all_its_pixels() -> None:
     plan, at = plan_of(GAUSSIAN, 0.0, 0.0), np.array([60.0])
     found = [
         float(matched_snr(plan, straight(px), np.array([20.0 * px]), at, at)[0]) / np.sqrt(px)
-        for px in (500.0, 20_000.0)
+        for px in (500.0, 60_000.0)  # 6 pieces, and 625
     ]
     assert found[1] == pytest.approx(found[0], rel=0.01)
 

@@ -12,7 +12,7 @@ from pipeline.errors import BadInput
 from pipeline.execute.truth import target_truth
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.plan.bodies.sights import sights
-from pipeline.plan.bodies.sizes import limb_px
+from pipeline.plan.bodies.sizes import limb_px, radius_m
 from pipeline.plan.pointing.geometry import moments_at, plan_geometry
 from pipeline.plan.targets.bounds import (
     _lowest_m,
@@ -192,6 +192,13 @@ def test_the_radius_of_a_near_body_is_that_of_its_limb(diameter_m):
     truth = target_truth(plan, plan_geometry(plan.scene, np.zeros(1, int), 0.0))
     angle = np.arctan(truth["radius_px"][0] * plan.facts.ifov_rad)
     assert angle == pytest.approx(np.arcsin(0.5 * diameter_m / truth["range_m"][0]), rel=1e-9)
+
+
+def test_the_radius_of_several_parts_is_that_of_the_largest() -> None:
+    small, large = ({"kind": "sphere", "diameter_m": d, "albedo": 0.3} for d in (1.0, 4.0))
+    for parts in ([small, large], [large, small]):
+        one = target(state(*OBSERVER)) | {"body": {"kind": "composite", "parts": parts}}
+        assert radius_m(Target.model_validate(one).body) == 2.0
 
 
 def test_limits_of_limbs():
