@@ -62,6 +62,16 @@ def test_a_bright_centroid_has_the_noise_of_its_own_photons() -> None:
     np.testing.assert_allclose(sigma, np.sqrt(9.0 + 1.0 / 12.0) / snr, rtol=0.02)
 
 
+def test_a_centroid_counts_the_flat() -> None:
+    """A flat of 0.25 sees what a quantum efficiency of a quarter sees: source and sky."""
+    found = []
+    for wish in ({"flat": 0.25}, {"quantum_efficiency": 0.25}):
+        one = night(sensor=night()["sensor"] | wish, background={"uniform_mag_arcsec2": 16.0})
+        row = observe(parse_scene(one | ALONE), None, 0.1, None, 7).table.to_pylist()[0]
+        found.append(row["centroid_sigma_arcsec"])
+    assert found[0] == pytest.approx(found[1], rel=1e-3)
+
+
 def test_a_message_with_noise(tmp_path: Path) -> None:
     """Its angles are the measured ones, its comments tell their sigma and the object, its date is
     that of the last row."""
