@@ -280,7 +280,8 @@ def test_a_state_is_right_at_its_epoch_alone(day: str, longest_s: float) -> None
 
 
 def test_earthshine_is_bounded_by_the_brightest_earth_asked_for() -> None:
-    """Of two targets, in any order: albedo (R/r)^2, and a hundredth of it to spare."""
+    """Of two targets, in any order: albedo (R/r)^2, and a hundredth of it to spare; the same seen
+    from near the Earth and from two astronomical units off, while the Earth goes on."""
     asked = [
         target(behind(0.0), name=f"a{albedo}") | {"lighting": {"earthshine_albedo": albedo}}
         for albedo in (0.1, 0.6)
@@ -288,9 +289,10 @@ def test_earthshine_is_bounded_by_the_brightest_earth_asked_for() -> None:
     for order in (1, -1):
         held = {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 20.0}
         near = {"observer": {"kind": "orbit", "orbit": state(*OBSERVER)}, "pointing": held}
-        scene = parse_scene(SCENE | near | {"targets": asked[::order]})
-        share = earthshine_share(scene.targets, plan_geometry(scene, np.arange(3), 0.0))
-        assert share == pytest.approx(1.01 * 0.6 * (6.378e6 / GEO_M) ** 2, rel=1e-3)
+        for observer in (near, {"pointing": held}):
+            scene = parse_scene(SCENE | observer | {"targets": asked[::order]})
+            share = earthshine_share(scene.targets, plan_geometry(scene, np.arange(3), 0.0))
+            assert share == pytest.approx(1.01 * 0.6 * (6.378e6 / GEO_M) ** 2, rel=1e-3)
 
 
 def test_light_between_matt_facets() -> None:

@@ -8,9 +8,16 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Geometry
-from pipeline.physics.constants import DAY_S, EARTH_EQUATORIAL_RADIUS_M, EARTH_GM_M3_S2
+from pipeline.physics.constants import (
+    DAY_S,
+    EARTH_EQUATORIAL_RADIUS_M,
+    EARTH_GM_M3_S2,
+    SPEED_OF_LIGHT_M_S,
+)
+from pipeline.physics.positions.apparent import aberrate, unaberrate
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.orbit_table import best_nodes, left_out_error
+from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.decision import Decision
 from pipeline.plan.timing import end_s
@@ -24,10 +31,18 @@ USUAL_ALBEDO = 0.3
 
 
 def geocentric_m(g: Geometry) -> np.ndarray:
-    """Distances (T, F) of targets from the Earth's middle at mid-exposure."""
-    earth = earth_and_sun(g.tt1[:, g.middle], g.tt2[:, g.middle]).position_m
-    place = g.observer_m[:, g.middle] - earth
-    target = place + g.target_range_m[:, :, g.middle, None] * g.target_direction
+    """Distances (T, F) of targets from the Earth's middle when the light of mid-exposure left.
+
+    What is seen through air and by a moving observer is taken back to the Earth's frame, which
+    goes on while light is on its way (`target_apparent`).
+    """
+    middle = g.middle
+    earth = earth_and_sun(g.tt1[:, middle], g.tt2[:, middle])
+    seen = [unrefract(g.target_direction[:, k], g.air_at(k, middle)) for k in range(len(g.frame))]
+    in_space = unaberrate(np.stack(seen, axis=1), g.observer_m_s[:, middle] / SPEED_OF_LIGHT_M_S)
+    towards = aberrate(in_space, earth.velocity_m_s / SPEED_OF_LIGHT_M_S)
+    place = g.observer_m[:, middle] - earth.position_m
+    target = place + g.target_range_m[:, :, middle, None] * towards
     return np.asarray(np.sqrt(np.sum(target**2, axis=-1)))
 
 
