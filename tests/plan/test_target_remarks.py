@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from pipeline.plan.targets.bounds import (
     longest_from_elements_s,
     two_body_m,
 )
+from pipeline.plan.targets.decisions import _largest_px
 from pipeline.plan.targets.orbit_age import _aged, elements_error_m, oldest_remarks
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
@@ -40,6 +42,8 @@ SCENE: dict[str, Any] = {
     "pointing": {"mode": "target", "target": "t"},
     "exposure": {"integration_s": 0.1, "frames": 3, "cadence_s": 1.0},
 }  # fmt: skip
+TUBE = {"kind": "cylinder", "diameter_m": 1.0, "length_m": 4.0, "albedo": 0.4,
+        "attitude": {"kind": "spin", "rate_deg_s": 2.0, "axis": [1, 0, 0]}}  # fmt: skip
 TLE = {
     "kind": "tle",
     "line1": "1 25544U 98067A   19100.50000000  .00001500  00000-0  30000-4 0  9990",
@@ -293,6 +297,18 @@ def test_earthshine_is_bounded_by_the_brightest_earth_asked_for() -> None:
             scene = parse_scene(SCENE | observer | {"targets": asked[::order]})
             share = earthshine_share(scene.targets, plan_geometry(scene, np.arange(3), 0.0))
             assert share == pytest.approx(1.01 * 0.6 * (6.378e6 / GEO_M) ** 2, rel=1e-3)
+
+
+def test_a_shape_drawn_as_a_point_is_as_large_as_it_comes_near() -> None:
+    """The radius told is that of the nearest moment of any frame, of a range that changes."""
+    scene = parse_scene(SCENE | {"targets": [target(behind(0.0)) | {"body": TUBE}]})
+    g = plan_geometry(scene, np.arange(3), 0.0)
+    g.target_range_m[:] *= np.linspace(1.0, 5.0, g.target_range_m.size).reshape(
+        g.target_range_m.shape
+    )
+    nearest_m, radius_m = float(g.target_range_m.min()), 0.5 * float(np.hypot(1.0, 4.0))
+    facts: Any = SimpleNamespace(ifov_rad=1e-9)
+    assert _largest_px(scene, facts, g) == pytest.approx(radius_m / nearest_m / 1e-9, rel=1e-6)
 
 
 def test_light_between_matt_facets() -> None:

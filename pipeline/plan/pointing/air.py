@@ -110,7 +110,7 @@ def check_height(camera: Camera, attitude: Array, air: Array) -> None:
 
 
 def frame_sines(camera: Camera, attitude: Array, zenith: Array) -> Array:
-    """Sines of the elevation (n, 8) of a frame's corners and middles of its edges."""
+    """Sines of the elevation (n, 9) of a frame's corners, middles of its edges, and middle."""
     x, y = np.meshgrid(
         np.array([-0.5, 0.5 * (camera.columns - 1), camera.columns - 0.5]),
         np.array([-0.5, 0.5 * (camera.rows - 1), camera.rows - 0.5]),

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
+from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.positions.refraction import standard_air
-from pipeline.plan.pointing.air import weather_of
+from pipeline.plan.pointing.air import frame_sines, weather_of
 from pipeline.spec.pointing.observer import GroundObserver
 
 
@@ -28,3 +30,21 @@ def test_each_number_by_itself(given: dict[str, float]) -> None:
         given.get("pressure_hpa", pressure), given.get("temperature_c", temperature),
         given.get("humidity", usual),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", [(400, 100), (100, 400)])
+@pytest.mark.parametrize("upright", [False, True])
+def test_elevations_around_an_oblong_frame(shape: tuple[int, int], upright: bool) -> None:
+    """Corners and middles of edges by plane trigonometry: up runs along the rows, or across."""
+    rows, columns = shape
+    x_axis, y_axis, z_axis = np.eye(3)
+    camera = Camera(rows, columns, 1e-3, 1.0)
+    tilt = np.array([0.0, np.sin(0.3), np.cos(0.3)] if upright else [np.sin(0.3), 0.0, np.cos(0.3)])
+    (found,) = frame_sines(camera, np.stack([[x_axis, y_axis, z_axis]]), tilt[None])
+    half = 0.5 * (rows if upright else columns) * 1e-3
+    wide = 0.5 * (columns if upright else rows) * 1e-3
+    expected = [
+        (np.sin(0.3) * along * half + np.cos(0.3)) / np.sqrt(1 + (along * half) ** 2 + across)
+        for along in (-1.0, 0.0, 1.0) for across in (0.0, wide**2, wide**2)
+    ]  # fmt: skip
+    np.testing.assert_allclose(np.sort(found), np.sort(expected), atol=1e-12)
