@@ -276,21 +276,22 @@ def test_each_segment_has_its_own_metadata(tmp_path: Path) -> None:
     assert [len(one.place_m) for one in segments] == [41, 61]
 
 
-def test_one_file_in_two_frames(tmp_path: Path) -> None:
-    """Each target has the frame that it names, though the file is read once for each frame."""
+def test_one_file_in_two_frames_and_from_two_epochs(tmp_path: Path) -> None:
+    """Each target has the frame and the epoch that it names, though the file is read once for
+    each."""
     path = tmp_path / "orbit.csv"
-    write_csv(path)
+    write_csv(path, scale="s")
+    plain = {"kind": "ephemeris", "path": str(path)}
+    later: dict[str, str] = {"epoch": "2017-02-14T05:57:00Z"}
+    asked = [plain | {"frame": frame} | epoch for frame in ("gcrs", "teme") for epoch in ({}, later)]
     data = copy.deepcopy(SCENE)
     data["targets"] = [
-        {"name": frame, "body": BODY,
-         "orbit": {"kind": "ephemeris", "path": str(path), "frame": frame}}
-        for frame in ("gcrs", "teme")
-    ]  # fmt: skip
+        {"name": f"t{i}", "body": BODY, "orbit": orbit} for i, orbit in enumerate(asked)
+    ]
     found = [target.orbit for target in gather_ephemerides(parse_scene(data)).targets]
-    for orbit, frame in zip(found, ("gcrs", "teme"), strict=True):
-        alone = table({"kind": "ephemeris", "path": str(path), "frame": frame})
-        assert orbit.rows == alone.rows  # type: ignore[union-attr]
-    assert found[0].rows != found[1].rows  # type: ignore[union-attr]
+    rows = [orbit.rows for orbit in found]  # type: ignore[union-attr]
+    assert rows == [table(orbit).rows for orbit in asked]
+    assert len(set(rows)) == 4
 
 
 def test_pole_against_astropy() -> None:
