@@ -212,12 +212,12 @@ def test_smear_against_brute_force(towards, cleared, tmp_path, plain):
     assert frames(tmp_path / "run")["targets_e"][0] == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
-@pytest.mark.slow
-def test_lag_against_frame_by_frame(tmp_path):
-    """Reading frame after frame, keeping a share each time; also when only the last is redrawn."""
+@pytest.mark.parametrize("count", [3, pytest.param(5, marks=pytest.mark.slow)])
+def test_lag_against_frame_by_frame(count, tmp_path):
+    """Reading frame after frame, of exposures long and short, keeping a share each time; also when
+    only the last is redrawn."""
     target = copy.deepcopy(SCENE["targets"])
-    exposure = {"integration_s": 2.0, "frames": 5}
-    more = {"exposure": exposure, "targets": target}
+    more = {"dwells": [{"integration_s": [2.0, 0.5], "frames": count}], "targets": target}
     more["pointing"] = {"mode": "target", "target": "t"}
     more["cosmic_rays"] = {"kind": "generated", "rate_per_cm2_s": 40}
     layers = {"layers": ["dn", "mean_e", "lag_e", "cosmic_rays_e"]}
@@ -225,13 +225,13 @@ def test_lag_against_frame_by_frame(tmp_path):
     render(scene({"lag": {"fraction": 0.05}}, **more, output=layers), tmp_path / "lag")
     still, lag = frames(tmp_path / "still"), frames(tmp_path / "lag")
     kept = np.zeros((SIDE, SIDE))
-    for k in range(5):
+    for k in range(count):
         collected = np.minimum(still["mean_e"][k] + still["cosmic_rays_e"][k].astype(float), 60000)
         read = 0.95 * (still["mean_e"][k] + kept)
         assert lag["mean_e"][k] == pytest.approx(read, abs=0.2, rel=1e-5)
         kept = 0.05 * (collected + kept)
     (tmp_path / "lag" / "_COMPLETE").unlink()
-    for marker in (tmp_path / "lag" / "markers").glob("f000004*"):
+    for marker in (tmp_path / "lag" / "markers").glob(f"f{count - 1:06d}*"):
         marker.unlink()
     render(
         scene({"lag": {"fraction": 0.05}}, **more, output=layers), tmp_path / "lag",

@@ -282,8 +282,8 @@ def test_one_file_in_two_frames_and_from_two_epochs(tmp_path: Path) -> None:
     path = tmp_path / "orbit.csv"
     write_csv(path, scale="s")
     plain = {"kind": "ephemeris", "path": str(path)}
-    later: dict[str, str] = {"epoch": "2017-02-14T05:57:00Z"}
-    asked = [plain | {"frame": frame} | epoch for frame in ("gcrs", "teme") for epoch in ({}, later)]
+    epochs: list[dict[str, str]] = [{}, {"epoch": "2017-02-14T05:57:00Z"}]
+    asked = [plain | {"frame": frame} | e for frame in ("gcrs", "teme") for e in epochs]
     data = copy.deepcopy(SCENE)
     data["targets"] = [
         {"name": f"t{i}", "body": BODY, "orbit": orbit} for i, orbit in enumerate(asked)
