@@ -152,6 +152,17 @@ def test_a_part_waits_for_who_writes_it(tmp_path, whole):
     assert render(scene, product, share=Share(2, 2))["content_digest"] == whole
 
 
+def test_a_product_is_not_replaced_while_parts_are_drawn(tmp_path):
+    product = tmp_path / "run"
+    render(parse_scene(SCENE), product, Options("synchronous"))
+    kept = {path for path in product.rglob("*")}
+    with layout.only_writer(product, Share(1, 2).name):
+        with pytest.raises(TryLater, match="another render"):
+            render(parse_scene(SCENE), product, Options("synchronous", replace=True))
+        assert kept <= {path for path in product.rglob("*")}
+    assert render(parse_scene(SCENE), product, Options("synchronous", replace=True))["complete"]
+
+
 @pytest.mark.parametrize("text", ["0/4", "5/4", "x", "1", "1/0", "1/2/3", "-1/3", "1/9999999", ""])
 def test_bad_parts_are_refused(text):
     with pytest.raises(BadInput, match="--part"):

@@ -33,6 +33,7 @@ def test_tampered_tiles_are_drawn_again(
     make_server: Callable[..., Any], long_scene: dict[str, Any], tmp_path: Path
 ) -> None:
     """A chunk flipped, one emptied, one deleted, a marker cut, one flipped, one deleted."""
+    long_scene["exposure"]["frames"] = 100
     server = make_server(NIGHTGLASS_DASHBOARD="http://127.0.0.1:8787/status")
     job = server.submit(long_scene)
     found = server.until(job, lambda found: (found["tiles_done"] or 0) >= 8)
@@ -89,7 +90,7 @@ def test_a_job_waits_for_a_catalogue_that_is_gone(
     server = make_server(NIGHTGLASS_SCHEDULER_S="6")
     link = server.home / "catalogues" / "sky"
     link.symlink_to(tmp_path / "sky")
-    frames = scene["exposure"] | {"frames": 1000}
+    frames = scene["exposure"] | {"frames": 300}
     before = server.submit(scene | {"exposure": frames})  # others wait behind it
     named = [scene | {"stars": {"catalogue": "sky"}, "seed": seed} for seed in (1, 2)]
     gone, back = map(server.submit, named)

@@ -198,6 +198,10 @@ def test_overrides_set_values(full: dict[str, Any]) -> None:
     assert scene.stars.parallax is False
     assert (scene.name, scene.output.layers) == ("other", ("dn", "stars_e"))
     assert (scene.sensor.adc_bits, scene.exposure.cadence_s) == (10, None)
+    apply_override(full, "background.uniform_mag_arcsec2=21.5")  # of a section written as null
+    background = parse_scene(full).background
+    assert background is not None
+    assert background.uniform_mag_arcsec2 == 21.5
 
 
 @settings(max_examples=100, deadline=None)
