@@ -155,11 +155,11 @@ def test_a_part_waits_for_who_writes_it(tmp_path, whole):
 def test_a_product_is_not_replaced_while_parts_are_drawn(tmp_path):
     product = tmp_path / "run"
     render(parse_scene(SCENE), product, Options("synchronous"))
-    kept = {path for path in product.rglob("*")}
+    kept = set(product.rglob("*"))
     with layout.only_writer(product, Share(1, 2).name):
         with pytest.raises(TryLater, match="another render"):
             render(parse_scene(SCENE), product, Options("synchronous", replace=True))
-        assert kept <= {path for path in product.rglob("*")}
+        assert kept <= set(product.rglob("*"))
     assert render(parse_scene(SCENE), product, Options("synchronous", replace=True))["complete"]
 
 
