@@ -15,7 +15,7 @@ from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from service.engine.attempts import Attempt
-from service.jobs.jobs import Queue
+from service.jobs.jobs import Phase, Queue
 from service.jobs.submissions import Ask, TeamLimits, submit_many
 from service.store.database import sqlite_url
 
@@ -113,6 +113,22 @@ def test_time_in_the_queue_is_not_time_given() -> None:
         job = SimpleNamespace(duration_s=60.0, submitted_s=now - 3600.0, started_s=now - since_s)
         attempts._job = cast(Any, job)
         assert attempts._too_long() is too_long
+
+
+@pytest.mark.parametrize("phase", [Phase.ERROR, Phase.ABORTED])
+def test_what_an_unfinished_job_drew_counts(phase: Phase, tmp_path: Path) -> None:
+    """Its bytes are its team's until it is deleted, however it ended."""
+    (tmp_path / "tiles").mkdir()
+    for name, size in (("plan.json", 10), ("tiles/0", 7)):
+        (tmp_path / name).write_bytes(bytes(size))
+    ended: list[Any] = []
+    attempts = Attempt.__new__(Attempt)
+    attempts._product = tmp_path
+    attempts._job = cast(Any, SimpleNamespace(id="j", attempt=1))
+    store = SimpleNamespace(finish=lambda job, phase, **values: ended.append((phase, values)))
+    attempts._store = cast(Any, store)
+    attempts._finish(phase, error={"kind": "fault"})
+    assert ended == [(phase, {"error": {"kind": "fault"}, "bytes_kept": 17})]
 
 
 def test_pauses_before_another_attempt_double_up_to_a_minute() -> None:
