@@ -291,13 +291,13 @@ def test_fits_scaled_unsigned_null_and_other_columns(tmp_path):
     hdus = [fits.PrimaryHDU(np.ones((40, 50))), fits.ImageHDU(np.ones(3))]
     hdus.append(fits.BinTableHDU.from_columns(columns))
     fits.HDUList(hdus).writeto(tmp_path / "a.fits")
-    for keyword, value in (("TSCAL3", 0.01), ("TZERO3", 100.0)):
+    for keyword, value in (("TSCAL3", 0.01), ("TZERO3", 100.0), ("TZERO6", 3)):
         fits.setval(tmp_path / "a.fits", keyword, value=value, ext=2)
     table = read(tmp_path / "a.fits").to_pydict()
     assert table["source_id"] == [2**60 + i for i in range(n)]
     np.testing.assert_allclose(table["ra"], 100 + np.arange(n) * 0.5, rtol=1e-15)
     assert table["dec"] == [np.float32(1.1), np.float32(2.2), None, *np.float32([4.4, 5.5])]
-    assert table["phot_g_mean_mag"] == [9, None, 11, 12, 13]
+    assert table["phot_g_mean_mag"] == [12, None, 14, 15, 16]  # the null is the stored number
 
 
 def test_fits_extension_by_number_and_rows_in_pieces(tmp_path, monkeypatch):
