@@ -42,6 +42,21 @@ def test_one_wrong_pixel_fails_a_case(name, tmp_path, monkeypatch):
     assert not run_case(case, tmp_path).passed
 
 
+def test_light_that_is_not_as_the_square_of_the_size_fails(tmp_path, monkeypatch):
+    """Of one body alone, in truth and frame alike."""
+    real = of_frames.frames
+
+    def brighter(data, folder):
+        found = real(data, folder)
+        if data["targets"][0]["body"]["diameter_m"] == 1e-8:
+            found.truth["electrons"] = found.truth["electrons"] * 1.01
+            found.layers["mean_e"] = found.layers["mean_e"] * 1.01
+        return found
+
+    monkeypatch.setattr(of_frames, "frames", brighter)
+    assert of_frames.fluxes.run(tmp_path).error == pytest.approx(0.01, rel=1e-3)
+
+
 def test_a_wrong_answer_and_a_fault_are_failures(tmp_path):
     def nothing(_):
         return CaseResult("1", "nan", float("nan"))
