@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,6 +56,26 @@ def test_a_broken_bound_is_told():
     assert ProbeResult("x", "", 1.0, 0.9, "px", 0.0, 0.0).holds
     assert not ProbeResult("x", "", 1.0, 1.1, "px", 0.0, 0.0).holds
     assert not ProbeResult("x", "", 1.0, float("nan"), "px", 0.0, 0.0).holds
+
+
+def test_of_a_rolling_shutter_the_farthest_star_counts(monkeypatch):
+    """Not the last one that is looked at."""
+    from pipeline.studies.ledger import pointing
+
+    ids, place = np.arange(3), np.array([20.0, 50.0, 80.0])
+    camera = SimpleNamespace(rows=100, columns=100)
+    stars = SimpleNamespace(x_px=place, y_px=place, source_id=ids)
+    stage = SimpleNamespace(stars=stars, plan=SimpleNamespace(camera=camera))
+    off_px = iter([0.1, 0.7, 0.3])
+
+    def seen(_):
+        return SimpleNamespace(x_px=place + next(off_px), y_px=place, source_id=ids)
+
+    monkeypatch.setattr(pointing, "open_stage", lambda _: stage)
+    monkeypatch.setattr(pointing, "_second_frame", seen)
+    monkeypatch.setattr(pointing, "stated", lambda *_: (1.0, "px"))
+    (found,) = pointing.rolling(SimpleNamespace(catalogue="none"))
+    assert found.error == pytest.approx(0.7)
 
 
 @pytest.fixture(scope="module")
