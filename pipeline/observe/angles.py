@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Array, Geometry
-from pipeline.physics.constants import ARCSEC_RAD, DEG_RAD, SPEED_OF_LIGHT_M_S
-from pipeline.physics.positions.apparent import aberrate, unaberrate
+from pipeline.physics.constants import ARCSEC_RAD, DEG_RAD
 from pipeline.physics.positions.focal_plane import corner_radius
 from pipeline.physics.vectors import horizontal, position_angle, separation, unit
 from pipeline.plan.bodies.paths import batches
 from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.plan.pointing.geometry import aimed, moments_at
-from pipeline.plan.pointing.lamps import Lamp, bodies_m, sun_and_moon
+from pipeline.plan.pointing.lamps import Lamp, apparent_bodies, sun_and_moon
 from pipeline.plan.pointing.site import axes_of
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.timing import dwell_of, dwell_plans
@@ -46,10 +45,7 @@ def angles_of(plan: ResolvedScene, g: Geometry) -> Angles:
     at, attitude = aimed(scene, middle_s, plan.dut1_s, dwell_of(dwell_plans(scene), g.frame))
     u, velocity, range_rate = _moving(plan, middle_s)
     azimuth, elevation = _horizontal(plan, at, np.swapaxes(g.target_direction, 0, 1))
-    beta = at.observer_m_s / SPEED_OF_LIGHT_M_S
-    sun, moon = (unit(body_m) for body_m in bodies_m(at))
-    moon = unaberrate(moon, at.earth.velocity_m_s / SPEED_OF_LIGHT_M_S)  # which moves along
-    off = [separation(u, aberrate(body, beta)[:, None]) for body in (sun, moon)]
+    off = [separation(u, seen[:, None]) for seen in apparent_bodies(at)]
     lamps, corner = sun_and_moon(scene, at, attitude), corner_radius(plan.camera)
     columns = {
         "azimuth_deg": azimuth / DEG_RAD,

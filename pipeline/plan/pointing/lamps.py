@@ -16,7 +16,7 @@ from pipeline.physics.constants import (
     SPEED_OF_LIGHT_M_S,
     SUN_RADIUS_M,
 )
-from pipeline.physics.positions.apparent import aberrate
+from pipeline.physics.positions.apparent import aberrate, unaberrate
 from pipeline.physics.positions.focal_plane import (
     Camera,
     corner_radius,
@@ -154,13 +154,26 @@ def bodies_m(at: Moments) -> tuple[Array, Array]:
     return sun, moon_m(at.times.tt1, at.times.tt2) - at.observer_m
 
 
+def apparent_bodies(at: Moments) -> tuple[Array, Array]:
+    """Directions (n, 3) in which the moving observer sees Sun and Moon.
+
+    The Moon goes round the Sun with the Earth: where it stands is known in the Earth's frame, out
+    of which it is taken first (as in `target_apparent`).
+    """
+    sun, moon = (unit(body_m) for body_m in bodies_m(at))
+    moon = unaberrate(moon, at.earth.velocity_m_s / SPEED_OF_LIGHT_M_S)
+    beta = at.observer_m_s / SPEED_OF_LIGHT_M_S
+    return aberrate(sun, beta), aberrate(moon, beta)
+
+
 def sun_and_moon(scene: Scene, at: Moments, attitude: Array) -> tuple[Lamp, Lamp]:
     """Both at moments (n,), as a camera of attitudes (n, 3, 3) sees them."""
     camera, (sun, moon) = camera_of(scene), bodies_m(at)
-    past_moon_m_s = at.observer_m_s - at.earth.velocity_m_s  # it goes round the Sun with the Earth
+    moves = scene.star_effects["aberration"]
+    to_sun, to_moon = apparent_bodies(at) if moves else (unit(sun), unit(moon))
     return (
-        _lamp(scene, camera, attitude, at, sun, SUN_RADIUS_M, at.observer_m_s),
-        _lamp(scene, camera, attitude, at, moon, MOON_RADIUS_M, past_moon_m_s),
+        _lamp(scene, camera, attitude, at, sun, to_sun, SUN_RADIUS_M),
+        _lamp(scene, camera, attitude, at, moon, to_moon, MOON_RADIUS_M),
     )
 
 
@@ -194,13 +207,11 @@ def _lamp(
     attitude: Array,
     at: Moments,
     body_m: Array,
+    towards: Array,
     radius_m: float,
-    past_m_s: Array,
 ) -> Lamp:
-    """A body at vectors (n, 3) from the observer, whom velocities (n, 3) carry past it."""
+    """A body at vectors (n, 3) from the observer, who sees it in directions (n, 3)."""
     distance = np.sqrt(np.sum(body_m**2, axis=-1))
-    moving = float(scene.star_effects["aberration"])
-    towards = aberrate(unit(body_m), moving * past_m_s / SPEED_OF_LIGHT_M_S)
     radius = np.arcsin(np.minimum(1.0, radius_m / distance))
     elevation = 0.5 * np.pi - separation(body_m, _upright(at.observer_m))
     off_axis = separation(attitude[:, 2], towards)
