@@ -18,7 +18,7 @@ from astropy.io import fits
 
 from ..catalogue import MANIFEST_NAME, REJECTS_NAME, SOURCES_NAME, Catalogue, open_catalogue
 from ..columns import HEALPIX_COLUMN, HEALPIX_ORDER, STORED
-from ..coverage import ROWS, from_json, of_rows
+from ..coverage import from_json, of_rows
 from ..errors import BadInput, Damaged, Incomplete
 from ..partition import COUNT_ORDER, Pixels
 from ..query.starlight import STARLIGHT_NAME, read_starlight
@@ -128,7 +128,7 @@ def check_coverage(catalogue: Catalogue, counts: Pixels, *, all_rows: bool) -> l
         said = from_json(catalogue.coverage)
     except ValueError as error:
         return [Finding(MANIFEST_NAME, f"its coverage cannot be understood ({error})")]
-    if said.source.startswith(ROWS) and all_rows and of_rows(counts).to_json() != said.to_json():
+    if said.from_rows and all_rows and of_rows(counts).to_json() != said.to_json():
         return [Finding(MANIFEST_NAME, "its coverage is not that of its rows")]
     return []
 

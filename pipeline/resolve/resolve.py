@@ -32,9 +32,14 @@ from pipeline.plan.stars.field_stars import FieldStars
 from pipeline.plan.targets.decisions import mesh_notices
 from pipeline.plan.targets.orbit_age import orbit_remarks
 from pipeline.plan.targets.umbra import umbra_remarks
-from pipeline.plan.timing import BIAS_PLANNED_AS_S, integration_range_s
+from pipeline.plan.timing import integration_range_s
 from pipeline.resolve.files import has_air, read_files, with_numbers
-from pipeline.resolve.stars import brightest_in_field_e, gather_field_stars, stars_left_out
+from pipeline.resolve.stars import (
+    brightest_in_field_e,
+    gather_field_stars,
+    lit_frames,
+    stars_left_out,
+)
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -117,7 +122,7 @@ def resolve(asked: Scene) -> Resolved:
         left_out,
         field_stars,
         _cosmic_rays(scene),
-        (*doubts.warnings, *warnings, *_none_in_field(scene, field_stars)),
+        (*doubts.warnings, *warnings, *_none_in_field(resolved, g, field_stars)),
         (
             *([of_time] if of_time else ()),
             *light.remarks,
@@ -209,10 +214,11 @@ def _judge_catalogues(
     )
 
 
-def _none_in_field(scene: Scene, field_stars: FieldStars | None) -> tuple[str, ...]:
+def _none_in_field(
+    resolved: ResolvedScene, g: Geometry, field_stars: FieldStars | None
+) -> tuple[str, ...]:
     """The warning that no star lies in the field, where only the rows say that it is covered."""
-    dark = integration_range_s(scene)[1] <= BIAS_PLANNED_AS_S
-    if dark or field_stars is None or field_stars.coverage is None:
+    if field_stars is None or field_stars.coverage is None or not lit_frames(resolved, g):
         return ()
     warning = field_stars.coverage.warning_of_no_star(field_stars.counts.total)
     return (warning,) if warning else ()

@@ -98,6 +98,11 @@ def gather_field_stars(
     return FieldStars(counts, own, tuple(layer_decisions(catalogues, left_out)), coverage)
 
 
+def lit_frames(resolved: ResolvedScene, g: Geometry) -> list[int]:
+    """Which of the frames of `g` (by index) are exposed to light: all but those of a bias."""
+    return [i for i, k in enumerate(g.frame) if resolved.integration_s(int(k)) > 0.0]
+
+
 def _cones(g: Geometry, caps: tuple[Array, Array]) -> tuple[Cone, ...]:
     """Cones (centres (F, 3), radii (F,) [rad]) at the times and places of the frames."""
     return cones_of(*caps, epochs_jyear(g), observer_distances_au(g))
@@ -135,7 +140,7 @@ def _looked_at(
     resolved: ResolvedScene, catalogues: tuple[Catalogue, ...], g: Geometry
 ) -> list[Geometry]:
     """Some of the frames that are exposed to light: the fewer, the more stars they hold."""
-    lit = [i for i, k in enumerate(g.frame) if resolved.integration_s(int(k)) > 0.0]
+    lit = lit_frames(resolved, g)
     if not lit:
         return []
     first = _rows(shards_of(resolved, catalogues, g.frame_slice(lit[0])))
