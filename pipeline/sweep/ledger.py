@@ -181,7 +181,7 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
     """
     if resume and not out.exists():
         raise BadInput("--resume", str(out), f"a {what} that was begun before")
-    if not out.exists() or (resume and _is_bare(out)):
+    if not out.exists() or (resume and _is_bare_beginning(out)):
         _make(out, identity)
         return
     if not resume:
@@ -207,7 +207,7 @@ def _make(out: Path, identity: JsonObject) -> None:
     write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
 
 
-def _is_bare(out: Path) -> bool:
+def _is_bare_beginning(out: Path) -> bool:
     """Whether a folder holds nothing but what is made before its record is whole."""
     return out.is_dir() and all(
         path == out / PARTS or path.name.startswith(f".{BEGUN}.") for path in out.rglob("*")
