@@ -11,8 +11,17 @@ import typer
 
 from pipeline.commands.options import Json, Output, print_mapping
 from pipeline.errors import BadInput
+from pipeline.inputs.sensor.cosmic_rays import (
+    extract_library,
+    open_darks,
+    read_library,
+    write_library,
+)
+from pipeline.studies.cosmic_rays import compare_library, draw_comparison
 
-cosmic_rays = typer.Typer(help="Make and compare libraries of cosmic rays.", no_args_is_help=True)
+cosmic_rays = typer.Typer(
+    help="Make and compare libraries of cosmic rays.", no_args_is_help=True, add_completion=False
+)
 
 
 @cosmic_rays.command()
@@ -27,8 +36,6 @@ def extract(
     as_json: Json = False,
 ) -> None:
     """Collect the events of a stack of dark frames of equal exposure into a library."""
-    from pipeline.inputs.sensor.cosmic_rays import extract_library, open_darks, write_library
-
     for name, value in (
         ("exposure-s", exposure_s),
         ("pixel-pitch-um", pixel_pitch_um),
@@ -70,9 +77,6 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Draw a library beside the generator (PNG or SVG): size, charge, charge per length, rate."""
-    from pipeline.inputs.sensor.cosmic_rays import read_library
-    from pipeline.studies.cosmic_rays import compare_library, draw_comparison
-
     _check_place(output, ".png", ".svg")
     events = read_library(library, "LIBRARY")
     pitch = events.pixel_pitch_um or pixel_pitch_um

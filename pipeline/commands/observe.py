@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import pyarrow.compute as pc
 import typer
 
 from catalog_tools.documents import JsonObject
 from pipeline.commands.options import Json, Overrides, SceneFile, print_json
-
-if TYPE_CHECKING:
-    from pipeline.observe.observe import Observed
+from pipeline.commands.pages import stage_progress
+from pipeline.lines import fold, table
+from pipeline.observe.files import as_data, check_ending, write
+from pipeline.observe.observe import Observed
+from pipeline.observe.observe import observe as look
+from pipeline.spec.load import load_scene
 
 MOST_LINES, MOST_NOTES = 20, 6
 HEADS = ("target", "seen", "UTC", "az/RA", "el/dec", "km", "V", "SNR")
@@ -44,11 +48,6 @@ def observe(
     as_json: Json = False,
 ) -> None:
     """Where every target is, how bright, at what SNR, and whether it is seen, without drawing."""
-    from pipeline.commands.pages import stage_progress
-    from pipeline.observe.files import as_data, check_ending, write
-    from pipeline.observe.observe import observe as look
-    from pipeline.spec.load import load_scene
-
     if output is not None:
         check_ending(output)
     loaded = load_scene(scene, set_ or [])
@@ -66,8 +65,6 @@ def observe(
 
 def _print(observed: Observed) -> None:
     """How many rows are seen and why others are not; rows, or the best one of each target."""
-    from pipeline.lines import fold, table
-
     counts, total = observed.counts(), observed.table.num_rows
     said = ", ".join(f"{n} {'seen' if why == 'yes' else why}" for why, n in counts.items())
     print(fold(f"{total} rows (times x targets): {said}", "  ", ""))
@@ -86,8 +83,6 @@ def _print(observed: Observed) -> None:
 
 def _best(observed: Observed) -> list[JsonObject]:
     """The row of each target in which it is seen best, by SNR; of one never seen, its highest."""
-    import pyarrow.compute as pc
-
     seen = observed.table.append_column("no", pc.not_equal(observed.table["seen"], "yes"))
     order = [("no", "ascending"), ("snr", "descending"), ("elevation_deg", "descending")]
     seen = seen.sort_by(order)

@@ -7,13 +7,24 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
 from catalog_tools.documents import JsonObject
 from pipeline.lines import fold, pair, width
 
 if TYPE_CHECKING:
-    from pipeline.route.draw import Progress
+    from pipeline.route.draw import Progress as Drawn
 
-Listener = Callable[["Progress"], None]
+Listener = Callable[["Drawn"], None]
 
 
 @contextmanager
@@ -43,28 +54,18 @@ def stage_progress(
         )
 
 
+class Rate(ProgressColumn):
+    """How many a second, or a minute where they are slow."""
+
+    def render(self, task: Any) -> Text:
+        speed = task.finished_speed or task.speed or 0.0
+        slow = speed < 1.0
+        rate = f"{speed * 60:.3g}/min" if slow else f"{speed:.3g}/s"
+        return Text(rate if speed else "")
+
+
 def progress_bar(unit: str = "") -> Any:
     """A bar on stderr: `rendering ---- 12/40 tiles 3.1/s 0:00:09 left`; nothing stays of it."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-    from rich.text import Text
-
-    class Rate(ProgressColumn):
-        """How many a second, or a minute where they are slow."""
-
-        def render(self, task: Any) -> Text:
-            speed = task.finished_speed or task.speed or 0.0
-            slow = speed < 1.0
-            rate = f"{speed * 60:.3g}/min" if slow else f"{speed:.3g}/s"
-            return Text(rate if speed else "")
-
     return Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(20),
@@ -187,8 +188,6 @@ def print_warnings(warnings: list[str], most: int | None = None) -> None:
 
     most : so many are shown, of each two lines at most, and how many more there are
     """
-    from rich.console import Console
-
     shown = [fold(text, " " * 9, "WARNING: ").splitlines() for text in warnings]
     if most is not None:
         shown = [lines[:1] + [_cut(" ".join(lines[1:2] + lines[2:]))] for lines in shown[:most]]
@@ -265,3 +264,27 @@ def progress_listener(unit: str, quiet: bool) -> Iterator[Callable[[Any], None] 
             )
 
         yield listen
+
+
+def print_report(report: JsonObject, product: Path | str) -> None:
+    """What a render ends with: frames, seconds, errors, notes."""
+    seconds = report["seconds"]
+    errors = report["errors"]
+    print_warnings(report["warnings"])
+    taken_s = seconds["plan_s"] + seconds["draw_s"] + seconds["finish_s"]
+    when = "whole before, nothing was drawn" if "drawn_before" in report else f"in {taken_s:.2f} s"
+    print(f"{product}: {report['frames']} frame(s), {report['tiles']} tile(s) {when}")
+    print(
+        f"  error bound at the noise floor {errors['bound_of_all_approximations_sigma']:.3f} sigma "
+        f"(asked {errors['asked_sigma']}), WCS to {errors['wcs_residual_px']:.1e} px"
+    )
+    if errors["achieved_error_sigma"] is not None:
+        print(
+            f"  error found by drawing {errors['windows']} windows again: "
+            f"{errors['achieved_error_sigma']:.4f} sigma, {errors['achieved_error_e']:.2g} e-"
+        )
+    if errors["common_streak_px"] > 0:
+        share = errors["common_streak_px"]
+        print(f"  stars share streaks that differ by up to {share:.1e} px at their ends")
+    for remark in report["remarks"]:
+        print(fold(remark, " " * 8, "  note: "))

@@ -1,4 +1,4 @@
-"""The command line's `nightglass report scenes` and `report ledger`: error against run time."""
+"""The command line's `nightglass report ...`: error against run time, and finders."""
 
 from __future__ import annotations
 
@@ -9,6 +9,50 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.options import Json, Output, print_json
+from pipeline.commands.pages import stage_progress
+from pipeline.commands.product import ProductPath
+from pipeline.studies.accuracy import report as accuracy
+from pipeline.studies.accuracy import tables as accuracy_tables
+from pipeline.studies.detection import study as detection
+from pipeline.studies.detection import tables as detection_tables
+from pipeline.studies.ledger import report as ledger
+from pipeline.studies.scenes import report as scenes
+from pipeline.studies.scenes import tables as scene_tables
+
+
+def report_accuracy(
+    output: Output = Path("accuracy"),
+    stars: Annotated[int, typer.Option(min=1, max=10_000_000, help="stars to time")] = 20_000,
+    quick: Annotated[bool, typer.Option("--quick", help="less work, fewer settings")] = False,
+    peers: Annotated[bool, typer.Option(help="other simulators, where installed")] = True,
+    satsim_python: Annotated[str | None, typer.Option(help="a Python that has SatSim")] = None,
+    as_json: Json = False,
+) -> None:
+    """Error against CPU time of every engine and installed peer: JSON, table, figure."""
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        study = accuracy.report_accuracy(
+            output, stars, quick=quick, peers=peers, satsim_python=satsim_python, progress=listen
+        )
+    if as_json:
+        print_json(study)
+    else:
+        accuracy_tables.print_study(study)
+
+
+def report_detection(
+    product: ProductPath,
+    output: Output = Path("detection"),
+    threshold: Annotated[float, typer.Option(help="least signal-to-noise, in sigma")] = 5.0,
+    frames: Annotated[int | None, typer.Option(min=1, help="the first so many")] = None,
+    as_json: Json = False,
+) -> None:
+    """Completeness and false alarms of public finders on a product: JSON, table, figure."""
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        study = detection.report_detection(product, output, threshold, frames, listen)
+    if as_json:
+        print_json(study)
+    else:
+        detection_tables.print_study(study)
 
 
 def report_scenes(
@@ -26,16 +70,12 @@ def report_scenes(
     as_json: Json = False,
 ) -> None:
     """Error against run time of whole scenes, and of each approximation: page, JSON, figures."""
-    from pipeline.commands.pages import stage_progress
-    from pipeline.studies.scenes.report import report_scenes as study_all
-    from pipeline.studies.scenes.tables import print_study
-
     with stage_progress(as_json or not sys.stderr.isatty()) as listen:
-        study = study_all(output, tuple(scene or ()), rungs, quick, catalog, listen)
+        study = scenes.report_scenes(output, tuple(scene or ()), rungs, quick, catalog, listen)
     if as_json:
         print_json(study)
     else:
-        print_study(study)
+        scene_tables.print_study(study)
 
 
 def report_ledger(
@@ -46,13 +86,9 @@ def report_ledger(
     as_json: Json = False,
 ) -> None:
     """Every rule of the plan measured: the bound, the error of an omission, the seconds saved."""
-    from pipeline.commands.pages import stage_progress
-    from pipeline.studies.ledger.report import print_ledger
-    from pipeline.studies.ledger.report import report_ledger as study_all
-
     with stage_progress(as_json or not sys.stderr.isatty()) as listen:
-        study = study_all(output, tuple(rule or ()), listen)
+        study = ledger.report_ledger(output, tuple(rule or ()), listen)
     if as_json:
         print_json(study)
     else:
-        print_ledger(study)
+        ledger.print_ledger(study)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from catalog_tools.documents import JsonObject
-from pipeline.commands.jobs import Server
+from pipeline.commands.jobs import Server, run_there
 from pipeline.commands.options import (
     Json,
     Output,
@@ -20,7 +20,12 @@ from pipeline.commands.options import (
     told_if_interrupted,
 )
 from pipeline.commands.pages import progress_listener
-from pipeline.lines import fold
+from pipeline.errors import BadInput
+from pipeline.lines import fold, pair
+from pipeline.spec.load import scene_yaml
+from pipeline.sweep.forecast import forecast_course
+from pipeline.sweep.run import Options, gather_course, point_scene
+from pipeline.sweep.run import sweep as run
 
 SweepFile = Annotated[Path, typer.Argument(help="sweep file, YAML or JSON", metavar="SWEEP")]
 
@@ -56,12 +61,7 @@ def sweep(
     if dry_run:
         _print_forecast(file, as_json)
         return
-    from pipeline.sweep.run import Options, point_scene
-    from pipeline.sweep.run import sweep as run
-
     if point is not None:
-        from pipeline.spec.load import scene_yaml
-
         print(scene_yaml(point_scene(file, point)), end="")
         return
     options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
@@ -75,10 +75,6 @@ def sweep(
 
 
 def _print_forecast(file: Path, as_json: bool) -> None:
-    from pipeline.lines import pair
-    from pipeline.sweep.forecast import forecast_course
-    from pipeline.sweep.run import gather_course
-
     told = forecast_course(gather_course(file, Path()))
     if as_json:
         print_json(told)
@@ -107,9 +103,6 @@ def _print_forecast(file: Path, as_json: bool) -> None:
 def _there(
     file: Path, output: Path, server: str, as_json: bool, decided: bool, point: int | None
 ) -> None:
-    from pipeline.commands.jobs import run_there
-    from pipeline.errors import BadInput
-
     if decided or point is not None:
         allowed = (
             "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point, --dry-run"

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from catalog_tools.engine.clusters import check_address, work
+from catalog_tools.engine.schedulers import LOCAL_KINDS, set_up_dask
 
 
 def worker(
@@ -18,11 +22,6 @@ def worker(
     patience: Annotated[float, typer.Option(help="seconds to wait for the scheduler")] = 60.0,
 ) -> None:
     """Draw for a scheduler, with the certificates of the environment. Exit 4 when it goes away."""
-    import asyncio
-
-    from catalog_tools.engine.clusters import check_address, work
-    from catalog_tools.engine.schedulers import LOCAL_KINDS, set_up_dask
-
     check_address(address, LOCAL_KINDS)
     set_up_dask()
     asyncio.run(

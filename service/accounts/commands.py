@@ -18,7 +18,7 @@ from service.store.database import connect
 
 app = typer.Typer(
     name="nightglass keys",
-    help="API keys of the service.",
+    help="API keys of the service: create, revoke, list.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.engine import clusters
 from catalog_tools.synthetic.synthetic import make_demo
+from pipeline.cli import app
 from tests.command import nightglass
 
 SCENE = {
@@ -238,6 +240,22 @@ def test_a_process_of_its_own(tmp_path):
     result = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr.startswith("nightglass: SCENE: 'no.yaml'")
+
+
+def test_the_table_of_commands_says_what_their_help_says():
+    """A group's help shows the table's captions; each is the first paragraph of its command's."""
+
+    def captions(group, said):
+        for name, (_, caption) in group.table.items():
+            command = group.commands[name]
+            first = " ".join((command.help or "").split("\n\n")[0].split())
+            assert (name, caption) == (command.name, first)
+            said.append(name)
+            if hasattr(command, "table"):
+                captions(command, said)
+        return said
+
+    assert len(captions(get_command(app), [])) > 30
 
 
 def test_help_imports_nothing_heavy():

@@ -57,6 +57,7 @@ ELSEWHERE = {  # commands that are not run here, and why
     "jobs cancel": "prints one word, the job's phase",
     "jobs retry": "prints one word, the job's phase",
     "schema": "prints JSON, for machines",
+    "keys revoke": "prints one short line",
     "worker": "waits for a scheduler, and logs as Dask's workers do",
     "catalog fetch": "needs an archive; prints a mapping, as `catalog info` does",
 }

@@ -288,7 +288,9 @@ def test_servers(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "pipeline.commands.jobs.connect", lambda server: (said.append(server), client)[1]
     )
-    monkeypatch.setattr("pipeline.cli._print_report", lambda report, to: print(report, to))
+    monkeypatch.setattr(
+        "pipeline.commands.render.print_report", lambda report, to: print(report, to)
+    )
     there = "--server http://h"
     told = runs(f"""
         jobs fetch j1 {there} -o x

@@ -294,7 +294,7 @@ def test_what_stands_in_a_log_line_is_redacted() -> None:
 
 
 def test_only_this_machine_is_served_unless_asked_otherwise() -> None:
-    from pipeline.cli import serve
+    from pipeline.commands.serve import serve
 
     assert inspect.signature(serve).parameters["host"].default == "127.0.0.1"
 
