@@ -7,6 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.errors import BadInput
 from pipeline.route.draw import Listener
 from pipeline.route.run import Options, render
@@ -30,8 +31,6 @@ def run_demo(
     folder.mkdir(parents=True, exist_ok=True)
     scene_file.write_bytes(files("pipeline").joinpath("scenes/demo.yaml").read_bytes())
     if not (folder / "catalogue").exists():
-        from catalog_tools.synthetic.synthetic import make_demo
-
         say("making the synthetic catalogue (no star of it is real)")
         made = make_demo(
             folder / "catalogue", faintest_g_mag=ALL_SKY_G_MAG, deep_fields=[DEEP_FIELD]

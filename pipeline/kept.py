@@ -19,6 +19,7 @@ from importlib.metadata import version
 from pathlib import Path
 from uuid import uuid4
 
+import llvmlite.binding
 import numpy as np
 
 from catalog_tools.documents import JsonObject
@@ -132,8 +133,6 @@ def _parts(value: object) -> Iterator[bytes]:
 @cache
 def _code() -> bytes:
     """What else arrays follow from: the code of the physics, its libraries and the processor."""
-    import llvmlite.binding  # numba's own
-
     told = hashlib.sha256()
     physics = Path(__file__).parent / "physics"
     for path in sorted(physics.rglob("*.py")):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from catalog_tools.storage.durable import whole_file
@@ -18,6 +19,7 @@ from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
 from pipeline.inputs.targets.populations import screened
+from pipeline.lazily import blank_figure
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.times import format_utc, parse_utc
 from pipeline.physics.radiometry import (
@@ -166,8 +168,6 @@ def write_light_curves(
 ) -> int:
     """Write light curves as Parquet, a few hundred at a time, and the only one as a PNG where
     `plot` is given (needs matplotlib); how many there were."""
-    import pyarrow.parquet as pq
-
     notes = {"mag_ab": "AB, in the sensor's band, above the air; NaN: no light"}
     name, curve = next(curves)
     count, first = 1, _table(name, curve, utc := _utc(curve))
@@ -211,13 +211,7 @@ def _table(name: str, curve: LightCurve, utc: pa.Array) -> pa.Table:
 
 def _draw(curve: LightCurve, name: str, path: Path) -> None:
     """Four panels over time: magnitude (bright up), phase angle, range, sunlit share."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise BadInput("--plot", str(path), "a plot with matplotlib installed") from None
-    figure = Figure(figsize=(8.0, 8.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure("--plot", (8.0, 8.0), layout="constrained")
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[3, 1, 1, 1])
     bright = np.where(np.isfinite(curve.mag_ab), curve.mag_ab, np.nan)
     hidden = np.where(curve.above_horizon, np.nan, bright)

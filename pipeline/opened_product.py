@@ -16,6 +16,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, Damaged
 from pipeline.export.files import layers_of
 from pipeline.export.header import fits_header
+from pipeline.lazily import fits
 from pipeline.store import layout
 from pipeline.store.cube import check_complete, open_cube
 
@@ -136,7 +137,6 @@ class Product:
         BadInput
             For a frame that there is not.
         """
-        from astropy.io.fits import Header
         from astropy.wcs import WCS
 
         cube = self.cube
@@ -144,7 +144,7 @@ class Product:
             raise BadInput("frame", frame, f"0 to {cube.sizes['frame'] - 1}")
         layer = layers_of(cube)[0]
         cards = fits_header(cube, int(frame), layer)
-        wcs = WCS(Header((key, value) for key, value, _ in cards))
+        wcs = WCS(fits().Header((key, value) for key, value, _ in cards))
         wcs.array_shape = cube[layer].shape[1:]
         return wcs
 

@@ -8,7 +8,15 @@ import socket
 import sys
 from pathlib import Path
 
+import uvicorn
+
 from pipeline.errors import BadInput
+from service import logs
+from service.accounts.keys import any_key
+from service.app import create_app
+from service.http.wire import bounded
+from service.settings import Settings, read_settings
+from service.store.database import connect
 
 LISTEN = 2048
 STOP_S = 3  # how long answers in flight may take to end
@@ -20,17 +28,8 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
 
     Beyond loopback it serves only where requests need a key or token. Port 0 takes a free one.
     """
-    from service.settings import read_settings
-
     settings = read_settings(home)
     with bind(host, port, lambda: _guarded(settings)) as listener:
-        import uvicorn
-
-        from service import logs
-        from service.app import create_app
-        from service.http.wire import bounded
-        from service.store.database import connect
-
         logs.set_up()
         settings.make_folders()
         connect(settings.database_url).dispose()  # what is wrong with it is said before all else
@@ -60,10 +59,6 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
 
 def _guarded(settings: object) -> bool:
     """Whether requests will need a key or token: an identity provider is set, or a key was made."""
-    from service.accounts.keys import any_key
-    from service.settings import Settings
-    from service.store.database import connect
-
     assert isinstance(settings, Settings)
     if settings.oidc_issuer:
         return True

@@ -8,7 +8,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from catalog_tools.documents import Arguments
+from catalog_tools.engine.addresses import check_scheduler
 from pipeline.errors import NO_ROOM, BadInput, DiskFull
+from service.store.database import sqlite_url
 
 PREFIX = "NIGHTGLASS_"
 
@@ -97,8 +99,6 @@ class Settings:
 
     @property
     def database_url(self) -> str:
-        from service.store.database import sqlite_url
-
         return self.database or sqlite_url(self.home / "jobs.sqlite")
 
     @property
@@ -134,9 +134,7 @@ class Settings:
 
     def check(self) -> None:
         """BadInput for settings that do not go together, or that would be unsafe."""
-        from catalog_tools.engine.schedulers import _check_address
-
-        _check_address(self.scheduler)  # beyond this machine only tls://
+        check_scheduler(self.scheduler)  # beyond this machine only tls://
         if bool(self.tls_cert) != bool(self.tls_key):
             raise BadInput("NIGHTGLASS_TLS_CERT", self.tls_cert, "given with NIGHTGLASS_TLS_KEY")
         oidc = (self.oidc_issuer, self.oidc_audience, self.oidc_jwks)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
 import socket
@@ -10,38 +11,70 @@ import ssl
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import SplitResult, urlsplit
+
+import dask
+from distributed import Client, LocalCluster, Nanny, Security
 
 from ..errors import BadInput, TryLater
 from .ahead import Value
+from .heap import ALLOCATION
 
-if TYPE_CHECKING:
-    from distributed import Client, Security
-
-LOOPBACK = ("localhost", "::1")
+CHATTY = ("distributed", "distributed.client", "tornado", "tornado.application")
 CERTIFICATES = ("NIGHTGLASS_CLUSTER_CA", "NIGHTGLASS_CLUSTER_CERT", "NIGHTGLASS_CLUSTER_KEY")
 WAIT_S = "NIGHTGLASS_WORKERS_WAIT_S"  # how long to wait for the first worker
 MOST_JOBS = 16
 ANSWER_S = 10.0  # how long a scheduler may take to answer
 
 
-def check_address(address: str, others: tuple[str, ...]) -> None:
-    """Refuse what is no scheduler's address: an open one runs anybody's code, so TLS off loopback.
+@contextmanager
+def cluster(kind: str, workers: int | None, cores: int) -> Iterator[tuple[Client, int]]:
+    """A client of processes, of Slurm's jobs or of the scheduler at an address; tasks at once."""
+    set_up_dask()
+    if kind == "processes":
+        with _processes(cores) as made, Client(made) as client:
+            yield client, cores
+        return
+    with slurm(workers) if kind == "slurm" else connected(kind) as client:
+        yield client, max(1, sum(client.nthreads().values()))
 
-    others : names of schedulers that are no addresses, for the message
-    """
-    try:
-        parts = urlsplit(address)
-        known = parts.scheme in ("tcp", "tls") and bool(parts.hostname) and bool(parts.port)
-    except ValueError:  # a port that is no number
-        known = False
-    if not known:
-        allowed = f"{', '.join(others)}, tcp://127.0.0.1:PORT or tls://HOST:PORT"
-        raise BadInput("--scheduler", address, allowed)
-    host = str(parts.hostname)
-    if parts.scheme == "tcp" and not (host in LOOPBACK or host.startswith("127.")):
-        raise BadInput("--scheduler", address, "tls:// with certificates beyond this machine")
+
+def _processes(count: int) -> LocalCluster:
+    """Processes of this machine, of one thread each."""
+    return LocalCluster(
+        n_workers=count,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        dashboard_address=None,
+        silence_logs=50,
+        scheduler_sync_interval=60,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not 8787 of all networks
+    )
+
+
+def set_up_dask() -> None:
+    """Dask's settings as our clients and workers want them, and silence: what goes wrong we say."""
+    for name, value in ALLOCATION.items():
+        os.environ.setdefault(name, value)
+    dask.config.set(
+        {
+            "distributed.worker.multiprocessing-method": "spawn",
+            "distributed.scheduler.allowed-failures": 3,
+            "distributed.worker.profile.enabled": False,
+            # By default 1 to 1000 times a second, in every process: a tenth of a short job.
+            "distributed.admin.tick.interval": "5s",
+            "distributed.admin.system-monitor.interval": "5s",
+            "distributed.admin.system-monitor.gil.enabled": False,
+            "distributed.worker.memory.monitor-interval": "1s",
+            "distributed.client.scheduler-info-interval": "10s",
+            # what tasks share goes in one graph
+            "distributed.admin.large-graph-warning-threshold": "1TB",
+            "distributed.logging": dict.fromkeys(CHATTY, "critical"),
+        }
+    )
+    for name in CHATTY:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def security_of(address: str) -> Security | None:
@@ -51,8 +84,6 @@ def security_of(address: str) -> Security | None:
     """
     if not address.startswith("tls://"):
         return None
-    from distributed import Security
-
     files = {name: os.environ.get(name) for name in CERTIFICATES}
     if not any(files.values()):
         security = Security(require_encryption=True)  # distributed.comm.tls of Dask's settings
@@ -76,8 +107,6 @@ def security_of(address: str) -> Security | None:
 @contextmanager
 def connected(address: str) -> Iterator[Client]:
     """A client of the scheduler at an address, with at least one worker there."""
-    from distributed import Client
-
     ask(address)
     try:
         client = Client(address, timeout=ANSWER_S, security=security_of(address))
@@ -135,8 +164,6 @@ async def work(address: str, patience_s: float, **options: Value) -> None:
     patience_s : how long a scheduler is waited for; options : of Dask's Nanny
     Raises TryLater where the scheduler goes away, or does not come.
     """
-    from distributed import Nanny
-
     stopped, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
@@ -172,8 +199,6 @@ def slurm(jobs: int | None) -> Iterator[Client]:
     except ImportError:
         allowed = "pip install nightglass[slurm], which brings dask-jobqueue"
         raise BadInput("--scheduler", "slurm", allowed) from None
-    from distributed import Client, Security
-
     folder = Path(os.environ.get("NIGHTGLASS_SLURM_FOLDER") or Path.home() / ".nightglass-slurm")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     try:

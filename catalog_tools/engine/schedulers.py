@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import logging
-import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -15,14 +13,11 @@ from concurrent.futures import (
 from contextlib import contextmanager
 from typing import Protocol
 
-from ..errors import BadInput
+from .addresses import check_scheduler
 from .ahead import AHEAD, Graph, Key, Progress, Tasks, Value, Work, cores, outcome
-from .clusters import check_address, connected, slurm
-from .heap import ALLOCATION, one_heap
+from .heap import one_heap
 
-LOCAL_KINDS = ("threads", "synchronous", "processes", "slurm")
 TASKS_PER_WINDOW = 256
-CHATTY = ("distributed", "distributed.client", "tornado", "tornado.application")
 
 
 class Scheduler(Protocol):
@@ -75,19 +70,17 @@ class LocalScheduler:
         return dict(zip(keys, self.run(graph, keys, lambda _: None), strict=True))
 
     def run(self, graph: Tasks, keys: list[Key], done: Progress) -> list[Value]:
-        from dask.callbacks import Callback
-        from dask.local import get_sync
-        from dask.threaded import get
+        from dask import callbacks, local, threaded
 
         def finished(key: Key, *_: object) -> None:
             done(key[0] if isinstance(key, tuple) else str(key))
 
-        with Callback(posttask=finished):
+        with callbacks.Callback(posttask=finished):
             if self.kind == "synchronous":
-                return list(get_sync(graph, keys))
+                return list(local.get_sync(graph, keys))
             pool = ThreadPoolExecutor(self.workers)
             try:
-                return list(get(graph, keys, num_workers=self.workers, pool=pool))
+                return list(threaded.get(graph, keys, num_workers=self.workers, pool=pool))
             finally:  # interrupted or not, nothing runs on behind the caller's back
                 pool.shutdown(wait=True, cancel_futures=True)
 
@@ -123,68 +116,9 @@ def open_scheduler(kind: str, workers: int | None) -> Iterator[Scheduler]:
     if kind in ("threads", "synchronous"):
         yield LocalScheduler(kind, 1 if kind == "synchronous" else count)
         return
-    _check_address(kind)
-    set_up_dask()
-    from distributed import Client, LocalCluster
-
+    check_scheduler(kind)
     from .cluster_scheduler import ClusterScheduler
+    from .clusters import cluster
 
-    if kind == "processes":
-        with (
-            LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address=None,
-                silence_logs=50,
-                scheduler_sync_interval=60,
-                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not 8787 of all networks
-            ) as cluster,
-            Client(cluster) as client,
-        ):
-            yield ClusterScheduler(client, count)
-        return
-    with slurm(workers) if kind == "slurm" else connected(kind) as client:
-        yield ClusterScheduler(client, max(1, sum(client.nthreads().values())))
-
-
-def set_up_dask() -> None:
-    """Dask's settings as our clients and workers want them, and silence: what goes wrong we say."""
-    for name, value in ALLOCATION.items():
-        os.environ.setdefault(name, value)
-    import dask
-    import distributed  # noqa: F401 (with it the levels that are set below)
-
-    dask.config.set(
-        {
-            "distributed.worker.multiprocessing-method": "spawn",
-            "distributed.scheduler.allowed-failures": 3,
-            "distributed.worker.profile.enabled": False,
-            # By default 1 to 1000 times a second, in every process: a tenth of a short job.
-            "distributed.admin.tick.interval": "5s",
-            "distributed.admin.system-monitor.interval": "5s",
-            "distributed.admin.system-monitor.gil.enabled": False,
-            "distributed.worker.memory.monitor-interval": "1s",
-            "distributed.client.scheduler-info-interval": "10s",
-            # what tasks share goes in one graph
-            "distributed.admin.large-graph-warning-threshold": "1TB",
-            "distributed.logging": dict.fromkeys(CHATTY, "critical"),
-        }
-    )
-    for name in CHATTY:
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-
-
-def _check_address(kind: str) -> None:
-    """An open scheduler runs anybody's code: beyond loopback only TLS is accepted, and nowhere else
-    where Dask's settings require encryption."""
-    if kind not in LOCAL_KINDS:
-        check_address(kind, LOCAL_KINDS)
-    if kind == "processes" or kind.startswith("tcp:"):
-        import dask.config
-
-        setting = "distributed.comm.require-encryption"
-        if dask.config.get(setting, None):
-            allowed = f"threads, or tls:// with certificates: {setting} is set for Dask"
-            raise BadInput("--scheduler", kind, allowed)
+    with cluster(kind, workers, count) as (client, tasks_at_once):
+        yield ClusterScheduler(client, tasks_at_once)

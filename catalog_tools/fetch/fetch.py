@@ -18,6 +18,8 @@ from .layout import Entry, Release, choose, files_coverage, parse_md5sum, releas
 from .ledger import FileLedger, file_md5, folder_for, write_whole
 from .patience import FinalFailure, Patience, Unavailable
 from .remote import Remote, open_remote, read_whole
+from .tap import cone_coverage, fetch_cone, file_name
+from .tap_service import TapService
 from .transfer import size_of
 
 ARCHIVE = "archive"  # as tap_url: the release's own TAP service
@@ -159,9 +161,6 @@ def _by_tap(
     tell: Progress,
     verify: bool,
 ) -> FetchReport:
-    from .tap import cone_coverage, fetch_cone, file_name
-    from .tap_service import TapService
-
     service = TapService(release.tap_url if url == ARCHIVE else url, patience)
     names = [file_name(release, cone) for cone in cones]
     brought, there = [], []

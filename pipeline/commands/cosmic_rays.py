@@ -11,12 +11,8 @@ import typer
 
 from pipeline.commands.options import Json, Output, print_mapping
 from pipeline.errors import BadInput
-from pipeline.inputs.sensor.cosmic_rays import (
-    extract_library,
-    open_darks,
-    read_library,
-    write_library,
-)
+from pipeline.inputs.sensor.cosmic_ray_darks import extract_library, open_darks
+from pipeline.inputs.sensor.cosmic_ray_library import read_library, write_library
 from pipeline.studies.cosmic_rays import compare_library, draw_comparison
 
 cosmic_rays = typer.Typer(

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from catalog_tools.engine.clusters import check_address, work
-from catalog_tools.engine.schedulers import LOCAL_KINDS, set_up_dask
+from catalog_tools.engine.addresses import check_address
+from catalog_tools.engine.clusters import set_up_dask, work
 
 
 def worker(
@@ -22,7 +22,7 @@ def worker(
     patience: Annotated[float, typer.Option(help="seconds to wait for the scheduler")] = 60.0,
 ) -> None:
     """Draw for a scheduler, with the certificates of the environment. Exit 4 when it goes away."""
-    check_address(address, LOCAL_KINDS)
+    check_address(address)
     set_up_dask()
     asyncio.run(
         work(

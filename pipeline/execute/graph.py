@@ -17,6 +17,7 @@ from pipeline.execute.sources import excursion_px, place_stars, truth_order
 from pipeline.execute.tile import StarLight, charge_of_tile, render_tile, star_light
 from pipeline.execute.truth import star_truth, target_truth
 from pipeline.inputs.stars.stars import Catalogue, Shard, gather_leaf, leaf_pad_rad
+from pipeline.lazily import arrow
 from pipeline.physics.positions.focal_plane import deproject, stretch
 from pipeline.physics.vectors import separation
 from pipeline.plan.cones import catalogue_cones
@@ -357,8 +358,6 @@ def ray_truth_task(inputs: Inputs, g: Geometry) -> int:
 
 
 def _write_truth(inputs: Inputs, kind: str, g: Geometry, columns: JsonObject) -> int:
-    import pyarrow as pa
-
-    table = pa.table(columns)
+    table = arrow().table(columns)
     inputs.writer.write_truth(kind, int(g.frame[0]), table)
     return int(table.num_rows)

@@ -19,6 +19,7 @@ from pipeline.execute.sources import (
     zone_of,
 )
 from pipeline.execute.tables import swept_core
+from pipeline.lazily import arrow
 from pipeline.physics.motion.streak import Path, piece_counts, pieces
 from pipeline.physics.positions.apparent import proper_to_astrometric
 from pipeline.physics.positions.focal_plane import deproject
@@ -89,8 +90,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
 
 def _hidden(plan: ResolvedScene, seen: Array) -> Columns:
     """Columns of what the Earth hides: what stands before sources (n,), and how much is seen."""
-    import pyarrow as pa
-
+    pa = arrow()
     index = pa.array(np.zeros(len(seen), np.int8), mask=seen >= 1.0)
     names = pa.array([hidden_by(plan.scene)])
     return {

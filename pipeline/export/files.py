@@ -12,6 +12,7 @@ from PIL import Image
 from pipeline.errors import BadInput
 from pipeline.export.header import fits_header
 from pipeline.export.picture import png_bytes, shrink, stretch
+from pipeline.lazily import fits
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.layout import write_atomically
 
@@ -68,10 +69,8 @@ def _png(product: Path, frame: int, layer: str) -> bytes:
 
 def fits_bytes(product: Path, cube: xr.Dataset, frame: int, layer: str) -> bytes:
     """One frame of a layer as a FITS file with times, WCS and checksums."""
-    from astropy.io import fits
-
-    header = fits.Header(fits_header(cube, frame, layer))
-    hdu = fits.PrimaryHDU(read_layer(product, layer, frame), header)
+    header = fits().Header(fits_header(cube, frame, layer))
+    hdu = fits().PrimaryHDU(read_layer(product, layer, frame), header)
     out = BytesIO()
     hdu.writeto(out, checksum=True)
     return out.getvalue()

@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pipeline.store.layout import TRUTH
@@ -109,8 +110,6 @@ def frame_labels(
 
 def _part(path: Path, kind: int, frame: int, least_snr: float) -> Labels:
     """One truth table's rows of a frame that send light; empty where there is no table."""
-    import pyarrow.parquet as pq
-
     names = {
         TARGET: ("name", "radius_px", "object_name", "v_mag", "mag_ab"),
         STAR: ("source_id", "g_mag"),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pipeline.errors import BadInput
 from pipeline.export.labels import STAR, TARGET, Labels
 from pipeline.export.response import SourceLight, path_between
+from pipeline.lazily import fits
 from pipeline.store.cube import read_layer
 
 RULE = (
@@ -129,29 +130,28 @@ def mask_fits(
     cards: list[tuple[str, object, str]],
 ) -> bytes:
     """A FITS file: CLASS (also the primary's header), SOURCE numbers, and the table of SOURCES."""
-    from astropy.io import fits
-
-    table = fits.BinTableHDU.from_columns(
+    hdu = fits()
+    table = hdu.BinTableHDU.from_columns(
         [
-            fits.Column("number", "J", array=np.arange(1, len(labels) + 1)),
-            fits.Column("class", "B", array=labels.kind),
-            fits.Column("name", "64A", array=labels.name),
-            fits.Column("x", "D", unit="pixel", array=labels.x_px),
-            fits.Column("y", "D", unit="pixel", array=labels.y_px),
-            fits.Column("object_name", "80A", array=labels.object_name),
-            fits.Column("magnitude", "D", array=labels.magnitude),
-            fits.Column("electrons", "D", array=labels.electrons),
-            fits.Column("snr", "D", array=labels.snr),
+            hdu.Column("number", "J", array=np.arange(1, len(labels) + 1)),
+            hdu.Column("class", "B", array=labels.kind),
+            hdu.Column("name", "64A", array=labels.name),
+            hdu.Column("x", "D", unit="pixel", array=labels.x_px),
+            hdu.Column("y", "D", unit="pixel", array=labels.y_px),
+            hdu.Column("object_name", "80A", array=labels.object_name),
+            hdu.Column("magnitude", "D", array=labels.magnitude),
+            hdu.Column("electrons", "D", array=labels.electrons),
+            hdu.Column("snr", "D", array=labels.snr),
         ],
         name="SOURCES",
     )
-    primary = fits.PrimaryHDU(header=fits.Header(cards))
+    primary = hdu.PrimaryHDU(header=hdu.Header(cards))
     hdus = [
         primary,
-        fits.CompImageHDU(classes, name="CLASS"),
-        fits.CompImageHDU(owner, name="SOURCE"),
+        hdu.CompImageHDU(classes, name="CLASS"),
+        hdu.CompImageHDU(owner, name="SOURCE"),
         table,
     ]
     out = BytesIO()
-    fits.HDUList(hdus).writeto(out, checksum=True)
+    hdu.HDUList(hdus).writeto(out, checksum=True)
     return out.getvalue()

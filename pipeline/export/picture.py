@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from pipeline.lazily import arrow
 from pipeline.store.cube import read_layer
 from pipeline.store.layout import PREVIEW, TRUTH, write_atomically
 
@@ -112,12 +113,11 @@ def _mark_targets(picture: Image.Image, product: Path, frame: int, factor: int) 
     table = product / TRUTH / "targets.parquet"
     if not table.is_file():
         return
-    import pyarrow.parquet as pq
-
     shown: list[tuple[str, str, float]] = [("frame", "=", frame), ("in_frame", "=", True)]
-    if "visible_fraction" in pq.read_schema(table).names:  # not in products of earlier versions
+    names = arrow().parquet.read_schema(table).names
+    if "visible_fraction" in names:  # not in products of earlier versions
         shown.append(("visible_fraction", ">", 0.0))
-    rows = pq.read_table(table, filters=shown)
+    rows = arrow().parquet.read_table(table, filters=shown)
     draw = ImageDraw.Draw(picture)
     for x, y, name in zip(*(rows[c].to_pylist() for c in ("x_px", "y_px", "name")), strict=True):
         cx, cy = (x + 0.5) / factor, picture.height - (y + 0.5) / factor
@@ -130,9 +130,7 @@ def _mark_cosmic_rays(picture: Image.Image, product: Path, frame: int, factor: i
     table = product / TRUTH / "cosmic_rays.parquet"
     if not table.is_file():
         return
-    import pyarrow.parquet as pq
-
-    rows = pq.read_table(table, filters=[("frame", "=", frame)])
+    rows = arrow().parquet.read_table(table, filters=[("frame", "=", frame)])
     rows = rows.sort_by([("electrons", "descending")]).slice(0, MOST_MARKED)
     draw = ImageDraw.Draw(picture)
     names = ("x_in_px", "y_in_px", "x_out_px", "y_out_px")

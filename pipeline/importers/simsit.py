@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
+from scipy.interpolate import CubicSpline
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
@@ -192,8 +193,6 @@ def radial_terms(
     The radius on the detector is the integral of d theta over the scale (cubic between the
     table's points); k1 to k3 fit radius / (f tan theta) - 1.
     """
-    from scipy.interpolate import CubicSpline
-
     spline = CubicSpline(th_deg, 1.0 / arcsec_um)
     at = np.linspace(0.0, min(most_deg, th_deg[-1]), 400)[1:]
     radius_um = np.array([spline.integrate(0.0, t) for t in at]) * 3600.0

@@ -10,6 +10,7 @@ import numpy as np
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
+from pipeline.lazily import arrow, fits
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.motion.attitude_table import table_error_rad
 from pipeline.physics.positions.times import elapsed_s, parse_utc
@@ -213,17 +214,13 @@ def _npy(path: Path) -> JsonObject:
 
 
 def _parquet(path: Path) -> JsonObject:
-    import pyarrow.parquet as pq
-
-    table = pq.read_table(path)
+    table = arrow().parquet.read_table(path)
     return {name: table[name].to_pylist() for name in table.column_names}
 
 
 def _fits(path: Path) -> JsonObject:
-    from astropy.io import fits
-
-    with fits.open(path) as units:
-        table = next((u for u in units if isinstance(u, fits.BinTableHDU)), None)
+    with fits().open(path) as units:
+        table = next((u for u in units if isinstance(u, fits().BinTableHDU)), None)
         if table is None:
             raise ValueError("it holds no binary table")
         return {name: np.array(table.data[name]) for name in table.columns.names}

@@ -12,7 +12,9 @@ from pipeline.plan.needs import drawing_s
 from pipeline.plan.plan import Plan
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.rule import PlanBasis
+from pipeline.plan.stars.engines import choose_engines
 from pipeline.plan.stars.field_stars import FieldStars
+from pipeline.plan.stars.shared_frames import share_frames
 from pipeline.plan.tiles import plan_tiles
 
 
@@ -30,16 +32,12 @@ def make_plan(
     """
     scene, engines, responses = resolved.scene, None, resolved.responses
     if stars is not None:
-        from pipeline.plan.stars.engines import choose_engines
-
         engines = choose_engines(resolved, g, stars.counts)
         responses = engines.responses if engines else responses
     basis = PlanBasis(resolved, g, stars, engines)
     decisions = tuple(d for rule in LEDGER for d in rule.decide(basis))
     shared = 1
     if stars is not None:
-        from pipeline.plan.stars.shared_frames import share_frames
-
         drawn = replace(resolved, responses=responses)
         seconds = drawing_s(drawn, stars.counts.total)
         shared, more = share_frames(drawn, decisions, g.frame, stars.own_motion, seconds)

@@ -19,6 +19,8 @@ from pipeline.execute.check import summary
 from pipeline.execute.coordinates import frame_coordinates
 from pipeline.execute.truth import star_truth, target_truth
 from pipeline.export.picture import write_preview
+from pipeline.inputs.sensor.detector import gather_faults
+from pipeline.lazily import arrow
 from pipeline.plan.accuracy import UNSEEN, crowd_error_e, doubts_of, total_e, total_sigma
 from pipeline.plan.described import colour_facts
 from pipeline.plan.plan import Plan
@@ -78,11 +80,9 @@ def _faults(plan: Plan, product: Path) -> dict[str, int]:
     detector = plan.scene.sensor.detector
     if detector is None or (detector.bad, detector.dead, detector.hot) == (None, None, None):
         return {}
-    import pyarrow as pa
-
-    from pipeline.inputs.sensor.detector import gather_faults
-
-    return {"pixels": write_whole(product, "pixels", pa.table(gather_faults(plan.scene) or {}))}
+    return {
+        "pixels": write_whole(product, "pixels", arrow().table(gather_faults(plan.scene) or {}))
+    }
 
 
 @dataclass(frozen=True)
@@ -268,14 +268,11 @@ def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
     table = max(table_error(b) for b in plan.responses.blurs)
     light = error_e = 0.0
     for kind in truth_kinds(plan):
-        import pyarrow.compute as pc
-        import pyarrow.parquet as pq
-
-        column = pq.read_table(
+        column = arrow().parquet.read_table(
             begun.path / layout.TRUTH / f"{kind}.parquet", columns=["electrons"]
         )["electrons"]
         fill = plan.responses.blur.fill_factor  # truth has what is collected, bounds what falls
-        most = (pc.max(column).as_py() or 0.0) / fill
+        most = float(column.to_numpy().max(initial=0.0)) / fill
         each = [
             (c.target_e, c.target_error) if kind == "targets" else (c.brightest_e, c.wing_error)
             for c in plan.responses.classes
@@ -294,12 +291,10 @@ def _crowd_error_e(
     each : (limit, error) of the core classes; table : of the response. Stars that each err by less
     than UNSEEN of one approximation's part are omitted.
     """
-    import pyarrow.parquet as pq
-
     r, fill = plan.responses, plan.responses.blur.fill_factor
     limits, errors = np.array(each).T
     least_e = UNSEEN * r.budget_e / float(errors.max() + table) * fill
-    stars = pq.read_table(
+    stars = arrow().parquet.read_table(
         begun.path / layout.TRUTH / "stars.parquet",
         columns=["frame", "x_px", "y_px", "electrons"],
         filters=[("electrons", ">", least_e)],
@@ -323,8 +318,7 @@ def _achieved(checks: list[JsonObject]) -> JsonObject:
 
 def _empty(plan: Plan, kind: str) -> pa.Table:
     """A truth table without rows, for its schema."""
-    import pyarrow as pa
-
+    pa = arrow()
     if kind == "cosmic_rays":
         from pipeline.physics.cosmic_rays.frame import no_truth
 

@@ -15,6 +15,7 @@ from pipeline.errors import BadInput, shorten
 from pipeline.spec.dotted import NoFieldError, add_dotted, set_dotted
 from pipeline.spec.scene import Scene
 from pipeline.spec.wording import range_of, words_of
+from pipeline.spec.yaml_text import read_yaml, write_yaml
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -90,8 +91,6 @@ def parse_yaml(text: str, name: str = "scene") -> JsonValue:
         value = _parse_json(text)
         if value is not None:
             return value
-    from pipeline.spec.yaml_text import read_yaml  # JSON does without
-
     return read_yaml(text, name, MAX_DEPTH)
 
 
@@ -285,8 +284,6 @@ def apply_override(data: object, override: str) -> None:
 
 def scene_yaml(scene: Scene) -> str:
     """A scene as YAML text, defaults filled in."""
-    from pipeline.spec.yaml_text import write_yaml
-
     return write_yaml(json.loads(json.dumps(scene.as_dict())))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 
 from catalog_tools.documents import JsonObject
+from pipeline.spec.scene import Scene
 
 Node = JsonObject
 # The units that stand at the end of keys, as people write them.
@@ -51,8 +52,6 @@ def range_of(field: Sequence[str]) -> str:
 
 @cache
 def _schema() -> Node:
-    from pipeline.spec.scene import Scene
-
     return Scene.model_json_schema(by_alias=True)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -89,8 +90,6 @@ def only_writer(product: Path, shared: str | None = None, wait_s: float = 0.0) -
 
 
 def _locked(product: Path, shared: str | None) -> ExitStack:
-    import fcntl
-
     kind = fcntl.LOCK_EX if shared is None else fcntl.LOCK_SH
     with ExitStack() as open_files:
         try:

@@ -11,6 +11,7 @@ import google_crc32c
 from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import whole_file
 from pipeline.errors import Damaged
+from pipeline.lazily import arrow
 from pipeline.store.layout import PARTS, TRUTH
 
 if TYPE_CHECKING:
@@ -34,8 +35,7 @@ def write_part(product: Path, kind: str, frame: int, table: pa.Table) -> None:
 
 def part_content(table: pa.Table) -> bytes:
     """The truth of one frame as it is stored: an Arrow stream, then its checksum."""
-    import pyarrow as pa
-
+    pa = arrow()
     out = pa.BufferOutputStream()
     large = table.nbytes > LARGE  # a small one takes longer to unpack than to read
     options = pa.ipc.IpcWriteOptions(compression="lz4" if large else None)
@@ -47,10 +47,8 @@ def part_content(table: pa.Table) -> bytes:
 
 def write_whole(product: Path, kind: str, table: pa.Table) -> int:
     """Store truth that is the same in all frames as truth/KIND.parquet; returns the rows."""
-    import pyarrow.parquet as pq
-
     with whole_file(product / TRUTH / f"{kind}.parquet") as own:
-        pq.write_table(table, own, **_options(table.schema))
+        arrow().parquet.write_table(table, own, **_options(table.schema))
     return int(table.num_rows)
 
 
@@ -74,13 +72,14 @@ def join_parts(product: Path, kind: str, frames: int, empty: pa.Table) -> int:
 
     Frames share a row group as long as it has no more than ROWS.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    pa = arrow()
     target = product / TRUTH / f"{kind}.parquet"
     rows, held, group = 0, 0, [empty]
     schema = empty.schema
-    with whole_file(target) as own, pq.ParquetWriter(own, schema, **_options(schema)) as writer:
+    with (
+        whole_file(target) as own,
+        pa.parquet.ParquetWriter(own, schema, **_options(schema)) as writer,
+    ):
         for frame in range(frames):
             content = part_path(product, kind, frame).read_bytes()
             if not is_whole(content):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput
+from pipeline.lazily import blank_figure
 from pipeline.physics.cosmic_rays.deposit import add_tracks, reach_px
 from pipeline.physics.cosmic_rays.library import Library
 from pipeline.physics.cosmic_rays.tracks import Flux, draw_tracks, mean_count
@@ -179,15 +179,7 @@ def _peak(e_per_um: Array) -> float:
 
 def draw_comparison(study: JsonObject, path: Path) -> None:
     """Write the figure of a comparison (PNG or SVG); BadInput where matplotlib is missing."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise BadInput(
-            "-o", "matplotlib is not installed", "pip install 'nightglass[report]'"
-        ) from None
-    figure = Figure(figsize=(13.5, 8.2), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure("-o", (13.5, 8.2), layout="constrained")
     axes = figure.subplots(2, 3)
     events = study["events"]
     _histogram(axes[0][0], events, "pixels", np.geomspace(1, 400, 22), "pixels above threshold")

@@ -16,6 +16,7 @@ from pipeline.errors import BadInput
 from pipeline.inputs.targets.population_files import ElementSet, element_sets, read_sizes
 from pipeline.physics.constants import DAY_S, EARTH_EQUATORIAL_RADIUS_M
 from pipeline.physics.positions.orbit_bounds import GM72_KM3_S2, semi_major_axis_m
+from pipeline.physics.positions.orbit_sgp4 import sgp4
 from pipeline.physics.positions.times import elapsed_s
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.plan.bodies.albedos import albedo_of
@@ -167,11 +168,10 @@ def fresh(
 
 
 def _satellite(jd1: float, jd2: float, mean: Array) -> Satrec:
-    from sgp4.api import WGS72, Satrec  # only where mean elements are carried on
-
-    one = Satrec()
+    api = sgp4().api
+    one = api.Satrec()
     bstar, *orbit = (float(v) for v in mean)
-    one.sgp4init(WGS72, "i", 0, (jd1 - _SGP4_ZERO_JD) + jd2, bstar, 0.0, 0.0, *orbit)
+    one.sgp4init(api.WGS72, "i", 0, (jd1 - _SGP4_ZERO_JD) + jd2, bstar, 0.0, 0.0, *orbit)
     one.jdsatepoch, one.jdsatepochF = float(jd1), float(jd2)
     return one
 

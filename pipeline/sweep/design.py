@@ -7,6 +7,7 @@ import math
 import warnings
 from collections.abc import Iterator
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -89,13 +90,13 @@ class Design:
 
     def _shares(self, block: int) -> Array:
         """Shares (n, axes) in [0, 1) of a block of a quasi-random design."""
-        from scipy.stats import qmc
-
         design = self.sweep.design
         assert isinstance(design, QuasiRandom)
         if design.kind == "latin_hypercube":
             return self._latin()[block * BLOCK : (block + 1) * BLOCK]
-        sequence = qmc.Sobol(len(self.axes), scramble=True, rng=np.random.default_rng(design.seed))
+        sequence = _qmc().Sobol(
+            len(self.axes), scramble=True, rng=np.random.default_rng(design.seed)
+        )
         if block:
             sequence.fast_forward(block * BLOCK)
         with warnings.catch_warnings():
@@ -105,12 +106,10 @@ class Design:
     def _latin(self) -> Array:
         """The whole Latin hypercube (points, axes), drawn once."""
         if not hasattr(self, "_whole"):
-            from scipy.stats import qmc
-
             design = self.sweep.design
             assert isinstance(design, QuasiRandom)
             rng = np.random.default_rng(design.seed)
-            cube = qmc.LatinHypercube(len(self.axes), rng=rng)
+            cube = _qmc().LatinHypercube(len(self.axes), rng=rng)
             self._whole = np.asarray(cube.random(design.points))
         return self._whole
 
@@ -131,3 +130,10 @@ def _at_share(axis: ListAxis | TableAxis | RangeAxis, share: float) -> tuple[obj
         return (axis.at(share),)
     length = axis_length(axis)
     return _at(axis, min(int(share * length), length - 1))
+
+
+def _qmc() -> Any:
+    """scipy's quasi-random numbers; only designs of them load it."""
+    from scipy.stats import qmc
+
+    return qmc

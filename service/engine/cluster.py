@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
-from catalog_tools.engine.clusters import ask
-from catalog_tools.engine.schedulers import LOCAL_KINDS
+from catalog_tools.engine.addresses import LOCAL_KINDS
 from pipeline.errors import NightglassError
 
 FRESH_S = 2.0
@@ -24,6 +23,8 @@ class SchedulerHealth:
         """What is wrong with it, in words for the operator; empty where it answers."""
         if self._address in LOCAL_KINDS:
             return ""
+        from catalog_tools.engine.clusters import ask  # with it all of Dask's distributed
+
         with self._lock:
             if time.monotonic() - self._asked_s > FRESH_S:
                 try:

@@ -20,10 +20,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from dask.callbacks import Callback
+
 from catalog_tools.catalogue import MANIFEST_NAME
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.heap import one_heap
 from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError, TryLater
+from pipeline.route.judge import judge
+from pipeline.route.prepare import check_cost, plan_scene
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from service import logs
 from service.problems import cut, mistake_dict, mistakes_of
@@ -78,8 +83,6 @@ def _said(order: JsonObject) -> JsonObject:
 @contextlib.contextmanager
 def _tiles_told(order: JsonObject) -> Iterator[None]:
     """Log each tile that this process draws (level debug), and those in flight when one fails."""
-    from dask.callbacks import Callback
-
     said, running = _said(order), set()
 
     def name(key: Any) -> str | None:
@@ -106,8 +109,6 @@ def _tiles_told(order: JsonObject) -> Iterator[None]:
 
 
 def _plan(order: JsonObject, _: BinaryIO) -> JsonObject:
-    from pipeline.route.prepare import check_cost, plan_scene
-
     scene = parse_scene(order["scene"])
     plan = plan_scene(scene)
     check_cost(scene, plan, order["most_cpu_s"])
@@ -130,15 +131,11 @@ def _observe(order: JsonObject, _: BinaryIO) -> JsonObject:
 
 
 def _judge(order: JsonObject, _: BinaryIO) -> JsonObject:
-    from pipeline.route.judge import judge
-
     judge(parse_scene(order["scene"]))
     return {"outcome": "done"}
 
 
 def _render(order: JsonObject, answers: BinaryIO) -> JsonObject:
-    from pipeline.route.run import Options, render
-
     options = Options(
         scheduler=order["scheduler"],
         workers=order["workers"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from threading import BoundedSemaphore
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query
@@ -29,6 +29,13 @@ def _begun_product(service: Context, job_id: str) -> Path:
     return service.settings.product(service.store.get(job_id).id)
 
 
+def _pixels() -> Any:
+    """What reads and draws frames; it is loaded when the first frame is asked for."""
+    from service.products import pixels
+
+    return pixels
+
+
 @router.get("/frames")
 def listing(service: Service, job_id: str) -> Response:
     """How many frames of which shape, tiles and layers; `watch`: a frame that can be looked at
@@ -41,7 +48,7 @@ def listing(service: Service, job_id: str) -> Response:
 @router.get("/frames/{frame}")
 def one(service: Service, job_id: str, frame: Number) -> Response:
     """A frame: which of its tiles are drawn; once complete, its times and FITS WCS."""
-    return JSONResponse(frames.frame_facts(_begun_product(service, job_id), frame))
+    return JSONResponse(_pixels().frame_facts(_begun_product(service, job_id), frame))
 
 
 @router.get("/frames/{frame}/tiles/{row}/{column}")
@@ -57,7 +64,7 @@ def values(
     """A tile's values, little-endian, row by row; X-Shape and X-Type (numpy) tell of them."""
     with reading:
         product = _begun_product(service, job_id)
-        found = frames.tile_values(product, frame, row, column, layer, bin)
+        found = _pixels().tile_values(product, frame, row, column, layer, bin)
         found = found.astype(found.dtype.newbyteorder("<"), copy=False)
         told = {"X-Shape": "{},{}".format(*found.shape), "X-Type": np.dtype(found.dtype).str}
         return Response(
@@ -81,8 +88,8 @@ def picture(
     """A tile as a picture, row 0 at the bottom; without `low` and `high`, by its percentiles."""
     with reading:
         product = _begun_product(service, job_id)
-        found = frames.tile_values(product, frame, row, column, layer, bin)
-        png = frames.tile_picture(found, stretch, low, high)
+        found = _pixels().tile_values(product, frame, row, column, layer, bin)
+        png = _pixels().tile_picture(found, stretch, low, high)
     return Response(png, media_type="image/png", headers=FOR_GOOD)
 
 
@@ -96,7 +103,7 @@ def truth(
     """Targets and the brightest stars in a frame: places, names, light, signal-to-noise."""
     with reading:
         product = complete_product(service, job_id)
-        return JSONResponse(frames.truth_of(product, frame, limit))
+        return JSONResponse(_pixels().truth_of(product, frame, limit))
 
 
 @router.get("/frames/{frame}/fits")
@@ -108,7 +115,7 @@ def fits(
 ) -> Response:
     """A frame as FITS, with WCS and times."""
     with reading:
-        content = frames.frame_fits(complete_product(service, job_id), frame, layer)
+        content = _pixels().frame_fits(complete_product(service, job_id), frame, layer)
     name = f"{_file_name(service, job_id)}-{layer}-{frame:05d}.fits"
     return Response(content, media_type="application/fits", headers=_attachment(name))
 

@@ -38,9 +38,8 @@ def accept_study(
 
 def run_study(order: JsonObject, listen: Any) -> JsonObject:
     """Run a stored study, in the worker's process."""
-    from pipeline.capacity.run import StudyOptions
-    from pipeline.capacity.run import run_study as run
+    from pipeline.capacity import run
 
-    options = StudyOptions(order["scheduler"], order["workers"], order["resume"])
-    run(order["scene"], Path.cwd(), Path(order["product"]), options, listen)
+    options = run.StudyOptions(order["scheduler"], order["workers"], order["resume"])
+    run.run_study(order["scene"], Path.cwd(), Path(order["product"]), options, listen)
     return {"tiles": 0, "content_digest": None}

@@ -155,15 +155,14 @@ def _upgrade(engine: sa.Engine, shown: str) -> None:
         if found is not None and found not in known:
             allowed = f"tables of form {HEAD} or earlier (made by an earlier Nightglass)"
             raise BadInput("the job table", f"{shown} of form {found}", allowed)
-        from alembic import command
-        from alembic.config import Config
+        from alembic import command, config
 
-        config = Config()
-        config.set_main_option("script_location", str(Path(__file__).parents[1] / "migrations"))
-        config.attributes["connection"] = db
+        settings = config.Config()
+        settings.set_main_option("script_location", str(Path(__file__).parents[1] / "migrations"))
+        settings.attributes["connection"] = db
         if found == "0001":
-            command.stamp(config, "0001")
-        command.upgrade(config, "head")
+            command.stamp(settings, "0001")
+        command.upgrade(settings, "head")
         if db.dialect.name == "sqlite":
             db.exec_driver_sql(f"PRAGMA user_version = {FORMAT}")
 

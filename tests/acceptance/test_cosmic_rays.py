@@ -10,7 +10,7 @@ import pytest
 import zarr
 
 from pipeline.errors import BadInput
-from pipeline.inputs.sensor.cosmic_rays import write_library
+from pipeline.inputs.sensor.cosmic_ray_library import write_library
 from pipeline.physics.cosmic_rays.library import Library
 from pipeline.route.run import render
 from pipeline.spec.load import load_scene, parse_scene

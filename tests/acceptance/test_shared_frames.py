@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import pipeline.plan.stars.shared_frames
+import pipeline.plan.scene_plan
 from pipeline.route.prepare import prepare
 from pipeline.route.run import Options, render
 from pipeline.store.cube import open_cube
@@ -54,7 +54,7 @@ def test_stars_are_where_their_frame_has_them_within_the_bound(
     plan = prepare(scene()).plan
     assert plan.shared_frames == FRAMES
     d = stated(plan)
-    monkeypatch.setattr(pipeline.plan.stars.shared_frames, "share_frames", lambda *_: (1, ()))
+    monkeypatch.setattr(pipeline.plan.scene_plan, "share_frames", lambda *_: (1, ()))
     apart = prepare(scene()).plan
     assert apart.shared_frames == 1
     assert not [one for one in apart.decisions if one.component == "shared_frames"]

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from catalog_tools.ingest.ingest import ingest
-from pipeline.inputs.sensor.cosmic_rays import extract_library, open_darks, write_library
+from pipeline.inputs.sensor.cosmic_ray_darks import extract_library, open_darks
+from pipeline.inputs.sensor.cosmic_ray_library import write_library
 from pipeline.physics.cosmic_rays.frame import charge_e
 from pipeline.physics.cosmic_rays.tracks import Flux
 

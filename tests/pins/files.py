@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.inputs.sensor.cosmic_rays import write_library
+from pipeline.inputs.sensor.cosmic_ray_library import write_library
 from pipeline.physics.cosmic_rays.library import Library
 
 RA_DEG, DEC_DEG = 80.0, 20.0

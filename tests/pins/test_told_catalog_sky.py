@@ -384,8 +384,8 @@ patience.Patience().wait("w", patience.Unavailable("busy", 700.0), 1, EVENT)
 memory.Budget(), [getattr(memory.Budget(x << 20), n) for x in (256, 900, 9000) for n in ROOMS]
 memory.Budget(256 << 20).check_leaves([partition.Cell(3, 5, 0, 9, 10**8)])
 for x in ["x", "tcp://1.2.3.4:5", "tcp://127.0.0.1:5", "tls://h:5", "tcp://h:x"]:
-  clusters.check_address(x, ("a", "b"))
-clusters.security_of("tcp://127.0.0.1:5"), schedulers.LOCAL_KINDS
+  addresses.check_address(x)
+clusters.security_of("tcp://127.0.0.1:5"), addresses.LOCAL_KINDS
 for x in ["tcp://9.9.9.9:1", "thread"]: schedulers.open_scheduler(x, 2).__enter__()
 for x in ["threads", "synchronous"]: graphs(schedulers.open_scheduler(x, 2))
 for x in [1, 2, 3]: tried(x)

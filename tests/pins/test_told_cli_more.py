@@ -189,7 +189,7 @@ def test_cosmic_rays() -> None:
         cosmic-rays compare none.fits -o x.png
         cosmic-rays compare rays.fits -o none/x.png
     """)
-    from pipeline.inputs.sensor.cosmic_rays import read_library
+    from pipeline.inputs.sensor.cosmic_ray_library import read_library
 
     told += array_fields(read_library(Path("lib.fits"), "LIBRARY"))
     check_told("cli/rays", told, folder=Path.cwd())

@@ -32,7 +32,7 @@ from service.http import bodies
 from service.jobs import views
 from service.jobs.jobs import NEXT, Job, Phase, Queue
 from service.jobs.submissions import Ask, TeamLimits, Used, refuse, run_pending, submit_many
-from service.products import frames
+from service.products import pixels
 from service.products.files import _part, serve_file
 from service.scenes import uploads
 from service.scenes.scenes import product_bytes_of
@@ -417,7 +417,7 @@ def test_files(tmp_path: Path) -> None:
     ):
         lines.append(told(pixel_frames_of, made, shown="pixel_frames_of"))
     values = np.arange(35.0).reshape(5, 7)
-    lines += [frames.binned(values, n).round(4).tolist().__repr__() for n in (1, 2, 3, 8)]
+    lines += [pixels.binned(values, n).round(4).tolist().__repr__() for n in (1, 2, 3, 8)]
     for name, content in (
         ("a.npy", _npy(np.zeros((2, 3)))),
         ("a.npy", _npy(np.zeros((2, 3)))[:-1]),

@@ -47,7 +47,7 @@ from service.jobs.jobs import Phase, Queue
 from service.jobs.shares import Shares
 from service.jobs.submissions import Ask, TeamLimits, submit_many
 from service.problems import NotReady
-from service.products import archive, frames
+from service.products import archive, frames, pixels
 from service.routes import health
 from service.scenes import catalogues, sweeps
 from service.scenes.accepted import Acceptance
@@ -805,7 +805,7 @@ def _health(clock: Clock, folder: Path) -> list[str]:
     asked: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "service.engine.cluster.ask", lambda *given: asked.append(str(given)) or _gone()
+            "catalog_tools.engine.clusters.ask", lambda *given: asked.append(str(given)) or _gone()
         )
         for step in (0.0, 1.9, 0.2):
             clock.now += step
@@ -871,9 +871,10 @@ def test_the_rest(
     )
     lines.append(str(catalogues.catalogue_facts(settings.catalogues, "cat")))
     _truth(tmp_path / "t")
-    monkeypatch.setattr(frames, "describe", lambda _: {"frames": 2})
+    for one in (frames, pixels):
+        monkeypatch.setattr(one, "describe", lambda _: {"frames": 2})
     lines += [
-        str(frames.truth_of(tmp_path / "t", frame, most))
+        str(pixels.truth_of(tmp_path / "t", frame, most))
         for frame, most in ((0, 1), (0, 9), (1, 2))
     ]
     for name in (
@@ -886,11 +887,13 @@ def test_the_rest(
         (tmp_path / "t" / "markers").mkdir(exist_ok=True)
         (tmp_path / "t" / "markers" / f"{name}.json").write_text("")
         about = {"complete": False, "shape": [8, 9], "tile_shape": [8, 5]}
-        lines.append(f"watch {frames.frame_to_watch(tmp_path / 't', about)} {frames._grid(about)}")
+        watched = frames.frame_to_watch(tmp_path / "t", about)
+        lines.append(f"watch {watched} {frames.grid_of(about)}")
     tiles = {"complete": False, "frames": 2, "shape": [8, 9], "tile_shape": [4, 4]}
-    monkeypatch.setattr(frames, "describe", lambda _: tiles)
+    for one in (frames, pixels):
+        monkeypatch.setattr(one, "describe", lambda _: tiles)
     (tmp_path / "t" / "markers" / "f000001_r000_c002.json").write_text("")
-    lines.append(str(frames.frame_facts(tmp_path / "t", 1)))
+    lines.append(str(pixels.frame_facts(tmp_path / "t", 1)))
     big = {
         "frames": 1,
         "layers": {"dn": 1},
@@ -898,14 +901,15 @@ def test_the_rest(
         "tile_shape": [1 << 14, 1 << 14],
         "shape": [1 << 14, 9000],
     }
-    monkeypatch.setattr(frames, "describe", lambda _: big)
+    for one in (frames, pixels):
+        monkeypatch.setattr(one, "describe", lambda _: big)
     lines += [
-        told(frames.tile_values, tmp_path, 0, 0, 0, "dn", n, shown=f"bin {n}") for n in (2, 64)
+        told(pixels.tile_values, tmp_path, 0, 0, 0, "dn", n, shown=f"bin {n}") for n in (2, 64)
     ]
-    lines.append(told(frames.frame_fits, tmp_path, 0, "dn", shown="fits"))
-    monkeypatch.setattr(frames, "MAX_READ", 1 << 26)
-    lines += [told(frames.tile_values, tmp_path, 0, 0, 0, "dn", 64, shown="too large")]
-    lines += [told(frames.frame_fits, tmp_path, 0, "dn", shown="fits")]
+    lines.append(told(pixels.frame_fits, tmp_path, 0, "dn", shown="fits"))
+    monkeypatch.setattr(pixels, "MAX_READ", 1 << 26)
+    lines += [told(pixels.tile_values, tmp_path, 0, 0, 0, "dn", 64, shown="too large")]
+    lines += [told(pixels.frame_fits, tmp_path, 0, "dn", shown="fits")]
     with served(tmp_path / "home", body_bytes=9000, upload_bytes=9) as house:
         for path in (
             "/ogc",

@@ -358,7 +358,6 @@ def test_detection(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_cosmic_rays_and_the_demo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from catalog_tools.synthetic import synthetic
     from pipeline import demo
     from pipeline.studies import cosmic_rays as figure
     from pipeline.studies.scenes import study
@@ -377,7 +376,7 @@ def test_cosmic_rays_and_the_demo(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         return SimpleNamespace(catalogue=SimpleNamespace(rows=12))
 
     monkeypatch.setattr(demo, "render", render)
-    monkeypatch.setattr(synthetic, "make_demo", make_demo)
+    monkeypatch.setattr(demo, "make_demo", make_demo)
     monkeypatch.setattr(study, "make_demo", make_demo)
     for again in (False, True, False, True):
         said.append(demo.run_demo(tmp_path / "d", again, None, said.append))

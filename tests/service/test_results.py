@@ -22,7 +22,7 @@ from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
 from service.problems import NotReady, NotThere
 from service.products.files import open_inside, serve_file
-from service.products.frames import frame_facts, tile_picture, tile_values, truth_of
+from service.products.pixels import frame_facts, tile_picture, tile_values, truth_of
 
 
 def test_every_file_is_fetched_whole(server: Any, finished: str, tmp_path: Path) -> None:

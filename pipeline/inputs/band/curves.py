@@ -18,6 +18,7 @@ import numpy as np
 from pipeline.errors import BadInput, Damaged
 from pipeline.inputs.reference import solar_bands, stellar_boxes
 from pipeline.kept import kept
+from pipeline.lazily import fits
 from pipeline.physics.radiometry import (
     Array,
     ResponseCurve,
@@ -295,16 +296,14 @@ def stellar_library_digest() -> str:
 
 
 def _pickles_library(folder: Path) -> list[Spectrum]:
-    from astropy.io import fits
-
     library: list[Spectrum] = []
     path = folder / "pickles_uk.fits"
     try:
-        index = fits.getdata(path, 1)
+        index = fits().getdata(path, 1)
         for file, spectral_type in zip(index["FILENAME"], index["SPTYPE"], strict=True):
             path = folder / f"{str(file).strip()}.fits"
             if path.is_file():
-                table = fits.getdata(path, 1)
+                table = fits().getdata(path, 1)
                 wavelength = np.array(table["WAVELENGTH"], dtype=np.float64) * 1e-10
                 flux = np.array(table["FLUX"], dtype=np.float64)
                 library.append((str(spectral_type).strip(), wavelength, flux))

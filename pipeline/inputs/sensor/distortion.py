@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
+from pipeline.lazily import fits
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.distortion import HIGHEST_ORDER, FileDistortion
@@ -62,14 +63,12 @@ def _is_tpv(header: Header) -> bool:
 
 def _headers(path: Path) -> list[Header]:
     """Headers of a FITS file, or the one that a text file spells out."""
-    from astropy.io import fits
-
     with path.open("rb") as file:
         start = file.read(30)
     try:
         whole = start.startswith(b"SIMPLE  =") and path.stat().st_size % 2880 == 0
         if whole or path.suffix == ".gz":
-            with fits.open(path) as hdus:
+            with fits().open(path) as hdus:
                 return [hdu.header for hdu in hdus]
         if path.stat().st_size > LARGEST_TEXT:
             raise BadInput(
@@ -77,8 +76,8 @@ def _headers(path: Path) -> list[Header]:
             )
         text = path.read_text("latin-1")
         separator = "\n" if "\n" in text else ""
-        return [fits.Header.fromstring(text, sep=separator)]
-    except (OSError, ValueError, fits.VerifyError) as error:
+        return [fits().Header.fromstring(text, sep=separator)]
+    except (OSError, ValueError, fits().VerifyError) as error:
         raise BadInput(FIELD, str(path), f"a readable FITS file or header; {error}") from None
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
+from pipeline.lazily import fits
 
 
 def gather_image(given: str, field: str, shape: tuple[int, int]) -> Array:
@@ -43,10 +44,8 @@ def read_image(path: Path, field: str) -> Array:
 
 
 def _read_fits(path: Path, field: str) -> np.ndarray | None:
-    from astropy.io import fits
-
     try:
-        with fits.open(path) as hdus:
+        with fits().open(path) as hdus:
             return next((h.data for h in hdus if getattr(h, "data", None) is not None), None)
     except (OSError, ValueError, TypeError) as error:
         raise BadInput(field, str(path), f"a readable FITS image; {error}") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pipeline.arrays import SensorMaps, Value
 from pipeline.errors import BadInput
+from pipeline.inputs.sensor.detector import with_detector
 from pipeline.inputs.sensor.images import gather_image
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.sensor import NumberOrImage
@@ -29,8 +30,6 @@ def gather_sensor_maps(scene: Scene) -> SensorMaps:
     )
     if scene.sensor.detector is None:
         return maps
-    from pipeline.inputs.sensor.detector import with_detector
-
     return with_detector(maps, scene)
 
 

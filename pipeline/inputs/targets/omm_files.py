@@ -9,6 +9,7 @@ from pathlib import Path
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
+from pipeline.physics.positions.orbit_sgp4 import sgp4
 
 LARGEST_BYTES = 64_000_000
 _KEYS = {
@@ -95,11 +96,9 @@ def _from_json(text: str) -> Iterable[JsonObject]:
 
 def _from_xml(text: str, path: Path, field: str) -> Iterable[JsonObject]:
     """By sgp4's reader; documents that declare types or entities of their own are refused."""
-    from sgp4 import omm
-
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise BadInput(field, path.name, "XML without DOCTYPE and ENTITY")
-    return list(omm.parse_xml(io.StringIO(text)))
+    return list(sgp4().omm.parse_xml(io.StringIO(text)))
 
 
 def _from_kvn(text: str) -> Iterable[JsonObject]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,6 +41,13 @@ _COLUMNS = {
         ("mean motion", 53, 63, r" *\d+\.\d+ *"),
     ),
 }
+
+
+def sgp4() -> Any:
+    """sgp4's `api` and `omm`: SGP4, and its reader of mean elements; only their scenes load it."""
+    import sgp4.omm
+
+    return sgp4
 
 
 def tle_states(
@@ -122,9 +129,7 @@ def since_epochs_s(satellites: Sequence[Satrec], epoch_utc: tuple[float, float])
 
 
 def _ended(field: str, label: str, when: str, days: float, code: int) -> BadInput:
-    from sgp4.api import SGP4_ERRORS  # only scenes with mean elements need it
-
-    meaning = SGP4_ERRORS.get(code, "the result is not finite")
+    meaning = sgp4().api.SGP4_ERRORS.get(code, "the result is not finite")
     return BadInput(
         field,
         label,
@@ -140,9 +145,8 @@ def tle_states_teme(
 
     No check of the lines: for verification sets, which hold deliberately odd elements.
     """
-    from sgp4.api import WGS72, Satrec  # only scenes with two-line elements need it
-
-    satellite = Satrec.twoline2rv(line1, line2, WGS72)
+    api = sgp4().api
+    satellite = api.Satrec.twoline2rv(line1, line2, api.WGS72)
     days, fraction = np.broadcast_arrays(np.atleast_1d(jd), np.atleast_1d(fr))
     errors, position_km, velocity_km_s = satellite.sgp4_array(
         np.ascontiguousarray(days, float), np.ascontiguousarray(fraction, float)
@@ -152,12 +156,11 @@ def tle_states_teme(
 
 def tle_satellite(line1: str, line2: str, field: str = "orbit") -> Satrec:
     """The SGP4 satellite (WGS 72) of two checked lines."""
-    from sgp4.api import WGS72, Satrec  # only scenes with two-line elements need it
-
     check_tle(line1, line2, field)
     line1, line2 = line1.rstrip(), line2.rstrip()
+    api = sgp4().api
     try:
-        return Satrec.twoline2rv(line1, line2, WGS72)
+        return api.Satrec.twoline2rv(line1, line2, api.WGS72)
     except ValueError as error:
         raise BadInput(field, line1, f"two-line elements that can be read ({error})") from error
 
@@ -168,11 +171,8 @@ def mean_satellite(elements: JsonObject, field: str = "orbit") -> Satrec:
     elements : epoch (UTC text), mean_motion_rev_day, eccentricity, inclination_deg, raan_deg,
         argument_of_perigee_deg, mean_anomaly_deg, bstar. SGP4 uses no derivative of the mean motion
     """
-    from sgp4 import omm
-    from sgp4.api import Satrec
-
     epoch = format_utc(*parse_utc(elements["epoch"], f"{field}.epoch"))
-    satellite = Satrec()
+    satellite = sgp4().api.Satrec()
     keywords = {
         "CLASSIFICATION_TYPE": "U",
         "OBJECT_ID": "2000-000A",
@@ -192,7 +192,7 @@ def mean_satellite(elements: JsonObject, field: str = "orbit") -> Satrec:
         "RA_OF_ASC_NODE": elements["raan_deg"],
     }
     try:
-        omm.initialize(satellite, keywords)
+        sgp4().omm.initialize(satellite, keywords)
     except (ValueError, OverflowError) as error:
         raise BadInput(field, epoch, f"mean elements that SGP4 can read ({error})") from error
     return satellite

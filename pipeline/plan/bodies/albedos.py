@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
 from pipeline.physics.radiometry import ResponseCurve
+from pipeline.physics.targets.reflectance import band_reflectance
 from pipeline.spec.scene import Scene
 from pipeline.spec.targets.body import CompositeBody, Part
 
@@ -29,8 +30,6 @@ def with_band_albedos(
 
     The same scene where there is none. BadInput where a table does not cover the band.
     """
-    from pipeline.physics.targets.reflectance import band_reflectance
-
     sun = (sun_wavelength_m, sun_irradiance_w_m3, response)
 
     def grey(part: Any, field: str) -> Any:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
 from pipeline.errors import BadInput
+from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.targets.eclipse import sunlit_fraction
 from pipeline.physics.targets.lighting import (
     phase_angle,
@@ -154,8 +155,6 @@ def earthshine_m2_sr(
 
         rest = np.zeros(view.time_s.shape[1]) if besides_m2_sr is None else besides_m2_sr
         return mesh_earthshine_m2_sr(body, epoch, view, albedo, rest, field, frames)
-    from pipeline.physics.targets.earthshine import earth_lamps
-
     place = view.place_m[0]
     directions, light = earth_lamps(place, view.sun_m[0], albedo)
     n, k = light.shape

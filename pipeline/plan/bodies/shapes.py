@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DEG_RAD
+from pipeline.physics.targets.attitude import in_body_axes
+from pipeline.physics.targets.frustum import frustum_area_function
+from pipeline.physics.targets.plate import box_area_function, plate_area_function
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.physics.vectors import separation
 from pipeline.plan.bodies.albedos import albedo_of
@@ -146,20 +149,12 @@ def _area(
     sizes = np.array([p.sizes for p in pieces])[:, None, :]
     if shape == "sphere":
         return sphere_area_function(separation(light, view.observer), sizes[..., 0])
-    from pipeline.physics.targets.attitude import in_body_axes
-
     attitude = attitudes([p.law for p in pieces], epoch, view, [p.field for p in pieces])
     sun, observer = in_body_axes(attitude, light), in_body_axes(attitude, view.observer)
     if shape == "plate":
-        from pipeline.physics.targets.plate import plate_area_function
-
         return plate_area_function(sun, observer, sizes[..., 0], sizes[..., 1] > 0.0)
     if shape == "box":
-        from pipeline.physics.targets.plate import box_area_function
-
         return box_area_function(sun, observer, sizes)
-    from pipeline.physics.targets.frustum import frustum_area_function
-
     return frustum_area_function(sun, observer, *np.moveaxis(sizes, -1, 0))
 
 

@@ -17,6 +17,7 @@ from pipeline.physics.constants import (
     SPEED_OF_LIGHT_M_S,
 )
 from pipeline.physics.motion.disturbance import turned
+from pipeline.physics.motion.rolling import rolled_sources
 from pipeline.physics.positions.apparent import (
     TargetSight,
 )
@@ -245,8 +246,6 @@ def _geometry(
     x, y, light = t.x_px.reshape(each), t.y_px.reshape(each), t.light.reshape(each)
     clear = t.clear.reshape(each)
     if camera.line_s:
-        from pipeline.physics.motion.rolling import rolled_sources
-
         seen = x, y, light, clear
         x, y, light, clear = rolled_sources(*seen, since, camera.line_s, camera.rows)
     return Geometry(

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.constants import DEG_RAD, SPEED_OF_LIGHT_M_S
+from pipeline.physics.motion.rolling import later, row_delay_s
 from pipeline.physics.motion.streak import Path, path_through
 from pipeline.physics.positions.apparent import aberrate, unaberrate
 from pipeline.physics.positions.earth import earth_and_sun
@@ -202,8 +203,6 @@ def _clear_at(
         u = _in_the_earths_frame(scene, g, proper)
         clear = np.stack([height_of_line_m(p, u, pole) for p in place], axis=-1)
     if camera.line_s:
-        from pipeline.physics.motion.rolling import later, row_delay_s
-
         times = g.offset_s[0, nodes] - g.offset_s[0, 0]
         clear = later(clear, times, row_delay_s(y_px, camera.line_s, camera.rows)[:, None])
     return clear

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry, Refined
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
+from pipeline.physics.motion.rolling import exposed_longer, rolled
 from pipeline.physics.positions.apparent import aberrate, unaberrate
 from pipeline.physics.positions.focal_plane import Camera, deproject, project, stretch
 from pipeline.physics.positions.refraction import refract, unrefract
@@ -56,8 +57,6 @@ def rolled_stars(
 ) -> tuple[Array, Array, Array]:
     """Where stars (n,) that stand at (x, y) at mid-exposure of a frame's first row are at that of
     their own row, and how much longer than a row they are exposed (n,). g : one frame."""
-    from pipeline.physics.motion.rolling import exposed_longer, rolled
-
     ends = at_nodes(g, np.array([0, g.middle, g.nodes - 1]))
     still = still_paths(camera, ends, x_px, y_px, aberration)[:, :, 0]
     times = ends.offset_s[0] - ends.offset_s[0, 0]
@@ -75,8 +74,6 @@ _NODEWISE = ("offset_s", "observer_m_s", "attitude", "air")  # all that star pat
 
 def _rolled_paths(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bool) -> Array:
     """The same of one frame of a rolling shutter."""
-    from pipeline.physics.motion.rolling import rolled
-
     x0, y0, times = x, y, g.offset_s - g.offset_s[:, [0]]
     for _ in range(UNROLLED):
         still = still_paths(camera, g, x0, y0, aberration)

@@ -11,6 +11,7 @@ from pipeline.plan.pointing.geometry import camera_of
 from pipeline.plan.pointing.star_paths import star_paths
 from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.sensor.detector import lag_depth
+from pipeline.plan.sensor.rolling import rolling_shutter
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import (
@@ -46,8 +47,6 @@ def _rolling(basis: PlanBasis) -> list[Decision]:
     d = basis.scene.sensor.detector
     if d is None or not isinstance(d.readout, RollingShutter):
         return []
-    from pipeline.plan.sensor.rolling import rolling_shutter
-
     told, off_px = rolling_shutter(basis.scene, d.readout, basis.frames, basis.resolved.dut1_s)
     return [Decision("rolling_shutter", True, told, bound=off_px, unit="px")]
 

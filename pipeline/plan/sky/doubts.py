@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -134,9 +135,14 @@ def _moonlight_rad(scene: Scene) -> float:
     b = scene.background
     if b is None or not b.moonlight:
         return -np.pi
-    from pipeline.physics.sky.night import NEAREST_MOON_RAD
+    return float(_night().NEAREST_MOON_RAD)
 
-    return NEAREST_MOON_RAD
+
+def _night() -> Any:
+    """Light of the night sky; only scenes that need it load it."""
+    from pipeline.physics.sky import night
+
+    return night
 
 
 def highest_sun_rad(scene: Scene) -> float | None:
@@ -201,18 +207,15 @@ def _elevation(seen: LampGeometry, k: int) -> tuple[float, str]:
 
 
 def _size(sun_elevation_rad: float) -> str:
-    from pipeline.physics.sky.night import twilight_zenith_v_mag
-
-    return f"V = {twilight_zenith_v_mag(sun_elevation_rad):.1f} per square arcsecond at the zenith"
+    mag = _night().twilight_zenith_v_mag(sun_elevation_rad)
+    return f"V = {mag:.1f} per square arcsecond at the zenith"
 
 
 def _little_twilight(
     scene: Scene, facts: Facts, response: ResponseCurve, where: str, up_rad: float
 ) -> list[str]:
     """What is said of twilight that is not asked for, where it is more than the accuracy."""
-    from pipeline.physics.sky.night import twilight_zenith_v_mag
-
-    mag = twilight_zenith_v_mag(up_rad)
+    mag = _night().twilight_zenith_v_mag(up_rad)
     light_e = _light_e(scene, facts, response, mag)
     if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
         return []
@@ -226,13 +229,11 @@ def _no_moonlight(
     scene: Scene, facts: Facts, response: ResponseCurve, seen: LampGeometry
 ) -> list[str]:
     """What is said of moonlight that is not asked for, where it is more than the accuracy."""
-    from pipeline.physics.sky.night import moonlight_zenith_v_mag
-
     b, k = scene.background, int(np.argmax(seen.moon.elevation))
     up = float(seen.moon.elevation[k])
     if up <= 0.0 or _own_sky(b) or (b is not None and b.moonlight):
         return []
-    mag = moonlight_zenith_v_mag(up, seen.moon_fraction(k))
+    mag = _night().moonlight_zenith_v_mag(up, seen.moon_fraction(k))
     light_e = _light_e(scene, facts, response, mag)
     if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
         return []

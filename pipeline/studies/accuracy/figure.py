@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput
+from pipeline.lazily import blank_figure
 
 Row = JsonObject
 
@@ -36,19 +36,11 @@ def draw_figure(study: JsonObject, path: Path) -> None:
 
     Raises BadInput where matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise BadInput(
-            "figure", "matplotlib is not installed", "pip install 'nightglass[report]'"
-        ) from None
     rows = [r for r in study["records"] if not r["curved"] and r["engine"] != "tiles"]
     psfs = list(dict.fromkeys(r["psf"] for r in rows))
     streaks = sorted({r["streak_px"] for r in rows})
     width, height = 4.0 * len(streaks) + 0.9, 3.4 * len(psfs) + BELOW_IN
-    figure = Figure(figsize=(width, height), dpi=110)
-    FigureCanvasAgg(figure)
+    figure = blank_figure("figure", (width, height), dpi=110)
     axes = figure.subplots(len(psfs), len(streaks), sharex=True, sharey=True, squeeze=False)
     for panel, (psf, streak) in zip(axes.flat, product(psfs, streaks), strict=True):
         mine = [r for r in rows if (r["psf"], r["streak_px"]) == (psf, streak)]

@@ -10,6 +10,7 @@ import numpy as np
 from catalog_tools.documents import JsonObject
 from pipeline.export.labels import TARGET
 from pipeline.export.picture import stretch
+from pipeline.lazily import blank_figure
 from pipeline.studies.detection.finders import TITLES
 
 if TYPE_CHECKING:
@@ -21,11 +22,7 @@ SIDE_PX = 360
 
 def draw_figure(study: JsonObject, shown: JsonObject, path: Path) -> None:
     """Write the figure as PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 4.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure("figure", (11, 4.8), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
     _completeness(left, study)
     _piece(right, shown)

@@ -7,12 +7,15 @@ import sys
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
+from pipeline.errors import BadInput, NightglassError
+from pipeline.studies.scenes.exact import find_exact
+from pipeline.studies.scenes.rung import measure_rung, render_once
+from pipeline.studies.scenes.stage import open_stage, tiles_of
+from pipeline.studies.scenes.switches import measure_switches
 
 
 def main() -> None:
     """Do what the order says; a fault that a user can mend is told as {"refused": [...]}."""
-    from pipeline.errors import BadInput, NightglassError
-
     order = json.load(sys.stdin)
     try:
         found = WORK[order["work"]](order)
@@ -28,11 +31,6 @@ def _reference(order: JsonObject) -> JsonObject:
 
     The scene is rendered once before, so that no other process has to compile what it draws with.
     """
-    from pipeline.studies.scenes.exact import find_exact
-    from pipeline.studies.scenes.rung import render_once
-    from pipeline.studies.scenes.stage import open_stage, tiles_of
-    from pipeline.studies.scenes.switches import measure_switches
-
     render_once(order["scene"], order["share"], Path(order["folder"]))
     finest = open_stage(order["finest"])
     tiles = tiles_of(finest, order["share"])
@@ -47,8 +45,6 @@ def _reference(order: JsonObject) -> JsonObject:
 
 
 def _rung(order: JsonObject) -> JsonObject:
-    from pipeline.studies.scenes.rung import measure_rung
-
     return measure_rung(order)
 
 

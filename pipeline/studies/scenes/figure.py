@@ -6,6 +6,7 @@ import io
 from typing import TYPE_CHECKING
 
 from catalog_tools.documents import JsonObject
+from pipeline.lazily import blank_figure
 
 if TYPE_CHECKING:
     import numpy as np
@@ -118,12 +119,8 @@ def omission_figure(study: JsonObject) -> bytes:
 def _figure(
     rows: int, columns: int, size: tuple[float, float] | None = None
 ) -> tuple[Figure, np.ndarray]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     size = size or (PANEL_IN[0] * columns + 0.4, PANEL_IN[1] * rows + 0.5)
-    figure = Figure(figsize=size, dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure("figure", size, dpi=110, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from catalog_tools.engine.clusters import check_address, security_of
-from catalog_tools.engine.schedulers import LOCAL_KINDS, open_scheduler
+from catalog_tools.engine.addresses import check_address
+from catalog_tools.engine.clusters import security_of
+from catalog_tools.engine.schedulers import open_scheduler
 from catalog_tools.errors import BadInput, TryLater
 from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
@@ -218,7 +219,7 @@ def test_workers_end_with_4_when_their_scheduler_dies_and_with_0_when_asked(own_
 )  # fmt: skip
 def test_bad_addresses(address):
     with pytest.raises(BadInput, match="--scheduler"):
-        check_address(address, LOCAL_KINDS)
+        check_address(address)
 
 
 @pytest.mark.parametrize("kind", ["tcp://127.0.0.1:9", "processes"])

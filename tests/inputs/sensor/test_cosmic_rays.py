@@ -10,14 +10,11 @@ from typer.testing import CliRunner
 
 from pipeline.commands.cosmic_rays import cosmic_rays
 from pipeline.errors import BadInput
+from pipeline.inputs.sensor import cosmic_ray_darks
 from pipeline.inputs.sensor import cosmic_rays as cosmic_rays_module
-from pipeline.inputs.sensor.cosmic_rays import (
-    extract_library,
-    gather_cosmic_rays,
-    open_darks,
-    read_library,
-    write_library,
-)
+from pipeline.inputs.sensor.cosmic_ray_darks import extract_library, open_darks
+from pipeline.inputs.sensor.cosmic_ray_library import read_library, write_library
+from pipeline.inputs.sensor.cosmic_rays import gather_cosmic_rays
 from pipeline.physics.cosmic_rays.frame import charge_e, truth_columns
 from pipeline.physics.cosmic_rays.library import Recorded
 from pipeline.physics.cosmic_rays.tracks import Flux
@@ -274,7 +271,7 @@ def test_command_line(darks, tmp_path):
 
 def test_same_library_read_band_by_band(darks, extracted, monkeypatch):
     """Bands of 7 rows, whose last is shorter: the same events as of the whole stack at once."""
-    monkeypatch.setattr(cosmic_rays_module, "BAND_BYTES", 4 * FRAMES * 200 * 7)
+    monkeypatch.setattr(cosmic_ray_darks, "BAND_BYTES", 4 * FRAMES * 200 * 7)
     whole, told = extracted
     banded, again = extract_library(open_darks(darks), EXPOSURE_S, 10.0, GAIN)
     assert again == told
