@@ -14,7 +14,7 @@ from pipeline.arrays import Array
 from pipeline.plan.acceptance import accept_or_refuse
 from pipeline.plan.decision import Decision
 from pipeline.spec.scene import Scene
-from pipeline.spec.sensor.sensor import AiryPsf, GaussianPsf, KolmogorovPsf
+from pipeline.spec.sensor.sensor import Chromatic, GaussianPsf
 
 SMALL = 0.25  # of a part: what is refined until it errs by little, at no cost
 INSTEAD = ("crowds_by_transforms",)  # of phase_interpolation, whose bound is counted
@@ -70,9 +70,7 @@ def may_share_frames(scene: Scene) -> bool:
 def by_wavelength(scene: Scene) -> bool:
     """Whether the response follows the wavelength, over a band that the plan resolves."""
     return any(
-        isinstance(one, AiryPsf | KolmogorovPsf)
-        and one.wavelength_nm is None
-        and one.wavelengths is None
+        isinstance(one, Chromatic) and one.wavelength_nm is None and one.wavelengths is None
         for one in scene.sensor.every_psf
     )
 

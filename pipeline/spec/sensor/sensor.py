@@ -237,9 +237,8 @@ class TablePsf(PsfShape):
         return self
 
 
-OnePsf = Annotated[
-    GaussianPsf | AiryPsf | MoffatPsf | KolmogorovPsf | TablePsf, Field(discriminator="kind")
-]
+KindOfPsf = GaussianPsf | AiryPsf | MoffatPsf | KolmogorovPsf | TablePsf
+OnePsf = Annotated[KindOfPsf, Field(discriminator="kind")]
 FramePlaces = Annotated[
     tuple[Annotated[float, Field(ge=-1e5, le=1e5)], ...], Field(min_length=1, max_length=9)
 ]
@@ -286,10 +285,7 @@ class FieldPsf(Strict):
         return f"sensor.psf.psfs.{row}.{column}" + field.removeprefix("sensor.psf")
 
 
-Psf = Annotated[
-    GaussianPsf | AiryPsf | MoffatPsf | KolmogorovPsf | TablePsf | FieldPsf,
-    Field(discriminator="kind"),
-]
+Psf = Annotated[KindOfPsf | FieldPsf, Field(discriminator="kind")]
 
 
 Passed = Annotated[float, Field(gt=0, le=1)]
