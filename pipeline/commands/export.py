@@ -8,12 +8,14 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.options import Output
-from pipeline.export.formats import ExportRequest, export_product
+from pipeline.export.formats import FORMATS, ExportRequest, export_product
+
+NAMED = f"{', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
 
 
 def export(
     product: Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")],
-    to: Annotated[str, typer.Option("--to", help="fits, png, gif, mp4, satnet, coco or masks")],
+    to: Annotated[str, typer.Option("--to", help=NAMED)],
     output: Output,
     frame: Annotated[int | None, typer.Option(min=0, help="one frame; default: all")] = None,
     layer: Annotated[str, typer.Option(help="which layer")] = "dn",

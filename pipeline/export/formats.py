@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from pipeline.export.response import SourceLight
 
-FORMATS = (*FRAME_KINDS, "gif", "mp4", "satnet", "coco", "masks")
 PAD_FRACTION = 0.9  # of a point's light within the margin of a SatNet box
 MOVIE_PX = 1024
 
@@ -81,9 +80,7 @@ def export_product(
         if not good:
             raise BadInput(field, value, allowed)
     job = _Job(product, request)
-    yield from {"gif": _movie, "mp4": _movie, "satnet": _satnet, "coco": _coco, "masks": _masks}[
-        kind
-    ](job, output)
+    yield from WRITERS[kind](job, output)
 
 
 class _Job:
@@ -208,3 +205,13 @@ def _masks(job: _Job, output: Path) -> Iterator[Path]:
         path = output / f"frame-{k:05d}.fits"
         write_atomically(path, mask_fits(labels, owner, classes, cards))
         yield path
+
+
+WRITERS: dict[str, Callable[[_Job, Path], Iterator[Path]]] = {
+    "gif": _movie,
+    "mp4": _movie,
+    "satnet": _satnet,
+    "coco": _coco,
+    "masks": _masks,
+}
+FORMATS = (*FRAME_KINDS, *WRITERS)
