@@ -180,6 +180,8 @@ SCENES: dict[str, Changes] = {
     "moffat": psf("moffat", fwhm_arcsec=20.0, oversampling=8),
     "kolmogorov": psf("kolmogorov", fwhm_arcsec=12.0, oversampling=128),
     "kolmogorov-alone": psf("kolmogorov", r0_m=0.01, reference_nm=550.0, diffraction=False),
+    "kolmogorov-with-an-outer-scale": psf("kolmogorov", r0_m=0.01, outer_scale_m=0.8,
+                                          wavelength_nm=600.0),
     "table-of-light": psf("table", path="@psf.npy", samples_per_px=4.0, centre="centroid",
                           light_fraction=0.97, flip_y=True),
     "table-from-a-listing": psf("table", path="@listing.txt", centre="file"),

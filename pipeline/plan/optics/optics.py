@@ -20,6 +20,7 @@ from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian,
 from pipeline.physics.psf.response import oversampling_for
 from pipeline.physics.psf.sampled import Sampled
 from pipeline.physics.psf.seeing import Kolmogorov, Moffat, r0_at, r0_m
+from pipeline.physics.psf.von_karman import LEAST_ALONE_R0, LEAST_OUTER_R0, VonKarman
 from pipeline.physics.psf.zernike import defocus_rms
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.plan.pointing.attitude_motion import fast_blur_px
@@ -166,7 +167,11 @@ def _chromatic(
     q = wavelength_m * s.focal_length_m / (s.aperture_m * pitch)
     if isinstance(psf, KolmogorovPsf):
         scale = wavelength_m / _fried_m(psf, wavelength_m) * s.focal_length_m / pitch
-        return Kolmogorov(scale, Airy(q, s.obscuration) if psf.diffraction else None)
+        telescope = Airy(q, s.obscuration) if psf.diffraction else None
+        if psf.outer_scale_m is None:
+            return Kolmogorov(scale, telescope)
+        outer = _outer_scale_r0(psf, psf.outer_scale_m, wavelength_m)
+        return VonKarman(scale, telescope, outer_scale_r0=outer)
     terms: dict[int, float] = {}
     for a in psf.aberrations:
         rms = a.rms_nm * 1e-9 if a.rms_nm is not None else (a.rms_waves or 0.0) * wave_m
@@ -187,6 +192,20 @@ def _fried_m(psf: KolmogorovPsf, wavelength_m: float) -> float:
         assert psf.fwhm_arcsec is not None
         r0 = r0_m(psf.fwhm_arcsec * ARCSEC_RAD, reference)
     return r0_at(r0, reference, wavelength_m)
+
+
+def _outer_scale_r0(psf: KolmogorovPsf, outer_scale_m: float, wavelength_m: float) -> float:
+    """The outer scale over Fried's parameter at a wavelength. BadInput where it is too small."""
+    r0 = _fried_m(psf, wavelength_m)
+    least = LEAST_OUTER_R0 if psf.diffraction else LEAST_ALONE_R0
+    if outer_scale_m < least * r0:
+        raise BadInput(
+            "sensor.psf.outer_scale_m",
+            outer_scale_m,
+            f"{least * r0:.4g} or more: {least:g} times Fried's parameter at "
+            f"{wavelength_m * 1e9:.0f} nm",
+        )
+    return outer_scale_m / r0
 
 
 def check_scale(kind: str, blur: Blur) -> None:

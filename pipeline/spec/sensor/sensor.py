@@ -193,6 +193,13 @@ class KolmogorovPsf(Chromatic):
     reference_nm: float = Field(
         500.0, ge=100, le=30_000, description="wavelength that fwhm_arcsec or r0_m is given for"
     )
+    outer_scale_m: float | None = Field(
+        None,
+        ge=0.1,
+        le=1e5,
+        description="size of the largest eddies (von Karman); fwhm_arcsec or r0_m stay those of "
+        "turbulence without one, and the image is narrower; default: no end",
+    )
     diffraction: bool = True
 
     @model_validator(mode="after")
