@@ -14,8 +14,8 @@ HEAD = """# Whole scenes: error against run time
 `nightglass report scenes -o DIR` renders scenes of every kind at a ladder of accuracy targets, each
 in a process of its own, and compares the noise-free mean with the reference path; then it switches
 off one approximation at a time. It writes `report.json`, `report.html` (one page that needs nothing
-beside it), `report.md` and two figures. `--quick` takes smaller frames and fewer rungs, `--scene`
-and `--rungs` choose, `--catalog` takes another catalogue than the synthetic one it makes.
+beside it), `report.md` and two figures. `--quick` takes smaller frames and fewer levels, `--scene`
+and `--levels` choose, `--catalog` takes another catalogue than the synthetic one it makes.
 
 This page is one run, made by `python docs/tools/scene_report.py`; all its figures are in
 `docs/report.json`. What components that are omitted are worth, each rule of the plan has measured

@@ -60,10 +60,10 @@ def report_scenes(
     scene: Annotated[
         list[str] | None, typer.Option("--scene", help="only this scene (may be repeated)")
     ] = None,
-    rungs: Annotated[
+    levels: Annotated[
         str | None, typer.Option(help="accuracy targets, as accuracy.noise_fraction: 0.5,0.05")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="smaller frames, two rungs")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="smaller frames, two levels")] = False,
     catalog: Annotated[
         Path | None, typer.Option(help="catalogue of stars; default: a synthetic one is made")
     ] = None,
@@ -71,7 +71,7 @@ def report_scenes(
 ) -> None:
     """Error against run time of whole scenes, and of each approximation: page, JSON, figures."""
     with stage_progress(as_json or not sys.stderr.isatty()) as listen:
-        study = scenes.report_scenes(output, tuple(scene or ()), rungs, quick, catalog, listen)
+        study = scenes.report_scenes(output, tuple(scene or ()), levels, quick, catalog, listen)
     if as_json:
         print_json(study)
     else:

@@ -51,7 +51,7 @@ COMMANDS = [
     "jobs fetch {job} --server {url} -o fetched",
     "plan plain.json --server {url}",
 ]  # fmt: skip
-SLOW = ["report scenes -o scenes --quick --rungs 0.5", "demo -o demo"]
+SLOW = ["report scenes -o scenes --quick --levels 0.5", "demo -o demo"]
 ELSEWHERE = {  # commands that are not run here, and why
     "serve": "prints a log, a JSON object a line",
     "jobs cancel": "prints one word, the job's phase",

@@ -188,9 +188,10 @@ row = {"noise_fraction": .5, "cpu_s": 1., "again_cpu_s": .5, "wall_s": 1.25, "pe
     "max_sigma": .0123, "rms_sigma": 1e-9, "bias": -3e-4, "bound_sigma": [.1, .5], "of_bound": .04}
 switch = {"component": "x|y*", "error_e": .1, "error_sigma": .01, "bound_e": .5, "bound_sigma": .05,
     "of_light": False, "seconds_on": .1, "seconds_off": .3, "scaled_from": None, "holds": True}
-drawn = [{"title": t, "rungs": [row, row | {"cpu_s": c, "again_cpu_s": 2 * c, "noise_fraction": .05,
-    "max_sigma": 1e-3}], "switches": [switch, switch | {"of_light": True, "holds": False,
-    "scaled_from": 3.}]} for t, c in (("stars | streak", 2.), ("two", 50.), ("3", 5.), ("4", 9.),
+drawn = [{"title": t, "levels": [row, row | {"cpu_s": c, "again_cpu_s": 2 * c,
+    "noise_fraction": .05, "max_sigma": 1e-3}],
+    "switches": [switch, switch | {"of_light": True, "holds": False, "scaled_from": 3.}]}
+    for t, c in (("stars | streak", 2.), ("two", 50.), ("3", 5.), ("4", 9.),
     ("5", 1.2))]
 told = {"machine": {"cores": 2, "processor": "x", "load_before": .25}, "nightglass": "0",
     "catalogue": "given", "quick": True, "scenes": drawn}
@@ -206,12 +207,12 @@ pictured(lambda: (figure.ladder_figure(told), figure.omission_figure(told),
     len(w.data.get("targets", ()))) for w in scenes.requests((), True)]
 [scenes.deep_fields(n, q) for q in (True, False) for n in (tuple(scenes.MAKERS), ("wide-field",),
     ("rate-track", "sidereal-crowded"))]
-scenes.SENSOR, [study.checked_rungs(None, q) for q in (True, False)],
-    study.checked_rungs("0.05,1,0.05,1e-4", True)
-study.checked_rungs("x", True)
-study.checked_rungs("1.01", True)
-study.checked_rungs("0.5,9e-5", True)
-study.checked_rungs(",".join(["1"] * 13), True)
+scenes.SENSOR, [study.checked_levels(None, q) for q in (True, False)],
+    study.checked_levels("0.05,1,0.05,1e-4", True)
+study.checked_levels("x", True)
+study.checked_levels("1.01", True)
+study.checked_levels("0.5,9e-5", True)
+study.checked_levels(",".join(["1"] * 13), True)
 scenes.requests(("wide-field", "no"), True)
 says(1, "", "a broken")
 says(0, "", "")

@@ -139,7 +139,7 @@ def _tiny(name: str, quick: bool) -> Any:
 
 
 def test_scenes(stars: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from pipeline.studies.scenes import child, rung, scenes, study
+    from pipeline.studies.scenes import child, level, scenes, study
 
     def here(_: Any, input: str, **__: Any) -> Any:
         with monkeypatch.context() as patch:
@@ -153,9 +153,9 @@ def test_scenes(stars: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     found = study.run_study(
         names, (0.05,), True, Path(stars), tmp_path, lambda *at: heard.append(at)
     )
-    bad = {"work": "rung", "scene": {"name": "x"}, "share": [1, 1], "folder": "f"}
+    bad = {"work": "level", "scene": {"name": "x"}, "share": [1, 1], "folder": "f"}
     said = told_lines("study.run_child(bad)\nstudy.run_child(bad | {'work': 'no'})", locals())
-    pin("scenes", tell(coarse(found, 1e-5), 5), heard, said, rung.peak_mb() > 10.0)
+    pin("scenes", tell(coarse(found, 1e-5), 5), heard, said, level.peak_mb() > 10.0)
 
 
 def test_accuracy(monkeypatch: pytest.MonkeyPatch) -> None:

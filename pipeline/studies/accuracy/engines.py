@@ -73,7 +73,7 @@ class Drawn(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """One rung of a ladder: make(case) prepares it, at a cost that is timed apart."""
+    """One level of a ladder: make(case) prepares it, at a cost that is timed apart."""
 
     engine: str
     setting: str
@@ -95,7 +95,7 @@ def path_of(track: Track) -> Path:
 
 
 def our_settings(case: EngineCase, quick: bool) -> list[Setting]:
-    """Every ladder that applies to a case; `quick` keeps two rungs of each."""
+    """Every ladder that applies to a case; `quick` keeps two levels of each."""
     out = [] if case.curved else [*_phases(case), *_spectral(case)]
     if isinstance(case.shape, AiryStar):
         out += _wings(case)
@@ -105,8 +105,8 @@ def our_settings(case: EngineCase, quick: bool) -> list[Setting]:
         out += _straight(case)
     if not quick:
         return out
-    ladders = (list(rungs) for _, rungs in groupby(out, attrgetter("engine")))
-    return [rungs[k] for rungs in ladders for k in (0, len(rungs) // 2)]
+    ladders = (list(levels) for _, levels in groupby(out, attrgetter("engine")))
+    return [levels[k] for levels in ladders for k in (0, len(levels) // 2)]
 
 
 def _straight(case: EngineCase) -> list[Setting]:
@@ -131,7 +131,7 @@ def _phases(case: EngineCase) -> list[Setting]:
     ladder = [(8, False), (16, False), (32, False), (64, False), (128, False)]
     ladder += [(8, True), (16, True), (32, True), (64, True)]
     if isinstance(case.shape, AiryStar):
-        ladder = [rung for rung in ladder if rung[0] <= 64 and case.streak_px <= 60]
+        ladder = [level for level in ladder if level[0] <= 64 and case.streak_px <= 60]
     return [
         Setting(
             f"stamps, {'cubic' if cubic else 'linear'}",
@@ -147,15 +147,15 @@ def _wings(case: EngineCase) -> list[Setting]:
     phases = 32 if case.streak_px <= 60 else 16
     assert isinstance(case.shape, AiryStar)
     q = case.shape.q_px
-    rungs = [("core radius", r * q, 2) for r in (6.0, 12.0, 24.0, 48.0)]
-    rungs += [("wing grid", FIRST_CORE_Q * q, h) for h in (16, 8, 4, 2)]
+    levels = [("core radius", r * q, 2) for r in (6.0, 12.0, 24.0, 48.0)]
+    levels += [("wing grid", FIRST_CORE_Q * q, h) for h in (16, 8, 4, 2)]
     return [
         Setting(
             engine,
             f"core {radius:g} px, grid {spacing} px",
             partial(_stamps, phases=phases, cubic=True, radius_px=radius, spacing_px=spacing),
         )
-        for engine, radius, spacing in rungs
+        for engine, radius, spacing in levels
     ]
 
 

@@ -175,6 +175,6 @@ def external_settings(
         peers.append(("SkyMaker", most, run_skymaker))
     return [
         (name, f"oversampling {factor}", partial(run, oversampling=factor))
-        for name, rungs, run in peers
-        for factor in OVERSAMPLING[:rungs]
+        for name, levels, run in peers
+        for factor in OVERSAMPLING[:levels]
     ]

@@ -28,7 +28,7 @@ def report_accuracy(
 ) -> JsonObject:
     """Measure, and write accuracy.json, accuracy.md and accuracy.png into a folder.
 
-    stars, frame : the work (rows, columns); `quick` takes less of both and fewer rungs
+    stars, frame : the work (rows, columns); `quick` takes less of both and fewer levels
     peers : also those simulators that are installed; satsim_python : a Python that has SatSim
     progress : called with (stage, done, total)
     Returns what accuracy.json holds. Raises BadInput for work out of range, and before anything is

@@ -1,4 +1,4 @@
-"""The study: every rung of every ladder and peer on the same stars, errors and CPU time."""
+"""The study: every level of every setting and peer on the same stars, errors and CPU time."""
 
 from __future__ import annotations
 
@@ -118,11 +118,11 @@ def run_study(
 
 NOTES = (
     "CPU time of one thread; tables, made once for many frames, are counted apart as table_s (that "
-    "of an engine's first rung holds its imports and the loading of compiled code)",
+    "of an engine's first level holds its imports and the loading of compiled code)",
     "peers in this process draw fewer stars, and their time is scaled by the number of stars",
     "stars alone are drawn here: what the grid of a smooth sky errs by, `nightglass report ledger` "
     "measures",
-    "tiles change no bit of a pixel: their rungs differ in time only",
+    "tiles change no bit of a pixel: their levels differ in time only",
 )
 
 
@@ -151,7 +151,7 @@ def _measured(
 def _one(
     case: EngineCase, setting: Setting, probes: Probes, x: Array, y: Array, effort: Effort
 ) -> Record:
-    """One rung: made, looked at probe by probe, then timed."""
+    """One level: made, looked at probe by probe, then timed."""
     started = time.process_time()
     drawn = setting.make(case)
     table_s = time.process_time() - started

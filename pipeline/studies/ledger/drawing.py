@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.studies.ledger.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.studies.ledger.scenes import DEC_DEG, RA_DEG, SIDE, mean_e, scene, whole
 from pipeline.studies.scenes.exact import choose_windows
-from pipeline.studies.scenes.rung import lights_e
+from pipeline.studies.scenes.level import lights_e
 from pipeline.studies.scenes.stage import light_by, mean_of, noise_of, open_stage
 from pipeline.studies.scenes.switches import Switch, switches
 

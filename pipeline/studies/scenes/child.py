@@ -9,7 +9,7 @@ from pathlib import Path
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, NightglassError
 from pipeline.studies.scenes.exact import find_exact
-from pipeline.studies.scenes.rung import measure_rung, render_once
+from pipeline.studies.scenes.level import measure_level, render_once
 from pipeline.studies.scenes.stage import open_stage, tiles_of
 from pipeline.studies.scenes.switches import measure_switches
 
@@ -44,11 +44,11 @@ def _reference(order: JsonObject) -> JsonObject:
     }
 
 
-def _rung(order: JsonObject) -> JsonObject:
-    return measure_rung(order)
+def _level(order: JsonObject) -> JsonObject:
+    return measure_level(order)
 
 
-WORK = {"reference": _reference, "rung": _rung}
+WORK = {"reference": _reference, "level": _level}
 
 if __name__ == "__main__":
     main()

@@ -42,15 +42,15 @@ def ladder_figure(study: JsonObject) -> bytes:
 
 
 def _panel(ax: Axes, scene: Row) -> None:
-    rungs = scene["rungs"]
-    first = [r["cpu_s"] for r in rungs]
-    again = [r["again_cpu_s"] for r in rungs]
-    most, rms = ([max(r[k], LEAST) for r in rungs] for k in ("max_sigma", "rms_sigma"))
+    levels = scene["levels"]
+    first = [r["cpu_s"] for r in levels]
+    again = [r["again_cpu_s"] for r in levels]
+    most, rms = ([max(r[k], LEAST) for r in levels] for k in ("max_sigma", "rms_sigma"))
     ax.set(xscale="log", yscale="log", xlabel="CPU s of a render")
     ax.set_title(scene["title"], fontsize=10)
     ax.grid(True, which="major", color="#DDDDDD", linewidth=0.6)
     ax.set_axisbelow(True)
-    asked = [r["noise_fraction"] for r in rungs]
+    asked = [r["noise_fraction"] for r in levels]
     ax.plot(first, asked, color=ASKED, marker="_", ms=14, mew=2, ls=":", lw=1, label="asked for")
     ax.plot(first, most, color=MOST, marker="o", ms=6, label="largest error")
     ax.plot(first, rms, color=RMS, marker="s", ms=5, label="rms error")

@@ -9,7 +9,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.report_page import document, picture, table
 from pipeline.studies.scenes.tables import (
     explained,
-    rung_table,
+    level_table,
     switch_table,
 )
 
@@ -22,7 +22,7 @@ def page(study: JsonObject, ladder_png: bytes, omissions_png: bytes) -> str:
         "<h1>Whole scenes: error against run time</h1>"
         f"<ul>{notes}</ul>"
         f"{picture(ladder_png, 'error of a pixel against CPU time, a panel a scene')}"
-        f"<h2>Scenes, rung by rung</h2>{table(*rung_table(study))}"
+        f"<h2>Scenes, level by level</h2>{table(*level_table(study))}"
         "<h2>Approximations, one at a time switched off</h2>"
         f"{picture(omissions_png, 'bound and error of each approximation')}"
         f"{table(*switch_table(study))}",

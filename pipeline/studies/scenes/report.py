@@ -13,11 +13,11 @@ from pipeline.inputs.stars.catalogues import open_catalogues
 from pipeline.studies.scenes.figure import ladder_figure, omission_figure
 from pipeline.studies.scenes.page import page
 from pipeline.studies.scenes.scenes import requests
-from pipeline.studies.scenes.study import Progress, checked_rungs, run_study
+from pipeline.studies.scenes.study import Progress, checked_levels, run_study
 from pipeline.studies.scenes.tables import (
     explained,
+    level_table,
     markdown,
-    rung_table,
     switch_table,
 )
 
@@ -25,19 +25,19 @@ from pipeline.studies.scenes.tables import (
 def report_scenes(
     out: Path,
     scenes: tuple[str, ...] = (),
-    rungs: str | None = None,
+    levels: str | None = None,
     quick: bool = False,
     catalogue: Path | None = None,
     progress: Progress | None = None,
 ) -> JsonObject:
     """Measure, and write report.json, report.html, report.md and two figures into a new folder.
 
-    scenes : names, all where there is none; rungs : accuracy targets, "0.5,0.05"
+    scenes : names, all where there is none; levels : accuracy targets, "0.5,0.05"
     catalogue : of stars; default a synthetic one, made for it. progress : (stage, done, total)
-    Returns what report.json holds. Raises BadInput before anything is measured: for a name or rung
+    Returns what report.json holds. Raises BadInput before anything is measured: for a name or level
     that is none, a folder that is not empty, a catalogue that is none, a library that is missing.
     """
-    chosen = checked_rungs(rungs, quick)
+    chosen = checked_levels(levels, quick)
     requests(scenes, quick)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise BadInput("-o", str(out), "a new or empty folder")
@@ -66,6 +66,6 @@ def text(study: JsonObject) -> str:
     """The study as Markdown, without its figures."""
     notes = "\n".join(f"- {line}" for line in explained(study))
     return (
-        f"{notes}\n\n## Scenes, rung by rung\n\n{markdown(rung_table(study))}\n"
+        f"{notes}\n\n## Scenes, level by level\n\n{markdown(level_table(study))}\n"
         f"## Approximations, one at a time switched off\n\n{markdown(switch_table(study))}"
     )

@@ -279,7 +279,7 @@ def requests(names: tuple[str, ...], quick: bool) -> list[ReportScene]:
 def with_accuracy(
     request: ReportScene, noise_fraction: float, flux_fraction: float, catalogue: str
 ) -> dict:
-    """A scene at one rung, its stars from a catalogue; the product makes no check of its own."""
+    """A scene at one level, its stars from a catalogue; the product makes no check of its own."""
     data = copy.deepcopy(request.data)
     data["accuracy"] = {
         "noise_fraction": noise_fraction,

@@ -1,4 +1,4 @@
-"""The study: every scene at every rung in a process of its own, one after another."""
+"""The study: every scene at every level in a process of its own, one after another."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ from pipeline.studies.scenes.scenes import (
 
 Progress = Callable[[str, int, int], None]
 
-RUNGS, QUICK_RUNGS = (0.5, 0.2, 0.05, 0.0125), (0.5, 0.05)
+LEVELS, QUICK_LEVELS = (0.5, 0.2, 0.05, 0.0125), (0.5, 0.05)
 USUAL = 0.05  # the default of a scene, at which approximations are switched off one by one
-FLUX_OF_NOISE = 0.02  # accuracy.flux_fraction of a rung, over its noise_fraction
-FINER = 0.25  # accuracy of the reference, of the finest rung's
-MOST_RUNGS, LEAST_RUNG = 12, 1e-4
+FLUX_OF_NOISE = 0.02  # accuracy.flux_fraction of a level, over its noise_fraction
+FINER = 0.25  # accuracy of the reference, of the finest level's
+MOST_LEVELS, LEAST_LEVEL = 12, 1e-4
 WINDOWS, QUICK_WINDOWS = 12, 5
 QUICK_SCENES = ("sidereal-sparse", "rate-track", "many-targets")
 CHILD_S = 3600.0
 
 
-def checked_rungs(text: str | None, quick: bool) -> tuple[float, ...]:
+def checked_levels(text: str | None, quick: bool) -> tuple[float, ...]:
     """Accuracy targets from "0.5,0.05", coarsest first; BadInput for what is none."""
     if text is None:
-        return QUICK_RUNGS if quick else RUNGS
-    allowed = f"1 to {MOST_RUNGS} numbers from {LEAST_RUNG:g} to 1, with commas: 0.5,0.05,0.005"
+        return QUICK_LEVELS if quick else LEVELS
+    allowed = f"1 to {MOST_LEVELS} numbers from {LEAST_LEVEL:g} to 1, with commas: 0.5,0.05,0.005"
     try:
-        rungs = tuple(float(part) for part in text.split(","))
+        levels = tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise BadInput("--rungs", text, allowed) from None
-    if not 1 <= len(rungs) <= MOST_RUNGS or not all(LEAST_RUNG <= r <= 1.0 for r in rungs):
-        raise BadInput("--rungs", text, allowed)
-    return tuple(sorted(set(rungs), reverse=True))
+        raise BadInput("--levels", text, allowed) from None
+    if not 1 <= len(levels) <= MOST_LEVELS or not all(LEAST_LEVEL <= r <= 1.0 for r in levels):
+        raise BadInput("--levels", text, allowed)
+    return tuple(sorted(set(levels), reverse=True))
 
 
 def run_study(
     names: tuple[str, ...],
-    rungs: tuple[float, ...],
+    levels: tuple[float, ...],
     quick: bool,
     catalogue: Path | None,
     folder: Path,
@@ -60,7 +60,7 @@ def run_study(
     """Measure scenes at a ladder of accuracies; everything found, as plain data.
 
     names : of scenes; where there is none all, or QUICK_SCENES
-    rungs : noise_fraction, coarsest first
+    levels : noise_fraction, coarsest first
     catalogue : of stars; None makes a synthetic one. folder : for work, its contents are lost
     """
     chosen = requests(names or (QUICK_SCENES if quick else ()), quick)
@@ -74,19 +74,19 @@ def run_study(
     say("catalogue", 1, 1)
     told = []
     for request in chosen:
-        say(request.name, 0, len(rungs) + 1)
-        found = run_child(_reference_order(request, rungs, quick, stars, folder))
+        say(request.name, 0, len(levels) + 1)
+        found = run_child(_reference_order(request, levels, quick, stars, folder))
         rows = []
-        for k, rung in enumerate(rungs):
-            say(request.name, k + 1, len(rungs) + 1)
-            asked = {"noise_fraction": rung, "flux_fraction": FLUX_OF_NOISE * rung}
-            rows.append(asked | run_child(_rung_order(request, rung, stars, folder)))
-        say(request.name, len(rungs) + 1, len(rungs) + 1)
+        for k, level in enumerate(levels):
+            say(request.name, k + 1, len(levels) + 1)
+            asked = {"noise_fraction": level, "flux_fraction": FLUX_OF_NOISE * level}
+            rows.append(asked | run_child(_level_order(request, level, stars, folder)))
+        say(request.name, len(levels) + 1, len(levels) + 1)
         told.append(_told(request, found, rows))
     return {
         "schema": "nightglass/scene-report/1",
         "quick": quick,
-        "rungs": list(rungs),
+        "levels": list(levels),
         "catalogue": "given" if catalogue else "synthetic",
         "machine": _machine(),
         "nightglass": version("nightglass"),
@@ -95,9 +95,9 @@ def run_study(
 
 
 def _reference_order(
-    request: ReportScene, rungs: tuple[float, ...], quick: bool, stars: str, folder: Path
+    request: ReportScene, levels: tuple[float, ...], quick: bool, stars: str, folder: Path
 ) -> JsonObject:
-    finest = FINER * min(*rungs, USUAL)
+    finest = FINER * min(*levels, USUAL)
     return {
         "work": "reference",
         "windows": QUICK_WINDOWS if quick else WINDOWS,
@@ -109,12 +109,12 @@ def _reference_order(
     }
 
 
-def _rung_order(request: ReportScene, rung: float, stars: str, folder: Path) -> JsonObject:
-    work = folder / f"{request.name}-{rung:g}"
+def _level_order(request: ReportScene, level: float, stars: str, folder: Path) -> JsonObject:
+    work = folder / f"{request.name}-{level:g}"
     work.mkdir()
     return {
-        "work": "rung",
-        "scene": with_accuracy(request, rung, FLUX_OF_NOISE * rung, stars),
+        "work": "level",
+        "scene": with_accuracy(request, level, FLUX_OF_NOISE * level, stars),
         "share": request.share,
         "exact": str(folder / f"{request.name}.npz"),
         "folder": str(work),
@@ -132,7 +132,7 @@ def _told(request: ReportScene, found: JsonObject, rows: list[JsonObject]) -> Js
         "targets": rows[0]["targets"],
         "windows": found["windows"],
         "sources_drawn_again": found["sources"],
-        "rungs": rows,
+        "levels": rows,
         "switches": found["switches"],
     }
 

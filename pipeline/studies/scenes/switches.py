@@ -18,7 +18,7 @@ from pipeline.execute.sources import drawing_order, excursion_px
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.studies.scenes.exact import Exact, exact_sky
-from pipeline.studies.scenes.rung import cut_e, lights_e
+from pipeline.studies.scenes.level import cut_e, lights_e
 from pipeline.studies.scenes.stage import Light, Stage, blocks_by, light_by, mean_of, open_stage
 
 MANY = 12  # wavelengths

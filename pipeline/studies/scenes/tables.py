@@ -1,4 +1,4 @@
-"""The report's tables: the rungs of each scene, and its approximations one by one."""
+"""The report's tables: the levels of each scene, and its approximations one by one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pipeline.lines import fold, table
 Row = JsonObject
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
-RUNG_HEADS = (
+LEVEL_HEADS = (
     "scene",
     "asked, sigma",
     "CPU s",
@@ -31,7 +31,7 @@ NOTES = (
     "Errors are those of the noise-free mean in windows of 16 x 16 pixels (around the brightest "
     "stars and targets, at a streak's end, at random) against the reference path: every source at "
     "its exact place, along its own path, by the sum of its phases in double precision, wings on "
-    "half the grid, the sky in each pixel, planned four times finer than the finest rung.",
+    "half the grid, the sky in each pixel, planned four times finer than the finest level.",
     "Allowed: the sum of all bounds that the plan states, in a pixel away from bright sources and "
     "in the window's most favoured pixel (a source's wavelengths and wings may err by a share of "
     "its light); `of allowed`: the largest share of it that any pixel used. 1 or less: it holds.",
@@ -41,9 +41,9 @@ NOTES = (
 )
 
 
-def rung_table(study: Row) -> Table:
-    """A row for each scene and rung."""
-    return RUNG_HEADS, [
+def level_table(study: Row) -> Table:
+    """A row for each scene and level."""
+    return LEVEL_HEADS, [
         (
             scene["title"],
             f"{r['noise_fraction']:g}",
@@ -58,7 +58,7 @@ def rung_table(study: Row) -> Table:
             f"{r['of_bound']:.2g}",
         )
         for scene in study["scenes"]
-        for r in scene["rungs"]
+        for r in scene["levels"]
     ]
 
 
@@ -113,7 +113,7 @@ def markdown(table: Table) -> str:
 
 def print_study(study: Row) -> None:
     """The study on the terminal."""
-    for heads, rows in (rung_table(study), switch_table(study)):
+    for heads, rows in (level_table(study), switch_table(study)):
         print(table(heads, rows, 2), end="\n\n")
     for line in explained(study):
         print(fold(line))

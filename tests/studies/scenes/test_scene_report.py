@@ -25,7 +25,7 @@ from pipeline.studies.scenes.figure import ladder_figure
 from pipeline.studies.scenes.report import report_scenes
 from pipeline.studies.scenes.switches import LARGEST_DOUBLED_PX, _finer_wings
 
-NAMES, RUNGS = ("earth-limb",), "0.05"
+NAMES, LEVELS = ("earth-limb",), "0.05"
 ROW = {
     "noise_fraction", "flux_fraction", "cpu_s", "wall_s", "again_cpu_s", "again_wall_s", "peak_mb",
     "before_mb", "stars", "targets", "engine", "noise_floor_e", "light_left_out", "max_sigma",
@@ -58,7 +58,7 @@ def monkeypatch_module():
 @pytest.fixture(scope="module")
 def report(small, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("report") / "out"
-    report_scenes(out, NAMES, RUNGS, quick=True)
+    report_scenes(out, NAMES, LEVELS, quick=True)
     return out
 
 
@@ -66,8 +66,8 @@ def test_bounds_hold_and_nothing_lacks(report):
     found = json.loads((report / "report.json").read_text())
     assert [s["scene"] for s in found["scenes"]] == list(NAMES)
     for scene in found["scenes"]:
-        assert [r["noise_fraction"] for r in scene["rungs"]] == [0.05]
-        for row in scene["rungs"]:
+        assert [r["noise_fraction"] for r in scene["levels"]] == [0.05]
+        for row in scene["levels"]:
             assert set(row) >= ROW
             assert row["of_bound"] <= 1.0
             assert row["max_sigma"] <= row["bound_sigma"][1]
@@ -102,16 +102,16 @@ def test_page_stands_alone(report):
     assert not [link for link in links if not link.startswith("data:")]
     rows = body.findall(".//tbody/tr")
     found = json.loads((report / "report.json").read_text())
-    kinds = ("rungs", "switches")
+    kinds = ("levels", "switches")
     assert len(rows) == sum(len(s[kind]) for s in found["scenes"] for kind in kinds)
     assert (report / "report.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_figure_of_one_rung(report):
-    """A ladder of one rung, and errors of exactly zero, are drawn too."""
+def test_figure_of_one_level(report):
+    """A ladder of one level, and errors of exactly zero, are drawn too."""
     found = json.loads((report / "report.json").read_text())
     for scene in found["scenes"]:
-        scene["rungs"] = [scene["rungs"][0] | {"max_sigma": 0.0, "rms_sigma": 0.0}]
+        scene["levels"] = [scene["levels"][0] | {"max_sigma": 0.0, "rms_sigma": 0.0}]
     assert ladder_figure(found).startswith(b"\x89PNG")
     found["scenes"] = 3 * found["scenes"]  # side by side
     width, height = Image.open(io.BytesIO(ladder_figure(found))).size
@@ -132,11 +132,11 @@ def test_scenes_are_scenes(name, quick):
     ("options", "said"),
     [
         (["--scene", "no-such"], "--scene"),
-        (["--rungs", "0.5,x"], "--rungs"),
-        (["--rungs", "0"], "--rungs"),
-        (["--rungs", "2"], "--rungs"),
-        (["--rungs", "nan"], "--rungs"),
-        (["--rungs", ","], "--rungs"),
+        (["--levels", "0.5,x"], "--levels"),
+        (["--levels", "0"], "--levels"),
+        (["--levels", "2"], "--levels"),
+        (["--levels", "nan"], "--levels"),
+        (["--levels", ","], "--levels"),
         (["--catalog", "/no/such/catalogue"], "/no/such/catalogue"),
     ],
 )

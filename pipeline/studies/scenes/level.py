@@ -1,4 +1,4 @@
-"""One rung: a scene rendered as a user does, in a process of its own; time, memory, and error."""
+"""One level: a scene rendered as a user does, in a process of its own; time, memory, and error."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pipeline.studies.scenes.exact import Exact, load_exact
 from pipeline.studies.scenes.stage import Light, Stage, light_by, mean_of, open_stage
 
 
-def measure_rung(order: JsonObject) -> JsonObject:
+def measure_level(order: JsonObject) -> JsonObject:
     """Time, memory and error of a scene at one accuracy.
 
     order : scene (plain data), share [part, parts], folder (empty, its own), exact (path of what
