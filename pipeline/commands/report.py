@@ -1,4 +1,4 @@
-"""The command line's `nightglass report ...`: error against run time, and finders."""
+"""The command line's `nightglass report ...` and `selftest`: errors, run times, finders."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from pipeline.studies.detection import tables as detection_tables
 from pipeline.studies.ledger import report as ledger
 from pipeline.studies.scenes import report as scenes
 from pipeline.studies.scenes import tables as scene_tables
+from pipeline.studies.selftest.report import as_data, chosen, markdown, print_table, run_cases
 
 
 def report_accuracy(
@@ -92,3 +93,22 @@ def report_ledger(
         print_json(study)
     else:
         ledger.print_ledger(study)
+
+
+def selftest(
+    only: Annotated[str | None, typer.Option(help="part of a case's name")] = None,
+    page: Annotated[Path | None, typer.Option("--markdown", help="also write a page")] = None,
+    as_json: Json = False,
+) -> None:
+    """Limiting cases against answers known from elsewhere. Exit 1 where one fails."""
+    cases = chosen(only)
+    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+        outcomes = run_cases(cases, listen)
+    if page is not None:
+        page.write_text(markdown(outcomes), encoding="utf-8")
+    if as_json:
+        print_json(as_data(outcomes))
+    else:
+        print_table(outcomes)
+    if not all(o.passed for o in outcomes):
+        raise typer.Exit(1)

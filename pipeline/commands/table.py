@@ -38,7 +38,7 @@ COMMANDS: Table = {
         "Make the demo catalogue, render the demo scene, and say what came out.",
     ),
     "selftest": (
-        "selftest:selftest",
+        "report:selftest",
         "Limiting cases against answers known from elsewhere. Exit 1 where one fails.",
     ),
     "observe": (
@@ -46,7 +46,7 @@ COMMANDS: Table = {
         "Where every target is, how bright, at what SNR, and whether it is seen, without drawing.",
     ),
     "find": (
-        "find:find",
+        "observe:find",
         "Which objects of a scene's populations can be seen, when and where to point: best first.",
     ),
     "study": (

@@ -166,12 +166,8 @@ def _chromatic(
     pitch = s.pixel_pitch_um * 1e-6
     q = wavelength_m * s.focal_length_m / (s.aperture_m * pitch)
     if isinstance(psf, KolmogorovPsf):
-        scale = wavelength_m / _fried_m(psf, wavelength_m) * s.focal_length_m / pitch
         telescope = Airy(q, s.obscuration) if psf.diffraction else None
-        if psf.outer_scale_m is None:
-            return Kolmogorov(scale, telescope)
-        outer = _outer_scale_r0(psf, psf.outer_scale_m, wavelength_m)
-        return VonKarman(scale, telescope, outer_scale_r0=outer)
+        return _seeing(psf, telescope, wavelength_m, s.focal_length_m / pitch)
     terms: dict[int, float] = {}
     for a in psf.aberrations:
         rms = a.rms_nm * 1e-9 if a.rms_nm is not None else (a.rms_waves or 0.0) * wave_m
@@ -183,6 +179,17 @@ def _chromatic(
         return Airy(q, s.obscuration)
     vanes = None if psf.vanes is None else _vanes(s, psf.vanes)
     return Pupil(q, s.obscuration, vanes, tuple(sorted(terms.items())))
+
+
+def _seeing(
+    psf: KolmogorovPsf, telescope: Airy | None, wavelength_m: float, px_rad: float
+) -> Kolmogorov:
+    """Turbulent air before a telescope, at a wavelength; px_rad : pixels a radian."""
+    scale = wavelength_m / _fried_m(psf, wavelength_m) * px_rad
+    if psf.outer_scale_m is None:
+        return Kolmogorov(scale, telescope)
+    outer = _outer_scale_r0(psf, psf.outer_scale_m, wavelength_m)
+    return VonKarman(scale, telescope, outer_scale_r0=outer)
 
 
 def _fried_m(psf: KolmogorovPsf, wavelength_m: float) -> float:
