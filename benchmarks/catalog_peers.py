@@ -96,12 +96,12 @@ def cones(catalogue: str, queries: str) -> dict[str, Any]:
 
     results = []
     for query in json.loads(Path(queries).read_text(encoding="utf-8")):
-        limit = [("phot_g_mean_mag", "<=", query["faintest_g_mag"])]
+        limit: Any = [("phot_g_mean_mag", "<=", query["faintest_g_mag"])]
         opened = lsdb.open_catalog(catalogue, columns=list(TYPES), filters=limit)
 
         def ask(opened: Any = opened, query: dict[str, Any] = query) -> Any:
             centre = (query["ra_deg"], query["dec_deg"])
-            found = opened.cone_search(*centre, radius_arcsec=3600.0 * query["radius_deg"])
+            found: Any = opened.cone_search(*centre, radius_arcsec=3600.0 * query["radius_deg"])
             return found.compute()["source_id"]
 
         results.append(timed(ask))
@@ -109,4 +109,5 @@ def cones(catalogue: str, queries: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps({"import": import_files, "cones": cones}[sys.argv[1]](*sys.argv[2:])))
+    asked: dict[str, Any] = {"import": import_files, "cones": cones}
+    print(json.dumps(asked[sys.argv[1]](*sys.argv[2:])))

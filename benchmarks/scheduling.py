@@ -116,7 +116,7 @@ def overhead(scheduler: str, frames: int, workers: int = 2) -> dict[str, Any]:
             begun = begin(Path(name) / f"run{k}", prepared.plan, None, resume=False)
             times = Path(name) / f"times{k}"
             times.mkdir()
-            wrapped = Wrapped(inner, lambda task, to=str(times): (timed, to, *task))
+            wrapped: Any = Wrapped(inner, lambda task, to=str(times): (timed, to, *task))
             before, began = _cpu_s(), time.perf_counter()
             draw(prepared, begun, wrapped, None)
             total, wall_s = _cpu_s() - before, time.perf_counter() - began
@@ -182,7 +182,8 @@ def scale(scheduler: str, tiles: int) -> dict[str, Any]:
     begun = Begun(Path("nowhere"), CubeWriter("nowhere", ("dn",)), frozenset(), frozenset(), ())
     done, started = [0], time.perf_counter()
     with apart(scheduler) as (name, its_process), open_scheduler(name, 2) as inner:
-        wrapped, cpu_s = Wrapped(inner, emptied), time.process_time()
+        wrapped: Any = Wrapped(inner, emptied)
+        cpu_s = time.process_time()
         draw(prepared, begun, wrapped, lambda p: done.__setitem__(0, p.done))
         cpu_s = time.process_time() - cpu_s
         its_s = sum(psutil.Process(its_process).cpu_times()[:2]) if its_process else 0.0

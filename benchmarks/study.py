@@ -106,7 +106,8 @@ def propagation(objects: int) -> dict[str, float]:
 
     epoch = parse_utc("2019-04-20T00:00:00Z")
     satellites = synthetic_elements(Synthetic(objects=min(objects, 1024)), epoch).satellites()
-    at, since = np.arange(361) * 60.0, since_epochs_s(satellites, epoch)
+    at: Any = np.arange(361) * 60.0
+    since = since_epochs_s(satellites, epoch)
     alone, ours = [], []
     for _ in range(5):
         started = time.process_time()

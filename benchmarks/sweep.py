@@ -63,7 +63,7 @@ def measure(folder: Path, catalogue: Path, side: int, points: int) -> dict[str, 
     design = course.design
 
     def sky(kept: Stages) -> Any:
-        _, base = with_floor(course, kept, scene_of(course, design, 0), whole=False)
+        _, base = with_floor(course, kept, scene_of(course, design, 0))
         g = kept.geometry(base, 0)
         return base, g, [(tile, kept.light(base, g, tile)) for tile in base.plan.tiles]
 
@@ -72,7 +72,7 @@ def measure(folder: Path, catalogue: Path, side: int, points: int) -> dict[str, 
     (base, g, tiles), sky_s = cpu_s(lambda: sky(kept))
     plans = []
     for k in range(points):
-        scene, _ = with_floor(course, kept, scene_of(course, design, k), whole=False)
+        scene, _ = with_floor(course, kept, scene_of(course, design, k))
         maps = maps_of(kept, base, scene)
         plans.append((point_plan(base, scene, maps), maps))
 

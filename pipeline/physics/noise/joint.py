@@ -64,6 +64,44 @@ def _pair_normals(n, x0, y, frame, k0, k1, x, first, second, p, z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _others(mean, drawn, well, read, other):
+    """How many pixels the one draw does not serve; their places go into `other`.
+
+    Also how many of these a draw may leave below their full well: the rest is full for certain.
+    """
+    others = unsure = 0
+    for i in range(len(mean)):
+        m, s = mean[i], read[i]
+        wide = REACH * math.sqrt(m + s * s)
+        apart = not (serves(m, s) & (m + drawn[i] + wide < well[i]))
+        other[others] = i
+        others += apart
+        unsure += apart & (m + drawn[i] - wide < well[i])
+    return others, unsure
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _photons(mean, other, x0, y, frame, key, out, buffers):
+    """Poisson numbers of a run's pixels `other`, or of all of them where that is faster."""
+    if len(other) > FEW:
+        poisson_run(mean, x0, y, frame, key[0], key[1], out, buffers)
+        return
+    for i in other:
+        out[i] = poisson(mean[i], x0 + i, y, frame, key[0], key[1])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _reads(n, other, x0, y, frame, key, out, buffers):
+    """Standard normal numbers of a run's pixels `other`, or of all n where that is faster."""
+    if len(other) > FEW:
+        normals_run(n, x0, y, frame, key[0], key[1], out, buffers)
+        return
+    for i in other:
+        a, b, _, _ = philox(x0 + i, y, frame, 0, key[0], key[1])
+        out[i] = normal_quantile(uniform(a, b))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def measured_image(mean_e, drawn_e, well_e, read_e, y0, x0, frame, joint, photon, normal):
     """(ny, nx) electrons measured: min(Poisson(mean) + drawn, well) + Normal(0, read).
 
@@ -86,28 +124,18 @@ def measured_image(mean_e, drawn_e, well_e, read_e, y0, x0, frame, joint, photon
             drawn = drawn_e[min(r, len(drawn_e) - 1), start : start + n]
             well = well_e[min(r, len(well_e) - 1), start : start + n]
             read = read_e[min(r, len(read_e) - 1), start : start + n]
-            _pair_normals(n, x0 + start, y, frame, joint[0], joint[1], x, first, second, p, z)
-            for i in range(n):
-                line[i] = drawn[i] + joint_quantile(z[i], mean[i], read[i])
-            others = 0
-            for i in range(n):
-                m, s = mean[i], read[i]
-                top = m + drawn[i] + REACH * math.sqrt(m + s * s)
-                other[others] = i
-                others += not (serves(m, s) & (top < well[i]))
+            others, unsure = _others(mean, drawn, well, read, other)
+            if others < n:
+                _pair_normals(n, x0 + start, y, frame, joint[0], joint[1], x, first, second, p, z)
+                for i in range(n):
+                    line[i] = drawn[i] + joint_quantile(z[i], mean[i], read[i])
             if not others:
                 continue
-            if others > FEW:
-                poisson_run(mean, x0 + start, y, frame, photon[0], photon[1], photons, buffers)
-                normals_run(n, x0 + start, y, frame, normal[0], normal[1], reads, buffers)
+            if unsure:
+                _photons(mean, other[:others], x0 + start, y, frame, photon, photons, buffers)
             else:
-                for j in range(others):
-                    i = other[j]
-                    at = x0 + start + i
-                    photons[i] = poisson(mean[i], at, y, frame, photon[0], photon[1])
-                    a, b, _, _ = philox(at, y, frame, 0, normal[0], normal[1])
-                    reads[i] = normal_quantile(uniform(a, b))
-            for j in range(others):
-                i = other[j]
+                photons[:n] = np.inf
+            _reads(n, other[:others], x0 + start, y, frame, normal, reads, buffers)
+            for i in other[:others]:
                 line[i] = min(photons[i] + drawn[i], well[i]) + reads[i] * read[i]
     return out

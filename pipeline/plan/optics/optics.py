@@ -167,7 +167,7 @@ def _chromatic(
     q = wavelength_m * s.focal_length_m / (s.aperture_m * pitch)
     if isinstance(psf, KolmogorovPsf):
         telescope = Airy(q, s.obscuration) if psf.diffraction else None
-        return _seeing(psf, telescope, wavelength_m, s.focal_length_m / pitch)
+        return _seeing(s, psf, telescope, wavelength_m)
     terms: dict[int, float] = {}
     for a in psf.aberrations:
         rms = a.rms_nm * 1e-9 if a.rms_nm is not None else (a.rms_waves or 0.0) * wave_m
@@ -182,10 +182,11 @@ def _chromatic(
 
 
 def _seeing(
-    psf: KolmogorovPsf, telescope: Airy | None, wavelength_m: float, px_rad: float
+    s: Sensor, psf: KolmogorovPsf, telescope: Airy | None, wavelength_m: float
 ) -> Kolmogorov:
-    """Turbulent air before a telescope, at a wavelength; px_rad : pixels a radian."""
-    scale = wavelength_m / _fried_m(psf, wavelength_m) * px_rad
+    """Turbulent air before a telescope, at a wavelength."""
+    pitch = s.pixel_pitch_um * 1e-6
+    scale = wavelength_m / _fried_m(psf, wavelength_m) * s.focal_length_m / pitch
     if psf.outer_scale_m is None:
         return Kolmogorov(scale, telescope)
     outer = _outer_scale_r0(psf, psf.outer_scale_m, wavelength_m)

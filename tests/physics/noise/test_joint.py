@@ -15,7 +15,7 @@ from pipeline.physics.noise.joint import (
     measured_image,
     serves,
 )
-from pipeline.physics.noise.streams import stream_key
+from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
 
 KEYS = tuple(stream_key(3, name) for name in ("both", "photon_noise", "read_noise"))
 FULL = np.full((1, 4096), np.inf)
@@ -106,3 +106,19 @@ def test_same_bits_wherever_a_tile_begins() -> None:
         cut = (np.ascontiguousarray(v[y0:y1, x0:x1]) for v in (mean, rays, well, read))
         part = measured_image(*cut, 5 + y0, 11 + x0, 3, *KEYS)
         assert np.array_equal(part, whole[y0:y1, x0:x1])
+
+
+@pytest.mark.parametrize("mean_e", [800.0, 990.0, 1000.0, 1400.0, 1e6])
+def test_what_reaches_its_full_well_is_drawn_term_by_term(mean_e: float) -> None:
+    """Below, about and far beyond it, with charge of rays: photons, full well, then read noise."""
+    rng = np.random.default_rng(4)
+    mean = mean_e * rng.uniform(0.98, 1.02, (6, 1100))
+    mean[:, ::97] = 990.0  # few pixels of a run that are not full
+    rays, well = 100.0 * (rng.uniform(size=mean.shape) > 0.9), np.full((1, 1100), 1000.0)
+    read = np.full((1, 1100), 2.0)
+    found = measured_image(mean, rays, well, read, 2, 3, 1, *KEYS)
+    photons = poisson_image(mean, 2, 3, 1, *KEYS[1])
+    noise = 2.0 * standard_normals(*mean.shape, 2, 3, 1, *KEYS[2])
+    apart = mean + rays + 12.0 * np.sqrt(mean + 4.0) >= well
+    assert apart.any()
+    assert np.array_equal(found[apart], (np.minimum(photons + rays, well) + noise)[apart])
