@@ -5,6 +5,9 @@ BIN := $(VENV)/bin
 PACKAGES := service pipeline catalog_tools nightglass.py
 # The tests start hundreds of processes: modules are compiled once, whatever the caller's setting.
 export PYTHONDONTWRITEBYTECODE :=
+INSTALL = $(BIN)/python -m pip install --quiet --no-compile --require-hashes
+# On all cores; some packages carry templates that are no Python.
+COMPILE = $(BIN)/python -W ignore -m compileall -qq -j 0 $(VENV)/lib || true
 
 .PHONY: demo test test-slow lint lock benchmarks pins clean
 
@@ -39,13 +42,15 @@ pins: $(VENV)/.tests
 $(VENV)/.runtime: requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Nightglass needs Python 3.11 or newer; set PYTHON=/path/to/python3.11" if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(INSTALL) -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	$(COMPILE)
 	touch $@
 
 # The same and what the tests need.
 $(VENV)/.tests: requirements-test.lock $(VENV)/.runtime
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-test.lock
+	$(INSTALL) -r requirements-test.lock
+	$(COMPILE)
 	touch $@
 
 # Renew both lock files (needs `uv` on the path).

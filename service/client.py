@@ -42,12 +42,22 @@ class JobFailed(NightglassError):
 
 
 class Client:
-    """A connection to a Nightglass server.
+    """A connection to a Nightglass server; in a `with` block it is closed at the end.
 
-    url : `http://127.0.0.1:8765`, `https://...`
-    key : the team's API key; default: the environment's NIGHTGLASS_KEY
-    patience_s : how long a server that does not answer, or is overloaded, is asked again; one that
-        never answered yet at most FIRST_S
+    Parameters
+    ----------
+    url : str
+        Address of the server: `http://127.0.0.1:8765`, `https://...`.
+    key : str, optional
+        The team's API key; default: the environment's NIGHTGLASS_KEY.
+    patience_s : float
+        Seconds for which a server that does not answer, or is overloaded, is asked again; one that
+        never answered yet at most FIRST_S.
+
+    Raises
+    ------
+    BadInput
+        For what is no address.
     """
 
     def __init__(self, url: str, key: str | None = None, *, patience_s: float = 60.0) -> None:
@@ -69,15 +79,35 @@ class Client:
         self.http.close()
 
     def submit(self, scene: Scene, idempotency_key: str | None = None) -> RemoteJob:
-        """Submit a scene: plain data, or the path of its YAML or JSON file.
+        """Submit a scene to be rendered.
 
-        With its Idempotency-Key (a new one by default) it becomes one job, however often the
-        connection breaks. Raises Refused with every field's message, ServiceError.
+        Parameters
+        ----------
+        scene : mapping or path
+            Plain data, or the path of its YAML or JSON file.
+        idempotency_key : str, optional
+            What is sent twice with one key becomes one job, however often the connection breaks;
+            default: a new key.
+
+        Returns
+        -------
+        RemoteJob
+            The job, QUEUED or PENDING; `wait` for it.
+
+        Raises
+        ------
+        Refused
+            With every mistake of the scene.
+        ServiceError
+            Where the server does not answer, or has a fault.
         """
         return self._submit("/v1/jobs", _data(scene), idempotency_key)
 
     def sweep(self, sweep: Scene, idempotency_key: str | None = None) -> RemoteJob:
-        """Submit a sweep, as `submit` does a scene; its base scene may be a file beside it."""
+        """Submit a sweep of scenes; parameters, returns and errors are those of `submit`.
+
+        The sweep's base scene may be a file beside it, which is sent along.
+        """
         data = _data(sweep)
         base = data.get("scene") if isinstance(data, dict) else None
         if isinstance(base, str):
@@ -86,7 +116,10 @@ class Client:
         return self._submit("/v1/sweeps", data, idempotency_key)
 
     def study(self, study: Scene, idempotency_key: str | None = None) -> RemoteJob:
-        """Submit a study of capacity, as `submit` does a scene; files in it are uploads."""
+        """Submit a study of capacity; parameters, returns and errors are those of `submit`.
+
+        Files that the study names are uploads of the server.
+        """
         return self._submit("/v1/studies", _data(study), idempotency_key)
 
     def _submit(self, path: str, data: JsonValue, idempotency_key: str | None) -> RemoteJob:
@@ -94,11 +127,36 @@ class Client:
         return RemoteJob(self, self.ask("POST", path, json=data, headers=headers).json())
 
     def plan(self, scene: Scene) -> JsonObject:
-        """What a scene needs and why, planned by the server; nothing is rendered."""
+        """What a scene needs and why, planned by the server; nothing is rendered.
+
+        Parameters
+        ----------
+        scene : mapping or path
+            As `submit` takes it.
+
+        Returns
+        -------
+        dict
+            The plan, as `nightglass plan --json` prints it; errors are those of `submit`.
+        """
         return self.ask("POST", "/v1/jobs", json=_data(scene), params={"dry_run": "1"}).json()
 
     def observe(self, scene: Scene, **asked: Any) -> JsonObject:
-        """What a scene's sensor sees, by the server; asked : `times` ("START,STOP,STEP"), `snr`."""
+        """What a scene's sensor sees, worked out by the server without drawing.
+
+        Parameters
+        ----------
+        scene : mapping or path
+            As `submit` takes it.
+        **asked
+            `times` ("START,STOP,STEP": UTC or seconds after the epoch, and a step in seconds) and
+            `snr` (below which a target is too faint).
+
+        Returns
+        -------
+        dict
+            Rows and counts, as `nightglass observe --json` prints them.
+        """
         return self.ask("POST", "/v1/observe", json=_data(scene), params=asked).json()
 
     def job(self, job_id: str) -> RemoteJob:
@@ -106,7 +164,17 @@ class Client:
         return RemoteJob(self, self.ask("GET", f"/v1/jobs/{_word(job_id)}").json())
 
     def jobs(self, phase: str | None = None) -> Iterator[RemoteJob]:
-        """The team's jobs in order of submission, page by page."""
+        """The team's jobs in order of submission, asked for page by page.
+
+        Parameters
+        ----------
+        phase : str, optional
+            Only jobs of this phase, such as "EXECUTING".
+
+        Yields
+        ------
+        RemoteJob
+        """
         path = "/v1/jobs"
         params = {"phase": phase} if phase else None
         while path:
@@ -119,7 +187,25 @@ class Client:
         return self.ask("GET", "/v1/catalogues").json()["catalogues"]
 
     def ask(self, method: str, path: str, **request: Any) -> httpx.Response:
-        """One request, asked again while the server does not answer or is overloaded."""
+        """One request, asked again while the server does not answer or is overloaded.
+
+        Parameters
+        ----------
+        method, path : str
+            Such as "GET" and "/v1/jobs".
+        **request
+            What `httpx.Client.request` takes: `json`, `params`, `headers`, ...
+
+        Returns
+        -------
+        httpx.Response
+            An answer that is no error.
+
+        Raises
+        ------
+        Refused, ServiceError
+            What the server says is wrong with the request; no answer within `patience_s`.
+        """
         begun, pause_s = time.monotonic(), 0.25
         while True:
             try:
@@ -167,9 +253,27 @@ class RemoteJob:
     def wait(self, timeout_s: float | None = None, progress: bool | Listener = True) -> RemoteJob:
         """Wait until the job has ended; a server that restarts meanwhile is waited for.
 
-        progress : a bar on stderr where that is a terminal; or a function called with the job's
-            facts at every change
-        Raises JobFailed for ERROR and ABORTED, TimeoutError after `timeout_s`, ServiceError.
+        Parameters
+        ----------
+        timeout_s : float, optional
+            The most seconds to wait; default: as long as it takes.
+        progress : bool or callable
+            A bar on stderr where that is a terminal; or a function called with the job's facts at
+            every change.
+
+        Returns
+        -------
+        RemoteJob
+            Itself, COMPLETED.
+
+        Raises
+        ------
+        JobFailed
+            Where it ended as ERROR or ABORTED.
+        TimeoutError
+            After `timeout_s`.
+        ServiceError
+            Where the server does not answer.
         """
         deadline = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
         shown = _bar(self.name) if progress is True else nullcontext(progress or None)
@@ -220,7 +324,15 @@ class RemoteJob:
         return self.client.ask("GET", f"{self.path}/report").json()
 
     def points(self) -> pa.Table:
-        """The table of a sweep's points: their values and what was measured."""
+        """The table of a sweep's points: their values and what was measured, a row a point.
+
+        Raises
+        ------
+        BadInput
+            For a job that is no sweep's, or not COMPLETED.
+        JobFailed
+            Where it ended as ERROR or ABORTED.
+        """
         import pyarrow.parquet as pq
 
         self._complete("sweep")
@@ -228,10 +340,25 @@ class RemoteJob:
         return pq.read_table(io.BytesIO(answer.content))
 
     def open(self, folder: Path | str | None = None) -> xr.Dataset:
-        """Its cube as an xarray Dataset.
+        """Its cube: frames as layers, with their coordinates.
 
-        Without `folder` chunks are read over HTTP when they are needed, each proved by its
-        checksum; with it the product is fetched there and verified first.
+        Parameters
+        ----------
+        folder : path, optional
+            Where the product is fetched to and verified first; without it chunks are read over
+            HTTP when they are needed, each proved by its checksum.
+
+        Returns
+        -------
+        xarray.Dataset
+
+        Raises
+        ------
+        BadInput
+            For a job that is no scene's, or not COMPLETED; where reading over HTTP needs a package
+            that is not installed.
+        JobFailed
+            Where it ended as ERROR or ABORTED.
         """
         if folder is not None:
             from pipeline.store.cube import open_cube
@@ -256,8 +383,29 @@ class RemoteJob:
     def fetch(
         self, folder: Path | str, parallel: int = 8, progress: bool | Listener = True
     ) -> Path:
-        """Fetch its product into `folder`: files in parallel, what is there already gone on with,
-        all verified. Raises Damaged where a byte differs from what was rendered."""
+        """Fetch its product; every file is verified, and what is there already is kept.
+
+        Parameters
+        ----------
+        folder : path
+            Where it goes; a fetch that was interrupted is gone on with there.
+        parallel : int
+            Files at once.
+        progress : bool or callable
+            As in `wait`.
+
+        Returns
+        -------
+        Path
+            The product's folder.
+
+        Raises
+        ------
+        Damaged
+            Where a byte differs from what was rendered.
+        BadInput, JobFailed
+            As `open` does.
+        """
         self._complete("scene")
         shown = (
             _bar(f"fetching {self.name}", "MB")
@@ -270,8 +418,25 @@ class RemoteJob:
             return fetch_product(self, Path(folder), parallel, listen)
 
     def fetch_sweep(self, folder: Path | str) -> Path:
-        """Fetch what a sweep or a study made into `folder`, which is not there yet: its tables,
-        report and page, each proved. Raises Damaged where a byte differs."""
+        """Fetch what a sweep or a study made: its tables, report and page, each verified.
+
+        Parameters
+        ----------
+        folder : path
+            Where it goes; not there yet, or empty.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        Damaged
+            Where a byte differs from what was made.
+        BadInput, JobFailed
+            For a job that is neither's, or not COMPLETED; that failed.
+        """
         from service.fetching import fetch_sweep
 
         self._complete("sweep", "study")

@@ -77,7 +77,7 @@ def make(folder: Path, columns: dict[str, np.ndarray], epoch: float, rows_per_le
 def sky() -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Main stars of G 6 to 13; a bright list of those above 8, 24.25 years earlier, and 12 more.
 
-    Six of the list's own are as bright as Sirius to Mizar; one has the id of a star of the main
+    Six of the list's own are as bright as Polaris to 3.6; one has the id of a star of the main
     catalogue that stands elsewhere. Some of the common ones move by arcseconds a year.
     """
     rng = np.random.default_rng(9)
@@ -95,7 +95,7 @@ def sky() -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     own = {
         "ra": rng.uniform(100.3, 101.7, 12), "dec": rng.uniform(29.3, 30.7, 12),
         "pmra": rng.normal(0, 100, 12), "pmdec": rng.normal(0, 100, 12),
-        "phot_g_mean_mag": np.concatenate([np.linspace(-1.4, 2.2, 6), np.full(6, 7.0)]),
+        "phot_g_mean_mag": np.concatenate([np.linspace(2.0, 3.6, 6), np.full(6, 7.0)]),
     }  # fmt: skip
     layer = {k: np.concatenate([main[k][common], own[k]]) for k in COLUMNS[1:]}
     count = common.sum()
@@ -171,7 +171,7 @@ def test_each_star_once(reference, folders, tmp_path):
     own = set(layer["source_id"][-12:].tolist())
     from_layer = truth["catalogue"] == 1
     assert set(truth["source_id"][from_layer].tolist()) <= own
-    assert truth["g_mag"][from_layer].min() == pytest.approx(-1.4, abs=1e-4)
+    assert truth["g_mag"][from_layer].min() == pytest.approx(2.0, abs=1e-4)
     assert len(np.unique(truth["source_id"][from_layer])) >= 10
     once = np.stack([truth["frame"], truth["catalogue"], truth["source_id"]])
     assert np.unique(once, axis=1).shape == once.shape
