@@ -68,7 +68,15 @@ def gather_sky(
 
         air = gather_night(b, response)
     return SkyInputs(
-        *_uniform(b, response), table, rates, undrawn, every, fit, stray, extinction, air
+        *_uniform(b, response),
+        zodiacal=table,
+        zodiacal_rates=rates,
+        undrawn=undrawn,
+        every=every,
+        fit=fit,
+        stray=stray,
+        extinction=extinction,
+        night=air,
     )
 
 

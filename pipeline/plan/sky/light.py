@@ -70,9 +70,7 @@ class LightOfSky:
     @property
     def still(self) -> bool:
         """Whether it is the same in all frames: a uniform sky alone."""
-        i, b = self.inputs, background_of(self.scene)
-        moving = (i.zodiacal, i.undrawn, i.every, i.stray)
-        return all(part is None for part in moving) and not b.of_the_air
+        return not background_of(self.scene).varies and self.inputs.undrawn is None
 
     def parts(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
         """Each part's electrons/s per m2 of pupil and sr (n,)."""

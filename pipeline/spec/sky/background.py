@@ -10,17 +10,7 @@ from pydantic_core import PydanticCustomError
 from pipeline.spec.sky.stray_light import StrayLight
 from pipeline.spec.strict import Strict
 
-COMPONENTS = (
-    "zodiacal",
-    "galactic",
-    "starlight",
-    "stray_light",
-    "airglow",
-    "moonlight",
-    "twilight",
-    "uniform_mag_arcsec2",
-    "uniform_e_per_s",
-)
+UNIFORM = ("uniform_mag_arcsec2", "uniform_e_per_s")
 
 
 class Zodiacal(Strict):
@@ -92,24 +82,27 @@ class Background(Strict):
 
     @model_validator(mode="after")
     def _some_part(self) -> Background:
-        both = self.uniform_mag_arcsec2 is not None and self.uniform_e_per_s is not None
-        named = self.model_fields_set & set(COMPONENTS)
-        if both or not named:
+        both = all(getattr(self, name) is not None for name in UNIFORM)
+        if both or not self.model_fields_set:
             raise PydanticCustomError(
                 "one_of",
-                "allowed: exactly one of uniform_mag_arcsec2 and uniform_e_per_s, or any of "
-                "zodiacal, galactic, starlight, stray_light, airglow, moonlight, twilight and at "
-                "most one of the two",
+                f"allowed: exactly one of {' and '.join(UNIFORM)}, or any of "
+                f"{', '.join(_not_uniform())} and at most one of the two",
             )
         return self
 
     @property
     def varies(self) -> bool:
         """True where some part of it differs over the sky."""
-        parts = (self.zodiacal, self.galactic, self.stray_light, self.of_the_air)
-        return any(parts) or self.starlight == "all"
+        parts = [name for name in _not_uniform() if name != "starlight"]
+        return any(getattr(self, name) for name in parts) or self.starlight == "all"
 
     @property
     def of_the_air(self) -> bool:
         """True where some part of it is light of the air above a site."""
         return any((self.airglow, self.moonlight, self.twilight))
+
+
+def _not_uniform() -> list[str]:
+    """Names of the parts that may differ over the sky."""
+    return [name for name in Background.model_fields if name not in UNIFORM]
