@@ -30,6 +30,7 @@ from pipeline.store.markers import (
     read_marker,
 )
 from pipeline.store.truth import drop_parts, part_is_whole
+from pipeline.user_data import user_data_files
 
 FORMAT = "nightglass/product/1"
 CATALOGUES = ("stars.catalogue",)  # fields of files that have digests of their own
@@ -148,7 +149,7 @@ CHANGED = {  # what may have changed since a product was begun, in the user's wo
     "format": "it was made by another version",
     "scene_sha256": "the scene, its --set, or where its files are has changed",
     "catalogue_digest": "the catalogue has changed",
-    "files_sha256": "a file that the scene names has changed",
+    "files_sha256": "a file that the scene names, or of NIGHTGLASS_DATA, has changed",
 }
 
 
@@ -262,9 +263,11 @@ def files_digest(data: JsonObject) -> str | None:
     """SHA-256 over the content of all files that plain data of a scene, or a study, still names;
     None without any. Its paths are absolute.
 
-    Catalogues have digests of their own; of populations what was found in them counts.
+    Catalogues have digests of their own; of populations what was found in them counts. Tables of
+    the user's data folder count, too, where there are any.
     """
-    found = [(field_name, file_digest(file)) for field_name, file in named_files(data)]
+    files = (*named_files(data), *user_data_files())
+    found = [(name, file_digest(file)) for name, file in files]
     return hashlib.sha256(json.dumps(found).encode()).hexdigest() if found else None
 
 

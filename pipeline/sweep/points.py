@@ -22,6 +22,7 @@ from pipeline.store.product import CATALOGUES, file_digest, named_files
 from pipeline.sweep.dependence import AFTER_LIGHT, FLOOR, SKY_FLOOR
 from pipeline.sweep.design import Design
 from pipeline.sweep.stages import Base, Stages, is_plain, without_noise
+from pipeline.user_data import user_data_files
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,9 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
 def files_of(course: Course) -> list[list[str]]:
     """Field, name and SHA-256 of the content of all files that the points name, each read once.
 
-    Catalogues have digests of their own.
+    Catalogues have digests of their own; tables of the user's data folder count, too.
     """
-    named = dict.fromkeys(named_files(course.data, CATALOGUES))
+    named = dict.fromkeys((*named_files(course.data, CATALOGUES), *user_data_files()))
     for name, value in _words(course):
         data = copy.deepcopy(course.data)
         set_field(data, name, value)

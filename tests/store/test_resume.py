@@ -77,6 +77,24 @@ def unfinished(product):
     (product / "truth" / ".parts").mkdir(exist_ok=True)
 
 
+def test_another_table_of_the_users_data_is_refused(product, starry, tmp_path, monkeypatch):
+    """A product begun with the Sun's whole spectrum does not go on without it, nor with another."""
+    table = tmp_path / "solar_spectrum" / "e490-00a_2014_table3.txt"
+    table.parent.mkdir()
+    table.write_text("0.1195,0.0619\n1.0,748.0\n")
+    monkeypatch.setenv("NIGHTGLASS_DATA", str(tmp_path))
+    unfinished(product)
+    with pytest.raises(BadInput, match="files_sha256"):
+        render(starry[0], product, AGAIN)
+    known = files_digest({})
+    table.write_text("0.1195,0.0619\n1.0,749.0\n")
+    assert None not in (known, files_digest({}))
+    assert files_digest({}) != known
+    monkeypatch.delenv("NIGHTGLASS_DATA")
+    assert files_digest({}) is None
+    render(starry[0], product, AGAIN)
+
+
 def test_another_catalogue_at_the_same_place_is_refused(starry, product):
     """The same scene to the letter, its catalogue made anew from other stars: not gone on with."""
     scene, _, folder = starry
@@ -157,7 +175,7 @@ def test_a_file_that_changed_since_is_refused(tmp_path, kind):
     render(parse_scene(data), product, HERE)
     unfinished(product)
     write(0.5)
-    with pytest.raises(BadInput, match="a file that the scene names has changed"):
+    with pytest.raises(BadInput, match="a file that the scene names"):
         render(parse_scene(data), product, AGAIN)
     write(1.0)
     assert render(parse_scene(data), product, AGAIN)["tiles_resumed"] == TILES - 1

@@ -8,7 +8,6 @@ import hashlib
 import importlib.util
 import itertools
 import math
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,11 +26,11 @@ from pipeline.physics.radiometry import (
     scale,
     spectrum_from_box_means,
 )
+from pipeline.user_data import PICKLES_FOLDER, SOLAR_TABLE, data_file
 
 # Every spectrum here covers these wavelengths, so a response must lie between them.
 SHORTEST_NM, LONGEST_NM = 290.0, 2500.0
 LARGEST_TABLE_BYTES = 4_000_000
-PICKLES_FOLDER = "stellar_spectra/pickles_uvk"
 
 # Filters of speclite that are tabulated as responses to energy: Bessell 1990, PASP 102, 1181, as
 # explained by Bessell & Murphy 2012, PASP 124, 140. All the others count photons.
@@ -39,13 +38,6 @@ ENERGY_GROUPS = frozenset({"bessell"})
 
 Spectrum = tuple[str, Array, Array]
 NumberOrTable = float | str | Path
-
-
-def data_file(relative: str) -> Path | None:
-    """A file or folder of the user's data folder (NIGHTGLASS_DATA), or None where it is absent."""
-    folder = os.environ.get("NIGHTGLASS_DATA")
-    path = Path(folder, relative) if folder else None
-    return path if path is not None and path.exists() else None
 
 
 def resolve_response(
@@ -239,7 +231,7 @@ def solar_spectrum() -> tuple[Array, Array, str, str]:
     0.005% for 400 to 900 nm; bands of 50 nm or more 0.13% rms and at most 1.0% (0.4% beyond
     400 nm); of 100 nm or more at most 0.4%.
     """
-    path = data_file("solar_spectrum/e490-00a_2014_table3.txt")
+    path = data_file(SOLAR_TABLE)
     scale_text = "total 1366.1 W/m2, 0.4% above the nominal 1361 W/m2 (IAU 2015 B3)"
     if path is None:
         edges = np.array(solar_bands.EDGES_NM) * 1e-9
