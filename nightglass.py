@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import BadInput, Damaged, Incomplete, NightglassError, TryLater
 
-if TYPE_CHECKING:  # functions import what they need, so that `import nightglass` is quick
+if TYPE_CHECKING:  # each function imports what it needs: `import nightglass` takes no time
     from catalog_tools.query.star_catalogue import StarCatalogue
     from pipeline.observe.observe import Observed
     from pipeline.opened_product import Product

@@ -19,7 +19,7 @@ from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
 from pipeline.inputs.targets.populations import screened
-from pipeline.lazily import blank_figure
+from pipeline.lazily import blank_figure, need_matplotlib
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.times import format_utc, parse_utc
 from pipeline.physics.radiometry import (
@@ -168,6 +168,8 @@ def write_light_curves(
 ) -> int:
     """Write light curves as Parquet, a few hundred at a time, and the only one as a PNG where
     `plot` is given (needs matplotlib); how many there were."""
+    if plot is not None:
+        need_matplotlib("--plot")
     notes = {"mag_ab": "AB, in the sensor's band, above the air; NaN: no light"}
     name, curve = next(curves)
     count, first = 1, _table(name, curve, utc := _utc(curve))

@@ -203,8 +203,10 @@ class Client:
 
         Raises
         ------
-        Refused, ServiceError
-            What the server says is wrong with the request; no answer within `patience_s`.
+        Refused
+            With what the server says is wrong with the request.
+        ServiceError
+            Where no answer comes within `patience_s` (FIRST_S where none ever came), or a fault.
         """
         begun, pause_s = time.monotonic(), 0.25
         while True:
@@ -434,8 +436,11 @@ class RemoteJob:
         ------
         Damaged
             Where a byte differs from what was made.
-        BadInput, JobFailed
-            For a job that is neither's, or not COMPLETED; that failed.
+        BadInput
+            For a job that is neither a sweep's nor a study's or has not COMPLETED, or a folder
+            that holds something.
+        JobFailed
+            Where it ended as ERROR or ABORTED.
         """
         from service.fetching import fetch_sweep
 

@@ -53,3 +53,8 @@ def set_up() -> None:
     logging.getLogger("nightglass").setLevel(level)
     logging.getLogger("alembic").setLevel(logging.WARNING)
     logging.captureWarnings(True)
+
+
+def of_job(order: JsonObject) -> JsonObject:
+    """What every line of a worker's log carries."""
+    return {name: order.get(name) for name in ("job", "attempt")}

@@ -12,7 +12,6 @@ from catalog_tools.documents import JsonObject
 from pipeline.commands.options import Json, Output, print_json
 from pipeline.errors import BadInput, Interrupted
 from pipeline.lines import fold, pair, table
-from pipeline.spec.load import MAX_BYTES, apply_override, parse_text
 
 jobs = typer.Typer(
     help="Jobs on a server (key: NIGHTGLASS_KEY).", no_args_is_help=True, add_completion=False
@@ -33,6 +32,8 @@ def connect(server: str) -> Any:
 
 def read_scene(scene: Path, overrides: list[str]) -> Any:
     """A scene file as plain data with its overrides; judged by the server."""
+    from pipeline.spec.load import MAX_BYTES, apply_override, parse_text  # the scene's model
+
     if not scene.is_file() or scene.stat().st_size > MAX_BYTES:
         allowed = f"an existing scene file (YAML or JSON) of at most {MAX_BYTES} bytes"
         raise BadInput("SCENE", str(scene), allowed)

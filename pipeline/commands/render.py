@@ -116,7 +116,6 @@ def join(
     as_json: Json = False,
 ) -> None:
     """Finish a product whose parts are all done. Exit 3 where tiles are missing."""
-
     report = run_join(product, scene, wait)
     if as_json:
         print_json(report)
@@ -127,7 +126,6 @@ def join(
 
 def _only_here(*given: bool) -> None:
     """BadInput where options are given that a server decides."""
-
     if any(given):
         allowed = "without --resume, --replace, --workers, --scheduler: the server decides these"
         raise BadInput("--server", "with them", allowed)

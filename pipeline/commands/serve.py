@@ -1,4 +1,4 @@
-"""The command line's `nightglass serve` and `keys`, named only: the service stands above."""
+"""The command line's `nightglass serve` and `keys`, which the service makes: found by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every command by its name: where it is, and the first line of its help."""
+"""Every command by its name: where it is, and the first paragraph of its help."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ COMMANDS: Table = {
         "Make the demo catalogue, render the demo scene, and say what came out.",
     ),
     "selftest": (
-        "report:selftest",
+        "studies.selftest:selftest",
         "Limiting cases against answers known from elsewhere. Exit 1 where one fails.",
     ),
     "observe": (
@@ -108,19 +108,19 @@ CATALOG: Table = {
 
 REPORT: Table = {
     "accuracy": (
-        "report:report_accuracy",
+        "studies.accuracy:report_accuracy",
         "Error against CPU time of every engine and installed peer: JSON, table, figure.",
     ),
     "detection": (
-        "report:report_detection",
+        "studies.detection:report_detection",
         "Completeness and false alarms of public finders on a product: JSON, table, figure.",
     ),
     "scenes": (
-        "report:report_scenes",
+        "studies.scenes:report_scenes",
         "Error against run time of whole scenes, and of each approximation: page, JSON, figures.",
     ),
     "ledger": (
-        "report:report_ledger",
+        "studies.ledger:report_ledger",
         "Every rule of the plan measured: the bound, the error of an omission, the seconds saved.",
     ),
 }

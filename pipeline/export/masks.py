@@ -130,28 +130,28 @@ def mask_fits(
     cards: list[tuple[str, object, str]],
 ) -> bytes:
     """A FITS file: CLASS (also the primary's header), SOURCE numbers, and the table of SOURCES."""
-    hdu = fits()
-    table = hdu.BinTableHDU.from_columns(
+    fits_io = fits()
+    table = fits_io.BinTableHDU.from_columns(
         [
-            hdu.Column("number", "J", array=np.arange(1, len(labels) + 1)),
-            hdu.Column("class", "B", array=labels.kind),
-            hdu.Column("name", "64A", array=labels.name),
-            hdu.Column("x", "D", unit="pixel", array=labels.x_px),
-            hdu.Column("y", "D", unit="pixel", array=labels.y_px),
-            hdu.Column("object_name", "80A", array=labels.object_name),
-            hdu.Column("magnitude", "D", array=labels.magnitude),
-            hdu.Column("electrons", "D", array=labels.electrons),
-            hdu.Column("snr", "D", array=labels.snr),
+            fits_io.Column("number", "J", array=np.arange(1, len(labels) + 1)),
+            fits_io.Column("class", "B", array=labels.kind),
+            fits_io.Column("name", "64A", array=labels.name),
+            fits_io.Column("x", "D", unit="pixel", array=labels.x_px),
+            fits_io.Column("y", "D", unit="pixel", array=labels.y_px),
+            fits_io.Column("object_name", "80A", array=labels.object_name),
+            fits_io.Column("magnitude", "D", array=labels.magnitude),
+            fits_io.Column("electrons", "D", array=labels.electrons),
+            fits_io.Column("snr", "D", array=labels.snr),
         ],
         name="SOURCES",
     )
-    primary = hdu.PrimaryHDU(header=hdu.Header(cards))
+    primary = fits_io.PrimaryHDU(header=fits_io.Header(cards))
     hdus = [
         primary,
-        hdu.CompImageHDU(classes, name="CLASS"),
-        hdu.CompImageHDU(owner, name="SOURCE"),
+        fits_io.CompImageHDU(classes, name="CLASS"),
+        fits_io.CompImageHDU(owner, name="SOURCE"),
         table,
     ]
     out = BytesIO()
-    hdu.HDUList(hdus).writeto(out, checksum=True)
+    fits_io.HDUList(hdus).writeto(out, checksum=True)
     return out.getvalue()

@@ -272,7 +272,7 @@ def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
             begun.path / layout.TRUTH / f"{kind}.parquet", columns=["electrons"]
         )["electrons"]
         fill = plan.responses.blur.fill_factor  # truth has what is collected, bounds what falls
-        most = float(column.to_numpy().max(initial=0.0)) / fill
+        most = float(np.fmax.reduce(column.to_numpy(), initial=0.0)) / fill
         each = [
             (c.target_e, c.target_error) if kind == "targets" else (c.brightest_e, c.wing_error)
             for c in plan.responses.classes

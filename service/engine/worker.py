@@ -7,7 +7,6 @@ once when its stdin closes: a worker never outlives the process that watches it.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
 import logging
@@ -15,26 +14,19 @@ import os
 import re
 import sys
 import threading
-import time
-from collections.abc import Iterator
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
-
-from dask.callbacks import Callback
 
 from catalog_tools.catalogue import MANIFEST_NAME
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.heap import one_heap
 from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError, TryLater
-from pipeline.route.judge import judge
-from pipeline.route.prepare import check_cost, plan_scene
-from pipeline.route.run import Options, render
-from pipeline.spec.load import parse_scene
 from service import logs
 from service.problems import cut, mistake_dict, mistakes_of
 
 log = logging.getLogger("nightglass.engine")
-BETWEEN_LINES_S = 0.25
 
 
 def main() -> None:
@@ -48,21 +40,13 @@ def main() -> None:
     order = json.loads(line)
     logs.set_up()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    todo = {
-        "plan": _plan,
-        "forecast": _forecast,
-        "judge": _judge,
-        "observe": _observe,
-        "render": _render,
-        "study": _study,
-        "sweep": _sweep,
-    }
-    try:
-        _say(answers, todo[order["do"]](order, answers))
+    say = partial(_say, answers)
+    try:  # what is loaded may print, or fail, and takes a second in which the parent may end
+        say(import_module("service.engine.orders").ORDERS[order["do"]](order, say))
     except Exception as error:
         if not isinstance(error, NightglassError):
-            log.exception("the engine failed", extra=_said(order))
-        _say(answers, {"outcome": "error", "error": describe(error, order)})
+            log.exception("the engine failed", extra=logs.of_job(order))
+        say({"outcome": "error", "error": describe(error, order)})
 
 
 def _end_with_parent() -> None:
@@ -73,111 +57,6 @@ def _end_with_parent() -> None:
 
 def _say(answers: BinaryIO, message: JsonObject) -> None:
     answers.write(json.dumps(message).encode() + b"\n")
-
-
-def _said(order: JsonObject) -> JsonObject:
-    """What every line of the log carries."""
-    return {name: order.get(name) for name in ("job", "attempt")}
-
-
-@contextlib.contextmanager
-def _tiles_told(order: JsonObject) -> Iterator[None]:
-    """Log each tile that this process draws (level debug), and those in flight when one fails."""
-    said, running = _said(order), set()
-
-    def name(key: Any) -> str | None:
-        tile = isinstance(key, tuple) and key[0] == "tile"
-        return "f{}_r{}_c{}".format(*key[1:4]) if tile else None
-
-    def begins(key: Any, *_: Any) -> None:
-        running.add(name(key))
-
-    def ended(key: Any, *_: Any) -> None:
-        running.discard(name(key))
-        if name(key):
-            log.debug("tile drawn", extra=said | {"tile": name(key)})
-
-    try:
-        with Callback(pretask=begins, posttask=ended):
-            yield
-    except BadInput:  # the user's mistake: the job shows it
-        raise
-    except Exception:
-        tiles = sorted(tile for tile in running if tile)
-        log.error("tiles in flight", extra=said | {"tile": " ".join(tiles[:20])})
-        raise
-
-
-def _plan(order: JsonObject, _: BinaryIO) -> JsonObject:
-    scene = parse_scene(order["scene"])
-    plan = plan_scene(scene)
-    check_cost(scene, plan, order["most_cpu_s"])
-    return {"outcome": "done", "plan": plan}
-
-
-def _forecast(order: JsonObject, _: BinaryIO) -> JsonObject:
-    from pipeline.capacity.run import forecast_of
-
-    return {"outcome": "done", "forecast": forecast_of(order["scene"], Path.cwd())}
-
-
-def _observe(order: JsonObject, _: BinaryIO) -> JsonObject:
-    from pipeline.observe.files import as_data
-    from pipeline.observe.observe import observe
-
-    scene, most = parse_scene(order["scene"]), order["most_rows"]
-    found = observe(scene, order["times"], order["snr"], most_rows=most)
-    return {"outcome": "done", "observed": as_data(found)}
-
-
-def _judge(order: JsonObject, _: BinaryIO) -> JsonObject:
-    judge(parse_scene(order["scene"]))
-    return {"outcome": "done"}
-
-
-def _render(order: JsonObject, answers: BinaryIO) -> JsonObject:
-    options = Options(
-        scheduler=order["scheduler"],
-        workers=order["workers"],
-        resume=order["resume"],
-        most_cpu_s=order["most_cpu_s"],
-    )
-    with _tiles_told(order):
-        report = render(
-            parse_scene(order["scene"]), Path(order["product"]), options, _listener(answers)
-        )
-    return {
-        "outcome": "done",
-        "tiles": report["tiles"],
-        "content_digest": report["content_digest"],
-    }
-
-
-def _sweep(order: JsonObject, answers: BinaryIO) -> JsonObject:
-    from service.scenes.sweeps import run_sweep
-
-    return {"outcome": "done"} | run_sweep(order, _listener(answers))
-
-
-def _study(order: JsonObject, answers: BinaryIO) -> JsonObject:
-    from service.scenes.studies import run_study
-
-    return {"outcome": "done"} | run_study(order, _listener(answers))
-
-
-def _listener(answers: BinaryIO) -> Any:
-    """Tell of progress, a few times a second."""
-    last = {"s": 0.0}
-    lock = threading.Lock()
-
-    def listen(progress: Any) -> None:
-        with lock:
-            now = time.monotonic()
-            if now - last["s"] >= BETWEEN_LINES_S or getattr(progress, "doing", "") == "start":
-                last["s"] = now
-                _say(answers, {"done": progress.done, "total": progress.total})
-
-    return listen
 
 
 def describe(error: Exception, order: JsonObject) -> JsonObject:

@@ -48,7 +48,8 @@ def listing(service: Service, job_id: str) -> Response:
 @router.get("/frames/{frame}")
 def one(service: Service, job_id: str, frame: Number) -> Response:
     """A frame: which of its tiles are drawn; once complete, its times and FITS WCS."""
-    return JSONResponse(_pixels().frame_facts(_begun_product(service, job_id), frame))
+    product = _begun_product(service, job_id)
+    return JSONResponse(_pixels().frame_facts(product, frame))
 
 
 @router.get("/frames/{frame}/tiles/{row}/{column}")

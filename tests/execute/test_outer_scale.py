@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -20,8 +21,8 @@ SEEING = {"kind": "kolmogorov", "r0_m": R0_M, "reference_nm": 600.0, "wavelength
           "diffraction": False, "outer_scale_m": OUTER_M}  # fmt: skip
 
 
-def seen(**psf):
-    sensor = {"sensor__shape": [64, 64], "sensor__psf": SEEING | psf}
+def seen(more=None, **psf):
+    sensor = {"sensor__shape": [64, 64], "sensor__psf": SEEING | psf} | (more or {})
     return scene(None, **sensor, **BRIGHT, background=None, output={"layers": ["dn", "targets_e"]})
 
 
@@ -50,8 +51,20 @@ def test_an_outer_scale_near_r0_is_refused(psf, least):
     with pytest.raises(BadInput) as caught:
         plan_scene(seen(outer_scale_m=0.99 * least, **psf))
     assert caught.value.field == "sensor.psf.outer_scale_m"
-    assert f"{least:.4g} or more" in str(caught.value)
+    (told,) = re.findall(r"allowed: (\S+) or more", str(caught.value))
+    assert least <= float(told) < 1.002 * least
     assert "\n" not in str(caught.value)
+    plan_scene(seen(outer_scale_m=float(told), **psf))
+
+
+def test_the_least_outer_scale_is_that_of_the_reddest_light():
+    """What the message names is taken in the whole band."""
+    band = {"sensor__bandpass": {"kind": "box", "short_nm": 400.0, "long_nm": 900.0}}
+    with pytest.raises(BadInput) as caught:
+        plan_scene(seen(band, wavelength_nm=None, outer_scale_m=0.3))
+    (told,) = re.findall(r"allowed: (\S+) or more", str(caught.value))
+    assert "900 nm" in str(caught.value)
+    plan_scene(seen(band, wavelength_nm=None, outer_scale_m=float(told)))
 
 
 def test_the_plan_tells_of_it():

@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -40,7 +41,7 @@ from service.accounts.commands import app as keys_app
 from service.accounts.keys import create_key, revoke_key
 from service.accounts.tickets import Tickets
 from service.client import Client, RemoteJob
-from service.engine import attempts, looks, processes, runner, worker
+from service.engine import attempts, looks, orders, processes, runner, worker
 from service.engine.cluster import SchedulerHealth
 from service.http.wire import bounded
 from service.jobs.jobs import Phase, Queue
@@ -1011,15 +1012,15 @@ def _workers_told(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> list[s
         "resume": True,
     }
     lines += [
-        str(worker._sweep(order, said)),
+        str(orders._sweep(order, partial(worker._say, said))),
         said.getvalue().decode(),
         f"{[*settings.products.glob('z*')]}",
     ]
     lines.append(told(sweeps.engine_sweep, {"scene": "x"}, settings))
-    lines.append(told(worker._plan, {"scene": SMALL, "most_cpu_s": 0.5}, said, shown="plan")[:300])
-    lines.append(told(worker._judge, {"scene": SMALL}, said, shown="judge"))
+    lines.append(told(orders._plan, {"scene": SMALL, "most_cpu_s": 0.5}, said, shown="plan")[:300])
+    lines.append(told(orders._judge, {"scene": SMALL}, said, shown="judge"))
     for error in (ValueError("odd"), BadInput("a", 1, "b")):
-        with contextlib.suppress(Exception), worker._tiles_told({"job": "j", "attempt": 2}):
+        with contextlib.suppress(Exception), orders._tiles_told({"job": "j", "attempt": 2}):
             raise error
     for field in (
         "targets.0",

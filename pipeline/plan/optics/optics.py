@@ -142,15 +142,16 @@ def _band(
         return BandOptics(make(wave_m), (wave_m,), (1.0,), 0.0, 0.0)
     if not (scene.stars or scene.targets or scene.populations):  # nothing is drawn with it
         return BandOptics(make(mean_m), (mean_m,), (1.0,), 0.0, 0.0)
-    check_scale(psf.kind, _with(rest, make(wave_m)))  # before work that grows with it
     curve = (response.wavelength_m, response.value)
+    reddest = make(float(curve[0][-1]))  # first: what is refused there may be taken elsewhere
+    check_scale(psf.kind, _with(rest, make(wave_m)))  # before work that grows with it
     most = scene.accuracy.flux_fraction
 
     def choose() -> JsonObject:
         chosen = choose_wavelengths(make, rest, *curve, most, psf.wavelengths, limit)
         return {f.name: getattr(chosen, f.name) for f in fields(chosen)[1:]}
 
-    of = make(float(curve[0][0])), make(float(curve[0][-1]))
+    of = make(float(curve[0][0])), reddest
     found = kept(("wavelengths", of, rest, curve, most, psf.wavelengths, limit), choose)
     waves, weights = tuple(found["wavelengths_m"].tolist()), tuple(found["weights"].tolist())
     if len(waves) == 1:  # the mean, to the last bit
@@ -210,7 +211,7 @@ def _outer_scale_r0(psf: KolmogorovPsf, outer_scale_m: float, wavelength_m: floa
         raise BadInput(
             "sensor.psf.outer_scale_m",
             outer_scale_m,
-            f"{least * r0:.4g} or more: {least:g} times Fried's parameter at "
+            f"{1.0005 * least * r0:.4g} or more: {least:g} times Fried's parameter at "
             f"{wavelength_m * 1e9:.0f} nm",
         )
     return outer_scale_m / r0

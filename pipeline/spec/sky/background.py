@@ -104,5 +104,5 @@ class Background(Strict):
 
 
 def _not_uniform() -> list[str]:
-    """Names of the parts that may differ over the sky."""
+    """Names of all parts but the uniform ones."""
     return [name for name in Background.model_fields if name not in UNIFORM]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from importlib.util import find_spec
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
+from pipeline.lazily import need_matplotlib
 from pipeline.studies.accuracy.figure import draw_figure
 from pipeline.studies.accuracy.study import Progress, run_study
 from pipeline.studies.accuracy.tables import markdown
@@ -39,8 +39,7 @@ def report_accuracy(
     for n in frame:
         if not SMALLEST_PX <= n <= LARGEST_PX:
             raise BadInput("frame", frame, f"{SMALLEST_PX} to {LARGEST_PX} pixels a side")
-    if find_spec("matplotlib") is None:
-        raise BadInput("figure", "matplotlib is not installed", "pip install 'nightglass[report]'")
+    need_matplotlib("figure")
     if quick:
         stars, frame = min(stars, QUICK_STARS), (QUICK_PX, QUICK_PX)
     study = run_study(stars, frame, quick, peers, satsim_python, progress)

@@ -1,4 +1,4 @@
-"""The study: every level of every setting and peer on the same stars, errors and CPU time."""
+"""The study: every level of every engine and peer on the same stars, errors and CPU time."""
 
 from __future__ import annotations
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import tempfile
-from importlib.util import find_spec
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.stars.catalogues import open_catalogues
+from pipeline.lazily import need_matplotlib
 from pipeline.studies.scenes.figure import ladder_figure, omission_figure
 from pipeline.studies.scenes.page import page
 from pipeline.studies.scenes.scenes import requests
@@ -41,8 +41,7 @@ def report_scenes(
     requests(scenes, quick)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise BadInput("-o", str(out), "a new or empty folder")
-    if find_spec("matplotlib") is None:
-        raise BadInput("figure", "matplotlib is not installed", "pip install 'nightglass[report]'")
+    need_matplotlib("figure")
     if catalogue is not None:
         open_catalogues((str(catalogue),))
     with tempfile.TemporaryDirectory(prefix="nightglass-report-") as folder:

@@ -1,0 +1,136 @@
+"""What a worker may be told to do: plan, judge, observe, render, sweep, study."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from dask.callbacks import Callback
+
+from catalog_tools.documents import JsonObject
+from pipeline.errors import BadInput
+from pipeline.route.judge import judge
+from pipeline.route.prepare import check_cost, plan_scene
+from pipeline.route.run import Options, render
+from pipeline.spec.load import parse_scene
+from service import logs
+
+Say = Callable[[JsonObject], None]
+
+log = logging.getLogger("nightglass.engine")
+BETWEEN_LINES_S = 0.25
+
+
+@contextlib.contextmanager
+def _tiles_told(order: JsonObject) -> Iterator[None]:
+    """Log each tile that this process draws (level debug), and those in flight when one fails."""
+    said, running = logs.of_job(order), set()
+
+    def name(key: Any) -> str | None:
+        tile = isinstance(key, tuple) and key[0] == "tile"
+        return "f{}_r{}_c{}".format(*key[1:4]) if tile else None
+
+    def begins(key: Any, *_: Any) -> None:
+        running.add(name(key))
+
+    def ended(key: Any, *_: Any) -> None:
+        running.discard(name(key))
+        if name(key):
+            log.debug("tile drawn", extra=said | {"tile": name(key)})
+
+    try:
+        with Callback(pretask=begins, posttask=ended):
+            yield
+    except BadInput:  # the user's mistake: the job shows it
+        raise
+    except Exception:
+        tiles = sorted(tile for tile in running if tile)
+        log.error("tiles in flight", extra=said | {"tile": " ".join(tiles[:20])})
+        raise
+
+
+def _plan(order: JsonObject, _: Say) -> JsonObject:
+    scene = parse_scene(order["scene"])
+    plan = plan_scene(scene)
+    check_cost(scene, plan, order["most_cpu_s"])
+    return {"outcome": "done", "plan": plan}
+
+
+def _forecast(order: JsonObject, _: Say) -> JsonObject:
+    from pipeline.capacity.run import forecast_of
+
+    return {"outcome": "done", "forecast": forecast_of(order["scene"], Path.cwd())}
+
+
+def _observe(order: JsonObject, _: Say) -> JsonObject:
+    from pipeline.observe import files, observe
+
+    scene, most = parse_scene(order["scene"]), order["most_rows"]
+    found = observe.observe(scene, order["times"], order["snr"], most_rows=most)
+    return {"outcome": "done", "observed": files.as_data(found)}
+
+
+def _judge(order: JsonObject, _: Say) -> JsonObject:
+    judge(parse_scene(order["scene"]))
+    return {"outcome": "done"}
+
+
+def _render(order: JsonObject, say: Say) -> JsonObject:
+    options = Options(
+        scheduler=order["scheduler"],
+        workers=order["workers"],
+        resume=order["resume"],
+        most_cpu_s=order["most_cpu_s"],
+    )
+    with _tiles_told(order):
+        report = render(
+            parse_scene(order["scene"]), Path(order["product"]), options, _listener(say)
+        )
+    return {
+        "outcome": "done",
+        "tiles": report["tiles"],
+        "content_digest": report["content_digest"],
+    }
+
+
+def _sweep(order: JsonObject, say: Say) -> JsonObject:
+    from service.scenes.sweeps import run_sweep
+
+    return {"outcome": "done"} | run_sweep(order, _listener(say))
+
+
+def _study(order: JsonObject, say: Say) -> JsonObject:
+    from service.scenes.studies import run_study
+
+    return {"outcome": "done"} | run_study(order, _listener(say))
+
+
+def _listener(say: Say) -> Any:
+    """Tell of progress, a few times a second."""
+    last = {"s": 0.0}
+    lock = threading.Lock()
+
+    def listen(progress: Any) -> None:
+        with lock:
+            now = time.monotonic()
+            if now - last["s"] >= BETWEEN_LINES_S or getattr(progress, "doing", "") == "start":
+                last["s"] = now
+                say({"done": progress.done, "total": progress.total})
+
+    return listen
+
+
+ORDERS: dict[str, Callable[[JsonObject, Say], JsonObject]] = {
+    "plan": _plan,
+    "forecast": _forecast,
+    "judge": _judge,
+    "observe": _observe,
+    "render": _render,
+    "study": _study,
+    "sweep": _sweep,
+}
