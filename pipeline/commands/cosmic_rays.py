@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.options import Json, Output, print_mapping
+from pipeline.commands.pages import is_quiet
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.cosmic_ray_darks import extract_library, open_darks
 from pipeline.inputs.sensor.cosmic_ray_library import read_library, write_library
@@ -47,7 +48,7 @@ def extract(
         raise BadInput("-o", str(output), "a path that does not exist yet")
     _check_place(output, ".fits")
     darks = open_darks(dark_frames)
-    show = None if as_json or not sys.stderr.isatty() else _show
+    show = None if is_quiet(as_json) else _show
     library, found = extract_library(
         darks, exposure_s, pixel_pitch_um, gain_e_per_dn, threshold_sigma, grow_sigma, show
     )

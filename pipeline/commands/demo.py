@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pipeline.commands.options import Output, told_if_interrupted
-from pipeline.commands.pages import print_product, print_report, tile_progress
+from pipeline.commands.pages import is_quiet, print_product, print_report, tile_progress
 from pipeline.demo import run_demo
 
 
@@ -19,7 +18,7 @@ def demo(
 ) -> None:
     """Make the demo catalogue, render the demo scene, and say what came out."""
     kept = told_if_interrupted(str(output), lambda: "what is finished is kept", resumes=False)
-    with kept, tile_progress(not sys.stderr.isatty()) as listen:
+    with kept, tile_progress(is_quiet()) as listen:
         product, report = run_demo(output, replace, listen, lambda text: print(text, flush=True))
     print_report(report, product)
     print_product(product)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +11,7 @@ import typer
 
 from catalog_tools.documents import JsonObject
 from pipeline.commands.options import Json, Overrides, SceneFile, Workers, print_json
-from pipeline.commands.pages import stage_progress
+from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.lines import fold, table
 from pipeline.observe.files import as_data, check_ending, write
 from pipeline.observe.observe import Observed
@@ -55,7 +54,7 @@ def observe(
     if output is not None:
         check_ending(output)
     loaded = load_scene(scene, set_ or [])
-    with stage_progress(as_json or not sys.stderr.isatty(), "rows") as listen:
+    with stage_progress(is_quiet(as_json), "rows") as listen:
         observed = look(loaded, times, snr, listen, centroid_noise)
     if output is not None:
         write(observed, output)

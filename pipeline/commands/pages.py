@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +26,11 @@ if TYPE_CHECKING:
     from pipeline.route.draw import Progress as Drawn
 
 Listener = Callable[["Drawn"], None]
+
+
+def is_quiet(as_json: bool = False) -> bool:
+    """Whether no bar is shown: a program reads the result, or stderr is no terminal."""
+    return as_json or not sys.stderr.isatty()
 
 
 @contextmanager

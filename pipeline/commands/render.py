@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +27,7 @@ from pipeline.commands.options import (
     print_json,
     told_if_interrupted,
 )
-from pipeline.commands.pages import print_report, tile_progress
+from pipeline.commands.pages import is_quiet, print_report, tile_progress
 from pipeline.errors import BadInput
 from pipeline.route.run import Options
 from pipeline.route.run import join as run_join
@@ -72,7 +71,7 @@ def render(
     loaded = load_scene(scene, overrides)
     options = Options(scheduler, workers, resume, replace, wait)
     kept = told_if_interrupted(output, lambda: _kept(output))
-    with kept, tile_progress(as_json or not sys.stderr.isatty()) as listen:
+    with kept, tile_progress(is_quiet(as_json)) as listen:
         report = run(loaded, output, options, listen)
     _print_result(report, output, as_json)
 
@@ -90,7 +89,7 @@ def render_part(
         raise BadInput("--replace", part, "no --part with it: parts share one product")
     share = parse_part(part)
     kept = told_if_interrupted(product, lambda: "finished tiles are kept", resumes=False)
-    with kept, tile_progress(as_json or not sys.stderr.isatty()) as listen:
+    with kept, tile_progress(is_quiet(as_json)) as listen:
         report = run(load_scene(scene, overrides), product, options, listen, share)
     if as_json:
         print_json(report)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +20,7 @@ from pipeline.commands.options import (
     print_mapping,
     told_if_interrupted,
 )
-from pipeline.commands.pages import progress_listener
+from pipeline.commands.pages import is_quiet, progress_listener
 from pipeline.errors import BadInput
 from pipeline.lines import fold, pair
 from pipeline.spec.study_load import read_study
@@ -53,7 +52,7 @@ def study(
         return
     options = StudyOptions(scheduler, workers, resume, yes)
     kept = told_if_interrupted(str(output), lambda: "finished tasks are kept")
-    with kept, progress_listener("tasks", as_json or not sys.stderr.isatty()) as listen:
+    with kept, progress_listener("tasks", is_quiet(as_json)) as listen:
         report = run_study(data, folder, output, options, listen)
     _tell(report, output, as_json)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +18,7 @@ from pipeline.commands.options import (
     print_json,
     told_if_interrupted,
 )
-from pipeline.commands.pages import progress_listener
+from pipeline.commands.pages import is_quiet, progress_listener
 from pipeline.errors import BadInput
 from pipeline.lines import fold, pair
 from pipeline.spec.load import scene_yaml
@@ -66,7 +65,7 @@ def sweep(
         return
     options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
     kept = told_if_interrupted(str(output), lambda: "finished points are kept")
-    with kept, progress_listener("points", as_json or not sys.stderr.isatty()) as listen:
+    with kept, progress_listener("points", is_quiet(as_json)) as listen:
         report = run(file, output, options, retry_failed, listen)
     if as_json:
         print_json(report)

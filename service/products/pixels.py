@@ -23,38 +23,14 @@ from service.products.frames import array_of, check_frame, describe, grid_of
 
 MAX_PIXELS = 1 << 24  # of one answer
 MAX_READ = 1 << 27  # of one tile, whatever is left of it after binning
-STAR_COLUMNS = (
-    "source_id",
-    "x_px",
-    "y_px",
-    "x_start_px",
-    "y_start_px",
-    "x_end_px",
-    "y_end_px",
-    "ra_deg",
-    "dec_deg",
-    "g_mag",
-    "electrons",
-    "snr",
+PLACE_COLUMNS = (
+    *("x_px", "y_px", "x_start_px", "y_start_px", "x_end_px", "y_end_px"),
+    *("ra_deg", "dec_deg"),
 )
+STAR_COLUMNS = ("source_id", *PLACE_COLUMNS, "g_mag", "electrons", "snr")
 TARGET_COLUMNS = (
-    "name",
-    "x_px",
-    "y_px",
-    "x_start_px",
-    "y_start_px",
-    "x_end_px",
-    "y_end_px",
-    "ra_deg",
-    "dec_deg",
-    "range_m",
-    "phase_deg",
-    "sunlit_fraction",
-    "electrons",
-    "snr",
-    "v_mag",
-    "mag_ab",
-    "object_name",
+    *("name", *PLACE_COLUMNS, "range_m", "phase_deg", "sunlit_fraction"),
+    *("electrons", "snr", "v_mag", "mag_ab", "object_name"),
 )
 
 

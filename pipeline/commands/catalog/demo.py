@@ -14,8 +14,9 @@ from catalog_tools.info import info as facts
 from catalog_tools.synthetic.csv import write_csv_files
 from catalog_tools.synthetic.sample import make_sample
 from catalog_tools.synthetic.synthetic import make_demo
-from pipeline.commands.catalog.shared import Overwrite, numbers, stages
+from pipeline.commands.catalog.shared import Overwrite, numbers
 from pipeline.commands.options import Json, Output, Workers, print_mapping
+from pipeline.commands.pages import is_quiet, stage_progress
 
 
 def demo(
@@ -40,7 +41,7 @@ def demo(
         _write_csv(output, rows, seed, workers, overwrite, as_json)
         return
     fields = [numbers("--field", text, 4, "56.75,24.1,1.0,20") for text in field or []]
-    with stages(as_json) as progress:
+    with stage_progress(is_quiet(as_json)) as progress:
         shared: JsonObject = {
             "seed": seed,
             "workers": workers or 2,
@@ -59,6 +60,6 @@ def _write_csv(
 ) -> None:
     if rows is None or overwrite:
         raise BadInput("--as-csv", True, "together with --rows N, and without --overwrite")
-    with stages(as_json) as progress:
+    with stage_progress(is_quiet(as_json)) as progress:
         written = write_csv_files(output, rows, seed=seed, workers=workers, progress=progress)
     print_mapping(asdict(written), as_json)

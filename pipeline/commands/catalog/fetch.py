@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -10,8 +9,9 @@ from typing import Annotated
 import typer
 
 from catalog_tools.fetch.fetch import fetch as run
-from pipeline.commands.catalog.shared import stages
+from pipeline.commands.catalog.shared import note
 from pipeline.commands.options import Json, print_mapping
+from pipeline.commands.pages import is_quiet, stage_progress
 
 
 def fetch(
@@ -29,7 +29,7 @@ def fetch(
     as_json: Json = False,
 ) -> None:
     """Download the archive's files, or a cone's rows; the same command goes on where it stopped."""
-    with stages(as_json) as progress:
+    with stage_progress(is_quiet(as_json)) as progress:
         report = run(
             release,
             destination,
@@ -42,6 +42,6 @@ def fetch(
             progress=progress,
             verify=verify,
         )
-    for note in report.notes:
-        print(f"note: {note}", file=sys.stderr)
+    for text in report.notes:
+        note(text)
     print_mapping({**asdict(report), "files": len(report.files)}, as_json)

@@ -1,4 +1,4 @@
-"""The command line's `catalog info`, `forms`, `verify` and `cone`: what a catalogue holds."""
+"""The command line's `catalog info`, `forms` and `cone`: what a catalogue holds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from catalog_tools.errors import BadInput
 from catalog_tools.forms import known_forms, load_form
 from catalog_tools.info import info as facts
 from catalog_tools.query import query
-from pipeline.commands.catalog.shared import CataloguePlace, numbers
+from pipeline.commands.catalog.shared import CataloguePlace, note, numbers
 from pipeline.commands.options import Json, print_mapping
 
 
@@ -73,7 +73,7 @@ def _note_coverage(catalogue: Any, centre: Any) -> None:
     fraction = coverage.fraction_of_cone(*centre)
     if fraction < 0.99:
         text = f"the catalogue covers {100.0 * fraction:.3g}% of this cone (by {coverage.source})"
-        print(f"note: {text}", file=sys.stderr)
+        note(text)
 
 
 def _write_table(rows: Any, output: Path | None) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -15,8 +14,9 @@ from catalog_tools.errors import BadInput
 from catalog_tools.info import info
 from catalog_tools.ingest.ingest import ingest as run
 from catalog_tools.query.starlight import STARLIGHT_NAME, make_starlight
-from pipeline.commands.catalog.shared import CataloguePlace, Overwrite, stages
+from pipeline.commands.catalog.shared import CataloguePlace, Overwrite, note
 from pipeline.commands.options import Json, Output, SchedulerName, Workers, print_mapping
+from pipeline.commands.pages import is_quiet, stage_progress
 
 
 def ingest(
@@ -36,7 +36,7 @@ def ingest(
 ) -> None:
     """Repartition files of stars into HEALPix Parquet shards (HATS); goes on where it stopped."""
     memory_bytes = _bytes(memory)
-    with stages(as_json) as progress, open_scheduler(scheduler, workers) as where:
+    with stage_progress(is_quiet(as_json)) as progress, open_scheduler(scheduler, workers) as where:
         report = run(
             list(sources),
             output,
@@ -49,8 +49,8 @@ def ingest(
             overwrite=overwrite,
             restart=restart,
         )
-    for note in report.notes:
-        print(f"note: {note}", file=sys.stderr)
+    for text in report.notes:
+        note(text)
     print_mapping({"continued_batches": report.continued, **info(report.catalogue)}, as_json)
 
 
@@ -65,7 +65,7 @@ def starlight(
 ) -> None:
     """Sum the light of all stars once, so that scenes can leave faint ones to a smooth sky."""
     opened = open_catalogue(catalogue)
-    with stages(as_json) as progress, open_scheduler(scheduler, workers) as where:
+    with stage_progress(is_quiet(as_json)) as progress, open_scheduler(scheduler, workers) as where:
         made = make_starlight(opened, order=order, scheduler=where, progress=progress)
     print_mapping(
         {"map": f"{opened.path}/{STARLIGHT_NAME}", "order": made.order, "stars": opened.rows},

@@ -1,4 +1,4 @@
-"""What the commands of catalogues share: their place, numbers from text, progress."""
+"""What the commands of catalogues share: their place, numbers from text, notes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import typer
 
 from catalog_tools.errors import BadInput
-from pipeline.commands.pages import stage_progress
 
 CataloguePlace = Annotated[
     str, typer.Argument(metavar="CATALOGUE", help="folder, s3:// or http:// URL")
@@ -27,6 +26,6 @@ def numbers(option: str, text: str, count: int, example: str) -> Any:
     return numbers
 
 
-def stages(quiet: bool) -> Any:
-    """A bar for each stage on stderr; nothing when it is no terminal or not wanted."""
-    return stage_progress(quiet or not sys.stderr.isatty())
+def note(text: str) -> None:
+    """A note on stderr, beside the result."""
+    print(f"note: {text}", file=sys.stderr)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pipeline.commands.options import Json, Output, print_json
-from pipeline.commands.pages import stage_progress
+from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.studies.accuracy import report as accuracy
 from pipeline.studies.accuracy import tables as accuracy_tables
 
@@ -23,7 +22,7 @@ def report_accuracy(
     as_json: Json = False,
 ) -> None:
     """Error against CPU time of every engine and installed peer: JSON, table, figure."""
-    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+    with stage_progress(is_quiet(as_json)) as listen:
         study = accuracy.report_accuracy(
             output, stars, quick=quick, peers=peers, satsim_python=satsim_python, progress=listen
         )

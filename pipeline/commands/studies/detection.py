@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pipeline.commands.options import Json, Output, print_json
-from pipeline.commands.pages import stage_progress
+from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.commands.product import ProductPath
 from pipeline.studies.detection import study as detection
 from pipeline.studies.detection import tables as detection_tables
@@ -23,7 +22,7 @@ def report_detection(
     as_json: Json = False,
 ) -> None:
     """Completeness and false alarms of public finders on a product: JSON, table, figure."""
-    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+    with stage_progress(is_quiet(as_json)) as listen:
         study = detection.report_detection(product, output, threshold, frames, listen)
     if as_json:
         print_json(study)

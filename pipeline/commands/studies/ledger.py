@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pipeline.commands.options import Json, Output, print_json
-from pipeline.commands.pages import stage_progress
+from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.studies.ledger import report as ledger
 
 
@@ -21,7 +20,7 @@ def report_ledger(
     as_json: Json = False,
 ) -> None:
     """Every rule of the plan measured: the bound, the error of an omission, the seconds saved."""
-    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+    with stage_progress(is_quiet(as_json)) as listen:
         study = ledger.report_ledger(output, tuple(rule or ()), listen)
     if as_json:
         print_json(study)

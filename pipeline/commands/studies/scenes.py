@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pipeline.commands.options import Json, Output, print_json
-from pipeline.commands.pages import stage_progress
+from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.studies.scenes import report as scenes
 from pipeline.studies.scenes import tables as scene_tables
 
@@ -29,7 +28,7 @@ def report_scenes(
     as_json: Json = False,
 ) -> None:
     """Error against run time of whole scenes, and of each approximation: page, JSON, figures."""
-    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+    with stage_progress(is_quiet(as_json)) as listen:
         study = scenes.report_scenes(output, tuple(scene or ()), levels, quick, catalog, listen)
     if as_json:
         print_json(study)

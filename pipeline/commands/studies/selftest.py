@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pipeline.commands.options import Json, print_json
-from pipeline.commands.pages import stage_progress
+from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.studies.selftest.report import as_data, chosen, markdown, print_table, run_cases
 
 
@@ -20,7 +19,7 @@ def selftest(
 ) -> None:
     """Limiting cases against answers known from elsewhere. Exit 1 where one fails."""
     cases = chosen(only)
-    with stage_progress(as_json or not sys.stderr.isatty()) as listen:
+    with stage_progress(is_quiet(as_json)) as listen:
         outcomes = run_cases(cases, listen)
     if page is not None:
         page.write_text(markdown(outcomes), encoding="utf-8")
