@@ -52,6 +52,10 @@ class Page:
         self.tab.goto(f"{self.url}/{where}")
         return self.tab
 
+    def leave(self) -> None:
+        """Nothing is asked for any more: what the page looked at may be deleted."""
+        self.tab.goto("about:blank")
+
     def picture(self, name: str) -> None:
         if KEEP:
             self.tab.screenshot(path=Path(KEEP) / f"{name}.png")
@@ -286,6 +290,7 @@ def test_unfinished_jobs_show_what_is_drawn(
     tab.wait_for_selector(".phase.ABORTED >> nth=0")
     tab.wait_for_selector(SHOWN)
     page.picture("page-unfinished")
+    page.leave()
     server.client.delete(job)
 
 
@@ -361,6 +366,7 @@ def test_what_a_cancelled_job_keeps_is_told(
     tab = page.open(f"#/job/{ended['id']}")
     tab.wait_for_selector(".phase.ABORTED >> nth=0")
     assert "MB kept" in tab.inner_text(".jobhead")
+    page.leave()
     server.client.delete(job)
 
 
