@@ -13,7 +13,6 @@ import math
 import numpy as np
 from numba import int64, njit
 
-from pipeline.physics.noise.pixel_draws import normal_quantile, philox, poisson, uniform
 from pipeline.physics.noise.runs import RUN_PX, quantiles, to_uniforms, words
 from pipeline.physics.noise.streams import normals_run, poisson_buffers, poisson_run
 
@@ -21,7 +20,6 @@ READ_E, ABOVE_E = 1.5, 10.0  # read noise and mean of the pixels that are drawn 
 ANY_READ_E = 2.5  # or read noise, whatever the mean
 DISTANCE = 7.4e-6  # that the distribution functions differ by at most, at READ_E and ABOVE_E
 REACH = 12.0  # standard deviations that no draw comes near to: full wells beyond cut nothing off
-FEW = 16  # so few other pixels of a run are drawn one by one
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -64,41 +62,47 @@ def _pair_normals(n, x0, y, frame, k0, k1, x, first, second, p, z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _others(mean, drawn, well, read, other):
-    """How many pixels the one draw does not serve; their places go into `other`.
-
-    Also how many of these a draw may leave below their full well: the rest is full for certain.
-    """
-    others = unsure = 0
+def _sort(mean, drawn, well, read, draws):
+    """How many draws each pixel of a run takes: 1 for both terms where that serves and the full
+    well is out of reach; 0 for photons where it is full for certain, so read noise alone; else 2.
+    How many pixels take other than 1."""
+    count = 0
     for i in range(len(mean)):
         m, s = mean[i], read[i]
-        wide = REACH * math.sqrt(m + s * s)
-        apart = not (serves(m, s) & (m + drawn[i] + wide < well[i]))
-        other[others] = i
-        others += apart
-        unsure += apart & (m + drawn[i] - wide < well[i])
-    return others, unsure
+        held, wide = m + drawn[i], REACH * math.sqrt(m + s * s)
+        joint = serves(m, s) & (held + wide < well[i])
+        draws[i] = 1 if joint else (2 if held - wide < well[i] else 0)
+        count += not joint
+    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _photons(mean, other, x0, y, frame, key, out, buffers):
-    """Poisson numbers of a run's pixels `other`, or of all of them where that is faster."""
-    if len(other) > FEW:
-        poisson_run(mean, x0, y, frame, key[0], key[1], out, buffers)
-        return
-    for i in other:
-        out[i] = poisson(mean[i], x0 + i, y, frame, key[0], key[1])
+def _draw_apart(run, sorts, at, photon, normal, buffers, line):
+    """The pixels of a run that do not take the one draw for both terms.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _reads(n, other, x0, y, frame, key, out, buffers):
-    """Standard normal numbers of a run's pixels `other`, or of all n where that is faster."""
-    if len(other) > FEW:
-        normals_run(n, x0, y, frame, key[0], key[1], out, buffers)
-        return
-    for i in other:
-        a, b, _, _ = philox(x0 + i, y, frame, 0, key[0], key[1])
-        out[i] = normal_quantile(uniform(a, b))
+    run : mean, drawn, well and read noise of the run's pixels; sorts : of `_sort`; at : the run's
+    (x0, y, frame).
+    """
+    mean, drawn, well, read = run
+    x0, y, frame = at
+    which = np.empty(len(sorts), np.int64)
+    x, means, draws = buffers[0], np.empty(len(sorts)), np.empty(len(sorts))
+    n = int64(0)
+    for i in range(len(sorts)):
+        which[n], means[n], x[n] = i, mean[i], x0 + i
+        n += sorts[i] == 2
+    poisson_run(means[:n], x, y, frame, photon[0], photon[1], draws, buffers)
+    for j in range(n):
+        i = which[j]
+        line[i] = min(draws[j] + drawn[i], well[i])
+    n = int64(0)
+    for i in range(len(sorts)):
+        which[n], x[n] = i, x0 + i
+        n += sorts[i] != 1
+    normals_run(n, x, y, frame, normal[0], normal[1], draws, buffers)
+    for j in range(n):
+        i = which[j]
+        line[i] = (line[i] if sorts[i] else well[i]) + draws[j] * read[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -114,8 +118,7 @@ def measured_image(mean_e, drawn_e, well_e, read_e, y0, x0, frame, joint, photon
     buffers = poisson_buffers()
     x, first, second = buffers[0], buffers[1], buffers[2]
     p, z = np.empty(RUN_PX + 2), np.empty(RUN_PX)
-    photons, reads = np.empty(RUN_PX), np.empty(RUN_PX)
-    other = np.empty(RUN_PX, np.int64)
+    sorts = np.empty(RUN_PX, np.int64)
     for r in range(rows):
         y = y0 + r
         for start in range(0, columns, RUN_PX):
@@ -124,18 +127,13 @@ def measured_image(mean_e, drawn_e, well_e, read_e, y0, x0, frame, joint, photon
             drawn = drawn_e[min(r, len(drawn_e) - 1), start : start + n]
             well = well_e[min(r, len(well_e) - 1), start : start + n]
             read = read_e[min(r, len(read_e) - 1), start : start + n]
-            others, unsure = _others(mean, drawn, well, read, other)
-            if others < n:
+            apart = _sort(mean, drawn, well, read, sorts)
+            if apart < n:
                 _pair_normals(n, x0 + start, y, frame, joint[0], joint[1], x, first, second, p, z)
                 for i in range(n):
                     line[i] = drawn[i] + joint_quantile(z[i], mean[i], read[i])
-            if not others:
-                continue
-            if unsure:
-                _photons(mean, other[:others], x0 + start, y, frame, photon, photons, buffers)
-            else:
-                photons[:n] = np.inf
-            _reads(n, other[:others], x0 + start, y, frame, normal, reads, buffers)
-            for i in other[:others]:
-                line[i] = min(photons[i] + drawn[i], well[i]) + reads[i] * read[i]
+            if apart:
+                run = mean, drawn, well, read
+                at = x0 + start, y, frame
+                _draw_apart(run, sorts[:n], at, photon, normal, buffers, line)
     return out

@@ -233,10 +233,10 @@ def _logarithms(n, values, bits, part, part_bits, power, power_bits):
 def draw_middle(which, mean_e, u_of, v_of, place, out, scratch, ints):
     """Poisson draws of the pixels `which`, of means of 10 to 1e8, by PTRS.
 
-    which : indices of pixels (x0 + i, y); u_of, v_of : uniforms of their first try; place : (x0, y,
-    frame, k0, k1). Those that a try rejects go on to the next one together.
+    which : indices of pixels (x_of[i], y); u_of, v_of : uniforms of their first try; place : (x_of,
+    y, frame, k0, k1). Those that a try rejects go on to the next one together.
     """
-    n, (x0, y, frame, k0, k1) = which.size, place
+    n, (x_of, y, frame, k0, k1) = which.size, place
     mean, k, us, w, bend = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     part, power, settled = scratch[5], scratch[6], scratch[7]
     u, v = scratch[8], scratch[9]
@@ -265,7 +265,7 @@ def draw_middle(which, mean_e, u_of, v_of, place, out, scratch, ints):
             if not abs(over) > TEST_GUARD:
                 taken = accepted(k[i], mean[i], us[i], v[i])
             taken &= (k[i] >= 0.0) & ((us[i] >= 0.013) | (v[i] <= us[i]))
-            at[n], mean[n], x[n] = at[i], mean[i], uint64(x0) + at[i]
+            at[n], mean[n], x[n] = at[i], mean[i], x_of[at[i]]
             n += not taken
         draw += 1
         words(n, x, y, frame, draw, k0, k1, first, second)
@@ -273,5 +273,5 @@ def draw_middle(which, mean_e, u_of, v_of, place, out, scratch, ints):
         to_uniforms(n, u)
         to_uniforms(n, v)
     for i in range(n):
-        column = x0 + int(at[i])
+        column = int64(x_of[at[i]])
         out[at[i]] = rejection_from(mean[i], u[i], v[i], column, y, frame, draw, k0, k1)

@@ -67,13 +67,20 @@ def uniforms(rows, columns, y0, x0, frame, k0, k1):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def normals_run(n, x0, y, frame, k0, k1, out, buffers):
-    """Standard normal draws out[i] of the pixels (x0 + i, y), i < n <= RUN_PX."""
-    x, first, second = buffers[0], buffers[1], buffers[2]
-    p = first.view(np.float64)
+@njit(cache=True, nogil=True)
+def _columns(n, x0, buffers):
+    """The columns of n pixels side by side, the first x0, in the buffers' first place."""
+    x = buffers[0]
     for i in range(n):
         x[i] = x0 + i
+    return x
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def normals_run(n, x, y, frame, k0, k1, out, buffers):
+    """Standard normal draws out[i] of the pixels (x[i], y), i < n <= RUN_PX."""
+    first, second = buffers[1], buffers[2]
+    p = first.view(np.float64)
     words(n, x, y, frame, int64(0), k0, k1, first, second)
     to_uniforms(n, p)
     quantiles(n, p, out)
@@ -87,7 +94,8 @@ def standard_normals(rows, columns, y0, x0, frame, k0, k1):
         for start in range(0, columns, RUN_PX):
             n = min(RUN_PX, columns - start)
             line = out[r, start : start + n]
-            normals_run(n, x0 + start, y0 + r, frame, k0, k1, line, buffers)
+            x = _columns(n, x0 + start, buffers)
+            normals_run(n, x, y0 + r, frame, k0, k1, line, buffers)
     return out
 
 
@@ -100,12 +108,10 @@ def poisson_buffers():
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def poisson_run(mean, x0, y, frame, k0, k1, out, buffers):
-    """Poisson draws out[i] of means (n,), n <= RUN_PX, of the pixels (x0 + i, y)."""
-    x, first, second, low, middle, scratch, ints = buffers
+def poisson_run(mean, x, y, frame, k0, k1, out, buffers):
+    """Poisson draws out[i] of means (n,), n <= RUN_PX, of the pixels (x[i], y)."""
+    _, first, second, low, middle, scratch, ints = buffers
     u, v, n = first.view(np.float64), second.view(np.float64), mean.size
-    for i in range(n):
-        x[i] = x0 + i
     words(n, x, y, frame, int64(0), k0, k1, first, second)
     to_uniforms(n, u)
     if count_below(n, mean, EXACT_BELOW) == n:
@@ -124,7 +130,7 @@ def poisson_run(mean, x0, y, frame, k0, k1, out, buffers):
     if lows:
         draw_low_among(low[:lows], mean, u, out, scratch)
     if middles:
-        place = x0, y, frame, k0, k1
+        place = x, y, frame, k0, k1
         draw_middle(middle[:middles], mean, u, v, place, out, scratch, ints)
 
 
@@ -136,5 +142,6 @@ def poisson_image(mean_e, y0, x0, frame, k0, k1):
         for start in range(0, mean_e.shape[1], RUN_PX):
             end = min(start + RUN_PX, mean_e.shape[1])
             mean, line = mean_e[r, start:end], out[r, start:end]
-            poisson_run(mean, x0 + start, y0 + r, frame, k0, k1, line, buffers)
+            x = _columns(mean.size, x0 + start, buffers)
+            poisson_run(mean, x, y0 + r, frame, k0, k1, line, buffers)
     return out
