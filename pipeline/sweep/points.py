@@ -5,17 +5,19 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
+from catalog_tools.catalogue import open_catalogue
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, NightglassError
 from pipeline.inputs.sensor.images import read_image
 from pipeline.spec.dotted import NoFieldError, set_dotted
-from pipeline.spec.load import InvalidScene, parse_scene, place_paths
+from pipeline.spec.load import InvalidScene, parse_scene, path_holders, place_paths
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep
 from pipeline.store.product import CATALOGUES, file_digest, named_files
@@ -78,18 +80,34 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
 
 
 def files_of(course: Course) -> list[list[str]]:
-    """Field, name and SHA-256 of the content of all files that the points name, each read once.
+    """Field, name and SHA-256 of the content of all files that the points name, each read once;
+    of catalogues that axes name their own digests (the base scene's is elsewhere in the identity).
 
-    Catalogues have digests of their own; tables of the user's data folder count, too.
+    Tables of the user's data folder count, too.
     """
     named = dict.fromkeys((*named_files(course.data, CATALOGUES), *user_data_files()))
+    catalogues: set[tuple[str, str, str]] = set()
     for name, value in _words(course):
         data = copy.deepcopy(course.data)
         set_field(data, name, value)
         place_paths(data, Path(course.base_folder))
         named |= dict.fromkeys(named_files(data, CATALOGUES))
+        if any(_concerns(name, field) for field in CATALOGUES):
+            catalogues |= set(_catalogues_in(data))
     known = {file: file_digest(file) for file in {file for _, file in named}}
-    return [list(one) for one in sorted({(field, f.name, known[f]) for field, f in named})]
+    files = {(field, f.name, known[f]) for field, f in named}
+    return [list(one) for one in sorted(files | catalogues)]
+
+
+def _catalogues_in(data: JsonObject) -> Iterator[tuple[str, str, str]]:
+    """Field, name and digest of the catalogues that plain data names, but for those that cannot be
+    opened: points that need one of them fail."""
+    for field, holder, key in path_holders(data):
+        paths = holder.get(key) if field in CATALOGUES else None
+        for path in paths if isinstance(paths, list) else [paths]:
+            with suppress(NightglassError):
+                if isinstance(path, str):
+                    yield field, path.rpartition("/")[2], open_catalogue(path).digest
 
 
 def _words(course: Course) -> Iterator[tuple[str, object]]:

@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.execute.sources import place_targets
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
@@ -212,6 +213,24 @@ def test_a_sweep_goes_on_with_the_files_that_it_was_begun_with(sweep_file, tmp_p
             sweep(wish, tmp_path / "out", again)
         np.save(path, np.ones((256, 256)))
     assert sweep(wish, tmp_path / "out", again)["points"] == 2
+
+
+def test_a_sweep_goes_on_with_the_catalogues_that_its_axes_name(sweep_file, tmp_path, catalogue):
+    """One made anew at its path after the first points: no half of the points from each."""
+    other = tmp_path / "other"
+    shutil.copytree(catalogue, other)
+    axis = {"field": "stars.catalogue", "values": [catalogue, "other", "nowhere"]}
+    path = sweep_file([axis], {"targets": None}, metrics=["background"])
+    report = sweep(path, tmp_path / "out", Options("synchronous"))
+    assert (report["points"], report["failed"]) == (3, 1)
+    again = Options("synchronous", resume=True)
+    assert sweep(path, tmp_path / "out", again) == report
+    shutil.rmtree(other)
+    rows = "source_id,ref_epoch,ra,dec,phot_g_mean_mag\n1,2015.5,160.0,20.0,12.0\n"
+    (tmp_path / "one.csv").write_text(rows)
+    ingest([tmp_path / "one.csv"], other)
+    with pytest.raises(BadInput, match="a sweep of the same files"):
+        sweep(path, tmp_path / "out", again)
 
 
 @pytest.mark.slow
