@@ -24,6 +24,8 @@ from service.problems import Malformed, NotThere
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
+DryRun = Annotated[bool, Query(description="answer the plan, or the forecast; make no job")]
+IdempotencyKey = Annotated[str | None, Header(alias="idempotency-key")]
 
 
 def json_body(description: str, kinds: tuple[str, ...] = (JSON,)) -> JsonObject:
@@ -42,14 +44,11 @@ def with_time(plan: JsonObject) -> JsonObject:
 
 @router.post("", status_code=202, openapi_extra=SCENE_BODY)
 async def submit(
-    request: Request,
-    service: Service,
-    dry_run: Annotated[bool, Query(description="answer the plan; make no job")] = False,
-    idempotency_key: Annotated[str | None, Header()] = None,
+    request: Request, service: Service, dry_run: DryRun = False, key: IdempotencyKey = None
 ) -> Response:
     """Queue a scene: 202 and where the job is; 200 for a key that was used with this body."""
     settings = service.settings
-    check_key(idempotency_key)
+    check_key(key)
     body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
     found = await service.scenes.read(
         service.caller.team, body, service.has_file, media_type(request)
@@ -64,7 +63,7 @@ async def submit(
         found.name,
         found.text,
         found.body_sha256,
-        idempotency_key,
+        key,
         pixel_frames=found.pixel_frames,
     )
     return taken(service, *await service.intake.put(ask), found.least_cpu_s)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.context import Service
 from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
 from service.http.gate import allow_time
-from service.routes.jobs import check_key, json_body, taken
+from service.routes.jobs import DryRun, IdempotencyKey, check_key, json_body, taken
 from service.scenes.studies import accept_study
 
 router = APIRouter(prefix="/v1/studies", tags=["studies"])
@@ -20,13 +18,10 @@ STUDY_BODY = json_body("A study: cameras, sensors, a catalogue, a period, taskin
 
 @router.post("", status_code=202, openapi_extra=STUDY_BODY)
 async def submit(
-    request: Request,
-    service: Service,
-    dry_run: Annotated[bool, Query(description="answer the forecast; make no job")] = False,
-    idempotency_key: Annotated[str | None, Header()] = None,
+    request: Request, service: Service, dry_run: DryRun = False, key: IdempotencyKey = None
 ) -> Response:
     """Queue a study: 202 and where its job is; 200 for a key that was used with this body."""
-    check_key(idempotency_key)
+    check_key(key)
     settings = service.settings
     body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
     data = await run_in_threadpool(parse_text, body, media_type(request))
@@ -35,5 +30,5 @@ async def submit(
         allow_time(request, settings.plan_s + settings.answer_s)
         return JSONResponse(await service.looks.forecast(request, service.caller.team, study))
     digest = digest_of(data)
-    ask = service.store.ask(study["name"], study, digest, idempotency_key, kind="study")
+    ask = service.store.ask(study["name"], study, digest, key, kind="study")
     return taken(service, *await service.intake.put(ask))

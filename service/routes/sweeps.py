@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
@@ -12,7 +10,7 @@ from service.accounts.teams import pixel_frames_of
 from service.context import Service
 from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
 from service.http.gate import allow_time
-from service.routes.jobs import check_key, json_body, taken, with_time
+from service.routes.jobs import DryRun, IdempotencyKey, check_key, json_body, taken, with_time
 from service.scenes.sweeps import accept_sweep, can_run
 
 router = APIRouter(prefix="/v1/sweeps", tags=["sweeps"], include_in_schema=can_run())
@@ -21,14 +19,11 @@ SWEEP_BODY = json_body("A sweep: a base scene and axes over its keys.", TEXTS)
 
 @router.post("", status_code=202, openapi_extra=SWEEP_BODY)
 async def submit(
-    request: Request,
-    service: Service,
-    dry_run: Annotated[bool, Query(description="answer the plan; make no job")] = False,
-    idempotency_key: Annotated[str | None, Header()] = None,
+    request: Request, service: Service, dry_run: DryRun = False, key: IdempotencyKey = None
 ) -> Response:
     """Queue a sweep: 202 and where its job is; 200 for a key that was used with this body. With
     `dry_run` its size, and the plan of its base scene."""
-    check_key(idempotency_key)
+    check_key(key)
     body = await read_body(request, service.settings.body_bytes, service.settings.body_s, TEXTS)
     data = await run_in_threadpool(parse_text, body, media_type(request))
     sweep, pixel_frames = await run_in_threadpool(
@@ -43,7 +38,5 @@ async def submit(
     await service.looks.judge(request, service.caller.team, sweep["scene"])
     digest = digest_of(data)
     name = str(data.get("name", "sweep"))[:128]
-    ask = service.store.ask(
-        name, sweep, digest, idempotency_key, kind="sweep", pixel_frames=pixel_frames
-    )
+    ask = service.store.ask(name, sweep, digest, key, kind="sweep", pixel_frames=pixel_frames)
     return taken(service, *await service.intake.put(ask))

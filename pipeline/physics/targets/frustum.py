@@ -105,36 +105,15 @@ def _side(sx, sy, sz, ox, oy, oz, r0, r1, height, nodes, weights):
     delta = math.atan2(cross, dot)
     e = math.atan2(cross, -dot) if cross > 0.0 or dot != 0.0 else math.pi - delta
     left, right = delta + us - uo, delta + uo - us  # the observer's ends beyond the Sun's
+    arcs, rule = ((a, b, us), (c, d, uo), ws, delta), (nodes, weights)
     if left < 0.0:  # all the lit arc is seen
-        near = _piece(
-            2.0 * ws, 0.0, 0.0, -left, right, a, b, c, d, ws, us, uo, delta, nodes, weights
-        )
+        near = _piece(2.0 * ws, (0.0, 0.0, -left, right), arcs, rule)
     elif right < 0.0:  # all the seen arc is lit
-        near = _piece(
-            2.0 * wo, left, -right, 0.0, 0.0, a, b, c, d, ws, us, uo, delta, nodes, weights
-        )
+        near = _piece(2.0 * wo, (left, -right, 0.0, 0.0), arcs, rule)
     else:
-        near = _piece(
-            us + uo + e, left, 0.0, 0.0, right, a, b, c, d, ws, us, uo, delta, nodes, weights
-        )
+        near = _piece(us + uo + e, (left, 0.0, 0.0, right), arcs, rule)
     turn = 2.0 * math.pi
-    far = _piece(
-        us + uo - e,
-        0.0,
-        turn - right,
-        turn - left,
-        0.0,
-        a,
-        b,
-        c,
-        d,
-        ws,
-        us,
-        uo,
-        delta,
-        nodes,
-        weights,
-    )
+    far = _piece(us + uo - e, (0.0, turn - right, turn - left, 0.0), arcs, rule)
     return 0.5 * (r0 + r1) * slant * (near + far)
 
 
@@ -148,27 +127,15 @@ def _arc(a, b):
 
 
 @njit(cache=True, nogil=True)
-def _piece(
-    length,
-    sun_left,
-    sun_right,
-    seen_left,
-    seen_right,
-    a,
-    b,
-    c,
-    d,
-    ws,
-    us,
-    uo,
-    delta,
-    nodes,
-    weights,
-):
+def _piece(length, ends, arcs, rule):
     """Integral over one piece of the overlap.
 
-    sun_left, ...: how far the ends of the lit and of the seen arc lie beyond the piece's own.
+    ends : how far both ends of the lit and both of the seen arc lie beyond the piece's own; arcs :
+    of each a + b cos x as (a, b, u), half the lit one's width, and the angle between their middles.
     """
+    sun_left, sun_right, seen_left, seen_right = ends
+    (a, b, us), (c, d, uo), ws, delta = arcs
+    nodes, weights = rule
     if not length > 0.0:
         return 0.0
     h, start = 0.5 * length, sun_left - ws

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -64,10 +64,12 @@ def accepted_skies(scene: Scene, dut1_s: float) -> Skies:
     seen, sure = look(scene, dut1_s, lambda at: np.min([*_margins(scene, at).values()], axis=0))
     nearest = {name: int(np.argmin(m)) for name, m in _margins(scene, seen).items()}
     daylight = _daylight(scene, seen, nearest["day"])
-    bodies = _sun_in_field(scene, seen, nearest["sun"]) or _sun_near(
+    sun_undrawn = "neither its disc nor its light is"
+    bodies = _in_field(scene, seen, "sun", nearest["sun"], sun_undrawn) or _sun_near(
         scene, seen, nearest["near the sun"]
     )
-    bodies += _moon_in_field(scene, seen, nearest["moon"]) or _moon_near(
+    moon_undrawn = "its disc and the glare around it are not"
+    bodies += _in_field(scene, seen, "moon", nearest["moon"], moon_undrawn) or _moon_near(
         scene, seen, nearest["near the moon"]
     )
     return Skies(seen, nearest, sure, tuple(daylight), tuple(bodies))
@@ -303,19 +305,22 @@ def _no_stray_light(scene: Scene, seen: LampGeometry) -> list[str]:
     return [f"{' and '.join(found)}: {ending}"] if found else []
 
 
-def _sun_in_field(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
-    if not _touches(seen.sun, k):
+def _in_field(
+    scene: Scene, seen: LampGeometry, name: Literal["sun", "moon"], k: int, undrawn: str
+) -> list[str]:
+    """The Sun or the Moon in the field, which is refused unless the scene accepts it."""
+    lamp: Lamp = getattr(seen, name)
+    if not _touches(lamp, k):
         return []
-    where = f"{_off_axis_deg(seen.sun, k):.2f} deg from the boresight"
+    body, where = name.capitalize(), f"{_off_axis_deg(lamp, k):.2f} deg from the boresight"
     return [
         accept_or_refuse(
             scene,
-            "sun",
+            name,
             "pointing",
-            f"the Sun in the field, {where} (frame {seen.frame(k)})",
-            "a field beside the Sun",
-            f"the Sun is in the field, {where} in frame {seen.frame(k)}: neither its disc nor its "
-            "light is drawn",
+            f"the {body} in the field, {where} (frame {seen.frame(k)})",
+            f"a field beside the {body}",
+            f"the {body} is in the field, {where} in frame {seen.frame(k)}: {undrawn} drawn",
         )
     ]
 
@@ -336,23 +341,6 @@ def _sun_near(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
             "background.stray_light",
             f"the Sun is {where} in frame {seen.frame(k)}, within {least:g} degrees "
             "(sensor.sun_exclusion_deg): its stray light is not drawn",
-        )
-    ]
-
-
-def _moon_in_field(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
-    if not _touches(seen.moon, k):
-        return []
-    where = f"{_off_axis_deg(seen.moon, k):.2f} deg from the boresight"
-    return [
-        accept_or_refuse(
-            scene,
-            "moon",
-            "pointing",
-            f"the Moon in the field, {where} (frame {seen.frame(k)})",
-            "a field beside the Moon",
-            f"the Moon is in the field, {where} in frame {seen.frame(k)}: its disc and the glare "
-            "around it are not drawn",
         )
     ]
 

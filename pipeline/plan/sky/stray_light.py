@@ -97,7 +97,10 @@ def stray_parts(
             _check_frame(scene, g.attitude[f, node], name, lamp)
         out[name.lower()] = _lamp(request, inputs, name, lamp, u) * pixel_m2
     if request.earth and not isinstance(scene.observer, GroundObserver):
-        out["earth"] = _earth(scene, request, inputs, g, f, node, place, sun, u, dut1_s) * pixel_m2
+        turn = np.eye(3)
+        if inputs.albedo.size > 1:
+            turn = gcrs_to_itrs(instants(parse_utc(scene.epoch), g.offset_s[f, node], dut1_s))[0]
+        out["earth"] = _earth(request, inputs, turn, place, sun, u) * pixel_m2
     return out
 
 
@@ -143,27 +146,14 @@ def _lamp(request: StrayLight, inputs: StrayInputs, name: str, body: _Body, u: A
 
 
 def _earth(
-    scene: Scene,
-    request: StrayLight,
-    inputs: StrayInputs,
-    g: Geometry,
-    f: int,
-    node: int,
-    place: Array,
-    sun: Array,
-    u: Array,
-    dut1_s: float,
+    request: StrayLight, inputs: StrayInputs, turn: Array, place: Array, sun: Array, u: Array
 ) -> Array:
-    """Electrons/s/m2 of focal plane (n,) of the Earth's disc."""
+    """Electrons/s/m2 of focal plane (n,) of the Earth's disc; turn : (3, 3) to its own axes."""
     height, distance = float(np.sqrt(place @ place)), float(np.sqrt(sun @ sun))
     radius = float(np.arcsin(min(1.0, EARTH_EQUATORIAL_RADIUS_M / height)))
     from_limb = separation(u, -place[None]) - radius
     farthest = min(float(from_limb.max()) + 2.0 * radius, np.pi)
     rate = inputs.sun_rate * (ASTRONOMICAL_UNIT_M / distance) ** 2
-    turn = np.eye(3)
-    if inputs.albedo.size > 1:
-        when = instants(parse_utc(scene.epoch), g.offset_s[f, node], dut1_s)
-        turn = gcrs_to_itrs(when)[0]
     if float(from_limb.min()) > 0.0:
         light = earth_stray(u, place, sun, inputs.pst, inputs.albedo, turn)
         if not light.any():
