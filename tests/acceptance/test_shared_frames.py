@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,21 @@ def test_the_bound_is_of_the_sources_light_and_its_own_noise(scene):
     assert bound(plan, 2e-7) == pytest.approx(2.0 * bound(plan, 1e-7), rel=1e-3)
     total = sum(d.error_bound_sigma or 0.0 for d in plan.decisions)
     assert total <= plan.scene.accuracy.noise_fraction
+
+
+@pytest.mark.parametrize("sharpest", [0, 1])
+def test_the_bound_is_of_the_sharpest_place_of_the_field(scene, sharpest):
+    """A wide response and a sharp one, wherever it stands: as where all the field is sharp."""
+    psfs = [[{"kind": "gaussian", "sigma_px": s} for s in (2.0, 2.0)]]
+    psfs[0][sharpest]["sigma_px"] = 0.8
+    of_field = {"kind": "field", "rows_px": [320.0], "columns_px": [0.0, 511.0], "psfs": psfs}
+    bounds = []
+    for psf in (of_field, {"kind": "gaussian", "sigma_px": 0.8}):
+        bare = {"sensor.psf": psf, "sensor.photon_noise": False, "targets": []}
+        plan = prepare(scene(bare)).plan
+        plan = replace(plan, facts=replace(plan.facts, brightest_e=1e6, sigma_floor_e=10.0))
+        bounds.append(pipeline.plan.stars.shared_frames.bound_sigma(plan, 1e-6))
+    assert bounds[0] == pytest.approx(bounds[1], rel=1e-6)
 
 
 @pytest.mark.parametrize("tiles", [[256, 256], [640, 256]])

@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import Damaged
-from pipeline.execute.graph import Inputs, WindowWork, window_graph
+from pipeline.execute.graph import Inputs, WindowWork, shard_key, window_graph
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.resolve.stars import shards_of
 from pipeline.route.prepare import plan_scene, prepare
@@ -136,6 +136,17 @@ def test_tasks_of_stars_alone(one_star):
     of_all = {"tile": 6, "place": 3, "star_truth": 3}
     assert counted(plan) == of_all | {"stars": 2, "block": 1}  # the frames share their stars
     assert counted(replace(plan, shared_frames=1)) == of_all | {"block": 3}
+
+
+def test_tasks_of_a_leaf_are_named_by_what_is_read_of_it(one_star):
+    """Another window's other row groups are other rows: a cluster keeps what has a name."""
+    prepared = prepare(parse_scene(only_stars(one_star)))
+    geometry = plan_geometry(prepared.plan.scene, np.arange(1), 0.0)
+    [shard] = shards_of(prepared.plan, prepared.catalogues, geometry)
+    [group] = shard.leaf.row_groups
+    more = (group, group._replace(row_group=1)), (group._replace(row_group=1),)
+    keys = {shard_key(shard._replace(leaf=shard.leaf._replace(row_groups=g))) for g in more}
+    assert len(keys | {shard_key(shard), shard_key(shard._replace(catalogue=1))}) == 4
 
 
 @pytest.mark.parametrize("name", SCENES)
