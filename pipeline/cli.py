@@ -57,7 +57,7 @@ def _explain(error: BaseException) -> int:
             _say(f"{said} (see --help)")
         return 2
     if isinstance(error, KeyboardInterrupt | typer.Abort):
-        _say("interrupted; a catalogue or a download is gone on with by the same command")
+        _say("interrupted; the same command continues a catalogue or a download")
         return 130
     if isinstance(error, OSError) and error.errno is not None:
         full = f"the disk is full ({os.strerror(error.errno)})"

@@ -228,7 +228,7 @@ def _draw(curve: LightCurve, name: str, path: Path) -> None:
         ("AB magnitude, sensor's band", None),
         ("phase [deg]", curve.phase_rad / DEG_RAD),
         ("range [km]", curve.range_m / 1e3),
-        ("sunlit share", curve.sunlit),
+        ("sunlit fraction", curve.sunlit),
     )
     for ax, (label, values) in zip(axes, rows, strict=True):
         if values is not None:

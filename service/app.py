@@ -217,7 +217,7 @@ def _explain(error: Exception, status: int) -> tuple[str, list[JsonObject]]:
     mistakes = _mistakes_of(error)
     if not mistakes:
         log.error("status %d", status, exc_info=error)
-        return "an internal fault; the server's log tells more", []
+        return "an internal fault; the server's log has the details", []
     listed = [problems.mistake_dict(m) for m in mistakes[: problems.MAX_LISTED]]
     many = f"{len(mistakes)} mistakes" if len(mistakes) > 1 else "1 mistake"
     return f"{many}, the first at {listed[0]['pointer'] or 'the top'}", listed

@@ -1,1 +1,1 @@
-"""Prove a catalogue whole: every byte, every row, every count."""
+"""Verify a whole catalogue: every byte, every row, every count."""

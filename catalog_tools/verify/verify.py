@@ -1,4 +1,4 @@
-"""Prove a catalogue whole: every byte, every row, every count; all problems found are listed."""
+"""Verify a whole catalogue: every byte, every row, every count; all problems found are listed."""
 
 from __future__ import annotations
 

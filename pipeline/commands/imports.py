@@ -31,7 +31,7 @@ def import_satsim(
     seed: Annotated[int, typer.Option(min=0, help="for values that FILE draws at random")] = 0,
     as_json: Json = False,
 ) -> None:
-    """A SatSim configuration (JSON) as a scene; prints what was converted and what was left."""
+    """A SatSim configuration (JSON) as a scene; prints what was converted and what was not."""
     _write(read_satsim(file, epoch, catalogue, seed), output, as_json)
 
 
@@ -44,7 +44,7 @@ def import_simsit(
     seed: Annotated[int | None, typer.Option(min=0, help="default: FILE's own")] = None,
     as_json: Json = False,
 ) -> None:
-    """A SImSiT configuration (YAML) as a scene; prints what was converted and what was left."""
+    """A SImSiT configuration (YAML) as a scene; prints what was converted and what was not."""
     _write(read_simsit(file, epoch, catalogue, seed), output, as_json)
 
 

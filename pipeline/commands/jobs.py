@@ -139,7 +139,7 @@ def cancel(job: JobId, server: Address) -> None:
 
 @jobs.command()
 def retry(job: JobId, server: Address) -> None:
-    """Run a job again that ended for want of something; it goes on from its tiles."""
+    """Run a job again that failed for lack of a resource; it continues from its tiles."""
     with connect(server) as client:
         print(client.job(job).retry())
 
@@ -151,7 +151,7 @@ def fetch(
     output: Output,
     wait: Annotated[bool, typer.Option(help="wait until the job has ended")] = True,
 ) -> None:
-    """Fetch and verify what a job made; a product is gone on with."""
+    """Fetch and verify what a job made; an interrupted fetch continues."""
     with connect(server) as client:
         found = client.job(job)
         found = found.wait() if wait else found

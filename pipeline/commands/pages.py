@@ -181,7 +181,7 @@ def _coverage(said: JsonObject | None) -> str:
     if said is None:
         return "no catalogue"
     if said["source"] is None:
-        return "cannot be told from the catalogue's few rows"
+        return "cannot be found from the catalogue's few rows"
     worst, mean = said["worst_frame_fraction"], said["mean_fraction"]
     return (
         f"{100 * worst:.3g}% of frame {said['worst_frame']}, {100 * mean:.3g}% of all "

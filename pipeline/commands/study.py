@@ -34,7 +34,9 @@ def study(
     workers: Workers = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on with an unfinished one")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="only say what it takes")] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="even where that is days")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="run it even where the forecast is days")
+    ] = False,
     server: Server = None,
     as_json: Json = False,
 ) -> None:

@@ -85,7 +85,7 @@ CATALOG: Table = {
     "info": ("catalog.look:info", "What a catalogue holds."),
     "verify": (
         "catalog.prove:verify",
-        "Prove a catalogue whole: every byte, every row's place, every count.",
+        "Verify a whole catalogue: every byte, every row's place, every count.",
     ),
     "starlight": (
         "catalog.make:starlight",

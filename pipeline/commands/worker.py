@@ -16,7 +16,9 @@ def worker(
     address: Annotated[str, typer.Argument(help="tls://HOST:PORT", metavar="SCHEDULER")],
     threads: Annotated[int, typer.Option(min=1, help="tasks at once")] = 1,
     memory: Annotated[str, typer.Option(help="most memory, such as 2GiB")] = "auto",
-    folder: Annotated[Path | None, typer.Option(help="for what it must put aside")] = None,
+    folder: Annotated[
+        Path | None, typer.Option(help="folder for what does not fit into memory")
+    ] = None,
     port: Annotated[int, typer.Option(help="its own port; 0: any")] = 0,
     nanny_port: Annotated[int, typer.Option(help="of the process that watches it")] = 0,
     patience: Annotated[float, typer.Option(help="seconds to wait for the scheduler")] = 60.0,

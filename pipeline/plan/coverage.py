@@ -62,7 +62,7 @@ class FieldCoverage:
     def remark(self, faintest_g_mag: float | None, deepest_g_mag: float | None) -> str | None:
         """That nothing can be told, or that the field is shallower than catalogue and scene."""
         if self.source is None:
-            return f"what {self.catalogue} covers cannot be told from its few rows"
+            return f"what {self.catalogue} covers cannot be found from its few rows"
         limit = self.complete_to_g_mag
         asked = deepest_g_mag if faintest_g_mag is None else faintest_g_mag
         if limit is None or asked is None or deepest_g_mag is None:

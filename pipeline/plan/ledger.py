@@ -57,7 +57,7 @@ def page(measured: Sequence[JsonObject] = ()) -> str:
     """
     rows = {row["rule"]: row for row in measured}
     lines = [
-        "# What the plan may leave out", "",
+        "# What the plan may omit", "",
         "For each component and approximation: what decides, and the test that fails where the "
         "rule or its bound is broken. `nightglass plan SCENE --explain` shows the same for a "
         "scene, with the bounds that hold there; `plan.json` in each product keeps them. The last "

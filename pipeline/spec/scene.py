@@ -43,12 +43,12 @@ CatalogueList = Annotated[tuple[CataloguePath, ...], Field(min_length=1, max_len
 class Accuracy(Strict):
     """How much error all approximations together may make.
 
-    noise_fraction : per pixel, in units of that pixel's noise sigma
+    noise_fraction : largest error of a pixel, in units of its noise sigma
     noise_floor_e : plan as for a pixel of this noise where the scene's least noise is larger, so
         that scenes whose detectors differ are drawn alike (sweeps set it)
-    flux_fraction : of each source's light, summed over the frame; of sources off the frame at
-        least those are drawn whose light reaches it at the default
-    check_cells : how many small windows are drawn again by the reference path, and compared
+    flux_fraction : largest relative error of each source's light, summed over the frame; of sources
+        off the frame at least those are drawn whose light reaches it at the default
+    check_cells : number of small windows that the reference method draws again, to compare
     """
 
     noise_fraction: float = Field(0.05, gt=0, le=1)
@@ -60,9 +60,13 @@ class Accuracy(Strict):
 class Exposure(Strict):
     """Integration time and the frames of one dwell; frame k starts at epoch + k cadence."""
 
-    integration_s: float = Field(ge=0, le=1e5, description="0: bias frames, without any light")
+    integration_s: float = Field(
+        ge=0, le=1e5, description="exposure time [s]; 0: bias frames, without any light"
+    )
     frames: int = Field(1, ge=1, le=100_000)
-    cadence_s: Cadence_s | None = Field(None, description="default: the integration time")
+    cadence_s: Cadence_s | None = Field(
+        None, description="time from frame to frame [s]; default: the integration time"
+    )
 
     @model_validator(mode="after")
     def _cadence_holds_exposure(self) -> Exposure:
@@ -167,7 +171,9 @@ class Target(Strict):
     )
     orbit: Orbit
     body: Annotated[Body | MeshBody, Field(discriminator="kind")]
-    lighting: Lighting | None = Field(None, description="default: direct sunlight, round Earth")
+    lighting: Lighting | None = Field(
+        None, description="how sunlight reaches it; default: direct sunlight, round Earth"
+    )
     eclipse: bool = Field(True, description="dim it in the Earth's shadow")
 
 
@@ -205,7 +211,9 @@ class Scene(Strict):
     sensor: Sensor
     pointing: Pointing
     exposure: Exposure
-    dwells: Dwells | None = Field(None, description="default: one, as pointing and exposure say")
+    dwells: Dwells | None = Field(
+        None, description="dwells, one after the other; default: one, by pointing and exposure"
+    )
     stars: Stars | None = None
     targets: tuple[Target, ...] = Field((), max_length=MOST_TARGETS)
     populations: tuple[Population, ...] = Field((), max_length=MOST_POPULATIONS)

@@ -80,7 +80,7 @@ class StudySensor(Strict):
     """A camera at a site or on an orbit; `count` of them work there side by side."""
 
     name: Name
-    camera: Name | None = Field(None, description="default: the first")
+    camera: Name | None = Field(None, description="name of its camera; default: the first")
     count: int = Field(1, ge=1, le=64)
     observer: Annotated[GroundObserver | OrbitObserver, Field(discriminator="kind")]
     field_of_regard: FieldOfRegard = FieldOfRegard()
@@ -130,7 +130,7 @@ class CuedTasking(Strict):
     """Sensors are sent to objects: those most overdue for their priority first.
 
     scheduler : `greedy` takes one sensor after another, `assignment` all free ones together
-        (scipy's linear_sum_assignment); rules : the first that names an object counts
+        (scipy's linear_sum_assignment); rules : priorities; the first that names an object counts
     """
 
     kind: Literal["cued"]
@@ -153,7 +153,9 @@ class SearchPattern(Strict):
     from_deg: float = Field(30.0, ge=-360, le=360, description="elevation, longitude or RA offset")
     to_deg: float = Field(80.0, ge=-360, le=360)
     declination_deg: float = Field(0.0, ge=-90, le=90)
-    overlap: float = Field(0.1, ge=0, lt=0.9, description="of neighbouring fields")
+    overlap: float = Field(
+        0.1, ge=0, lt=0.9, description="overlap of neighbouring fields, as a fraction"
+    )
 
     @model_validator(mode="after")
     def _rises(self) -> SearchPattern:
@@ -167,12 +169,15 @@ class SearchPattern(Strict):
 class StudyDetection(Strict):
     """A matched filter on Gaussian noise: an object counts above a threshold.
 
-    false_alarm_rate : of one test of one object in one frame; frames_needed : of a dwell
+    false_alarm_rate : probability of a false alarm at one test of one object in one frame;
+    frames_needed : frames of a dwell in which an object must be detected
     """
 
     false_alarm_rate: float = Field(1e-6, gt=0, lt=0.5)
     frames_needed: int = Field(1, ge=1, le=1000)
-    least_probability: float = Field(0.05, ge=0, lt=1, description="below it none is tasked")
+    least_probability: float = Field(
+        0.05, ge=0, lt=1, description="least probability of detection for an object to be tasked"
+    )
 
 
 class Study(Strict):
@@ -181,19 +186,25 @@ class Study(Strict):
     schema_: Literal["nightglass/study/1"] = Field(alias="schema")
     name: Name
     seed: int = Field(0, ge=0, lt=2**63)
-    start: str = Field(max_length=40, description="UTC")
+    start: str = Field(max_length=40, description="start of the period, UTC")
     duration_h: float = Field(gt=0, le=24 * 3660)
-    step_s: float = Field(60.0, ge=1, le=600, description="between the moments looked at")
+    step_s: float = Field(60.0, ge=1, le=600, description="time step of the search for passes [s]")
     cameras: tuple[StudyCamera, ...] = Field(min_length=1, max_length=MOST_SENSORS)
     sensors: tuple[StudySensor, ...] = Field(min_length=1, max_length=MOST_SENSORS)
     catalogue: ObjectCatalogue
     tasking: Annotated[CuedTasking | SearchPattern, Field(discriminator="kind")]
     detection: StudyDetection = StudyDetection()
-    custody_h: float = Field(24.0, gt=0, description="an object is in custody so long after")
-    axes: tuple[Axis, ...] = Field((), max_length=8, description="fields that points differ in")
+    custody_h: float = Field(
+        24.0, gt=0, description="time that an object stays in custody after an observation [h]"
+    )
+    axes: tuple[Axis, ...] = Field(
+        (), max_length=8, description="fields of the study that are varied, and their values"
+    )
     design: DesignWish = Grid(kind="grid")
 
-    seeds: int = Field(1, ge=1, le=1000, description="of each point: seed, seed + 1, ...")
+    seeds: int = Field(
+        1, ge=1, le=1000, description="number of seeds of each point: seed, seed + 1, ..."
+    )
 
     @field_validator("axes", mode="before")
     @classmethod

@@ -131,14 +131,18 @@ class Sweep(Strict):
     scene: str | JsonObject = Field(description="the base: path of a scene file, or a scene")
     axes: tuple[Axis, ...] = Field(min_length=1, max_length=MOST_AXES)
     design: DesignWish = Grid(kind="grid")
-    seeds: int = Field(1, ge=1, le=100_000, description="of each point: seed, seed + 1, ...")
+    seeds: int = Field(
+        1, ge=1, le=100_000, description="number of seeds of each point: seed, seed + 1, ..."
+    )
     metrics: tuple[Literal[METRICS], ...] = METRICS  # type: ignore[valid-type]
     targets: tuple[str, ...] | None = Field(
-        None, max_length=64, description="whose SNR and detection are told; default: all"
+        None,
+        max_length=64,
+        description="names of targets whose SNR and detection are reported; default: all",
     )
     detection: Detection = Detection()
     cubes: Literal["none", "all"] | tuple[Annotated[int, Field(ge=0)], ...] = Field(
-        "none", description="of which points the whole product is kept"
+        "none", description="points whose whole product is kept"
     )
 
     @field_validator("axes", mode="before")

@@ -203,7 +203,7 @@ def draw_comparison(study: JsonObject, path: Path) -> None:
                 linewidth=1.6,
             )
     axes[1][0].set_xlabel(f"charge per length, extent of {STRAIGHT_PX} px or more [e-/um]")
-    axes[1][0].set_ylabel("share per e-/um")
+    axes[1][0].set_ylabel("fraction per e-/um")
     for name, e in events.items():
         charge = np.sort(e.electrons)[::-1]
         rate = e.rate_per_cm2_min * np.arange(1, len(charge) + 1) / len(charge)

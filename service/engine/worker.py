@@ -94,7 +94,7 @@ def _fault(error: Exception) -> str:
         return f"the server could not read or write: {error.strerror or type(error).__name__}"
     if isinstance(error, MemoryError):
         return "the server has not enough memory"
-    return "an internal fault; the server's log tells more"
+    return "an internal fault; the server's log has the details"
 
 
 def _catalogues_gone(order: JsonObject) -> list[str]:

@@ -54,17 +54,18 @@ def test_every_field_is_told_of(site):
 
 def test_every_key_is_described():
     """In the schema, and so in reference, page and editors; and nothing that is no key."""
-    from pipeline.spec.keys import TOLD
+    from pipeline.spec.keys import DESCRIPTIONS
     from pipeline.spec.scene import Scene
+    from pipeline.spec.study import Study
     from pipeline.spec.sweep import Sweep
 
     keys: set[str] = set()
-    schemas = [model.model_json_schema(by_alias=True) for model in (Scene, Sweep)]
+    schemas = [model.model_json_schema(by_alias=True) for model in (Scene, Sweep, Study)]
     for name, model in [pair for schema in schemas for pair in _models(schema).items()]:
         for key, field in model.get("properties", {}).items():
             assert len(field.get("description", "")) > 1, f"{name}.{key}"
             keys |= {key, f"{name}.{key}"}
-    assert set(TOLD) <= keys
+    assert set(DESCRIPTIONS) <= keys
 
 
 def test_every_command_is_told_of(site):

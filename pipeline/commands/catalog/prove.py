@@ -13,7 +13,7 @@ from pipeline.commands.pages import is_quiet, stage_progress
 
 
 def verify(catalogue: CataloguePlace, workers: Workers = None, as_json: Json = False) -> None:
-    """Prove a catalogue whole: every byte, every row's place, every count."""
+    """Verify a whole catalogue: every byte, every row's place, every count."""
     with stage_progress(is_quiet(as_json)) as progress:
         report = run(open_catalogue(catalogue), workers=workers, progress=progress)
     found = [f"{finding.path}: {finding.what}" for finding in report.findings]

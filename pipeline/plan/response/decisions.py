@@ -104,10 +104,10 @@ def _streaks(r: ResponsePlan, facts: Facts) -> list[Decision]:
         )
     else:
         reason = (
-            f"{s.zones} x {s.zones} zone(s) and {s.pieces} piece(s) of the exposure, each with one "
-            "shape for all its stars, set where each star's own light is. Ends are off by at most "
-            f"{s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that share of the "
-            "light of a pixel there"
+            f"{s.zones} x {s.zones} zone(s) and {s.pieces} segment(s) of the exposure, each with "
+            "one shape for all its stars, set where each star's own light is. Ends are off by at "
+            f"most {s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that fraction "
+            "of the light of a pixel there"
         )
     bound = s.error_e(facts.brightest_e or math.inf)
     if s.mixed_from_e_px < math.inf:
@@ -208,7 +208,7 @@ RULES = (
     ),
     Rule(
         ("monochromatic_psf", "few_wavelengths"),
-        "as few wavelengths as keep a pixel within a share of its source's light",
+        "as few wavelengths as keep a pixel within a fraction of its source's light",
         "tests/physics/psf/test_band.py::test_against_a_hundred_wavelengths",
         _band,
     ),
@@ -220,7 +220,7 @@ RULES = (
     ),
     Rule(
         ("wings_on_a_coarse_grid", "wings_cut_off", "core_ends"),
-        "light far from a source on a coarse grid, up to a reach beyond which less than "
+        "light far from a source on a coarse grid, up to a radius beyond which less than "
         "accuracy.flux_fraction is left, 1e-8 where a response has no wings",
         "tests/physics/drawing/test_wings.py::test_stated_wing_error_holds",
         _far_light,

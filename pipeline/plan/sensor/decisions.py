@@ -122,7 +122,7 @@ def _charge(scene: Scene, d: Detector, facts: Facts) -> list[tuple]:
                 "lag",
                 f"{d.lag.fraction:g} of a pixel's charge stays for the next frame: the means of "
                 f"{n} frames before are drawn again for each (no frame waits for another); before "
-                "the first there was none. Photon noise of what was left is drawn anew",
+                "the first there was none. Photon noise of what stayed behind is drawn anew",
                 rest_e,
                 rest_e / facts.sigma_floor_e,
             )
@@ -169,9 +169,9 @@ def _edges(scene: Scene, r: TimeDelay) -> str:
         )
     return (
         f"the outer {part:.3g} of the rows are exposed while their charge is on the array, as a "
-        "share of all their light and dark: right for the sky and for images that keep pace; of "
-        "one that streaks through such rows the share stands for its own time there. The truth's "
-        "electrons are those of the whole exposure"
+        "fraction of all their light and dark: right for the sky and for images that keep pace; "
+        "of one that streaks through such rows the fraction stands for its own time there. The "
+        "truth's electrons are those of the whole exposure"
     )
 
 

@@ -69,10 +69,10 @@ def rolling_shutter(
     told = (
         f"row by row in {readout_s:.4g} s, {r.line_s:.3g} s each; a frame's times are those of its "
         f"first row. The fastest source moves {speed:.3g} px/s, {speed * readout_s:.3g} px in the "
-        "readout: each is drawn with the path and light of its own row's exposure, told by a "
+        "readout: each is drawn with the path and light of its own row's exposure, by a "
         f"parabola from its path in the first row's, {off:.2g} px off at most. Its image is drawn "
         f"as of one row: a shear of {shear:.2g} px for each row from its middle is omitted, less "
-        "than that share of its brightest pixel. Sky, ranges and the WCS are of the first row's "
+        "than that fraction of its brightest pixel. Sky, ranges and the WCS are of the first row's "
         "time; light that changes beyond the first row's exposure stays as it is at its end"
     )
     return told, off

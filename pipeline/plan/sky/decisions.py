@@ -41,7 +41,7 @@ RULES = (
     ),
     Rule(
         ("stars.faint", "stars.layer_*"),
-        "stars below the limit (given, or where the sum of all fainter ones is below a share of "
+        "stars below the limit (given, or where the sum of all fainter ones is below a part of "
         "the noise) become smooth light; in layers each star is drawn once",
         "tests/plan/sky/test_sky.py",
         _faint_stars,

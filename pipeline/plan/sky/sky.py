@@ -255,7 +255,7 @@ def _sources_of(light: LightOfSky) -> dict[str, str]:
         + (" and the pupil's cosine" if light.scene.sensor.pupil_projection else ""),
         "zodiacal": "Leinert et al. 1998, table 17 (good to 10%; bilinear in the logarithm, 2%), "
         "the Sun's spectrum with their colour, R^-2.3 with distance from the Sun",
-        "galactic": "a share of all starlight (Leinert et al. 1998), of the stars' own colour; "
+        "galactic": "a fraction of all starlight (Leinert et al. 1998), of the stars' own colour; "
         f"good to {RELATIVE_ERROR:.0%}; {inputs.every.source if inputs.every else ''}",
         "starlight": f"stars that are not drawn: {inputs.undrawn.source if inputs.undrawn else ''}",
     }
@@ -278,8 +278,8 @@ def _limit_told(limit: FaintLimit | None, in_sky: bool, sigma_e: float) -> list[
             "stars.faint",
             False,
             f"stars beyond G = {limit.g_mag:g} are not drawn one by one: each sends at most "
-            f"{limit.star_e:.3g} e- into a pixel; all together they stray from their mean, which "
-            f"{'the sky holds' if in_sky else 'is LEFT OUT'}, by {limit.grain_e:.3g} e- rms at the "
+            f"{limit.star_e:.3g} e- into a pixel; all together they vary about their mean, which "
+            f"{'the sky holds' if in_sky else 'is OMITTED'}, by {limit.grain_e:.3g} e- rms at the "
             "most crowded place",
             bound,
             bound / sigma_e,

@@ -117,7 +117,7 @@ def _earthshine(basis: PlanBasis) -> Iterator[Decision]:
     yield Decision(
         "targets.earthshine",
         bool(lamps),
-        f"Lambertian Earth without clouds or seasons for {_names(lamps)}, in 256 lamps: to "
+        f"Lambertian Earth without clouds or seasons for {_names(lamps)}, as 256 lights: to "
         "5e-4 of albedo (R/r)^2 of direct sunlight"
         if lamps
         else "not asked for: at most albedo (R/r)^2 of direct sunlight on a surface that faces the "

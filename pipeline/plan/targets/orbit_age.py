@@ -115,7 +115,7 @@ def _far(scene: Scene, orbit: Orbit, geocentric_m: float) -> tuple[float, str] |
     error = 0.5 * tide * time_s**2
     return error, (
         f"{geocentric_m / 1e9:.3g} million km from the Earth, beyond its sphere of influence of "
-        f"0.92: motion about the Earth alone leaves out the Sun's pull, {error / 1e3:.3g} km after "
+        f"0.92: motion about the Earth alone neglects the Sun's pull, {error / 1e3:.3g} km after "
         f"{time_s / DAY_S:.3g} days"
     )
 

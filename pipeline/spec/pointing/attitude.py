@@ -65,7 +65,7 @@ class ResonanceJitter(Strict):
     kind: Literal["resonance"]
     rms_arcsec: Arcsec
     frequency_hz: Hertz
-    damping: float = Field(ge=1e-6, le=10, description="of critical")
+    damping: float = Field(ge=1e-6, le=10, description="damping ratio zeta; 1 is critical")
 
 
 class TableJitter(Strict):
@@ -206,8 +206,8 @@ Mode = Annotated[
 class AttitudeModel(Strict):
     """What moves the boresight besides what the pointing asks for; each part adds to the others.
 
-    drift : in the camera's axes; jitter : spectra that x and y have alike, each with its own
-    random run; modes : of the flexible body
+    drift : steady rotation in the camera's axes; modes : flexible modes of the spacecraft or mount
+    jitter : spectra that x and y have alike, each with its own random draws
     """
 
     drift: Drift | None = None

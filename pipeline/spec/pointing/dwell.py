@@ -29,7 +29,7 @@ class Slew(Strict):
 class Settle(Strict):
     """An oscillation after the slew: amplitude exp(-zeta w t) sin(w sqrt(1 - zeta^2) t).
 
-    direction_deg : of its motion in the frame, from +x towards +y
+    direction_deg : direction of its motion in the frame, from +x towards +y
     """
 
     amplitude_arcsec: Annotated[float, Field(ge=0, le=1e6)]
@@ -41,9 +41,9 @@ class Settle(Strict):
 class Dwell(Strict):
     """One dwell; what it does not say is taken from the scene's `pointing` and `exposure`.
 
-    start_s : of its first exposure after the epoch; default: when the slew is over and `wait_s`
-        has passed. Given earlier than that, its first frames fall into the slew.
-    integration_s : one time, or several that its frames take in turn; 0: bias frames
+    start_s : start of its first exposure after the epoch [s]; default: when the slew is over and
+        `wait_s` has passed. Given earlier than that, its first frames fall into the slew.
+    integration_s : exposure time, or several that its frames take in turn; 0: bias frames
     """
 
     pointing: Pointing | None = None
@@ -52,7 +52,7 @@ class Dwell(Strict):
     ) = None
     frames: Annotated[int, Field(ge=1, le=100_000)] | None = None
     cadence_s: Cadence_s | None = Field(
-        None, description="default: each frame after the one before"
+        None, description="time from frame to frame [s]; default: each follows the one before"
     )
     start_s: Wait_s | None = None
     wait_s: Wait_s = 0.0

@@ -52,7 +52,9 @@ class RatePointing(Held):
     acceleration_ra_arcsec_s2: Rate = 0.0
     acceleration_dec_arcsec_s2: Rate = 0.0
     roll_deg: Turn_deg = 0.0
-    roll_rate_deg_s: float = Field(0.0, ge=-1e4, le=1e4, description="as roll_deg, from the start")
+    roll_rate_deg_s: float = Field(
+        0.0, ge=-1e4, le=1e4, description="rate of the roll, from the start [deg/s]"
+    )
 
 
 class TargetPointing(Held):
@@ -74,11 +76,13 @@ class LocalPointing(Held):
     mode: Literal["local"]
     azimuth_deg: RightAscension
     elevation_deg: Declination
-    roll_deg: Turn_deg = Field(0.0, description="of +y, from the zenith's side to the left")
+    roll_deg: Turn_deg = Field(0.0, description="angle of +y, from the zenith to the left [deg]")
 
 
 class TablePointing(Held):
     """Attitudes from a table of unit quaternions over time: a file, or rows in the scene.
+
+    The quaternions' camera is right-handed: z the boresight, y up the rows, x against the columns.
 
     rows : seconds (TAI) after `epoch`, then the four numbers in the order that `scalar` names
     scalar : where the scalar part stands; a file may name its columns qx, qy, qz, qw instead
@@ -86,7 +90,6 @@ class TablePointing(Held):
     frame : icrs, the axes among catalogue places (aberration moves the stars with the boresight);
         gcrs, the axes in space, where the moving observer sees the stars aberrated
     mounting : quaternion camera to body, where the table is of the body; `scalar` as for the rows
-    The quaternions' camera is right-handed: z the boresight, y up the rows, x against the columns.
     """
 
     mode: Literal["table"]
@@ -100,7 +103,9 @@ class TablePointing(Held):
     mounting: Quaternion | None = None
     interpolation: Literal["slerp", "spline"] = "slerp"
     epoch: Utc | None = Field(None, description="zero of the seconds; default: the scene's epoch")
-    error_arcsec: float | None = Field(None, ge=0, description="measured on left-out rows")
+    error_arcsec: float | None = Field(
+        None, ge=0, description="error measured on rows kept aside [arcsec]"
+    )
     source: str | None = Field(None, max_length=200)
 
     @model_validator(mode="after")

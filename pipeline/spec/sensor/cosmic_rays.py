@@ -26,16 +26,22 @@ class GeneratedCosmicRays(Strict):
     kind: Literal["generated"]
     source: Literal["space", "ground"] = "space"
     rate_per_cm2_s: float | None = Field(
-        None, ge=0, le=1e5, description="default: 5 in space, 1/60 on the ground (sea level)"
+        None,
+        ge=0,
+        le=1e5,
+        description="events per cm^2 and second; default: 5 in space, 1/60 at sea level",
     )
     thickness_um: float = Field(
-        15.0, ge=0.5, le=2000, description="of the silicon that collects charge"
+        15.0, ge=0.5, le=2000, description="thickness of the silicon that collects charge [um]"
     )
     diffusion_um: float = Field(
         3.0, ge=0, le=100, description="rms per axis of charge from the side far of the electrodes"
     )
     helium_share: float | None = Field(
-        None, ge=0, le=1, description="of all events; default: 0.09 in space, 0 on the ground"
+        None,
+        ge=0,
+        le=1,
+        description="fraction of helium nuclei; default: 0.09 in space, 0 on the ground",
     )
     delta_electrons: bool = Field(
         True, description="electrons of 30 keV and more make tracks; else they are cut off there"

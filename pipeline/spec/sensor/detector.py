@@ -29,7 +29,7 @@ def _error(field: str, allowed: str) -> PydanticCustomError:
 
 
 class Failing(Strict):
-    """Pixels that share a fault: listed, whole rows and columns, from an image, or a random share.
+    """Pixels that share a fault: listed, whole rows and columns, from an image, or by chance.
 
     All that are given count together.
     """
@@ -62,7 +62,9 @@ class HotPixels(Strict):
         (), max_length=MOST_LISTED, description="[row, column, e-/s] of each, added to its dark"
     )
     fraction: Fraction = Field(0.0, description="each pixel is hot with this chance, by the seed")
-    median_e_per_s: float = Field(100.0, gt=0, le=1e12, description="of those drawn")
+    median_e_per_s: float = Field(
+        100.0, gt=0, le=1e12, description="median of the pixels drawn by chance [e-/s]"
+    )
     sigma_dex: float = Field(0.5, ge=0, le=3, description="scatter of those drawn, in log10")
 
 
@@ -103,9 +105,14 @@ class BiasStructure(Strict):
     column_rms_dn: Rms = Field(0.0, description="one offset for each column")
     pixel_rms_dn: Rms = Field(0.0, description="one offset for each pixel")
     row_slope_dn: float = Field(
-        0.0, ge=-1e9, le=1e9, description="from the first to the last row; 0 in the middle"
+        0.0,
+        ge=-1e9,
+        le=1e9,
+        description="rise from the first to the last row; 0 in the middle [DN]",
     )
-    column_slope_dn: float = Field(0.0, ge=-1e9, le=1e9, description="likewise over the columns")
+    column_slope_dn: float = Field(
+        0.0, ge=-1e9, le=1e9, description="rise from the first to the last column [DN]"
+    )
 
 
 class Amplifier(Strict):
@@ -137,16 +144,18 @@ class Amplifier(Strict):
 
 
 class Lag(Strict):
-    """Of the charge in a pixel a share stays behind when it is read, and comes with the next."""
+    """Of the charge in a pixel a fraction stays behind when it is read, and comes with the next."""
 
-    fraction: float = Field(gt=0, le=0.1, description="of the charge, left for the next frame")
+    fraction: float = Field(
+        gt=0, le=0.1, description="fraction of the charge that stays for the next frame"
+    )
 
 
 class FrameTransfer(Strict):
     """Charge is moved under the light to a covered store: every source streaks along its column."""
 
     kind: Literal["frame_transfer"]
-    transfer_s: Positive = Field(le=100, description="in which all rows are moved out")
+    transfer_s: Positive = Field(le=100, description="time in which all rows are moved out [s]")
     towards: Literal["high_rows", "low_rows"] = "high_rows"
     cleared: bool = Field(
         False, description="charge is dumped before the exposure: no streak from moving in"
@@ -174,7 +183,9 @@ class RollingShutter(Strict):
     """
 
     kind: Literal["rolling"]
-    line_s: Positive = Field(le=1.0, description="from the start of a row to that of the next")
+    line_s: Positive = Field(
+        le=1.0, description="time from the start of a row to that of the next [s]"
+    )
     first: Literal["low_rows", "high_rows"] = "low_rows"
 
 

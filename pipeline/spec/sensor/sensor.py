@@ -89,10 +89,16 @@ class GaussianPsf(PsfShape):
     kind: Literal["gaussian"]
     sigma_px: float = Field(ge=0.05, le=50)
     sigma_minor_px: float | None = Field(
-        None, ge=0.05, le=50, description="of the narrower axis; sigma_px is then the wider one's"
+        None,
+        ge=0.05,
+        le=50,
+        description="sigma of the narrower axis [px]; sigma_px is then the wider one's",
     )
     angle_deg: float = Field(
-        0.0, ge=-360, le=360, description="of the wider axis, from +x (columns) towards +y (rows)"
+        0.0,
+        ge=-360,
+        le=360,
+        description="angle of the wider axis, from +x (columns) to +y (rows) [deg]",
     )
 
     @model_validator(mode="after")
@@ -106,7 +112,7 @@ class Chromatic(PsfShape):
     """What point-spread functions have whose size follows the wavelength."""
 
     wavelength_nm: Positive | None = Field(
-        None, description="of the light; default: the sensor's whole response"
+        None, description="wavelength [nm]; default: the sensor's whole response"
     )
     wavelengths: int | None = Field(
         None,
@@ -129,7 +135,10 @@ class Vanes(Strict):
     count: int = Field(ge=1, le=12)
     width_m: float = Field(gt=0, le=10)
     angle_deg: float = Field(
-        0.0, ge=-360, le=360, description="of the first, from +x (columns) towards +y (rows)"
+        0.0,
+        ge=-360,
+        le=360,
+        description="angle of the first vane, from +x (columns) to +y (rows) [deg]",
     )
 
 
@@ -158,7 +167,7 @@ class AiryPsf(Chromatic):
     vanes: Vanes | None = None
     aberrations: tuple[Aberration, ...] = Field((), max_length=63)
     defocus_um: float = Field(
-        0.0, ge=-1e5, le=1e5, description="of the detector along the axis, from best focus"
+        0.0, ge=-1e5, le=1e5, description="displacement of the detector from best focus [um]"
     )
 
     @model_validator(mode="after")
@@ -188,7 +197,9 @@ class KolmogorovPsf(Chromatic):
     """Long-exposure seeing along the line of sight, and diffraction by the aperture unless off."""
 
     kind: Literal["kolmogorov"]
-    fwhm_arcsec: float | None = Field(None, ge=0.01, le=100, description="of the air alone")
+    fwhm_arcsec: float | None = Field(
+        None, ge=0.01, le=100, description="seeing: full width at half maximum, air alone [arcsec]"
+    )
     r0_m: float | None = Field(None, ge=1e-3, le=10, description="Fried's parameter")
     reference_nm: float = Field(
         500.0, ge=100, le=30_000, description="wavelength that fwhm_arcsec or r0_m is given for"
@@ -233,7 +244,7 @@ class TablePsf(PsfShape):
         1.0,
         gt=0,
         le=1,
-        description="share of the source's light within the table; the rest is lost",
+        description="fraction of the source's light within the table; the rest is lost",
     )
     flip_y: bool = Field(False, description="the first row listed is the one of the largest y")
 

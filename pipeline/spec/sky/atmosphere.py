@@ -13,8 +13,9 @@ class Extinction(Strict):
 
     mag_per_airmass : one coefficient for the whole band; else a standard atmosphere over the band:
         Rayleigh scattering at the site's height, aerosols and ozone
-    aerosol_mag : at 550 nm and sea level; aerosol_slope : its fall with wavelength
-    diffuse_share : share of it that zodiacal and galactic light suffer: much of what is scattered
+    aerosol_mag : aerosol extinction at 550 nm and sea level [mag]
+    aerosol_slope : exponent by which it falls with wavelength
+    diffuse_share : fraction of it that dims zodiacal and galactic light: much of what is scattered
         out of a line of sight is scattered into it from around. A choice: published values for
         zodiacal light go from below 0 where it is faint to 0.7 (Noll et al. 2012, section 3.3)
     """
@@ -29,7 +30,7 @@ class Extinction(Strict):
 class Refraction(Strict):
     """Bending by the air; pressure and temperature default to the standard atmosphere's.
 
-    wavelength_nm : that it is worked out for; default the mean of the sensor's response
+    wavelength_nm : wavelength of the refraction; default: the mean of the sensor's response
     """
 
     pressure_hpa: float | None = Field(None, gt=0, le=1200)

@@ -24,10 +24,10 @@ class Zodiacal(Strict):
 
 
 class Galactic(Strict):
-    """Starlight scattered by interstellar dust, as a share of all light of the Milky Way."""
+    """Starlight scattered by interstellar dust, as a fraction of all light of the Milky Way."""
 
     share: float = Field(
-        0.25, gt=0, le=0.5, description="a choice within what is published: 0.2 to 0.3"
+        0.25, gt=0, le=0.5, description="that fraction: a choice within the published 0.2 to 0.3"
     )
 
 
@@ -54,7 +54,9 @@ class Background(Strict):
     stray_light: StrayLight | None = None
     airglow: Airglow | bool | None = Field(None, description="true, or how; sites on the ground")
     moonlight: Literal["yes"] | bool | None = Field(None, description="scattered by the air")
-    twilight: Literal["yes"] | bool | None = Field(None, description="of the Sun below the horizon")
+    twilight: Literal["yes"] | bool | None = Field(
+        None, description="sunlight scattered by the air, the Sun below the horizon"
+    )
     uniform_mag_arcsec2: float | None = Field(
         None, ge=-30, le=40, description="AB magnitude per square arcsecond in the sensor's band"
     )

@@ -46,11 +46,12 @@ class StrayLight(Strict):
     """Light of bodies outside the field that the optics scatter onto the focal plane.
 
     earth : the Earth's sunlit disc; a site on the ground sees none
-    earth_albedo : of a Lambertian Earth: a number, or the path of a map (CSV or NPY: rows from -90
-        to 90 degrees of latitude, columns from -180 to 180 of longitude, cells of equal steps)
-    exclusion_deg : how near to a line of sight a lit body may stand; of the Earth its limb.
+    earth_albedo : albedo of a Lambertian Earth: a number, or the path of a map (CSV or NPY: rows
+        from -90 to 90 degrees of latitude, columns from -180 to 180 of longitude, equal steps)
+    exclusion_deg : least angle from a line of sight to a lit body; to the Earth's limb.
         Default: the first angle of the curve's table, or 0
-    inside : what happens nearer: `refuse` the scene, `extrapolate` the curve, or `clip` it there
+    inside : what happens at smaller angles: `refuse` the scene, `extrapolate` the curve, or `clip`
+        it there
     """
 
     pst: Pst

@@ -92,7 +92,7 @@ class SpinAttitude(Oriented):
 
     kind: Literal["spin"]
     rate_deg_s: float = Field(ge=-1e5, le=1e5)
-    axis: Axis = Field((0.0, 0.0, 1.0), description="in the body's axes")
+    axis: Axis = (0.0, 0.0, 1.0)
     phase_deg: float = Field(0.0, ge=-1e6, le=1e6)
     epoch: str | None = Field(None, max_length=40)
 
@@ -105,7 +105,8 @@ class SpinAttitude(Oriented):
 class TrackingAttitude(Oriented):
     """A panel on a hinge of its bus that follows the Sun: +y on the hinge, +z nearest the Sun.
 
-    bus : the bus's law; `quaternion` turns the bus in it; axis : the hinge, in the bus's axes
+    bus : attitude law of the bus, in which `quaternion` turns it
+    axis : direction of the hinge, in the bus's axes
     """
 
     kind: Literal["sun_tracking"]
@@ -246,7 +247,9 @@ class CompositeBody(Strict):
 
     kind: Literal["composite"]
     parts: Annotated[tuple[Part, ...], Field(min_length=1, max_length=MAX_PARTS)]
-    attitude: Attitude | None = Field(None, description="of parts that have none of their own")
+    attitude: Attitude | None = Field(
+        None, description="attitude law of parts that have none of their own"
+    )
 
 
 class LightCurveBody(Strict):
@@ -259,7 +262,7 @@ class LightCurveBody(Strict):
     """
 
     kind: Literal["light_curve"]
-    times_s: Times = Field(description="after `epoch`, of the light's departure")
+    times_s: Times = Field(description="times after `epoch` at which the light departs [s]")
     magnitudes: tuple[Annotated[float, Field(ge=-60, le=60)], ...] | None = None
     intensities_m2_sr: tuple[Annotated[float, Field(ge=0, le=1e15)], ...] | None = None
     range_m: float = Field(1e6, gt=0, le=1e15)

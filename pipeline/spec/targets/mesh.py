@@ -54,7 +54,8 @@ class CookTorranceSurface(MeshSurface):
     """Microfacets (GGX) over a matt base: paint, metal, foil.
 
     roughness : width alpha of the facets' slopes, 0.005 (polished) to 1
-    refractive_index : (n, k); or normal_reflectance : at normal incidence (Schlick's formula)
+    refractive_index : complex index (n, k); or normal_reflectance : reflectance at normal incidence
+    (Schlick's formula)
     """
 
     kind: Literal["cook_torrance"]
@@ -85,7 +86,9 @@ class AshikhminShirleySurface(MeshSurface):
     diffuse: Fraction = 0.0
     specular: Fraction
     exponent_u: Exponent
-    exponent_v: Exponent | None = Field(None, description="default: as exponent_u (not brushed)")
+    exponent_v: Exponent | None = Field(
+        None, description="exponent across the grain; default: as exponent_u (not brushed)"
+    )
     grain: Axis = (1.0, 0.0, 0.0)
 
     @field_validator("grain")
@@ -172,13 +175,14 @@ class MeshPart(Meshed):
     """A part with a frame of its own: another file, or objects of the body's file.
 
     on : name of the part (an earlier one) that carries it; default: the body
-    place_m, quaternion : where its frame stands in the carrier's
-    surface, materials : default to the body's
+    place_m : origin of its frame, in the carrier's [m]; quaternion : (w, x, y, z), turns its axes
+    into the carrier's
+    surface : default: the body's; materials : surfaces by the file's names; default: the body's
     """
 
     name: Name
     path: Path | None = None
-    unit: Unit | None = Field(None, description="default: the body's")
+    unit: Unit | None = Field(None, description="unit of the file's lengths; default: the body's")
     objects: Annotated[tuple[Name, ...], Field(min_length=1, max_length=MAX_PARTS)] | None = Field(
         None, description="only these objects of the file"
     )
@@ -204,9 +208,10 @@ class MeshPart(Meshed):
 class MeshBody(Meshed):
     """A body from an OBJ, STL, GLB or PLY file, opaque; it shades and hides itself.
 
-    unit : of the file's lengths; parts : what is not rigidly one with it
-    error : share of the light that shadows may err by; default: from the scene's accuracy
-    digest : of the files and all that shapes the light; a body read from others is refused
+    unit : unit of the file's lengths
+    error : fraction of the light that shadows may err by; default: from the scene's accuracy
+    digest : checksum of the files and of all that shapes the light; a body read from others is
+    refused
     """
 
     kind: Literal["mesh"]

@@ -129,7 +129,7 @@ class NumericalOrbit(Strict):
     kind: Literal["numerical"]
     position_m: Place
     velocity_m_s: Speed
-    epoch: Utc | None = Field(None, description="default: the scene's epoch")
+    epoch: Utc | None = Field(None, description="UTC of the state; default: the scene's epoch")
     zonals: Literal[0, 2, 3, 4, 5, 6] = Field(6, description="highest zonal harmonic; 0: none")
     drag_m2_kg: AreaToMass = Field(0.0, description="ballistic coefficient C_D A/m; 0: no drag")
     radiation_m2_kg: AreaToMass = Field(
@@ -159,14 +159,14 @@ class TableOrbit(Strict):
     """Places in GCRS axes at seconds (TAI) after `epoch`, interpolated by polynomials.
 
     rows : time [s], x, y, z [m] and, in all rows or in none, vx, vy, vz [m/s], by increasing time
-    nodes : rows that each polynomial passes; default: as many as err least on left-out rows
+    nodes : rows that each polynomial passes; default: as many as err least on rows kept aside
     """
 
     kind: Literal["table"]
     epoch: Utc
     rows: tuple[tuple[float, ...], ...] = Field(min_length=2, max_length=MOST_ROWS)
     nodes: int | None = Field(None, ge=2, le=16)
-    error_m: NotNegative | None = Field(None, description="largest error on left-out rows")
+    error_m: NotNegative | None = Field(None, description="largest error on rows kept aside [m]")
     source: str = Field("", max_length=200, description="where the rows are from")
 
     @field_validator("rows")

@@ -21,7 +21,7 @@ class SizeRule(Strict):
 
     name_contains: str = Field(min_length=1, max_length=40)
     diameter_m: Size
-    albedo: Fraction | None = Field(None, description="default: the body's")
+    albedo: Fraction | None = Field(None, description="albedo; default: the body's")
 
 
 class Screened(Strict):
@@ -40,7 +40,9 @@ class Screened(Strict):
     unreadable: Count
     failed: tuple[tuple[Count, Count], ...] = Field((), max_length=256)
     left_out: tuple[Annotated[str, Field(max_length=400)], ...] = Field((), max_length=MOST_TOLD)
-    half_angle_deg: float = Field(ge=0, le=180, description="of the cone about the boresight")
+    half_angle_deg: float = Field(
+        ge=0, le=180, description="half angle of the cone about the boresight [deg]"
+    )
     dwell_s: float = Field(ge=0, description="length of all dwells together")
 
 

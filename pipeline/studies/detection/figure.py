@@ -59,7 +59,7 @@ def _completeness(axes: Axes, study: JsonObject) -> None:
         fontsize=9,
         loc="left",
     )
-    axes.set(xlabel="Gaia G [mag]", ylabel="share found", ylim=(-0.03, 1.05))
+    axes.set(xlabel="Gaia G [mag]", ylabel="fraction found", ylim=(-0.03, 1.05))
     axes.grid(alpha=0.3)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8, loc="lower left")

@@ -33,8 +33,9 @@ NOTES = (
     "its exact place, along its own path, by the sum of its phases in double precision, wings on "
     "half the grid, the sky in each pixel, planned four times finer than the finest level.",
     "Allowed: the sum of all bounds that the plan states, in a pixel away from bright sources and "
-    "in the window's most favoured pixel (a source's wavelengths and wings may err by a share of "
-    "its light); `of allowed`: the largest share of it that any pixel used. 1 or less: it holds.",
+    "in the window's most favoured pixel (a source's wavelengths and wings may err by a fraction "
+    "of its light); `of allowed`: the largest fraction of it that any pixel used. 1 or less: it "
+    "holds.",
     "One approximation at a time was switched off, at 0.05 sigma; `CPU s`: drawing the light of "
     "the frame once tables are there (~: scaled up from a part of the frame). Bounds marked * are "
     "shares of a source's light, times the brightest one's (all of it where wings end).",
