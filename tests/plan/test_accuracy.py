@@ -81,6 +81,19 @@ def test_more_than_asked_is_refused_or_stands_first(scene: Any) -> None:
     assert "0.06" in warning
 
 
+@pytest.mark.parametrize("total", [0.0621, 0.0629, 0.062, 0.9991])
+def test_what_a_refusal_names_as_enough_is_enough(scene: Any, total: float) -> None:
+    """A scene that asks for what the message allows is drawn."""
+    half = Decision("core_ends", True, "", error_bound_sigma=0.5 * total)
+    both = half, replace(half, component="wings_cut_off")
+    with pytest.raises(BadInput, match="at least") as refused:
+        judge(scene(), both)
+    least = float(str(refused.value).partition("at least ")[2].partition(",")[0])
+    assert total <= least < total + 1e-3
+    asked = {"accuracy": {"noise_fraction": least}}
+    assert judge(scene(asked), both) == []
+
+
 def test_an_approximation_that_stands_for_another_is_not_counted(scene: Any) -> None:
     lines = (Decision("phase_interpolation", True, "", 1.0, 0.03),
              Decision("crowds_by_transforms", True, "", 1.0, 0.03))  # fmt: skip

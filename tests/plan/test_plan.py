@@ -482,3 +482,13 @@ def test_no_more_cells_are_checked_than_there_are(
     assert check_count(scene(wish | {"stars": None})) == 0
     more = least_cpu_s(scene(wish)) - least_cpu_s(scene(wish | {"stars": None}))
     assert more == pytest.approx(count * CHECK_S)
+
+
+def test_layers_cost_the_same_in_whatever_order_and_with_dn_or_without(scene: Make) -> None:
+    """The raw frame is always kept; each other layer costs its packing."""
+    costs = [
+        least_cpu_s(scene({"output": {"layers": layers}}))
+        for layers in (["dn"], ["mean_e"], ["dn", "mean_e"], ["mean_e", "stars_e"])
+    ]
+    assert costs[1] == costs[2]
+    assert costs[1] - costs[0] == pytest.approx(costs[3] - costs[2], rel=1e-9)
