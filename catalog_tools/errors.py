@@ -30,6 +30,34 @@ class BadInput(NightglassError):
         return f"{self.field}: {shorten(self.value)} is not accepted; allowed: {self.allowed}"
 
 
+class Missing(BadInput):
+    """A package is not installed that one of this product's extras brings.
+
+    Parameters
+    ----------
+    what : what needs it, in the plural: "movies".
+    package : its name in the package index.
+    extra : of pyproject.toml.
+    instead : what can be done without it, in words, if anything.
+    field : the name of the field that asks for it, as the user wrote it, if any does.
+    """
+
+    def __init__(
+        self, what: str, package: str, extra: str, instead: str = "", field: str = ""
+    ) -> None:
+        remedy = f"pip install 'nightglass[{extra}]'" + (f", or {instead}" if instead else "")
+        self._given = what, package, extra, instead, field
+        self._text = f"{field}: " if field else ""
+        self._text += f"{what} need {package}, which is not installed: {remedy}"
+        super().__init__(field or package, f"{package} is not installed", remedy)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), self._given
+
+    def __str__(self) -> str:
+        return self._text
+
+
 class Damaged(NightglassError):
     """Stored data does not match its checksum, length or manifest: never rendered silently."""
 

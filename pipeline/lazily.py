@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import Any
 
-from pipeline.errors import BadInput
+from pipeline.errors import Missing
 
 
 def arrow() -> Any:
@@ -22,18 +22,15 @@ def fits() -> Any:
     return fits
 
 
-def need_matplotlib(asked: str) -> None:
-    """BadInput that names what asks for a figure, where matplotlib is not installed."""
+def need_matplotlib(instead: str = "") -> None:
+    """Missing where matplotlib is not installed; `instead` is what does without, for its text."""
     if find_spec("matplotlib") is None:
-        raise BadInput(asked, "without matplotlib", "pip install 'nightglass[report]', then again")
+        raise Missing("figures", "matplotlib", "report", instead)
 
 
-def blank_figure(asked: str, size_in: tuple[float, float], dpi: float = 100, **given: Any) -> Any:
-    """An empty figure of matplotlib that no window shows.
-
-    asked : what wants it, for the message; BadInput where matplotlib is not installed
-    """
-    need_matplotlib(asked)
+def blank_figure(size_in: tuple[float, float], dpi: float = 100, **given: Any) -> Any:
+    """An empty figure of matplotlib that no window shows; Missing where it is not installed."""
+    need_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

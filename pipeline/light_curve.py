@@ -169,7 +169,7 @@ def write_light_curves(
     """Write light curves as Parquet, a few hundred at a time, and the only one as a PNG where
     `plot` is given (needs matplotlib); how many there were."""
     if plot is not None:
-        need_matplotlib("--plot")
+        need_matplotlib("leave out --plot")
     notes = {"mag_ab": "AB, in the sensor's band, above the air; NaN: no light"}
     name, curve = next(curves)
     count, first = 1, _table(name, curve, utc := _utc(curve))
@@ -213,7 +213,7 @@ def _table(name: str, curve: LightCurve, utc: pa.Array) -> pa.Table:
 
 def _draw(curve: LightCurve, name: str, path: Path) -> None:
     """Four panels over time: magnitude (bright up), phase angle, range, sunlit share."""
-    figure = blank_figure("--plot", (8.0, 8.0), layout="constrained")
+    figure = blank_figure((8.0, 8.0), layout="constrained")
     axes = figure.subplots(4, 1, sharex=True, height_ratios=[3, 1, 1, 1])
     bright = np.where(np.isfinite(curve.mag_ab), curve.mag_ab, np.nan)
     hidden = np.where(curve.above_horizon, np.nan, bright)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 
 from catalog_tools.documents import JsonObject, JsonValue
-from pipeline.errors import NOT_NOW, BadInput, NightglassError
+from pipeline.errors import NOT_NOW, BadInput, Missing, NightglassError
 from service.answers import Refused, ServiceError, problem_of
 
 if TYPE_CHECKING:
@@ -372,12 +372,8 @@ class RemoteJob:
         try:
             import aiohttp  # noqa: F401
         except ImportError:
-            raise BadInput(
-                "open",
-                "no folder",
-                "a folder to fetch the product into; or install "
-                "`nightglass[remote]` to read it over HTTP",
-            ) from None
+            instead = "give a folder to fetch the product into"
+            raise Missing("cubes read over HTTP", "aiohttp", "remote", instead) from None
         address = f"{self.client.url}{self.path}/results/cube.zarr"
         options = {"headers": self.client.headers} if self.client.headers else {}
         return xr.open_zarr(address, storage_options=options, chunks=None)

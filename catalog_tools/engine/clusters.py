@@ -16,7 +16,7 @@ from urllib.parse import SplitResult, urlsplit
 import dask
 from distributed import Client, LocalCluster, Nanny, Security
 
-from ..errors import BadInput, TryLater
+from ..errors import BadInput, Missing, TryLater
 from .ahead import Value
 from .heap import ALLOCATION
 
@@ -197,8 +197,8 @@ def slurm(jobs: int | None) -> Iterator[Client]:
     try:
         from dask_jobqueue import SLURMCluster
     except ImportError:
-        allowed = "pip install nightglass[slurm], which brings dask-jobqueue"
-        raise BadInput("--scheduler", "slurm", allowed) from None
+        field = "--scheduler slurm"
+        raise Missing("workers of Slurm", "dask-jobqueue", "slurm", field=field) from None
     folder = Path(os.environ.get("NIGHTGLASS_SLURM_FOLDER") or Path.home() / ".nightglass-slurm")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     try:

@@ -9,8 +9,8 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
 
-from ..errors import BadInput
-from .stores import EXTRA, Unreachable, reason_of, without_secrets
+from ..errors import BadInput, Missing
+from .stores import Unreachable, reason_of, without_secrets
 
 if TYPE_CHECKING:
     from s3fs import S3FileSystem
@@ -142,6 +142,6 @@ def open_objects(url: str, field: str = "-o") -> Objects:
         raise BadInput(field, without_secrets(url), allowed)
     try:
         _files()
-    except ImportError as error:
-        raise BadInput(field, url, f"{allowed}; for s3: {EXTRA} ({error})") from None
+    except ImportError:
+        raise Missing("s3:// URLs", "s3fs", "remote", "name a folder", field) from None
     return Objects(f"{SCHEME}://{parts.netloc}/{'/'.join(steps)}")

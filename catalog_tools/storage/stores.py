@@ -13,7 +13,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BadInput
+from ..errors import BadInput, Missing
 
 Range = tuple[int, int]  # offset, length
 Bytes = NDArray[np.uint8]
@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 REMOTE_GAP_BYTES = 1 << 18  # ranges this close are asked for as one
 RETRY_DELAYS_S = (0.2, 0.8, 3.2)  # s3fs retries by itself
 CONNECT_S, ANSWER_S = 10.0, 60.0
-EXTRA = "pip install nightglass[remote]"
+PACKAGES = {"s3": "s3fs", "s3a": "s3fs", "http": "aiohttp", "https": "aiohttp"}
 
 
 class Unreachable(OSError):
@@ -175,8 +175,9 @@ def open_store(path: str | os.PathLike[str], field: str = "catalogue") -> Store:
     try:
         _filesystem(root)
     except ImportError as error:
-        allowed = f"a URL whose packages are installed: {EXTRA} ({error})"
-        raise BadInput(field, root, allowed) from None
+        if package := PACKAGES.get(parts.scheme):
+            raise Missing(f"{parts.scheme}:// URLs", package, "remote", field=field) from None
+        raise BadInput(field, root, f"a URL whose packages are installed ({error})") from None
     except ValueError as error:
         raise BadInput(field, root, f"a path, or a URL that fsspec knows ({error})") from None
     except Exception as error:  # each protocol checks its configuration in its own way

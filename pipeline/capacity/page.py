@@ -14,7 +14,7 @@ from catalog_tools.documents import JsonObject
 from catalog_tools.geometry.healpix import pixels_of
 from pipeline.capacity.course import StudyCourse
 from pipeline.capacity.results import COVERAGE, GAP_BINS_H, HOURS, ORDER, REACH, SENSORS
-from pipeline.errors import BadInput
+from pipeline.errors import Missing
 from pipeline.lazily import blank_figure
 from pipeline.report_page import document, picture, table
 
@@ -69,9 +69,9 @@ def _cell(value: Any) -> str:
 def _pictures(tables: dict[str, pa.Table], gaps: dict[str, NDArray[np.int64]]) -> str:
     """Sky coverage, gap times, time line and smallest size, as one PNG inside the page."""
     try:
-        figure = blank_figure("pictures", (12.0, 9.0), layout="constrained")
-    except BadInput:
-        return "<p>Pictures need matplotlib: <code>pip install nightglass[report]</code>.</p>"
+        figure = blank_figure((12.0, 9.0), layout="constrained")
+    except Missing:
+        return "<p>Pictures need matplotlib: <code>pip install 'nightglass[report]'</code>.</p>"
     _draw_sky(figure.add_subplot(2, 2, 1, projection="mollweide"), tables[COVERAGE])
     _draw_gaps(figure.add_subplot(2, 2, 2), gaps, float(len(tables[HOURS])))
     _draw_hours(figure.add_subplot(2, 2, 3), tables[HOURS])

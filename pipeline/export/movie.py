@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, Missing
 from pipeline.export.picture import GreyLimits, limits_of, shrink, stretch
 from pipeline.store.cube import read_layer
 
@@ -70,13 +70,14 @@ def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path, fps: float) -> 
 
 
 def encoder() -> Callable[..., Generator[None, object, None]]:
-    """imageio-ffmpeg's writer; BadInput where there is none."""
+    """imageio-ffmpeg's writer; Missing where there is none, BadInput where it finds no ffmpeg."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe, write_frames
-
+    except ImportError:
+        raise Missing("MP4 movies", "imageio-ffmpeg", "movie", "use --to gif", "--to") from None
+    try:
         get_ffmpeg_exe()
-    except (ImportError, RuntimeError):
-        raise BadInput(
-            "--to", "mp4", "an encoder: pip install 'nightglass[movie]'; or --to gif"
-        ) from None
+    except RuntimeError:
+        allowed = "gif; or mp4 with an ffmpeg that IMAGEIO_FFMPEG_EXE names"
+        raise BadInput("--to", "mp4", allowed) from None
     return write_frames

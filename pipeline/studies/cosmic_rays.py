@@ -179,7 +179,7 @@ def _peak(e_per_um: Array) -> float:
 
 def draw_comparison(study: JsonObject, path: Path) -> None:
     """Write the figure of a comparison (PNG or SVG); BadInput where matplotlib is missing."""
-    figure = blank_figure("-o", (13.5, 8.2), layout="constrained")
+    figure = blank_figure((13.5, 8.2), layout="constrained")
     axes = figure.subplots(2, 3)
     events = study["events"]
     _histogram(axes[0][0], events, "pixels", np.geomspace(1, 400, 22), "pixels above threshold")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
-from pipeline.errors import NO_ROOM, BadInput, DiskFull, NightglassError, TryLater
+from pipeline.errors import NO_ROOM, BadInput, DiskFull, Missing, NightglassError, TryLater
 from service.store.tables import HEAD
 
 LOCK_NUMBER = 7_316_881  # of PostgreSQL's advisory locks: writers of jobs, one at a time
@@ -45,8 +45,10 @@ def connect(url: str) -> sa.Engine:
         try:
             engine = sa.create_engine(parts, pool_pre_ping=True, pool_size=20)
         except ModuleNotFoundError:
-            allowed = "SQLite, or PostgreSQL with `pip install nightglass[postgresql]`"
-            raise BadInput("NIGHTGLASS_DATABASE", shown, allowed) from None
+            name = "NIGHTGLASS_DATABASE"
+            raise Missing(
+                "job tables in PostgreSQL", "psycopg", "postgresql", "use SQLite", name
+            ) from None
     try:
         if kind == "sqlite":
             _keep_private(parts.database)

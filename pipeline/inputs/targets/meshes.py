@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog_tools.documents import Arguments, JsonObject
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, Missing
 from pipeline.inputs.targets.mesh_surfaces import Palette
 from pipeline.physics.meshes.facets import Facets, is_convex
 from pipeline.physics.meshes.model import Joint, MeshModel, RigidPart
@@ -266,7 +266,7 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
     try:
         import trimesh
     except ImportError:
-        raise BadInput(field, name, "meshes need trimesh: pip install nightglass[mesh]") from None
+        raise Missing("meshes", "trimesh", "mesh", field=field) from None
     options: Arguments = {}
     if kind == "obj":
         raw, options = _with_materials(raw)

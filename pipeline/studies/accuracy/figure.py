@@ -40,7 +40,7 @@ def draw_figure(study: JsonObject, path: Path) -> None:
     psfs = list(dict.fromkeys(r["psf"] for r in rows))
     streaks = sorted({r["streak_px"] for r in rows})
     width, height = 4.0 * len(streaks) + 0.9, 3.4 * len(psfs) + BELOW_IN
-    figure = blank_figure("figure", (width, height), dpi=110)
+    figure = blank_figure((width, height), dpi=110)
     axes = figure.subplots(len(psfs), len(streaks), sharex=True, sharey=True, squeeze=False)
     for panel, (psf, streak) in zip(axes.flat, product(psfs, streaks), strict=True):
         mine = [r for r in rows if (r["psf"], r["streak_px"]) == (psf, streak)]

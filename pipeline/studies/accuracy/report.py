@@ -39,7 +39,7 @@ def report_accuracy(
     for n in frame:
         if not SMALLEST_PX <= n <= LARGEST_PX:
             raise BadInput("frame", frame, f"{SMALLEST_PX} to {LARGEST_PX} pixels a side")
-    need_matplotlib("figure")
+    need_matplotlib()
     if quick:
         stars, frame = min(stars, QUICK_STARS), (QUICK_PX, QUICK_PX)
     study = run_study(stars, frame, quick, peers, satsim_python, progress)

@@ -22,7 +22,7 @@ SIDE_PX = 360
 
 def draw_figure(study: JsonObject, shown: JsonObject, path: Path) -> None:
     """Write the figure as PNG."""
-    figure = blank_figure("figure", (11, 4.8), layout="constrained")
+    figure = blank_figure((11, 4.8), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
     _completeness(left, study)
     _piece(right, shown)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import BadInput
+from pipeline.errors import Missing
 
 Array = NDArray[np.float64]
 
@@ -68,5 +68,5 @@ def _sep():
     try:
         import sep
     except ImportError:
-        raise BadInput("sep", "not installed", "pip install 'nightglass[detection]'") from None
+        raise Missing("finders of sources", "sep", "detection") from None
     return sep

@@ -12,7 +12,7 @@ import numpy as np
 
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.ahead import ahead, cores, threads
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, Missing
 from pipeline.export.labels import TARGET, Labels, frame_labels
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.studies.detection.finders import tasks
@@ -40,7 +40,7 @@ def report_detection(
         raise BadInput("--threshold", threshold_sigma, "1 to 10000")
     for library in ("sep", "matplotlib"):
         if find_spec(library) is None:
-            raise BadInput(library, "not installed", "pip install 'nightglass[detection]'")
+            raise Missing("studies of detection", library, "detection")
     cube = open_cube(product)
     count = int(cube.sizes["frame"]) if frames is None else min(frames, int(cube.sizes["frame"]))
     if count < 1:

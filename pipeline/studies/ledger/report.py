@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, Missing
 from pipeline.lines import table
 from pipeline.studies.ledger.study import Progress, checked_rules, run_ledger
 
@@ -25,7 +25,7 @@ def report_ledger(out: Path, rules: tuple[str, ...] = (), progress: Progress | N
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise BadInput("-o", str(out), "a new or empty folder")
     if find_spec("trimesh") is None:
-        raise BadInput("meshes", "trimesh is not installed", "pip install 'nightglass[mesh]'")
+        raise Missing("the ledger's meshes", "trimesh", "mesh")
     study = run_ledger(rules, progress)
     out.mkdir(parents=True, exist_ok=True)
     (out / "ledger.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")

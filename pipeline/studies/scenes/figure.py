@@ -120,7 +120,7 @@ def _figure(
     rows: int, columns: int, size: tuple[float, float] | None = None
 ) -> tuple[Figure, np.ndarray]:
     size = size or (PANEL_IN[0] * columns + 0.4, PANEL_IN[1] * rows + 0.5)
-    figure = blank_figure("figure", size, dpi=110, layout="constrained")
+    figure = blank_figure(size, dpi=110, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 

@@ -41,7 +41,7 @@ def report_scenes(
     requests(scenes, quick)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise BadInput("-o", str(out), "a new or empty folder")
-    need_matplotlib("figure")
+    need_matplotlib()
     if catalogue is not None:
         open_catalogues((str(catalogue),))
     with tempfile.TemporaryDirectory(prefix="nightglass-report-") as folder:

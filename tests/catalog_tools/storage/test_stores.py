@@ -289,8 +289,9 @@ def test_missing_packages_name_the_extra(url, package):
     root = Path(__file__).resolve().parents[3]
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
     last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("catalog_tools.errors.BadInput: catalogue: ")
-    assert "pip install nightglass[remote]" in last
+    assert last.startswith("catalog_tools.errors.Missing: catalogue: ")
+    assert f"need {package}, " in last
+    assert "pip install 'nightglass[remote]'" in last
 
 
 def test_unknown_protocols_and_odd_urls():
