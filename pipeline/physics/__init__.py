@@ -1,4 +1,4 @@
-"""Physics as pure functions on arrays; rooms do not know each other."""
+"""Physics as pure functions on arrays; packages do not know each other."""
 
 from pathlib import Path
 
