@@ -179,7 +179,7 @@ def test_parallax_is_stated_for_where_the_observer_is(scene: Make) -> None:
 
 
 def test_decisions_own_up_to_what_is_left_out(scene: Make) -> None:
-    """Choices that the paper leaves open, and effects not in this version, stand in the plan."""
+    """What could be done in another order or rounded otherwise, and what is left out, is told."""
     target = {
         "name": "t",
         "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]},

@@ -1,4 +1,4 @@
-"""Recorded events in a frame: random places, the paper's cut-out and tiling, the same bits."""
+"""Recorded events in a frame: random places, whole frames cut or tiled, the same bits."""
 
 from __future__ import annotations
 
