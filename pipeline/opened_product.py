@@ -21,19 +21,30 @@ from pipeline.store import layout
 from pipeline.store.cube import check_complete, open_cube
 
 if TYPE_CHECKING:
-    import pyarrow as pa
     import xarray as xr
     from astropy.wcs import WCS
 
-TABLES = ("stars", "targets", "cosmic_rays")
+TABLES = ("stars", "targets", "cosmic_rays", "pixels")
 
 
 class TruthTables(Mapping[str, pa.Table]):
     """Truth tables by name, as pyarrow Tables; each is read when it is asked for.
 
-    The names are those of `stars`, `targets`, `cosmic_rays` that the scene has. A row is a source
-    in a frame; units stand in the names of the columns. Another name raises BadInput, a table that
-    cannot be read Damaged.
+    The names are those of `stars`, `targets`, `cosmic_rays`, `pixels` that the product has. A row
+    is a source in a frame; of `pixels` a fault of a pixel of the detector, the same in all frames.
+    Units stand in the names of the columns.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        The product's folder of truth.
+
+    Raises
+    ------
+    BadInput
+        From `truth[name]`, for a name that the product does not have.
+    Damaged
+        From `truth[name]`, where the table cannot be read.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -42,7 +53,11 @@ class TruthTables(Mapping[str, pa.Table]):
 
     def __getitem__(self, name: str) -> pa.Table:
         if name not in self:
-            raise BadInput("truth", name, ", ".join(self) or "nothing: the scene has no sources")
+            raise BadInput(
+                "truth",
+                name,
+                ", ".join(self) or "nothing: the scene has no sources and no faulty pixels",
+            )
         path = self._folder / f"{name}.parquet"
         try:
             return pq.read_table(path, page_checksum_verification=True)
@@ -53,7 +68,25 @@ class TruthTables(Mapping[str, pa.Table]):
         return name in self._names
 
     def get(self, name: str, default: object = None, /) -> pa.Table | object:
-        """The table of this name, or `default` where the product has none."""
+        """A table, or something else where the product has none.
+
+        Parameters
+        ----------
+        name : str
+            Of the table.
+        default : object, optional
+            What is returned where there is none.
+
+        Returns
+        -------
+        pyarrow.Table or object
+            The table, or `default`.
+
+        Raises
+        ------
+        Damaged
+            Where the table cannot be read.
+        """
         if name in self:
             return self[name]
         return default
@@ -71,10 +104,10 @@ class TruthTables(Mapping[str, pa.Table]):
 class Product:
     """A complete product, opened by `nightglass.open_product`.
 
-    Attributes
+    Parameters
     ----------
     path : pathlib.Path
-        Its folder.
+        Its folder, kept as `path`; complete, which `open_product` checks.
     """
 
     def __init__(self, path: Path) -> None:
@@ -89,22 +122,60 @@ class Product:
 
         `dn (frame, y, x)` in digital numbers; other layers, whose names end in `_e`, in electrons;
         start, middle and end of each exposure in UTC; attitude and WCS terms of each frame.
+
+        Returns
+        -------
+        xarray.Dataset
+            With dimensions frame, y (row) and x (column).
+
+        Raises
+        ------
+        BadInput, Incomplete
+            Where the product has gone meanwhile, or is being made anew.
         """
         return open_cube(self.path)
 
     @cached_property
     def truth(self) -> TruthTables:
-        """Every source in the frames, as tables by name: `stars`, `targets`, `cosmic_rays`."""
+        """Every source in the frames and every faulty pixel, as tables by name.
+
+        Returns
+        -------
+        TruthTables
+            Those of `stars`, `targets`, `cosmic_rays`, `pixels` that the product has.
+        """
         return TruthTables(self.path / layout.TRUTH)
 
     @cached_property
     def plan(self) -> JsonObject:
-        """What was decided before drawing, and why: `plan.json`; units stand in the keys."""
+        """What was decided before drawing, and why: `plan.json`.
+
+        Returns
+        -------
+        dict
+            Units stand in the keys.
+
+        Raises
+        ------
+        Damaged
+            Where the file cannot be read.
+        """
         return self._json(layout.PLAN)
 
     @cached_property
     def report(self) -> JsonObject:
-        """What came out: time, memory, errors measured, warnings: `report.json`."""
+        """What came out: time, memory, errors measured, warnings: `report.json`.
+
+        Returns
+        -------
+        dict
+            Units stand in the keys.
+
+        Raises
+        ------
+        Damaged
+            Where the file cannot be read.
+        """
         return self._json(layout.REPORT)
 
     def _json(self, name: str) -> JsonObject:
@@ -152,7 +223,22 @@ class Product:
 def open_product(path: str | os.PathLike[str]) -> Product:
     """Open a complete product.
 
-    Raises BadInput where the path holds no product, Incomplete where it holds an unfinished one.
+    Parameters
+    ----------
+    path : path
+        Its folder.
+
+    Returns
+    -------
+    Product
+        Nothing of it is read yet.
+
+    Raises
+    ------
+    BadInput
+        Where the path holds no product.
+    Incomplete
+        Where it holds an unfinished one.
     """
     if not isinstance(path, str | os.PathLike):
         raise BadInput("product", path, "a path")

@@ -32,6 +32,7 @@ SCENE = {
         "body": {"kind": "sphere", "diameter_m": 4.0, "albedo": 0.25},
     }],
 }  # fmt: skip
+COSMIC_RAYS = {"kind": "generated", "rate_per_cm2_s": 50.0}
 
 
 @pytest.fixture(scope="module")
@@ -142,6 +143,18 @@ def test_truth_tables_by_name(made):
     assert repr(truth) == "<TruthTables targets>"
     refused(nightglass.BadInput, "truth: 'stars' is not accepted; allowed: targets",
             lambda: truth["stars"])  # fmt: skip
+
+
+def test_the_truth_has_the_faulty_pixels(tmp_path):
+    """Every table that a render writes is among them."""
+    sensor = {**SCENE["sensor"], "detector": {"hot": {"pixels": [[3, 5, 80.0]]}}}
+    scene = SCENE | {"sensor": sensor, "cosmic_rays": COSMIC_RAYS}
+    made = nightglass.render(scene, tmp_path / "run", scheduler="synchronous")
+    written = {path.stem for path in (made.path / "truth").glob("*.parquet")}
+    assert set(made.truth) == written == {"targets", "cosmic_rays", "pixels"}
+    pixels = made.truth["pixels"].to_pylist()
+    assert [(p["row"], p["column"], p["fault"]) for p in pixels] == [(3, 5, "hot")]
+    assert repr(made.truth) == "<TruthTables targets, cosmic_rays, pixels>"
 
 
 def test_the_wcs_of_a_frame_gives_the_pixels_of_the_truth(made):
