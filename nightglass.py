@@ -48,6 +48,11 @@ def load_scene(scene: AnyScene, overrides: Iterable[str] = ()) -> Scene:
     overrides : iterable of str, optional
         Values to set first: `"sensor.read_noise_e=3"`; `"accept+=sun"` adds to a list.
 
+    Returns
+    -------
+    Scene
+        What the other functions take; `as_dict()` gives it as plain data, complete.
+
     Raises
     ------
     BadInput
@@ -118,7 +123,12 @@ def observe(
     -------
     Observed
         Its `table` (pyarrow) has a row for each time and target; `counts()` says why not all are
-        seen, `notes` what else to know. Raises BadInput as `plan` does, and for times.
+        seen, `notes` what else to know.
+
+    Raises
+    ------
+    BadInput, Damaged
+        As `plan` does; BadInput also for times, `snr` or too many rows.
     """
     from pipeline.observe.observe import observe as look
 
@@ -155,6 +165,11 @@ def render(
     listen : callable, optional
         Called after each step with an object: tiles `done` of `total`, and what was done (`doing`).
 
+    Returns
+    -------
+    Product
+        As `open_product` gives it.
+
     Raises
     ------
     BadInput, Damaged
@@ -177,8 +192,33 @@ def render(
 def find(scene: AnyScene, **request: Any) -> FoundObjects:
     """Which objects of a scene's populations its sensor can see, when, and where to point.
 
-    request : of `pipeline.survey.find.FindOptions`: at, hours, night, step_s, least_snr, regard.
-    Raises BadInput for a scene without populations, or a site where it does not get dark.
+    Parameters
+    ----------
+    scene : Scene, path or mapping
+        As `load_scene` gives or takes it.
+    at : str, optional
+        UTC at which to begin; by default the scene's epoch.
+    hours : float, optional
+        How long to look [h]; 0, the default: at that moment alone.
+    night : bool, optional
+        Look through the night about that moment instead.
+    step_s : float, optional
+        Time between moments [s], 10 by default.
+    least_snr : float, optional
+        Signal-to-noise ratio in one frame that is enough, 5 by default.
+    regard : pipeline.spec.study.FieldOfRegard, optional
+        Where the sensor may point.
+
+    Returns
+    -------
+    FoundObjects
+        `objects`, best first, as plain values with units in the keys; `looked_at`, `start`, `end`,
+        `notes`.
+
+    Raises
+    ------
+    BadInput
+        As `plan` does; also for a scene without populations, or a site where it does not get dark.
     """
     from pipeline.survey.find import FindOptions
     from pipeline.survey.find import find as look
@@ -189,8 +229,30 @@ def find(scene: AnyScene, **request: Any) -> FoundObjects:
 def study(file: AnyPath, out: AnyPath, **options: Any) -> dict[str, Any]:
     """Run a study file into a folder and return its report, as `nightglass study --json` prints it.
 
-    options : fields of `pipeline.capacity.run.StudyOptions`: scheduler ("processes"), workers,
-    resume, yes. Raises BadInput for what cannot be run, Incomplete where work ended early.
+    Parameters
+    ----------
+    file : path
+        A study file (YAML or JSON); relative paths in it are taken from its folder.
+    out : path
+        Folder to make.
+    scheduler, workers, resume : optional
+        As in `render`; "processes" by default.
+    yes : bool, optional
+        Run it although its forecast is long.
+
+    Returns
+    -------
+    dict
+        Units stand in the keys.
+
+    Raises
+    ------
+    BadInput
+        For what cannot be run.
+    Incomplete
+        Where work ended early; what is finished is kept, and `resume=True` goes on.
+    TryLater
+        As `render` does.
     """
     from pipeline.capacity.run import StudyOptions, run_study
     from pipeline.spec.study_load import read_study
@@ -200,9 +262,24 @@ def study(file: AnyPath, out: AnyPath, **options: Any) -> dict[str, Any]:
 
 
 def open_product(path: AnyPath) -> Product:
-    """Open a complete product: its `cube`, `truth`, `plan`, `report`, and `wcs(frame)`.
+    """Open a complete product.
 
-    Raises BadInput where the path holds no product, Incomplete where it holds an unfinished one.
+    Parameters
+    ----------
+    path : path
+        Its folder.
+
+    Returns
+    -------
+    Product
+        With `cube`, `truth`, `plan`, `report` and `wcs(frame)`.
+
+    Raises
+    ------
+    BadInput
+        Where the path holds no product.
+    Incomplete
+        Where it holds an unfinished one.
     """
     from pipeline.opened_product import open_product
 
@@ -210,9 +287,24 @@ def open_product(path: AnyPath) -> Product:
 
 
 def open_catalogue(path: AnyPath) -> StarCatalogue:
-    """Open a star catalogue, a folder or a URL (`s3://`, `http://`), for its `cone` and `facts`.
+    """Open a star catalogue; no star is read yet.
 
-    Raises BadInput where there is none of this format, Damaged where it fails its checksums.
+    Parameters
+    ----------
+    path : path
+        A folder, or a URL (`s3://`, `http://`).
+
+    Returns
+    -------
+    StarCatalogue
+        With `cone` and `facts`.
+
+    Raises
+    ------
+    BadInput
+        Where there is none of this format, or it cannot be reached.
+    Damaged
+        Where it fails its checksums.
     """
     from catalog_tools.query.star_catalogue import open_star_catalogue
 

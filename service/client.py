@@ -34,7 +34,15 @@ Listener = Callable[[JsonObject], None]
 
 
 class JobFailed(NightglassError):
-    """A job ended as ERROR or ABORTED; `error` is what the server says of it."""
+    """A job ended as ERROR or ABORTED.
+
+    Parameters
+    ----------
+    message : str
+        What is shown.
+    error : dict or None
+        What the server says of it, kept as `error`; None for a job that was cancelled.
+    """
 
     def __init__(self, message: str, error: JsonObject | None) -> None:
         self.error = error
@@ -96,17 +104,34 @@ class Client:
 
         Raises
         ------
+        BadInput
+            For a file that is no scene's.
         Refused
-            With every mistake of the scene.
+            With every mistake of the scene (it is a BadInput).
         ServiceError
             Where the server does not answer, or has a fault.
         """
         return self._submit("/v1/jobs", _data(scene), idempotency_key)
 
     def sweep(self, sweep: Scene, idempotency_key: str | None = None) -> RemoteJob:
-        """Submit a sweep of scenes; parameters, returns and errors are those of `submit`.
+        """Submit a sweep of scenes.
 
-        The sweep's base scene may be a file beside it, which is sent along.
+        Parameters
+        ----------
+        sweep : mapping or path
+            As `submit` takes a scene; its base scene may be a file beside it, which is sent along.
+        idempotency_key : str, optional
+            As in `submit`.
+
+        Returns
+        -------
+        RemoteJob
+            The job, QUEUED or PENDING; its table comes by `points`.
+
+        Raises
+        ------
+        BadInput, Refused, ServiceError
+            As `submit` does.
         """
         data = _data(sweep)
         base = data.get("scene") if isinstance(data, dict) else None
@@ -116,9 +141,24 @@ class Client:
         return self._submit("/v1/sweeps", data, idempotency_key)
 
     def study(self, study: Scene, idempotency_key: str | None = None) -> RemoteJob:
-        """Submit a study of capacity; parameters, returns and errors are those of `submit`.
+        """Submit a study of capacity.
 
-        Files that the study names are uploads of the server.
+        Parameters
+        ----------
+        study : mapping or path
+            As `submit` takes a scene; files that it names are uploads of the server.
+        idempotency_key : str, optional
+            As in `submit`.
+
+        Returns
+        -------
+        RemoteJob
+            The job, QUEUED or PENDING; what it made comes by `fetch_sweep`.
+
+        Raises
+        ------
+        BadInput, Refused, ServiceError
+            As `submit` does.
         """
         return self._submit("/v1/studies", _data(study), idempotency_key)
 
@@ -137,7 +177,12 @@ class Client:
         Returns
         -------
         dict
-            The plan, as `nightglass plan --json` prints it; errors are those of `submit`.
+            The plan, as `nightglass plan --json` prints it; units in the keys.
+
+        Raises
+        ------
+        BadInput, Refused, ServiceError
+            As `submit` does.
         """
         return self.ask("POST", "/v1/jobs", json=_data(scene), params={"dry_run": "1"}).json()
 
@@ -155,12 +200,35 @@ class Client:
         Returns
         -------
         dict
-            Rows and counts, as `nightglass observe --json` prints them.
+            Rows and counts, as `nightglass observe --json` prints them; units in the keys.
+
+        Raises
+        ------
+        BadInput, Refused, ServiceError
+            As `submit` does; Refused also for times or `snr`.
         """
         return self.ask("POST", "/v1/observe", json=_data(scene), params=asked).json()
 
     def job(self, job_id: str) -> RemoteJob:
-        """A job by its id."""
+        """A job by its id.
+
+        Parameters
+        ----------
+        job_id : str
+            As `nightglass jobs list` shows it.
+
+        Returns
+        -------
+        RemoteJob
+            The job as it is now.
+
+        Raises
+        ------
+        BadInput
+            For what is no id.
+        ServiceError
+            As `ask` does; also where the team has no such job.
+        """
         return RemoteJob(self, self.ask("GET", f"/v1/jobs/{_word(job_id)}").json())
 
     def jobs(self, phase: str | None = None) -> Iterator[RemoteJob]:
@@ -174,6 +242,12 @@ class Client:
         Yields
         ------
         RemoteJob
+            Each as it is now.
+
+        Raises
+        ------
+        Refused, ServiceError
+            As `ask` does; Refused for a phase that is none.
         """
         path = "/v1/jobs"
         params = {"phase": phase} if phase else None
@@ -183,7 +257,18 @@ class Client:
             path, params = answer.links.get("next", {}).get("url", ""), None
 
     def catalogues(self) -> list[JsonObject]:
-        """The catalogues that a scene may name."""
+        """The catalogues that a scene may name.
+
+        Returns
+        -------
+        list of dict
+            Of each its name and what it holds; units in the keys.
+
+        Raises
+        ------
+        ServiceError
+            As `ask` does.
+        """
         return self.ask("GET", "/v1/catalogues").json()["catalogues"]
 
     def ask(self, method: str, path: str, **request: Any) -> httpx.Response:
@@ -228,7 +313,15 @@ class Client:
 
 
 class RemoteJob:
-    """A job on a server; `facts` are what was last heard of it."""
+    """A job on a server.
+
+    Parameters
+    ----------
+    client : Client
+        The connection it is asked for by.
+    facts : dict
+        What was last heard of it, kept as `facts`.
+    """
 
     def __init__(self, client: Client, facts: JsonObject) -> None:
         self.client, self.facts = client, facts
@@ -240,6 +333,7 @@ class RemoteJob:
 
     @property
     def name(self) -> str:
+        """Of its scene, sweep or study."""
         return self.facts["name"]
 
     @property
@@ -248,7 +342,18 @@ class RemoteJob:
         return self.facts["phase"]
 
     def refresh(self) -> RemoteJob:
-        """Ask the server how it is now."""
+        """Ask the server how it is now.
+
+        Returns
+        -------
+        RemoteJob
+            Itself, its `facts` renewed.
+
+        Raises
+        ------
+        ServiceError
+            As `Client.ask` does; also where it was deleted.
+        """
         self.facts = self.client.ask("GET", self.path).json()
         return self
 
@@ -304,29 +409,84 @@ class RemoteJob:
         return JobFailed(f"job {self.id} ({self.name}) ended as {self.phase}: {told}", error)
 
     def cancel(self) -> RemoteJob:
-        """Stop it; what it has drawn stays until it is deleted."""
+        """Stop it; what it has drawn stays until it is deleted.
+
+        Returns
+        -------
+        RemoteJob
+            Itself, its `facts` renewed.
+
+        Raises
+        ------
+        ServiceError
+            As `Client.ask` does; also where it has ended.
+        """
         self.facts = self.client.ask("POST", f"{self.path}/cancel").json()
         return self
 
     def retry(self) -> RemoteJob:
-        """Queue it again, after it ended as ERROR through no fault of its scene."""
+        """Queue it again, after it ended as ERROR through no fault of its scene.
+
+        Returns
+        -------
+        RemoteJob
+            Itself, its `facts` renewed.
+
+        Raises
+        ------
+        ServiceError
+            As `Client.ask` does; also for any other job.
+        """
         self.facts = self.client.ask("POST", f"{self.path}/retry").json()
         return self
 
     def delete(self) -> None:
-        """Stop it and remove it with all that it made."""
+        """Stop it and remove it with all that it made.
+
+        Raises
+        ------
+        ServiceError
+            As `Client.ask` does; also where it was deleted.
+        """
         self.client.ask("DELETE", self.path)
 
     def scene(self) -> JsonObject:
-        """Its scene, defaults filled in."""
+        """Its scene, defaults filled in.
+
+        Returns
+        -------
+        dict
+            Plain data of the scene format; units in the keys.
+
+        Raises
+        ------
+        ServiceError
+            As `Client.ask` does; also where it was deleted.
+        """
         return self.client.ask("GET", f"{self.path}/scene").json()
 
     def report(self) -> JsonObject:
-        """The report of its product."""
+        """The report of its product.
+
+        Returns
+        -------
+        dict
+            `report.json`; units in the keys.
+
+        Raises
+        ------
+        ServiceError
+            As `Client.ask` does; also where there is none yet.
+        """
         return self.client.ask("GET", f"{self.path}/report").json()
 
     def points(self) -> pa.Table:
-        """The table of a sweep's points: their values and what was measured, a row a point.
+        """The table of a sweep's points: their values and what was measured.
+
+        Returns
+        -------
+        pyarrow.Table
+            A row a point; units in the names of the columns.
 
         Raises
         ------
@@ -334,6 +494,8 @@ class RemoteJob:
             For a job that is no sweep's, or not COMPLETED.
         JobFailed
             Where it ended as ERROR or ABORTED.
+        ServiceError
+            As `Client.ask` does.
         """
         import pyarrow.parquet as pq
 
@@ -353,6 +515,7 @@ class RemoteJob:
         Returns
         -------
         xarray.Dataset
+            `dn (frame, y, x)` in digital numbers; layers whose names end in `_e` in electrons.
 
         Raises
         ------
@@ -361,6 +524,8 @@ class RemoteJob:
             that is not installed.
         JobFailed
             Where it ended as ERROR or ABORTED.
+        Damaged, Incomplete, ServiceError
+            As `fetch` does, where there is a folder.
         """
         if folder is not None:
             from pipeline.store.cube import open_cube
@@ -401,8 +566,14 @@ class RemoteJob:
         ------
         Damaged
             Where a byte differs from what was rendered.
-        BadInput, JobFailed
-            As `open` does.
+        Incomplete
+            Where the connection broke too often; the same call goes on.
+        BadInput
+            For a job that is no scene's, or not COMPLETED; for a folder that holds something else.
+        JobFailed
+            Where it ended as ERROR or ABORTED.
+        ServiceError
+            As `Client.ask` does.
         """
         self._complete("scene")
         shown = (
@@ -437,6 +608,8 @@ class RemoteJob:
             that holds something.
         JobFailed
             Where it ended as ERROR or ABORTED.
+        ServiceError
+            As `Client.ask` does.
         """
         from service.fetching import fetch_sweep
 

@@ -17,7 +17,13 @@ if TYPE_CHECKING:
 
 
 class StarCatalogue:
-    """A star catalogue, opened by `nightglass.open_catalogue`; stars are read when asked for."""
+    """A star catalogue, opened by `nightglass.open_catalogue`; stars are read when asked for.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        As `catalogue.open_catalogue` gives it.
+    """
 
     def __init__(self, catalogue: Catalogue) -> None:
         self._catalogue = catalogue
@@ -27,7 +33,13 @@ class StarCatalogue:
 
     @property
     def facts(self) -> JsonObject:
-        """What the catalogue holds, as `nightglass catalog info` says it; units in the keys."""
+        """What the catalogue holds, as `nightglass catalog info` says it.
+
+        Returns
+        -------
+        dict
+            Units stand in the keys.
+        """
         return info(self._catalogue)
 
     def cone(
@@ -46,7 +58,7 @@ class StarCatalogue:
         ra_deg, dec_deg : float
             Centre of the cone [deg], ICRS, barycentric.
         radius_deg : float
-            Radius of the cone [deg], 0 to 180.
+            Radius of the cone [deg], above 0, up to 180.
         faintest_g_mag : float, optional
             Faintest Gaia G magnitude, included; all stars by default.
         epoch_jyear : float, optional
@@ -76,7 +88,25 @@ class StarCatalogue:
 
 
 def open_star_catalogue(path: str | os.PathLike[str]) -> StarCatalogue:
-    """Open a catalogue at a path or URL; raises as `catalogue.open_catalogue` does."""
+    """Open a catalogue; no star is read yet.
+
+    Parameters
+    ----------
+    path : path
+        A folder, or a URL (`s3://`, `http://`).
+
+    Returns
+    -------
+    StarCatalogue
+        With `cone` and `facts`.
+
+    Raises
+    ------
+    BadInput
+        Where there is no catalogue of this format, or it cannot be reached.
+    Damaged
+        Where what is read does not match its checksum.
+    """
     if not isinstance(path, str | os.PathLike):
         raise BadInput("catalogue", path, "a path or a URL")
     return StarCatalogue(open_catalogue(path))
