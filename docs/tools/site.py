@@ -10,7 +10,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 sys.path.insert(0, str(Path(__file__).parent))
-from reference import command_page, scene_page
+from reference import command_page, scene_page, study_page, sweep_page
 
 from pipeline.plan.ledger import page as omissions_page
 
@@ -22,7 +22,8 @@ def omissions() -> str:
     return omissions_page(json.loads(MEASURED.read_text())["rules"])
 
 
-GENERATED = {"reference/scene.md": scene_page, "reference/commands.md": command_page,
+GENERATED = {"reference/scene.md": scene_page, "reference/sweep.md": sweep_page,
+             "reference/study.md": study_page, "reference/commands.md": command_page,
              "reference/omissions.md": omissions}  # fmt: skip
 # Titles that are not the page's own heading (that of extremes.md is written by `selftest`).
 TITLES = {"extremes.md": "Limiting cases"}
@@ -44,8 +45,9 @@ NAVIGATION: dict[str, list[str]] = {
     ],
     "Explanation": ["physics.md", "drawing.md", "accuracy.md", "report.md", "extremes.md",
                     "detection.md", "validation.md"],
-    "Reference": ["reference/scene.md", "reference/commands.md", "reference/omissions.md",
-                  "reference/python.md", "glossary.md"],
+    "Reference": ["reference/scene.md", "reference/sweep.md", "reference/study.md",
+                  "reference/commands.md", "reference/omissions.md", "reference/python.md",
+                  "glossary.md"],
     "Development": ["architecture.md", "contributing.md", "pins.md"],
 }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The documentation builds without a warning, offline, and tells of every field and command."""
+"""The documentation builds without a warning, offline, and describes every field and command."""
 
 from __future__ import annotations
 
@@ -38,37 +38,71 @@ def site(tmp_path_factory):
     return folder
 
 
-def _models(schema):
-    return {"Scene": schema} | schema["$defs"]
+@pytest.fixture
+def reference(monkeypatch):
+    """The module that makes the reference pages."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "tools"))
+    import reference
+
+    return reference
 
 
-def test_every_field_is_told_of(site):
+def _formats():
+    """The page and the schemas of each file format."""
     from pipeline.spec.scene import Scene
+    from pipeline.spec.study import Study
+    from pipeline.spec.sweep import Sweep
 
-    page = unescape((site / "reference" / "scene.html").read_text())
-    for name, model in _models(Scene.model_json_schema(by_alias=True)).items():
-        section = page.split(f'id="{name.lower()}"', 1)[1].split("<h2", 1)[0]
-        for key in model.get("properties", {}):
-            assert f"<code>{key}</code>" in section, f"{name}.{key}"
+    for page, model in (("scene", Scene), ("sweep", Sweep), ("study", Study)):
+        schema = model.model_json_schema(by_alias=True)
+        yield page, {model.__name__: schema} | schema["$defs"]
+
+
+def test_every_field_is_described(site):
+    """On the page of its format, or where a study has it from: the page of a scene or a sweep."""
+    pages = {}
+    for page, models in _formats():
+        pages[page] = unescape((site / "reference" / f"{page}.html").read_text())
+        for name, model in models.items():
+            anchor = f'id="{name.lower()}"'
+            text = next(t for t in [pages[page], *pages.values()] if anchor in t)
+            section = text.split(anchor, 1)[1].split("<h2", 1)[0]
+            for key in model.get("properties", {}):
+                assert f"<code>{key}</code>" in section, f"{name}.{key}"
+
+
+def test_reference_pages_are_not_garbled(reference):
+    """What a docstring says of keys stands in tables, and code is as it is typed."""
+    pages = (reference.scene_page, reference.sweep_page, reference.study_page)
+    for make in (*pages, reference.command_page):
+        for line in make().splitlines():
+            assert not re.match(r"\S+ : ", line), line
+            assert not [code for code in line.split("`")[1::2] if r"\_" in code], line
+    accuracy = reference.scene_page().split("## Accuracy\n")[1].split("## ")[0]
+    assert accuracy.count("noise_fraction") == 1
+    assert reference._escaped("`a_b` c_d") == r"`a_b` c\_d"
+
+
+def test_exit_codes_are_all_on_the_page(reference):
+    from pipeline.errors import EXIT_CODES
+
+    rows = re.findall(r"(?m)^\| (\d+) \|", reference.COMMAND_HEAD)
+    assert {0, 1, 5} | {code for _, code in EXIT_CODES} == set(map(int, rows))
 
 
 def test_every_key_is_described():
     """In the schema, and so in reference, page and editors; and nothing that is no key."""
     from pipeline.spec.keys import DESCRIPTIONS
-    from pipeline.spec.scene import Scene
-    from pipeline.spec.study import Study
-    from pipeline.spec.sweep import Sweep
 
     keys: set[str] = set()
-    schemas = [model.model_json_schema(by_alias=True) for model in (Scene, Sweep, Study)]
-    for name, model in [pair for schema in schemas for pair in _models(schema).items()]:
+    for name, model in [pair for _, models in _formats() for pair in models.items()]:
         for key, field in model.get("properties", {}).items():
             assert len(field.get("description", "")) > 1, f"{name}.{key}"
             keys |= {key, f"{name}.{key}"}
     assert set(DESCRIPTIONS) <= keys
 
 
-def test_every_command_is_told_of(site):
+def test_every_command_is_described(site):
     page = unescape((site / "reference" / "commands.html").read_text())
     for name in ("render", "plan", "export", "import satsim", "report detection", "catalog ingest"):
         assert f"nightglass {name}" in page
