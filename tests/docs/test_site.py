@@ -111,8 +111,15 @@ def test_every_command_is_described(site):
 
 def test_python_reference_has_signatures(site):
     page = (site / "reference" / "python.html").read_text()
-    for name in ("pipeline.route.run.render", "pipeline.store.cube.open_cube"):
-        assert f'id="{name}"' in page
+    import nightglass
+
+    functions = [name for name in nightglass.__all__ if name.islower()]
+    names = [f"nightglass.{name}" for name in functions] + [
+        "pipeline.route.run.render", "pipeline.store.cube.open_cube",
+        "service.client.Client.submit", "service.client.RemoteJob.wait",
+    ]  # fmt: skip
+    for name in names:
+        assert f'id="{name}"' in page, name
 
 
 def test_site_needs_nothing_from_elsewhere(site):
