@@ -24,20 +24,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--demo", type=Path, help="a demo's folder; default: make one")
     parser.add_argument("--docs", type=Path, default=DOCS)
-    wish = parser.parse_args()
-    pictures = wish.docs / "pictures"
+    args = parser.parse_args()
+    pictures = args.docs / "pictures"
     pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
-        folder = wish.demo or Path(temporary) / "demo"
-        product = folder / "product" if wish.demo else run_demo(folder, False, None, print)[0]
+        folder = args.demo or Path(temporary) / "demo"
+        product = folder / "product" if args.demo else run_demo(folder, False, None, print)[0]
         draw_frame(product, pictures / "demo.jpg")
         draw_masks(product, Path(temporary) / "masks", pictures / "masks.png")
         study = Path(temporary) / "study"
         report_detection(product, study)
         shutil.copy(study / "detection.png", pictures / "detection.png")
-        text = (study / "detection.md").read_text()
-        head = "# Detection results\n\nFrom `nightglass report detection demo/product`. Of "
-        (wish.docs / "detection.md").write_text(head + text)
+        _, _, text = (study / "detection.md").read_text().partition(": ")
+        text = text.replace("frame(s)", "frames", 1)
+        head = "# Detection results\n\nFrom `nightglass report detection demo/product`: "
+        (args.docs / "detection.md").write_text(head + text)
 
 
 def draw_frame(product: Path, path: Path) -> None:
@@ -48,7 +49,7 @@ def draw_frame(product: Path, path: Path) -> None:
 
 
 def draw_masks(product: Path, folder: Path, path: Path) -> None:
-    """A piece of the first frame beside the classes of its mask."""
+    """A part of the first frame beside the classes of its mask."""
     from astropy.io import fits
 
     from pipeline.export.formats import ExportRequest, export_product

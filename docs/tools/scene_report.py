@@ -49,20 +49,20 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="every scene, but small")
     parser.add_argument("--remark", default="", help="what a reader should know of the run")
     parser.add_argument("reports", type=Path, nargs="*", help="report.json files; default: run it")
-    wish = parser.parse_args()
-    if wish.reports:
-        study = joined([json.loads(path.read_text()) for path in wish.reports])
+    args = parser.parse_args()
+    if args.reports:
+        study = joined([json.loads(path.read_text()) for path in args.reports])
     else:
         with tempfile.TemporaryDirectory() as folder:
-            study = report_scenes(Path(folder) / "out", tuple(MAKERS), quick=wish.quick)
+            study = report_scenes(Path(folder) / "out", tuple(MAKERS), quick=args.quick)
     guards = json.loads((DOCS.parent / "benchmarks" / "guards.json").read_text())
     tail = GUARDS.format(share=guards["share"], side=guards["side_px"], stars=guards["stars"])
-    page = HEAD.format(remark=wish.remark) + text(study) + tail
-    (wish.docs / "report.md").write_text(page.rstrip() + "\n", encoding="utf-8")
-    (wish.docs / "pictures").mkdir(parents=True, exist_ok=True)
-    (wish.docs / "pictures" / "report.png").write_bytes(ladder_figure(study))
-    (wish.docs / "pictures" / "omissions.png").write_bytes(omission_figure(study))
-    (wish.docs / "report.json").write_text(json.dumps(study, indent=1) + "\n")
+    page = HEAD.format(remark=args.remark) + text(study) + tail
+    (args.docs / "report.md").write_text(page.rstrip() + "\n", encoding="utf-8")
+    (args.docs / "pictures").mkdir(parents=True, exist_ok=True)
+    (args.docs / "pictures" / "report.png").write_bytes(ladder_figure(study))
+    (args.docs / "pictures" / "omissions.png").write_bytes(omission_figure(study))
+    (args.docs / "report.json").write_text(json.dumps(study, indent=1) + "\n")
 
 
 def joined(studies: list[dict[str, Any]]) -> dict[str, Any]:
