@@ -36,7 +36,7 @@ Made from `nightglass --help`. All take `--help`.
 | 2 | bad input, or a damaged file; of a server, a request that it refuses |
 | 3 | incomplete, or the disk is full: `--resume` goes on |
 | 4 | try again later: a scheduler, database or server does not answer, or a lock is held |
-| 5 | the product is finished, but an error measured in it is larger than its plan stated |
+| 5 | the product is finished, but its error is, or may be, larger than its plan stated |
 | 130 | interrupted |
 """
 
