@@ -71,7 +71,7 @@ def markdown(outcomes: list[Outcome]) -> str:
     lines = [
         "# Limiting cases",
         "",
-        "What the product gives where arithmetic, geometry or a format is at its end, beside the "
+        "What the product gives at the limits of arithmetic, geometry and formats, beside the "
         "right answer and where that comes from. Made by `nightglass selftest --markdown "
         "docs/extremes.md`; `nightglass selftest` runs the same cases on your machine.",
         "",
