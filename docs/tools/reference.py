@@ -115,7 +115,7 @@ def _section(name: str, model: dict[str, Any], places: dict[str, str]) -> str:
     if not fields:
         return "\n".join([*lines, f"One of: {_type(model, places)}", ""])
     required = set(model.get("required", []))
-    lines += ["| field | what | default | |", "| --- | --- | --- | --- |"]
+    lines += ["| field | values | default | meaning |", "| --- | --- | --- | --- |"]
     for key, field in fields.items():
         default = "*required*" if key in required else _default(field)
         about = " ".join((field.get("description") or "").split())
