@@ -49,11 +49,17 @@ class FrameTarget:
 
 
 def place_stars(
-    plan: ResolvedScene, stars: StarTable, g: Geometry, ref_epoch_jyear: float, catalogue: int = 0
+    plan: ResolvedScene,
+    stars: StarTable,
+    g: Geometry,
+    ref_epoch_jyear: float,
+    catalogue: int = 0,
+    drawn: bool = True,
 ) -> FrameStars:
     """Stars of a table that send light onto the focal plane in the frame of `g` (one frame).
 
-    catalogue : the number of theirs among the scene's, and its reference epoch.
+    catalogue : the number of theirs among the scene's, and its reference epoch; drawn : in
+    `drawing_order`, else (another frame's drawing serves this one) as they stand in the table
     """
     request, middle = plan.scene.stars, g.middle
     assert request is not None
@@ -105,7 +111,7 @@ def place_stars(
         np.full(len(kept), catalogue, np.uint8),
         visible,
     )
-    return drawing_order(placed)
+    return drawing_order(placed) if drawn else placed
 
 
 def whole_stars(stars: FrameStars) -> FrameStars:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from pipeline.execute.sources import place_targets
 from pipeline.observe.centroid import centroid_covariance_px2
+from pipeline.observe.files import tdm_text
 from pipeline.observe.observe import observe
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.resolve.resolve import resolve
@@ -88,6 +91,19 @@ def test_a_tracking_data_message_read_back(scene: Path, tmp_path: Path) -> None:
     meta, data = tdm(path)[0]
     assert (meta["TIME_SYSTEM"], meta["ANGLE_TYPE"], meta["PATH"]) == ("UTC", "RADEC", "2,1")
     assert (meta["START_TIME"], meta["STOP_TIME"]) == (data[0][1], data[-1][1])
+
+
+@pytest.mark.parametrize("last", ["a", "b"])
+def test_the_date_of_a_message_is_that_of_its_latest_row(last: str) -> None:
+    """Whichever target is seen last, of two in order of their names."""
+    whole = observe(parse_scene(night(targets=night()["targets"][:1])), np.arange(3.0), 0.1)
+    first, _, latest = whole.table.to_pylist()
+    assert first["seen"] == latest["seen"] == "yes"
+    other = "b" if last == "a" else "a"
+    rows = [first | {"name": other}, latest | {"name": last}]
+    table = pa.Table.from_pylist(rows, whole.table.schema)
+    text = tdm_text(replace(whole, table=table))
+    assert f"CREATION_DATE = {latest['utc'].rstrip('Z')}\n" in text
 
 
 def test_a_centroid_is_as_good_as_the_bound() -> None:
