@@ -16,10 +16,12 @@ from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M
 from pipeline.physics.targets.shadow import sunlit_past_earth
 from pipeline.physics.vectors import unit
 from pipeline.plan.ledger import LEDGER
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.studies.ledger.probe import PROBES, ProbeResult
 from pipeline.studies.ledger.report import report_ledger
 from pipeline.studies.ledger.study import checked_rules, run_ledger
 from pipeline.studies.ledger.targets import _rastered
+from pipeline.studies.scenes.stage import open_stage
 
 ROOT = Path(__file__).resolve().parents[3]
 AGAIN = ("adc", "targets.perturbations")
@@ -50,6 +52,25 @@ def test_two_rules_measured_anew(tmp_path):
         assert 0.0 < row["error"] <= row["bound"]
         assert len(row["all"]) > 1
     assert "| targets.perturbations |" in (tmp_path / "out" / "ledger.md").read_text()
+
+
+@pytest.mark.parametrize("frame", [0, 3])
+def test_a_stage_is_of_the_frame_asked_for(frame):
+    scene = {
+        "schema": "nightglass/scene/1", "name": "stage", "epoch": "2019-07-20T09:00:00Z",
+        "observer": {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3},
+        "sensor": {
+            "shape": [64, 64], "pixel_pitch_um": 9.0, "focal_length_m": 1.0, "aperture_m": 0.2,
+            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+            "psf": {"kind": "gaussian", "sigma_px": 1.0},
+        },
+        "pointing": {"mode": "local", "azimuth_deg": 120.0, "elevation_deg": 50.0},
+        "exposure": {"integration_s": 1.0, "frames": 4, "cadence_s": 60.0},
+    }  # fmt: skip
+    stage = open_stage(scene, frame=frame)
+    g = plan_geometry(stage.plan.scene, np.arange(4), stage.plan.dut1_s).frame_slice(frame)
+    assert stage.g.frame.tolist() == [frame]
+    np.testing.assert_array_equal(stage.g.attitude, g.attitude)
 
 
 def test_a_broken_bound_is_told():
