@@ -190,6 +190,16 @@ def test_edited_properties_are_named(copy):
     assert any("differs from properties" in text for text in found)
 
 
+def test_properties_without_a_line_are_named(copy):
+    """In both files alike, so that neither differs from the other."""
+    for name in ("properties", "hats.properties"):
+        path = file_of(copy, name)
+        path.write_text(re.sub(r"hats_nrows=\d+\n", "", path.read_text()))
+    found = texts(copy)
+    assert len(found) == 2
+    assert all("hats_nrows=;" in text for text in found)
+
+
 def rewritten(made, folder, change):
     """A catalogue that is consistent in every checksum but whose rows or tables were changed.
 
