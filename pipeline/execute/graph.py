@@ -265,9 +265,8 @@ def read_shard(inputs: Inputs, shard: Shard) -> StarTable:
 
 def place_task(inputs: Inputs, stars: StarTable, g: Geometry, catalogue: int) -> FrameStars:
     """Task: the stars of one shard of a catalogue that one frame sees."""
-    epoch, frame = inputs.catalogues[catalogue].ref_epoch_jyear, int(g.frame[0])
-    drawn = inputs.plan.drawn_frame(frame) == frame
-    return place_stars(inputs.plan, stars, g, epoch, catalogue, drawn)
+    epoch = inputs.catalogues[catalogue].ref_epoch_jyear
+    return place_stars(inputs.plan, stars, g, epoch, catalogue)
 
 
 def block_task(inputs: Inputs, g: Geometry, place: Tile, parts: list[FrameStars]) -> LightBlock:

@@ -49,17 +49,11 @@ class FrameTarget:
 
 
 def place_stars(
-    plan: ResolvedScene,
-    stars: StarTable,
-    g: Geometry,
-    ref_epoch_jyear: float,
-    catalogue: int = 0,
-    drawn: bool = True,
+    plan: ResolvedScene, stars: StarTable, g: Geometry, ref_epoch_jyear: float, catalogue: int = 0
 ) -> FrameStars:
     """Stars of a table that send light onto the focal plane in the frame of `g` (one frame).
 
-    catalogue : the number of theirs among the scene's, and its reference epoch; drawn : in
-    `drawing_order`, else (another frame's drawing serves this one) as they stand in the table
+    catalogue : the number of theirs among the scene's, and its reference epoch.
     """
     request, middle = plan.scene.stars, g.middle
     assert request is not None
@@ -111,7 +105,7 @@ def place_stars(
         np.full(len(kept), catalogue, np.uint8),
         visible,
     )
-    return drawing_order(placed) if drawn else placed
+    return drawing_order(placed)
 
 
 def whole_stars(stars: FrameStars) -> FrameStars:
