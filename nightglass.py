@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # each function imports what it needs: `import nightglass` ta
     from pipeline.opened_product import Product
     from pipeline.route.draw import Progress
     from pipeline.spec.scene import Scene
+    from pipeline.spec.study import FieldOfRegard
     from pipeline.survey.find import FoundObjects
 
     AnyPath = str | os.PathLike[str]
@@ -189,7 +190,16 @@ def render(
     return open_product(product)
 
 
-def find(scene: AnyScene, **request: Any) -> FoundObjects:
+def find(
+    scene: AnyScene,
+    *,
+    at: str | None = None,
+    hours: float = 0.0,
+    night: bool = False,
+    step_s: float = 10.0,
+    least_snr: float = 5.0,
+    regard: FieldOfRegard | None = None,
+) -> FoundObjects:
     """Which objects of a scene's populations its sensor can see, when, and where to point.
 
     Parameters
@@ -203,11 +213,11 @@ def find(scene: AnyScene, **request: Any) -> FoundObjects:
     night : bool, optional
         Look through the night about that moment instead.
     step_s : float, optional
-        Time between moments [s], 10 by default.
+        Time between moments [s].
     least_snr : float, optional
-        Signal-to-noise ratio in one frame that is enough, 5 by default.
-    regard : pipeline.spec.study.FieldOfRegard, optional
-        Where the sensor may point.
+        Signal-to-noise ratio in one frame that is enough.
+    regard : FieldOfRegard, optional
+        Where the sensor may point; by default as in a study without it.
 
     Returns
     -------
@@ -220,13 +230,22 @@ def find(scene: AnyScene, **request: Any) -> FoundObjects:
     BadInput
         As `plan` does; also for a scene without populations, or a site where it does not get dark.
     """
-    from pipeline.survey.find import FindOptions
+    from pipeline.survey.find import DEFAULT_REGARD, FindOptions
     from pipeline.survey.find import find as look
 
-    return look(load_scene(scene), FindOptions(**request))
+    request = FindOptions(at, hours, night, step_s, least_snr, regard or DEFAULT_REGARD)
+    return look(load_scene(scene), request)
 
 
-def study(file: AnyPath, out: AnyPath, **options: Any) -> dict[str, Any]:
+def study(
+    file: AnyPath,
+    out: AnyPath,
+    *,
+    scheduler: str = "processes",
+    workers: int | None = None,
+    resume: bool = False,
+    yes: bool = False,
+) -> dict[str, Any]:
     """Run a study file into a folder and return its report, as `nightglass study --json` prints it.
 
     Parameters
@@ -235,8 +254,12 @@ def study(file: AnyPath, out: AnyPath, **options: Any) -> dict[str, Any]:
         A study file (YAML or JSON); relative paths in it are taken from its folder.
     out : path
         Folder to make.
-    scheduler, workers, resume : optional
-        As in `render`; "processes" by default.
+    scheduler : str, optional
+        As in `render`.
+    workers : int, optional
+        Number of threads or processes; by default one for each core.
+    resume : bool, optional
+        Continue an unfinished study.
     yes : bool, optional
         Run it although its forecast is long.
 
@@ -258,7 +281,8 @@ def study(file: AnyPath, out: AnyPath, **options: Any) -> dict[str, Any]:
     from pipeline.spec.study_load import read_study
 
     path = Path(file)
-    return run_study(read_study(path), path.parent, Path(out), StudyOptions(**options))
+    options = StudyOptions(scheduler, workers, resume, yes)
+    return run_study(read_study(path), path.parent, Path(out), options)
 
 
 def open_product(path: AnyPath) -> Product:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from importlib.util import find_spec
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -31,7 +32,7 @@ class BadInput(NightglassError):
 
 
 class Missing(BadInput):
-    """A package is not installed that one of this product's extras brings.
+    """A package is not installed, or broken, that one of this product's extras brings.
 
     Parameters
     ----------
@@ -40,22 +41,35 @@ class Missing(BadInput):
     extra : of pyproject.toml.
     instead : what can be done without it, in words, if anything.
     field : the name of the field that asks for it, as the user wrote it, if any does.
+    broken : why it cannot be imported although it is there (`why_broken`).
     """
 
     def __init__(
-        self, what: str, package: str, extra: str, instead: str = "", field: str = ""
+        self,
+        what: str,
+        package: str,
+        extra: str,
+        instead: str = "",
+        field: str = "",
+        broken: str = "",
     ) -> None:
         remedy = f"pip install 'nightglass[{extra}]'" + (f", or {instead}" if instead else "")
-        self._given = what, package, extra, instead, field
+        state = f"cannot be imported ({broken})" if broken else "is not installed"
+        self._given = what, package, extra, instead, field, broken
         self._text = f"{field}: " if field else ""
-        self._text += f"{what} need {package}, which is not installed: {remedy}"
-        super().__init__(field or package, f"{package} is not installed", remedy)
+        self._text += f"{what} need {package}, which {state}: {remedy}"
+        super().__init__(field or package, what, f"an installation with {package}: {remedy}")
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), self._given
 
     def __str__(self) -> str:
         return self._text
+
+
+def why_broken(error: ImportError, module: str) -> str:
+    """Why a module that is there cannot be imported, for `Missing`; "" for an absent one."""
+    return "" if find_spec(module) is None else str(error)
 
 
 class Damaged(NightglassError):

@@ -23,7 +23,7 @@ def run_demo(
 ) -> tuple[Path, JsonObject]:
     """Make FOLDER/catalogue (kept if it is there) and FOLDER/product; returns product, report.
 
-    A product of an earlier demo is gone on with, or taken as it is where it is complete.
+    A product of an earlier demo is continued, or taken as it is where it is complete.
     """
     scene_file = folder / "scene.yaml"
     if folder.exists() and not scene_file.is_file() and any(folder.iterdir()):

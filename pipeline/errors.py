@@ -12,6 +12,7 @@ from catalog_tools.errors import (
     NightglassError,
     TryLater,
     shorten,
+    why_broken,
 )
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "TryLater",
     "exit_code",
     "shorten",
+    "why_broken",
 ]
 
 

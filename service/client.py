@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 
 from catalog_tools.documents import JsonObject, JsonValue
-from pipeline.errors import NOT_NOW, BadInput, Missing, NightglassError
+from pipeline.errors import NOT_NOW, BadInput, Missing, NightglassError, why_broken
 from service.answers import Refused, ServiceError, problem_of
 
 if TYPE_CHECKING:
@@ -419,7 +419,7 @@ class RemoteJob:
         Raises
         ------
         ServiceError
-            As `Client.ask` does; also where it has ended.
+            As `Client.ask` does; also where it is COMPLETED or ERROR.
         """
         self.facts = self.client.ask("POST", f"{self.path}/cancel").json()
         return self
@@ -536,9 +536,10 @@ class RemoteJob:
         self._complete("scene")
         try:
             import aiohttp  # noqa: F401
-        except ImportError:
-            instead = "give a folder to fetch the product into"
-            raise Missing("cubes read over HTTP", "aiohttp", "remote", instead) from None
+        except ImportError as error:
+            what, instead = "cubes read over HTTP", "give a folder to fetch the product into"
+            broken = why_broken(error, "aiohttp")
+            raise Missing(what, "aiohttp", "remote", instead, broken=broken) from None
         address = f"{self.client.url}{self.path}/results/cube.zarr"
         options = {"headers": self.client.headers} if self.client.headers else {}
         return xr.open_zarr(address, storage_options=options, chunks=None)
@@ -551,7 +552,7 @@ class RemoteJob:
         Parameters
         ----------
         folder : path
-            Where it goes; a fetch that was interrupted is gone on with there.
+            Where it goes; an interrupted fetch continues there.
         parallel : int
             Files at once.
         progress : bool or callable

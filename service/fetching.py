@@ -1,4 +1,4 @@
-"""Fetch a product from a server: files in parallel, gone on with by Range, sealed when proved."""
+"""Fetch a product from a server: files in parallel, continued by Range, sealed when verified."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Fetched(Protocol):
 def fetch_product(job: Fetched, folder: Path, parallel: int, listen: Listener | None) -> Path:
     """Bring a complete product into `folder`; it opens as one only when all of it was proved.
 
-    Files already there in full are kept, cut ones gone on with. Raises BadInput for a folder that
+    Files already there in full are kept, cut ones continued. Raises BadInput for a folder that
     holds something else, Damaged for bytes that differ, Incomplete where the server went away.
     """
     record = job.client.ask("GET", f"{job.path}/record").content
@@ -114,7 +114,7 @@ def _listing(job: Fetched) -> Iterator[tuple[str, int]]:
 
 
 def _fetch(job: Fetched, folder: Path, path: str, size: int, count: Callable[[int], None]) -> None:
-    """One file, gone on with after every interruption until it has its length."""
+    """One file, continued after every interruption until it has its length."""
     target = folder / path
     part = target.with_name(target.name + PART)
     if target.is_file() and target.stat().st_size == size:

@@ -6,6 +6,7 @@ import pickle
 import sys
 import tomllib
 from collections.abc import Callable
+from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -113,9 +114,21 @@ def test_a_protocol_that_no_extra_brings(monkeypatch):
     assert not isinstance(caught.value, Missing)
 
 
+def test_a_package_that_is_there_but_broken_gives_its_reason(monkeypatch, tmp_path):
+    """No package is called absent that the user has: what ails it is said."""
+    folder = tmp_path / "imageio_ffmpeg"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("raise ImportError('libx264.so.1 is gone')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "imageio_ffmpeg", raising=False)
+    with pytest.raises(Missing, match=r"cannot be imported \(libx264.so.1 is gone\)") as caught:
+        encoder()
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
 def test_a_page_of_a_study_without_pictures(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert "<code>pip install 'nightglass[report]'</code>" in _pictures({}, {})
+    assert "pip install 'nightglass[report]'" in unescape(_pictures({}, {}))
 
 
 def test_an_encoder_without_ffmpeg(monkeypatch):
@@ -134,5 +147,6 @@ def test_the_error_travels_and_a_server_can_tell_it():
     assert (type(again), str(again)) == (Missing, str(error))
     told = mistake_dict(mistakes_of(error)[0])
     assert told["pointer"] == "/targets/0/body/path"
-    assert told["value"] == "'trimesh is not installed'"
-    assert told["allowed"] == "pip install 'nightglass[mesh]', or use a sphere"
+    assert told["value"] == "'meshes'"
+    remedy = "pip install 'nightglass[mesh]', or use a sphere"
+    assert told["allowed"] == f"an installation with trimesh: {remedy}"

@@ -16,7 +16,7 @@ from urllib.parse import SplitResult, urlsplit
 import dask
 from distributed import Client, LocalCluster, Nanny, Security
 
-from ..errors import BadInput, Missing, TryLater
+from ..errors import BadInput, Missing, TryLater, why_broken
 from .ahead import Value
 from .heap import ALLOCATION
 
@@ -196,9 +196,9 @@ def slurm(jobs: int | None) -> Iterator[Client]:
     """
     try:
         from dask_jobqueue import SLURMCluster
-    except ImportError:
-        field = "--scheduler slurm"
-        raise Missing("workers of Slurm", "dask-jobqueue", "slurm", field=field) from None
+    except ImportError as error:
+        field, broken = "--scheduler slurm", why_broken(error, "dask_jobqueue")
+        raise Missing("workers of Slurm", "dask-jobqueue", "slurm", "", field, broken) from None
     folder = Path(os.environ.get("NIGHTGLASS_SLURM_FOLDER") or Path.home() / ".nightglass-slurm")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     try:

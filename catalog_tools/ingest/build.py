@@ -1,4 +1,4 @@
-"""From sources to a published catalogue in passes that can be cut off anywhere and gone on with.
+"""From sources to a published catalogue in passes that can be cut off anywhere and continued.
 
 Pass 1 reads batches of sources into sorted pieces (`batches`). From their counts leaves are
 chosen, and repeated source_ids are found (`duplicates`). Pass 2 writes the leaves, one marker

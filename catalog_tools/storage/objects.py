@@ -9,7 +9,7 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
 
-from ..errors import BadInput, Missing
+from ..errors import BadInput, Missing, why_broken
 from .stores import Unreachable, reason_of, without_secrets
 
 if TYPE_CHECKING:
@@ -142,6 +142,7 @@ def open_objects(url: str, field: str = "-o") -> Objects:
         raise BadInput(field, without_secrets(url), allowed)
     try:
         _files()
-    except ImportError:
-        raise Missing("s3:// URLs", "s3fs", "remote", "name a folder", field) from None
+    except ImportError as error:
+        broken = why_broken(error, "s3fs")
+        raise Missing("s3:// URLs", "s3fs", "remote", "name a folder", field, broken) from None
     return Objects(f"{SCHEME}://{parts.netloc}/{'/'.join(steps)}")

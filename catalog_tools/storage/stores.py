@@ -13,7 +13,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BadInput, Missing
+from ..errors import BadInput, Missing, why_broken
 
 Range = tuple[int, int]  # offset, length
 Bytes = NDArray[np.uint8]
@@ -176,7 +176,8 @@ def open_store(path: str | os.PathLike[str], field: str = "catalogue") -> Store:
         _filesystem(root)
     except ImportError as error:
         if package := PACKAGES.get(parts.scheme):
-            raise Missing(f"{parts.scheme}:// URLs", package, "remote", field=field) from None
+            what, broken = f"{parts.scheme}:// URLs", why_broken(error, package)
+            raise Missing(what, package, "remote", "", field, broken) from None
         raise BadInput(field, root, f"a URL whose packages are installed ({error})") from None
     except ValueError as error:
         raise BadInput(field, root, f"a path, or a URL that fsspec knows ({error})") from None

@@ -6,6 +6,8 @@ import json
 import re
 from typing import Any
 
+from pipeline.spec.keys import in_docstring
+
 SCENE_HEAD = """# The scene file
 
 Every field of a scene, made from the format itself (`nightglass schema` prints it as JSON Schema).
@@ -32,15 +34,14 @@ Made from `nightglass --help`. All take `--help`.
 | exit code | meaning |
 | --- | --- |
 | 0 | done |
-| 1 | internal fault; of `selftest`, a case failed; of a server, a fault of its own |
+| 1 | internal fault; of `selftest`, a failed case; of a server, its fault, or a job that failed |
 | 2 | bad input, or a damaged file; of a server, a request that it refuses |
-| 3 | incomplete, or the disk is full: `--resume` goes on |
+| 3 | incomplete, or the disk is full: `--resume` continues; of `check`, the product is not whole |
 | 4 | try again later: a scheduler, database or server does not answer, or a lock is held |
 | 5 | the product is finished, but its error is, or may be, larger than its plan stated |
 | 130 | interrupted |
 """
 
-KEY = re.compile(r"(?:^|(?<=\W))((?:[a-z]\w*, )*[a-z]\w*) : ")  # `key : ` and `one, other : `
 Models = dict[str, Any]
 
 
@@ -108,7 +109,8 @@ def _order(models: Models) -> list[str]:
 
 def _section(name: str, model: dict[str, Any], places: dict[str, str]) -> str:
     fields = model.get("properties", {})
-    prose, keys, values = _parts(model.get("description") or "", fields)
+    prose, said = in_docstring(model.get("description") or "")
+    values = {word: text for word, text in said.items() if word not in fields}
     lines = [f"## {name}", "", *(line for p in prose for line in (_escaped(p), ""))]
     if values:
         lines += [*(f"- `{word}`: {_escaped(text)}" for word, text in values.items()), ""]
@@ -119,31 +121,8 @@ def _section(name: str, model: dict[str, Any], places: dict[str, str]) -> str:
     for key, field in fields.items():
         default = "*required*" if key in required else _default(field)
         about = " ".join((field.get("description") or "").split())
-        longer = keys.get(key, "")
-        if longer and longer not in about:
-            about = f"{longer}; {about}" if about else longer
         lines.append(f"| `{key}` | {_type(field, places)} | {default} | {_escaped(about)} |")
     return "\n".join([*lines, ""])
-
-
-def _parts(
-    description: str, fields: dict[str, Any]
-) -> tuple[list[str], dict[str, str], dict[str, str]]:
-    """Paragraphs of a docstring, what it says of keys, and of other words (values of a key).
-
-    `key : text` reaches to the next key or the end of its paragraph.
-    """
-    prose, keys, values = [], {}, {}
-    for paragraph in re.split(r"\n\s*\n", description):
-        text = " ".join(paragraph.split())
-        first, *rest = KEY.split(text)
-        if first.strip():
-            prose.append(first.strip())
-        for names, about in zip(rest[::2], rest[1::2], strict=True):
-            said = re.sub(r";? or$", "", about.strip()).rstrip(" ;.")
-            for name in names.split(", "):
-                (keys if name in fields else values)[name] = said
-    return prose, keys, values
 
 
 def _default(field: dict[str, Any]) -> str:

@@ -70,8 +70,8 @@ def _pictures(tables: dict[str, pa.Table], gaps: dict[str, NDArray[np.int64]]) -
     """Sky coverage, gap times, time line and smallest size, as one PNG inside the page."""
     try:
         figure = blank_figure((12.0, 9.0), layout="constrained")
-    except Missing:
-        return "<p>Pictures need matplotlib: <code>pip install 'nightglass[report]'</code>.</p>"
+    except Missing as missing:
+        return f"<p>No pictures: {html.escape(str(missing))}</p>"
     _draw_sky(figure.add_subplot(2, 2, 1, projection="mollweide"), tables[COVERAGE])
     _draw_gaps(figure.add_subplot(2, 2, 2), gaps, float(len(tables[HOURS])))
     _draw_hours(figure.add_subplot(2, 2, 3), tables[HOURS])

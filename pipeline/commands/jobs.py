@@ -139,7 +139,7 @@ def cancel(job: JobId, server: Address) -> None:
 
 @jobs.command()
 def retry(job: JobId, server: Address) -> None:
-    """Run a job again that failed for lack of a resource; it continues from its tiles."""
+    """Run a job again that ended as ERROR, not by its scene; it continues from its tiles."""
     with connect(server) as client:
         print(client.job(job).retry())
 

@@ -17,7 +17,7 @@ ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="
 
 
 def check(product: ProductOrUrl, as_json: Json = False) -> None:
-    """Verify a product whole: markers, chunk checksums, tables. Exit 3 if it is not complete."""
+    """Verify a product: markers, chunk checksums, tables. Exit 3 if it is not whole."""
     verdict = verify(product)
     if as_json:
         print_json(verdict.__dict__ | {"whole": verdict.whole})

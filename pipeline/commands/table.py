@@ -12,7 +12,7 @@ COMMANDS: Table = {
     ),
     "check": (
         "product:check",
-        "Verify a product whole: markers, chunk checksums, tables. Exit 3 if it is not complete.",
+        "Verify a product: markers, chunk checksums, tables. Exit 3 if it is not whole.",
     ),
     "info": (
         "product:info",

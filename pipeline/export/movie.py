@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pipeline.errors import BadInput, Missing
+from pipeline.errors import BadInput, Missing, why_broken
 from pipeline.export.picture import GreyLimits, limits_of, shrink, stretch
 from pipeline.store.cube import read_layer
 
@@ -73,8 +73,9 @@ def encoder() -> Callable[..., Generator[None, object, None]]:
     """imageio-ffmpeg's writer; Missing where there is none, BadInput where it finds no ffmpeg."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe, write_frames
-    except ImportError:
-        raise Missing("MP4 movies", "imageio-ffmpeg", "movie", "use --to gif", "--to") from None
+    except ImportError as error:
+        broken, instead = why_broken(error, "imageio_ffmpeg"), "use --to gif"
+        raise Missing("MP4 movies", "imageio-ffmpeg", "movie", instead, "--to", broken) from None
     try:
         get_ffmpeg_exe()
     except RuntimeError:

@@ -77,7 +77,7 @@ def render(
         product and returns its report; before that `complete` is false.
     Raises BadInput for a scene or path that cannot be used, Damaged for a damaged catalogue,
     Incomplete where work stopped before everything was done (what is done is kept) or the store is
-    not reached any more, DiskFull where that was for want of room, TryLater where another render
+    not reached any more, DiskFull where there was no room, TryLater where another render
     is writing the product.
     """
     options, started = options or Options(), time.perf_counter()

@@ -27,8 +27,8 @@ DESCRIPTIONS = {
     "frame": "axes of the places in the file", "source": "where the values come from",
     # optics and detector
     "noll": "Noll's number of the Zernike term; 4 is defocus",
-    "rms_nm": "rms of the term over the pupil [nm]",
-    "rms_waves": "rms of the term over the pupil [waves]",
+    "rms_nm": "coefficient of the term, with its sign: rms over the pupil [nm]",
+    "rms_waves": "coefficient of the term, with its sign: rms over the pupil [waves]",
     "vanes": "vanes that hold the secondary mirror",
     "aberrations": "Zernike terms of the wavefront error", "Vanes.count": "number of vanes",
     "width_m": "width of each vane [m]", "short_nm": "shortest wavelength [nm]",
@@ -78,13 +78,12 @@ DESCRIPTIONS = {
     "roll_deg": "position angle of +y, from north through east [deg]",
     "acceleration_ra_arcsec_s2": "acceleration towards the east, on the sky [arcsec/s^2]",
     "acceleration_dec_arcsec_s2": "acceleration towards the north [arcsec/s^2]",
-    "azimuth_deg": "azimuth of the direction held, from north through east [deg]",
-    "elevation_deg": "elevation of the direction held [deg]",
+    "azimuth_deg": "azimuth [deg]: at a site from north through east, on an orbit from the "
+    "direction of flight to the right",
+    "elevation_deg": "elevation above the horizon, or an orbit's local horizontal [deg]",
     "target": "name of the target that is followed",
     "interpolation": "how attitudes between the rows are found",
-    "drift": "steady rotation of the camera",
-    "jitter": "random motion given by its power spectra",
-    "modes": "random motion given by linear systems", "axis": "axis of the motion or rotation",
+    "axis": "axis of the motion or rotation",
     "time_constant_s": "time in which the correlation falls to 1/e [s]",
     "rms_arcsec": "rms of the angle [arcsec]", "rms_arcsec_s": "rms of the rate [arcsec/s]",
     "frequency_hz": "frequency of the undamped motion [Hz]",
@@ -112,6 +111,8 @@ DESCRIPTIONS = {
     "FixedObserver.velocity_m_s": "barycentric velocity, ICRS axes [m/s]",
     "orbit": "orbit: elements, a state, an ephemeris or a table",
     "epoch": "UTC that the values hold for; default: the scene's epoch",
+    "LightCurveBody.epoch": "zero of times_s, UTC; default: the scene's epoch",
+    "TableAttitude.epoch": "zero of times_s, UTC; default: the scene's epoch",
     "MeanElements.epoch": "epoch of the elements, UTC",
     "TableOrbit.epoch": "zero of the times, UTC",
     "semi_major_axis_m": "semi-major axis [m]; negative for a hyperbola",
@@ -135,19 +136,19 @@ DESCRIPTIONS = {
     "Population.name": "name of the population; its targets' names begin with it",
     "rules": "sizes by words in the objects' names", "sizes": "CSV table of sizes and albedos",
     "screened": "what was found in the file when it was read (written by the program)",
-    "name_contains": "words looked for in the name",
+    "name_contains": "text that the object's name contains, whatever its case",
+    "PriorityRule.name_contains": "text that the object's name contains, whatever its case; "
+    "without this and numbers the rule is for all objects",
     "SizeRule.diameter_m": "diameter of the sphere [m]",
-    "dwell_s": "time span of the scene that was searched [s]",
     "attitude": "attitude law: how the body is oriented in space",
     "size_m": "edges along x, y and z [m]", "parts": "shapes that the body is made of",
     "MeshBody.parts": "meshes that move relative to the body",
     "diameter_m": "diameter [m]", "length_m": "length along z [m]",
-    "closed": "whether the ends are closed; false: they are open",
+    "ConeBody.closed": "whether the base at -z has a lid",
+    "FrustumBody.closed": "ends with a lid: base at -z, top at +z",
     "edge_m": "edge [m]", "base_diameter_m": "diameter at -z [m]",
     "top_diameter_m": "diameter at +z [m]", "area_m2": "area of one side [m^2]",
     "two_sided": "whether both sides reflect; false: the back is black",
-    "surface": "reflectance model of the surface",
-    "materials": "surfaces by the names of materials in the file",
     "MeshPart.name": "name by which other parts refer to this one",
     "joint": "joint about which the part turns; absent: rigid",
     "pivot_m": "a point on the axis [m]", "rate_deg_s": "rate, right-handed [deg/s]",
@@ -161,15 +162,11 @@ DESCRIPTIONS = {
     "albedo": "fraction of the light that is reflected", "diffuse": "albedo of the matt base",
     "specular": "fraction of the light that the gloss reflects",
     "exponent": "exponent of the gloss; larger is sharper",
-    "refractive_index": "complex refractive index (n, k)",
-    "normal_reflectance": "reflectance at normal incidence (Schlick's formula)",
     # sky
     "stray_light": "stray light of Sun, Moon and Earth; absent: none",
     "pst": "point-source transmittance: irradiance at the focal plane over that at the aperture",
     "sun": "whether the Sun's light is drawn", "moon": "whether the Moon's light is drawn",
-    "Lighting.moon": "whether the Moon eclipses the Sun",
     "ozone_dobson": "column of ozone [Dobson units]",
-    "aerosol_slope": "exponent by which aerosol extinction falls with wavelength",
     "pressure_hpa": "pressure at the site [hPa]", "temperature_c": "temperature at the site [C]",
     "b0_per_sr": "b0, scatter at small angles [1/sr]", "mirrors": "number of mirrors, N",
     "space_motion": "whether stars move to the epoch",
@@ -183,7 +180,8 @@ DESCRIPTIONS = {
     "metrics": "what is measured at each point", "detection": "matched filter of the detection",
     "threshold_sigma": "least signal-to-noise ratio of a detection",
     "search_px": "radius about the true place within which a detection counts [px]",
-    "field": "dotted key of the scene", "fields": "dotted keys of the scene",
+    "field": "dotted key of the scene, or of the study",
+    "fields": "dotted keys of the scene, or of the study",
     "values": "values, taken in turn", "TableAxis.rows": "rows of a value for each field",
     "points": "number of points of the design", "QuasiRandom.seed": "seed of the design",
     "start": "first value", "stop": "last value",
@@ -193,7 +191,8 @@ DESCRIPTIONS = {
     "catalogue": "objects that are looked for",
     "tasking": "cued (sensors are sent to objects) or serendipitous (patterns of fields)",
     "CuedTasking.revisit_h": "time after which an object is wanted again [h]",
-    "PriorityRule.revisit_h": "the same for the objects of this rule [h]",
+    "PriorityRule.revisit_h": "time after which the rule's objects are wanted again [h]; default: "
+    "the tasking's revisit_h",
     "numbers": "catalogue numbers of the objects",
     "lowest_elevation_deg": "lowest elevation at a site, as refracted [deg]",
     "highest_elevation_deg": "highest elevation at a site, as refracted [deg]",
@@ -205,11 +204,14 @@ DESCRIPTIONS = {
     "clear_fraction": "fraction of the hours in which the sky of a site is clear",
     "weather_h": "length of clear and of cloudy spells, drawn by the seed [h]",
     "synthetic": "made-up objects", "objects": "number of objects",
-    "MeshPart.objects": "objects of the file that belong to the part; default: all",
+    "Synthetic.seed": "seed of the made-up objects",
+    "StudySensor.observer": "where the sensor is: a site or a satellite",
     "smallest_m": "smallest diameter [m]", "largest_m": "largest diameter [m]",
     "pattern": "fence, belt or strip",
     "SearchPattern.azimuth_deg": "azimuth of a fence, from north through east [deg]",
-    "to_deg": "the other end of the same [deg]",
+    "from_deg": "first elevation of a fence, longitude of a belt, or right ascension of a strip "
+    "from the point opposite the Sun [deg]",
+    "to_deg": "last elevation, longitude or right ascension, likewise [deg]",
     "declination_deg": "declination of a strip [deg]",
     "settle_s": "time to settle after a slew [s]",
     "tracking": "what the camera follows in an exposure: the target or the stars",
@@ -219,9 +221,16 @@ DESCRIPTIONS = {
 }  # fmt: skip
 
 
+KEY = re.compile(r"(?:^|(?<=\W))((?:[a-z]\w*, )*[a-z]\w*) : ")  # `key : ` and `one, other : `
+
+
 def describe(schema: JsonObject, model: type) -> None:
-    """Add a description to each property of a model's JSON Schema that has none."""
-    said = _in_docstring(model.__doc__ or "")
+    """Add a description to each property of a model's JSON Schema that has none: what the docstring
+    of the model says, or of one that it extends; else DESCRIPTIONS."""
+    said: dict[str, str] = {}
+    for one in reversed(model.__mro__):
+        if one.__module__.startswith("pipeline."):
+            said |= in_docstring(one.__doc__ or "")[1]
     for key, field in schema.get("properties", {}).items():
         text = said.get(key)
         text = text or DESCRIPTIONS.get(f"{model.__name__}.{key}") or DESCRIPTIONS.get(key)
@@ -229,12 +238,16 @@ def describe(schema: JsonObject, model: type) -> None:
             field["description"] = text
 
 
-def _in_docstring(text: str) -> dict[str, str]:
-    """What a docstring says of keys: `key : text` and `one, other : text`, up to the next key."""
-    parts = re.split(r"(?:^|(?<=\W))\s*((?:[a-z]\w*, )*[a-z]\w*) : ", " ".join(text.split()))
-    told = zip(parts[1::2], parts[2::2], strict=True)
-    return {
-        key: re.sub(r";? or $", "", what).rstrip(" ;.")
-        for names, what in told
-        for key in names.split(", ")
-    }
+def in_docstring(text: str) -> tuple[list[str], dict[str, str]]:
+    """Paragraphs of a docstring, and what it says of keys: `key : text` and `one, other : text`, up
+    to the next key or the end of the paragraph."""
+    prose: list[str] = []
+    said: dict[str, str] = {}
+    for paragraph in re.split(r"\n\s*\n", text):
+        first, *rest = KEY.split(" ".join(paragraph.split()))
+        if first.strip():
+            prose.append(first.strip())
+        for names, about in zip(rest[::2], rest[1::2], strict=True):
+            cut = re.sub(r";? or$", "", about.strip()).rstrip(" ;.")
+            said |= dict.fromkeys(names.split(", "), cut)
+    return prose, said

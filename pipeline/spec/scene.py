@@ -48,13 +48,14 @@ class Accuracy(Strict):
         that scenes whose detectors differ are drawn alike (sweeps set it)
     flux_fraction : largest relative error of each source's light, summed over the frame; of sources
         off the frame at least those are drawn whose light reaches it at the default
-    check_cells : number of small windows that the reference method draws again, to compare
+    check_cells : number of small windows that the reference method draws again, to compare; 0: no
+        check of the achieved error
     """
 
     noise_fraction: float = Field(0.05, gt=0, le=1)
     flux_fraction: float = Field(1e-3, gt=0, le=0.1)
     noise_floor_e: Annotated[float, Field(gt=0, le=1e12)] | None = None
-    check_cells: int = Field(3, ge=0, le=1000, description="0: no check of the achieved error")
+    check_cells: int = Field(3, ge=0, le=1000)
 
 
 class Exposure(Strict):

@@ -150,7 +150,7 @@ class SearchPattern(Strict):
     kind: Literal["serendipitous"]
     pattern: Literal["fence", "belt", "strip"]
     azimuth_deg: float = Field(180.0, ge=0, le=360)
-    from_deg: float = Field(30.0, ge=-360, le=360, description="elevation, longitude or RA offset")
+    from_deg: float = Field(30.0, ge=-360, le=360)
     to_deg: float = Field(80.0, ge=-360, le=360)
     declination_deg: float = Field(0.0, ge=-90, le=90)
     overlap: float = Field(
@@ -188,14 +188,19 @@ class Study(Strict):
     seed: int = Field(0, ge=0, lt=2**63)
     start: str = Field(max_length=40, description="start of the period, UTC")
     duration_h: float = Field(gt=0, le=24 * 3660)
-    step_s: float = Field(60.0, ge=1, le=600, description="time step of the search for passes [s]")
+    step_s: float = Field(
+        60.0,
+        ge=1,
+        le=600,
+        description="time step at which sights are computed and sensors tasked [s]",
+    )
     cameras: tuple[StudyCamera, ...] = Field(min_length=1, max_length=MOST_SENSORS)
     sensors: tuple[StudySensor, ...] = Field(min_length=1, max_length=MOST_SENSORS)
     catalogue: ObjectCatalogue
     tasking: Annotated[CuedTasking | SearchPattern, Field(discriminator="kind")]
     detection: StudyDetection = StudyDetection()
     custody_h: float = Field(
-        24.0, gt=0, description="time that an object stays in custody after an observation [h]"
+        24.0, gt=0, description="time that an object stays in custody after each detection [h]"
     )
     axes: tuple[Axis, ...] = Field(
         (), max_length=8, description="fields of the study that are varied, and their values"

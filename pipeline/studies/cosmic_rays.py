@@ -178,7 +178,7 @@ def _peak(e_per_um: Array) -> float:
 
 
 def draw_comparison(study: JsonObject, path: Path) -> None:
-    """Write the figure of a comparison (PNG or SVG); BadInput where matplotlib is missing."""
+    """Write the figure of a comparison (PNG or SVG); Missing where matplotlib is not installed."""
     figure = blank_figure((13.5, 8.2), layout="constrained")
     axes = figure.subplots(2, 3)
     events = study["events"]

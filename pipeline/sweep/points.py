@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput, NightglassError
+from pipeline.errors import BadInput
 from pipeline.inputs.sensor.images import read_image
 from pipeline.spec.dotted import NoFieldError, set_dotted
 from pipeline.spec.load import InvalidScene, parse_scene, path_holders, place_paths
@@ -83,31 +82,33 @@ def files_of(course: Course) -> list[list[str]]:
     """Field, name and SHA-256 of the content of all files that the points name, each read once;
     of catalogues that axes name their own digests (the base scene's is elsewhere in the identity).
 
-    Tables of the user's data folder count, too.
+    Tables of the user's data folder count, too. Raises BadInput for a catalogue that is there but
+    cannot be used now, Damaged for a damaged one.
     """
     named = dict.fromkeys((*named_files(course.data, CATALOGUES), *user_data_files()))
-    catalogues: set[tuple[str, str, str]] = set()
+    catalogues: dict[tuple[str, str], None] = {}
     for name, value in _words(course):
         data = copy.deepcopy(course.data)
         set_field(data, name, value)
         place_paths(data, Path(course.base_folder))
         named |= dict.fromkeys(named_files(data, CATALOGUES))
         if any(_concerns(name, field) for field in CATALOGUES):
-            catalogues |= set(_catalogues_in(data))
+            catalogues |= dict.fromkeys(_catalogues_in(data))
     known = {file: file_digest(file) for file in {file for _, file in named}}
-    files = {(field, f.name, known[f]) for field, f in named}
-    return [list(one) for one in sorted(files | catalogues)]
+    found = {(field, f.name, known[f]) for field, f in named}
+    for field, path in catalogues:
+        found.add((field, path.rpartition("/")[2], open_catalogue(path, field=field).digest))
+    return [list(one) for one in sorted(found)]
 
 
-def _catalogues_in(data: JsonObject) -> Iterator[tuple[str, str, str]]:
-    """Field, name and digest of the catalogues that plain data names, but for those that cannot be
-    opened: points that need one of them fail."""
+def _catalogues_in(data: JsonObject) -> Iterator[tuple[str, str]]:
+    """Field and path of the catalogues that plain data names, but for folders that are not there:
+    as with files, points that need one fail."""
     for field, holder, key in path_holders(data):
         paths = holder.get(key) if field in CATALOGUES else None
         for path in paths if isinstance(paths, list) else [paths]:
-            with suppress(NightglassError):
-                if isinstance(path, str):
-                    yield field, path.rpartition("/")[2], open_catalogue(path).digest
+            if isinstance(path, str) and ("://" in path or Path(path).exists()):
+                yield field, path
 
 
 def _words(course: Course) -> Iterator[tuple[str, object]]:

@@ -61,7 +61,7 @@ class TeamStore:
         return self._store.cancel(job_id, self.team, self._caller.actor)
 
     def retry(self, job_id: str) -> Job:
-        """Queue a job again that failed for lack of a resource."""
+        """Queue a job again that ended as ERROR, not by its scene."""
         return self._store.retry(job_id, self.team, self._caller.actor)
 
     def delete(self, job_id: str) -> None:

@@ -148,7 +148,7 @@ class JobStore:
             return self._one(db, job_id)
 
     def retry(self, job_id: str, team: str | None = None, actor: str = LOCAL) -> Job:
-        """Queue a job again that failed for lack of a resource; what it has drawn is kept."""
+        """Queue a job again that ended as ERROR, not by its scene; what it has drawn is kept."""
         with writing(self.engine) as db:
             job = self._one(db, job_id, team)
             if not can_be_retried(job):

@@ -89,7 +89,7 @@ def _may_come(kind: str, error: sa.exc.DBAPIError, reason: str) -> bool:
 
 
 def _no_room(path: str, reason: str) -> bool:
-    """Whether a database of SQLite could not be opened for want of room, which it says or hides."""
+    """Whether a database of SQLite could not be opened for lack of room, which it says or hides."""
     if "unable to open" in reason:  # it, or a file beside it
         try:
             with tempfile.TemporaryFile(dir=Path(path).parent) as probe:

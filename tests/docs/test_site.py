@@ -95,11 +95,14 @@ def test_every_key_is_described():
     from pipeline.spec.keys import DESCRIPTIONS
 
     keys: set[str] = set()
+    texts: set[str] = set()
     for name, model in [pair for _, models in _formats() for pair in models.items()]:
         for key, field in model.get("properties", {}).items():
             assert len(field.get("description", "")) > 1, f"{name}.{key}"
             keys |= {key, f"{name}.{key}"}
+            texts.add(field["description"])
     assert set(DESCRIPTIONS) <= keys
+    assert set(DESCRIPTIONS.values()) <= texts  # none that a field's own text hides
 
 
 def test_every_command_is_described(site):

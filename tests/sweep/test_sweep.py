@@ -225,6 +225,9 @@ def test_a_sweep_goes_on_with_the_catalogues_that_its_axes_name(sweep_file, tmp_
     assert (report["points"], report["failed"]) == (3, 1)
     again = Options("synchronous", resume=True)
     assert sweep(path, tmp_path / "out", again) == report
+    (other / "nightglass.json").rename(other / "away")
+    with pytest.raises(BadInput, match=r"stars\.catalogue"):
+        sweep(path, tmp_path / "out", again)  # there, but no catalogue: not passed over
     shutil.rmtree(other)
     rows = "source_id,ref_epoch,ra,dec,phot_g_mean_mag\n1,2015.5,160.0,20.0,12.0\n"
     (tmp_path / "one.csv").write_text(rows)

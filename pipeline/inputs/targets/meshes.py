@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog_tools.documents import Arguments, JsonObject
-from pipeline.errors import BadInput, Missing
+from pipeline.errors import BadInput, Missing, why_broken
 from pipeline.inputs.targets.mesh_surfaces import Palette
 from pipeline.physics.meshes.facets import Facets, is_convex
 from pipeline.physics.meshes.model import Joint, MeshModel, RigidPart
@@ -265,8 +265,9 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
         raise BadInput(field, f"{name} of {told} facets", f"at most {MOST_FACETS} facets")
     try:
         import trimesh
-    except ImportError:
-        raise Missing("meshes", "trimesh", "mesh", field=field) from None
+    except ImportError as error:
+        broken = why_broken(error, "trimesh")
+        raise Missing("meshes", "trimesh", "mesh", field=field, broken=broken) from None
     options: Arguments = {}
     if kind == "obj":
         raw, options = _with_materials(raw)

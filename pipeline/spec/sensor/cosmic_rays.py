@@ -20,7 +20,6 @@ class GeneratedCosmicRays(Strict):
 
     source : `space`, an isotropic flux with 9% helium; `ground`, muons about the zenith (cos^2),
         for a detector that faces it
-    rate_per_cm2_s : events per square centimetre of detector and second
     """
 
     kind: Literal["generated"]

@@ -47,12 +47,10 @@ class Oriented(Strict):
     """What all attitude laws share.
 
     quaternion : (w, x, y, z), scalar first, of any length: turns the body's axes into those of
-    the law (default: they are the same)
+        the law; default: they are the same
     """
 
-    quaternion: Quaternion = Field(
-        UPRIGHT, description="(w, x, y, z) of the body in the law's frame; default: along it"
-    )
+    quaternion: Quaternion = UPRIGHT
 
     @field_validator("quaternion")
     @classmethod

@@ -78,8 +78,8 @@ class CookTorranceSurface(MeshSurface):
 class AshikhminShirleySurface(MeshSurface):
     """Glossy or brushed over a matt base (solar cells, brushed metal).
 
-    exponent_u, exponent_v : sharpness along the grain and across it; grain : a direction in the
-    part's frame, laid onto each facet
+    exponent_u : exponent along the grain; larger is sharper; grain : a direction in the part's
+    frame, laid onto each facet
     """
 
     kind: Literal["ashikhmin_shirley"]
@@ -161,8 +161,9 @@ Jointed = Annotated[FixedJoint | SpinJoint | SunTrackingJoint, Field(discriminat
 class Meshed(Strict):
     """A file and what its surfaces reflect.
 
-    surface : of all facets whose material is not in `materials`, which goes by the file's names;
-        colours and gloss that a file gives are for display and not used
+    surface : reflectance of all facets whose material is not in `materials`
+    materials : reflectances by the file's names of materials; colours and gloss that a file gives
+        are for display and not used
     """
 
     surface: Reflecting | None = None
@@ -177,7 +178,8 @@ class MeshPart(Meshed):
     on : name of the part (an earlier one) that carries it; default: the body
     place_m : origin of its frame, in the carrier's [m]; quaternion : (w, x, y, z), turns its axes
     into the carrier's
-    surface : default: the body's; materials : surfaces by the file's names; default: the body's
+    surface : default: the body's; materials : reflectances by the file's names of materials;
+    default: the body's
     """
 
     name: Name

@@ -34,7 +34,7 @@ LEAST_ERROR = 1e-10  # points below stand on the lower edge, pointed at by their
 def draw_figure(study: JsonObject, path: Path) -> None:
     """Write the figure of a study (PNG or SVG, by the name's ending).
 
-    Raises BadInput where matplotlib is not installed.
+    Raises Missing where matplotlib is not installed.
     """
     rows = [r for r in study["records"] if not r["curved"] and r["engine"] != "tiles"]
     psfs = list(dict.fromkeys(r["psf"] for r in rows))

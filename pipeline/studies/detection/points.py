@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import Missing
+from pipeline.errors import Missing, why_broken
 
 Array = NDArray[np.float64]
 
@@ -67,6 +67,7 @@ def find_points(image: Array, noise: float, threshold_sigma: float) -> Detection
 def _sep():
     try:
         import sep
-    except ImportError:
-        raise Missing("finders of sources", "sep", "detection") from None
+    except ImportError as error:
+        broken = why_broken(error, "sep")
+        raise Missing("finders of sources", "sep", "detection", broken=broken) from None
     return sep
