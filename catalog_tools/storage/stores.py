@@ -175,15 +175,21 @@ def open_store(path: str | os.PathLike[str], field: str = "catalogue") -> Store:
     try:
         _filesystem(root)
     except ImportError as error:
-        if package := PACKAGES.get(parts.scheme):
-            what, broken = f"{parts.scheme}:// URLs", why_broken(error, package)
-            raise Missing(what, package, "remote", "", field, broken) from None
-        raise BadInput(field, root, f"a URL whose packages are installed ({error})") from None
+        raise _without_package(parts.scheme, root, field, error) from None
     except ValueError as error:
         raise BadInput(field, root, f"a path, or a URL that fsspec knows ({error})") from None
     except Exception as error:  # each protocol checks its configuration in its own way
         raise BadInput(field, root, f"a place that can be read ({reason_of(error)})") from None
     return RemoteStore(root)
+
+
+def _without_package(scheme: str, root: str, field: str, error: ImportError) -> BadInput:
+    """What is said where the package of a protocol cannot be imported."""
+    package = PACKAGES.get(scheme)
+    if package is None:
+        return BadInput(field, root, f"a URL whose packages are installed ({error})")
+    broken = why_broken(error, package)
+    return Missing(f"{scheme}:// URLs", package, "remote", field=field, broken=broken)
 
 
 def joined(ranges: Sequence[Range], gap: int) -> list[Range]:
