@@ -54,7 +54,8 @@ def measure(side: int, stars: int) -> dict[str, Any]:
 
         def frame(k: int) -> None:
             placed = sources.place_stars(plan, table, g, 2015.5)
-            writer.write(k, whole, *tile.render_tile(plan, maps, g, whole, [placed], []))
+            lit = tile.TileSources([placed], [])
+            writer.write(k, whole, *tile.render_tile(plan, maps, g, whole, lit))
 
         frame(0)
         spent.clear()

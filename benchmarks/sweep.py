@@ -51,7 +51,7 @@ def sweep_data(catalogue: Path, side: int, points: int) -> dict[str, Any]:
 
 def measure(folder: Path, catalogue: Path, side: int, points: int) -> dict[str, Any]:
     """CPU seconds of one sky, of all chains, and of the sweep; their ratio."""
-    from pipeline.execute.tile import render_tile
+    from pipeline.execute.tile import TileSources, render_tile
     from pipeline.route.run import Options
     from pipeline.sweep.points import scene_of, with_floor
     from pipeline.sweep.run import gather_course, sweep
@@ -79,9 +79,9 @@ def measure(folder: Path, catalogue: Path, side: int, points: int) -> dict[str, 
     def chains() -> None:
         for plan, maps in plans:
             for tile, light in tiles:
-                render_tile(plan, maps, g, tile, [], [], None, (), light)
+                render_tile(plan, maps, g, tile, TileSources([], [], None, light))
 
-    render_tile(*plans[0], g, tiles[0][0], [], [], None, (), tiles[0][1])
+    render_tile(*plans[0], g, tiles[0][0], TileSources([], [], None, tiles[0][1]))
     _, chains_s = cpu_s(chains)
     report, sweep_s = cpu_s(lambda: sweep(path, folder / "out", Options("synchronous")))
     assert report["failed"] == 0

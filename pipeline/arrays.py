@@ -117,6 +117,11 @@ class Geometry:
     def middle(self) -> int:
         return self.nodes // 2
 
+    def observer_at(self, frame: int, node: int) -> tuple[Array, Array, Array]:
+        """Position [m] and velocity [m/s] of the observer and the Sun's position [m], each (3,)
+        barycentric, at one node of one frame (by index)."""
+        return self.observer_m[frame, node], self.observer_m_s[frame, node], self.sun_m[frame, node]
+
     def air_at(self, frame: int, node: int) -> Array | None:
         """The air (5,) at one node of one frame (by index); None without."""
         return self.air[frame, node] if self.has_air else None

@@ -14,7 +14,7 @@ from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps, StarTable, 
 from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.coordinates import frame_coordinates
 from pipeline.execute.sources import excursion_px, place_stars, truth_order
-from pipeline.execute.tile import StarLight, charge_of_tile, render_tile, star_light
+from pipeline.execute.tile import StarLight, TileSources, charge_of_tile, render_tile, star_light
 from pipeline.execute.truth import star_truth, target_truth
 from pipeline.inputs.stars.stars import Catalogue, Shard, gather_leaf, leaf_pad_rad
 from pipeline.lazily import arrow
@@ -291,17 +291,8 @@ def tile_task(
     before: list[Array],
 ) -> tuple[int, int, int]:
     """Task: render one tile of one frame and store it; returns only its name."""
-    layers, checks = render_tile(
-        inputs.plan,
-        inputs.maps,
-        g,
-        tile,
-        parts,
-        blocks,
-        inputs.rays,
-        before,
-        shared=next(iter(shared), None),
-    )
+    sources = TileSources(parts, blocks, inputs.rays, shared=next(iter(shared), None))
+    layers, checks = render_tile(inputs.plan, inputs.maps, g, tile, sources, before)
     first = (tile.row, tile.column) == (0, 0)
     coordinates = frame_coordinates(inputs.plan, g) if first else None
     inputs.writer.write(int(g.frame[0]), tile, layers, checks, coordinates)
@@ -317,16 +308,8 @@ def charge_task(
     shared: list[StarLight],
 ) -> Array:
     """Task: what a tile of one frame collects, for the frames after in which a share is left."""
-    return charge_of_tile(
-        inputs.plan,
-        inputs.maps,
-        g,
-        tile,
-        parts,
-        blocks,
-        inputs.rays,
-        shared=next(iter(shared), None),
-    )
+    sources = TileSources(parts, blocks, inputs.rays, shared=next(iter(shared), None))
+    return charge_of_tile(inputs.plan, inputs.maps, g, tile, sources)
 
 
 def star_truth_task(inputs: Inputs, g: Geometry, parts: list[FrameStars]) -> int:

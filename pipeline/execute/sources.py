@@ -57,7 +57,7 @@ def place_stars(
     """
     request, middle = plan.scene.stars, g.middle
     assert request is not None
-    observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
+    observer = g.observer_at(0, middle)
     astrometric = star_astrometric(
         stars.ra_rad,
         stars.dec_rad,
@@ -124,7 +124,7 @@ def setting_stars(plan: ResolvedScene, g: Geometry, stars: FrameStars) -> list[F
 def _setting_star(plan: ResolvedScene, g: Geometry, stars: FrameStars, index: int) -> FrameTarget:
     """One of them, worked out alone, so that it is the same whatever others a tile sees."""
     effects, middle = plan.scene.star_effects, g.middle
-    observer = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
+    observer = g.observer_at(0, middle)
     star = select(stars, [index])
     proper = star_proper(
         from_angles(star.ra_rad, star.dec_rad),

@@ -32,17 +32,35 @@ if TYPE_CHECKING:
     from pipeline.physics.cosmic_rays.frame import CosmicRays
 
 
+class StarLight(NamedTuple):
+    """The light of a tile's stars [e-], drawn once for several frames; what its wings err by."""
+
+    light_e: Array
+    wing_error_e: float
+
+
+class TileSources(NamedTuple):
+    """What lights a tile in a frame, and what of that is known already.
+
+    parts : places of the frame's stars, by shard; blocks : those over the tile; rays : cosmic rays;
+    light_e : what `tile_light` gave for this tile; shared : its stars' light where an earlier
+    frame's serves, `blocks` are then those of targets
+    """
+
+    parts: list[FrameStars]
+    blocks: list[LightBlock]
+    rays: CosmicRays | None = None
+    light_e: dict[str, Array] | None = None
+    shared: StarLight | None = None
+
+
 def render_tile(
     plan: Plan,
     maps: SensorMaps,
     g: Geometry,
     tile: Tile,
-    parts: list[FrameStars],
-    blocks: list[LightBlock],
-    rays: CosmicRays | None = None,
+    sources: TileSources,
     before: Sequence[Array] = (),
-    light_e: dict[str, Array] | None = None,
-    shared: StarLight | None = None,
 ) -> tuple[dict[str, NDArray], list[JsonObject]]:
     """The layers of a tile that the scene asks for, and what the reference path found in it.
 
@@ -50,14 +68,9 @@ def render_tile(
     collect (after the flat, with smear), so that with the dark and the lag they sum to `mean_e`,
     the mean of the noisy frame before full well and ADC. `cosmic_rays_e` is drawn charge and not
     in it. before : `charge_of_tile` of the frames before, where charge stays behind.
-    light_e : what `tile_light` gave for this tile, where that is known already.
-    shared : of its stars, where an earlier frame's serves; `blocks` are then those of targets.
     """
-    exposed_s = plan.integration_s(int(g.frame[0]))
-    chain = tile_chain(plan.scene, maps, tile, exposed_s)
-    light = light_with(plan, g, tile, parts, blocks, shared) if light_e is None else light_e
-    layers, own = _mean(plan, g, tile, chain, light, _wing_error_e(blocks, shared))
-    drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
+    found = _collected(plan, maps, g, tile, sources)
+    layers, chain, own, drawn = found.layers, found.chain, found.mean_e, found.drawn_e
     if drawn is not None:
         layers["cosmic_rays_e"] = drawn
     mean = read_mean_e(own, before, chain)
@@ -71,28 +84,40 @@ def render_tile(
         elif name != "dn":
             value = mean if name == "mean_e" else layers.get(name, np.zeros(mean.shape))
             out[name] = value.astype(np.float32)
-    sources = [image for name, image in light.items() if name in ("stars_e", "targets_e")]
-    return out, check_tile(plan, g, tile, parts, sources, lambda part: noise_e(mean, chain, part))
+    images = [image for name, image in found.light_e.items() if name in ("stars_e", "targets_e")]
+    return out, check_tile(
+        plan, g, tile, sources.parts, images, lambda part: noise_e(mean, chain, part)
+    )
 
 
 def charge_of_tile(
-    plan: Plan,
-    maps: SensorMaps,
-    g: Geometry,
-    tile: Tile,
-    parts: list[FrameStars],
-    blocks: list[LightBlock],
-    rays: CosmicRays | None = None,
-    light_e: dict[str, Array] | None = None,
-    shared: StarLight | None = None,
+    plan: Plan, maps: SensorMaps, g: Geometry, tile: Tile, sources: TileSources
 ) -> Array:
     """What the pixels of a tile collect in one frame [e-]: of it a share is left for the next."""
-    exposed_s = plan.integration_s(int(g.frame[0]))
-    chain = tile_chain(plan.scene, maps, tile, exposed_s)
-    light = light_with(plan, g, tile, parts, blocks, shared) if light_e is None else light_e
-    _, mean = _mean(plan, g, tile, chain, light, _wing_error_e(blocks, shared))
+    found = _collected(plan, maps, g, tile, sources)
+    return held_e(found.mean_e, found.drawn_e, found.chain)
+
+
+class _Collected(NamedTuple):
+    """What a tile collects: its detector's terms, light and layers by name, mean, rays' charge."""
+
+    chain: Chain
+    light_e: dict[str, Array]
+    layers: dict[str, Array]
+    mean_e: Array
+    drawn_e: Array | None
+
+
+def _collected(
+    plan: Plan, maps: SensorMaps, g: Geometry, tile: Tile, sources: TileSources
+) -> _Collected:
+    parts, blocks, rays, light, shared = sources
+    chain = tile_chain(plan.scene, maps, tile, plan.integration_s(int(g.frame[0])))
+    if light is None:
+        light = light_with(plan, g, tile, parts, blocks, shared)
+    layers, mean = _mean(plan, g, tile, chain, light, _wing_error_e(blocks, shared))
     drawn = None if rays is None else _cosmic_rays_e(plan, rays, chain, g, tile)
-    return held_e(mean, drawn, chain)
+    return _Collected(chain, light, layers, mean, drawn)
 
 
 def _mean(
@@ -115,13 +140,6 @@ def _mean(
 
 
 LIGHTS = ("stars", "targets", "sky")  # in the order in which they are summed
-
-
-class StarLight(NamedTuple):
-    """The light of a tile's stars [e-], drawn once for several frames; what its wings err by."""
-
-    light_e: Array
-    wing_error_e: float
 
 
 def star_light(

@@ -125,10 +125,9 @@ def target_truth(plan: ResolvedScene, g: Geometry, everywhere: bool = True) -> C
     middle, count = g.middle, len(plan.scene.targets)
     drawn = {t.index: t for t in place_targets(plan, g, everywhere)}
     shown = [drawn.get(i) for i in range(count)]
-    seen = (g.observer_m[0, middle], g.observer_m_s[0, middle], g.sun_m[0, middle])
     effects = plan.scene.star_effects
     proper = unrefract(g.target_direction[:, 0], g.air_at(0, middle))
-    direction = proper_to_astrometric(proper, seen[0], seen[1], seen[2], **effects)
+    direction = proper_to_astrometric(proper, g.observer_at(0, middle), **effects)
     ra, dec = to_angles(direction)
     apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
     near, frame = set(reaching(plan, g)), int(g.frame[0])
@@ -299,11 +298,11 @@ def _kept(
 def world_of(plan: ResolvedScene, g: Geometry, index: int = 0) -> Any:
     """Function from pixels (x, y) to astrometric directions (n, 3) of frame `index` of `g`."""
     middle, effects = g.middle, plan.scene.star_effects
-    seen = (g.observer_m[index, middle], g.observer_m_s[index, middle], g.sun_m[index, middle])
+    observer = g.observer_at(index, middle)
 
     def to_world(x_px: Array, y_px: Array) -> Array:
         observed = deproject(plan.camera, g.attitude[index, middle], x_px, y_px)
         proper = unrefract(observed, g.air_at(index, middle))
-        return proper_to_astrometric(proper, seen[0], seen[1], seen[2], **effects)
+        return proper_to_astrometric(proper, observer, **effects)
 
     return to_world

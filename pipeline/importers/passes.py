@@ -104,8 +104,8 @@ def _light(data: JsonObject, magnitude: float, dut1_s: float) -> JsonObject:
 def _held(data: JsonObject, dut1_s: float) -> JsonObject:
     """The sidereal pointing that has the target at its centre at mid-exposure."""
     g = plan_geometry(with_pole(parse_scene(data)), np.zeros(1, np.int64), dut1_s)
-    seen = (v[0, g.middle] for v in (g.observer_m, g.observer_m_s, g.sun_m))
-    ra, dec = to_angles(proper_to_astrometric(g.target_direction[:, 0], *seen))
+    seen = g.observer_at(0, g.middle)
+    ra, dec = to_angles(proper_to_astrometric(g.target_direction[:, 0], seen))
     return {
         "mode": "sidereal",
         "boresight_ra_deg": float(np.degrees(ra[0]) % 360.0),

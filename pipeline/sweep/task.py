@@ -15,7 +15,7 @@ import numpy as np
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.errors import NO_ROOM, DiskFull, NightglassError, shorten
-from pipeline.execute.tile import charge_of_tile, render_tile
+from pipeline.execute.tile import TileSources, charge_of_tile, render_tile
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.route.prepare import prepare
@@ -165,15 +165,18 @@ def _noise(kept: Stages, ready: _Ready, g: Geometry, tile: Tile, light: dict[str
     for earlier in range(max(0, frame - ready.plan.lag_frames), frame):
         then = kept.geometry(ready.base, earlier)
         theirs = kept.light(ready.base, then, tile)
-        before.append(charge_of_tile(ready.plan, ready.maps, then, tile, [], [], rays, theirs))
-    out, _ = render_tile(ready.plan, ready.maps, g, tile, [], [], rays, before, light)
+        before.append(
+            charge_of_tile(ready.plan, ready.maps, then, tile, TileSources([], [], rays, theirs))
+        )
+    sources = TileSources([], [], rays, light)
+    out, _ = render_tile(ready.plan, ready.maps, g, tile, sources, before)
     ready.measured.take(tile, frame, out["dn"], out["mean_e"])
     if ready.writer is None:
         return
     if not set(ready.writer.layers) <= set(out):
         scene = ready.plan.scene.model_copy(update={"output": ready.scene.output})
         plan = replace(ready.plan, scene=scene)
-        out, _ = render_tile(plan, ready.maps, g, tile, [], [], rays, before, light)
+        out, _ = render_tile(plan, ready.maps, g, tile, sources, before)
     ready.writer.write(frame, tile, out)
 
 

@@ -8,7 +8,7 @@ from threading import BoundedSemaphore
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Depends, Query
 from fastapi import Path as InPath
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
@@ -52,20 +52,36 @@ def one(service: Service, job_id: str, frame: Number) -> Response:
     return JSONResponse(_pixels().frame_facts(product, frame))
 
 
+class _Tile:
+    """A tile of a layer of a job's frame, as a request names it."""
+
+    def __init__(
+        self,
+        service: Service,
+        job_id: str,
+        frame: Number,
+        row: Number,
+        column: Number,
+        layer: Annotated[str, Query(max_length=32)] = "dn",
+        bin: Annotated[int, Query(ge=1, le=64, description="pixels binned on each axis")] = 1,
+    ) -> None:
+        self._service, self._job_id = service, job_id
+        self._wanted = frame, row, column, layer, bin
+
+    def values(self) -> Any:
+        """Its values (rows, columns), binned."""
+        product = _begun_product(self._service, self._job_id)
+        return _pixels().tile_values(product, *self._wanted)
+
+
+Tile = Annotated[_Tile, Depends()]
+
+
 @router.get("/frames/{frame}/tiles/{row}/{column}")
-def values(
-    service: Service,
-    job_id: str,
-    frame: Number,
-    row: Number,
-    column: Number,
-    layer: Annotated[str, Query(max_length=32)] = "dn",
-    bin: Annotated[int, Query(ge=1, le=64, description="pixels binned on each axis")] = 1,
-) -> Response:
+def values(tile: Tile) -> Response:
     """A tile's values, little-endian, row by row; X-Shape and X-Type (numpy) tell of them."""
     with reading:
-        product = _begun_product(service, job_id)
-        found = _pixels().tile_values(product, frame, row, column, layer, bin)
+        found = tile.values()
         found = found.astype(found.dtype.newbyteorder("<"), copy=False)
         told = {"X-Shape": "{},{}".format(*found.shape), "X-Type": np.dtype(found.dtype).str}
         return Response(
@@ -75,22 +91,14 @@ def values(
 
 @router.get("/frames/{frame}/tiles/{row}/{column}/picture.png")
 def picture(
-    service: Service,
-    job_id: str,
-    frame: Number,
-    row: Number,
-    column: Number,
-    layer: Annotated[str, Query(max_length=32)] = "dn",
-    bin: Annotated[int, Query(ge=1, le=64)] = 1,
+    tile: Tile,
     stretch: Literal["asinh", "linear", "log"] = "asinh",
     low: Annotated[float | None, Query(description="value drawn black")] = None,
     high: Annotated[float | None, Query(description="value drawn white")] = None,
 ) -> Response:
     """A tile as a picture, row 0 at the bottom; without `low` and `high`, by its percentiles."""
     with reading:
-        product = _begun_product(service, job_id)
-        found = _pixels().tile_values(product, frame, row, column, layer, bin)
-        png = _pixels().tile_picture(found, stretch, low, high)
+        png = _pixels().tile_picture(tile.values(), stretch, low, high)
     return Response(png, media_type="image/png", headers=FOR_GOOD)
 
 

@@ -12,7 +12,7 @@ from pipeline.errors import NightglassError
 from pipeline.execute import light as light_module
 from pipeline.execute.guards import guard_mean, guard_places
 from pipeline.execute.sources import place_stars
-from pipeline.execute.tile import render_tile
+from pipeline.execute.tile import TileSources, render_tile
 from pipeline.physics.drawing import stamps
 from pipeline.plan.tiles import Tile
 from tests.execute.test_engines import SIDE, WHOLE, field, geometry_of, plan_of
@@ -22,7 +22,7 @@ GAUSS = {"kind": "gaussian", "sigma_px": 0.8}
 
 
 def render(plan, stars):
-    return render_tile(plan, MAPS, geometry_of(plan), WHOLE, [stars], [])
+    return render_tile(plan, MAPS, geometry_of(plan), WHOLE, TileSources([stars], []))
 
 
 def stars(light=1e4):
@@ -50,13 +50,13 @@ def test_a_layer_that_is_not_finite_is_named(plan):
     dark[7, 9] = np.nan
     maps = replace(MAPS, dark_e_per_s=dark)
     with pytest.raises(NightglassError, match=r"frame 0.*dark_e_per_s\) is not .* row 7, col"):
-        render_tile(plan, maps, geometry_of(plan), WHOLE, [stars()], [])
+        render_tile(plan, maps, geometry_of(plan), WHOLE, TileSources([stars()], []))
 
 
 def test_a_negative_mean_names_the_layer(plan):
     maps = replace(MAPS, dark_e_per_s=np.full((SIDE, SIDE), -50.0))
     with pytest.raises(NightglassError, match=r"-50 e-, below zero.*lowest is dark_e"):
-        render_tile(plan, maps, geometry_of(plan), WHOLE, [stars()], [])
+        render_tile(plan, maps, geometry_of(plan), WHOLE, TileSources([stars()], []))
 
 
 def test_rounding_below_zero_is_clipped_and_no_more(plan):
@@ -87,7 +87,7 @@ def test_a_part_of_the_frame_holds_a_part_of_the_light(plan):
     many = field(x.ravel(), y.ravel(), np.full(x.size, 1e5))
     part = Tile(0, 0, 16, 32, 40, 24)
     for tile in (WHOLE, part):
-        layers, _ = render_tile(plan, MAPS, geometry_of(plan), tile, [many], [])
+        layers, _ = render_tile(plan, MAPS, geometry_of(plan), tile, TileSources([many], []))
         assert layers["dn"].max() > 1000
 
 

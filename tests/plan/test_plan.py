@@ -271,7 +271,7 @@ def test_cones_hold_stars_that_the_sun_has_moved_into_them(scene: Make, side: fl
         one = unit(np.cross(centre, [0.3, 0.5, 0.8]))
         rim = np.cos(turn) * one + np.sin(turn) * np.cross(centre, one)
         seen = unit(np.cos(radius) * centre + np.sin(radius) * rim)
-        places = proper_to_astrometric(seen, *observer)
+        places = proper_to_astrometric(seen, observer)
         assert (separation(places, centres[0]) <= radii[0]).all()
         bare = unaberrated_caps(centre[None], np.array([radius]), beta[None])
         outside.append((separation(places, bare[0][0]) > bare[1][0]).mean())

@@ -75,8 +75,5 @@ def _directions(scene: Scene, camera: Camera, g: Geometry, index: int) -> Array:
     )
     middle = g.middle
     seen = deproject(camera, g.attitude[index, middle], x_px.ravel(), y_px.ravel())
-    observer_m, observer_m_s = g.observer_m[index, middle], g.observer_m_s[index, middle]
     proper = unrefract(seen, g.air_at(index, middle))
-    return proper_to_astrometric(
-        proper, observer_m, observer_m_s, g.sun_m[index, middle], **scene.star_effects
-    )
+    return proper_to_astrometric(proper, g.observer_at(index, middle), **scene.star_effects)

@@ -168,15 +168,15 @@ def star_proper(
 
 def proper_to_astrometric(
     u_proper: Array,
-    observer_position_m: Array,
-    observer_velocity_m_s: Array,
-    sun_position_m: Array,
+    observer: tuple[Array, Array, Array],
     deflection: bool = True,
     aberration: bool = True,
 ) -> Array:
-    """The inverse of `star_proper` to 1e-14 rad (fixed point, outside the solar disc)."""
-    observer = (observer_position_m, observer_velocity_m_s, sun_position_m)
-    beta = np.asarray(observer_velocity_m_s, float) / SPEED_OF_LIGHT_M_S
+    """The inverse of `star_proper` to 1e-14 rad (fixed point, outside the solar disc).
+
+    observer : its position and velocity and the Sun's position, as `star_proper` takes them
+    """
+    beta = np.asarray(observer[1], float) / SPEED_OF_LIGHT_M_S
     bent = np.array(u_proper, dtype=np.float64)
     if aberration:  # the exact boost, then the small part that `ab` adds to it
         sought = bent

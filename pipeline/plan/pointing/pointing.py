@@ -147,7 +147,7 @@ def _attitudes_of(scene: Scene, plan: DwellPlan, m: Vantage) -> Array:
         proper = m.sights[names.index(p.target)].direction_proper
         astrometric = np.concatenate(
             [
-                proper_to_astrometric(u[None], r, v, s, **effects)
+                proper_to_astrometric(u[None], (r, v, s), **effects)
                 for u, r, v, s in zip(proper, m.position_m, m.velocity_m_s, m.sun_m, strict=True)
             ]
         )

@@ -89,16 +89,10 @@ def _apart_px(plan: ResolvedScene, g: Geometry, own: OwnMotion, a: int, b: int) 
     """Farthest that a star of frame b of a geometry is from its place in frame a, at any node."""
     x, y = field_points(plan.camera)
     middle, effects = g.middle, plan.scene.star_effects
-    sky = proper_to_astrometric(
-        deproject(plan.camera, g.attitude[a, middle], x, y),
-        g.observer_m[a, middle],
-        g.observer_m_s[a, middle],
-        g.sun_m[a, middle],
-        **effects,
-    )
-    seen = star_proper(
-        sky, g.observer_m[b, middle], g.observer_m_s[b, middle], g.sun_m[b, middle], **effects
-    )
+    proper = deproject(plan.camera, g.attitude[a, middle], x, y)
+    sky = proper_to_astrometric(proper, g.observer_at(a, middle), **effects)
+    place_m, velocity_m_s, sun_m = g.observer_at(b, middle)
+    seen = star_proper(sky, place_m, velocity_m_s, sun_m, **effects)
     bx, by = project(plan.camera, g.attitude[b, middle], seen)
     before, after = (
         still_paths(plan.camera, g.frame_slice(k), *at, effects["aberration"])[:, :, 0]

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import erf
 
 from pipeline.errors import BadInput
-from pipeline.execute.tile import render_tile
+from pipeline.execute.tile import TileSources, render_tile
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
@@ -194,6 +194,6 @@ def huge(_: Path) -> CaseResult:
     plan = prepared.plan
     g = plan_geometry(plan.scene, np.array([0]), plan.dut1_s)
     tile = plan.tiles[-1]
-    layers, _checks = render_tile(plan, prepared.maps, g, tile, [], [])
+    layers, _checks = render_tile(plan, prepared.maps, g, tile, TileSources([], []))
     off = float(np.abs(layers["mean_e"] / 3.0 - 1.0).max())
     return CaseResult("3 e-", f"{tile.rows} x {tile.columns} of {len(plan.tiles)} tiles", off)
