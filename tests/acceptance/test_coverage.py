@@ -120,7 +120,7 @@ def test_too_few_rows_to_tell_is_a_remark(tmp_path):
     plan = plan_scene(scene_of(str(tmp_path / "few"), 250.0))
     assert not any("covers" in warning for warning in plan["warnings"])
     assert plan["coverage"]["worst_frame_fraction"] is None
-    assert any("cannot be told" in remark for remark in plan["remarks"])
+    assert any("cannot be found" in remark for remark in plan["remarks"])
 
 
 def test_a_shallower_part_of_the_field_is_remarked(tmp_path):
