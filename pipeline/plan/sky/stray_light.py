@@ -205,7 +205,7 @@ def _check(request: StrayLight, pst: Pst, name: str, nearest: float, farthest: f
 def stray_told(request: StrayLight, ends: list[dict[str, Array]]) -> list[Decision]:
     """What each body gives, and how well it is known; ends : parts in the first and last frame."""
     told = {
-        "sun": "a point; the share of it that the Earth leaves free (uniform disc)",
+        "sun": "a point; the fraction of it that the Earth leaves free (uniform disc)",
         "moon": "a point; phase law of Krisciunas & Schaefer 1991 (8% from Kieffer & Stone 2005 "
         "beyond 10 degrees, up to 35% fainter than a full Moon), their colours",
         "earth": "a Lambertian sphere, integrated over its visible sunlit disc to 1e-4; clouds, "

@@ -179,7 +179,7 @@ def _earthshine_on_meshes(basis: PlanBasis) -> Iterator[Decision]:
         f"{_names(glowing)}: the Earth in ever smaller parts until the light of the body changes "
         f"by less than {0.5 * share:.2g}, at most 1024 parts; its self-shadowing likewise, each of "
         "at most 1024 parts traced (highlights and shadows finer than 1/32 of the Earth's disc "
-        "may be told less well). Straight lines in time, off by at most "
+        "may be resolved less well). Straight lines in time, off by at most "
         "3e-4 of earthshine. A body larger than a point is drawn with the picture that it has in "
         "sunlight, its brightness with earthshine",
         bound=share,
