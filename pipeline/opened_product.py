@@ -221,25 +221,7 @@ class Product:
 
 
 def open_product(path: str | os.PathLike[str]) -> Product:
-    """Open a complete product.
-
-    Parameters
-    ----------
-    path : path
-        Its folder.
-
-    Returns
-    -------
-    Product
-        Nothing of it is read yet.
-
-    Raises
-    ------
-    BadInput
-        Where the path holds no product.
-    Incomplete
-        Where it holds an unfinished one.
-    """
+    """Open a complete product, as `nightglass.open_product` says; nothing of it is read yet."""
     if not isinstance(path, str | os.PathLike):
         raise BadInput("product", path, "a path")
     check_complete(Path(path))

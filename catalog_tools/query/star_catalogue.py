@@ -88,25 +88,7 @@ class StarCatalogue:
 
 
 def open_star_catalogue(path: str | os.PathLike[str]) -> StarCatalogue:
-    """Open a catalogue; no star is read yet.
-
-    Parameters
-    ----------
-    path : path
-        A folder, or a URL (`s3://`, `http://`).
-
-    Returns
-    -------
-    StarCatalogue
-        With `cone` and `facts`.
-
-    Raises
-    ------
-    BadInput
-        Where there is no catalogue of this format, or it cannot be reached.
-    Damaged
-        Where what is read does not match its checksum.
-    """
+    """Open a catalogue at a path or URL, as `nightglass.open_catalogue` says."""
     if not isinstance(path, str | os.PathLike):
         raise BadInput("catalogue", path, "a path or a URL")
     return StarCatalogue(open_catalogue(path))

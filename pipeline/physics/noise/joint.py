@@ -62,16 +62,16 @@ def _pair_normals(n, x0, y, frame, k0, k1, x, first, second, p, z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sort(mean, drawn, well, read, draws):
-    """How many draws each pixel of a run takes: 1 for both terms where that serves and the full
-    well is out of reach; 0 for photons where it is full for certain, so read noise alone; else 2.
-    How many pixels take other than 1."""
+def _sort(mean, drawn, well, read, sorts):
+    """What each pixel of a run takes: 1, one draw for both terms, where that serves and the full
+    well is out of reach; 0, a draw of read noise alone, where it is full for certain; else 2, a
+    draw for each. Returns how many pixels are not of sort 1."""
     count = 0
     for i in range(len(mean)):
         m, s = mean[i], read[i]
         held, wide = m + drawn[i], REACH * math.sqrt(m + s * s)
         joint = serves(m, s) & (held + wide < well[i])
-        draws[i] = 1 if joint else (2 if held - wide < well[i] else 0)
+        sorts[i] = 1 if joint else (2 if held - wide < well[i] else 0)
         count += not joint
     return count
 
