@@ -6,7 +6,7 @@ import { jobSnippets } from "./snippets.js";
 import { trimmed } from "./schema.js";
 import { KINDS } from "./stretch.js";
 import { decisions, warnings } from "./submit.js";
-import { downloads, showSweep, waiting } from "./sweep.js";
+import { downloads, hasFrames, showTables, unitOf, waiting } from "./tables.js";
 import { Viewer } from "./viewer.js";
 import { Wcs, dms, hms } from "./wcs.js";
 
@@ -46,11 +46,13 @@ export class JobView {
     this.job = job;
     this.changed(job);
     this.heading();
-    if (job.kind === "sweep") {
+    if (!hasFrames(job)) {
       if (!ended(job)) fill(this.stage, el("div", { class: "empty" }, waiting(job)));
       else if (job.error) fill(this.stage, errorCard(job.error));
-      else if (job.phase === "COMPLETED") await showSweep(this.stage, this.path);
-      else fill(this.stage, el("div", { class: "empty" }, "It was stopped."));
+      else if (job.phase === "COMPLETED") {
+        this.made = await showTables(this.stage, job, this.path);
+        this.heading();
+      } else fill(this.stage, el("div", { class: "empty" }, "It was stopped."));
       return;
     }
     if (!ended(job) && !this.viewer) {
@@ -94,7 +96,7 @@ export class JobView {
     const left = share > 0.02 && share < 1 && !ended(job)
       ? `about ${seconds(spent / share - spent)} to go` : "";
     fill(this.spent, [job.tiles_total ?
-      `${job.tiles_done ?? 0} of ${job.tiles_total} ${job.kind === "sweep" ? "points" : "tiles"}` : "",
+      `${job.tiles_done ?? 0} of ${job.tiles_total} ${unitOf(job)}` : "",
       job.started ? seconds(spent) : "", left,
       job.attempt > 1 ? `attempt ${job.attempt}` : "",
       ended(job) && job.bytes_kept ? `${amount(job.bytes_kept)} kept` : ""].filter(Boolean).join(", "));
@@ -105,7 +107,7 @@ export class JobView {
       download(`${this.path}/${path}`, this.named(name)).catch((error) => notice(error.message));
     if (job.phase === "COMPLETED") {
       const menu = el("details", { class: "menu" }, el("summary", { class: "button strong" }, "Download"),
-        el("div", {}, job.kind === "sweep" ? downloads(this.path, (name) => this.named(name)) : [
+        el("div", {}, !hasFrames(job) ? downloads(job, this.made, get) : [
           el("button", { type: "button", onclick: get("product.tar", "product.tar") }, "product, .tar"),
           el("button", { type: "button", onclick: () => {
             const frame = this.viewer?.frame ?? 0, layer = this.viewer?.layer ?? "dn";
@@ -151,7 +153,7 @@ export class JobView {
   }
 
   again() {
-    if (this.job.kind === "sweep") return null; // the form is of scenes
+    if (!hasFrames(this.job)) return null; // the form is of scenes
     return el("button", { type: "button", title: "a new scene that starts as this one", onclick: async () => {
       const scene = await json(`${this.path}/scene`);
       sessionStorage.setItem("nightglass-draft", JSON.stringify(trimmed(scene), null, 2));

@@ -1,4 +1,5 @@
 // Submit a scene: a form from the schema and the JSON itself, side by side; plan, then submit.
+// A sweep or a study, known by its `schema`, is text alone.
 
 import { json, send } from "./api.js";
 import { copier, el, fill, notice, number, seconds } from "./dom.js";
@@ -8,6 +9,9 @@ import { submitSnippets } from "./snippets.js";
 import { TEMPLATES } from "./templates.js";
 
 const DRAFT = "nightglass-draft";
+const PLACES = { "nightglass/sweep/1": "/v1/sweeps", "nightglass/study/1": "/v1/studies" };
+const placeOf = (scene) => PLACES[scene.schema] ?? "/v1/jobs";
+const isScene = (scene) => !PLACES[scene.schema];
 
 export async function submitView(main, begin) {
   fill(main, el("p", { class: "quiet" }, "loading the schema…"));
@@ -20,6 +24,11 @@ export async function submitView(main, begin) {
   const answer = el("div", { id: "answer", "aria-live": "polite" });
   const form = new SceneForm(new Schema(root), names, () => { write(); fill(answer); });
 
+  const show = (scene) => {
+    observer.hidden = !isScene(scene);
+    if (isScene(scene)) form.show(scene);
+    else fill(form.node, el("p", { class: "quiet", id: "text-alone" }, "The form is of scenes: edit this as text."));
+  };
   let turn = 0; // of the texts that are read, the newest counts
   const write = () => {
     turn += 1;
@@ -30,7 +39,7 @@ export async function submitView(main, begin) {
   const load = (scene) => {
     state.scene = scene;
     form.mistakes.clear();
-    form.show(scene);
+    show(scene);
     write();
     fill(answer);
   };
@@ -42,7 +51,7 @@ export async function submitView(main, begin) {
       if (scene === null || typeof scene !== "object" || Array.isArray(scene)) throw new Error("a scene is an object {…}");
       state.scene = trimmed(scene);
       form.mistakes.clear();
-      form.show(state.scene);
+      show(state.scene);
       fault.textContent = "";
       sessionStorage.setItem(DRAFT, JSON.stringify(state.scene));
     } catch (error) {
@@ -51,7 +60,7 @@ export async function submitView(main, begin) {
   });
 
   const refused = (error) => {
-    form.mark(error.errors || []);
+    if (isScene(state.scene)) form.mark(error.errors || []);
     fill(answer, el("div", { class: "card bad" }, el("strong", {}, error.message || "refused"),
       el("ul", {}, (error.errors || []).map((e) =>
         el("li", {}, el("code", {}, e.pointer || "scene"), ` is ${e.value}; ${e.allowed}`)))));
@@ -71,8 +80,8 @@ export async function submitView(main, begin) {
   const planner = el("button", { type: "button", id: "plan" }, "Plan");
   planner.addEventListener("click", busy(planner, async () => {
     fill(answer, el("p", { class: "quiet" }, "planning…"));
-    const plan = await send("/v1/jobs?dry_run=1", text.value, kindOf(text.value));
-    fill(answer, planCard(plan));
+    const plan = await send(`${placeOf(state.scene)}?dry_run=1`, text.value, kindOf(text.value));
+    fill(answer, isScene(state.scene) ? planCard(plan) : forecastCard(plan));
   }));
   const observer = el("button", { type: "button", id: "observe" }, "Observe");
   observer.addEventListener("click", busy(observer, async () => {
@@ -82,7 +91,7 @@ export async function submitView(main, begin) {
   const sender = el("button", { type: "button", id: "submit", class: "strong" }, "Submit");
   let again = crypto.randomUUID(); // a second press after a lost answer makes no second job
   sender.addEventListener("click", busy(sender, async () => {
-    const job = await send("/v1/jobs", text.value, { "Idempotency-Key": again, ...kindOf(text.value) });
+    const job = await send(placeOf(state.scene), text.value, { "Idempotency-Key": again, ...kindOf(text.value) });
     again = crypto.randomUUID();
     location.hash = `#/job/${job.id}`;
   }));
@@ -166,6 +175,13 @@ export function planCard(plan) {
     warnings(plan.warnings),
     el("dl", { class: "facts" }, facts.map(([k, v]) => [el("dt", {}, k), el("dd", {}, v)])),
     decisions(plan.decisions), remarks(plan.remarks));
+}
+
+// What a study takes, or a sweep: its points, and the plan of its base scene.
+function forecastCard({ base, ...sizes }) {
+  const facts = Object.entries(sizes).map(([key, value]) => [el("dt", {}, key.replaceAll("_", " ")), el("dd", {}, number(value))]);
+  return [el("div", { class: "card", id: "forecast" }, el("h2", {}, "Forecast"), el("dl", { class: "facts" }, facts)),
+    base ? planCard(base) : null];
 }
 
 export function decisions(list = []) {

@@ -15,6 +15,7 @@ import pytest
 
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.spec.load import parse_scene, scene_yaml
+from tests.capacity.conftest import SMALL
 
 SHOWN = "canvas.sky[data-tiles]:not([data-tiles='0'])"  # at least one tile is on the canvas
 KEEP = os.environ.get("NIGHTGLASS_SCREENSHOTS")  # a folder for the pictures of docs/
@@ -261,6 +262,80 @@ def test_a_sweep_shows_what_it_measured_and_is_asked_for_no_picture(
         tab.click("summary.button")
         tab.get_by_text("table of points").click()
     assert Path(begun.value.path()).read_bytes().startswith(b"PAR1")
+
+
+def test_a_study_is_opened_forecast_submitted_and_shown(
+    page: Page, server: Any, tmp_path: Path
+) -> None:
+    file = tmp_path / "study.json"
+    study = SMALL | {"name": "of-the-page", "duration_h": 1.0}
+    file.write_text(json.dumps(study))
+    asked: list[str] = []
+    page.tab.on("request", lambda request: asked.append(request.url))
+    tab = page.open("#/new")
+    tab.wait_for_selector(".form .field")
+    tab.set_input_files("#file", file)
+    tab.wait_for_selector("#text-alone")
+    assert not tab.is_visible("#observe")
+    tab.click("#plan")
+    tab.wait_for_selector("#forecast")
+    told = tab.inner_text("#forecast").split("\n")
+    assert (told[told.index("objects") + 1], told[told.index("steps") + 1]) == ("60", "60")
+    tab.click("#submit")
+    tab.wait_for_selector("#study [data-group='LEO']")
+    job = server.client.get("/v1/queue").json()["jobs"][0]
+    assert (job["kind"], job["name"]) == ("study", "of-the-page")
+    report = server.client.get(f"{job['links']['report']}").json()
+    shown = tab.inner_text("#study")
+    assert f"60 objects for 1 h from {report['start']}" in shown
+    assert f"{report['figures']['observations']} observations" in shown
+    assert report["notes"] and all(note in shown for note in report["notes"])
+    cells = tab.locator("#study [data-group='LEO'] td").all_inner_texts()
+    assert cells[1] == str(report["by_regime"]["LEO"]["objects"])
+    assert [url for url in asked if job["id"] in url and ("frames" in url or "plan" in url)] == []
+    assert tab.evaluate("document.querySelector('#study img').naturalWidth") > 500
+    with tab.expect_download() as begun:
+        tab.click("summary.button")
+        tab.get_by_text("report with figures").click()
+    assert b"Gap time by orbit" in Path(begun.value.path()).read_bytes()
+    page.picture("page-study")
+
+
+def test_a_study_with_axes_shows_the_figures_of_each_point(page: Page, server: Any) -> None:
+    axes = [{"field": "cameras.0.sensor.aperture_m", "values": [0.3, 0.5]}]
+    study = SMALL | {"name": "two", "duration_h": 0.5, "axes": axes}
+    made = server.client.post("/v1/studies", json=study)
+    assert made.status_code == 202, made.text
+    done = server.ended(made.headers["location"])
+    report = server.client.get(done["links"]["report"]).json()
+    tab = page.open(f"#/job/{done['id']}")
+    tab.wait_for_selector("#study [data-point='1']")
+    cells = tab.locator("#study [data-point='1'] td").all_inner_texts()
+    assert cells[list(report["points"][0]).index("detections")] == str(
+        report["points"][1]["detections"]
+    )
+    with tab.expect_download() as begun:
+        tab.click("summary.button")
+        tab.get_by_text("table of points").click()
+    assert Path(begun.value.path()).read_bytes().startswith(b"PAR1")
+
+
+def test_a_sweep_is_submitted_from_its_text(
+    page: Page, server: Any, scene: dict[str, Any]
+) -> None:
+    axes = [{"field": "sensor.read_noise_e", "values": [1.0, 4.0]}]
+    sweep = {"schema": "nightglass/sweep/1", "name": "typed", "scene": scene, "axes": axes}
+    tab = page.open("#/new")
+    tab.wait_for_selector(".form .field")
+    tab.fill("#json", json.dumps(sweep))
+    tab.wait_for_selector("#text-alone")
+    tab.click("#plan")
+    tab.wait_for_selector("#planned")
+    assert "points" in tab.inner_text("#forecast")
+    tab.click("#submit")
+    tab.wait_for_selector("#sweep [data-metric='snr.sat-1']")
+    assert tab.evaluate("document.querySelector('#sweep img').decode().then(() => 'drawn')") == "drawn"
+    page.picture("page-sweep")
 
 
 @pytest.mark.slow
