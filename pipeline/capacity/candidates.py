@@ -29,7 +29,8 @@ SCHEMA = pa.schema(
     [("time_s", pa.float64()), ("step", pa.int32()), ("sensor", pa.int16()), ("unit", pa.int16())]
     + [("object", pa.int32()), ("frames", pa.int16())]
     + [(n, pa.float32()) for n in ("x", "y", "z", "elevation_deg", "range_km", "rate_arcsec_s")]
-    + [(n, pa.float32()) for n in ("phase_deg", "v_mag", "streak_px", "snr", "probability")]
+    + [(n, pa.float32()) for n in ("phase_deg", "v_mag", "streak_px", "sky_e_s_px", "snr")]
+    + [("probability", pa.float32())]
 )
 ENDED = b"ended"
 OPTIONS: dict[str, Any] = {
@@ -144,6 +145,7 @@ def _table(
         "phase_deg": np.degrees(s.phase),
         "v_mag": s.v_mag,
         "streak_px": s.streak_px,
+        "sky_e_s_px": s.sky_e_s,
         "snr": s.snr,
         "probability": chance,
     }

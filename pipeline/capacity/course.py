@@ -150,7 +150,7 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
 
 
 def _watcher(data: JsonObject, study: Study, i: int, epoch: tuple[float, float]) -> Watcher:
-    """The watcher of a sensor; its sky is that above it at the start."""
+    """The watcher of a sensor."""
     sensor = study.sensors[i]
     camera = study.camera_of(sensor)
     plain = data["cameras"][study.cameras.index(camera)]
@@ -204,7 +204,7 @@ def _idle(watcher: Watcher, length_s: float) -> BadInput | None:
     k = np.repeat(np.flatnonzero(watch.works), LOOKS)
     u, one = np.tile(u, (len(k) // LOOKS, 1)), np.ones(len(k))
     height = np.arcsin(np.clip(np.sum(u * watch.up[k], axis=-1), -1.0, 1.0))
-    s = Sights(k, k, u, u, one, height, *[one] * 7)
+    s = Sights(k, k, u, u, one, height, *[one] * 8)
     if not allowed(watcher, watch, s).any():
         told = "exclusions that leave no direction at any time"
         raise BadInput(field, told, "smaller angles, or other elevations")

@@ -31,7 +31,8 @@ def never_seen(
     """Which objects (n,) are certainly not seen at an SNR during the moments of a watch.
 
     By bounds of their orbits alone (`orbit_bounds`): a site's cap of sky does not reach them, or
-    fully lit at their least distance, standing still at the zenith, they are fainter than that.
+    fully lit at their least distance, standing still at the zenith (before no light where
+    the sky changes), they are fainter than that.
     """
     days = _days(watcher, watch, elements)
     motion, ecc, tilt = elements.mean[:, 5], elements.mean[:, 1], elements.mean[:, 3]
@@ -41,7 +42,7 @@ def never_seen(
     reflected = sphere_intensity_per_irradiance(0.0, 1.0, 1.0) * elements.reflecting_m2
     light = photon_rate_at_aperture(1.0, NEAREST_SUN_M, 1.0, reflected, nearest)
     light_e = watcher.light_e(light, np.ones(1))
-    faint = watcher.signal.snr(light_e, np.zeros_like(light_e)) < SHARE * least_snr
+    faint = watcher.snr(light_e, np.zeros_like(light_e), 0.0) < SHARE * least_snr
     o = watcher.observer
     if not isinstance(o, GroundObserver):
         return faint

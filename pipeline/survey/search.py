@@ -107,7 +107,7 @@ _COLUMNS = tuple(Sights.__dataclass_fields__)
 
 def _none() -> Sights:
     index, one, three = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3))
-    return Sights(index, index, three, three, *[one] * 9)
+    return Sights(index, index, three, three, *[one] * 10)
 
 
 def make_search(watcher: Watcher, offsets_s: Array, least_snr: float) -> Search:

@@ -45,6 +45,7 @@ class Sights:
     light: Array
     light_e: Array
     streak_px: Array
+    sky_e_s: Array
     snr: Array
 
     def __len__(self) -> int:
@@ -92,10 +93,11 @@ def sights_of(
     light = photon_rate_at_aperture(1.0, sun_distance(emitted, sun), sunlit, reflected, range_m)
     rate = _rate(geometric, speed_m_s - motion, range_m)
     light_e, streak = watcher.light_e(light, np.sin(elevation)), watcher.streak_px(rate)
-    snr = watcher.signal.snr(light_e, streak)
+    sky_e_s = watcher.sky_e_s(watch, moment, observed)
+    snr = watcher.snr(light_e, streak, sky_e_s)
     return Sights(
         moment, object_, geometric, observed, range_m, elevation, rate, phase, sunlit, light,
-        light_e, streak, snr,
+        light_e, streak, sky_e_s, snr,
     )  # fmt: skip
 
 

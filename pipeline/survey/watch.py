@@ -28,11 +28,14 @@ from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver, OrbitObserver
 from pipeline.spec.study import FieldOfRegard
 from pipeline.survey.signal import SignalTable, signal_table
+from pipeline.survey.sky import SkyBehind, sky_behind
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 GALACTIC_POLE = from_angles(*np.array([192.859_48, 27.128_25]) * DEG_RAD)  # J2000
 CHANGING = ("moonlight", "twilight")  # parts of the sky that come and go in a night
+LEAST_NOISE = 1e-3  # of the table's, squared: no sky is darker than its thousandth
 MOST_LIFT_RAD = 0.0125  # by the air, at the horizon, with room
 PROBE = {  # a target, so that the Sun's light in the band is worked out
     "name": "probe",
@@ -54,7 +57,7 @@ class Watcher:
 
     resolved : its camera as a scene that looks up at `epoch`; integration_s, frames, cadence_s :
     of a dwell; tracks : whether dwells follow their object; field : what its keys begin with in the
-    file; omitted : parts of its sky that change in the night, not counted
+    file; sky : over directions and time; None where it is the same everywhere
     """
 
     name: str
@@ -65,7 +68,7 @@ class Watcher:
     epoch: Epoch
     seed: int
     tracks: bool
-    omitted: tuple[str, ...] = ()
+    sky: SkyBehind | None = None
 
     @property
     def observer(self) -> GroundObserver | OrbitObserver:
@@ -86,6 +89,41 @@ class Watcher:
         through = 1.0 if extinction is None else extinction.transmission(sine)
         return light * self.electrons_per_light * through
 
+    def sky_e_s(self, watch: WatchMoments, moment: Index, observed: Array) -> Array:
+        """Electrons/s of a pixel (r,) behind directions (r, 3: TEME, as the camera sees them)."""
+        if self.sky is None:
+            return np.full(len(moment), self.resolved.facts.background_e_s)
+        return self.sky.e_s(watch.offset_s[moment], watch.up[moment], observed)
+
+    def snr(self, light_e: Array, streak_px: Array, sky_e_s: Array | float) -> Array:
+        """SNR (r,) of a frame, of light (r,) [e-] in streaks (r,) [px] before a sky (r,) [e-/s];
+        0 where the sky alone fills the pixels.
+
+        With s the square of a pixel's noise over that of the table, it is sqrt(s) times the SNR of
+        light / s in the table: exact for the matched filter, whose terms are
+        (F p)^2 / (noise^2 + F p).
+        """
+        r, share = self.resolved, self._noise_share(sky_e_s)
+        snr = np.sqrt(share) * self.signal.snr(light_e / share, streak_px)
+        filled_e = r.facts.flat * np.asarray(sky_e_s) * r.integration_s(0) + r.facts.dark_e
+        return np.where(filled_e < self.full_e, snr, 0.0)
+
+    @cached_property
+    def full_e(self) -> float:
+        """Charge of a pixel [e-] that its well or its converter ends at, where they are numbers."""
+        s = self.resolved.scene.sensor
+        numbers = not isinstance(s.gain_e_per_dn, str | None) and not isinstance(s.bias_dn, str)
+        top = (2.0**s.adc_bits - 1.0 - s.bias_dn) * s.gain_e_per_dn if numbers else np.inf  # type: ignore[operator]
+        return float(min(top, s.full_well_e or np.inf))
+
+    def _noise_share(self, sky_e_s: Array | float) -> Array:
+        """Square of a pixel's noise under a sky (r,) [e-/s] over that of the table's."""
+        r = self.resolved
+        if self.sky is None or not r.scene.sensor.photon_noise:
+            return np.ones_like(np.asarray(sky_e_s, float))
+        more = r.facts.flat * (np.asarray(sky_e_s) - r.facts.background_e_s) * r.integration_s(0)
+        return np.maximum(1.0 + more / r.snr_floor_e2(0), LEAST_NOISE)
+
     def streak_px(self, rate: Array) -> Array:
         """Streaks (n,) [px] of objects that move at a rate (n,) [rad/s]; none where it tracks."""
         r = self.resolved
@@ -100,10 +138,10 @@ class Watcher:
     @property
     def sky_note(self) -> str:
         """What its sky is, for people."""
-        told = (
-            f"sky {self.resolved.facts.background_e_s:.3g} e-/s a pixel, that above it at the start"
-        )
-        return told + (f" without {' and '.join(self.omitted)}" if self.omitted else "")
+        told = f"sky {self.resolved.facts.background_e_s:.3g} e-/s a pixel"
+        if self.sky is None:
+            return told + ", the same everywhere and always"
+        return told + " above it at the start without Moon and twilight; each object its own"
 
     @property
     def dwell_s(self) -> float:
@@ -218,7 +256,6 @@ def make_watcher(
     """A watcher of a scene's sections: `observer`, `sensor`, `exposure`, `background`.
 
     epoch : two-part UTC, from which moments count
-    The sky's light is that above the sensor at the epoch: one value for all directions and times.
     """
     stub = {
         **{k: v for k, v in sections.items() if v is not None},
@@ -230,14 +267,18 @@ def make_watcher(
         "targets": [PROBE],
         "pointing": {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0},
     }
-    sky = dict(stub.get("background") or {})
-    omitted = tuple(name for name in CHANGING if sky.pop(name, None))
-    stub["background"] = sky if any(sky.values()) else None
     scene = parse_scene(stub)
     if not isinstance(scene.observer, GroundObserver | OrbitObserver):
         raise BadInput(f"{field}observer.kind", scene.observer.kind, "ground or orbit")
-    up = zenith_pointing(read_files(scene))
-    resolved = resolve(scene.model_copy(update={"pointing": up})).scene
+    read = read_files(scene)
+    up = {"pointing": zenith_pointing(read)}
+    steady = None
+    if scene.background is not None:
+        kept = scene.background.model_copy(update=dict.fromkeys(CHANGING))
+        uniform = (kept.uniform_mag_arcsec2, kept.uniform_e_per_s)
+        steady = kept if kept.varies or any(v is not None for v in uniform) else None
+    resolved = resolve(scene.model_copy(update=up | {"background": steady})).scene
+    sky = sky_behind(read.model_copy(update=up), resolved) if scene.background else None
     name = str(sections.get("name", field))
     signal = signal_table(resolved)
-    return Watcher(name, field, resolved, regard, signal, epoch, seed, tracks, omitted)
+    return Watcher(name, field, resolved, regard, signal, epoch, seed, tracks, sky)

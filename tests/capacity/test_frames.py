@@ -14,6 +14,8 @@ from pipeline.capacity.course import StudyCourse, make_course
 from pipeline.opened_product import Product
 from pipeline.physics.positions.times import format_utc, instants
 from pipeline.physics.vectors import to_angles
+from pipeline.plan.resolved import ResolvedScene
+from pipeline.resolve.resolve import resolve
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 
@@ -21,11 +23,13 @@ TIME_S = 1.0
 
 
 def course_of(data: dict[str, Any], folder: Path) -> StudyCourse:
-    """Two sites, one that tracks and has air, one that does not; a satellite."""
+    """Two sites, one that tracks, under air that glows and scatters a bright Moon's light, one that
+    does not; a satellite."""
     plain = data["cameras"][0]
     plain["sensor"] = plain["sensor"] | {"shape": [160, 160], "focal_length_m": 0.15}
     plain["exposure"] = {"integration_s": TIME_S}
-    tracks = plain | {"name": "tracks", "tracking": "target"}
+    night = {"airglow": True, "moonlight": True, "uniform_mag_arcsec2": 22.5}
+    tracks = plain | {"name": "tracks", "tracking": "target", "background": night}
     data["cameras"] = [plain | {"tracking": "sidereal"}, tracks]
     air = {"extinction": {"mag_per_airmass": 0.15}, "refraction": True}
     data["sensors"][0] |= {"camera": "tracks", "count": 1}
@@ -41,8 +45,10 @@ def course_of(data: dict[str, Any], folder: Path) -> StudyCourse:
     return make_course(data, folder)
 
 
-def frame_of(course: StudyCourse, data: dict[str, Any], row: dict[str, Any], out: Path) -> Product:
-    """The frame of a candidate, exposed about its moment, its object in the middle."""
+def frame_of(
+    course: StudyCourse, data: dict[str, Any], row: dict[str, Any], out: Path
+) -> tuple[Product, ResolvedScene]:
+    """The frame of a candidate, exposed about its moment, its object in the middle; its scene."""
     e, watcher = course.elements.take(np.array([row["object"]])), course.watchers[row["sensor"]]
     at = instants(watcher.epoch, [row["time_s"] - 0.5 * TIME_S])
     bstar, ecc, argument, tilt, anomaly, motion, node = e.mean[0]
@@ -64,7 +70,8 @@ def frame_of(course: StudyCourse, data: dict[str, Any], row: dict[str, Any], out
     }
     if watcher.tracks:
         pointing = {"mode": "target", "target": "object"}
-    camera = data["cameras"][0]
+    named = data["sensors"][row["sensor"]].get("camera")
+    camera = next(c for c in data["cameras"] if named in (None, c["name"]))
     scene = {
         "schema": "nightglass/scene/1", "name": "check", "seed": 1000 * row["step"] + row["object"],
         "epoch": format_utc(float(at.utc1[0]), float(at.utc2[0])), "sensor": camera["sensor"],
@@ -72,10 +79,10 @@ def frame_of(course: StudyCourse, data: dict[str, Any], row: dict[str, Any], out
         "background": camera["background"], "pointing": pointing,
         "targets": [{"name": "object", "orbit": orbit, "body": body}],
         "accept": ["moon", "daylight", "sun"], "accuracy": {"check_cells": 0},
-        "output": {"layers": ["dn", "targets_e"]},
+        "output": {"layers": ["dn", "targets_e", "background_e"]},
     }  # fmt: skip
     render(parse_scene(scene), str(out), Options("synchronous"))
-    return Product(out)
+    return Product(out), resolve(parse_scene(scene)).scene
 
 
 def compared(data: dict[str, Any], folder: Path, count: int) -> np.ndarray:
@@ -89,16 +96,16 @@ def compared(data: dict[str, Any], folder: Path, count: int) -> np.ndarray:
     assert len(chosen) == count
     out = []
     for k in chosen:
-        product = frame_of(course, data, rows[k], folder / f"frame-{k}")
-        sensor = course.watchers[rows[k]["sensor"]].resolved
+        product, sensor = frame_of(course, data, rows[k], folder / f"frame-{k}")
         signal = np.asarray(product.cube["targets_e"][0], float)
         numbers = np.asarray(product.cube["dn"][0], float)
         gain, bias = sensor.scene.sensor.gain_e_per_dn, sensor.scene.sensor.bias_dn
-        light_e = (numbers - bias) * gain - sensor.facts.background_e
+        light_e = (numbers - bias) * gain - np.asarray(product.cube["background_e"][0], float)
         variance = sensor.snr_floor_e2(0) + signal
         snr = np.sqrt(np.sum(signal**2 / variance))
         found = np.sum(signal * light_e / variance) / snr
         out.append((rows[k]["snr"], snr, found, rows[k]["probability"]))
+        assert rows[k]["sky_e_s_px"] == pytest.approx(sensor.facts.background_e_s, rel=0.02)
     return np.array(out)
 
 

@@ -289,7 +289,8 @@ def test_a_study_is_opened_forecast_submitted_and_shown(
     shown = tab.inner_text("#study")
     assert f"60 objects for 1 h from {report['start']}" in shown
     assert f"{report['figures']['observations']} observations" in shown
-    assert report["notes"] and all(note in shown for note in report["notes"])
+    assert report["notes"]
+    assert all(note in shown for note in report["notes"])
     cells = tab.locator("#study [data-group='LEO'] td").all_inner_texts()
     assert cells[1] == str(report["by_regime"]["LEO"]["objects"])
     assert [url for url in asked if job["id"] in url and ("frames" in url or "plan" in url)] == []
@@ -334,7 +335,8 @@ def test_a_sweep_is_submitted_from_its_text(
     assert "points" in tab.inner_text("#forecast")
     tab.click("#submit")
     tab.wait_for_selector("#sweep [data-metric='snr.sat-1']")
-    assert tab.evaluate("document.querySelector('#sweep img').decode().then(() => 'drawn')") == "drawn"
+    drawn = "document.querySelector('#sweep img').decode().then(() => 'drawn')"
+    assert tab.evaluate(drawn) == "drawn"
     page.picture("page-sweep")
 
 

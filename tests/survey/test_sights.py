@@ -11,12 +11,10 @@ from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.orbit_screen import states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.physics.vectors import separation
-from pipeline.spec.study import FieldOfRegard
 from pipeline.survey.elements import Elements
 from pipeline.survey.sights import Sights, sights_of
 from pipeline.survey.signal import straight
-from pipeline.survey.watch import make_watcher
-from tests.survey.conftest import EPOCH, sections, watcher
+from tests.survey.conftest import EPOCH, watcher
 
 ARCSEC = np.radians(1.0 / 3600.0)
 
@@ -79,13 +77,6 @@ def test_signal_is_the_renderers() -> None:
         np.testing.assert_allclose(own, truth, rtol=2e-3)
     half = w.signal.snr(light, np.full(40, 2048.0))
     np.testing.assert_allclose(half, w.signal.snr(light / 2, np.full(40, 1024.0)), rtol=1e-9)
-
-
-def test_a_sky_that_changes_in_the_night_is_reported() -> None:
-    sky = {"uniform_mag_arcsec2": 21.0, "twilight": True, "moonlight": True}
-    w = make_watcher(sections(background=sky), FieldOfRegard(), EPOCH, False)
-    assert "without moonlight and twilight" in w.sky_note
-    assert w.resolved.facts.background_e_s == watcher().resolved.facts.background_e_s
 
 
 def test_rates_against_skyfield(objects: Elements) -> None:

@@ -37,7 +37,7 @@ def looks(watch: WatchMoments, about: Array, rng: Any, least: float, most: float
     at = np.einsum("nji,nj->ni", watch.to_gcrs[k], away)
     height = 0.5 * np.pi - separation(at, watch.up[k])
     one = np.ones(len(k))
-    return Sights(k, k, at, at, one, height, *[one] * 7)
+    return Sights(k, k, at, at, one, height, *[one] * 8)
 
 
 def agrees(w: Watcher, watch: WatchMoments, s: Sights, margin_deg: Array, least: int) -> None:

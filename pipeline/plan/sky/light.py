@@ -73,17 +73,22 @@ class LightOfSky:
         return not background_of(self.scene).varies and self.inputs.undrawn is None
 
     def parts(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
-        """Each part's electrons/s per m2 of pupil and sr (n,)."""
-        out = {"none": np.zeros(len(x))}
+        """Each part's electrons/s per m2 of pupil and sr (n,) at x, y (n,) [px]."""
+        return self.towards(g, f, node, deproject(self.camera, g.attitude[f, node], x, y))
+
+    def towards(self, g: Geometry, f: int, node: int, observed: Array) -> dict[str, Array]:
+        """Each part's electrons/s per m2 of pupil and sr (n,) from directions (n, 3), as the camera
+        sees them."""
+        out = {"none": np.zeros(len(observed))}
         if not self.still:
-            out |= self._directed(g, f, node, x, y)
+            out |= self._directed(g, f, node, observed)
         if self.inputs.uniform_m2_sr is not None:  # as it reaches the site: below the air
-            out["uniform"] = np.full(len(x), self.inputs.uniform_m2_sr)
+            out["uniform"] = np.full(len(observed), self.inputs.uniform_m2_sr)
         return out
 
-    def _directed(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
-        """The parts that follow from where a pixel looks."""
-        u = self.directions(g, f, node, x, y)
+    def _directed(self, g: Geometry, f: int, node: int, observed: Array) -> dict[str, Array]:
+        """The parts that follow from where it comes from."""
+        u = self.natural(g, f, node, observed)
         out: dict[str, Array] = {}
         if self.inputs.zodiacal is not None:
             out["zodiacal"] = self._zodiacal(u, g.sun_m[f, node] - g.observer_m[f, node])
@@ -99,7 +104,6 @@ class LightOfSky:
             return out
         from pipeline.plan.sky.night import dimmed, night_parts
 
-        observed = deproject(self.camera, g.attitude[f, node], x, y)
         out = dimmed(self.scene, self.inputs.extinction, g.air[f, node], observed, out)
         return out | night_parts(self.scene, self.inputs, g, f, node, observed)
 
@@ -134,8 +138,11 @@ class LightOfSky:
         return out
 
     def directions(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> Array:
-        """Unit vectors (n, 3) of the sky before refraction and aberration."""
-        observed = deproject(self.camera, g.attitude[f, node], x, y)
+        """Unit vectors (n, 3) of the sky before refraction and aberration, of places x, y (n,)."""
+        return self.natural(g, f, node, deproject(self.camera, g.attitude[f, node], x, y))
+
+    def natural(self, g: Geometry, f: int, node: int, observed: Array) -> Array:
+        """Directions (n, 3) before refraction and aberration of observed ones (n, 3)."""
         seen = unrefract(observed, g.air_at(f, node))
         if not self.scene.star_effects["aberration"]:
             return seen

@@ -1,0 +1,179 @@
+"""The sky behind what is watched, against the renderer's own in that direction at that time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.physics.constants import DEG_RAD
+from pipeline.physics.positions.times import format_utc, instants
+from pipeline.physics.vectors import from_angles, separation, to_angles, unit
+from pipeline.resolve.resolve import resolve
+from pipeline.spec.load import parse_scene
+from pipeline.spec.study import FieldOfRegard
+from pipeline.survey.sky import SITE_STEP_S, table_of
+from pipeline.survey.watch import Watcher, make_watcher
+from tests.survey.conftest import CAMERA, EPOCH, sections
+
+FULL = {"airglow": True, "moonlight": True, "zodiacal": True, "uniform_mag_arcsec2": 23.0}
+SMALL = CAMERA | {"shape": [32, 32]}
+ORBIT = {
+    "kind": "keplerian", "semi_major_axis_m": 7.2e6, "eccentricity": 0.0,
+    "inclination_deg": 98.0, "true_anomaly_deg": 10.0, "epoch": "2019-04-20T06:00:00Z",
+}  # fmt: skip
+
+
+def watcher_of(background: dict[str, Any] | None, **more: Any) -> Watcher:
+    asked = sections(background=background, sensor=SMALL, **more)
+    return make_watcher(asked, FieldOfRegard(), EPOCH, False)
+
+
+def rendered_e_s(w: Watcher, background: dict[str, Any], offset_s: float, u: np.ndarray) -> float:
+    """Sky of the middle of a frame that looks along a direction (3,), GCRS, about a moment."""
+    at = instants(w.epoch, [offset_s - 0.5])
+    ra, dec = (float(np.degrees(a)) for a in to_angles(u))
+    plain = w.resolved.scene.as_dict()
+    scene = {k: plain[k] for k in ("schema", "name", "observer", "sensor", "exposure")}
+    scene |= {
+        "epoch": format_utc(float(at.utc1[0]), float(at.utc2[0])), "background": background,
+        "pointing": {"mode": "sidereal", "boresight_ra_deg": ra, "boresight_dec_deg": dec},
+        "accept": ["moon", "daylight", "sun"], "accuracy": {"check_cells": 0},
+    }  # fmt: skip
+    return resolve(parse_scene(scene)).scene.facts.background_e_s
+
+
+def asked(w: Watcher, offset_s: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """What the watcher has behind directions (n, 3), GCRS, one at each moment (n,)."""
+    watch = w.watch(offset_s)
+    teme = np.einsum("nji,nj->ni", watch.to_gcrs, u)
+    return w.sky_e_s(watch, np.arange(len(u)), teme)
+
+
+def above(w: Watcher, offset_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A direction (n, 3), GCRS, at each moment: from 12 degrees up, 12 or more from the Moon."""
+    watch, out = w.watch(offset_s), []
+    for k in range(len(offset_s)):
+        up = watch.to_gcrs[k] @ watch.up[k]
+        moon = unit(watch.to_gcrs[k] @ (watch.moon_m[k] - watch.observer_m[k]))
+        while True:
+            u = from_angles(*np.array([rng.uniform(0, 2 * np.pi), np.arcsin(rng.uniform(-1, 1))]))
+            if u @ up > np.sin(12 * DEG_RAD) and separation(u, moon) > 12 * DEG_RAD:
+                break
+        out.append(u)
+    return np.array(out)
+
+
+def test_a_site_against_the_renderer() -> None:
+    """A night two days after full Moon, which rises in it: a factor of 5 between directions."""
+    w, rng = watcher_of(FULL), np.random.default_rng(3)
+    offset_s = rng.uniform(0.0, 9 * 3600.0, 24)
+    u = above(w, offset_s, rng)
+    own = asked(w, offset_s, u)
+    truth = [rendered_e_s(w, FULL, t, d) for t, d in zip(offset_s, u, strict=True)]
+    assert max(truth) > 4.0 * min(truth)
+    np.testing.assert_allclose(own, truth, rtol=0.015)
+
+
+def test_dusk_against_the_renderer() -> None:
+    """Twilight falls by a magnitude in some four minutes; between tables it is followed."""
+    sky = {"airglow": True, "twilight": True}
+    w, rng = watcher_of(sky), np.random.default_rng(4)
+    offset_s = -3600.0 + rng.uniform(0.0, 2400.0, 8)
+    u = above(w, offset_s, rng)
+    truth = [rendered_e_s(w, sky, t, d) for t, d in zip(offset_s, u, strict=True)]
+    assert max(truth) > 10.0 * min(truth)
+    np.testing.assert_allclose(asked(w, offset_s, u), truth, rtol=0.04)
+
+
+def test_a_satellite_against_the_renderer() -> None:
+    sky = {"zodiacal": True, "galactic": True}
+    w = watcher_of(sky, observer={"kind": "orbit", "orbit": ORBIT})
+    rng, offset_s = np.random.default_rng(5), np.linspace(60.0, 5000.0, 12)
+    watch = w.watch(offset_s)
+    sun = unit(np.einsum("nij,nj->ni", watch.to_gcrs, watch.sun_m))
+    u = above(w, offset_s, rng)
+    far = separation(u, sun) > 25 * DEG_RAD
+    truth = [rendered_e_s(w, sky, t, d) for t, d in zip(offset_s[far], u[far], strict=True)]
+    np.testing.assert_allclose(asked(w, offset_s, u)[far], truth, rtol=0.08)
+
+
+def test_near_the_sun_it_is_the_brightest_that_is_known() -> None:
+    w = watcher_of({"zodiacal": True}, observer={"kind": "orbit", "orbit": ORBIT})
+    watch = w.watch(np.zeros(1))
+    assert w.sky is not None
+    table = np.exp(table_of(w.sky, 0))
+    at_sun = w.sky_e_s(watch, np.zeros(1, np.int64), unit(watch.sun_m - watch.observer_m))
+    assert at_sun == pytest.approx(table.max(), rel=1e-6)
+    assert np.isfinite(table).all()
+
+
+def test_a_sky_that_is_the_same_everywhere_has_no_table() -> None:
+    w = watcher_of({"uniform_mag_arcsec2": 21.0})
+    assert w.sky is None
+    assert "the same everywhere" in w.sky_note
+    sky = asked(w, np.zeros(2), above(w, np.zeros(2), np.random.default_rng(1)))
+    np.testing.assert_array_equal(sky, w.resolved.facts.background_e_s)
+    assert watcher_of(None).sky is None
+
+
+def test_moon_and_twilight_are_in_the_sky_behind_alone() -> None:
+    steady = {"airglow": True, "uniform_mag_arcsec2": 22.0}
+    w = watcher_of(steady | {"moonlight": True, "twilight": True})
+    assert w.resolved.facts.background_e_s == watcher_of(steady).resolved.facts.background_e_s
+    assert "without Moon and twilight" in w.sky_note
+    only = watcher_of({"moonlight": True})
+    assert only.resolved.facts.background_e_s == 0.0
+    assert only.sky is not None
+
+
+@pytest.mark.parametrize("photon_noise", [True, False])
+def test_snr_is_that_of_the_sky_behind(photon_noise: bool) -> None:
+    """Under a sky 3 magnitudes brighter: the table of a sensor that has that sky everywhere."""
+    camera = SMALL | {"photon_noise": photon_noise}
+    dark = sections(sensor=camera, background={"uniform_mag_arcsec2": 21.0, "airglow": True})
+    w = make_watcher(dark, FieldOfRegard(), EPOCH, False)
+    more = sections(sensor=camera, background={"uniform_mag_arcsec2": 18.0})
+    bright = make_watcher(more, FieldOfRegard(), EPOCH, False)
+    light, length = np.geomspace(30.0, 3e6, 40), np.linspace(0.0, 25.0, 40)
+    own = w.snr(light, length, bright.resolved.facts.background_e_s)
+    np.testing.assert_allclose(own, bright.signal.snr(light, length), rtol=3e-3)
+    assert (w.snr(light, length, 0.0) >= w.snr(light, length, 50.0)).all()
+
+
+def test_no_signal_stands_out_of_full_pixels() -> None:
+    """16 bits of 2 e- above a bias of 500: full at 130,070 e-; a well of 50,000 e- before that."""
+    light, still = np.full(3, 1e4), np.zeros(3)
+    sky = np.array([40_000.0, 129_000.0, 131_000.0])
+    for well, seen in ((None, [True, True, False]), (50_000.0, [True, False, False])):
+        camera = SMALL | {"gain_e_per_dn": 2.0, "bias_dn": 500.0, "full_well_e": well}
+        w = make_watcher(sections(sensor=camera), FieldOfRegard(), EPOCH, False)
+        assert w.full_e == (well or 2.0 * (65_535 - 500))
+        assert ((w.snr(light, still, sky) > 0.0) == seen).all()
+
+
+def test_tables_belong_to_their_scene() -> None:
+    """Tables are kept by all that they follow from."""
+    one, two = watcher_of(FULL).sky, watcher_of(FULL).sky
+    other = watcher_of(FULL | {"uniform_mag_arcsec2": 20.0}).sky
+    assert one is not None
+    assert two is not None
+    assert other is not None
+    assert one == two
+    assert hash(one) == hash(two)
+    assert one != other
+    assert table_of(one, 2) is table_of(two, 2)
+    assert (table_of(other, 2) > table_of(one, 2)).all()
+    assert len(asked(watcher_of(FULL), np.zeros(0), np.zeros((0, 3)))) == 0
+    night = asked(watcher_of(FULL), np.array([2 * SITE_STEP_S]), from_angles([1.0], [0.5]))
+    assert np.isfinite(night).all()
+
+
+def test_a_site_at_the_pole() -> None:
+    site = sections()["observer"] | {"latitude_deg": -90.0, "longitude_deg": 0.0}
+    w = watcher_of(FULL, observer=site)
+    rng, offset_s = np.random.default_rng(6), np.array([300.0, 5100.0])
+    u = above(w, offset_s, rng)
+    truth = [rendered_e_s(w, FULL, t, d) for t, d in zip(offset_s, u, strict=True)]
+    np.testing.assert_allclose(asked(w, offset_s, u), truth, rtol=0.05)
