@@ -87,10 +87,10 @@ def test_a_job_waits_for_a_catalogue_that_is_gone(
     """It is tried again for as long as was set, ends with a word on the catalogue, and can be run
     again; one whose link comes back in time is drawn."""
     make_demo(tmp_path / "sky", faintest_g_mag=6.0)
-    server = make_server(NIGHTGLASS_SCHEDULER_S="6")
+    server = make_server(NIGHTGLASS_SCHEDULER_S="3")
     link = server.home / "catalogues" / "sky"
     link.symlink_to(tmp_path / "sky")
-    frames = scene["exposure"] | {"frames": 300}
+    frames = scene["exposure"] | {"frames": 100}
     before = server.submit(scene | {"exposure": frames})  # others wait behind it
     named = [scene | {"stars": {"catalogue": "sky"}, "seed": seed} for seed in (1, 2)]
     gone, back = map(server.submit, named)
