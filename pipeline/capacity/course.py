@@ -36,6 +36,8 @@ from pipeline.survey.watch import Watcher, WatchMoments, make_watcher
 STEPS, BATCH = 360, 1024  # of a window; objects of a task
 MOST_CPU_S = 24 * 3600.0
 STATE_CPU_S, PAIR_CPU_S, TASK_CPU_S = 0.8e-6, 0.05e-6, 0.05  # of this machine, with room
+SKY_CPU_S = 0.03  # of a table of the sky
+EDITION = 2  # of the numbers: one begun by another edition is not resumed
 CAMERA_KEYS = ("sensor", "exposure", "background")
 LOOKS, LOOK_STEPS = 500, 200  # directions and moments at which a field of regard is tried
 
@@ -102,6 +104,8 @@ class StudyCourse:
         cpu_s = states * (STATE_CPU_S + len(self.watchers) * PAIR_CPU_S)
         tasks = self.windows * self.batches
         rows = min(len(self.elements), BATCH) * STEPS
+        skies = (w.sky for w in self.watchers if w.sky is not None)
+        cpu_s += sum(SKY_CPU_S * self.hours * 3600.0 / sky.step_s for sky in skies)
         return {
             "objects": len(self.elements),
             "sensors": len(self.units),
@@ -128,7 +132,7 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
     idle = [_idle(watcher, study.duration_h * 3600.0) for watcher in watchers]
     if all(idle) and idle[0] is not None:
         raise idle[0]
-    text = json.dumps([study.as_dict(), files_digest(data)], sort_keys=True).encode()
+    text = json.dumps([EDITION, study.as_dict(), files_digest(data)], sort_keys=True).encode()
     for column in fields(elements):
         values = np.ascontiguousarray(getattr(elements, column.name))
         text += hashlib.sha256(values.tobytes()).digest()

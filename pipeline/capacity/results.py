@@ -161,7 +161,7 @@ def _sensors(
         "used_fraction": busy_s / 3600.0 / np.maximum(open_h[course.units], 1e-9),
         "observations": counts[0],
         "detections": counts[1],
-        "sky_e_s_px": [w.resolved.facts.background_e_s for w in watchers],
+        "zenith_sky_e_s_px": [w.resolved.facts.background_e_s for w in watchers],
     }
     return pa.table(columns)
 
@@ -185,10 +185,11 @@ def smallest_m(
     reflected = sphere_intensity_per_irradiance(REACH_PHASE_RAD, 1.0, REACH_ALBEDO)
     light = photon_rate_at_aperture(1.0, ASTRONOMICAL_UNIT_M, 1.0, reflected, range_m)
     light_e = watcher.light_e(light, np.ones(1))
+    sky_e_s = watcher.resolved.facts.background_e_s
     low, high = np.full(len(range_m), -4.0), np.full(len(range_m), 4.0)
     for _ in range(40):
         middle = 0.5 * (low + high)
-        seen = watcher.signal.snr(light_e * 10.0 ** (2.0 * middle), streak) >= threshold
+        seen = watcher.snr(light_e * 10.0 ** (2.0 * middle), streak, sky_e_s) >= threshold
         low, high = np.where(seen, low, middle), np.where(seen, middle, high)
     return np.asarray(10.0**high)
 

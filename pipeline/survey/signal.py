@@ -32,8 +32,9 @@ class SignalTable:
 
     def snr(self, light_e: Array, length_px: Array) -> Array:
         """SNR (n,) of light (n,) [e-] spread over streaks (n,) [px]; linear between the table's
-        places: within 1 % of `matched_snr` (tests)."""
+        places: within 1 % of `matched_snr` (tests). Fainter than the table it goes as the light."""
         light = np.clip(light_e, LEAST_E, MOST_E)
+        fainter = np.minimum(1.0, np.maximum(light_e, 0.0) / LEAST_E)
         inside = np.minimum(1.0, self.longest_px / np.maximum(length_px, 1e-9))
         x = _of_length(np.minimum(length_px, self.longest_px)) / _of_length(self.longest_px)
         y = np.log(light * inside / LEAST_E) / np.log(MOST_E / LEAST_E)
@@ -42,7 +43,7 @@ class SignalTable:
         t = self.log_snr
         low = (1.0 - v) * t[i, j] + v * t[i, j + 1]
         high = (1.0 - v) * t[i + 1, j] + v * t[i + 1, j + 1]
-        return np.where(light_e > 0.0, np.exp((1.0 - u) * low + u * high), 0.0)
+        return np.asarray(fainter * np.exp((1.0 - u) * low + u * high))
 
 
 def signal_table(resolved: ResolvedScene) -> SignalTable:

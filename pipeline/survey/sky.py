@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +16,21 @@ from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.sky import zodiacal as z
 from pipeline.physics.vectors import from_angles, separation, unit
 from pipeline.plan.pointing.geometry import geometry_anywhere
+from pipeline.plan.pointing.site import axes_of
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, background_of
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sky.background import Zodiacal
 
+if TYPE_CHECKING:
+    from pipeline.survey.watch import WatchMoments
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 SITE_STEP_S, ORBIT_STEP_S = 300.0, 3600.0  # from one table to the next
+INSTANT_S = 1e-3  # of an exposure, so that its middle is its moment
 AZIMUTHS = np.arange(0.0, 360.1, 5.0) * DEG_RAD
 LOW = (0.0, 2.5, 5.0, 7.5)  # the air's light changes fast there
 ABOVE = np.array([*LOW, *np.arange(10.0, 90.1, 5.0)]) * DEG_RAD
@@ -41,87 +45,89 @@ class SkyBehind:
 
     It is tabulated every step_s over azimuth and elevation (a satellite's: over the sphere, TEME
     axes) and linear between, in its logarithm: to 1 % in the night and 4 % in twilight, 12 degrees
-    or more from the Moon (tests).
+    or more above the horizon and from the Moon, and to 5 % from orbit (tests).
 
     light : what the tables are made from; pixel_m2_sr : of a pixel in the middle; every_e_s : what
-    each pixel has of its own [e-/s], as given and of stray light at the epoch; key : of all that
+    each pixel has of its own [e-/s], as given and of stray light at the epoch
     """
 
     light: LightOfSky
     pixel_m2_sr: float
     every_e_s: float
-    key: str
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, SkyBehind) and self.key == other.key
 
     @property
-    def of_a_site(self) -> bool:
-        return isinstance(self.light.scene.observer, GroundObserver)
-
-    def e_s(self, offset_s: Array, up: Array, observed: Array) -> Array:
-        """Electrons/s of a pixel (r,) that looks along `observed` (r, 3), the sensor's vertical
-        being `up` (r, 3), both in TEME axes, at moments (r,) [s] after the epoch."""
-        if not len(offset_s):
-            return np.zeros(0)
-        axes = _axes(up) if self.of_a_site else np.broadcast_to(np.eye(3), (len(up), 3, 3))
-        x, y, h = np.moveaxis(np.einsum("nij,nj->ni", axes, observed), -1, 0)
-        i, u = _place(AZIMUTHS, np.arctan2(y, x) % (2.0 * np.pi))
-        j, v = _place(self.heights, np.arcsin(np.clip(h, -1.0, 1.0)))
-        at = offset_s / self.step_s
-        first = np.floor(at).astype(np.int64)
-        numbers, of = np.unique(np.concatenate([first, first + 1]), return_inverse=True)
-        tables = np.array([table_of(self, int(n)) for n in numbers])
-        before, after = of[: len(at)], of[len(at) :]
-
-        def value(k: Index) -> Array:
-            low = (1.0 - v) * tables[k, i, j] + v * tables[k, i, j + 1]
-            return (1.0 - u) * low + u * (
-                (1.0 - v) * tables[k, i + 1, j] + v * tables[k, i + 1, j + 1]
-            )
-
-        w = at - first
-        return np.exp((1.0 - w) * value(before) + w * value(after))
+    def site(self) -> GroundObserver | None:
+        """Where it stands; None in orbit."""
+        o = self.light.scene.observer
+        return o if isinstance(o, GroundObserver) else None
 
     @property
     def step_s(self) -> float:
         """From one table to the next."""
-        return SITE_STEP_S if self.of_a_site else ORBIT_STEP_S
+        return ORBIT_STEP_S if self.site is None else SITE_STEP_S
 
     @property
     def heights(self) -> Array:
         """The elevations of the tables [rad]."""
-        return ABOVE if self.of_a_site else AROUND
+        return AROUND if self.site is None else ABOVE
 
+    def e_s(self, watch: WatchMoments, moment: Index, observed: Array) -> Array:
+        """Electrons/s of a pixel (r,) that looks along `observed` (r, 3), TEME axes, at moments
+        (r,) of a watch, which keeps the tables."""
+        if not len(moment):
+            return np.zeros(0)
+        up = watch.up[moment]
+        axes = np.broadcast_to(np.eye(3), (len(up), 3, 3)) if self.site is None else _axes(up)
+        x, y, h = np.moveaxis(np.einsum("nij,nj->ni", axes, observed), -1, 0)
+        i, u = _place(AZIMUTHS, np.arctan2(y, x) % (2.0 * np.pi))
+        j, v = _place(self.heights, np.arcsin(np.clip(h, -1.0, 1.0)))
+        at = watch.offset_s[moment] / self.step_s
+        first = np.floor(at).astype(np.int64)
+        numbers, of = np.unique(np.concatenate([first, first + 1]), return_inverse=True)
+        tables = np.array([self._table(watch, int(n)) for n in numbers])
+        before, after = of[: len(at)], of[len(at) :]
 
-@lru_cache(maxsize=2048)
-def table_of(sky: SkyBehind, number: int) -> Array:
-    """Logarithm of the electrons/s of a pixel (azimuths, elevations) at a moment (number x step_s).
+        def value(k: Index) -> Array:
+            low = (1.0 - v) * tables[k, i, j] + v * tables[k, i, j + 1]
+            high = (1.0 - v) * tables[k, i + 1, j] + v * tables[k, i + 1, j + 1]
+            return (1.0 - u) * low + u * high
 
-    Where zodiacal light is not known so near to the Sun, that of the brightest direction is taken.
-    """
-    light, scene = sky.light, sky.light.scene
-    at = np.array([number * sky.step_s])
-    g = geometry_anywhere(scene, np.zeros(1, np.int64), light.dut1_s, at)
-    azimuth, height = np.meshgrid(AZIMUTHS, sky.heights, indexing="ij")
-    local = from_angles(azimuth.ravel(), height.ravel())
-    turn = teme_to_gcrs(instants(parse_utc(scene.epoch), at, light.dut1_s))[0]
-    if sky.of_a_site:
-        turn = turn @ _axes(g.air[0, g.middle, None, :3] @ turn)[0].T
-    observed = local @ turn.T
-    known = np.ones(len(observed), bool)
-    request = background_of(scene).zodiacal
-    if request:
-        sun = unit(g.sun_m[0, g.middle] - g.observer_m[0, g.middle])
-        known = separation(light.natural(g, 0, g.middle, observed), sun[None]) > _least_rad(request)
-    parts = light.towards(g, 0, g.middle, observed[known])
-    e_s = np.full(len(observed), np.nan)
-    e_s[known] = np.sum(list(parts.values()), axis=0) * sky.pixel_m2_sr + sky.every_e_s
-    e_s[~known] = e_s[known].max()
-    return np.log(np.maximum(e_s, LEAST_E_S)).reshape(azimuth.shape)
+        w = at - first
+        return np.exp((1.0 - w) * value(before) + w * value(after))
+
+    def _table(self, watch: WatchMoments, number: int) -> Array:
+        """The table of a number; a satellite's within the watch, beyond which its orbit may end."""
+        if number not in watch.sky_tables:
+            at_s = number * self.step_s
+            if self.site is None:
+                at_s = float(np.clip(at_s, watch.offset_s[0], watch.offset_s[-1]))
+            watch.sky_tables[number] = self.at(at_s)
+        return watch.sky_tables[number]
+
+    def at(self, offset_s: float) -> Array:
+        """Logarithm of the electrons/s of a pixel (azimuths, elevations) at a moment.
+
+        Where zodiacal light is not known so near to the Sun, that of the brightest direction.
+        """
+        light, scene = self.light, self.light.scene
+        g = geometry_anywhere(scene, np.zeros(1, np.int64), light.dut1_s, np.array([offset_s]))
+        azimuth, height = np.meshgrid(AZIMUTHS, self.heights, indexing="ij")
+        times = instants(parse_utc(scene.epoch), [offset_s], light.dut1_s)
+        turn = teme_to_gcrs(times)[0]
+        if self.site is not None:
+            turn = turn @ _axes(axes_of(self.site, times)[:, 2] @ turn)[0].T
+        observed = from_angles(azimuth.ravel(), height.ravel()) @ turn.T
+        known = np.ones(len(observed), bool)
+        request = background_of(scene).zodiacal
+        if request:
+            sun = unit(g.sun_m[0, g.middle] - g.observer_m[0, g.middle])
+            apart = separation(light.natural(g, 0, g.middle, observed), sun[None])
+            known = apart > _least_rad(request)
+        parts = light.towards(g, 0, g.middle, observed[known])
+        e_s = np.full(len(observed), np.nan)
+        e_s[known] = np.sum(list(parts.values()), axis=0) * self.pixel_m2_sr + self.every_e_s
+        e_s[~known] = e_s[known].max()
+        return np.log(np.maximum(e_s, LEAST_E_S)).reshape(azimuth.shape)
 
 
 def sky_behind(scene: Scene, resolved: ResolvedScene) -> SkyBehind | None:
@@ -131,7 +137,8 @@ def sky_behind(scene: Scene, resolved: ResolvedScene) -> SkyBehind | None:
     """
     if not background_of(scene).varies:
         return None
-    bare = scene.model_copy(update={"targets": ()})
+    instant = scene.exposure.model_copy(update={"integration_s": INSTANT_S})
+    bare = scene.model_copy(update={"targets": (), "exposure": instant})
     band = gather_response(scene)
     colour = gather_band_light(scene, *band).colour
     inputs = gather_sky(scene, *band, (), colour, False, resolved.extinction)
@@ -141,8 +148,7 @@ def sky_behind(scene: Scene, resolved: ResolvedScene) -> SkyBehind | None:
     middle = np.array([0.5 * (camera.columns - 1)]), np.array([0.5 * (camera.rows - 1)])
     g = geometry_anywhere(bare, np.zeros(1, np.int64), light.dut1_s, np.zeros(1))
     own = sum(light.per_pixel(g, 0, g.middle, *middle).values())
-    key = json.dumps([bare.as_dict(), light.dut1_s], sort_keys=True)
-    return SkyBehind(light, float(light.pixel_m2_sr(*middle)[0]), float(own[0]), key)  # type: ignore[index]
+    return SkyBehind(light, float(light.pixel_m2_sr(*middle)[0]), float(own[0]))  # type: ignore[index]
 
 
 def _least_rad(request: Zodiacal | bool) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -93,7 +93,7 @@ class Watcher:
         """Electrons/s of a pixel (r,) behind directions (r, 3: TEME, as the camera sees them)."""
         if self.sky is None:
             return np.full(len(moment), self.resolved.facts.background_e_s)
-        return self.sky.e_s(watch.offset_s[moment], watch.up[moment], observed)
+        return self.sky.e_s(watch, moment, observed)
 
     def snr(self, light_e: Array, streak_px: Array, sky_e_s: Array | float) -> Array:
         """SNR (r,) of a frame, of light (r,) [e-] in streaks (r,) [px] before a sky (r,) [e-/s];
@@ -218,7 +218,7 @@ class WatchMoments:
 
     to_gcrs : (n, 3, 3); observer_m, motion_m_s : geocentric; up : its vertical; lowest : (n,) least
     elevation; works : (n,) whether it looks at all; sun_m : apparent; moon_m : geocentric; pole :
-    of the Galaxy; earth_m_s : the Earth's velocity
+    of the Galaxy; earth_m_s : the Earth's velocity; sky_tables : of `SkyBehind`, as they are made
     """
 
     offset_s: Array
@@ -232,6 +232,7 @@ class WatchMoments:
     moon_m: Array
     pole: Array
     earth_m_s: Array
+    sky_tables: dict[int, Array] = field(default_factory=dict)
 
     @property
     def turn_rad_s(self) -> Array:

@@ -50,8 +50,12 @@ export class JobView {
       if (!ended(job)) fill(this.stage, el("div", { class: "empty" }, waiting(job)));
       else if (job.error) fill(this.stage, errorCard(job.error));
       else if (job.phase === "COMPLETED") {
-        this.made = await showTables(this.stage, job, this.path);
-        this.heading();
+        try {
+          this.made = await showTables(this.stage, job, this.path);
+          this.heading();
+        } catch (error) {
+          fill(this.stage, el("div", { class: "card bad" }, el("p", {}, error.message)));
+        }
       } else fill(this.stage, el("div", { class: "empty" }, "It was stopped."));
       return;
     }

@@ -10,8 +10,8 @@ import { TEMPLATES } from "./templates.js";
 
 const DRAFT = "nightglass-draft";
 const PLACES = { "nightglass/sweep/1": "/v1/sweeps", "nightglass/study/1": "/v1/studies" };
-const placeOf = (scene) => PLACES[scene.schema] ?? "/v1/jobs";
-const isScene = (scene) => !PLACES[scene.schema];
+const isScene = (scene) => !Object.hasOwn(PLACES, scene.schema);
+const placeOf = (scene) => (isScene(scene) ? "/v1/jobs" : PLACES[scene.schema]);
 
 export async function submitView(main, begin) {
   fill(main, el("p", { class: "quiet" }, "loading the schema…"));
@@ -43,7 +43,9 @@ export async function submitView(main, begin) {
     write();
     fill(answer);
   };
-  text.addEventListener("input", async () => {
+  let reading = null; // YAML takes a moment
+  text.addEventListener("input", () => { reading = read(); });
+  const read = async () => {
     const mine = ++turn;
     try {
       const scene = isJson(text.value) ? JSON.parse(text.value) : await readYaml(text.value, () => mine === turn);
@@ -57,7 +59,7 @@ export async function submitView(main, begin) {
     } catch (error) {
       if (mine === turn) fault.textContent = `not ${isJson(text.value) ? "JSON" : "YAML"} yet: ${error.message}`;
     }
-  });
+  };
 
   const refused = (error) => {
     if (isScene(state.scene)) form.mark(error.errors || []);
@@ -66,6 +68,7 @@ export async function submitView(main, begin) {
         el("li", {}, el("code", {}, e.pointer || "scene"), ` is ${e.value}; ${e.allowed}`)))));
   };
   const busy = (button, work) => async () => {
+    await reading;
     if (fault.textContent) return notice("the text is not JSON or YAML");
     button.disabled = true;
     button.classList.add("busy");
@@ -80,8 +83,9 @@ export async function submitView(main, begin) {
   const planner = el("button", { type: "button", id: "plan" }, "Plan");
   planner.addEventListener("click", busy(planner, async () => {
     fill(answer, el("p", { class: "quiet" }, "planning…"));
-    const plan = await send(`${placeOf(state.scene)}?dry_run=1`, text.value, kindOf(text.value));
-    fill(answer, isScene(state.scene) ? planCard(plan) : forecastCard(plan));
+    const scene = state.scene;
+    const plan = await send(`${placeOf(scene)}?dry_run=1`, text.value, kindOf(text.value));
+    fill(answer, isScene(scene) ? planCard(plan) : forecastCard(plan));
   }));
   const observer = el("button", { type: "button", id: "observe" }, "Observe");
   observer.addEventListener("click", busy(observer, async () => {

@@ -1,12 +1,13 @@
 // Sweeps and studies: they have no frames; at the end their figures, tables and pages.
 
 import { ask, json } from "./api.js";
-import { el, fill, number, seconds } from "./dom.js";
+import { el, fill, notice, number, seconds } from "./dom.js";
 
 const table = (heads, rows) => el("div", { class: "scroll" }, el("table", { class: "figures" },
   el("thead", {}, el("tr", {}, heads.map((h) => el("th", {}, h)))), el("tbody", {}, rows)));
-const numbers = (values) => values.map((value) => el("td", { class: "num" },
-  typeof value === "string" ? value : number(value)));
+const shown = (value) => (typeof value === "number" || value === null || value === undefined ? number(value)
+  : typeof value === "string" ? value : JSON.stringify(value));
+const numbers = (values) => values.map((value) => el("td", { class: "num" }, shown(value)));
 const named = (key) => key.replaceAll("_", " ");
 
 const GAPS = { objects: "objects", gap_median_h: "median gap [h]", gap_p95_h: "95 % [h]",
@@ -43,16 +44,19 @@ function studyCard(report) {
 }
 
 // A picture from what a file of the job holds.
-const image = (alt, content, type) => el("img", { alt, src: URL.createObjectURL(new Blob([content], { type })) });
+function image(alt, content, type) {
+  const src = URL.createObjectURL(new Blob([content], { type }));
+  return el("img", { alt, src, onload: () => URL.revokeObjectURL(src) });
+}
 const textOf = async (path) => (await ask(path)).text();
 
 async function sweepPictures(report, path) {
-  return image("what was measured over the axes", await textOf(`${path}/summary.svg`), "image/svg+xml");
+  return [image("what was measured over the axes", await textOf(`${path}/summary.svg`), "image/svg+xml")];
 }
 
 // Those that the study's own page carries inside.
 async function studyPictures(report, path) {
-  if (report.points) return null;
+  if (report.points) return [];
   const inside = /alt="([^"]*)" src="data:image\/png;base64,([^"]*)"/g;
   return [...(await textOf(`${path}/report.html`)).matchAll(inside)].map(([, alt, text]) =>
     image(alt, Uint8Array.from(atob(text), (c) => c.charCodeAt(0)), "image/png"));
@@ -88,6 +92,8 @@ export function downloads(job, report, get) {
 export async function showTables(stage, job, path) {
   const report = await json(`${path}/report`);
   const { card, pictures } = KINDS[job.kind];
-  fill(stage, el("div", { class: "card", id: job.kind }, card(report), await pictures(report, `${path}/results`)));
+  const box = el("div", { class: "card", id: job.kind }, card(report));
+  fill(stage, box);
+  pictures(report, `${path}/results`).then((found) => box.append(...found)).catch((error) => notice(error.message));
   return report;
 }

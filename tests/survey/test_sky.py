@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from pipeline.physics.vectors import from_angles, separation, to_angles, unit
 from pipeline.resolve.resolve import resolve
 from pipeline.spec.load import parse_scene
 from pipeline.spec.study import FieldOfRegard
-from pipeline.survey.sky import SITE_STEP_S, table_of
 from pipeline.survey.watch import Watcher, make_watcher
 from tests.survey.conftest import CAMERA, EPOCH, sections
 
@@ -26,7 +26,7 @@ ORBIT = {
 
 
 def watcher_of(background: dict[str, Any] | None, **more: Any) -> Watcher:
-    asked = sections(background=background, sensor=SMALL, **more)
+    asked = sections(**{"background": background, "sensor": SMALL} | more)
     return make_watcher(asked, FieldOfRegard(), EPOCH, False)
 
 
@@ -77,14 +77,18 @@ def test_a_site_against_the_renderer() -> None:
 
 
 def test_dusk_against_the_renderer() -> None:
-    """Twilight falls by a magnitude in some four minutes; between tables it is followed."""
+    """Twilight falls by a magnitude in some four minutes; between tables it is followed, also where
+    an exposure lasts a minute: a moment is that of its middle."""
     sky = {"airglow": True, "twilight": True}
+    long = watcher_of(sky, exposure={"integration_s": 60.0})
     w, rng = watcher_of(sky), np.random.default_rng(4)
     offset_s = -3600.0 + rng.uniform(0.0, 2400.0, 8)
     u = above(w, offset_s, rng)
     truth = [rendered_e_s(w, sky, t, d) for t, d in zip(offset_s, u, strict=True)]
     assert max(truth) > 10.0 * min(truth)
     np.testing.assert_allclose(asked(w, offset_s, u), truth, rtol=0.04)
+    np.testing.assert_allclose(asked(long, offset_s, u), truth, rtol=0.04)
+    assert asked(w, np.zeros(0), np.zeros((0, 3))).shape == (0,)
 
 
 def test_a_satellite_against_the_renderer() -> None:
@@ -103,8 +107,8 @@ def test_near_the_sun_it_is_the_brightest_that_is_known() -> None:
     w = watcher_of({"zodiacal": True}, observer={"kind": "orbit", "orbit": ORBIT})
     watch = w.watch(np.zeros(1))
     assert w.sky is not None
-    table = np.exp(table_of(w.sky, 0))
     at_sun = w.sky_e_s(watch, np.zeros(1, np.int64), unit(watch.sun_m - watch.observer_m))
+    table = np.exp(w.sky.at(0.0))
     assert at_sun == pytest.approx(table.max(), rel=1e-6)
     assert np.isfinite(table).all()
 
@@ -153,21 +157,50 @@ def test_no_signal_stands_out_of_full_pixels() -> None:
         assert ((w.snr(light, still, sky) > 0.0) == seen).all()
 
 
-def test_tables_belong_to_their_scene() -> None:
-    """Tables are kept by all that they follow from."""
-    one, two = watcher_of(FULL).sky, watcher_of(FULL).sky
-    other = watcher_of(FULL | {"uniform_mag_arcsec2": 20.0}).sky
-    assert one is not None
-    assert two is not None
-    assert other is not None
-    assert one == two
-    assert hash(one) == hash(two)
-    assert one != other
-    assert table_of(one, 2) is table_of(two, 2)
-    assert (table_of(other, 2) > table_of(one, 2)).all()
-    assert len(asked(watcher_of(FULL), np.zeros(0), np.zeros((0, 3)))) == 0
-    night = asked(watcher_of(FULL), np.array([2 * SITE_STEP_S]), from_angles([1.0], [0.5]))
-    assert np.isfinite(night).all()
+def test_light_that_a_bright_sky_drowns_has_no_signal() -> None:
+    """Under 6e4 e- of sky: as of a sensor that has it everywhere, to any faintness."""
+    camera = SMALL | {"read_noise_e": 0.3, "gain_e_per_dn": 1.0, "adc_bits": 24}
+    dark = sections(sensor=camera, background={"moonlight": True})
+    w = make_watcher(dark, FieldOfRegard(), EPOCH, False)
+    light = np.geomspace(1e-3, 1e5, 33)
+    own = w.snr(light, np.zeros(33), 6e4)
+    bright = sections(sensor=camera, background={"uniform_e_per_s": 6e4})
+    other = make_watcher(bright, FieldOfRegard(), EPOCH, False)
+    np.testing.assert_allclose(own, other.snr(light, np.zeros(33), 6e4), rtol=5e-3)
+    assert own[0] < 1e-4
+    assert (w.snr(np.array([0.0, -1.0]), np.zeros(2), 6e4) == 0.0).all()
+
+
+def test_a_table_is_of_what_its_files_hold(tmp_path: Path) -> None:
+    """One that was replaced under the same name counts."""
+    curve = tmp_path / "qe.csv"
+    found = []
+    for value in (0.9, 0.3):
+        curve.write_text(f"300,{value}\n1000,{value}\n")
+        w = watcher_of({"zodiacal": True}, sensor=SMALL | {"quantum_efficiency": str(curve)})
+        found.append(asked(w, np.array([60.0]), np.array([[0.0, 0.0, 1.0]]))[0])
+    assert found[0] == pytest.approx(3.0 * found[1], rel=1e-3)
+
+
+@pytest.mark.parametrize("part", ["zodiacal", "galactic"])
+def test_a_site_without_air(part: str) -> None:
+    site = {k: v for k, v in sections()["observer"].items() if k != "atmosphere"}
+    w = watcher_of({part: True}, observer=site)
+    rng, offset_s = np.random.default_rng(8), np.array([700.0, 9000.0, 20_000.0])
+    u = above(w, offset_s, rng)
+    truth = [rendered_e_s(w, {part: True}, t, d) for t, d in zip(offset_s, u, strict=True)]
+    np.testing.assert_allclose(asked(w, offset_s, u), truth, rtol=0.05)
+
+
+def test_an_orbit_is_asked_for_no_moment_beyond_the_period() -> None:
+    """A table of states that ends with it."""
+    at_s = np.linspace(-60.0, 5000.0, 102)
+    turn = 2.0 * np.pi * at_s / 6000.0
+    places = 7.2e6 * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    rows = np.column_stack([at_s, places]).tolist()
+    orbit = {"kind": "table", "epoch": "2019-04-20T06:00:00Z", "rows": rows}
+    w = watcher_of({"zodiacal": True}, observer={"kind": "orbit", "orbit": orbit})
+    assert np.isfinite(asked(w, np.array([30.0, 4900.0]), np.eye(3)[:2])).all()
 
 
 def test_a_site_at_the_pole() -> None:
