@@ -103,10 +103,14 @@ class Watcher:
         light / s in the table: exact for the matched filter, whose terms are
         (F p)^2 / (noise^2 + F p).
         """
-        r, share = self.resolved, self._noise_share(sky_e_s)
+        share = self._noise_share(sky_e_s)
         snr = np.sqrt(share) * self.signal.snr(light_e / share, streak_px)
-        filled_e = r.facts.flat * np.asarray(sky_e_s) * r.integration_s(0) + r.facts.dark_e
-        return np.where(filled_e < self.full_e, snr, 0.0)
+        return np.where(self._filled_e(sky_e_s) < self.full_e, snr, 0.0)
+
+    def _filled_e(self, sky_e_s: Array | float) -> Array:
+        """Charge (r,) of a pixel that holds no object [e-]."""
+        r = self.resolved
+        return np.asarray(r.facts.flat * np.asarray(sky_e_s) * r.integration_s(0) + r.facts.dark_e)
 
     @cached_property
     def full_e(self) -> float:
@@ -138,7 +142,10 @@ class Watcher:
     @property
     def sky_note(self) -> str:
         """What its sky is, for people."""
-        told = f"sky {self.resolved.facts.background_e_s:.3g} e-/s a pixel"
+        sky_e_s = self.resolved.facts.background_e_s
+        told = f"sky {sky_e_s:.3g} e-/s a pixel"
+        if self._filled_e(sky_e_s) >= self.full_e:
+            told += f", which FILLS IT ({self.full_e:.3g} e-): nothing is detected before it"
         if self.sky is None:
             return told + ", the same everywhere and always"
         return told + " above it at the start without Moon and twilight; each object its own"

@@ -155,6 +155,11 @@ def test_no_signal_stands_out_of_full_pixels() -> None:
         w = make_watcher(sections(sensor=camera), FieldOfRegard(), EPOCH, False)
         assert w.full_e == (well or 2.0 * (65_535 - 500))
         assert ((w.snr(light, still, sky) > 0.0) == seen).all()
+        assert "FILLS" not in w.sky_note
+    filled = make_watcher(
+        sections(background={"uniform_e_per_s": 2e5}), FieldOfRegard(), EPOCH, False
+    )
+    assert "FILLS IT (6.55e+04 e-)" in filled.sky_note
 
 
 def test_light_that_a_bright_sky_drowns_has_no_signal() -> None:
