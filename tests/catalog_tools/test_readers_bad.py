@@ -177,6 +177,21 @@ def test_fits_without_a_table_and_with_other_extensions(tmp_path, few):
     check(tmp_path / "b.fits", "NAXIS1 = -4")
 
 
+def test_fits_extensions_of_any_size_before_the_table_are_passed_over(tmp_path, few):
+    """Images without pixels, and random groups, whose first axis of none counts no pixels."""
+    from astropy.io import fits
+
+    table = fits.table_to_hdu(as_astropy(few, masked=False))
+    images = fits.ImageHDU(np.ones((0, 900))), fits.ImageHDU(np.ones((3, 0)))
+    values = np.arange(9000.0).reshape(10, 900).astype(np.float32)
+    more = [np.arange(10.0), np.ones(10)]
+    groups = fits.GroupsHDU(fits.GroupData(values, bitpix=-32, parnames=["u", "v"], pardata=more))
+    fits.HDUList([fits.PrimaryHDU(), *images, table]).writeto(tmp_path / "images.fits")
+    fits.HDUList([groups, table]).writeto(tmp_path / "groups.fits")
+    for name in ("images.fits", "groups.fits"):
+        assert read(tmp_path / name, DR2)["source_id"].equals(few["source_id"])
+
+
 def test_wrong_types_of_columns(tmp_path, few):
     table = as_astropy(few, masked=False)
     table["source_id"] = 6.7e17 + table["source_id"].astype(float)

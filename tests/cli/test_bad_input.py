@@ -15,7 +15,9 @@ from typer.main import get_command
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.engine import clusters
 from catalog_tools.synthetic.synthetic import make_demo
+from pipeline.cli import _explain as explain
 from pipeline.cli import app
+from pipeline.errors import BadInput
 from tests.command import nightglass
 
 SCENE = {
@@ -285,3 +287,16 @@ def test_a_corner_is_two_numbers(catalogue: Path, text: str) -> None:
     assert "--corner" in said.stderr
     assert text in said.stderr
     assert said.stderr.count("\n") == 1
+
+
+def test_a_fault_is_one_message_or_on_request_its_trace(monkeypatch, capsys):
+    """NIGHTGLASS_DEBUG lets a fault of the program through; mistakes of the user stay messages."""
+    monkeypatch.delenv("NIGHTGLASS_DEBUG", raising=False)
+    assert explain(ValueError("odd")) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("nightglass: internal fault: ValueError: odd\n")
+    assert "NIGHTGLASS_DEBUG=1" in said
+    monkeypatch.setenv("NIGHTGLASS_DEBUG", "1")
+    with pytest.raises(ValueError, match="odd"):
+        explain(ValueError("odd"))
+    assert explain(BadInput("field", 1, "2")) == 2

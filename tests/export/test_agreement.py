@@ -10,7 +10,10 @@ from astropy.io import fits
 from astropy.wcs import WCS
 
 from pipeline.export.formats import ExportRequest, export_product
-from pipeline.export.response import STEP_PX, path_between
+from pipeline.export.response import STEP_PX, SourceLight, path_between
+from pipeline.physics.motion.streak import POINT
+from pipeline.physics.psf.pupil import Blur, Gaussian
+from pipeline.plan.optics.psf_field import PsfField
 from pipeline.store.cube import read_layer
 
 TOLERANCE_PX = 1e-3
@@ -121,3 +124,23 @@ def test_a_path_through_three_places_bends_their_way() -> None:
     for k, place in ((0, start), (half, middle), (-1, end)):
         assert (x[k], y[k]) == pytest.approx(tuple(place), abs=2 * STEP_PX)
     assert path_between(start, 0.5 * (start + end), end).segments == 1
+
+
+def test_light_of_a_field_is_that_of_its_place() -> None:
+    """Its second moments: shares of the four responses around a place, by rows and by columns, each
+    of its sigma and a pixel's 1/12."""
+    sigmas = (0.8, 1.2, 1.6, 2.0)  # left and right of the first row, then of the last
+    blurs = tuple(Blur(Gaussian(s)) for s in sigmas)
+    drawn = SourceLight(blurs[0], PsfField((0.0, 100.0), (0.0, 200.0), blurs, (0, 1, 2, 3)))
+    for x, y in ((40.0, 70.0), (160.0, 10.0), (200.0, 0.0)):
+        row, column, light = drawn.image(POINT, x, y, 1000.0, 1e-9)
+        v, u = y / 100.0, x / 200.0
+        shares = ((1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u)
+        expected = sum(w * (s * s + 1.0 / 12.0) for w, s in zip(shares, sigmas, strict=True))
+        rows, columns = np.mgrid[: light.shape[0], : light.shape[1]] + 0.0
+        assert light.sum() == pytest.approx(1000.0, rel=1e-5)
+        for at, place in ((rows + row, y), (columns + column, x)):
+            assert (at * light).sum() / light.sum() == pytest.approx(place, abs=1e-4)
+            assert ((at - place) ** 2 * light).sum() / light.sum() == pytest.approx(
+                expected, rel=1e-3
+            )

@@ -80,6 +80,26 @@ def test_out_of_field_and_its_edge() -> None:
         assert seen_from(space, [ball_at(target)], ra, dec - off) == word
 
 
+def test_streaks_that_cross_the_edge_are_seen_in_their_own_exposure() -> None:
+    """At 2 km/s and 100 km away, into a field of 2.5 km: one comes in with the second exposure, one
+    is gone after the first; the middle of neither streak is ever in the frame."""
+    towards = unit(ACROSS)
+    side = unit(np.cross(towards, SUN))
+    targets = []
+    for name, middle_m in (("leaves", 1600.0), ("comes", -1600.0 - 2.0 * 2000.0)):
+        start_m = BESIDE + 1e5 * towards + (middle_m - 0.5 * 2000.0) * side
+        targets.append(ball_at(start_m) | {"name": name})
+        targets[-1]["orbit"]["velocity_m_s"] = [float(v) for v in 2000.0 * side]
+    ra, dec = (float(np.degrees(v)) for v in to_angles(towards))
+    scene = night(
+        observer={"kind": "orbit", "orbit": ball_at(BESIDE)["orbit"]}, targets=targets,
+        pointing={"mode": "sidereal", "boresight_ra_deg": ra, "boresight_dec_deg": dec},
+        exposure={"integration_s": 1.0, "frames": 2, "cadence_s": 2.0}, background=None,
+    )  # fmt: skip
+    seen = observe(parse_scene(scene)).table["seen"].to_pylist()
+    assert seen == ["yes", "out of field", "out of field", "yes"]
+
+
 GEO = [{"name": "ball", "orbit": in_high_orbit(150.0), "body": BALL}]
 TRACK = {"mode": "target", "target": "ball"}
 

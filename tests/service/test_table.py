@@ -209,6 +209,19 @@ def test_a_pending_job_grows_within_the_quota(database: str) -> None:
     store.close()
 
 
+def test_a_pending_job_does_not_fill_the_queue_it_stands_in(database: str) -> None:
+    """With the last place of the queue it may still grow; with more than all, it may not."""
+    store, limits = Queue(database), TeamLimits(queued_jobs=1)
+    [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING, pixel_frames=4)], limits)
+    store.amend(job.id, "red", limits, scene={"b": 2}, pixel_frames=5)
+    assert (store.scene(job.id), store.get(job.id).pixel_frames) == ({"b": 2}, 5)
+    submit_many(store, [ask()], TeamLimits())
+    with pytest.raises(QueueFull):
+        store.amend(job.id, "red", limits, scene={"c": 3}, pixel_frames=6)
+    assert store.scene(job.id) == {"b": 2}
+    store.close()
+
+
 def test_a_deleted_job_is_not_overdue(database: str) -> None:
     """Its time of destruction came, and it is deleted already: nothing is left to be done."""
     store = Queue(database)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -109,6 +110,43 @@ def test_a_job_that_kills_its_workers_ends(store: Queue, tmp_path: Path) -> None
     assert found.phase == Phase.ERROR
     assert found.error is not None
     assert "died" in found.error["message"]
+
+
+@pytest.mark.parametrize(("tiles", "attempts"), [({}, 4), ({3: 5}, 6), ({3: 0}, 4)])
+def test_a_job_is_tried_again_for_so_long(
+    store: Queue,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tiles: dict[int, int],
+    attempts: int,
+) -> None:
+    """After 1, 2, 4, 8 s, for the 10 s of the setting; a tile in between starts both again."""
+    clock, tried = [1000.0], []
+
+    def sleep(s: float) -> None:
+        clock[0] += s
+
+    def attempt(self: Any) -> Any:
+        tried.append(clock[0])
+        assert len(tried) < 20
+        if len(tried) in tiles:
+            store.progress(self._job, tiles[len(tried)], 9)
+        return {"kind": "try later", "message": "not there", "errors": []}
+
+    told = SimpleNamespace(monotonic=lambda: clock[0], sleep=sleep)
+    monkeypatch.setattr("service.engine.attempts.time", told)
+    monkeypatch.setattr(Attempt, "_attempt", attempt)
+    queue(store)
+    job = store.claim()
+    assert job is not None
+    waits = Settings(tmp_path, scheduler_s=10.0)
+    Attempt(waits, store, job, lambda: True, SchedulerHealth("threads")).run()
+    ended = store.get(job.id)
+    assert ended.error is not None
+    assert (ended.phase, ended.error["message"]) == (Phase.ERROR, "not there")
+    assert (len(tried), ended.attempt) == (attempts, attempts)
+    begun = tried[2] if attempts == 6 else tried[0]
+    assert clock[0] - begun == pytest.approx(10.0, abs=0.5)
 
 
 def test_full_queue_refuses(store: Queue) -> None:

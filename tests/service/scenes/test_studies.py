@@ -109,6 +109,10 @@ def test_limits_of_a_study(tmp_path: Path) -> None:
     assert seeds(7, duration_h=12.0)["seeds"] == 7
     with pytest.raises(NotAllowed, match="7 points"):
         seeds(8, duration_h=1.0)
-    for field in ("catalogue.populations.0.sizes", "sensors.0.observer.orbit"):
+    hidden = ("populations.0.sizes", "populations.0.path")
+    for field in ("sensors.0.observer.orbit", *(f"catalogue.{name}" for name in hidden)):
         with pytest.raises(NotAllowed, match="none goes through files"):
             accept_study(_study(axes=[{"field": field, "values": ["a", "b"]}]), settings)
+        together = {"kind": "table", "fields": ["step_s", field], "rows": [[60.0, "a"]]}
+        with pytest.raises(NotAllowed, match=r"axes\.0: .* none goes through files"):
+            accept_study(_study(axes=[together]), settings)
