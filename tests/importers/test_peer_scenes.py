@@ -220,6 +220,26 @@ def test_chance_without_a_choice_gives_the_value(given, wanted):
     assert settled(given, np.random.default_rng(1), []) == wanted
 
 
+def test_what_chance_chose_is_told_by_its_place():
+    """Each draw with its field, also of what is drawn in a list or by a choice; 6 digits."""
+    third = {"$sample": "random.normal", "loc": 1.0 / 3.0, "scale": 0.0}
+    given = {
+        "a": {"b": {"$sample": "random.choice", "choices": [third]}},
+        "c": {"$sample": "random.list", "length": 2, "value": {"d": third}},
+    }
+    told: list[str] = []
+    settled(given, np.random.default_rng(1), told)
+    assert told == [
+        "a.b chosen at random: number 1 of 1", "a.b drawn at random by random.normal: 0.333333",
+        "a.b drawn at random by random.choice: 0.333333",
+        "c.0.d drawn at random by random.normal: 0.333333",
+        "c.1.d drawn at random by random.normal: 0.333333",
+    ]  # fmt: skip
+    choices = {"$sample": "random.choice", "choices": [{"$pipeline": [{"function": "sine"}]}]}
+    with pytest.raises(BadInput, match=r"a\.\$pipeline"):
+        settled({"a": choices}, np.random.default_rng(1), [])
+
+
 def test_vignetting_is_an_image_of_the_field_angle(published, tmp_path):
     """From the middle of 256 rows and 320 columns; 20 um pixels of 0.061 arcsec a um."""
     imported = read(published / "peers" / "simsit.yaml")

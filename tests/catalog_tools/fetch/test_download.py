@@ -297,6 +297,11 @@ def test_ledger_spares_hashing_and_verify_hashes(archive, tmp_path, hasty):
     assert bring(archive, tmp_path, hasty).downloaded == 1
     path.write_bytes(bad)  # and so is a new date
     assert bring(archive, tmp_path, hasty).downloaded == 1
+    path.write_bytes(archive.files[name])
+    for stages in ({"verify", "download"}, {"download"}):  # whoever mended it: hashed once
+        seen.clear()
+        bring(archive, tmp_path, hasty, progress=lambda *t: seen.append(t))
+        assert {stage for stage, *_ in seen} == stages
     with (tmp_path / ".fetch" / "verified.jsonl").open("a") as file:
         file.write('{"name": "torn')
     (tmp_path / max(archive.files)).touch()

@@ -153,8 +153,9 @@ def test_few_requests_over_http(catalogue, server):
 def test_transient_failures_are_tried_again(catalogue, server, quick):
     server.failures = [503, 0, 500]
     other = open_catalogue(server.url)
-    server.failures = [429, 0]
-    assert cone(other, 10.0, 5.0, 3.0)[0].equals(cone(catalogue, 10.0, 5.0, 3.0)[0])
+    for failures in ([429, 0], [408, 425, 504]):
+        server.failures = failures
+        assert cone(other, 10.0, 5.0, 3.0)[0].equals(cone(catalogue, 10.0, 5.0, 3.0)[0])
     server.failures = [503] * 50
     with pytest.raises(Incomplete, match="503"):
         cone(other, 10.0, 5.0, 3.0)

@@ -111,6 +111,19 @@ def test_removing_and_submitting_never_cross(store: Queue, tmp_path: Path, phase
         store.amend(waiting.id, scene=named)
 
 
+@pytest.mark.parametrize(("count", "told"), [(7, ""), (8, ""), (9, " and 1 more")])
+def test_jobs_that_hold_a_file_are_named_up_to_eight(
+    store: Queue, tmp_path: Path, count: int, told: str
+) -> None:
+    """In their order, and how many there are beside them."""
+    settings = Settings(tmp_path)
+    asks = [ask(sensor={"flat": f"upload:{FILE}"}) for _ in range(count)]
+    jobs = [job.id for job, _ in submit_many(store, asks, TeamLimits())]  # type: ignore[misc]
+    with pytest.raises(NotReady) as caught:
+        Uploads(settings, store.engine).remove(RED, FILE)
+    assert str(caught.value).endswith(f"name this file: {', '.join(jobs[:8])}{told}")
+
+
 def zipped() -> bytes:
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w") as file:
