@@ -25,6 +25,7 @@ from pipeline.export.coco import annotation, image_entry, packed, run_lengths
 from pipeline.export.formats import ExportRequest, _Job, export_product
 from pipeline.export.labels import Labels
 from pipeline.export.masks import Mask, _as_disc, _cut, classes_from_light, mask_fits, paint
+from pipeline.export.movie import write_mp4
 from pipeline.export.times import ExposureTimes
 from pipeline.store.cube import read_layer
 
@@ -150,6 +151,20 @@ def test_movies(labelled, tmp_path):
     assert (about["size"], about["fps"]) == ((512, 512), 4.0)
     assert len(list(reader)) == 2
     assert [p.name for p in tmp_path.iterdir()] in (["a.gif", "a.mp4"], ["a.mp4", "a.gif"])
+
+
+def test_a_movie_of_odd_sides_that_differ(tmp_path):
+    """27 rows and 41 columns lose their last ones; bright on the left, dark on the right."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    picture = np.repeat(np.linspace(250, 5, 41).astype(np.uint8)[None], 27, axis=0)
+    write_mp4(iter([picture, picture]), tmp_path / "a.mp4", 2.0)
+    about, first, _ = ffmpeg.read_frames(str(tmp_path / "a.mp4"), pix_fmt="gray", bits_per_pixel=8)
+    assert (about["size"], about["fps"]) == ((40, 26), 2.0)
+    seen = np.frombuffer(first, np.uint8).reshape(26, 40).astype(float)
+    assert np.corrcoef(seen.ravel(), picture[:26, :40].ravel())[0, 1] > 0.99
+    with pytest.raises(BadInput, match="2 x 2"):
+        write_mp4(iter([picture[:1]]), tmp_path / "b.mp4", 2.0)
+    assert not (tmp_path / "b.mp4").exists()
 
 
 def test_without_an_encoder(labelled, tmp_path, monkeypatch):

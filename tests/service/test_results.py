@@ -14,9 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import zarr
+from astropy.io import fits
 from PIL import Image
 from starlette.requests import Request
 
+from pipeline.export.formats import ExportRequest, export_product
 from pipeline.route.shares import parse_part
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
@@ -198,12 +200,18 @@ def test_pictures_are_black_at_low_and_white_at_high(stretch: str) -> None:
 
 
 def test_the_wcs_of_a_frame_is_the_first_one_alone(scene: dict[str, Any], tmp_path: Path) -> None:
-    """What places need, and no card of the alternate WCS."""
+    """What places need, with all of its distortion, and no card of the alternate WCS."""
     from pipeline.route.run import Options, render
 
+    terms = {"2_0": 1e-4, "0_3": 1e-6}
+    scene["sensor"]["distortion"] = {"kind": "sip", "a": terms, "b": {"1_1": -1e-4}}
     render(parse_scene(scene), tmp_path / "run", Options("synchronous"))
     wcs = frame_facts(tmp_path / "run", 0)["wcs"]
     assert {"CTYPE1", "CTYPE2", "CRVAL1", "CRPIX2", "CD1_1", "CD2_2", "RADESYS"} <= set(wcs)
+    (written,) = export_product(tmp_path / "run", "fits", tmp_path / "a.fits", ExportRequest(0))
+    sip = {k: v for k, v in fits.getheader(written).items() if k.startswith(("A_", "B_"))}
+    assert {"A_ORDER", "A_2_0", "A_0_3", "B_ORDER", "B_1_1"} <= set(sip)
+    assert {k: v for k, v in wcs.items() if k.startswith(("A_", "B_"))} == pytest.approx(sip)
     assert not [k for k in wcs if k.endswith("A") and not k.startswith(("A_", "B_"))]
 
 

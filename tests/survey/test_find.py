@@ -15,7 +15,7 @@ from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.spec.load import load_scene
 from pipeline.survey.elements import Elements
-from pipeline.survey.find import FindOptions, find
+from pipeline.survey.find import FindOptions, FoundObjects, find
 from pipeline.survey.search import make_search
 from pipeline.survey.sights import allowed, sights_of
 from pipeline.survey.watch import PROBE
@@ -117,6 +117,29 @@ def shown(*options: str) -> dict[str, Any]:
     result = nightglass("find", ROOT / "examples" / "population.yaml", "--json", *options)
     assert result.returncode == 0, result.stderr
     return dict(json.loads(result.stdout))
+
+
+def test_the_list_shows_the_best_and_how_many_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    """One time or two; what is beyond `--most` is counted, and how to see it all is told."""
+    from pipeline.commands.observe import _print_finding
+
+    numbers = ("ra_deg", "dec_deg", "elevation_deg", "range_km", "v_mag", "streak_px", "snr")
+    seen = [
+        {"name": name, "number": 7, "best": "2019-04-20T09:08:07Z"} | dict.fromkeys(numbers, 1.0)
+        for name in ("one", "two", "three")
+    ]
+    for end, most, span, left in (
+        ("09:00", 1, "09:00", ["2 more: --most 3, or --json"]),
+        ("10:00", 2, "09:00 to 10:00", ["1 more: --most 3, or --json"]),
+        ("10:00", 3, "09:00 to 10:00", []),
+    ):
+        _print_finding(FoundObjects(seen, 5, "09:00", end, ["a note"]), most)
+        first, _, *rows = [line.strip() for line in capsys.readouterr().out.splitlines()]
+        assert first == f"3 of 5 objects can be seen, {span}"
+        assert [row.split()[:3] for row in rows[:most]] == [
+            [o["name"], "7", "09:08:07"] for o in seen[:most]
+        ]
+        assert rows[most:] == [*left, "note: a note"]
 
 
 def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -282,6 +282,21 @@ def test_killed_at_any_moment_it_goes_on(sweep_file, tmp_path, monkeypatch):
     assert sweep(path, out, Options(resume=True)) == report  # nothing left to do
 
 
+@pytest.mark.parametrize(("points", "taken"), [([0, 2], True), ([-1, 1], False), ([1, 3], False)])
+def test_a_part_of_points_that_the_sweep_does_not_have_is_removed(tmp_path, points, taken):
+    """Before the first and behind the last of three."""
+    (tmp_path / "parts").mkdir()
+    part = tmp_path / "parts" / "part-0000004.parquet"
+    pq.write_table(pa.table({"point": points, "status": ["done", "failed"]}), part)
+    found = ledger.PointLedger(tmp_path, pa.schema([("point", pa.int64())]), 3)
+    found.take_up(retry_failed=False)
+    assert part.exists() == taken
+    assert found.done.tolist() == [taken, False, taken]
+    assert found.failed.tolist() == [False, False, taken]
+    reason = "part-0000004.parquet: points that the sweep does not have"
+    assert found.removed == [reason] * (not taken)
+
+
 def test_failed_points_are_tried_again_when_asked(sweep_file, tmp_path):
     """A missing file makes points fail; once it is there, only they are done again."""
     image = tmp_path / "flat.npy"

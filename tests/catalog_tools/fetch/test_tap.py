@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import operator
+import os
 import re
 
 import astropy.units as u
@@ -165,6 +166,24 @@ def test_same_bytes_every_time(service, tmp_path, hasty):
         report = ask(service, folder, hasty)
         digests.add(hashlib.sha256((folder / report.files[0]).read_bytes()).hexdigest())
     assert len(digests) == 1
+
+
+def test_a_cone_that_is_there_is_asked_for_again_only_where_it_changed(service, tmp_path, hasty):
+    """A decay that no date tells is found with `verify`; the others stay as they are."""
+    cones = CONE, FetchCone(359.9, -40.5, 0.4)
+    path, other = (tmp_path / name for name in ask(service, tmp_path, hasty, *cones).files)
+    whole, kept = path.read_bytes(), other.stat().st_ino
+    for bad, options, counts in (
+        (False, {}, (0, 2)), (False, {"verify": True}, (0, 2)), (True, {}, (0, 2)),
+        (True, {"verify": True}, (1, 1)),
+    ):  # fmt: skip
+        state = path.stat()
+        path.write_bytes(whole[:-9] + b"?" + whole[-8:] if bad else whole)
+        os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+        report = ask(service, tmp_path, hasty, *cones, **options)
+        assert (report.downloaded, report.present) == counts
+    assert path.read_bytes() == whole
+    assert other.stat().st_ino == kept
 
 
 def test_fetched_cones_are_ingested(service, sky, tmp_path, hasty):

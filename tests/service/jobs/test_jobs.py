@@ -253,6 +253,8 @@ def test_a_job_that_is_run_again_begins_anew(store: Queue, kind: str) -> None:
     """What ended it, its times and its dead workers count no more; a bad scene stays bad."""
     assert "retry" in job_dict(shown(Phase.ERROR, kind))["links"]
     assert "retry" not in job_dict(shown(Phase.ERROR, "bad input"))["links"]
+    for phase in set(Phase) - {Phase.ERROR}:
+        assert "retry" not in job_dict(shown(phase, kind))["links"]
     queue(store)
     job = store.claim()
     assert job is not None
