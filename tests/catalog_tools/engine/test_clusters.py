@@ -13,6 +13,7 @@ import sys
 import time
 from pathlib import Path
 
+import dask
 import pytest
 
 from catalog_tools.engine.addresses import check_address
@@ -237,6 +238,29 @@ def test_what_is_not_encrypted_is_refused_where_that_is_required(kind, tmp_path,
         assert told.returncode == 2, told.stderr
         assert "require-encryption" in told.stderr
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.json"]
+
+
+@pytest.mark.parametrize("source", ["ours", "dask's"])
+def test_connections_by_tls_are_never_plain(certificates, monkeypatch, source):
+    """Whoever names the certificates: both sides' are the given ones; nothing plain is said."""
+    files = [str(certificates / name) for name in ("ca.pem", "cluster.pem", "cluster.key")]
+    names = ("NIGHTGLASS_CLUSTER_CA", "NIGHTGLASS_CLUSTER_CERT", "NIGHTGLASS_CLUSTER_KEY")
+    for name, file in zip(names, files, strict=True):
+        if source == "ours":
+            monkeypatch.setenv(name, file)
+        else:
+            monkeypatch.delenv(name, raising=False)
+    keys = ("ca-file", "client.cert", "client.key", "worker.cert", "worker.key")
+    theirs = zip(keys, (files[0], *files[1:], *files[1:]), strict=True)
+    known = {f"distributed.comm.tls.{key}": file for key, file in theirs}
+    with dask.config.set(known if source == "dask's" else {}):
+        made = security_of("tls://somewhere:8786")
+        assert made.require_encryption is True
+        assert made.tls_ca_file == files[0]
+        for side in ("client", "worker"):
+            told = [getattr(made, f"tls_{side}_{what}") for what in ("cert", "key")]
+            assert told == files[1:]
+    assert security_of("tcp://somewhere:8786") is None
 
 
 def test_half_a_certificate_is_named(certificates, monkeypatch):

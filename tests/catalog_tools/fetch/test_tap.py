@@ -102,8 +102,14 @@ def test_cut_results_are_asked_for_in_parts(service, sky, tmp_path, hasty, limit
 
 def test_memory_is_bounded_by_parts(service, sky, tmp_path, hasty, monkeypatch):
     monkeypatch.setattr(tap, "ROWS_AT_ONCE", 150)
-    report = ask(service, tmp_path, hasty)
-    assert same_rows(read(tmp_path, report), expected(sky, CONE))
+    seen = []
+    report = ask(service, tmp_path, hasty, progress=lambda *tick: seen.append(tick))
+    wanted = expected(sky, CONE)
+    assert same_rows(read(tmp_path, report), wanted)
+    done = [rows for _, rows, _ in seen]
+    assert len(done) > 3
+    assert done == sorted({0, *done, wanted.num_rows})
+    assert {(stage, total) for stage, _, total in seen} == {("query", wanted.num_rows)}
     pole = FetchCone(10.0, -90.0, 51.0)  # the bands end at the pole
     report = ask(service, tmp_path, hasty, pole)
     assert same_rows(read(tmp_path, report), expected(sky, pole))

@@ -22,12 +22,13 @@ from catalog_tools.errors import BadInput
 from catalog_tools.geometry.sphere import directions, separation_rad
 from catalog_tools.partition import coarser, healpix_29
 from catalog_tools.query.query import cone
+from catalog_tools.readers import read_tables
 from catalog_tools.star_counts import EDGES_G_MAG, galactic_rad
 from catalog_tools.synthetic.clusters import CROWDS, PIXEL_DEG, interval_shares, pixels_of
 from catalog_tools.synthetic.columns import HEADER
 from catalog_tools.synthetic.csv import write_csv_files
 from catalog_tools.synthetic.plan import field_density, make_plan, places_in_file
-from catalog_tools.synthetic.sample import make_sample
+from catalog_tools.synthetic.sample import make_sample, table_of_file
 
 ROWS = 45_000
 NAME = re.compile(r"GaiaSource_(\d+)_(\d+)\.csv\.gz")
@@ -267,6 +268,15 @@ def test_other_seed_other_stars(tmp_path, folder):
     write_csv_files(tmp_path / "b", 500, seed=4)
     a, b = ((tmp_path / x / "MD5SUM.txt").read_text() for x in "ab")
     assert a != b
+
+
+def test_tables_without_the_text_are_what_a_reader_gets(tmp_path):
+    """Bit for bit, null where the file has no value; so they need no file."""
+    write_csv_files(tmp_path / "csv", 3_000, seed=5, workers=1)
+    (path,) = (tmp_path / "csv").glob("*.csv.gz")
+    direct = table_of_file(make_plan(5, 3_000), 0)
+    assert direct["radial_velocity"].null_count > 2_000
+    assert pa.concat_tables(read_tables(path)).equals(direct)
 
 
 def test_ingest_keeps_every_row_and_equals_the_direct_catalogue(tmp_path, folder, columns):
