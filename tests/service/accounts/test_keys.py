@@ -152,7 +152,8 @@ def test_the_command(tmp_path: Path) -> None:
     assert TOKEN.fullmatch(made.stdout.strip()), made.stderr
     key_id = made.stdout[3:15]
     assert f"{key_id}  usable" in run("list").stdout
-    assert run("revoke", key_id).returncode == 0
+    gone = run("revoke", key_id)
+    assert (gone.returncode, gone.stdout, "revoked" in gone.stderr) == (0, "", True)
     assert json.loads(run("list", "--json").stdout)[0]["revoked_s"]
     wrong = run("revoke", "x")
     assert (wrong.returncode, "KEY" in wrong.stderr) == (2, True)
