@@ -8,10 +8,12 @@ import math
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from astropy.coordinates import SkyCoord
 from scipy.special import erf, erfinv
 
 from pipeline.errors import BadInput
 from pipeline.importers.passes import Pass, zenith_pass
+from pipeline.importers.placing import far_observer
 from pipeline.importers.satsim import read_satsim, sphere_mag
 from pipeline.importers.satsim_values import settled
 from pipeline.importers.simsit import radial_terms, read_simsit
@@ -284,6 +286,18 @@ def test_a_pass_heads_from_north_through_east(published, heading_deg, east, nort
 def axis_tilt(place):
     """How much of a step to the north is along the pole: the cosine of the latitude."""
     return np.hypot(*place[:2]) / np.linalg.norm(place)
+
+
+@pytest.mark.parametrize(("ra_deg", "dec_deg"), [(40.0, -30.0), (200.0, 70.0), (310.0, 5.0)])
+def test_a_far_observer_has_the_earth_at_its_back(ra_deg, dec_deg):
+    """A million km out the way it looks, on a circle eastward: the Earth stays as far."""
+    observer = far_observer(ra_deg, dec_deg)
+    place, velocity = (np.array(observer["orbit"][k]) for k in ("position_m", "velocity_m_s"))
+    looks = SkyCoord(ra_deg, dec_deg, unit="deg").cartesian.xyz.value
+    assert place == pytest.approx(1e9 * looks, rel=1e-12)
+    assert place @ velocity == pytest.approx(0.0, abs=1e-3)
+    assert np.linalg.norm(velocity) == pytest.approx(np.sqrt(3.986004418e14 / 1e9), rel=1e-9)
+    assert np.cross(place, velocity)[2] > 0.0
 
 
 def test_radial_terms_of_a_known_distortion():
