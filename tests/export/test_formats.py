@@ -341,6 +341,9 @@ def test_masks_of_faint_sources_discs_and_overlaps(tmp_path):
     faint = _cut(-1, 2, np.array([[9.0, 9, 9], [8, 4, 3.9], [0, 5, 6]]), (4, 6), 100.0)
     assert faint.pixels.tolist() == [[True, False, False], [False, True, True]]  # of 9: from 4.5
     assert (faint.y0, faint.x0) == (0, 2)
+    fainter = _cut(-1, 2, np.array([[9.0, 9, 9], [8, 4, 3.9], [0, 5, 6]]) / 1e3, (4, 6), 100.0)
+    assert (fainter.pixels == faint.pixels).all()  # also where that is far below an electron
+    assert not _cut(-1, 2, np.zeros((3, 3)), (4, 6), 100.0).pixels.any()
     y0, x0, light = _as_disc(10, 20, np.array([[7.0]]), 3.2)
     y, x = np.mgrid[y0 : y0 + light.shape[0], x0 : x0 + light.shape[1]]
     inside = np.hypot(y - 10, x - 20) <= 3.2
