@@ -1,0 +1,89 @@
+"""`catalog demo`, `fetch`, `ingest`, `verify`: every option reaches what does the work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from pipeline.cli import app
+
+HERE = Path("x")
+DEMO, FETCH, MAKE = (f"pipeline.commands.catalog.{name}" for name in ("demo", "fetch", "make"))
+SAMPLE = {"seed": 2, "workers": 2, "overwrite": False}
+SKY = SAMPLE | {"faintest_g_mag": 10.0, "deep_fields": []}
+FILES = {"cones": [], "everything": True, "base_url": None, "tap_url": None, "verify": False,
+         "faintest_g_mag": None, "connections": 4}  # fmt: skip
+INGEST = {"form": None, "name": None, "rows_per_leaf": 1_000_000, "memory_bytes": 2 << 30,
+          "scheduler": ("threads", None), "overwrite": False, "restart": False}  # fmt: skip
+CASES = {
+    "a sample": (f"{DEMO}.make_sample", "demo -o x --rows 100", (HERE, 100), SAMPLE),
+    "options of a sample": (
+        f"{DEMO}.make_sample", "demo -o x --rows 9 --seed 7 --workers 1 --overwrite",
+        (HERE, 9), {"seed": 7, "workers": 1, "overwrite": True},
+    ),
+    "the sky": (f"{DEMO}.make_demo", "demo -o x", (HERE,), SKY),
+    "options of the sky": (
+        f"{DEMO}.make_demo",
+        "demo -o x --faintest 6 --field 1,-2,0.5,17 --seed 7 --workers 3 --overwrite", (HERE,),
+        {"seed": 7, "workers": 3, "overwrite": True, "faintest_g_mag": 6.0,
+         "deep_fields": [(1.0, -2.0, 0.5, 17.0)]},
+    ),
+    "files of a sample": (
+        f"{DEMO}.write_csv_files", "demo -o x --rows 9 --as-csv --seed 7 --workers 3",
+        (HERE, 9), {"seed": 7, "workers": 3},
+    ),
+    "the archive": (f"{FETCH}.run", "fetch gaia-dr2 --dest x --all", ("gaia-dr2", HERE), FILES),
+    "options of the archive": (
+        f"{FETCH}.run",
+        "fetch gaia-dr3 --dest x --cone 1,2,3 --cone 4,5,6,7 --base-url http://m --tap archive"
+        " --faintest 9 --connections 3 --verify", ("gaia-dr3", HERE),
+        {"cones": ["1,2,3", "4,5,6,7"], "everything": False, "base_url": "http://m",
+         "tap_url": "archive", "verify": True, "faintest_g_mag": 9.0, "connections": 3},
+    ),
+    "ingest": (f"{MAKE}.run", "ingest a b -o x", ([Path("a"), Path("b")], HERE), INGEST),
+    "options of ingest": (
+        f"{MAKE}.run",
+        "ingest a -o x --form f --name n --rows-per-leaf 5 --memory 500MB --scheduler processes"
+        " --workers 3 --restart --overwrite", ([Path("a")], HERE),
+        {"form": "f", "name": "n", "rows_per_leaf": 5, "memory_bytes": 500_000_000,
+         "scheduler": ("processes", 3), "overwrite": True, "restart": True},
+    ),
+    "verify": ("pipeline.commands.catalog.prove.run", "verify y --workers 3", ("opened y",),
+               {"workers": 3}),
+    "starlight": (f"{MAKE}.make_starlight", "starlight y --order 5 --workers 3", ("opened y",),
+                  {"order": 5, "scheduler": ("threads", 3)}),
+}  # fmt: skip
+
+
+class Called(Exception):
+    """What the work was called with."""
+
+
+class At:
+    """A scheduler that is not opened."""
+
+    def __init__(self, *asked):
+        self.asked = asked
+
+    def __enter__(self):
+        return self.asked
+
+    def __exit__(self, *_):
+        pass
+
+
+@pytest.mark.parametrize(("target", "words", "given", "named"), CASES.values(), ids=CASES.keys())
+def test_options_reach_the_work(monkeypatch, target, words, given, named):
+    def work(*args, progress, **options):
+        raise Called(args, options)
+
+    for module in ("make", "prove"):
+        name = f"pipeline.commands.catalog.{module}.open_catalogue"
+        monkeypatch.setattr(name, lambda place: f"opened {place}")
+    monkeypatch.setattr(f"{MAKE}.open_scheduler", At)
+    monkeypatch.setattr(target, work)
+    result = CliRunner().invoke(app, ["catalog", *words.split()])
+    assert isinstance(result.exception, Called), result.output
+    assert result.exception.args == (given, named)
