@@ -34,6 +34,8 @@ CASES = {
         f"{DEMO}.write_csv_files", "demo -o x --rows 9 --as-csv --seed 7 --workers 3",
         (HERE, 9), {"seed": 7, "workers": 3},
     ),
+    "plain files": (f"{DEMO}.write_csv_files", "demo -o x --rows 9 --as-csv", (HERE, 9),
+                    {"seed": 2, "workers": None}),
     "the archive": (f"{FETCH}.run", "fetch gaia-dr2 --dest x --all", ("gaia-dr2", HERE), FILES),
     "options of the archive": (
         f"{FETCH}.run",
