@@ -132,7 +132,26 @@ def test_results_are_a_datalink_table(server: Any, finished: str) -> None:
     answer = server.client.get(f"/uws/async/{job_id}/results/result")
     assert validate(BytesIO(answer.content), output=None, xmllint=False)
     table = parse(BytesIO(answer.content)).get_first_table().to_table()
-    assert {str(s) for s in table["semantics"]} >= {"#this", "#preview", "#derivation"}
+    here = f"{server.url}/v1/jobs/{job_id}/"
+    known = {
+        "product.tar": ("#this", "application/x-tar"),
+        "results/cube.zarr": ("#this", "application/vnd.zarr"),
+        "preview.png": ("#preview", "image/png"),
+        "results/plan.json": ("#auxiliary", "application/json"),
+        "frames/0/fits": ("#derivation", "application/fits"),
+        "frames/1/fits": ("#derivation", "application/fits"),
+    }
+    rows = {str(row["access_url"]).removeprefix(here): row for row in table}
+    for place, told in known.items():
+        found = rows.pop(place)
+        assert (str(found["semantics"]), str(found["content_type"])) == told
+        assert str(found["ID"]) == job_id
+        if not place.endswith(".zarr"):  # a folder
+            answer = server.client.get(here + place)
+            assert (answer.status_code, answer.headers["content-type"]) == (200, told[1])
+    assert {str(row["semantics"]) for row in rows.values()} == {"#auxiliary"}
+    for place, row in rows.items():
+        assert len(server.client.get(here + place).content) == row["content_length"]
 
 
 @pytest.mark.parametrize(
