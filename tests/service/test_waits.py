@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from service.http.gate import DEADLINE
+from service.jobs.changes import Changes
 from service.jobs.jobs import Phase
 from service.jobs.views import etag
 from service.routes.jobs import watch
@@ -99,5 +100,32 @@ def test_a_watch_waits_for_a_change_of_what_is_known(
         assert service.until == pytest.approx(ends, abs=20.0)
         assert answer.status_code == (304 if tag == etag(service.jobs[0]) else 200)
         assert answer.headers["etag"] == etag(service.jobs[0])
+
+    asyncio.run(talk())
+
+
+@pytest.mark.parametrize("last", [{"a": 4, "b": 7}, {"b": 7}], ids=["changed", "gone"])
+def test_waiting_ends_with_the_change_of_that_job(
+    monkeypatch: pytest.MonkeyPatch, last: dict[str, int]
+) -> None:
+    """Not before, and not for another's; by the limit where nothing changes. One look for all."""
+    monkeypatch.setattr("service.jobs.changes.BETWEEN_LOOKS_S", 0.001)
+    looks: list[list[str]] = []
+    told = [{"a": 3, "b": 7}] * 3
+
+    def versions(asked: list[str]) -> dict[str, int]:
+        looks.append(sorted(asked))
+        return told[len(looks) - 1] if len(looks) <= len(told) else last
+
+    async def talk() -> None:
+        changes = Changes(SimpleNamespace(versions=versions), 9)  # type: ignore[arg-type]
+        other = asyncio.create_task(changes.after("b", 7, 60.0))
+        await asyncio.gather(*(changes.after("a", 3, 60.0) for _ in range(5)))
+        assert looks == [["a", "b"]] * 4
+        assert not other.done()
+        other.cancel()
+        await changes.after("b", 7, 0.01)
+        assert changes._looking is not None
+        await changes._looking  # nobody waits: nobody looks
 
     asyncio.run(talk())

@@ -142,6 +142,15 @@ def test_the_list_shows_the_best_and_how_many_there_are(capsys: pytest.CaptureFi
         assert rows[most:] == [*left, "note: a note"]
 
 
+def test_objects_too_faint_to_be_looked_at_are_no_failures() -> None:
+    """All are left out by their bounds: none is seen, and SGP4 is not said to have failed."""
+    scene = load_scene(ROOT / "examples" / "population.yaml")
+    wish = FindOptions(at="2019-04-20T09:00:00Z", hours=0.1, step_s=60.0, least_snr=1e12)
+    found = find(scene, wish)
+    assert (found.objects, found.looked_at) == ([], 600)
+    assert not [note for note in found.notes if "SGP4" in note]
+
+
 def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor do the parts of a batch that are looked at in one go."""
     scene = load_scene(ROOT / "examples" / "population.yaml")
