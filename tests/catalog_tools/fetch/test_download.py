@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from catalog_tools.fetch.fetched import stated_coverage
 from catalog_tools.fetch.layout import RELEASES
 from catalog_tools.fetch.ledger import folder_for
 from catalog_tools.fetch.patience import Patience, Unavailable
+from catalog_tools.fetch.remote import retry_after_s
 
 
 def bring(archive, folder, patience, **options):
@@ -382,6 +384,28 @@ def test_folder_as_mirror(tmp_path, hasty):
     )
     assert visible(tmp_path / "to") == files
     assert report.bytes_downloaded == sum(map(len, files.values()))
+
+
+@pytest.mark.parametrize(
+    ("form", "hours"),
+    [
+        ("%a, %d %b %Y %H:%M:%S GMT", 0), ("%A, %d-%b-%y %H:%M:%S GMT", 0),
+        ("%a %b %e %H:%M:%S %Y", 0), ("%a, %d %b %Y %H:%M:%S +0200", 2),
+        ("%a, %d %b %Y %H:%M:%S -0500", -5),
+    ],
+)  # fmt: skip
+def test_a_pause_may_be_told_as_a_date(form, hours):
+    """All three forms of RFC 9110, 5.6.7, the last without a zone; and other zones."""
+    for wait_s in (7200.0, -7200.0):
+        then = datetime.now(UTC) + timedelta(seconds=wait_s, hours=hours)
+        assert retry_after_s(then.strftime(form)) == pytest.approx(max(0.0, wait_s), abs=60.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "wait_s"), [(None, None), ("", None), ("17", 17.0), (" 0 ", 0.0), ("soon", None)]
+)
+def test_a_pause_may_be_told_in_seconds_or_not_at_all(text, wait_s):
+    assert retry_after_s(text) == wait_s
 
 
 def test_delays_grow_within_bounds():
