@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import signal
 import subprocess
@@ -29,11 +30,20 @@ def test_points_have_their_values_of_all_axes_and_their_seeds(
     data["catalogue"]["synthetic"]["objects"] = 20
     data["axes"] = [{"field": "sensors.0.count", "values": [1, 3]},
                     {"field": "cameras.0.sensor.aperture_m", "values": [0.1, 0.6]}]  # fmt: skip
-    run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous"))
-    told = pq.read_table(tmp_path / "out" / "points.parquet").to_pylist()
+    out = tmp_path / "out"
+    report = run_study(data, tmp_path, out, StudyOptions("synchronous"))
+    told = pq.read_table(out / "points.parquet").to_pylist()
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert json.loads((out / "report.json").read_text()) == report
+    assert report == {"study": data["name"], "points": told}
+    sealed = json.loads((out / "_COMPLETE").read_text())["files"]
+    assert sealed == {
+        name: hashlib.sha256((out / name).read_bytes()).hexdigest()
+        for name in ("points.parquet", "report.json")
+    }
     found = []
     for row in told:
-        place = tmp_path / "out" / "points" / f"{row['point']:04d}"
+        place = out / "points" / f"{row['point']:04d}"
         own = json.loads((place / "study.json").read_text())
         values = own["sensors"][0]["count"], own["cameras"][0]["sensor"]["aperture_m"], own["seed"]
         keys = "sensors.0.count", "cameras.0.sensor.aperture_m", "seed"

@@ -15,7 +15,7 @@ from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.spec.load import load_scene
 from pipeline.survey.elements import Elements
-from pipeline.survey.find import FindOptions, FoundObjects, find
+from pipeline.survey.find import FindOptions, FoundObjects, _offsets, find
 from pipeline.survey.search import make_search
 from pipeline.survey.sights import allowed, sights_of
 from pipeline.survey.watch import PROBE
@@ -101,6 +101,19 @@ def test_bad_input_is_one_line(wish: FindOptions, text: str) -> None:
     with pytest.raises(BadInput, match=text) as told:
         find(load_scene(ROOT / "examples" / "population.yaml"), wish)
     assert "\n" not in str(told.value)
+
+
+def test_limits_of_the_moments_are_included() -> None:
+    """50,000 moments, the first at 0 and the last at the end; and 72 hours, not a second more."""
+    most = FindOptions(hours=49_999 / 3600.0, step_s=1.0)
+    offsets = _offsets(watcher(), most)
+    np.testing.assert_array_equal(offsets, np.arange(50_000))
+    with pytest.raises(BadInput, match="these: 50001"):
+        _offsets(watcher(), replace(most, hours=50_000 / 3600.0))
+    assert _offsets(watcher(), FindOptions(hours=72.0, step_s=600.0))[-1] == 72.0 * 3600.0
+    with pytest.raises(BadInput, match="--hours"):
+        _offsets(watcher(), FindOptions(hours=72.001, step_s=600.0))
+    assert _offsets(watcher(), FindOptions(hours=0.0)).tolist() == [0.0]
 
 
 def test_no_night_and_no_population_are_refused() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,14 @@ from catalog_tools.star_counts import (
 )
 from catalog_tools.synthetic.clusters import CROWDS, interval_shares
 from catalog_tools.synthetic.stars import draw_stars, share_absent
-from catalog_tools.synthetic.synthetic import DeepField, Sky, cell_order, make_demo, stars_in_cell
+from catalog_tools.synthetic.synthetic import (
+    DeepField,
+    Sky,
+    _check,
+    cell_order,
+    make_demo,
+    stars_in_cell,
+)
 
 FIELD = (150.0, 2.0, 1.0, 17.5)
 
@@ -180,6 +188,22 @@ def test_a_cell_is_a_pure_function():
     interval = int(np.searchsorted(EDGES_G_MAG, 15.0))
     cell = sky.cells(interval, cell_order(interval))[0]
     assert stars_in_cell(sky, interval, cell).equals(stars_in_cell(sky, interval, cell))
+
+
+def test_limits_are_included():
+    """The poles, RA of 0 and 360 degrees, 30 degrees of radius, G of 21; G of 16 for the sky."""
+    edges = [DeepField(0.0, -90.0, 30.0, 21.0), DeepField(360.0, 90.0, 1e-9, 21.0)]
+    _check(16.0, edges, 0)
+    _check(16.0, edges, 2**32 - 1)
+    beyond = {"ra_deg": (-1e-9, 360.1), "dec_deg": (-90.1, 90.1), "radius_deg": (0.0, 30.1),
+              "faintest_g_mag": (21.1,)}  # fmt: skip
+    for name, values in beyond.items():
+        for value in values:
+            with pytest.raises(BadInput, match=rf"deep_fields\.1\.{name}"):
+                _check(16.0, [edges[0], replace(edges[1], **{name: value})], 0)
+    for seed in (-1, 2**32):
+        with pytest.raises(BadInput, match="seed"):
+            _check(16.0, edges, seed)
 
 
 @pytest.mark.parametrize(
