@@ -12,6 +12,7 @@ import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from archive_server import ArchiveServer, md5sum_text, small_archive
@@ -22,7 +23,7 @@ from catalog_tools.fetch.fetched import stated_coverage
 from catalog_tools.fetch.layout import RELEASES
 from catalog_tools.fetch.ledger import folder_for
 from catalog_tools.fetch.patience import Patience, Unavailable
-from catalog_tools.fetch.remote import retry_after_s
+from catalog_tools.fetch.remote import _validator, retry_after_s
 
 
 def bring(archive, folder, patience, **options):
@@ -406,6 +407,20 @@ def test_a_pause_may_be_told_as_a_date(form, hours):
 )
 def test_a_pause_may_be_told_in_seconds_or_not_at_all(text, wait_s):
     assert retry_after_s(text) == wait_s
+
+
+@pytest.mark.parametrize(
+    ("headers", "carried"),
+    [
+        ({"ETag": '"a"', "Last-Modified": "then"}, '"a"'),
+        ({"ETag": 'W/"a"', "Last-Modified": "then"}, "then"),
+        ({"ETag": "", "Last-Modified": "then"}, "then"),
+        ({"Last-Modified": "then"}, "then"), ({"ETag": 'W/"a"'}, None), ({}, None),
+    ],
+)  # fmt: skip
+def test_a_range_is_asked_for_by_what_tells_every_byte(headers, carried):
+    """RFC 9110, 13.1.5: If-Range must not carry a weak tag."""
+    assert _validator(SimpleNamespace(headers=headers)) == carried
 
 
 def test_delays_grow_within_bounds():

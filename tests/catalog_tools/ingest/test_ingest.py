@@ -28,6 +28,7 @@ from catalog_tools.info import info
 from catalog_tools.ingest import batches, build, leaves, memory, publish
 from catalog_tools.ingest.ingest import FileSource, ingest
 from catalog_tools.ingest.judging import PLACE_COLUMN
+from catalog_tools.ingest.shards import band_slices
 from catalog_tools.partition import choose_leaves, coarser, healpix_29
 from catalog_tools.query.query import cone
 from catalog_tools.verify.verify import verify
@@ -92,6 +93,19 @@ def test_rows_lie_in_their_leaf_and_band(catalogue):
         ends = [(b.brightest_g_mag, b.faintest_g_mag) for b in leaf.row_groups]
         # Bright bands first; the stretches of one band overlap in magnitude.
         assert all(a[1] <= b[0] or (a[0] <= b[1] and b[0] <= a[1]) for a, b in pairwise(ends))
+
+
+@pytest.mark.parametrize(
+    ("counts", "ends"),
+    [
+        ([0, 0, 0], [3]), ([1024, 1024, 1024], [1, 2, 3]), ([1023, 1, 1024], [2, 3]),
+        ([1024, 1023], [2]), ([1023, 1023, 1023], [3]), ([5000, 0, 0, 1024, 3, 4], [1, 6]),
+        ([0, 0, 2000], [3]),
+    ],
+)  # fmt: skip
+def test_bands_of_too_few_rows_are_joined(counts, ends):
+    """1,024 suffice; fewer join the next fainter band, the last ones their brighter neighbour."""
+    assert band_slices(np.array(counts)) == list(map(slice, [0, *ends], ends))
 
 
 def test_every_row_is_accounted_for(tmp_path):
