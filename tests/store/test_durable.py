@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from catalog_tools.fetch.ledger import FileLedger, write_whole
 from catalog_tools.ingest.ingest import ingest
 from catalog_tools.storage.durable import whole_file, write_atomically
 from pipeline.route.run import Options, render
@@ -93,6 +94,20 @@ def test_small_files_are_on_disk_before_they_have_their_name(tmp_path, disk):
         own.write_bytes(bytes(5000))
     for name in ("a.json", "b.bin"):
         judge_atomic(disk, tmp_path / name)
+
+
+def test_a_fetched_file_is_on_disk_before_it_has_its_name_and_is_noted(tmp_path, disk):
+    """And the list of the archive's files before it has its own."""
+    (tmp_path / ".fetch" / "parts").mkdir(parents=True)
+    ledger = FileLedger(tmp_path)
+    ledger.part("stars.gz").write_bytes(bytes(5000))
+    ledger.publish("stars.gz", "0" * 32)
+    judge_atomic(disk, tmp_path / "stars.gz")
+    assert FileLedger(tmp_path).md5_of("stars.gz") == "0" * 32
+    write_whole(tmp_path, "MD5SUM.txt", b"list")
+    at, source = disk.name_of(tmp_path / "MD5SUM.txt")
+    now = state(tmp_path / "MD5SUM.txt")
+    assert any(t < at and p == source and was == now for t, p, was in disk.synced)
 
 
 def test_records_of_a_product_vouch_for_what_is_on_disk(tmp_path, disk):
