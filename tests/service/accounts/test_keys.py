@@ -21,6 +21,7 @@ import httpx
 import jwt
 import psutil
 import pytest
+import sqlalchemy as sa
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from pipeline.errors import BadInput
@@ -34,6 +35,7 @@ from service.main import bind
 from service.problems import Forbidden, Unauthenticated
 from service.settings import Settings, read_settings
 from service.store.database import connect, sqlite_url
+from service.store.tables import audit
 from tests.command import nightglass
 from tests.service.conftest import bearer
 
@@ -141,6 +143,28 @@ def test_a_home_made_beforehand_is_closed(tmp_path: Path) -> None:
 def test_bad_team_names_are_refused(engine: Any, team: str) -> None:
     with pytest.raises(BadInput, match="--team"):
         create_key(engine, team)
+
+
+def test_limits_of_a_key_and_its_line_in_the_audit(engine: Any) -> None:
+    """Names of one printable line, days of a life; what is refused leaves nothing."""
+    for field, values in (
+        ("name", ("a" * 129, "two\nlines", "\x1b[2J")),
+        ("days", (0.0, -1.0, 36_500.0, float("nan"), float("inf"))),
+    ):
+        for value in values:
+            with pytest.raises(BadInput, match=f"--{field}"):
+                create_key(engine, "red", **{field: value})
+    assert list_keys(engine) == []
+    made = create_key(engine, "red", "é" * 128, 36_499.0, "key:ann")
+    [row] = list_keys(engine)
+    assert row["name"] == "é" * 128
+    assert row["expires_s"] - row["created_s"] == pytest.approx(36_499.0 * 86_400.0)
+    revoke_key(engine, row["id"], "key:bob")
+    columns = (audit.c.team, audit.c.actor, audit.c.action, audit.c.thing, audit.c.detail)
+    with engine.connect() as db:
+        lines = db.execute(sa.select(*columns).order_by(audit.c.number)).all()
+    assert lines[0] == ("red", "key:ann", "key.create", made[3:15], "é" * 128)
+    assert lines[1][:4] == ("red", "key:bob", "key.revoke", made[3:15])
 
 
 def test_the_command(tmp_path: Path) -> None:
