@@ -166,6 +166,22 @@ def test_a_target_behind_the_camera() -> None:
     assert rows[1]["snr"] == pytest.approx(rows[0]["snr"], rel=0.01)
 
 
+@pytest.mark.parametrize("off_deg", [0.0, 0.1, 30.0])
+def test_a_streak_behind_the_camera_is_as_long(off_deg: float) -> None:
+    """500 m/s across, 1,000 km away, for 2 s: five pixels of 0.2 mrad, before the camera or
+    exactly, nearly or half behind it."""
+    side = unit(np.cross(ACROSS, SUN))
+    target = ball_at(BESIDE + 1e6 * ACROSS - 500.0 * side)
+    target["orbit"]["velocity_m_s"] = [float(v) for v in 500.0 * side]
+    ra, dec = (float(np.degrees(v)) for v in to_angles(ACROSS))
+    for place in ((ra, dec), ((ra + 180.0) % 360.0, off_deg - dec)):
+        pointing = {"mode": "sidereal", "boresight_ra_deg": place[0], "boresight_dec_deg": place[1]}
+        scene = night(observer={"kind": "orbit", "orbit": ball_at(BESIDE)["orbit"]},
+                      targets=[target], pointing=pointing, background=None)  # fmt: skip
+        row = observe(parse_scene(scene)).table.to_pylist()[0]
+        assert row["streak_px"] == pytest.approx(5.0, abs=1e-3)
+
+
 def test_a_black_back_sends_no_light() -> None:
     """A plate that looks down at the Earth, the Sun on its front, seen from above: dark, if lit."""
     down = unit(ACROSS - 0.5 * SUN)
