@@ -504,3 +504,22 @@ def test_the_quietest_detector_sets_the_floor_of_all_points(sweep_file, tmp_path
     quiet = gather_course(sweep_file([NOISE], SKY | {dark: 10.0}), Path())
     alone = prepare(parse_scene(quiet.data)).plan.facts.sigma_floor_e
     assert floors == pytest.approx([alone] * 4, rel=1e-12)
+
+
+def test_a_floor_that_the_scene_states_stays(sweep_file):
+    """Whatever the axes vary: it is the user's own."""
+    path = sweep_file([NOISE], SKY | {"accuracy": {"noise_floor_e": 3.25}})
+    assert [point_scene(path, k).accuracy.noise_floor_e for k in (0, 1)] == [3.25, 3.25]
+
+
+def test_light_that_is_not_shared_is_each_points_own(sweep_file, tmp_path):
+    """Where jitter moves the pointing with the seed: skies of 10 and of 1,000 electrons."""
+    jitter = [{"kind": "white", "rms_arcsec": 2.0, "low_hz": 0.01, "high_hz": 1.0}]
+    sky = {"background.uniform_mag_arcsec2": None, "background.uniform_e_per_s": 1.0}
+    axis = {"field": "background.uniform_e_per_s", "values": [10.0, 1000.0]}
+    path = sweep_file([axis], SKY | sky | {"pointing.attitude": {"jitter": jitter}},
+                      metrics=["background"])  # fmt: skip
+    sweep(path, tmp_path / "out", Options("synchronous"))
+    exposed_s = [point_scene(path, k).exposure.integration_s for k in (0, 1)]
+    skies = [row["background_e"] for row in table(tmp_path / "out").to_pylist()]
+    assert skies == pytest.approx([10.0 * exposed_s[0], 1000.0 * exposed_s[1]], rel=0.2)
