@@ -10,10 +10,12 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from ..documents import JsonObject
 from ..errors import BadInput
@@ -54,8 +56,9 @@ class FileLedger:
         line = json.dumps({"name": name, "size": state[0], "mtime_ns": state[1], "md5": md5})
         with self._lock:
             self._known[name] = (*state, md5)
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(line + "\n")
+            with self._path.open("a+b") as file:
+                torn = file.tell() > 0 and _last_byte(file) != b"\n"  # killed as it wrote
+                file.write(b"\n" * torn + line.encode() + b"\n")
 
     def publish(self, name: str, md5: str) -> None:
         """Give a verified part its name: on disk first, then visible, then noted."""
@@ -64,6 +67,11 @@ class FileLedger:
         part.replace(target)
         sync(self.folder)
         self.add(name, md5)
+
+
+def _last_byte(file: BinaryIO) -> bytes:
+    file.seek(-1, os.SEEK_END)
+    return file.read(1)
 
 
 @contextmanager

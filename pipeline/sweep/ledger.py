@@ -179,7 +179,7 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
     A folder without a record and without content is what a process leaves that was killed as it
     began: `resume` begins it.
     """
-    if resume and not out.exists():
+    if resume and not out.is_dir():
         raise BadInput("--resume", str(out), f"a {what} that was begun before")
     if not out.exists() or (resume and _is_bare_beginning(out)):
         _make(out, identity)

@@ -61,6 +61,7 @@ class BoundedHttp(HttpToolsProtocol):
 
     def on_message_complete(self) -> None:
         super().on_message_complete()
+        self._head_bytes = 0  # what came after an early answer was a body
         self._stop()
 
     def _start(self) -> None:

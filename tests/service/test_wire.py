@@ -99,3 +99,13 @@ def test_bytes_of_a_head_are_counted_anew_for_each_request() -> None:
         assert one.wire.sent.count(b"HTTP/1.1 431") == 1
 
     asyncio.run(talk())
+
+
+def test_a_body_that_nobody_read_is_not_counted_as_the_next_head() -> None:
+    async def talk() -> None:
+        one, size = Talk(), 2 * HEAD_BYTES
+        await one.send(b"POST / HTTP/1.1\r\nhost: x\r\ncontent-length: %d\r\n\r\n" % size)
+        await one.send(b"a" * (size - 1), b"a", GET[:9], GET[9:])
+        assert (one.wire.closed, one.wire.sent.count(b"HTTP/1.1 204")) == (False, 2)
+
+    asyncio.run(talk())

@@ -104,6 +104,13 @@ def test_a_fetched_file_is_on_disk_before_it_has_its_name_and_is_noted(tmp_path,
     ledger.publish("stars.gz", "0" * 32)
     judge_atomic(disk, tmp_path / "stars.gz")
     assert FileLedger(tmp_path).md5_of("stars.gz") == "0" * 32
+    [record] = (tmp_path / ".fetch").glob("*.jsonl")
+    record.write_bytes(record.read_bytes()[:-9])  # killed as it wrote that line
+    for name in ("a.gz", "b.gz"):
+        (tmp_path / name).write_bytes(b"x")
+        FileLedger(tmp_path).add(name, "1" * 32)
+    noted = [FileLedger(tmp_path).md5_of(name) for name in ("stars.gz", "a.gz", "b.gz")]
+    assert noted == [None, "1" * 32, "1" * 32]
     write_whole(tmp_path, "MD5SUM.txt", b"list")
     at, source = disk.name_of(tmp_path / "MD5SUM.txt")
     now = state(tmp_path / "MD5SUM.txt")

@@ -186,6 +186,10 @@ def test_what_was_killed_before_its_record_was_whole_is_begun_again(tmp_path):
     with pytest.raises(BadInput, match="a study that was begun before"):
         ledger.begin(out, known, resume=True, what="study")
     assert not out.exists()
+    out.write_text("no folder")
+    with pytest.raises(BadInput, match="a study that was begun before"):
+        ledger.begin(out, known, resume=True, what="study")
+    out.unlink()
     for left in ((), ("parts",), ("parts", f".{ledger.BEGUN}.0a.tmp")):
         shutil.rmtree(out, ignore_errors=True)
         out.mkdir()
