@@ -200,11 +200,14 @@ def test_refusals_of_libraries(tmp_path):
     text.write_text("no FITS")
     image = tmp_path / "image.fits"
     fits.PrimaryHDU(np.zeros((4, 4))).writeto(image)
+    named = tmp_path / "named.fits"
+    fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(name="COSMIC_RAYS")]).writeto(named)
     nan = [np.float32([np.nan, 2.0]), np.float32([3.0])]
     for path, says in (
         (tmp_path / "none.fits", "existing library"),
         (text, "readable FITS"),
         (image, "COSMIC_RAYS"),
+        (named, "readable FITS table"),
         (table(tmp_path, drop=("x0",)), "column x0"),
     ):
         with pytest.raises(BadInput, match=says):

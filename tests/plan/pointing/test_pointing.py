@@ -291,6 +291,9 @@ def test_a_frame_that_bends_more_is_found_and_gets_more_nodes(scene: Make) -> No
     assert list(window.finer) == [3]
     one, alone = window.frame_slice(3), plan_geometry(s, np.array([13]), 0.0).frame_slice(0)
     assert one.nodes > window.nodes == window.frame_slice(2).nodes
+    more = (one.nodes - 1) // (window.nodes - 1)  # steps where there was one: 2, 4, 8 ...
+    assert more.bit_count() == 1
+    assert np.allclose(one.offset_s[0, ::more], window.offset_s[3], rtol=0.0, atol=1e-9)
     assert np.array_equal(one.attitude, alone.attitude)
     assert np.array_equal(one.attitude[0, one.middle], window.attitude[3, window.middle])
     x, y = path(s, window, 3)
@@ -305,7 +308,14 @@ def test_absurd_accelerations_are_refused(scene: Make) -> None:
              "acceleration_ra_arcsec_s2": 9e6}  # fmt: skip
     with pytest.raises(BadInput, match="rates of at most"):
         every(scene({"pointing": rates}))
-    system = {"kind": "system", "a": [[1.0]], "b": [[1.0]], "c": [[1.0], [0.0], [0.0]]}
+
+
+@pytest.mark.parametrize("a", [[[1.0]], [[-1.0, 0.0], [0.0, 0.5]], [[0.5, 0.0], [0.0, -1.0]]])
+def test_a_mode_that_grows_is_refused(scene: Make, a: list[list[float]]) -> None:
+    n = len(a)
+    system = {"kind": "system", "a": a, "b": [[1.0]] * n, "c": [[1.0] * n, [0.0] * n, [0.0] * n]}
     growing = scene({"pointing": SIDEREAL | {"attitude": {"modes": [system]}}})
-    with pytest.raises(BadInput, match="positive real part"):
+    with pytest.raises(BadInput, match="positive real part") as caught:
         every(growing)
+    assert caught.value.field == "pointing.attitude.modes.0.a"
+    assert f"grows by {max(a[k][k] for k in range(n)):g} per s" in str(caught.value)
