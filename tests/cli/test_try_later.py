@@ -7,6 +7,8 @@ import socket
 
 import pytest
 
+from pipeline.errors import BadInput, TryLater
+from pipeline.route.run import _how_to_go_on
 from pipeline.store.layout import only_writer
 from tests.command import nightglass
 from tests.service.conftest import SCENE
@@ -35,10 +37,26 @@ def test_a_scheduler_that_does_not_answer(scene_file, tmp_path, closed_port):
         assert ran.returncode == 4
         assert ran.stderr.startswith(f"nightglass: no scheduler answers at {address} ")
         assert ran.stderr.count("\n") == 1
+        left = "is kept: run the part again" if more else "nothing was finished yet"
+        assert ran.stderr.endswith(f"{left}\n")
     ran = nightglass("worker", address, "--patience", "1")
     assert (ran.returncode, address in ran.stderr) == (4, True)
     ran = nightglass("worker", "tcp://10.1.2.3:8786")
     assert ran.returncode == 2
+
+
+@pytest.mark.parametrize(
+    ("kept", "whole", "left"),
+    [(True, True, "what is finished is kept: go on with --resume"),
+     (True, False, "what is finished is kept: run the part again"),
+     (False, True, "nothing was finished yet")],
+)  # fmt: skip
+def test_what_is_left_and_how_to_go_on(kept, whole, left):
+    told = _how_to_go_on(TryLater("the scheduler left"), kept, whole)
+    assert isinstance(told, TryLater)
+    assert str(told) == f"the scheduler left; {left}"
+    wrong = BadInput("seed", -1, "0 or more")  # trying again does not help there
+    assert _how_to_go_on(wrong, kept, whole) is wrong
 
 
 def test_a_product_that_another_render_writes(scene_file, tmp_path):

@@ -253,6 +253,21 @@ def test_refusals_of_darks(tmp_path):
         extract_library(open_darks([*good, nan]), 1.0, 10.0)
 
 
+@pytest.mark.parametrize("name", ["d.fits", "d.fit", "d.fits.gz", "d.fits.fz", "d.npy"])
+def test_darks_of_each_kind_of_file(name, tmp_path):
+    cube = np.random.default_rng(3).integers(400, 600, (4, 8, 9)).astype(np.int16)
+    if name.endswith(".npy"):
+        np.save(tmp_path / name, cube)
+    elif name.endswith(".fz"):
+        packed = fits.CompImageHDU(cube, compression_type="RICE_1")
+        fits.HDUList([fits.PrimaryHDU(), packed]).writeto(tmp_path / name)
+    else:
+        fits.PrimaryHDU(cube).writeto(tmp_path / name)
+    stack = open_darks([tmp_path / name])
+    assert (stack.frames, stack.shape) == (4, (8, 9))
+    np.testing.assert_array_equal(stack.band(2, 7), cube[:, 2:7])
+
+
 def test_command_line(darks, tmp_path):
     run = CliRunner()
     out = str(tmp_path / "made.fits")

@@ -182,6 +182,17 @@ def test_surfaces_go_by_the_materials_names(tmp_path):
     assert other.digest != model.digest
 
 
+@pytest.mark.parametrize("count", [7, 8, 9, 11])
+def test_a_refusal_lists_eight_names_and_how_many_more_there_are(tmp_path, count):
+    head = CUBE[: CUBE.index("usemtl")]
+    path = write(tmp_path, head + "".join(f"usemtl m{k}\nf 4 3 2 1\n" for k in range(count)))
+    with pytest.raises(BadInput) as caught:
+        gather_mesh(body(path, materials={"silver": MATT}))
+    listed = ", ".join(f"m{k}" for k in range(min(count, 8)))
+    more = f" and {count - 8} more" if count > 8 else ""
+    assert caught.value.allowed == f"a material of the file: {listed}{more}"
+
+
 def test_a_digest_tells_all_that_shapes_the_light_but_no_folder(tmp_path):
     """A product goes on, and a table of light is taken, where the digest is the same."""
 

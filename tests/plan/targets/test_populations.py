@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -181,6 +182,23 @@ def test_against_other_kinds_of_file(lines: list[list[str]], tle: Path, tmp_path
         assert kept(scene(tmp_path / name)) == wanted, name
 
 
+@pytest.mark.parametrize("read", [1200, 1201, 5000, 1_000_000])
+def test_json_is_read_in_parts(
+    read: int, lines: list[list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An object may begin in one part and end in the next; one longer than a part is refused."""
+    sets = [exporter.export_omm(Satrec.twoline2rv(a, b), name) for name, a, b in lines[:40]]
+    (tmp_path / "a.json").write_text(json.dumps(sets, indent=1))
+    assert max(len(json.dumps(s, indent=1)) for s in sets) < 1200
+    monkeypatch.setattr(population_files, "LONGEST_OBJECT", read)
+    found = [s for batch in population_files.element_sets(tmp_path / "a.json", "f") for s in batch]
+    assert [s.name for s in found] == [name for name, _, _ in lines[:40]]
+    assert all(s.orbit is not None for s in found)
+    monkeypatch.setattr(population_files, "LONGEST_OBJECT", 100)
+    with pytest.raises(BadInput, match="whole OMMs"):
+        list(population_files.element_sets(tmp_path / "a.json", "f"))
+
+
 def test_sizes_by_rule_and_table(tle: Path, tmp_path: Path) -> None:
     names = sorted(kept(scene(tle)))
     number = int(names[0].rpartition("-")[2])
@@ -219,6 +237,8 @@ def test_left_out_ones_are_told(lines: list[list[str]], tmp_path: Path) -> None:
                if d["component"] == "populations.crowd"]  # fmt: skip
     assert f"{told.kept} of {COUNT + 4} element sets come within" in reasons[0]
     assert "1 omitted: SGP4 code" in reasons[0]
+    assert re.search(r"\b1 sets? ha\w+ a younger one of the same object", reasons[0])
+    assert f"2 omitted: not readable ({told.left_out[0]})" in reasons[0]
 
 
 BAD_FILES: dict[str, tuple[bytes, str]] = {
