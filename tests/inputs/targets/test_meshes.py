@@ -185,10 +185,10 @@ def test_surfaces_go_by_the_materials_names(tmp_path):
 @pytest.mark.parametrize("count", [7, 8, 9, 11])
 def test_a_refusal_lists_eight_names_and_how_many_more_there_are(tmp_path, count):
     head = CUBE[: CUBE.index("usemtl")]
-    path = write(tmp_path, head + "".join(f"usemtl m{k}\nf 4 3 2 1\n" for k in range(count)))
+    path = write(tmp_path, head + "".join(f"usemtl m{k:02d}\nf 4 3 2 1\n" for k in range(count)))
     with pytest.raises(BadInput) as caught:
         gather_mesh(body(path, materials={"silver": MATT}))
-    listed = ", ".join(f"m{k}" for k in range(min(count, 8)))
+    listed = ", ".join(f"m{k:02d}" for k in range(min(count, 8)))
     more = f" and {count - 8} more" if count > 8 else ""
     assert caught.value.allowed == f"a material of the file: {listed}{more}"
 
