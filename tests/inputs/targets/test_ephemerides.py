@@ -450,6 +450,27 @@ def test_lists_of_no_messages(tmp_path: Path, text: str) -> None:
         read_omm(tmp_path / "omm.json", "orbit.path")
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "taken"),
+    [("1899-12-31", "1900-01-01", False), ("1900-01-01", "1900-01-02", True),
+     ("2100-12-30", "2100-12-31", True), ("2100-12-31", "2101-01-01", False),
+     ("2019-02-28", "2019-02-29", False), ("2020-02-28", "2020-02-29", True)],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.*dubious year")
+def test_dates_exist_and_are_of_1900_to_2100(
+    tmp_path: Path, first: str, last: str, taken: bool
+) -> None:
+    rows = "".join(f"{day}T06:00:00,7e6,{k},0\n" for k, day in enumerate((first, last)))
+    (tmp_path / "a.csv").write_text(f"time_utc,x_m,y_m,z_m\n{rows}")
+    if not taken:
+        with pytest.raises(BadInput, match="dates that exist, years 1900 to 2100"):
+            read_ephemeris(tmp_path / "a.csv", "GCRS", SCENE["epoch"], "f")
+        return
+    ((found,),) = read_ephemeris(tmp_path / "a.csv", "GCRS", SCENE["epoch"], "f").values()
+    days = np.array([first, last], "datetime64[D]") - np.datetime64("2000-01-01")
+    assert np.allclose(found.utc1 + found.utc2, 2451544.75 + days.astype(float), rtol=0, atol=1e-8)
+
+
 def test_times_of_a_csv_are_finite(tmp_path: Path) -> None:
     rows = "\n".join(f"{t},7000,{t},0" for t in ("0", "nan", "20"))
     (tmp_path / "a.csv").write_text(f"time_s,x_km,y_km,z_km\n{rows}\n")

@@ -162,6 +162,16 @@ def test_against_the_published_formula_of_ashikhmin_and_shirley():
     np.testing.assert_allclose(found, gloss + matt, rtol=1e-9)
 
 
+def test_a_grain_is_laid_on_its_surface_or_any_direction_of_it_where_it_is_normal():
+    """As near as can be to the grain; one along the normal, to rounding, gives no noise."""
+    n, u, *_ = _random_frames(3)
+    for length in (1e-12, 1.0, 1e6):
+        np.testing.assert_allclose(brdf._laid_on(n, length * (u + 3.0 * n)), u, rtol=0, atol=1e-12)
+        along = brdf._laid_on(n, length * n)
+        np.testing.assert_allclose(np.sum(along * along, -1), 1.0, rtol=1e-12)
+        assert np.abs(np.sum(along * n, -1)).max() < 1e-12
+
+
 def test_against_the_published_formula_of_ggx():
     """D and Smith's correlated G as Heitz 2014 writes them, with tangents; Schlick's F."""
     n, _, s, o = _random_frames(2)

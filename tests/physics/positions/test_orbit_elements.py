@@ -68,6 +68,15 @@ def test_against_kepler(e: float) -> None:
         )
 
 
+@pytest.mark.parametrize("e", [1 - 1e-12, 1.0, 1 + 1e-12])
+@pytest.mark.parametrize("q", [6.7e6, 8.1e6])
+def test_nothing_is_lost_near_the_parabola_whatever_the_time(q: float, e: float) -> None:
+    for t in (1e9, 1e11, 1e13):
+        place, _ = keplerian_states(q, e, 0.0, 0.0, 0.0, np.array([t]))
+        wanted = exact(q, e, t)
+        assert np.linalg.norm(place[0] - wanted) < 1e-14 * np.linalg.norm(wanted)
+
+
 @settings(max_examples=200)
 @given(
     st.one_of(st.floats(0.0, 0.99), st.sampled_from(NEAR), st.floats(1.01, 8.0)),
