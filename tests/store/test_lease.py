@@ -103,6 +103,28 @@ def test_what_was_given_up_is_free_at_once_and_older_ones_are_removed(store: Any
         assert not mine.lost
 
 
+def test_the_newest_of_several_leases_counts(store: Any) -> None:
+    """A writer that died as it tidied up leaves older ones beside the newest."""
+    for name in (FIRST, SECOND):
+        store.put(name, lease.FREE)
+    with only_writer_of(store) as mine:
+        assert mine.name == ".lock/000000000003"
+    assert set(store.held) == {mine.name}
+    store.put(SECOND, b'{"owner": "of old"}')
+    assert not busy(store)
+    store.put(".lock/000000000009", b'{"owner": "newest"}')
+    assert busy(store)
+
+
+def test_a_lease_that_goes_as_it_is_looked_at_keeps_nobody_out(
+    store: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.put(FIRST, b'{"owner": "tidied away"}')
+    assert busy(store)
+    monkeypatch.setattr(store, "get", lambda name: None)
+    assert not busy(store)
+
+
 def test_a_store_that_is_away_for_a_while_costs_no_lease(
     store: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
