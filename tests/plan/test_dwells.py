@@ -119,22 +119,27 @@ def test_a_slew_begins_where_the_dwell_before_has_drifted_to(scene: Make) -> Non
     assert separation(*axes) == pytest.approx(100.0 * ARCSEC, rel=1e-3)
 
 
-def test_settling_after_a_slew(scene: Make) -> None:
-    s = scene({"dwells": PLAN, "exposure.cadence_s": None})
-    rest = [{**d, "settle": None} if "settle" in d else d for d in PLAN]
-    rest = [{k: v for k, v in d.items() if v is not None} for d in rest]
+@pytest.mark.parametrize("direction_deg", [0.0, 30.0, 250.0])
+def test_settling_after_a_slew(scene: Make, direction_deg: float) -> None:
+    settle = {"amplitude_arcsec": 20.0, "frequency_hz": 1.0, "damping": 0.01,
+              "direction_deg": direction_deg}  # fmt: skip
+    s = scene({"dwells": [*PLAN[:2], PLAN[2] | {"settle": settle}], "exposure.cadence_s": None})
+    rest = [{k: v for k, v in d.items() if k != "settle"} for d in PLAN]
     moved, still = (
         plan_geometry(x, np.arange(5, 9), 0.0)
         for x in (s, scene({"dwells": rest, "exposure.cadence_s": None}))
     )
     t = moved.offset_s - 22.5  # the slew starts at 17.5 and lasts 5 s
     w = 2 * np.pi
-    wave = 20.0 * ARCSEC * np.exp(-0.1 * w * t) * np.sin(w * np.sqrt(0.99) * t)
+    wave = 20.0 * ARCSEC * np.exp(-0.01 * w * t) * np.sin(w * np.sqrt(0.9999) * t)
+    assert np.abs(wave).max() > 1.0 * ARCSEC
     stride = (moved.nodes - 1) // (still.nodes - 1)
-    left = np.einsum(
-        "fkj,fkj->fk", moved.attitude[:, ::stride, 2], still.attitude[:, :, 0]
-    )
-    assert np.allclose(left, wave[:, ::stride], atol=1e-13)
+    angle = np.radians(direction_deg)
+    for axis, share in ((0, np.cos(angle)), (1, np.sin(angle))):
+        left = np.einsum(
+            "fkj,fkj->fk", moved.attitude[:, ::stride, 2], still.attitude[:, :, axis]
+        )
+        assert np.allclose(left, share * wave[:, ::stride], rtol=0.0, atol=1e-12)
 
 
 BAD: dict[str, tuple[list[dict[str, Any]], str, str]] = {
