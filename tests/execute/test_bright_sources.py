@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,14 @@ import pytest
 from scipy.special import erfc
 
 from pipeline.errors import BadInput
-from pipeline.execute.blocks import render_block
+from pipeline.execute.blocks import render_block, target_class
 from pipeline.execute.check import reference
 from pipeline.execute.light import draw_stars
+from pipeline.execute.sources import FrameTarget
+from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.physics.psf.sampled import sampled
-from pipeline.physics.psf.seeing import Moffat
+from pipeline.physics.psf.seeing import Kolmogorov, Moffat
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from tests.execute.test_engines import field, geometry_of, plan_of
@@ -129,3 +132,24 @@ def test_more_light_than_rounding_allows_is_refused() -> None:
     plan, _ = case("gaussian")
     with pytest.raises(BadInput, match="noise_fraction"):
         drawn(plan, 1e22)
+
+
+def test_which_class_a_target_is_drawn_in() -> None:
+    """By its light; past the last class by quadrature, save for bodies and what that cannot pay."""
+    classes = [SimpleNamespace(target_e=limit) for limit in (1e3, 1e6)]
+    blurs = [Blur(Airy(1.3)), Blur(Moffat(2.1, 3.0))]
+    plan: Any = SimpleNamespace(
+        responses=SimpleNamespace(classes=classes, blurs=blurs),
+        scene=SimpleNamespace(sensor=SimpleNamespace(shape=(2048, 2048))),
+    )
+    streak = Path(np.array([0.0, 900.0]), np.zeros(2), np.ones(1))
+    body: Any = object()
+    for light_e, path, shown, expected in (
+        (10.0, POINT, None, 0), (1e3, POINT, None, 0), (1001.0, POINT, None, 1),
+        (1e6, POINT, None, 1), (1.1e6, POINT, None, 2), (1.1e6, streak, None, 1),
+        (10.0, streak, None, 0), (1.1e6, POINT, body, 1), (10.0, POINT, body, 0),
+    ):  # fmt: skip
+        target = FrameTarget(0, 5.0, 5.0, path, light_e, 3.0, shown)
+        assert target_class(plan, target) == expected, (light_e, expected)
+    blurs[:] = [Blur(Airy(1.3)), Blur(Kolmogorov(2.0))]  # one without a profile in closed form
+    assert target_class(plan, FrameTarget(0, 5.0, 5.0, POINT, 1.1e6)) == 1
