@@ -9,9 +9,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.execute.mesh_bodies import Pose, picture_of
+from pipeline.inputs.targets.meshes import gather_mesh
+from pipeline.physics.drawing.pictures import cell_error
+from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.route.prepare import plan_scene
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
+from pipeline.spec.targets.mesh import MeshBody
 from pipeline.store.cube import open_cube
 from tests.execute.test_extended import scene
 
@@ -91,3 +96,23 @@ def test_plan_says_how_meshes_are_drawn(files: Path) -> None:
     plan = plan_scene(parse_scene(data))
     reasons = {d["component"]: d["reason"] for d in plan["decisions"]}
     assert "edge moves by up to 0.0005" in reasons["targets.resolved_meshes"]
+
+
+def test_the_cells_of_a_picture_are_halved_until_they_serve(files: Path) -> None:
+    """The first that a pixel errs by no more with than is asked; 512 across the body at most."""
+    body = MeshBody.model_validate(mesh(files / "flag.stl"))  # a metre from the body's origin
+    model = gather_mesh(body)
+    directions = np.array([[1.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    pose = Pose(model.digest, directions.tobytes(), 0.0, 1e-3, model)
+    blur, px_per_m = Blur(Gaussian(0.8)), 10.0
+    coarse = picture_of(pose, px_per_m, blur, 1.0)
+    assert coarse.side_px == 0.25
+    error = cell_error(blur, coarse)
+    assert picture_of(pose, px_per_m, blur, error).side_px == 0.25
+    for share in (0.99, 0.2):
+        finer = picture_of(pose, px_per_m, blur, share * error)
+        assert cell_error(blur, finer) <= share * error < cell_error(blur, coarse)
+        assert np.log2(0.25 / finer.side_px) in (1, 2)
+    finest = picture_of(pose, px_per_m, blur, 0.0)
+    assert 256 < 2.0 * px_per_m / finest.side_px <= 512
+    assert picture_of(pose, 1.0, blur, 1.0).side_px == pytest.approx(1.0 / 16, rel=1e-6)
