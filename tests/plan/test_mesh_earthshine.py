@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -19,6 +20,7 @@ from pipeline.physics.meshes.model import MeshModel, RigidPart
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.targets.earthshine import earth_lamps
 from pipeline.physics.vectors import unit
+from pipeline.plan.bodies import meshes
 from pipeline.plan.bodies.attitudes import View
 from pipeline.plan.bodies.bodies import earthshine_m2_sr
 from pipeline.spec.targets.body import Body
@@ -153,3 +155,32 @@ def test_limits_and_refusals() -> None:
     unread = MeshBody.model_validate({"kind": "mesh", "path": "x.obj", "unit": "m"})
     with pytest.raises(BadInput, match="a mesh that has been read"):
         earthshine_m2_sr(unread, EPOCH, at, 0.3)
+
+
+@pytest.mark.parametrize("sharp", [(0,), (3,), (3, 0), (0, 3)])
+def test_one_surface_with_a_glint_is_enough_for_finer_steps(
+    sharp: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In sunlight every moment counts then; in earthshine as many as matt ones have in sunlight."""
+    surfaces = tuple(replace(grey(), sun_rings=rings) for rings in sharp)
+    model = MeshModel((RigidPart(facets(square(2.0))),), surfaces, "x")
+    wish = {"kind": "mesh", "path": "x.obj", "unit": "m", "attitude": TURNED}
+    body = MeshBody.model_validate(wish).with_model(model, ERROR)
+    at = view(5e5, 400)
+    looked: list[Any] = []
+    steps: list[float] = []
+
+    def lit(*given: Any) -> tuple[float, float]:
+        looked.append(given)
+        return 1.0, 0.0
+
+    def light(model: Any, sun: Any, observer: Any, times: Any, *rest: Any) -> tuple[Any, float]:
+        steps.append(rest[-1])
+        return np.ones(len(times)), 0.0
+
+    monkeypatch.setattr(meshes, "wide_lamp_intensity", lit)
+    monkeypatch.setattr(meshes, "model_light", light)
+    meshes.mesh_m2_sr(body, EPOCH, at)
+    earthshine_m2_sr(body, EPOCH, at, 0.3)
+    assert set(steps) == {0.0 if any(sharp) else meshes.STEP_RAD}
+    assert len(looked) == 400 if any(sharp) else 50 < len(looked) < 300

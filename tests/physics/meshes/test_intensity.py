@@ -227,6 +227,18 @@ def test_convex_bodies_skip_the_search():
     assert not together([facets(mesh, True, True)] * 2).convex
 
 
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_a_dent_is_told_from_rounding_by_the_size_of_the_body(size):
+    """3e-7 of it: files round."""
+    for dent, convex in ((0.0, True), (1e-8, True), (1e-6, False), (1e-2, False)):
+        cube = box((1.0, 1.0, 1.0))
+        rest = cube[(cube[..., 2] < 0.5).any(axis=1)]
+        ring = 0.5 * np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1.0]])
+        low = [0.0, 0.0, 0.5 - dent]
+        lid = [[ring[k - 1], ring[k], low] for k in range(4)]
+        assert is_convex(size * np.concatenate([rest, lid])) == convex, dent
+
+
 def test_shells_are_told_apart_and_measured():
     cube, hole = box((1.0, 2.0, 3.0)), box((1.0, 1.0, 1.0), (5.0, 0.0, 0.0))[1:]
     inside_out = box((1.0, 1.0, 1.0), (9.0, 0.0, 0.0))[:, ::-1]
