@@ -20,7 +20,12 @@ from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.physics.vectors import unit
 from pipeline.plan.bodies.albedos import has_band_albedos, with_band_albedos
 from pipeline.plan.bodies.attitudes import View, needs_velocity
-from pipeline.plan.bodies.bodies import _sunlit, earthshine_m2_sr, flicker_share
+from pipeline.plan.bodies.bodies import (
+    _sunlit,
+    earthshine_m2_sr,
+    flicker_share,
+    target_lights,
+)
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.bodies.shapes import light_curve_m2_sr, reflected_m2_sr
 from pipeline.plan.bodies.sights import sights
@@ -310,6 +315,24 @@ def test_lighting_options_in_a_scene() -> None:
     glow = earthshine_m2_sr(sphere, EPOCH, towards, 0.3)[0]
     full = sphere_intensity_per_irradiance(0.0, 1.0, 0.5)
     assert glow / full == pytest.approx(0.3 * (6.378e6 / 4.2164e7) ** 2 * 2 / 3 * 1.114, rel=0.03)
+
+
+def test_known_lights_are_taken_and_the_mesh_is_not_asked() -> None:
+    """A table's intensities in sunlight and in earthshine; the mesh has not even been read."""
+    unread = {"kind": "mesh", "path": "none.obj", "unit": "m"}
+    (target,) = scene_of(unread, lighting={"earthshine_albedo": 0.3}, eclipse=False).targets
+    at = circular(np.linspace(0.0, 30.0, 3))
+    sun, reach = at.sun_m[0], np.array([[1e6, 2e6, 3e6]])
+    known = np.array([[2.0, 0.5], [3.0, 0.0], [0.0, 0.25]])
+    tt = np.full(3, 2458684.5), np.full(3, 0.375)
+    asked = [target], ["targets.0"], EPOCH, at, sun, tt, reach
+    light, _, _ = target_lights(*asked, known={0: known})
+    from_sun = np.linalg.norm(sun - at.place_m[0], axis=-1)
+    of_earth = np.linalg.norm(sun, axis=-1)
+    expected = AU**2 * (known[:, 0] / from_sun**2 + known[:, 1] / of_earth**2) / reach**2
+    np.testing.assert_allclose(light, expected, rtol=1e-9)
+    with pytest.raises(BadInput, match="a mesh that has been read"):
+        target_lights(*asked)
 
 
 def test_flicker_says_whether_the_nodes_suffice() -> None:
