@@ -100,3 +100,24 @@ def test_a_sweep_file_is_there_and_no_larger_than_a_scene_may_be(tmp_path):
         load_sweep(large)
     with pytest.raises(BadInput, match="an existing sweep file"):
         load_sweep(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "words"),
+    [
+        ("a.b", "a.b", "twice: a.b"),
+        ("a", "a.b", "hold none of the others; a.b does"),
+        ("a.b", "a", "hold none of the others; a does"),
+        ("a.b", "a.bc", None),
+        ("a.bc", "a.b", None),
+        ("a.b", "b", None),
+    ],
+)
+def test_no_axis_changes_what_another_one_changes(first, second, words):
+    axes = [{"field": name, "values": [1, 2]} for name in (first, second)]
+    if words is None:
+        assert list(design(axes).values(3)) == [first, second]
+        return
+    with pytest.raises(BadInput, match=words) as told:
+        design(axes)
+    assert told.value.field == "axes.1"
