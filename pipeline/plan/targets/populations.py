@@ -285,7 +285,8 @@ def population_decisions(scene: Scene) -> list[Decision]:
         if not s.kept:
             parts.append("`nightglass find SCENE` lists those that can be seen, and where")
         if s.superseded:
-            parts.append(f"{s.superseded} sets have a younger one of the same object")
+            have = "set has" if s.superseded == 1 else "sets have"
+            parts.append(f"{s.superseded} {have} a younger one of the same object")
         parts += [f"{n} omitted: {_meaning(code)}" for code, n in s.failed]
         if s.unreadable:
             parts.append(f"{s.unreadable} omitted: not readable ({s.left_out[0]})")

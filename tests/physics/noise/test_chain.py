@@ -256,3 +256,15 @@ def test_calibrated_frames_have_the_light_on_average(rounding: str, bent: bool) 
     dn = to_dn(mean_electrons(np.full((900, 900), 40.0), noisy), noisy, PLACE)
     scatter = np.sqrt((34.0 + 64.0 / 0.95**2 + 4.0 / 12.0) / 0.64) / 900
     assert calibrated_e(dn, noisy).mean() == pytest.approx(40.0, abs=4.0 * scatter)
+
+
+def test_charge_runs_along_whole_columns() -> None:
+    """In a frame that is read in bands of rows: a pixel of 200 wells fills 200 of its column, half
+    of them on each side, across the bands."""
+    light = np.zeros((400, 512))
+    light[150, 7] = 200 * 1000.0
+    out = to_dn(light, chain(full_well_e=1000.0, blooming=True), PLACE)
+    full = np.flatnonzero(out[:, 7] == 1000)
+    assert out.sum() == 200_000
+    assert 199 <= len(full) <= 200
+    assert abs(full.mean() - 150.0) <= 1.0
