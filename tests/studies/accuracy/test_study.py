@@ -6,12 +6,14 @@ import json
 import math
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.studies.accuracy import study
 from pipeline.studies.accuracy.engines import EngineCase
 from pipeline.studies.accuracy.probes import make_probes
 from pipeline.studies.accuracy.reference import GaussianStar, Track, exact_pixels, straight
@@ -113,6 +115,24 @@ def test_time_of_fewer_stars_stands_for_all() -> None:
     made = _record(case, "peer", "", False, probes, [(1e-3, 1e-4)], 100, 10, 2.0, 0.5, None)
     assert (made.stars, made.stars_timed) == (100, 10)
     assert (made.cpu_s, made.cpu_s_per_star, made.table_s) == (20.0, 0.2, 0.5)
+
+
+def test_a_slow_peer_is_timed_with_fewer_stars(monkeypatch: pytest.MonkeyPatch) -> None:
+    """0.05 s a star: in 2 s some 40 of 100, from which the time of all is reckoned."""
+    case = EngineCase(SHAPES[0], straight(0.0, 0.0), 0.0, (256, 256))
+    clock = [0.0]
+
+    def draw(x: Any, y: Any, light: Any) -> np.ndarray:
+        clock[0] += 0.05 * len(x)
+        return np.zeros(case.frame)
+
+    made = SimpleNamespace(draw=draw, table_bytes=7)
+    peer: Any = SimpleNamespace(engine="peer", setting="slow", ours=False, make=lambda _: made)
+    monkeypatch.setattr(study, "time", SimpleNamespace(process_time=lambda: clock[0]))
+    x = np.linspace(0.0, 255.0, 100)
+    found = study._one(case, peer, make_probes(case, 1), x, x, study.Effort(1, 1.0, 2.0))
+    assert (found.stars, found.stars_timed, found.table_bytes) == (100, 40, 7)
+    assert (found.cpu_s, found.cpu_s_per_star) == (pytest.approx(5.0), pytest.approx(0.05))
 
 
 @pytest.mark.parametrize("kwargs", [{"stars": 0}, {"frame": (64, 1024)}])
