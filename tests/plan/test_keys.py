@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from pipeline.plan.response import responses
 BLUR, OTHER = Blur(Gaussian(0.8)), Blur(Airy(2.0, 0.0))
 PIECE = Path(np.array([-2.0, 2.0]), np.array([0.0, 1.0]), np.ones(1))
 LONGER = Path(np.array([-3.0, 3.0]), np.array([0.0, 1.0]), np.ones(1))
+FAR = Path(np.array([-40.0, 40.0]), np.array([0.0, 9.0]), np.ones(1))
 GRID = WingGrid(40, 50, 2, 0.0, 0.0)
 
 
@@ -80,6 +82,35 @@ def test_each_argument_is_in_the_key(
         calls.append(lambda other=other: function(*other))
     found = digests(monkeypatch, module, name, calls)
     assert len(set(found)) == len(calls)
+
+
+@pytest.mark.parametrize(
+    ("function", "first", "changes"),
+    [
+        (tables.swept_core, (BLUR, 5.0, PIECE), (OTHER, 6.0, LONGER)),
+        (tables.still_core, (BLUR, 5.0, PIECE), (OTHER, 6.0, FAR)),
+        (tables.table_of, (BLUR, 5.0, PIECE, 8), (OTHER, 6.0, LONGER, 16)),
+        (tables.spectral_plan_of, (BLUR, 5.0, PIECE, (64, 80), 100, 1e-4),
+         (OTHER, 6.0, FAR, (80, 64), 100_000, 1e-5)),
+    ],
+)  # fmt: skip
+def test_each_argument_is_in_the_key_in_memory(
+    function: Any, first: tuple[Any, ...], changes: tuple[Any, ...],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    found: list[Hashable] = []
+
+    def get(key: Any, make: Callable[[], Any], _: Any) -> Any:
+        if key[0] == "core" and function is not tables.core_of:
+            return make()
+        found.append(key)
+        raise Asked
+
+    monkeypatch.setattr(tables, "_CACHE", SimpleNamespace(get=get))
+    for i, change in enumerate((first[0], *changes), start=-1):
+        with suppress(Asked):
+            function(*first[: max(i, 0)], change, *first[max(i, 0) + 1 :])
+    assert len(found) == len(set(found)) == len(changes) + 1
 
 
 def test_curvature_and_slope_are_kept_apart(monkeypatch: pytest.MonkeyPatch) -> None:

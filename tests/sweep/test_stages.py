@@ -1,0 +1,49 @@
+"""What a sweep shares between its points is shared by all that it follows from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from pipeline.physics.colour import ColourFit
+from pipeline.sweep.stages import _read_key
+
+FIT = ColourFit(
+    "x", np.array([0.0, 0.1]), (-0.5, 4.0), 0.01, 0.02, 0.8, 0.3, 0.03, 1e10, "made up", 9, None
+)
+
+
+def key_of(**changes: Any) -> str:
+    asked: dict[str, Any] = {
+        "digests": ("a", "b"), "left_out": (np.arange(3), np.arange(0)), "faintest_g_mag": 18.0,
+        "space_motion": True, "colour": FIT, "area_m2": 0.2,
+    } | changes  # fmt: skip
+    stars = SimpleNamespace(
+        faintest_g_mag=asked["faintest_g_mag"], space_motion=asked["space_motion"]
+    )
+    catalogues = [SimpleNamespace(digest=d) for d in asked["digests"]]
+    base: Any = SimpleNamespace(
+        prepared=SimpleNamespace(catalogues=catalogues, left_out=asked["left_out"])
+    )
+    plan: Any = SimpleNamespace(
+        scene=SimpleNamespace(stars=stars), colour=asked["colour"],
+        facts=SimpleNamespace(area_m2=asked["area_m2"]),
+    )  # fmt: skip
+    return _read_key(base, plan)
+
+
+def test_rows_of_a_shard_are_shared_by_all_that_they_follow_from() -> None:
+    changed: list[dict[str, Any]] = [
+        {}, {"digests": ("a", "c")}, {"digests": ("b", "a")}, {"digests": ("a",)},
+        {"left_out": (np.arange(4), np.arange(0))}, {"left_out": (np.arange(0), np.arange(3))},
+        {"faintest_g_mag": 18.5}, {"space_motion": False}, {"area_m2": 0.21},
+        {"colour": replace(FIT, coefficients=np.array([0.0, 0.2]))},
+        {"colour": replace(FIT, default_colour=0.9)},
+        {"colour": replace(FIT, zero_electrons_s_m2=2e10)},
+    ]  # fmt: skip
+    keys = [key_of(**changes) for changes in changed]
+    assert len(set(keys)) == len(keys)
+    assert key_of() == keys[0]
