@@ -7,6 +7,7 @@ import json
 import sys
 import warnings
 from dataclasses import fields
+from types import SimpleNamespace
 
 import erfa
 import numpy as np
@@ -20,7 +21,7 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from pipeline.errors import BadInput
-from pipeline.export import satnet
+from pipeline.export import formats, satnet
 from pipeline.export.coco import annotation, image_entry, packed, run_lengths
 from pipeline.export.formats import ExportRequest, _Job, export_product
 from pipeline.export.labels import Labels
@@ -366,3 +367,22 @@ def test_satnet_names_its_image_and_holds_nine_tenths_of_a_point(labelled, tmp_p
     assert margin == pytest.approx(np.sqrt((0.9**2 + 1 / 12) * 2 * np.log(10)), abs=0.15)
     floor = json.loads((labelled / "report.json").read_text())["errors"]["noise_floor_e"]
     assert _Job(labelled, ExportRequest(threshold_sigma=3.0)).threshold_e == 3.0 * floor
+
+
+@pytest.mark.parametrize(
+    ("values", "suffix"),
+    [
+        (np.array([[0, 65_535]], np.uint32), ".png"),
+        (np.array([[0, 65_536]], np.uint32), ".fits"),
+        (np.array([[0, 7]], np.uint16), ".png"),
+        (np.array([[0.0, 7.0]], np.float32), ".fits"),
+    ],
+)
+def test_an_image_is_a_png_only_where_16_bits_hold_it(values, suffix, tmp_path, monkeypatch):
+    monkeypatch.setattr(formats, "read_layer", lambda *_: values)
+    monkeypatch.setattr(formats, "fits_bytes", lambda *_: b"fits")
+    job = SimpleNamespace(product=None, cube=None, request=ExportRequest())
+    path = formats._write_image(job, 0, tmp_path / "one")
+    assert path.suffix == suffix
+    if suffix == ".png":
+        assert np.array_equal(np.asarray(Image.open(path)), values)
