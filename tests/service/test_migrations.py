@@ -33,6 +33,14 @@ FAILED = FIRST | {
     "error": json.dumps({"kind": "fault", "message": "it was so", "errors": []}),
 }  # fmt: skip
 
+# A value of its own in every column.
+ENDED = FIRST | {
+    "number": 11, "id": "e" * 32, "name": "done", "phase": "COMPLETED", "idempotency_key": "last",
+    "body_sha256": "f" * 64, "submitted_s": 11.0, "started_s": 12.0, "ended_s": 13.0,
+    "tiles_done": 3, "tiles_total": 4, "attempt": 5, "deaths": 6, "cancel_asked": True,
+    "content_digest": "9" * 64, "version": 8,
+}  # fmt: skip
+
 
 def migrations(db: sa.Connection | None = None) -> Config:
     config = Config()
@@ -61,7 +69,8 @@ def test_every_form_with_rows_becomes_the_newest(database: str, form: str) -> No
         told = sa.Table("jobs", sa.MetaData(), autoload_with=db)
         assert "team" not in told.c
         columns, values = ", ".join(FIRST), ", ".join(f":{name}" for name in FIRST)
-        db.execute(sa.text(f"INSERT INTO jobs ({columns}) VALUES ({values})"), [FIRST, FAILED])
+        insert = sa.text(f"INSERT INTO jobs ({columns}) VALUES ({values})")
+        db.execute(insert, [FIRST, FAILED, ENDED])
         command.upgrade(migrations(db), form)
         if form == "0002":
             db.execute(sa.text("UPDATE jobs SET seal = 3141592653, scene_crc = 2718281828"))
@@ -70,17 +79,19 @@ def test_every_form_with_rows_becomes_the_newest(database: str, form: str) -> No
     engine.dispose()
     store = Queue(database)
     assert differences(store.engine) == []
-    left, failed = store.listing((), 0, 10)
+    left, failed, ended = store.listing((), 0, 10)
     assert (left.id, left.team, left.pixel_frames) == ("a" * 32, "local", 60)
     assert left.phase == Phase.EXECUTING
     assert (left.number, left.attempt, left.tiles_done, left.version) == (7, 2, 1, 5)
     assert (failed.phase, failed.error) == (Phase.ERROR, json.loads(FAILED["error"]))
+    for name in ENDED.keys() - {"scene", "error", "deleted", "body_sha256", "idempotency_key"}:
+        assert getattr(ended, name) == ENDED[name], name
     assert store.scene("a" * 32) == json.loads(SCENE)
     again = Ask(name="old", scene=json.loads(SCENE), body_sha256="b" * 64, key="key")
     new = Ask(name="new", scene={}, body_sha256="d" * 64)
     (replayed, made), (fresh, _) = submit_many(store, [again, new], TeamLimits())  # type: ignore[misc]
     assert (replayed.id, made) == ("a" * 32, False)
-    assert fresh.number == 10
+    assert fresh.number == 12
     with store.engine.connect() as db:
         assert MigrationContext.configure(db).get_current_revision() == HEAD
     store.close()
