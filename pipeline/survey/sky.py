@@ -143,8 +143,7 @@ def sky_behind(scene: Scene, resolved: ResolvedScene) -> SkyBehind | None:
     colour = gather_band_light(scene, *band).colour
     inputs = gather_sky(scene, *band, (), colour, False, resolved.extinction)
     camera = resolved.camera
-    limit = ALL_G_MAG
-    light = LightOfSky(bare, camera, resolved.facts, inputs, limit, resolved.dut1_s)
+    light = LightOfSky(bare, camera, resolved.facts, inputs, ALL_G_MAG, resolved.dut1_s)
     middle = np.array([0.5 * (camera.columns - 1)]), np.array([0.5 * (camera.rows - 1)])
     g = geometry_anywhere(bare, np.zeros(1, np.int64), light.dut1_s, np.zeros(1))
     own = sum(light.per_pixel(g, 0, g.middle, *middle).values())

@@ -184,7 +184,7 @@ def test_a_cone_that_is_there_is_asked_for_again_only_where_it_changed(service, 
         (True, {"verify": True}, (1, 1)),
     ):  # fmt: skip
         state = path.stat()
-        path.write_bytes(whole[:-9] + b"?" + whole[-8:] if bad else whole)
+        path.write_bytes(whole[:-9] + bytes([whole[-9] ^ 1]) + whole[-8:] if bad else whole)
         os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
         report = ask(service, tmp_path, hasty, *cones, **options)
         assert (report.downloaded, report.present) == counts
