@@ -172,7 +172,8 @@ def _watcher(data: JsonObject, study: Study, i: int, epoch: tuple[float, float])
         camera_at = f"cameras.{study.cameras.index(camera)}."
         known = error.field.split(".")[0]
         place = {"observer": field, **dict.fromkeys(CAMERA_KEYS, camera_at)}.get(known, "")
-        raise BadInput(place + error.field, error.value, error.allowed) from None
+        allowed_ = error.allowed.removeprefix("allowed: ")  # of a scene's mistakes
+        raise BadInput(place + error.field, error.value, allowed_) from None
 
 
 def _elements(study: Study, epoch: tuple[float, float]) -> tuple[Elements, Census]:

@@ -212,6 +212,8 @@ BAD: list[tuple[dict[str, Any], str]] = [
      "sensors.0.field_of_regard.twilight_deg: '-12 .never dark enough.'"),
     ({"sensors.0.field_of_regard": {"lowest_elevation_deg": 50, "highest_elevation_deg": 40}},
      "sensors.0.field_of_regard.highest_elevation_deg: 40"),
+    ({"cameras.0.background": {"moonlight": True}},
+     "^cameras.0.background.moonlight: True is not accepted; allowed: with observer.atmosphere"),
     ({"sensors.0.field_of_regard": {"lowest_elevation_deg": 50, "highest_elevation_deg": 50}},
      "highest_elevation_deg: 50 is not accepted; allowed: above lowest_elevation_deg = 50"),
     ({"sensors.0.field_of_regard": {"sun_exclusion_deg": 175, "moon_exclusion_deg": 60}},
