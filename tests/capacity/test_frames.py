@@ -86,13 +86,16 @@ def frame_of(
 
 
 def compared(data: dict[str, Any], folder: Path, count: int) -> np.ndarray:
-    """(count, 4): SNR of the study, of the frame's pixels, the filter's output, the chance."""
+    """(count, 4): SNR of the study, of the frame's pixels, the filter's output, the chance; as many
+    of each sensor."""
     course = course_of(data, folder)
     (folder / "parts").mkdir()
     find_candidates(course, (0, 0))
     rows = pq.read_table(path_of(folder, (0, 0))).to_pylist()
     rows = [r for r in rows if 1.0 < r["snr"] < 12.0 and r["streak_px"] < 120.0]
-    chosen = np.random.default_rng(1).permutation(len(rows))[:count]
+    sensor, rng = np.array([r["sensor"] for r in rows]), np.random.default_rng(1)
+    each = [rng.permutation(np.flatnonzero(sensor == j))[: count // 3] for j in range(3)]
+    chosen = np.concatenate(each)
     assert len(chosen) == count
     out = []
     for k in chosen:
