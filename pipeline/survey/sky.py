@@ -18,10 +18,9 @@ from pipeline.physics.vectors import from_angles, separation, unit
 from pipeline.plan.pointing.geometry import geometry_anywhere
 from pipeline.plan.pointing.site import axes_of
 from pipeline.plan.resolved import ResolvedScene
-from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, background_of
+from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, background_of, nearest_known_rad
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
-from pipeline.spec.sky.background import Zodiacal
 
 if TYPE_CHECKING:
     from pipeline.survey.watch import WatchMoments
@@ -79,8 +78,8 @@ class SkyBehind:
         up = watch.up[moment]
         axes = np.broadcast_to(np.eye(3), (len(up), 3, 3)) if self.site is None else _axes(up)
         x, y, h = np.moveaxis(np.einsum("nij,nj->ni", axes, observed), -1, 0)
-        i, u = _place(AZIMUTHS, np.arctan2(y, x) % (2.0 * np.pi))
-        j, v = _place(self.heights, np.arcsin(np.clip(h, -1.0, 1.0)))
+        i, u = z.place_between(AZIMUTHS, np.arctan2(y, x) % (2.0 * np.pi))
+        j, v = z.place_between(self.heights, np.arcsin(np.clip(h, -1.0, 1.0)))
         at = watch.offset_s[moment] / self.step_s
         first = np.floor(at).astype(np.int64)
         numbers, of = np.unique(np.concatenate([first, first + 1]), return_inverse=True)
@@ -122,7 +121,7 @@ class SkyBehind:
         if request:
             sun = unit(g.sun_m[0, g.middle] - g.observer_m[0, g.middle])
             apart = separation(light.natural(g, 0, g.middle, observed), sun[None])
-            known = apart > _least_rad(request)
+            known = apart > nearest_known_rad(request)
         parts = light.towards(g, 0, g.middle, observed[known])
         e_s = np.full(len(observed), np.nan)
         e_s[known] = np.sum(list(parts.values()), axis=0) * self.pixel_m2_sr + self.every_e_s
@@ -150,21 +149,8 @@ def sky_behind(scene: Scene, resolved: ResolvedScene) -> SkyBehind | None:
     return SkyBehind(light, float(light.pixel_m2_sr(*middle)[0]), float(own[0]))  # type: ignore[index]
 
 
-def _least_rad(request: Zodiacal | bool) -> float:
-    """How near to the Sun zodiacal light is known."""
-    extrapolate = isinstance(request, Zodiacal) and request.near_sun == "extrapolate"
-    return z.NEAREST_RAD if extrapolate else z.TABLE_ENDS_RAD
-
-
 def _axes(up: Array) -> Array:
     """North, east and up (n, 3, 3: rows) of verticals (n, 3); near a pole x stands for it."""
     pole = np.where(np.abs(up[:, 2:]) > POLAR_SINE, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
     east = unit(np.cross(pole, up))
     return np.stack([np.cross(up, east), east, up], axis=1)
-
-
-def _place(nodes: Array, value: Array) -> tuple[Index, Array]:
-    """Index of the node below, and the share of the step beyond it."""
-    index = np.clip(np.searchsorted(nodes, value, side="right") - 1, 0, len(nodes) - 2)
-    share = (value - nodes[index]) / (nodes[index + 1] - nodes[index])
-    return index, np.clip(share, 0.0, 1.0)

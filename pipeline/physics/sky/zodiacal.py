@@ -98,8 +98,8 @@ def radiance_500(table: ZodiacalTable, longitude_rad: Array, latitude_rad: Array
     from_sun = elongation(lon, lat)
     half = np.sin(0.5 * from_sun)
     lon, lat = _outside(lon, lat, from_sun < INNERMOST_RAD)
-    i, u = _place(table.longitude_rad, lon)
-    j, v = _place(table.latitude_rad, lat)
+    i, u = place_between(table.longitude_rad, lon)
+    j, v = place_between(table.latitude_rad, lat)
     low = (1.0 - v) * table.smooth[i, j] + v * table.smooth[i, j + 1]
     high = (1.0 - v) * table.smooth[i + 1, j] + v * table.smooth[i + 1, j + 1]
     return np.exp((1.0 - u) * low + u * high) / np.maximum(half, 1e-3) ** FALL
@@ -160,7 +160,7 @@ def _outside(lon: Array, lat: Array, inside: NDArray[np.bool_]) -> tuple[Array, 
     return np.where(inside, out_lon, lon), np.where(inside, out_lat, lat)
 
 
-def _place(nodes: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
+def place_between(nodes: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     """The interval of each value (n,), and where in it: 0 to 1."""
     i = np.clip(np.searchsorted(nodes, value, side="right") - 1, 0, nodes.size - 2)
     return i, np.clip((value - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0)

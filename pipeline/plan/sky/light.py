@@ -180,11 +180,16 @@ def background_of(scene: Scene) -> Background:
     return scene.background or Background(starlight="auto")
 
 
-def _check_elongation(least_rad: float, request: Zodiacal | bool | None) -> None:
+def nearest_known_rad(request: Zodiacal | bool | None) -> float:
+    """How near to the Sun zodiacal light is known, as a scene asks for it."""
     extrapolate = isinstance(request, Zodiacal) and request.near_sun == "extrapolate"
-    end = z.NEAREST_RAD if extrapolate else z.TABLE_ENDS_RAD
+    return z.NEAREST_RAD if extrapolate else z.TABLE_ENDS_RAD
+
+
+def _check_elongation(least_rad: float, request: Zodiacal | bool | None) -> None:
+    end = nearest_known_rad(request)
     if least_rad < end:
-        hint = "" if extrapolate else "; near_sun: extrapolate goes to 2"
+        hint = "" if end == z.NEAREST_RAD else "; near_sun: extrapolate goes to 2"
         raise BadInput(
             "background.zodiacal",
             f"{least_rad / DEG_RAD:.3g} deg from the Sun in the field",
