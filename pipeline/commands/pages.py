@@ -281,7 +281,7 @@ def print_report(report: JsonObject, product: Path | str) -> None:
     when = "whole before, nothing was drawn" if "drawn_before" in report else f"in {taken_s:.2f} s"
     print(f"{product}: {report['frames']} frame(s), {report['tiles']} tile(s) {when}")
     print(
-        f"  error bound at the noise floor {errors['bound_of_all_approximations_sigma']:.3f} sigma "
+        f"  error bound at the noise floor {errors['bound_of_all_approximations_sigma']:.2g} sigma "
         f"(asked {errors['asked_sigma']}), WCS to {errors['wcs_residual_px']:.1e} px"
     )
     if errors["achieved_error_sigma"] is not None:

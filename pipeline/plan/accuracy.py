@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -18,7 +19,7 @@ from pipeline.spec.sensor.sensor import Chromatic, GaussianPsf
 
 SMALL = 0.25  # of a part: what is refined until it errs by little, at no cost
 INSTEAD = ("crowds_by_transforms",)  # of phase_interpolation, whose bound is counted
-BESIDE_BRIGHTEST = ("few_wavelengths", "monochromatic_psf", "wings_cut_off")  # as its light
+BESIDE_BRIGHTEST = ("few_wavelengths", "monochromatic_psf")  # as its light
 ROUNDING = 1.0 + 1e-9
 FEW_CELLS, FULL = 1 << 16, 16  # cells of a crowd that are summed in place, and for each star
 UNSEEN = 1e-3  # of an approximation's part: what a star of a crowd may err by unseen
@@ -80,23 +81,39 @@ def part_sigma(scene: Scene) -> float:
     return scene.accuracy.noise_fraction / parts(scene)
 
 
-def total_sigma(decisions: Iterable[Decision], brighter: float = 1.0) -> float:
-    """Sum of the bounds of all approximations, in units of the noise of a pixel.
-
-    brighter : how many times as bright the brightest source is as the plan took it to be
-    """
-    return math.fsum(_counted(d, d.error_bound_sigma, brighter) for d in decisions)
+def total_sigma(decisions: Iterable[Decision]) -> float:
+    """Sum of the bounds of all approximations, in units of the noise of a pixel."""
+    return math.fsum(_counted(d, d.error_bound_sigma) for d in decisions)
 
 
-def total_e(decisions: Iterable[Decision], brighter: float = 1.0) -> float:
+def total_e(decisions: Iterable[Decision]) -> float:
     """Sum of the bounds of all approximations [e-]."""
-    return math.fsum(_counted(d, d.error_bound_e, brighter) for d in decisions)
+    return math.fsum(_counted(d, d.error_bound_e) for d in decisions)
 
 
-def _counted(d: Decision, bound: float | None, brighter: float = 1.0) -> float:
-    if not bound or d.component in INSTEAD:
-        return 0.0
-    return bound * max(1.0, brighter) if d.component in BESIDE_BRIGHTEST else bound
+def for_sources(
+    decisions: Iterable[Decision], bounds_e: Mapping[str, float], floor_e: float, brighter: float
+) -> list[Decision]:
+    """Decisions with their bounds for the sources that were drawn.
+
+    bounds_e : by component [e-]; floor_e : noise of a pixel without sources
+    brighter : how many times as bright the brightest source is as the plan took it to be, which
+        raises what is a share of its light
+    """
+    out = []
+    for d in decisions:
+        bound_e, sigma = d.error_bound_e, d.error_bound_sigma
+        if bound_e is not None and d.component in bounds_e:
+            bound_e = bounds_e[d.component]
+            sigma = bound_e / floor_e
+        elif bound_e is not None and sigma is not None and d.component in BESIDE_BRIGHTEST:
+            bound_e, sigma = (v * max(1.0, brighter) for v in (bound_e, sigma))
+        out.append(replace(d, error_bound_e=bound_e, error_bound_sigma=sigma))
+    return out
+
+
+def _counted(d: Decision, bound: float | None) -> float:
+    return 0.0 if not bound or d.component in INSTEAD else bound
 
 
 def judge(scene: Scene, decisions: tuple[Decision, ...]) -> list[str]:

@@ -21,6 +21,7 @@ class Plan(ResolvedScene):
     coverage : of the frames by the main catalogue; None without stars
     stars_per_frame : that light the fullest, of a few
     shared_frames : so many frames in a row share one drawing of their stars
+    brightest_e : light of the brightest source that the bounds are for; 0 where none is known
     """
 
     tiles: tuple[Tile, ...]
@@ -31,6 +32,7 @@ class Plan(ResolvedScene):
     coverage: FieldCoverage | None = None
     stars_per_frame: int = 0
     shared_frames: int = 1
+    brightest_e: float = 0.0
 
     def drawn_frame(self, frame: int) -> int:
         """The frame where the stars of a frame stand as they are drawn in it."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from pipeline.plan.decision import Decision
@@ -23,12 +23,27 @@ class PlanBasis:
 
     frames : geometry of some of the scene's frames
     stars : None without any, or where none were looked at; engines : those chosen for them
+    bounds_e : of approximations, by component, where they follow from the light of all sources
+        [e-]; sources_e : of the brightest one, 0 where not all are known
     """
 
     resolved: ResolvedScene
     frames: Geometry
     stars: FieldStars | None = None
     engines: StarEngines | None = None
+    bounds_e: Mapping[str, float] = field(default_factory=dict)
+    sources_e: float = 0.0
+
+    @property
+    def brightest_e(self) -> float:
+        """Light of the brightest source, as far as it is known [e-]; 0 where not."""
+        return self.sources_e or self.facts.brightest_e
+
+    def within_budget(self, component: str) -> tuple[float, float]:
+        """Bound of an approximation [e-, sigma]: for the sources there are, or else its part."""
+        budget_e = self.facts.budget_e
+        error_e = min(self.bounds_e.get(component, budget_e), budget_e)
+        return error_e, error_e / self.facts.sigma_floor_e
 
     @property
     def scene(self) -> Scene:

@@ -25,6 +25,7 @@ from pipeline.plan.optics.optics import check_motion
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.resolved import ResolvedScene, resolved_scene
 from pipeline.plan.response.responses import plan_responses
+from pipeline.plan.response.sources import KnownSources
 from pipeline.plan.sensor.detector import typical_read_noise_e
 from pipeline.plan.sky.doubts import sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
@@ -40,6 +41,7 @@ from pipeline.resolve.stars import (
     lit_frames,
     stars_left_out,
 )
+from pipeline.resolve.targets import gather_targets
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -59,6 +61,7 @@ class Resolved:
     catalogues : the main one and the layers over it; left_out : of each, the sorted source_ids of
         stars that an earlier one holds
     stars : those around the field, counted; None for a scene without
+    targets : those of all frames; None where not all are known
     warnings : what the scene accepts though the product is wrong there; remarks : what else is
         reported
     """
@@ -70,6 +73,7 @@ class Resolved:
     catalogues: tuple[Catalogue, ...]
     left_out: tuple[np.ndarray, ...]
     stars: FieldStars | None
+    targets: KnownSources | None
     rays: CosmicRays | None
     warnings: tuple[str, ...]
     remarks: tuple[str, ...]
@@ -121,6 +125,7 @@ def resolve(asked: Scene) -> Resolved:
         catalogues,
         left_out,
         field_stars,
+        gather_targets(resolved, g),
         _cosmic_rays(scene),
         (*doubts.warnings, *warnings, *_none_in_field(resolved, g, field_stars)),
         (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from catalog_tools.engine.schedulers import TASKS_PER_WINDOW
-from pipeline.arrays import Array, Geometry, StarTable, select
+from pipeline.arrays import Array, FrameStars, Geometry, StarTable, concatenate, select
 from pipeline.inputs.stars.catalogues import gather_left_out, layer_decisions
 from pipeline.inputs.stars.stars import (
     Catalogue,
@@ -25,6 +25,7 @@ from pipeline.plan.cones import catalogue_cones, field_cones
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.pointing.geometry import epochs_jyear, observer_distances_au, plan_geometry
 from pipeline.plan.resolved import ResolvedScene
+from pipeline.plan.response.sources import known_of_frames, stars_known
 from pipeline.plan.stars.brightest import brightest_star_e, star_radius_rad
 from pipeline.plan.stars.field_stars import FieldStars, OwnMotion, StarCounts
 from pipeline.spec.scene import Scene
@@ -89,13 +90,27 @@ def gather_field_stars(
     """
     if resolved.scene.stars is None:
         return None
-    counts = StarCounts(*_lights(resolved, catalogues, left_out, g))
+    found, each = _placed(resolved, catalogues, left_out, g)
+    lights = [np.sort(stars.light_e) for stars in found]
+    counts = StarCounts(max(lights, key=len, default=np.empty(0)), each)
+    every = each == 1.0 and len(found) == len(lit_frames(resolved, g))
+    every = every and len(g.frame) == resolved.frames
+    sources = None
+    if every:
+        r = resolved.responses
+        sources = known_of_frames(
+            [
+                stars_known(r, np.full(len(stars), k), stars.x_px, stars.y_px, stars.light_e)
+                for k, stars in enumerate(found)
+            ]
+        )
     leaves = [shard.leaf for shard in shards_of(resolved, catalogues, g)]
     own = OwnMotion(
         max((leaf.max_proper_motion_mas_yr for leaf in leaves), default=0.0),
         max((leaf.max_parallax_mas for leaf in leaves), default=0.0),
     )
-    return FieldStars(counts, own, tuple(layer_decisions(catalogues, left_out)), coverage)
+    layers = tuple(layer_decisions(catalogues, left_out))
+    return FieldStars(counts, own, layers, coverage, sources)
 
 
 def lit_frames(resolved: ResolvedScene, g: Geometry) -> list[int]:
@@ -108,32 +123,31 @@ def _cones(g: Geometry, caps: tuple[Array, Array]) -> tuple[Cone, ...]:
     return cones_of(*caps, epochs_jyear(g), observer_distances_au(g))
 
 
-def _lights(
+def _placed(
     resolved: ResolvedScene,
     catalogues: tuple[Catalogue, ...],
     left_out: Sequence[Array],
     g: Geometry,
-) -> tuple[Array, float]:
-    """Light of the stars of the fullest of some frames [e-], sorted, and how many each stands for:
-    read and placed as the drawing does it."""
+) -> tuple[list[FrameStars], float]:
+    """The stars of some frames, and how many each stands for: read and placed as the drawing does
+    it."""
     from pipeline.execute.sources import place_stars
 
     frames = _looked_at(resolved, catalogues, g)
     if not frames:
-        return np.empty(0), 1.0
+        return [], 1.0
     needed = [_by_leaf(shards_of(resolved, catalogues, one)) for one in frames]
     step = max(1, max(_rows(shards.values()) for shards in needed) // PLACED)
-    found: list[list[Array]] = [[] for _ in frames]
+    found: list[list[FrameStars]] = [[] for _ in frames]
     for key, shard in reduce(or_, needed).items():
         catalogue = catalogues[shard.catalogue]
         stars = _read(resolved, catalogue, shard, left_out[shard.catalogue])
         stars = select(stars, np.arange(0, len(stars), step))
         epoch = catalogue.ref_epoch_jyear
-        for one, shards, lights in zip(frames, needed, found, strict=True):
+        for one, shards, placed in zip(frames, needed, found, strict=True):
             if key in shards:
-                lights.append(place_stars(resolved, stars, one, epoch, shard.catalogue).light_e)
-    each = [np.sort(np.concatenate(lights or [np.empty(0)])) for lights in found]
-    return max(each, key=len), float(step)
+                placed.append(place_stars(resolved, stars, one, epoch, shard.catalogue))
+    return [concatenate(placed, FrameStars) for placed in found], float(step)
 
 
 def _looked_at(

@@ -6,7 +6,6 @@ import json
 import math
 import resource
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
@@ -21,11 +20,20 @@ from pipeline.execute.truth import star_truth, target_truth
 from pipeline.export.picture import write_preview
 from pipeline.inputs.sensor.detector import gather_faults
 from pipeline.lazily import arrow
-from pipeline.plan.accuracy import UNSEEN, crowd_error_e, doubts_of, total_e, total_sigma
+from pipeline.plan.accuracy import doubts_of, for_sources, total_e, total_sigma
 from pipeline.plan.described import colour_facts
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.response.responses import table_error
+from pipeline.plan.response.responses import ResponsePlan
+from pipeline.plan.response.sources import (
+    TABLES,
+    WINGS,
+    SourceBounds,
+    of_stars,
+    of_targets,
+    stars_known,
+    targets_known,
+)
 from pipeline.plan.timing import longest_s
 from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
@@ -43,6 +51,11 @@ if TYPE_CHECKING:
 WINDOW = 256
 DTYPES = {"wcs_sip_order": np.int16, "dwell": np.int32}  # else float64, or int64
 LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
+SOURCES = ("stars", "targets")  # tables of truth whose light is drawn as such
+COLUMNS = ("frame", "x_px", "y_px", "electrons")
+COLUMNS_OF_TARGETS = (
+    "x_start_px", "y_start_px", "x_end_px", "y_end_px", "radius_px", "extended"
+)  # fmt: skip
 COVERAGE_KEY = "nightglass:coverage"  # in the schema's metadata of truth/stars.parquet
 Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
 
@@ -222,31 +235,20 @@ def _report(
 
 def _errors(plan: Plan, begun: Begun, checks: list[JsonObject]) -> JsonObject:
     """What the product may err by, for the sources that were drawn, and what was found."""
-    found, floor_e = _brightest(plan, begun), plan.facts.sigma_floor_e
-    brighter = found["brightest_source_e"] / (plan.facts.brightest_e or math.inf)
-    over_e = max(0.0, found["wing_error_of_brightest_e"] - plan.responses.budget_e)
-    over_e += _streak_error_e(plan, found["brightest_source_e"])
-    return (
-        {
-            "noise_floor_e": floor_e,
-            "bound_of_all_approximations_e": total_e(plan.decisions, brighter) + over_e,
-            "bound_of_all_approximations_sigma": total_sigma(plan.decisions, brighter)
-            + over_e / floor_e,
-            "asked_sigma": plan.scene.accuracy.noise_fraction,
-            "light_left_out": plan.responses.lost_light,
-            "common_streak_px": plan.responses.streaks.spread_px,
-        }
-        | found
-        | _achieved(checks)
-    )
-
-
-def _streak_error_e(plan: Plan, brightest_e: float) -> float:
-    """What common streaks err by beyond the plan's bound, for the brightest source drawn [e-]."""
-    if plan.scene.stars is None or not plan.facts.brightest_e:
-        return 0.0
-    streaks = plan.responses.streaks
-    return max(0.0, streaks.error_e(brightest_e) - streaks.error_e(plan.facts.brightest_e))
+    drawn, floor_e = _drawn(plan, begun), plan.facts.sigma_floor_e
+    brighter = drawn.brightest_e / (plan.brightest_e or math.inf)
+    decisions = for_sources(plan.decisions, drawn.errors_e, floor_e, brighter)
+    over_e = max(0.0, drawn.errors_e.get(TABLES, 0.0) - plan.responses.budget_e)
+    return {
+        "noise_floor_e": floor_e,
+        "bound_of_all_approximations_e": total_e(decisions) + over_e,
+        "bound_of_all_approximations_sigma": total_sigma(decisions) + over_e / floor_e,
+        "asked_sigma": plan.scene.accuracy.noise_fraction,
+        "light_left_out": plan.responses.lost_light,
+        "common_streak_px": plan.responses.streaks.spread_px,
+        "brightest_source_e": drawn.brightest_e,
+        "wing_error_of_brightest_e": drawn.errors_e.get(WINGS, 0.0),
+    } | _achieved(checks)
 
 
 def _doubts(plan: Plan, errors: JsonObject) -> list[str]:
@@ -258,56 +260,42 @@ def _doubts(plan: Plan, errors: JsonObject) -> list[str]:
     )
 
 
-def _brightest(plan: Plan, begun: Begun) -> dict[str, float]:
-    """The brightest source drawn, and what its core class may err in one pixel of its light [e-].
+def _drawn(plan: Plan, begun: Begun) -> SourceBounds:
+    """What drawing errs by at most, for all sources that were drawn: some frames after the other.
 
-    Above the last core class's limit sources are drawn by quadrature and err by no more than the
-    plan's bound, where the response's profile is known; where it is not, or a table's band is cut,
-    this may be more, and the report says so.
-    """
-    table = max(table_error(b) for b in plan.responses.blurs)
-    light = error_e = 0.0
-    for kind in truth_kinds(plan):
-        column = arrow().parquet.read_table(
-            begun.path / layout.TRUTH / f"{kind}.parquet", columns=["electrons"]
-        )["electrons"]
-        fill = plan.responses.blur.fill_factor  # truth has what is collected, bounds what falls
-        most = float(np.fmax.reduce(column.to_numpy(), initial=0.0)) / fill
-        each = [
-            (c.target_e, c.target_error) if kind == "targets" else (c.brightest_e, c.wing_error)
-            for c in plan.responses.classes
-        ]
-        light, error_e = max(light, most), max(error_e, most * (_error_of(most, each) + table))
-        if kind == "stars" and plan.responses.spacing_px:
-            error_e = max(error_e, _crowd_error_e(plan, begun, each, table))
-    return {"brightest_source_e": light, "wing_error_of_brightest_e": error_e}
-
-
-def _crowd_error_e(
-    plan: Plan, begun: Begun, each: list[tuple[float, float]], table: float
-) -> float:
-    """What wings of the densest crowd of stars err by in one pixel [e-].
-
-    each : (limit, error) of the core classes; table : of the response. Stars that each err by less
-    than UNSEEN of one approximation's part are omitted.
+    Truth has what pixels collect of a source, bounds are of the light that falls.
     """
     r, fill = plan.responses, plan.responses.blur.fill_factor
-    limits, errors = np.array(each).T
-    least_e = UNSEEN * r.budget_e / float(errors.max() + table) * fill
-    stars = arrow().parquet.read_table(
-        begun.path / layout.TRUTH / "stars.parquet",
-        columns=["frame", "x_px", "y_px", "electrons"],
-        filters=[("electrons", ">", least_e)],
-    )
-    light = stars["electrons"].to_numpy() / fill
-    errs = np.append(errors, 0.0)[np.searchsorted(limits, light)] + table
-    frame, x_px, y_px = (stars[name].to_numpy() for name in ("frame", "x_px", "y_px"))
-    return crowd_error_e(frame, x_px, y_px, errs * light, *r.crowd_sides_px)
+    found = {kind: SourceBounds() for kind in SOURCES}
+    for kind in (k for k in truth_kinds(plan) if k in SOURCES):
+        file = arrow().parquet.ParquetFile(begun.path / layout.TRUTH / f"{kind}.parquet")
+        for group in range(file.num_row_groups):
+            names = COLUMNS if kind == "stars" else (*COLUMNS, *COLUMNS_OF_TARGETS)
+            rows = file.read_row_group(group, columns=names)
+            c = {name: rows[name].to_numpy() for name in names}
+            c["electrons"] = c["electrons"] / fill
+            one = _of_stars(r, c) if kind == "stars" else _of_targets(plan, c)
+            found[kind] = found[kind].worst(one)
+    return found["stars"].together(found["targets"])
 
 
-def _error_of(light_e: float, classes: Iterable[tuple[float, float]]) -> float:
-    """Error per electron of the first class that a light does not exceed: of (limit, error)."""
-    return next((error for limit, error in classes if light_e <= limit), 0.0)
+def _of_stars(r: ResponsePlan, c: dict[str, np.ndarray]) -> SourceBounds:
+    return of_stars(r, stars_known(r, c["frame"], c["x_px"], c["y_px"], c["electrons"]))
+
+
+def _of_targets(plan: Plan, c: dict[str, np.ndarray]) -> SourceBounds:
+    """Of the targets whose light reaches the frame; truth has the others, too."""
+    r, (rows, columns) = plan.responses, plan.scene.sensor.shape
+    ends = np.array([c[f"{axis}_{end}_px"] for end in ("start", "end") for axis in "xy"])
+    size = np.nan_to_num(c["radius_px"])
+    beyond = plan.halo_px + r.reach_core_px + size
+    with np.errstate(invalid="ignore"):
+        (x0, x1), (y0, y1) = (np.sort(ends[i::2], axis=0) for i in (0, 1))
+        near = (x1 > -beyond) & (x0 < columns + beyond) & (y1 > -beyond) & (y0 < rows + beyond)
+    near &= c["electrons"] > 0.0
+    light_e, size, extended = (v[near] for v in (c["electrons"], size, c["extended"]))
+    known = c["frame"][near], ends[:, near], light_e, size, extended
+    return of_targets(r, targets_known(r, (rows, columns), *known))
 
 
 def _achieved(checks: list[JsonObject]) -> JsonObject:

@@ -63,7 +63,7 @@ def prepare(scene: Scene) -> Prepared:
     """Resolve a scene and plan it; what is read and raised, `resolve` says."""
     started = time.thread_time()
     r = resolve(scene)
-    plan = make_plan(r.scene, r.geometry, r.stars, r.remarks, r.warnings)
+    plan = make_plan(r.scene, r.geometry, r.stars, r.remarks, r.warnings, r.targets)
     spent = _spent(plan, r, started)
     return Prepared(plan, r.maps, r.catalogues, r.left_out, spent, r.rays)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -15,8 +16,7 @@ from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.motion.streak import POINT
 from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.plan.accuracy import crowd_error_e
-from pipeline.plan.plan import Plan
-from pipeline.route.finish import _crowd_error_e
+from pipeline.route.finish import _drawn
 from pipeline.route.prepare import prepare
 from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
@@ -130,15 +130,17 @@ def test_a_crowd_errs_by_the_light_that_falls(tmp_path: Path) -> None:
     pq.write_table(pa.table(table), tmp_path / "truth" / "stars.parquet")
     begun = cast(Begun, SimpleNamespace(path=tmp_path))
 
+    plan = prepare(parse_scene(scene(tmp_path, 200.0, 16.0, {"kind": "airy"}))).plan
+    r = plan.responses
+
     def errs_e(fill: float, limit_e: float) -> float:
-        responses = SimpleNamespace(
-            blur=SimpleNamespace(fill_factor=fill), budget_e=1e-6, crowd_sides_px=(4.0, 40.0)
-        )
-        plan = cast(Plan, SimpleNamespace(responses=responses))
-        return _crowd_error_e(plan, begun, [(limit_e, 1e-3)], 0.0)
+        one = replace(r.classes[0], brightest_e=limit_e, wing_error=1e-3)
+        blur = replace(r.blur, fill_factor=fill)
+        changed = replace(plan, responses=replace(r, classes=(one,), blur=blur))
+        return _drawn(changed, begun).errors_e["wings_on_a_coarse_grid"]
 
     assert errs_e(1.0, 1e9) == pytest.approx(crowd_error_e(
-        np.zeros(50), x_px, y_px, np.full(50, 0.3), 4.0, 40.0
+        np.zeros(50), x_px, y_px, np.full(50, 0.3), *r.crowd_sides_px
     ))  # fmt: skip
     assert errs_e(0.5, 1e9) == pytest.approx(2.0 * errs_e(1.0, 1e9))
     assert errs_e(0.5, 500.0) == 0.0  # brighter than the class whose wings err

@@ -13,7 +13,7 @@ from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.physics.psf.band import BandOptics, NoiseLimit, choose_wavelengths
 from pipeline.physics.psf.pupil import Airy, Blur
-from pipeline.plan.accuracy import doubts_of, judge, parts, total_e, total_sigma
+from pipeline.plan.accuracy import doubts_of, for_sources, judge, parts, total_e, total_sigma
 from pipeline.plan.decision import Decision
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import load_scene, parse_scene
@@ -160,8 +160,19 @@ def test_doubts_of_a_finished_product() -> None:
 
 def test_a_brighter_source_raises_what_goes_with_its_light() -> None:
     lines = (Decision("few_wavelengths", True, "", 2.0, 0.02),
-             Decision("wings_cut_off", True, "", 1.0, 0.01),
              Decision("common_streak", True, "", 1.0, 0.01))  # fmt: skip
-    assert total_sigma(lines, 3.0) == pytest.approx(0.1)
-    assert total_e(lines, 3.0) == pytest.approx(10.0)
-    assert total_sigma(lines, 0.5) == pytest.approx(0.04)
+    drawn = for_sources(lines, {}, 100.0, 3.0)
+    assert total_sigma(drawn) == pytest.approx(0.07)
+    assert total_e(drawn) == pytest.approx(7.0)
+    assert total_sigma(for_sources(lines, {}, 100.0, 0.5)) == pytest.approx(0.03)
+
+
+def test_what_follows_from_the_light_of_all_sources_takes_the_place_of_a_part() -> None:
+    lines = (Decision("wings_cut_off", True, "", 1.0, 0.01),
+             Decision("common_streak", True, "", 1.0, 0.01),
+             Decision("star_engines", True, ""))  # fmt: skip
+    known = {"wings_cut_off": 0.5, "star_engines": 7.0, "of_another_scene": 9.0}
+    drawn = for_sources(lines, known, 10.0, 3.0)
+    assert [d.error_bound_e for d in drawn] == [0.5, 1.0, None]
+    assert total_sigma(drawn) == pytest.approx(0.05 + 0.01)
+    assert [d.component for d in drawn] == [d.component for d in lines]

@@ -319,7 +319,7 @@ def test_a_core_ends_where_next_to_nothing_is_left(scene: Make, light_e: float) 
     core, sigma = usual if light_e <= usual.target_e else whole, math.sqrt(2.0) * 0.8
     left = math.erfc(core.radius_px / sigma) - math.erfc((core.radius_px + 1.0) / sigma)
     found = 0.5 * light_e * left * math.erf(0.5 / sigma)
-    told = core_ends(plan.responses, replace(plan.facts, brightest_e=light_e)).error_bound_e
+    told = core_ends(plan.responses, light_e, plan.facts.sigma_floor_e).error_bound_e
     assert 0.0 < found <= told <= plan.responses.budget_e
 
 

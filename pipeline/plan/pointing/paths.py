@@ -50,14 +50,15 @@ def bends_px(scene: Scene, g: Geometry, stars: Array) -> Array:
     return bend.max(axis=(0, 2)) / 4.0
 
 
-def near_frame(scene: Scene, g: Geometry) -> NDArray[np.bool_]:
+def near_frame(scene: Scene, g: Geometry, beside_px: float = 0.0) -> NDArray[np.bool_]:
     """Targets and frames (T, F) whose path in the exposure touches the frame or what is beside it.
 
-    Beside it: within the frame's longer side. Others must not slow down the rest, nor be smooth.
-    Of one that is behind the camera for a part of the exposure the rest is looked at.
+    Beside it: within the frame's longer side, or `beside_px` if that is more. Others must not slow
+    down the rest, nor be smooth. Of one that is behind the camera for a part of the exposure the
+    rest is looked at.
     """
     rows, columns = scene.sensor.shape
-    side = max(rows, columns)
+    side = max(rows, columns, beside_px)
     x, y = g.target_x_px, g.target_y_px
     with np.errstate(invalid="ignore"):
         near = (np.fmax.reduce(x, axis=-1) > -side) & (np.fmin.reduce(x, axis=-1) < columns + side)

@@ -5,15 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from pipeline.physics.psf.band import BandOptics
 from pipeline.physics.psf.product import PHASES
 from pipeline.plan.accuracy import by_wavelength
 from pipeline.plan.decision import Decision
-from pipeline.plan.facts import Facts, planned_floor_e
-from pipeline.plan.response.responses import ResponsePlan, cut_share, table_error
+from pipeline.plan.facts import planned_floor_e
+from pipeline.plan.response.responses import (
+    ResponsePlan,
+    core_end_e,
+    cut_share,
+    end_share_of,
+    table_error,
+)
 from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.tiles import BLOCK_PX
-from pipeline.spec.scene import Scene
 
 
 def _responses(basis: PlanBasis) -> Iterator[Decision]:
@@ -42,11 +49,16 @@ def _over_the_field(r: ResponsePlan) -> Decision:
 def _band(basis: PlanBasis) -> Iterator[Decision]:
     """The wavelengths that stand for the band."""
     if basis.facts.band is not None:
-        yield _wavelengths(basis.scene, basis.facts, basis.facts.band)
+        yield _wavelengths(basis, basis.facts.band)
 
 
-def _wavelengths(scene: Scene, facts: Facts, band: BandOptics) -> Decision:
-    """A few wavelengths, or one, for the whole band."""
+def _wavelengths(basis: PlanBasis, band: BandOptics) -> Decision:
+    """A few wavelengths, or one, for the whole band.
+
+    The error beside the brightest source is known over its noise; that of a source k times as
+    bright is at most sqrt(k) of it, k where light has no noise of its own.
+    """
+    scene, facts, brightest_e = basis.scene, basis.facts, basis.brightest_e
     nm = ", ".join(f"{w * 1e9:.0f}" for w in band.wavelengths_m)
     name = "monochromatic_psf" if len(band.wavelengths_m) == 1 else "few_wavelengths"
     if not by_wavelength(scene):
@@ -54,10 +66,14 @@ def _wavelengths(scene: Scene, facts: Facts, band: BandOptics) -> Decision:
     reason = (
         f"drawn at {nm} nm: a pixel differs by up to {band.error:.2g} of its source's light from "
         f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone); the same for "
-        f"sources of all colours. The bound is beside a source of {facts.brightest_e:.3g} e-"
+        f"sources of all colours. The bound is beside a source of {brightest_e:.3g} e-"
     )
     sigma = band.error_sigma * planned_floor_e(scene, facts.sigma_floor_e) / facts.sigma_floor_e
-    return Decision(name, True, reason, band.error * facts.brightest_e, sigma)
+    ratio = brightest_e / facts.brightest_e if facts.brightest_e else math.inf
+    hidden = scene.sensor.photon_noise and ratio < 1.0
+    sigma = sigma * (math.sqrt(ratio) if hidden else ratio) if ratio < math.inf else math.inf
+    sigma = min(sigma, band.error * brightest_e / facts.sigma_floor_e)
+    return Decision(name, True, reason, band.error * brightest_e, sigma)
 
 
 def _stars(basis: PlanBasis) -> Iterator[Decision]:
@@ -65,7 +81,7 @@ def _stars(basis: PlanBasis) -> Iterator[Decision]:
     if basis.scene.stars is None:
         return
     yield _phases(basis)
-    yield from _streaks(basis.resolved.responses, basis.facts)
+    yield from _streaks(basis)
     if basis.engines is not None:
         ways = "; ".join(basis.engines.ways) or "stamps from tables"
         reason = "the cheapest for the stars of the fullest frame; the bounds are the same"
@@ -89,13 +105,13 @@ def _phases(basis: PlanBasis) -> Decision:
         True,
         f"stars are {how}; the bound holds for a pixel at the noise floor and grows with the "
         "noise of a pixel that holds more light",
-        error_bound_e=budget_e,
-        error_bound_sigma=budget_e / basis.facts.sigma_floor_e,
+        *basis.within_budget("phase_interpolation"),
     )
 
 
-def _streaks(r: ResponsePlan, facts: Facts) -> list[Decision]:
+def _streaks(basis: PlanBasis) -> list[Decision]:
     """How the stars' streaks and crowds are drawn."""
+    r, facts = basis.resolved.responses, basis.facts
     s, sigma_e = r.streaks, facts.sigma_floor_e
     if s.at_rest < math.inf:
         reason = (
@@ -109,7 +125,7 @@ def _streaks(r: ResponsePlan, facts: Facts) -> list[Decision]:
             f"most {s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that fraction "
             "of the light of a pixel there"
         )
-    bound = s.error_e(facts.brightest_e or math.inf)
+    bound = min(s.error_e(basis.brightest_e or math.inf), basis.within_budget("common_streak")[0])
     if s.mixed_from_e_px < math.inf:
         reason += (
             f". Stars of more than {s.mixed_from_e_px:.3g} e- a px of their path, of which that "
@@ -139,30 +155,33 @@ def _far_light(basis: PlanBasis) -> Iterator[Decision]:
     if not (scene.stars or scene.targets):
         return
     if r.spacing_px:
-        yield from _wings(r, basis.facts, bool(scene.targets or scene.populations))
+        yield from _wings(basis, bool(scene.targets or scene.populations))
     elif scene.stars is None or (engines is not None and not engines.tables):
-        yield core_ends(r, basis.facts)
+        yield core_ends(r, basis.brightest_e, basis.facts.sigma_floor_e)
 
 
-def core_ends(r: ResponsePlan, facts: Facts) -> Decision:
-    """Where sources end whose response has no wings; with tables it is part of their bound."""
+def core_ends(r: ResponsePlan, brightest_e: float, floor_e: float) -> Decision:
+    """Where sources end whose response has no wings; with tables it is part of their bound.
+
+    brightest_e : light of the brightest source, 0 where not known; floor_e : noise of a pixel
+    """
     usual, whole = r.classes
-    brightest = facts.brightest_e or usual.target_e
-    largest = whole.wing_error * min(brightest, whole.target_e)  # brighter ones by quadrature
-    bound = max(min(r.lost_light * brightest, r.budget_e), largest)
+    brightest, share = brightest_e or usual.target_e, end_share_of(r)
+    bound = float(core_end_e(r, np.array([brightest]))[0])
     reason = (
-        f"light beyond {usual.radius_px:.3g} px of a source is omitted, {r.lost_light:.2g} of it; "
-        f"beyond {whole.radius_px:.3g} px for sources above {usual.target_e:.3g} e-; the bound is "
-        f"beside a source of {brightest:.3g} e-"
+        f"light beyond {usual.radius_px:.3g} px of a source is omitted, {r.lost_light:.2g} of it, "
+        f"at most {share:.2g} in a pixel; beyond {whole.radius_px:.3g} px for sources above "
+        f"{usual.target_e:.3g} e-; the bound is beside a source of {brightest:.3g} e-"
     )
-    return Decision("core_ends", True, reason, bound, bound / facts.sigma_floor_e)
+    return Decision("core_ends", True, reason, bound, bound / floor_e)
 
 
-def _wings(r: ResponsePlan, facts: Facts, targets_there: bool) -> list[Decision]:
-    budget, last, sigma_e = r.budget_e, r.classes[-1], facts.sigma_floor_e
+def _wings(basis: PlanBasis, targets_there: bool) -> list[Decision]:
+    r, sigma_e = basis.resolved.responses, basis.facts.sigma_floor_e
+    budget, last = r.budget_e, r.classes[-1]
     limits = [c.brightest_e for c in r.classes[:-1]]
     limits = limits or [budget / last.wing_error]
-    brightest = facts.brightest_e or max(limits)
+    brightest = basis.brightest_e or max(limits)
     share, first, targets = cut_share(r.blurs, r.reach_px), r.classes[0], ""
     cut = share * brightest
     if first.target_e != first.brightest_e and targets_there:
@@ -182,8 +201,7 @@ def _wings(r: ResponsePlan, facts: Facts, targets_there: bool) -> list[Decision]
             f"{budget / last.wing_error:.3g} e-; above, sources are integrated over each pixel "
             "where their profile is known and their path is short; else a pixel errs by up to "
             f"{last.wing_error:.2g} of its source's light, and the product says so{targets}",
-            budget,
-            budget / sigma_e,
+            *basis.within_budget("wings_on_a_coarse_grid"),
         ),
         Decision(
             "wings_cut_off",

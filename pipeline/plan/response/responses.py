@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
@@ -52,6 +53,8 @@ USUAL_FRACTION = 1e-3  # of each source's light that scenes leave out where they
 NOTHING_BEYOND = (1e-8, 1e-14)  # of the light, beyond the cores of a response without wings
 STILL = StreakPlan(1, 1, 0.0, 0.0, 1, 0.0, 0.0)
 NEGLIGIBLE = 0.1  # of the error of the wings' grid
+EDGE_OVER = 1.5  # radii of a core within which the brightest place beyond it is looked for
+FINER_EDGE, MOST_EDGE = 4, 1024  # times more samples a pixel there, up to so many across
 PASSING = 3.2  # radii of a streak's way
 PLACES = 1.5  # for sub-pixel places at which the grid's error was not measured
 MARGIN = 1.6  # for stars whose paths were not compared
@@ -528,6 +531,39 @@ def cut_share(blurs: tuple[Blur, ...], reach_px: float) -> float:
         return 0.0
     area = math.pi * (far**2 - near**2)
     return RINGS * max(b.light_beyond(near) - b.light_beyond(far) for b in blurs) / area
+
+
+@lru_cache(maxsize=128)
+def end_share(blur: Blur, radius_px: float) -> float:
+    """Most that a pixel lacks where a core without wings ends, per unit light of the source.
+
+    The light of a square pixel as bright as the brightest place beyond the core (of the light
+    before pixels collect it), up to which it is smooth.
+    """
+    period = 2 * math.ceil(EDGE_OVER * radius_px) + 4
+    os = oversampling_for(blur)
+    os *= FINER_EDGE if FINER_EDGE * os * period <= MOST_EDGE else 1
+    n = period * os
+    at = scipy.fft.fftfreq(n, 1.0 / n) / os
+    fy, fx = scipy.fft.fftfreq(n, 1.0 / os), scipy.fft.rfftfreq(n, 1.0 / os)
+    image = scipy.fft.irfft2(blur.image(fy[:, None], fx[None, :]), s=(n, n))
+    beyond = np.hypot(at[:, None], at[None, :]) >= radius_px - 0.71 / os
+    return float(np.abs(image[beyond]).max() * os**2)
+
+
+def core_end_e(r: ResponsePlan, light_e: Array) -> Array:
+    """What a pixel lacks where the core of each source (n,) ends, without wings [e-].
+
+    r : of two classes, the usual and the whole core; sources above both limits are by quadrature
+    """
+    whole = r.classes[-1]
+    beyond = np.minimum(end_share_of(r) * light_e, r.budget_e)
+    return np.maximum(beyond, whole.wing_error * np.minimum(light_e, whole.target_e))
+
+
+def end_share_of(r: ResponsePlan) -> float:
+    """Most that a pixel lacks where usual cores without wings end, per unit light."""
+    return min(r.lost_light, max(end_share(b, r.classes[0].radius_px) for b in r.blurs))
 
 
 def _reach(blur: Blur, scene: Scene) -> float:

@@ -39,7 +39,7 @@ MERGE_TOLERANCE_PX = 2e-4
 SPREAD_TOLERANCE_PX = 4e-3
 USUAL_FRACTION = 0.05  # noise_fraction for which these tolerances are
 MOST_PIECES = 16
-SLACK = 1.5  # over the plan's spread, beyond which a frame gets more pieces of its own
+SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
 STRETCH_PX = 2.0**-6  # by how much the ends of shapes for mixtures differ, and their rounding
 FINER_SHAPE = 16.0  # times finer are shapes for mixtures rounded than the others
 SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
@@ -128,6 +128,7 @@ class StreakPlan:
     own_px : px from a star's own path, where that is interpolated across its zone
     photons : light has noise of its own, so that a pixel with more of it may err by more
     at_rest : what a pixel errs by of a star's light where every shape is a point
+    shortest_px : of all streaks
     """
 
     zones: int
@@ -145,6 +146,7 @@ class StreakPlan:
     own_px: float = math.inf
     photons: bool = True
     at_rest: float = math.inf
+    shortest_px: float = 0.0
 
     @property
     def off_px(self) -> float:
@@ -166,6 +168,19 @@ class StreakPlan:
         In a pixel at the noise floor: one with the star's light may err by more as it has noise.
         """
         return min(self.off_px * light_e, self.budget_e) if self.off_px else 0.0
+
+    def errors_e(self, light_e: Array, mixed: bool) -> Array:
+        """What each of the stars there are (n,) errs by, as `error_e`: of one shape by its light;
+        too bright for that by what mixtures may (mixed), or by merging its own path [e-]."""
+        longest, shortest = (
+            max(1.0, v) for v in (self.longest_px * SLACK, self.shortest_px / SLACK)
+        )
+        per_px = np.minimum(light_e / shortest, self.mixed_from_e_px)
+        hidden = self.photons and not self.still
+        error_e = self.off_px * per_px / np.sqrt(1.0 + hidden * per_px / self.floor_e**2)
+        bright_e = self.budget_e * (1.0 if mixed else 2.0 * SHOWN)
+        error_e = np.where(light_e > self.mixed_from_e_px * longest, bright_e, error_e)
+        return np.minimum(error_e, self.budget_e)
 
     def merged_px(self, light_e: Array, length_px: float) -> Array:
         """How far straight runs of a star's own path may be off (n,): by SHOWN of the budget."""
@@ -197,7 +212,8 @@ def plan_streaks(
     zones = 1
     while True:
         offsets = _followed(camera, ends, zones, aberration)
-        longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
+        lengths = np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1)
+        longest = float(lengths.max())
         fewest = _power_of_two(longest / LONGEST_PIECE_PX)
         pieces, spread = fewest, _spread_px(offsets, fewest)
         while spread > tolerance and pieces < MOST_PIECES:
@@ -222,6 +238,7 @@ def plan_streaks(
                 edge,
                 own,
                 photons,
+                shortest_px=float(lengths.min()),
             )
             begin = _light_from(made.off_px, made)
             return replace(made, mixed_from_e_px=begin) if made.off_px else made

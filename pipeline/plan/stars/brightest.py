@@ -15,7 +15,7 @@ from pipeline.plan.bodies.sizes import limb_px
 from pipeline.plan.pointing.geometry import camera_of
 from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.pointing.star_paths import excursions_px
-from pipeline.plan.response.responses import point_curvature
+from pipeline.plan.response.responses import FARTHEST_PX, point_curvature
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.targets.body import SphereBody
@@ -48,11 +48,12 @@ def brightest_star_e(scene: Scene, colour: ColourFit, g_mags: Iterable[float]) -
 
 
 def brightest_target_e(scene: Scene, g: Geometry, sun_rate_e_s_m2: float) -> float:
-    """Most light that a target in or beside the frame sends in the longest exposure [e-].
+    """Most light that a target sends in the longest exposure [e-], so near the frame that its
+    wings could be drawn onto it.
 
     Of the frames of a geometry, MARGIN times; 0 without targets.
     """
-    seen = near_frame(scene, g)
+    seen = near_frame(scene, g, FARTHEST_PX)
     if not seen.any():
         return 0.0
     light = np.nanmax(g.target_light[seen])

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.arrays import Array
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.decision import Decision
+from pipeline.plan.response.sources import KnownSources
 
 
 @dataclass(frozen=True)
@@ -47,9 +48,11 @@ class FieldStars:
     counts : those that light the fullest of some frames; own_motion : the most that any has
     layers : the decisions about catalogues laid over the main one
     coverage : of the frames by the main catalogue
+    sources : the stars of all of the scene's frames; None where not all were looked at
     """
 
     counts: StarCounts
     own_motion: OwnMotion
     layers: tuple[Decision, ...] = ()
     coverage: FieldCoverage | None = None
+    sources: KnownSources | None = None

@@ -202,8 +202,7 @@ def _sizes(basis: PlanBasis) -> list[Decision]:
                 True,
                 "a sphere is a point, at the centre of its light, where that errs by at most the "
                 "bound in a pixel; else its disc and lit side at mid-exposure are drawn",
-                facts.budget_e,
-                facts.budget_e / facts.sigma_floor_e,
+                *basis.within_budget("targets.point_sources"),
             )
         )
     if others:

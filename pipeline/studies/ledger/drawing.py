@@ -23,7 +23,7 @@ def _switched(data: dict, wanted: tuple[str, ...], how: str) -> Iterator[ProbeRe
     stage = open_stage(data)
     tiles = (whole(stage),)
     windows = choose_windows(stage, tiles, WINDOWS)
-    for s in switches(stage, tiles):
+    for s in switches(stage, tiles, windows):
         if s.component in wanted:
             yield _measured(stage, s, windows, how)
 
@@ -103,7 +103,7 @@ def wings(bench: Bench) -> Iterator[ProbeResult]:
     )
     near = open_stage(coarse, open_stage(fine).plan)
     windows = choose_windows(near, (whole(near),), WINDOWS)
-    for s in switches(near, (whole(near),)):
+    for s in switches(near, (whole(near),), windows):
         if s.component == "wings_cut_off":
             yield _measured(near, s, windows, "the same, wings as far as for a finer accuracy")
 
@@ -170,7 +170,7 @@ def skies(_: Bench) -> Iterator[ProbeResult]:
     even = open_stage(scene(wide | {"background": {"uniform_mag_arcsec2": 18.0}}))
     varying = open_stage(scene(wide | {"background": {"zodiacal": True, "galactic": True}}))
     for stage, what in ((even, "a uniform sky"), (varying, "zodiacal and galactic light")):
-        for s in switches(stage, (whole(stage),)):
+        for s in switches(stage, (whole(stage),), (whole(stage),)):
             if s.component == "background.grid":
                 how = f"{what} in a field of 3 degrees, {SIDE} x {SIDE}"
                 yield _measured(stage, s, (whole(stage),), how)

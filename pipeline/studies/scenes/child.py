@@ -34,7 +34,8 @@ def _reference(order: JsonObject) -> JsonObject:
     render_once(order["scene"], order["share"], Path(order["folder"]))
     finest = open_stage(order["finest"])
     tiles = tiles_of(finest, order["share"])
-    exact = find_exact(finest, tiles, order["windows"])
+    levels = (open_stage(scene) for scene in order["levels"])
+    exact = find_exact(finest, tiles, order["windows"], levels)
     exact.save(Path(order["exact"]))
     usual = open_stage(order["scene"], finest.plan)
     return {

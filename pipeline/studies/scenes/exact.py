@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import numpy as np
 from pipeline.arrays import Array, FrameStars
 from pipeline.errors import NightglassError
 from pipeline.execute.check import WINDOW_PX, reference
-from pipeline.execute.sources import place_targets
+from pipeline.execute.sources import place_targets, streaks
+from pipeline.execute.tables import table_of
 from pipeline.inputs.band.response import gather_response
 from pipeline.inputs.sky.sky import gather_sky
 from pipeline.plan.plan import Plan
@@ -23,6 +25,7 @@ from pipeline.studies.scenes.stage import Stage, mean_of, noise_of
 OWN_PATHS = 400  # of the brightest stars that pass a window: all, but in the densest fields
 MOST_S = 60.0
 SEED = 5
+BELOW = 3  # sources just below each limit: how much one errs is up to its sub-pixel place
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +59,20 @@ def load_exact(path: Path) -> Exact:
         return Exact(windows, mean, tuple(held[f"noise{i}"] for i in each), int(held["sources"]))
 
 
-def find_exact(stage: Stage, tiles: tuple[Tile, ...], count: int) -> Exact:
-    """Windows in some tiles of the frame, and what belongs in them."""
+def find_exact(
+    stage: Stage, tiles: tuple[Tile, ...], count: int, levels: Iterable[Stage] = ()
+) -> Exact:
+    """Windows in some tiles of the frame, and what belongs in them.
+
+    count : of windows wherever the scene is bright, and by chance; levels : the scene as it is to
+    be judged, whose windows are where each errs most
+    """
     sky = exact_sky(stage)
     kept, means, noises, sources = [], [], [], 0
-    for window in choose_windows(stage, tiles, count):
+    chosen = [*choose_windows(stage, tiles, count)]
+    for level in levels:
+        chosen += windows_of_limits(level, tiles)
+    for window in dict.fromkeys(chosen):
         image, drawn = reference(stage.plan, stage.g, window, stage.stars, OWN_PATHS, MOST_S)
         if image is None:  # too many sources for it
             continue
@@ -87,6 +99,58 @@ def choose_windows(stage: Stage, tiles: tuple[Tile, ...], count: int) -> tuple[T
         if window is not None:
             found.append(window)
     return tuple(dict.fromkeys(found))
+
+
+def windows_of_limits(stage: Stage, tiles: tuple[Tile, ...]) -> list[Tile]:
+    """Windows where sources err most: those that are just faint enough for a way of drawing.
+
+    On the brightest stars below each limit of light, and where their cores end; likewise targets,
+    and those that err most by being points.
+    """
+    s = stage.stars
+    places = _below(_star_limits(stage), s.x_px, s.y_px, s.light_e, tiles)
+    targets, classes = place_targets(stage.plan, stage.g), stage.plan.responses.classes
+    sizes = [t.radius_px if t.body is None else 0.0 for t in targets]
+    x, y, light_e = np.array([(t.x_px, t.y_px, t.light_e) for t in targets]).reshape(-1, 3).T
+    limits = [(core.target_e, core.radius_px) for core in classes]
+    limits += [(math.inf, core.radius_px) for core in classes[-1:]]  # which draws bodies above it
+    places += _below(limits, x, y, light_e, tiles)
+    places += _below([(math.inf, 0.0)], x, y, light_e * np.square(sizes), tiles)
+    found = (_within(tiles, *place) for place in places)
+    return [w for w in found if w is not None]
+
+
+def _star_limits(stage: Stage) -> list[tuple[float, float]]:
+    """Light [e-] above which stars are drawn more finely, and how far off that shows [px]."""
+    plan, limits = stage.plan, []
+    r, paths = plan.responses, streaks(plan, stage.g) if len(stage.stars) else []
+    for core in r.classes:
+        limits.append((core.brightest_e, core.radius_px))
+        if core.phases and paths:
+            table = table_of(r.blur, core.radius_px, paths[0].pieces[0].path, core.phases)
+            limits += [(r.budget_e / e, 0.0) for e in (table.linear_error, table.cubic_error)]
+    return limits + [(path.mixed_from_e, 0.0) for path in paths[: len(paths) // 2 + 1][-1:]]
+
+
+def _below(
+    limits: list[tuple[float, float]],
+    x_px: Array,
+    y_px: Array,
+    light_e: Array,
+    tiles: tuple[Tile, ...],
+) -> list[tuple[float, float]]:
+    """Places of the brightest sources in some tiles below each limit, and so far beside them."""
+    inside = np.zeros(len(x_px), bool)
+    for t in tiles:
+        across = (x_px >= t.x0) & (x_px < t.x0 + t.columns - 1)
+        inside |= across & (y_px >= t.y0) & (y_px < t.y0 + t.rows - 1)
+    out: list[tuple[float, float]] = []
+    for limit_e, beside_px in limits:
+        below = np.flatnonzero(inside & (light_e > 0.0) & (light_e <= limit_e))
+        for at in below[np.argsort(-light_e[below], kind="stable")][:BELOW]:
+            x, y = float(x_px[at]), float(y_px[at])
+            out += [(x, y), (x + beside_px, y)]
+    return out
 
 
 def _bright_places(stage: Stage) -> list[tuple[float, float]]:

@@ -101,6 +101,7 @@ def _reference_order(
     return {
         "work": "reference",
         "windows": QUICK_WINDOWS if quick else WINDOWS,
+        "levels": [with_accuracy(request, a, FLUX_OF_NOISE * a, stars) for a in levels],
         "finest": with_accuracy(request, finest, FLUX_OF_NOISE * finest, stars),
         "scene": with_accuracy(request, USUAL, FLUX_OF_NOISE * USUAL, stars),
         "share": request.share,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from pipeline.execute.sources import drawing_order, excursion_px
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.studies.scenes.exact import Exact, exact_sky
-from pipeline.studies.scenes.level import cut_e, lights_e
+from pipeline.studies.scenes.level import cut_e, lights_near
 from pipeline.studies.scenes.stage import Light, Stage, blocks_by, light_by, mean_of, open_stage
 
 MANY = 12  # wavelengths
@@ -34,7 +34,8 @@ class Switch:
 
     off : light without it; on : light that differs in nothing else
     bound_e : what the plan says that a pixel may err by at the noise floor [e-]; where it is of a
-        source's light, that times the brightest one's (all of theirs for the end of their wings)
+        source's light, that times the brightest one's that reaches a window (all of theirs for the
+        end of their wings)
     one_by_one : `off` draws star by star, too slow for a whole frame
     """
 
@@ -48,7 +49,7 @@ class Switch:
 
 def measure_switches(stage: Stage, tiles: tuple[Tile, ...], exact: Exact) -> list[JsonObject]:
     """A record for each approximation of the stage's plan: error, bound, seconds of a frame."""
-    return [_measured(stage, tiles, exact, s) for s in switches(stage, tiles)]
+    return [_measured(stage, tiles, exact, s) for s in switches(stage, tiles, exact.windows)]
 
 
 def _measured(stage: Stage, tiles: tuple[Tile, ...], exact: Exact, switch: Switch) -> JsonObject:
@@ -102,8 +103,11 @@ def _few(stage: Stage, tiles: tuple[Tile, ...]) -> tuple[tuple[Tile, ...], float
     return (part,), every / max(count, 1)
 
 
-def switches(stage: Stage, tiles: tuple[Tile, ...]) -> Iterator[Switch]:
-    """Every approximation of the stage's plan that can be omitted by drawing otherwise."""
+def switches(stage: Stage, tiles: tuple[Tile, ...], windows: Sequence[Tile]) -> Iterator[Switch]:
+    """Every approximation of the stage's plan that can be omitted by drawing otherwise.
+
+    windows : that are looked at: a share of a source's light is that of those that reach them
+    """
     plan = stage.plan
     bounds = {d.component: d.error_bound_e for d in plan.decisions if d.error_bound_e}
     on = light_by(stage, plan)
@@ -116,6 +120,7 @@ def switches(stage: Stage, tiles: tuple[Tile, ...]) -> Iterator[Switch]:
     if not plan.responses.classes:
         return
     plain = _without_tables(plan)
+    brightest_e, all_e = _lights(stage, windows)
     if plan.scene.stars is not None:
         yield from told("phase_interpolation", light_by(stage, plain), one_by_one=True)
     if plan.responses.streaks.longest_px:
@@ -133,11 +138,17 @@ def switches(stage: Stage, tiles: tuple[Tile, ...]) -> Iterator[Switch]:
         one_by_one=plan.scene.stars is not None,
     )
     if "wings_cut_off" in bounds:
-        bound = cut_e(plan, sum(lights_e(stage)))
+        bound = cut_e(plan, all_e)
         yield Switch("wings_cut_off", on, light_by(stage, _farther(stage)), bound, of_light=True)
     yield from told("targets.point_sources", light_by(stage, _with_discs(plan)))
     if plan.facts.band is not None:
-        yield from _wavelengths(stage, on)
+        yield from _wavelengths(stage, brightest_e)
+
+
+def _lights(stage: Stage, windows: Sequence[Tile]) -> tuple[float, float]:
+    """Light of the brightest source that reaches a window, and the most that all bring to one."""
+    near = [[*stars, *targets] for stars, targets in (lights_near(stage, w) for w in windows)]
+    return max(max(light, default=0.0) for light in near), max(map(sum, near))
 
 
 def _without_tables(plan: Plan) -> Plan:
@@ -199,8 +210,11 @@ def _own_paths(stage: Stage, plan: Plan) -> Light:
     return draw
 
 
-def _wavelengths(stage: Stage, on: Light) -> Iterator[Switch]:
-    """The response at many wavelengths in place of few."""
+def _wavelengths(stage: Stage, brightest_e: float) -> Iterator[Switch]:
+    """The response at many wavelengths in place of few, each star at its exact place.
+
+    brightest_e : light of the brightest source that is looked at
+    """
     data = copy.deepcopy(stage.plan.scene.as_dict())
     band, psf = stage.plan.facts.band, data["sensor"]["psf"]
     if band is None or not band.error or "wavelengths" not in psf:
@@ -213,5 +227,6 @@ def _wavelengths(stage: Stage, on: Light) -> Iterator[Switch]:
         facts=finer.plan.facts,
         responses=replace(stage.plan.responses, blur=finer.plan.responses.blur),
     )
-    bound = band.error * max(lights_e(stage))
-    yield Switch(name, on, light_by(stage, plan), bound, of_light=True)
+    on, off = (light_by(stage, _without_tables(p)) for p in (stage.plan, plan))
+    one_by_one = plan.scene.stars is not None
+    yield Switch(name, on, off, band.error * brightest_e, one_by_one, of_light=True)

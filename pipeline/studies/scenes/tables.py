@@ -21,6 +21,7 @@ LEVEL_HEADS = (
     "rms",
     "bias of light",
     "allowed, sigma",
+    "over found",
     "of allowed",
 )
 SWITCH_HEADS = ("scene", "approximation", "bound", "error caused", "CPU s with", "without", "holds")
@@ -28,17 +29,20 @@ NOTES = (
     "CPU s: of a whole render by a process of its own: planning, tables, drawing, product on disk; "
     "imports and the start of Python are not in it, the loading of compiled code is. `again`: the "
     "same once more in that process. Peak: the process's own high-water mark (VmHWM).",
-    "Errors are those of the noise-free mean in windows of 16 x 16 pixels (around the brightest "
-    "stars and targets, at a streak's end, at random) against the reference path: every source at "
-    "its exact place, along its own path, by the sum of its phases in double precision, wings on "
-    "half the grid, the sky in each pixel, planned four times finer than the finest level.",
+    "Errors are those of the noise-free mean in windows of 16 x 16 pixels against the reference "
+    "path: every source at its exact place, along its own path, by the sum of its phases in double "
+    "precision, wings on half the grid, the sky in each pixel, planned four times finer than the "
+    "finest level. The windows are around the brightest stars and targets, at a streak's end, at "
+    "random, and where each level errs most: on the sources that are just faint enough for a way "
+    "of drawing, and where their cores end.",
     "Allowed: the sum of all bounds that the plan states, in a pixel away from bright sources and "
     "in the window's most favoured pixel (a source's wavelengths and wings may err by a fraction "
-    "of its light); `of allowed`: the largest fraction of it that any pixel used. 1 or less: it "
-    "holds.",
+    "of its light); `over found`: the first of these over the largest error; `of allowed`: the "
+    "largest fraction of what is allowed that any pixel used. 1 or less: it holds.",
     "One approximation at a time was switched off, at 0.05 sigma; `CPU s`: drawing the light of "
     "the frame once tables are there (~: scaled up from a part of the frame). Bounds marked * are "
-    "shares of a source's light, times the brightest one's (all of it where wings end).",
+    "shares of a source's light, times the brightest one's that reaches a window (all of it where "
+    "wings end).",
 )
 
 
@@ -56,11 +60,16 @@ def level_table(study: Row) -> Table:
             f"{r['rms_sigma']:.1e}",
             f"{r['bias']:+.0e}",
             f"{r['bound_sigma'][0]:.2g} to {r['bound_sigma'][1]:.2g}",
+            _times(r["bound_sigma"][0], r["max_sigma"]),
             f"{r['of_bound']:.2g}",
         )
         for scene in study["scenes"]
         for r in scene["levels"]
     ]
+
+
+def _times(allowed: float, found: float) -> str:
+    return f"{allowed / found:.2g}" if found else "-"
 
 
 def switch_table(study: Row) -> Table:

@@ -18,9 +18,11 @@ from typer.testing import CliRunner
 from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.plan.response.responses import CoreClass
+from pipeline.plan.tiles import Tile
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.studies.scenes import scenes, study
+from pipeline.studies.scenes.exact import _below
 from pipeline.studies.scenes.figure import ladder_figure
 from pipeline.studies.scenes.report import report_scenes
 from pipeline.studies.scenes.switches import LARGEST_DOUBLED_PX, _finer_wings
@@ -45,7 +47,7 @@ def small(monkeypatch_module):
             return wish
 
         monkeypatch_module.setitem(scenes.MAKERS, name, smaller)
-    monkeypatch_module.setattr(study, "QUICK_ALL_SKY_G_MAG", 6.0)
+    monkeypatch_module.setattr(study, "QUICK_ALL_SKY_G_MAG", 8.0)
     monkeypatch_module.setattr(study, "QUICK_WINDOWS", 3)
 
 
@@ -79,6 +81,18 @@ def test_bounds_hold_and_nothing_lacks(report):
     names = {s["component"] for scene in found["scenes"] for s in scene["switches"]}
     assert names >= {"background.grid", "wings_on_a_coarse_grid", "wings_cut_off", "common_streak"}
     assert "phase_interpolation" not in names  # so few stars need no tables
+
+
+def test_sources_just_below_a_limit_are_looked_at():
+    """The brightest ones that stand on the tiles, and so far beside them; dark ones never."""
+    tiles = (Tile(0, 0, 0, 0, 50, 50), Tile(0, 0, 0, 100, 50, 50))
+    x, y = np.array([10.0, 20.0, 70.0, 120.0, 30.0, 149.5]), np.full(6, 25.0)
+    light_e = np.array([5.0, 7.0, 8.0, 9.0, 0.0, 6.0])
+    assert _below([(8.5, 3.0)], x, y, light_e, tiles) == [
+        (20.0, 25.0), (23.0, 25.0), (10.0, 25.0), (13.0, 25.0)
+    ]  # fmt: skip
+    assert _below([(math.inf, 0.0)], x, y, light_e, tiles)[0] == (120.0, 25.0)
+    assert _below([(1.0, 0.0)], x, y, light_e, tiles) == []
 
 
 @pytest.mark.parametrize(("spacing_px", "finer_px"), [(16, 8), (3, 2), (2, 2), (0, 0)])
