@@ -35,6 +35,7 @@ from pipeline.physics.motion.streak import Path, within
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.accuracy import UNSEEN, crowd_error_e
 from pipeline.plan.plan import Plan
+from pipeline.plan.response.responses import first_above
 from pipeline.plan.response.streaks import Streak
 from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up
 
@@ -85,7 +86,7 @@ def class_of(plan: Plan, light_e: Array) -> np.ndarray:
 
     One more than the last for stars that exceed all: these are drawn by quadrature.
     """
-    return _first_above(light_e, [c.brightest_e for c in plan.responses.classes])
+    return first_above(light_e, [c.brightest_e for c in plan.responses.classes])
 
 
 def target_class(plan: Plan, target: FrameTarget) -> int:
@@ -94,15 +95,11 @@ def target_class(plan: Plan, target: FrameTarget) -> int:
     Bodies with a size and too long paths are in the last class however bright they are.
     """
     r, shape = plan.responses, plan.scene.sensor.shape
-    k = int(_first_above(np.array([target.light_e]), [c.target_e for c in r.classes])[0])
+    k = int(first_above(np.array([target.light_e]), [c.target_e for c in r.classes])[0])
     if k < len(r.classes):
         return k
     serves = target.body is None and all(affordable(b, target.path, shape) for b in r.blurs)
     return k if serves else k - 1
-
-
-def _first_above(light_e: Array, limits: list[float]) -> np.ndarray:
-    return np.searchsorted(np.array(limits), light_e, side="left")
 
 
 def parts_of(plan: Plan, x_px: float, y_px: float, light_e: float) -> list[tuple[Blur, float]]:

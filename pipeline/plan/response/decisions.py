@@ -55,8 +55,8 @@ def _band(basis: PlanBasis) -> Iterator[Decision]:
 def _wavelengths(basis: PlanBasis, band: BandOptics) -> Decision:
     """A few wavelengths, or one, for the whole band.
 
-    The error beside the brightest source is known over its noise; that of a source k times as
-    bright is at most sqrt(k) of it, k where light has no noise of its own.
+    The error beside the brightest source expected is known over its noise; beside one k times as
+    bright it is at most sqrt(k) of that if k < 1 and light has noise of its own, else k.
     """
     scene, facts, brightest_e = basis.scene, basis.facts, basis.brightest_e
     nm = ", ".join(f"{w * 1e9:.0f}" for w in band.wavelengths_m)
@@ -68,11 +68,13 @@ def _wavelengths(basis: PlanBasis, band: BandOptics) -> Decision:
         f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone); the same for "
         f"sources of all colours. The bound is beside a source of {brightest_e:.3g} e-"
     )
-    sigma = band.error_sigma * planned_floor_e(scene, facts.sigma_floor_e) / facts.sigma_floor_e
-    ratio = brightest_e / facts.brightest_e if facts.brightest_e else math.inf
-    hidden = scene.sensor.photon_noise and ratio < 1.0
-    sigma = sigma * (math.sqrt(ratio) if hidden else ratio) if ratio < math.inf else math.inf
-    sigma = min(sigma, band.error * brightest_e / facts.sigma_floor_e)
+    floor_e = facts.sigma_floor_e
+    sigma = band.error * brightest_e / floor_e
+    if facts.brightest_e:
+        ratio = brightest_e / facts.brightest_e
+        hidden = scene.sensor.photon_noise and ratio < 1.0
+        expected = band.error_sigma * planned_floor_e(scene, floor_e) / floor_e
+        sigma = min(sigma, expected * (math.sqrt(ratio) if hidden else ratio))
     return Decision(name, True, reason, band.error * brightest_e, sigma)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -165,6 +165,12 @@ class ResponsePlan:
         if self.field is None:
             return (self.blur,)
         return self.field.near(y0_px, y1_px, x0_px, x1_px)
+
+
+def first_above(light_e: Array, limits: Sequence[float]) -> NDArray[np.intp]:
+    """Core class (n,) of sources by their light: the first whose limit they do not exceed, one more
+    than the last for those that exceed all."""
+    return np.searchsorted(np.array(limits), light_e, side="left")
 
 
 def plan_responses(

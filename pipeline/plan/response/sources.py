@@ -23,6 +23,7 @@ from pipeline.plan.response.responses import (
     ResponsePlan,
     core_end_e,
     cut_share,
+    first_above,
     point_curvature,
     table_error,
 )
@@ -47,9 +48,6 @@ class KnownSources:
     light_e: Array
     wing_error: Array
     size_px: Array
-
-    def __len__(self) -> int:
-        return len(self.light_e)
 
 
 @dataclass(frozen=True)
@@ -91,9 +89,8 @@ def stars_known(
     r: ResponsePlan, frame: NDArray[Any], x_px: Array, y_px: Array, light_e: Array
 ) -> KnownSources:
     """Stars (n,) of some frames, each drawn by its core class, or by quadrature beyond the last."""
-    limits = [c.brightest_e for c in r.classes]
     errors = np.array([*(c.wing_error for c in r.classes), 0.0])
-    error = errors[np.searchsorted(limits, light_e)]
+    error = errors[first_above(light_e, [c.brightest_e for c in r.classes])]
     return KnownSources(frame, x_px, y_px, light_e, error, np.zeros(len(light_e)))
 
 
@@ -112,9 +109,8 @@ def targets_known(
     brighter than the core classes serve are drawn by quadrature if they are points on a path that
     it serves, else by the last class.
     """
-    limits = np.array([c.target_e for c in r.classes])
     errors = np.array([c.target_error for c in r.classes])
-    k = np.searchsorted(limits, light_e)
+    k = first_above(light_e, [c.target_e for c in r.classes])
     error = errors[np.minimum(k, len(errors) - 1)]
     for i in np.flatnonzero((k == len(errors)) & ~extended):
         x0, y0, x1, y1 = ends_px[:, i]
@@ -160,22 +156,25 @@ def of_targets(r: ResponsePlan, s: KnownSources) -> SourceBounds:
     """What drawing the targets of some frames errs by at most."""
     cell = _cells(s)
     curvature = max(map(point_curvature, r.blurs)) if s.size_px.any() else 0.0
-    points_e = np.minimum(curvature * s.light_e * s.size_px**2, r.budget_e)
+    points_e = curvature * s.light_e * s.size_px**2
     errors = _of_all(r, s, cell) | {"targets.point_sources": _within(r, cell, points_e)}
     return SourceBounds(float(s.light_e.max(initial=0.0)), errors)
 
 
 def _products_e(r: ResponsePlan, light_e: Array) -> Array:
-    """Of stars (n,) drawn as column times row: a fixed share of their light, none of the
-    brightest's, which stand at their exact places."""
+    """Of stars (n,) drawn as column times row: a fixed share of their light, where that is within
+    the part; brighter ones stand at their exact places."""
     if not len(light_e):
         return light_e
     share = max(product_table(b, c.radius_px).cubic_error for b in r.blurs for c in r.classes)
-    return np.minimum(share * light_e, r.budget_e)
+    return share * light_e
 
 
 def _of_all(r: ResponsePlan, s: KnownSources, cell: NDArray[np.int64]) -> dict[str, float]:
-    """By tables, which the wings' grid has part of, by this grid, and where wings or cores end."""
+    """By tables, which the wings' grid has part of, by this grid, and where wings or cores end.
+
+    Sources whose wings err by less than UNSEEN of the largest error are omitted.
+    """
     light_e, table = _together(cell, s.light_e), max(map(table_error, r.blurs))
     if not r.spacing_px:
         return {"core_ends": _within(r, cell, core_end_e(r, s.light_e)), TABLES: table * light_e}
