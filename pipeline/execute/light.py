@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import LightBlock, around, class_of, parts_of, target_class
@@ -100,8 +101,8 @@ def _draw_point(plan: Plan, image: Array, tile: Tile, target: FrameTarget) -> No
         return
     near = _box(tile, plan.responses.classes[k].radius_px, target.x_px, target.y_px)
     for x0, y0, piece, share in pieces(target.path, near=near):
-        x, y = target.x_px + x0, target.y_px + y0
-        draw_exact(plan, image, tile, k, piece, x, y, target.light_e * share)
+        one = np.array([[target.x_px + x0], [target.y_px + y0], [target.light_e * share]])
+        draw_exact(plan, image, tile, k, piece, *one)
 
 
 def _draw_stamps(
@@ -219,26 +220,36 @@ def _draw_piece(
             linear = np.abs(light[mine]) * table.linear_error <= (0.0 if cubic else budget_e)
             place = x[mine][keep], y[mine][keep], part[keep]
             draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
-    for i in np.flatnonzero(exact):
-        draw_exact(plan, image, tile, k, piece, float(x[i]), float(y[i]), float(light[i]))
+    draw_exact(plan, image, tile, k, piece, x[exact], y[exact], light[exact])
 
 
 def draw_exact(
-    plan: Plan, image: Array, tile: Tile, k: int, piece: Path, x: float, y: float, light: float
+    plan: Plan, image: Array, tile: Tile, k: int, piece: Path, x: Array, y: Array, light: Array
 ) -> None:
-    """One source drawn at its exact place, without a table."""
+    """Sources (n,) drawn at their exact places, without a table.
+
+    Response by response: no more than one of sharp cores may be kept at a time.
+    """
     radius = plan.responses.classes[k].radius_px
-    if _reaches(tile, radius, piece, x, y):
-        for blur, part in parts_of(plan, x, y, light):
-            _add(image, tile, stamp_at(*swept_core(blur, radius, piece), y, x), part)
+    near = _reaches(tile, radius, piece, x, y)
+    x, y, light = x[near], y[near], light[near]
+    if not len(x):
+        return
+    for blur, mine, part in plan.responses.parts(x, y, light):
+        swept = swept_core(blur, radius, piece)
+        for at_x, at_y, light_e in zip(x[mine], y[mine], part, strict=True):
+            _add(image, tile, stamp_at(*swept, float(at_y), float(at_x)), float(light_e))
 
 
-def _reaches(tile: Tile, radius_px: float, piece: Path, x: float, y: float) -> bool:
-    """Whether a core swept along a piece of path around (x, y) may light a tile."""
+def _reaches(
+    tile: Tile, radius_px: float, piece: Path, x: Array | float, y: Array | float
+) -> NDArray[np.bool_]:
+    """Whether cores swept along a piece of path around places (n,) may light a tile."""
     reach_x = radius_px + float(np.abs(piece.x_px).max()) + 4
     reach_y = radius_px + float(np.abs(piece.y_px).max()) + 4
-    inside_x = tile.x0 - reach_x < x < tile.x0 + tile.columns + reach_x
-    return inside_x and tile.y0 - reach_y < y < tile.y0 + tile.rows + reach_y
+    inside_x = np.abs(x - tile.x0 - 0.5 * tile.columns) < reach_x + 0.5 * tile.columns
+    inside_y = np.abs(y - tile.y0 - 0.5 * tile.rows) < reach_y + 0.5 * tile.rows
+    return np.logical_and(inside_x, inside_y)
 
 
 def _box(tile: Tile, radius_px: float, x: float, y: float) -> Box:

@@ -34,6 +34,7 @@ from pipeline.plan.resolved import ResolvedScene
 Columns = dict[str, Any]
 
 MOST_PIECES = 256  # of a path whose SNR counts each of its pixels once
+MOST_VALUES = 1 << 22  # of a streak's pixels at several lights, held at a time
 
 
 def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
@@ -246,9 +247,13 @@ def _matched_snr(plan: ResolvedScene, blur: Blur, path: Path, light_e: Array, fr
         return np.zeros(len(light_e))
     low, high = np.log(positive.min()), np.log(positive.max())
     grid = np.linspace(low, high, 128 if high > low else 1)
-    signal = flat * np.exp(grid)[:, None] * response[None, :]
-    own = signal if plan.scene.sensor.photon_noise else 0.0
-    snr = np.sqrt(np.sum(times * signal**2 / (floor + own), axis=1))
+    snr = np.zeros(len(grid))
+    rows = max(1, MOST_VALUES // max(1, response.size))
+    for first in range(0, len(grid), rows):
+        part = slice(first, first + rows)
+        signal = flat * np.exp(grid[part])[:, None] * response[None, :]
+        own = signal if plan.scene.sensor.photon_noise else 0.0
+        snr[part] = np.sqrt(np.sum(times * signal**2 / (floor + own), axis=1))
     with np.errstate(divide="ignore"):
         at = np.log(np.maximum(light_e, 0.0))
     return np.where(light_e > 0, np.exp(np.interp(at, grid, np.log(snr))), 0.0)

@@ -221,18 +221,25 @@ def _kernels_s(plan: Plan) -> float:
 def _cores_s(plan: Plan) -> float:
     """CPU seconds of making the check's cores, twice as wide as those that draw.
 
-    Once in a process, or for every window where they are more than are kept.
+    Once in a process, or, where all cores are more than are kept, for every window; then those
+    that draw, and the truth's, are made again for every frame.
     """
     r, used = plan.responses, math.ceil(_classes_used(plan))
     if not (r.classes and used):
         return 0.0
     finest = [oversampling_for(blur) for blur in r.blurs]
-    sides = [min(2.0 * r.classes[used - 1].radius_px, LARGEST_CORE_SAMPLES / os) for os in finest]
-    samples = sum((2.0 * side * os) ** 2 for side, os in zip(sides, finest, strict=True))
+
+    def samples(radius_px: float, most: float = math.inf) -> float:
+        return sum((2.0 * min(radius_px * os, most)) ** 2 for os in finest)
+
     windows = 2 * check_count(plan.scene)
-    held = 16.0 * samples + 1e6 * r.table_mb  # with a spectrum each, beside the drawing's tables
-    times = windows if held > TABLE_BYTES else min(1, windows)
-    return CORE_S_PER_SAMPLE * samples * times
+    of_check = samples(2.0 * r.classes[used - 1].radius_px, LARGEST_CORE_SAMPLES)
+    drawn, of_truth = sum(samples(c.radius_px) for c in r.classes[:used]), samples(r.usual_px)
+    # With a spectrum each, beside the drawing's tables.
+    if 16.0 * max(of_check, of_truth) + 1e6 * r.table_mb <= TABLE_BYTES:
+        return CORE_S_PER_SAMPLE * of_check * min(1, windows)
+    of_frames = plan.frames * (drawn / plan.shared_frames + of_truth)
+    return CORE_S_PER_SAMPLE * (of_check * windows + of_frames)
 
 
 def _classes_used(plan: Plan) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -225,12 +226,12 @@ class Scene(Strict):
     @model_validator(mode="after")
     def _targets_differ_in_name(self) -> Scene:
         names = [t.name for t in self.targets]
-        twice = sorted({n for n in names if names.count(n) > 1}) if len(names) < 2000 else []
-        if twice or len(set(names)) != len(names):
+        twice = sorted(name for name, times in Counter(names).items() if times > 1)
+        if twice:
             raise PydanticCustomError(
                 "names",
                 "allowed: different names; twice: {twice}",
-                {"twice": ", ".join(twice) or "a name", "field": "targets"},
+                {"twice": ", ".join(twice[:10]), "field": "targets"},
             )
         return self
 

@@ -133,6 +133,7 @@ def test_limits_nearly_a_hemisphere():
         ([(ra, -1.0) for ra in range(0, 360, 90)] + [(45, 80)], "hemisphere|cross"),
         ([(0, 0), (120, 0), (240, 0)], "hemisphere"),
         ([(0, 0), (1, 91), (0, 1)], "declinations"),
+        ([(0, 0), (1, -91), (0, -1)], "declinations"),
         ([(0, 0), (1, float("nan")), (0, 1)], "finite"),
         ([1, 2, 3], "pairs"),
         ([(i, 0.01 * (i % 2)) for i in range(1001)], "corners"),

@@ -17,7 +17,7 @@ from catalog_tools.engine import clusters
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.cli import _explain as explain
 from pipeline.cli import app
-from pipeline.errors import BadInput
+from pipeline.errors import NO_ROOM, BadInput
 from tests.command import nightglass
 
 SCENE = {
@@ -300,3 +300,10 @@ def test_a_fault_is_one_message_or_on_request_its_trace(monkeypatch, capsys):
     with pytest.raises(ValueError, match="odd"):
         explain(ValueError("odd"))
     assert explain(BadInput("field", 1, "2")) == 2
+
+
+@pytest.mark.parametrize("errno", NO_ROOM)
+def test_a_full_disk_ends_with_its_own_exit_code(errno, capsys):
+    """Whatever there is no room for: the disk, a quota, a file of that size."""
+    assert explain(OSError(errno, "no room", "out.zarr")) == 3
+    assert capsys.readouterr().err.startswith("nightglass: out.zarr: the disk is full (")

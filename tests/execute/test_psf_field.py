@@ -15,10 +15,14 @@ import pipeline.plan.response.responses
 from catalog_tools.ingest.ingest import ingest
 from pipeline.arrays import FrameStars
 from pipeline.errors import BadInput
+from pipeline.execute import tables
 from pipeline.execute.blocks import render_block
-from pipeline.execute.light import draw_stars
+from pipeline.execute.light import draw_exact, draw_stars
+from pipeline.execute.tables import ContentCache
 from pipeline.execute.truth import matched_snr
 from pipeline.physics.motion.streak import POINT
+from pipeline.physics.psf.pupil import Blur
+from pipeline.physics.psf.response import compact_core
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.tiles import Tile
 from pipeline.route.prepare import prepare
@@ -210,6 +214,25 @@ def test_bodies_and_targets_are_drawn_by_the_responses_around_them(tmp_path):
         mixed = (1.0 - share) * images[0] + share * images[1]
         assert 0.4 < share < 0.6
         assert np.abs(images[2] - mixed).max() <= 1e-5 * mixed.max()
+
+
+def test_each_response_is_made_once_where_none_is_kept(catalogue, monkeypatch):
+    """Bright stars at their exact places: the cores of sharp responses may be too large to keep."""
+    plan, _ = planned(catalogue, field(CORNERS))
+    rng = np.random.default_rng(3)
+    x, y, light = *rng.uniform(60.0, 260.0, (2, 12)), np.full(12, 1e5)
+    at, whole = np.zeros((SIDE, SIDE)), Tile(0, 0, 0, 0, SIDE, SIDE)
+    made: list[Blur] = []
+    monkeypatch.setattr(tables, "_CACHE", ContentCache(1.0))
+
+    def make(blur, radius_px):
+        made.append(blur)
+        return compact_core(blur, radius_px)
+
+    monkeypatch.setattr(tables, "compact_core", make)
+    draw_exact(plan, at, whole, 0, POINT, x, y, light)
+    assert len(made) == len(CORNERS) * len(CORNERS[0])
+    assert at.sum() == pytest.approx(light.sum(), rel=1e-4)
 
 
 def test_snr_between_places_is_between_theirs(catalogue):

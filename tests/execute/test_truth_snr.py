@@ -73,3 +73,11 @@ def test_a_star_that_sets_has_the_noise_of_the_path_that_is_left(
     monkeypatch.undo()
     wanted = star_truth(half, geometry_of(half), field(at, at, light))["snr"][0]
     assert snr == pytest.approx(wanted, rel=0.02)
+
+
+def test_same_snr_however_many_pixels_are_held_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan, at = plan_of(GAUSSIAN, 0.0, 0.0), np.array([60.0, 61.0, 62.0])
+    wish = plan, straight(300.0), np.array([1e2, 3e4, 1e6]), at, at
+    whole = matched_snr(*wish)
+    monkeypatch.setattr(truth, "MOST_VALUES", 5000)  # of some 3000 pixels: one light at a time
+    np.testing.assert_array_equal(matched_snr(*wish), whole)

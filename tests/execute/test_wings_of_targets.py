@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from pipeline.execute import blocks
-from pipeline.execute.sources import FrameTarget
+from pipeline.execute.sources import FrameTarget, streaks
 from pipeline.physics.drawing.wings import WingGrid
 from pipeline.physics.motion.streak import Path
+from tests.execute.test_engines import WHOLE, field, geometry_of, plan_of
 
 
 @pytest.mark.parametrize("middle_px", [50.0, 500.0, 1100.0])
@@ -30,3 +31,20 @@ def test_a_part_of_a_streak_has_that_part_of_its_light(
     there_e = 1e6 * np.ptp(covered) / 2000.0
     assert light[inside].sum() == pytest.approx(there_e, rel=0.01)
     assert light.sum() == pytest.approx(there_e, rel=0.15)
+
+
+def test_a_star_with_a_path_of_its_own_is_swept_along_no_other() -> None:
+    """Beside stars on a common streak: its far light is what it is without them."""
+    plan = plan_of({"kind": "airy", "wavelength_nm": 650.0}, 25.0, 0.0)
+    g, reach = geometry_of(plan), plan.halo_px + 30.0
+    stars = field(np.array([40.0]), np.array([50.0]), np.array([1e4]))
+    none, paths = field(*np.zeros((3, 0))), streaks(plan, g)
+    own = FrameTarget(0, 90.0, 80.0, Path(np.zeros(2), np.array([-3.0, 3.0]), np.ones(1)), 1e5)
+    both, common, alone = (
+        blocks._wings(plan, WHOLE, reach, of, streaked, setting, [])[1]
+        for of, streaked, setting in ((stars, paths, [own]), (stars, paths, []), (none, [], [own]))
+    )
+    assert both is not None
+    assert common is not None
+    assert alone is not None
+    np.testing.assert_allclose(both, common + alone, atol=1e-9 * np.abs(both).max())

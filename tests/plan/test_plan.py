@@ -128,6 +128,8 @@ def test_each_frame_costs_its_drawing(scene: Make) -> None:
     together = [replace(plan, shared_frames=100) for plan in (few, many)]
     less_s = predict(together[1], stars)["cpu_s"] - predict(together[0], stars)["cpu_s"]
     assert more_s - less_s >= 198 * drawn_s  # not 200 drawings but 2
+    told = [predict(replace(few, shared_frames=n), stars)["cpu_s"] for n in (99, 100, 101)]
+    assert told[1] == told[2] == pytest.approx(told[0] - drawn_s, rel=0.2)  # a group begun is drawn
 
 
 def test_noise_floor_without_photon_noise(scene: Make) -> None:
@@ -482,6 +484,12 @@ def test_no_more_cells_are_checked_than_there_are(
     wish = {"sensor.shape": shape, "exposure.frames": frames, "accuracy": {"check_cells": asked}}
     assert check_count(scene(wish)) == count
     assert check_count(scene(wish | {"stars": None})) == 0
+    ball, orbit = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.5}, {
+        "kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]
+    }  # fmt: skip
+    others = [{"targets": [{"name": "t", "orbit": orbit, "body": ball}]},
+              {"populations": [{"name": "all", "path": "all.tle", "body": ball}]}]  # fmt: skip
+    assert [check_count(scene(wish | {"stars": None} | one)) for one in others] == [count] * 2
     more = least_cpu_s(scene(wish)) - least_cpu_s(scene(wish | {"stars": None}))
     assert more == pytest.approx(count * CHECK_S)
 

@@ -449,3 +449,12 @@ def test_edges_between_fields(full: Data, right: Data, wrong: Data, field: str) 
     told = str(refusal(changed(full, wrong)))
     assert told.startswith(f"{field}: ")
     assert "\n" not in told
+
+
+@pytest.mark.parametrize("others", [1, 30, 2500])
+def test_names_of_targets_differ(full: Data, others: int) -> None:
+    """However many targets there are; the names that occur twice are told."""
+    one = full["targets"][0]
+    names = [*(f"t{i}" for i in range(others)), "same", "same"]
+    data = full | {"targets": [one | {"name": name} for name in names]}
+    assert "different names; twice: same" in str(refusal(data))

@@ -114,6 +114,17 @@ def test_against_brute_force_polygons(catalogue, stars, seed, ra, dec, size, fai
     assert ids(found) == np.sort(stars["source_id"].to_numpy()[inside]).tolist()
 
 
+@pytest.mark.parametrize("where", CONES[:3])
+def test_a_star_at_the_limit_belongs_to_it(catalogue, stars, where):
+    """Whatever row groups it is in, and the next fainter one does not."""
+    inside = brute_force(stars, *where)
+    g_mag = stars.filter(pa.compute.is_in(stars["source_id"], pa.array(inside)))["phot_g_mean_mag"]
+    for limit in np.unique(g_mag.to_numpy())[:: max(1, len(inside) // 12)].tolist():
+        found, _ = cone(catalogue, *where, limit)
+        assert ids(found) == brute_force(stars, *where, limit)
+        assert found["phot_g_mean_mag"].to_numpy().max() == limit
+
+
 def test_limits_tiny_cones_hold_their_star(catalogue, stars):
     """0.01 arcsec around a star, the first and last of row groups included, at its own place."""
     rows = stars.slice(0, 0).to_pylist()

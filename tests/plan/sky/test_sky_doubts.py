@@ -495,3 +495,14 @@ def test_lamps_stand_where_the_moving_observer_sees_them() -> None:
         assert np.linalg.norm(seen - true) > 5e-3
         off = np.arctan2(np.linalg.norm(np.cross(seen, attitude[0, 2])), seen @ attitude[0, 2])
         assert lamp.off_axis[0] == pytest.approx(off, abs=1e-6)
+
+
+def test_a_planet_is_told_of_its_frame() -> None:
+    """Of one dwell of many, for one frame."""
+    place = np.array(SCENE["observer"]["position_au"]) * AU_M
+    away, at = (beside(body("jupiter") - place, angle)["pointing"] for angle in (60.0, 0.5))
+    dwells = [{"pointing": away, "frames": 40}, {"pointing": at, "frames": 30},
+              {"pointing": away, "frames": 300}]  # fmt: skip
+    scene = scene_of({"dwells": dwells, "pointing": away, "accept": ["sun", "moon"]})
+    [told] = [w for w in doubts(scene).warnings if w.startswith("Jupiter is in the field")]
+    assert 40 <= int(told.split(" frame ")[1].split(":")[0]) < 70

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import stat
 import time
 from collections.abc import Callable
@@ -74,3 +75,22 @@ def test_over_http_a_ticket_shows_its_own_teams_job(
     for body in ({}, {"path": 5}, {"path": "/v1/usage"}, {"path": job, "more": 1}, []):
         assert server.client.post("/v1/tickets", json=body, headers=red).status_code == 422
     assert "ticket=" not in server.logged()
+
+
+def test_of_two_that_start_at_once_one_secret_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever comes second takes the first one's, and leaves no file of its own."""
+    key, drawn = tmp_path / "tickets.key", os.urandom
+
+    def late(count: int) -> bytes:
+        if count == 32:
+            key.write_bytes(b"f" * 32)  # the other process is done just now
+        return drawn(count)
+
+    monkeypatch.setattr(os, "urandom", late)
+    href = Tickets(tmp_path).make(RED, PLACE)
+    monkeypatch.undo()
+    assert Tickets(tmp_path).caller(asked(href)) == RED
+    assert key.read_bytes() == b"f" * 32
+    assert [path.name for path in tmp_path.iterdir()] == ["tickets.key"]

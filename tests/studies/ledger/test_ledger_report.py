@@ -116,6 +116,22 @@ def test_the_bound_of_crowds_is_in_units_of_the_noise(monkeypatch):
     assert (found.bound, found.error, found.unit) == (0.25, pytest.approx(0.1), "sigma")
 
 
+def test_the_worst_window_counts(monkeypatch):
+    """Not the last one that is looked at."""
+    from pipeline.studies.ledger import drawing
+
+    facts = SimpleNamespace(sigma_floor_e=2.0)
+    stage = SimpleNamespace(plan=SimpleNamespace(facts=facts))
+    found = {"one": 0.1, "two": 0.7, "three": 0.3}
+    switch = SimpleNamespace(
+        on=found.get, off=lambda _: 0.0, of_light=False, bound_e=3.0, component="x"
+    )
+    monkeypatch.setattr(drawing, "mean_of", lambda _, light, window: np.array([light]))
+    monkeypatch.setattr(drawing, "noise_of", lambda *_: np.array([0.5]))
+    measured = drawing._measured(stage, switch, tuple(found), "")
+    assert (measured.bound, measured.error, measured.unit) == (1.5, pytest.approx(1.4), "sigma")
+
+
 @pytest.fixture(scope="module")
 def measured():
     """The quick rules measured anew, by name."""
