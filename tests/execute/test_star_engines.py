@@ -33,13 +33,13 @@ SIDE = 512
 NOTHING = StarCounts(np.zeros(0))
 
 
-def plan_of(streak_px: float, tile: int = SIDE) -> Plan:
+def plan_of(streak_px: float, tile: int = SIDE, side: int = SIDE) -> Plan:
     """A plan of one frame with a gaussian response; stars drift, and the camera rolls with them."""
     scene = parse_scene({
         "schema": "nightglass/scene/1", "name": "engines", "epoch": "2019-04-20T03:00:00Z",
         "observer": {"kind": "fixed", "position_au": [1.0, 0.0, 0.0]},
         "sensor": {
-            "shape": [SIDE, SIDE], "pixel_pitch_um": 10.0, "focal_length_m": 0.02,
+            "shape": [side, side], "pixel_pitch_um": 10.0, "focal_length_m": 0.02,
             "aperture_m": 0.015, "psf": {"kind": "gaussian", "sigma_px": 0.7},
             "read_noise_e": 5.0,
             "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
@@ -85,6 +85,16 @@ def test_few_stars_need_no_table_and_many_do():
     assert engines(many)[0][1] > 0
     assert any("own path" in d.reason for d in few.decisions if d.component == "star_engines")
     assert any("mixtures" in d.reason for d in many.decisions if d.component == "star_engines")
+
+
+def test_of_long_streaks_what_comes_near_the_frame_is_paid_for():
+    """One that goes on far beyond both ends of the frame costs more only as it bends more."""
+    cost_s = [
+        chosen(plan_of(streak_px, 64, 64), 20.0, (2.0, 4.0)).responses.stars_s
+        for streak_px in (60.0, 600.0, 1200.0)
+    ]
+    assert 1.5 * cost_s[0] < cost_s[1]
+    assert cost_s[2] < 2.5 * cost_s[1]
 
 
 def test_same_choice_for_any_tiles():

@@ -174,6 +174,7 @@ class _Costs:
         self._os = max(oversampling_for(b) for b in r.blurs)
         self._path = max((p.path for p in streak.pieces), key=lambda p: p.length_px)
         self._sweep = streak.path
+        self._across_px = math.hypot(*plan.scene.sensor.shape) + 2.0 * core.radius_px
         self.mixed_phases = self._phases_of_mixtures(r, streak)
 
     def tables(self, stars: float) -> float:
@@ -194,9 +195,11 @@ class _Costs:
         return made + stars * self._each * self._count * 3.0 * self._stamp_s(CUBIC)
 
     def along(self, stars: float) -> float:
-        """Each along its own path."""
+        """Each along its own path, of which the pieces that come near the frame are drawn."""
         pieces = max(1.0, math.ceil(self._sweep.length_px / LONGEST_PIECE_PX))
-        return stars * self._each * self._transform_s(self._sweep, self._segments, pieces)
+        near = math.ceil(self._across_px / LONGEST_PIECE_PX) + 2.0
+        whole_s = self._transform_s(self._sweep, self._segments, pieces)
+        return stars * self._each * whole_s * min(1.0, near / pieces)
 
     def _stamp_s(self, more: float) -> float:
         radius = self._core.radius_px
