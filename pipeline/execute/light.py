@@ -94,15 +94,8 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[LightBlock]) 
 
 def _draw_point(plan: Plan, image: Array, tile: Tile, target: FrameTarget) -> None:
     """A point of light along its own path."""
-    k = target_class(plan, target)
-    if k == len(plan.responses.classes):
-        place = target.x_px, target.y_px, target.light_e
-        add_beyond(plan, image, tile, target.path, *place)
-        return
-    near = _box(tile, plan.responses.classes[k].radius_px, target.x_px, target.y_px)
-    for x0, y0, piece, share in pieces(target.path, near=near):
-        one = np.array([[target.x_px + x0], [target.y_px + y0], [target.light_e * share]])
-        draw_exact(plan, image, tile, k, piece, *one)
+    place = target.x_px, target.y_px, target.light_e
+    _draw_path(plan, image, tile, target_class(plan, target), target.path, *place)
 
 
 def _draw_stamps(
@@ -154,19 +147,36 @@ def draw_along(
         places = streak.zone, streak.followed, off_px, x, y
         own = own_paths(plan.camera, g, *places, merge, aberration)
         for i, path in enumerate(own):
-            k = int(classes[mine[i]])
-            if k == len(plan.responses.classes):
-                place = float(x[i]), float(y[i]), float(light[i])
-                add_beyond(plan, image, tile, path, *place, plan.responses.fades_px)
-                continue
-            radius = plan.responses.classes[k].radius_px
-            near = _box(tile, radius, float(x[i]), float(y[i]))
-            for x0, y0, piece, share in pieces(path, near=near):
-                place = float(x[i]) + x0, float(y[i]) + y0, float(light[i]) * share
-                if _reaches(tile, radius, piece, *place[:2]):
-                    for blur, part in parts_of(plan, *place):
-                        swept = (*still_core(blur, radius, piece), piece)
-                        _add(image, tile, stamp_along(*swept, place[1], place[0]), part)
+            place = float(x[i]), float(y[i]), float(light[i])
+            k, reach_px = int(classes[mine[i]]), plan.responses.fades_px
+            _draw_path(plan, image, tile, k, path, *place, reach_px)
+
+
+def _draw_path(
+    plan: Plan,
+    image: Array,
+    tile: Tile,
+    k: int,
+    path: Path,
+    x: float,
+    y: float,
+    light_e: float,
+    reach_px: float = math.inf,
+) -> None:
+    """One source of class k along a path of its own, without a table (adds to the image).
+
+    reach_px : where its light ends if it is brighter than all core classes serve
+    """
+    if k == len(plan.responses.classes):
+        add_beyond(plan, image, tile, path, x, y, light_e, reach_px)
+        return
+    radius = plan.responses.classes[k].radius_px
+    for x0, y0, piece, share in pieces(path, near=_box(tile, radius, x, y)):
+        place = x + x0, y + y0, light_e * share
+        if _reaches(tile, radius, piece, *place[:2]):
+            for blur, part_e in parts_of(plan, *place):
+                swept = (*still_core(blur, radius, piece), piece)
+                _add(image, tile, stamp_along(*swept, place[1], place[0]), part_e)
 
 
 def add_beyond(
