@@ -41,7 +41,12 @@ from pipeline.physics.psf.response import Core
 from pipeline.plan.checks import FINE_KERNELS, CheckCell, fine_ends
 from pipeline.plan.optics.optics import LARGEST_CORE_SAMPLES
 from pipeline.plan.plan import Plan
-from pipeline.plan.response.own_paths import EXACT_MERGE_PX, paths_through, star_offsets
+from pipeline.plan.response.own_paths import (
+    EXACT_MERGE_PX,
+    FINEST_MERGE_PX,
+    paths_through,
+    star_offsets,
+)
 from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import CELL_PX
 
@@ -309,10 +314,13 @@ def _star_groups(
     own |= class_of(plan, light) == len(plan.responses.classes)
     together = np.ones(len(near), bool)
     together[some[own]] = False
-    [path] = paths_through(common, np.array([EXACT_MERGE_PX]))
+    length_px = max(1.0, float(np.hypot(*np.diff(common)).sum()))
+    merge_px = allowed_e * length_px / np.maximum(light, 1e-300)
+    least_px = np.min(merge_px[~own], initial=EXACT_MERGE_PX)
+    [path] = paths_through(common, np.array([max(least_px, FINEST_MERGE_PX)]))
     groups = [(near.x_px[together], near.y_px[together], near.light_e[together], path)]
-    merge_px = np.clip(allowed_e / np.maximum(light, 1e-300), EXACT_MERGE_PX, MOST_MERGED_PX)
-    found = zip(np.flatnonzero(own), paths_through(offsets[:, own], merge_px[own]), strict=True)
+    merge_px = np.clip(merge_px[own], FINEST_MERGE_PX, MOST_MERGED_PX)
+    found = zip(np.flatnonzero(own), paths_through(offsets[:, own], merge_px), strict=True)
     return groups + [(x[[i]], y[[i]], light[[i]], its) for i, its in found]
 
 

@@ -13,7 +13,8 @@ from pipeline.physics.positions.focal_plane import Camera
 from pipeline.plan.pointing.star_paths import star_paths
 from pipeline.plan.response.zones import Zone, biquadratic
 
-EXACT_MERGE_PX = 1e-6
+EXACT_MERGE_PX = 1e-6  # what a path may be off that is followed for itself, or less
+FINEST_MERGE_PX = 1e-12  # of the brightest: places are rounded to about that
 TOGETHER = 1000  # stars whose paths are worked out in one go
 
 
@@ -36,13 +37,22 @@ def exact_path(camera: Camera, g: Geometry, x: float, y: float, aberration: bool
 
 
 def exact_paths(
-    camera: Camera, g: Geometry, x_px: Array, y_px: Array, aberration: bool
+    camera: Camera,
+    g: Geometry,
+    x_px: Array,
+    y_px: Array,
+    aberration: bool,
+    merge_px: Array | float = EXACT_MERGE_PX,
 ) -> Iterator[Path]:
-    """The same of many stars (n,), worked out together: each as by itself, to the last bit."""
+    """The same of many stars (n,), worked out together: each as by itself, to the last bit.
+
+    merge_px : (n,), or of all: as of `paths_through`
+    """
+    merge_px = np.broadcast_to(merge_px, x_px.shape)
     for first in range(0, len(x_px), TOGETHER):
         some = slice(first, first + TOGETHER)
         offsets = star_offsets(camera, g, x_px[some], y_px[some], aberration)[:, :, 0]
-        yield from paths_through(offsets, np.full(offsets.shape[1], EXACT_MERGE_PX))
+        yield from paths_through(offsets, merge_px[some])
 
 
 def paths_through(offsets: Array, merge_px: Array) -> Iterator[Path]:
@@ -70,7 +80,8 @@ def own_paths(
     followed : (K, 2, 3, 3) places at equal times of stars at the zone's NODES; off_px : error of
         interpolating between them
     merge_px : (n,) how far the nodes of straight runs that become one segment may be off; where
-        interpolation is farther off, and outside of the zone, each star is followed by itself
+        interpolation is farther off, and outside of the zone, each star is followed by itself,
+        to EXACT_MERGE_PX or better
     The numbers of a star do not depend on which others are asked for.
     """
     if not len(x_px):
@@ -79,5 +90,6 @@ def own_paths(
     near = (np.maximum(np.abs(u), np.abs(v)) <= 1.0) & (off_px <= merge_px)
     places = np.array([biquadratic(table, u, v) for table in followed])
     between = paths_through(places.transpose(1, 2, 0)[:, near], merge_px[near])
-    exact = exact_paths(camera, g, x_px[~near], y_px[~near], aberration)
+    finer_px = np.minimum(merge_px[~near], EXACT_MERGE_PX)
+    exact = exact_paths(camera, g, x_px[~near], y_px[~near], aberration, finer_px)
     return [next(between if inside else exact) for inside in near]

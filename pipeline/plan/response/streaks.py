@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
 from pipeline.physics.positions.focal_plane import Camera
-from pipeline.plan.response.own_paths import EXACT_MERGE_PX, exact_path, star_offsets
+from pipeline.plan.response.own_paths import FINEST_MERGE_PX, exact_path, star_offsets
 from pipeline.plan.response.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
 from pipeline.spec.scene import CELL_PX
 
@@ -187,7 +187,7 @@ class StreakPlan:
         along_e = np.maximum(light_e, 1e-9) / max(1.0, length_px)
         rises = along_e / self.floor_e**2 if self.photons else 0.0
         allowed_e = self.budget_e * np.sqrt(1.0 + rises)
-        return np.clip(SHOWN * allowed_e / along_e, EXACT_MERGE_PX, MERGE_TOLERANCE_PX)
+        return np.clip(SHOWN * allowed_e / along_e, FINEST_MERGE_PX, MERGE_TOLERANCE_PX)
 
 
 def plan_streaks(

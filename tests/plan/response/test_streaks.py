@@ -16,10 +16,12 @@ from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, star_paths
+from pipeline.plan.response.own_paths import own_paths, star_offsets
 from pipeline.plan.response.responses import point_curvature, point_slope
 from pipeline.plan.response.streaks import (
     MERGE_TOLERANCE_PX,
     PATH_STEP_PX,
+    SHOWN,
     SPREAD_TOLERANCE_PX,
     Streak,
     StreakPlan,
@@ -102,6 +104,28 @@ def test_centroid_and_light_of_the_pieces(scene: Make, focal_m: float) -> None:
         for path, at_x, at_y, light in streak.mixture(piece, x, y, np.ones(1)):
             mixed += light * (np.concatenate([at_x - x, at_y - y]) + np.array(centroid(path)))
     assert mixed == pytest.approx(own, abs=3e-4)
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_the_brighter_a_star_the_closer_it_keeps_to_its_path(scene: Make, inside: bool) -> None:
+    """Its centroid is that of all nodes, to SHOWN of the budget: by trapezium over equal times.
+
+    Of the zone, between whose nodes paths are interpolated, and beside it.
+    """
+    s = rate(scene, 3.0, -2.0, 0.1)
+    camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
+    plan = replace(plan_streaks(camera, g, True), floor_e=5.0, budget_e=0.05, photons=False)
+    streak = zone_streak(camera, g, 0, 0, plan, True)
+    x, y = np.array([11.0 if inside else -900.0]), np.array([200.0])
+    offsets = star_offsets(camera, g, x, y, True)[:, 0, 0]
+    exact = (offsets[:, 1:] + offsets[:, :-1]).mean(axis=1) / 2.0
+    for light_e in (1e4, 1e7, 1e10):
+        merge_px = plan.merged_px(np.array([light_e]), streak.path.length_px)
+        between = streak.zone, streak.followed, plan.own_px
+        [own] = own_paths(camera, g, *between, x, y, merge_px, True)
+        off_px = math.dist(centroid(own), exact)
+        per_px = light_e / max(1.0, streak.path.length_px)
+        assert off_px * per_px <= 2.0 * SHOWN * plan.budget_e
 
 
 def test_light_without_noise_hides_no_error(scene: Make) -> None:
