@@ -143,7 +143,7 @@ def draw_along(
         mine = np.flatnonzero(zones == zone)
         x, y, light = (v[mine] for v in (stars.x_px, stars.y_px, stars.light_e))
         streak, off_px = paths[zone], along.own_px
-        merge = along.merged_px(light, streak.path.length_px)
+        merge = plan.merged_px(light, streak.path.length_px)
         places = streak.zone, streak.followed, off_px, x, y
         own = own_paths(plan.camera, g, *places, merge, aberration)
         for i, path in enumerate(own):

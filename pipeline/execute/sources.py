@@ -24,7 +24,7 @@ from pipeline.plan.pointing.star_paths import excursions_px, rolled_stars
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.own_paths import star_offsets
 from pipeline.plan.response.responses import point_curvature, point_slope
-from pipeline.plan.response.streaks import MERGE_TOLERANCE_PX, Streak, zone_streak
+from pipeline.plan.response.streaks import Streak, zone_streak
 from pipeline.spec.targets.body import SphereBody
 from pipeline.spec.targets.mesh import MeshBody
 
@@ -135,7 +135,9 @@ def _setting_star(plan: ResolvedScene, g: Geometry, stars: FrameStars, index: in
     clear = stars_clear(plan.scene, plan.camera, g, proper, star.y_px)[0]
     x, y = star_offsets(plan.camera, g, star.x_px, star.y_px, effects["aberration"])[:, 0, 0]
     front = np.ones(g.nodes - 1, bool)
-    path, _ = visible_path(x, y, np.ones(g.nodes), clear, front, MERGE_TOLERANCE_PX)
+    path, _ = visible_path(
+        x, y, np.ones(g.nodes), clear, front, _merge_px(plan, star.light_e, x, y)
+    )
     place = float(star.x_px[0]), float(star.y_px[0])
     return FrameTarget(index, *place, path, float(star.light_e[0]))
 
@@ -237,13 +239,19 @@ def place_targets(plan: ResolvedScene, g: Geometry, everywhere: bool = False) ->
         x, y = x[nearest], y[nearest]
         x0, y0 = float(x[g.middle]), float(y[g.middle])
         lit = light, seen[:-1] & seen[1:], g.target_clear[i, 0]
-        path, total = _lit_path(x - x0, y - y0, *lit)
+        merge_px = _merge_px(plan, electrons * light, x, y)
+        path, total = _lit_path(x - x0, y - y0, *lit, merge_px)
         out.append(_seen(plan, g, FrameTarget(i, x0, y0, path, total * electrons)))
     return out
 
 
 def _lit_path(
-    x_px: Array, y_px: Array, light: Array, front: NDArray[np.bool_], clear: Array
+    x_px: Array,
+    y_px: Array,
+    light: Array,
+    front: NDArray[np.bool_],
+    clear: Array,
+    merge_px: float,
 ) -> tuple[Path, float]:
     """A target's path around its place at mid-exposure, and the mean of its light.
 
@@ -251,12 +259,18 @@ def _lit_path(
     clear : (K,) of the Earth; where that is far above zero nothing is cut
     """
     if clear.min() <= np.abs(np.diff(clear, 2)).max():
-        return visible_path(x_px, y_px, light, clear, front, MERGE_TOLERANCE_PX)
+        return visible_path(x_px, y_px, light, clear, front, merge_px)
     steps = len(light) - 1
     share = np.where(front, 0.5 * (light[:-1] + light[1:]) / steps, 0.0)
     total = float(share.sum())
     weight = share / total if total > 0 else np.full(steps, 1.0 / steps)
-    return path_through(x_px, y_px, weight, MERGE_TOLERANCE_PX), total
+    return path_through(x_px, y_px, weight, merge_px), total
+
+
+def _merge_px(plan: ResolvedScene, light_e: Array, x_px: Array, y_px: Array) -> float:
+    """How far straight runs of one path (K,) may be off; light_e : (n,) at any of its times."""
+    length_px = float(np.hypot(np.diff(x_px), np.diff(y_px)).sum())
+    return float(plan.merged_px(light_e.max(), length_px))
 
 
 def _nearest(seen: np.ndarray) -> np.ndarray:

@@ -6,12 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pipeline.arrays import Geometry
+from pipeline.arrays import Array, Geometry
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.focal_plane import Camera
+from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.geometry import camera_of
 from pipeline.plan.response.responses import ResponsePlan, plan_responses
+from pipeline.plan.response.streaks import merged_px
 from pipeline.plan.sensor.detector import lag_depth
 from pipeline.plan.timing import frame_count, integration_range_s, integration_s
 from pipeline.spec.scene import Scene
@@ -67,6 +69,11 @@ class ResolvedScene:
             return self.floor_e(frame) ** 2
         sky_e = f.background_e_s * self.integration_s(frame)
         return self.floor_e(frame) ** 2 - (1.0 - f.flat) * sky_e
+
+    def merged_px(self, light_e: Array, length_px: float) -> Array:
+        """How far straight runs of the paths of sources (n,) of so much light may be off [px]."""
+        budget_e, floor_e = self.responses.budget_e, self.facts.budget_e / part_sigma(self.scene)
+        return merged_px(light_e, length_px, floor_e, budget_e, self.scene.sensor.photon_noise)
 
     @property
     def lag_frames(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
@@ -15,13 +16,18 @@ from pipeline.errors import BadInput
 from pipeline.execute.blocks import render_block, target_class
 from pipeline.execute.check import reference
 from pipeline.execute.light import draw_stars
-from pipeline.execute.sources import FrameTarget
+from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.physics.psf.sampled import sampled
 from pipeline.physics.psf.seeing import Kolmogorov, Moffat
 from pipeline.plan.plan import Plan
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.response.streaks import SHOWN, centroid
 from pipeline.plan.tiles import Tile
+from pipeline.route.prepare import prepare
+from pipeline.spec.load import parse_scene
+from tests.execute.test_behind import SCENE as SLIPPING
 from tests.execute.test_engines import field, geometry_of, plan_of
 from tests.plans import plan_from
 
@@ -153,3 +159,24 @@ def test_which_class_a_target_is_drawn_in() -> None:
         assert target_class(plan, target) == expected, (light_e, expected)
     blurs[:] = [Blur(Airy(1.3)), Blur(Kolmogorov(2.0))]  # one without a profile in closed form
     assert target_class(plan, FrameTarget(0, 5.0, 5.0, POINT, 1.1e6)) == 1
+
+
+@pytest.mark.parametrize("photons", [True, False])
+@pytest.mark.parametrize("rate", [1e3, 1e8, 1e10, 1e12])
+def test_the_brighter_a_target_the_closer_it_keeps_to_its_path(rate: float, photons: bool) -> None:
+    """Its light is where it was sent, to SHOWN of the budget: of a path that bends by 2e-4 px."""
+    sensor = SLIPPING["sensor"] | {"photon_noise": photons}
+    plan = prepare(parse_scene(SLIPPING | {"sensor": sensor})).plan
+    g = plan_geometry(plan.scene, np.array([0]), 0.0)
+    time = np.linspace(-1.0, 1.0, g.nodes)
+    g.target_x_px[0, 0], g.target_y_px[0, 0] = 127.5 + 3.0 * time, 127.5 + 1.9e-4 * time**2
+    g.target_light[0, 0] = rate * g.target_light[0, 0].mean()
+    [made] = place_targets(plan, g)
+    off_px = abs(centroid(made.path)[1] + made.y_px - trapezium(g.target_y_px[0, 0]))
+    floor_e, budget_e = plan.facts.sigma_floor_e, plan.responses.budget_e
+    rises = math.sqrt(1.0 + photons * made.light_e / 6.0 / floor_e**2)
+    assert off_px * made.light_e / 6.0 <= 1.01 * SHOWN * budget_e * rises
+
+
+def trapezium(values: np.ndarray) -> float:
+    return float(0.5 * (values[1:] + values[:-1]).mean())

@@ -29,6 +29,7 @@ __all__ = [
     "StreakPlan",
     "centroid",
     "exact_path",
+    "merged_px",
     "plan_streaks",
     "resting",
     "zone_streak",
@@ -182,13 +183,6 @@ class StreakPlan:
         error_e = np.where(light_e > self.mixed_from_e_px * longest, bright_e, error_e)
         return np.minimum(error_e, self.budget_e)
 
-    def merged_px(self, light_e: Array, length_px: float) -> Array:
-        """How far straight runs of a star's own path may be off (n,): by SHOWN of the budget."""
-        along_e = np.maximum(light_e, 1e-9) / max(1.0, length_px)
-        rises = along_e / self.floor_e**2 if self.photons else 0.0
-        allowed_e = self.budget_e * np.sqrt(1.0 + rises)
-        return np.clip(SHOWN * allowed_e / along_e, FINEST_MERGE_PX, MERGE_TOLERANCE_PX)
-
 
 def plan_streaks(
     camera: Camera,
@@ -255,6 +249,19 @@ def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
     error = curvature * 5.0 * plan.longest_px**2 / 4.0 + slope * min(plan.own_px, plan.spread_px)
     made = replace(plan, at_rest=error)
     return replace(made, mixed_from_e_px=_light_from(made.off_px, made))
+
+
+def merged_px(
+    light_e: Array, length_px: float, floor_e: float, budget_e: float, photons: bool
+) -> Array:
+    """How far straight runs of a source's own path may be off [px] (n,): by SHOWN of the budget.
+
+    floor_e, budget_e, photons : as of a StreakPlan
+    """
+    along_e = np.maximum(light_e, 1e-9) / max(1.0, length_px)
+    rises = along_e / floor_e**2 if photons else 0.0
+    allowed_e = budget_e * np.sqrt(1.0 + rises)
+    return np.clip(SHOWN * allowed_e / along_e, FINEST_MERGE_PX, MERGE_TOLERANCE_PX)
 
 
 def _light_from(off_px: float, plan: StreakPlan) -> float:

@@ -28,6 +28,7 @@ from pipeline.plan.response.streaks import (
     _light_from,
     centroid,
     exact_path,
+    merged_px,
     plan_streaks,
     resting,
     zone_streak,
@@ -120,7 +121,8 @@ def test_the_brighter_a_star_the_closer_it_keeps_to_its_path(scene: Make, inside
     offsets = star_offsets(camera, g, x, y, True)[:, 0, 0]
     exact = (offsets[:, 1:] + offsets[:, :-1]).mean(axis=1) / 2.0
     for light_e in (1e4, 1e7, 1e10):
-        merge_px = plan.merged_px(np.array([light_e]), streak.path.length_px)
+        along = streak.path.length_px, plan.floor_e, plan.budget_e, plan.photons
+        merge_px = merged_px(np.array([light_e]), *along)
         between = streak.zone, streak.followed, plan.own_px
         [own] = own_paths(camera, g, *between, x, y, merge_px, True)
         off_px = math.dist(centroid(own), exact)
