@@ -33,6 +33,7 @@ LAYERS = (
     "lag_e",
     "calibrated_e",
 )
+USUAL_FRACTION = 0.05  # of its noise that a pixel may err by where a scene says nothing else
 CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
 MAX_CATALOGUES, MAX_PATH = 8, 1024
 MOST_TARGETS = 100_000
@@ -53,7 +54,7 @@ class Accuracy(Strict):
         check of the achieved error
     """
 
-    noise_fraction: float = Field(0.05, gt=0, le=1)
+    noise_fraction: float = Field(USUAL_FRACTION, gt=0, le=1)
     flux_fraction: float = Field(1e-3, gt=0, le=0.1)
     noise_floor_e: Annotated[float, Field(gt=0, le=1e12)] | None = None
     check_cells: int = Field(3, ge=0, le=1000)

@@ -46,14 +46,16 @@ from pipeline.plan.timing import (
 )
 from pipeline.spec.pointing.observer import FixedObserver, GroundObserver
 from pipeline.spec.pointing.pointing import RatePointing, SiderealPointing, TargetPointing
-from pipeline.spec.scene import Scene
+from pipeline.spec.scene import USUAL_FRACTION, Scene
 from pipeline.spec.sensor.detector import RollingShutter, TimeDelay
 
 Array = NDArray[np.float64]
 
 J2000_JD = 2_451_545.0
 PATH_TOLERANCE_PX = 2e-3  # how far linear motion between nodes may be from the real path
+FINE_PX, FINE_NODES = 2e-4, 129  # and at the usual accuracy, where so many nodes reach it
 FEWEST_NODES, MOST_NODES = 9, 1025
+ROUNDED_PX = 1e-9  # places are no better known
 MOST_LIGHT_NODES = 257  # what flickers faster is told in the plan
 ROUGH_PX = 0.1  # how far a table of attitudes may be off between MOST_NODES nodes
 MOST_DWELLS_SAMPLED = 64
@@ -169,7 +171,8 @@ def _needs_more(scene: Scene, g: Geometry, nodes: int, paths: Array) -> NDArray[
     rows may be noisy, is drawn as it is there, and the plan says how far it is off.
     """
     bends = bends_px(scene, g, paths)
-    bent = bends > PATH_TOLERANCE_PX
+    fine_px = FINE_PX * min(1.0, scene.accuracy.noise_fraction / USUAL_FRACTION)
+    bent = bends > (fine_px if nodes < FINE_NODES else PATH_TOLERANCE_PX)
     if bent.any() and nodes >= MOST_NODES:
         tables = [p for p in dwell_plans(scene) if p.pointing.mode == "table"]
         if bends.max() > ROUGH_PX or not tables:
@@ -183,6 +186,16 @@ def _needs_more(scene: Scene, g: Geometry, nodes: int, paths: Array) -> NDArray[
     if nodes >= MOST_LIGHT_NODES:
         return bent
     return bent | (flicker_shares(g, near_frame(scene, g)) > scene.accuracy.flux_fraction)
+
+
+def bend_px(scene: Scene, g: Geometry) -> float:
+    """How far paths of stars and targets are from straight lines between the nodes, at most [px].
+
+    Of those over and beside the frames of a geometry, without random motion.
+    """
+    each = (g.frame_slice(k) for k in range(len(g.frame)))
+    found = (float(bends_px(scene, one, _star_paths(scene, one))[0]) for one in each)
+    return max(ROUNDED_PX, *found)
 
 
 def _star_paths(scene: Scene, g: Geometry) -> Array:

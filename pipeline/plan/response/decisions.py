@@ -12,6 +12,7 @@ from pipeline.physics.psf.product import PHASES
 from pipeline.plan.accuracy import by_wavelength
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import planned_floor_e
+from pipeline.plan.pointing.geometry import bend_px
 from pipeline.plan.response.responses import (
     ResponsePlan,
     core_end_e,
@@ -114,7 +115,7 @@ def _phases(basis: PlanBasis) -> Decision:
 def _streaks(basis: PlanBasis) -> list[Decision]:
     """How the stars' streaks and crowds are drawn."""
     r, facts = basis.resolved.responses, basis.facts
-    s, sigma_e = r.streaks, facts.sigma_floor_e
+    s, sigma_e, ends = r.streaks, facts.sigma_floor_e, basis.frames
     if s.at_rest < math.inf:
         reason = (
             f"stars move by at most {s.longest_px:.2g} px in an exposure and are drawn as points, "
@@ -125,7 +126,8 @@ def _streaks(basis: PlanBasis) -> list[Decision]:
             f"{s.zones} x {s.zones} zone(s) and {s.pieces} segment(s) of the exposure, each with "
             "one shape for all its stars, set where each star's own light is. Ends are off by at "
             f"most {s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that fraction "
-            "of the light of a pixel there"
+            f"of the light of a pixel there. Paths are straight between {ends.nodes} nodes, off by "
+            f"at most {bend_px(basis.scene, ends):.2g} px"
         )
     bound = min(s.error_e(basis.brightest_e or math.inf), basis.within_budget("common_streak")[0])
     if s.mixed_from_e_px < math.inf:

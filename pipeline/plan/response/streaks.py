@@ -21,7 +21,7 @@ from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.plan.response.own_paths import FINEST_MERGE_PX, exact_path, star_offsets
 from pipeline.plan.response.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
-from pipeline.spec.scene import CELL_PX
+from pipeline.spec.scene import CELL_PX, USUAL_FRACTION
 
 __all__ = [
     "StreakSegment",
@@ -36,9 +36,8 @@ __all__ = [
 ]
 
 PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables
-MERGE_TOLERANCE_PX = 2e-4
+MERGE_TOLERANCE_PX = 2e-4  # these two at the usual accuracy
 SPREAD_TOLERANCE_PX = 4e-3
-USUAL_FRACTION = 0.05  # noise_fraction for which these tolerances are
 MOST_PIECES = 16
 SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
 STRETCH_PX = 2.0**-6  # by how much the ends of shapes for mixtures differ, and their rounding

@@ -12,6 +12,7 @@ from pipeline.plan.bodies.bodies import flicker_share
 from pipeline.plan.bodies.sizes import limb_px, radius_m
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
+from pipeline.plan.pointing.geometry import bend_px
 from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.response.responses import point_slope
 from pipeline.plan.rule import PlanBasis, Rule
@@ -51,7 +52,8 @@ def _between_nodes(basis: PlanBasis) -> list[Decision]:
             "targets.light_between_nodes",
             True,
             f"linear between {ends.nodes} nodes of an exposure: off by at most {off:.2g} of the "
-            "light of a target in or beside the frame, of the frames looked at",
+            "light of a target in or beside the frame, of the frames looked at; paths are off by "
+            f"at most {bend_px(basis.scene, ends):.2g} px",
             bound=off,
             unit="of a target's light",
         )

@@ -13,6 +13,10 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.physics.positions.focal_plane import project
 from pipeline.plan.pointing.geometry import (
+    FINE_PX,
+    _geometry,
+    _star_paths,
+    bend_px,
     camera_of,
     check_view,
     moments_at,
@@ -220,3 +224,21 @@ def test_the_zenith_of_a_site_is_upright_on_its_ellipsoid(scene: Make) -> None:
     found = erfa.s2c(np.radians(p.boresight_ra_deg), np.radians(p.boresight_dec_deg))
     up_there = axes_of(s.observer, moments_at(s, 0.0, np.zeros(1)).times)[0, 2]  # type: ignore[arg-type]
     np.testing.assert_allclose(found, up_there, atol=1e-9)
+
+
+@pytest.mark.parametrize("asked", [0.2, 0.05, 0.0125])
+def test_paths_are_as_straight_between_nodes_as_is_asked(scene: Make, asked: float) -> None:
+    """And as is told: of a field that turns, against sixteen times as many nodes."""
+    turning = {"mode": "rate", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0,
+               "rate_ra_arcsec_s": 100.0, "rate_dec_arcsec_s": 0.0,
+               "roll_rate_deg_s": 0.3}  # fmt: skip
+    s = scene({"pointing": turning, "accuracy": {"noise_fraction": asked}})
+    g = plan_geometry(s, np.zeros(1, int), 0.0).frame_slice(0)
+    dense = _geometry(s, np.zeros(1, int), 16 * (g.nodes - 1) + 1, 0.0)
+    few, many = (_star_paths(s, one)[:, :, 0] for one in (g, dense))
+    share = np.arange(16) / 16.0
+    between = few[..., :-1, None] * (1.0 - share) + few[..., 1:, None] * share
+    off = np.hypot(*(between - many[..., :-1].reshape(between.shape)))
+    told = bend_px(s, g)
+    assert 0.3 * told < np.nanmax(off) <= 1.05 * told
+    assert told <= FINE_PX * min(1.0, asked / 0.05)
