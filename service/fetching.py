@@ -20,7 +20,6 @@ from service.answers import problem_of
 
 PART = ".part"
 TRIES = 8
-PIECE_BYTES = 1 << 18
 Listener = Callable[[JsonObject], None]
 
 
@@ -157,7 +156,7 @@ def _go_on(
         if have and answer.status_code != 206:
             raise Damaged(path, "the server does not go on where the file was cut off")
         with part.open("ab") as file:
-            for piece in answer.iter_raw(PIECE_BYTES):
+            for piece in answer.iter_raw():  # all that came before a break stays
                 if have + came + len(piece) > size:
                     raise Damaged(path, f"more than the {size} bytes that were announced")
                 file.write(piece)

@@ -8,6 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from pipeline.cli import app
+from pipeline.commands.catalog import make
+from pipeline.errors import BadInput
 
 HERE = Path("x")
 DEMO, FETCH, MAKE = (f"pipeline.commands.catalog.{name}" for name in ("demo", "fetch", "make"))
@@ -93,3 +95,14 @@ def test_options_reach_the_work(monkeypatch, target, words, given, named):
     result = CliRunner().invoke(app, ["catalog", *words.split()])
     assert isinstance(result.exception, Called), result.output
     assert result.exception.args == (given, named)
+
+
+@pytest.mark.parametrize("text", ["GiB", "", " ", "-1GiB", "much", "2 apples", "1e999GB", "nan"])
+def test_sizes_that_are_none_are_refused(text):
+    with pytest.raises(BadInput, match="--memory"):
+        make._bytes(text)
+
+
+@pytest.mark.parametrize(("text", "size"), [("2GiB", 2 << 30), ("500 MB", 500_000_000), ("7", 7)])
+def test_sizes(text, size):
+    assert make._bytes(text) == size

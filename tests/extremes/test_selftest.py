@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from types import SimpleNamespace
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from pipeline.cli import app
+from pipeline.commands.studies import selftest as command
 from pipeline.errors import BadInput
 from pipeline.studies.selftest import frames as of_frames
 from pipeline.studies.selftest import places, stars
@@ -119,3 +123,15 @@ def test_command(tmp_path):
 def test_unknown_name():
     with pytest.raises(BadInput, match="--only"):
         chosen("no such case")
+
+
+@pytest.mark.parametrize(
+    ("passed", "code"), [([True, True], None), ([True, False, True], 1), ([False, False], 1)]
+)
+def test_one_case_that_fails_is_told_by_the_exit_code(passed, code, monkeypatch):
+    outcomes = [SimpleNamespace(passed=one) for one in passed]
+    monkeypatch.setattr(command, "run_cases", lambda *_: outcomes)
+    monkeypatch.setattr(command, "as_data", lambda found: [one.passed for one in found])
+    with pytest.raises(typer.Exit) if code else contextlib.nullcontext() as ended:
+        command.selftest(as_json=True)
+    assert code is None or ended.value.exit_code == code

@@ -17,7 +17,7 @@ from pipeline.spec.study import FieldOfRegard, Synthetic
 from pipeline.survey.elements import Elements, synthetic_elements
 from pipeline.survey.prune import _days, never_seen
 from pipeline.survey.sights import allowed, sights_of
-from pipeline.survey.watch import Watcher, make_watcher
+from pipeline.survey.watch import MOST_LIFT_RAD, Watcher, make_watcher
 from tests.survey.conftest import EPOCH, sections, watcher
 
 AT = np.arange(0.0, 86_400.0, 240.0)
@@ -125,3 +125,21 @@ def test_bounds_hold_at_the_farther_end() -> None:
     made.jd2[:] += [-10.0, 1.5, 20.0]
     w = watcher()
     np.testing.assert_allclose(_days(w, w.watch(np.array([0.0, 345_600.0])), made), [14, 2.5, 20])
+
+
+def test_what_the_air_lifts_into_view_is_not_pruned() -> None:
+    """An object whose reach ends between what is seen with the air's lift and without."""
+    w = watcher(lowest_elevation_deg=5.0)
+    latitude, height_m = np.radians(w.observer.latitude_deg), w.observer.height_m
+    made, watch = synthetic_elements(Synthetic(objects=60, seed=3), EPOCH), w.watch(AT)
+    days = _days(w, watch, made)
+    made.mean[:, 3] = np.linspace(0.0, 0.5 * latitude, 60)  # tilts
+    made.mean[:, 5], made.mean[:, 1] = 16.1 * 2.0 * np.pi / 1440.0, 0.0005
+    _, high = radius_bounds_m(made.mean[:, 5], made.mean[:, 1], days)
+    reach = latitude_bound_rad(made.mean[:, 3], made.mean[:, 5], days)
+    bare, lifted = (
+        never_rises(latitude, height_m, np.radians(5.0) - lift, high, reach)
+        for lift in (0.0, MOST_LIFT_RAD)
+    )
+    assert (bare & ~lifted).any()
+    assert not never_seen(w, watch, made, 0.0)[~lifted].any()

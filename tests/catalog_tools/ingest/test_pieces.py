@@ -196,6 +196,18 @@ def test_repeated_ids_are_found_in_bounded_memory(tmp_path, kind):
         assert np.array_equal(found.pixels, np.arange(n - 1) + 81)
 
 
+@pytest.mark.parametrize("bucket_rows", [1, 2, 5, 100])
+def test_ids_that_are_far_apart_are_found_however_few_are_held(tmp_path, bucket_rows):
+    """In the first and the last of the pieces, all of one bucket."""
+    pieces = []
+    for i, ids in enumerate(([4, 9], [5, 6], [7, 8], [2, 9], [3, 4])):
+        rows = {name: np.zeros(2, dtype) for name, dtype in PIECE.items() if name != IDS}
+        rows["source_id"] = np.array(ids)
+        pieces.append(write_piece(tmp_path, i, f"{i}.rows", rows))
+    found = duplicates._repeated_between(Pieces(tmp_path, pieces), None, None, bucket_rows)
+    assert found.tolist() == [4, 9]
+
+
 def test_surplus_rows_in_many_parts_are_all_accounted_for(tmp_path, monkeypatch):
     monkeypatch.setattr(leaves, "SURPLUS_ROWS", 7)
     stars = random_stars(400, 8)

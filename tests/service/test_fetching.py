@@ -1,0 +1,48 @@
+"""Files of a product that are fetched: what came stays, and only the rest is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import httpx
+import pytest
+
+from service import fetching
+
+
+class Cut(httpx.SyncByteStream):
+    """Bytes of a connection that breaks behind them."""
+
+    def __init__(self, content: bytes) -> None:
+        self.content = content
+
+    def __iter__(self) -> Iterator[bytes]:
+        yield self.content
+        raise httpx.ReadError("broken")
+
+
+@pytest.mark.parametrize("had", [0, 2])
+def test_a_connection_that_breaks_within_a_file_is_gone_on_with(tmp_path: Path, had: int) -> None:
+    """From the byte where it broke, again and again."""
+    whole, asked = bytes(range(10)), []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(request.headers.get("range"))
+        first = int(asked[-1][6:-1]) if asked[-1] else 0
+        rest = whole[first:]
+        stream = httpx.ByteStream(rest) if len(rest) <= 3 else Cut(rest[:3])
+        return httpx.Response(206 if first else 200, stream=stream)
+
+    http = httpx.Client(transport=httpx.MockTransport(answer), base_url="http://h")
+    client = SimpleNamespace(http=http, ask=lambda *_: None)
+    if had:
+        (tmp_path / f"a.bin{fetching.PART}").write_bytes(whole[:had])
+    counted: list[int] = []
+    job = SimpleNamespace(client=client, path="/v1/jobs/x", facts={})
+    fetching._fetch(job, tmp_path, "a.bin", len(whole), counted.append)
+    assert (tmp_path / "a.bin").read_bytes() == whole
+    assert [path.name for path in tmp_path.iterdir()] == ["a.bin"]
+    assert asked == [f"bytes={k}-" if k else None for k in range(had, 10, 3)]
+    assert sum(counted) == len(whole)
