@@ -150,3 +150,12 @@ def test_bad_cones():
         with pytest.raises(BadInput) as caught:
             cone_of(*values)
         assert caught.value.field == field
+
+
+def test_a_cap_within_a_polygon_holds_nothing_from_outside():
+    """Of a square to its sides; of a hook whose cap's centre is beside it: none."""
+    square = polygon_of([(-3, -3), (3, -3), (3, 3), (-3, 3)])
+    assert square.inner_radius_rad == pytest.approx(np.radians(3.0), rel=0.01)
+    hook = polygon_of([(0, 0), (20, 0), (20, 1), (1, 1), (1, 20), (0, 20)])
+    assert not hook.holds(np.array([hook.centre]))[0]
+    assert hook.inner_radius_rad == 0.0
