@@ -47,6 +47,7 @@ from pipeline.plan.response.own_paths import (
     paths_through,
     star_offsets,
 )
+from pipeline.plan.response.streaks import densest_share
 from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import CELL_PX
 
@@ -314,8 +315,9 @@ def _star_groups(
     own |= class_of(plan, light) == len(plan.responses.classes)
     together = np.ones(len(near), bool)
     together[some[own]] = False
-    length_px = max(1.0, float(np.hypot(*np.diff(common)).sum()))
-    merge_px = allowed_e * length_px / np.maximum(light, 1e-300)
+    steps = common.shape[-1] - 1
+    share = densest_share(common[0, 0], common[1, 0], np.full(steps, 1.0 / steps))
+    merge_px = allowed_e / np.maximum(light * share, 1e-9)
     least_px = np.min(merge_px[~own], initial=EXACT_MERGE_PX)
     [path] = paths_through(common, np.array([max(least_px, FINEST_MERGE_PX)]))
     groups = [(near.x_px[together], near.y_px[together], near.light_e[together], path)]

@@ -30,7 +30,7 @@ from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Box, Path, pieces
 from pipeline.physics.psf.response import stamp_at
 from pipeline.plan.plan import Plan
 from pipeline.plan.response.own_paths import own_paths
-from pipeline.plan.response.streaks import Streak
+from pipeline.plan.response.streaks import Streak, densest_share
 from pipeline.plan.tiles import Tile, overlap
 
 
@@ -143,7 +143,8 @@ def draw_along(
         mine = np.flatnonzero(zones == zone)
         x, y, light = (v[mine] for v in (stars.x_px, stars.y_px, stars.light_e))
         streak, off_px = paths[zone], along.own_px
-        merge = plan.merged_px(light, streak.path.length_px)
+        common = streak.path
+        merge = plan.merged_px(light, densest_share(common.x_px, common.y_px, common.weight))
         places = streak.zone, streak.followed, off_px, x, y
         own = own_paths(plan.camera, g, *places, merge, aberration)
         for i, path in enumerate(own):

@@ -24,7 +24,7 @@ from pipeline.plan.pointing.star_paths import excursions_px, rolled_stars
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.own_paths import star_offsets
 from pipeline.plan.response.responses import point_curvature, point_slope
-from pipeline.plan.response.streaks import Streak, zone_streak
+from pipeline.plan.response.streaks import MERGE_TOLERANCE_PX, Streak, densest_share, zone_streak
 from pipeline.spec.targets.body import SphereBody
 from pipeline.spec.targets.mesh import MeshBody
 
@@ -135,9 +135,9 @@ def _setting_star(plan: ResolvedScene, g: Geometry, stars: FrameStars, index: in
     clear = stars_clear(plan.scene, plan.camera, g, proper, star.y_px)[0]
     x, y = star_offsets(plan.camera, g, star.x_px, star.y_px, effects["aberration"])[:, 0, 0]
     front = np.ones(g.nodes - 1, bool)
-    path, _ = visible_path(
-        x, y, np.ones(g.nodes), clear, front, _merge_px(plan, star.light_e, x, y)
-    )
+    whole_e = float(star.light_e[0] / star.visible_fraction[0])  # of the whole exposure
+    merge_px = _merge_px(plan, np.full(g.nodes - 1, whole_e / (g.nodes - 1)), x, y)
+    path, _ = visible_path(x, y, np.ones(g.nodes), clear, front, merge_px)
     place = float(star.x_px[0]), float(star.y_px[0])
     return FrameTarget(index, *place, path, float(star.light_e[0]))
 
@@ -238,9 +238,11 @@ def place_targets(plan: ResolvedScene, g: Geometry, everywhere: bool = False) ->
         nearest = _nearest(seen)
         x, y = x[nearest], y[nearest]
         x0, y0 = float(x[g.middle]), float(y[g.middle])
-        lit = light, seen[:-1] & seen[1:], g.target_clear[i, 0]
-        merge_px = _merge_px(plan, electrons * light, x, y)
-        path, total = _lit_path(x - x0, y - y0, *lit, merge_px)
+        front = seen[:-1] & seen[1:]
+        step = np.where(front, 0.5 * (light[:-1] + light[1:]), 0.0) / len(front)
+        merge_px = _merge_px(plan, electrons * step, x, y)
+        lit = light, front, g.target_clear[i, 0], merge_px
+        path, total = _lit_path(x - x0, y - y0, *lit)
         out.append(_seen(plan, g, FrameTarget(i, x0, y0, path, total * electrons)))
     return out
 
@@ -267,10 +269,13 @@ def _lit_path(
     return path_through(x_px, y_px, weight, merge_px), total
 
 
-def _merge_px(plan: ResolvedScene, light_e: Array, x_px: Array, y_px: Array) -> float:
-    """How far straight runs of one path (K,) may be off; light_e : (n,) at any of its times."""
-    length_px = float(np.hypot(np.diff(x_px), np.diff(y_px)).sum())
-    return float(plan.merged_px(light_e.max(), length_px))
+def _merge_px(plan: ResolvedScene, step_e: Array, x_px: Array, y_px: Array) -> float:
+    """How far straight runs of one path (K,) may be off; step_e : (K - 1,) light on its steps."""
+    total_e = float(step_e.sum())
+    if not total_e > 0.0:
+        return MERGE_TOLERANCE_PX
+    share = densest_share(x_px, y_px, step_e / total_e)
+    return float(plan.merged_px(np.array(total_e), share))
 
 
 def _nearest(seen: np.ndarray) -> np.ndarray:

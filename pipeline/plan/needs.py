@@ -222,7 +222,7 @@ def _cores_s(plan: Plan) -> float:
     """CPU seconds of making the check's cores, twice as wide as those that draw.
 
     Once in a process, or, where all cores are more than are kept, for every window; then those
-    that draw, and the truth's, are made again for every frame.
+    that draw stars, and their truth's, are made again for every frame.
     """
     r, used = plan.responses, math.ceil(_classes_used(plan))
     if not (r.classes and used):
@@ -233,12 +233,12 @@ def _cores_s(plan: Plan) -> float:
         return sum((2.0 * min(radius_px * os, most)) ** 2 for os in finest)
 
     windows = 2 * check_count(plan.scene)
-    of_check = samples(2.0 * r.classes[used - 1].radius_px, LARGEST_CORE_SAMPLES)
+    of_check = samples(2.0 * r.classes[used - 1].radius_px, LARGEST_CORE_SAMPLES) * bool(windows)
     drawn, of_truth = sum(samples(c.radius_px) for c in r.classes[:used]), samples(r.usual_px)
     # With a spectrum each, beside the drawing's tables.
     if 16.0 * max(of_check, of_truth) + 1e6 * r.table_mb <= TABLE_BYTES:
         return CORE_S_PER_SAMPLE * of_check * min(1, windows)
-    of_frames = plan.frames * (drawn / plan.shared_frames + of_truth)
+    of_frames = plan.frames * (drawn / plan.shared_frames + of_truth) * bool(plan.scene.stars)
     return CORE_S_PER_SAMPLE * (of_check * windows + of_frames)
 
 

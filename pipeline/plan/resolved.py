@@ -70,10 +70,13 @@ class ResolvedScene:
         sky_e = f.background_e_s * self.integration_s(frame)
         return self.floor_e(frame) ** 2 - (1.0 - f.flat) * sky_e
 
-    def merged_px(self, light_e: Array, length_px: float) -> Array:
-        """How far straight runs of the paths of sources (n,) of so much light may be off [px]."""
+    def merged_px(self, light_e: Array, share_per_px: float) -> Array:
+        """How far straight runs of the paths of sources (n,) of so much light may be off [px].
+
+        share_per_px : part of the light that lies on one px of the path, where it is densest
+        """
         budget_e, floor_e = self.responses.budget_e, self.facts.budget_e / part_sigma(self.scene)
-        return merged_px(light_e, length_px, floor_e, budget_e, self.scene.sensor.photon_noise)
+        return merged_px(light_e, share_per_px, floor_e, budget_e, self.scene.sensor.photon_noise)
 
     @property
     def lag_frames(self) -> int:

@@ -52,6 +52,7 @@ def test_light_is_that_of_the_steps_in_view(behind: list[int], share: float) -> 
         lit = [k for k in range(8) if k not in behind and k + 1 not in behind]
         expected = np.mean([127.5 + 2.0 * k + 1.0 for k in lit])
         assert made.path.weight @ middle == pytest.approx(expected, abs=1e-3)
+    assert made.path.segments <= 1 + 2 * len(behind)  # straight runs are merged
     truth = target_truth(plan, g)
     assert truth["electrons"][0] == pytest.approx(made.light_e)
     assert np.isnan(truth["x_px"][0]) == (4 in behind)

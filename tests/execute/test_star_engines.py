@@ -94,7 +94,7 @@ def test_of_long_streaks_what_comes_near_the_frame_is_paid_for():
         for streak_px in (60.0, 600.0, 1200.0)
     ]
     assert 1.5 * cost_s[0] < cost_s[1]
-    assert cost_s[2] < 2.5 * cost_s[1]
+    assert cost_s[2] < 1.5 * cost_s[1]
 
 
 def test_same_choice_for_any_tiles():

@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 
 J2000_JD = 2_451_545.0
 PATH_TOLERANCE_PX = 2e-3  # how far linear motion between nodes may be from the real path
-FINE_PX, FINE_NODES = 2e-4, 129  # and at the usual accuracy, where so many nodes reach it
+FINE_PX, FINE_NODES = 2e-4, 129  # the same at the usual accuracy, where so many nodes suffice
 FEWEST_NODES, MOST_NODES = 9, 1025
 ROUNDED_PX = 1e-9  # places are no better known
 MOST_LIGHT_NODES = 257  # what flickers faster is told in the plan
@@ -188,12 +188,15 @@ def _needs_more(scene: Scene, g: Geometry, nodes: int, paths: Array) -> NDArray[
     return bent | (flicker_shares(g, near_frame(scene, g)) > scene.accuracy.flux_fraction)
 
 
-def bend_px(scene: Scene, g: Geometry) -> float:
+def bend_px(scene: Scene, g: Geometry, dut1_s: float) -> float:
     """How far paths of stars and targets are from straight lines between the nodes, at most [px].
 
-    Of those over and beside the frames of a geometry, without random motion.
+    Of those over and beside the frames of a geometry, without random motion: what that loses
+    between nodes is blur.
     """
-    each = (g.frame_slice(k) for k in range(len(g.frame)))
+    each = [g.frame_slice(k) for k in range(len(g.frame))]
+    if motion_plan(scene) is not None:
+        each = [_geometry(scene, one.frame, one.nodes, dut1_s) for one in each]
     found = (float(bends_px(scene, one, _star_paths(scene, one))[0]) for one in each)
     return max(ROUNDED_PX, *found)
 

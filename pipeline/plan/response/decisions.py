@@ -127,7 +127,8 @@ def _streaks(basis: PlanBasis) -> list[Decision]:
             "one shape for all its stars, set where each star's own light is. Ends are off by at "
             f"most {s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that fraction "
             f"of the light of a pixel there. Paths are straight between {ends.nodes} nodes, off by "
-            f"at most {bend_px(basis.scene, ends):.2g} px"
+            f"at most {bend_px(basis.scene, ends, basis.resolved.dut1_s):.2g} px in the frames "
+            "looked at"
         )
     bound = min(s.error_e(basis.brightest_e or math.inf), basis.within_budget("common_streak")[0])
     if s.mixed_from_e_px < math.inf:

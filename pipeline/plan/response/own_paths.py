@@ -13,7 +13,7 @@ from pipeline.physics.positions.focal_plane import Camera
 from pipeline.plan.pointing.star_paths import star_paths
 from pipeline.plan.response.zones import Zone, biquadratic
 
-EXACT_MERGE_PX = 1e-6  # what a path may be off that is followed for itself, or less
+EXACT_MERGE_PX = 1e-6  # of paths worked out star by star; those of bright stars may be off less
 FINEST_MERGE_PX = 1e-12  # of the brightest: places are rounded to about that
 TOGETHER = 1000  # stars whose paths are worked out in one go
 
@@ -31,7 +31,7 @@ def star_offsets(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bo
 
 
 def exact_path(camera: Camera, g: Geometry, x: float, y: float, aberration: bool) -> Path:
-    """Path of the star at (x, y) at mid-exposure of the one frame of `g`, hardly merged."""
+    """Path of the star at (x, y) at mid-exposure of the one frame of `g`, to EXACT_MERGE_PX."""
     [path] = exact_paths(camera, g, np.array([x]), np.array([y]), aberration)
     return path
 

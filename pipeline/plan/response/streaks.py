@@ -28,6 +28,7 @@ __all__ = [
     "Streak",
     "StreakPlan",
     "centroid",
+    "densest_share",
     "exact_path",
     "merged_px",
     "plan_streaks",
@@ -250,14 +251,23 @@ def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
     return replace(made, mixed_from_e_px=_light_from(made.off_px, made))
 
 
+def densest_share(x_px: Array, y_px: Array, weight: Array) -> float:
+    """Largest part of a path's light that lies on one px of it: 1 where it is at rest.
+
+    x_px, y_px : (n + 1,) nodes; weight : (n,) light of each step, sum 1
+    """
+    length_px = np.hypot(np.diff(x_px), np.diff(y_px))
+    return float((weight / np.maximum(length_px, np.maximum(weight, 1e-300))).max())
+
+
 def merged_px(
-    light_e: Array, length_px: float, floor_e: float, budget_e: float, photons: bool
+    light_e: Array, share_per_px: float, floor_e: float, budget_e: float, photons: bool
 ) -> Array:
     """How far straight runs of a source's own path may be off [px] (n,): by SHOWN of the budget.
 
-    floor_e, budget_e, photons : as of a StreakPlan
+    share_per_px : `densest_share` of the path; floor_e, budget_e, photons : as of a StreakPlan
     """
-    along_e = np.maximum(light_e, 1e-9) / max(1.0, length_px)
+    along_e = np.maximum(light_e, 1e-9) * share_per_px
     rises = along_e / floor_e**2 if photons else 0.0
     allowed_e = budget_e * np.sqrt(1.0 + rises)
     return np.clip(SHOWN * allowed_e / along_e, FINEST_MERGE_PX, MERGE_TOLERANCE_PX)

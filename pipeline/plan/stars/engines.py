@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.arrays import Geometry
 from pipeline.physics.drawing.spectral_plan import CROWD_PX
-from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, transfer
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.response.responses import (
@@ -29,7 +29,7 @@ from pipeline.plan.response.responses import (
     stamp_s,
     table_bytes,
 )
-from pipeline.plan.response.streaks import Streak, zone_streak
+from pipeline.plan.response.streaks import Streak, densest_share, zone_streak
 from pipeline.plan.stars.field_stars import StarCounts
 from pipeline.plan.tiles import BLOCK_PX
 
@@ -42,6 +42,7 @@ ALONG_S, ALONG_S_PER_SAMPLE, TABLE_S_PER_VALUE = 2e-4, 9e-9, 4e-8
 CUBIC = 3.0
 FEWEST_PHASES, MOST_PHASES = 8, 32
 MIXTURE_BYTES = 48e6  # what the three tables of a mixture may take
+BRIGHTEST_E = 1e12  # of a star whose own path is cut into segments
 SURE = 4.0  # times cheaper must star by star be: other frames may hold more
 FREQUENCIES = 65
 FEW_BRIGHT = 0.1  # of the cost of transforms: what the stars may cost that are too bright for them
@@ -92,8 +93,8 @@ def _choose(
     """A class of stars above `low_e` with its phases, what is said of it, and the CPU seconds of
     its bright and of its usual stars, 0 of those in crowds."""
     r = plan.responses
-    ways = [_Costs(plan, core, streak) for streak in streaks]
     splits = [float(np.clip(s.mixed_from_e, low_e, core.brightest_e)) for s in streaks]
+    ways = [_Costs(plan, core, *one) for one in zip(streaks, splits, strict=True)]
     usual = [counts.between(low_e, split) for split in splits]
     bright = [counts.between(split, core.brightest_e) for split in splits]
     if _in_crowds(plan, core, max(usual)):
@@ -108,7 +109,7 @@ def _choose(
     return (
         replace(core, phases=phases, mixed_phases=mixed),
         _said(core, max(usual), max(bright), phases, mixed),
-        min(mixtures_s, along_s),
+        min(mixtures_s, along_s) * _near_share(plan, core),
         usual_s if math.isfinite(max(usual)) else 0.0,
     )
 
@@ -162,15 +163,20 @@ def _blocks(plan: ResolvedScene) -> int:
 
 
 class _Costs:
-    """Seconds of drawing stars of a class in one frame, by each way."""
+    """Seconds of drawing stars of a class in one frame, by each way.
 
-    def __init__(self, plan: ResolvedScene, core: CoreClass, streak: Streak) -> None:
+    bright_e : light from which on they are bright streaks: most of these are hardly brighter
+    """
+
+    def __init__(
+        self, plan: ResolvedScene, core: CoreClass, streak: Streak, bright_e: float
+    ) -> None:
         r = plan.responses
         self._core, self._count = core, len(streak.pieces)
         self._frames = 1.0 if r.streaks.longest_px else plan.frames  # that share their tables
         self._tables = r.streaks.shapes * len(r.blurs)
         self._each = min(4, len(r.blurs))  # responses that one star is drawn by
-        self._segments = streak.path.segments
+        self._segments = _own_segments(plan, streak, bright_e)
         self._os = max(oversampling_for(b) for b in r.blurs)
         self._path = max((p.path for p in streak.pieces), key=lambda p: p.length_px)
         self._sweep = streak.path
@@ -230,6 +236,24 @@ class _Costs:
         together = 3.0 * table_bytes(phases, self._core.radius_px, piece.base) * self._tables
         most = MIXTURE_BYTES * max(1, r.streaks.shapes) if r.field is None else FIELD_BYTES
         return phases if together <= most else 0
+
+
+def _near_share(plan: ResolvedScene, core: CoreClass) -> float:
+    """Part of the stars that are counted, up to the ends of wings, whose cores reach the frame."""
+    cores, wings = (
+        math.prod(side + 2.0 * reach_px for side in plan.scene.sensor.shape)
+        for reach_px in (core.radius_px, plan.halo_px)
+    )
+    return min(1.0, cores / wings)
+
+
+def _own_segments(plan: ResolvedScene, streak: Streak, light_e: float) -> int:
+    """Segments of the own path of a star of so much light in the middle of a streak's zone."""
+    x_px, y_px = streak.followed[:, :, 1, 1].T
+    weight = np.full(len(x_px) - 1, 1.0 / (len(x_px) - 1))
+    share = densest_share(x_px, y_px, weight)
+    merge_px = plan.merged_px(np.array(min(light_e, BRIGHTEST_E)), share)
+    return path_through(x_px, y_px, weight, float(merge_px)).segments
 
 
 def cubic_bound(blur: Blur, path: Path) -> float:

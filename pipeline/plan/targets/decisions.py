@@ -53,7 +53,7 @@ def _between_nodes(basis: PlanBasis) -> list[Decision]:
             True,
             f"linear between {ends.nodes} nodes of an exposure: off by at most {off:.2g} of the "
             "light of a target in or beside the frame, of the frames looked at; paths are off by "
-            f"at most {bend_px(basis.scene, ends):.2g} px",
+            f"at most {bend_px(basis.scene, ends, basis.resolved.dut1_s):.2g} px",
             bound=off,
             unit="of a target's light",
         )

@@ -239,6 +239,6 @@ def test_paths_are_as_straight_between_nodes_as_is_asked(scene: Make, asked: flo
     share = np.arange(16) / 16.0
     between = few[..., :-1, None] * (1.0 - share) + few[..., 1:, None] * share
     off = np.hypot(*(between - many[..., :-1].reshape(between.shape)))
-    told = bend_px(s, g)
+    told = bend_px(s, g, 0.0)
     assert 0.3 * told < np.nanmax(off) <= 1.05 * told
     assert told <= FINE_PX * min(1.0, asked / 0.05)

@@ -15,7 +15,13 @@ from pipeline.errors import BadInput
 from pipeline.physics.positions.apparent import unaberrate
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.pointing.attitude_motion import motion_plan
-from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames, star_paths
+from pipeline.plan.pointing.geometry import (
+    bend_px,
+    camera_of,
+    plan_geometry,
+    sampled_frames,
+    star_paths,
+)
 from pipeline.spec.scene import Scene
 
 Make = Callable[..., Scene]
@@ -319,3 +325,12 @@ def test_a_mode_that_grows_is_refused(scene: Make, a: list[list[float]]) -> None
         every(growing)
     assert caught.value.field == "pointing.attitude.modes.0.a"
     assert f"grows by {max(a[k][k] for k in range(n)):g} per s" in str(caught.value)
+
+
+def test_random_motion_does_not_count_as_a_bend(scene: Make) -> None:
+    """What is lost of it between nodes is blur."""
+    shaken, still = (
+        scene({"pointing": SIDEREAL | more}) for more in ({"attitude": RANDOM}, {})
+    )
+    found = [bend_px(s, plan_geometry(s, np.arange(1), 0.0), 0.0) for s in (shaken, still)]
+    assert found[0] <= max(found[1], 1e-6)

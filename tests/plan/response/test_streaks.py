@@ -27,6 +27,7 @@ from pipeline.plan.response.streaks import (
     StreakPlan,
     _light_from,
     centroid,
+    densest_share,
     exact_path,
     merged_px,
     plan_streaks,
@@ -121,7 +122,9 @@ def test_the_brighter_a_star_the_closer_it_keeps_to_its_path(scene: Make, inside
     offsets = star_offsets(camera, g, x, y, True)[:, 0, 0]
     exact = (offsets[:, 1:] + offsets[:, :-1]).mean(axis=1) / 2.0
     for light_e in (1e4, 1e7, 1e10):
-        along = streak.path.length_px, plan.floor_e, plan.budget_e, plan.photons
+        whole = streak.path
+        share = densest_share(whole.x_px, whole.y_px, whole.weight)
+        along = share, plan.floor_e, plan.budget_e, plan.photons
         merge_px = merged_px(np.array([light_e]), *along)
         between = streak.zone, streak.followed, plan.own_px
         [own] = own_paths(camera, g, *between, x, y, merge_px, True)
@@ -208,3 +211,15 @@ def test_wide_fields_get_more_pieces_or_zones(scene: Make) -> None:
     assert parts == sorted(parts)
     assert parts[-1] > parts[0]
     assert all(p.spread_px <= SPREAD_TOLERANCE_PX for p in plans)
+
+
+def test_the_densest_share_of_a_path_is_where_it_rests_or_is_slowest() -> None:
+    """Of a px of it, never more than all light; that of a straight even run is 1 / length."""
+    even = np.linspace(0.0, 50.0, 9), np.zeros(9), np.full(8, 1.0 / 8.0)
+    assert densest_share(*even) == pytest.approx(1.0 / 50.0)
+    resting = np.array([0.0, 100.0, 100.0]), np.zeros(3), np.array([0.2, 0.8])
+    assert densest_share(*resting) == 1.0
+    slower = np.array([0.0, 30.0, 40.0]), np.zeros(3), np.array([0.5, 0.5])
+    assert densest_share(*slower) == pytest.approx(0.05)
+    point = np.zeros(3), np.zeros(3), np.array([0.0, 1.0])
+    assert densest_share(*point) == 1.0
