@@ -116,6 +116,26 @@ def test_the_bound_of_crowds_is_in_units_of_the_noise(monkeypatch):
     assert (found.bound, found.error, found.unit) == (0.25, pytest.approx(0.1), "sigma")
 
 
+def test_seconds_of_fewer_stars_and_of_all_stand_where_they_belong(monkeypatch):
+    from pipeline.studies.ledger import stars
+
+    def staged(data):
+        limit = data["stars"]["faintest_g_mag"]
+        few = limit == "auto"
+        section = SimpleNamespace(faintest_g_mag=15.0 if few else limit)
+        plan = SimpleNamespace(scene=SimpleNamespace(stars=section))
+        return SimpleNamespace(plan=plan, stars=[0] * (2 if few else 7), few=few)
+
+    monkeypatch.setattr(stars, "open_stage", staged)
+    drawn = {True: (1.0, np.zeros(3)), False: (9.0, np.ones(3))}
+    monkeypatch.setattr(stars, "mean_e", lambda stage: drawn[stage.few])
+    monkeypatch.setattr(stars, "timed", lambda work, _: work())
+    monkeypatch.setattr(stars, "stated", lambda *_: (2.0, "e-"))
+    [found] = stars.faint(SimpleNamespace(catalogue="none"))
+    assert (found.seconds_out, found.seconds_in, found.error) == (1.0, 9.0, 1.0)
+    assert found.how.startswith("5 stars beyond G = 15 ")
+
+
 def test_the_worst_window_counts(monkeypatch):
     """Not the last one that is looked at."""
     from pipeline.studies.ledger import drawing
