@@ -105,12 +105,12 @@ def _choose(
     tables = r.products or tables_s <= SURE * singly_s
     phases = core.phases * tables
     mixed = max(way.mixed_phases for way in ways) * (mixtures_s <= along_s)
-    usual_s = tables_s if tables else singly_s
+    usual_s, near = tables_s if tables else singly_s, _near_share(plan, core)
     return (
         replace(core, phases=phases, mixed_phases=mixed),
         _said(core, max(usual), max(bright), phases, mixed),
-        min(mixtures_s, along_s) * _near_share(plan, core),
-        usual_s if math.isfinite(max(usual)) else 0.0,
+        near * min(mixtures_s, along_s),
+        near * usual_s if math.isfinite(max(usual)) else 0.0,
     )
 
 
