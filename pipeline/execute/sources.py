@@ -238,32 +238,32 @@ def place_targets(plan: ResolvedScene, g: Geometry, everywhere: bool = False) ->
         nearest = _nearest(seen)
         x, y = x[nearest], y[nearest]
         x0, y0 = float(x[g.middle]), float(y[g.middle])
-        front = seen[:-1] & seen[1:]
-        step = np.where(front, 0.5 * (light[:-1] + light[1:]), 0.0) / len(front)
-        merge_px = _merge_px(plan, electrons * step, x, y)
-        lit = light, front, g.target_clear[i, 0], merge_px
-        path, total = _lit_path(x - x0, y - y0, *lit)
+        lit = light, seen[:-1] & seen[1:], g.target_clear[i, 0], electrons
+        path, total = _lit_path(plan, x - x0, y - y0, *lit)
         out.append(_seen(plan, g, FrameTarget(i, x0, y0, path, total * electrons)))
     return out
 
 
 def _lit_path(
+    plan: ResolvedScene,
     x_px: Array,
     y_px: Array,
     light: Array,
     front: NDArray[np.bool_],
     clear: Array,
-    merge_px: float,
+    electrons: float,
 ) -> tuple[Path, float]:
     """A target's path around its place at mid-exposure, and the mean of its light.
 
     x_px, y_px, light : (K,) at the nodes; front : (K - 1,) where it is before the camera
     clear : (K,) of the Earth; where that is far above zero nothing is cut
+    electrons : that light of 1 gives in the exposure
     """
-    if clear.min() <= np.abs(np.diff(clear, 2)).max():
-        return visible_path(x_px, y_px, light, clear, front, merge_px)
     steps = len(light) - 1
     share = np.where(front, 0.5 * (light[:-1] + light[1:]) / steps, 0.0)
+    merge_px = _merge_px(plan, electrons * share, x_px, y_px)
+    if clear.min() <= np.abs(np.diff(clear, 2)).max():
+        return visible_path(x_px, y_px, light, clear, front, merge_px)
     total = float(share.sum())
     weight = share / total if total > 0 else np.full(steps, 1.0 / steps)
     return path_through(x_px, y_px, weight, merge_px), total
