@@ -8,6 +8,7 @@ pixels by cubic B-splines. The cost does not depend on the number of sources.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,18 +123,20 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     enough = min(enough, next((k for k in (TEST_SAMPLES, 4) if n * k <= LARGEST_SIDE), 2))
     os = min(core.oversampling, enough)
     fy, fx = scipy.fft.fftfreq(n * os, 1.0 / os), scipy.fft.rfftfreq(n * os, 1.0 / os)
-    swept = transfer(fy, fx, path.x_px, path.y_px, path.weight)
-    spectrum = _wing_at(blur, core, fy, fx, os)
-    exact = scipy.fft.irfft2(spectrum * swept, s=(n * os, n * os)) * os**2
+    shifts = np.arange(3) * os // 3
+    index = (np.arange(size) - size // 2) * os - shifts[:, None]
+    rows = np.empty((3, size, fx.size), complex)  # all that is looked at, a few columns at a time
+    for part, columns in _wing_columns(blur, core, fy, fx, os):
+        swept = columns * transfer(fy, fx[part], path.x_px, path.y_px, path.weight)
+        rows[:, :, part] = scipy.fft.ifft(swept, axis=0, overwrite_x=True)[index]
     worst = 0.0
-    for step in range(3):
-        shift = step * os // 3
+    for shift, seen, of_rows in zip(shifts, index, rows, strict=True):
+        exact = scipy.fft.irfft(of_rows, n * os)[:, seen] * os**2
         at = np.full(1, size // 2 + shift / os)
         image = np.zeros((size, size))
         light = scipy.fft.rfft2(spread(grid, at, at, np.ones(1)))
         add_wings(image, (0, 0), grid, convolve(light * kernel, grid))
-        index = (np.arange(size) - size // 2) * os - shift
-        worst = max(worst, float(np.abs(image - exact[np.ix_(index, index)]).max()))
+        worst = max(worst, float(np.abs(image - exact).max()))
     return worst
 
 
@@ -175,14 +178,35 @@ def _wing_spectrum(
 
 def _wing_at(blur: Blur, core: Core, fy: Array, fx: Array, os: int) -> NDArray[np.complex128]:
     """Transform of a wing at rest at fy (n,), fx (m,) -> (n, m), for `os` samples a pixel."""
-    whole = blur.transfer(fy[:, None], fx[None, :])
-    if core.oversampling > os:
-        whole = whole * _low_pass(fy, os)[:, None] * _low_pass(fx, os)[None, :]
-    return np.asarray(whole - _core_transfer(core, fy, fx, os))
+    out = np.empty((fy.size, fx.size), complex)
+    for part, columns in _wing_columns(blur, core, fy, fx, os):
+        out[:, part] = columns
+    return out
+
+
+def _wing_columns(
+    blur: Blur, core: Core, fy: Array, fx: Array, os: int
+) -> Iterator[tuple[slice, NDArray[np.complex128]]]:
+    """The same, a few columns at a time: (which of fx, their part of the transform)."""
+    for part, of_core in _core_columns(core, fy, fx, os):
+        whole = blur.transfer(fy[:, None], fx[None, part])
+        if core.oversampling > os:
+            whole = whole * _low_pass(fy, os)[:, None] * _low_pass(fx[part], os)[None, :]
+        yield part, np.asarray(whole - of_core)
 
 
 def _core_transfer(core: Core, fy: Array, fx: Array, most: int) -> NDArray[np.complex128]:
-    """Fourier transform of the core at the frequencies fy (n,), fx (m,) -> (n, m).
+    """Fourier transform of the core at the frequencies fy (n,), fx (m,) -> (n, m)."""
+    out = np.empty((fy.size, fx.size), complex)
+    for part, columns in _core_columns(core, fy, fx, most):
+        out[:, part] = columns
+    return out
+
+
+def _core_columns(
+    core: Core, fy: Array, fx: Array, most: int
+) -> Iterator[tuple[slice, NDArray[np.complex128]]]:
+    """The same, a few columns at a time: (which of fx, their part of the transform).
 
     fy, fx : those of a real FFT over a whole number of pixels
     A core with more than `most` samples a pixel is first cut smoothly to the frequencies that so
@@ -195,13 +219,11 @@ def _core_transfer(core: Core, fy: Array, fx: Array, most: int) -> NDArray[np.co
     np.add.at(rows.T, index, samples.T)
     along = np.ascontiguousarray(scipy.fft.rfft(rows, axis=1)[:, : fx.size].T)
     wanted = np.rint(fy * period / per_px).astype(np.int64) % period
-    out = np.empty((fy.size, fx.size), complex)
     for first in range(0, fx.size, COLUMNS):
         part = slice(first, first + COLUMNS)
         columns = np.zeros((len(along[part]), period), complex)
         np.add.at(columns.T, index, along[part].T)
-        out[:, part] = scipy.fft.fft(columns, axis=1, overwrite_x=True)[:, wanted].T / per_px**2
-    return out
+        yield part, scipy.fft.fft(columns, axis=1, overwrite_x=True)[:, wanted].T / per_px**2
 
 
 def _low_pass(f: Array, samples: int) -> Array:
