@@ -22,6 +22,7 @@ INSTEAD = ("crowds_by_transforms",)  # of phase_interpolation, whose bound is co
 BESIDE_BRIGHTEST = ("few_wavelengths", "monochromatic_psf")  # as its light
 ROUNDING = 1.0 + 1e-9
 FEW_CELLS, FULL = 1 << 16, 16  # cells of a crowd that are summed in place, and for each star
+PILED = 4.0  # bright sources of one pixel whose errors may add up where no noise hides them
 UNSEEN = 1e-3  # of an approximation's part: what a star of a crowd may err by unseen
 
 
@@ -77,8 +78,13 @@ def by_wavelength(scene: Scene) -> bool:
 
 
 def part_sigma(scene: Scene) -> float:
-    """Error that one approximation may make in a pixel, in units of the pixel's noise."""
-    return scene.accuracy.noise_fraction / parts(scene)
+    """Error that one approximation may make in a pixel, in units of the pixel's noise.
+
+    More of several bright sources in one pixel, as they raise its noise; where light has no noise
+    of its own, each of PILED sources has its share of the part.
+    """
+    piled = 1.0 if scene.sensor.photon_noise else PILED
+    return scene.accuracy.noise_fraction / (parts(scene) * piled)
 
 
 def total_sigma(decisions: Iterable[Decision]) -> float:

@@ -42,7 +42,9 @@ class PlanBasis:
     def within_budget(self, component: str) -> tuple[float, float]:
         """Bound of an approximation [e-, sigma]: for the sources there are, or else its part."""
         budget_e = self.facts.budget_e
-        error_e = min(self.bounds_e.get(component, budget_e), budget_e)
+        error_e = self.bounds_e.get(component, budget_e)
+        if self.scene.sensor.photon_noise:  # of bright sources in a pixel, which raise its noise
+            error_e = min(error_e, budget_e)
         return error_e, error_e / self.facts.sigma_floor_e
 
     @property

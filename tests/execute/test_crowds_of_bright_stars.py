@@ -61,6 +61,18 @@ def test_wings_of_a_crowd_are_in_the_bound(tmp_path: Path) -> None:
     assert nothing["wing_error_of_brightest_e"] == 0.0
 
 
+@pytest.mark.parametrize("photon_noise", [True, False])
+def test_bright_stars_in_one_pixel_are_as_stated(tmp_path: Path, photon_noise: bool) -> None:
+    """400 stars within a tenth of a pixel, each at the limit of a way of drawing: their noise
+    hides what they err by together, or it is stated, and within what was asked or refused."""
+    psf = {"kind": "gaussian", "sigma_px": 0.7}
+    data = scene(tmp_path, 0.05, 16.0, psf) | {"accept": ["coverage", "error"]}
+    data["sensor"] |= {"photon_noise": photon_noise}
+    errors = render(parse_scene(data), tmp_path / "product")["errors"]
+    assert errors["windows"] >= 1
+    assert errors["achieved_error_sigma"] <= errors["bound_of_all_approximations_sigma"]
+
+
 def test_sharp_light_does_not_end_at_the_centre_of_a_pixel(tmp_path: Path) -> None:
     """Stars beside corners of pixels, whose light ends before the centres of their neighbours."""
     data = scene(tmp_path, 12.0, 6.0, {"kind": "gaussian", "sigma_px": 0.1})

@@ -55,6 +55,7 @@ STILL = StreakPlan(1, 1, 0.0, 0.0, 1, 0.0, 0.0)
 NEGLIGIBLE = 0.1  # of the error of the wings' grid
 EDGE_OVER = 1.5  # radii of a core within which the brightest place beyond it is looked for
 FINER_EDGE, MOST_EDGE = 4, 1024  # times more samples a pixel there, up to so many across
+NONE_BEYOND = 1e-16  # of the light: less is no more than the rounding of a transform
 PASSING = 3.2  # radii of a streak's way
 PLACES = 1.5  # for sub-pixel places at which the grid's error was not measured
 MARGIN = 1.6  # for stars whose paths were not compared
@@ -262,7 +263,7 @@ def _star_streaks(
 ) -> tuple[Path, StreakPlan]:
     """The shortest piece of the stars' streaks, and how they are drawn; at rest without stars."""
     if scene.stars is None:
-        return POINT, STILL
+        return POINT, replace(STILL, photons=scene.sensor.photon_noise)
     asked, aberration = scene.accuracy.noise_fraction, scene.star_effects["aberration"]
     floor_e = facts.budget_e / part_sigma(scene)  # that the budget is made for
     edge = max(_edge(b) for b in blurs)
@@ -544,8 +545,10 @@ def end_share(blur: Blur, radius_px: float) -> float:
     """Most that a pixel lacks where a core without wings ends, per unit light of the source.
 
     The light of a square pixel as bright as the brightest place beyond the core (of the light
-    before pixels collect it), up to which it is smooth.
+    before pixels collect it), up to which it is smooth; no more than all the light beyond.
     """
+    if (beyond := blur.light_beyond(radius_px)) < NONE_BEYOND:
+        return beyond
     period = 2 * math.ceil(EDGE_OVER * radius_px) + 4
     os = oversampling_for(blur)
     os *= FINER_EDGE if FINER_EDGE * os * period <= MOST_EDGE else 1

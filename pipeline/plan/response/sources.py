@@ -204,6 +204,8 @@ def _together(cell: NDArray[np.int64], value: Array) -> float:
 def _within(r: ResponsePlan, cell: NDArray[np.int64], error_e: Array) -> float:
     """What errors of sources (n,) add up to in a cell, or one approximation's part.
 
-    More than that, of bright sources in one pixel, their noise hides: it adds up, too.
+    More than that, of bright sources in one pixel, their noise hides, if light has any: it adds
+    up, too.
     """
-    return min(_together(cell, error_e), r.budget_e)
+    together = _together(cell, error_e)
+    return min(together, r.budget_e) if r.streaks.photons else together

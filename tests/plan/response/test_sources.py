@@ -141,6 +141,13 @@ def test_sources_of_one_place_err_together() -> None:
     assert budget == pytest.approx(BUDGET_E)  # brighter ones stand at their exact places
 
 
+def test_noise_hides_more_than_a_part_of_bright_sources_if_light_has_any() -> None:
+    lights = 100 * [1e6]  # each of which errs by 0.04 of a part
+    for photons, expected in ((True, BUDGET_E), (False, 100 * 2.0 * SHOWN * BUDGET_E)):
+        r = responses(streaks=streaks(photons=photons))
+        assert of_stars(r, stars(r, *lights)).errors_e["common_streak"] == pytest.approx(expected)
+
+
 def test_bounds_together() -> None:
     one, other = (
         SourceBounds(b, {WINGS: w, "common_streak": 0.3 * w}) for b, w in ((3.0, 0.2), (7.0, 0.1))
