@@ -12,6 +12,7 @@ from pipeline.errors import BadInput
 from pipeline.spec.pointing.dwell import Dwell, Slew
 from pipeline.spec.pointing.pointing import Pointing
 from pipeline.spec.scene import Exposure, Scene
+from pipeline.spec.sensor.detector import RollingShutter
 
 MOST_FRAMES = 100_000
 BIAS_PLANNED_AS_S = 1e-6  # what plans take for the exposure of bias frames: no light, no division
@@ -83,10 +84,19 @@ def dwell_plans(scene: Scene) -> tuple[DwellPlan, ...]:
         start, slew = _begin_s(i, dwell, end)
         pointing, frames = dwell.pointing or scene.pointing, dwell.frames or exposure.frames
         out.append(DwellPlan(i, dwell, pointing, first, frames, start, step, times, slew))
-        first, end = first + frames, out[-1].end_s
+        first, end = first + frames, out[-1].end_s + last_row_late_s(scene)
     if first > MOST_FRAMES:
         raise BadInput("dwells", f"{first} frames", f"at most {MOST_FRAMES} frames in all")
     return tuple(out)
+
+
+def last_row_late_s(scene: Scene) -> float:
+    """How much longer than the first row the last one is exposed: 0 but for rolling shutters."""
+    d = scene.sensor.detector
+    readout = None if d is None else d.readout
+    if not isinstance(readout, RollingShutter):
+        return 0.0
+    return readout.line_s * (scene.sensor.shape[0] - 1)
 
 
 def _times_s(exposure: Exposure, i: int, dwell: Dwell) -> tuple[tuple[float, ...], float | None]:

@@ -17,6 +17,7 @@ from pipeline.errors import BadInput
 from pipeline.physics.motion.rolling import exposed_longer, rolled, rolled_sources, row_delay_s
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.pointing.star_paths import excursions_px, star_paths
+from pipeline.plan.timing import dwell_plans
 from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -190,9 +191,11 @@ def test_stars_come_from_as_far_whichever_row_is_first(first: str) -> None:
 
 def test_limits_light_and_what_is_not_there() -> None:
     t, zero = np.linspace(0.0, 1.0, 5), np.zeros(5)
-    x, y, light, clear = rolled_sources(zero, zero + 50.0, 1.0 + t, 2.0 - t, t, 1e-2, 100)
+    x, y, light, clear = rolled_sources(
+        zero, zero + 50.0, 1.0 + t, 2.0 + 0.99 * t, 2.0 - t, t, 1e-2, 100
+    )
     np.testing.assert_allclose((x, y), (zero, zero + 50.0))
-    np.testing.assert_allclose(light, np.minimum(1.5 + t, 2.0))
+    np.testing.assert_allclose(light, 1.5 + t)  # the last row's exposure ends 0.99 s later
     np.testing.assert_allclose(clear, 1.5 - t)  # goes on beyond the last node
     gone = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
     x, y, delay = rolled(gone, gone, t, 1e-2, 100)
@@ -225,3 +228,50 @@ def test_the_readout_takes_a_line_for_each_row(shape: Any, rows: int, catalogue:
     data["sensor"]["shape"] = shape
     told = [d["reason"] for d in plan_scene(parse_scene(data))["decisions"]]
     assert sum(f"row by row in {(rows - 1) * LINE_S:.4g} s" in reason for reason in told) == 1
+
+
+def curve(drop_s: float) -> dict[str, Any]:
+    """A target that falls from magnitude 5 to 12 in 10 ms, seen from 4.2e7 m away."""
+    body = {"kind": "light_curve", "times_s": [-99.0, drop_s, drop_s + 0.01, 99.0]}
+    return TARGET | {"body": body | {"magnitudes": [5.0, 5.0, 12.0, 12.0]}}
+
+
+def test_light_after_the_first_rows_exposure_is_that_of_its_own_row(tmp_path: Path) -> None:
+    """The target's row, in the middle, is exposed after the light has fallen."""
+    delay_s = LINE_S * (SIDE - 1) / 2
+    short = {"exposure": {"integration_s": 0.1, "frames": 1}}
+    pointing = {"mode": "target", "target": "t"}
+    observer = {"kind": "ground", "latitude_deg": 0.0, "longitude_deg": 170.0}
+
+    def electrons(name: str, readout: Any, **more: Any) -> float:
+        made = scene(
+            None, 0.0, readout, targets=[curve(0.0)], pointing=pointing, observer=observer,
+            accept=["daylight", "sun", "moon"], **(short | more),
+        )  # fmt: skip
+        render(made, tmp_path / name, Options("synchronous"))
+        return float(pd.read_parquet(tmp_path / name / "truth" / "targets.parquet").electrons[0])
+
+    rolling = electrons("rolling", {"line_s": LINE_S})
+    shifted = {"dwells": [{"frames": 1, "start_s": delay_s, "integration_s": 0.1}]}
+    assert rolling == pytest.approx(electrons("shifted", None, **shifted), rel=1e-3)
+    assert rolling < 0.1 * electrons("plain", None)
+
+
+def test_a_slew_starts_when_the_last_row_is_exposed() -> None:
+    dwells = [{"frames": 2}, {"frames": 1, "slew": {"duration_s": 3.0}}, {"frames": 1}]
+    plain, rolling = (
+        dwell_plans(scene(None, 0.0, readout, dwells=dwells))
+        for readout in (None, {"line_s": LINE_S})
+    )
+    late_s = LINE_S * (SIDE - 1)
+    assert plain[1].slew_s == pytest.approx((2 * TIME_S, 2 * TIME_S + 3.0))
+    assert rolling[1].slew_s == pytest.approx((2 * TIME_S + late_s, 2 * TIME_S + late_s + 3.0))
+    assert rolling[2].start_s == pytest.approx(plain[2].start_s + 2 * late_s)
+
+
+def test_a_fast_dwell_is_refused_however_many_there_are() -> None:
+    fast = {"mode": "rate", "boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG,
+            "rate_ra_arcsec_s": 300.0, "rate_dec_arcsec_s": 0.0}  # fmt: skip
+    dwells = [{"frames": 1, "pointing": fast} if k == 70 else {"frames": 1} for k in range(80)]
+    with pytest.raises(BadInput, match="px from row to row"):
+        plan_scene(scene(None, 0.0, {"line_s": LINE_S}, dwells=dwells))

@@ -207,7 +207,7 @@ when, y = a(0, .5, 1), np.array([[1, 2, 3.], [50, 55, 61], [90, 90, 90], [np.nan
 [rolling.row_delay_s(a(-999, -1, 0, 5, 99, 999), s, 100) for s in (2e-3, 0., -2e-3)],
     rolling.later(y[:2], when, .1), rolling.later(y[:2], 0 * when, .1)
 [rolling.rolled(y[::-1], y, when, s, 100) for s in (1e-3, -1e-3, .05)],
-    rolling.rolled_sources(y[:3], y[:3], y[:3] + 1, y[:3] / 99, when, 1e-2, 100)
+    rolling.rolled_sources(y[:3], y[:3], y[:3] + 1, y[:3] + 9, y[:3] / 99, when, 1e-2, 100)
 disturbance.turned(np.repeat(np.eye(3)[None], 4, 0), a(0, 1e-9, .3, 0), a(0, 0, -.4, 3), a(0, 0, .1,
     3.2))
 far = disturbance.rotation_of(a(0, 0, 0, 1e-12, 0, 0, .3, -.2, 3, 0, np.pi, 0).reshape(4, 3))

@@ -72,19 +72,30 @@ def exposed_longer(delay_s: Array, time_s: Array) -> Array:
 
 
 def rolled_sources(
-    x_px: Array, y_px: Array, light: Array, clear: Array, time_s: Array, line_s: float, rows: int
+    x_px: Array,
+    y_px: Array,
+    light: Array,
+    late: Array,
+    clear: Array,
+    time_s: Array,
+    line_s: float,
+    rows: int,
 ) -> tuple[Array, Array, Array, Array]:
     """Paths, light and clearance (..., K) of sources as the rows of a rolling shutter see them.
 
     See `rolled`. Light and clearance of the Earth are those of the later moment, straight between
-    nodes, and beyond the last one the light as there.
+    nodes. late : light (..., K) at as many even moments from the last node to the end of the last
+    row's exposure; beyond them it is as there.
     """
     x, y, delay = rolled(x_px, y_px, time_s, line_s, rows)
     steps = light.shape[-1] - 1
     times = np.broadcast_to(time_s, light.shape)
-    took = _took(times)
-    at = np.clip((times - times[..., :1] + delay) / took * steps, 0.0, float(steps))
-    low = np.minimum(at.astype(np.int64), steps - 1)
-    before, after = (np.take_along_axis(light, low + k, axis=-1) for k in (0, 1))
-    seen = before + (at - low) * (after - before)
+    took, readout_s = _took(times), abs(line_s) * max(1, rows - 1)
+    since = times - times[..., :1] + delay
+    after = np.maximum(0.0, since - took) / readout_s
+    at = (np.clip(since / took, 0.0, 1.0) + np.clip(after, 0.0, 1.0)) * steps
+    every = np.concatenate([light, late[..., 1:]], axis=-1)
+    low = np.minimum(at.astype(np.int64), 2 * steps - 1)
+    before, behind = (np.take_along_axis(every, low + k, axis=-1) for k in (0, 1))
+    seen = before + (at - low) * (behind - before)
     return x, y, seen * exposed_longer(delay, times)[..., None], later(clear, times, delay)

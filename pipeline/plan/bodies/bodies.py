@@ -197,3 +197,19 @@ def flicker_shares(g: Geometry, which: NDArray[np.bool_] | None = None) -> Array
     off = np.abs(pairs - coarse).sum(axis=-1)
     counts = total > 0.0 if which is None else (total > 0.0) & which
     return np.max(np.divide(off, total, out=np.zeros_like(off), where=counts), axis=0)
+
+
+def missed_shares(g: Geometry, which: NDArray[np.bool_], step: int) -> Array:
+    """How much light straight lines between every `step`-th node put wrongly in time (F,).
+
+    As a share of a target's in its exposure; the worst of the targets that are true in `which`
+    (T, F).
+    """
+    light, part = g.target_light, np.arange(step) / step
+    if not light.size:
+        return np.zeros(len(g.frame))
+    begin, end = light[..., :-step:step, None], light[..., step::step, None]
+    lines = ((1.0 - part) * begin + part * end).reshape(*light.shape[:-1], -1)
+    off, total = (np.abs(v).sum(axis=-1) for v in (light[..., :-1] - lines, light[..., :-1]))
+    counts = (total > 0.0) & which
+    return np.max(np.divide(off, total, out=np.zeros_like(off), where=counts), axis=0)

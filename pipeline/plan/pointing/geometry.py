@@ -27,22 +27,30 @@ from pipeline.physics.positions.limb import limb_angle
 from pipeline.physics.positions.orbit import check_above_earth
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import separation, to_angles
-from pipeline.plan.bodies.bodies import flicker_shares
+from pipeline.plan.bodies.bodies import flicker_shares, missed_shares
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.bodies.paths import target_paths
 from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.plan.pointing.air import air_of, check_height, lifted
 from pipeline.plan.pointing.attitude_motion import motion_plan, random_motion_rad
-from pipeline.plan.pointing.paths import LONGEST_STREAK_PX, bends_px, check_paths, near_frame
+from pipeline.plan.pointing.paths import (
+    LONGEST_STREAK_PX,
+    bends_px,
+    check_paths,
+    missed_px,
+    near_frame,
+)
 from pipeline.plan.pointing.pointing import Vantage, attitudes, pointing_field, swept_rad
 from pipeline.plan.pointing.site import axes_of, place_of
 from pipeline.plan.pointing.star_paths import field_points, star_paths
+from pipeline.plan.pointing.timescales import looks
 from pipeline.plan.timing import (
     dwell_of,
     dwell_plans,
     frame_count,
     frame_times,
     integration_range_s,
+    last_row_late_s,
 )
 from pipeline.spec.pointing.observer import FixedObserver, GroundObserver
 from pipeline.spec.pointing.pointing import RatePointing, SiderealPointing, TargetPointing
@@ -104,15 +112,17 @@ def sampled_frames(scene: Scene) -> NDArray[np.int64]:
     return np.unique(frames).astype(np.int64)
 
 
-def plan_geometry(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> Geometry:
+def plan_geometry(
+    scene: Scene, frames: NDArray[np.int64], dut1_s: float, least: int = FEWEST_NODES
+) -> Geometry:
     """Geometry of the given frames; nodes are doubled until paths and light are straight between.
 
     Each frame stands on its own: the same frame gives the same bits in whatever window it is asked
     for. The number of nodes follows from `sampled_frames` of the whole scene; a frame that needs
-    more gets more of its own (`Refined`). Raises BadInput for a sensor that looks at the Earth,
-    orbits inside it and absurd motion.
+    more gets more of its own (`Refined`); `least` are there anyway. Raises BadInput for a sensor
+    that looks at the Earth, orbits inside it and absurd motion.
     """
-    nodes = _nodes(scene, dut1_s)
+    nodes = max(_nodes(scene, dut1_s), least)
     return _finer(scene, _geometry(scene, frames, nodes, dut1_s), dut1_s)
 
 
@@ -125,7 +135,8 @@ def _nodes(scene: Scene, dut1_s: float) -> int:
         if known is scene and dut1 == dut1_s:
             return nodes
     _check_rates(scene)
-    looked_at, nodes = sampled_frames(scene), FEWEST_NODES
+    looked_at = sampled_frames(scene)
+    nodes = int(_seen_from(scene, looked_at, dut1_s).max())
     while True:
         g = _geometry(scene, looked_at, nodes, dut1_s)
         if not _needs_more(scene, g, nodes, _star_paths(scene, g)).any():
@@ -142,9 +153,10 @@ def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
     """The geometry with the random motion, and more nodes for the frames that need them."""
     finer: dict[int, Geometry] = {}
     left, made, nodes = np.arange(len(geometry.frame)), geometry, geometry.nodes
-    paths = first = _star_paths(scene, geometry)
+    paths, seen_from = _star_paths(scene, geometry), _seen_from(scene, geometry.frame, dut1_s)
+    first = paths
     while True:
-        more = _needs_more(scene, made, nodes, paths)
+        more = _needs_more(scene, made, nodes, paths) | (seen_from[left] > nodes)
         if nodes > geometry.nodes:
             finer |= {int(left[k]): made.frame_slice(int(k)) for k in np.flatnonzero(~more)}
         left = left[more]
@@ -164,6 +176,30 @@ def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
     return Refined.of(geometry, finer) if finer else geometry
 
 
+def _seen_from(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> NDArray[np.int64]:
+    """From how many nodes (F,) on each frame shows what happens between fewer ones."""
+    many = looks(scene, frames)
+    out = np.full(len(frames), FEWEST_NODES)
+    for k in np.flatnonzero(many > FEWEST_NODES):
+        g = _geometry(scene, frames[k : k + 1], int(many[k]), dut1_s)
+        paths, near = _star_paths(scene, g), near_frame(scene, g)
+        while out[k] < many[k]:
+            step = (int(many[k]) - 1) // (int(out[k]) - 1)
+            bent = missed_px(scene, g, paths, step)[0] > _straight_px(scene, int(out[k]))
+            dim = missed_shares(g, near, step)[0] > scene.accuracy.flux_fraction
+            if not (bent or (dim and out[k] < MOST_LIGHT_NODES)):
+                break
+            out[k] = 2 * out[k] - 1
+    return out
+
+
+def _straight_px(scene: Scene, nodes: int) -> float:
+    """How far paths may be from straight between so many nodes."""
+    if nodes >= FINE_NODES:
+        return PATH_TOLERANCE_PX
+    return FINE_PX * min(1.0, scene.accuracy.noise_fraction / USUAL_FRACTION)
+
+
 def _needs_more(scene: Scene, g: Geometry, nodes: int, paths: Array) -> NDArray[np.bool_]:
     """Frames (F,) whose paths (of stars: `paths`) or light are not straight between the nodes.
 
@@ -171,8 +207,7 @@ def _needs_more(scene: Scene, g: Geometry, nodes: int, paths: Array) -> NDArray[
     rows may be noisy, is drawn as it is there, and the plan says how far it is off.
     """
     bends = bends_px(scene, g, paths)
-    fine_px = FINE_PX * min(1.0, scene.accuracy.noise_fraction / USUAL_FRACTION)
-    bent = bends > (fine_px if nodes < FINE_NODES else PATH_TOLERANCE_PX)
+    bent = bends > _straight_px(scene, nodes)
     if bent.any() and nodes >= MOST_NODES:
         tables = [p for p in dwell_plans(scene) if p.pointing.mode == "table"]
         if bends.max() > ROUGH_PX or not tables:
@@ -262,7 +297,9 @@ def _geometry(
     x, y, light = t.x_px.reshape(each), t.y_px.reshape(each), t.light.reshape(each)
     clear = t.clear.reshape(each)
     if camera.line_s:
-        seen = x, y, light, clear
+        until = offset[:, [-1]] + within * last_row_late_s(scene)
+        late = _light(scene, frames, until, dut1_s)
+        seen = x, y, light, late, clear
         x, y, light, clear = rolled_sources(*seen, since, camera.line_s, camera.rows)
     return Geometry(
         frames,
@@ -288,6 +325,17 @@ def _geometry(
         t.turn_rad,
         np.empty((*grid, 0)) if air is None else air.reshape(*grid, 5),
     )
+
+
+def _light(scene: Scene, frames: NDArray[np.int64], offset_s: Array, dut1_s: float) -> Array:
+    """Light (T, F, K) of the targets at moments (F, K) as cameras of these frames are pointed."""
+    at = moments_at(scene, dut1_s, offset_s.ravel())
+    which = np.repeat(dwell_of(dwell_plans(scene), frames), offset_s.shape[1])
+    attitude, air = attitudes(scene, which, _vantage(scene, at)), air_of(scene, at.times)
+    if air is not None:
+        attitude = lifted(attitude, air)
+    found = target_paths(scene, camera_of(scene), attitude, at, len(frames), air)
+    return found.light.reshape(len(scene.targets), *offset_s.shape)
 
 
 def late_geometry(scene: Scene, g: Geometry, dut1_s: float, late_s: float) -> Geometry:

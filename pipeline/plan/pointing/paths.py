@@ -19,8 +19,16 @@ def bends_px(scene: Scene, g: Geometry, stars: Array) -> Array:
 
     stars : (2, n, F, K) paths of some stars. Linear interpolation between nodes twice as far apart
     errs four times as much, so a quarter of what it misses at the nodes between is the error of the
-    nodes themselves. Of paths that leave the camera's view only what is near the frame counts.
-    Raises BadInput for streaks longer than LONGEST_STREAK_PX.
+    nodes themselves. Raises BadInput for streaks longer than LONGEST_STREAK_PX.
+    """
+    return missed_px(scene, g, stars, 2) / 4.0
+
+
+def missed_px(scene: Scene, g: Geometry, stars: Array, step: int) -> Array:
+    """What straight lines between every `step`-th node miss at the nodes between, (F,) at worst.
+
+    stars : (2, n, F, K) paths of some stars. Of paths that leave the camera's view only what is
+    near the frame counts. Raises BadInput for streaks longer than LONGEST_STREAK_PX.
     """
     beside = np.where(near_frame(scene, g)[..., None], 0.0, np.nan)  # others do not count
     xs = np.concatenate([g.target_x_px + beside, stars[0]])
@@ -28,18 +36,17 @@ def bends_px(scene: Scene, g: Geometry, stars: Array) -> Array:
     if not xs.size:
         return np.zeros(len(g.frame))
     whole = np.isfinite(xs).all(axis=-1)
+    near = np.hypot(xs - 0.5 * scene.sensor.shape[1], ys - 0.5 * scene.sensor.shape[0])
+    near = whole[..., None] | (near < NEAR_PX + max(scene.sensor.shape))
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.hypot(np.diff(xs, axis=-1), np.diff(ys, axis=-1)).sum(axis=-1)
         longest = np.where(whole, length, 0.0).max()
-        bend = np.hypot(
-            xs[..., 1:-1:2] - 0.5 * (xs[..., :-2:2] + xs[..., 2::2]),
-            ys[..., 1:-1:2] - 0.5 * (ys[..., :-2:2] + ys[..., 2::2]),
-        )
-        if not whole.all():
-            near = np.hypot(xs - 0.5 * scene.sensor.shape[1], ys - 0.5 * scene.sensor.shape[0])
-            near = near < NEAR_PX + max(scene.sensor.shape)
-            counts = near[..., 1:-1:2] & (near[..., :-2:2] | near[..., 2::2])
-            bend = np.where(whole[..., None] | (counts & np.isfinite(bend)), bend, 0.0)
+        bend = np.zeros(len(g.frame))
+        for k in range(1, step):
+            off = np.hypot(_off(xs, step, k), _off(ys, step, k))
+            counts = near[..., k::step] & (near[..., :-step:step] | near[..., step::step])
+            off = np.where(counts & np.isfinite(off), off, 0.0)
+            bend = np.maximum(bend, off.max(axis=(0, 2)))
     if longest > LONGEST_STREAK_PX:
         raise BadInput(
             "exposure.integration_s",
@@ -47,7 +54,14 @@ def bends_px(scene: Scene, g: Geometry, stars: Array) -> Array:
             f"streaks of at most {LONGEST_STREAK_PX:.0f} px; here {longest:.3g} px in one "
             "exposure (see pointing rates and orbits)",
         )
-    return bend.max(axis=(0, 2)) / 4.0
+    return bend
+
+
+def _off(v: Array, step: int, k: int) -> Array:
+    """How far the k-th of `step` nodes is from the line between those before and after it."""
+    part = k / step
+    line = (1.0 - part) * v[..., :-step:step] + part * v[..., step::step]
+    return np.asarray(v[..., k::step] - line)
 
 
 def near_frame(scene: Scene, g: Geometry, beside_px: float = 0.0) -> NDArray[np.bool_]:

@@ -224,6 +224,12 @@ def _from_table(scene: Scene, plan: DwellPlan, p: TablePointing, offset_s: Array
     return attitudes_at(table, np.clip(at, first, last))
 
 
+def rows_s(scene: Scene, plan: DwellPlan, p: TablePointing) -> Array:
+    """Times of a table's rows (n,), after the scene's epoch [s]."""
+    table = quaternion_table(p, pointing_field(plan, "rows"))
+    return np.asarray(table.time_s - _epoch_shift_s(p, scene.epoch, plan))
+
+
 @lru_cache(maxsize=16)
 def quaternion_table(p: TablePointing, field: str) -> AttitudeTable:
     """The rows of a scene's table as unit quaternions camera to sky, scalar last.

@@ -13,9 +13,10 @@ from pipeline.physics.positions.apparent import aberrate, unaberrate
 from pipeline.physics.positions.focal_plane import Camera, deproject, project
 from pipeline.physics.positions.refraction import refract, unrefract
 from pipeline.plan.pointing.attitude_motion import motion_plan
-from pipeline.plan.pointing.geometry import camera_of, late_geometry
+from pipeline.plan.pointing.geometry import camera_of, late_geometry, plan_geometry
 from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.pointing.star_paths import field_points, still_paths
+from pipeline.plan.timing import dwell_plans, last_row_late_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import RollingShutter
 
@@ -47,8 +48,7 @@ def rolling_shutter(
             "a readout without rows in turn, or targets of their own: populations are screened for "
             "the time of the first row",
         )
-    readout_s = r.line_s * (scene.sensor.shape[0] - 1)
-    lit = _exposed(ends)
+    lit, readout_s = _exposed(_of_every_dwell(scene, ends, dut1_s)), last_row_late_s(scene)
     speed = max((_fastest_px_s(scene, g) for g in lit), default=0.0)
     shear = speed * r.line_s
     if shear > MOST_SHEAR:
@@ -73,9 +73,16 @@ def rolling_shutter(
         f"parabola from its path in the first row's, {off:.2g} px off at most. Its image is drawn "
         f"as of one row: a shear of {shear:.2g} px for each row from its middle is omitted, less "
         "than that fraction of its brightest pixel. Sky, ranges and the WCS are of the first row's "
-        "time; light that changes beyond the first row's exposure stays as it is at its end"
+        "time"
     )
     return told, off
+
+
+def _of_every_dwell(scene: Scene, g: Geometry, dut1_s: float) -> Geometry:
+    """The geometry with the first and the last frame of each dwell."""
+    edges = [k for p in dwell_plans(scene) for k in (p.first, p.first + p.frames - 1)]
+    frames = np.union1d(g.frame, edges)
+    return g if len(frames) == len(g.frame) else plan_geometry(scene, frames, dut1_s)
 
 
 def _exposed(g: Geometry) -> list[Geometry]:

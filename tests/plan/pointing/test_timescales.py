@@ -1,0 +1,153 @@
+"""What is short against an exposure, or comes back as often as its nodes, is seen all the same."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.pointing.timescales import looks
+from pipeline.spec.load import parse_scene
+from pipeline.spec.scene import Scene
+
+PX_ARCSEC = np.degrees(9e-6 / 0.4) * 3600.0
+SCENE: dict[str, Any] = {
+    "schema": "nightglass/scene/1", "name": "short", "epoch": "2019-05-12T09:00:00Z", "seed": 7,
+    "observer": {
+        "kind": "orbit",
+        "orbit": {
+            "kind": "state", "position_m": [7131858.8, -812572.7, 0.0],
+            "velocity_m_s": [-117.404, -1030.438, 7379.381],
+        },
+    },
+    "sensor": {
+        "shape": [64, 64], "pixel_pitch_um": 9, "focal_length_m": 0.4, "aperture_m": 0.2,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 0.8}, "read_noise_e": 6,
+    },
+    "pointing": {"mode": "target", "target": "ball"},
+    "exposure": {"integration_s": 1.0},
+    "targets": [{
+        "name": "ball",
+        "orbit": {
+            "kind": "state", "position_m": [4407338.1, -41933021.2, 0.0],
+            "velocity_m_s": [3057.8229, 321.3901, 0.0],
+        },
+        "body": {"kind": "sphere", "diameter_m": 4, "albedo": 0.25},
+    }],
+}  # fmt: skip
+
+
+def scene(body: dict[str, Any] | None = None, **more: Any) -> Scene:
+    data = copy.deepcopy(SCENE) | more
+    if body is not None:
+        data["targets"][0]["body"] = body
+    return parse_scene(data)
+
+
+def light(made: Scene, frame: int = 0) -> np.ndarray:
+    return plan_geometry(made, np.array([frame]), 0.0).frame_slice(0).target_light[0, 0]
+
+
+def mean_light(made: Scene) -> float:
+    values = light(made)
+    return float(np.trapezoid(values, dx=1.0 / (len(values) - 1)))
+
+
+@pytest.mark.parametrize("period_s", [0.125, 0.0625, 0.124, 0.25])
+def test_light_that_repeats_as_often_as_the_nodes(period_s: float) -> None:
+    """A period of an eighth of the exposure meets nine nodes at one phase."""
+    times, magnitudes = [0.0, period_s / 2, period_s], [5.0, 9.0, 5.0]
+    curve = {"kind": "light_curve", "times_s": times, "magnitudes": magnitudes}
+    steady = scene(curve | {"times_s": [-99.0, 0.0, 99.0], "magnitudes": 3 * [5.0]})
+    mean, _ = quad(lambda u: 10.0 ** (-1.6 * u), 0.0, 1.0)
+    found = mean_light(scene(curve | {"period_s": period_s})) / mean_light(steady)
+    partly = abs(1.0 / period_s - round(1.0 / period_s)) * period_s  # of a period beyond whole ones
+    assert found == pytest.approx(mean, rel=2e-3 + 1.5 * partly)
+
+
+def test_a_flash_between_two_nodes() -> None:
+    """Twenty milliseconds in a second, a thousand times the light."""
+    curve = {"kind": "light_curve", "times_s": [-10.0, 0.39, 0.4, 0.41, 10.0]}
+    flash = scene(curve | {"intensities_m2_sr": [0.01, 0.01, 10.0, 0.01, 0.01]})
+    steady = scene(curve | {"intensities_m2_sr": 5 * [0.01]})
+    assert mean_light(flash) / mean_light(steady) == pytest.approx(1.0 + 999.0 * 0.01, rel=0.05)
+
+
+def test_a_plate_that_spins_at_a_round_rate() -> None:
+    """Whole turns between nodes: the mean of its light over a turn, not that of one attitude."""
+    spin = {"kind": "spin", "axis": [1.0, 0.0, 0.0], "rate_deg_s": 0.0}
+    plate = {"kind": "plate", "area_m2": 3.0, "albedo": 0.2, "two_sided": True}
+    held = [
+        mean_light(scene(plate | {"attitude": spin | {"phase_deg": float(p)}}))
+        for p in np.arange(0.0, 360.0, 2.0)
+    ]
+    turning = scene(plate | {"attitude": spin | {"rate_deg_s": 1440.0}})
+    assert mean_light(turning) == pytest.approx(np.mean(held), rel=2e-3)
+
+
+@pytest.mark.parametrize("frequency_hz", [8.0, 16.0])
+def test_settling_as_fast_as_the_nodes(frequency_hz: float) -> None:
+    settle = {"amplitude_arcsec": PX_ARCSEC, "frequency_hz": frequency_hz, "damping": 0.0}
+    dwells = [{"frames": 1}, {"frames": 1, "slew": {"duration_s": 1}, "settle": settle}]
+    g = plan_geometry(scene(dwells=dwells), np.array([1]), 0.0).frame_slice(0)
+    x = g.target_x_px[0, 0]
+    assert np.ptp(x) == pytest.approx(2.0, abs=0.02)
+    assert np.std(x - x.mean()) == pytest.approx(1.0 / np.sqrt(2.0), abs=0.02)
+    assert np.ptp(plan_geometry(scene(dwells=dwells), np.array([0]), 0.0).target_x_px) < 0.1
+
+
+def test_a_bump_in_a_table_of_attitudes() -> None:
+    """Three rows of a table, in a thirtieth of the exposure, of 3 px."""
+    still = parse_scene(SCENE)
+    quiet = plan_geometry(still, np.array([0]), 0.0)
+    z = quiet.attitude[0, quiet.middle, 2]
+    east = np.cross([0.0, 0.0, 1.0], z) / np.hypot(*z[:2])
+    north = np.cross(z, east)
+    times = np.concatenate([[-1.0, 0.0], 0.53 + 0.01 * np.arange(-2, 3), [1.0, 2.0]])
+    bump_px = np.where(np.abs(times - 0.53) < 5e-3, 3.0, 0.0)
+    rows = []
+    for t, off in zip(times, bump_px, strict=True):
+        turn = off * np.radians(PX_ARCSEC / 3600.0)
+        up, side = np.cos(turn) * z + np.sin(turn) * north, east
+        axes = np.stack([side, np.cross(up, side), up], axis=1)  # camera to sky, right-handed
+        rows.append([t, *_quaternion(axes)])
+    table = {"mode": "table", "rows": rows, "scalar": "first", "frame": "gcrs"}
+    g = plan_geometry(scene(pointing=table), np.array([0]), 0.0).frame_slice(0)
+    path = np.stack([g.target_x_px[0, 0], g.target_y_px[0, 0]])
+    apart = np.hypot(*(path - np.linspace(path[:, 0], path[:, -1], g.nodes).T))
+    assert apart.max() == pytest.approx(3.0, abs=0.3)
+
+
+def _quaternion(m: np.ndarray) -> list[float]:
+    """Of a rotation matrix, scalar first (Shepperd 1978)."""
+    trace = np.trace(m)
+    four = np.array([trace, *np.diag(m)])
+    k = int(np.argmax(four))
+    sums = [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]
+    if k == 0:
+        q = np.array([1.0 + trace, *sums])
+    else:
+        i = k - 1
+        j, n = (i + 1) % 3, (i + 2) % 3
+        q = np.zeros(4)
+        q[0], q[1 + i] = sums[i], 1.0 + 2.0 * m[i, i] - trace
+        q[1 + j], q[1 + n] = m[i, j] + m[j, i], m[i, n] + m[n, i]
+    return list((q / np.sqrt(q @ q)).tolist())
+
+
+def test_rows_and_turns_are_looked_at_where_they_are() -> None:
+    frames, exposure = np.arange(60), {"integration_s": 1.0, "frames": 60, "cadence_s": 1.0}
+    curve = {"kind": "light_curve", "times_s": [-99.0, 50.0, 50.01, 999.0]}
+    made = scene(curve | {"magnitudes": [5.0, 5.0, 9.0, 9.0]}, exposure=exposure)
+    many = looks(made, frames)
+    assert (many[:49] == 9).all()
+    assert many[50] == 513  # 4 looks from row to row: 401 or more
+    spin = {"kind": "box", "albedo": 0.2, "size_m": [1.0, 2.0, 3.0]}
+    for rate, expected in ((0.0, 9), (-20.0, 9), (360.0, 33), (3.6e4, 1025)):
+        law = {"kind": "spin", "axis": [0.0, 0.0, 1.0], "rate_deg_s": rate}
+        assert (looks(scene(spin | {"attitude": law}, exposure=exposure), frames) == expected).all()
