@@ -30,6 +30,7 @@ from pipeline.plan.bodies.sights import Moments
 from pipeline.plan.pointing.air import air_of
 from pipeline.plan.pointing.geometry import aimed, camera_of, check_view
 from pipeline.plan.pointing.pointing import swept_rad
+from pipeline.plan.pointing.turns import turning_frames
 from pipeline.plan.timing import dwell_of, dwell_plans, frame_count, frame_times
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.pointing.pointing import RatePointing
@@ -104,7 +105,7 @@ def look(
     everything turns between them (twice what an even turn needs). Also returns whether that holds
     everywhere; where not, it is at MOST_MOMENTS, or within neighbouring moments of an exposure.
     """
-    ticks = _first(scene)
+    ticks = _first(scene, dut1_s)
     while True:
         found = _look(scene, dut1_s, ticks)
         least = margin(found)
@@ -117,8 +118,9 @@ def look(
         ticks = np.union1d(ticks, ((ticks[:-1] + ticks[1:]) // 2)[split])
 
 
-def _first(scene: Scene) -> Ticks:
-    """Moments looked at first: at even steps, and where each dwell begins and ends."""
+def _first(scene: Scene, dut1_s: float) -> Ticks:
+    """Moments looked at first: at even steps, where each dwell begins and ends, and wherever the
+    camera turns far."""
     plans, frames = dwell_plans(scene), frame_count(scene)
     steps = max((plans[-1].end_s - plans[0].start_s) / STEP_S, min(2 * frames, FIRST))
     if any(p.pointing.mode == "table" for p in plans):  # may turn as it likes
@@ -130,7 +132,8 @@ def _first(scene: Scene) -> Ticks:
     even = np.linspace(0, frames * TICKS - 1, min(MOST_FIRST, 2 + math.ceil(steps)))
     ends = [(p.first * TICKS, (p.first + p.frames) * TICKS - 1) for p in plans]
     edges = np.array(ends).ravel()[:: math.ceil(2 * len(ends) / MOST_MOMENTS)]
-    return np.union1d(even.round().astype(np.int64), edges)
+    turns = turning_frames(scene, dut1_s) * TICKS + TICKS // 2
+    return np.unique(np.concatenate([even.round().astype(np.int64), edges, turns]))
 
 
 def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> LampGeometry:

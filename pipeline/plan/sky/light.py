@@ -35,6 +35,15 @@ ALL_G_MAG = -99.0  # brighter than any star
 MOVED = 1e-5  # radians by which a boresight turns in an exposure before its ends are looked at too
 
 
+def _simpson(moments: int, nodes: int) -> dict[int, float]:
+    """Weights of some of the nodes of an exposure: its middle, or Simpson's rule over 3, 5, 9."""
+    if moments == 1:
+        return {nodes // 2: 1.0}
+    intervals = moments - 1
+    weight = np.array([1.0, *(intervals // 2 - 1) * [4.0, 2.0], 4.0, 1.0]) / (3.0 * intervals)
+    return {k * (nodes - 1) // intervals: float(w) for k, w in enumerate(weight)}
+
+
 @dataclass(frozen=True)
 class LightOfSky:
     """The light of a sky as a function of place: what the grids are made from.
@@ -42,6 +51,7 @@ class LightOfSky:
     Each part is light per solid angle in a direction, which `pixel_m2_sr` turns into a pixel's;
     light that comes as a rate of each pixel (`per_pixel`) is added to it.
     limit_g_mag : stars beyond it are left to the sky; None while that is not known: no star is
+    moments : of an exposure, over which the mean is taken; 3 at least where the camera turns
     """
 
     scene: Scene
@@ -50,17 +60,16 @@ class LightOfSky:
     inputs: SkyInputs
     limit_g_mag: float | None
     dut1_s: float = 0.0
+    moments: int = 1
 
     def at(self, g: Geometry) -> Callable[[Array, Array], Array]:
         """Light (F, n) [e-/s and pixel] of the frames of a geometry, at x, y (n,) [px]."""
         return lambda x, y: np.stack([self._frame(g, f, x, y) for f in range(len(g.frame))])
 
     def _frame(self, g: Geometry, f: int, x: Array, y: Array) -> Array:
-        """The mean over an exposure: Simpson's rule over its start, middle and end."""
+        """The mean over an exposure: its middle, or Simpson's rule over more moments."""
         turned = np.abs(g.attitude[f, 0, 2] - g.attitude[f, -1, 2]).max()
-        nodes = {g.middle: 1.0}
-        if turned > MOVED:
-            nodes = {0: 1.0 / 6.0, g.middle: 4.0 / 6.0, g.nodes - 1: 1.0 / 6.0}
+        nodes = _simpson(max(3, self.moments) if turned > MOVED else self.moments, g.nodes)
         total = sum(w * sum(self.parts(g, f, k, x, y).values()) for k, w in nodes.items())
         light = total * self.pixel_m2_sr(x, y)
         for k, w in nodes.items():

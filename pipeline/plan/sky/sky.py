@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
+from pipeline.errors import BadInput
 from pipeline.physics.colour import brightest_electrons
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.sky.galactic import RELATIVE_ERROR
 from pipeline.physics.sky.grid import FrameGrid, at_nodes, refine, tile_light
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts, error_budget_e
-from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import FEWEST_NODES, plan_geometry
+from pipeline.plan.pointing.turns import turning_frames
 from pipeline.plan.sky.inputs import SkyInputs
 from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, background_of
 from pipeline.plan.stars.faint import (
@@ -31,7 +33,8 @@ from pipeline.spec.scene import Scene
 Array = NDArray[np.float64]
 
 GRID_SHARE = 0.125  # of one approximation's budget: the grid in a frame, and between frames
-MOST_KNOTS = 1025
+MOST_KNOTS, MOST_FIELDS = 1025, 8192
+MOST_EXPOSURES, MOMENTS = 33, (3, 5, 9, 17, 33, 65)  # in which it is looked at how it changes
 MOST_VALUES = 4_000_000
 CORNERS_SPREAD = 0.5  # of the corners' mean, up to which simulators commonly take that mean
 _Light = LightOfSky
@@ -78,7 +81,10 @@ def plan_sky(
     """
     t = integration_range_s(scene)[1]
     light = LightOfSky(scene, camera, facts, inputs, None, dut1_s)
-    geometry = geometry.frame_slice(0) if light.still and not limit_from_noise else geometry
+    if light.still and not limit_from_noise:
+        geometry = geometry.frame_slice(0)
+    else:
+        geometry = _of_every_field(scene, geometry, dut1_s)
     limit = None
     if limit_from_noise:
         least = float(light.at(geometry)(*_field(camera)).min())
@@ -89,9 +95,12 @@ def plan_sky(
         light = replace(light, limit_g_mag=ALL_G_MAG if given is None else given)
     least = float(light.at(geometry)(*_field(camera)).min())
     tolerance = GRID_SHARE * _noise(facts, scene, least)[1] / t
+    light, within = _over_exposures(light, geometry, tolerance, dut1_s)
+    if light.moments > geometry.nodes:
+        geometry = plan_geometry(scene, geometry.frame, dut1_s, light.moments)
     grid = refine(light.at(geometry), camera.rows, camera.columns, tolerance)
     knots, grids, between = _over_time(light, geometry, grid, tolerance, dut1_s)
-    error = (grid.error + between) * t
+    error = (grid.error + between + within) * t
     corners = light.at(geometry)(*_corners(camera))
     sigma = _noise(facts, scene, float(grids.min()))[0]
     told = (
@@ -108,6 +117,18 @@ def plan_sky(
         limit.g_mag if limit else None,
         told,
     )
+
+
+def _of_every_field(scene: Scene, g: Geometry, dut1_s: float) -> Geometry:
+    """The geometry with as many more frames as leave no field out."""
+    frames = np.union1d(g.frame, turning_frames(scene, dut1_s))
+    if len(frames) > MOST_FIELDS:
+        raise BadInput(
+            "exposure.frames" if scene.dwells is None else "dwells",
+            f"{len(frames)} frames whose sky is looked at",
+            f"at most {MOST_FIELDS} where the background varies: several scenes",
+        )
+    return g if len(frames) == len(g.frame) else plan_geometry(scene, frames, dut1_s)
 
 
 def facts_with_sky(facts: Facts, scene: Scene, sky: SkyPlan) -> Facts:
@@ -179,6 +200,35 @@ def _limit(light: LightOfSky, g: Geometry, budget_e: float) -> FaintLimit:
     return faint_limit(squared, zero, peak, ifov_rad(light.camera) ** 2, budget_e)
 
 
+def _over_exposures(
+    light: LightOfSky, g: Geometry, tolerance: float, dut1_s: float
+) -> tuple[LightOfSky, float]:
+    """The light with as many moments as its mean over an exposure asks for, and what that errs by
+    [e-/s and pixel], as found with more of them."""
+    off = 0.0
+    if light.still or not np.ptp(g.offset_s):
+        return light, off
+    some = np.unique(np.linspace(0, len(g.frame) - 1, MOST_EXPOSURES).round().astype(int))
+    found = _means(light, g, some, dut1_s)
+    for moments in MOMENTS:
+        finer = replace(light, moments=moments)
+        means = _means(finer, g, some, dut1_s)
+        off = float(np.abs(means - found).max())
+        if off <= tolerance and (off or moments > 3):  # 3 are taken anyway where cameras turn
+            break
+        light, found = finer, means
+    return light, off
+
+
+def _means(light: LightOfSky, g: Geometry, some: NDArray[np.int64], dut1_s: float) -> Array:
+    """Means (frames, places) over the exposures of some frames of a geometry."""
+    if light.moments > g.nodes:
+        fine = plan_geometry(light.scene, g.frame[some], dut1_s, light.moments)
+        return np.asarray(light.at(fine)(*_field(light.camera)))
+    each = [light.at(g.frame_slice(int(k)))(*_field(light.camera)) for k in some]
+    return np.concatenate(each)
+
+
 def _over_time(
     light: LightOfSky, g: Geometry, grid: FrameGrid, tolerance: float, dut1_s: float
 ) -> tuple[NDArray[np.int64], Array, float]:
@@ -192,14 +242,14 @@ def _over_time(
     while doubtful.any():
         left, right = knots[:-1][doubtful], knots[1:][doubtful]
         middle = (left + right) // 2
-        fresh = plan_geometry(light.scene, middle, dut1_s)
+        fresh = plan_geometry(light.scene, middle, dut1_s, max(FEWEST_NODES, light.moments))
         found = at_nodes(light.at(fresh), light.camera.rows, light.camera.columns, ny, nx)
         share = ((middle - left) / (right - left))[:, None, None]
         guess = (1.0 - share) * grids[:-1][doubtful] + share * grids[1:][doubtful]
         off = np.abs(found - guess).max(axis=(1, 2))
         bad = set(middle[off > tolerance].tolist())
         error = float(off.max())
-        if not bad or len(knots) >= MOST_KNOTS or grids.size > MOST_VALUES:
+        if not bad or len(knots) >= max(MOST_KNOTS, 2 * len(g.frame)) or grids.size > MOST_VALUES:
             break
         order = np.argsort(np.concatenate([knots, middle]), kind="stable")
         knots = np.concatenate([knots, middle])[order]
