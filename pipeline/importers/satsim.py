@@ -179,6 +179,8 @@ def _pointing(f: Fields, sensor: JsonObject, notes: Notes) -> JsonObject:
     mode = f.get("geometry.stars.motion.mode")
     if mode not in ("affine", "affine-polar", "none"):
         raise BadInput("geometry.stars.motion.mode", mode, "affine")
+    if mode == "none":
+        return {"mode": "sidereal", **at}
     rotation = f.number("geometry.stars.motion.rotation", -1e3, 1e3, 0.0)
     if rotation:
         notes.left_out.append(
@@ -186,7 +188,7 @@ def _pointing(f: Fields, sensor: JsonObject, notes: Notes) -> JsonObject:
         )
     if not f.has("geometry.stars.motion.translation"):
         return {"mode": "sidereal", **at}
-    row, column = f.pair("geometry.stars.motion.translation", 2, 1e6)
+    row, column = _motion(f, "geometry.stars.motion.translation", mode == "affine-polar")
     notes.converted.append(
         f"stars move by ({row:.4g}, {column:.4g}) px/s (row, column): the boresight by "
         f"({column * step:.5g}, {-row * step:.5g}) arcsec/s in RA and Dec"
@@ -197,6 +199,18 @@ def _pointing(f: Fields, sensor: JsonObject, notes: Notes) -> JsonObject:
         "rate_ra_arcsec_s": column * step,
         "rate_dec_arcsec_s": -row * step,
     }
+
+
+def _motion(f: Fields, key: str, polar: bool) -> tuple[float, float]:
+    """Rows and columns [px/s] that something moves by.
+
+    polar : the file has an angle [deg] and a speed; rows (down) take its sine, columns its cosine
+    """
+    down, right = f.pair(key, 2, 1e6)
+    if polar:
+        angle_rad, speed = math.radians(down), right
+        down, right = speed * math.sin(angle_rad), speed * math.cos(angle_rad)
+    return down, right
 
 
 def _background(f: Fields, zero: float, sensor: JsonObject, notes: Notes) -> JsonObject | None:
@@ -237,11 +251,11 @@ def _targets(f: Fields, shape: list[int], zero: float, notes: Notes) -> list[Wan
         mode = o.get("mode")
         if mode == "none":
             continue
-        if mode != "line":
+        if mode not in ("line", "line-polar"):
             notes.left_out.append(f"geometry.obs.list.{i}: of mode {mode}; give it an orbit")
             continue
         row, column = o.pair("origin", 2, 1e3)
-        down, right = o.pair("velocity", 2, 1e6)
+        down, right = _motion(o, "velocity", mode == "line-polar")
         rate = _rate(o, zero, i, notes)
         out.append(
             Wanted(f"obs-{i}", column * shape[1] - 0.5, row * shape[0] - 0.5, right, down, rate)

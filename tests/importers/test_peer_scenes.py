@@ -20,7 +20,7 @@ from pipeline.importers.simsit import radial_terms, read_simsit
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, star_paths
 from pipeline.route.prepare import plan_scene
 from pipeline.route.run import render
-from pipeline.spec.load import load_scene
+from pipeline.spec.load import load_scene, parse_scene
 
 EPOCH = "2019-07-20T09:00:00Z"
 SIMSIT_EPOCH = "2010-07-01T05:00:00Z"
@@ -126,6 +126,48 @@ def test_stars_move_as_a_satsim_file_says(shared_data, tmp_path):
     middle = np.array([camera.columns / 2]), np.array([camera.rows / 2])
     path = star_paths(camera, g, *middle)[:, 0, 0]
     assert path[:, -1] - path[:, 0] == pytest.approx([column, row], abs=0.02)
+
+
+@pytest.fixture
+def satsim(published, tmp_path):
+    """Reads the published SatSim file with other values: `read({"fpa.height": 9})`."""
+
+    def read_changed(changes):
+        data = json.loads((published / "peers" / "satsim.json").read_text())
+        for key, value in changes.items():
+            *parents, last = key.split(".")
+            holder = data
+            for part in parents:
+                holder = holder[part]
+            holder[last] = value
+        (tmp_path / "changed.json").write_text(json.dumps(data))
+        return read_satsim(tmp_path / "changed.json", EPOCH)
+
+    return read_changed
+
+
+def line_rates_px_s(imported):
+    """How fast the first target moves over the pixels, row and column."""
+    g = plan_geometry(parse_scene(imported.data), np.zeros(1, np.int64), 0.0)
+    seconds = g.offset_s[0, -1] - g.offset_s[0, 0]
+    return [(at[0, 0, -1] - at[0, 0, 0]) / seconds for at in (g.target_y_px, g.target_x_px)]
+
+
+def test_polar_motions_are_an_angle_and_a_speed(satsim):
+    """SatSim: rows move by the sine of the angle, columns by its cosine; 9 arcsec a pixel."""
+    motion = {"mode": "affine-polar", "rotation": 0.0, "translation": [30, 4]}
+    line = {"mode": "line-polar", "origin": [0.5, 0.5], "velocity": [30, 4], "mv": 9}
+    found = satsim({"geometry.stars.motion": motion, "geometry.obs.list": [line]})
+    pointing = found.data["pointing"]
+    assert pointing["rate_ra_arcsec_s"] == pytest.approx(9 * 4 * math.sqrt(0.75))
+    assert pointing["rate_dec_arcsec_s"] == pytest.approx(-9 * 2.0)
+    assert line_rates_px_s(found) == pytest.approx([2.0, 4 * math.sqrt(0.75)], abs=1e-3)
+
+
+def test_stars_without_a_motion_stand_still(satsim):
+    found = satsim({"geometry.stars.motion.mode": "none", "geometry.stars.motion.rotation": 1})
+    assert found.data["pointing"]["mode"] == "sidereal"
+    assert "rotation" not in " ".join(found.notes.left_out)
 
 
 def test_dynamic_satsim_renders(shared_data, tmp_path):
