@@ -188,7 +188,9 @@ def _pointing(f: Fields, sensor: JsonObject, notes: Notes) -> JsonObject:
         )
     if not f.has("geometry.stars.motion.translation"):
         return {"mode": "sidereal", **at}
-    row, column = _motion(f, "geometry.stars.motion.translation", mode == "affine-polar")
+    row, column = _motion(
+        f, "geometry.stars.motion.translation", mode == "affine-polar", _speed_units(f)
+    )
     notes.converted.append(
         f"stars move by ({row:.4g}, {column:.4g}) px/s (row, column): the boresight by "
         f"({column * step:.5g}, {-row * step:.5g}) arcsec/s in RA and Dec"
@@ -201,16 +203,32 @@ def _pointing(f: Fields, sensor: JsonObject, notes: Notes) -> JsonObject:
     }
 
 
-def _motion(f: Fields, key: str, polar: bool) -> tuple[float, float]:
+def _speed_units(f: Fields) -> tuple[float, float]:
+    """What a pixel is in the file's unit of speeds, down a column and along a row."""
+    units = f.get("sim.velocity_units", "pixel")
+    if units not in ("pixel", "arcsec"):
+        raise BadInput("sim.velocity_units", units, "pixel or arcsec")
+    if units == "pixel":
+        return 1.0, 1.0
+    return (
+        3600 * f.number("fpa.y_fov", 1e-6, 60) / f.whole("fpa.height", 1, 60_000),
+        3600 * f.number("fpa.x_fov", 1e-6, 60) / f.whole("fpa.width", 1, 60_000),
+    )
+
+
+def _motion(
+    f: Fields, key: str, polar: bool, units_a_pixel: tuple[float, float]
+) -> tuple[float, float]:
     """Rows and columns [px/s] that something moves by.
 
     polar : the file has an angle [deg] and a speed; rows (down) take its sine, columns its cosine
+    units_a_pixel : of `_speed_units`
     """
     down, right = f.pair(key, 2, 1e6)
     if polar:
         angle_rad, speed = math.radians(down), right
         down, right = speed * math.sin(angle_rad), speed * math.cos(angle_rad)
-    return down, right
+    return down / units_a_pixel[0], right / units_a_pixel[1]
 
 
 def _background(f: Fields, zero: float, sensor: JsonObject, notes: Notes) -> JsonObject | None:
@@ -255,7 +273,7 @@ def _targets(f: Fields, shape: list[int], zero: float, notes: Notes) -> list[Wan
             notes.left_out.append(f"geometry.obs.list.{i}: of mode {mode}; give it an orbit")
             continue
         row, column = o.pair("origin", 2, 1e3)
-        down, right = _motion(o, "velocity", mode == "line-polar")
+        down, right = _motion(o, "velocity", mode == "line-polar", _speed_units(f))
         rate = _rate(o, zero, i, notes)
         out.append(
             Wanted(f"obs-{i}", column * shape[1] - 0.5, row * shape[0] - 0.5, right, down, rate)

@@ -164,6 +164,18 @@ def test_polar_motions_are_an_angle_and_a_speed(satsim):
     assert line_rates_px_s(found) == pytest.approx([2.0, 4 * math.sqrt(0.75)], abs=1e-3)
 
 
+@pytest.mark.parametrize(("y_fov", "row_px_s"), [(0.2, 2.0), (0.4, 1.0)])
+def test_speeds_in_arcsec_are_told_in_pixels(satsim, y_fov, row_px_s):
+    """A pixel is 9 arcsec wide, and 9 or 18 high; speeds in pixels are the default."""
+    line = {"mode": "line", "origin": [0.5, 0.5], "velocity": [18, 45], "mv": 9}
+    changes = {"sim.velocity_units": "arcsec", "geometry.obs.list": [line], "fpa.y_fov": y_fov}
+    found = satsim(changes | {"geometry.stars.motion.translation": [18, 45]})
+    assert line_rates_px_s(found) == pytest.approx([row_px_s, 5.0], abs=1e-3)
+    assert f"stars move by ({row_px_s:g}, 5) px/s" in " ".join(found.notes.converted)
+    with pytest.raises(BadInput, match=r"sim\.velocity_units.*pixel or arcsec"):
+        satsim({"sim.velocity_units": "mrad"})
+
+
 def test_stars_without_a_motion_stand_still(satsim):
     found = satsim({"geometry.stars.motion.mode": "none", "geometry.stars.motion.rotation": 1})
     assert found.data["pointing"]["mode"] == "sidereal"
