@@ -113,7 +113,23 @@ def _sensor(f: Fields, notes: Notes, images: Images, name: str) -> JsonObject:
     notes.converted.append(
         f"noise read {noise[0]:g} and electronic {noise[1]:g} e-: {math.hypot(*noise):.4g} e- rms"
     )
-    return sensor | _digital(f) | _maps(f, (rows, columns), images, name, notes)
+    return (
+        sensor
+        | _shot_noise(f, notes)
+        | _digital(f)
+        | _maps(f, (rows, columns), images, name, notes)
+    )
+
+
+def _shot_noise(f: Fields, notes: Notes) -> JsonObject:
+    """Whether light has noise; as it does by default."""
+    samples = f.get("sim.num_shot_noise_samples")
+    if samples is not None:
+        notes.left_out.append(f"sim.num_shot_noise_samples {samples}: the noise is of one exposure")
+    on = f.get("sim.enable_shot_noise", True)
+    if not isinstance(on, bool):
+        raise BadInput("sim.enable_shot_noise", on, "true or false")
+    return {} if on else {"photon_noise": False}
 
 
 def _digital(f: Fields) -> JsonObject:

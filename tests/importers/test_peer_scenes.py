@@ -176,6 +176,15 @@ def test_speeds_in_arcsec_are_told_in_pixels(satsim, y_fov, row_px_s):
         satsim({"sim.velocity_units": "mrad"})
 
 
+def test_shot_noise_is_switched_off_as_the_file_says(satsim):
+    assert "photon_noise" not in satsim({"sim.enable_shot_noise": True}).data["sensor"]
+    found = satsim({"sim.enable_shot_noise": False, "sim.num_shot_noise_samples": 30})
+    assert parse_scene(found.data).sensor.photon_noise is False
+    assert any("num_shot_noise_samples 30" in line for line in found.notes.left_out)
+    with pytest.raises(BadInput, match=r"sim\.enable_shot_noise.*true or false"):
+        satsim({"sim.enable_shot_noise": 1})
+
+
 def test_stars_without_a_motion_stand_still(satsim):
     found = satsim({"geometry.stars.motion.mode": "none", "geometry.stars.motion.rotation": 1})
     assert found.data["pointing"]["mode"] == "sidereal"
