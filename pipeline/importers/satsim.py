@@ -248,16 +248,25 @@ def _motion(
 
 
 def _background(f: Fields, zero: float, sensor: JsonObject, notes: Notes) -> JsonObject | None:
-    stray = f.get("background.stray", {})
-    if isinstance(stray, dict) and stray.get("mode", "none") != "none":
-        notes.left_out.append(f"background.stray {stray.get('mode')}")
-    if not f.has("background.galactic"):
-        return None
-    mag = f.number("background.galactic", -30, 60)
-    step = math.degrees(sensor["pixel_pitch_um"] * 1e-6 / sensor["focal_length_m"]) * 3600
-    rate = 10.0 ** (-0.4 * (mag - zero)) * step**2
-    notes.converted.append(f"background {mag:g} mag/arcsec2: {rate:.5g} e-/s a pixel")
-    return {"uniform_e_per_s": rate}
+    rate = _stray(f, notes)
+    if f.has("background.galactic"):
+        mag = f.number("background.galactic", -30, 60)
+        step = math.degrees(sensor["pixel_pitch_um"] * 1e-6 / sensor["focal_length_m"]) * 3600
+        galactic = 10.0 ** (-0.4 * (mag - zero)) * step**2
+        notes.converted.append(f"background {mag:g} mag/arcsec2: {galactic:.5g} e-/s a pixel")
+        rate += galactic
+    return {"uniform_e_per_s": rate} if rate else None
+
+
+def _stray(f: Fields, notes: Notes) -> float:
+    """Stray light [e-/s] of every pixel; what differs between pixels is told of."""
+    stray = f.get("background.stray", 0.0)
+    if isinstance(stray, int | float):
+        return f.number("background.stray", 0, 1e12, 0.0)
+    kind = stray.get("mode", "none") if isinstance(stray, dict) else "that differs between pixels"
+    if kind != "none":
+        notes.left_out.append(f"background.stray {kind}")
+    return 0.0
 
 
 def _stars(f: Fields, catalogue: str | None, data: JsonObject, notes: Notes) -> None:

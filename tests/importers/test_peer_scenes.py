@@ -185,6 +185,20 @@ def test_shot_noise_is_switched_off_as_the_file_says(satsim):
         satsim({"sim.enable_shot_noise": 1})
 
 
+def test_stray_light_is_of_every_pixel(satsim):
+    """SatSim adds it to the sky [e-/s]; an image of it is named as lost."""
+    (sky,), (both,), (alone,) = (
+        satsim(changes).data["background"].values()
+        for changes in ({}, {"background.stray": 500}, {"background": {"stray": 500}})
+    )
+    assert both - sky == pytest.approx(500.0)
+    assert alone == 500.0
+    image = {"$sample": "random.uniform", "low": 0.0, "high": 9.0, "size": [80, 120]}
+    assert "background.stray that differs" in " ".join(
+        satsim({"background.stray": image}).notes.left_out
+    )
+
+
 def test_stars_without_a_motion_stand_still(satsim):
     found = satsim({"geometry.stars.motion.mode": "none", "geometry.stars.motion.rotation": 1})
     assert found.data["pointing"]["mode"] == "sidereal"
