@@ -25,6 +25,7 @@ SUN_MAG = -26.74  # SatSim's own, in its lambertian_sphere
 BAND = {"kind": "named", "name": "bessell-V"}
 ADC_BITS = {"uint8": 8, "uint16": 16, "uint32": 32}
 IGNORED = ("version", "sim")  # how SatSim computes, not what
+TRUTH = ("mv_truth", "pe_truth")  # of an object: what comes out
 
 
 def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int = 0) -> Imported:
@@ -287,7 +288,7 @@ def _targets(f: Fields, shape: list[int], zero: float, notes: Notes) -> list[Wan
     listed = f.get("geometry.obs.list", [])
     if not isinstance(listed, list):
         raise BadInput("geometry.obs.list", listed, "a list")
-    f.get("geometry.obs")
+    f.get("geometry.obs.mode")
     out = []
     for i, one in enumerate(listed):
         o = Fields(one, f"geometry.obs.list.{i}")
@@ -300,6 +301,9 @@ def _targets(f: Fields, shape: list[int], zero: float, notes: Notes) -> list[Wan
         row, column = o.pair("origin", 2, 1e3)
         down, right = _motion(o, "velocity", mode == "line-polar", _speed_units(f))
         rate = _rate(o, zero, i, notes)
+        for name in TRUTH:
+            o.get(name)
+        notes.left_out += [f"{key}: no such thing in a scene" for key in o.unused()]
         out.append(
             Wanted(f"obs-{i}", column * shape[1] - 0.5, row * shape[0] - 0.5, right, down, rate)
         )

@@ -199,6 +199,18 @@ def test_stray_light_is_of_every_pixel(satsim):
     )
 
 
+def test_keys_of_objects_that_are_lost_are_named(satsim):
+    """Also those within a key; of an object that SatSim does not draw none."""
+    line = {"mode": "line", "origin": [0.5, 0.5], "velocity": [0, 0], "pe": 9, "mv_truth": 1}
+    events = {"create": 3.0, "delete": 9.0}
+    found = satsim({"geometry.obs.list": [line | {"events": events, "bogus": 1}, {"mode": "none"}]})
+    lost = [line for line in found.notes.left_out if line.startswith("geometry.obs")]
+    assert lost == [
+        f"geometry.obs.list.0.{key}: no such thing in a scene"
+        for key in ("events.create", "events.delete", "bogus")
+    ]
+
+
 def test_stars_without_a_motion_stand_still(satsim):
     found = satsim({"geometry.stars.motion.mode": "none", "geometry.stars.motion.rotation": 1})
     assert found.data["pointing"]["mode"] == "sidereal"
