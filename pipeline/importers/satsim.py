@@ -316,12 +316,12 @@ def _targets(f: Fields, shape: list[int], zero: float, notes: Notes) -> list[Wan
 
 
 def _rate(o: Fields, zero: float, i: int, notes: Notes) -> float:
-    """Electrons a second of one object: from `pe`, `mv`, or a Lambertian sphere."""
-    if o.has("pe"):
-        return o.number("pe", 0, 1e15)
-    if o.has("mv"):
+    """Electrons a second of one object: its model's, else by `mv`, else by `pe`, as SatSim does."""
+    mode, mag, rate_e_s = (o.get(key) for key in ("model.mode", "mv", "pe"))
+    if mode in (None, "sprite") and mag is not None:
         return 10.0 ** (-0.4 * (o.number("mv", -60, 60) - zero))
-    mode = o.get("model.mode")
+    if mode in (None, "sprite") and rate_e_s is not None:
+        return o.number("pe", 0, 1e15)
     if mode != "lambertian_sphere":
         raise BadInput(f"geometry.obs.list.{i}.model.mode", mode, "mv, pe or lambertian_sphere")
     mag = sphere_mag(

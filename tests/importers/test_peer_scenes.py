@@ -211,6 +211,17 @@ def test_keys_of_objects_that_are_lost_are_named(satsim):
     ]
 
 
+def test_a_model_goes_before_a_magnitude_and_that_before_electrons(satsim):
+    sphere = {"mode": "lambertian_sphere", "diameter": 2, "albedo": 0.3, "phase_angle": 40,
+              "distance": 900}  # fmt: skip
+    lights = ({"model": sphere}, {"mv": 9}, {"pe": 7.0})
+    line, lit = {"mode": "line", "origin": [0.5, 0.5], "velocity": [0, 0]}, []
+    for given in (*lights, lights[0] | lights[1] | lights[2], lights[1] | lights[2]):
+        body = satsim({"geometry.obs.list": [line | given]}).data["targets"][0]["body"]
+        lit.append(body["intensities_m2_sr"][0])
+    assert lit[3:] == pytest.approx(lit[:2])
+
+
 def test_stars_without_a_motion_stand_still(satsim):
     found = satsim({"geometry.stars.motion.mode": "none", "geometry.stars.motion.rotation": 1})
     assert found.data["pointing"]["mode"] == "sidereal"
