@@ -25,7 +25,13 @@ from pipeline.spec.load import parse_scene, parse_yaml
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.cube import CubeWriter, finish_cube, open_cube, read_layer
-from pipeline.store.product import begin_copy, content_digest, seal, tiles_of
+from pipeline.store.product import (
+    begin_copy,
+    check_same_images,
+    content_digest,
+    seal,
+    tiles_of,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,7 +45,7 @@ def calibrate(product: Path, output: Path) -> JsonObject:
     The copy is a product of its own, with the one layer `calibrated_e` [e-, float32], the
     coordinates, truth and scene of the first. The sensor's images are read again from the files
     that the scene names, and generated patterns drawn again from its seed. Raises BadInput for a
-    path that exists or a file that is gone, Incomplete and Damaged for the product.
+    path that exists or a file that is gone or has changed, Incomplete and Damaged for the product.
     """
     cube = open_cube(product)
     if "dn" not in cube.data_vars:
@@ -47,6 +53,7 @@ def calibrate(product: Path, output: Path) -> JsonObject:
     if output.exists():
         raise BadInput("-o", str(output), "a path that does not exist yet")
     scene = parse_scene(parse_yaml(str(cube.attrs["scene"]), f"{product}: scene"))
+    check_same_images(product, scene.as_dict())
     maps = gather_sensor_maps(scene)
     partial = output.with_name(f"{output.name}.partial")
     if partial.exists():

@@ -35,6 +35,10 @@ from pipeline.user_data import user_data_files
 FORMAT = "nightglass/product/1"
 CATALOGUES = ("stars.catalogue",)  # fields of files that have digests of their own
 CONTENT_KNOWN = (*CATALOGUES, "populations.", "catalogue.")  # or whose content is in the scene
+IMAGES = tuple(  # fields of files that frames are calibrated with
+    f"sensor.{name}"
+    for name in ("flat", "dark_e_per_s", "read_noise_e", "gain_e_per_dn", "bias_dn", "detector.")
+)
 SYNCED_AT_ONCE = 16  # a disk takes these in one go
 Cell = tuple[Any, ...]  # layer, frame, row, column, checksum
 
@@ -105,11 +109,13 @@ def make_together(path: Path, plan: Plan, catalogue_digest: str | None) -> None:
 
 def identity_of(plan: Plan, catalogue_digest: str | None) -> JsonObject:
     """What makes two products the same."""
+    data = plan.scene.as_dict()
     return {
         "format": FORMAT,
         "scene_sha256": scene_digest(plan),
         "catalogue_digest": catalogue_digest,
-        "files_sha256": files_digest(plan.scene.as_dict()),
+        "files_sha256": files_digest(data),
+        "images_sha256": {str(file): file_digest(file) for _, file in sensor_images(data)},
         "tile_shape": list(tile_shape(plan.scene)),
         "compression": plan.scene.output.compression,
         "tiles": len(plan.tiles) * plan.frames,
@@ -144,7 +150,7 @@ def _take_up(
     return Begun(path, _writer(path, plan), frozenset(done), frozenset(truth), tuple(faults))
 
 
-LATER = ("compression",)  # which records of earlier versions do not hold
+LATER = ("compression", "images_sha256")  # which records of earlier versions do not hold
 CHANGED = {  # what may have changed since a product was begun, in the user's words
     "format": "it was made by another version",
     "scene_sha256": "the scene, its --set, or where its files are has changed",
@@ -160,6 +166,17 @@ def check_same(place: str, found: JsonObject, identity: JsonObject) -> None:
             told = CHANGED.get(key, f"wanted {wanted}")
             allowed = f"a product of the same {key} ({told}; --replace begins anew)"
             raise BadInput("--resume", place, allowed)
+
+
+def check_same_images(path: Path, data: JsonObject) -> None:
+    """Refuse files of the sensor's images other than those that a product was begun with, by name.
+
+    Records of earlier versions do not hold them.
+    """
+    known = _identity(path).get("images_sha256", {})
+    for name, file in sensor_images(data):
+        if known.get(str(file)) not in (None, file_digest(file)):
+            raise BadInput(name, str(file), f"the file as it was when {path} was begun")
 
 
 def _is_bare_beginning(path: Path) -> bool:
@@ -282,6 +299,11 @@ def named_files(
             path = Path(name)
             files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
             yield from ((field_name, file) for file in files if file.is_file())
+
+
+def sensor_images(data: JsonObject) -> Iterator[tuple[str, Path]]:
+    """Dotted field and file of the sensor's images in plain data of a scene."""
+    return ((name, file) for name, file in named_files(data) if name.startswith(IMAGES))
 
 
 def content_digest(path: Path) -> str:

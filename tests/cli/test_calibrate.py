@@ -129,6 +129,28 @@ def test_refusals(product, tmp_path):
     assert not list(tmp_path.glob("x*"))
 
 
+@pytest.mark.parametrize("name", ["flat", "bias"])
+def test_another_image_than_the_product_was_rendered_with_is_refused(product, tmp_path, name):
+    """Its name is told; a product of an earlier version, without a record of it, is calibrated."""
+    file = product.parent / f"{name}.npy"
+    was = file.read_bytes()
+    np.save(file, np.full((300, 280), 0.5))
+    try:
+        done = nightglass("calibrate", product, "-o", tmp_path / "copy")
+        older = tmp_path / "older"
+        shutil.copytree(product, older)
+        begun = json.loads((older / ".begun.json").read_text())
+        del begun["images_sha256"]
+        (older / ".begun.json").write_text(json.dumps(begun))
+        assert nightglass("calibrate", older, "-o", tmp_path / "other").returncode == 0
+    finally:
+        file.write_bytes(was)
+    assert done.returncode == 2
+    assert str(file) in done.stderr
+    assert f"sensor.{name}" in done.stderr
+    assert not (tmp_path / "copy").exists()
+
+
 BAD = {
     "shape of a map": ({"bad": {"map": "small.npy"}}, ["sensor.detector.bad.map", "(4, 4)"]),
     "NaN map": ({"dead": {"map": "nan.npy"}}, ["sensor.detector.dead.map", "NaN"]),
