@@ -9,11 +9,14 @@ import erfa
 import numpy as np
 
 from pipeline.export.times import exposure_of
+from pipeline.inputs.sensor.detector import linearity
 from pipeline.physics.positions.apparent_wcs import LARGEST_RESIDUAL_PX, apparent_wcs_header
 from pipeline.physics.positions.focal_plane import WcsFit, wcs_header
 from pipeline.plan.pointing.geometry import camera_of
+from pipeline.plan.timing import dwell_of, dwell_plans
 from pipeline.spec.load import parse_scene, parse_yaml
 from pipeline.spec.scene import Scene
+from pipeline.spec.sensor.sensor import Sensor
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -49,7 +52,7 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> Cards:
         *cards,
         *_times(cube, frame),
         *_site(scene),
-        *_sensor(scene, layer),
+        *_sensor(scene, layer, frame),
         *_astrometric_cards(one),
         *_apparent_cards(scene, one),
     ]
@@ -107,9 +110,10 @@ def _site(scene: Scene) -> Cards:
     ]
 
 
-def _sensor(scene: Scene, layer: str) -> Cards:
-    """What a photometry program asks for; terms that are images say so."""
-    s = scene.sensor
+def _sensor(scene: Scene, layer: str, frame: int) -> Cards:
+    """What a photometry program asks for; terms that are not the same everywhere say so."""
+    s, dwells = scene.sensor, dwell_plans(scene)
+    dwell = dwells[int(dwell_of(dwells, np.array([frame]))[0])]
     pixel_arcsec = float(np.degrees(s.pixel_pitch_um * 1e-6 / s.focal_length_m)) * 3600.0
     band = getattr(s.bandpass, "name", None) or s.bandpass.kind
     if s.bandpass.kind == "box":
@@ -121,24 +125,52 @@ def _sensor(scene: Scene, layer: str) -> Cards:
         ("XPIXSZ", s.pixel_pitch_um, "[um]"),
         ("YPIXSZ", s.pixel_pitch_um, "[um]"),
         ("SECPIX", pixel_arcsec, "[arcsec] a pixel at the boresight"),
-        ("TRKMODE", scene.pointing.mode, "what the sensor follows"),
+        ("TRKMODE", dwell.pointing.mode, "what the sensor follows"),
     ]
+    outputs = _outputs(s)
     for key, name, unit in (
         ("GAIN", "gain_e_per_dn", "[e-/adu]"),
         ("RDNOISE", "read_noise_e", "[e-] rms"),
         ("BIASLVL", "bias_dn", "[adu]"),
         ("DARKCUR", "dark_e_per_s", "[e-/s] a pixel"),
     ):
-        value = getattr(s, name)
-        cards.append((key, value if not isinstance(value, str) else "image", unit))
-    if layer == "dn":
-        full = 2**s.adc_bits - 1
-        if s.full_well_e and not isinstance(s.gain_e_per_dn, str | None):
-            level = s.full_well_e / s.gain_e_per_dn
-            level += s.bias_dn if not isinstance(s.bias_dn, str) else 0.0
-            full = min(full, int(level))
-        cards.append(("SATURATE", full, "[adu] no pixel is brighter"))
+        values = {one[name] for one in outputs}
+        cards.append((key, values.pop() if len(values) == 1 else "amplifiers", unit))
+    level_dn = _saturation_dn(s, outputs) if layer == "dn" else None
+    if level_dn is not None:
+        cards.append(("SATURATE", level_dn, "[adu] lowest level at which a pixel saturates"))
     return cards
+
+
+def _outputs(s: Sensor) -> list[dict[str, float | str]]:
+    """Terms of each output of the sensor, amplifiers and the rest; `image` for those that are."""
+    names = ("gain_e_per_dn", "read_noise_e", "bias_dn", "dark_e_per_s")
+    given = {name: getattr(s, name) for name in names}
+    rest = {k: "image" if isinstance(v, str) else v for k, v in given.items()}
+    out, pixels = [], s.shape[0] * s.shape[1]
+    for a in s.detector.amplifiers if s.detector else ():
+        own = {"gain_e_per_dn": a.gain_e_per_dn, "read_noise_e": a.read_noise_e}
+        if not isinstance(s.bias_dn, str):
+            own["bias_dn"] = s.bias_dn + a.offset_dn
+        out.append(rest | {k: v for k, v in own.items() if v is not None})
+        pixels -= (a.rows[1] - a.rows[0]) * (a.columns[1] - a.columns[0])
+    return [rest, *out] if pixels else out
+
+
+def _saturation_dn(s: Sensor, outputs: list[dict[str, float | str]]) -> int | None:
+    """The lowest level at which a pixel saturates, but for a bias pattern; None with images."""
+    levels_dn = [2**s.adc_bits - 1]
+    if s.full_well_e is None:
+        return levels_dn[0]
+    well_e = s.full_well_e
+    if s.detector is not None and s.detector.nonlinearity is not None:
+        well_e = float(np.interp(well_e, *linearity(s.detector, well_e)))
+    for one in outputs:
+        gain, bias = one["gain_e_per_dn"], one["bias_dn"]
+        if isinstance(gain, str) or isinstance(bias, str):
+            return None
+        levels_dn.append(int(well_e / gain + bias))
+    return min(levels_dn)
 
 
 def _astrometric_cards(one: xr.Dataset) -> Cards:

@@ -53,6 +53,51 @@ def product(tmp_path_factory):
     return path
 
 
+HALVES = [{"rows": [0, 40], "columns": [0, 96]}, {"rows": [40, 64], "columns": [0, 96]}]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "told"),
+    [
+        ({"detector": {"nonlinearity": {"kind": "polynomial", "coefficients": [-0.1]}}},
+         {"SATURATE": 36_100, "GAIN": 1.0, "BIASLVL": 100.0}),
+        ({"detector": {"nonlinearity": {"kind": "table", "true_e": [0, 3e4, 6e4],
+                                        "read_e": [0, 2.4e4, 3.6e4]}}}, {"SATURATE": 28_100}),
+        ({"detector": {"amplifiers": [HALVES[0] | {"gain_e_per_dn": 4.0, "read_noise_e": 0.0}]}},
+         {"SATURATE": 10_100, "GAIN": "amplifiers", "RDNOISE": 0.0, "BIASLVL": 100.0}),
+        ({"detector": {"amplifiers": [one | {"gain_e_per_dn": 2.0, "offset_dn": dn}
+                                      for one, dn in zip(HALVES, (7, 3), strict=True)]}},
+         {"SATURATE": 20_103, "GAIN": 2.0, "BIASLVL": "amplifiers"}),
+        ({"gain_e_per_dn": "gain.npy"}, {"GAIN": "image", "SATURATE": None}),
+        ({"adc_bits": 12}, {"SATURATE": 4095}),
+    ],
+    ids=("polynomial", "table", "one amplifier", "amplifiers alone", "an image", "converter"),
+)  # fmt: skip
+def test_cards_of_the_sensor_hold_for_every_pixel(sensor, told, tmp_path, monkeypatch):
+    """SATURATE is the least that a saturated pixel reads; what differs is no number."""
+    monkeypatch.chdir(tmp_path)
+    np.save("gain.npy", np.full((64, 96), 2.0))
+    scene = copy.deepcopy(SCENE)
+    scene["sensor"] |= {"read_noise_e": 0.0, "full_well_e": 40_000.0, **sensor}
+    scene["background"]["uniform_e_per_s"] = 1e9
+    scene["exposure"]["frames"] = 1
+    render(parse_scene(scene), tmp_path / "run")
+    (path,) = export_frames(tmp_path / "run", "fits", tmp_path / "out")
+    with fits.open(path) as hdus:
+        header, least = hdus[0].header, int(hdus[0].data.min())
+    assert {key: header.get(key) for key in told} == told
+    assert header.get("SATURATE", least) == least
+
+
+def test_each_frame_tells_what_its_own_dwell_follows(tmp_path):
+    scene = copy.deepcopy(SCENE)
+    own = {"mode": "sidereal", "boresight_ra_deg": 10, "boresight_dec_deg": 0}
+    scene["dwells"] = [{"frames": 2}, {"frames": 1, "pointing": own}]
+    render(parse_scene(scene), tmp_path / "run")
+    paths = export_frames(tmp_path / "run", "fits", tmp_path / "out")
+    assert [fits.getheader(path)["TRKMODE"] for path in paths] == ["rate", "rate", "sidereal"]
+
+
 def test_fits(product, tmp_path):
     """Both frames, with times across the leap second of 2016, pixels and two WCS near the pole."""
     first, second = export_frames(product, "fits", tmp_path / "out")

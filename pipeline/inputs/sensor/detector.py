@@ -46,7 +46,7 @@ def with_detector(maps: SensorMaps, scene: Scene) -> SensorMaps:
         flat, dark = column_means(maps.flat), column_means(maps.dark_e_per_s)
         maps = replace(maps, flat=flat, dark_e_per_s=dark)
     if d.nonlinearity is not None:
-        maps = replace(maps, linearity=_linearity(d, float(scene.sensor.full_well_e or 0.0)))
+        maps = replace(maps, linearity=linearity(d, float(scene.sensor.full_well_e or 0.0)))
     if d.bad is not None:
         y, x = np.nonzero(gather_failing(d.bad, "bad", shape, seed))
         maps = replace(maps, bad=(y, x, np.full(y.shape, d.bad.reads_dn, np.int64)))
@@ -132,7 +132,7 @@ def _amplified(maps: SensorMaps, d: Detector, shape: tuple[int, int]) -> SensorM
     return replace(maps, gain_e_per_dn=gain, bias_dn=bias, read_noise_e=read)
 
 
-def _linearity(d: Detector, full_well_e: float) -> tuple[Array, Array]:
+def linearity(d: Detector, full_well_e: float) -> tuple[Array, Array]:
     """Tables of charge collected and charge measured [e-], from 0 to the full well or beyond."""
     given = d.nonlinearity
     if not isinstance(given, PolynomialResponse):
