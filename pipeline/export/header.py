@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import erfa
 import numpy as np
 
-from pipeline.export.times import exposure_of
+from pipeline.export.times import exposure_of, fits_dates
 from pipeline.inputs.sensor.detector import linearity
 from pipeline.physics.positions.apparent_wcs import LARGEST_RESIDUAL_PX, apparent_wcs_header
 from pipeline.physics.positions.focal_plane import WcsFit, wcs_header
@@ -50,7 +50,7 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> Cards:
         cards.append(("CATDIG", digest[:16], "first digits of the catalogue's digest"))
     return [
         *cards,
-        *_times(cube, frame),
+        *_times(cube, frame, scene),
         *_site(scene),
         *_sensor(scene, layer, frame),
         *_astrometric_cards(one),
@@ -68,9 +68,9 @@ def _parsed(text: str) -> Scene:
     return parse_scene(parse_yaml(text))
 
 
-def _times(cube: xr.Dataset, frame: int) -> Cards:
+def _times(cube: xr.Dataset, frame: int, scene: Scene) -> Cards:
     times = exposure_of(cube, frame)
-    iso, mjd = times.iso(), times.mjd()
+    iso, mjd = fits_dates(times, scene, frame), times.mjd()
     return [
         ("TIMESYS", "UTC", "time scale"),
         ("TIMEUNIT", "s", "of EXPTIME, XPOSURE and TELAPSE"),

@@ -7,6 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.physics.positions.times import format_utc, instants, parse_utc
+from pipeline.plan.timing import frame_times
+from pipeline.spec.scene import Scene
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -36,6 +40,21 @@ class ExposureTimes:
         return {
             k: float((t - since) / np.timedelta64(1, "us")) / 86_400e6 for k, t in moments.items()
         }
+
+
+def fits_dates(times: ExposureTimes, scene: Scene, frame: int) -> dict[str, str]:
+    """The text of `times.iso()`, with second 60 within a leap second, as FITS writes it.
+
+    The cube holds the last microsecond before it in their place, as do MJDs, labels and their JSON,
+    whose readers know no second 60.
+    """
+    (start_s,), (length_s,) = frame_times(scene, np.array([frame]))
+    at = instants(parse_utc(scene.epoch), start_s + length_s * np.array([0.0, 0.5, 1.0]))
+    exact = [format_utc(*utc).removesuffix("Z") for utc in zip(at.utc1, at.utc2, strict=True)]
+    return {
+        name: there if ":60." in there else stored
+        for (name, stored), there in zip(times.iso().items(), exact, strict=True)
+    }
 
 
 def exposure_of(cube: xr.Dataset, frame: int) -> ExposureTimes:

@@ -7,6 +7,7 @@ import copy
 import numpy as np
 import pytest
 from astropy.io import fits
+from astropy.time import Time
 from astropy.wcs import WCS
 from PIL import Image
 
@@ -105,6 +106,10 @@ def test_fits(product, tmp_path):
         header = hdus[0].header
         assert np.array_equal(hdus[0].data, read_layer(product, "dn", 0))
         assert header["DATE-OBS"].startswith("2016-12-31T23:59:59.5")
+        assert header["DATE-AVG"] == "2016-12-31T23:59:60.000000"
+        assert header["DATE-END"] == "2016-12-31T23:59:60.500000"
+        times = [Time(header[f"DATE-{key}"], scale="utc") for key in ("BEG", "AVG", "END")]
+        assert [(t - times[0]).sec for t in times] == pytest.approx([0.0, 0.5, 1.0], abs=1e-6)
         assert header["EXPTIME"] == 1.0
         assert header["TIMESYS"] == "UTC"
         assert header["SYNTHSTR"] is False
