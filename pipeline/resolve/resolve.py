@@ -12,7 +12,7 @@ from pipeline.arrays import Geometry, SensorMaps
 from pipeline.inputs.band.response import gather_band_light, gather_response
 from pipeline.inputs.earth_orientation import gather_dut1_s
 from pipeline.inputs.sensor.psf_tables import gather_psf_table
-from pipeline.inputs.sensor.sensor import gather_sensor_maps
+from pipeline.inputs.sensor.sensor import flat_remarks, gather_sensor_maps
 from pipeline.inputs.stars.catalogues import catalogue_remarks, colour_sentences, open_catalogues
 from pipeline.inputs.stars.coverage import coverage_sentences, gather_coverage
 from pipeline.inputs.stars.stars import Catalogue
@@ -133,6 +133,7 @@ def resolve(asked: Scene) -> Resolved:
             *light.remarks,
             *doubts.remarks,
             *remarks,
+            *flat_remarks(scene, maps),
             *mesh_notices(scene),
             *orbit_remarks(scene, g, facts.ifov_rad),
             *umbra_remarks(scene, g),

@@ -44,6 +44,20 @@ def test_a_dark_image_in_other_units(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("scale", "told"), [(1.0, False), (0.3, False), (100.0, True), (3e-4, True)]
+)
+def test_the_plan_remarks_on_a_flat_far_from_one(tmp_path, scale, told):
+    """An image in percent or in counts is not refused, its mean is told; of a number nothing."""
+    image = np.random.default_rng(3).uniform(0.9, 1.1, (32, 48)) * scale
+    np.save(tmp_path / "flat.npy", image)
+    remarks = prepare(scene(flat=str(tmp_path / "flat.npy"))).plan.remarks
+    assert [f"flat.npy is {image.mean():.3g}:" in r for r in remarks if "sensor.flat" in r] == (
+        [True] * told
+    )
+    assert not any("sensor.flat" in r for r in prepare(scene(flat=scale)).plan.remarks)
+
+
+@pytest.mark.parametrize(
     "wish", [{"dark_scale": 2.0}, {"dark_scale": 0.0, "dark_e_per_s": "d.npy"}]
 )
 def test_limits_a_scale_is_of_an_image(wish):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from pipeline.arrays import SensorMaps, Value
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.detector import with_detector
@@ -16,6 +18,20 @@ LIMITS = {  # least and largest value of a pixel, both allowed; a flat's dead pi
     "gain_e_per_dn": (1e-9, 1e6),
     "bias_dn": (-1e19, 2e19),
 }
+
+
+USUAL_FLAT = (0.2, 2.0)  # mean of an image; others are likely in counts or percent
+
+
+def flat_remarks(scene: Scene, maps: SensorMaps) -> list[str]:
+    """What an image of the flat does to all light, where its mean is far from 1."""
+    mean = float(np.mean(maps.flat))
+    if not isinstance(scene.sensor.flat, str) or USUAL_FLAT[0] <= mean <= USUAL_FLAT[1]:
+        return []
+    return [
+        f"sensor.flat: the mean of {scene.sensor.flat} is {mean:.3g}: all light is multiplied by "
+        "it; an image in counts or percent is to be divided by its mean"
+    ]
 
 
 def gather_sensor_maps(scene: Scene) -> SensorMaps:
