@@ -271,12 +271,14 @@ def _stray(f: Fields, notes: Notes) -> float:
 
 
 def _stars(f: Fields, catalogue: str | None, data: JsonObject, notes: Notes) -> None:
-    stars = f.get("geometry.stars", {})
+    mode, density = f.get("geometry.stars.mode"), f.get("geometry.stars.mv.density", [])
+    for key in ("mv", "motion", "pad"):
+        f.get(f"geometry.stars.{key}")
     if catalogue is not None:
         data["stars"] = {"catalogue": catalogue}
         notes.assumed.append(f"stars of {catalogue}")
-    if isinstance(stars, dict) and stars.get("mode") == "bins":
-        count = sum(v for v in stars.get("mv", {}).get("density", []) if isinstance(v, int | float))
+    if mode == "bins":
+        count = sum(v for v in density if isinstance(v, int | float))
         notes.left_out.append(
             f"geometry.stars: {count:.4g} stars a square degree at random places; give a "
             "--catalogue for stars"

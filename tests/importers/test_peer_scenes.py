@@ -211,6 +211,14 @@ def test_keys_of_objects_that_are_lost_are_named(satsim):
     ]
 
 
+def test_keys_of_stars_that_are_lost_are_named(satsim):
+    """A star catalogue of SatSim's, and where it looks in it."""
+    stars = {"mode": "sstr7", "path": "sst", "ra": 9.0, "pad": 1, "motion": {"mode": "none"}}
+    found = satsim({"geometry.stars": stars})
+    lost = [line for line in found.notes.left_out if line.startswith("geometry.stars")]
+    assert lost == [f"geometry.stars.{key}: no such thing in a scene" for key in ("path", "ra")]
+
+
 def test_a_model_goes_before_a_magnitude_and_that_before_electrons(satsim):
     sphere = {"mode": "lambertian_sphere", "diameter": 2, "albedo": 0.3, "phase_angle": 40,
               "distance": 900}  # fmt: skip
