@@ -168,21 +168,23 @@ def light_curve_m2_sr(
     """Intensity over solar irradiance (n,) [m2/sr] of a tabulated light curve.
 
     I/E = range^2 10^(-0.4 (m - m_sun)), the distance of the Sun's light taken to 1 au; linear
-    between the table's values in the unit they are given in. BadInput where it does not cover the
-    times and has no period.
+    between the table's values in the unit they are given in, and from its last one to the first of
+    the next period: a jump where the period is its span. BadInput where it does not cover the times
+    and has no period.
     """
     times = np.array(body.times_s)
+    values = np.array(body.magnitudes if body.magnitudes is not None else body.intensities_m2_sr)
     at = time_s + since_s(body.epoch, epoch, field)
     if body.period_s is not None:
         at = times[0] + np.mod(at - times[0], body.period_s)
+        times, values = np.append(times, times[0] + body.period_s), np.append(values, values[0])
     elif at.size and not (times[0] <= at.min() and at.max() <= times[-1]):
         raise BadInput(
             f"{field}.times_s",
             f"{times[0]:g} to {times[-1]:g}",
             f"a table that covers the exposures, {at.min():.6g} to {at.max():.6g} s, or a period_s",
         )
-    values = np.array(body.magnitudes if body.magnitudes is not None else body.intensities_m2_sr)
-    value = np.interp(at, times, values, period=body.period_s)
+    value = np.interp(at, times, values)
     if body.magnitudes is not None:
         value = body.range_m**2 * 10.0 ** (-0.4 * (value - body.sun_mag))
     reference = body.phase_deg * DEG_RAD

@@ -268,7 +268,11 @@ class LightCurveBody(Strict):
     phase_law: Literal["as_given", "lambert", "linear"] = "as_given"
     phase_deg: float = Field(0.0, ge=0, lt=180)
     mag_per_deg: float = Field(0.0, ge=-1, le=1)
-    period_s: Positive | None = Field(None, description="the table repeats with this period")
+    period_s: Positive | None = Field(
+        None,
+        description="the table repeats with this period, at least its span [s]; straight from its "
+        "last row to the first of the next period, a jump where both are at one time",
+    )
     epoch: str | None = Field(None, max_length=40)
 
     @model_validator(mode="after")

@@ -269,6 +269,21 @@ def test_light_curves() -> None:
     assert -2.5 * np.log10(fainter / value[0]) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("begins_s", [0.0, -3.0, 1000.3])
+def test_a_light_curve_over_one_period_is_repeated_as_given(begins_s: float) -> None:
+    """With the span as its period it jumps back from its last value to its first."""
+    given = {"times_s": [begins_s + t for t in (0.0, 5.0, 10.0)], "magnitudes": [5.0, 6.0, 7.0]}
+    span_s = given["times_s"][-1] - given["times_s"][0]
+    table = {"kind": "light_curve", **given, "period_s": span_s}
+    curve = TypeAdapter(Body).validate_python(table)
+    since_s = np.array([0.5, 2.5, 4.9, 5.1, 9.9])
+    for turn in (-3, 0, 1, 40):
+        at = begins_s + since_s + turn * span_s
+        value = light_curve_m2_sr(curve, EPOCH, at, 0 * at)
+        magnitude = -26.76 - 2.5 * np.log10(value / 1e6**2)
+        np.testing.assert_allclose(magnitude, 5.0 + since_s / 5.0, atol=1e-9)
+
+
 def scene_of(target_body: dict[str, Any], **changes: Any) -> Any:
     return parse_scene(SKY | {"targets": [TARGET | {"body": target_body} | changes]})
 
