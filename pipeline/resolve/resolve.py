@@ -31,7 +31,7 @@ from pipeline.plan.sky.doubts import sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
 from pipeline.plan.targets.decisions import mesh_notices
-from pipeline.plan.targets.orbit_age import orbit_remarks
+from pipeline.plan.targets.orbit_age import orbit_remarks, table_warnings
 from pipeline.plan.targets.umbra import umbra_remarks
 from pipeline.plan.timing import integration_range_s
 from pipeline.resolve.files import has_air, read_files, with_numbers
@@ -127,7 +127,12 @@ def resolve(asked: Scene) -> Resolved:
         field_stars,
         gather_targets(resolved, g),
         _cosmic_rays(scene),
-        (*doubts.warnings, *warnings, *_none_in_field(resolved, g, field_stars)),
+        (
+            *doubts.warnings,
+            *warnings,
+            *_none_in_field(resolved, g, field_stars),
+            *table_warnings(scene, g, facts.ifov_rad),
+        ),
         (
             *([of_time] if of_time else ()),
             *light.remarks,

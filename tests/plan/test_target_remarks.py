@@ -11,6 +11,7 @@ import pytest
 
 from pipeline.errors import BadInput
 from pipeline.execute.truth import target_truth
+from pipeline.physics.positions.orbit_two_body import two_body
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.plan.bodies.sights import sights
 from pipeline.plan.bodies.sizes import limb_px, radius_m
@@ -67,6 +68,42 @@ def target(orbit: dict[str, Any], diameter_m: float = 1.0, name: str = "t") -> d
 
 def planned(targets: list[dict[str, Any]], **changes: Any) -> Any:
     return prepare(parse_scene(copy.deepcopy(SCENE) | {"targets": targets} | changes)).plan
+
+
+def table(times_s: tuple[float, ...], speeds: bool) -> dict[str, Any]:
+    """Rows of a geostationary orbit around the scene's epoch."""
+    place, speed = two_body(
+        np.array([GEO_M, 0.0, 0.0]), np.array([0.0, 3074.66, 0.0]), np.array(times_s)
+    )
+    rows = np.hstack([np.array(times_s)[:, None], place.round(2), *([speed] if speeds else [])])
+    return {"kind": "table", "epoch": SCENE["epoch"], "rows": rows.tolist()}
+
+
+def test_tables_too_coarse_for_a_pixel_are_told() -> None:
+    """A pixel is 10 urad, 400 m there; two rows are judged as those of a free orbit."""
+    near = {"kind": "orbit", "orbit": state([7e6, 1e6, 0.0], [0.0, 0.0, 7.5e3])}
+    minutes = tuple(60.0 * k for k in range(-20, 20))
+    hole = tuple(t if t < 0.0 else t + 12.0 * 3600.0 for t in minutes)
+
+    def told(times_s: tuple[float, ...], speeds: bool = False) -> tuple[Any, float]:
+        plan = planned([target(table(times_s, speeds))], observer=near)
+        (bound,) = [d.bound for d in plan.decisions if d.component == "targets.ephemeris"]
+        return [w for w in plan.warnings if "rows of its table" in w], bound
+
+    assert told(minutes)[0] == []
+    (warning,), bound = told((-300.0, 300.0))
+    assert bound == pytest.approx(0.5 * 0.2242 * 300.0**2, rel=1e-3)
+    assert warning.startswith("t: the rows of its table are too few to judge by; if it is a free")
+    assert "1e+04 m off between them, up to " in warning
+    words, bound = told((-300.0, 300.0), speeds=True)
+    assert (words, bound) == ([], pytest.approx(0.40, abs=0.01))
+    (warning,), _ = told(hole)
+    assert warning.startswith("t: the rows of its table may be ")
+    watched = planned(
+        [target(state([0.0, GEO_M, 0.0], [-3074.66, 0.0, 0.0]))],
+        observer={"kind": "orbit", "orbit": table((-300.0, 300.0), False)},
+    )
+    assert [w for w in watched.warnings if w.startswith("the observer: the rows")]
 
 
 def test_elements_of_seven_years_ago_are_told_with_their_error():

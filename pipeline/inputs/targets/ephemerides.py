@@ -109,9 +109,9 @@ class _Reader:
             raise BadInput(f"{field}.path", f"{len(seconds[keep])} rows of {path.name}", allowed)
         seconds = seconds[keep]
         place, speed = to_gcrs(table, keep)
-        near = (seconds >= -LIGHT_MARGIN_S) & (seconds <= self._dwell_s)
-        near[1:] |= near[:-1]
-        near[:-1] |= near[1:]
+        near = np.zeros(len(seconds), bool)  # and one row on either side
+        before = int(np.searchsorted(seconds, -LIGHT_MARGIN_S)) - 1
+        near[max(before, 0) : int(np.searchsorted(seconds, self._dwell_s, side="right")) + 1] = True
         wanted = near if near[1:-1].any() else None
         nodes, error = best_nodes(seconds, place, speed, wanted)
         columns = [seconds[:, None], place] + ([] if speed is None else [speed])

@@ -1,4 +1,4 @@
-"""Ephemeris tables: polynomials through the nearest rows, their error measured on left-out rows."""
+"""Ephemeris tables: polynomials through the nearest rows; their error, measured on the rows."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from pipeline.errors import BadInput
 Array = NDArray[np.float64]
 
 FEWEST_NODES, MOST_NODES = 2, 16
+HOLE = 3.0  # neighbours: rows beside a longer stretch lie too near its edge to tell its error
+ROOM = 4.0  # of what is found in a hole: what it is compared with errs, too
+WITHIN = np.array([[0.25], [0.5], [0.75]])  # where a hole is looked at
 
 
 def interpolate(
@@ -42,7 +45,7 @@ def left_out_error(
 ) -> float:
     """Largest error [m] of inner rows interpolated from their neighbours without them.
 
-    It bounds the error between rows of a smooth orbit, with room: the gap is twice as wide.
+    It bounds the error between even rows of a smooth orbit, with room: the gap is twice as wide.
     wanted : (k,) which rows to judge by; default: all but the first and the last
     """
     count = len(time_s)
@@ -59,19 +62,56 @@ def left_out_error(
         time_s[rows], place_m[rows], None if speed_m_s is None else speed_m_s[rows]
     )
     place, _ = _evaluate(knots, terms, time_s[inner])
-    return float(np.sqrt(np.max(np.sum((place - place_m[inner]) ** 2, axis=-1))))
+    return _farthest(place, place_m[inner])
+
+
+def hole_error(
+    time_s: Array,
+    place_m: Array,
+    speed_m_s: Array | None,
+    nodes: int,
+    wanted: NDArray[np.bool_] | None = None,
+) -> float:
+    """Largest error [m] where rows are missing: what a row less changes, or rows more; 0 without.
+
+    A row left out beside a hole does not tell it: near its edge errors are small. The lesser of the
+    two counts, as more rows are worse where rounded ones close together are followed far.
+    wanted : (k,) the rows between which it counts; default: all
+    """
+    gap, count = np.diff(time_s), len(time_s)
+    hole = gap > HOLE * np.maximum(np.append(0.0, gap[:-1]), np.append(gap[1:], 0.0))
+    if wanted is not None:
+        hole &= wanted[:-1] & wanted[1:]
+    at = (time_s[:-1] + WITHIN * gap)[:, hole].ravel()
+    less, here, more, most = (
+        interpolate(time_s, place_m, speed_m_s, at, n)[0] for n in range(nodes - 1, nodes + 3)
+    )
+    found = [_farthest(less, here), max(_farthest(more, here), _farthest(most, here))]
+    return ROOM * min(found if nodes < count else found[:1])
+
+
+def table_error(
+    time_s: Array,
+    place_m: Array,
+    speed_m_s: Array | None,
+    nodes: int,
+    wanted: NDArray[np.bool_] | None = None,
+) -> float:
+    """Largest error [m] between rows: of rows left out and in holes; NaN of too few to judge."""
+    table = time_s, place_m, speed_m_s, nodes, wanted
+    return float(np.maximum(left_out_error(*table), hole_error(*table)))
 
 
 def best_nodes(
     time_s: Array, place_m: Array, speed_m_s: Array | None, wanted: NDArray[np.bool_] | None = None
 ) -> tuple[int, float]:
-    """How many rows to pass through, even, for the least `left_out_error`, and that error [m].
+    """How many rows to pass through, even, for the least `table_error`, and that error [m].
 
     Two rows without velocities, or a table too short to leave a row out: error NaN.
     """
-    most = min(MOST_NODES if speed_m_s is None else MOST_NODES // 2, len(time_s) - 1)
+    most = min(MOST_NODES if speed_m_s is None else MOST_NODES // 2, len(time_s))
     tried = [
-        (left_out_error(time_s, place_m, speed_m_s, n, wanted), n)
+        (table_error(time_s, place_m, speed_m_s, n, wanted), n)
         for n in range(FEWEST_NODES, most + 1, 2)
     ]
     known = [pair for pair in tried if np.isfinite(pair[0])]
@@ -91,6 +131,11 @@ def check_covered(first_s: float, last_s: float, at_s: Array, field: str, epoch:
             f"times that the table covers: {first_s:.3f} to {last_s:.3f} s after {epoch} (light "
             "leaves a target before it arrives)",
         )
+
+
+def _farthest(one: Array, other: Array) -> float:
+    """Largest distance between places (n, 3); 0 of none."""
+    return float(np.sqrt(np.max(np.sum((one - other) ** 2, axis=-1), initial=0.0)))
 
 
 def _newton(time: Array, place: Array, speed: Array | None) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,13 +17,14 @@ from pipeline.physics.constants import (
 )
 from pipeline.physics.positions.apparent import aberrate, unaberrate
 from pipeline.physics.positions.earth import earth_and_sun
-from pipeline.physics.positions.orbit_table import best_nodes, left_out_error
+from pipeline.physics.positions.orbit_table import best_nodes, table_error
 from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.decision import Decision
 from pipeline.plan.timing import end_s
 from pipeline.spec.scene import Scene, Target
 from pipeline.spec.targets.mesh import LambertSurface, MeshBody
+from pipeline.spec.targets.orbit import TableOrbit
 
 J2 = 1.0826267e-3
 SMALLER = 1.05  # harmonics beyond the flattening, of its acceleration: 1.4e-2 of it, and sunlight
@@ -94,9 +96,12 @@ def _lowest_m(orbit: Any, seen_m: float) -> float:
     return float(min(low, r, seen_m))
 
 
-def table_told(target: Target) -> Decision:
-    """How well a table of places tells an orbit between its rows."""
-    o: Any = target.orbit
+def table_error_m(o: TableOrbit) -> tuple[int, float, bool]:
+    """Rows that polynomials of a table pass, their error [m], and whether the rows tell it.
+
+    Of two rows that of a free orbit about the Earth, r (w t / 2)^d / d!, w^2 = GM / r^3: of a
+    straight line d = 2, of a cubic, with velocities, d = 4; at most the orbit's diameter.
+    """
     nodes, error = o.nodes, o.error_m
     if nodes is None or error is None:  # rows in the scene itself: nobody measured them yet
         rows = np.array(o.rows, float)
@@ -104,15 +109,28 @@ def table_told(target: Target) -> Decision:
         if nodes is None:
             nodes, error = best_nodes(*table)
         else:
-            error = left_out_error(*table, nodes)
-    known = bool(np.isfinite(error))
-    told = f"at most {error:.2g} m off on rows omitted" if known else "too few to leave one out"
+            error = table_error(*table, nodes)
+        if not np.isfinite(error):
+            r = float(np.sqrt(np.sum(table[1] ** 2, axis=-1)).min())
+            degree = 2 if table[2] is None else 4
+            turned = math.sqrt(EARTH_GM_M3_S2 / r**3) * float(table[0][-1] - table[0][0])
+            error = r * (0.5 * turned) ** degree / math.factorial(degree)
+            return nodes, min(error, 2.0 * r), False
+    return nodes, error, True
+
+
+def table_told(target: Target) -> Decision:
+    """How well a table of places tells an orbit between its rows."""
+    assert isinstance(target.orbit, TableOrbit)
+    nodes, error, known = table_error_m(target.orbit)
+    told = f"at most {error:.2g} m off on rows omitted"
+    few = f"too few to leave one out: a free orbit bends by {error:.2g} m between them"
     return Decision(
         "targets.ephemeris",
         True,
-        f"{target.name}: {o.source or 'rows in the scene'}, polynomials through {nodes} rows, "
-        f"{told}",
-        bound=float(error) if known else None,
+        f"{target.name}: {target.orbit.source or 'rows in the scene'}, polynomials through {nodes} "
+        f"rows, {told if known else few}",
+        bound=error,
         unit="m",
     )
 

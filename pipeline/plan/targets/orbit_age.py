@@ -1,4 +1,4 @@
-"""Orbits far from what they are good for: old mean elements, and places far beyond the Earth."""
+"""Orbits far from what they are good for: old elements, coarse tables, far beyond the Earth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pipeline.physics.constants import (
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.bodies.orbits import elements_epoch
-from pipeline.plan.targets.bounds import geocentric_m, longest_from_elements_s
+from pipeline.plan.targets.bounds import geocentric_m, longest_from_elements_s, table_error_m
 from pipeline.plan.timing import end_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.targets.orbit import (
@@ -23,6 +23,7 @@ from pipeline.spec.targets.orbit import (
     OmmOrbit,
     Orbit,
     StateOrbit,
+    TableOrbit,
     TleOrbit,
 )
 
@@ -35,6 +36,36 @@ LOW_KM_DAY, HIGH_KM_DAY, AT_EPOCH_KM = 3.0, 0.5, 1.0
 
 def orbit_remarks(scene: Scene, g: Geometry, ifov_rad: float) -> list[str]:
     """What is to be said of old elements and of orbits beyond the Earth's reach, one by one."""
+    found = []
+    for name, orbit, geocentric, range_m in _movers(scene, g):
+        told = _aged(scene, orbit) or _far(scene, orbit, geocentric)
+        if told is not None:
+            error_m, why = told
+            found.append((error_m, f"{name}: {why}{_on_the_sensor(error_m, range_m, ifov_rad)}"))
+    found.sort(key=lambda one: -one[0])
+    out = [words for _, words in found[:MOST_NAMED]]
+    left = len(found) - len(out)
+    return out + ([f"{left} more orbits are old or far like these, by less"] if left else [])
+
+
+def table_warnings(scene: Scene, g: Geometry, ifov_rad: float) -> list[str]:
+    """Which tables of places may be off by more than a pixel between rows, the worst first."""
+    found = []
+    for name, orbit, _, range_m in _movers(scene, g):
+        if not isinstance(orbit, TableOrbit):
+            continue
+        _, error_m, known = table_error_m(orbit)
+        if range_m > 0.0 and error_m > ifov_rad * range_m:
+            why = "may be" if known else "are too few to judge by; if it is a free orbit it may be"
+            told = f"{name}: the rows of its table {why} {error_m:.2g} m off between them"
+            found.append((error_m, f"{told}{_on_the_sensor(error_m, range_m, ifov_rad)}"))
+    found.sort(key=lambda one: -one[0])
+    return [words for _, words in found[:MOST_NAMED]]
+
+
+def _movers(scene: Scene, g: Geometry) -> list[tuple[str, Orbit, float, float]]:
+    """Names and orbits of targets and of the observer; how far from the Earth's middle [m] each
+    comes at most, and how near the other [m]."""
     nearest = g.target_range_m.min(axis=(1, 2)) if len(scene.targets) else np.zeros(0)
     earth = earth_and_sun(g.tt1[:, g.middle], g.tt2[:, g.middle]).position_m
     here = float(np.sqrt(np.sum((g.observer_m[:, g.middle] - earth) ** 2, axis=-1)).max())
@@ -45,16 +76,7 @@ def orbit_remarks(scene: Scene, g: Geometry, ifov_rad: float) -> list[str]:
     observer: Orbit | None = getattr(scene.observer, "orbit", None)
     if observer is not None:
         movers.append(("the observer", observer, here, float(nearest.min(initial=np.inf))))
-    found = []
-    for name, orbit, geocentric, range_m in movers:
-        told = _aged(scene, orbit) or _far(scene, orbit, geocentric)
-        if told is not None:
-            error_m, why = told
-            found.append((error_m, f"{name}: {why}{_on_the_sensor(error_m, range_m, ifov_rad)}"))
-    found.sort(key=lambda one: -one[0])
-    out = [words for _, words in found[:MOST_NAMED]]
-    left = len(found) - len(out)
-    return out + ([f"{left} more orbits are old or far like these, by less"] if left else [])
+    return movers
 
 
 def elements_error_m(age_days: float, rev_day: float) -> float:

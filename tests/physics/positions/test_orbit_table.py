@@ -12,8 +12,10 @@ from pipeline.errors import BadInput
 from pipeline.physics.positions.orbit_table import (
     best_nodes,
     check_covered,
+    hole_error,
     interpolate,
     left_out_error,
+    table_error,
 )
 from pipeline.physics.positions.orbit_two_body import two_body
 
@@ -63,6 +65,41 @@ def test_stated_error_holds(hermite: bool, step: float) -> None:
     assert np.linalg.norm(found - true, axis=1).max() <= error + 1e-6
     assert np.linalg.norm(slope - true_speed, axis=1).max() <= 20 * error / step + 1e-6
     assert error < 1e-3 * step**2
+
+
+GEO = np.array([4.2164e7, 0.0, 0.0]), np.array([0.0, 3074.66, 0.0])
+
+
+@pytest.mark.parametrize("hermite", [False, True])
+@pytest.mark.parametrize("hole_h", [0.5, 3.0, 6.0, 12.0])
+def test_stated_error_holds_in_a_hole(hole_h: float, hermite: bool) -> None:
+    """Of rounded rows a minute apart with some missing, whose neighbours say little of it."""
+    time = np.arange(-16.0, 16.0) * 60.0
+    time[16:] += 3600.0 * hole_h
+    place, speed = (np.round(v, 4) for v in two_body(*GEO, time))
+    given = speed if hermite else None
+    nodes, error = best_nodes(time, place, given)
+    at = np.linspace(time[15], time[16], 101)
+    off = interpolate(time, place, given, at, nodes)[0] - two_body(*GEO, at)[0]
+    worst = np.linalg.norm(off, axis=1).max()
+    assert worst <= error == table_error(time, place, given, nodes)
+    assert error < 200.0 * worst
+    assert left_out_error(time, place, given, nodes) < 0.1 * worst
+    wanted = time < 0.0
+    assert best_nodes(time, place, given, wanted)[1] < 0.02  # where no place is asked for in it
+    assert hole_error(time[:16], place[:16], None, nodes) == 0.0
+
+
+@pytest.mark.parametrize("hermite", [False, True])
+@pytest.mark.parametrize("rows", [(-1800, -1740, 1800), (-5000, -1800, 1800, 5000)])
+def test_stated_error_of_few_rows_holds(rows: tuple[float, ...], hermite: bool) -> None:
+    time = np.array(rows, float)
+    place, speed = two_body(*GEO, time)
+    given = speed if hermite else None
+    nodes, error = best_nodes(time, place, given)
+    off = interpolate(time, place, given, [0.0], nodes)[0] - two_body(*GEO, np.zeros(1))[0]
+    assert np.linalg.norm(off) <= error
+    assert nodes == (2 if len(time) == 3 else 4)
 
 
 def test_rows_are_met() -> None:
