@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 Light = Callable[[Array, Array], Array]
 
 FIRST_TIMES, FIRST_PHASES = 9, 32
+NO_TIMES = np.empty(0)
 FAINT = 0.1  # of the brightest moment: below it the error is told as a share of that
 GOLDEN = 0.6180339887498949
 KINK = 0.5  # of the share: what a middle may be off, as a kink may hide beside it
@@ -53,14 +54,23 @@ class LightTable:
 
 
 def tabulated(
-    light: Light, start_s: float, end_s: float, share: float, most: int, spins: bool
+    light: Light,
+    start_s: float,
+    end_s: float,
+    share: float,
+    most: int,
+    spins: bool,
+    turns_s: Array = NO_TIMES,
 ) -> LightTable | None:
     """A table of a body's light, so fine that its `error` is at most `share`.
 
     light : from phases (m,) [rad] and times (m,) [s] to lights (m, C), whose sum counts
+    turns_s : times between the two at which it is looked at in any case, as it may turn there
     None where more than `most` moments would have to be worked out.
     """
-    return (_grid if spins else _line)(light, start_s, end_s, share, most)
+    even = np.linspace(start_s, end_s, 3 if spins else FIRST_TIMES)
+    times = np.union1d(even, turns_s)
+    return (_grid if spins else _line)(light, times, share, most)
 
 
 def _off(found: Array, told: Array, peak: float) -> Array:
@@ -70,15 +80,16 @@ def _off(found: Array, told: Array, peak: float) -> Array:
     return np.asarray(off / np.maximum(np.maximum(right, FAINT * peak), 1e-300))
 
 
-def _line(light: Light, start_s: float, end_s: float, share: float, most: int) -> LightTable | None:
+def _line(light: Light, times: Array, share: float, most: int) -> LightTable | None:
     """Along time: pieces are halved until middles are told by ends, of a piece and of its halves.
 
     Then places by chance are looked at in the same way.
     """
-    times = np.linspace(start_s, end_s, FIRST_TIMES)
+    if len(times) > most:
+        return None
     values = light(np.zeros(len(times)), times)
     where = np.sort(np.mod(GOLDEN * np.arange(1, HELD_OUT + 1), 1.0))
-    by_chance = start_s + (end_s - start_s) * where
+    by_chance = times[0] + (times[-1] - times[0]) * where
     at, worst = 0.5 * (times[:-1] + times[1:]), 0.0
     once = np.zeros(len(at), bool)  # pieces whose whole was told well
     while len(at) or len(by_chance):
@@ -104,13 +115,15 @@ def _line(light: Light, start_s: float, end_s: float, share: float, most: int) -
     return LightTable(times, values[None], worst / KINK, len(times))
 
 
-def _grid(light: Light, start_s: float, end_s: float, share: float, most: int) -> LightTable | None:
+def _grid(light: Light, times: Array, share: float, most: int) -> LightTable | None:
     """Phase by time: each side is halved until what lies between is told by its neighbours.
 
     Where a face or a shadow sets in the light has kinks, which no even grid tells at once: the mean
     difference counts.
     """
-    times, phases = np.linspace(start_s, end_s, 3), FIRST_PHASES
+    phases = FIRST_PHASES
+    if phases * len(times) > most:
+        return None
     values = _on_grid(light, np.arange(phases) * TURN / phases, times)
     for side in ("phase", "time"):
         mean = np.inf

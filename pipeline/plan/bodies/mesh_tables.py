@@ -7,16 +7,17 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.physics.meshes.light_table import TURN, LightTable, tabulated
+from pipeline.physics.meshes.light_table import NO_TIMES, TURN, LightTable, tabulated
 from pipeline.physics.meshes.model import MeshModel
 from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.vectors import unit
 from pipeline.plan.bodies.attitudes import View, since_s
 from pipeline.plan.bodies.meshes import STEP_RAD, mesh_earthshine_m2_sr, mesh_m2_sr
 from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.plan.decision import Decision
 from pipeline.plan.timing import end_s, frame_count, frame_times, integration_range_s
 from pipeline.spec.scene import Scene
-from pipeline.spec.targets.body import SpinAttitude
+from pipeline.spec.targets.body import SpinAttitude, TableAttitude
 from pipeline.spec.targets.mesh import MeshBody
 
 Array = NDArray[np.float64]
@@ -25,6 +26,7 @@ WORTH = 300  # moments to work out: below it a table is not tried
 FINER = 0.1  # of the error asked for: that of single moments, or the table would follow it
 SHARE = 3  # a table takes at most a third of the moments that it saves
 MOST_NODES = 257  # of a frame
+ROWS_RAD = 0.05  # of a tabulated attitude, between rows that are looked at
 ROUNDING_S = 1e-6
 KEPT: dict[str, LightTable | None] = {}  # of this process, by what they follow from
 MOST_KEPT = 256
@@ -60,7 +62,8 @@ def table_between(
         if spin is not None:
             assert body.error is not None
             light, share = _Light(scene, index, at, spin), 2.0 * body.error
-            made = tabulated(light, start_s, stop_s, share, wanted // SHARE, spin != 0.0)
+            turns = _turns_s(light, start_s, stop_s)
+            made = tabulated(light, start_s, stop_s, share, wanted // SHARE, spin != 0.0, turns)
         while len(KEPT) >= MOST_KEPT:
             KEPT.pop(next(iter(KEPT)))
         KEPT[key] = made
@@ -130,8 +133,12 @@ class _Light:
     def __init__(self, scene: Scene, index: int, at: Moments, spin: float) -> None:
         self.scene, self.index, self.at, self.spin = scene, index, at, spin
 
-    def __call__(self, phase: Array, time_s: Array) -> Array:
+    def view(self, time_s: Array) -> View:
+        """How the target stands at times (n,) of arrival."""
         assert self.at.elsewhere is not None
+        return sights(self.scene, [self.index], self.at.elsewhere(time_s))[1]
+
+    def __call__(self, phase: Array, time_s: Array) -> Array:
         target = self.scene.targets[self.index]
         epoch, field = parse_utc(self.scene.epoch), f"targets.{self.index}.body"
         body = target.body
@@ -139,7 +146,7 @@ class _Light:
         assert body.error is not None
         body = body.model_copy(update={"error": FINER * body.error})
         each, back = np.unique(time_s, return_inverse=True)
-        _, seen = sights(self.scene, [self.index], self.at.elsewhere(each))
+        seen = self.view(each)
         view = View(*(getattr(seen, name)[:, back] for name in seen.__dataclass_fields__))
         if self.spin:
             # the phase alone tells how it stands: the moment at which the spin has that phase
@@ -154,6 +161,26 @@ class _Light:
             if albedo is not None:
                 out[k, 1] = mesh_earthshine_m2_sr(body, epoch, one, albedo, out[k, :1], field)[0]
         return out
+
+
+def _turns_s(light: _Light, start_s: float, stop_s: float) -> Array:
+    """Times of arrival at which a tabulated attitude begins or ends to turn, from row to row.
+
+    Of rows between which it turns by less than ROWS_RAD only those where it has turned by that.
+    """
+    law = getattr(light.scene.targets[light.index].body, "attitude", None)
+    if not isinstance(law, TableAttitude):
+        return NO_TIMES
+    q = unit(np.array(law.quaternions))
+    turn = 2.0 * np.arccos(np.minimum(np.abs(np.sum(q[1:] * q[:-1], axis=-1)), 1.0))
+    turned = np.diff(np.cumsum(turn) // ROWS_RAD, prepend=0.0) > 0.0
+    rows = np.append(turned, False) | np.append(False, turned)
+    since = since_s(law.epoch, parse_utc(light.scene.epoch), f"targets.{light.index}.body")
+    left = np.array(law.times_s)[rows] - since
+    at = left = left[(left >= start_s) & (left <= stop_s)]
+    for _ in range(2 if len(left) else 0):  # light is under way for a while
+        at = np.clip(at + left - light.view(at).time_s[0], start_s, stop_s)
+    return at
 
 
 def _phase(body: MeshBody, epoch: tuple[float, float], time_s: Array, field: str) -> Array:

@@ -44,6 +44,24 @@ def test_along_time_the_error_holds(width: float, slope: float, seed: int) -> No
     assert tabulated(light, 0.0, 10.0, 1e-3, 20, False) is None
 
 
+@pytest.mark.parametrize("spins", [False, True])
+def test_a_short_flash_at_times_that_are_told_is_not_missed(spins: bool) -> None:
+    flash_s = np.array([604.0, 605.0, 609.0, 610.0])
+
+    def light(_: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return (1.0 + np.interp(t, flash_s, [0.0, 5.0, 5.0, 0.0]))[:, None]
+
+    blind, table = (
+        tabulated(light, 0.0, 900.0, 1e-2, 5000, spins, turns) for turns in (flash_s[:0], flash_s)
+    )
+    assert blind is not None
+    assert table is not None
+    t = np.linspace(600.0, 615.0, 151)
+    assert np.max(np.abs(table.at(t, 0 * t) - light(t, t))) < 1e-9
+    assert np.max(np.abs(blind.at(t, 0 * t) - light(t, t))) > 1.0
+    assert tabulated(light, 0.0, 900.0, 1e-2, 12 * (32 if spins else 1), spins, flash_s) is None
+
+
 def test_over_phase_and_time_the_error_holds() -> None:
     def light(p: np.ndarray, t: np.ndarray) -> np.ndarray:
         return (1.0 + 0.3 * np.cos(p - 0.1 * t) + 0.05 * np.sin(2 * p) * t / 10)[:, None]
@@ -145,6 +163,26 @@ def test_same_frame_in_any_window(frames: int, tmp_path: Path) -> None:
     for some in ([3], [2, 3, 5], [7, 1]):
         found = plan_geometry(scene, np.array(some), 0.0).target_light
         np.testing.assert_array_equal(found, every[:, some])
+
+
+def test_a_short_turn_of_a_tabulated_attitude_is_seen(tmp_path: Path, monkeypatch: Any) -> None:
+    """Six of 900 seconds, between all times that a table of light looks at by itself."""
+    still, turned = [-0.5, 0.5, 0.3, 0.8], [-0.6, 0.4, 0.3, 0.8]
+    times_s = np.array([-100, *range(0, 600, 10), 604, 605, 609, 610, 1100])
+    rows = [turned if 604 < t < 610 else still for t in times_s]
+    law = {"kind": "table", "times_s": (40.0 + times_s).tolist(), "quaternions": rows,
+           "epoch": "2019-07-20T08:59:20Z"}  # fmt: skip
+    scene = scene_of(tmp_path, law, 900)
+    frames = np.arange(600, 615, 3)
+    ours = plan_geometry(scene, frames, 0.0).target_light
+    (table,) = mesh_tables.KEPT.values()
+    assert table is not None
+    assert len(table.times_s) < 400
+    assert np.min(np.abs(table.times_s - 605.0)) < 0.1
+    monkeypatch.setattr(mesh_tables, "WORTH", 10**9)
+    true = plan_geometry(scene, frames, 0.0).target_light
+    assert true.min() < 0.5 * true.max()
+    np.testing.assert_allclose(ours, true, atol=2e-3 * true.max())
 
 
 def test_several_spins_are_not_put_into_a_table(tmp_path: Path) -> None:
