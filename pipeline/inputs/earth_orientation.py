@@ -6,11 +6,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
-from pipeline.physics.positions.times import parse_utc
+import numpy as np
+
+from pipeline.physics.constants import ARCSEC_RAD, DAY_S, EARTH_ROTATION_RAD_S
+from pipeline.physics.positions.times import instants, parse_utc
+from pipeline.plan.timing import end_s
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
 MJD_ZERO = 2_400_000.5
+MOST_LOOKS = 16  # of a long scene: each reads the table
 DATA_ENDS_ERROR_S = 0.9  # UTC is kept within it of UT1, so leaving the difference out errs no more
 
 
@@ -57,6 +62,30 @@ def with_pole(scene: Scene) -> Scene:
     pole = gather_pole_arcsec(*parse_utc(scene.epoch))
     known = o.model_copy(update={"polar_motion_arcsec": pole})
     return scene.model_copy(update={"observer": known})
+
+
+def gather_turn_off_rad(scene: Scene) -> float:
+    """How far [rad] the Earth under a site is, in frames, from where UT1 and the pole of the epoch
+    have it: day by day, in long scenes at MOST_LOOKS moments.
+
+    0 where no table tells, and within a day: 0.03 arcsec, as predictions of some weeks err by.
+    """
+    epoch, last_s = parse_utc(scene.epoch), end_s(scene)
+    dut1_s, unknown = gather_dut1_s(*epoch)
+    if not isinstance(scene.observer, GroundObserver) or unknown or last_s < DAY_S:
+        return 0.0
+    looks = min(2 + int(last_s / DAY_S), MOST_LOOKS)
+    left = instants(epoch, np.linspace(0.0, last_s, looks), dut1_s)
+    poles, worst = [], 0.0
+    for k, utc in enumerate(zip(left.utc1, left.utc2, strict=True)):
+        dut1_s, unknown = gather_dut1_s(*utc)
+        poles.append(np.array(gather_pole_arcsec(*utc) or (0.0, 0.0)))
+        if not unknown:
+            own = instants(utc, [0.0], dut1_s)
+            late_s = DAY_S * ((own.ut11[0] - left.ut11[k]) + (own.ut12[0] - left.ut12[k]))
+            moved_rad = ARCSEC_RAD * float(np.hypot(*(poles[-1] - poles[0])))
+            worst = max(worst, EARTH_ROTATION_RAD_S * abs(float(late_s)) + moved_rad)
+    return worst
 
 
 class Day(NamedTuple):

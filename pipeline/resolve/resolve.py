@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrays import Geometry, SensorMaps
 from pipeline.inputs.band.response import gather_band_light, gather_response
-from pipeline.inputs.earth_orientation import gather_dut1_s
+from pipeline.inputs.earth_orientation import gather_dut1_s, gather_turn_off_rad
 from pipeline.inputs.sensor.psf_tables import gather_psf_table
 from pipeline.inputs.sensor.sensor import flat_remarks, gather_sensor_maps
 from pipeline.inputs.stars.catalogues import catalogue_remarks, colour_sentences, open_catalogues
@@ -23,6 +23,7 @@ from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.optics.optics import check_motion
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
+from pipeline.plan.pointing.site import turn_warnings
 from pipeline.plan.resolved import ResolvedScene, resolved_scene
 from pipeline.plan.response.responses import plan_responses
 from pipeline.plan.response.sources import KnownSources
@@ -132,6 +133,7 @@ def resolve(asked: Scene) -> Resolved:
             *warnings,
             *_none_in_field(resolved, g, field_stars),
             *table_warnings(scene, g, facts.ifov_rad),
+            *turn_warnings(scene, g, facts.ifov_rad, gather_turn_off_rad(scene)),
         ),
         (
             *([of_time] if of_time else ()),

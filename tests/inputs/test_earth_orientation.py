@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.inputs.earth_orientation import gather_dut1_s, gather_pole_arcsec, with_pole
+from pipeline.inputs.earth_orientation import (
+    gather_dut1_s,
+    gather_pole_arcsec,
+    gather_turn_off_rad,
+    with_pole,
+)
 from pipeline.physics.positions.earth import gcrs_to_itrs
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.plan.pointing.geometry import moments_at
@@ -111,3 +116,48 @@ def test_the_plan_names_the_pole_or_its_error():
     none = {d.component: d for d in prepare(parse_scene(late)).plan.decisions}["polar_motion"]
     assert not none.kept
     assert 15.0 < none.bound < 25.0
+
+
+LONG = SCENE | {"epoch": "2016-01-10T09:00:00Z", "accept": ["daylight", "moon", "sun"]}
+
+
+def long_scene(days: int, **changes):
+    exposure = {"integration_s": 1.0, "frames": days + 1, "cadence_s": 86_400.0}
+    return parse_scene(LONG | {"exposure": exposure} | changes)
+
+
+@pytest.mark.parametrize("days", [30, 300, 500])  # 500: beyond the leap second of 2016's end
+def test_what_the_epochs_earth_is_off_later_against_astropy(table, days):
+    """UT1 - TAI drifts by 0.4 s in the first 300 days; the pole's way is added."""
+    jd = 2457397.875 + days * np.linspace(0.0, 1.0, 16)
+    ut1 = table.ut1_utc(jd, 0.0).to_value("s") - np.where(jd > 2457754.5, 1.0, 0.0)
+    x, y = (v.to_value("arcsec") for v in table.pm_xy(jd, 0.0))
+    theirs = 15.041 * np.abs(ut1 - ut1[0]) + np.hypot(x - x[0], y - y[0])
+    assert gather_turn_off_rad(long_scene(days)) * 206265 == pytest.approx(theirs.max(), rel=0.03)
+
+
+def test_only_sites_and_long_scenes_are_off():
+    assert gather_turn_off_rad(long_scene(0)) == 0.0
+    assert gather_turn_off_rad(long_scene(300, epoch="2080-01-10T09:00:00Z")) == 0.0
+    away = {"kind": "fixed", "position_au": [1, 0, 0]}
+    stars = {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 20.0}
+    assert gather_turn_off_rad(long_scene(300, observer=away, pointing=stars)) == 0.0
+
+
+def test_a_long_scene_is_told_to_be_split():
+    """300 days: 6 arcsec of 2 arcsec a pixel; stars that are pointed at do not move, targets do."""
+
+    def told(scene):
+        return [w for w in prepare(scene).plan.warnings if "UT1" in w]
+
+    (warning,) = told(long_scene(300))
+    assert "300 days the site is turned up to 6.1 arcsec, 188 m, wrongly" in warning
+    assert "2.9 px; split the scene into parts of 5.1 days" in warning
+    assert told(long_scene(3)) == []
+    stars = {"mode": "sidereal", "boresight_ra_deg": 150.0, "boresight_dec_deg": 70.0}
+    assert told(long_scene(300, pointing=stars)) == []
+    body = {"kind": "sphere", "diameter_m": 4.0, "albedo": 0.25}
+    orbit = {"kind": "state", "position_m": [-3.0e7, 2.9e7, 0.0], "velocity_m_s": [-2130, -2200, 0]}
+    high = {"name": "high", "orbit": orbit, "body": body}
+    (warning,) = told(long_scene(300, pointing=stars, targets=[high]))
+    assert " m, wrongly, which is 0." in warning
