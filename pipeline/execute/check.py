@@ -35,7 +35,7 @@ from pipeline.physics.drawing.wings import (
     spread,
     wing_grid,
 )
-from pipeline.physics.motion.streak import POINT, Path, part_within, pieces, transfer
+from pipeline.physics.motion.streak import POINT, Path, in_few_runs, part_within, pieces, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import Core
 from pipeline.plan.checks import FINE_KERNELS, CheckCell, fine_ends
@@ -62,6 +62,7 @@ SOURCE_S, SEGMENT_S, SPECTRUM_S = 1.5e-9, 2e-9, 3e-8  # of one term of a spectru
 VALUE_S = 1.2e-8  # of a value of a profile
 OFF_SHARE = 0.02  # of the light that may be off: what merging the segments of a path may cost
 MOST_MERGED_PX = 1e-2
+WING_BEND_PX = 2e-2  # that straight runs of a body's path may be off for its wings
 MOST_FOLLOWED = 500  # of the brightest stars near a window, whose paths are looked at
 LONGEST_PX = 96.0
 MOST_VALUES = 5e7  # of profiles that the sources of a window may cost, if transforms serve too
@@ -433,6 +434,7 @@ def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         core = core_of(blur, _radius(plan, k, blur))
         draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)
+        path = in_few_runs(path, WING_BEND_PX)
         for grid, ends in _fine_grids(plan, at, _sweep(path)) if r.spacing_px else ():
             light = scipy.fft.rfft2(spread_body(grid, target.body, place, light_e))
             light = light * _wing(blur, core.radius_px, grid, ends)

@@ -65,6 +65,47 @@ def path_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -
     return Path(x[keep], y[keep], merged)
 
 
+def in_few_runs(path: Path, tolerance_px: float) -> Path:
+    """The path in as few straight runs as leave nothing farther off than a tolerance.
+
+    Each run is moved to the centroid of its light, so that what it misses is of second order. For
+    light as smooth as wings; between the runs are segments without light.
+    """
+    runs = 1
+    while runs < path.segments:
+        ends = np.linspace(0, path.segments, runs + 1).round().astype(np.int64)
+        light = np.add.reduceat(path.weight, ends[:-1])
+        if not (light > 0.0).all():
+            return path
+        share = (np.cumsum(path.weight) - 0.5 * path.weight) / light.repeat(np.diff(ends))
+        share -= ((np.cumsum(light) - light) / light).repeat(np.diff(ends)) + 0.5
+        (x, off_x), (y, off_y) = (
+            _through_centroids(v, path.weight, ends, share) for v in (path.x_px, path.y_px)
+        )
+        if np.hypot(off_x, off_y).max() <= tolerance_px:
+            weight = np.zeros(2 * runs - 1)
+            weight[::2] = light
+            return Path(x, y, weight)
+        runs *= 2
+    return path
+
+
+def _through_centroids(
+    v: Array, weight: Array, ends: NDArray[np.int64], share: Array
+) -> tuple[Array, Array]:
+    """Nodes of runs along one axis, and how far the middle of each segment is from them.
+
+    share : (k,) of its run's light up to the middle of each segment, from -1/2 to 1/2
+    """
+    middle = 0.5 * (v[:-1] + v[1:])
+    light = np.add.reduceat(weight, ends[:-1])
+    centroid = np.add.reduceat(weight * middle, ends[:-1]) / light
+    length = np.diff(v[ends])
+    nodes = np.stack([centroid - 0.5 * length, centroid + 0.5 * length], axis=1).ravel()
+    of_run = np.repeat(np.arange(len(length)), np.diff(ends))
+    return nodes, middle - centroid[of_run] - share * length[of_run]
+
+
 def _longest_run(
     x: Array,
     y: Array,
