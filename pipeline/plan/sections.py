@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pipeline.plan.decision import Decision
 from pipeline.plan.rule import PlanBasis, Rule
+from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
 
@@ -48,10 +49,12 @@ def _cosmic_rays(scene: Scene) -> Decision:
         )
     if rays.rate_per_cm2_s == 0.0:
         return Decision("cosmic_rays", False, "rate_per_cm2_s is 0", 0.0, 0.0)
+    high = rays.source == "space" and isinstance(scene.observer, GroundObserver)
+    where = "space, though the observer is on the ground: source: ground" if high else rays.source
     return Decision(
         "cosmic_rays",
         True,
-        f"straight tracks of fast nuclei ({rays.source}) through {rays.thickness_um:g} um of "
+        f"straight tracks of fast nuclei ({where}) through {rays.thickness_um:g} um of "
         "silicon, Poisson arrival, Landau straggling; no slow or stopping particles, no curved "
         f"electron tracks, no showers; {flat}",
     )

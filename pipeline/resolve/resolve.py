@@ -24,6 +24,7 @@ from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.optics.optics import check_motion
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.pointing.site import turn_warnings
+from pipeline.plan.pointing.timescales import hurried_remarks
 from pipeline.plan.resolved import ResolvedScene, resolved_scene
 from pipeline.plan.response.responses import plan_responses
 from pipeline.plan.response.sources import KnownSources
@@ -141,6 +142,7 @@ def resolve(asked: Scene) -> Resolved:
             *doubts.remarks,
             *remarks,
             *flat_remarks(scene, maps),
+            *hurried_remarks(scene, g.frame),
             *mesh_notices(scene),
             *orbit_remarks(scene, g, facts.ifov_rad),
             *umbra_remarks(scene, g),

@@ -38,6 +38,27 @@ def looks(scene: Scene, frames: NDArray[np.int64]) -> NDArray[np.int64]:
     Often enough for the rows of tables (attitudes, light curves) that fall into it, for settling
     after a slew, and for bodies that spin.
     """
+    doublings = np.ceil(np.log2(np.maximum(_asked(scene, frames), FEWEST) / FEWEST))
+    return np.minimum(FEWEST * 2 ** doublings.astype(np.int64), MOST) + 1
+
+
+def hurried_remarks(scene: Scene, frames: NDArray[np.int64]) -> list[str]:
+    """What is said where tables or turns are too fast for as many looks as there are."""
+    asked = _asked(scene, frames)
+    worst = int(np.argmax(asked))
+    if asked[worst] <= MOST:
+        return []
+    exposed_s = float(frame_times(scene, frames)[1][worst])
+    return [
+        f"exposure.integration_s: rows of a table, or turns, come every "
+        f"{exposed_s * LOOKS / asked[worst]:.2g} s in an exposure of {exposed_s:g} s (frame "
+        f"{frames[worst]}), which is looked at every {exposed_s / MOST:.2g} s: a flash or a jolt "
+        "shorter than that may be missed, and the mean of faster turns be off"
+    ]
+
+
+def _asked(scene: Scene, frames: NDArray[np.int64]) -> Array:
+    """How many times (F,) each exposure should be looked at."""
     start, time = frame_times(scene, frames)
     end, shortest = start + time, np.full(len(frames), np.inf)
     which = dwell_of(dwell_plans(scene), frames)
@@ -50,8 +71,7 @@ def looks(scene: Scene, frames: NDArray[np.int64]) -> NDArray[np.int64]:
             shortest = np.minimum(shortest, own)
         turn = min(_turns_s(body), default=math.inf)
         shortest = np.minimum(shortest, turn * LOOKS / LOOKS_A_TURN)
-    doublings = np.ceil(np.log2(np.maximum(LOOKS * time / shortest, FEWEST) / FEWEST))
-    return np.minimum(FEWEST * 2 ** doublings.astype(np.int64), MOST) + 1
+    return np.asarray(LOOKS * time / shortest)
 
 
 def _of_pointing(scene: Scene, plan: DwellPlan, start_s: Array, end_s: Array) -> Array:

@@ -47,7 +47,8 @@ class StrayLight(Strict):
 
     earth : the Earth's sunlit disc; a site on the ground sees none
     earth_albedo : albedo of a Lambertian Earth: a number, or the path of a map (CSV or NPY: rows
-        from -90 to 90 degrees of latitude, columns from -180 to 180 of longitude, equal steps)
+        from -90 to 90 degrees of latitude, columns from -180 to 180 of longitude, equal cells, each
+        value that of its cell's middle)
     exclusion_deg : least angle from a line of sight to a lit body; to the Earth's limb.
         Default: the first angle of the curve's table, or 0
     inside : what happens at smaller angles: `refuse` the scene, `extrapolate` the curve, or `clip`

@@ -10,7 +10,8 @@ import pytest
 from scipy.integrate import quad
 
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.pointing.timescales import looks
+from pipeline.plan.pointing.timescales import hurried_remarks, looks
+from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
 
@@ -151,3 +152,14 @@ def test_rows_and_turns_are_looked_at_where_they_are() -> None:
     for rate, expected in ((0.0, 9), (-20.0, 9), (360.0, 33), (3.6e4, 1025)):
         law = {"kind": "spin", "axis": [0.0, 0.0, 1.0], "rate_deg_s": rate}
         assert (looks(scene(spin | {"attitude": law}, exposure=exposure), frames) == expected).all()
+
+
+def test_what_is_too_fast_to_be_looked_at_is_told() -> None:
+    spin = {"kind": "spin", "axis": [0.0, 0.0, 1.0]}
+    box = {"kind": "box", "albedo": 0.2, "size_m": [1.0, 2.0, 3.0]}
+    for rate, told in ((360.0, False), (11000.0, False), (1e5, True)):
+        made = scene(box | {"attitude": spin | {"rate_deg_s": rate}})
+        said = hurried_remarks(made, np.array([0]))
+        assert bool(said) == told
+    assert "every 0.00045 s in an exposure of 1 s (frame 0), which is looked at every" in said[0]
+    assert plan_scene(made)["remarks"].count(said[0]) == 1
