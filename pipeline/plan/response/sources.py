@@ -204,8 +204,8 @@ def _together(cell: NDArray[np.int64], value: Array) -> float:
 def _within(r: ResponsePlan, cell: NDArray[np.int64], error_e: Array) -> float:
     """What errors of sources (n,) add up to in a cell, or one approximation's part.
 
-    More than that, of bright sources in one pixel, their noise hides, if light has any: it adds
-    up, too.
+    Each errs by a part at most. More than that, of bright sources in one pixel, their noise hides,
+    if light has any: it adds up, too.
     """
-    together = _together(cell, error_e)
+    together = _together(cell, np.minimum(error_e, r.budget_e))
     return min(together, r.budget_e) if r.streaks.photons else together
