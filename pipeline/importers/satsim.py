@@ -278,6 +278,8 @@ def _stars(f: Fields, catalogue: str | None, data: JsonObject, notes: Notes) -> 
         data["stars"] = {"catalogue": catalogue}
         notes.assumed.append(f"stars of {catalogue}")
     if mode == "bins":
+        if not isinstance(density, list):
+            raise BadInput("geometry.stars.mv.density", density, "a list of numbers")
         count = sum(v for v in density if isinstance(v, int | float))
         notes.left_out.append(
             f"geometry.stars: {count:.4g} stars a square degree at random places; give a "

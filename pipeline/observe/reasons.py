@@ -17,7 +17,7 @@ from pipeline.spec.pointing.observer import GroundObserver
 
 HIDDEN = {"horizon": "below horizon", "earth": "behind the Earth"}
 REASONS = ("yes", *HIDDEN.values(), "in shadow", "Sun", "Moon", "daylight", "out of field",
-           "too faint")  # fmt: skip
+           "sky fills the pixels", "too faint")  # fmt: skip
 
 
 def seen_of(
@@ -42,6 +42,7 @@ def seen_of(
         "Moon": near["moon"] | near["near the moon"],
         "daylight": _by_day(plan, angles.lamps[0])[:, None] & np.ones_like(in_field),
         "out of field": ~in_field,
+        "sky fills the pixels": np.full(in_field.shape, plan.sky_fills),
         "too faint": ~(columns["snr"] >= least_snr),
     }
     return np.select(list(tests.values()), list(tests), "yes")

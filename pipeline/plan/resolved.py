@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.positions.focal_plane import Camera
@@ -69,6 +71,25 @@ class ResolvedScene:
             return self.floor_e(frame) ** 2
         sky_e = f.background_e_s * self.integration_s(frame)
         return self.floor_e(frame) ** 2 - (1.0 - f.flat) * sky_e
+
+    @property
+    def full_e(self) -> float:
+        """Charge of a pixel [e-] that its well or its converter ends at, where they are numbers."""
+        s = self.scene.sensor
+        top = math.inf
+        if not isinstance(s.gain_e_per_dn, str | None) and not isinstance(s.bias_dn, str):
+            top = (2.0**s.adc_bits - 1.0 - s.bias_dn) * s.gain_e_per_dn
+        return float(min(top, s.full_well_e or math.inf))
+
+    def empty_e(self, sky_e_s: Array | float, frame: int = 0) -> Array:
+        """Charge (...) of a pixel that holds no source, under skies (...) [e-/s], in a frame."""
+        lit_e = self.facts.flat * np.asarray(sky_e_s) * self.integration_s(frame)
+        return np.asarray(lit_e + self.facts.dark_e)
+
+    @property
+    def sky_fills(self) -> bool:
+        """Whether sky and dark alone fill a typical pixel in the first frame."""
+        return bool(self.empty_e(self.facts.background_e_s) >= self.full_e)
 
     def merged_px(self, light_e: Array, share_per_px: float) -> Array:
         """How far straight runs of the paths of sources (n,) of so much light may be off [px].

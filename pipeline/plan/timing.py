@@ -81,10 +81,10 @@ def dwell_plans(scene: Scene) -> tuple[DwellPlan, ...]:
     first, end = 0, 0.0
     for i, dwell in enumerate(scene.dwells):
         times, step = _times_s(exposure, i, dwell)
-        start, slew = _begin_s(i, dwell, end)
+        start, slew = _begin_s(i, dwell, end, last_row_late_s(scene))
         pointing, frames = dwell.pointing or scene.pointing, dwell.frames or exposure.frames
         out.append(DwellPlan(i, dwell, pointing, first, frames, start, step, times, slew))
-        first, end = first + frames, out[-1].end_s + last_row_late_s(scene)
+        first, end = first + frames, out[-1].end_s
     if first > MOST_FRAMES:
         raise BadInput("dwells", f"{first} frames", f"at most {MOST_FRAMES} frames in all")
     return tuple(out)
@@ -116,11 +116,18 @@ def _times_s(exposure: Exposure, i: int, dwell: Dwell) -> tuple[tuple[float, ...
     return times, step
 
 
-def _begin_s(i: int, dwell: Dwell, end: float) -> tuple[float, tuple[float, float] | None]:
-    """When the first frame of dwell `i` starts, and its slew; `end` : of the dwell before it."""
+def _begin_s(
+    i: int, dwell: Dwell, end: float, late_s: float
+) -> tuple[float, tuple[float, float] | None]:
+    """When the first frame of dwell `i` starts, and its slew.
+
+    end : of the dwell before it; late_s : after that its last row is exposed, and a slew starts
+    """
     if dwell.slew is not None and i == 0:
         raise BadInput("dwells.0.slew", "a slew", "a slew only after another dwell")
-    slew = None if dwell.slew is None else (end, end + dwell.slew.duration_s)
+    slew = None
+    if dwell.slew is not None:
+        slew = (end + late_s, end + late_s + dwell.slew.duration_s)
     if dwell.start_s is None:
         return (end if slew is None else slew[1]) + dwell.wait_s, slew
     if dwell.start_s < end:

@@ -23,6 +23,7 @@ from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.optics.optics import check_motion
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
+from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.pointing.site import turn_warnings
 from pipeline.plan.pointing.timescales import hurried_remarks
 from pipeline.plan.resolved import ResolvedScene, resolved_scene
@@ -133,6 +134,7 @@ def resolve(asked: Scene) -> Resolved:
             *doubts.warnings,
             *warnings,
             *_none_in_field(resolved, g, field_stars),
+            *_filled(resolved),
             *table_warnings(scene, g, facts.ifov_rad),
             *turn_warnings(scene, g, facts.ifov_rad, gather_turn_off_rad(scene)),
         ),
@@ -142,12 +144,24 @@ def resolve(asked: Scene) -> Resolved:
             *doubts.remarks,
             *remarks,
             *flat_remarks(scene, maps),
-            *hurried_remarks(scene, g.frame),
+            *hurried_remarks(scene, g, near_frame(scene, g)),
             *mesh_notices(scene),
             *orbit_remarks(scene, g, facts.ifov_rad),
             *umbra_remarks(scene, g),
         ),
     )
+
+
+def _filled(resolved: ResolvedScene) -> list[str]:
+    """The warning that no source shows, as pixels are full without any."""
+    if not resolved.sky_fills:
+        return []
+    empty_e = float(resolved.empty_e(resolved.facts.background_e_s))
+    return [
+        f"sky and dark current alone give a typical pixel {empty_e:.3g} e- in the first frame, "
+        f"which fills it ({resolved.full_e:.3g} e-, its full well or the converter's top): no "
+        "source shows"
+    ]
 
 
 def _timed_geometry(scene: Scene, dut1_s: float) -> tuple[Geometry, float]:

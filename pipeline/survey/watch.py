@@ -105,20 +105,7 @@ class Watcher:
         """
         share = self._noise_share(sky_e_s)
         snr = np.sqrt(share) * self.signal.snr(light_e / share, streak_px)
-        return np.where(self._filled_e(sky_e_s) < self.full_e, snr, 0.0)
-
-    def _filled_e(self, sky_e_s: Array | float) -> Array:
-        """Charge (r,) of a pixel that holds no object [e-]."""
-        r = self.resolved
-        return np.asarray(r.facts.flat * np.asarray(sky_e_s) * r.integration_s(0) + r.facts.dark_e)
-
-    @cached_property
-    def full_e(self) -> float:
-        """Charge of a pixel [e-] that its well or its converter ends at, where they are numbers."""
-        s = self.resolved.scene.sensor
-        numbers = not isinstance(s.gain_e_per_dn, str | None) and not isinstance(s.bias_dn, str)
-        top = (2.0**s.adc_bits - 1.0 - s.bias_dn) * s.gain_e_per_dn if numbers else np.inf  # type: ignore[operator]
-        return float(min(top, s.full_well_e or np.inf))
+        return np.where(self.resolved.empty_e(sky_e_s) < self.resolved.full_e, snr, 0.0)
 
     def _noise_share(self, sky_e_s: Array | float) -> Array:
         """Square of a pixel's noise under a sky (r,) [e-/s] over that of the table's."""
@@ -144,8 +131,10 @@ class Watcher:
         """What its sky is, for people."""
         sky_e_s = self.resolved.facts.background_e_s
         told = f"sky {sky_e_s:.3g} e-/s a pixel"
-        if self._filled_e(sky_e_s) >= self.full_e:
-            told += f", which FILLS IT ({self.full_e:.3g} e-): nothing is detected before it"
+        if self.resolved.empty_e(sky_e_s) >= self.resolved.full_e:
+            told += (
+                f", which FILLS IT ({self.resolved.full_e:.3g} e-): nothing is detected before it"
+            )
         if self.sky is None:
             return told + ", the same everywhere and always"
         return told + " above it at the start without Moon and twilight; each object its own"

@@ -11,10 +11,12 @@ import numpy as np
 
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, Geometry, SensorMaps
+from pipeline.execute.detector import tile_chain
 from pipeline.execute.light import draw_targets
 from pipeline.execute.outlook import limiting_light_e, limiting_mag, target_snr
 from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.physics.detection import filtered, peak_near
+from pipeline.physics.noise.chain import calibrated_e
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.spec.sweep import Detection
@@ -144,16 +146,11 @@ class Measurement:
     def _calibrated(
         self, frame: int, tile: Tile, part: Tile, dn: np.ndarray, which: tuple[slice, slice]
     ) -> Array:
-        """Light that some pixels of a part of a tile tell of, by the detector's true maps [e-]."""
-        m, t = self.maps, self.plan.integration_s(frame)
-
-        def term(value: float | Array) -> float | Array:
-            found = _of(part, value)
-            return found[which] if isinstance(found, np.ndarray) else found
-
-        numbers = dn[_cut(tile, part)][which].astype(np.float64)
-        charge = (numbers - term(m.bias_dn)) * term(m.gain_e_per_dn) - term(m.dark_e_per_s) * t
-        return np.asarray(charge / np.maximum(term(m.flat), 1e-6))
+        """Light that some pixels of a part of a tile tell of, by the detector's true terms [e-]; of
+        those that tell of none (bad ones, a flat of 0) none."""
+        chain = tile_chain(self.plan.scene, self.maps, part, self.plan.integration_s(frame))
+        light = calibrated_e(dn[_cut(tile, part)], chain)[which]
+        return np.nan_to_num(light, nan=0.0)
 
 
 def target_windows(

@@ -52,6 +52,12 @@ def one(service: Service, job_id: str, frame: Number) -> Response:
     return JSONResponse(_pixels().frame_facts(product, frame))
 
 
+BIN = (
+    "pixels binned on each axis, to be looked at: each block is the mean of its mean and its "
+    "maximum, so that faint stars stay visible (brighter than the mean where there is noise)"
+)
+
+
 class _Tile:
     """A tile of a layer of a job's frame, as a request names it."""
 
@@ -63,7 +69,7 @@ class _Tile:
         row: Number,
         column: Number,
         layer: Annotated[str, Query(max_length=32)] = "dn",
-        bin: Annotated[int, Query(ge=1, le=64, description="pixels binned on each axis")] = 1,
+        bin: Annotated[int, Query(ge=1, le=64, description=BIN)] = 1,
     ) -> None:
         self._service, self._job_id = service, job_id
         self._wanted = frame, row, column, layer, bin

@@ -266,7 +266,7 @@ def test_a_slew_starts_when_the_last_row_is_exposed() -> None:
     late_s = LINE_S * (SIDE - 1)
     assert plain[1].slew_s == pytest.approx((2 * TIME_S, 2 * TIME_S + 3.0))
     assert rolling[1].slew_s == pytest.approx((2 * TIME_S + late_s, 2 * TIME_S + late_s + 3.0))
-    assert rolling[2].start_s == pytest.approx(plain[2].start_s + 2 * late_s)
+    assert rolling[2].start_s == pytest.approx(plain[2].start_s + late_s)
 
 
 def test_a_fast_dwell_is_refused_however_many_there_are() -> None:

@@ -462,3 +462,8 @@ def test_limits_bad_simsit_files(tmp_path, published):
             read_simsit(tmp_path / "bad.yaml", SIMSIT_EPOCH)
     with pytest.raises(BadInput):
         read_simsit(tmp_path / "none.yaml", SIMSIT_EPOCH)
+
+
+def test_a_density_that_is_no_list_is_refused(satsim) -> None:
+    with pytest.raises(BadInput, match=r"geometry\.stars\.mv\.density: 5"):
+        satsim({"geometry.stars.mode": "bins", "geometry.stars.mv.density": 5})

@@ -19,6 +19,7 @@ from pipeline.observe.files import tdm_text
 from pipeline.observe.observe import observe
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.resolve.resolve import resolve
+from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
 from tests.command import nightglass
 from tests.observe.conftest import night
@@ -193,3 +194,13 @@ def test_no_message_of_nothing(scene: Path, tmp_path: Path) -> None:
     assert result.returncode == 2
     assert "no target that is seen" in result.stderr
     assert not (tmp_path / "no.tdm").exists()
+
+
+def test_a_sky_that_fills_the_pixels_hides_all() -> None:
+    """Nothing is seen before it, and the plan says so; a render is not refused."""
+    for full_well_e, seen in ((1e5, "yes"), (10.0, "sky fills the pixels")):
+        sensor = night()["sensor"] | {"full_well_e": full_well_e}
+        data = night(sensor=sensor, background={"uniform_e_per_s": 100.0})
+        assert observe(parse_scene(data)).table["seen"][0].as_py() == seen
+        warned = [w for w in plan_scene(parse_scene(data))["warnings"] if "no source shows" in w]
+        assert bool(warned) == (seen != "yes")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import math
 import os
 import shutil
 import signal
@@ -527,3 +528,22 @@ def test_light_that_is_not_shared_is_each_points_own(sweep_file, tmp_path):
     exposed_s = [point_scene(path, k).exposure.integration_s for k in (0, 1)]
     skies = [row["background_e"] for row in table(tmp_path / "out").to_pylist()]
     assert skies == pytest.approx([10.0 * exposed_s[0], 1000.0 * exposed_s[1]], rel=0.2)
+
+
+def test_background_undoes_what_the_detector_does():
+    """Rounding down by half a DN, a response that bends, a bad column and a dead flat."""
+    sensor = {"flat": 0.8, "bias_dn": 100, "gain_e_per_dn": 20.0, "dark_e_per_s": 4.0,
+              "full_well_e": 90_000.0, "adc_bits": 16, "adc_rounding": "floor",
+              "detector": {"nonlinearity": {"kind": "polynomial", "coefficients": [-0.2]},
+                           "bad": {"columns": [3], "reads_dn": 60_000}}}  # fmt: skip
+    scene = parse_scene(SMALL | {"sensor": SMALL["sensor"] | sensor})
+    plan, maps = prepare(scene).plan, gather_sensor_maps(scene)
+    measured = Measurement(plan, maps, ("background",), (), Detection())
+    light_e, time_s = 30_000.0, 2.0
+    charge_e = light_e * 0.8 + 4.0 * time_s
+    read_e = charge_e * (1.0 - 0.2 * charge_e / 90_000.0)
+    dn = np.full((4, 8), math.floor(read_e / 20.0 + 100.0), np.uint16)
+    dn[:, 3] = 60_000
+    measured.take(Tile(0, 0, 0, 0, 4, 8), 0, dn, np.full((4, 8), charge_e))
+    step_e = 20.0 / (0.8 * (1.0 - 0.4 * charge_e / 90_000.0))  # of one DN
+    assert measured.row()["background_e"] == pytest.approx(light_e, abs=0.51 * step_e)

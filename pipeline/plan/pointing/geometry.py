@@ -136,9 +136,10 @@ def _nodes(scene: Scene, dut1_s: float) -> int:
             return nodes
     _check_rates(scene)
     looked_at = sampled_frames(scene)
-    nodes = int(_seen_from(scene, looked_at, dut1_s).max())
+    g = _geometry(scene, looked_at, FEWEST_NODES, dut1_s)
+    nodes = int(_seen_from(scene, g, dut1_s).min())
     while True:
-        g = _geometry(scene, looked_at, nodes, dut1_s)
+        g = g if nodes == g.nodes else _geometry(scene, looked_at, nodes, dut1_s)
         if not _needs_more(scene, g, nodes, _star_paths(scene, g)).any():
             break
         nodes = 2 * nodes - 1
@@ -153,7 +154,7 @@ def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
     """The geometry with the random motion, and more nodes for the frames that need them."""
     finer: dict[int, Geometry] = {}
     left, made, nodes = np.arange(len(geometry.frame)), geometry, geometry.nodes
-    paths, seen_from = _star_paths(scene, geometry), _seen_from(scene, geometry.frame, dut1_s)
+    paths, seen_from = _star_paths(scene, geometry), _seen_from(scene, geometry, dut1_s)
     first = paths
     while True:
         more = _needs_more(scene, made, nodes, paths) | (seen_from[left] > nodes)
@@ -163,6 +164,8 @@ def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
         if not len(left):
             break
         nodes = 2 * nodes - 1
+        while nodes < seen_from[left].min():
+            nodes = 2 * nodes - 1
         made = _geometry(scene, geometry.frame[left], nodes, dut1_s)
         paths = _star_paths(scene, made)
     random = motion_plan(scene) is not None
@@ -176,12 +179,17 @@ def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
     return Refined.of(geometry, finer) if finer else geometry
 
 
-def _seen_from(scene: Scene, frames: NDArray[np.int64], dut1_s: float) -> NDArray[np.int64]:
-    """From how many nodes (F,) on each frame shows what happens between fewer ones."""
-    many = looks(scene, frames)
-    out = np.full(len(frames), FEWEST_NODES)
+def _seen_from(scene: Scene, coarse: Geometry, dut1_s: float) -> NDArray[np.int64]:
+    """From how many nodes (F,) on each frame shows what happens between fewer ones.
+
+    Under a rolling shutter, whose rows see light after the nodes, as many as it is looked at.
+    """
+    many = looks(scene, coarse, near_frame(scene, coarse))
+    out = np.full(len(many), FEWEST_NODES)
+    if last_row_late_s(scene):
+        return np.maximum(out, np.minimum(many, MOST_LIGHT_NODES))
     for k in np.flatnonzero(many > FEWEST_NODES):
-        g = _geometry(scene, frames[k : k + 1], int(many[k]), dut1_s)
+        g = _geometry(scene, coarse.frame[k : k + 1], int(many[k]), dut1_s)
         paths, near = _star_paths(scene, g), near_frame(scene, g)
         while out[k] < many[k]:
             step = (int(many[k]) - 1) // (int(out[k]) - 1)

@@ -132,7 +132,9 @@ def _first(scene: Scene, dut1_s: float) -> Ticks:
     even = np.linspace(0, frames * TICKS - 1, min(MOST_FIRST, 2 + math.ceil(steps)))
     ends = [(p.first * TICKS, (p.first + p.frames) * TICKS - 1) for p in plans]
     edges = np.array(ends).ravel()[:: math.ceil(2 * len(ends) / MOST_MOMENTS)]
-    turns = turning_frames(scene, dut1_s) * TICKS + TICKS // 2
+    turns = np.empty(0, np.int64)
+    if any(p.pointing.mode == "table" for p in plans):
+        turns = turning_frames(scene, dut1_s) * TICKS + TICKS // 2
     return np.unique(np.concatenate([even.round().astype(np.int64), edges, turns]))
 
 

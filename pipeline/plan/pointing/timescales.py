@@ -8,11 +8,18 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Array
+from pipeline.arrays import Array, Geometry
+from pipeline.physics.constants import ARCSEC_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.bodies.attitudes import since_s
 from pipeline.plan.pointing.pointing import rows_s
-from pipeline.plan.timing import DwellPlan, dwell_of, dwell_plans, frame_times
+from pipeline.plan.timing import (
+    DwellPlan,
+    dwell_of,
+    dwell_plans,
+    frame_times,
+    last_row_late_s,
+)
 from pipeline.spec.pointing.pointing import TablePointing
 from pipeline.spec.scene import Scene
 from pipeline.spec.targets.body import (
@@ -29,49 +36,62 @@ from pipeline.spec.targets.mesh import MeshBody, SpinJoint
 LOOKS = 4.0  # at least, from a row of a table to the next
 LOOKS_A_TURN = 32.0  # in a period or a turn: a box shows four faces in one
 FEWEST, MOST = 8, 1024  # intervals between looks
-LIGHT_S = 20.0  # that the light of a target is on its way at most
+STILL_PX = 1e-4  # what is left of an oscillation that has died away
+SLACK_S = 0.1  # by which a target's light may leave earlier or later than at the nodes known
 
 
-def looks(scene: Scene, frames: NDArray[np.int64]) -> NDArray[np.int64]:
+def looks(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> NDArray[np.int64]:
     """At how many moments (F,) each frame's exposure is looked at: 9, 17, 33 and on to 1025.
 
     Often enough for the rows of tables (attitudes, light curves) that fall into it, for settling
-    after a slew, and for bodies that spin.
+    after a slew, and for bodies that spin. near : (T, F) targets that are over or beside the frame
     """
-    doublings = np.ceil(np.log2(np.maximum(_asked(scene, frames), FEWEST) / FEWEST))
+    doublings = np.ceil(np.log2(np.maximum(_asked(scene, g, near), FEWEST) / FEWEST))
     return np.minimum(FEWEST * 2 ** doublings.astype(np.int64), MOST) + 1
 
 
-def hurried_remarks(scene: Scene, frames: NDArray[np.int64]) -> list[str]:
+def hurried_remarks(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> list[str]:
     """What is said where tables or turns are too fast for as many looks as there are."""
-    asked = _asked(scene, frames)
+    asked = _asked(scene, g, near)
     worst = int(np.argmax(asked))
     if asked[worst] <= MOST:
         return []
-    exposed_s = float(frame_times(scene, frames)[1][worst])
+    exposed_s = float(frame_times(scene, g.frame)[1][worst])
     return [
         f"exposure.integration_s: rows of a table, or turns, come every "
         f"{exposed_s * LOOKS / asked[worst]:.2g} s in an exposure of {exposed_s:g} s (frame "
-        f"{frames[worst]}), which is looked at every {exposed_s / MOST:.2g} s: a flash or a jolt "
+        f"{g.frame[worst]}), which is looked at every {exposed_s / MOST:.2g} s: a flash or a jolt "
         "shorter than that may be missed, and the mean of faster turns be off"
     ]
 
 
-def _asked(scene: Scene, frames: NDArray[np.int64]) -> Array:
-    """How many times (F,) each exposure should be looked at."""
-    start, time = frame_times(scene, frames)
-    end, shortest = start + time, np.full(len(frames), np.inf)
-    which = dwell_of(dwell_plans(scene), frames)
-    for plan in dwell_plans(scene):
-        mine = which == plan.index
-        shortest[mine] = _of_pointing(scene, plan, start[mine], end[mine])
-    for body in {id(t.body): t.body for t in scene.targets}.values():
-        for times_s, period_s in _tables(body, parse_utc(scene.epoch)):
-            own = _apart_s(times_s, period_s, start - LIGHT_S, end)
-            shortest = np.minimum(shortest, own)
-        turn = min(_turns_s(body), default=math.inf)
-        shortest = np.minimum(shortest, turn * LOOKS / LOOKS_A_TURN)
-    return np.asarray(LOOKS * time / shortest)
+def _asked(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> Array:
+    """How many times (F,) each exposure should be looked at; at light, until its last row's end."""
+    start, time = frame_times(scene, g.frame)
+    plans, late_s = dwell_plans(scene), last_row_late_s(scene)
+    which, shortest = dwell_of(plans, g.frame), np.full(len(g.frame), np.inf)
+    for i in np.unique(which):
+        mine = which == i
+        shortest[mine] = _of_pointing(scene, plans[i], start[mine], (start + time)[mine])
+    out = LOOKS * time / shortest
+    for t in np.flatnonzero(near.any(axis=-1)):
+        away_s = g.target_range_m[t] / SPEED_OF_LIGHT_M_S
+        first = start - np.nanmax(away_s, axis=-1) - SLACK_S
+        last = start + time + late_s - np.nanmin(away_s, axis=-1) + SLACK_S
+        own = _of_body(scene.targets[t].body, parse_utc(scene.epoch), first, last)
+        out = np.maximum(out, near[t] * LOOKS * np.maximum(time, late_s) / own)
+    return np.asarray(out)
+
+
+def _of_body(
+    body: Body | MeshBody, epoch: tuple[float, float], start_s: Array, end_s: Array
+) -> Array:
+    """Shortest time (F,) in which the light of a body may turn its mind in some exposures [s]."""
+    turn_s = min(_turns_s(body), default=math.inf)
+    out = np.full(len(start_s), turn_s * LOOKS / LOOKS_A_TURN)
+    for times_s, period_s in _tables(body, epoch):
+        out = np.minimum(out, _apart_s(times_s, period_s, start_s, end_s))
+    return out
 
 
 def _of_pointing(scene: Scene, plan: DwellPlan, start_s: Array, end_s: Array) -> Array:
@@ -79,9 +99,22 @@ def _of_pointing(scene: Scene, plan: DwellPlan, start_s: Array, end_s: Array) ->
     out = np.full(len(start_s), np.inf)
     if isinstance(plan.pointing, TablePointing):
         out = _apart_s(rows_s(scene, plan, plan.pointing), None, start_s, end_s)
-    if plan.dwell is not None and plan.dwell.settle is not None:
-        out = np.minimum(out, LOOKS / LOOKS_A_TURN / plan.dwell.settle.frequency_hz)
+    settle = None if plan.dwell is None else plan.dwell.settle
+    if settle is not None:
+        begin_s = plan.start_s if plan.slew_s is None else plan.slew_s[1]
+        s = scene.sensor
+        size_px = (
+            settle.amplitude_arcsec * ARCSEC_RAD * s.focal_length_m / (s.pixel_pitch_um * 1e-6)
+        )
+        fall = 2.0 * math.pi * settle.frequency_hz * settle.damping
+        left_px = size_px * np.exp(-fall * np.maximum(0.0, start_s - begin_s))
+        own = LOOKS / LOOKS_A_TURN / settle.frequency_hz
+        out = np.where(left_px > STILL_PX, np.minimum(out, own), out)
     return out
+
+
+def _ifov_rad(scene: Scene) -> float:
+    return scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
 
 
 def _apart_s(times_s: Array, period_s: float | None, start_s: Array, end_s: Array) -> Array:

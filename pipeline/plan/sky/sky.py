@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
-from pipeline.errors import BadInput
 from pipeline.physics.colour import brightest_electrons
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.sky.galactic import RELATIVE_ERROR
@@ -33,7 +32,7 @@ from pipeline.spec.scene import Scene
 Array = NDArray[np.float64]
 
 GRID_SHARE = 0.125  # of one approximation's budget: the grid in a frame, and between frames
-MOST_KNOTS, MOST_FIELDS = 1025, 8192
+MOST_KNOTS, MOST_FIELDS = 1025, 2049
 MOST_EXPOSURES, MOMENTS = 33, (3, 5, 9, 17, 33, 65)  # in which it is looked at how it changes
 MOST_VALUES = 4_000_000
 CORNERS_SPREAD = 0.5  # of the corners' mean, up to which simulators commonly take that mean
@@ -120,14 +119,12 @@ def plan_sky(
 
 
 def _of_every_field(scene: Scene, g: Geometry, dut1_s: float) -> Geometry:
-    """The geometry with as many more frames as leave no field out."""
-    frames = np.union1d(g.frame, turning_frames(scene, dut1_s))
-    if len(frames) > MOST_FIELDS:
-        raise BadInput(
-            "exposure.frames" if scene.dwells is None else "dwells",
-            f"{len(frames)} frames whose sky is looked at",
-            f"at most {MOST_FIELDS} where the background varies: several scenes",
-        )
+    """The geometry with as many more frames as leave no field out, MOST_FIELDS at most: of more,
+    some, and what lies between them is found as everything between frames is."""
+    turning = turning_frames(scene, dut1_s)
+    if len(turning) > MOST_FIELDS:
+        turning = turning[np.linspace(0, len(turning) - 1, MOST_FIELDS).round().astype(int)]
+    frames = np.union1d(g.frame, turning)
     return g if len(frames) == len(g.frame) else plan_geometry(scene, frames, dut1_s)
 
 

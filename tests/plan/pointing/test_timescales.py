@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import _geometry, plan_geometry
 from pipeline.plan.pointing.timescales import hurried_remarks, looks
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
@@ -79,6 +79,27 @@ def test_a_flash_between_two_nodes() -> None:
     assert mean_light(flash) / mean_light(steady) == pytest.approx(1.0 + 999.0 * 0.01, rel=0.05)
 
 
+def test_a_flash_far_away_and_one_in_later_rows() -> None:
+    """What left its target minutes ago, and what only rows see that are exposed afterwards."""
+    times = np.array([-1e4, 0.39, 0.4, 0.41, 1e4])
+    curve = {"kind": "light_curve", "intensities_m2_sr": [0.01, 0.01, 10.0, 0.01, 0.01]}
+    far = copy.deepcopy(SCENE)
+    far["observer"] = {"kind": "fixed", "position_au": [0.6, 0.7, 0.3]}
+    away_s = float(plan_geometry(parse_scene(far), np.array([0]), 0.0).target_range_m[0, 0, 4])
+    away_s /= 299_792_458.0
+    assert away_s > 100.0
+    far["targets"][0]["body"] = curve | {"times_s": list(np.r_[-1e4, times[1:4] - away_s, 1e4])}
+    assert np.ptp(light(parse_scene(far))) > 100.0 * light(parse_scene(far)).min()
+
+    rolling = {"detector": {"readout": {"kind": "rolling", "line_s": 1.0 / 64.0}}}
+    sensor = SCENE["sensor"] | rolling
+    short = {"integration_s": 0.1}
+    for flash_s, seen in ((0.53, True), (0.25, False)):  # row 32 is exposed from 0.5 to 0.6 s
+        body = curve | {"times_s": list(np.r_[-9.0, times[1:4] - 0.4 + flash_s - 0.13, 9.0])}
+        found = light(scene(body, sensor=sensor, exposure=short))
+        assert (found.max() > 10.0 * np.median(found)) == seen
+
+
 def test_a_plate_that_spins_at_a_round_rate() -> None:
     """Whole turns between nodes: the mean of its light over a turn, not that of one attitude."""
     spin = {"kind": "spin", "axis": [1.0, 0.0, 0.0], "rate_deg_s": 0.0}
@@ -141,17 +162,24 @@ def _quaternion(m: np.ndarray) -> list[float]:
     return list((q / np.sqrt(q @ q)).tolist())
 
 
+def asked(made: Scene, frames: np.ndarray, near: bool = True) -> np.ndarray:
+    g = _geometry(made, frames, 9, 0.0)
+    return looks(made, g, np.full((1, len(frames)), near))
+
+
 def test_rows_and_turns_are_looked_at_where_they_are() -> None:
     frames, exposure = np.arange(60), {"integration_s": 1.0, "frames": 60, "cadence_s": 1.0}
     curve = {"kind": "light_curve", "times_s": [-99.0, 50.0, 50.01, 999.0]}
     made = scene(curve | {"magnitudes": [5.0, 5.0, 9.0, 9.0]}, exposure=exposure)
-    many = looks(made, frames)
+    many = asked(made, frames)
     assert (many[:49] == 9).all()
     assert many[50] == 513  # 4 looks from row to row: 401 or more
     spin = {"kind": "box", "albedo": 0.2, "size_m": [1.0, 2.0, 3.0]}
     for rate, expected in ((0.0, 9), (-20.0, 9), (360.0, 33), (3.6e4, 1025)):
         law = {"kind": "spin", "axis": [0.0, 0.0, 1.0], "rate_deg_s": rate}
-        assert (looks(scene(spin | {"attitude": law}, exposure=exposure), frames) == expected).all()
+        turning = scene(spin | {"attitude": law}, exposure=exposure)
+        assert (asked(turning, frames) == expected).all()
+        assert (asked(turning, frames, near=False) == 9).all()
 
 
 def test_what_is_too_fast_to_be_looked_at_is_told() -> None:
@@ -159,7 +187,8 @@ def test_what_is_too_fast_to_be_looked_at_is_told() -> None:
     box = {"kind": "box", "albedo": 0.2, "size_m": [1.0, 2.0, 3.0]}
     for rate, told in ((360.0, False), (11000.0, False), (1e5, True)):
         made = scene(box | {"attitude": spin | {"rate_deg_s": rate}})
-        said = hurried_remarks(made, np.array([0]))
+        g = plan_geometry(made, np.array([0]), 0.0)
+        said = hurried_remarks(made, g, np.ones((1, 1), bool))
         assert bool(said) == told
     assert "every 0.00045 s in an exposure of 1 s (frame 0), which is looked at every" in said[0]
     assert plan_scene(made)["remarks"].count(said[0]) == 1
