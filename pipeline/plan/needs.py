@@ -184,7 +184,7 @@ def _kernel_points(plan: Plan) -> float:
 
 def _test_points(plan: Plan) -> float:
     """Points that the measuring of a wing's error takes at most."""
-    return min(6.0 * 2.0 * plan.responses.usual_px * 4.0, 4096.0) ** 2
+    return min(6.0 * 2.0 * plan.responses.usual_px * 4.0, 2048.0) ** 2
 
 
 def _wings_s(plan: Plan, spent: Spent) -> float:
