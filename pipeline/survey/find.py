@@ -136,6 +136,9 @@ def _utc(watcher: Watcher, offset_s: float) -> str:
 def _watcher(scene: Scene, request: FindOptions, epoch: tuple[float, float]) -> Watcher:
     data = scene.as_dict()
     sections = {k: data[k] for k in ("observer", "sensor", "exposure", "background", "seed")}
+    orbit = sections["observer"].get("orbit", {})
+    if "epoch" in orbit:  # whose default is that of the scene, wherever the look begins
+        orbit["epoch"] = orbit["epoch"] or scene.epoch
     tracks = scene.pointing.mode == "target"
     return make_watcher(sections, request.regard, epoch, tracks, "", scene.seed)
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.physics.positions.orbit import two_body
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.spec.load import load_scene
@@ -259,3 +260,36 @@ def test_a_camera_that_tracks_sees_no_streaks() -> None:
         assert o["snr"] < held[o["name"]]
         wanted = np.radians(o["rate_arcsec_s"] / 3600.0) * 2.0 / 1e-3
         assert o["streak_px"] == pytest.approx(wanted, rel=1e-6)
+
+
+BEFORE = "2019-04-20T03:00:00Z"
+PLACE, SPEED = [-3.6e6, 6.2e6, 0.0], [-0.97e3, -0.56e3, 7.38e3]
+AROUND = {
+    "keplerian": {"semi_major_axis_m": 7.158e6, "eccentricity": 0.001, "inclination_deg": 98.6,
+                  "raan_deg": 120.0, "true_anomaly_deg": 0.0},
+    "state": {"position_m": PLACE, "velocity_m_s": SPEED},
+    "numerical": {"position_m": PLACE, "velocity_m_s": SPEED},
+    "ephemeris": {"frame": "gcrs"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", AROUND)
+def test_an_orbit_without_an_epoch_begins_at_the_scenes(kind: str, tmp_path: Path) -> None:
+    """Half an hour later, by --at, a satellite that looks is half an hour on its way."""
+    orbit = {"kind": kind, **AROUND[kind]}
+    if kind == "ephemeris":
+        at = np.arange(0.0, 3600.0, 30.0)
+        place, _ = two_body(np.array(PLACE), np.array(SPEED), at)
+        rows = [f"{t},{x},{y},{z}" for t, (x, y, z) in zip(at, place, strict=True)]
+        orbit["path"] = str(tmp_path / "way.csv")
+        Path(orbit["path"]).write_text("\n".join(["time_s,x_m,y_m,z_m", *rows]))
+    found = []
+    for own in (None, BEFORE):
+        observer = {"kind": "orbit", "orbit": orbit | {"epoch": own}}
+        scene = load_scene(
+            ROOT / "examples" / "population.yaml", [f"observer={json.dumps(observer)}"]
+        )
+        assert scene.epoch == BEFORE
+        found.append(find(scene, FindOptions(at="2019-04-20T03:30:00Z")).objects)
+    assert len(found[0]) > 50
+    assert found[0] == found[1]
