@@ -70,7 +70,7 @@ def _print(observed: Observed) -> None:
     """How many rows are seen and why others are not; rows, or the best one of each target."""
     counts, total = observed.counts(), observed.table.num_rows
     said = ", ".join(f"{n} {'seen' if why == 'yes' else why}" for why, n in counts.items())
-    print(fold(f"{total} rows (times x targets): {said}", "  ", ""))
+    print(fold(f"{total} rows (times x targets): {said or 'no target to observe'}", "  ", ""))
     lines = observed.table.to_pylist() if total <= MOST_LINES else _best(observed)
     if total > MOST_LINES:
         print(fold("of each target its best time, the best seen first; -o FILE has all rows"))

@@ -19,6 +19,7 @@ from pipeline.resolve.resolve import resolve
 from pipeline.spec.load import parse_scene
 from tests.command import nightglass
 from tests.observe.conftest import BALL, in_high_orbit, night
+from tests.physics.positions.test_orbit_skyfield import tle
 
 ALONE: dict[str, Any] = {"targets": night()["targets"][:1]}
 
@@ -190,3 +191,23 @@ def test_the_table_shows_each_targets_best_time(tmp_path: Path) -> None:
                  f"{ball['azimuth_deg']:.1f}", f"{ball['elevation_deg']:.1f}"):  # fmt: skip
         assert word in line.split()
     assert line.split()[-1] == (f"{ball['snr']:.3g}" if ball["snr"] < 100 else f"{ball['snr']:.0f}")
+
+
+def test_a_population_none_of_which_is_drawn(tmp_path: Path, population: dict[str, Any]) -> None:
+    """All are out of the field, as at other times; and where none can be followed, none is told."""
+    aside = {"mode": "sidereal", "boresight_ra_deg": 180.0, "boresight_dec_deg": 70.0}
+    scene = night(targets=[], populations=[population], pointing=aside, background=None)
+    scene["sensor"] = night()["sensor"] | {"focal_length_m": 1.0}
+    read = parse_scene(scene)
+    rows, alike = (observe(read, times).table.to_pylist() for times in (None, [1.0, 21.0, 41.0]))
+    assert len(rows) == len(alike) == 3 * 600
+    assert not any(row["in_frame"] or row["snr_at"] == "frame" for row in rows)
+    assert [(r["name"], r["seen"]) for r in rows] == [(r["name"], r["seen"]) for r in alike]
+    drawn = resolve(read).scene.scene  # its population has been looked through
+    assert not drawn.targets
+    assert observe(drawn).table.num_rows == 0
+    (tmp_path / "one.tle").write_text("\n".join(tle(2, 51.6, 10.0, 0.001, 20.0, 30.0, 16.2)))
+    scene["populations"] = [population | {"path": str(tmp_path / "one.tle")}]
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    told = shown(tmp_path / "scene.json", "--times", "9e8,9e8,1")  # it has decayed
+    assert told[0] == "0 rows (times x targets): no target to observe"
