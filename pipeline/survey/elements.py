@@ -20,7 +20,7 @@ from pipeline.physics.positions.orbit_sgp4 import sgp4
 from pipeline.physics.positions.times import elapsed_s
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.plan.bodies.albedos import albedo_of
-from pipeline.plan.targets.populations import Sizes, member_body
+from pipeline.plan.targets.populations import Sizes, member_body, nearest_sets
 from pipeline.spec.study import Synthetic
 from pipeline.spec.targets.body import Body, LightCurveBody, SphereBody
 from pipeline.spec.targets.population import Population
@@ -143,11 +143,9 @@ def _nearest(
 ) -> tuple[Elements, Census]:
     """Of each catalogue number the set nearest to an instant; sets without a number all stay."""
     age = np.abs(elapsed_s(middle, found.jd1, found.jd2))
-    order = np.lexsort((age, found.number))
-    number = found.number[order]
-    first = (np.diff(number, prepend=-1) != 0) | (number == 0)
-    census["another set of the same object is nearer to the period"] += int((~first).sum())
-    return found.take(np.sort(order[first])), census
+    counts = nearest_sets(found.number, age)
+    census["another set of the same object is nearer to the period"] += int((~counts).sum())
+    return found.take(counts), census
 
 
 def fresh(

@@ -133,7 +133,7 @@ def _turn_rad_s(scene: Scene, dwell: DwellPlan, dut1_s: float) -> float:
 class Sieve:
     """What has been found in a population so far: a few numbers for each set, targets kept.
 
-    place : the population's in the scene, for messages
+    place : the population's in the scene, for messages; kept : each with its index among `numbers`
     """
 
     population: Population
@@ -146,15 +146,16 @@ class Sieve:
     told: list[str] = field(default_factory=list)
     numbers: list[NDArray[np.int64]] = field(default_factory=list)
     ages_s: list[Array] = field(default_factory=list)
-    kept: list[tuple[int, int, float, Target]] = field(default_factory=list)
+    kept: list[tuple[int, Target]] = field(default_factory=list)
 
     def take(self, sets: Iterable[Any]) -> None:
         """Look at a batch of element sets
         (`pipeline.inputs.targets.population_files.ElementSet`).
         """
-        good = [one for one in sets if self._is_readable(one)]
-        if not good:
+        rows = [(row, one) for row, one in enumerate(sets, self.read + 1) if self._is_readable(one)]
+        if not rows:
             return
+        good = [one for _, one in rows]
         satellites = [one.satellite for one in good]
         days = np.array([(s.jdsatepoch, s.jdsatepochF) for s in satellites])
         age = np.abs(elapsed_s(self.look.epoch, days[:, 0], days[:, 1]))
@@ -165,10 +166,11 @@ class Sieve:
             self._tell(f"{_label(good[i])}: {_meaning(code)}")
         usable = np.ones(len(good), bool)
         usable[list(codes)] = False
+        index = sum(map(len, self.numbers)) + np.cumsum(usable) - 1
         self.numbers.append(number[usable])
         self.ages_s.append(age[usable])
         for i in inside:
-            self.kept.append((int(number[i]), len(self.kept), float(age[i]), self._target(good[i])))
+            self.kept.append((int(index[i]), self._target(*rows[i])))
         if len(self.kept) > MOST_TARGETS:
             raise BadInput(
                 f"{self.place}.path",
@@ -187,9 +189,11 @@ class Sieve:
         if len(self.told) < MOST_TOLD:
             self.told.append(text[:400])
 
-    def _target(self, one: Any) -> Target:
+    def _target(self, row: int, one: Any) -> Target:
+        """A set as a target; without a catalogue number its row in the file tells it apart."""
+        number = str(one.number) if one.number else f"0-{row}"
         return Target.model_construct(
-            name=f"{self.population.name}-{one.number}",
+            name=f"{self.population.name}-{number}",
             object_name=(one.name or "").strip()[:80] or None,
             orbit=one.orbit,
             body=member_body(self.population, self.sizes, one.name, one.number),
@@ -208,26 +212,30 @@ class Sieve:
             raise BadInput(f"{self.place}.path", shown, "element sets that can be read")
         numbers = np.concatenate([np.zeros(0, np.int64), *self.numbers])
         ages = np.concatenate([np.zeros(0), *self.ages_s])
-        order = np.lexsort((ages, numbers))
-        first = np.diff(numbers[order], prepend=-1) > 0
-        youngest = dict(zip(numbers[order][first], ages[order][first], strict=True))
-        chosen: dict[int, Target] = {}
-        for number, _, age, target in self.kept:
-            if number not in chosen and age <= youngest[number]:
-                chosen[number] = target
+        counts = nearest_sets(numbers, ages)
+        chosen = [target for k, target in self.kept if counts[k]]
         look = self.look
         told = Screened(
             digest=digest,
             read=self.read,
             kept=len(chosen),
             unreadable=self.unreadable,
-            superseded=len(numbers) - int(first.sum()),
+            superseded=int((~counts).sum()),
             failed=tuple(sorted(self.failed.items())),
             left_out=tuple(self.told),
             half_angle_deg=float(np.degrees(look.half_angle_rad)),
             dwell_s=look.length_s,
         )
-        return list(chosen.values()), self.population.model_copy(update={"screened": told})
+        return chosen, self.population.model_copy(update={"screened": told})
+
+
+def nearest_sets(number: NDArray[np.int64], age_s: Array) -> NDArray[np.bool_]:
+    """Which sets (n,) count: of each catalogue number the one of least age, of several such the
+    first; without a number (0) all."""
+    order = np.lexsort((age_s, number))
+    counts = number == 0
+    counts[order[np.flatnonzero(np.diff(number[order], prepend=np.nan) != 0)]] = True
+    return counts
 
 
 def member_body(population: Population, sizes: Sizes, name: str, number: int) -> Body:

@@ -302,8 +302,7 @@ def test_a_younger_set_beside_the_field_outdates_one_inside(tle: Path) -> None:
         np.array([5000.0, 100.0, 50.0]), np.array([100.0, 5000.0, 900.0])]  # fmt: skip
     made = {n: Target.model_construct(name=n) for n in ("old 7", "young 8", "old 9", "young 9")}
     sieve.kept = [
-        (7, 0, 5000.0, made["old 7"]), (8, 1, 100.0, made["young 8"]),
-        (9, 2, 900.0, made["old 9"]), (9, 3, 50.0, made["young 9"]),
+        (0, made["old 7"]), (1, made["young 8"]), (5, made["old 9"]), (2, made["young 9"])
     ]  # fmt: skip
     targets, population = sieve.close("0" * 64)
     assert [t.name for t in targets] == ["young 8", "young 9"]
@@ -328,6 +327,32 @@ def test_of_several_sets_the_nearest_in_time_counts(order: int, tle: Path) -> No
     sieve.take(sets)
     targets, _ = sieve.close("0" * 64)
     assert {t.object_name for t in targets} == {"7: -0.02", "8: 0.5", "9: -2"}
+
+
+def test_sets_without_a_number_are_objects_of_their_own(tle: Path) -> None:
+    """None of them outdates another, and each is called by its row, in batches or at once."""
+    day, fraction = parse_utc(EPOCH)
+    look: Any = SimpleNamespace(
+        epoch=(day, fraction), half_angle_rad=0.1, length_s=85.0,
+        screen=lambda satellites: (list(range(len(satellites))), {}),
+    )  # fmt: skip
+    sets = [
+        population_files.ElementSet(
+            f"{k}", number, ORBIT, SimpleNamespace(jdsatepoch=day, jdsatepochF=fraction - k)
+        )
+        for k, number in enumerate((0, 7, 0, 7, 0))
+    ]
+    sets.insert(1, population_files.ElementSet("", 0, None, None, "broken"))
+    for size in (6, 2):
+        sieve = Sieve(scene(tle).populations[0], look, {}, "populations.0")
+        for first in range(0, 6, size):
+            sieve.take(sets[first : first + size])
+        targets, population = sieve.close("0" * 64)
+        assert [(t.name, t.object_name) for t in targets] == [
+            ("crowd-0-1", "0"), ("crowd-7", "1"), ("crowd-0-4", "2"), ("crowd-0-6", "4"),
+        ]  # fmt: skip
+        assert population.screened is not None
+        assert (population.screened.kept, population.screened.superseded) == (4, 1)
 
 
 def test_the_cone_holds_what_the_air_lifts_into_the_field(tle: Path) -> None:
