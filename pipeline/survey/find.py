@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,13 @@ BATCH = 2048
 MOST_HOURS, MOST_MOMENTS = 72.0, 50_000
 NIGHT_LOOK_S = 60.0
 DEFAULT_REGARD = FieldOfRegard()
+STREAKED = {  # by mode of pointing, as `survey.sights` has it
+    "sidereal": "streaked by the object's own motion",
+    "target": "tracked",
+    "local": "streaked past a camera held as the scene's is, to the ground or to the orbit's frame",
+    "rate": "streaked past a camera that moves at the scene's first rate, wherever it looks",
+    "table": "streaked as if the camera followed the stars, NOT as the scene's table turns it",
+}
 
 
 @dataclass(frozen=True)
@@ -140,7 +147,8 @@ def _watcher(scene: Scene, request: FindOptions, epoch: tuple[float, float]) -> 
     if "epoch" in orbit:  # whose default is that of the scene, wherever the look begins
         orbit["epoch"] = orbit["epoch"] or scene.epoch
     tracks = scene.pointing.mode == "target"
-    return make_watcher(sections, request.regard, epoch, tracks, "", scene.seed)
+    watcher = make_watcher(sections, request.regard, epoch, tracks, "", scene.seed)
+    return replace(watcher, pointing=scene.pointing)
 
 
 def _offsets(watcher: Watcher, request: FindOptions) -> Array:
@@ -175,11 +183,8 @@ def _night(watcher: Watcher, request: FindOptions) -> tuple[float, float]:
 def _notes(watcher: Watcher, search: Search, census: Census, request: FindOptions) -> list[str]:
     """What the finding rests on."""
     r, regard = watcher.resolved, request.regard
-    notes = [
-        f"SNR of one {r.integration_s(0):g} s frame, "
-        + ("tracked" if watcher.tracks else "streaked by the object's own motion")
-        + f"; {watcher.sky_note}"
-    ]
+    streaked = STREAKED[watcher.pointing.mode if watcher.pointing else "sidereal"]
+    notes = [f"SNR of one {r.integration_s(0):g} s frame, {streaked}; {watcher.sky_note}"]
     if isinstance(watcher.observer, GroundObserver):
         notes.append(
             f"above {regard.lowest_elevation_deg:g} deg, the Sun below {regard.twilight_deg:g} deg,"

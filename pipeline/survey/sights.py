@@ -7,7 +7,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.physics.constants import ARCSEC_RAD, DEG_RAD, SPEED_OF_LIGHT_M_S
+from pipeline.physics.constants import (
+    ARCSEC_RAD,
+    DEG_RAD,
+    EARTH_ROTATION_RAD_S,
+    SPEED_OF_LIGHT_M_S,
+)
 from pipeline.physics.positions.apparent import aberrate
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.sky.moon import SUN_V_MAG
@@ -16,6 +21,7 @@ from pipeline.physics.targets.lighting import phase_angle, photon_rate_at_apertu
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.physics.vectors import unit
 from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.pointing.pointing import LocalPointing, RatePointing
 from pipeline.survey.watch import Watcher, WatchMoments
 
 Array = NDArray[np.float64]
@@ -91,8 +97,12 @@ def sights_of(
     sunlit = np.where(shaded, sunlit_fraction(emitted, sun), 1.0)
     reflected = sphere_intensity_per_irradiance(phase, 1.0, 1.0) * reflecting_m2
     light = photon_rate_at_aperture(1.0, sun_distance(emitted, sun), sunlit, reflected, range_m)
-    rate = _rate(geometric, speed_m_s - motion, range_m)
-    light_e, streak = watcher.light_e(light, np.sin(elevation)), watcher.streak_px(rate)
+    relative = speed_m_s - motion
+    rate = past = _rate(geometric, relative, range_m)
+    led = _led(watcher, watch, moment, geometric)
+    if led is not None:
+        past = _rate(geometric, relative - led * range_m[:, None], range_m)
+    light_e, streak = watcher.light_e(light, np.sin(elevation)), watcher.streak_px(past)
     sky_e_s = watcher.sky_e_s(watch, moment, observed)
     snr = watcher.snr(light_e, streak, sky_e_s)
     return Sights(
@@ -129,6 +139,23 @@ def _rate(direction: Array, speed: Array, range_m: Array) -> Array:
     """Angular rate (r,) [rad/s] of objects of a speed (r, 3) against the observer."""
     across = speed - np.sum(speed * direction, axis=-1, keepdims=True) * direction
     return np.sqrt(np.sum(across**2, axis=-1)) / range_m
+
+
+def _led(watcher: Watcher, watch: WatchMoments, moment: Index, direction: Array) -> Array | None:
+    """Motion (r, 3) [rad/s] against the stars of a camera that looks into these directions, as the
+    pointing leads it; None where it follows the stars, or its object."""
+    p = watcher.pointing
+    if isinstance(p, RatePointing):
+        east = unit(np.cross(watch.to_gcrs[moment, 2], direction))
+        north = np.cross(direction, east)
+        return (p.rate_ra_arcsec_s * east + p.rate_dec_arcsec_s * north) * ARCSEC_RAD
+    if not isinstance(p, LocalPointing):
+        return None
+    if isinstance(watcher.observer, GroundObserver):
+        return np.cross([0.0, 0.0, EARTH_ROTATION_RAD_S], direction)
+    place = watch.observer_m[moment]
+    turn = np.cross(place, watch.motion_m_s[moment]) / np.sum(place**2, axis=-1, keepdims=True)
+    return np.cross(turn, direction)
 
 
 def allowed(watcher: Watcher, watch: WatchMoments, s: Sights) -> NDArray[np.bool_]:

@@ -26,6 +26,7 @@ from pipeline.resolve.files import read_files
 from pipeline.resolve.resolve import resolve
 from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver, OrbitObserver
+from pipeline.spec.pointing.pointing import Pointing
 from pipeline.spec.study import FieldOfRegard
 from pipeline.survey.signal import SignalTable, signal_table
 from pipeline.survey.sky import SkyBehind, sky_behind
@@ -57,7 +58,8 @@ class Watcher:
 
     resolved : its camera as a scene that looks up at `epoch`; integration_s, frames, cadence_s :
     of a dwell; tracks : whether dwells follow their object; field : what its keys begin with in the
-    file; sky : over directions and time; None where it is the same everywhere
+    file; sky : over directions and time; None where it is the same everywhere; pointing : that
+    leads the camera on while it exposes, wherever it looks; None: it follows the stars
     """
 
     name: str
@@ -69,6 +71,7 @@ class Watcher:
     seed: int
     tracks: bool
     sky: SkyBehind | None = None
+    pointing: Pointing | None = None
 
     @property
     def observer(self) -> GroundObserver | OrbitObserver:
@@ -116,7 +119,8 @@ class Watcher:
         return np.maximum(1.0 + more / r.snr_floor_e2(0), LEAST_NOISE)
 
     def streak_px(self, rate: Array) -> Array:
-        """Streaks (n,) [px] of objects that move at a rate (n,) [rad/s]; none where it tracks."""
+        """Streaks (n,) [px] of objects that pass the camera at a rate (n,) [rad/s]; none where it
+        tracks."""
         r = self.resolved
         return np.zeros_like(rate) if self.tracks else rate * r.integration_s(0) / r.facts.ifov_rad
 

@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.observe.observe import observe
 from pipeline.physics.positions.orbit import two_body
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
+from pipeline.physics.vectors import from_angles, unit
 from pipeline.spec.load import load_scene
+from pipeline.spec.scene import Scene
 from pipeline.survey.elements import Elements
-from pipeline.survey.find import FindOptions, FoundObjects, _offsets, find
+from pipeline.survey.find import STREAKED, FindOptions, FoundObjects, _offsets, find
 from pipeline.survey.search import make_search
 from pipeline.survey.sights import allowed, sights_of
 from pipeline.survey.watch import PROBE
@@ -293,3 +296,49 @@ def test_an_orbit_without_an_epoch_begins_at_the_scenes(kind: str, tmp_path: Pat
         found.append(find(scene, FindOptions(at="2019-04-20T03:30:00Z")).objects)
     assert len(found[0]) > 50
     assert found[0] == found[1]
+
+
+def along_orbit(o: dict[str, Any]) -> dict[str, float]:
+    """Where an object stands in the local frame of a state at the epoch, 1 s later."""
+    (place,), (motion,) = two_body(np.array(PLACE), np.array(SPEED), np.array([1.0]))
+    up, right = unit(place), unit(np.cross(motion, place))
+    there = from_angles(*np.radians([o["ra_deg"], o["dec_deg"]]))
+    azimuth = np.degrees(np.arctan2(there @ right, there @ np.cross(up, right)))
+    return {"azimuth_deg": azimuth, "elevation_deg": np.degrees(np.arcsin(there @ up))}
+
+
+@pytest.mark.parametrize("kind", ["ground", "orbit", "rate", "sidereal"])
+def test_objects_streak_past_a_camera_that_moves_as_it_is_pointed(kind: str) -> None:
+    """As in a frame that is pointed at them; a note says how the camera moves."""
+    path, changes = ROOT / "examples" / "population.yaml", [
+        "epoch=2019-04-20T06:00:00Z", "sensor.focal_length_m=0.2", "exposure.frames=1"
+    ]  # fmt: skip
+    if kind == "orbit":
+        observer = {"kind": "orbit", "orbit": {"kind": "state", **AROUND["state"]}}
+        changes.append(f"observer={json.dumps(observer)}")
+    own = {"rate_ra_arcsec_s": 300.0, "rate_dec_arcsec_s": -200.0} if kind == "rate" else {}
+    own |= {"mode": "local" if kind in ("ground", "orbit") else kind}
+
+    def aimed(**where: float) -> Scene:
+        return load_scene(path, [*changes, f"pointing={json.dumps(own | where)}"])
+
+    angles = ("azimuth_deg", "elevation_deg")
+    some = angles if own["mode"] == "local" else ("boresight_ra_deg", "boresight_dec_deg")
+    start = aimed(**dict.fromkeys(some, 45.0))
+    found = find(start, FindOptions(at="2019-04-20T06:00:01Z"))
+    assert STREAKED[own["mode"]] in found.notes[0]
+    rows = {r["object_name"]: r for r in observe(start).table.to_pylist()}
+    checked = [o for o in found.objects if o["streak_px"] < 400.0][:3]
+    assert len(checked) == 3
+    for o in checked:
+        if kind == "orbit":
+            where = along_orbit(o)
+        elif kind == "ground":
+            where = {name: rows[o["name"]][name] for name in angles}
+        else:
+            where = {"boresight_ra_deg": o["ra_deg"], "boresight_dec_deg": o["dec_deg"]}
+        seen = observe(aimed(**where)).table.to_pylist()
+        (one,) = [r for r in seen if r["object_name"] == o["name"]]
+        assert one["in_frame"]
+        assert o["streak_px"] == pytest.approx(one["streak_px"], rel=0.01, abs=0.05)
+        assert o["snr"] == pytest.approx(one["snr"], rel=0.02)
