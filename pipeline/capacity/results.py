@@ -27,6 +27,7 @@ from pipeline.physics.constants import (
 )
 from pipeline.physics.targets.lighting import photon_rate_at_aperture
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
+from pipeline.spec.study import SearchPattern
 from pipeline.survey.elements import Elements
 from pipeline.survey.watch import Watcher
 
@@ -68,7 +69,7 @@ def _counts(
     course: StudyCourse, files: list[Path]
 ) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.float64]]:
     """Observations and detections (2, n) by object, hour, single sensor and pixel; seconds (u,)
-    for which each of these sensors was busy."""
+    that each of these sensors' observations took together."""
     hours, units = int(np.ceil(course.hours)), len(course.units)
     sizes = {"object": len(course.elements), "hour": hours, "unit": units, "pixel": PIXELS}
     counts = {name: np.zeros((2, n), np.int64) for name, n in sizes.items()}
@@ -147,18 +148,21 @@ def _detections(
 def _sensors(
     course: StudyCourse, counts: NDArray[np.int64], busy_s: NDArray[np.float64]
 ) -> pa.Table:
-    """Each single sensor: hours in which it could look, share of them it was used."""
+    """Each single sensor: hours in which it could look, share of them it was used: of a search,
+    which goes from dwell to dwell without end, all."""
     open_h = np.zeros(len(course.watchers))
     for window in range(course.windows):
         works = [watch.works[:-1].sum() for watch in moments(course, window)]
         open_h += np.array(works) * course.study.step_s / 3600.0
     number = np.arange(len(course.units)) - np.searchsorted(course.units, course.units) + 1
     watchers = [course.watchers[j] for j in course.units]
+    searches = isinstance(course.study.tasking, SearchPattern)
+    busy_h = open_h[course.units] if searches else busy_s / 3600.0
     columns = {
         "sensor": [f"{w.name}-{k}" for w, k in zip(watchers, number, strict=True)],
         "open_h": open_h[course.units],
-        "busy_h": busy_s / 3600.0,
-        "used_fraction": busy_s / 3600.0 / np.maximum(open_h[course.units], 1e-9),
+        "busy_h": busy_h,
+        "used_fraction": busy_h / np.maximum(open_h[course.units], 1e-9),
         "observations": counts[0],
         "detections": counts[1],
         "zenith_sky_e_s_px": [w.resolved.facts.background_e_s for w in watchers],

@@ -23,10 +23,11 @@ from pipeline.capacity.results import smallest_m
 from pipeline.capacity.run import StudyOptions, run_study
 from pipeline.execute.truth import matched_snr
 from pipeline.survey.signal import straight
-from tests.capacity.conftest import SMALL
+from tests.capacity.conftest import SITE, SMALL
 from tests.survey.conftest import watcher
 
-Rows = list[dict[str, Any]]
+Data = dict[str, Any]
+Rows = list[Data]
 HOURS = 10.5
 CHANGES: dict[str, Any] = {
     "duration_h": HOURS,
@@ -130,6 +131,21 @@ def test_hours_and_sensors(made: Made) -> None:
         assert s["open_h"] == pytest.approx((up <= -12.0).sum() / 60.0)
         assert s["busy_h"] == pytest.approx(busy, rel=1e-5)
         assert s["used_fraction"] == pytest.approx(busy / s["open_h"], rel=1e-5)
+
+
+def test_a_search_uses_all_the_time_in_which_it_may_look(data: Data, tmp_path: Path) -> None:
+    """However many objects its dwells hold: the last site's night has not begun yet."""
+    data["cameras"][0] |= {"tracking": "sidereal"}
+    data["cameras"][0]["sensor"] = data["cameras"][0]["sensor"] | {"focal_length_m": 0.03}
+    data["sensors"].append({"name": "day", "observer": SITE | {"longitude_deg": 20.0}})
+    data["tasking"] = {"kind": "serendipitous", "pattern": "fence"}
+    data |= {"duration_h": 3.0, "detection": {"least_probability": 0.0}}
+    report = run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous"))
+    sensors = pq.read_table(tmp_path / "out" / "sensors.parquet").to_pylist()
+    assert [s["open_h"] > 1.0 for s in sensors] == [True, True, True, False]
+    assert [s["busy_h"] for s in sensors] == [s["open_h"] for s in sensors]
+    assert [s["used_fraction"] for s in sensors] == pytest.approx([1.0, 1.0, 1.0, 0.0])
+    assert report["figures"]["sensor_time_used"] == pytest.approx(0.75)
 
 
 def test_coverage_is_healpys(made: Made) -> None:
