@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from catalog_tools.storage.durable import whole_file
 from pipeline.capacity.course import BATCH, StudyCourse, moments
-from pipeline.capacity.patterns import pattern_sights
+from pipeline.capacity.patterns import field_rad, pattern_sights
 from pipeline.physics.detection import detection_probability
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
@@ -23,7 +23,7 @@ from pipeline.spec.study import CuedTasking
 from pipeline.survey.elements import Elements
 from pipeline.survey.prune import never_seen
 from pipeline.survey.sights import Sights, allowed, sights_of
-from pipeline.survey.watch import MOST_LIFT_RAD, WatchMoments
+from pipeline.survey.watch import MOST_LIFT_RAD, Watcher, WatchMoments
 
 SCHEMA = pa.schema(
     [("time_s", pa.float64()), ("step", pa.int32()), ("sensor", pa.int16()), ("unit", pa.int16())]
@@ -33,6 +33,7 @@ SCHEMA = pa.schema(
     + [("probability", pa.float32())]
 )
 ENDED = b"ended"
+LEAST_RATE = 1e-12  # against the stars [rad/s]: none leaves a field so slowly
 OPTIONS: dict[str, Any] = {
     "compression": "zstd",
     "compression_level": 1,
@@ -112,8 +113,18 @@ def _of_sensor(
         elements.shaded[who],
     )  # fmt: skip
     s = s.take(allowed(watcher, watch, s) & (s.snr >= course.least_snr))
-    frames = np.full(len(s), watcher.resolved.scene.exposure.frames)
-    return _table(course, sensor, watch, s, frames, np.full(len(s), -1))
+    return _table(course, sensor, watch, s, _frames(watcher, s), np.full(len(s), -1))
+
+
+def _frames(watcher: Watcher, s: Sights) -> NDArray[np.int64]:
+    """Frames (r,) of a dwell that have their object: without tracking those whose middle comes
+    before it has gone from the field's middle by half the shorter side."""
+    e = watcher.resolved.scene.exposure
+    if watcher.tracks:
+        return np.full(len(s), e.frames)
+    stays_s = 0.5 * min(field_rad(watcher)) / np.maximum(s.rate, LEAST_RATE)
+    inside = 1.0 + np.floor((stays_s - 0.5 * e.integration_s) / e.step_s)
+    return np.clip(inside, 1, e.frames).astype(np.int64)
 
 
 def _table(

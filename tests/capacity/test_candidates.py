@@ -62,6 +62,31 @@ def test_columns(data: Data, tmp_path: Path) -> None:
     assert np.quantile(off, 0.9) < 0.005
 
 
+@pytest.mark.parametrize("tracking", ["sidereal", "target"])
+def test_frames_that_have_the_object(data: Data, tmp_path: Path, tracking: str) -> None:
+    """What a camera does not follow counts while the middles of its frames, 10 s apart, find it
+    within half the shorter side, 600 pixels of 13.5 um behind 0.3 m, of the field's middle."""
+    camera = data["cameras"][0]
+    camera["sensor"] = camera["sensor"] | {"focal_length_m": 0.3, "shape": [600, 1024]}
+    exposure = {"integration_s": 2.0, "frames": 6, "cadence_s": 10.0}
+    camera |= {"tracking": tracking, "exposure": exposure}
+    data["detection"] = {"frames_needed": 2, "least_probability": 0.0}
+    course = make_course(data | {"duration_h": 4.0}, tmp_path)
+    (tmp_path / "parts").mkdir()
+    find_candidates(course, (0, 0))
+    table = pq.read_table(path_of(tmp_path, (0, 0)))
+    rate = np.radians(table["rate_arcsec_s"].to_numpy().astype(float) / 3600.0)
+    gone = rate[:, None] * (1.0 + 10.0 * np.arange(6))  # rad, at the middle of each frame
+    inside = (gone <= np.arctan(300 * 13.5e-6 / 0.3)).sum(axis=1)
+    frames = table["frames"].to_numpy()
+    wanted = 6 if tracking == "target" else np.maximum(inside, 1)
+    np.testing.assert_array_equal(frames, np.broadcast_to(wanted, len(frames)))
+    assert len(set(inside.tolist())) > 3
+    chance = norm.sf(course.threshold - table["snr"].to_numpy().astype(float))
+    whole = binom.sf(1, frames, chance)
+    np.testing.assert_allclose(table["probability"].to_numpy(), whole, rtol=1e-4, atol=1e-12)
+
+
 def run_rows(data: Data, out: Path) -> list[dict[str, Any]]:
     run_study(data, out.parent, out, ALONE)
     files = sorted((out / "observations").glob("*.parquet"))
