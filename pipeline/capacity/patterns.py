@@ -14,7 +14,7 @@ from pipeline.capacity.course import StudyCourse, moments
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.earth import gcrs_to_itrs
 from pipeline.physics.positions.times import instants
-from pipeline.physics.vectors import from_angles, to_angles, unit
+from pipeline.physics.vectors import from_angles, separation, to_angles, unit
 from pipeline.spec.study import SearchPattern
 from pipeline.survey.elements import Elements
 from pipeline.survey.sights import Sights, allowed, sights_of
@@ -47,18 +47,36 @@ def slots_of(course: StudyCourse, window: int, unit_: int) -> Slots:
     assert isinstance(pattern, SearchPattern)
     height, width = field_rad(watcher)
     stride = min(height, width) * (1.0 - pattern.overlap)
-    count = max(1, int(np.ceil((pattern.to_deg - pattern.from_deg) * DEG_RAD / stride)))
-    slew = sensor.slewing  # by a field's width from one to the next
+    span_deg = pattern.to_deg - pattern.from_deg
+    count = max(1, int(np.ceil(span_deg * DEG_RAD / stride)))
+    slew = sensor.slewing  # by a field's width from one to the next, and back by all of them
     each = stride / (slew.rate_deg_s * DEG_RAD) + slew.settle_s + watcher.dwell_s
+    at_deg = pattern.from_deg + (np.arange(count) + 0.5) * span_deg / count
+    ends = _axes(watcher, watcher.watch(np.zeros(2)), pattern, at_deg[[0, -1]])[:, 2]
+    more = max(0.0, float(separation(*ends)) - stride) / (slew.rate_deg_s * DEG_RAD)
+    first = (unit_ - int(np.searchsorted(course.units, j))) * count // sensor.count
     start, *_, end = course.offsets_s(window)
-    number = np.arange(np.ceil(start / each - 0.5), np.ceil(end / each - 0.5)).astype(np.int64)
-    watch = watcher.watch(np.asarray((number + 0.5) * each, float))
-    own = unit_ - int(np.searchsorted(course.units, j))
-    place = (number + own * count // sensor.count) % count
-    at_deg = pattern.from_deg + (place + 0.5) * (pattern.to_deg - pattern.from_deg) / count
+    number, middle_s = _times(start, end, count, first, each, more)
+    watch = watcher.watch(middle_s)
+    at_deg = at_deg[number % count]
     e = watcher.resolved.scene.exposure
     frames = np.asarray((np.arange(e.frames) - 0.5 * (e.frames - 1)) * e.step_s, float)
     return Slots(watch, _axes(watcher, watch, pattern, at_deg), frames)
+
+
+def _times(
+    start: float, end: float, count: int, first: int, each: float, more: float
+) -> tuple[Index, Array]:
+    """Numbers of the dwells (q,) from start to end [s], and their middles [s].
+
+    A round of `count` fields takes `each` [s] for a field, and `more` for the way back; at 0 s the
+    first round has come to the field `first`
+    """
+    rounds = np.array([start, end]) / (count * each + more)
+    number = np.arange(int(rounds[0]) * count, (int(rounds[1]) + 2) * count)
+    middle_s = (number - first + 0.5) * each + number // count * more
+    inside = (middle_s >= start) & (middle_s < end)
+    return number[inside], middle_s[inside]
 
 
 def field_rad(watcher: Watcher) -> tuple[float, float]:
