@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 RING_M = 42_164_172.0  # radius of the geostationary ring
+RING_PLACES = 721  # at which its distance is looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,8 @@ def slots_of(course: StudyCourse, window: int, unit_: int) -> Slots:
     height, width = field_rad(watcher)
     stride = min(height, width) * (1.0 - pattern.overlap)
     span_deg = pattern.to_deg - pattern.from_deg
-    count = max(1, int(np.ceil(span_deg * DEG_RAD / stride)))
+    seen = span_deg * DEG_RAD * _seen_share(watcher, pattern, height)
+    count = max(1, int(np.ceil(seen / stride)))
     slew = sensor.slewing  # by a field's width from one to the next, and back by all of them
     each = stride / (slew.rate_deg_s * DEG_RAD) + slew.settle_s + watcher.dwell_s
     at_deg = pattern.from_deg + (np.arange(count) + 0.5) * span_deg / count
@@ -62,6 +64,20 @@ def slots_of(course: StudyCourse, window: int, unit_: int) -> Slots:
     e = watcher.resolved.scene.exposure
     frames = np.asarray((np.arange(e.frames) - 0.5 * (e.frames - 1)) * e.step_s, float)
     return Slots(watch, _axes(watcher, watch, pattern, at_deg), frames)
+
+
+def _seen_share(watcher: Watcher, pattern: SearchPattern, height: float) -> float:
+    """Angle that the sensor sees between fields, over that of the pattern's own, where it is
+    largest: on a strip at the side of its fields (of this height [rad]) next to the equator, on the
+    ring at what is nearest at the start."""
+    if pattern.pattern == "fence":
+        return 1.0
+    if pattern.pattern == "strip":
+        side = abs(pattern.declination_deg) * DEG_RAD - 0.5 * height
+        return float(np.cos(max(0.0, side)))
+    at_deg, step_deg = np.linspace(pattern.from_deg, pattern.to_deg, RING_PLACES, retstep=True)
+    along = _axes(watcher, watcher.watch(np.zeros(RING_PLACES)), pattern, at_deg)[:, 2]
+    return float(separation(along[1:], along[:-1]).max() / (step_deg * DEG_RAD))
 
 
 def _times(

@@ -48,11 +48,13 @@ def when(slots: Slots) -> Any:
     return Time("2019-04-20T06:00:00") + slots.watch.offset_s * u.s
 
 
+STRIDE = HIGH * (1.0 - OVERLAP)  # the shorter side, less what neighbours share
+
+
 def places(span_deg: float) -> tuple[int, float]:
     """How many fields there are, and the seconds from one to the next."""
-    stride = HIGH * (1.0 - OVERLAP)  # the shorter side, less what neighbours share
-    count = int(np.ceil(np.radians(span_deg) / stride))
-    return count, np.degrees(stride) / RATE_DEG_S + SETTLE_S + DWELL_S
+    count = int(np.ceil(np.radians(span_deg) / STRIDE))
+    return count, np.degrees(STRIDE) / RATE_DEG_S + SETTLE_S + DWELL_S
 
 
 def test_fields_follow_each_other(course: Any) -> None:
@@ -95,7 +97,12 @@ def test_a_fence_stands_in_its_azimuth(course: Any) -> None:
 
 def test_a_belt_is_the_geostationary_ring(course: Any) -> None:
     slots = slots_of(course(pattern="belt", from_deg=-200.0, to_deg=-110.0), 0, 1)
-    count, _ = places(90.0)
+    grid = np.radians(np.linspace(-200.0, -110.0, 9001))
+    site = np.array([c.to_value(u.m) for c in SITE.geocentric])
+    path = 42_164_172.0 * from_angles(grid, np.zeros_like(grid)) - site
+    share = separation(path[1:], path[:-1]).max() / (grid[1] - grid[0])
+    assert 1.12 < share < 1.18  # the ring is nearer to the site than to the Earth's middle
+    count, _ = places(90.0 * share)
     number = (np.arange(len(slots.watch.offset_s)) + count // 3) % count
     longitude = np.radians(-200.0 + (number + 0.5) * 90.0 / count)
     ring = 42_164_172.0 * from_angles(longitude, np.zeros_like(longitude))
@@ -103,17 +110,30 @@ def test_a_belt_is_the_geostationary_ring(course: Any) -> None:
     there = itrs.transform_to(coord.GCRS(obstime=when(slots))).cartesian.xyz.to_value(u.m)
     here = SITE.get_gcrs_posvel(when(slots))[0].xyz.to_value(u.m)
     assert np.degrees(separation(along(slots), (there - here).T)).max() < 0.005
+    fields = 42_164_172.0 * from_angles(np.unique(longitude), np.zeros(count)) - site
+    apart = separation(fields[1:], fields[:-1])
+    assert 0.96 * STRIDE < apart.max() < STRIDE + 1e-6
 
 
 def test_a_strip_is_opposite_the_sun(course: Any) -> None:
     slots = slots_of(course(pattern="strip", from_deg=-40.0, to_deg=20.0, declination_deg=12.0),
                      0, 0)  # fmt: skip
-    count, _ = places(60.0)
+    count, _ = places(60.0 * np.cos(np.radians(12.0) - 0.5 * HIGH))
     number = np.arange(len(slots.watch.offset_s)) % count
     offset = -40.0 + (number + 0.5) * 60.0 / count
     sun = coord.get_sun(when(slots)).ra.deg
     wanted = from_angles(np.radians(sun + 180.0 + offset), np.full(len(sun), np.radians(12.0)))
     assert np.degrees(separation(along(slots), wanted)).max() < 0.02
+
+
+@pytest.mark.parametrize("declination", [-55.0, 70.0])
+def test_fields_of_a_strip_overlap_as_asked(course: Any, declination: float) -> None:
+    """On the side next to the equator, where their circle is widest: no less, hardly more."""
+    tasking = {"from_deg": -60.0, "to_deg": 60.0, "declination_deg": declination}
+    fields = along(slots_of(course(pattern="strip", **tasking), 0, 0))[:2]
+    step = separation(fields[0], fields[1]) / np.cos(np.radians(declination))
+    widest = step * np.cos(np.radians(abs(declination)) - 0.5 * HIGH)
+    assert 0.94 * STRIDE < widest < 1.001 * STRIDE
 
 
 def test_frames_in_a_field_that_moves() -> None:
