@@ -200,13 +200,14 @@ class Watcher:
         sun_elevation = 0.5 * np.pi - separation(sun - place, up)
         works = sun_elevation <= r.twilight_deg * DEG_RAD
         if r.clear_fraction < 1.0:
-            works &= self._clear(offsets_s)
+            works &= self._clear(offsets_s, self.observer)
         return np.full(n, r.lowest_elevation_deg * DEG_RAD), works
 
-    def _clear(self, offsets_s: Array) -> NDArray[np.bool_]:
-        """Whether the sky is clear (n,): each stretch of weather draws by seed, sensor, number."""
+    def _clear(self, offsets_s: Array, site: GroundObserver) -> NDArray[np.bool_]:
+        """Whether the sky is clear (n,): each stretch of weather draws by seed, place, number."""
         stretch = np.floor(offsets_s / (self.regard.weather_h * 3600.0)).astype(np.int64)
-        key = stream_key(self.seed, f"weather of {self.name}")
+        place = f"{site.latitude_deg:.6f} {site.longitude_deg % 360.0:.6f}"
+        key = stream_key(self.seed, f"weather at {place}")
         numbers, of = np.unique(stretch, return_inverse=True)
         draws = np.array([uniforms(1, 1, 0, 0, int(k) & 0xFFFFFFFF, *key)[0, 0] for k in numbers])
         return np.asarray(draws < self.regard.clear_fraction)[of]

@@ -11,6 +11,7 @@ import pytest
 from astropy.time import Time
 
 from pipeline.physics.vectors import from_angles, separation, unit
+from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.study import FieldOfRegard
 from pipeline.survey.sights import Sights, allowed
 from pipeline.survey.watch import Watcher, WatchMoments, make_watcher
@@ -121,20 +122,24 @@ def test_dark_by_the_suns_elevation(twilight_deg: float) -> None:
     np.testing.assert_array_equal(found[clear], (up <= twilight_deg)[clear])
 
 
-def clear_of(seed: int = 0, name: str = "here", **regard: Any) -> Array:
+def clear_of(seed: int = 0, name: str = "here", longitude_deg: float = -156.3) -> Array:
     """Whether the sky is clear at each hour of 400 days, by night and day."""
     asked = sections(name=name)
-    w = make_watcher(asked, FieldOfRegard(**regard), EPOCH, False, "", seed)
-    return w._clear(3600.0 * np.arange(9600.0) + 1.0)
+    asked["observer"]["longitude_deg"] = longitude_deg
+    regard = FieldOfRegard(clear_fraction=0.8, weather_h=4.0)
+    w = make_watcher(asked, regard, EPOCH, False, "", seed)
+    assert isinstance(w.observer, GroundObserver)
+    return w._clear(3600.0 * np.arange(9600.0) + 1.0, w.observer)
 
 
 def test_weather_is_clear_as_often_as_asked() -> None:
-    """In whole stretches of `weather_h`; of another seed, or another sensor, another weather."""
-    clear = clear_of(clear_fraction=0.8, weather_h=4.0).reshape(-1, 4)
+    """In whole stretches of `weather_h`; of another seed, or another place, another weather."""
+    clear = clear_of().reshape(-1, 4)
     assert (clear == clear[:, :1]).all()
     assert clear[:, 0].mean() == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / 2400))
     change = np.diff(clear[:, 0].astype(int)) != 0
     assert change.mean() == pytest.approx(0.32, abs=0.05)  # one stretch tells nothing of the next
-    for other in (clear_of(1, clear_fraction=0.8, weather_h=4.0),
-                  clear_of(0, "there", clear_fraction=0.8, weather_h=4.0)):  # fmt: skip
+    for other in (clear_of(1), clear_of(longitude_deg=-156.2)):
         assert (other.reshape(-1, 4)[:, 0] != clear[:, 0]).mean() == pytest.approx(0.32, abs=0.05)
+    for same in (clear_of(name="beside"), clear_of(longitude_deg=203.7)):
+        np.testing.assert_array_equal(same.reshape(-1, 4), clear)
