@@ -67,7 +67,7 @@ def test_a_centroid_counts_the_flat() -> None:
     """A flat of 0.25 sees what a quantum efficiency of a quarter sees: source and sky."""
     found = []
     for wish in ({"flat": 0.25}, {"quantum_efficiency": 0.25}):
-        one = night(sensor=night()["sensor"] | wish, background={"uniform_mag_arcsec2": 16.0})
+        one = night(sensor=night()["sensor"] | wish, background={"uniform_mag_arcsec2": 18.0})
         row = observe(parse_scene(one | ALONE), None, 0.1, None, 7).table.to_pylist()[0]
         found.append(row["centroid_sigma_arcsec"])
     assert found[0] == pytest.approx(found[1], rel=1e-3)

@@ -44,7 +44,7 @@ FROM_HIGH = np.array(HIGH["orbit"]["position_m"])
 AIR = {"observer": SITE | {"atmosphere": {"extinction": {"mag_per_airmass": 0.3}}}}
 UP = {"pointing": {"mode": "local", "azimuth_deg": 90.0, "elevation_deg": 80.0}}
 WEST = {"pointing": {"mode": "local", "azimuth_deg": 270.0, "elevation_deg": 30.0}}
-UNIFORM = {"background": {"uniform_mag_arcsec2": 21.0}}
+UNIFORM = {"background": {"uniform_mag_arcsec2": 23.0}}
 
 # Of each doubt that stops a render: the word that accepts it, a scene, and its size as it is told.
 REFUSED: dict[str, tuple[str, Callable[[Any], Scene], str]] = {

@@ -153,7 +153,7 @@ def test_no_signal_stands_out_of_full_pixels() -> None:
     for well, seen in ((None, [True, True, False]), (50_000.0, [True, False, False])):
         camera = SMALL | {"gain_e_per_dn": 2.0, "bias_dn": 500.0, "full_well_e": well}
         w = make_watcher(sections(sensor=camera), FieldOfRegard(), EPOCH, False)
-        assert w.full_e == (well or 2.0 * (65_535 - 500))
+        assert w.resolved.full_e == (well or 2.0 * (65_535 - 500))
         assert ((w.snr(light, still, sky) > 0.0) == seen).all()
         assert "FILLS" not in w.sky_note
     filled = make_watcher(
