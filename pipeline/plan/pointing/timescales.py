@@ -86,7 +86,7 @@ def _asked(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> Array:
 def _of_body(
     body: Body | MeshBody, epoch: tuple[float, float], start_s: Array, end_s: Array
 ) -> Array:
-    """Shortest time (F,) in which the light of a body may turn its mind in some exposures [s]."""
+    """Shortest time (F,) in which the light of a body may change in some exposures [s]."""
     turn_s = min(_turns_s(body), default=math.inf)
     out = np.full(len(start_s), turn_s * LOOKS / LOOKS_A_TURN)
     for times_s, period_s in _tables(body, epoch):
@@ -95,7 +95,7 @@ def _of_body(
 
 
 def _of_pointing(scene: Scene, plan: DwellPlan, start_s: Array, end_s: Array) -> Array:
-    """Shortest time (F,) in which the pointing of a dwell turns its mind in some exposures [s]."""
+    """Shortest time (F,) in which the pointing of a dwell may change in some exposures [s]."""
     out = np.full(len(start_s), np.inf)
     if isinstance(plan.pointing, TablePointing):
         out = _apart_s(rows_s(scene, plan, plan.pointing), None, start_s, end_s)
