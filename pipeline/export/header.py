@@ -114,7 +114,7 @@ def _sensor(scene: Scene, layer: str, frame: int) -> Cards:
     """What a photometry program asks for; terms that are not the same everywhere say so."""
     s, dwells = scene.sensor, dwell_plans(scene)
     dwell = dwells[int(dwell_of(dwells, np.array([frame]))[0])]
-    pixel_arcsec = float(np.degrees(s.pixel_pitch_um * 1e-6 / s.focal_length_m)) * 3600.0
+    pixel_arcsec = float(np.degrees(s.ifov_rad)) * 3600.0
     band = getattr(s.bandpass, "name", None) or s.bandpass.kind
     if s.bandpass.kind == "box":
         band = f"{s.bandpass.short_nm:g}-{s.bandpass.long_nm:g} nm"

@@ -118,8 +118,7 @@ def _fixed(s: Sensor, psf: OnePsf, table: Sampled | None) -> Optics:
         if psf.fwhm_px is not None:
             return Moffat(psf.fwhm_px, psf.beta)
         assert psf.fwhm_arcsec is not None
-        ifov = s.pixel_pitch_um * 1e-6 / s.focal_length_m
-        return Moffat(psf.fwhm_arcsec * ARCSEC_RAD / ifov, psf.beta)
+        return Moffat(psf.fwhm_arcsec * ARCSEC_RAD / s.ifov_rad, psf.beta)
     assert table is not None
     return table
 

@@ -66,9 +66,8 @@ def motion_plan(scene: Scene) -> MotionPlan | None:
     if model is None or not model.random:
         return None
     s = scene.sensor
-    ifov = s.pixel_pitch_um * 1e-6 / s.focal_length_m
     times = integration_range_s(scene)
-    return _plan(model, *times, ifov, 0.5 * math.hypot(*s.shape), part_sigma(scene))
+    return _plan(model, *times, s.ifov_rad, 0.5 * math.hypot(*s.shape), part_sigma(scene))
 
 
 def fast_blur_px(scene: Scene) -> float:

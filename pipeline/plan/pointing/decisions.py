@@ -83,8 +83,7 @@ def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
     """What is known of the error between the rows of a table of attitudes."""
     told = "not known: too few rows"
     if p.error_arcsec is not None:
-        ifov = scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
-        px = p.error_arcsec * ARCSEC_RAD / ifov
+        px = p.error_arcsec * ARCSEC_RAD / scene.sensor.ifov_rad
         told = f"{p.error_arcsec:.2g} arcsec ({px:.2g} px), from every other row omitted"
     return Decision(
         "pointing_table",

@@ -32,8 +32,7 @@ def star_radius_rad(scene: Scene, g: Geometry) -> Array:
     The frame, as much again around it, and the stars' way in an exposure.
     """
     camera = camera_of(scene)
-    ifov = scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
-    way = excursions_px(camera, g, scene.star_effects["aberration"]) * ifov
+    way = excursions_px(camera, g, scene.star_effects["aberration"]) * scene.sensor.ifov_rad
     return np.minimum(2.0 * corner_radius(camera) + way, np.pi)
 
 

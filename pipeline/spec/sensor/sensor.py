@@ -350,6 +350,11 @@ class Sensor(Strict):
     detector: Detector | None = Field(None, description="bad pixels, patterns, ways of reading out")
 
     @property
+    def ifov_rad(self) -> float:
+        """Angle that a pixel's pitch covers on the axis [rad]."""
+        return self.pixel_pitch_um * 1e-6 / self.focal_length_m
+
+    @property
     def every_psf(self) -> tuple[OnePsf, ...]:
         """The point-spread function, or those of all places of the field, row by row."""
         if isinstance(self.psf, FieldPsf):
