@@ -126,6 +126,12 @@ def plan_geometry(
     return _finer(scene, _geometry(scene, frames, nodes, dut1_s), dut1_s)
 
 
+def with_frames(scene: Scene, g: Geometry, frames: NDArray[np.int64], dut1_s: float) -> Geometry:
+    """A geometry with more frames, where it does not hold these already."""
+    wanted = np.union1d(g.frame, frames)
+    return g if len(wanted) == len(g.frame) else plan_geometry(scene, wanted, dut1_s)
+
+
 _COUNTED: list[tuple[Scene, float, int]] = []  # the last scene whose nodes were counted
 
 
@@ -163,9 +169,7 @@ def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
         left = left[more]
         if not len(left):
             break
-        nodes = 2 * nodes - 1
-        while nodes < seen_from[left].min():
-            nodes = 2 * nodes - 1
+        nodes = max(2 * nodes - 1, int(seen_from[left].min()))
         made = _geometry(scene, geometry.frame[left], nodes, dut1_s)
         paths = _star_paths(scene, made)
     random = motion_plan(scene) is not None
@@ -283,13 +287,11 @@ def _geometry(
     start = start + late_s if np.any(late_s) else start
     since = within[None, :] * time[:, None]
     offset = start[:, None] + since
-    flat = offset.ravel()
-    at = moments_at(scene, dut1_s, flat)
+    which = np.repeat(dwell_of(dwell_plans(scene), frames), nodes)
+    at, attitude = aimed(scene, offset.ravel(), dut1_s, which)
     times, earth, geocentric, velocity = at.times, at.earth, at.observer_m, at.observer_m_s
     position = earth.position_m + geocentric
     sun = earth.position_m + earth.sun_from_earth_m
-    which = np.repeat(dwell_of(dwell_plans(scene), frames), nodes)
-    attitude = attitudes(scene, which, _vantage(scene, at))
     if random:
         attitude = turned(attitude, *random_motion_rad(scene, frames, nodes).reshape(-1, 3).T)
     camera, air = camera_of(scene), air_of(scene, times)
@@ -337,9 +339,9 @@ def _geometry(
 
 def _light(scene: Scene, frames: NDArray[np.int64], offset_s: Array, dut1_s: float) -> Array:
     """Light (T, F, K) of the targets at moments (F, K) as cameras of these frames are pointed."""
-    at = moments_at(scene, dut1_s, offset_s.ravel())
     which = np.repeat(dwell_of(dwell_plans(scene), frames), offset_s.shape[1])
-    attitude, air = attitudes(scene, which, _vantage(scene, at)), air_of(scene, at.times)
+    at, attitude = aimed(scene, offset_s.ravel(), dut1_s, which)
+    air = air_of(scene, at.times)
     if air is not None:
         attitude = lifted(attitude, air)
     found = target_paths(scene, camera_of(scene), attitude, at, len(frames), air)

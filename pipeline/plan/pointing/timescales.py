@@ -73,25 +73,20 @@ def _asked(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> Array:
     for i in np.unique(which):
         mine = which == i
         shortest[mine] = _of_pointing(scene, plans[i], start[mine], (start + time)[mine])
-    out = LOOKS * time / shortest
+    out, epoch = LOOKS * time / shortest, parse_utc(scene.epoch)
     for t in np.flatnonzero(near.any(axis=-1)):
+        body = scene.targets[t].body
+        tables, turns_s = list(_tables(body, epoch)), list(_turns_s(body))
+        if not (tables or turns_s):
+            continue
         away_s = g.target_range_m[t] / SPEED_OF_LIGHT_M_S
         first = start - np.nanmax(away_s, axis=-1) - SLACK_S
         last = start + time + late_s - np.nanmin(away_s, axis=-1) + SLACK_S
-        own = _of_body(scene.targets[t].body, parse_utc(scene.epoch), first, last)
+        own = np.full(len(start), min(turns_s, default=math.inf) * LOOKS / LOOKS_A_TURN)
+        for times_s, period_s in tables:
+            own = np.minimum(own, _apart_s(times_s, period_s, first, last))
         out = np.maximum(out, near[t] * LOOKS * np.maximum(time, late_s) / own)
     return np.asarray(out)
-
-
-def _of_body(
-    body: Body | MeshBody, epoch: tuple[float, float], start_s: Array, end_s: Array
-) -> Array:
-    """Shortest time (F,) in which the light of a body may change in some exposures [s]."""
-    turn_s = min(_turns_s(body), default=math.inf)
-    out = np.full(len(start_s), turn_s * LOOKS / LOOKS_A_TURN)
-    for times_s, period_s in _tables(body, epoch):
-        out = np.minimum(out, _apart_s(times_s, period_s, start_s, end_s))
-    return out
 
 
 def _of_pointing(scene: Scene, plan: DwellPlan, start_s: Array, end_s: Array) -> Array:
@@ -111,10 +106,6 @@ def _of_pointing(scene: Scene, plan: DwellPlan, start_s: Array, end_s: Array) ->
         own = LOOKS / LOOKS_A_TURN / settle.frequency_hz
         out = np.where(left_px > STILL_PX, np.minimum(out, own), out)
     return out
-
-
-def _ifov_rad(scene: Scene) -> float:
-    return scene.sensor.pixel_pitch_um * 1e-6 / scene.sensor.focal_length_m
 
 
 def _apart_s(times_s: Array, period_s: float | None, start_s: Array, end_s: Array) -> Array:

@@ -13,7 +13,7 @@ from pipeline.physics.positions.apparent import aberrate, unaberrate
 from pipeline.physics.positions.focal_plane import Camera, deproject, project
 from pipeline.physics.positions.refraction import refract, unrefract
 from pipeline.plan.pointing.attitude_motion import motion_plan
-from pipeline.plan.pointing.geometry import camera_of, late_geometry, plan_geometry
+from pipeline.plan.pointing.geometry import camera_of, late_geometry, with_frames
 from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.pointing.star_paths import field_points, still_paths
 from pipeline.plan.timing import dwell_plans, last_row_late_s
@@ -81,8 +81,7 @@ def rolling_shutter(
 def _of_every_dwell(scene: Scene, g: Geometry, dut1_s: float) -> Geometry:
     """The geometry with the first and the last frame of each dwell."""
     edges = [k for p in dwell_plans(scene) for k in (p.first, p.first + p.frames - 1)]
-    frames = np.union1d(g.frame, edges)
-    return g if len(frames) == len(g.frame) else plan_geometry(scene, frames, dut1_s)
+    return with_frames(scene, g, np.array(edges), dut1_s)
 
 
 def _exposed(g: Geometry) -> list[Geometry]:

@@ -15,7 +15,7 @@ from pipeline.physics.sky.galactic import RELATIVE_ERROR
 from pipeline.physics.sky.grid import FrameGrid, at_nodes, refine, tile_light
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts, error_budget_e
-from pipeline.plan.pointing.geometry import FEWEST_NODES, plan_geometry
+from pipeline.plan.pointing.geometry import plan_geometry, with_frames
 from pipeline.plan.pointing.turns import turning_frames
 from pipeline.plan.sky.inputs import SkyInputs
 from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, background_of
@@ -124,8 +124,7 @@ def _of_every_field(scene: Scene, g: Geometry, dut1_s: float) -> Geometry:
     turning = turning_frames(scene, dut1_s)
     if len(turning) > MOST_FIELDS:
         turning = turning[np.linspace(0, len(turning) - 1, MOST_FIELDS).round().astype(int)]
-    frames = np.union1d(g.frame, turning)
-    return g if len(frames) == len(g.frame) else plan_geometry(scene, frames, dut1_s)
+    return with_frames(scene, g, turning, dut1_s)
 
 
 def facts_with_sky(facts: Facts, scene: Scene, sky: SkyPlan) -> Facts:
@@ -239,7 +238,7 @@ def _over_time(
     while doubtful.any():
         left, right = knots[:-1][doubtful], knots[1:][doubtful]
         middle = (left + right) // 2
-        fresh = plan_geometry(light.scene, middle, dut1_s, max(FEWEST_NODES, light.moments))
+        fresh = plan_geometry(light.scene, middle, dut1_s, light.moments)
         found = at_nodes(light.at(fresh), light.camera.rows, light.camera.columns, ny, nx)
         share = ((middle - left) / (right - left))[:, None, None]
         guess = (1.0 - share) * grids[:-1][doubtful] + share * grids[1:][doubtful]
