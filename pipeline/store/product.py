@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -109,13 +110,13 @@ def make_together(path: Path, plan: Plan, catalogue_digest: str | None) -> None:
 
 def identity_of(plan: Plan, catalogue_digest: str | None) -> JsonObject:
     """What makes two products the same."""
-    data = plan.scene.as_dict()
+    data, digest = plan.scene.as_dict(), cache(file_digest)  # each file is read once
     return {
         "format": FORMAT,
         "scene_sha256": scene_digest(plan),
         "catalogue_digest": catalogue_digest,
-        "files_sha256": files_digest(data),
-        "images_sha256": {str(file): file_digest(file) for _, file in sensor_images(data)},
+        "files_sha256": files_digest(data, digest),
+        "images_sha256": {str(file): digest(file) for _, file in sensor_images(data)},
         "tile_shape": list(tile_shape(plan.scene)),
         "compression": plan.scene.output.compression,
         "tiles": len(plan.tiles) * plan.frames,
@@ -276,15 +277,16 @@ def scene_digest(plan: Plan) -> str:
     return hashlib.sha256(json.dumps(scene, sort_keys=True).encode()).hexdigest()
 
 
-def files_digest(data: JsonObject) -> str | None:
+def files_digest(data: JsonObject, digest: Callable[[Path], str] | None = None) -> str | None:
     """SHA-256 over the content of all files that plain data of a scene, or a study, still names;
     None without any. Its paths are absolute.
 
     Catalogues have digests of their own; of populations what was found in them counts. Tables of
-    the user's data folder count, too, where there are any.
+    the user's data folder count, too, where there are any. digest : of a file; `file_digest`
     """
+    digest = digest or file_digest
     files = (*named_files(data), *user_data_files())
-    found = [(name, file_digest(file)) for name, file in files]
+    found = [(name, digest(file)) for name, file in files]
     return hashlib.sha256(json.dumps(found).encode()).hexdigest() if found else None
 
 
