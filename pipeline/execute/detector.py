@@ -15,9 +15,13 @@ from pipeline.spec.sensor.detector import Detector, FrameTransfer, TimeDelay
 NONE = Detector()
 
 
-def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float) -> Chain:
-    """The detector's terms for an exposure, with the tile's part of each image."""
-    part = np.s_[tile.y0 : tile.y0 + tile.rows, tile.x0 : tile.x0 + tile.columns]
+def tile_chain(
+    scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float, step: int = 1
+) -> Chain:
+    """The detector's terms for an exposure, with the tile's part of each image: of every `step`-th
+    pixel of both axes."""
+    rows, columns = tile.y0 + tile.rows, tile.x0 + tile.columns
+    part = np.s_[tile.y0 : rows : step, tile.x0 : columns : step]
     s = scene.sensor
     d = s.detector or NONE
 
@@ -27,7 +31,7 @@ def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float)
     flat, dark_e = cut(maps.flat), cut(maps.dark_e_per_s) * integration_s
     if isinstance(d.readout, TimeDelay) and d.readout.edges == "partial":
         share = exposed_share(s.shape[0], d.readout.rows_per_s, integration_s)[part[0], None]
-        whole = np.ones((tile.rows, tile.columns))
+        whole = np.ones((tile.rows, tile.columns))[::step, ::step]
         flat, dark_e = flat * share * whole, dark_e * share * whole
     return Chain(
         flat=flat,
@@ -43,7 +47,7 @@ def tile_chain(scene: Scene, maps: SensorMaps, tile: Tile, integration_s: float)
         blooming=d.blooming,
         row_noise_e=d.row_noise_e,
         column_noise_e=d.column_noise_e,
-        bad=_bad_in(maps, tile),
+        bad=_bad_in(maps, tile, step),
         smear=_smear(d, integration_s),
         lag=0.0 if d.lag is None else d.lag.fraction,
     )
@@ -57,13 +61,16 @@ def _smear(d: Detector, integration_s: float) -> Smear | None:
     return Smear(integration_s, readout.transfer_s, to_high, readout.cleared)
 
 
-def _bad_in(maps: SensorMaps, tile: Tile) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _bad_in(
+    maps: SensorMaps, tile: Tile, step: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     if maps.bad is None:
         return None
     y, x, dn = maps.bad
     inside = (y >= tile.y0) & (y < tile.y0 + tile.rows)
     inside &= (x >= tile.x0) & (x < tile.x0 + tile.columns)
-    return y[inside] - tile.y0, x[inside] - tile.x0, dn[inside]
+    inside &= ((y - tile.y0) % step == 0) & ((x - tile.x0) % step == 0)
+    return (y[inside] - tile.y0) // step, (x[inside] - tile.x0) // step, dn[inside]
 
 
 def stream_place(scene: Scene, tile: Tile, frame: int) -> StreamPlace:

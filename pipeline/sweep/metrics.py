@@ -78,14 +78,12 @@ class Measurement:
         cells = cell_checksums(tile, dn)
         self._cells += [["dn", frame, *cell] for cell in cells]
         if "background" in self.metrics:
-            every = (slice(None, None, SAMPLED_PX),) * 2
-            light = self._calibrated(frame, tile, tile, dn, every)
+            light = self._calibrated(frame, tile, tile, dn, SAMPLED_PX)
             self._backgrounds.append((float(np.median(light)), dn.size))
         for _, window in self._windows:
             part = overlap(window.place, tile)
             if part.rows and part.columns:
-                all_of = (slice(None),) * 2
-                light = self._calibrated(frame, tile, part, dn, all_of)
+                light = self._calibrated(frame, tile, part, dn)
                 window.image_e[_cut(window.place, part)] = light
         if "saturation" in self.metrics:
             self._saturated += int(np.count_nonzero(mean_e >= self._full_e(tile)))
@@ -144,12 +142,13 @@ class Measurement:
         return full if s.full_well_e is None else np.minimum(full, s.full_well_e)
 
     def _calibrated(
-        self, frame: int, tile: Tile, part: Tile, dn: np.ndarray, which: tuple[slice, slice]
+        self, frame: int, tile: Tile, part: Tile, dn: np.ndarray, step: int = 1
     ) -> Array:
-        """Light that some pixels of a part of a tile tell of, by the detector's true terms [e-]; of
-        those that tell of none (bad ones, a flat of 0) none."""
-        chain = tile_chain(self.plan.scene, self.maps, part, self.plan.integration_s(frame))
-        light = calibrated_e(dn[_cut(tile, part)], chain)[which]
+        """Light that every `step`-th pixel of a part of a tile tells of, by the detector's true
+        terms [e-]; of those that tell of none (bad ones, a flat of 0) none."""
+        time_s = self.plan.integration_s(frame)
+        chain = tile_chain(self.plan.scene, self.maps, part, time_s, step)
+        light = calibrated_e(dn[_cut(tile, part)][::step, ::step], chain)
         return np.nan_to_num(light, nan=0.0)
 
 
