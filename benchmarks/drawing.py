@@ -23,6 +23,7 @@ import numpy as np
 from scipy.special import erf
 
 from pipeline.errors import BadInput
+from pipeline.physics.drawing.along import swept_spectrum
 from pipeline.physics.drawing.spectral import Sources, draw_spectral, transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import SpectralPlan, plan_spectral
@@ -107,7 +108,7 @@ def exact_core(core: Core, shape: tuple[int, int], x: float, y: float, path: Pat
     """A moving core from its samples, one transform for each star, in float64."""
     half = window(core, float(np.abs(path.y_px).max()), float(np.abs(path.x_px).max()))
     swept = transfer(*frequencies(core, *half[2:]), path.x_px, path.y_px, path.weight)
-    spectrum = core_spectrum(core, swept, *half[2:])
+    spectrum = core_spectrum(core, *half[2:]) * swept
     row, column, stamp = stamp_at(core, spectrum, half[:2], half[2:], y, x)
     image = np.zeros(shape)
     image[row : row + stamp.shape[0], column : column + stamp.shape[1]] = stamp
@@ -191,8 +192,7 @@ def stamp_table(name: str, core: Core, piece: Path) -> PixelResponse | ProductRe
         _TABLES[key] = product_table(BLURS[name], core.radius_px)
     elif key not in _TABLES:
         half = window(core, float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max()))
-        swept = transfer(*frequencies(core, *half[2:]), piece.x_px, piece.y_px, piece.weight)
-        spectrum = core_spectrum(core, swept, *half[2:])
+        spectrum = swept_spectrum(core, piece, half[2:])
         _TABLES[key] = phase_table(core, spectrum, half[:2], half[2:], PHASES[name])
     return _TABLES[key]
 

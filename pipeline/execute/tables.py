@@ -15,11 +15,12 @@ import numpy as np
 from catalog_tools.documents import Arguments
 from pipeline.errors import BadInput
 from pipeline.kept import kept, kept_array
+from pipeline.physics.drawing.along import swept_spectrum
 from pipeline.physics.drawing.spectral import transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import SpectralPlan, plan_spectral
 from pipeline.physics.drawing.wings import WingGrid, grid_frequencies, wing_kernel
-from pipeline.physics.motion.streak import Path, transfer
+from pipeline.physics.motion.streak import Path, in_few_runs, transfer
 from pipeline.physics.psf.product import ProductResponse, is_product, product_table
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import (
@@ -27,7 +28,6 @@ from pipeline.physics.psf.response import (
     PixelResponse,
     compact_core,
     core_spectrum,
-    frequencies,
     phase_table,
     window,
 )
@@ -35,6 +35,7 @@ from pipeline.plan.needs import KERNEL_BYTES, TABLE_BYTES
 
 FINEST_ERROR = 1e-5  # of the peak of a source, in any pixel: what transforms are asked for
 ALIKE_PX = 8.0
+BENT = 1e-3  # of the spacing of a grid of wings: how straight the runs are that sweep them
 
 
 class ContentCache:
@@ -100,13 +101,11 @@ def swept_core(blur: Blur, radius_px: float, piece: Path) -> tuple[Core, np.ndar
         core, float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max())
     )
 
-    def make() -> np.ndarray:
-        fy, fx = frequencies(core, period_y, period_x)
-        swept = transfer(fy, fx, piece.x_px, piece.y_px, piece.weight)
-        return core_spectrum(core, swept, period_y, period_x)
-
-    key = ("spectrum", blur, radius_px, piece)
-    spectrum = _CACHE.get(key, make, lambda s: s.nbytes)
+    spectrum = _CACHE.get(
+        ("spectrum", blur, radius_px, piece),
+        lambda: swept_spectrum(core, piece, (period_y, period_x)),
+        _bytes,
+    )
     return core, spectrum, (half_y, half_x), (period_y, period_x)
 
 
@@ -118,7 +117,7 @@ def still_core(blur: Blur, radius_px: float, piece: Path) -> tuple[Core, np.ndar
     )
     spectrum = _CACHE.get(
         ("still", blur, radius_px, period_y, period_x),
-        lambda: core_spectrum(core, None, period_y, period_x),
+        lambda: core_spectrum(core, period_y, period_x),
         _bytes,
     )
     return core, spectrum, (half_y, half_x), (period_y, period_x)
@@ -211,9 +210,16 @@ def _alike(path: Path) -> tuple[Path, float]:
 
 
 def streak_of(grid: WingGrid, path: Path) -> np.ndarray:
-    """The transfer function of a streak on a grid's frequencies."""
+    """The transfer function of a streak on a grid's frequencies, in runs as straight as it shows.
+
+    Runs that are BENT of the grid's spacing off, this way and that, change a wing's light by less
+    than BENT of what it changes from one of its samples to the next.
+    """
+
+    def make() -> np.ndarray:
+        few = in_few_runs(path, BENT * grid.spacing_px)
+        return transfer(*grid_frequencies(grid), few.x_px, few.y_px, few.weight)
+
     return _CACHE.get(
-        ("streak", grid.rows, grid.columns, grid.spacing_px, path),
-        lambda: transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight),
-        lambda t: t.nbytes,
+        ("streak", grid.rows, grid.columns, grid.spacing_px, path), make, lambda t: t.nbytes
     )

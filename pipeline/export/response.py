@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from pipeline.inputs.band.curves import resolve_response
 from pipeline.inputs.sensor.psf_tables import gather_psf_table
-from pipeline.physics.motion.streak import Path, pieces, transfer
+from pipeline.physics.drawing.along import swept_spectrum
+from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import (
     Core,
     compact_core,
-    core_spectrum,
-    frequencies,
     oversampling_for,
     stamp_at,
     window,
@@ -127,9 +126,7 @@ class SourceLight:
             core = self._core(blur, number)
             reach = (float(np.abs(p).max()) for p in (piece.y_px, piece.x_px))
             half_y, half_x, *period = window(core, *reach)
-            fy, fx = frequencies(core, *period)
-            swept = transfer(fy, fx, piece.x_px, piece.y_px, piece.weight)
-            spectrum = core_spectrum(core, swept, *period)
+            spectrum = swept_spectrum(core, piece, (period[0], period[1]))
             self._swept[key] = (core, spectrum, (half_y, half_x), tuple(period))
         return self._swept[key]
 

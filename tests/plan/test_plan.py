@@ -342,7 +342,8 @@ def test_a_core_ends_where_next_to_nothing_is_left(scene: Make, light_e: float) 
 
 def test_without_stars_no_tables_are_told(scene: Make) -> None:
     one = {
-        "name": "one", "eclipse": False,
+        "name": "one",
+        "eclipse": False,
         "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3075, 0]},
         "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2},
     }
@@ -373,7 +374,7 @@ def test_brightest_source_of_each_class_stays_within_the_budget(
             continue
         core = compact_core(r.blur, c.radius_px)
         half_y, half_x, *period = window(core, 0.0, 0.0)
-        spectrum = core_spectrum(core, None, *period)
+        spectrum = core_spectrum(core, *period)
         table = phase_table(core, spectrum, (half_y, half_x), tuple(period), c.phases)
         size = int(3 * c.radius_px) + 21
         grid = wing_grid((size, size), (0, 0), r.spacing_px, r.reach_px)
@@ -411,7 +412,7 @@ def test_interpolation_of_a_full_pixel_stays_within_the_budget(
     c = r.classes[0]
     core = compact_core(r.blur, c.radius_px)
     half_y, half_x, *period = window(core, 0.0, 0.0)
-    spectrum = core_spectrum(core, None, *period)
+    spectrum = core_spectrum(core, *period)
     table = phase_table(core, spectrum, (half_y, half_x), tuple(period), c.phases)
     light = 1e5 / table.peak
     assert light * table.cubic_error <= 0.05 / 4.0 * math.sqrt(1e5)

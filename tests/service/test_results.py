@@ -199,6 +199,13 @@ def test_pictures_are_black_at_low_and_white_at_high(stretch: str) -> None:
     assert rows[1, 0] == 0 < rows[1, 1] < 255
 
 
+@pytest.mark.parametrize("asked", [(None, None), (5.0, None)])
+def test_a_tile_of_one_value_has_a_picture(asked: tuple[float | None, float | None]) -> None:
+    """A bias frame, or a low end above all that is bright: black, not an error of the caller's."""
+    png = tile_picture(np.full((3, 4), 2.0), "linear", *asked)
+    assert (np.asarray(Image.open(io.BytesIO(png))) == 0).all()
+
+
 def test_the_wcs_of_a_frame_is_the_first_one_alone(scene: dict[str, Any], tmp_path: Path) -> None:
     """What places need, with all of its distortion, and no card of the alternate WCS."""
     from pipeline.route.run import Options, render

@@ -65,7 +65,7 @@ def draw_direct(
 @lru_cache(maxsize=6)
 def _spectrum(core: Core, rows_px: int, columns_px: int) -> NDArray[np.complex128]:
     """The core's spectrum over a period; sources of one class have one between them."""
-    return core_spectrum(core, None, rows_px, columns_px)
+    return core_spectrum(core, rows_px, columns_px)
 
 
 def _period(side: int, core: Core, path: Path) -> int:

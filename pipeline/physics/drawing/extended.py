@@ -195,7 +195,7 @@ def draw_body(
         if not near:
             continue
         if fixed is None:
-            fixed = core_spectrum(core, None, *period)
+            fixed = core_spectrum(core, *period)
             band = core_band(fixed, core, period)
         image = spectrum_of(body, block, core.oversampling, period, band)
         if image is None:

@@ -70,10 +70,12 @@ def wing_kernel(blur: Blur, core: Core, grid: WingGrid, reach_px: float) -> NDAr
     h = grid.spacing_px
     n = scipy.fft.next_fast_len(int(np.ceil(4.0 * reach_px / h)), real=True)
     fy, fx = scipy.fft.fftfreq(n, float(h)), scipy.fft.rfftfreq(n, float(h))
-    whole = blur.transfer(fy[:, None], fx[None, :]) - _core_transfer(core, fy, fx, GRID_SAMPLES)
     half = int(np.ceil(reach_px / h))
     at = np.arange(-half, half + 1)
-    wing = scipy.fft.irfft2(whole, s=(n, n))[np.ix_(at, at)]
+    rows = np.empty((at.size, fx.size), complex)
+    for part, columns in _wing_columns(blur, core, fy, fx, GRID_SAMPLES):
+        rows[:, part] = scipy.fft.ifft(columns, axis=0, overwrite_x=True)[at]
+    wing = scipy.fft.irfft(rows, n)[:, at]
     wing *= taper(np.hypot(at[:, None], at[None, :]) * h, CUT_FROM * reach_px, reach_px)
     placed = np.zeros((grid.rows, grid.columns))
     placed[np.ix_(at, at)] = wing
@@ -195,18 +197,10 @@ def _wing_columns(
         yield part, np.asarray(whole - of_core)
 
 
-def _core_transfer(core: Core, fy: Array, fx: Array, most: int) -> NDArray[np.complex128]:
-    """Fourier transform of the core at the frequencies fy (n,), fx (m,) -> (n, m)."""
-    out = np.empty((fy.size, fx.size), complex)
-    for part, columns in _core_columns(core, fy, fx, most):
-        out[:, part] = columns
-    return out
-
-
 def _core_columns(
     core: Core, fy: Array, fx: Array, most: int
 ) -> Iterator[tuple[slice, NDArray[np.complex128]]]:
-    """The same, a few columns at a time: (which of fx, their part of the transform).
+    """Fourier transform of the core at fy (n,), fx (m,), a few columns at a time as of above.
 
     fy, fx : those of a real FFT over a whole number of pixels
     A core with more than `most` samples a pixel is first cut smoothly to the frequencies that so

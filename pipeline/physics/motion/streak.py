@@ -268,31 +268,44 @@ def _flush(path: Path, group: list[int]) -> list[tuple[float, float, Path, float
 def sinc_of(half, sine):
     """sin(half) / half, given the sine; by its series near zero."""
     square = half * half
-    series = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+    series = 1.0 - square * (1 / 6) * (1.0 - square * (1 / 20) * (1.0 - square * (1 / 42)))
     ratio = sine / half
     return series if square < 2.5e-3 else ratio
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def transfer(fy: Array, fx: Array, x: Array, y: Array, weight: Array) -> NDArray[np.complex128]:
+def transfer(
+    fy: Array,
+    fx: Array,
+    x: Array,
+    y: Array,
+    weight: Array,
+    columns: NDArray[np.int64] | None = None,
+) -> NDArray[np.complex128]:
     """Transfer function of a path: sum of w sinc(f.d) exp(-2 pi i f.m) over its segments.
 
-    fy (n,), fx (m,) in cycles per pixel; x, y (k + 1,) nodes in pixels; weight (k,).
+    fy (n,), fx (m,) in cycles per pixel; x, y (k + 1,) nodes in pixels; weight (k,); columns (n,):
+    how many of each row are wanted, where not all are: the others are 0.
     Returns (n, m). Exact for motion that is uniform along each segment: the time average of a
     uniformly moving point is a box along its segment, whose transform is the sinc. Sines and
     cosines of sums come from those of their parts, so that each frequency needs its own alone.
     """
+    columns = np.full(len(fy), len(fx)) if columns is None else columns
+    return _transfer(fy, fx, x, y, weight, columns)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _transfer(fy, fx, x, y, weight, columns):
     out = np.zeros((fy.size, fx.size), np.complex128)
-    for k in range(weight.size):
+    for k in np.flatnonzero(weight):
         dx, dy = np.pi * (x[k + 1] - x[k]), np.pi * (y[k + 1] - y[k])
         mx, my = np.pi * (x[k + 1] + x[k]), np.pi * (y[k + 1] + y[k])
         across, sines, cosines = fx * dx, np.sin(fx * dx), np.cos(fx * dx)
         turns = np.cos(fx * mx) - 1j * np.sin(fx * mx)
-        for i in range(fy.size):
+        for i in np.flatnonzero(columns):
             half_y = fy[i] * dy
             sin_y, cos_y = np.sin(half_y), np.cos(half_y)
             turn = weight[k] * complex(np.cos(fy[i] * my), -np.sin(fy[i] * my))
-            for j in range(fx.size):
+            for j in range(columns[i]):
                 sinc = sinc_of(half_y + across[j], sin_y * cosines[j] + cos_y * sines[j])
                 out[i, j] += sinc * (turn * turns[j])
     return out

@@ -78,8 +78,12 @@ class PixelResponse:
 
 def oversampling_for(blur: Blur) -> int:
     """Samples per pixel (a power of two) that hold the response without aliasing."""
-    needed = 2.0 * (blur.band_limit(BAND_FLOOR) + TAPER_BAND)
-    return int(2 ** np.clip(np.ceil(np.log2(max(needed, 2.0))), 1, 7))
+    return int(2 ** np.clip(np.ceil(np.log2(max(2.0 * band_of(blur), 2.0))), 1, 7))
+
+
+def band_of(blur: Blur) -> float:
+    """Highest frequency of a response's core [cycles/px]."""
+    return float(blur.band_limit(BAND_FLOOR)) + TAPER_BAND
 
 
 def compact_core(blur: Blur, radius_px: float) -> Core:
@@ -111,18 +115,15 @@ def taper(r: Array, inner: float, outer: float) -> Array:
     return t**3 * (10.0 + t * (6.0 * t - 15.0))
 
 
-def core_spectrum(
-    core: Core, streak: NDArray[np.complex128] | None, period_y: int, period_x: int
-) -> NDArray[np.complex128]:
-    """Real FFT of the core on a period of (period_y, period_x) px, times a streak's transfer."""
+def core_spectrum(core: Core, period_y: int, period_x: int) -> NDArray[np.complex128]:
+    """Real FFT of the core on a period of (period_y, period_x) px."""
     os = core.oversampling
     grid = np.zeros((period_y * os, period_x * os))
     n = core.samples.shape[0]
     rows = (np.arange(n) - n // 2) % grid.shape[0]
     cols = (np.arange(n) - n // 2) % grid.shape[1]
     grid[np.ix_(rows, cols)] = core.samples
-    spectrum = scipy.fft.rfft2(grid)
-    return spectrum if streak is None else spectrum * streak
+    return scipy.fft.rfft2(grid)
 
 
 def window(core: Core, reach_y: float, reach_x: float) -> tuple[int, int, int, int]:

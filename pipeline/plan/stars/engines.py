@@ -18,7 +18,7 @@ from pipeline.arrays import Geometry
 from pipeline.physics.drawing.spectral_plan import CROWD_PX
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through, transfer
 from pipeline.physics.psf.pupil import Blur
-from pipeline.physics.psf.response import oversampling_for
+from pipeline.physics.psf.response import band_of, oversampling_for
 from pipeline.plan.response.responses import (
     FIELD_BYTES,
     SPECTRAL_S_PER_PIXEL,
@@ -36,9 +36,10 @@ from pipeline.plan.tiles import BLOCK_PX
 if TYPE_CHECKING:
     from pipeline.plan.resolved import ResolvedScene
 
-# Seconds a star and a sample of its transform for each segment of its path, a value of a table:
-# one core of the 2-core reference machine. A cubic stamp costs as much more as it has points.
-ALONG_S, ALONG_S_PER_SAMPLE, TABLE_S_PER_VALUE = 2e-4, 9e-9, 4e-8
+# Seconds a star, a sample of its transform, one with light for each segment of its own path, a
+# value of a table: one core of the 2-core reference machine. A cubic stamp costs as much more as
+# it has points.
+STAR_S, STAR_S_PER_SAMPLE, ALONG_S_PER_SAMPLE, TABLE_S_PER_VALUE = 2e-4, 9e-9, 5e-9, 4e-8
 CUBIC = 3.0
 FEWEST_PHASES, MOST_PHASES = 8, 32
 MIXTURE_BYTES = 48e6  # what the three tables of a mixture may take
@@ -177,7 +178,8 @@ class _Costs:
         self._tables = r.streaks.shapes * len(r.blurs)
         self._each = min(4, len(r.blurs))  # responses that one star is drawn by
         self._segments = _own_segments(plan, streak, bright_e)
-        self._os = max(oversampling_for(b) for b in r.blurs)
+        self._per_px2 = 0.5 * max(oversampling_for(b) for b in r.blurs) ** 2
+        self._lit = min(1.0, 0.5 * math.pi * max(band_of(b) for b in r.blurs) ** 2 / self._per_px2)
         self._path = max((p.path for p in streak.pieces), key=lambda p: p.length_px)
         self._sweep = streak.path
         self._across_px = math.hypot(*plan.scene.sensor.shape) + 2.0 * core.radius_px
@@ -190,7 +192,7 @@ class _Costs:
 
     def singly(self, stars: float) -> float:
         """Each at its exact place, with the common shapes."""
-        one_s = self._transform_s(self._path, 0.5 + 0.5 / max(1, self._count))
+        one_s = STAR_S + STAR_S_PER_SAMPLE * self._samples(self._path)
         return stars * self._each * self._count * one_s
 
     def mixtures(self, stars: float) -> float:
@@ -204,8 +206,9 @@ class _Costs:
         """Each along its own path, of which the pieces that come near the frame are drawn."""
         pieces = max(1.0, math.ceil(self._sweep.length_px / LONGEST_PIECE_PX))
         near = math.ceil(self._across_px / LONGEST_PIECE_PX) + 2.0
-        whole_s = self._transform_s(self._sweep, self._segments, pieces)
-        return stars * self._each * whole_s * min(1.0, near / pieces)
+        swept_s = ALONG_S_PER_SAMPLE * self._lit * max(self._segments / pieces, 1.0)
+        one_s = STAR_S + (0.5 * STAR_S_PER_SAMPLE + swept_s) * self._samples(self._sweep, pieces)
+        return stars * self._each * one_s * min(pieces, near)
 
     def _stamp_s(self, more: float) -> float:
         radius = self._core.radius_px
@@ -215,14 +218,13 @@ class _Costs:
     def _table_s(self, phases: int) -> float:
         return TABLE_S_PER_VALUE * table_bytes(phases, self._core.radius_px, self._path) / 4.0
 
-    def _transform_s(self, path: Path, passes: float, pieces: float = 1.0) -> float:
-        """Transform of one star along a path, whose spectrum is gone through so many times."""
+    def _samples(self, path: Path, pieces: float = 1.0) -> float:
+        """Samples of the spectrum of a core that is swept by one of so many pieces of a path."""
         sides = [
             2.0 * self._core.radius_px + float(np.ptp(v)) / pieces + 10.0
             for v in (path.x_px, path.y_px)
         ]
-        samples = 0.5 * math.prod(sides) * self._os**2
-        return ALONG_S * pieces + ALONG_S_PER_SAMPLE * samples * max(passes, pieces)
+        return self._per_px2 * math.prod(sides)
 
     def _phases_of_mixtures(self, r: ResponsePlan, streak: Streak) -> int:
         """Fewest phases whose cubic interpolation serves the class's brightest; 0 for none."""

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from pipeline.physics.drawing.along import swept_spectrum
 from pipeline.physics.drawing.products import draw_products
 from pipeline.physics.drawing.spectral import Sources, draw_spectral, transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
@@ -33,8 +34,6 @@ from pipeline.physics.psf.response import (
     Core,
     PixelResponse,
     compact_core,
-    core_spectrum,
-    frequencies,
     phase_table,
     window,
 )
@@ -192,8 +191,7 @@ def _table(core: Core, path: Path, phases: int) -> PixelResponse:
     """Phase table of a core swept along one piece."""
     sweep = float(np.abs(path.y_px).max()), float(np.abs(path.x_px).max())
     half_y, half_x, *period = window(core, *sweep)
-    swept = transfer(*frequencies(core, *period), path.x_px, path.y_px, path.weight)
-    spectrum = core_spectrum(core, swept, *period)
+    spectrum = swept_spectrum(core, path, (period[0], period[1]))
     return phase_table(core, spectrum, (half_y, half_x), (period[0], period[1]), phases)
 
 

@@ -52,7 +52,7 @@ def drawn(
 
 def star(size: int, core: Core, y: float, x: float) -> np.ndarray:
     half_y, half_x, *period = window(core, 0.0, 0.0)
-    spectrum = core_spectrum(core, None, *period)
+    spectrum = core_spectrum(core, *period)
     row, column, stamp = stamp_at(core, spectrum, (half_y, half_x), tuple(period), y, x)
     image = np.zeros((size, size))
     image[row : row + stamp.shape[0], column : column + stamp.shape[1]] = stamp

@@ -88,7 +88,7 @@ def exact_stamp(core: Core, path: Path, shape: tuple[int, int], x: float, y: flo
     """A source of unit light in an image, from the core's samples by the shift theorem."""
     half_y, half_x, *period = window(core, np.abs(path.y_px).max(), np.abs(path.x_px).max())
     swept = transfer(*frequencies(core, *period), path.x_px, path.y_px, path.weight)
-    spectrum = core_spectrum(core, swept, *period)
+    spectrum = core_spectrum(core, *period) * swept
     row, column, stamp = stamp_at(core, spectrum, (half_y, half_x), tuple(period), y, x)
     image = np.zeros(shape)
     r0, r1 = max(0, -row), min(stamp.shape[0], shape[0] - row)
@@ -400,7 +400,7 @@ def test_same_as_stamps_within_the_bounds(
     path = Path(np.array([-dx, dx]) / 2, np.array([-dy, dy]) / 2, np.ones(1))
     half_y, half_x, *period = window(core, abs(dy) / 2, abs(dx) / 2)
     swept = transfer(*frequencies(core, *period), path.x_px, path.y_px, path.weight)
-    spectrum = core_spectrum(core, swept, *period)
+    spectrum = core_spectrum(core, *period) * swept
     stamps = phase_table(core, spectrum, (half_y, half_x), tuple(period), 16)
     by_stamps = np.zeros((60, 70))
     at = np.array([place[0]]), np.array([place[1]]), np.array([light])

@@ -163,7 +163,7 @@ def test_peak_of_a_bent_streak_is_that_of_its_stamps() -> None:
     path = Path(np.array([-6.0, 1.0, 3.0]), np.array([2.0, 1.0, -7.0]), np.array([0.35, 0.65]))
     half_y, half_x, *period = window(core, 9.0, 8.0)
     f = frequencies(core, *period)
-    swept = core_spectrum(core, None, *period) * transfer(*f, path.x_px, path.y_px, path.weight)
+    swept = core_spectrum(core, *period) * transfer(*f, path.x_px, path.y_px, path.weight)
     at = []
     for k in (0, 1):
         y, x = (-0.5 * (v[k] + v[k + 1]) for v in (path.y_px, path.x_px))

@@ -31,7 +31,7 @@ def swept(core: Core, path: Path) -> Swept:
     )
     fy, fx = frequencies(core, period_y, period_x)
     streak = transfer(fy, fx, path.x_px, path.y_px, path.weight)
-    spectrum = core_spectrum(core, streak, period_y, period_x)
+    spectrum = core_spectrum(core, period_y, period_x) * streak
     return core, spectrum, (half_y, half_x), (period_y, period_x)
 
 

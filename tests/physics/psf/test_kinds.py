@@ -148,7 +148,7 @@ def test_elliptical_gaussians(major: float, minor: float, angle: float) -> None:
 def stamper(blur: Blur, radius: float):  # type: ignore[no-untyped-def]
     core = compact_core(blur, radius)
     half_y, half_x, *period = window(core, 0.0, 0.0)
-    return core, core_spectrum(core, None, *period), (half_y, half_x), (period[0], period[1])
+    return core, core_spectrum(core, *period), (half_y, half_x), (period[0], period[1])
 
 
 def test_elliptical_gaussian_drawn_along_its_axes() -> None:

@@ -24,7 +24,7 @@ from pipeline.physics.psf.response import (
 def table(blur: Blur, radius: float, phases: int) -> tuple[Core, PixelResponse]:
     core = compact_core(blur, radius)
     half_y, half_x, period_y, period_x = window(core, 0.0, 0.0)
-    spectrum = core_spectrum(core, None, period_y, period_x)
+    spectrum = core_spectrum(core, period_y, period_x)
     return core, phase_table(core, spectrum, (half_y, half_x), (period_y, period_x), phases)
 
 
@@ -53,7 +53,7 @@ def test_against_erf_products_exact_stamps(sigma: float) -> None:
     radius = 6.2 * sigma
     core = compact_core(Blur(Gaussian(sigma)), radius)
     half_y, half_x, period_y, period_x = window(core, 0.0, 0.0)
-    spectrum = core_spectrum(core, None, period_y, period_x)
+    spectrum = core_spectrum(core, period_y, period_x)
     rng = np.random.default_rng(5)
     for x, y in [(0.0, 0.0), (0.5, -0.5), *rng.uniform(-0.5, 0.5, (6, 2))]:
         place = (y + 40, x + 40)
@@ -143,7 +143,7 @@ def test_jitter_and_diffusion_widen_the_drawn_star_in_quadrature() -> None:
 def test_stated_interpolation_errors_hold(blur: Blur, phases: int) -> None:
     core, response = table(blur, 12.0, phases)
     half_y, half_x, period_y, period_x = window(core, 0.0, 0.0)
-    spectrum = core_spectrum(core, None, period_y, period_x)
+    spectrum = core_spectrum(core, period_y, period_x)
     worst = {False: 0.0, True: 0.0}
     for x, y in np.random.default_rng(9).uniform(40, 41, (24, 2)):
         row, column, stamp = stamp_at(core, spectrum, (half_y, half_x), (period_y, period_x), y, x)

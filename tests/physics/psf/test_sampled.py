@@ -81,7 +81,7 @@ def test_round_trip_of_an_airy_image(q: float, n: int, per_px: int) -> None:
     s = sampled(image, 1.0 / per_px, "middle", held)
     core = compact_core(Blur(s), s.reach_px)
     half_y, half_x, *period = window(core, 0.0, 0.0)
-    spectrum = core_spectrum(core, None, *period)
+    spectrum = core_spectrum(core, *period)
     half = int(0.4 * n / per_px)
     for y, x in ((0.0, 0.0), (0.3, 0.71), (0.5, 0.5)):
         row, column, stamp = stamp_at(
@@ -134,7 +134,7 @@ def test_the_drawn_star_stands_where_it_should(n: int, centre: str) -> None:
     s = sampled(gaussian_table((n, n), (place, place), 6.0), 0.125, centre)
     core = compact_core(Blur(s), s.reach_px)
     half_y, half_x, *period = window(core, 0.0, 0.0)
-    spectrum = core_spectrum(core, None, *period)
+    spectrum = core_spectrum(core, *period)
     for y, x in ((20.0, 30.0), (20.25, 30.8)):
         row, column, stamp = stamp_at(
             core, spectrum, (half_y, half_x), (period[0], period[1]), y, x
@@ -154,7 +154,7 @@ def test_phase_table_of_a_table_within_its_stated_errors() -> None:
     s = sampled(image, 1.0 / 32, "middle")
     core = compact_core(Blur(s, 0.1, 0.2), s.reach_px)
     half_y, half_x, *period = window(core, 0.0, 0.0)
-    spectrum = core_spectrum(core, None, *period)
+    spectrum = core_spectrum(core, *period)
     table = phase_table(core, spectrum, (half_y, half_x), (period[0], period[1]), 32)
     for y, x in RNG.uniform(30, 31, (8, 2)):
         row, column, stamp = stamp_at(
@@ -272,7 +272,7 @@ def test_a_table_of_a_gaussian_is_that_gaussian(sigma: float, per_px: int) -> No
     s = sampled(gaussian_table(shape, (half, half), sigma * per_px), 1.0 / per_px, "middle")
     core = compact_core(Blur(s), s.reach_px)
     half_y, half_x, *period = window(core, 0.0, 0.0)
-    spectrum = core_spectrum(core, None, *period)
+    spectrum = core_spectrum(core, *period)
     place = (half_y, half_x), (period[0], period[1]), 0.3, 0.7
     row, column, stamp = stamp_at(core, spectrum, *place)
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import BadInput
-from pipeline.studies.accuracy import study
+from pipeline.studies.accuracy import figure, study
 from pipeline.studies.accuracy.engines import EngineCase
 from pipeline.studies.accuracy.probes import make_probes
 from pipeline.studies.accuracy.reference import GaussianStar, Track, exact_pixels, straight
@@ -171,3 +171,16 @@ def test_probes_of_an_exact_image_of_an_oblong_frame_find_no_error(
     (dx, dy) = (0.0, 0.0) if not curved else (-9.0 + 12.0 * 0.5 / 0.7, 2.0)
     at_middle = exact_pixels(case.shape, track, -dx, -dy, fine, fine)
     assert probes.peak == pytest.approx(at_middle.max(), rel=1e-9)
+
+
+def test_the_front_runs_through_the_points_as_they_are_drawn() -> None:
+    """Errors too small for the axis stand on its lower edge: their rings and the staircase too."""
+    from matplotlib.figure import Figure
+
+    ax = Figure().subplots()
+    row = {"psf": "a", "streak_px": 0.0, "engine": "spectral", "pareto": True, "error_sigma": 1.0}
+    errors = {1.0: 1e-3, 2.0: 1e-6, 3.0: 1e-14, 4.0: 0.0}
+    rows = [row | {"cpu_s": cpu, "error_of_peak": error} for cpu, error in errors.items()]
+    figure._panel(ax, rows, "a", 0.0)
+    stairs, rings, points, _ = (line.get_xydata().tolist() for line in ax.get_lines())
+    assert stairs == rings == points == [[1, 1e-3], [2, 1e-6], [3, 1e-10], [4, 1e-10]]
