@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sqlite3
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +21,8 @@ from alembic.script import ScriptDirectory
 import service.migrations
 from service.jobs.jobs import Phase, Queue
 from service.jobs.submissions import Ask, TeamLimits, submit_many
-from service.store.database import connect, writing
+from service.store import database
+from service.store.database import connect, sqlite_url, writing
 from service.store.tables import HEAD, metadata
 
 SCENE = json.dumps({"sensor": {"shape": [4, 5]}, "exposure": {"frames": 3}})
@@ -134,3 +138,23 @@ def test_jobs_of_the_first_form_go_along(tmp_path: Path) -> None:
 
 def test_the_newest_form_is_the_last_migration() -> None:
     assert ScriptDirectory.from_config(migrations()).get_current_head() == HEAD
+
+
+def test_two_that_start_together_make_the_tables_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one that comes second looks at the database after the first has made its tables."""
+    url, found, looked = sqlite_url(tmp_path / "jobs.sqlite"), database._revision, []
+    meet = threading.Barrier(2)
+
+    def look_together(db: sa.Connection) -> str | None:
+        looked.append(found(db))
+        with contextlib.suppress(threading.BrokenBarrierError):
+            meet.wait(0.5)
+        return looked[-1]
+
+    monkeypatch.setattr(database, "_revision", look_together)
+    with ThreadPoolExecutor(2) as both:
+        for engine in both.map(connect, (url, url)):
+            engine.dispose()
+    assert looked == [None, HEAD]

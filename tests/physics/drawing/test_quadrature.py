@@ -55,6 +55,16 @@ def test_pixels_at_rest(optics: object, intensity: Callable) -> None:
         assert seen[row, column] == pytest.approx(exact, rel=RELATIVE)
 
 
+@pytest.mark.parametrize("y", [2.3, 61.1])
+@pytest.mark.parametrize("x", [1.9, 60.8])
+def test_the_corner_farthest_from_a_source_has_its_light(y: float, x: float) -> None:
+    seen = draw_quadrature(Blur(MOFFAT), POINT, (SIDE, SIDE), (0, 0), y, x)
+    for row in (0, SIDE - 1):
+        for column in (0, SIDE - 1):
+            exact = pixel(MOFFAT.intensity, row - y, column - x)
+            assert seen[row, column] == pytest.approx(exact, rel=RELATIVE)
+
+
 def test_a_gaussian_is_the_error_function() -> None:
     """Until it is less than 1e-25 of the light, also where it is blurred and elliptical."""
 

@@ -34,7 +34,7 @@ from pipeline.plan.response.streaks import (
     resting,
     zone_streak,
 )
-from pipeline.spec.scene import Scene
+from pipeline.spec.scene import USUAL_FRACTION, Scene
 
 Make = Callable[..., Scene]
 ROUNDING_PX = 0.75 * PATH_STEP_PX + MERGE_TOLERANCE_PX  # both axes of the grid, and merging
@@ -131,6 +131,16 @@ def test_the_brighter_a_star_the_closer_it_keeps_to_its_path(scene: Make, inside
         off_px = math.dist(centroid(own), exact)
         per_px = light_e / max(1.0, streak.path.length_px)
         assert off_px * per_px <= 2.0 * SHOWN * plan.budget_e
+
+
+@pytest.mark.parametrize("finer", [1.0, 0.25, 2.0**-6])
+def test_all_tolerances_are_as_fine_as_the_accuracy(scene: Make, finer: float) -> None:
+    s = rate(scene, 30.0, -20.0, 1.0)
+    camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
+    plan = plan_streaks(camera, g, True, USUAL_FRACTION * finer)
+    assert plan.spread_px <= SPREAD_TOLERANCE_PX * finer
+    assert plan.step_px == PATH_STEP_PX * finer
+    assert plan.merge_px == MERGE_TOLERANCE_PX * finer
 
 
 def test_light_without_noise_hides_no_error(scene: Make) -> None:
