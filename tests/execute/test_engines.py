@@ -212,6 +212,22 @@ def test_bright_streaks_of_changing_speed(light):
     assert (np.abs(image - own) / noise).max() <= bounds_e(plan) / 5.0
 
 
+def test_each_star_along_its_own_path_has_the_core_of_its_own_light():
+    """Of several zones and classes in one call: the sum of each star by itself."""
+    plan, whole = plan_of({"kind": "airy"}, 8.0, 3.0, 600, 2.0), Tile(0, 0, 0, 0, 600, 600)
+    g = geometry_of(plan)
+    assert plan.responses.streaks.zones > 1
+    assert len(plan.responses.classes) > 2
+    x, y = np.array([550.2, 40.6, 540.9, 45.3]), np.array([50.4, 42.1, 541.7, 539.8])
+    light = np.array([30.0, *(0.9 * core.brightest_e for core in plan.responses.classes[:3])])
+    image, singly = np.zeros((600, 600)), np.zeros((600, 600))
+    draw_along(plan, g, image, whole, field(x, y, light))
+    for k in range(len(x)):
+        one = slice(k, k + 1)
+        draw_along(plan, g, singly, whole, field(x[one], y[one], light[one]))
+    np.testing.assert_allclose(image, singly, rtol=1e-12, atol=1e-12 * light.max())
+
+
 NARROW, WIDER, RINGS = Blur(Gaussian(0.9)), Blur(Gaussian(1.1)), Blur(Airy(1.0, 0.3))
 ALONG, DOWN, ACROSS = (
     Path(np.array([-x, x]), np.array([-y, y]), np.ones(1))

@@ -52,20 +52,24 @@ def level_table(study: Row) -> Table:
         (
             scene["title"],
             f"{r['noise_fraction']:g}",
-            f"{r['cpu_s']:.2f}",
-            f"{r['again_cpu_s']:.2f}",
-            f"{r['wall_s']:.2f}",
+            _seconds(r["cpu_s"]),
+            _seconds(r["again_cpu_s"]),
+            _seconds(r["wall_s"]),
             f"{r['peak_mb']:.0f}",
             f"{r['max_sigma']:.1e}",
             f"{r['rms_sigma']:.1e}",
             f"{r['bias']:+.0e}",
-            f"{r['bound_sigma'][0]:.2g} to {r['bound_sigma'][1]:.2g}",
+            f"{r['bound_sigma'][0]:.2g}-{r['bound_sigma'][1]:.2g}",
             _times(r["bound_sigma"][0], r["max_sigma"]),
             f"{r['of_bound']:.2g}",
         )
         for scene in study["scenes"]
         for r in scene["levels"]
     ]
+
+
+def _seconds(s: float) -> str:
+    return f"{s:.2f}" if s < 10.0 else f"{s:.1f}"
 
 
 def _times(allowed: float, found: float) -> str:

@@ -167,3 +167,18 @@ def test_a_folder_that_is_not_empty_is_refused(tmp_path):
         report_scenes(tmp_path, quick=True)
     with pytest.raises(BadInput, match="new or empty"):
         report_scenes(tmp_path / "old.txt", quick=True)
+
+
+def test_the_catalogue_is_deep_where_the_usual_scenes_look(monkeypatch, tmp_path) -> None:
+    """Whether they were named or not."""
+    asked = []
+
+    def stop(names, quick, folder):
+        asked.append(names)
+        raise BadInput("catalogue", "made", "enough")
+
+    monkeypatch.setattr(study, "make_catalogue", stop)
+    for names, quick in (((), True), ((), False), (("earth-limb",), True)):
+        with pytest.raises(BadInput):
+            study.run_study(names, (0.5,), quick, None, tmp_path)
+    assert asked == [study.QUICK_SCENES, tuple(scenes.MAKERS), ("earth-limb",)]
