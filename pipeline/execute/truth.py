@@ -20,7 +20,7 @@ from pipeline.execute.sources import (
 )
 from pipeline.execute.tables import swept_core
 from pipeline.lazily import arrow
-from pipeline.physics.motion.streak import Path, piece_counts, pieces
+from pipeline.physics.motion.streak import Path, chord_of, piece_counts, pieces, straight
 from pipeline.physics.positions.apparent import proper_to_astrometric
 from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.positions.refraction import unrefract
@@ -30,11 +30,13 @@ from pipeline.physics.vectors import to_angles
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.occultation import hidden_by, targets_seen
 from pipeline.plan.resolved import ResolvedScene
+from pipeline.plan.response.streaks import Streak
 
 Columns = dict[str, Any]
 
 MOST_PIECES = 256  # of a path whose SNR counts each of its pixels once
 MOST_VALUES = 1 << 22  # of a streak's pixels at several lights, held at a time
+LENGTHS, ALIKE = 9, 0.01  # of streaks, by whose arcsinh SNR is tabulated where it differs by more
 
 
 def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
@@ -53,9 +55,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         x, y = stars.x_px[mine], stars.y_px[mine]
         ends[:, mine] = [*s.at(s.start, x, y), *s.at(s.end, x, y)]
         light[:, mine] = sum(p.share * np.array(s.at(p.centre, x, y)) for p in s.pieces)
-    snr = matched_snr(
-        plan, paths[len(paths) // 2].path, stars.light_e, stars.x_px, stars.y_px, int(g.frame[0])
-    )
+    snr = _star_snr(plan, paths, zones, np.hypot(*(ends[2:] - ends[:2])), stars, int(g.frame[0]))
     light[:, stars.visible_fraction <= 0.0] = np.nan
     for star in setting_stars(plan, g, stars):
         i, path = star.index, star.path
@@ -87,6 +87,37 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "catalogue": stars.catalogue,
         **_hidden(plan, stars.visible_fraction),
     }
+
+
+def _star_snr(
+    plan: Plan, paths: list[Streak], zones: NDArray[np.intp], chord_px: Array, stars: FrameStars,
+    frame: int,
+) -> Array:  # fmt: skip
+    """Matched-filter SNR of stars (n,), each of the length of its own streak.
+
+    Where all streaks are as long as that in the middle, by ALIKE of a pixel's light, along that;
+    else along straight ones of LENGTHS lengths, between which the logarithm is interpolated.
+    zones : of the stars; chord_px : from the beginnings of their paths to the ends
+    """
+    sources, middle = (stars.light_e, stars.x_px, stars.y_px), paths[len(paths) // 2].path
+    lengths_px, chords_px = np.array([(s.path.length_px, chord_of(s.path)) for s in paths]).T
+    bent = np.maximum(1.0, lengths_px / np.maximum(chords_px, np.maximum(1e-3 * lengths_px, 1e-9)))
+    length_px = chord_px * np.where(chord_px > 1e-6, bent[zones], 1.0)
+    scale = np.arcsinh(length_px)
+    if not len(scale) or np.ptp([*scale, math.asinh(middle.length_px)]) <= ALIKE:
+        return matched_snr(plan, middle, *sources, frame)
+    nodes = np.linspace(scale.min(), scale.max(), LENGTHS)
+    turn = math.atan2(middle.y_px[-1] - middle.y_px[0], middle.x_px[-1] - middle.x_px[0])
+    found = np.array([
+        matched_snr(plan, straight(math.sinh(node), turn), *sources, frame) for node in nodes
+    ])  # fmt: skip
+    at = (scale - nodes[0]) / (nodes[1] - nodes[0])
+    low = np.minimum(at.astype(np.intp), LENGTHS - 2)
+    which = np.arange(len(scale))
+    with np.errstate(divide="ignore"):
+        one, other = np.log(found[low, which]), np.log(found[low + 1, which])
+    share = at - low
+    return np.where(stars.light_e > 0.0, np.exp((1.0 - share) * one + share * other), 0.0)
 
 
 def _hidden(plan: ResolvedScene, seen: Array) -> Columns:
@@ -227,36 +258,41 @@ def matched_snr(
     """Signal-to-noise of isolated sources under a matched filter, (n,); places in frame pixels.
 
     SNR^2 = sum (F p)^2 / (sigma0^2 + F p) over the pixels of the source's own response p; F light,
-    sigma0 the noise floor of the frame, with its own integration time; light and sky after the
-    typical flat; without photon noise sigma0 alone. Evaluated on a grid of log F
-    and interpolated (error < 1e-3). Over a field, that of the responses around is interpolated,
-    which is an upper bound.
+    sigma0 the noise of a pixel without it, with the frame's own integration time and its sky at the
+    source's place; light and sky after the typical flat, the detector's noise and dark those of a
+    typical pixel; without photon noise sigma0 alone. Evaluated on a grid of log F / sigma0^2 and
+    interpolated (error < 1e-3). Over a field, that of the responses around is interpolated, which
+    is an upper bound.
     """
-    snr = np.zeros(len(light_e))
+    snr, floor_e2 = np.zeros(len(light_e)), plan.snr_floor_e2(frame, x_px, y_px)
     for blur, which, share in plan.responses.parts(x_px, y_px, np.ones(len(light_e))):
-        snr[which] += share * _matched_snr(plan, blur, path, light_e[which], frame)
+        snr[which] += share * _matched_snr(plan, blur, path, light_e[which], floor_e2[which])
     return snr
 
 
-def _matched_snr(plan: ResolvedScene, blur: Blur, path: Path, light_e: Array, frame: int) -> Array:
-    """Signal-to-noise of sources that one response draws, (n,)."""
+def _matched_snr(
+    plan: ResolvedScene, blur: Blur, path: Path, light_e: Array, floor_e2: Array
+) -> Array:
+    """Signal-to-noise (n,) of sources that one response draws, before noise of these variances.
+
+    That of light F before sigma0 is sigma0 times that of F / sigma0^2 before 1: one curve for all.
+    """
     response, times = _response_at_centre(plan, blur, path)
-    floor, flat = plan.snr_floor_e2(frame), plan.facts.flat
-    positive = light_e[light_e > 0]
-    if positive.size == 0:
+    lit = light_e > 0.0
+    if not lit.any():
         return np.zeros(len(light_e))
-    low, high = np.log(positive.min()), np.log(positive.max())
+    with np.errstate(divide="ignore"):
+        at = np.log(plan.facts.flat * np.maximum(light_e, 0.0) / floor_e2)
+    low, high = at[lit].min(), at[lit].max()
     grid = np.linspace(low, high, 128 if high > low else 1)
     snr = np.zeros(len(grid))
     rows = max(1, MOST_VALUES // max(1, response.size))
     for first in range(0, len(grid), rows):
         part = slice(first, first + rows)
-        signal = flat * np.exp(grid[part])[:, None] * response[None, :]
+        signal = np.exp(grid[part])[:, None] * response[None, :]
         own = signal if plan.scene.sensor.photon_noise else 0.0
-        snr[part] = np.sqrt(np.sum(times * signal**2 / (floor + own), axis=1))
-    with np.errstate(divide="ignore"):
-        at = np.log(np.maximum(light_e, 0.0))
-    return np.where(light_e > 0, np.exp(np.interp(at, grid, np.log(snr))), 0.0)
+        snr[part] = np.sqrt(np.sum(times * signal**2 / (1.0 + own), axis=1))
+    return np.where(lit, np.sqrt(floor_e2) * np.exp(np.interp(at, grid, np.log(snr))), 0.0)
 
 
 def _response_at_centre(plan: ResolvedScene, blur: Blur, path: Path) -> tuple[Array, Array | float]:

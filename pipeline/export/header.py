@@ -9,10 +9,10 @@ import erfa
 import numpy as np
 
 from pipeline.export.times import exposure_of, fits_dates
-from pipeline.inputs.sensor.detector import linearity
 from pipeline.physics.positions.apparent_wcs import LARGEST_RESIDUAL_PX, apparent_wcs_header
 from pipeline.physics.positions.focal_plane import WcsFit, wcs_header
 from pipeline.plan.pointing.geometry import camera_of
+from pipeline.plan.sensor.detector import linearity
 from pipeline.plan.timing import dwell_of, dwell_plans
 from pipeline.spec.load import parse_scene, parse_yaml
 from pipeline.spec.scene import Scene

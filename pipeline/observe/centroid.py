@@ -57,7 +57,8 @@ def centroid_covariance_px2(plan: ResolvedScene, target: FrameTarget, frame: int
     slopes = np.stack([right - left, up - down]) / (2.0 * STEP_PX)
     light = plan.facts.flat * target.light_e
     own = light * p if plan.scene.sensor.photon_noise else 0.0
-    information = light**2 * (slopes / (plan.snr_floor_e2(frame) + own)) @ slopes.T
+    floor_e2 = plan.snr_floor_e2(frame, np.array([x]), np.array([y]))
+    information = light**2 * (slopes / (floor_e2 + own)) @ slopes.T
     return np.asarray(np.linalg.inv(information))
 
 

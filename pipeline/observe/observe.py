@@ -141,7 +141,7 @@ def _rows(
     exposed_s = frame_times(plan.scene, frames)[1][:, None]
     exposed_s = np.where(exposed_s > 0.0, exposed_s, np.nan)  # bias frames have no rate
     columns |= angles.columns | {"electrons_per_s": columns["electrons"] / exposed_s}
-    seen = seen_of(plan, angles, columns, in_field, least_snr)
+    seen = seen_of(plan, g, angles, columns, in_field, least_snr)
     if centroid_seed is not None:
         columns |= _measured(plan, g, seen == "yes", centroid_seed, part.start)
     words = {"seen": seen, "snr_at": np.where(near, "frame", "boresight")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Array
+from pipeline.arrays import Array, Geometry
 from pipeline.observe.angles import Angles
 from pipeline.plan.pointing.geometry import aimed, sampled_frames
 from pipeline.plan.pointing.lamps import Lamp, sun_and_moon
@@ -22,6 +22,7 @@ REASONS = ("yes", *HIDDEN.values(), "in shadow", "Sun", "Moon", "daylight", "out
 
 def seen_of(
     plan: ResolvedScene,
+    g: Geometry,
     angles: Angles,
     columns: dict[str, Array],
     in_field: NDArray[np.bool_],
@@ -42,10 +43,23 @@ def seen_of(
         "Moon": near["moon"] | near["near the moon"],
         "daylight": _by_day(plan, angles.lamps[0])[:, None] & np.ones_like(in_field),
         "out of field": ~in_field,
-        "sky fills the pixels": np.full(in_field.shape, plan.sky_fills),
+        "sky fills the pixels": _filled(plan, g, columns, in_field),
         "too faint": ~(columns["snr"] >= least_snr),
     }
     return np.select(list(tests.values()), list(tests), "yes")
+
+
+def _filled(
+    plan: ResolvedScene, g: Geometry, columns: dict[str, Array], in_field: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Whether sky and dark alone fill the pixels (F, T) behind targets; of those out of the field,
+    the pixels in the middle."""
+    places = zip(columns["x_px"], columns["y_px"], in_field, strict=True)
+    x_px, y_px = plan.camera.centre_px
+    return np.array([
+        plan.filled(int(frame), np.where(inside, x, x_px), np.where(inside, y, y_px))
+        for frame, (x, y, inside) in zip(g.frame, places, strict=True)
+    ]).reshape(in_field.shape)  # fmt: skip
 
 
 def _by_day(plan: ResolvedScene, sun: Lamp) -> NDArray[np.bool_]:

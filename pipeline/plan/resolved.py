@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.colour import ColourFit
@@ -16,7 +17,7 @@ from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.geometry import camera_of
 from pipeline.plan.response.responses import ResponsePlan, plan_responses
 from pipeline.plan.response.streaks import merged_px
-from pipeline.plan.sensor.detector import lag_depth
+from pipeline.plan.sensor.detector import collected_for, lag_depth
 from pipeline.plan.timing import frame_count, integration_range_s, integration_s
 from pipeline.spec.scene import Scene
 
@@ -64,13 +65,22 @@ class ResolvedScene:
         more = (time_s - least_s) * (f.background_e_s + f.dark_e / least_s)
         return math.sqrt(f.sigma_floor_e**2 + more)
 
-    def snr_floor_e2(self, frame: int) -> float:
-        """Square of `floor_e` with the sky after the typical flat [e-^2]."""
-        f = self.facts
+    def sky_e_s(self, frame: int, x_px: Array, y_px: Array) -> Array:
+        """Sky (n,) at places in a frame, or beside it as at its edge, before the flat [e-/s]."""
+        if self.sky is None:
+            return np.full(len(x_px), self.facts.background_e_s)
+        return self.sky.e_s_at(frame, x_px, y_px)
+
+    def snr_floor_e2(self, frame: int, x_px: Array, y_px: Array) -> Array:
+        """Variance (n,) of pixels of a frame that hold no source, at places in it [e-^2].
+
+        That of `floor_e` with the sky there, after the typical flat, for the darkest sky of all.
+        """
+        f, variance = self.facts, np.full(len(x_px), self.floor_e(frame) ** 2)
         if not self.scene.sensor.photon_noise:
-            return self.floor_e(frame) ** 2
-        sky_e = f.background_e_s * self.integration_s(frame)
-        return self.floor_e(frame) ** 2 - (1.0 - f.flat) * sky_e
+            return variance
+        more_e_s = f.flat * self.sky_e_s(frame, x_px, y_px) - f.background_e_s
+        return variance + more_e_s * self.integration_s(frame)
 
     @property
     def full_e(self) -> float:
@@ -78,18 +88,19 @@ class ResolvedScene:
         s = self.scene.sensor
         top = math.inf
         if not isinstance(s.gain_e_per_dn, str | None) and not isinstance(s.bias_dn, str):
-            top = (2.0**s.adc_bits - 1.0 - s.bias_dn) * s.gain_e_per_dn
+            top_e = (2.0**s.adc_bits - 1.0 - s.bias_dn) * s.gain_e_per_dn
+            top = float(collected_for(s, top_e))
         return float(min(top, s.full_well_e or math.inf))
 
     def empty_e(self, sky_e_s: Array | float, frame: int = 0) -> Array:
         """Charge (...) of a pixel that holds no source, under skies (...) [e-/s], in a frame."""
-        lit_e = self.facts.flat * np.asarray(sky_e_s) * self.integration_s(frame)
-        return np.asarray(lit_e + self.facts.dark_e)
+        time_s, least_s = self.integration_s(frame), integration_range_s(self.scene)[0]
+        dark_e = self.facts.dark_e * (time_s / least_s if least_s else 1.0)
+        return np.asarray(self.facts.flat * np.asarray(sky_e_s) * time_s + dark_e)
 
-    @property
-    def sky_fills(self) -> bool:
-        """Whether sky and dark alone fill a typical pixel in the first frame."""
-        return bool(self.empty_e(self.facts.background_e_s) >= self.full_e)
+    def filled(self, frame: int, x_px: Array, y_px: Array) -> NDArray[np.bool_]:
+        """Whether sky and dark alone fill typical pixels at places (n,) in a frame."""
+        return np.asarray(self.empty_e(self.sky_e_s(frame, x_px, y_px), frame) >= self.full_e)
 
     def merged_px(self, light_e: Array, share_per_px: float) -> Array:
         """How far straight runs of the paths of sources (n,) of so much light may be off [px].

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry, SensorMaps
 from pipeline.inputs.band.response import gather_band_light, gather_response
@@ -36,7 +37,7 @@ from pipeline.plan.stars.field_stars import FieldStars
 from pipeline.plan.targets.decisions import mesh_notices
 from pipeline.plan.targets.orbit_age import orbit_remarks, table_warnings
 from pipeline.plan.targets.umbra import umbra_remarks
-from pipeline.plan.timing import integration_range_s
+from pipeline.plan.timing import frame_times, integration_range_s
 from pipeline.resolve.files import has_air, read_files, with_numbers
 from pipeline.resolve.stars import (
     brightest_in_field_e,
@@ -134,7 +135,7 @@ def resolve(asked: Scene) -> Resolved:
             *doubts.warnings,
             *warnings,
             *_none_in_field(resolved, g, field_stars),
-            *_filled(resolved),
+            *_filled(resolved, g.frame),
             *table_warnings(scene, g, facts.ifov_rad),
             *turn_warnings(scene, g, facts.ifov_rad, gather_turn_off_rad(scene)),
         ),
@@ -152,15 +153,26 @@ def resolve(asked: Scene) -> Resolved:
     )
 
 
-def _filled(resolved: ResolvedScene) -> list[str]:
-    """The warning that no source shows, as pixels are full without any."""
-    if not resolved.sky_fills:
+def _filled(resolved: ResolvedScene, sampled: NDArray[np.int64]) -> list[str]:
+    """The warning that no source shows in the middle of frames, as pixels are full without any.
+
+    Looked at are the frames sampled, those between which the sky is linear, and one of each
+    integration time.
+    """
+    times_s = frame_times(resolved.scene, np.arange(resolved.frames))[1]
+    looked_at = np.union1d(sampled, np.unique(times_s, return_index=True)[1])
+    if resolved.sky is not None:
+        looked_at = np.union1d(looked_at, resolved.sky.knots)
+    x, y = np.array(resolved.camera.centre_px)[:, None]
+    full = [k for k in looked_at.tolist() if resolved.filled(k, x, y)[0]]
+    if not full:
         return []
-    empty_e = float(resolved.empty_e(resolved.facts.background_e_s))
+    empty_e = float(resolved.empty_e(resolved.sky_e_s(full[0], x, y), full[0])[0])
+    more = f" there, and in {len(full) - 1} more of {len(looked_at)} frames looked at"
     return [
-        f"sky and dark current alone give a typical pixel {empty_e:.3g} e- in the first frame, "
+        f"sky and dark current alone give a typical pixel {empty_e:.3g} e- in frame {full[0]}, "
         f"which fills it ({resolved.full_e:.3g} e-, its full well or the converter's top): no "
-        "source shows"
+        f"source shows{more if len(full) > 1 else ''}"
     ]
 
 

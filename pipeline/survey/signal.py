@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.execute.truth import matched_snr
-from pipeline.physics.motion.streak import POINT, Path
+from pipeline.physics.motion.streak import straight
 from pipeline.plan.resolved import ResolvedScene
 
 Array = NDArray[np.float64]
@@ -54,16 +54,10 @@ def signal_table(resolved: ResolvedScene) -> SignalTable:
     middle = np.full(LIGHTS, 0.5 * (camera.columns - 1)), np.full(LIGHTS, 0.5 * (camera.rows - 1))
     shares = np.linspace(0.0, 1.0, LENGTHS)
     lengths = _length_at(shares * _of_length(longest))
-    rows = [matched_snr(resolved, straight(length), light, *middle) for length in lengths]
+    rows = [
+        matched_snr(resolved, straight(length, SLANT_RAD), light, *middle) for length in lengths
+    ]
     return SignalTable(np.log(np.array(rows)), longest)
-
-
-def straight(length_px: float) -> Path:
-    """An even streak of a length about its middle."""
-    if length_px <= 0.0:
-        return POINT
-    ends = np.array([-0.5, 0.5]) * length_px
-    return Path(ends * np.cos(SLANT_RAD), ends * np.sin(SLANT_RAD), np.ones(1))
 
 
 def _of_length(length_px: Array | float) -> Array:

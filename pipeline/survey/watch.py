@@ -115,8 +115,9 @@ class Watcher:
         r = self.resolved
         if self.sky is None or not r.scene.sensor.photon_noise:
             return np.ones_like(np.asarray(sky_e_s, float))
-        more = r.facts.flat * (np.asarray(sky_e_s) - r.facts.background_e_s) * r.integration_s(0)
-        return np.maximum(1.0 + more / r.snr_floor_e2(0), LEAST_NOISE)
+        x, y = np.array(r.camera.centre_px)[:, None]  # where the table holds
+        more = r.facts.flat * (np.asarray(sky_e_s) - r.sky_e_s(0, x, y)) * r.integration_s(0)
+        return np.maximum(1.0 + more / r.snr_floor_e2(0, x, y), LEAST_NOISE)
 
     def streak_px(self, rate: Array) -> Array:
         """Streaks (n,) [px] of objects that pass the camera at a rate (n,) [rad/s]; none where it

@@ -18,6 +18,7 @@ from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.physics.detection import filtered, peak_near
 from pipeline.physics.noise.chain import calibrated_e
 from pipeline.plan.plan import Plan
+from pipeline.plan.sensor.detector import collected_for
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.spec.sweep import Detection
 from pipeline.store.markers import cell_checksums
@@ -138,7 +139,8 @@ class Measurement:
         """Mean charge from which a pixel is full: of its well, or at the converter's top [e-]."""
         s = self.plan.scene.sensor
         top = float((1 << s.adc_bits) - 1)
-        full = (top - _of(tile, self.maps.bias_dn)) * _of(tile, self.maps.gain_e_per_dn)
+        full_e = (top - _of(tile, self.maps.bias_dn)) * _of(tile, self.maps.gain_e_per_dn)
+        full = collected_for(s, full_e)
         return full if s.full_well_e is None else np.minimum(full, s.full_well_e)
 
     def _calibrated(

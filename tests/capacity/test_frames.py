@@ -104,7 +104,7 @@ def compared(data: dict[str, Any], folder: Path, count: int) -> np.ndarray:
         numbers = np.asarray(product.cube["dn"][0], float)
         gain, bias = sensor.scene.sensor.gain_e_per_dn, sensor.scene.sensor.bias_dn
         light_e = (numbers - bias) * gain - np.asarray(product.cube["background_e"][0], float)
-        variance = sensor.snr_floor_e2(0) + signal
+        variance = sensor.snr_floor_e2(0, *np.zeros((2, 1))) + signal
         snr = np.sqrt(np.sum(signal**2 / variance))
         found = np.sum(signal * light_e / variance) / snr
         out.append((rows[k]["snr"], snr, found, rows[k]["probability"]))

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 from pipeline.execute import truth
 from pipeline.execute.sources import FrameTarget
 from pipeline.execute.truth import matched_snr, star_truth, target_truth
-from pipeline.physics.motion.streak import Path
+from pipeline.physics.motion.streak import POINT, straight
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.sky.sky import SkyPlan, facts_with_sky
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
-from tests.execute.test_engines import field, geometry_of, plan_of
+from tests.execute.test_engines import SIDE, field, geometry_of, plan_of
 from tests.execute.test_truth_magnitudes import scene
 from tests.plans import plan_from
 
 GAUSSIAN = {"kind": "gaussian", "sigma_px": 1.0}
-
-
-def straight(length_px: float) -> Path:
-    ends = 0.5 * length_px * np.array([-1.0, 1.0])
-    return Path(ends, 0.0 * ends, np.ones(1))
 
 
 def test_a_streak_of_many_pieces_has_the_noise_of_all_its_pixels() -> None:
@@ -36,6 +34,51 @@ def test_a_streak_of_many_pieces_has_the_noise_of_all_its_pixels() -> None:
         for px in (500.0, 60_000.0)  # 6 pieces, and 625
     ]
     assert found[1] == pytest.approx(found[0], rel=0.01)
+
+
+def by_hand(light_e: float, length_px: float, noise_e2: float) -> float:
+    """SNR of a streak of a Gaussian of 1 px along the rows, by sums over its pixels' light."""
+    at, (y, x) = 40.0, np.mgrid[:81, : 81 + int(length_px)]
+    edges = np.linspace(-0.5, 0.5, 21)[:, None, None] * length_px
+    whole = np.zeros(y.shape)
+    for along in 0.5 * (edges[1:] + edges[:-1]) if length_px else np.zeros((1, 1, 1)):
+        parts = [
+            0.5 * (erf((v + 0.5) / 2**0.5) - erf((v - 0.5) / 2**0.5))
+            for v in (y - at, x - at - 0.5 * int(length_px) - along)
+        ]
+        whole += parts[0] * parts[1]
+    signal = light_e * whole / whole.sum()
+    return float(np.sqrt(np.sum(signal**2 / (noise_e2 + signal))))
+
+
+@pytest.mark.parametrize("light_e", [50.0, 3e3, 1e6])
+def test_snr_is_that_of_the_sky_behind_the_source_in_its_frame(light_e: float) -> None:
+    """Not of the darkest sky of all frames and places, on which the plan of errors rests."""
+    plan = plan_of(GAUSSIAN, 0.0, 0.0)
+    dark, bright = np.full((2, 2), 10.0), np.array([[100.0, 500.0], [100.0, 500.0]])
+    sky = SkyPlan((SIDE, SIDE), np.array([0, 4]), np.stack([dark, bright]), 10.0, 0.0, None, ())
+    plan = replace(plan, sky=sky, facts=facts_with_sky(plan.facts, plan.scene, sky))
+    x, y = np.array([0.0, (SIDE - 1) / 2, SIDE - 1.0, 300.0]), np.full(4, 60.0)
+    fixed = 5.0**2 + plan.scene.sensor.gain_e_per_dn**2 / 12.0
+    for frame, at in ((0, [10.0] * 4), (2, [56.0, 155.0, 254.0, 255.0]), (4, None)):
+        skies = [101.25, 300.0, 498.75, 498.75] if at is None else at
+        found = matched_snr(plan, POINT, np.full(4, light_e), x, y, frame)
+        for snr, sky_e in zip(found, skies, strict=True):
+            wanted = by_hand(light_e, 0.0, fixed + sky_e)
+            assert snr == pytest.approx(wanted, rel=0.02)
+
+
+def test_snr_is_that_of_each_stars_own_streak() -> None:
+    """Of a camera that rolls, whose stars streak the farther the farther out they are."""
+    plan = plan_of(GAUSSIAN, 0.0, 0.0, 600, 6.0)
+    g, far_px = geometry_of(plan), np.array([0.0, 20.0, 60.0, 140.0, 290.0])
+    middle = 299.5
+    stars = field(middle + far_px, np.full(5, middle), np.full(5, 2e3))
+    found = star_truth(plan, g, stars)["snr"]
+    fixed = 5.0**2 + plan.scene.sensor.gain_e_per_dn**2 / 12.0
+    for snr, px in zip(found, far_px, strict=True):
+        wanted = by_hand(2e3, px * math.radians(6.0), fixed)
+        assert snr == pytest.approx(wanted, rel=0.02)
 
 
 DWELLS = [{"integration_s": 1.0}, {"integration_s": 4.0, "start_s": 10.0}]

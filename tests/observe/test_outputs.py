@@ -204,3 +204,33 @@ def test_a_sky_that_fills_the_pixels_hides_all() -> None:
         assert observe(parse_scene(data)).table["seen"][0].as_py() == seen
         warned = [w for w in plan_scene(parse_scene(data))["warnings"] if "no source shows" in w]
         assert bool(warned) == (seen != "yes")
+
+
+def test_each_frame_is_full_or_not_by_its_own_time() -> None:
+    """A first frame that its dark current fills, beside one of a hundredth of its time."""
+    for times_s in ([2.0, 0.02], [0.02, 2.0]):
+        sensor = night()["sensor"] | {"full_well_e": 5e4, "dark_e_per_s": 3e4}
+        dwell = {"integration_s": times_s, "frames": 2, "cadence_s": 20.0}
+        scene = parse_scene(night(sensor=sensor, exposure={"integration_s": 1.0}, dwells=[dwell]))
+        full = times_s.index(2.0)
+        seen = [r["seen"] for r in observe(scene).table.to_pylist() if r["name"] == "ball"]
+        assert seen[full] == "sky fills the pixels"
+        assert seen[1 - full] == "too faint"  # in so short a time
+        [warned] = [w for w in plan_scene(scene)["warnings"] if "no source shows" in w]
+        assert f"in frame {full}," in warned
+        assert "6e+04 e-" in warned
+
+
+@pytest.mark.parametrize("bend", [0.3, -0.3])
+def test_the_converters_top_is_of_what_is_measured(bend: float) -> None:
+    """A response that bends up fills the converter with less charge; one that bends down, never."""
+    sensor = night()["sensor"] | {
+        "full_well_e": 4e4, "adc_bits": 15, "gain_e_per_dn": 1.0, "bias_dn": 0.0,
+        "detector": {"nonlinearity": {"kind": "polynomial", "coefficients": [bend]}},
+    }  # fmt: skip
+    full_e = resolve(parse_scene(night(sensor=sensor))).scene.full_e
+    if bend < 0.0:
+        assert full_e == pytest.approx(4e4)  # its well is full before
+    else:
+        x = full_e / 4e4
+        assert 4e4 * (x + bend * x**2) == pytest.approx(32767.0, rel=1e-6)

@@ -209,7 +209,7 @@ def test_the_floor_of_each_frame_is_that_of_its_own_exposure(scene: Make, photon
     for frame, time_s in enumerate((4.0, 2.0, 2.5)):
         floor, told = (photons * (sky + 3.0) * time_s + fixed for sky in (7.0, 0.8 * 7.0))
         assert plan.floor_e(frame) == pytest.approx(np.sqrt(floor), rel=1e-12)
-        assert plan.snr_floor_e2(frame) == pytest.approx(told, rel=1e-12)
+        assert plan.snr_floor_e2(frame, *np.zeros((2, 1))) == pytest.approx(told, rel=1e-12)
     assert facts.sigma_floor_e == plan.floor_e(1)
     assert (facts.background_e, facts.dark_e) == (14.0, 6.0)
 

@@ -142,7 +142,7 @@ def test_noise_floor_without_photon_noise(scene: Make) -> None:
         expected = sigma if not more else 2.0 / math.sqrt(12.0)
         assert plan.facts.sigma_floor_e == pytest.approx(expected)
         assert plan.floor_e(0) == pytest.approx(expected)
-        assert plan.snr_floor_e2(0) == pytest.approx(expected**2)
+        assert plan.snr_floor_e2(0, *np.zeros((2, 1))) == pytest.approx(expected**2)
         assert plan.responses.budget_e <= 0.05 * expected
 
 

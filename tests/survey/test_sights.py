@@ -8,12 +8,12 @@ from skyfield.api import EarthSatellite, load, wgs84
 
 from pipeline.execute.truth import matched_snr
 from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
+from pipeline.physics.motion.streak import straight
 from pipeline.physics.positions.orbit_screen import states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.physics.vectors import separation
 from pipeline.survey.elements import Elements
 from pipeline.survey.sights import Sights, sights_of
-from pipeline.survey.signal import straight
 from tests.survey.conftest import EPOCH, watcher
 
 ARCSEC = np.radians(1.0 / 3600.0)
@@ -73,7 +73,7 @@ def test_signal_is_the_renderers() -> None:
     middle = np.full(40, 511.5)
     for length in (0.0, 0.37, 1.9, 14.3, 222.2, 1023.0):
         own = w.signal.snr(light, np.full(40, length))
-        truth = matched_snr(w.resolved, straight(length), light, middle, middle)  # type: ignore[arg-type]
+        truth = matched_snr(w.resolved, straight(length, 0.3927), light, middle, middle)  # type: ignore[arg-type]
         np.testing.assert_allclose(own, truth, rtol=2e-3)
     half = w.signal.snr(light, np.full(40, 2048.0))
     np.testing.assert_allclose(half, w.signal.snr(light / 2, np.full(40, 1024.0)), rtol=1e-9)

@@ -11,16 +11,14 @@ from pipeline.arrays import Array, SensorMaps, Value
 from pipeline.inputs.sensor.images import gather_image
 from pipeline.physics.noise.patterns import bias_pattern_dn, chosen, hot_dark_e_s, prnu
 from pipeline.physics.noise.transfer import column_means
+from pipeline.plan.sensor.detector import linearity
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import (
     Detector,
     Failing,
     HotPixels,
-    PolynomialResponse,
     TimeDelay,
 )
-
-LINEARITY_POINTS = 4097  # of a polynomial; straight between them
 
 
 def with_detector(maps: SensorMaps, scene: Scene) -> SensorMaps:
@@ -130,14 +128,3 @@ def _amplified(maps: SensorMaps, d: Detector, shape: tuple[int, int]) -> SensorM
             read[part] = a.read_noise_e
         bias[part] += a.offset_dn
     return replace(maps, gain_e_per_dn=gain, bias_dn=bias, read_noise_e=read)
-
-
-def linearity(d: Detector, full_well_e: float) -> tuple[Array, Array]:
-    """Tables of charge collected and charge measured [e-], from 0 to the full well or beyond."""
-    given = d.nonlinearity
-    if not isinstance(given, PolynomialResponse):
-        assert given is not None
-        return np.array(given.true_e), np.array(given.read_e)
-    x = np.linspace(0.0, 1.0, LINEARITY_POINTS)
-    bend = np.polynomial.Polynomial([0.0, 1.0, *given.coefficients])
-    return full_well_e * x, full_well_e * bend(x)

@@ -50,6 +50,19 @@ SURELY_OFF = 1.0 + 1e-9  # of a tolerance's square: beyond it whatever rounding
 POINT = Path(np.zeros(2), np.zeros(2), np.ones(1))
 
 
+def straight(length_px: float, angle_rad: float = 0.0) -> Path:
+    """An even streak of a length about its middle, at an angle from the rows."""
+    if length_px <= 0.0:
+        return POINT
+    ends = np.array([-0.5, 0.5]) * length_px
+    return Path(ends * np.cos(angle_rad), ends * np.sin(angle_rad), np.ones(1))
+
+
+def chord_of(path: Path) -> float:
+    """Distance from the beginning of a path to its end [px]."""
+    return float(np.hypot(path.x_px[-1] - path.x_px[0], path.y_px[-1] - path.y_px[0]))
+
+
 def path_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -> Path:
     """Path through nodes at equal steps of time, with straight uniform runs made one segment.
 

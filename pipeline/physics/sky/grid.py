@@ -85,9 +85,26 @@ def tile_light(
     return light
 
 
+def light_at(values: Array, shape: tuple[int, int], x_px: Array, y_px: Array) -> Array:
+    """Light (n,) at places in a frame, of the nearest place in it beside it; as of `tile_light`."""
+    if values.size == 1:
+        return np.full(len(x_px), values[0, 0])
+    (i, u), (j, v) = (
+        _interval(np.clip(at, 0.0, pixels - 1.0), pixels, nodes)
+        for at, pixels, nodes in zip((y_px, x_px), shape, values.shape, strict=True)
+    )
+    low, high = (values[k, j] * (1.0 - v) + values[k, j + 1] * v for k in (i, i + 1))
+    return np.asarray(low * (1.0 - u) + high * u)
+
+
 def _between(pixels: int, nodes: int, start: int, count: int) -> tuple[NDArray[np.intp], Array]:
     """The interval of each pixel centre along an axis, and where in it."""
-    place = (np.arange(start, start + count) + 0.5) * ((nodes - 1) / pixels)
+    return _interval(np.arange(start, start + count, dtype=float), pixels, nodes)
+
+
+def _interval(at: Array, pixels: int, nodes: int) -> tuple[NDArray[np.intp], Array]:
+    """The interval of places (n,) along an axis, and where in it."""
+    place = (at + 0.5) * ((nodes - 1) / pixels)
     first = np.minimum(place, nodes - 2).astype(np.intp)
     return first, np.asarray(place - first, float)
 

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import math
 
-from pipeline.arrays import SensorMaps
+import numpy as np
+
+from pipeline.arrays import Array, SensorMaps
 from pipeline.physics.noise.transfer import lag_frames
+from pipeline.physics.noise.wells import collected_e
 from pipeline.plan.accuracy import SMALL, part_sigma
 from pipeline.spec.scene import Scene
+from pipeline.spec.sensor.detector import Detector, PolynomialResponse
+from pipeline.spec.sensor.sensor import Sensor
+
+LINEARITY_POINTS = 4097  # of a polynomial; straight between them
 
 
 def typical_read_noise_e(scene: Scene, maps: SensorMaps) -> float:
@@ -24,3 +31,25 @@ def lag_depth(scene: Scene, sigma_e: float) -> int:
         return 0
     full_well_e = float(scene.sensor.full_well_e or 0.0)
     return lag_frames(d.lag.fraction, full_well_e, SMALL * part_sigma(scene) * sigma_e)
+
+
+def linearity(d: Detector, full_well_e: float) -> tuple[Array, Array]:
+    """Tables of charge collected and charge measured [e-], from 0 to the full well or beyond."""
+    given = d.nonlinearity
+    if not isinstance(given, PolynomialResponse):
+        assert given is not None
+        return np.array(given.true_e), np.array(given.read_e)
+    x = np.linspace(0.0, 1.0, LINEARITY_POINTS)
+    bend = np.polynomial.Polynomial([0.0, 1.0, *given.coefficients])
+    return full_well_e * x, full_well_e * bend(x)
+
+
+def collected_for(sensor: Sensor, signal_e: Array | float) -> Array:
+    """Charge (...) that is measured as signals (...) [e-]; infinite where none is."""
+    signal = np.asarray(signal_e, float)
+    d = sensor.detector
+    if d is None or d.nonlinearity is None:
+        return signal
+    true_e, read_e = linearity(d, float(sensor.full_well_e or 0.0))
+    charge = collected_e(np.atleast_1d(signal), true_e, read_e).reshape(signal.shape)
+    return np.where(signal <= read_e[-1], charge, math.inf)

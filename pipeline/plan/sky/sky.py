@@ -12,7 +12,7 @@ from pipeline.arrays import Geometry
 from pipeline.physics.colour import brightest_electrons
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.sky.galactic import RELATIVE_ERROR
-from pipeline.physics.sky.grid import FrameGrid, at_nodes, refine, tile_light
+from pipeline.physics.sky.grid import FrameGrid, at_nodes, light_at, refine, tile_light
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts, error_budget_e
 from pipeline.plan.pointing.geometry import plan_geometry, with_frames
@@ -61,6 +61,10 @@ class SkyPlan:
     def even(self) -> bool:
         """Whether one value serves all pixels of a frame."""
         return self.grids.shape[-2:] == (1, 1)
+
+    def e_s_at(self, frame: int, x_px: Array, y_px: Array) -> Array:
+        """Light (n,) at places in a frame, e-/s and pixel, before the flat."""
+        return light_at(sky_grid(self, frame), self.shape, x_px, y_px)
 
 
 def plan_sky(
