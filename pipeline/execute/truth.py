@@ -20,7 +20,7 @@ from pipeline.execute.sources import (
 )
 from pipeline.execute.tables import swept_core
 from pipeline.lazily import arrow
-from pipeline.physics.motion.streak import Path, chord_of, piece_counts, pieces, straight
+from pipeline.physics.motion.streak import Path, piece_counts, pieces
 from pipeline.physics.positions.apparent import proper_to_astrometric
 from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.positions.refraction import unrefract
@@ -31,12 +31,14 @@ from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.occultation import hidden_by, targets_seen
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.streaks import Streak
+from pipeline.plan.response.zones import biquadratic
 
 Columns = dict[str, Any]
 
 MOST_PIECES = 256  # of a path whose SNR counts each of its pixels once
 MOST_VALUES = 1 << 22  # of a streak's pixels at several lights, held at a time
 LENGTHS, ALIKE = 9, 0.01  # of streaks, by whose arcsinh SNR is tabulated where it differs by more
+MOST_NODES = 17  # by which the length of a streak is taken
 
 
 def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
@@ -55,7 +57,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         x, y = stars.x_px[mine], stars.y_px[mine]
         ends[:, mine] = [*s.at(s.start, x, y), *s.at(s.end, x, y)]
         light[:, mine] = sum(p.share * np.array(s.at(p.centre, x, y)) for p in s.pieces)
-    snr = _star_snr(plan, paths, zones, np.hypot(*(ends[2:] - ends[:2])), stars, int(g.frame[0]))
+    snr = _star_snr(plan, paths, zones, stars, int(g.frame[0]))
     light[:, stars.visible_fraction <= 0.0] = np.nan
     for star in setting_stars(plan, g, stars):
         i, path = star.index, star.path
@@ -90,26 +92,29 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
 
 
 def _star_snr(
-    plan: Plan, paths: list[Streak], zones: NDArray[np.intp], chord_px: Array, stars: FrameStars,
-    frame: int,
-) -> Array:  # fmt: skip
-    """Matched-filter SNR of stars (n,), each of the length of its own streak.
+    plan: Plan, paths: list[Streak], zones: NDArray[np.intp], stars: FrameStars, frame: int
+) -> Array:
+    """Matched-filter SNR of stars (n,) in zones (n,), each of the length of its own streak.
 
-    Where all streaks are as long as that in the middle, by ALIKE of a pixel's light, along that;
-    else along straight ones of LENGTHS lengths, between which the logarithm is interpolated.
-    zones : of the stars; chord_px : from the beginnings of their paths to the ends
+    Where all are as long, to ALIKE, along that in the middle; else along the longest of the zones'
+    middles, scaled to LENGTHS lengths, between which the logarithm is interpolated.
     """
-    sources, middle = (stars.light_e, stars.x_px, stars.y_px), paths[len(paths) // 2].path
-    lengths_px, chords_px = np.array([(s.path.length_px, chord_of(s.path)) for s in paths]).T
-    bent = np.maximum(1.0, lengths_px / np.maximum(chords_px, np.maximum(1e-3 * lengths_px, 1e-9)))
-    length_px = chord_px * np.where(chord_px > 1e-6, bent[zones], 1.0)
+    sources, known = (stars.light_e, stars.x_px, stars.y_px), plan.responses.streaks
+    if math.asinh(known.longest_px) - math.asinh(known.shortest_px) <= ALIKE:
+        return matched_snr(plan, paths[len(paths) // 2].path, *sources, frame)
+    length_px = np.zeros(len(stars))
+    for zone in np.unique(zones):
+        mine = zones == zone
+        length_px[mine] = _lengths_px(paths[zone], stars.x_px[mine], stars.y_px[mine])
     scale = np.arcsinh(length_px)
-    if not len(scale) or np.ptp([*scale, math.asinh(middle.length_px)]) <= ALIKE:
-        return matched_snr(plan, middle, *sources, frame)
+    if not len(scale) or np.ptp(scale) <= ALIKE:
+        return matched_snr(plan, paths[len(paths) // 2].path, *sources, frame)
+    longest = max(paths, key=lambda s: s.path.length_px)
+    whole_px = float(_lengths_px(longest, *longest.zone.places(np.zeros(1), np.zeros(1)))[0])
     nodes = np.linspace(scale.min(), scale.max(), LENGTHS)
-    turn = math.atan2(middle.y_px[-1] - middle.y_px[0], middle.x_px[-1] - middle.x_px[0])
     found = np.array([
-        matched_snr(plan, straight(math.sinh(node), turn), *sources, frame) for node in nodes
+        matched_snr(plan, longest.path.scaled(math.sinh(node) / whole_px), *sources, frame)
+        for node in nodes
     ])  # fmt: skip
     at = (scale - nodes[0]) / (nodes[1] - nodes[0])
     low = np.minimum(at.astype(np.intp), LENGTHS - 2)
@@ -118,6 +123,14 @@ def _star_snr(
         one, other = np.log(found[low, which]), np.log(found[low + 1, which])
     share = at - low
     return np.where(stars.light_e > 0.0, np.exp((1.0 - share) * one + share * other), 0.0)
+
+
+def _lengths_px(streak: Streak, x_px: Array, y_px: Array) -> Array:
+    """Lengths (n,) of the streaks of stars of a zone, by MOST_NODES places along each at most."""
+    u, v = streak.zone.uv(x_px, y_px)
+    nodes = np.unique(np.linspace(0, len(streak.followed) - 1, MOST_NODES).astype(np.intp))
+    places = np.array([biquadratic(streak.followed[k], u, v) for k in nodes])
+    return np.asarray(np.hypot(*np.diff(places, axis=0).swapaxes(0, 1)).sum(axis=0))
 
 
 def _hidden(plan: ResolvedScene, seen: Array) -> Columns:

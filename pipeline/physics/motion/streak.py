@@ -35,6 +35,10 @@ class Path:
     def length_px(self) -> float:
         return float(np.sum(np.hypot(np.diff(self.x_px), np.diff(self.y_px))))
 
+    def scaled(self, factor: float) -> Path:
+        """The path so many times as large about its reference point."""
+        return Path(factor * self.x_px, factor * self.y_px, self.weight)
+
     @property
     def _numbers(self) -> tuple[bytes, bytes, bytes]:
         return self.x_px.tobytes(), self.y_px.tobytes(), self.weight.tobytes()
@@ -56,11 +60,6 @@ def straight(length_px: float, angle_rad: float = 0.0) -> Path:
         return POINT
     ends = np.array([-0.5, 0.5]) * length_px
     return Path(ends * np.cos(angle_rad), ends * np.sin(angle_rad), np.ones(1))
-
-
-def chord_of(path: Path) -> float:
-    """Distance from the beginning of a path to its end [px]."""
-    return float(np.hypot(path.x_px[-1] - path.x_px[0], path.y_px[-1] - path.y_px[0]))
 
 
 def path_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -> Path:
