@@ -68,10 +68,24 @@ def _checked(table: pa.Table, name: str | None, where: str) -> pa.ChunkedArray:
     return column
 
 
-def _numbers(table: pa.Table, name: str | None, where: str) -> Numbers:
-    """A column as doubles; NaN where it is absent."""
-    column = _checked(table, name, where).cast(pa.float64(), safe=False)
-    return column.fill_null(float("nan")).to_numpy()
+def _numbers(
+    table: pa.Table, name: str | None, where: str, nulls: tuple[float, ...] = ()
+) -> Numbers:
+    """A column as doubles; NaN where it is absent, or holds one of `nulls`."""
+    column = _checked(table, name, where)
+    values = column.cast(pa.float64(), safe=False).fill_null(float("nan")).to_numpy()
+    if not nulls:
+        return values
+    return np.where(np.isin(values, _as_stored(nulls, column.type)), np.nan, values)
+
+
+def _as_stored(nulls: tuple[float, ...], kind: pa.DataType) -> Numbers:
+    """Numbers in the precision of a column of floating point numbers, as a file would hold them."""
+    numbers = np.asarray(nulls, np.float64)
+    if not pa.types.is_floating(kind):
+        return numbers
+    with np.errstate(over="ignore"):
+        return numbers.astype(kind.to_pandas_dtype()).astype(np.float64)
 
 
 def _numbers_of(
@@ -82,9 +96,9 @@ def _numbers_of(
     made: dict[str, pa.Array | pa.ChunkedArray],
 ) -> Numbers:
     """Values of one way to get a column; NaN where it gives none."""
-    values = _numbers(table, names.first(way.names), where)
+    values = _numbers(table, names.first(way.names), where, way.nulls)
     with np.errstate(invalid="ignore", divide="ignore"):
-        absent = np.isin(values, way.nulls)
+        absent = np.isnan(values)
         for name in way.positive:
             absent |= ~(_numbers(table, names.first((name,)), where) > 0.0)
         values = values * way.scale

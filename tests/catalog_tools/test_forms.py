@@ -214,6 +214,18 @@ fallback = true
     assert found == [3, None]  # a better column is there: where it is empty nothing is made up
 
 
+@pytest.mark.parametrize("kind", [pa.float16(), pa.float32(), pa.float64()])
+def test_null_numbers_are_known_in_the_precision_of_the_column(tmp_path, kind):
+    """As a float32 99.99 is 99.98999786: no double 99.99."""
+    form = load(tmp_path, EXAMPLE.replace('unit = "mag"', 'unit = "mag"\nnull = [99.99, -1e300]'))
+    near = np.nextafter(*np.array([99.99, 0.0], kind.to_pandas_dtype()))
+    mags = pa.array(np.array([9.5, 99.99, near], kind.to_pandas_dtype()), kind)
+    zeros = pa.array(np.zeros(3))
+    columns = {"id": pa.array([1, 2, 3]), "alpha": zeros, "delta": zeros, "mag": mags}
+    found = apply(form, pa.table(columns), "here", 0)["phot_g_mean_mag"].to_pylist()
+    assert found == [9.5, None, pytest.approx(float(near), abs=1e-5)]
+
+
 def test_ways_are_tried_in_order_and_colours_have_ranges(tmp_path):
     ways = """
 [[phot_bp_mean_mag]]
