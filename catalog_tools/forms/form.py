@@ -48,11 +48,11 @@ class ColumnSource:
     value = names * factor [unit], as a canonical value, + add + sum_k coefficients[k] colour**k.
     names : columns of the table; the first that it has is taken. unit : a key of UNITS[column];
     a flux in Jy becomes an AB magnitude, one in `flux` becomes -2.5 log10(flux). nulls : numbers
-    that stand for an absent value. positive : columns that must be above 0 for a value to be
-    there. colour : one column, or two whose difference it is; outside colour_range the value is
-    absent, or the colour is taken at the end of the range where `clip`. is_ : for pmra, whether
-    cos(dec) is in it. optional : the table may lack the column. fallback : this way is for tables
-    that offer none of the earlier ones and have all of its columns.
+    that stand for an absent value, in `names` and in `colour`. positive : columns that must be
+    above 0 for a value to be there. colour : one column, or two whose difference it is; outside
+    colour_range the value is absent, or the colour is taken at the end of the range where `clip`.
+    is_ : for pmra, whether cos(dec) is in it. optional : the table may lack the column. fallback :
+    this way is for tables that offer none of the earlier ones and have all of its columns.
     """
 
     column: str

@@ -114,7 +114,9 @@ def _numbers_of(
 
 
 def _colour_term(way: ColumnSource, table: pa.Table, names: Names, where: str) -> Numbers:
-    first, *second = (_numbers(table, names.first((name,)), where) for name in way.colour)
+    """What the colour adds to a magnitude; NaN where a column of it is absent."""
+    found = (names.first((name,)) for name in way.colour)
+    first, *second = (_numbers(table, name, where, way.nulls) for name in found)
     colour = first - second[0] if second else first
     if way.colour_range is not None:
         low, high = way.colour_range

@@ -256,6 +256,19 @@ add = -0.25
     ]  # fmt: skip
 
 
+def test_null_numbers_are_absent_in_colours_too(tmp_path):
+    """Such a star is one without that colour: the next way serves it, or it has no value."""
+    way = 'from = "mag"\nunit = "mag"\nnull = [99.999]\n'
+    term = 'colour = ["b", "v"]\ncoefficients = [0.0, 0.5]\n'
+    ways = f"\n[[phot_bp_mean_mag]]\n{way}{term}\n[[phot_bp_mean_mag]]\n{way}"
+    form = load(tmp_path, f"{EXAMPLE}{ways}\n[phot_rp_mean_mag]\n{way}{term}")
+    csv = "mag,id,alpha,delta,b,v\n12,1,0,0,13,12\n12,2,0,0,99.999,12\n12,3,0,0,13,99.999\n"
+    csv += "12,4,0,0,99.999,99.999\n12,5,0,0,,12\n99.999,6,0,0,13,12\n"
+    found = rows(tmp_path, form, csv)
+    assert [star["phot_bp_mean_mag"] for star in found] == [12.5, 12.0, 12.0, 12.0, 12.0, None]
+    assert [star["phot_rp_mean_mag"] for star in found] == [12.5, *5 * [None]]
+
+
 def test_missing_columns_are_named_unless_optional(tmp_path):
     text = f'{EXAMPLE}\n[parallax]\nfrom = ["plx", "par"]\nunit = "arcsec"\n'
     with pytest.raises(BadInput, match=r"'plx' or 'par' \(parallax of the form survey\)"):
