@@ -19,7 +19,7 @@ from ..fetch.fetched import stated_coverage
 from ..fetch.layout import RELEASES
 from ..forms import Form, load_form
 from ..partition import ROWS_PER_LEAF
-from ..readers import detect_form, kind_of, read_tables
+from ..readers import kind_of, read_tables, told_form
 from .build import About, IngestReport, Progress, build, silent
 from .memory import DEFAULT_BYTES, Budget
 
@@ -91,14 +91,15 @@ def ingest(
     budget = Budget(memory_bytes)
     paths, left_out = list_files(sources)
     most_bytes = budget.file_bytes
-    meaning = load_form(form) if form is not None else detect_form(paths[0], most_bytes=most_bytes)
+    meaning, assumed = _meaning(form, paths[0], most_bytes)
     files = _look_at(paths, meaning, most_bytes, tell)
     _refuse_twins(files)
     coverage, notes = _coverage(paths, meaning)
+    facts = assumed | ({"subfolders_left_out": left_out} if left_out else {})
     report = build(
         files,
         Path(destination),
-        _about(name or meaning.name, meaning, paths, left_out, coverage),
+        _about(name or meaning.name, meaning, paths, coverage, facts),
         rows_per_leaf=rows_per_leaf,
         sizes=[file.size for file in files],
         budget=budget,
@@ -107,16 +108,32 @@ def ingest(
         overwrite=overwrite,
         restart=restart,
     )
-    notes += _md5_notes(files)
+    notes += _md5_notes(files) + tuple(f"the release is {text}" for text in assumed.values())
     if left_out:
         notes += (f"{left_out} subfolders were not looked into: name them to take their files",)
     return replace(report, notes=report.notes + notes)
 
 
+def _meaning(form: str | Path | None, first: Path, most_bytes: int) -> tuple[Form, dict[str, str]]:
+    """The form asked for, or that of the first file; and what was assumed of the files."""
+    if form is not None:
+        return load_form(form), {}
+    meaning, is_told = told_form(first, most_bytes=most_bytes)
+    if is_told:
+        return meaning, {}
+    text = f"not named by the files, taken to be Gaia DR2, epoch {meaning.ref_epoch_jyear}"
+    remedy = "--form gaia_dr3 if it is DR3; for another epoch a column map"
+    return meaning, {"release": f"{text} ({remedy})"}
+
+
 def _about(
-    name: str, form: Form, paths: Sequence[Path], left_out: int, coverage: Coverage | None
+    name: str,
+    form: Form,
+    paths: Sequence[Path],
+    coverage: Coverage | None,
+    facts: JsonObject,
 ) -> About:
-    """What the catalogue of these files says of itself."""
+    """What the catalogue of these files says of itself. facts : more of them."""
     synthetic = any((path.parent / SYNTHETIC_MARK).is_file() for path in paths)
     return About(
         name=name,
@@ -128,7 +145,7 @@ def _about(
             "credit": form.credit,
             "form_sha256": hashlib.sha256(repr(form).encode()).hexdigest(),
             "epoch_scale": form.epoch_scale,
-            **({"subfolders_left_out": left_out} if left_out else {}),
+            **facts,
         },
         coverage=None if coverage is None else coverage.to_json(),
     )

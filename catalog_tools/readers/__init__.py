@@ -6,8 +6,8 @@ bounded size with the schema INCOMING, the rows in the file's order; an absent v
 
 from __future__ import annotations
 
-from .detect import detect_form
+from .detect import detect_form, told_form
 from .kinds import kind_of
 from .read import read_tables
 
-__all__ = ["detect_form", "kind_of", "read_tables"]
+__all__ = ["detect_form", "kind_of", "read_tables", "told_form"]

@@ -23,6 +23,13 @@ def detect_form(path: str | Path, field: str = "source", most_bytes: int | None 
     Raises BadInput where the file has not the columns of gaia_source, or where its columns, its
     `ref_epoch` and its `designation` speak for different releases.
     """
+    return told_form(path, field, most_bytes)[0]
+
+
+def told_form(
+    path: str | Path, field: str = "source", most_bytes: int | None = None
+) -> tuple[Form, bool]:
+    """The form as `detect_form` has it, and whether anything in the file tells the release."""
     path = Path(path)
     where = f"{field} {path}"
     kind = kind_of(path, field)
@@ -47,7 +54,7 @@ def detect_form(path: str | Path, field: str = "source", most_bytes: int | None 
     if len(forms) > 1:
         said = ", ".join(f"{what} says {form}" for what, form in sorted(evidence.items()))
         raise BadInput(where, said, "a file of one release")
-    return load_form(forms.pop() if forms else "gaia_dr2")
+    return load_form(forms.pop() if forms else "gaia_dr2"), bool(evidence)
 
 
 def _from_rows(table: pa.Table, where: str) -> dict[str, str]:

@@ -610,3 +610,24 @@ def test_a_row_left_out_is_told_with_the_source_it_came_from():
     )
     assert told["source"].to_pylist() == ["a", "c", "b"]
     assert told["row"].to_pylist() == [6, 1, 3]
+
+
+@pytest.mark.parametrize(
+    ("more", "form", "is_noted"),
+    [
+        (("pmra", "1"), None, True),
+        (("ref_epoch", ""), None, True),
+        (("ref_epoch", "2015.5"), None, False),
+        (("designation", "Gaia DR3 1"), None, False),
+        (("teff_val", ""), None, False),
+        (("pmra", "1"), "gaia_dr3", False),
+    ],
+)
+def test_a_release_that_no_file_names_is_told(tmp_path, more, form, is_noted):
+    """DR3 is half a year later: Barnard's star would be 5 arcsec off."""
+    (tmp_path / "a.csv").write_text(f"{HEAD},{more[0]}\n1,2,3,4,{more[1]}\n")
+    report = ingest([tmp_path / "a.csv"], tmp_path / "cat", form=form)
+    told = "not named by the files, taken to be Gaia DR2, epoch 2015.5 (--form gaia_dr3 if"
+    assert any(told in note for note in report.notes) == is_noted
+    assert told in info(report.catalogue)["facts"].get("release", "") or not is_noted
+    assert ("release" in info(report.catalogue)["facts"]) == is_noted
