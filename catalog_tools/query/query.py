@@ -99,7 +99,8 @@ def cone(
 ) -> tuple[pa.Table, QueryReport]:
     """Stars within a cone, in the order of `record_batches`, and what the query cost.
 
-    ra_deg, dec_deg : centre, ICRS; radius_deg : up to 180. Membership, rows and errors as in
+    ra_deg, dec_deg : centre, ICRS; radius_deg : up to 180. epoch_jyear : when a star must lie in
+    the cone; its `ra` and `dec` stay those of the catalogue's own epoch. Errors as in
     `record_batches`.
     """
     region = cone_of(ra_deg, dec_deg, radius_deg)

@@ -47,7 +47,14 @@ def cone(
     faintest_g_mag: Annotated[
         float | None, typer.Option("--faintest", help="G magnitude; default: all stars")
     ] = None,
-    epoch_jyear: Annotated[float | None, typer.Option("--epoch", help="Julian year")] = None,
+    epoch_jyear: Annotated[
+        float | None,
+        typer.Option(
+            "--epoch",
+            help="Julian year at which stars must lie in it; the ra and dec written stay those of "
+            "the catalogue's own epoch",
+        ),
+    ] = None,
     output: Annotated[Path | None, typer.Option("-o", help=".csv or .parquet")] = None,
 ) -> None:
     """Stars in a cone or a polygon, to the screen (CSV) or a file."""

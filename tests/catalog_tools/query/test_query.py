@@ -23,6 +23,7 @@ from catalog_tools.query.query import (
 )
 from catalog_tools.query.selection import motion_pad_rad, select
 from catalog_tools.query.star_catalogue import StarCatalogue
+from tests.command import nightglass
 
 
 def seen_from_the_sun(stars, epoch):
@@ -400,3 +401,16 @@ def test_light_takes_its_time_to_far_observers():
     assert motion_pad_rad(1e4, 0.0, 0.0, 1000.0) == pytest.approx(moved_rad, rel=1e-3, abs=2e-9)
     both = motion_pad_rad(1e4, 0.0, -2.0, 1000.0)
     assert both == pytest.approx(np.radians(20.0 / 3600.0) + moved_rad, rel=1e-3)
+
+
+def test_an_epoch_selects_and_leaves_places_as_they_are(catalogue):
+    """Which the help page says, and the text of the function."""
+    page = nightglass("catalog", "cone", "--help").stdout
+    of_help = " ".join(page.replace("\u2502", " ").split())
+    assert "ra and dec written stay those of the catalogue's own epoch" in of_help
+    assert "stay those of the catalogue's own epoch" in " ".join((cone.__doc__ or "").split())
+    every = cone(catalogue, 0, 0, 180)[0].to_pylist()
+    own = {star["source_id"]: (star["ra"], star["dec"]) for star in every}
+    found = cone(catalogue, 10.0, 20.0, 30.0, epoch_jyear=2300.0)[0].to_pylist()
+    assert found
+    assert all((star["ra"], star["dec"]) == own[star["source_id"]] for star in found)
