@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,7 +38,7 @@ def told_form(
         raise BadInput(where, "an SQLite file", "with a form that has `query` in its [table]")
     evidence: dict[str, str] = {}
 
-    def choose(names: list[str]) -> dict[str, str]:
+    def choose(names: list[str], _declared: Mapping[str, str]) -> dict[str, str]:
         table = Names(names)
         for form, other in (("gaia_dr2", "gaia_dr3"), ("gaia_dr3", "gaia_dr2")):
             if (mark := table.first(load_form(other).foreign)) is not None:

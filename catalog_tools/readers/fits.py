@@ -42,7 +42,7 @@ WANTED = {"integer": ("iuf", "integers"), "number": ("iuf", "numbers"), "text": 
 
 
 class Column(NamedTuple):
-    """Where a column lies in a row, and how its stored numbers become values."""
+    """Where a column lies in a row, how its stored numbers become values, and their unit."""
 
     name: str
     dtype: str
@@ -50,6 +50,7 @@ class Column(NamedTuple):
     null: int | None
     scale: float
     zero: float
+    unit: str
 
 
 def read_fits(
@@ -63,7 +64,7 @@ def read_fits(
     stream = _Stream(path, bytes_of(path, zipped=zipped, md5=md5))
     header = _find_table(stream, where, layout.hdu)
     columns = _columns(header, where)
-    chosen = choose([column.name for column in columns])
+    chosen = choose([column.name for column in columns], {c.name: c.unit for c in columns})
     twice = [n for n in chosen if sum(column.name == n for column in columns) > 1]
     if twice:
         raise BadInput(where, twice, "a table that has each of these columns once")
@@ -186,7 +187,8 @@ def _columns(header: JsonObject, where: str) -> list[Column]:
             repeat = -(-repeat // 8)
         null = header.get(f"TNULL{i}")
         scale, zero = header.get(f"TSCAL{i}", 1), header.get(f"TZERO{i}", 0)
-        columns.append(Column(name, dtype, repeat, null, scale, zero))
+        unit = str(header.get(f"TUNIT{i}", ""))
+        columns.append(Column(name, dtype, repeat, null, scale, zero, unit))
     return columns
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ..errors import BadInput, Damaged
 
-# From the columns of a table to those to read, each as `integer`, `number` or `text`.
-Choose = Callable[[list[str]], dict[str, str]]
+# From the columns of a table, and the units that it declares for some of them, to the columns to
+# read, each as `integer`, `number` or `text`.
+Choose = Callable[[list[str], Mapping[str, str]], dict[str, str]]
 
 GZIP = b"\x1f\x8b"
 BOM = b"\xef\xbb\xbf"

@@ -32,7 +32,7 @@ def read_parquet(
     """
     try:
         with pq.ParquetFile(path, **READING) as file:
-            chosen = list(choose(file.schema_arrow.names))
+            chosen = list(choose(file.schema_arrow.names, {}))
             if most_bytes is not None:
                 _refuse_large_pages(path, where, file.metadata, set(chosen), most_bytes)
             for batch in file.iter_batches(ROWS, columns=chosen, use_threads=False):

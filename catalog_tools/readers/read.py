@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pyarrow as pa
 
 from ..errors import BadInput
 from ..forms import Form
+from ..forms.form import Names
 from .detect import detect_form
 from .kinds import kind_of
 from .meaning import apply
 from .raw import raw_tables
+from .units import refuse_other_units
 
 
 def read_tables(
@@ -28,7 +30,8 @@ def read_tables(
     form : what its columns mean; by default Gaia DR2 or DR3, told from the file. md5 : a hashlib
     object: when the iterator is exhausted it has been fed every byte of the file as it lies on
     disk. field : what the path is called in messages. most_bytes : of memory.
-    Raises BadInput naming file, column and row, and Damaged where the file ends too early or can't
+    Raises BadInput naming file, column and row, also where the file declares another unit for a
+    column than the form reads it in, and Damaged where the file ends too early or can't
     be decoded.
     """
     path = Path(path)
@@ -43,8 +46,10 @@ def _tables(
     rows = 0
     try:
 
-        def choose(names: list[str]) -> dict[str, str]:
-            return form.choose(names, where)
+        def choose(names: list[str], declared: Mapping[str, str]) -> dict[str, str]:
+            chosen = form.choose(names, where)
+            refuse_other_units(form, Names(names), declared, where)
+            return chosen
 
         raw = raw_tables(path, kind, form.layout, choose, where, md5, most_bytes)
         for table in raw:

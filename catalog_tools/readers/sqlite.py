@@ -49,7 +49,7 @@ def _uri(path: Path) -> str:
 def _rows(base: sqlite3.Connection, where: str, query: str, choose: Choose) -> Iterator[pa.Table]:
     cursor = base.execute(query)
     names = [column[0] for column in cursor.description]
-    chosen = choose(names)
+    chosen = choose(names, {})
     places = {name: names.index(name) for name in chosen}
     before = 0
     while rows := cursor.fetchmany(ROWS):

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from ..forms import Layout
 from .bytes_in import bytes_of
+from .ecsv import is_ecsv, units_of
 from .fields import FieldTaker
 from .kinds import BOM, Choose
 
@@ -41,8 +42,8 @@ def read_text(
     where : the file, for messages. Raises BadInput naming row and column, and Damaged.
     """
     blocks = _whole_lines(bytes_of(path, zipped=zipped, md5=md5), where)
-    names, layout, blocks = _header(blocks, where, layout)
-    chosen = choose(names)
+    names, declared, layout, blocks = _header(blocks, where, layout)
+    chosen = choose(names, declared)
     if twice := [name for name in chosen if names.count(name) > 1]:
         raise BadInput(where, twice, "a header that has each of these columns once")
     take = _taker(names, chosen, where, layout)
@@ -89,8 +90,9 @@ def _refuse_lone_returns(block: bytes, where: str) -> None:
 
 def _header(
     blocks: Iterator[bytes], where: str, layout: Layout
-) -> tuple[list[str], Layout, Iterator[bytes]]:
-    """Column names, the layout that the file itself states (ECSV), and the blocks from row 1 on."""
+) -> tuple[list[str], dict[str, str], Layout, Iterator[bytes]]:
+    """Column names, the units and layout that the file itself states (ECSV), and the blocks from
+    row 1 on."""
     comments = tuple(text.encode() for text in layout.comments)
     skipped: list[bytes] = []
     for block in blocks:
@@ -108,7 +110,7 @@ def _header(
             else:
                 names = _names(line, where, layout)
                 start = end
-            return names, layout, _chain(block[start:], blocks)
+            return names, units_of(skipped), layout, _chain(block[start:], blocks)
     raise BadInput(where, b"".join(skipped)[:40], "a table (this file has no line of one)")
 
 
@@ -120,7 +122,7 @@ def _chain(first: bytes, rest: Iterator[bytes]) -> Iterator[bytes]:
 
 def _stated(comments: list[bytes], layout: Layout) -> Layout:
     """An ECSV file says in its comments by what its fields are separated; by default a blank."""
-    if not any(line.startswith(b"# %ECSV") for line in comments):
+    if not is_ecsv(comments):
         return layout
     for line in comments:
         if found := re.match(rb"# delimiter: (['\"]?)(.)\1\s*$", line):

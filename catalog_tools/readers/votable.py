@@ -44,7 +44,8 @@ def read_votable(
     except Exception as error:  # the XML parser has many ways to fail
         raise Damaged(str(path), f"cannot be read as VOTable ({str(error)[:200]})") from None
     fields = {(field.name or field.ID): field.ID for field in reversed(table.fields)}
-    chosen = choose(list(fields))
+    declared = {f.name or f.ID: str(f.unit) for f in reversed(table.fields) if f.unit is not None}
+    chosen = choose(list(fields), declared)
     for start in range(0, max(len(data), 1), ROWS):
         rows = data[start : start + ROWS]
         yield pa.table(
