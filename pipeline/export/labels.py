@@ -10,10 +10,13 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from pipeline.export.response import STEP_PX, arc_nodes, arc_segments
+from pipeline.physics.motion.streak import Box, within
 from pipeline.store.layout import TRUTH
 
 Array = NDArray[np.float64]
 
+MOST_NODES = 1_000_000  # of paths that are looked at together
 TARGET, STAR = 1, 2  # class numbers, as SatNet counts them
 CLASS_NAMES = {TARGET: "Satellite", STAR: "Star"}
 _COLUMNS = (
@@ -99,17 +102,17 @@ def frame_labels(
     shape : (rows, columns) of the frame; sources no part of whose path lies in it are omitted
     stars_snr : stars of this signal-to-noise and more are labelled; None: targets alone
     """
-    parts = [_part(product / TRUTH / "targets.parquet", TARGET, frame, 0.0)]
+    parts = [_part(product / TRUTH / "targets.parquet", TARGET, frame, shape, 0.0)]
     if stars_snr is not None:
-        parts.append(_part(product / TRUTH / "stars.parquet", STAR, frame, stars_snr))
-    whole = Labels(
+        parts.append(_part(product / TRUTH / "stars.parquet", STAR, frame, shape, stars_snr))
+    return Labels(
         **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Labels)}
     )
-    return whole.take(_crosses(whole, shape))
 
 
-def _part(path: Path, kind: int, frame: int, least_snr: float) -> Labels:
-    """One truth table's rows of a frame that send light; empty where there is no table."""
+def _part(path: Path, kind: int, frame: int, shape: tuple[int, int], least_snr: float) -> Labels:
+    """One truth table's rows of a frame that send light and come into it; empty where there is no
+    table."""
     names = {
         TARGET: ("name", "radius_px", "object_name", "v_mag", "mag_ab"),
         STAR: ("source_id", "g_mag"),
@@ -125,11 +128,12 @@ def _part(path: Path, kind: int, frame: int, least_snr: float) -> Labels:
             }
         )
     known = pq.read_schema(path).names
-    wanted = [c for c in (*_COLUMNS, *names) if c in known]
+    wanted = [c for c in (*_COLUMNS, *names, "visible_fraction") if c in known]
     rows = pq.read_table(path, columns=wanted, filters=[("frame", "=", frame)])
     got = {c: rows[c].to_numpy() for c in wanted}
     # products of earlier versions hold none of these
     got.setdefault("radius_px", np.zeros(rows.num_rows))
+    got.setdefault("visible_fraction", np.ones(rows.num_rows))
     got.setdefault("object_name", got[names[0]])
     for name in ("g_mag", "v_mag", "mag_ab"):
         got.setdefault(name, np.full(rows.num_rows, np.nan))
@@ -138,26 +142,45 @@ def _part(path: Path, kind: int, frame: int, least_snr: float) -> Labels:
     kept = np.flatnonzero((got["electrons"] > 0) & (got["snr"] >= least_snr))
     kept = kept[np.argsort(-got["electrons"][kept], kind="stable")]
     n = len(kept)
-    return Labels(
+    labels = Labels(
         kind=np.full(n, kind, np.int64),
         name=got[names[0]][kept].astype("U64"),
         object_name=got["object_name"][kept].astype("U80"),
         **{c: got[c][kept].astype(float) for c in ("g_mag", "v_mag", "mag_ab", "radius_px")},
         **{c: got[c][kept].astype(float) for c in _COLUMNS},
     )
+    return labels.take(_crosses(labels, shape, got["visible_fraction"][kept] >= 1.0))
 
 
-def _crosses(labels: Labels, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Whether some part of each straight path lies within the frame (Liang and Barsky 1984)."""
-    low, high = np.zeros(len(labels)), np.ones(len(labels))
-    for a, b, size in (
-        (labels.x_start_px, labels.x_end_px, shape[1]),
-        (labels.y_start_px, labels.y_end_px, shape[0]),
-    ):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.sort(np.stack([(-0.5 - a) / (b - a), (size - 0.5 - a) / (b - a)]), axis=0)
-        still = a == b
-        inside = (a >= -0.5) & (a <= size - 0.5)
-        low = np.maximum(low, np.where(still, np.where(inside, 0.0, 2.0), t[0]))
-        high = np.minimum(high, np.where(still, 1.0, t[1]))
-    return np.asarray(low <= high)
+def _crosses(
+    labels: Labels, shape: tuple[int, int], seen: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
+    """Whether some part of each path lies within the frame: the arc that masks are drawn along.
+
+    seen : all the while, where not all are. The path of others begins and ends where they come
+    out or hide, their place at mid-exposure need not lie on it, and it is taken as straight.
+    """
+    start, middle, end = (
+        getattr(labels, f"x{w}_px") + 1j * getattr(labels, f"y{w}_px")
+        for w in ("_start", "", "_end")
+    )
+    box = (-0.5, shape[1] - 0.5, -0.5, shape[0] - 0.5)
+    out = _enters(np.stack([start, end], axis=-1), box)
+    bend_px = np.abs(0.5 * (start + end) - middle)
+    bent = np.isfinite(bend_px) & (bend_px > 0.5 * STEP_PX)
+    bent &= True if seen is None else seen
+    order = np.flatnonzero(bent)[np.argsort(bend_px[bent])]
+    while order.size:
+        segments = arc_segments(float(bend_px[order[-1]]))
+        many = max(1, MOST_NODES // segments)
+        order, some = order[:-many], order[-many:]
+        ways = middle[some] - start[some], end[some] - middle[some]
+        out[some] = _enters(middle[some, None] + arc_nodes(*ways, segments), box)
+    return out
+
+
+def _enters(nodes: NDArray[np.complex128], box: Box) -> NDArray[np.bool_]:
+    """Whether polylines through nodes (n, k), x + iy, come into a box."""
+    at, way = nodes[:, :-1], np.diff(nodes, axis=1)
+    first, last = within(at.real, at.imag, way.real, way.imag, box)
+    return np.asarray((first <= last).any(axis=1))

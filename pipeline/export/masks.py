@@ -51,8 +51,8 @@ def source_masks(
 ) -> Iterator[Mask]:
     """The mask of each label in turn, cut to the frame.
 
-    The light is the source's response swept along the parabola through start, middle and end of
-    its path, evenly lit (export/response.py); a body of more than FULL_DISC px is a full disc.
+    The light is the source's response swept along the arc through start, middle and end of its
+    path, evenly lit (export/response.py); a body of more than FULL_DISC px is a full disc.
     """
     for i in range(len(labels)):
         ends = [

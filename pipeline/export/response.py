@@ -25,9 +25,11 @@ from pipeline.plan.optics.psf_field import PsfField
 from pipeline.spec.scene import Scene
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 STEP_PX = 0.125  # paths and places are rounded to it, so that sources alike share their stamps
-NODES = 9  # of a bent path
+SEGMENTS = (8, 1024)  # of a bent path: the fewest, so that its speed is followed, and the most
+TURN_RAD = math.radians(120.0)  # from one half of a path to the other, up to which it is an arc
 LARGEST_PX = 128.0
 LARGEST_SAMPLES = 1024  # radius times samples a pixel
 KEPT = 512  # stamps
@@ -140,16 +142,48 @@ def source_light(scene: Scene) -> SourceLight:
 
 
 def path_between(start: Array, middle: Array, end: Array) -> Path:
-    """The parabola through three places (x, y), about the middle one, evenly lit.
+    """The arc (`arc_nodes`) through three places (x, y), about the middle one, evenly lit.
 
     Rounded to STEP_PX. What bends otherwise, or brightens while it is exposed, differs by that.
     """
     half = np.round(0.5 * (end - start) / STEP_PX) * STEP_PX
     bend = np.round((0.5 * (end + start) - middle) / STEP_PX) * STEP_PX
-    nodes = NODES if bend.any() else 2
-    t = np.linspace(-1.0, 1.0, nodes)
-    x, y = (half[i] * t + bend[i] * t * t for i in (0, 1))
-    return Path(x, y, np.full(nodes - 1, 1.0 / (nodes - 1)))
+    before, after = (np.array([complex(*way)]) for way in (half - bend, half + bend))
+    segments = arc_segments(float(np.hypot(*bend)))
+    at = arc_nodes(before, after, segments)[0]
+    return Path(at.real, at.imag, np.full(segments, 1.0 / segments))
+
+
+def arc_segments(bend_px: float) -> int:
+    """How many straight segments follow an arc to STEP_PX / 2; an even number, or one.
+
+    bend_px : from the middle of its chord to its own
+    """
+    if bend_px == 0.0:
+        return 1
+    needed = 2 * math.ceil(0.5 * math.sqrt(2.0 * bend_px / STEP_PX))
+    return int(min(max(needed, SEGMENTS[0]), SEGMENTS[1]))
+
+
+def arc_nodes(before: Complex, after: Complex, segments: int) -> Complex:
+    """Nodes (n, segments + 1), x + iy from the middle, at equal times along arcs of n sources.
+
+    before, after : (n,) ways x + iy from start to middle and from there to the end, that take
+    equal times. Motion turns and changes its speed by the ratio of the two in each half, evenly:
+    along a circle where they are equally long, as stars about the pole; where little bends, a
+    parabola. One that turns by more than TURN_RAD goes to and fro, and is a parabola as well.
+    """
+    if segments == 1:
+        return np.stack([-before, after], axis=-1)
+    t = np.linspace(-1.0, 1.0, segments + 1)
+    half, bend = 0.5 * (after + before)[:, None], 0.5 * (after - before)[:, None]
+    nodes = half * t + bend * t * t
+    moves = (before != 0.0) & (after != 0.0)
+    rate = np.log(np.divide(after, before, out=np.ones_like(after), where=moves))
+    turns = (np.abs(rate.imag) <= TURN_RAD) & (np.abs(rate) > 1e-3)
+    growth = np.expm1(rate[turns, None] * t) / np.expm1(rate[turns, None])
+    nodes[turns] = after[turns, None] * growth
+    return nodes
 
 
 def _joined(stamps: list[tuple[int, int, Array]]) -> tuple[int, int, Array]:

@@ -11,6 +11,7 @@ import pytest
 
 from pipeline.export.formats import ExportRequest, export_product
 from pipeline.export.labels import frame_labels
+from pipeline.export.response import path_between
 from pipeline.store.cube import read_layer
 
 SHAPE = 100, 300  # rows, columns
@@ -83,3 +84,45 @@ def test_angle_of_a_streak_is_that_of_its_light(labelled, tmp_path):
     assert np.hypot(xx - yy, 2.0 * xy) > 0.5 * (xx + yy)  # a streak that has a direction
     assert abs(abs(angle) - 45.0) > 10.0  # and would have another with its axes swapped
     assert (told["angle_deg"] - angle + 90.0) % 180.0 - 90.0 == pytest.approx(0.0, abs=0.5)
+
+
+def arc(centre, radius_px, middle_deg, half_deg):
+    """Start, middle and end (x, y) of an arc."""
+    turns = np.radians(middle_deg + np.array([-1.0, 0.0, 1.0]) * half_deg)
+    return np.array(centre) + radius_px * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+
+
+def test_a_long_trail_is_kept_by_its_arc_and_not_by_its_chord(tmp_path):
+    """Arcs of 60 degrees about the pole: the chord of the first passes below the frame, that of the
+    second crosses it; one that a part of the exposure hides keeps its straight path."""
+    trails = [arc((150, -338), 360, 90, 30), arc((150, -338), 470, 90, 30)]
+    trails += [arc((150, 500), 420, -90, 130), arc((-900, 50), 1205, 0, 1.5)]
+    trails += [np.array([(150, -90), (150, 20), (150, -60)], float)] * 2
+    labels_of(tmp_path, [((50, 50), (60, 60))] * len(trails))
+    table = pq.read_table(tmp_path / "truth" / "targets.parquet").to_pydict()
+    for which, at in zip(("_start", "", "_end"), np.stack(trails, axis=1), strict=True):
+        table |= {f"x{which}_px": at[:, 0], f"y{which}_px": at[:, 1]}
+    table["visible_fraction"] = [1.0] * 5 + [0.2]
+    pq.write_table(pa.table(table), tmp_path / "truth" / "targets.parquet")
+    assert frame_labels(tmp_path, 0, SHAPE).name.tolist() == ["t0", "t2", "t4"]
+    flat = frame_labels(tmp_path, 0, (200, 400)).name.tolist()
+    assert flat == [f"t{i}" for i in range(5)]
+
+
+def test_arcs_follow_even_turns_to_a_tenth_of_a_pixel():
+    """Of 1.5 to 220 degrees, at radii to 3000 px; to and fro stays on its line, rest at rest."""
+    for radius_px, half_deg in ((3000, 0.75), (500, 30), (1500, 30), (300, 110)):
+        start, middle, end = arc((20, 30), radius_px, 65, half_deg)
+        path = path_between(start, middle, end)
+        x, y = (middle[i] + v for i, v in enumerate((path.x_px, path.y_px)))
+        for at_x, at_y in ((x, y), (0.5 * (x[1:] + x[:-1]), 0.5 * (y[1:] + y[:-1]))):
+            off = np.hypot(at_x - 20, at_y - 30) - radius_px
+            assert np.abs(off).max() < 0.25, (radius_px, half_deg)
+        steps = np.hypot(np.diff(x), np.diff(y))
+        assert np.ptp(steps) < 0.01 * steps.mean() + 0.05
+    back = path_between(np.zeros(2), np.array([100.0, 0.0]), np.array([10.0, 0.0]))
+    assert not back.y_px.any()
+    assert (back.x_px.min(), back.x_px[-1], back.segments % 2) == (-100.0, -90.0, 0)
+    waits = path_between(np.zeros(2), np.zeros(2), np.array([40.0, 30.0]))
+    assert np.hypot(waits.x_px[-1], waits.y_px[-1]) == pytest.approx(50.0, abs=0.2)
+    assert path_between(*np.full((3, 2), 5.0)).segments == 1

@@ -579,6 +579,7 @@ def test_pictures() -> None:
     }
     whole = {k: np.zeros(n) for k in labels.Labels.__dataclass_fields__}
     whole |= {k: np.array(v, float) for k, v in ends.items()} | {"kind": np.array([1, 2] * 4)}
+    whole |= {f"{a}_px": 0.5 * (whole[f"{a}_start_px"] + whole[f"{a}_end_px"]) for a in "xy"}
     found = labels.Labels(**whole)
     told += f"{labels._crosses(found, (20, 24))}\n"
     told += arrays({"length": found.length_px, "angle": found.angle_deg, "mag": found.magnitude})
