@@ -13,12 +13,12 @@ from pipeline.export.times import ExposureTimes
 KEYPOINTS = ["start", "middle", "end"]
 
 
-def dataset(title: str, threshold_e: float) -> JsonObject:
+def dataset(title: str) -> JsonObject:
     """A data set without images yet, with its categories and what its numbers mean."""
     return {
         "info": {
             "description": title,
-            "masks": RULE.replace("THRESH", f"{threshold_e:.6g}"),
+            "masks": RULE.replace("THRESH", "its image's threshold_e"),
             "pixels": "row 0 is the image's first row; keypoints and streaks count from the centre "
             "of the first pixel, boxes from its outer corner",
             "time_system": "UTC",

@@ -105,10 +105,16 @@ class _Job:
         return source_light(scene_of(self.cube))
 
     @cached_property
-    def threshold_e(self) -> float:
-        """Least electrons of a mask's pixel."""
+    def _noise_e(self) -> list[float]:
+        """Noise of an empty pixel in the middle of each frame, or one number for all; of products
+        of earlier versions that of the darkest place and the shortest exposure."""
         report = json.loads((self.product / REPORT).read_text())
-        return self.request.threshold_sigma * float(report["errors"]["noise_floor_e"])
+        return list(report.get("empty_noise_e", [report["errors"]["noise_floor_e"]]))
+
+    def threshold_e(self, frame: int) -> float:
+        """Least electrons of a mask's pixel in a frame."""
+        noise_e = self._noise_e[frame if len(self._noise_e) > 1 else 0]
+        return self.request.threshold_sigma * float(noise_e)
 
     def labels(self, frame: int) -> Labels:
         return frame_labels(self.product, frame, self.shape, self.request.stars_snr)
@@ -152,14 +158,14 @@ def _satnet(job: _Job, output: Path) -> Iterator[Path]:
 def _coco(job: _Job, output: Path) -> Iterator[Path]:
     """images/frame-00000.png (16 bits; FITS where these do not hold the numbers), annotations."""
     (output / "images").mkdir(parents=True)
-    data = coco.dataset(job.name, job.threshold_e)
+    data = coco.dataset(job.name)
     for number, k in enumerate(job.frames, start=1):
         image = _write_image(job, k, output / "images" / f"frame-{k:05d}")
         yield image
-        labels = job.labels(k)
+        labels, least_e = job.labels(k), job.threshold_e(k)
         entry = coco.image_entry(number, image.name, job.shape, exposure_of(job.cube, k))
-        data["images"].append(entry)
-        for i, mask in enumerate(source_masks(labels, job.light, job.shape, job.threshold_e)):
+        data["images"].append(entry | {"threshold_e": least_e})
+        for i, mask in enumerate(source_masks(labels, job.light, job.shape, least_e)):
             one = coco.annotation(len(data["annotations"]) + 1, number, labels, i, mask, job.shape)
             if one is not None:
                 data["annotations"].append(one)
@@ -189,15 +195,15 @@ def _masks(job: _Job, output: Path) -> Iterator[Path]:
     """frame-00000.fits: classes, source numbers, and the table of the sources."""
     output.mkdir(parents=True)
     for k in job.frames:
-        labels = job.labels(k)
-        masks = source_masks(labels, job.light, job.shape, job.threshold_e)
+        labels, least_e = job.labels(k), job.threshold_e(k)
+        masks = source_masks(labels, job.light, job.shape, least_e)
         owner = paint(labels, masks, job.shape)
         classes = np.concatenate([[0], labels.kind]).astype(np.uint8)[owner]
         if job.request.light == "layers":
-            classes = classes_from_light(job.product, k, job.layers, job.threshold_e)
+            classes = classes_from_light(job.product, k, job.layers, least_e)
         cards = fits_header(job.cube, k, job.request.layer)
         cards = [c for c in cards if c[0] not in ("BUNIT", "SATURATE")] + [
-            ("THRESH", job.threshold_e, "[e-] least light of a mask's pixel"),
+            ("THRESH", least_e, "[e-] least light of a mask's pixel"),
             ("CLASSBY", job.request.light, "what CLASS is made from"),
             ("COMMENT", "CLASS: 1 target, 2 star, 0 none; SOURCE: number in the table SOURCES", ""),
             ("COMMENT", RULE, ""),

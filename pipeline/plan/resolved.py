@@ -18,7 +18,7 @@ from pipeline.plan.pointing.geometry import camera_of
 from pipeline.plan.response.responses import ResponsePlan, plan_responses
 from pipeline.plan.response.streaks import merged_px
 from pipeline.plan.sensor.detector import collected_for, lag_depth
-from pipeline.plan.timing import frame_count, integration_range_s, integration_s
+from pipeline.plan.timing import frame_count, frame_times, integration_range_s, integration_s
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -81,6 +81,25 @@ class ResolvedScene:
             return variance
         more_e_s = f.flat * self.sky_e_s(frame, x_px, y_px) - f.background_e_s
         return variance + more_e_s * self.integration_s(frame)
+
+    def empty_noise_e(self) -> Array:
+        """Noise (frames,) of a pixel without a source in the middle of each frame [e-].
+
+        The root of `snr_floor_e2` there, of all frames at once.
+        """
+        f, least_s = self.facts, integration_range_s(self.scene)[0]
+        if not self.scene.sensor.photon_noise:
+            return np.full(self.frames, f.sigma_floor_e)
+        frames, sky_e_s = np.arange(self.frames), np.array([f.background_e_s])
+        time_s = frame_times(self.scene, frames)[1]
+        if self.sky is not None:
+            x, y = np.array(self.camera.centre_px)[:, None]
+            knots = self.sky.knots
+            at_knots = [float(self.sky.e_s_at(k, x, y)[0]) for k in knots.tolist()]
+            sky_e_s = np.interp(frames, knots, at_knots)
+        more_e = f.flat * sky_e_s * time_s - f.background_e_s * least_s
+        more_e += f.dark_e * (time_s / least_s - 1.0)
+        return np.asarray(np.sqrt(f.sigma_floor_e**2 + more_e))
 
     @property
     def full_e(self) -> float:

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 WINDOW = 256
+SAME = 1e-3  # of the noise of an empty pixel, up to which frames share one number
 DTYPES = {"wcs_sip_order": np.int16, "dwell": np.int32}  # else float64, or int64
 LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
 SOURCES = ("stars", "targets")  # tables of truth whose light is drawn as such
@@ -227,6 +228,7 @@ def _report(
         "colour_fit": colour_facts(plan),
         "coverage": plan.coverage.as_dict() if plan.coverage else None,
         "errors": errors,
+        **_empty_noise(plan),
         "remarks": list(plan.remarks),
         "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
         "versions": {"nightglass": version("nightglass")} | {n: version(n) for n in LIBRARIES},
@@ -249,6 +251,15 @@ def _errors(plan: Plan, begun: Begun, checks: list[JsonObject]) -> JsonObject:
         "brightest_source_e": drawn.brightest_e,
         "wing_error_of_brightest_e": drawn.errors_e.get(WINGS, 0.0),
     } | _achieved(checks)
+
+
+def _empty_noise(plan: Plan) -> JsonObject:
+    """`empty_noise_e`, the noise of a pixel without a source in the middle of each frame; nothing
+    where `noise_floor_e`, of the darkest place and the shortest exposure, serves all to SAME."""
+    noise_e, floor_e = plan.empty_noise_e(), plan.facts.sigma_floor_e
+    if (np.abs(noise_e - floor_e) <= SAME * floor_e).all():
+        return {}
+    return {"empty_noise_e": [float(f"{v:.6g}") for v in noise_e]}
 
 
 def _doubts(plan: Plan, errors: JsonObject) -> list[str]:

@@ -84,6 +84,21 @@ def test_snr_is_that_of_each_stars_own_streak() -> None:
 DWELLS = [{"integration_s": 1.0}, {"integration_s": 4.0, "start_s": 10.0}]
 
 
+def test_noise_of_all_frames_at_once_is_that_of_each() -> None:
+    """In the middle of frames, the sky linear between two of four, dark and exposures their own."""
+    dwells = [{"integration_s": (1.0, 4.0), "frames": 3}, {"integration_s": 9.0, "start_s": 20.0}]
+    plan = prepare(scene(dwells=dwells, exposure={"integration_s": 1.0})).plan
+    plan = replace(plan, facts=replace(plan.facts, dark_e=7.0, flat=0.9))
+    rows, columns = plan.scene.sensor.shape
+    grids = np.stack([np.full((2, 2), 10.0), np.array([[100.0, 500.0], [900.0, 700.0]])])
+    sky = SkyPlan((rows, columns), np.array([0, 3]), grids, 10.0, 0.0, None, ())
+    x, y = np.array(plan.camera.centre_px)[:, None]
+    for one in (plan, replace(plan, sky=sky, facts=facts_with_sky(plan.facts, plan.scene, sky))):
+        each = [one.snr_floor_e2(k, x, y)[0] for k in range(one.frames)]
+        assert one.empty_noise_e() ** 2 == pytest.approx(each, rel=1e-12)
+        assert len(np.unique(each)) > 1
+
+
 def test_each_frame_of_a_target_has_the_noise_of_its_own_time() -> None:
     """Under a bright sky four times the exposure is twice the SNR of a steady light."""
     sky = {"background": {"uniform_e_per_s": 1e9}, "exposure": {"integration_s": 1.0}}

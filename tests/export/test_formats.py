@@ -28,6 +28,8 @@ from pipeline.export.labels import Labels
 from pipeline.export.masks import Mask, _as_disc, _cut, classes_from_light, mask_fits, paint
 from pipeline.export.movie import write_mp4
 from pipeline.export.times import ExposureTimes
+from pipeline.route.run import render
+from pipeline.spec.load import parse_scene
 from pipeline.store.cube import read_layer
 
 STARS = ExportRequest(stars_snr=10.0)
@@ -366,7 +368,7 @@ def test_satnet_names_its_image_and_holds_nine_tenths_of_a_point(labelled, tmp_p
     margin = 0.5 * (one["bbox_width"] - (one["x_max"] - one["x_min"])) * 512
     assert margin == pytest.approx(np.sqrt((0.9**2 + 1 / 12) * 2 * np.log(10)), abs=0.15)
     floor = json.loads((labelled / "report.json").read_text())["errors"]["noise_floor_e"]
-    assert _Job(labelled, ExportRequest(threshold_sigma=3.0)).threshold_e == 3.0 * floor
+    assert _Job(labelled, ExportRequest(threshold_sigma=3.0)).threshold_e(1) == 3.0 * floor
 
 
 @pytest.mark.parametrize(
@@ -386,3 +388,54 @@ def test_an_image_is_a_png_only_where_16_bits_hold_it(values, suffix, tmp_path, 
     assert path.suffix == suffix
     if suffix == ".png":
         assert np.array_equal(np.asarray(Image.open(path)), values)
+
+
+SKIES = {
+    "exposures": {
+        "dwells": [{"integration_s": t, "frames": 1} for t in (1.0, 100.0, 0.0)],
+        "background": {"uniform_e_per_s": 100.0},
+    },
+    "twilight": {
+        "exposure": {"integration_s": 2.0, "frames": 4, "cadence_s": 1200.0},
+        "background": {"twilight": True, "airglow": True},
+    },
+    "no photon noise": {
+        "exposure": {"integration_s": 2.0, "frames": 2, "cadence_s": 1200.0},
+        "background": {"twilight": True},
+    },
+}
+
+
+@pytest.mark.parametrize("name", SKIES)
+def test_thresholds_are_of_the_frame_s_own_exposure_and_sky(name, tmp_path):
+    """By hand from the layer of the sky and the detector's numbers, in masks and COCO alike."""
+    photons = name != "no photon noise"
+    scene = {
+        "schema": "nightglass/scene/1", "name": "skies", "epoch": "2015-07-02T02:30:00Z", "seed": 1,
+        "observer": {
+            "kind": "ground", "latitude_deg": 40.0, "longitude_deg": 0.0,
+            "atmosphere": {"extinction": True},
+        },
+        "sensor": {
+            "shape": [48, 65], "pixel_pitch_um": 9.0, "focal_length_m": 0.01, "aperture_m": 0.01,
+            "bandpass": {"kind": "named", "name": "bessell-V"}, "read_noise_e": 3.0, "adc_bits": 24,
+            "psf": {"kind": "gaussian", "sigma_px": 1.0}, "dark_e_per_s": 2.0, "flat": 0.9,
+            "photon_noise": photons,
+        },
+        "pointing": {"mode": "sidereal", "boresight_ra_deg": 300.0, "boresight_dec_deg": 30.0},
+        "exposure": {"integration_s": 1.0}, "accept": ["moon", "sun", "daylight", "error"],
+        "output": {"layers": ["dn", "background_e"]},
+    } | SKIES[name]  # fmt: skip
+    run = tmp_path / "run"
+    render(parse_scene(scene), run)
+    made = list(export_product(run, "masks", tmp_path / "masks", ExportRequest(None, "dn", 0.0, 2)))
+    *_, coco = export_product(run, "coco", tmp_path / "coco", ExportRequest(threshold_sigma=2.0))
+    images = json.loads(coco.read_text())["images"]
+    assert len(images) == len(made) > 1
+    for k, (path, image) in enumerate(zip(made, images, strict=True)):
+        header = fits.getheader(path)
+        sky_e = read_layer(run, "background_e", k)[23:25, 32].mean(dtype=float)
+        charge_e = sky_e + 2.0 * header["EXPTIME"] if photons else 0.0
+        wanted = 2.0 * np.sqrt(charge_e + 9.0 + 1 / 12)
+        assert header["THRESH"] == pytest.approx(wanted, rel=2e-3), k
+        assert image["threshold_e"] == header["THRESH"]
