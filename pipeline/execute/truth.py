@@ -119,10 +119,11 @@ def _star_snr(
     at = (scale - nodes[0]) / (nodes[1] - nodes[0])
     low = np.minimum(at.astype(np.intp), LENGTHS - 2)
     which = np.arange(len(scale))
-    with np.errstate(divide="ignore"):
-        one, other = np.log(found[low, which]), np.log(found[low + 1, which])
-    share = at - low
-    return np.where(stars.light_e > 0.0, np.exp((1.0 - share) * one + share * other), 0.0)
+    share, lit = at - low, stars.light_e > 0.0
+    one, other = (
+        np.log(found[k, which], where=lit, out=np.zeros(len(lit))) for k in (low, low + 1)
+    )
+    return np.where(lit, np.exp((1.0 - share) * one + share * other), 0.0)
 
 
 def _lengths_px(streak: Streak, x_px: Array, y_px: Array) -> Array:
