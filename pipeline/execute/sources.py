@@ -63,12 +63,13 @@ def place_stars(
         stars.dec_rad,
         stars.pm_ra_cosdec_rad_yr,
         stars.pm_dec_rad_yr,
-        stars.parallax_rad if request.parallax else np.full(len(stars), np.nan),
+        stars.parallax_rad,
         stars.radial_velocity_m_s,
         ref_epoch_jyear,
         float(g.tt1[0, middle]),
         float(g.tt2[0, middle]),
         observer[0],
+        request.parallax,
     )
     proper = star_proper(
         astrometric, *observer, deflection=request.deflection, aberration=request.aberration

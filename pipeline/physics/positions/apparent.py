@@ -87,6 +87,7 @@ def star_astrometric(
     tt1: float,
     tt2: float,
     observer_position_m: Array,
+    displaced: bool = True,
 ) -> Array:
     """Astrometric directions (n, 3) of stars, ICRS: space motion and parallax, no aberration.
 
@@ -102,12 +103,14 @@ def star_astrometric(
         proper motion in right ascension with cos(dec) included [rad/yr]; radial velocity [m/s].
     tt1, tt2 : two-part Julian date of the observation, TT.
     observer_position_m : (3,) barycentric ICRS position of the observer.
+    displaced : whether parallax moves the stars; if not, it still says how near they are, by which
+        their radial velocity changes their motion
     """
     years = ((tt1 - _J2000_JD) + tt2) / JULIAN_YEAR_DAYS - (ref_epoch_jyear - 2000.0)
     observer_au = np.asarray(observer_position_m, float) / ASTRONOMICAL_UNIT_M
     columns = (ra_rad, dec_rad, pmra_cosdec_rad_yr, pmdec_rad_yr, parallax_rad, rv_m_s)
     ra, dec, pmra, pmdec, plx, rv = (np.ascontiguousarray(c, dtype=np.float64) for c in columns)
-    return _space_motion(ra, dec, pmra, pmdec, plx, rv, years, observer_au)
+    return _space_motion(ra, dec, pmra, pmdec, plx, rv, years, observer_au, float(displaced))
 
 
 _AU_YR_PER_M_S = _JULIAN_YEAR_S / ASTRONOMICAL_UNIT_M
@@ -115,7 +118,7 @@ _AU_LIGHT_YR = ASTRONOMICAL_UNIT_M / SPEED_OF_LIGHT_M_S / _JULIAN_YEAR_S
 
 
 @njit(cache=True, nogil=True)
-def _space_motion(ra, dec, pmra, pmdec, plx, rv, years, observer_au):
+def _space_motion(ra, dec, pmra, pmdec, plx, rv, years, observer_au, displaced):
     """Kernel of `star_astrometric`: (n,) columns, years since the epoch, (3,) au -> (n, 3)."""
     out = np.empty((ra.size, 3))
     for i in range(ra.size):
@@ -127,6 +130,7 @@ def _space_motion(ra, dec, pmra, pmdec, plx, rv, years, observer_au):
         mu_r = 0.0 if np.isnan(rv[i]) else rv[i] * _AU_YR_PER_M_S * parallax
         toward = x * observer_au[0] + y * observer_au[1] + z * observer_au[2]
         dt = years + toward * _AU_LIGHT_YR
+        parallax *= displaced
         px = x + dt * (-mu_a * sa - mu_d * sd * ca + mu_r * x) - parallax * observer_au[0]
         py = y + dt * (mu_a * ca - mu_d * sd * sa + mu_r * y) - parallax * observer_au[1]
         pz = z + dt * (mu_d * cd + mu_r * z) - parallax * observer_au[2]

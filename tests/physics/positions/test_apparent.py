@@ -377,3 +377,19 @@ def test_caps_before_aberration_hold_all_that_is_seen(speed: float) -> None:
         assert came_from.max() <= radii[0] + 1e-12
         if radii[0] < np.pi / 2:
             assert came_from.max() > 0.999 * radii[0]
+
+
+@pytest.mark.parametrize("year", [1915.5, 2115.5])
+def test_without_parallax_near_stars_still_hasten(year: float) -> None:
+    """Their motion is that of astropy for one far from the Sun's neighbourhood in nothing else."""
+    near = STARS[:2]
+    tt = Time(year, format="jyear", scale="tt")
+    found = star_astrometric(*columns(near), 2015.5, tt.jd1, tt.jd2, OBSERVER, displaced=False)
+    ra, dec, pmra, pmdec, parallax, rv = near.T
+    there = SkyCoord(
+        ra * au.deg, dec * au.deg, pm_ra_cosdec=pmra * au.mas / au.yr,
+        pm_dec=pmdec * au.mas / au.yr, distance=1e3 / parallax * au.pc,
+        radial_velocity=rv * au.km / au.s, obstime=Time(2015.5, format="jyear", scale="tt"),
+    ).apply_space_motion(new_obstime=tt)  # fmt: skip
+    expected = from_angles(there.ra.rad, there.dec.rad)
+    assert separation(found, expected).max() < 0.03 * ARCSEC_RAD  # 4.5 arcsec without distances
