@@ -167,11 +167,15 @@ def _edges(scene: Scene, r: TimeDelay) -> str:
             f"exposure the outer {part:.3g} of the rows would hold less, down to half of the light"
             " (`edges: partial` draws that)"
         )
+    rays = (
+        "; cosmic rays there are as many as elsewhere and leave that fraction of their charge, not "
+        "fewer with all of it"
+    )
     return (
         f"the outer {part:.3g} of the rows are exposed while their charge is on the array, as a "
         "fraction of all their light and dark: right for the sky and for images that keep pace; "
         "of one that streaks through such rows the fraction stands for its own time there. The "
-        "truth's electrons are those of the whole exposure"
+        f"truth's electrons are those of the whole exposure{rays if scene.cosmic_rays else ''}"
     )
 
 
