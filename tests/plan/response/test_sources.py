@@ -29,6 +29,7 @@ from pipeline.plan.response.sources import (
     WINGS,
     KnownSources,
     SourceBounds,
+    bounds_of,
     known_of_frames,
     of_stars,
     stars_known,
@@ -158,6 +159,14 @@ def test_bounds_together() -> None:
     assert SourceBounds().together(SourceBounds(1.0, {"core_ends": 0.1})).errors_e == {
         "core_ends": 0.1
     }
+
+
+def test_wings_of_stars_and_of_targets_may_lie_in_one_pixel() -> None:
+    """So their errors add up, however far apart they stand."""
+    r = responses()
+    found = bounds_of(r, stars(r, 9e2), stars(r, 8e2))
+    assert found.errors_e[WINGS] == pytest.approx(0.17)
+    assert found.brightest_e == 9e2
 
 
 @pytest.mark.parametrize("sigma_px", [0.3, 0.8, 3.0, 10.0])
