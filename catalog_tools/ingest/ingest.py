@@ -108,7 +108,7 @@ def ingest(
         overwrite=overwrite,
         restart=restart,
     )
-    notes += _md5_notes(files) + tuple(f"the release is {text}" for text in assumed.values())
+    notes += _md5_notes(files) + tuple(map("the release is {}".format, assumed.values()))
     if left_out:
         notes += (f"{left_out} subfolders were not looked into: name them to take their files",)
     return replace(report, notes=report.notes + notes)

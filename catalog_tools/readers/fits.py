@@ -64,7 +64,7 @@ def read_fits(
     stream = _Stream(path, bytes_of(path, zipped=zipped, md5=md5))
     header = _find_table(stream, where, layout.hdu)
     columns = _columns(header, where)
-    chosen = choose([column.name for column in columns], {c.name: c.unit for c in columns})
+    chosen = choose(*_named(columns))
     twice = [n for n in chosen if sum(column.name == n for column in columns) > 1]
     if twice:
         raise BadInput(where, twice, "a table that has each of these columns once")
@@ -81,6 +81,11 @@ def read_fits(
         arrays = {c.name: _values(data[f"f{i}"], c, chosen[c.name], where) for i, c in wanted}
         yield pa.table(arrays)
     stream.drain()
+
+
+def _named(columns: list[Column]) -> tuple[list[str], dict[str, str]]:
+    """Names of columns, and the units that they are declared in."""
+    return [c.name for c in columns], {c.name: c.unit for c in columns}
 
 
 class _Stream:
