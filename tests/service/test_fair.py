@@ -174,3 +174,17 @@ def test_a_line_has_an_end() -> None:
 
     ends = asyncio.run(story())
     assert [k for k, end in enumerate(ends) if end is TooMany] == [2 + IN_LINE]
+
+
+def test_a_place_is_given_back_whatever_becomes_of_its_request() -> None:
+    async def fail(places: Shares) -> None:
+        async with places.place("a"):
+            raise ValueError("of a request that fails")
+
+    places = Shares(4, "dry runs")
+    with pytest.raises(ValueError, match="fails"), places.taken("a"):
+        raise ValueError("of a request that fails")
+    assert places.held == 0
+    with pytest.raises(ValueError, match="fails"):
+        asyncio.run(fail(places))
+    assert places.held == 0
