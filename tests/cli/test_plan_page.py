@@ -11,6 +11,7 @@ import pytest
 
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline import demo
+from pipeline.commands import pages
 from pipeline.commands.pages import print_plan
 from pipeline.demo import DEEP_FIELD
 from pipeline.spec.load import load_scene
@@ -84,3 +85,9 @@ def test_the_answer_has_fifteen_lines_that_fit(
         assert any(line.startswith(decision["component"]) for line in whole)
     explained = lines_of(capsys, told, explain=True)
     assert len(explained) > len(whole)
+
+
+def test_the_worst_frames_coverage_is_told_before_that_of_all() -> None:
+    worst = {"worst_frame": 3, "worst_frame_fraction": 0.25}
+    said = {"source": "rows", **worst, "mean_fraction": 0.875}
+    assert pages._coverage(said) == "25% of frame 3, 87.5% of all (by rows)"

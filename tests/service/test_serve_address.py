@@ -1,0 +1,38 @@
+"""The address that the service says it listens at."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+import uvicorn
+
+from service import main
+
+
+@pytest.mark.parametrize(("host", "shown"), [("127.0.0.1", "127.0.0.1"), ("::1", "[::1]")])
+def test_the_address_is_a_url(
+    host: str,
+    shown: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    """IPv6 addresses stand in brackets (RFC 3986, 3.2.2)."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.socket(family) as probe:
+            probe.bind((host, 0))
+    except OSError:
+        pytest.skip(f"no {host} here")
+    ports = []
+
+    def run(self: uvicorn.Server, sockets: list[socket.socket]) -> None:
+        ports.append(sockets[0].getsockname()[1])
+
+    monkeypatch.setattr(uvicorn.Server, "run", run)
+    for module, name in ((main.logs, "set_up"), (main.gc, "freeze"), (main.gc, "set_threshold")):
+        monkeypatch.setattr(module, name, lambda *_: None)  # of this process, not of the tests'
+    main.serve(host, 0, tmp_path)
+    assert f"serves http://{shown}:{ports[0]} from {tmp_path}" in capsys.readouterr().err
