@@ -12,14 +12,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import dask
 import pytest
+from distributed.scheduler import KilledWorker
 
 from catalog_tools.engine.addresses import check_address
+from catalog_tools.engine.cluster_scheduler import ClusterScheduler
 from catalog_tools.engine.clusters import security_of
 from catalog_tools.engine.schedulers import open_scheduler
-from catalog_tools.errors import BadInput, TryLater
+from catalog_tools.errors import BadInput, Incomplete, TryLater
 from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import content_digest
@@ -161,6 +164,14 @@ def test_work_goes_on_though_all_workers_die_three_times(own_cluster):
 
         scheduler.stream(graphs, heard)
     assert done == ["t"] * 80
+
+
+def test_a_task_that_kills_every_worker_is_not_to_be_tried_again():
+    """It would kill the next ones too: Incomplete, not TryLater."""
+    killed = KilledWorker("draw", SimpleNamespace(address="tcp://10.0.0.1:4000"), 3)
+    future = SimpleNamespace(status="error", key="draw", exception=lambda: killed)
+    with pytest.raises(Incomplete, match=r"keeps killing its workers.*'draw' on 4"):
+        object.__new__(ClusterScheduler)._told(future, lambda key: None)
 
 
 def test_a_lost_scheduler_says_so_and_nothing_else(own_cluster, capfd):
