@@ -114,7 +114,7 @@ class ResolvedScene:
     def empty_e(self, sky_e_s: Array | float, frame: int = 0) -> Array:
         """Charge (...) of a pixel that holds no source, under skies (...) [e-/s], in a frame."""
         time_s, least_s = self.integration_s(frame), integration_range_s(self.scene)[0]
-        dark_e = self.facts.dark_e * (time_s / least_s if least_s else 1.0)
+        dark_e = self.facts.dark_e * (time_s / least_s)
         return np.asarray(self.facts.flat * np.asarray(sky_e_s) * time_s + dark_e)
 
     def filled(self, frame: int, x_px: Array, y_px: Array) -> NDArray[np.bool_]:
