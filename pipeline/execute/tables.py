@@ -25,13 +25,17 @@ from pipeline.physics.psf.product import ProductResponse, is_product, product_ta
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import (
     Core,
+    CoreGrid,
     PixelResponse,
     compact_core,
     core_spectrum,
+    oversampling_for,
     phase_table,
     window,
 )
 from pipeline.plan.needs import KERNEL_BYTES, TABLE_BYTES
+
+Swept = tuple[CoreGrid, np.ndarray, tuple[int, int], tuple[int, int]]
 
 FINEST_ERROR = 1e-5  # of the peak of a source, in any pixel: what transforms are asked for
 ALIKE_PX = 8.0
@@ -94,33 +98,39 @@ def core_of(blur: Blur, radius_px: float) -> Core:
     )
 
 
-def swept_core(blur: Blur, radius_px: float, piece: Path) -> tuple[Core, np.ndarray, tuple, tuple]:
-    """A core with the spectrum of its streak: (core, spectrum, half window, period)."""
-    core = core_of(blur, radius_px)
-    half_y, half_x, period_y, period_x = window(
-        core, float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max())
-    )
+def swept_core(blur: Blur, radius_px: float, piece: Path) -> Swept:
+    """A core's grid with the spectrum of its streak: (grid, spectrum, half window, period).
 
+    The core itself is read only to make a spectrum, so that what is kept is what is used.
+    """
+    grid, half, period = _window(blur, radius_px, piece)
     spectrum = _CACHE.get(
         ("spectrum", blur, radius_px, piece),
-        lambda: swept_spectrum(core, piece, (period_y, period_x)),
+        lambda: swept_spectrum(core_of(blur, radius_px), piece, period),
         _bytes,
     )
-    return core, spectrum, (half_y, half_x), (period_y, period_x)
+    return grid, spectrum, half, period
 
 
-def still_core(blur: Blur, radius_px: float, piece: Path) -> tuple[Core, np.ndarray, tuple, tuple]:
-    """A core with its spectrum at rest in the window that a path sweeps; as of `swept_core`."""
-    core = core_of(blur, radius_px)
-    half_y, half_x, period_y, period_x = window(
-        core, float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max())
-    )
+def still_core(blur: Blur, radius_px: float, piece: Path) -> Swept:
+    """A core's grid with its spectrum at rest in the window that a path sweeps; as `swept_core`."""
+    grid, half, period = _window(blur, radius_px, piece)
     spectrum = _CACHE.get(
-        ("still", blur, radius_px, period_y, period_x),
-        lambda: core_spectrum(core, period_y, period_x),
+        ("still", blur, radius_px, *period),
+        lambda: core_spectrum(core_of(blur, radius_px), *period),
         _bytes,
     )
-    return core, spectrum, (half_y, half_x), (period_y, period_x)
+    return grid, spectrum, half, period
+
+
+def _window(
+    blur: Blur, radius_px: float, piece: Path
+) -> tuple[CoreGrid, tuple[int, int], tuple[int, int]]:
+    """A core's grid, and the half window and the period [px] that hold it swept by a path."""
+    grid = CoreGrid(oversampling_for(blur), radius_px)
+    reach_y, reach_x = float(np.abs(piece.y_px).max()), float(np.abs(piece.x_px).max())
+    half_y, half_x, period_y, period_x = window(grid, reach_y, reach_x)
+    return grid, (half_y, half_x), (period_y, period_x)
 
 
 def table_of(

@@ -91,8 +91,7 @@ def gather_field_stars(
     if resolved.scene.stars is None:
         return None
     found, each = _placed(resolved, catalogues, left_out, g)
-    lights = [np.sort(stars.light_e) for stars in found]
-    counts = StarCounts(max(lights, key=len, default=np.empty(0)), each)
+    counts = _counts(resolved, max(found, key=len), each) if found else StarCounts(np.empty(0))
     every = each == 1.0 and len(found) == len(lit_frames(resolved, g))
     every = every and len(g.frame) == resolved.frames
     sources = None
@@ -111,6 +110,16 @@ def gather_field_stars(
     )
     layers = tuple(layer_decisions(catalogues, left_out))
     return FieldStars(counts, own, layers, coverage, sources)
+
+
+def _counts(resolved: ResolvedScene, stars: FrameStars, each: float) -> StarCounts:
+    """The stars of a frame by their light, of which each that was placed stands for some."""
+    from pipeline.execute.sources import distance_px
+
+    order = np.argsort(stars.light_e, kind="stable")
+    frame = (0, 0, *resolved.scene.sensor.shape)
+    beyond_px = distance_px(stars.x_px, stars.y_px, *frame)
+    return StarCounts(stars.light_e[order], each, beyond_px[order])
 
 
 def lit_frames(resolved: ResolvedScene, g: Geometry) -> list[int]:

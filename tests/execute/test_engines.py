@@ -24,6 +24,7 @@ from pipeline.execute.tables import ContentCache
 from pipeline.physics.drawing.wings import wing_grid
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
+from pipeline.physics.psf.response import Core, compact_core
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.plan import Plan
@@ -279,6 +280,22 @@ def test_tables_are_kept_by_all_that_they_follow_from(name, monkeypatch, tmp_pat
             assert pickle.dumps(getattr(tables, name)(*wish)) == found
             if folder == "none":
                 shutil.rmtree(tmp_path / folder, ignore_errors=True)
+
+
+@pytest.mark.parametrize("swept", ["swept_core", "still_core"])
+def test_a_large_core_is_made_once_for_all_that_its_spectrum_draws(swept, monkeypatch):
+    """Core and spectrum did not both fit into what is kept, and were made anew for every star."""
+    made: list[float] = []
+
+    def compact(blur: Blur, radius_px: float) -> Core:
+        made.append(radius_px)
+        return compact_core(blur, radius_px)
+
+    monkeypatch.setattr(tables, "compact_core", compact)
+    monkeypatch.setattr(tables, "_CACHE", ContentCache(1.0))
+    for _ in range(3):
+        getattr(tables, swept)(NARROW, 8.0, ALONG)
+    assert made == [8.0]
 
 
 def test_the_least_recently_used_is_dropped():

@@ -70,6 +70,20 @@ def with_engines(plan: Plan, counts: StarCounts) -> Plan:
     return replace(plan, responses=engines.responses, decisions=decisions)
 
 
+@pytest.mark.parametrize("streak_px", [0.0, 40.0])
+def test_a_cluster_costs_what_it_holds(streak_px: float) -> None:
+    """Stars count where they stand: those far off the frame light it by their wings alone."""
+    plan = plan_of(streak_px)
+    light, far = np.full(3000, 3e5), np.full(2900, 900.0)
+    spread_out = StarCounts(light, beyond_px=np.concatenate([np.zeros(100), far]))
+    cluster = StarCounts(light, beyond_px=np.linspace(0.0, 3.0, 3000))
+    few, all_ = (with_engines(plan, counts).responses for counts in (spread_out, cluster))
+    hundred, many = (with_engines(plan, StarCounts(light[:n])).responses for n in (100, 3000))
+    assert (few.stars_s, few.expected) == (hundred.stars_s, hundred.expected)
+    assert (all_.stars_s, all_.expected) == (many.stars_s, many.expected)
+    assert sum(few.expected) == 100.0
+
+
 def engines(plan: Plan) -> list[tuple[int, int]]:
     return [(c.phases, c.mixed_phases) for c in plan.responses.classes]
 

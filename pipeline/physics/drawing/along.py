@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pipeline.physics.motion.streak import Path, transfer
-from pipeline.physics.psf.response import Core, core_spectrum, frequencies, stamp_of
+from pipeline.physics.psf.response import Core, CoreGrid, core_spectrum, frequencies, stamp_of
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def swept_spectrum(core: Core, path: Path, period: tuple[int, int]) -> NDArray[n
 
 
 def stamp_along(
-    core: Core,
+    core: CoreGrid,
     spectrum: NDArray[np.complex128],
     half: tuple[int, int],
     period: tuple[int, int],

@@ -28,7 +28,18 @@ TAPER_FROM = 0.7  # of the radius: where the taper begins; the best of 0.5 to 0.
 
 
 @dataclass(frozen=True, eq=False)
-class Core:
+class CoreGrid:
+    """How the compact part of a response is sampled: all that serves its spectrum.
+
+    oversampling : samples per px; radius_px : where the core ends
+    """
+
+    oversampling: int
+    radius_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Core(CoreGrid):
     """The compact part of a response on a fine grid.
 
     samples : (n, n) light that a pixel collects whose centre is there, per unit light of the
@@ -37,8 +48,6 @@ class Core:
     """
 
     samples: Array
-    oversampling: int
-    radius_px: float
     light: float
 
 
@@ -104,7 +113,7 @@ def compact_core(blur: Blur, radius_px: float) -> Core:
     whole = scipy.fft.irfft2(scipy.fft.rfft2(image) * blur.pixel(fy, fx), s=(n, n)) * os**2
     index = np.arange(-half * os, half * os + 1)
     samples = whole[np.ix_(index, index)]
-    return Core(samples, os, radius_px, float(image.sum()) * blur.fill_factor)
+    return Core(os, radius_px, samples, float(image.sum()) * blur.fill_factor)
 
 
 def taper(r: Array, inner: float, outer: float) -> Array:
@@ -126,7 +135,7 @@ def core_spectrum(core: Core, period_y: int, period_x: int) -> NDArray[np.comple
     return scipy.fft.rfft2(grid)
 
 
-def window(core: Core, reach_y: float, reach_x: float) -> tuple[int, int, int, int]:
+def window(core: CoreGrid, reach_y: float, reach_x: float) -> tuple[int, int, int, int]:
     """Half-heights and periods [px] of the window that holds a core swept by +-reach."""
     half_y = int(np.ceil(core.radius_px + reach_y)) + MARGIN_PX
     half_x = int(np.ceil(core.radius_px + reach_x)) + MARGIN_PX
@@ -134,7 +143,7 @@ def window(core: Core, reach_y: float, reach_x: float) -> tuple[int, int, int, i
     return half_y, half_x, fast(2 * half_y + 4), fast(2 * half_x + 4)
 
 
-def frequencies(core: Core, period_y: int, period_x: int) -> tuple[Array, Array]:
+def frequencies(core: CoreGrid, period_y: int, period_x: int) -> tuple[Array, Array]:
     """Frequencies [cycles/px] of `core_spectrum`."""
     os = core.oversampling
     fy = scipy.fft.fftfreq(period_y * os, 1.0 / os)
@@ -142,7 +151,7 @@ def frequencies(core: Core, period_y: int, period_x: int) -> tuple[Array, Array]
 
 
 def phase_table(
-    core: Core,
+    core: CoreGrid,
     spectrum: NDArray[np.complex128],
     half: tuple[int, int],
     period: tuple[int, int],
@@ -186,7 +195,7 @@ def phase_table(
 
 
 def stamp_at(
-    core: Core,
+    core: CoreGrid,
     spectrum: NDArray[np.complex128],
     half: tuple[int, int],
     period: tuple[int, int],

@@ -19,6 +19,7 @@ from pipeline.physics.drawing.spectral_plan import CROWD_PX
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import band_of, oversampling_for
+from pipeline.plan.pointing.star_paths import excursions_px
 from pipeline.plan.response.responses import (
     FIELD_BYTES,
     SPECTRAL_S_PER_PIXEL,
@@ -71,15 +72,18 @@ def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> Star
     r = plan.responses
     if not r.classes:
         return None
-    streaks = _streaks(plan, g)
+    streaks, far_px = _streaks(plan, g), _farthest_px(plan, g)
     limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
-    classes, said, stars_s = [], [], 0.0
+    classes, said, near, stars_s = [], [], [], 0.0
     for core, low_e in zip(r.classes, limits, strict=False):
-        chosen, words, bright_s, usual_s = _choose(plan, core, low_e, streaks, counts)
+        near.append(counts.near(core.radius_px + far_px))
+        crowds = core is r.classes[0] and _in_crowds(plan, core, streaks, counts)
+        chosen, words, seconds = _choose(plan, core, low_e, streaks, near[-1], crowds)
         classes.append(chosen)
         said += words
-        stars_s = stars_s + bright_s + usual_s
-    expected = tuple(counts.between(a, b) for a, b in pairwise(limits))
+        stars_s += seconds
+    ends = zip([*near, near[-1]], pairwise(limits), strict=True)
+    expected = tuple(some.between(*light_e) for some, light_e in ends)
     spent_s = None if r.products else stars_s
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
     if r.spectral_from:
@@ -89,37 +93,49 @@ def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> Star
 
 
 def _choose(
-    plan: ResolvedScene, core: CoreClass, low_e: float, streaks: list[Streak], counts: StarCounts
-) -> tuple[CoreClass, list[str], float, float]:
+    plan: ResolvedScene,
+    core: CoreClass,
+    low_e: float,
+    streaks: list[Streak],
+    counts: StarCounts,
+    crowds: bool,
+) -> tuple[CoreClass, list[str], float]:
     """A class of stars above `low_e` with its phases, what is said of it, and the CPU seconds of
-    its bright and of its usual stars, 0 of those in crowds."""
-    r = plan.responses
-    splits = [float(np.clip(s.mixed_from_e, low_e, core.brightest_e)) for s in streaks]
+    its stars, 0 of those in crowds.
+
+    counts : the stars whose cores reach the frame; crowds : whether its usual ones are drawn so
+    """
+    splits = _splits(core, low_e, streaks)
     ways = [_Costs(plan, core, *one) for one in zip(streaks, splits, strict=True)]
     usual = [counts.between(low_e, split) for split in splits]
     bright = [counts.between(split, core.brightest_e) for split in splits]
-    if _in_crowds(plan, core, max(usual)):
+    if crowds:
         usual = [math.inf] * len(usual)
     tables_s, singly_s = _mean_s(_Costs.tables, ways, usual), _mean_s(_Costs.singly, ways, usual)
     mixtures_s = _mean_s(_Costs.mixtures, ways, bright)
     along_s = _mean_s(_Costs.along, ways, bright)
-    tables = r.products or tables_s <= SURE * singly_s
+    tables = plan.responses.products or tables_s <= SURE * singly_s
     phases = core.phases * tables
     mixed = max(way.mixed_phases for way in ways) * (mixtures_s <= along_s)
-    usual_s, near = tables_s if tables else singly_s, _near_share(plan, core)
-    return (
-        replace(core, phases=phases, mixed_phases=mixed),
-        _said(core, max(usual), max(bright), phases, mixed),
-        near * min(mixtures_s, along_s),
-        near * usual_s if math.isfinite(max(usual)) else 0.0,
-    )
+    usual_s = 0.0 if crowds else tables_s if tables else singly_s
+    said = _said(core, max(usual), max(bright), phases, mixed)
+    made = replace(core, phases=phases, mixed_phases=mixed)
+    return made, said, min(mixtures_s, along_s) + usual_s
 
 
-def _in_crowds(plan: ResolvedScene, core: CoreClass, stars: float) -> bool:
-    """Whether transforms draw so many stars of a class together."""
+def _splits(core: CoreClass, low_e: float, streaks: list[Streak]) -> list[float]:
+    """Light [e-] from which on stars of a class are bright for each of some streaks."""
+    return [float(np.clip(s.mixed_from_e, low_e, core.brightest_e)) for s in streaks]
+
+
+def _in_crowds(
+    plan: ResolvedScene, core: CoreClass, streaks: list[Streak], counts: StarCounts
+) -> bool:
+    """Whether transforms draw the usual stars of the first class together: all that light a block
+    are counted, as the drawing does."""
     r = plan.responses
-    many = core is r.classes[0] and stars >= r.spectral_from * _blocks(plan)
-    return many and r.spectral_from > 0
+    stars = max(counts.between(0.0, split) for split in _splits(core, 0.0, streaks))
+    return 0 < r.spectral_from * _blocks(plan) <= stars
 
 
 def _mean_s(
@@ -240,13 +256,9 @@ class _Costs:
         return phases if together <= most else 0
 
 
-def _near_share(plan: ResolvedScene, core: CoreClass) -> float:
-    """Part of the stars that are counted, up to the ends of wings, whose cores reach the frame."""
-    cores, wings = (
-        math.prod(side + 2.0 * reach_px for side in plan.scene.sensor.shape)
-        for reach_px in (core.radius_px, plan.halo_px)
-    )
-    return min(1.0, cores / wings)
+def _farthest_px(plan: ResolvedScene, g: Geometry) -> float:
+    """Farthest that a star moves from its place at mid-exposure in any of some frames."""
+    return float(excursions_px(plan.camera, g, plan.scene.star_effects["aberration"]).max())
 
 
 def _own_segments(plan: ResolvedScene, streak: Streak, light_e: float) -> int:

@@ -15,14 +15,26 @@ from pipeline.plan.response.sources import KnownSources
 
 @dataclass(frozen=True)
 class StarCounts:
-    """The stars that light a frame: their light [e-] (n,), sorted, and how many each stands for."""
+    """The stars that light a frame.
+
+    light_e : their light [e-] (n,), sorted; each : how many each stands for
+    beyond_px : how far off the frame each is at mid-exposure (n,), 0 on it; none given: all on it
+    """
 
     light_e: Array
     each: float = 1.0
+    beyond_px: Array | None = None
 
     @property
     def total(self) -> int:
         return round(self.each * len(self.light_e))
+
+    def near(self, reach_px: float) -> StarCounts:
+        """Those at most so far off the frame."""
+        if self.beyond_px is None:
+            return self
+        near = self.beyond_px <= reach_px
+        return StarCounts(self.light_e[near], self.each, self.beyond_px[near])
 
     def brighter(self, light_e: float) -> float:
         """Stars of more light than so many electrons."""

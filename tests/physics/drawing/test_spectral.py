@@ -343,7 +343,7 @@ def test_asymmetric_response() -> None:
     samples = even.samples.copy()
     for k, shift in enumerate((3, 7)):
         samples += 0.3 * np.roll(even.samples, (shift, 2 * shift * k), axis=(0, 1))
-    core = Core(samples, even.oversampling, even.radius_px + 5.0, 1.6)
+    core = Core(even.oversampling, even.radius_px + 5.0, samples, 1.6)
     plan = plan_spectral((40, 50), core, line(8.0), 1e-6)
     table = transfer_table(core, plan)
     assert np.iscomplexobj(table)
