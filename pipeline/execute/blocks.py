@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.sources import (
     FrameTarget,
-    distance_px,
     drawing_order,
     excursion_px,
     place_targets,
@@ -37,7 +36,7 @@ from pipeline.plan.accuracy import UNSEEN, crowd_error_e
 from pipeline.plan.plan import Plan
 from pipeline.plan.response.responses import first_above
 from pipeline.plan.response.streaks import Streak
-from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up
+from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up, distance_px
 
 Spectrum = NDArray[np.complex128]
 
@@ -155,7 +154,7 @@ def _crowd(
     shape, radius = (place.rows, place.columns), r.classes[0].radius_px
     asked = radius, longest, shape, len(stars), r.budget_e / r.crowd_e
     near = _near(plan, place, radius + _farthest(paths))
-    limit = min(r.classes[0].brightest_e, *(paths[zone].mixed_from_e for zone in np.unique(zones)))
+    limit = min(r.classes[0].brightest_e, *(paths[zone].own_from_e for zone in np.unique(zones)))
     for blur in near:
         spectral = spectral_plan_of(blur, *asked)
         if spectral is None:

@@ -26,11 +26,12 @@ from pipeline.physics.drawing.extended import draw_body
 from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
-from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Box, Path, pieces
-from pipeline.physics.psf.response import stamp_at
+from pipeline.physics.motion.points import points_along
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Box, Path, pieces
+from pipeline.physics.psf.response import band_of, stamp_at
 from pipeline.plan.plan import Plan
 from pipeline.plan.response.own_paths import own_paths
-from pipeline.plan.response.streaks import Streak, densest_share
+from pipeline.plan.response.streaks import POINTS, Streak, densest_share, light_near
 from pipeline.plan.tiles import Tile, overlap
 
 
@@ -101,25 +102,19 @@ def _draw_point(plan: Plan, image: Array, tile: Tile, target: FrameTarget) -> No
 def _draw_stamps(
     plan: Plan, g: Geometry, image: Array, tile: Tile, paths: list[Streak], stars: FrameStars
 ) -> None:
-    """Stars by stamps, class by class and zone by zone; bright streaks as the plan says."""
+    """Stars by stamps, class by class and zone by zone; bright streaks along their own path."""
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
     for k, core in enumerate(plan.responses.classes):
         for zone in np.unique(zones[classes == k]):
             mine = select(stars, (classes == k) & (zones == zone))
             streak = paths[zone]
-            bright = mine.light_e > streak.mixed_from_e
-            own = bright & (mine.light_e > streak.own_from_e) if core.mixed_phases else bright
-            usual, mixed = select(mine, ~bright), select(mine, bright & ~own)
-            draw_along(plan, g, image, tile, select(mine, own), paths)
+            bright = mine.light_e > streak.own_from_e
+            usual = select(mine, ~bright)
+            draw_along(plan, g, image, tile, select(mine, bright), paths)
             for piece in streak.pieces:
                 x, y = streak.at(piece.centre, usual.x_px, usual.y_px)
                 x, y, light = usual.x_px + x, usual.y_px + y, usual.light_e * piece.share
                 _draw_piece(plan, image, tile, k, core.phases, piece.path, x, y, light)
-                if len(mixed):
-                    places = mixed.x_px, mixed.y_px, mixed.light_e
-                    phases = core.mixed_phases
-                    for path, x, y, light in streak.mixture(piece, *places):
-                        _draw_piece(plan, image, tile, k, phases, path, x, y, light, cubic=True)
 
 
 def draw_along(
@@ -130,8 +125,9 @@ def draw_along(
     stars: FrameStars,
     paths: list[Streak] | None = None,
 ) -> None:
-    """Stars one by one, each along its own path, without tables (adds to the image).
+    """Stars one by one, each along its own path (adds to the image).
 
+    As points of a table at rest where a class has one that serves, else swept without tables.
     paths : `streaks` of the frame, where they are known already
     """
     if not len(stars):
@@ -150,7 +146,28 @@ def draw_along(
         for i, path in enumerate(own):
             place = float(x[i]), float(y[i]), float(light[i])
             k, reach_px = int(classes[mine[i]]), plan.responses.fades_px
-            _draw_path(plan, image, tile, k, path, *place, reach_px)
+            if not _draw_points(plan, image, tile, k, path, *place):
+                _draw_path(plan, image, tile, k, path, *place, reach_px)
+
+
+def _draw_points(
+    plan: Plan, image: Array, tile: Tile, k: int, path: Path, x: float, y: float, light_e: float
+) -> bool:
+    """A star of class k as points along a path of its own (adds to the image).
+
+    False where the class has no table of a star at rest, or this star is too bright for it.
+    """
+    core = None if k == len(plan.responses.classes) else plan.responses.classes[k]
+    if core is None or not core.point_phases:
+        return False
+    near_e, along_e = light_e * np.array(light_near(path, core.radius_px))
+    if near_e * core.point_error > POINTS * plan.allowed_e(along_e):
+        return False
+    at_x, at_y, share = points_along(path, max(map(band_of, plan.responses.blurs)))
+    near = _reaches(tile, core.radius_px, POINT, at_x + x, at_y + y)
+    places = at_x[near] + x, at_y[near] + y, light_e * share[near]
+    _draw_piece(plan, image, tile, k, core.point_phases, POINT, *places, cubic=True)
+    return True
 
 
 def _draw_path(

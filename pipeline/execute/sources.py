@@ -25,6 +25,7 @@ from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.own_paths import star_offsets
 from pipeline.plan.response.responses import point_curvature, point_slope
 from pipeline.plan.response.streaks import MERGE_TOLERANCE_PX, Streak, densest_share, zone_streak
+from pipeline.plan.tiles import distance_px
 from pipeline.spec.targets.body import SphereBody
 from pipeline.spec.targets.mesh import MeshBody
 
@@ -188,17 +189,6 @@ def truth_order(stars: FrameStars) -> FrameStars:
 def excursion_px(plan: ResolvedScene, g: Geometry) -> float:
     """Farthest that a star of one frame moves from its place at mid-exposure, in whole 16 px."""
     return float(excursions_px(plan.camera, g, plan.scene.star_effects["aberration"])[0])
-
-
-def distance_px(x_px: Array, y_px: Array, y0: int, x0: int, rows: int, columns: int) -> Array:
-    """Distances (n,) from places to a rectangle of pixels (to their centres), 0 inside it.
-
-    Stars are omitted by this distance, and read from the catalogue in circles that hold it, so
-    that what else is read changes nothing.
-    """
-    dx = np.maximum(np.maximum(x0 - x_px, x_px - (x0 + columns - 1)), 0.0)
-    dy = np.maximum(np.maximum(y0 - y_px, y_px - (y0 + rows - 1)), 0.0)
-    return np.hypot(dx, dy)
 
 
 def streaks(plan: ResolvedScene, g: Geometry) -> list[Streak]:

@@ -16,7 +16,7 @@ from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.geometry import camera_of
 from pipeline.plan.response.responses import ResponsePlan, plan_responses
-from pipeline.plan.response.streaks import merged_px
+from pipeline.plan.response.streaks import allowed_e, merged_px
 from pipeline.plan.sensor.detector import collected_for, lag_depth
 from pipeline.plan.timing import frame_count, frame_times, integration_range_s, integration_s
 from pipeline.spec.scene import Scene
@@ -126,8 +126,17 @@ class ResolvedScene:
 
         share_per_px : part of the light that lies on one px of the path, where it is densest
         """
-        budget_e, floor_e = self.responses.budget_e, self.facts.budget_e / part_sigma(self.scene)
-        return merged_px(light_e, share_per_px, floor_e, budget_e, self.scene.sensor.photon_noise)
+        return merged_px(light_e, share_per_px, *self._noise)
+
+    def allowed_e(self, along_e: float) -> float:
+        """What one approximation may err by in a pixel that holds so much light [e-]."""
+        return float(allowed_e(np.array(along_e), *self._noise))
+
+    @property
+    def _noise(self) -> tuple[float, float, bool]:
+        """Of a pixel without sources [e-], what may err there, and whether light has noise."""
+        floor_e = self.facts.budget_e / part_sigma(self.scene)
+        return floor_e, self.responses.budget_e, self.scene.sensor.photon_noise
 
     @property
     def lag_frames(self) -> int:

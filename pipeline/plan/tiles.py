@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from pipeline.arrays import Array
 from pipeline.spec.scene import CELL_PX, Scene
 
 DEFAULT_TILE_PX = 1024
@@ -22,6 +25,17 @@ class Tile:
     x0: int
     rows: int
     columns: int
+
+
+def distance_px(x_px: Array, y_px: Array, y0: int, x0: int, rows: int, columns: int) -> Array:
+    """Distances (n,) from places to a rectangle of pixels (to their centres), 0 inside it.
+
+    Stars are omitted by this distance, and read from the catalogue in circles that hold it, so
+    that what else is read changes nothing.
+    """
+    dx = np.maximum(np.maximum(x0 - x_px, x_px - (x0 + columns - 1)), 0.0)
+    dy = np.maximum(np.maximum(y0 - y_px, y_px - (y0 + rows - 1)), 0.0)
+    return np.hypot(dx, dy)
 
 
 def tile_shape(scene: Scene) -> tuple[int, int]:

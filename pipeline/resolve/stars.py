@@ -28,6 +28,7 @@ from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.sources import known_of_frames, stars_known
 from pipeline.plan.stars.brightest import brightest_star_e, star_radius_rad
 from pipeline.plan.stars.field_stars import FieldStars, OwnMotion, StarCounts
+from pipeline.plan.tiles import distance_px
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
@@ -114,8 +115,6 @@ def gather_field_stars(
 
 def _counts(resolved: ResolvedScene, stars: FrameStars, each: float) -> StarCounts:
     """The stars of a frame by their light, of which each that was placed stands for some."""
-    from pipeline.execute.sources import distance_px
-
     order = np.argsort(stars.light_e, kind="stable")
     frame = (0, 0, *resolved.scene.sensor.shape)
     beyond_px = distance_px(stars.x_px, stars.y_px, *frame)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pipeline.arrays import FrameStars
 from pipeline.execute.light import draw_stars
 from pipeline.execute.tables import swept_core
+from pipeline.physics.motion.points import points_along
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import phase_table
@@ -22,25 +23,29 @@ from pipeline.plan.facts import gather_facts
 from pipeline.plan.ledger import LEDGER
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.response.streaks import POINTS, SHOWN
 from pipeline.plan.rule import PlanBasis
-from pipeline.plan.stars.engines import choose_engines, cubic_bound
+from pipeline.plan.stars.engines import POINT_ROUNDING, choose_engines, cubic_bound
 from pipeline.plan.stars.field_stars import StarCounts
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
 from tests.plans import plan_from
 
 SIDE = 512
+GAUSSIAN = {"kind": "gaussian", "sigma_px": 0.7}
 NOTHING = StarCounts(np.zeros(0))
 
 
-def plan_of(streak_px: float, tile: int = SIDE, side: int = SIDE) -> Plan:
-    """A plan of one frame with a gaussian response; stars drift, and the camera rolls with them."""
+def plan_of(
+    streak_px: float, tile: int = SIDE, side: int = SIDE, psf: dict[str, Any] = GAUSSIAN
+) -> Plan:
+    """A plan of one frame; stars drift, and the camera rolls with them."""
     scene = parse_scene({
         "schema": "nightglass/scene/1", "name": "engines", "epoch": "2019-04-20T03:00:00Z",
         "observer": {"kind": "fixed", "position_au": [1.0, 0.0, 0.0]},
         "sensor": {
             "shape": [side, side], "pixel_pitch_um": 10.0, "focal_length_m": 0.02,
-            "aperture_m": 0.015, "psf": {"kind": "gaussian", "sigma_px": 0.7},
+            "aperture_m": 0.015, "psf": psf,
             "read_noise_e": 5.0,
             "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
         },
@@ -85,12 +90,12 @@ def test_a_cluster_costs_what_it_holds(streak_px: float) -> None:
 
 
 def engines(plan: Plan) -> list[tuple[int, int]]:
-    return [(c.phases, c.mixed_phases) for c in plan.responses.classes]
+    return [(c.phases, c.point_phases) for c in plan.responses.classes]
 
 
 def test_few_stars_need_no_table_and_many_do():
     plan = plan_of(20.0)
-    assert plan.responses.streaks.mixed_from_e_px < np.inf
+    assert plan.responses.streaks.own_from_e_px < np.inf
     none = with_engines(plan, NOTHING)
     few, many = chosen(plan, 3.0, (8.0, 12.0)), chosen(plan, 3e5, (8.0, 21.0))
     assert all(phases == (0, 0) for phases in engines(none))
@@ -98,7 +103,7 @@ def test_few_stars_need_no_table_and_many_do():
     assert engines(many)[0][0] > 0
     assert engines(many)[0][1] > 0
     assert any("own path" in d.reason for d in few.decisions if d.component == "star_engines")
-    assert any("mixtures" in d.reason for d in many.decisions if d.component == "star_engines")
+    assert any("as points" in d.reason for d in many.decisions if d.component == "star_engines")
 
 
 def test_of_long_streaks_what_comes_near_the_frame_is_paid_for():
@@ -119,10 +124,13 @@ def test_same_choice_for_any_tiles():
         )
 
 
-@pytest.mark.parametrize("light", [3e3, 3e4, 3e5, 3e6])
-def test_every_engine_gives_the_same_light(light):
-    """Bright and faint streaks by tables, mixtures, and star by star: alike within the budget."""
-    plan = plan_of(20.0)
+@pytest.mark.parametrize("psf", [GAUSSIAN, {"kind": "moffat", "fwhm_px": 2.0, "beta": 3.0}],
+                         ids=["gaussian", "moffat"])  # fmt: skip
+@pytest.mark.parametrize("light", [3e3, 3e4, 3e5, 3e6, 3e8])
+def test_every_engine_gives_the_same_light(light, psf, monkeypatch):
+    """Bright and faint streaks by tables, as points, and star by star: alike within their parts,
+    and those as points that such a table serves."""
+    plan = plan_of(20.0, psf=psf)
     g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
     rng = np.random.default_rng(5)
     x, y = rng.uniform(10.0, SIDE - 10.0, (2, 12))
@@ -133,33 +141,45 @@ def test_every_engine_gives_the_same_light(light):
     )  # fmt: skip
     tile = Tile(0, 0, 0, 0, SIDE, SIDE)
 
-    def image(phases: int | None, mixed: int) -> Any:
+    blur, served = plan.responses.blur, []
+    error = cubic_bound(blur) / 64**4 + POINT_ROUNDING
+
+    def points(path: Path, band: float) -> tuple[np.ndarray, ...]:
+        served.append(path)
+        return points_along(path, band)
+
+    monkeypatch.setattr("pipeline.execute.light.points_along", points)
+
+    def image(phases: int | None, points: int) -> Any:
         classes = tuple(
-            replace(c, phases=c.phases if phases is None else phases, mixed_phases=mixed)
+            replace(
+                c,
+                phases=c.phases if phases is None else phases,
+                point_phases=points,
+                point_error=error,
+            )
             for c in plan.responses.classes
         )
         drawn = replace(plan, responses=replace(plan.responses, classes=classes))
         return draw_stars(drawn, g, tile, [stars], [])
 
-    alone, tables, mixtures = image(0, 0), image(None, 0), image(None, 32)
+    alone, tables = image(0, 0), image(None, 0)
+    assert not served
+    by_points = image(None, 64)
     noise = np.sqrt(plan.facts.sigma_floor_e**2 + np.maximum(alone, 0.0)) / plan.facts.sigma_floor_e
-    for other in (tables, mixtures):
-        assert (np.abs(other - alone) / noise).max() <= 3.0 * plan.responses.budget_e
+    assert (np.abs(tables - alone) / noise).max() <= 3.0 * plan.responses.budget_e
+    part = POINTS + 2.0 * SHOWN if served else 3.0
+    assert (np.abs(by_points - alone) / noise).max() <= part * plan.responses.budget_e
+    assert bool(served) == (light < 3e8 or psf is GAUSSIAN)
 
 
 @pytest.mark.parametrize("optics", [Gaussian(0.6), Gaussian(2.0), Airy(1.0, 0.3)], ids=repr)
-@pytest.mark.parametrize("length_px", [0.0, 25.0])
-def test_bound_of_cubic_interpolation(optics, length_px):
-    path = POINT
-    if length_px:
-        path = Path(
-            np.array([-0.4, 0.4]) * length_px, np.array([-0.3, 0.3]) * length_px, np.ones(1)
-        )
+def test_bound_of_cubic_interpolation(optics):
     blur = Blur(optics)
     for phases in (8, 16):
         rounding = 2.0**-22
-        measured = phase_table(*swept_core(blur, 12.0, path), phases).cubic_error
-        assert measured <= cubic_bound(blur, path) / phases**4 + rounding
+        measured = phase_table(*swept_core(blur, 12.0, POINT), phases).cubic_error
+        assert measured <= cubic_bound(blur) / phases**4 + rounding
 
 
 @given(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -50,7 +51,6 @@ class Path:
         return isinstance(other, Path) and self._numbers == other._numbers
 
 
-SURELY_OFF = 1.0 + 1e-9  # of a tolerance's square: beyond it whatever rounding
 POINT = Path(np.zeros(2), np.zeros(2), np.ones(1))
 
 
@@ -70,9 +70,7 @@ def path_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -
     merged segment gives it, so that neither shape nor speed changes by more than that.
     """
     x, y, w = (np.asarray(a, float) for a in (x_px, y_px, weight))
-    nodes, keep = list(zip(x.tolist(), y.tolist(), strict=True)), [0]
-    while keep[-1] < len(w):
-        keep.append(_longest_run(x, y, w, nodes, keep[-1], tolerance_px))
+    keep = _ends_of_runs(x, y, w, tolerance_px)
     merged = np.add.reduceat(w, keep[:-1])
     return Path(x[keep], y[keep], merged)
 
@@ -118,36 +116,38 @@ def _through_centroids(
     return nodes, middle - centroid[of_run] - share * length[of_run]
 
 
-def _longest_run(
-    x: Array,
-    y: Array,
-    w: Array,
-    nodes: list[tuple[float, float]],
-    start: int,
-    tolerance_px: float,
-) -> int:
-    """Last node that one segment from `start` may reach (tried by halving, longest first).
+@njit(cache=True, nogil=True)
+def _ends_of_runs(x, y, w, tolerance_px):
+    """Nodes that are kept: from each the last that one segment may reach, tried by halving."""
+    n = len(w)
+    keep, lights = [0], np.zeros(n + 1)
+    while keep[-1] < n:
+        start = keep[-1]
+        for i in range(start, n):
+            lights[i - start + 1] = lights[i - start] + w[i]
+        stop = n
+        while stop > start + 1:
+            half = (stop - start) // 2
+            # The middle of a run is looked at before all of it.
+            off_px = _off_run(x, y, lights, start, stop, half)
+            if off_px <= tolerance_px:
+                for i in range(1, stop - start):
+                    off_px = max(off_px, _off_run(x, y, lights, start, stop, i))
+            if off_px <= tolerance_px:
+                break
+            stop = start + max(1, half)
+        keep.append(stop)
+    return np.array(keep)
 
-    nodes : x and y of each, by which the middle of a run is looked at before all of it
-    """
-    stop, sums = len(w), np.concatenate([[0.0], np.cumsum(w[start:])])
-    lights = sums.tolist()
-    while stop > start + 1:
-        half, total = (stop - start) // 2, lights[stop - start]
-        (x0, y0), (x1, y1), (x2, y2) = nodes[start], nodes[start + half], nodes[stop]
-        at = lights[half] / total if total > 0 else half / (stop - start)
-        off_x, off_y = x0 + at * (x2 - x0) - x1, y0 + at * (y2 - y0) - y1
-        if off_x * off_x + off_y * off_y <= SURELY_OFF * tolerance_px**2:
-            light = sums[: stop - start + 1]
-            share = light / total if total > 0 else np.linspace(0, 1, stop - start + 1)
-            off = np.hypot(
-                x[start] + share * (x[stop] - x[start]) - x[start : stop + 1],
-                y[start] + share * (y[stop] - y[start]) - y[start : stop + 1],
-            )
-            if off.max() <= tolerance_px:
-                return stop
-        stop = start + max(1, half)
-    return stop
+
+@njit(cache=True, nogil=True)
+def _off_run(x, y, lights, start, stop, i):
+    """How far the i-th node of a run is from where uniform motion has it [px]."""
+    total = lights[stop - start]
+    share = lights[i] / total if total > 0.0 else i / (stop - start)
+    off_x = x[start] + share * (x[stop] - x[start]) - x[start + i]
+    off_y = y[start] + share * (y[stop] - y[start]) - y[start + i]
+    return math.hypot(off_x, off_y)
 
 
 def pieces(

@@ -131,12 +131,11 @@ def _streaks(basis: PlanBasis) -> list[Decision]:
             "looked at"
         )
     bound = min(s.error_e(basis.brightest_e or math.inf), basis.within_budget("common_streak")[0])
-    if s.mixed_from_e_px < math.inf:
+    if s.own_from_e_px < math.inf:
         reason += (
-            f". Stars of more than {s.mixed_from_e_px:.3g} e- a px of their path, of which that "
-            "would be more than the bound, get a mixture of three shapes, off by at most "
-            f"{s.mixed_px:.2g} px, and the brightest are drawn along their own path, one by one. "
-            "The bound grows with a pixel's noise"
+            f". Stars of more than {s.own_from_e_px:.3g} e- a px of their path, of which that "
+            "would be more than the bound, are drawn along their own path, one by one. The bound "
+            "grows with a pixel's noise"
         )
     out = [Decision("common_streak", True, reason, bound, bound / sigma_e)]
     if r.spectral_from:

@@ -76,7 +76,8 @@ class CoreClass:
         of a target, which may stand still where stars do not; 0 where the limit says it all
     Sources above the last class's limits, where these are finite, are drawn by quadrature.
     phases : sub-pixel phases of its tables; 0 draws each source by its own transform
-    mixed_phases : those of the tables of bright streaks; 0 draws each along its own path
+    point_phases : those of the table at rest by which bright streaks are drawn, as points along
+        their own path, point_error : what it errs by per electron; 0 sweeps each by itself
     """
 
     radius_px: float
@@ -85,7 +86,8 @@ class CoreClass:
     wing_error: float
     target_error: float
     phases: int
-    mixed_phases: int = 0
+    point_phases: int = 0
+    point_error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -266,27 +268,13 @@ def _star_streaks(
         return POINT, replace(STILL, photons=scene.sensor.photon_noise)
     asked, aberration = scene.accuracy.noise_fraction, scene.star_effects["aberration"]
     floor_e = facts.budget_e / part_sigma(scene)  # that the budget is made for
-    edge = max(_edge(b) for b in blurs)
     streaks = plan_streaks(
-        camera, ends, aberration, asked, floor_e, facts.budget_e, edge, scene.sensor.photon_noise
+        camera, ends, aberration, asked, floor_e, facts.budget_e, scene.sensor.photon_noise
     )
     if streaks.still and streaks.longest_px:
         measures = ([measure(b) for b in blurs] for measure in (point_curvature, point_slope))
         streaks = resting(streaks, *map(max, measures))
     return _shortest_piece(camera, ends, streaks, aberration), streaks
-
-
-@lru_cache(maxsize=256)
-def _edge(blur: Blur) -> float:
-    """Steepest fall of the end of a streak along an axis, per px and light per px of path [1/px].
-
-    At most the integral of 2 pi f |T| along the streak times that of |T| across it.
-    """
-    f = np.linspace(0.0, blur.band_limit(1e-3), 2049)
-    none = np.zeros_like(f)
-    along, across = (np.abs(blur.transfer(*pair)) for pair in ((none, f), (f, none)))
-    steep = max(float(2.0 * np.trapezoid(2.0 * np.pi * f * t, f)) for t in (along, across))
-    return steep * max(float(2.0 * np.trapezoid(t, f)) for t in (along, across))
 
 
 def _asked_phases(scene: Scene) -> int:

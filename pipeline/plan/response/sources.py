@@ -145,8 +145,9 @@ def of_stars(r: ResponsePlan, s: KnownSources) -> SourceBounds:
     """What drawing the stars of some frames errs by at most."""
     cell = _cells(s)
     errors = _of_all(r, s, cell)
-    mixed = any(c.mixed_phases for c in r.classes)
-    errors["common_streak"] = _within(r, cell, r.streaks.errors_e(s.light_e, mixed))
+    points = np.array([*(c.point_error for c in r.classes), 0.0])
+    points_e = points[first_above(s.light_e, [c.brightest_e for c in r.classes])] * s.light_e
+    errors["common_streak"] = _within(r, cell, r.streaks.errors_e(s.light_e, points_e))
     if r.products and not r.spectral_from:
         errors["phase_interpolation"] = _within(r, cell, _products_e(r, s.light_e))
     return SourceBounds(float(s.light_e.max(initial=0.0)), errors)

@@ -3,15 +3,12 @@
 Stars of one frame move along almost the same path. In each piece of the exposure all stars of a
 zone get one shape, placed where each star's own light is in that piece; so what remains of the
 difference between two paths is divided by the number of pieces, and few tables serve all stars.
-Stars so bright that even that would show get a mixture of three shapes whose ends stand, to second
-order, where the star's own do; and those of which that second order would show are drawn along
-their own path, one by one.
+Stars so bright that even that would show are drawn along their own path, one by one.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +27,7 @@ __all__ = [
     "centroid",
     "densest_share",
     "exact_path",
+    "light_near",
     "merged_px",
     "plan_streaks",
     "resting",
@@ -41,10 +39,8 @@ MERGE_TOLERANCE_PX = 2e-4  # these two at the usual accuracy
 SPREAD_TOLERANCE_PX = 4e-3
 MOST_PIECES = 16
 SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
-STRETCH_PX = 2.0**-6  # by how much the ends of shapes for mixtures differ, and their rounding
-FINER_SHAPE = 16.0  # times finer are shapes for mixtures rounded than the others
 SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
-USUAL_EDGE = 0.5  # of a response a pixel wide or so
+POINTS = 0.25  # and what the table of the points may, that such paths are drawn as
 
 
 @dataclass(frozen=True)
@@ -54,24 +50,11 @@ class StreakSegment:
     path : on the PATH_STEP_PX grid, weights of sum one; share : part of the light
     centre : (2, 3, 3) x and y of the centroid, from the star's place at mid-exposure, for stars
         at the zone's NODES (rows of v, columns of u)
-    base : the shape that mixtures are of, base_centre : (2, 3, 3) its `centre`
-    stretch : (2, 3, 3) how much farther than the base's the ends of stars at the NODES are apart
-    stretch_px : the same of the other two shapes of a mixture
     """
 
     path: Path
     share: float
     centre: Array
-    base: Path
-    base_centre: Array
-    stretch: Array
-    stretch_px: float
-
-    @property
-    def stretched(self) -> tuple[Path, Path]:
-        """The base with its ends farther apart, along x and along y; the centroid stays."""
-        p, ramp = self.base, self.stretch_px * (_times(self.base) - 0.5)
-        return Path(p.x_px + ramp, p.y_px, p.weight), Path(p.x_px, p.y_px + ramp, p.weight)
 
 
 @dataclass(frozen=True)
@@ -80,15 +63,13 @@ class Streak:
 
     path : of the star in the middle of the zone, from its place at mid-exposure
     followed : (K, 2, 3, 3) places at equal times of stars at the zone's NODES, from mid-exposure
-    mixed_from_e : stars of more light are drawn by mixtures or along their own path
-    own_from_e : and of still more along their own path in any case
+    own_from_e : stars of more light are drawn along their own path
     """
 
     zone: Zone
     path: Path
     pieces: tuple[StreakSegment, ...]
     followed: Array
-    mixed_from_e: float
     own_from_e: float
 
     @property
@@ -101,16 +82,6 @@ class Streak:
         """(2, 3, 3) and their last ones."""
         return self.followed[-1]
 
-    def mixture(
-        self, piece: StreakSegment, x_px: Array, y_px: Array, light_e: Array
-    ) -> Iterator[tuple[Path, Array, Array, Array]]:
-        """The three shapes of a piece, where each stands for stars at (x, y), its light (n,)."""
-        dx, dy = self.at(piece.base_centre, x_px, y_px)
-        a, b = (v / piece.stretch_px for v in self.at(piece.stretch, x_px, y_px))
-        parts = (1.0 - a - b, a, b)
-        for path, part in zip((piece.base, *piece.stretched), parts, strict=True):
-            yield path, x_px + dx, y_px + dy, light_e * piece.share * part
-
     def at(self, table: Array, x_px: Array, y_px: Array) -> tuple[Array, Array]:
         """A quantity known at the zone's NODES for stars at (x, y): biquadratic interpolation."""
         return biquadratic(table, *self.zone.uv(x_px, y_px))
@@ -122,10 +93,8 @@ class StreakPlan:
 
     shapes : different pieces that a frame has at most
     step_px, merge_px : what shapes are rounded to, and how far their bends may be off
-    mixed_px : px from a bright star's own path, drawn as a mixture
-    mixed_from_e_px : light per px of path from which it is so drawn
+    own_from_e_px : light per px of path from which on stars are drawn along their own path
     floor_e, budget_e : noise of a pixel without sources, and what streaks may err by there
-    edge : steepest that the end of a streak falls off, per px and light per px of path [1 / px]
     own_px : px from a star's own path, where that is interpolated across its zone
     photons : light has noise of its own, so that a pixel with more of it may err by more
     at_rest : what a pixel errs by of a star's light where every shape is a point
@@ -139,11 +108,9 @@ class StreakPlan:
     shapes: int
     step_px: float
     merge_px: float
-    mixed_px: float = 0.0
-    mixed_from_e_px: float = math.inf
+    own_from_e_px: float = math.inf
     floor_e: float = 1.0
     budget_e: float = math.inf
-    edge: float = USUAL_EDGE
     own_px: float = math.inf
     photons: bool = True
     at_rest: float = math.inf
@@ -170,17 +137,20 @@ class StreakPlan:
         """
         return min(self.off_px * light_e, self.budget_e) if self.off_px else 0.0
 
-    def errors_e(self, light_e: Array, mixed: bool) -> Array:
+    def errors_e(self, light_e: Array, points_e: Array) -> Array:
         """What each of the stars there are (n,) errs by, as `error_e`: of one shape by its light;
-        too bright for that by what mixtures may (mixed), or by merging its own path [e-]."""
+        too bright for that by merging its own path, and by the table of its points [e-].
+
+        points_e : what the table that serves each errs by, of all its light; 0 without one
+        """
         longest, shortest = (
             max(1.0, v) for v in (self.longest_px * SLACK, self.shortest_px / SLACK)
         )
-        per_px = np.minimum(light_e / shortest, self.mixed_from_e_px)
+        per_px = np.minimum(light_e / shortest, self.own_from_e_px)
         hidden = self.photons and not self.still
         error_e = self.off_px * per_px / np.sqrt(1.0 + hidden * per_px / self.floor_e**2)
-        bright_e = self.budget_e * (1.0 if mixed else 2.0 * SHOWN)
-        error_e = np.where(light_e > self.mixed_from_e_px * longest, bright_e, error_e)
+        bright_e = 2.0 * SHOWN * self.budget_e + np.minimum(points_e, POINTS * self.budget_e)
+        error_e = np.where(light_e > self.own_from_e_px * longest, bright_e, error_e)
         return np.minimum(error_e, self.budget_e)
 
 
@@ -191,14 +161,13 @@ def plan_streaks(
     noise_fraction: float = USUAL_FRACTION,
     floor_e: float = 1.0,
     budget_e: float = math.inf,
-    edge: float = USUAL_EDGE,
     photons: bool = True,
 ) -> StreakPlan:
     """Fewest zones, then fewest pieces, whose stars streak alike.
 
     They do to SPREAD_TOLERANCE_PX at the usual accuracy; a finer one makes all tolerances finer.
     floor_e : noise of a pixel without sources; budget_e : what streaks may err by there. A pixel
-    with more light may err by as much more as it has noise. edge, photons : see `StreakPlan`.
+    with more light may err by as much more as it has noise. photons : see `StreakPlan`.
     """
     finer = 2.0 ** min(0.0, max(-8.0, math.floor(math.log2(noise_fraction / USUAL_FRACTION))))
     tolerance = SPREAD_TOLERANCE_PX * finer
@@ -215,7 +184,6 @@ def plan_streaks(
         if spread <= tolerance or zones >= most:
             shapes = zones**2 * _shapes(offsets, pieces)
             step, merge = PATH_STEP_PX * finer, MERGE_TOLERANCE_PX * finer
-            mixed = _spread_px(offsets, pieces, mixed=True)
             own = _interpolated_px(offsets)
             made = StreakPlan(
                 zones,
@@ -225,17 +193,15 @@ def plan_streaks(
                 shapes,
                 step,
                 merge,
-                mixed,
                 math.inf,
                 floor_e,
                 budget_e,
-                edge,
                 own,
                 photons,
                 shortest_px=float(lengths.min()),
             )
             begin = _light_from(made.off_px, made)
-            return replace(made, mixed_from_e_px=begin) if made.off_px else made
+            return replace(made, own_from_e_px=begin) if made.off_px else made
         zones = min(2 * zones, most)
 
 
@@ -248,7 +214,7 @@ def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
     """
     error = curvature * 5.0 * plan.longest_px**2 / 4.0 + slope * min(plan.own_px, plan.spread_px)
     made = replace(plan, at_rest=error)
-    return replace(made, mixed_from_e_px=_light_from(made.off_px, made))
+    return replace(made, own_from_e_px=_light_from(made.off_px, made))
 
 
 def densest_share(x_px: Array, y_px: Array, weight: Array) -> float:
@@ -260,6 +226,16 @@ def densest_share(x_px: Array, y_px: Array, weight: Array) -> float:
     return float((weight / np.maximum(length_px, np.maximum(weight, 1e-300))).max())
 
 
+def light_near(path: Path, radius_px: float) -> tuple[float, float]:
+    """Largest parts of a path's light within a radius of a pixel, and on one px of the path.
+
+    What is outside of a circle is at least as long as it is from there to the path's ends.
+    """
+    share = densest_share(path.x_px, path.y_px, path.weight)
+    ends_px = math.hypot(path.x_px[-1] - path.x_px[0], path.y_px[-1] - path.y_px[0])
+    return min(1.0, share * (2.0 * radius_px + path.length_px - ends_px)), share
+
+
 def merged_px(
     light_e: Array, share_per_px: float, floor_e: float, budget_e: float, photons: bool
 ) -> Array:
@@ -268,9 +244,13 @@ def merged_px(
     share_per_px : `densest_share` of the path; floor_e, budget_e, photons : as of a StreakPlan
     """
     along_e = np.maximum(light_e, 1e-9) * share_per_px
-    rises = along_e / floor_e**2 if photons else 0.0
-    allowed_e = budget_e * np.sqrt(1.0 + rises)
-    return np.clip(SHOWN * allowed_e / along_e, FINEST_MERGE_PX, MERGE_TOLERANCE_PX)
+    most_e = SHOWN * allowed_e(along_e, floor_e, budget_e, photons)
+    return np.clip(most_e / along_e, FINEST_MERGE_PX, MERGE_TOLERANCE_PX)
+
+
+def allowed_e(along_e: Array, floor_e: float, budget_e: float, photons: bool) -> Array:
+    """What a pixel may err by that holds so much light [e-] (n,): more as it has more noise."""
+    return np.asarray(budget_e * np.sqrt(1.0 + photons * along_e / floor_e**2))
 
 
 def _light_from(off_px: float, plan: StreakPlan) -> float:
@@ -324,26 +304,17 @@ def _in_pieces(offsets: Array, pieces: int) -> tuple[Array, Array]:
     return parts, means
 
 
-def _spread_px(offsets: Array, pieces: int, mixed: bool = False) -> float:
-    """Largest distance between a star's own path and the one that it is drawn along [px].
-
-    mixed : the shape in the middle, stretched to the distance of the star's own ends
-    """
+def _spread_px(offsets: Array, pieces: int) -> float:
+    """Largest distance between a star's own path and the one that it is drawn along [px]."""
     parts, means = _in_pieces(offsets, pieces)
     nodes = NODES.size**2
     shapes = np.moveaxis(parts[:, :, :nodes] - means[:, :, :nodes, ..., None], 2, -1)
     table = np.moveaxis(means[:, :, :nodes], 2, -1)
-    ramp = np.linspace(-0.5, 0.5, shapes.shape[-2])
 
     def off(at: int, a: float, b: float) -> float:
         """At point `at`, which stands at (a, b) in the zone's own units."""
         place = np.outer(lagrange(np.array([b]))[:, 0], lagrange(np.array([a]))[:, 0]).ravel()
-        shape = shapes[..., nodes // 2]
-        if mixed:
-            ends = shapes[..., -1, :] - shapes[..., 0, :]
-            longer = ends @ place - ends[..., nodes // 2]
-            shape = shape + longer[..., None] * ramp
-        drawn = (table @ place)[..., None] + shape
+        drawn = (table @ place)[..., None] + shapes[..., nodes // 2]
         return float(np.hypot(*(parts[:, :, at] - drawn)).max())
 
     worst = 0.0
@@ -393,38 +364,14 @@ def zone_streak(
         count *= 2
         parts, means = _in_pieces(offsets, count)
     made = []
-    paths = [_rounded(parts[:, middle, k] - means[:, middle, k, None], plan) for k in range(count)]
-    fine = replace(plan, step_px=plan.step_px / FINER_SHAPE, merge_px=plan.merge_px / FINER_SHAPE)
-    common, worst = _common(parts[:, middle] - means[:, middle, :, None], fine), 0.0
-    for k, path in enumerate(paths):
-        own = _rounded(parts[:, middle, k] - means[:, middle, k, None], fine)
-        base = own if common is None else common
-        longer = parts[:, :, k, -1] - parts[:, :, k, 0]
-        longer = longer - np.array([[v[-1] - v[0]] for v in (base.x_px, base.y_px)])
-        step = max(STRETCH_PX, float(2.0 ** math.ceil(math.log2(max(np.abs(longer).max(), 1e-9)))))
-        centre, base_centre = (
-            (means[:, :, k] - np.array(centroid(p))[:, None]).reshape(2, 3, 3) for p in (path, base)
-        )
-        stretch = longer.reshape(2, 3, 3)
-        worst = max(worst, _blend_px2(longer, step))
-        made.append(StreakSegment(path, 1.0 / count, centre, base, base_centre, stretch, step))
+    for k in range(count):
+        path = _rounded(parts[:, middle, k] - means[:, middle, k, None], plan)
+        centre = (means[:, :, k] - np.array(centroid(path))[:, None]).reshape(2, 3, 3)
+        made.append(StreakSegment(path, 1.0 / count, centre))
     followed = np.moveaxis(offsets, -1, 0).reshape(-1, 2, 3, 3)
     whole = _rounded(offsets[:, middle], plan)
-    length_px = max(1.0, whole.length_px)
-    off_px = plan.mixed_px + 0.5 * fine.step_px + fine.merge_px + plan.edge * worst
-    own_e = max(plan.mixed_from_e_px, _light_from(off_px, plan)) * length_px
-    return Streak(zone, whole, tuple(made), followed, plan.mixed_from_e_px * length_px, own_e)
-
-
-def _blend_px2(longer: Array, step_px: float) -> float:
-    """What mixtures leave of the squared distance of ends from where they belong [px^2].
-
-    longer : (2, n) stretch of stars. Ends of the shapes stand 0, d and d apart along x and y
-    (d = step_px / 2), with weights 1 - a - b, a, b; to second order the mixture errs by
-    (|a (a - 1)| + |b (b - 1)| + 2 |a b|) d^2 / 2 times the second derivative of the light.
-    """
-    a, b = np.abs(longer) / step_px  # either sign: the larger of a (a - 1) and a (a + 1)
-    return float(np.max(a * (a + 1.0) + b * (b + 1.0) + 2.0 * a * b)) * step_px**2 / 8.0
+    own_e = plan.own_from_e_px * max(1.0, whole.length_px)
+    return Streak(zone, whole, tuple(made), followed, own_e)
 
 
 def _rounded(places: Array, plan: StreakPlan) -> Path:
@@ -434,25 +381,6 @@ def _rounded(places: Array, plan: StreakPlan) -> Path:
     path = path_through(dx, dy, np.full(steps, 1.0 / steps), plan.merge_px)
     x, y = (np.round(a / plan.step_px) * plan.step_px + 0.0 for a in (path.x_px, path.y_px))
     return Path(x, y, path.weight)
-
-
-def _common(shapes: Array, plan: StreakPlan) -> Path | None:
-    """One shape for all pieces (2, pieces, steps + 1) but for the distance of their ends.
-
-    None where stretching does not make them alike, or stretches so far that it would show.
-    """
-    mean = shapes.mean(axis=1)
-    ends = shapes[..., -1] - shapes[..., 0]
-    longer = ends - (mean[:, -1] - mean[:, 0])[:, None]
-    ramp = np.linspace(-0.5, 0.5, shapes.shape[-1])
-    off = shapes - mean[:, None] - longer[..., None] * ramp
-    alike = np.hypot(*off).max() <= plan.merge_px and np.abs(longer).max() <= STRETCH_PX
-    return _rounded(mean, plan) if alike else None
-
-
-def _times(path: Path) -> Array:
-    """When a path passes its nodes, 0 to 1: light falls evenly in time."""
-    return np.concatenate([[0.0], np.cumsum(path.weight)]) / path.weight.sum()
 
 
 def centroid(path: Path) -> tuple[float, float]:

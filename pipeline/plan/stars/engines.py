@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,9 @@ import numpy as np
 
 from pipeline.arrays import Geometry
 from pipeline.physics.drawing.spectral_plan import CROWD_PX
-from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through, transfer
+from pipeline.physics.motion.points import points_per_px
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Path, path_through
+from pipeline.physics.psf.product import is_product, product_table
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import band_of, oversampling_for
 from pipeline.plan.pointing.star_paths import excursions_px
@@ -30,7 +33,7 @@ from pipeline.plan.response.responses import (
     stamp_s,
     table_bytes,
 )
-from pipeline.plan.response.streaks import Streak, densest_share, zone_streak
+from pipeline.plan.response.streaks import POINTS, Streak, densest_share, light_near, zone_streak
 from pipeline.plan.stars.field_stars import StarCounts
 from pipeline.plan.tiles import BLOCK_PX
 
@@ -42,8 +45,10 @@ if TYPE_CHECKING:
 # it has points.
 STAR_S, STAR_S_PER_SAMPLE, ALONG_S_PER_SAMPLE, TABLE_S_PER_VALUE = 2e-4, 9e-9, 5e-9, 4e-8
 CUBIC = 3.0
-FEWEST_PHASES, MOST_PHASES = 8, 32
-MIXTURE_BYTES = 48e6  # what the three tables of a mixture may take
+FEWEST_PHASES, MOST_PHASES = 8, 64  # of tables of points
+POINT_BYTES = 48e6  # what the table of points may take
+POINT_ROUNDING = 7e-8  # of their light: tables are in single precision (psf/response.py)
+ENDS = 6.0  # more points than a long line has: those of a segment, for its ends
 BRIGHTEST_E = 1e12  # of a star whose own path is cut into segments
 SURE = 4.0  # times cheaper must star by star be: other frames may hold more
 FREQUENCIES = 65
@@ -56,7 +61,7 @@ class StarEngines:
     """The engines that were chosen for the stars.
 
     responses : with tables only where these are cheaper; ways : how stars are drawn, in words
-    tables : whether there are any
+    tables : whether there are any of usual stars
     """
 
     responses: ResponsePlan
@@ -88,7 +93,7 @@ def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> Star
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
     if r.spectral_from:
         made = replace(made, crowd_e=_crowd_e(plan, counts, streaks))
-    drawn = r.spectral_from or r.products or any(c.phases or c.mixed_phases for c in classes)
+    drawn = r.spectral_from or r.products or any(c.phases for c in classes)
     return StarEngines(made, tuple(said), bool(drawn))
 
 
@@ -112,20 +117,22 @@ def _choose(
     if crowds:
         usual = [math.inf] * len(usual)
     tables_s, singly_s = _mean_s(_Costs.tables, ways, usual), _mean_s(_Costs.singly, ways, usual)
-    mixtures_s = _mean_s(_Costs.mixtures, ways, bright)
+    points_s = _mean_s(_Costs.points, ways, bright)
     along_s = _mean_s(_Costs.along, ways, bright)
     tables = plan.responses.products or tables_s <= SURE * singly_s
     phases = core.phases * tables
-    mixed = max(way.mixed_phases for way in ways) * (mixtures_s <= along_s)
+    few = max(ways, key=lambda way: way.point_phases)
+    points = few.point_phases * (points_s <= along_s)
     usual_s = 0.0 if crowds else tables_s if tables else singly_s
-    said = _said(core, max(usual), max(bright), phases, mixed)
-    made = replace(core, phases=phases, mixed_phases=mixed)
-    return made, said, min(mixtures_s, along_s) + usual_s
+    said = _said(core, max(usual), max(bright), phases, points)
+    error = few.point_error if points else 0.0
+    made = replace(core, phases=phases, point_phases=points, point_error=error)
+    return made, said, min(points_s, along_s) + usual_s
 
 
 def _splits(core: CoreClass, low_e: float, streaks: list[Streak]) -> list[float]:
     """Light [e-] from which on stars of a class are bright for each of some streaks."""
-    return [float(np.clip(s.mixed_from_e, low_e, core.brightest_e)) for s in streaks]
+    return [float(np.clip(s.own_from_e, low_e, core.brightest_e)) for s in streaks]
 
 
 def _in_crowds(
@@ -164,7 +171,7 @@ def _crowd_e(plan: ResolvedScene, counts: StarCounts, streaks: list[Streak]) -> 
     r = plan.responses
     light, fixed_s = counts.light_e, SPECTRAL_S_PER_PIXEL * math.prod(plan.scene.sensor.shape)
     left = FEW_BRIGHT * fixed_s / (r.streaks.pieces * stamp_s(r)) / counts.each
-    limit_e = min(r.classes[0].brightest_e, *(streak.mixed_from_e for streak in streaks))
+    limit_e = min(r.classes[0].brightest_e, *(streak.own_from_e for streak in streaks))
     if 1.0 <= left < len(light):
         limit_e = min(limit_e, float(light[-int(left)]))
     elif left >= len(light):
@@ -189,17 +196,18 @@ class _Costs:
         self, plan: ResolvedScene, core: CoreClass, streak: Streak, bright_e: float
     ) -> None:
         r = plan.responses
-        self._core, self._count = core, len(streak.pieces)
+        self._plan, self._core, self._count = plan, core, len(streak.pieces)
         self._frames = 1.0 if r.streaks.longest_px else plan.frames  # that share their tables
         self._tables = r.streaks.shapes * len(r.blurs)
         self._each = min(4, len(r.blurs))  # responses that one star is drawn by
         self._segments = _own_segments(plan, streak, bright_e)
         self._per_px2 = 0.5 * max(oversampling_for(b) for b in r.blurs) ** 2
-        self._lit = min(1.0, 0.5 * math.pi * max(band_of(b) for b in r.blurs) ** 2 / self._per_px2)
+        self._band = max(band_of(b) for b in r.blurs)
+        self._lit = min(1.0, 0.5 * math.pi * self._band**2 / self._per_px2)
         self._path = max((p.path for p in streak.pieces), key=lambda p: p.length_px)
         self._sweep = streak.path
         self._across_px = math.hypot(*plan.scene.sensor.shape) + 2.0 * core.radius_px
-        self.mixed_phases = self._phases_of_mixtures(r, streak)
+        self.point_phases, self.point_error = self._table_of_points(plan)
 
     def tables(self, stars: float) -> float:
         """From tables of the common shapes."""
@@ -211,12 +219,17 @@ class _Costs:
         one_s = STAR_S + STAR_S_PER_SAMPLE * self._samples(self._path)
         return stars * self._each * self._count * one_s
 
-    def mixtures(self, stars: float) -> float:
-        """From tables of three shapes."""
-        if not self.mixed_phases or math.isinf(stars):
+    def points(self, stars: float) -> float:
+        """Each as points along its own path, of which those near the frame are drawn."""
+        if not self.point_phases or math.isinf(stars):
             return math.inf
-        made = 3.0 * self._table_s(self.mixed_phases) * self._tables
-        return made + stars * self._each * self._count * 3.0 * self._stamp_s(CUBIC)
+        radius = self._core.radius_px
+        values = table_bytes(self.point_phases, radius, POINT) / 4.0
+        made = TABLE_S_PER_VALUE * values * len(self._plan.responses.blurs) / self._plan.frames
+        px = min(self._sweep.length_px, self._across_px)
+        points = points_per_px(self._band) * px + ENDS * self._segments
+        point_s = STAMP_S + CUBIC * STAMP_S_PER_PIXEL * math.pi * radius**2
+        return made + stars * self._each * (STAR_S + points * point_s)
 
     def along(self, stars: float) -> float:
         """Each along its own path, of which the pieces that come near the frame are drawn."""
@@ -242,18 +255,20 @@ class _Costs:
         ]
         return self._per_px2 * math.prod(sides)
 
-    def _phases_of_mixtures(self, r: ResponsePlan, streak: Streak) -> int:
-        """Fewest phases whose cubic interpolation serves the class's brightest; 0 for none."""
-        piece = streak.pieces[len(streak.pieces) // 2]
-        brightest = self._core.brightest_e * piece.share
-        if not math.isfinite(brightest):
-            return 0
-        needed = max(cubic_bound(b, piece.base) for b in r.blurs) * brightest / r.budget_e
-        wanted = 2 ** math.ceil(0.25 * math.log2(max(needed, 1e-9)))
-        phases = max(FEWEST_PHASES, int(wanted)) if wanted <= MOST_PHASES else 0
-        together = 3.0 * table_bytes(phases, self._core.radius_px, piece.base) * self._tables
-        most = MIXTURE_BYTES * max(1, r.streaks.shapes) if r.field is None else FIELD_BYTES
-        return phases if together <= most else 0
+    def _table_of_points(self, plan: ResolvedScene) -> tuple[int, float]:
+        """Phases of the table at rest whose cubic interpolation serves the class's brightest, or
+        as many as there may be, and its error per unit light; 0 for none."""
+        r, radius = plan.responses, self._core.radius_px
+        near, densest = light_near(self._sweep, radius)
+        light_e = min(self._core.brightest_e, BRIGHTEST_E)
+        allowed = POINTS * plan.allowed_e(light_e * densest) / (light_e * near)
+        fourth = max(map(cubic_bound, r.blurs))
+        wanted = (fourth / max(allowed - POINT_ROUNDING, 1e-12)) ** 0.25
+        phases = int(np.clip(2 ** math.ceil(math.log2(wanted)), FEWEST_PHASES, MOST_PHASES))
+        most = POINT_BYTES if r.field is None else FIELD_BYTES
+        while phases and table_bytes(phases, radius, POINT) * len(r.blurs) > most:
+            phases = phases // 2 if phases > FEWEST_PHASES else 0
+        return phases, max(_point_error(b, radius, max(phases, 1)) for b in r.blurs)
 
 
 def _farthest_px(plan: ResolvedScene, g: Geometry) -> float:
@@ -270,27 +285,34 @@ def _own_segments(plan: ResolvedScene, streak: Streak, light_e: float) -> int:
     return path_through(x_px, y_px, weight, float(merge_px)).segments
 
 
-def cubic_bound(blur: Blur, path: Path) -> float:
+def _point_error(blur: Blur, radius_px: float, phases: int) -> float:
+    """What a pixel of a star at rest errs by from a table of so many phases, per unit light."""
+    if is_product(blur, 0.0):
+        return product_table(blur, radius_px).cubic_error
+    return cubic_bound(blur) / phases**4 + POINT_ROUNDING
+
+
+@lru_cache(maxsize=256)
+def cubic_bound(blur: Blur) -> float:
     """Upper bound of the error of cubic interpolation between phases, times their number^4.
 
     Per unit light: 3/128 times the integral of ((2 pi fx)^4 + (2 pi fy)^4) |T| over frequencies.
     """
     end = blur.band_limit(1e-3)
     f = np.linspace(-end, end, 2 * FREQUENCIES - 1)
-    swept = np.abs(transfer(f, f, path.x_px, path.y_px, path.weight))
-    swept *= np.abs(blur.transfer(f[:, None], f[None, :]))
     fourth = (2.0 * np.pi * f) ** 4
-    integrand = (fourth[:, None] + fourth[None, :]) * swept
+    size = np.abs(blur.transfer(f[:, None], f[None, :]))
+    integrand = (fourth[:, None] + fourth[None, :]) * size
     return 3.0 / 128.0 * float(np.trapezoid(np.trapezoid(integrand, f), f))
 
 
-def _said(core: CoreClass, usual: float, bright: float, phases: int, mixed: int) -> list[str]:
+def _said(core: CoreClass, usual: float, bright: float, phases: int, points: int) -> list[str]:
     """What the decision says of a class."""
     name = f"cores of {core.radius_px:.0f} px"
     said = []
     if core.phases and not phases and usual >= 0.5:
         said.append(f"about {usual:.0f} stars with {name} one by one, without tables")
     if bright >= 0.5:
-        way = f"by mixtures of {mixed} phases" if mixed else "each along its own path"
-        said.append(f"about {bright:.0f} bright streaks with {name} {way}")
+        way = f", as points of a table of {points} phases" if points else ""
+        said.append(f"about {bright:.0f} bright streaks with {name} each along its own path{way}")
     return said

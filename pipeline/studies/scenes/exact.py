@@ -129,7 +129,7 @@ def _star_limits(stage: Stage) -> list[tuple[float, float]]:
         if core.phases and paths:
             table = table_of(r.blur, core.radius_px, paths[0].pieces[0].path, core.phases)
             limits += [(r.budget_e / e, 0.0) for e in (table.linear_error, table.cubic_error)]
-    return [*limits, (paths[len(paths) // 2].mixed_from_e, 0.0)] if paths else limits
+    return [*limits, (paths[len(paths) // 2].own_from_e, 0.0)] if paths else limits
 
 
 def _below(

@@ -13,12 +13,12 @@ import numpy as np
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.execute.blocks import around
-from pipeline.execute.sources import distance_px, excursion_px, place_targets
+from pipeline.execute.sources import excursion_px, place_targets
 from pipeline.plan.accuracy import total_sigma
 from pipeline.plan.described import plan_dict
 from pipeline.plan.plan import Plan
 from pipeline.plan.response.responses import cut_share
-from pipeline.plan.tiles import Tile
+from pipeline.plan.tiles import Tile, distance_px
 from pipeline.route.run import Options, render
 from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene

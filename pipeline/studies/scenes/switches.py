@@ -153,7 +153,7 @@ def _lights(stage: Stage, windows: Sequence[Tile]) -> tuple[float, float]:
 
 def _without_tables(plan: Plan) -> Plan:
     """Every star drawn at its exact place by its own transform."""
-    classes = tuple(replace(c, phases=0, mixed_phases=0) for c in plan.responses.classes)
+    classes = tuple(replace(c, phases=0, point_phases=0) for c in plan.responses.classes)
     return replace(plan, responses=replace(plan.responses, classes=classes))
 
 
@@ -202,7 +202,7 @@ def _own_paths(stage: Stage, plan: Plan) -> Light:
         image = np.zeros((tile.rows, tile.columns))
         reach = plan.responses.classes[-1].radius_px + excursion_px(plan, stage.g) + 8.0
         stars = drawing_order(around(stage.stars, tile, reach))
-        draw_along(plan, stage.g, image, tile, stars)
+        draw_along(_without_tables(plan), stage.g, image, tile, stars)
         for block in blocks(tile):
             add_wings_of(image, tile, block, block.star_wings)
         return rest(tile) | {"stars_e": image}

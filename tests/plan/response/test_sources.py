@@ -35,7 +35,7 @@ from pipeline.plan.response.sources import (
     stars_known,
     targets_known,
 )
-from pipeline.plan.response.streaks import SHOWN, SLACK, StreakPlan, _light_from
+from pipeline.plan.response.streaks import POINTS, SHOWN, SLACK, StreakPlan, _light_from
 from pipeline.route.finish import _of_targets
 from pipeline.route.prepare import prepare
 from pipeline.route.run import render
@@ -51,7 +51,7 @@ def streaks(off_px: float = 1e-3, longest_px: float = 30.0, **more: Any) -> Stre
         1, 1, off_px, longest_px, 1, 0.0, 0.0, floor_e=FLOOR_E, budget_e=BUDGET_E,
         shortest_px=longest_px, **more,
     )  # fmt: skip
-    return replace(plan, mixed_from_e_px=_light_from(off_px, plan))
+    return replace(plan, own_from_e_px=_light_from(off_px, plan))
 
 
 def responses(**more: Any) -> ResponsePlan:
@@ -70,18 +70,21 @@ def stars(r: ResponsePlan, *light_e: float, apart_px: float = 0.0) -> KnownSourc
 
 def test_faint_streaks_err_by_their_own_light_and_bright_ones_by_what_draws_them() -> None:
     s = streaks()
-    limit_e = s.mixed_from_e_px * s.longest_px
+    limit_e = s.own_from_e_px * s.longest_px
     lights = np.array([1.0, 0.01 * limit_e, limit_e, 100.0 * limit_e])
     per_px = lights[1] * SLACK / s.longest_px
     expected = s.off_px * per_px / math.sqrt(1.0 + per_px / FLOOR_E**2)
-    found, mixed = (s.errors_e(lights, mixed=m) for m in (False, True))
+    none = np.zeros(4)
+    found, points = (s.errors_e(lights, points_e) for points_e in (none, none + 1e9))
+    some = s.errors_e(lights, none + 0.1 * POINTS * BUDGET_E)
     assert found[1] == pytest.approx(expected)
     assert found[1] < s.error_e(lights[1])
     assert found[2] == pytest.approx(BUDGET_E)
     assert found[3] == pytest.approx(2.0 * SHOWN * BUDGET_E)
-    assert mixed[3] == BUDGET_E
-    assert (mixed[:3] == found[:3]).all()
-    assert not s.errors_e(np.empty(0), mixed=True).size
+    assert points[3] == pytest.approx((2.0 * SHOWN + POINTS) * BUDGET_E)
+    assert (points[:3] == found[:3]).all()
+    assert some[3] == pytest.approx((2.0 * SHOWN + 0.1 * POINTS) * BUDGET_E)
+    assert not s.errors_e(np.empty(0), np.empty(0)).size
 
 
 def test_what_has_no_noise_of_its_own_hides_nothing() -> None:
@@ -90,7 +93,7 @@ def test_what_has_no_noise_of_its_own_hides_nothing() -> None:
     assert still.still
     for quiet in (streaks(photons=False), still):
         per_px = light[0] * SLACK / max(SLACK, quiet.longest_px)
-        assert quiet.errors_e(light, mixed=False)[0] == pytest.approx(quiet.off_px * per_px)
+        assert quiet.errors_e(light, np.zeros(1))[0] == pytest.approx(quiet.off_px * per_px)
 
 
 def test_wings_err_by_their_class_and_together() -> None:

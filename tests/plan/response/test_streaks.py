@@ -88,7 +88,7 @@ def test_each_star_keeps_to_its_own_path(
 
 @pytest.mark.parametrize("focal_m", [1.0, 0.05])
 def test_centroid_and_light_of_the_pieces(scene: Make, focal_m: float) -> None:
-    """Of the common shapes, and of the mixtures for bright stars: those of a star's own path."""
+    """Of the common shapes: those of a star's own path."""
     s = rate(scene, 30.0 / focal_m, -20.0 / focal_m, focal_m)
     camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
     plan = plan_streaks(camera, g, True)
@@ -101,11 +101,6 @@ def test_centroid_and_light_of_the_pieces(scene: Make, focal_m: float) -> None:
         place = np.array(streak.at(piece.centre, x, y))[:, 0]
         mean += piece.share * (place + np.array(centroid(piece.path)))
     assert mean == pytest.approx(own, abs=3e-4)
-    mixed = np.zeros(2)
-    for piece in streak.pieces:
-        for path, at_x, at_y, light in streak.mixture(piece, x, y, np.ones(1)):
-            mixed += light * (np.concatenate([at_x - x, at_y - y]) + np.array(centroid(path)))
-    assert mixed == pytest.approx(own, abs=3e-4)
 
 
 @pytest.mark.parametrize("inside", [True, False])
@@ -144,15 +139,15 @@ def test_all_tolerances_are_as_fine_as_the_accuracy(scene: Make, finer: float) -
 
 
 def test_light_without_noise_hides_no_error(scene: Make) -> None:
-    """A streak's error, off times its light per px, is the budget where mixtures begin."""
+    """A streak's error, off times its light per px, is the budget where own paths begin."""
     s = rate(scene, 30.0, -20.0, 1.0)
     camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
     noisy, silent = (
         plan_streaks(camera, g, True, 0.05, 5.0, 0.02, photons=photons) for photons in (True, False)
     )
-    assert silent.mixed_from_e_px * silent.off_px == pytest.approx(0.02)
-    rises = math.sqrt(1.0 + noisy.mixed_from_e_px / 25.0)
-    assert noisy.mixed_from_e_px * noisy.off_px == pytest.approx(0.02 * rises)
+    assert silent.own_from_e_px * silent.off_px == pytest.approx(0.02)
+    rises = math.sqrt(1.0 + noisy.own_from_e_px / 25.0)
+    assert noisy.own_from_e_px * noisy.off_px == pytest.approx(0.02 * rises)
 
 
 @pytest.mark.parametrize("photons", [True, False])
@@ -165,11 +160,11 @@ def test_a_star_off_its_path_errs_by_no_more_than_told(light_e: float, photons: 
         1, 1, off_px, 1.0, 1, 0.0, 0.0,
         floor_e=floor_e, budget_e=asked * floor_e, photons=photons,
     )  # fmt: skip
-    plan = replace(plan, mixed_from_e_px=_light_from(off_px, plan))
+    plan = replace(plan, own_from_e_px=_light_from(off_px, plan))
     told = plan.error_e(light_e)
     assert told <= plan.budget_e
-    if light_e >= plan.mixed_from_e_px:
-        assert told == plan.budget_e  # a mixture of shapes, off by less
+    if light_e >= plan.own_from_e_px:
+        assert told == plan.budget_e  # along its own path, off by less
         return
 
     def pixels(at: float) -> np.ndarray:
