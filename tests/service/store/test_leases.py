@@ -5,11 +5,15 @@ from __future__ import annotations
 import sqlite3
 import time
 from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
 
+from service.engine import runner
+from service.settings import Settings
 from service.store.database import connect, writing
 from service.store.leases import take
 from service.store.tables import leases
@@ -29,6 +33,29 @@ def test_a_lease_of_a_clock_that_ran_ahead_is_taken_over(
     with engine.connect() as db:
         assert db.execute(sa.select(leases.c.epoch)).scalar_one() == 2
     engine.dispose()
+
+
+def test_a_lease_is_counted_from_before_it_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A database that answers after 8 s of a lease of 10 s leaves 2 s in which this one leads."""
+    clock_s = 100.0
+
+    def slow(*_: object) -> bool:
+        nonlocal clock_s
+        clock_s += 8.0
+        led.stopping.set()
+        return True
+
+    monkeypatch.setattr(runner, "time", SimpleNamespace(monotonic=lambda: clock_s))
+    monkeypatch.setattr(runner, "take", slow)
+    store: Any = SimpleNamespace(engine=None)
+    led = runner.Dispatcher(Settings(tmp_path, lease_s=10.0), store)
+    led._renew()
+    clock_s = 109.9
+    assert led.leads
+    clock_s = 110.1
+    assert not led.leads
 
 
 def test_work_goes_on_after_a_clock_ran_ahead(
