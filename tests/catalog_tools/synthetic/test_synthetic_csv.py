@@ -209,6 +209,13 @@ def test_half_of_a_cluster_lies_within_its_radius():
         assert interval_shares(crowd).sum() == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("crowd", [CROWDS[1], CROWDS[12]], ids=["SMC", "Pleiades"])
+def test_pixels_of_a_crowd_are_the_first_of_a_quarter_of_its_radius(crowd):
+    order = pixels_of(crowd)[0]
+    side_deg = np.degrees(np.sqrt(4.0 * np.pi / (12.0 * 4.0**order)))
+    assert side_deg <= crowd.radius_deg / 4.0 < 2.0 * side_deg
+
+
 @pytest.mark.parametrize("rows", [1, 2, 27_647, 27_648, 100_000])
 def test_files_share_out_all_rows(rows):
     plan = make_plan(7, rows)
