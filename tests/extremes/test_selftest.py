@@ -6,6 +6,7 @@ import contextlib
 import json
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -44,6 +45,18 @@ def test_one_wrong_pixel_fails_a_case(name, tmp_path, monkeypatch):
     monkeypatch.setattr(of_frames, "frames", one_off)
     case = next(c for c in CASES if c.name == name)
     assert not run_case(case, tmp_path).passed
+
+
+def test_an_error_in_a_faint_pixel_is_set_against_its_own_noise(tmp_path, monkeypatch):
+    """1 e- in a dark corner is its noise, however bright the star in the middle pixel."""
+    mean_e = np.zeros((1, 9, 9))
+    mean_e[0, 4, 4], mean_e[0, 0, 0] = 1e6, 1.0
+    truth = {"electrons": [1e6], "x_px": [4.0], "y_px": [4.0]}
+    found = SimpleNamespace(truth=truth, layers={"mean_e": mean_e})
+    monkeypatch.setattr(of_frames, "frames", lambda *_: found)
+    sharp = {"kind": "gaussian", "sigma_px": 0.01}
+    peak, noise, _ = of_frames._against_erf(tmp_path, sensor__psf=sharp)
+    assert (peak, noise) == pytest.approx((1e-6, 1.0))
 
 
 def test_light_that_is_not_as_the_square_of_the_size_fails(tmp_path, monkeypatch):
