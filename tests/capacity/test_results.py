@@ -6,6 +6,7 @@ import copy
 import json
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import astropy.coordinates as coord
@@ -131,6 +132,23 @@ def test_hours_and_sensors(made: Made) -> None:
         assert s["open_h"] == pytest.approx((up <= -12.0).sum() / 60.0)
         assert s["busy_h"] == pytest.approx(busy, rel=1e-5)
         assert s["used_fraction"] == pytest.approx(busy / s["open_h"], rel=1e-5)
+
+
+def test_the_moment_after_a_window_is_of_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sensor that always may look: two windows of two steps of half an hour are two hours."""
+    watch = SimpleNamespace(works=np.ones(3, bool))
+    monkeypatch.setattr(results, "moments", lambda course, window: (watch,))
+    sky = SimpleNamespace(facts=SimpleNamespace(background_e_s=1.0))
+    study = SimpleNamespace(step_s=1800.0, tasking=None)
+    course: Any = SimpleNamespace(
+        watchers=(SimpleNamespace(name="one", resolved=sky),),
+        units=np.zeros(1, np.int64),
+        windows=2,
+        study=study,
+    )
+    none = np.zeros((2, 1), np.int64)
+    (told,) = results._sensors(course, none, np.array([3600.0])).to_pylist()
+    assert (told["open_h"], told["busy_h"], told["used_fraction"]) == (2.0, 1.0, 0.5)
 
 
 def test_a_search_uses_all_the_time_in_which_it_may_look(data: Data, tmp_path: Path) -> None:
