@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -192,6 +193,18 @@ def test_grid_and_knots_against_direct_evaluation(scene):
     assert sky.error_e < 0.05 * facts_with_sky(facts, s, sky).sigma_floor_e
     assert sky.least_e_s <= exact.min() + sky.error_e
     assert len(sky.knots) < 400
+
+
+def test_light_is_told_of_the_first_and_the_last_frame(scene):
+    """Two frames 20 degrees apart: the plan's span is that of the pixels of both."""
+    apart = {"exposure.frames": 2, "exposure.cadence_s": 12_000.0}
+    s, _, sky, _ = planned(scene, ZODIACAL | LONG | apart | {"background.uniform_e_per_s": 0.0})
+    first, last = (whole(s, sky, frame) for frame in (0, 1))
+    assert first.max() < 0.95 * last.max() or last.max() < 0.95 * first.max()
+    (told,) = (d.reason for d in sky.decisions if d.component == "background.zodiacal")
+    low, high = re.match(r"(\S+) to (\S+) e-/s per pixel", told).groups()
+    assert float(low) == pytest.approx(min(first.min(), last.min()), rel=1e-3)
+    assert float(high) == pytest.approx(max(first.max(), last.max()), rel=1e-3)
 
 
 def test_same_bits_in_any_tile_and_after_pickling(scene):
