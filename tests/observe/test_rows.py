@@ -110,6 +110,8 @@ def test_times_and_the_frames_that_they_are_like() -> None:
     assert asked.frame.tolist() == [0, 0, 0, 1, 1, 1, 1, 2, 2]
     np.testing.assert_allclose(asked.late_s, asked.middle_s - [1, 1, 1, 21, 21, 21, 21, 41, 41])
     assert times_of(scene, "0,1,0.1").middle_s[-1] == pytest.approx(1.0)
+    rounded = times_of(scene, "0,0.3,0.1").middle_s  # 0.3 / 0.1 is less than 3
+    assert rounded == pytest.approx([0.0, 0.1, 0.2, 0.3])
     mixed = times_of(scene, "2019-04-20T10:00:30Z,60,20").middle_s
     np.testing.assert_allclose(mixed, [30.0, 50.0])
     exposed = times_of(scene, None)
