@@ -26,7 +26,7 @@ from pipeline.export.coco import annotation, image_entry, packed, run_lengths
 from pipeline.export.formats import ExportRequest, _Job, export_product
 from pipeline.export.labels import Labels
 from pipeline.export.masks import Mask, _as_disc, _cut, classes_from_light, mask_fits, paint
-from pipeline.export.movie import write_mp4
+from pipeline.export.movie import gif_bytes, write_mp4
 from pipeline.export.times import ExposureTimes
 from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
@@ -154,6 +154,14 @@ def test_movies(labelled, tmp_path):
     assert (about["size"], about["fps"]) == ((512, 512), 4.0)
     assert len(list(reader)) == 2
     assert [p.name for p in tmp_path.iterdir()] in (["a.gif", "a.mp4"], ["a.mp4", "a.gif"])
+
+
+@pytest.mark.parametrize(("fps", "lasts_ms"), [(100.0, 20), (60.0, 20), (30.0, 30), (0.5, 2000)])
+def test_frames_of_a_gif_last_whole_hundredths_and_two_at_least(fps, lasts_ms):
+    """However many a second are asked for: browsers slow shorter ones down."""
+    pictures = (np.full((4, 4), grey, np.uint8) for grey in (0, 255))
+    gif = Image.open(io.BytesIO(gif_bytes(pictures, fps)))
+    assert (gif.n_frames, gif.info["duration"]) == (2, lasts_ms)
 
 
 def test_a_movie_of_odd_sides_that_differ(tmp_path):
